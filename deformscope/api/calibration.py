@@ -45,7 +45,7 @@ from deformscope.recording.reader import Replay
 from deformscope.recording.recorder import Recorder, RecordingSummary
 from deformscope.session import run
 from deformscope.stages.fit.calibrate import Calibration, FitOptions, Model, Observation
-from deformscope.stages.fit.estimate import Comparison, Estimate, Verdict
+from deformscope.stages.fit.estimate import Comparison, Doubt, Estimate, Verdict
 from deformscope.stages.fit.plausible import size_note
 from deformscope.stages.fit.search import Progress
 from deformscope.stages.msm.clusters import rank
@@ -101,6 +101,11 @@ class CalibrationResult(LibraryResult):
     def verdict(self) -> Verdict:
         """What the data allow to say of the parameter."""
         return self.estimate.verdict
+
+    @property
+    def reasons(self) -> tuple[Doubt, ...]:
+        """Why the parameter is to be doubted, and what it holds for; those that lower the verdict first."""
+        return self.estimate.reasons
 
     def __repr__(self) -> str:
         low, high = self.interval

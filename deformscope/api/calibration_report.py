@@ -18,7 +18,7 @@ from deformscope.pictures.evidence import (
 )
 from deformscope.pictures.findings import cell_text
 from deformscope.pictures.report import Code, Figure, Part, ReportVerdict, Section, Table, html_report
-from deformscope.pictures.words import estimate_rows, length_words
+from deformscope.pictures.words import estimate_rows, length_words, reason_rows
 from deformscope.plain import plain
 from deformscope.recording import provenance
 from deformscope.stages.fit.estimate import Estimate
@@ -83,7 +83,8 @@ def provenance_sections(*, seed: int, settings: Mapping[str, object]) -> list[Se
 def _verdict(result: Result, *, named: bool) -> list[Part]:
     found = result.estimate
     name = f"{_name(result)}: " if named else ""
-    words = (f"Stiffness: {found.stiffness_text()}.", *([] if named else [_explained(found)]))
+    reasons = [f"{words}." for _, words in reason_rows(found.reasons, besides=found.verdict_text())]
+    words = (f"Stiffness: {found.stiffness_text()}.", *reasons, *([] if named else [_explained(found)]))
     return [
         ReportVerdict(f"{name}{found.verdict_text()}", (f"{headline(found)}.", *words), verdict_color(found)),
     ]

@@ -93,6 +93,8 @@ def exploration_rows(found: Mapping[str, Any]) -> Rows:
     if betas := [one["beta_verdict"] for one in touches if one["beta"] is not None]:
         common = max(set(betas), key=betas.count)
         rows.append(("beta", f"{common} in {betas.count(common)} of {len(betas)} touches"))
+    if missed := found["missed"]:
+        rows += missed_rows(missed)
     true_n, reason = found["max_force_n"], found["stop_reason"]
     felt_n = max((one["peak_force_n"] for one in touches), default=0.0) if true_n is None else true_n
     ended = reason if reason.startswith("stopped") else f"stopped: {reason or 'before its plan said so'}"
@@ -116,12 +118,25 @@ def exploration_rows(found: Mapping[str, Any]) -> Rows:
     return rows
 
 
+def missed_rows(missed: Mapping[str, Any]) -> Rows:
+    """What may be there that no touch has met; missed: as in the JSON"""
+    x, y = (100.0 * value for value in missed["untouched_at_m"])
+    wide = 200.0 * missed["untouched_m"]
+    rows = [("untouched", f"circles of up to {wide:.0f} cm across, the largest at ({x:.0f}, {y:.0f}) cm")]
+    if lumps := missed["lumps"]:
+        each = ", ".join(f"{200.0 * one['radius_m']:.3g} cm: {one['probability']:.2f}" for one in lumps)
+        stated = f"{missed['contrast']:g} times as stiff or soft; {missed['prior']:g} before any touch"
+        rows.append(("lumps unseen", f"probability of one across {each} ({stated})"))
+    return rows
+
+
 def explore(
     rig: str | Path,
     *,
     touches: int = 8,
     planner: Planner = "regions",
     set_force_n: float | None = None,
+    smallest_inclusion_m: float | None = None,
     beta_model: Literal["volume", "thesis", "none"] = "volume",
     seed: int = 0,
     record: Path | str | None = None,
@@ -134,6 +149,7 @@ def explore(
     """Map how soft a surface is: look, touch where it says most about the map, map, and again.
 
     rig: a rig file (.toml), or a simulated scene (`lab:NAME`); touches: at most; set_force_n: at most 5 N
+    smallest_inclusion_m: radius of the smallest lumps that are sought, default 0.06
     record: a recording to make (.rrd); yes: let a real arm move, once the checks have passed, without asking
     verbose: print each touch as it goes on; with a rig file that, the table of checks and the question always appear
     Raises InputError for what cannot be used, and SystemExit where the exploration was stopped before its end.
@@ -145,6 +161,7 @@ def explore(
             touches=touches,
             planner=planner,
             set_force=set_force_n,
+            smallest_inclusion=smallest_inclusion_m,
             beta_model=beta_model,
             yes=yes,
             trust_rig=trust_rig,

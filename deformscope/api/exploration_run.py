@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from deformscope.recording.recorder import Recorder
     from deformscope.robot.setup import Setup
     from deformscope.session import RigExperiment, Step
-    from deformscope.stages.map.exploration import MapEstimate, TouchEstimate
+    from deformscope.stages.map.exploration import MapEstimate, Missed, TouchEstimate
 
 
 MAP_UNITS = {
@@ -52,9 +52,12 @@ JSON_UNITS = {
     "max_force_n": "N",
     "modulus_pa": "Pa",
     "peak_force_n": "N",
+    "radius_m": "m",
     "set_force_n": "N",
     "seconds": "s",
     "travel_m": "m",
+    "untouched_at_m": "m",
+    "untouched_m": "m",
     "xy_m": "m",
 }
 
@@ -96,6 +99,7 @@ def explore_on(config: ExploreConfig, report: Callable[[Explored], None]) -> Exp
     from deformscope.experiments.measured import SetupGeometry
     from deformscope.experiments.options import ExploreOptions
     from deformscope.lab.faults import FaultAt, FaultsToCome
+    from deformscope.stages.map.plan import INCLUSION_M
 
     quiet_warp()
     options = ExploreOptions(
@@ -104,9 +108,10 @@ def explore_on(config: ExploreConfig, report: Callable[[Explored], None]) -> Exp
         threshold=config.threshold,
         beta_model=config.beta_model,
         seed=config.output.seed,
+        inclusion_m=config.smallest_inclusion or INCLUSION_M,
     )
     faults = [FaultAt.parse(text, options.budget) for text in config.fault]
-    opening = setup_of(config.rig, options, config.set_force, trusted=config.trust_rig)
+    opening = setup_of(config.rig, options, config.set_force, trusted=config.trust_rig, clean=config.clean)
     setup, options = opening.setup, opening.options
     to_come = FaultsToCome(opening.faulty_lab, faults, options.seed) if faults else None
     settings = {"explore": dataclasses.asdict(options), "seed": options.seed, "simulated": setup.simulated}
@@ -125,6 +130,7 @@ def explore_on(config: ExploreConfig, report: Callable[[Explored], None]) -> Exp
             recorder.stopped_because(f"{found.stop.kind}: {found.stop.reason}")
         if ending.began_s > 0.0 or found.stop is not None:
             as_json = _found(config, setup, options, found, recorder, ending, to_come)
+            as_json["laboratory"] = opening.settings.get("laboratory")
             explored = Explored(as_json, found.maps, setup.simulated)
             report(explored)
         if ending.error is not None:
@@ -292,12 +298,26 @@ def _found(
         },
         "supervisor_gaps_ms": _gaps_ms(ending.gaps_s),
         "stop_reason": exploration.stop_reason,
+        "missed": _missed(exploration.missed),
         "arm_stands": ending.arm_stopped,
         "failures": [{"stage": one.stage, "touch": one.touch, "reason": one.reason} for one in exploration.failures],
         "losses": ending.losses,
         # after an error it keeps the name of an unfinished one
         "recording": config.output.record if ending.error is None else recorder.summary().path,
         "fault": _fault(exploration, ending, faults),
+    }
+
+
+def _missed(missed: Missed | None) -> dict[str, Any] | None:
+    if missed is None:
+        return None
+    lumps = zip(missed.lump_radius_m, missed.lump_probability, strict=True)
+    return {
+        "untouched_m": missed.untouched_m,
+        "untouched_at_m": missed.untouched_at_m,
+        "contrast": missed.contrast,
+        "prior": missed.prior,
+        "lumps": [{"radius_m": radius, "probability": probability} for radius, probability in lumps],
     }
 
 

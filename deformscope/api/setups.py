@@ -39,23 +39,29 @@ class Opening:
         return self.lab
 
 
-def setup_of(name: str, options: ExploreOptions, set_force_n: float | None, *, trusted: bool) -> Opening:
+def setup_of(
+    name: str, options: ExploreOptions, set_force_n: float | None, *, trusted: bool, clean: bool = True
+) -> Opening:
     """The setup of `lab:NAME` or of a rig file, closed.
 
-    set_force_n: None = as the rig file says; trusted: as for `deformscope.rig.rig_file.load_rig`
+    set_force_n: None = as the rig file says; trusted: as for `deformscope.rig.rig_file.load_rig`; clean: the laboratory
+    keeps nothing from the estimator
     """
     if name.startswith(LAB):
         from deformscope.experiments.measured import highest_m
         from deformscope.lab.scene_lab import SceneLab
         from deformscope.lab.scenes import built_in
+        from deformscope.lab.session_errors import LabErrors
 
         scene = built_in(name.removeprefix(LAB), options.seed)
         options = dataclasses.replace(options, thickness_m=scene.thickness_m)
         if set_force_n is not None:
             options = dataclasses.replace(options, set_force_n=set_force_n)
         parked_m = highest_m(options)
-        made = SceneLab(scene, tip_radius_m=options.tip_radius_m, parked_m=parked_m, seed=options.seed)
-        return Opening(made.setup, options, {"scene": scene.name}, made.lab)
+        errors = LabErrors.none() if clean else LabErrors()
+        made = SceneLab(scene, tip_radius_m=options.tip_radius_m, parked_m=parked_m, seed=options.seed, errors=errors)
+        laboratory = {"clean": clean, "errors": errors.plain(), "drawn": made.drawn.plain()}
+        return Opening(made.setup, options, {"scene": scene.name, "laboratory": laboratory}, made.lab)
     from deformscope.rig.rig_file import load_rig
 
     if not Path(name).exists() and _is_scene(name):

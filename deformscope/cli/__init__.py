@@ -76,7 +76,17 @@ COMMANDS: dict[str, Command] = {
     "reproduce squeezes": _command(
         "new squeezes beside what was simulated: events, poses, depth", "SqueezesConfig", "reproduce_squeezes"
     ),
+    "coverage beta": _command(
+        "beta where errors are shared, tracks wrong or lost", "DisturbedCoverageConfig", "coverage_disturbed", "beta"
+    ),
+    "coverage theta": _command("theta, as `coverage beta`", "DisturbedCoverageConfig", "coverage_disturbed", "theta"),
+    "coverage force": _command(
+        "how often the intervals of a predicted force hold it", "ForceCoverageConfig", "coverage_force"
+    ),
     "coverage": _command("how often the intervals hold the truth", "CoverageConfig", "coverage"),
+    "coverage regions": _command(
+        "how often a map's levels and number of regions are right", "RegionCoverageConfig", "coverage_regions"
+    ),
     "explore": _command("map how soft a surface is, by touching it", "ExploreConfig", "explore"),
     "classify": _command(
         "what is in a container, from squeezing it: how well it is known", "ClassifyConfig", "classify"
@@ -181,7 +191,9 @@ def _dispatch(args: list[str]) -> int:
 
 def _find(args: list[str]) -> tuple[str, list[str]]:
     """The command's full name, or a group's where its help is asked for, and the arguments left."""
-    first = args[0]
+    first, both = args[0], " ".join(args[:2])
+    if both in COMMANDS:
+        return both, args[2:]
     if first in COMMANDS:
         return first, args[1:]
     groups = {name.split()[0] for name in COMMANDS if " " in name}

@@ -85,6 +85,9 @@ def _findings(found: ArmGive, where: str) -> Findings:
         ("for [tool]", f"compliance_m_per_n = {found.compliance_m_per_n:.3e}"),
         ("", f"compliance_sd = {found.compliance_sd:.1e}"),
     ]
+    if found.dome > 0.0:
+        dent = f"yields {1e3 * found.dome * 3.0 ** (2.0 / 3.0):.2f} mm itself at 3 N (Hertz), beside the compliance"
+        rows.insert(1, ("tip", dent))
     if found.compliance_sd > SURE_SD * found.compliance_m_per_n:
         rows.append(("note", "the touches differ: more of them, or is it not rigid, or not firmly held?"))
     figure = Figure(compliance_png(found), "Compliance of the arm at each touch")

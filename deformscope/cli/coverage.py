@@ -40,6 +40,7 @@ from deformscope.studies.coverage import (
     try_nothing,
     try_object,
 )
+from deformscope.studies.doubt_rates import CODES, EXPECTED, DoubtRow, doubt_plan, doubt_rows, try_doubts
 from deformscope.studies.unseen_pokes import PokeCase, UnseenPrediction, try_unseen_poke
 
 
@@ -56,6 +57,7 @@ def run(config: CoverageConfig) -> None:
         with fit_progress() as note:
             outcomes = examined("random objects", try_object, cases, config.jobs, note)
             verdicts = examined("data without information", try_nothing, nothing, config.jobs, note)
+            doubted = examined("reasons to doubt", try_doubts, doubt_plan(bodies, seed), config.jobs, note)
             predictions = examined("unseen pokes", try_unseen_poke, pokes, config.jobs, note)
         rows = coverage_rows(outcomes)
         said = {
@@ -64,7 +66,7 @@ def run(config: CoverageConfig) -> None:
         }
         unidentified = {kind: Rate(len(some), some.count("unidentified")) for kind, some in said.items()}
         ranks = rank_counts([one for one, case in zip(outcomes, cases, strict=True) if case.truth == "prior"])
-        groups = prediction_groups(predictions)
+        groups, doubts = prediction_groups(predictions), doubt_rows(doubted)
         fit_s = {f"{dim}D": median([one.seconds for one in outcomes if one.dim == dim]) for dim in (2, 3)}
         seconds, png = time.monotonic() - started, ranks_png(ranks)
         picture = None if config.out is None else config.out / "coverage.png"
@@ -73,6 +75,7 @@ def run(config: CoverageConfig) -> None:
             (
                 coverage_table(f"{level:.0%} intervals for beta: how many hold the truth", rows),
                 _nothing_table(said, unidentified),
+                doubts_table(doubts),
                 _pokes_table(f"{level:.0%}", groups),
                 Table(took + ([] if picture is None else [("ranks", str(picture))]), caption="Time"),
             ),
@@ -98,6 +101,16 @@ def run(config: CoverageConfig) -> None:
             ],
             "ranks": ranks,
             "no_information": [{"kind": kind, **rate_json(rate)} for kind, rate in unidentified.items()],
+            "reasons": [
+                {
+                    "data": row.data,
+                    "expected": EXPECTED.get(row.data),
+                    "named": {code: rate_json(rate) for code, rate in row.named.items()},
+                    "identified": rate_json(row.identified),
+                    "identified_wrong": rate_json(row.identified_wrong),
+                }
+                for row in doubts
+            ],
             "unseen_pokes": [
                 {"group": name, "pokes": len(some), **rate_json(pooled(some))}
                 | {key: middle(some, length) for key, length in lengths.items()}
@@ -142,6 +155,21 @@ def _nothing_table(said: Mapping[Any, list[Verdict]], unidentified: Mapping[Any,
         rows.append((kind, rate.cases, f"{rate.rate:.3f}", _band(rate), others))
     names = ("data", "cases", "unidentified", "95 % band", "other verdicts")
     return Table(rows, names, "Data without information: how many verdicts are unidentified")
+
+
+def doubts_table(rows: Sequence[DoubtRow]) -> Table:
+    """How often each reason was named, a line for each kind of data, the reason that is true of them marked."""
+    codes = [code for code in CODES if any(code in row.named for row in rows)]
+    lines = []
+    for row in rows:
+        cells = []
+        for code in codes:
+            share = f"{row.named[code].rate:.2f}" if code in row.named else ""
+            cells.append(f"{share or '0'} <- true" if EXPECTED.get(row.data) == code else share)
+        wrong = f"{row.identified_wrong.hits}"
+        lines.append((row.data, row.identified.cases, *cells, f"{row.identified.rate:.2f}", wrong))
+    names = ("data", "cases", *codes, "identified", "of these without the truth")
+    return Table(lines, names, "Reasons to doubt beta: how often each is named")
 
 
 def _pokes_table(level: str, groups: Mapping[str, list[UnseenPrediction]]) -> Table:

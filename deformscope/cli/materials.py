@@ -32,8 +32,9 @@ from deformscope.frames import InputFile
 from deformscope.pictures.findings import Findings
 from deformscope.pictures.material_figures import axes_png, joint_png, yield_png
 from deformscope.pictures.report import Figure, Table
+from deformscope.pictures.words import reason_rows
 from deformscope.session import Step
-from deformscope.stages.fit.estimate import EXPLAINED_LEAST, Comparison, explained_text
+from deformscope.stages.fit.estimate import Comparison, explained_text
 from deformscope.stages.fit.joint import JointEstimate, JointOptions, calibrate_both
 from deformscope.stages.fit.model import Model, Observation
 from deformscope.stages.materials.anisotropy import AxisEstimate, fit_axes
@@ -152,6 +153,7 @@ def _both_table(found: JointEstimate, name: str) -> Table:
         rows.append((one.parameter, f"{one.value:.4g}"))
         rows.append((f"{one.level:.0%} interval", f"{low:.4g} to {high:.4g}"))
         rows.append(("verdict", one.verdict_text()))
+        rows += reason_rows(one.reasons, besides=one.verdict_text())
     rows.append(("correlation", f"{found.correlation:+.2f}"))
     rows.append(("stiffness", found.beta.stiffness_text()))
     if found.beta.explained is not None:
@@ -165,6 +167,7 @@ def _axes_table(found: AxisEstimate, name: str) -> Table:
     for k, (low, high) in enumerate(found.interval):
         axis = ", ".join(f"{x:.2g}" for x in found.axes[:, k])
         rows.append((f"beta along ({axis})", f"{found.value[k]:.4g} ({low:.4g} to {high:.4g}): {found.verdict[k]}"))
+    rows += reason_rows(tuple(dict.fromkeys(one for some in found.reasons for one in some)))
     differ = "the axes differ" if found.anisotropic else "one beta explains it as well"
     rows += [
         ("anisotropy", f"{differ} (one beta would leave so much error with probability {found.p_isotropic:.2g})"),
@@ -181,15 +184,17 @@ def _yield_table(found: YieldEstimate, config: YieldConfig) -> Table:
     low, high = found.yield_strain.interval
     strain = f"{found.yield_strain.value:.4g} ({low:.4g} to {high:.4g})" if high is not None else f"above {low:.4g}"
     unsure = "nothing that yielded is sure" if high is None else "it yielded, but where it began is not known"
+    lowered = next((one.text for one in found.reasons if one.allows == "unidentified"), unsure)
     meaning = {
         "identified": "the motion determines it well",
         "weak": "the motion determines it roughly",
         "at-bound": "it yields as early as can be seen",
-        "unidentified": "the model does not explain the motion" if found.explained < EXPLAINED_LEAST else unsure,
+        "unidentified": lowered,
     }
     rows = [
         ("yield strain", strain),
         ("verdict", f"{found.verdict}: {meaning[found.verdict]}"),
+        *reason_rows(found.reasons),
         ("largest strain, unyielded", f"{found.largest_strain:.4g}"),
         ("beta", _parameter(found.beta)),
         *([] if found.creep is None else [("creep [1/s]", _parameter(found.creep))]),

@@ -6,6 +6,8 @@ deformscope reproduce pokes --quick --out figures --json -
 
 from __future__ import annotations
 
+import numpy as np
+
 from deformscope.cli.common import fit_progress, make_folder, quiet_warp, recorder_of, say, show, write_file, write_json
 from deformscope.config import PokesConfig
 from deformscope.pictures.figures import write_rows
@@ -13,7 +15,7 @@ from deformscope.pictures.findings import Findings
 from deformscope.pictures.report import Figure, Table
 from deformscope.session import Step
 from deformscope.studies.dents_figure import dents_png
-from deformscope.studies.poke_study import PLANS, Studied, rows, study
+from deformscope.studies.poke_study import Studied, plans, rows, study
 
 
 def run(config: PokesConfig) -> None:
@@ -23,7 +25,7 @@ def run(config: PokesConfig) -> None:
 
     studied = []
     with recorder_of(config) as recorder, fit_progress() as progress:
-        for frame, plan in enumerate(PLANS[: 1 if config.quick else None]):
+        for frame, plan in enumerate(plans()[: 1 if config.quick else None]):
             one = study(plan, progress=progress)
             studied.append(one)
             png = dents_png([each.prediction for each in one.unseen], one.unseen)
@@ -56,6 +58,10 @@ def _table(one: Studied) -> Table:
         tip = " x ".join(f"{1e3 * side:g}" for side in press.sides)
         for score in unseen.scores:
             force = "no force" if score.force_error is None else f"force {score.force_error:+.1%}"
-            what = f"{tip} mm, {press.force:g} N, {score.method}"
+            group = "" if one.plan.drawn is None else f"{one.plan.drawn.group(np.array(press.at))}, "
+            what = f"{group}{tip} mm, {press.force:g} N, {score.method}"
             lines.append((what, f"surface off by {score.surface_error:.1%} of the depth, {force}"))
+            if score.method == "MSM" and unseen.prediction.force_interval is not None:
+                low, high = unseen.prediction.force_interval
+                lines.append(("", f"90 % interval {low:.3g} to {high:.3g} N"))
     return Table(lines, caption=f"Slab of {one.plan.name}")

@@ -31,7 +31,9 @@ from deformscope.pictures.report import Table
 from deformscope.processes import in_processes
 from deformscope.session import Step
 from deformscope.stages.map.plan import Planner
-from deformscope.studies.table41 import TableJob, TableRun, add_run, read_runs, run_table
+from deformscope.studies.closed_form_table import run_closed_form
+from deformscope.studies.table41 import run_table
+from deformscope.studies.table41_runs import TableJob, TableRun, add_run, read_runs
 from deformscope.studies.table41_summary import LOOKED_AT, PASSED_IOU, compare, curves, summarise
 
 RUNS = "runs.jsonl"
@@ -42,7 +44,15 @@ def run(config: Table41Config) -> None:
     make_folder(config.out)
     planners = _planners(config.planners)
     jobs = [
-        TableJob(scene, seed, planner, config.touches, go_on=len(planners) > 1)
+        TableJob(
+            scene,
+            seed,
+            planner,
+            config.touches,
+            go_on=len(planners) > 1,
+            closed_form=config.closed_form,
+            clean=config.clean,
+        )
         for seed in range(config.seeds)
         for scene in _scenes(config.scenes)
         for planner in planners
@@ -62,11 +72,15 @@ def _explored(jobs: Sequence[TableJob], config: Table41Config) -> list[TableRun]
         add_run(path, one)
     left = [job for job in jobs if job not in known]
     with fit_progress() as note:
-        for count, (index, found) in enumerate(in_processes(run_table, left, config.workers, quiet_warp), start=1):
+        for count, (index, found) in enumerate(in_processes(_run, left, config.workers, quiet_warp), start=1):
             known[left[index]] = found
             add_run(path, found)
             note("exploring", count, len(left))
     return [known[job] for job in jobs]
+
+
+def _run(job: TableJob) -> TableRun:
+    return run_closed_form(job) if job.closed_form else run_table(job)
 
 
 def _write(runs: Sequence[TableRun], config: Table41Config) -> Findings:
@@ -180,6 +194,11 @@ def _words(row: dict[str, Any]) -> str:
     parts.append(f"field {row['field_rms']:.3f} rms [{row['field_covered']:.2f} within]")
     if row["levels_covered"] is not None:
         parts.append(f"levels within {row['levels_covered']:.2f} of {row['levels_runs']}")
+    if row["wrong"] is not None:
+        parts.append(f"wrong labels {row['wrong']:.3f}, {row['wrong_claimed']:.3f} expected")
+    if row["unseen"] is not None:
+        missed = "" if row["unseen_missed"] is None else f", {row['unseen_missed']:.2f} where one was missed"
+        parts.append(f"stopped by itself {row['stopped']:.2f}, lumps unseen {row['unseen']:.2f}{missed}")
     if row["touches_covered"] is not None:
         parts.append(f"touches within {row['touches_covered']:.2f}")
     parts.append(f"discs of up to {1e3 * row['unmet_m']:.0f} mm radius unmet")

@@ -26,8 +26,11 @@ from deformscope.config.reproduce import (
     ContainersConfig,
     CoverageConfig,
     CubesConfig,
+    DisturbedCoverageConfig,
     FoamsConfig,
+    ForceCoverageConfig,
     PokesConfig,
+    RegionCoverageConfig,
     SqueezesConfig,
     Table41Config,
 )

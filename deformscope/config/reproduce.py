@@ -72,7 +72,8 @@ class CoverageConfig(RecordedOptions):
     and unseen pokes of finite element bodies."""
 
     objects: Annotated[int, flags.least(5)] = 1000
-    """Random objects for each kind of noise; a fifth as many with beta = 0, near 1, and of finite elements."""
+    """Random objects for each kind of noise; a fifth as many with beta = 0, near 1, of finite elements, and for each
+    kind of data that are wrong."""
     quick: bool = False
     """15 objects each: what it looks like, in a minute."""
     level: flags.LevelFlag = 0.9
@@ -86,6 +87,70 @@ class CoverageConfig(RecordedOptions):
     def check(self) -> None:
         if self.out is not None and self.out.exists() and not self.out.is_dir():
             raise InputError("a folder after --out", "a file", where=self.out)
+
+
+@dataclass(frozen=True, slots=True)
+class DisturbedCoverageConfig(RecordedOptions):
+    """Count how often the intervals hold the truth where data are not as assumed: errors that neighbours share over 1
+    to 6 cells, with and without white noise, outliers, lost tracks, a held particle that is off, whole motions."""
+
+    objects: Annotated[int, flags.least(3)] = 400
+    """Random objects for each kind of error, a third of them in space; each takes some .3 s of a core."""
+    only: Annotated[str, arg(metavar="NAME,NAME...")] = ""
+    """These kinds alone, such as "30 % outliers,30 % lost tracks"; parts of their names do."""
+    level: flags.LevelFlag = 0.9
+    """Confidence level of the intervals."""
+    jobs: flags.ManyFlag = 2
+    """Processes that share the work."""
+    output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
+
+
+@dataclass(frozen=True, slots=True)
+class RegionCoverageConfig(RecordedOptions):
+    """Count how often a map's levels lie in their intervals, and its number of regions is right: surfaces of known
+    truth, drawn from the stated prior and from violations of it, touched in closed form and explored as `explore`
+    does."""
+
+    objects: Annotated[int, flags.least(5)] = 300
+    """Explorations of each condition; each takes some 5 s of a core."""
+    scatter: Annotated[float | None, arg(metavar="SHARE")] = None
+    """One more condition: foam whose log stiffness scatters by this, such as 0.08."""
+    only: Annotated[str, arg(metavar="NAME,NAME...")] = ""
+    """These conditions alone, such as "stated prior,scatter 6 %"."""
+    touches: flags.ManyFlag = 8
+    """Touches of each exploration at most."""
+    jobs: flags.ManyFlag = 2
+    """Processes that share the work."""
+    output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
+
+    def check(self) -> None:
+        if self.scatter is not None and not 0.0 < self.scatter < 1.0:
+            raise InputError("a share above 0 and below 1 after --scatter", f"{self.scatter:g}", "0.08")
+
+
+@dataclass(frozen=True, slots=True)
+class ForceCoverageConfig(RecordedOptions):
+    """Count how often the intervals of a predicted force hold the true one: random slabs of one material, halves, stiff
+    and soft discs and gradual ones, half of whose 24 pokes are fitted, under scatter that the model is not given."""
+
+    slabs: flags.ManyFlag = 20
+    """Slabs of each kind, from seed SEED on. A slab takes some 3 s."""
+    scatter: Annotated[tuple[float, ...], arg(metavar="SHARE...")] = (0.0, 0.03, 0.06, 0.1)
+    """By how much the force scatters from poke to poke, as a share."""
+    full: bool = False
+    """Press the slabs with finite elements and fit shape-matching models to what their surfaces do: a quarter of an
+    hour a slab."""
+    split: Literal["alternate", "random"] = "alternate"
+    """Which half is fitted: every other poke, as on a chess board, or any half."""
+    level: flags.LevelFlag = 0.9
+    """Confidence level of the intervals."""
+    jobs: flags.ManyFlag = 2
+    """Processes that share the work."""
+    output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
+
+    def check(self) -> None:
+        if not self.scatter or any(not 0.0 <= one < 1.0 for one in self.scatter):
+            raise InputError("shares from 0 to below 1 after --scatter", " ".join(f"{one:g}" for one in self.scatter))
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,6 +169,10 @@ class Table41Config(RecordedOptions):
     """Layouts of each scene, from seed 0 on."""
     touches: flags.ManyFlag = 12
     """Touches of each exploration."""
+    closed_form: bool = False
+    """Take what a contact feels in closed form instead of pressing finite elements: no surface, no arm, far faster."""
+    clean: bool = False
+    """Keep nothing from the estimator: the arm is as its calibration says, the force exact, foam without scatter."""
     resume: bool = False
     """Take what an earlier command left in runs.jsonl, and go on from there; it must have been this version."""
     workers: flags.SomeFlag = None

@@ -187,6 +187,9 @@ class ExploreConfig(RecordedOptions):
     variance, or the thesis's (any place above --threshold)."""
     threshold: float = 0.06
     """Variance, as a share of that before any touch, below which a place needs no touch (Th of the thesis)."""
+    smallest_inclusion: flags.PositiveFlag = None
+    """Radius of the smallest lumps that are sought [m], default 0.06: touched is until one that is there unseen is less
+    likely than 1 in 20, or --touches are made."""
     set_force: flags.ForceFlag = None
     """Force to press with [N], 5 N at most; default: the rig file's target_force_n, which is 3 N unless it says. Where
     it makes a dent below 2 mm, 5/3 of it (5 N at most) is pressed with."""
@@ -197,6 +200,9 @@ class ExploreConfig(RecordedOptions):
     ] = ()
     """Let something go wrong in a simulated touch, counted from 1, such as force-silent@2, at a moment drawn from the
     seed; --list-scenarios names the kinds."""
+    clean: bool = False
+    """Keep nothing from the estimator in a simulated scene: the arm is as its calibration says, the force exact, and
+    foam without scatter. Else these are drawn from the seed, as they would be on a table."""
     picture: flags.PictureFlag = None
     """Draw the maps to a PNG."""
     map: flags.ArraysFlag = None

@@ -13,15 +13,15 @@ from deformscope.experiments.explore import Look
 from deformscope.experiments.explorer import Geometry
 from deformscope.experiments.options import ExploreOptions
 from deformscope.session import RigExperiment, ask
-from deformscope.stages.map.measured import TouchMeasurement
 from deformscope.stages.map.surface import fit_surface
 from deformscope.stages.poke.contact import ArmCompliance, calibrate_compliance, fit_approach
 
 SURE_SD = 0.1
 """Of a compliance that is to be taken off dents, at most this share of it should be unknown."""
 
-LOADED, LEAST_BEND_M = 0.1, 2e-4
-"""Share of the peak force from which on the law is looked at; what gives less than this is rigid enough [m]."""
+DOME_AT_MOST = 3.5e-4
+"""Dent at 1 N that may be the tip's own [m/N^(2/3)]. A rubber dome of 10 mm radius that yields 2 mm at 40 N has 1.7e-4,
+foam of 300 kPa under it 8e-4. Chosen between the two."""
 
 COMMON_SD = 0.05
 """Share that all touches of one block have in common, and that their scatter does not show: the block's own dent."""
@@ -41,7 +41,9 @@ class GiveTouch:
 @dataclass(frozen=True, slots=True)
 class ArmGive:
     """compliance_m_per_n: mean of the touches; compliance_sd: what is not known of it, the scatter between touches
-    included [m/N]; off_m: the camera sees the surface so much higher than the arm meets it [m], off_sd_m: its scatter
+    included [m/N]; dome: mean dent of the tip itself at 1 N, which grows with the power 2/3 of the force [m/N^(2/3)],
+    not in the compliance
+    off_m: the camera sees the surface so much higher than the arm meets it [m], off_sd_m: its scatter
     """
 
     touches: tuple[GiveTouch, ...]
@@ -49,6 +51,7 @@ class ArmGive:
     compliance_sd: float
     off_m: float
     off_sd_m: float
+    dome: float = 0.0
 
 
 def touch_rigid(
@@ -76,28 +79,13 @@ def touch_rigid(
         )
         # where it met the surface, along the normal, taken to where the camera's height is given
         met_m = height_m + (-law.contact_m - float(np.append(xy_m, height_m) @ normal) - options.tip_radius_m)
-        if not _straight(made, normal, found, law.contact_m):
+        if found.dome > DOME_AT_MOST:
             raise InputError(
-                "something rigid, under which the arm gives in proportion to the force",
-                "a dent that stiffens as it grows, as foam's",
+                f"something rigid, which a tip dents by {1e3 * DOME_AT_MOST:g} mm at 1 N at most",
+                f"a dent of {1e3 * found.dome:.2f} mm at 1 N that stiffens as it grows, as foam's",
                 "a block of steel or stone, firmly on the surface",
             )
         found_one(GiveTouch(found, law.peak_force_n, height_m, met_m))
-
-
-def _straight(made: TouchMeasurement, normal: FloatArray, found: ArmCompliance, contact_m: float) -> bool:
-    """Whether depth goes with the force, rather than with its power 2/3 as under a ball in foam (Hertz 1882)."""
-    force_n = made.force_n @ normal
-    depth_m = -(made.position_m @ normal) - contact_m
-    pressed = force_n > LOADED * force_n.max()
-    force_n, depth_m = force_n[pressed], depth_m[pressed]
-    if found.compliance_m_per_n * force_n.max() < LEAST_BEND_M:  # too little bends to distinguish the laws
-        return True
-    off = []
-    for power in (1.0, 2.0 / 3.0):
-        law = np.column_stack([force_n**power, np.ones_like(force_n)])
-        off.append(float(np.sum((depth_m - law @ np.linalg.lstsq(law, depth_m, rcond=None)[0]) ** 2)))
-    return off[0] <= off[1]
 
 
 def arm_give(touches: list[GiveTouch]) -> ArmGive:
@@ -111,4 +99,5 @@ def arm_give(touches: list[GiveTouch]) -> ArmGive:
     sd = float(np.hypot(own, COMMON_SD * each.mean()))
     off = np.array([one.seen_m - one.met_m for one in touches])
     off_sd = float(off.std(ddof=1)) if len(off) > 1 else 0.0
-    return ArmGive(tuple(touches), float(each.mean()), sd, float(off.mean()), off_sd)
+    dome = np.mean([one.found.dome for one in touches])
+    return ArmGive(tuple(touches), float(each.mean()), sd, float(off.mean()), off_sd, float(dome))

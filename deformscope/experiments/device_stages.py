@@ -444,7 +444,7 @@ def fit_contact(
         stiffness_interval=fit.interval_n_per_mm,
         rigid=fit.rigid,
         modulus_pa=None,
-        depth_m=fit.depth_m,
+        depth_m=fit.dent_m(min(fit.at_force_n, fit.peak_force_n)),
         peak_force_n=fit.peak_force_n,
         beta=None,
         beta_interval=None,

@@ -20,6 +20,7 @@ from deformscope.session import Compute, Inline, Moment, RigExperiment, Step, as
 from deformscope.stages.map.exploration import (
     ExplorationStop,
     MapEstimate,
+    Missed,
     PhaseStart,
     PlannedTouch,
     StageFailure,
@@ -85,6 +86,7 @@ class Exploration:
 
     touches, maps, failures: results; maps is the newest; region_probability: of each number of regions, with `maps`
     travel_m: over the surface, in straight lines from its corner (0, 0); stop_reason: in a word or two
+    missed: by the touches so far, None before the first plan
     started: touches that were started
     stop, stop_ns: why and when the robot stopped before its plan said so
     compute_s, slowest_s: spent computing, and on the slowest touch [s]
@@ -96,6 +98,7 @@ class Exploration:
     region_probability: dict[str, float] | None = None
     travel_m: float = 0.0
     stop_reason: str = ""
+    missed: Missed | None = None
     started: int = 0
     stop: ExplorationStop | None = None
     stop_ns: int = 0
@@ -114,7 +117,7 @@ class Exploration:
             elif isinstance(result, MapEstimate):
                 self.maps, self.region_probability = result, computed.region_probability
             elif isinstance(result, PlannedTouch):
-                self.stop_reason = result.stop_reason
+                self.stop_reason, self.missed = result.stop_reason, result.missed
             elif isinstance(result, StageFailure):
                 self.failures.append(result)
         return computed.results

@@ -258,7 +258,11 @@ class Explorer:
             self.posterior,
             FieldKernel(),
             PlanOptions(
-                planner=options.planner, budget=options.budget, threshold=options.threshold, cell_m=PLAN_CELL_M
+                planner=options.planner,
+                budget=options.budget,
+                threshold=options.threshold,
+                cell_m=PLAN_CELL_M,
+                inclusion_m=options.inclusion_m,
             ),
             tip_m=self.touches[-1].xyz_m[:2] if self.touches else None,
             left_out_m=np.reshape(self._left_out, (-1, 2)),
@@ -268,7 +272,9 @@ class Explorer:
         enough = plan.stop is not None and not (options.go_on and len(self.touches) < options.budget)
         target = None if enough else plan.target_m
         self.stop_reason = plan.stop or ""
-        return PlannedTouch(target, plan.gain, plan.cost_s, plan.excluded != ALLOWED, plan.reason, plan.stop or "")
+        return PlannedTouch(
+            target, plan.gain, plan.cost_s, plan.excluded != ALLOWED, plan.reason, plan.stop or "", plan.missed
+        )
 
     def approach(self, xy_m: FloatArray, geometry: Geometry) -> Touch | None:
         """The touch of a place (2,) [m]; None where it could not be planned."""
@@ -390,8 +396,9 @@ class Explorer:
         law = fitted_law(fit, self._arm, _along(touched))
         modulus = None
         if not fit.rigid and fit.depth_m > 0.0:
+            force = min(fit.at_force_n, fit.peak_force_n)
             modulus = layer_modulus(
-                fit.depth_m, fit.at_force_n, radius_m=options.tip_radius_m, thickness_m=options.thickness_m
+                fit.dent_m(force), force, radius_m=options.tip_radius_m, thickness_m=options.thickness_m
             )
         return _Contact(fit, law, modulus)
 
@@ -420,7 +427,7 @@ class Explorer:
             stiffness_interval=(nan, nan) if fit is None else fit.interval_n_per_mm,
             rigid=False if fit is None else fit.rigid,
             modulus_pa=None if contact is None else contact.modulus_pa,
-            depth_m=nan if fit is None else _dent_m(fit),
+            depth_m=nan if fit is None else fit.dent_m(fit.peak_force_n),
             peak_force_n=float(_force_along(touched).max()) if fit is None else fit.peak_force_n,
             beta=beta.value,
             beta_interval=beta.interval,
@@ -439,7 +446,7 @@ class Explorer:
         deepest = int(np.argmax(-(touched.position_m @ touched.normal)))
         gives_m = self._arm.compliance_m_per_n * fit.peak_force_n  # the arm says that it is that much deeper
         lowest = touched.position_m[deepest] - (radius - gives_m) * touched.normal
-        ball = BallContact(lowest, radius, _dent_m(fit), fit.peak_force_n)
+        ball = BallContact(lowest, radius, fit.dent_m(fit.peak_force_n), fit.peak_force_n)
         if self.options.beta_model == "thesis":
             return self._thesis(touched, ball)
         found = fit_touch(self.world, touched.after_m, ball, thickness_m=self.options.thickness_m)
@@ -508,9 +515,3 @@ def _along(touched: TouchMeasurement) -> FloatArray:
 def _force_along(touched: TouchMeasurement) -> FloatArray:
     """(n,) force out of the surface [N]."""
     return np.asarray(touched.force_n @ touched.normal / np.linalg.norm(touched.normal))
-
-
-def _dent_m(fit: ContactFit) -> float:
-    """How deep the dent was at the peak of the force, at which the camera saw it: deeper than at the set force where
-    that made too shallow a dent and more was pressed [m]."""
-    return float(fit.depth_m * (fit.peak_force_n / fit.at_force_n) ** (1.0 / fit.exponent))

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from deformscope.errors import InputError
-from deformscope.stages.map.plan import Planner
+from deformscope.stages.map.plan import INCLUSION_M, Planner
 
 BetaModel = Literal["volume", "thesis", "none"]
 SECOND_FORCE_N, SECOND_SHARE = 5.0, 5.0 / 3.0
@@ -30,6 +30,7 @@ class ExploreOptions:
     set_force_n, max_depth_m: of a touch; tip_radius_m: of its ball; thickness_m: of the foam
     beta_model: layers below the surface, the thesis's single layer, or no beta; cell_m: of the maps; seed
     standoff_m: of the tip above the surface before and after a touch, and above all that it crosses
+    inclusion_m: radius of the smallest lumps that are sought
     go_on: touch until the budget is spent, even where the plan says enough (for studies)
     """
 
@@ -45,6 +46,7 @@ class ExploreOptions:
     seed: int = 0
     standoff_m: float = 0.05
     go_on: bool = False
+    inclusion_m: float = INCLUSION_M
 
     def __post_init__(self) -> None:
         if self.budget < 1:

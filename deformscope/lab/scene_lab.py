@@ -11,6 +11,7 @@ from deformscope.lab.arm_contact import ARM_DOUBT, ARM_STIFFNESS_N_M
 from deformscope.lab.depth_view import DepthView
 from deformscope.lab.ray_camera import DepthViewConfig
 from deformscope.lab.scenes import Scene
+from deformscope.lab.session_errors import LabErrors
 from deformscope.lab.slab import RigidTip
 from deformscope.lab.slab_world import Contact, SlabWorld
 from deformscope.lab.touch_lab import TouchLab
@@ -35,13 +36,19 @@ UPRIGHT = np.array([0.0, 0.0, 1.0])
 
 
 class SceneLab:
-    """The laboratory with a scene in it, closed. lab: its devices and faults; setup: to explore it"""
+    """The laboratory with a scene in it, closed. lab: its devices and faults; setup: to explore it; drawn: what it
+    keeps from the estimator"""
 
-    def __init__(self, scene: Scene, *, tip_radius_m: float, parked_m: float, seed: int = 0) -> None:
-        """parked_m: z of the tip's centre where the arm stands first [m, surface frame]"""
-        self.scene = scene
+    def __init__(
+        self, scene: Scene, *, tip_radius_m: float, parked_m: float, seed: int = 0, errors: LabErrors | None = None
+    ) -> None:
+        """parked_m: z of the tip's centre where the arm stands first [m, surface frame]; errors: what is drawn of what
+        it keeps, default nothing"""
+        self.drawn = (errors or LabErrors.none()).draw([seed, scene.seed])
+        foam = self.drawn.foam(scene)
+        self.scene = scene = self.drawn.slab(scene)
         self.clock = SimulatedClock(1_000_000_000)
-        self._world = SlabWorld(scene)
+        self._world = SlabWorld(foam)
         self._tip = RigidTip(radius=tip_radius_m)
         self._contact: Contact | None = None
         view = DepthViewConfig(width=320, height=240, azimuth_deg=CAMERA_AZIMUTH_DEG)
@@ -55,7 +62,8 @@ class SceneLab:
             self.clock,
             tool=tool,
             T_base_surface=T_BASE_SURFACE,
-            arm_stiffness_n_m=ARM_STIFFNESS_N_M,
+            arm_stiffness_n_m=self.drawn.arm_n_per_m,
+            as_felt=self.drawn.as_felt,
             view=self._see,
             camera_config=SyntheticDepthConfig(rate_hz=CAMERA_HZ, missing=0.02, seed=seed),
             start_deg=best_joints(J2N6S300, [self.placement.T_base_ee(place, UPRIGHT) for place in (parked, touching)]),

@@ -16,7 +16,8 @@ then 37, 68 and 93 kPa. (The secant modulus, 4.6, 8.5 and 11.6 kPa, would let 3 
 
 `DRAWN` says what each scene draws from its seed, each evenly between two values. Other hardnesses come by name:
 `homogeneous-A`, `two-A-B`, `three-A-B-C`, `disc-A-B` (A around, B the disc), and so on with `soft-spot`, `corner`,
-`strip`, `patches`, `wavy` and `bumpy`, where a letter is a number of newtons or `rigid`.
+`strip`, `patches`, `wavy`, `zigzag`, `ring`, `bumpy` and, with a third for the lump, `lump`, where a letter is a number
+of newtons or `rigid`.
 """
 
 from __future__ import annotations
@@ -118,6 +119,25 @@ DRAWN: dict[str, tuple[Range, ...]] = {
         *(Range(f"centre y {i}", 0.14, 0.26, "m") for i in (1, 2)),
         *(Range(f"radius {i}", 0.07, 0.09, "m") for i in (1, 2)),
         Range("inside out", 0, 2, "half"),
+    ),
+    "ring": (
+        Range("centre x", 0.20, 0.40, "m"),
+        Range("centre y", 0.17, 0.23, "m"),
+        Range("radius", 0.13, 0.16, "m"),
+        Range("width", 0.06, 0.08, "m"),
+        Range("inside out", 0, 2, "half"),
+    ),
+    "zigzag": (
+        *_BORDER,
+        Range("wave height", 0.03, 0.05, "m"),
+        Range("wave length", 0.16, 0.26, "m"),
+        Range("wave phase", 0.0, 360.0, "deg"),
+    ),
+    "lump": (
+        *_BORDER,
+        Range("centre x", 0.08, 0.52, "m"),
+        Range("centre y", 0.08, 0.32, "m"),
+        Range("radius", 0.06, 0.06, "m"),
     ),
 }
 """What each kind of scene draws. "turned" below 1 leaves the pieces' order as named from the left, else reverses it."""
@@ -243,15 +263,18 @@ BUILT_IN = {
     "corner": "a rectangle in a corner of another foam, 60 and 150 N, either being the softer",
     "strip": "a strip of 12 to 18 cm across another foam, 60 and 150 N, either being the softer",
     "patches": "two discs of 14 to 18 cm in another foam, 60 and 150 N, either being the softer",
+    "ring": "a ring 6 to 8 cm wide, 26 to 32 cm across, in another foam, 60 and 150 N, either being the softer",
+    "zigzag": "two foams, 60 and 150 N, that meet along a zigzag",
+    "lump": "two foams, 60 and 150 N, that meet along a tilted line, and something rigid 12 cm wide somewhere in them",
 }
 """Scenes by name, and what they are: thesis table 4.1's six, and what it did not try."""
 
-PIECES = {"disc": ("30", "200"), "soft-spot": ("150", "60")} | dict.fromkeys(
-    ("bumpy", "wavy", "corner", "strip", "patches"), ("60", "150")
+PIECES = {"disc": ("30", "200"), "soft-spot": ("150", "60"), "lump": ("60", "150", "rigid")} | dict.fromkeys(
+    ("bumpy", "wavy", "corner", "strip", "patches", "ring", "zigzag"), ("60", "150")
 )
 """Hardness [N] of the pieces where the name does not say; 30 and 200 N are 19 and 123 kPa."""
 
-COUNT = {"homogeneous": 1, "two": 2, "three": 3} | dict.fromkeys(PIECES, 2)
+COUNT = {"homogeneous": 1, "two": 2, "three": 3} | dict.fromkeys(PIECES, 2) | {"lump": 3}
 
 
 def built_in(name: str, seed: int = 0) -> Scene:
@@ -292,6 +315,12 @@ def _layout(kind: str, drawn: dict[str, float]) -> Labels:
     if kind in ("disc", "soft-spot"):
         centre, radius = np.array([drawn["centre x"], drawn["centre y"]]), drawn["radius"]
         return lambda xy: ((np.linalg.norm(xy - centre, axis=-1) < radius) ^ swapped).astype(np.int64)
+    if kind == "ring":
+        middle, outer = np.array([drawn["centre x"], drawn["centre y"]]), drawn["radius"]
+        half = drawn["width"] / 2
+        return lambda xy: ((np.abs(np.linalg.norm(xy - middle, axis=-1) - outer + half) < half) ^ swapped).astype(
+            np.int64
+        )
     if kind == "corner":
         corner = min(int(drawn["which corner"]), 3)
         far, reach = np.array([corner in (1, 2), corner in (2, 3)]), np.array([drawn["reach x"], drawn["reach y"]])
@@ -309,8 +338,11 @@ def _layout(kind: str, drawn: dict[str, float]) -> Labels:
             return np.where((away < radii).any(axis=-1), not swapped, swapped).astype(np.int64)
 
         return patched
-    wave = (drawn["wave height"], drawn["wave length"], drawn["wave phase"]) if kind == "wavy" else (0.0, 1.0, 0.0)
-    beyond = _border(drawn["border x"], SIZE_M[1] / 2, drawn["border tilt"], wave)
+    wave = (drawn.get("wave height", 0.0), drawn.get("wave length", 1.0), drawn.get("wave phase", 0.0))
+    beyond = _border(drawn["border x"], SIZE_M[1] / 2, drawn["border tilt"], wave, pointed=kind == "zigzag")
+    if kind == "lump":
+        inside = _layout("disc", {name: drawn[name] for name in ("centre x", "centre y", "radius")})
+        return lambda xy: np.where(inside(xy), 2, (beyond(xy) > 0.0) ^ swapped).astype(np.int64)
     return lambda xy: ((beyond(xy) > 0.0) ^ swapped).astype(np.int64)
 
 
@@ -332,15 +364,23 @@ def _three(drawn: dict[str, float]) -> Labels:
     return label
 
 
-def _border(x_m: float, y_m: float, tilt_deg: float, wave: tuple[float, float, float] = (0.0, 1.0, 0.0)) -> Places:
-    """How far places are to the right of a line through (x, y), tilted from the y axis; or of a wave along it."""
+def _border(
+    x_m: float,
+    y_m: float,
+    tilt_deg: float,
+    wave: tuple[float, float, float] = (0.0, 1.0, 0.0),
+    pointed: bool = False,
+) -> Places:
+    """How far places are to the right of a line through (x, y), tilted from the y axis; or of a wave along it, which
+    may be pointed."""
     tilt = np.deg2rad(tilt_deg)
     along, across = np.array([-np.sin(tilt), np.cos(tilt)]), np.array([np.cos(tilt), np.sin(tilt)])
     height, length, phase = wave[0], wave[1], np.deg2rad(wave[2])
 
     def beyond(xy: FloatArray) -> FloatArray:
         aside = np.asarray(xy) - (x_m, y_m)
-        return np.asarray(aside @ across - height * np.sin(2.0 * np.pi * (aside @ along) / length + phase))
+        sine = np.sin(2.0 * np.pi * (aside @ along) / length + phase)
+        return np.asarray(aside @ across - height * (2.0 / np.pi * np.arcsin(sine) if pointed else sine))
 
     return beyond
 

@@ -42,7 +42,7 @@ class TouchLab:
     """The doubles of a laboratory, closed devices over them, and their faults.
 
     arm, force, camera: the real drivers' devices, to be opened by `open`; arm_double: the simulated arm; contact: its
-    tip in the world; on_cycle: called once in each of the arm's cycles
+    tip in the world; on_cycle: called once in each of the arm's cycles; call_s: how long a call to the arm takes
     """
 
     def __init__(
@@ -53,6 +53,7 @@ class TouchLab:
         tool: Tool | None = None,
         T_base_surface: npt.ArrayLike = T_BASE_SURFACE,
         arm_stiffness_n_m: float = ARM_STIFFNESS_N_M,
+        as_felt: Callable[[FloatArray, float], npt.NDArray[np.floating]] | None = None,
         view: Callable[[float], View] | None = None,
         camera_config: SyntheticDepthConfig | None = None,
         arm_model: str = "j2n6s300",
@@ -62,6 +63,8 @@ class TouchLab:
         seed: int = 0,
     ) -> None:
         """arm_stiffness_n_m: of the arm against a push, which its joints' sensors do not see (inf = rigid)
+
+        as_felt: what the force sensor makes of a force on it (3,) [N] at a time [s]; default the same
 
         start_deg: (n,) where the arm stands; default: the six-joint arm ready above the middle of the table
 
@@ -78,7 +81,8 @@ class TouchLab:
             world, self.arm_double, self.placement, self.clock, arm_stiffness_n_m=arm_stiffness_n_m
         )
         self.functions = Spoiled(self.arm_double, self.placement.T_ee_center)
-        sensors = Sensors(scene=self.contact.load, sensitivity=OMD_20_SE_40N, seed=seed)
+        self._as_felt = as_felt
+        sensors = Sensors(scene=self._load, sensitivity=OMD_20_SE_40N, seed=seed)
         self.sensor_double = OptoforceDouble(sensors)
         self.wire = SpoiledWire(self.sensor_double, self.clock, seed)
         config = arm_config if arm_config is not None else JacoConfig(state_hz=100.0)
@@ -92,6 +96,9 @@ class TouchLab:
         if view is not None:
             self.camera = SyntheticDepthCamera(view, camera_config, clock=self.clock)
         self._cycle = -1
+        self._arm_ns = 0
+        self.functions.waits = self._call
+        self.call_s = 0.0
         self.scheduled: list[tuple[int, Callable[[], None]]] = []
         self.on_cycle: Callable[[], None] | None = None
 
@@ -120,6 +127,13 @@ class TouchLab:
 
     def wait_until(self, until_ns: int) -> None:
         """Let time pass: every device is polled at its moments."""
+        self._pass_time(until_ns)
+
+    def _call(self) -> None:
+        """While the arm is called, time passes for the others."""
+        self._pass_time(self.clock() + round(self.call_s * 1e9), arm_waits=False)
+
+    def _pass_time(self, until_ns: int, *, arm_waits: bool = True) -> None:
         while (now_ns := self.clock()) < until_ns:
             then_ns = min((now_ns // POLL_NS + 1) * POLL_NS, until_ns)
             if self.scheduled and self.scheduled[0][0] <= then_ns:
@@ -129,11 +143,17 @@ class TouchLab:
                 continue
             self.clock.advance_to(then_ns)
             self._feel()
-            if self.clock() % ARM_CYCLE_NS == 0 and self.arm.is_open:
+            if arm_waits and self.clock() >= self._arm_ns and self.arm.is_open:
+                self._arm_ns = (self.clock() // ARM_CYCLE_NS + 1) * ARM_CYCLE_NS
                 _poll(self.arm)
             for device in (self.force, self.camera):
                 if device is not None and device.is_open:
                     _poll(device)
+
+    def _load(self, time_s: float) -> FloatArray:
+        """(3,) what the force sensor makes of its load [N]."""
+        load = self.contact.load(time_s)
+        return load if self._as_felt is None else np.asarray(self._as_felt(load, time_s), np.float64)
 
     # Faults ----------------------------------------------------------------------------------------------------------
 
@@ -200,7 +220,8 @@ class SpoiledWire(MemoryTransport):
 class Spoiled:
     """The vendor's functions, whose answers and orders can be spoiled.
 
-    invalid: poses and joint angles are not numbers; frozen: every reading is the one before
+    invalid: poses and joint angles are not numbers; frozen: every reading is the one before; waits: called before each
+    call, which takes its time
     turning_rad_s: (3,) the arm turns its end by this beside what each point of joint rates asks, about the tip's
     centre, in the base frame
     """
@@ -210,6 +231,7 @@ class Spoiled:
         self.where = arm.where
         self.invalid = False
         self.frozen = False
+        self.waits: Callable[[], None] = lambda: None
         self.turning_rad_s: FloatArray = np.zeros(3)
         self._arm, self._T_ee_center = arm, T_ee_center
         self._last: dict[str, bytes] = {}
@@ -219,6 +241,7 @@ class Spoiled:
         asked = self._arm.function(name)
 
         def called(*arguments: Any) -> int:
+            self.waits()
             if name == "SendBasicTrajectory" and np.any(self.turning_rad_s):
                 self._turn(_structure(arguments[0]))
             code = asked(*arguments)

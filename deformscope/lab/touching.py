@@ -26,6 +26,8 @@ class Sensing:
 
     rate_hz: samples a second; speed_m_s: of the arm; position_sd_m, force_sd_n: noise of each axis of each sample
     arm_n_per_m: stiffness of the arm, which reads joints and does not see itself bend; infinite by default
+    gain: force as measured over the true one, which decides where it stops; overshoot_m: how far it goes on after that
+    friction: force aside over the normal one, towards `friction_rad` from the x axis
     """
 
     rate_hz: float = 100.0
@@ -33,6 +35,10 @@ class Sensing:
     position_sd_m: float = 1e-4
     force_sd_n: float = 0.02
     arm_n_per_m: float = math.inf
+    gain: float = 1.0
+    overshoot_m: float = 0.0
+    friction: float = 0.0
+    friction_rad: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,10 +88,11 @@ def approach(
     along = world.scene.normal(xy_m) if normal is None else np.asarray(normal) / np.linalg.norm(normal)
     surface = np.append(xy_m, world.scene.foam_height_m(xy_m))
     rest = surface + (tip.radius or 0.0) * along
-    depth, force = force_curve(world, tip, rest, along, second_force_n, max_depth_m)
+    depth, force = force_curve(world, tip, rest, along, second_force_n / sensing.gain, max_depth_m)
     # the foam's and the arm's own give: how far the joints have gone since the touch
     travel = depth + force / sensing.arm_n_per_m
-    level, stop = _stop(depth, force, travel, set_force_n, second_force_n, shallow_m)
+    level, stop = _stop(depth, sensing.gain * force, travel, set_force_n, second_force_n, shallow_m)
+    stop = min(stop + sensing.overshoot_m, float(travel[-1]))
 
     time = np.arange(math.floor((clearance_m + stop) * sensing.rate_hz / sensing.speed_m_s) + 1) / sensing.rate_hz
     end = (clearance_m + stop) / sensing.speed_m_s
@@ -95,8 +102,12 @@ def approach(
     true_depth = np.where(gone > 0.0, PchipInterpolator(travel, depth)(np.maximum(gone, 0.0)), gone)
     true_force = np.where(gone > 0.0, PchipInterpolator(travel, force)(np.maximum(gone, 0.0)), 0.0)
     position = rest - gone[:, None] * along + random.normal(scale=sensing.position_sd_m, size=(len(time), 3))
-    felt = true_force[:, None] * along + random.normal(scale=sensing.force_sd_n, size=(len(time), 3))
-    reached = bool(true_force[-1] > level * (1.0 - 1e-6))
+    aside = np.array([np.cos(sensing.friction_rad), np.sin(sensing.friction_rad), 0.0])
+    truly_up = world.scene.normal(xy_m)
+    pushed = along + sensing.friction * (aside - (aside @ truly_up) * truly_up)
+    felt = sensing.gain * true_force[:, None] * pushed
+    felt = felt + random.normal(scale=sensing.force_sd_n, size=(len(time), 3))
+    reached = bool(sensing.gain * true_force[-1] > level * (1.0 - 1e-6))
     return Approach(time, position, felt, true_depth, true_force, level, reached)
 
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from deformscope.pictures.report import Table
-from deformscope.stages.fit.estimate import Choice, Estimate, explained_text
+from deformscope.stages.fit.estimate import Choice, Doubt, Estimate, explained_text
 from deformscope.stages.map.exploration import MapEstimate, StageFailure, TouchEstimate
 
 
@@ -83,6 +85,7 @@ def estimate_rows(estimate: Estimate) -> list[tuple[str, str]]:
         (estimate.parameter, f"{estimate.value:.4g}"),
         (f"{estimate.level:.0%} interval", f"{low:.4g} to {high:.4g}"),
         ("verdict", estimate.verdict_text()),
+        *reason_rows(estimate.reasons, besides=estimate.verdict_text()),
         ("stiffness", estimate.stiffness_text()),
         ("error, all particles", length_words(estimate, estimate.aee)),
         ("error, free particles", length_words(estimate, estimate.aee_free)),
@@ -105,6 +108,11 @@ def estimate_rows(estimate: Estimate) -> list[tuple[str, str]]:
     if estimate.selection_text:
         rows.insert(-1, ("chosen", estimate.selection_text))
     return rows
+
+
+def reason_rows(reasons: Sequence[Doubt], besides: str = "") -> list[tuple[str, str]]:
+    """The reasons to doubt a value, a row each, those left out that stand in other words already. besides: these"""
+    return [(f"reason: {one.code}", one.text) for one in reasons if one.text not in besides]
 
 
 def _frames_text(estimate: Estimate) -> str:

@@ -84,7 +84,10 @@ def read_estimates(replay: Replay) -> list[Estimate]:
             raise InputError(f"estimates as format {FORMAT} has them", "those of format 1", hint, replay.path)
         frames = batch.column("frame").to_pylist() if "frame" in names else [-1] * batch.num_rows
         objects = zip(frames, _objects(batch, Estimate), strict=True)
-        found += [(frame, from_components(Estimate, cells)) for frame, cells in objects if cells]
+        for frame, cells in objects:
+            if cells:  # those recorded before reasons were named have none
+                none: dict[str, object] = {} if "reasons" in cells else {"reasons": ()}
+                found.append((frame, from_components(Estimate, cells, none)))
     return [one for _, one in sorted(found, key=lambda row: row[0])]
 
 

@@ -151,6 +151,8 @@ class Workspace:
     force_silent_s, arm_silent_s, camera_silent_s: stopped when there is nothing new from them for so long (the camera
     while it is needed; None = 1.6 of its periods); longer only where the devices are slower, or a busy machine loses
     time: 0.5 s at most, in which an arm goes up to 25 mm
+    arm_frozen_s: stopped when the arm is sent on and its joints have not changed at all for so long: longer than it
+    takes to begin to move (None = 0.09, or 1.2 of arm_silent_s where that is longer)
     """
 
     low_m: tuple[float, float, float] | None = None
@@ -162,6 +164,7 @@ class Workspace:
     travel_speed_m_s: float = 0.05
     force_silent_s: float = 0.03
     arm_silent_s: float = 0.075
+    arm_frozen_s: float | None = None
     camera_silent_s: float | None = None
 
     def __post_init__(self) -> None:
@@ -174,7 +177,7 @@ class Workspace:
         check(forces[2] <= 50, "hard_stop_n up to 50", forces[2])
         speeds = self.contact_speed_m_s, self.travel_speed_m_s
         check(0 < speeds[0] <= speeds[1] <= 0.2, "0 < contact_speed_m_s <= travel_speed_m_s <= 0.2", speeds)
-        for name in ("force_silent_s", "arm_silent_s", "camera_silent_s"):
+        for name in ("force_silent_s", "arm_silent_s", "arm_frozen_s", "camera_silent_s"):
             given_s = getattr(self, name)
             check(given_s is None or 0.01 <= given_s <= 0.5, f"{name} between 0.01 and 0.5", given_s)
 

@@ -7,6 +7,7 @@ from deformscope.robot.touch import TouchEnding
 
 _SENSOR = "the force sensor's cable and supply: deformscope doctor RIG listens to it"
 _ARM = "the arm's cable, supply and joystick's red light; move it away by the joystick"
+_HOME = "whether the arm was homed since it was switched on: hold its joystick's home button until it stands still"
 _CAMERA = "the camera's cable, and that no other program uses it"
 _STANDS = "where arm and surface stand to one another, and the pose that the arm begins in"
 _PLACE = "workspace, rig file and what lies on the table"
@@ -20,7 +21,7 @@ ADVICE: dict[Fault | TouchEnding, str] = {
     Fault.FORCE_UNUSABLE: _SENSOR,
     Fault.CHECKSUMS: "the force sensor's cable, its plug, and what disturbs them",
     Fault.ARM_SILENT: _ARM,
-    Fault.ARM_FROZEN: _ARM,
+    Fault.ARM_FROZEN: f"{_HOME}; then {_ARM}",
     Fault.ARM_INVALID: _ARM,
     Fault.ARM_FIFO: "what else commands the arm, and how busy this computer is",
     Fault.ARM_SPEED: "what moved the arm: a push, or another program",

@@ -19,8 +19,9 @@ from deformscope_drivers.jaco.kinematics import (
     damped_joint_rates,
     jacobian_of,
     least_singular,
+    off_course,
     rotation_vector,
-    squared,
+    twist_size,
 )
 
 SLOW_DEG = 10.0
@@ -37,8 +38,6 @@ direction; below it the weakest direction is slower than any touch, and damped."
 OFF_COURSE, OFF_COURSE_M_S = 0.1, 1e-3
 """The damping may lose or turn away this share of a velocity, or this much of it: a straight way may lead through a
 singularity where it needs nothing of the weak direction, and corrections at rest are slow."""
-LEVER_M = 0.2
-"""So far from the arm's end a rotation counts as much as a velocity there: hand, stick and tip."""
 AWAY_DEG, AWAY_DEG_S = 40.0, 15.0
 """What a seventh joint leaves free turns joints away from limits that are nearer than this, wanted the faster the
 nearer (the null space gives a part of it); not towards the middle of their ranges, where elbow and wrist are stretched
@@ -76,7 +75,7 @@ def rates_for_twist(
     jacobian = jacobian_of(chain.forward(joints))
     rates = damped_joint_rates(jacobian, twist, DAMPED_BELOW, _away_from_limits(chain, joints))
     lost = off_course(jacobian, rates, twist)
-    if lost > OFF_COURSE and lost * _size(twist) > OFF_COURSE_M_S:
+    if lost > OFF_COURSE and lost * twist_size(twist) > OFF_COURSE_M_S:
         least = f"smallest singular value {least_singular(jacobian):.3f}, damped below {DAMPED_BELOW:g}"
         why = f"the tip would leave its way by {100 * lost:.0f} %, limit {100 * OFF_COURSE:.0f} %"
         return _blocked(chain, Fault.SINGULAR, f"{why} ({least})")
@@ -103,12 +102,6 @@ def within_limits(
         return _blocked(chain, Fault.JOINT_LIMIT, f"{where}, margin {margin_deg:g} deg")
     share *= min(1.0, float(allowed[worst]))
     return JointMotion(rates * share, share)
-
-
-def off_course(jacobian: FloatArray, rates_rad_s: FloatArray, twist: FloatArray) -> FloatArray:
-    """Which share of a twist (..., 6) is not made by joint rates (..., n), 0 to 1: what the damping has taken."""
-    made = (jacobian @ rates_rad_s[..., None])[..., 0]
-    return np.asarray(_size(made - twist) / np.maximum(_size(twist), 1e-12))
 
 
 class CommandedRotation:
@@ -144,11 +137,6 @@ class CommandedRotation:
 
 def _blocked(chain: Chain, fault: Fault, reason: str) -> JointMotion:
     return JointMotion(np.zeros(chain.joint_count), 0.0, fault, reason)
-
-
-def _size(twist: FloatArray) -> FloatArray:
-    """Of a twist (..., 6), its rotation taken LEVER_M from the arm's end [m/s]."""
-    return np.asarray(np.hypot(np.sqrt(squared(twist[..., :3])), LEVER_M * np.sqrt(squared(twist[..., 3:]))))
 
 
 def _away_from_limits(chain: Chain, joints_deg: FloatArray) -> FloatArray | None:

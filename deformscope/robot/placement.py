@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from deformscope.errors import InputError
 from deformscope.rig.rig_file import Tool
-from deformscope.robot.motion import DAMPED_BELOW, OFF_COURSE, off_course
+from deformscope.robot.motion import DAMPED_BELOW, OFF_COURSE
 from deformscope_drivers.jaco.kinematics import (
     Chain,
     FloatArray,
@@ -26,6 +26,7 @@ from deformscope_drivers.jaco.kinematics import (
     damped_joint_rates,
     jacobian_of,
     least_singular,
+    off_course,
     pose_error,
     squared,
 )

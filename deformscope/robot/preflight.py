@@ -32,6 +32,8 @@ STILL_DEG = 0.05
 """Greatest motion of a joint that counts as at rest [deg]. Chosen."""
 LATE_MS = 20.0
 """Lateness of the control cycle: two periods of 10 ms, within which the supervisor is to act. Chosen."""
+CALL_MS = 4.5
+"""Time of a call to the arm: each slot of 10 ms has a velocity to send and the joint angles to read."""
 CLOCK_PPM = 1000.0
 """Greatest drift between the clocks of device and host. Chosen."""
 FREE_M = 0.01
@@ -45,6 +47,8 @@ FRESH_S = {"arm": 0.05, "force sensor": 0.02, "camera": 0.1}
 HINTS = {
     "arm: fresh": "the arm's cable and supply; state_hz in the rig file",
     "arm: rate": "the arm's cable, and how busy this computer is; or a lower state_hz in the rig file",
+    "arm: homed": "after switching it on, hold the home button of the arm's joystick until the arm stands still",
+    "arm: link": "the arm's cable into a port of the computer itself: no hub, no virtual machine; less load on it",
     "arm: still": "wait until the arm stands, and let go of its joystick",
     "arm: FIFO": "end the other program that commands the arm",
     "arm: accepts": "the reason, then start again",
@@ -204,6 +208,10 @@ def _arm(robot: Robot, seen: Sequence[RobotObservation]) -> Iterator[Check]:
     joint = int(np.argmin(left_deg))
     came = f"joint {joint + 1} {left_deg[joint]:.1f} deg"
     yield Check("arm: joints", left_deg[joint] > margin_deg, f"{margin_deg:g} deg or more inside their ranges", came)
+    homed = robot.arm.homed
+    yield Check("arm: homed", homed, "since it was switched on", "it was" if homed else "it was not, so it says")
+    call_ms = robot.arm.health().extra["call_ms"]
+    yield Check("arm: link", call_ms < CALL_MS, f"a call in less than {CALL_MS:g} ms", f"{call_ms:.1f} ms")
     waiting = max(state.fifo_count for state in states)
     yield Check("arm: FIFO", waiting == 0, "empty", f"{waiting} points")
     stopped = robot.arm.stopped_because

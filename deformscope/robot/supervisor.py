@@ -106,7 +106,7 @@ class Limits:
     @classmethod
     def of(cls, workspace: Workspace, camera_hz: float = 30.0) -> Limits:
         """As a rig file says."""
-        standard, silent_s = cls(), workspace.camera_silent_s
+        standard, silent_s, frozen_s = cls(), workspace.camera_silent_s, workspace.arm_frozen_s
         return cls(
             soft_force_n=workspace.soft_stop_n,
             hard_force_n=workspace.hard_stop_n,
@@ -119,7 +119,7 @@ class Limits:
             camera_periods=standard.camera_periods if silent_s is None else silent_s * camera_hz,
             force_silent_s=workspace.force_silent_s,
             arm_silent_s=workspace.arm_silent_s,
-            arm_frozen_s=max(standard.arm_frozen_s, 1.2 * workspace.arm_silent_s),
+            arm_frozen_s=max(standard.arm_frozen_s, 1.2 * workspace.arm_silent_s) if frozen_s is None else frozen_s,
         )
 
 

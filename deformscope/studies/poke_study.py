@@ -1,7 +1,7 @@
 """What a model fitted to a few pokes of a slab says about others: slabs of finite elements, whose truth is known.
 
-A slab of one modulus is fitted to a single poke, one of two halves to six. The pokes that are then predicted have other
-tips, other forces and other places; of the halves, those at least 3 cm from the border.
+A slab of one modulus is fitted to a single poke, halves and a disc in a softer slab to 12 of 24. The pokes that are
+then predicted have other tips, other forces and other places, near the border too.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from deformscope.arrays import FloatArray
 from deformscope.lab.slab import RigidTip, Slab, press
 from deformscope.stages.fit.model import Observation
 from deformscope.stages.fit.search import Progress
@@ -19,16 +18,11 @@ from deformscope.stages.msm.poke import Tip
 from deformscope.stages.poke.layers import MeasuredSurface
 from deformscope.stages.poke.poke_estimate import PokesFound, conclude
 from deformscope.stages.poke.poke_fit import fit_pokes, seen_poke
+from deformscope.studies.poke_slabs import PokedSlab, draw_slab
 from deformscope.studies.prediction import PokeComparison, compare
 
 GRID = 0.01
 """Spacing of the surface points that are seen [m]."""
-
-BORDER = 0.2
-
-
-def _halves(place: FloatArray) -> FloatArray:
-    return np.where(place[:, 0] < BORDER, 20e3, 50e3)
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,45 +36,48 @@ class Press:
 
 @dataclass(frozen=True, slots=True)
 class PokeStudyPlan:
-    """A slab, what of it is fitted, and what is predicted."""
+    """A slab, what of it is fitted, and what is predicted. drawn: where its materials are, of several"""
 
     name: str
     slab: Slab
     fitted: tuple[Press, ...]
     unseen: tuple[Press, ...]
+    drawn: PokedSlab | None = None
 
 
-TIP = (0.02, 0.02)
-PLANS = (
-    PokeStudyPlan(
+TIP, FITTED_FORCE = (0.02, 0.02), 3.0
+OTHER_TIPS, OTHER_FORCES = ((0.03, 0.03), (0.015, 0.015), (0.04, 0.02)), (4.0, 2.0, 5.0, 1.5)
+"""Of unseen pokes, in turn [m], [N]: the same tip with another force differs by nothing but the place."""
+
+
+def plan_of(drawn: PokedSlab, tips: Sequence[tuple[float, float]] = OTHER_TIPS) -> PokeStudyPlan:
+    """Half of the slab's pokes with one tip and one force, the others with these tips and various forces in turn."""
+    places = [(float(x), float(y)) for x, y in drawn.places]
+    fitted = [at for at, is_fitted in zip(places, drawn.fitted, strict=True) if is_fitted]
+    unseen = [at for at, is_fitted in zip(places, drawn.fitted, strict=True) if not is_fitted]
+    return PokeStudyPlan(
+        f"{drawn.kind}, {drawn.modulus[0] / 1e3:.0f} and {drawn.modulus[1] / 1e3:.0f} kPa",
+        drawn.slab(),
+        tuple(Press(at, TIP, FITTED_FORCE) for at in fitted),
+        tuple(Press(at, tips[i % len(tips)], OTHER_FORCES[i % len(OTHER_FORCES)]) for i, at in enumerate(unseen)),
+        drawn,
+    )
+
+
+def plans() -> tuple[PokeStudyPlan, ...]:
+    """One modulus, from a single poke; halves and a stiff disc, from 12 of 24."""
+    one = PokeStudyPlan(
         "one modulus",
         Slab((0.3, 0.3, 0.05), 40e3, 0.2),
-        (Press((0.15, 0.15), TIP, 3.0),),
+        (Press((0.15, 0.15), TIP, FITTED_FORCE),),
         (
             Press((0.12, 0.16), (0.04, 0.04), 5.0),
             Press((0.18, 0.14), (0.04, 0.02), 2.0),
             Press((0.11, 0.19), (0.01, 0.01), 1.0),
             Press((0.19, 0.12), (0.03, 0.03), 4.0),
         ),
-    ),
-    PokeStudyPlan(
-        "two halves, 20 and 50 kPa",
-        Slab((0.4, 0.3, 0.05), _halves, 0.2),
-        tuple(
-            Press(at, TIP, 3.0)
-            for at in ((0.07, 0.08), (0.14, 0.2), (0.11, 0.14), (0.26, 0.08), (0.33, 0.21), (0.25, 0.22))
-        ),
-        tuple(
-            Press(at, sides, 3.0)
-            for at, sides in (
-                ((0.08, 0.21), TIP),
-                ((0.15, 0.09), (0.03, 0.03)),
-                ((0.34, 0.09), TIP),
-                ((0.29, 0.15), (0.03, 0.03)),
-            )
-        ),
-    ),
-)
+    )
+    return (one, *(plan_of(draw_slab(kind, 0)) for kind in ("halves", "stiff disc")))
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,7 +96,7 @@ def study(plan: PokeStudyPlan, *, device: str = "cpu", progress: Progress | None
     for index, one in enumerate(every):
         if progress is not None:
             progress(f"finite elements, {plan.name}", index, len(every))
-        seen.append(_observe(plan.slab, one))
+        seen.append(observe(plan.slab, one))
     fitted, unseen = seen[: len(plan.fitted)], seen[len(plan.fitted) :]
     surface = MeasuredSurface(fitted[0].rest, plan.slab.size[2])
     fit = fit_pokes(surface, [seen_poke(one) for one in fitted], device=device, progress=progress)
@@ -107,7 +104,8 @@ def study(plan: PokeStudyPlan, *, device: str = "cpu", progress: Progress | None
     return Studied(plan, found, tuple(compare(found.model, unseen, device=device, progress=progress)))
 
 
-def _observe(slab: Slab, one: Press) -> Observation:
+def observe(slab: Slab, one: Press) -> Observation:
+    """What is seen of the slab's surface under a poke, by its finite elements."""
     points = slab.grid(GRID)
     half = (0.5 * one.sides[0], 0.5 * one.sides[1])
     dent = press(slab, one.at, RigidTip(half), points, force=one.force)
@@ -128,12 +126,14 @@ def rows(studied: Sequence[Studied]) -> list[dict[str, object]]:
     return [
         {
             "slab": one.plan.name,
+            "group": "in one material" if one.plan.drawn is None else one.plan.drawn.group(np.array(press_.at)),
             "at_m": f"({press_.at[0]:g}, {press_.at[1]:g})",
             "tip_mm": f"{1e3 * press_.sides[0]:g} x {1e3 * press_.sides[1]:g}",
             "force_n": press_.force,
             "method": score.method,
             "surface_error": score.surface_error,
             "force_error": score.force_error,
+            "force_interval_n": unseen.prediction.force_interval if score.method == "MSM" else None,
         }
         for one in studied
         for press_, unseen in zip(one.plan.unseen, one.unseen, strict=True)

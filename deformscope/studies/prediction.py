@@ -68,14 +68,20 @@ def compare(
         if progress is not None:
             progress("predicting", index, len(seen))
         poke = seen_poke(one)
-        asked = Poke(poke.at, poke.tip, depth=poke.depth)
-        prediction = predict(model, asked, device=device)
-        moved = prediction.at(poke.points) - poke.points
-        scores = [_score("MSM", poke, moved, prediction.force)]
-        scores += [_score("rigid", poke, np.zeros_like(poke.moved), None)]
+        prediction, moved, ours = predict_seen(model, poke, device=device)
+        scores = [ours]
+        scores += [score_of("rigid", poke, np.zeros_like(poke.moved), None)]
         scores += elastic.scores(poke)
         found.append(PokeComparison(poke, prediction, poke.points + moved, tuple(scores)))
     return found
+
+
+def predict_seen(model: FittedModel, poke: SeenPoke, *, device: str = "cpu") -> tuple[Prediction, FloatArray, Score]:
+    """A measured poke predicted from its place, tip and depth: displacement (n, 3) of its points [m] too, and how well
+    that did."""
+    prediction = predict(model, Poke(poke.at, poke.tip, depth=poke.depth), device=device)
+    moved = prediction.at(poke.points) - poke.points
+    return prediction, moved, score_of("MSM", poke, moved, prediction.force)
 
 
 def _near(poke: SeenPoke) -> IntArray:
@@ -84,7 +90,8 @@ def _near(poke: SeenPoke) -> IntArray:
     return np.flatnonzero(np.linalg.norm(away, axis=1) <= NEAR_M + 1e-9)
 
 
-def _score(method: str, poke: SeenPoke, moved: FloatArray, force: float | None) -> Score:
+def score_of(method: str, poke: SeenPoke, moved: FloatArray, force: float | None) -> Score:
+    """How displacements (n, 3) of the points, and a force, do on a measured poke."""
     near = _near(poke)
     error = float(np.sqrt(np.mean(np.sum((moved - poke.moved)[near] ** 2, axis=1)))) / poke.depth
     off = None if force is None or poke.force is None else force / poke.force - 1.0
@@ -126,10 +133,10 @@ class _Elastic:
         force = None
         if fitted is not None:
             force = half_space(fitted[0], FITTED_DEPTH, fitted[2], POISSON).force(poke.tip, poke.depth)
-        found = [_score("half-space", poke, surface, force)]
+        found = [score_of("half-space", poke, surface, force)]
         dent = self._dent(poke.at, poke.tip, poke.depth, poke.points)
         force = None if fitted is None else dent.force * fitted[2] / self._fitted_unit
-        return [*found, _score("finite elements", poke, dent.displaced, force)]
+        return [*found, score_of("finite elements", poke, dent.displaced, force)]
 
 
 def _slab(model: FittedModel) -> tuple[Slab, FloatArray]:

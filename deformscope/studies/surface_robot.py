@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -15,6 +16,7 @@ from deformscope.experiments.options import SHALLOW_M, VIEW_CELL_M, ExploreOptio
 from deformscope.lab.arm_contact import ARM_DOUBT, ARM_STIFFNESS_N_M
 from deformscope.lab.depth_view import DepthView
 from deformscope.lab.scenes import RIGID_PA, Piece, Scene
+from deformscope.lab.session_errors import TOUCHES_S, LabErrors
 from deformscope.lab.slab import RigidTip
 from deformscope.lab.slab_world import SlabWorld
 from deformscope.lab.touching import Approach, Sensing, approach, force_curve
@@ -27,6 +29,7 @@ from deformscope.stages.regions.touches import MapGrid
 from deformscope.stages.see.cloud import Intrinsics, perceive
 
 STICK_M = 0.25
+TOUCH_S = TOUCHES_S / 10.0
 SOFT_PA = 1e-3 * RIGID_PA
 """Modulus of the slab that is pressed to know the truth: soft enough for every depth, stiff enough for every force."""
 
@@ -51,12 +54,20 @@ def true_map(scene: Scene, options: ExploreOptions) -> TrueMap:
 def _slab_log_stiffness(
     modulus_pa: FloatArray, set_force_n: float, max_depth_m: float, radius_m: float, thickness_m: float, poisson: float
 ) -> FloatArray:
-    """(...,) log of force over depth [N/mm] on slabs of one modulus, at the set force or the largest depth."""
+    """(...,) log of force over depth [N/mm] on slabs of one modulus, at the set force."""
     depth_m, force_n = _slab_curve(max_depth_m, radius_m, thickness_m, poisson)
     # linear foam: the force at a depth is in proportion to the modulus
-    at_n = np.minimum(set_force_n, force_n[-1] * modulus_pa / SOFT_PA)
-    sunk_m = PchipInterpolator(force_n, depth_m)(at_n * SOFT_PA / modulus_pa)
-    return np.asarray(np.log(1e-3 * at_n / sunk_m))
+    at_n = set_force_n * SOFT_PA / modulus_pa
+    within_m = PchipInterpolator(force_n, depth_m)(np.minimum(at_n, force_n[-1]))
+    return np.asarray(np.log(1e-3 * set_force_n / (within_m * _deeper(at_n, force_n, depth_m))))
+
+
+def _deeper(at_n: FloatArray | float, force_n: FloatArray, depth_m: FloatArray) -> FloatArray:
+    """(...,) how many times as deep as the last of these depths (n,) a force would sink: 1 up to the last of these
+    forces (n,), beyond by the power law in which they end."""
+    before_n = 0.8 * force_n[-1]
+    power = np.log(depth_m[-1] / np.interp(before_n, force_n, depth_m)) / np.log(force_n[-1] / before_n)
+    return np.asarray(np.maximum(np.asarray(at_n) / force_n[-1], 1.0) ** power)
 
 
 @lru_cache(maxsize=8)
@@ -71,34 +82,50 @@ def _slab_curve(
 
 
 def felt_log_stiffness(made: Approach, set_force_n: float) -> float:
-    """Log of force over depth [N/mm] that a touch would have measured without noise: at the same force."""
-    at_n = min(set_force_n, float(made.true_force_n.max()))
+    """Log of force over depth [N/mm] at the set force that a touch would have measured without noise."""
     loading = slice(0, int(made.true_force_n.argmax()) + 1)
-    return float(np.log(1e-3 * at_n / np.interp(at_n, made.true_force_n[loading], made.true_depth_m[loading])))
+    force_n, depth_m = made.true_force_n[loading], made.true_depth_m[loading]
+    sunk_m = np.interp(set_force_n, force_n, depth_m) * _deeper(set_force_n, force_n, depth_m)
+    return float(np.log(1e-3 * set_force_n / sunk_m))
 
 
 class LabRobot:
     """A simulated table with foam, seen by a camera and touched by a ball on a stick.
 
+    scene: as it truly is, without its scatter; arm: as its calibration says
     truth: what the scene is; most_force_n: the largest true contact force so far; felt: `felt_log_stiffness` of each
     touch
     sees: whether the camera looks again while the ball presses, which only beta needs
     """
 
     def __init__(
-        self, scene: Scene, options: ExploreOptions, *, sees: bool = True, sensing: Sensing | None = None
+        self,
+        scene: Scene,
+        options: ExploreOptions,
+        *,
+        sees: bool = True,
+        sensing: Sensing | None = None,
+        errors: LabErrors | None = None,
     ) -> None:
-        self.scene = scene
+        """errors: what the session keeps from the estimator; default nothing"""
+        self._errors = (errors or LabErrors.none()).draw([options.seed, scene.seed])
+        self.scene = self._errors.slab(scene)
+        foam = self._errors.foam(scene)
         self.size_m = scene.size_m
         self.arm = ArmCompliance(1.0 / ARM_STIFFNESS_N_M, ARM_DOUBT / ARM_STIFFNESS_N_M)
         self.truth = Truth(scene.regions)
         self.most_force_n = 0.0
         self.felt: list[float] = []
         self._options = options
-        self._sensing = sensing or Sensing(arm_n_per_m=ARM_STIFFNESS_N_M)
+        self._sensing = sensing or Sensing(
+            arm_n_per_m=self._errors.arm_n_per_m,
+            overshoot_m=self._errors.overshoot_m,
+            friction=self._errors.friction,
+            friction_rad=self._errors.friction_rad,
+        )
         self._sees = sees
-        self._world = SlabWorld(scene)
-        self._view = DepthView(scene)
+        self._world = SlabWorld(foam)
+        self._view = DepthView(self.scene)
         self._tip = RigidTip(radius=options.tip_radius_m)
         self._random = np.random.default_rng([options.seed, scene.seed])
 
@@ -114,6 +141,7 @@ class LabRobot:
         """Come down along the normal that was seen, and look at the dent."""
         xy_m, normal = command.xy_m, command.normal
         options = self._options
+        gain = self._sensing.gain * self._errors.gain_at(len(self.felt) * TOUCH_S)
         made = approach(
             self._world,
             self._tip,
@@ -123,7 +151,7 @@ class LabRobot:
             max_depth_m=options.max_depth_m,
             second_force_n=options.second_force_n,
             shallow_m=SHALLOW_M,
-            sensing=self._sensing,
+            sensing=replace(self._sensing, gain=gain),
             random=self._random,
         )
         self.most_force_n = max(self.most_force_n, float(made.true_force_n.max()))

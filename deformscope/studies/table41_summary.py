@@ -15,7 +15,7 @@ from deformscope.lab.scenes import built_in
 from deformscope.pictures.figures import COLOURS, figure
 from deformscope.stages.map.map_score import MapScore
 from deformscope.stages.regions.touches import MapGrid
-from deformscope.studies.table41 import TableRun
+from deformscope.studies.table41_runs import TableRun
 
 GOOD_IOU = 0.85
 PASSED_IOU = (0.8, 0.85, 0.9)
@@ -39,6 +39,9 @@ def summarise(runs: Sequence[TableRun], touches: int) -> dict[str, Any]:
     with the right verdict and number; found: that, and the smallest region with an IoU of 0.5; ordered, rigid_found,
     gradual: shares. levels_covered: share of the levels in their intervals, over `levels_runs` layouts whose number is
     right; field_covered: mean share of cells; touches_covered: share of the touches so far that are not rigid
+    stopped: share in which the plan said enough by itself; wrong, wrong_claimed: mean share of the surface with a wrong
+    label, found and expected; unseen: probability that lumps are there unseen, median, and unseen_missed, over layouts
+    whose smallest region was not found
     unmet_m: radius of the largest disc of another material that no touch would have met, median
     None where there is nothing to report
     """
@@ -56,6 +59,11 @@ def summarise(runs: Sequence[TableRun], touches: int) -> dict[str, Any]:
         "gradual": _share(one.verdict == "gradual" for one in scores),
         "ordered": _share(one.ordered for one in scores),
         "rigid_found": _share(one.rigid_found for one in scores),
+        "stopped": _share(run.stop_after is not None and run.stop_after <= touches for run in runs),
+        "wrong": _mean(one.wrong for one in scores),
+        "wrong_claimed": _mean(one.wrong_claimed for one in scores),
+        "unseen": _median(one.unseen for one in last),
+        "unseen_missed": _median(one.unseen for one in last if regions > 1 and not _found(one.score)),
         "boundary_m": _median(one.boundary_m for one in scores),
         "field_rms": _median(one.field_rms for one in scores),
         "field_covered": _share(one.field_covered for one in scores),
@@ -127,6 +135,12 @@ def _median(values: Any) -> float | None:
     """Of those that are known."""
     known = [value for value in values if value is not None]
     return round(float(np.median(known)), 4) if known else None
+
+
+def _mean(values: Any) -> float | None:
+    """Of those that are known."""
+    known = [value for value in values if value is not None]
+    return round(float(np.mean(known)), 4) if known else None
 
 
 def _share(values: Any) -> float | None:

@@ -48,9 +48,9 @@ class UnseenPrediction:
 
 
 class FoamBody:
-    """A random elastic body whose particles stand on a lattice; rest: (K, d) [m]."""
+    """A random elastic body whose particles stand on a lattice; rest: (K, d) [m]; even: of one modulus."""
 
-    def __init__(self, rng: np.random.Generator, dim: int) -> None:
+    def __init__(self, rng: np.random.Generator, dim: int, *, even: bool = False) -> None:
         sides = ((5, 9), (6, 12)) if dim == 2 else ((4, 7),) * 3
         self.shape = tuple(int(rng.integers(low, high)) for low, high in sides)
         axes = [np.arange(n) * SPACING_M for n in self.shape]
@@ -61,7 +61,7 @@ class FoamBody:
         contrast, wave, phase = rng.uniform(0.0, 1.0), rng.normal(0.0, 60.0, 3), rng.uniform(0.0, 6.3)
         self.box = ElasticBox(
             *axes,
-            young=lambda centre: 3e4 * np.exp(contrast * np.sin(centre @ wave + phase)),
+            young=lambda centre: 3e4 * np.exp((0.0 if even else contrast) * np.sin(centre @ wave + phase)),
             poisson=float(rng.uniform(0.0, 0.45)),
         )
 
@@ -96,9 +96,9 @@ def try_unseen_poke(case: PokeCase) -> UnseenPrediction:
     body = FoamBody(rng, dim)
     model = Model(cluster_size=int(rng.integers(2, 5)))
     (held, shape), (other_held, other_shape) = body.poke(rng), body.poke(rng)
-    seen = _observe(body, held, shape, rng)
+    seen = observe_foam(body, held, shape, rng)
     found = calibrate([seen], FitOptions(model, candidates=CANDIDATES, level=case.level))
-    poke = _observe(body, other_held, other_shape, rng)
+    poke = observe_foam(body, other_held, other_shape, rng)
     predicted = predict(found, [seen], model, poke, level=case.level)
     free = poke.free_observed
     inside = (predicted.low <= poke.deformed) & (poke.deformed <= predicted.high)
@@ -113,7 +113,7 @@ def try_unseen_poke(case: PokeCase) -> UnseenPrediction:
     )
 
 
-def _observe(body: FoamBody, held: IntArray, deformed: FloatArray, rng: np.random.Generator) -> Observation:
+def observe_foam(body: FoamBody, held: IntArray, deformed: FloatArray, rng: np.random.Generator) -> Observation:
     count = len(body.rest)
     return Observation(
         body.rest,

@@ -161,7 +161,9 @@ def use_fake_bench(monkeypatch: pytest.MonkeyPatch) -> FakeBench:
     """From now on `explore` explores this, on coarse maps of few particles."""
     bench = FakeBench()
 
-    def setup_of(name: str, options: ExploreOptions, set_force_n: float | None, *, trusted: bool) -> Opening:
+    def setup_of(
+        name: str, options: ExploreOptions, set_force_n: float | None, *, trusted: bool, clean: bool = True
+    ) -> Opening:
         options = dataclasses.replace(options, cell_m=CELL_M, beta_model="none")
         return Opening(bench.setup, options, {"scene": name})
 

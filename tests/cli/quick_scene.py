@@ -43,8 +43,10 @@ def use_quick_scene(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("deformscope.api.exploration_run.setup_of", _coarse_setup_of)
 
 
-def _coarse_setup_of(name: str, options: ExploreOptions, set_force_n: float | None, *, trusted: bool) -> Opening:
-    return setup_of(name, dataclasses.replace(options, cell_m=CELL_M), set_force_n, trusted=trusted)
+def _coarse_setup_of(
+    name: str, options: ExploreOptions, set_force_n: float | None, *, trusted: bool, clean: bool = True
+) -> Opening:
+    return setup_of(name, dataclasses.replace(options, cell_m=CELL_M), set_force_n, trusted=trusted, clean=clean)
 
 
 class _Layers:

@@ -11,7 +11,8 @@ import pytest
 pytest.importorskip("warp")
 pytest.importorskip("tyro")
 
-from deformscope.cli import main
+from deformscope.cli import coverage as command
+from deformscope.cli import coverage_force, main
 from deformscope.stages.fit.calibrate import Model, Observation
 from deformscope.studies import coverage
 from tests.cli.recorded import assert_shows
@@ -23,19 +24,55 @@ def test_coverage_tells_three_tables(
 ) -> None:
     monkeypatch.setattr(coverage, "CONDITIONS", coverage.CONDITIONS[-1:])
     monkeypatch.setattr(coverage, "NOTHING_CASES", 2)
+    every = command.doubt_plan
+    monkeypatch.setattr(
+        command, "doubt_plan", lambda count, seed: [one for one in every(count, seed) if "two" in one.data]
+    )
     target = tmp_path / "found.json"
     flags = ["--objects", "5", "--jobs", "1", "--json", str(target), "--out", str(tmp_path / "new")]
     flags += ["--record", str(tmp_path / "r.rrd")]
     assert main(["coverage", *flags]) == 0
     said = capsys.readouterr().out
-    for words in ("hold the truth", "without information", "unseen poke", "wrong noise level", "shuffled labels"):
+    tables = ("hold the truth", "without information", "unseen poke", "Reasons to doubt")
+    for words in (*tables, "wrong noise level", "shuffled labels"):
         assert words in said
     found = json.loads(target.read_text())
     assert {row["group"] for row in found["coverage"]} >= {"all", "2D", "beta = 0", "beta > 0.97"}
     assert all(row["cases"] == 2 for row in found["no_information"])
+    assert {row["data"]: row["expected"] for row in found["reasons"]}["two betas, halves"] == "two-materials"
+    assert all(row["identified"]["cases"] == 1 for row in found["reasons"])
     assert found["unseen_pokes"][0]["pokes"] == 1
     assert (tmp_path / "new" / "coverage.png").is_file()
     assert_shows(tmp_path / "r.rrd", pictures=1, says="intervals for beta")
+
+
+def test_coverage_of_forces_counts_what_random_slabs_say(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(coverage_force, "KINDS", ("one material",))
+    target = tmp_path / "found.json"
+    flags = ["--slabs", "1", "--scatter", "0.05", "--jobs", "1", "--json", str(target)]
+    assert main(["coverage", "force", *flags, "--record", str(tmp_path / "r.rrd")]) == 0
+    assert "one material" in capsys.readouterr().out
+    found = json.loads(target.read_text())
+    assert {row["slab"] for row in found["rows"]} == {"all", "one material"}
+    assert found["rows"][0]["held"]["cases"] == 12
+    assert found["slabs"][0]["case"] == {
+        "kind": "one material",
+        "seed": 0,
+        "scatter": 0.05,
+        "full": False,
+        "level": 0.9,
+        "split": "alternate",
+    }
+    assert found["slabs"][0]["field"] == "uniform"
+    assert_shows(tmp_path / "r.rrd", pictures=0, says="intervals of predicted forces")
+
+
+@pytest.mark.parametrize("flags", [["--scatter", "1"], ["--slabs", "0"], ["--seed", "995"]])
+def test_coverage_of_forces_refuses_what_cannot_be(flags: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["coverage", "force", *flags]) == 2
+    assert "expected" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("flags", [["--objects", "2"], ["--level", "1"], ["--jobs", "0"], ["--seed", "-1"]])
@@ -75,3 +112,23 @@ def test_both_tells_a_joint_posterior(tmp_path: Path, capsys: pytest.CaptureFixt
 def test_both_takes_pair_files_alone(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["calibrate", "both", "video.mp4"]) == 2
     assert "pair files" in capsys.readouterr().err
+
+
+def test_coverage_of_regions_prints_levels_and_bins(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    target = tmp_path / "found.json"
+    flags = ["--objects", "5", "--touches", "1", "--jobs", "1", "--scatter", "0.08", "--only", "scatter 8 %"]
+    assert main(["coverage", "regions", *flags, "--json", str(target)]) == 0
+    said = capsys.readouterr().out
+    assert "Levels in 90 % intervals" in said
+    assert "holds the claim" in said
+    found = json.loads(target.read_text())
+    (row,) = found["conditions"]
+    assert (row["condition"], row["objects"], len(found["explorations"])) == ("scatter 8 %", 5, 5)
+    assert sum(one["cases"] for one in row["reliability"]) == 5
+    assert row["levels"]["cases"] == sum(one["levels"] for one in found["explorations"])
+
+
+@pytest.mark.parametrize("flags", [["--scatter", "0"], ["--only", "halves"], ["--seed", "990", "--objects", "20"]])
+def test_coverage_of_regions_refuses_what_cannot_be(flags: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["coverage", "regions", *flags]) == 2
+    assert "expected" in capsys.readouterr().err

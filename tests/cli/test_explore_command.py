@@ -72,6 +72,12 @@ def test_a_simulated_table_is_explored(explored: Explored) -> None:
     assert len(found["touches"]) == explored.touches
     assert found["region_count"] == explored.touches
     assert found["stop_reason"] == "budget"
+    missed = found["missed"]
+    assert 0.1 < missed["untouched_m"] < 0.2  # the surface is 0.4 m wide
+    assert [one["radius_m"] for one in missed["lumps"]] == [0.03, 0.045, 0.06, 0.085, 0.12]
+    chances = [one["probability"] for one in missed["lumps"]]
+    assert missed["prior"] > chances[0] > chances[-1] > 0.0
+    assert "lumps unseen" in explored.out
     assert found["truth"]["region_count"] == 2
     assert 2.9 < found["max_force_n"] < 8.0
     assert found["seconds"]["session"] > 10.0

@@ -19,6 +19,7 @@ from deformscope.stages.map.measured import SurfaceMeasurement, TouchMeasurement
 
 GIVES_M_PER_N = 3e-4
 HEIGHT_M, OFF_M = 0.05, 0.002
+DOME = 2e-3 / 40.0 ** (2.0 / 3.0)
 
 
 class RigidTable:
@@ -90,6 +91,39 @@ class FoamTable(RigidTable):
         place_m = made.position_m.copy()
         place_m[:, 2] = np.where(force_n > 0.02, HEIGHT_M + 0.01 - 3e-3 * force_n ** (2.0 / 3.0), place_m[:, 2])
         return dataclasses.replace(made, position_m=place_m)
+
+
+class DomedTable(RigidTable):
+    """The rigid block under a force sensor's rubber dome, which yields 2 mm at 40 N (Hertz)."""
+
+    def __init__(self, gives_m_per_n: float) -> None:
+        super().__init__()
+        self._more = gives_m_per_n - GIVES_M_PER_N
+
+    def touch(self, command: Touch) -> TouchMeasurement:
+        made = super().touch(command)
+        force_n = made.force_n[:, 2].clip(0.0)
+        place_m = made.position_m.copy()
+        place_m[:, 2] -= np.where(force_n > 0.02, self._more * force_n + DOME * force_n ** (2.0 / 3.0), 0.0)
+        return dataclasses.replace(made, position_m=place_m)
+
+
+@pytest.mark.parametrize("stiffness_n_per_mm", [5.0, 10.0, 30.0])
+def test_a_rubber_dome_on_a_stiff_arm_is_no_foam_and_not_the_arm_s(stiffness_n_per_mm: float) -> None:
+    """At 3 N it yields 0.36 mm, an arm of 10 N/mm 0.3 mm. The two laws are much alike: the interval says so."""
+    gives_m_per_n = 1e-3 / stiffness_n_per_mm
+    found = arm_give(touched(DomedTable(gives_m_per_n), 4))
+
+    assert abs(found.compliance_m_per_n - gives_m_per_n) < 2.0 * found.compliance_sd
+    assert found.compliance_sd < 2e-5
+    assert found.dome == pytest.approx(DOME, rel=0.2)
+    at_3_n = found.compliance_m_per_n * 3.0 + found.dome * 3.0 ** (2.0 / 3.0)
+    assert at_3_n == pytest.approx(gives_m_per_n * 3.0 + DOME * 3.0 ** (2.0 / 3.0), rel=0.02)
+    assert found.off_m == pytest.approx(OFF_M, abs=1.5e-4)
+
+
+def test_a_rigid_tip_has_no_dome() -> None:
+    assert arm_give(touched(RigidTable(), 3)).dome < 1e-5
 
 
 def test_foam_is_not_taken_for_something_rigid() -> None:

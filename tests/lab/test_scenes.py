@@ -118,3 +118,39 @@ def test_other_hardnesses_come_by_name() -> None:
 def test_what_is_no_scene_is_refused(name: str) -> None:
     with pytest.raises(InputError, match="expected"):
         built_in(name)
+
+
+def test_a_ring_has_a_hole() -> None:
+    """Of the material around it; the foam between two circles is another."""
+    for seed in SEEDS:
+        scene = built_in("ring", seed)
+        middle, radius, width = (
+            np.array([scene.drawn["centre x"], scene.drawn["centre y"]]),
+            *(scene.drawn[name] for name in ("radius", "width")),
+        )
+        along = middle + np.outer([0.0, radius - width - 1e-3, radius - width / 2, radius + 1e-3], [0.0, 1.0])
+        hole, inner, ring, around = scene.label(along)
+        assert hole == inner == around != ring
+
+
+def test_a_zigzag_runs_straight_between_its_points() -> None:
+    scene = built_in("zigzag", 1)
+    rows = scene.truth()
+    border = np.abs(np.diff(rows, axis=1)).argmax(axis=1) * 5e-3  # of one crossing in each row
+    tilt = np.tan(np.deg2rad(scene.drawn["border tilt"]))
+    aside = border + tilt * 5e-3 * np.arange(len(border))
+    height, length = scene.drawn["wave height"], scene.drawn["wave length"]
+    assert np.ptp(aside) == pytest.approx(2 * height, rel=0.25)
+    slope = np.abs(aside[10:] - aside[:-10]) / 0.05
+    assert np.median(slope) == pytest.approx(4 * height / length, rel=0.25)
+
+
+def test_a_lump_lies_on_either_side_of_the_border() -> None:
+    around = set()
+    for seed in SEEDS:
+        scene = built_in("lump", seed)
+        middle = np.array([scene.drawn["centre x"], scene.drawn["centre y"]])
+        assert scene.label(middle) == 2
+        assert scene.rigid == (2,)
+        around |= set(scene.label(middle + 0.061 * np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])).tolist())
+    assert around == {0, 1}

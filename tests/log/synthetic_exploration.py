@@ -12,6 +12,7 @@ from deformscope.rows import Result
 from deformscope.stages.map.exploration import (
     ExplorationStop,
     MapEstimate,
+    Missed,
     PhaseStart,
     PlannedTouch,
     StageFailure,
@@ -32,6 +33,7 @@ CONTACTS_M = np.array(
     ]
 )
 
+MISSED = Missed(0.13, np.array([0.13, 0.2]), np.array([0.03, 0.06]), np.array([0.46, 0.31]), 2.0, 0.5)
 Y, X = (np.mgrid[:ROWS, :COLUMNS] + 0.5) * CELL_M
 EDGE_M = 0.3 - 0.15 * (Y - 0.2)
 TRUTH = (EDGE_M < X).astype(np.int64)
@@ -160,7 +162,9 @@ def plan(touches: int) -> PlannedTouch:
     excluded = (X < 0.02) | (X > 0.58) | (Y < 0.02) | (Y > 0.38) | (np.hypot(X - 0.6, Y - 0.4) < 0.12)
     cost_s = 6.0 + np.hypot(X - x, Y - y) / 0.1
     if touches == 0:
-        return PlannedTouch(CONTACTS_M[0].copy(), None, None, excluded, "first touches spread over the surface")
+        return PlannedTouch(
+            CONTACTS_M[0].copy(), None, None, excluded, "first touches spread over the surface", missed=MISSED
+        )
     gain = (0.05 + 0.6 * np.exp(-(((X - EDGE_M) / 0.06) ** 2))) * (1 - np.exp(-((_nearest_m(touches) / 0.06) ** 2)))
     if touches == len(CONTACTS_M):
         stop = "the regions are sure: no cell is expected to tell 0.02 or more"

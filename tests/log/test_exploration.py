@@ -72,7 +72,11 @@ def back(path: Path) -> list[Row]:
 def assert_equal(found: object, expected: Any) -> None:
     assert type(found) is type(expected)
     for field in dataclasses.fields(expected):
-        same(getattr(found, field.name), getattr(expected, field.name), f"{field.name} of {type(expected).__name__}")
+        one, other = getattr(found, field.name), getattr(expected, field.name)
+        if dataclasses.is_dataclass(other):
+            assert_equal(one, other)
+        else:
+            same(one, other, f"{field.name} of {type(expected).__name__}")
 
 
 def test_results_come_back_equal_to_the_last_bit(tmp_path: Path) -> None:

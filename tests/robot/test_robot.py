@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
 from deformscope.errors import InputError
+from deformscope.rig.rig_file import Workspace
+from deformscope.robot.advice import advice
+from deformscope.robot.preflight import check
 from deformscope.robot.readings import RobotObservation
 from deformscope.robot.robot import RobotStopped, TipVelocity
-from deformscope.robot.supervisor import Action, Fault, SafetyVerdict
+from deformscope.robot.supervisor import Action, Fault, Limits, SafetyVerdict
 from deformscope.robot.travel import step
 from deformscope.studies.fault_study import FaultScene, make_scene
 
@@ -21,6 +26,11 @@ def moving() -> FaultScene:
     for _ in range(20):
         scene.robot.cycle(UP)
     return scene
+
+
+def upwards(scene: FaultScene, count: int) -> None:
+    for _ in range(count):
+        scene.robot.cycle(UP)
 
 
 def cycles(scene: FaultScene, count: int) -> None:
@@ -134,6 +144,29 @@ def test_an_arm_that_its_driver_has_stopped_stops_the_robot() -> None:
 
     assert scene.robot.supervisor.verdict.fault is Fault.REFUSED
     assert scene.lab.arm_double.fifo_count == 0
+    scene.lab.close()
+
+
+def test_an_arm_that_follows_100_ms_late_has_its_own_key() -> None:
+    """Without it that is an arm that does not follow, and the advice begins with homing it."""
+    scene = make_scene(3, modulus_pa=60e3, tip="sphere", tilt_deg=0.0)
+    scene.lab.arm_double.late(0.1)
+    with pytest.raises(RobotStopped, match="arm frozen") as caught:
+        upwards(scene, 30)
+    assert advice(caught.value.verdict.fault).startswith("whether the arm was homed")
+
+    scene.lab.wait_until(scene.lab.clock() + 300_000_000)  # until it stands
+    scene.robot.resume()
+    limits = scene.robot.supervisor.limits
+    scene.robot.supervisor.limits = dataclasses.replace(
+        limits, arm_frozen_s=Limits.of(Workspace(arm_frozen_s=0.2)).arm_frozen_s
+    )
+    assert limits.arm_silent_s == scene.robot.supervisor.limits.arm_silent_s
+    scene.robot.let_move(check(scene.robot, [scene.plan], calibrated={}))
+    before_m = scene.robot.center_m
+    upwards(scene, 50)
+    cycles(scene, 20)
+    assert scene.robot.center_m[2] - before_m[2] == pytest.approx(0.01, abs=5e-4)
     scene.lab.close()
 
 

@@ -193,6 +193,32 @@ def test_a_camera_that_repeats_itself_is_found_before_anything_moves() -> None:
     assert "camera: alive: plug the camera" in report.table()
 
 
+@pytest.mark.parametrize("call_ms", [4.0, *(pytest.param(ms, marks=pytest.mark.slow) for ms in (1.0, 2.8))])
+def test_a_slow_link_to_the_arm_is_no_fault(call_ms: float) -> None:
+    """What a call over USB takes (kinova-ros issues 281, 372): the preflight passes, and a touch is as it was."""
+    scene = make_scene(6, modulus_pa=60e3, tip="sphere", tilt_deg=0.0)
+    scene.lab.call_s = call_ms / 1e3
+    report = check(scene.robot, [scene.plan], calibrated={})
+    record = run_touch(scene.robot, scene.plan)
+    scene.lab.close()
+
+    assert report.passed, report.table()
+    assert record.ending is TouchEnding.SET_FORCE
+    assert np.linalg.norm(record.force_n, axis=1).max() < scene.plan.set_force_n + 0.5
+
+
+def test_a_link_that_is_too_slow_for_the_control_cycle_is_found_before_anything_moves() -> None:
+    scene = make_scene(6, modulus_pa=60e3, tip="sphere", tilt_deg=0.0)
+    scene.lab.call_s = 0.01
+    report = check(scene.robot, [scene.plan], calibrated={})
+    scene.lab.close()
+
+    (found,) = (one for one in report.checks if one.name == "arm: link")
+    assert not found.passed
+    assert found.came == "10.0 ms"
+    assert "arm: link: the arm's cable" in report.table()
+
+
 def test_an_arm_that_begins_at_a_joints_limit_is_found_before_anything_moves() -> None:
     scene = make_scene(6, modulus_pa=60e3, tip="sphere", tilt_deg=0.0)
     supervisor, double = scene.robot.supervisor, scene.lab.arm_double

@@ -14,7 +14,8 @@ from deformscope.lab.scenes import built_in
 from deformscope.stages.map.map_score import MapScore
 from deformscope.stages.poke.contact import layer_modulus
 from deformscope.studies.surface_robot import true_map
-from deformscope.studies.table41 import MapAfter, TableJob, TableRun, add_run, read_runs, run_table
+from deformscope.studies.table41 import run_table
+from deformscope.studies.table41_runs import MapAfter, TableJob, TableRun, add_run, read_runs
 from deformscope.studies.table41_summary import compare, curves, first_passage, summarise
 
 SCORE = MapScore(2, "regions", True, 0.9, 0.8, 0.01, True, None, 1.0, 0.05, 0.9)

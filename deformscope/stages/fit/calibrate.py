@@ -5,8 +5,9 @@ The sweep is the thesis's Algorithm 3; `method="gradient"` serves Algorithm 2's 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -14,10 +15,22 @@ from threadpoolctl import threadpool_limits
 from deformscope.arrays import BoolArray, FloatArray
 from deformscope.errors import InputError
 from deformscope.stages.fit.distance import distances, explained_share, nearest_error, unexplained
+from deformscope.stages.fit.doubts import (
+    found_in_numbers,
+    implausible_lengths,
+    known_of,
+    mirrored,
+    of_stiffness,
+    ordered,
+    residual_ratio,
+    setting,
+    swapped_axes,
+)
 from deformscope.stages.fit.dynamics import MovingSearch, Pace
 from deformscope.stages.fit.estimate import (
     Comparison,
     Curve,
+    Doubt,
     Estimate,
     Identifiability,
     Parameter,
@@ -27,8 +40,10 @@ from deformscope.stages.fit.estimate import (
 from deformscope.stages.fit.force import stiffness_interval
 from deformscope.stages.fit.inference import Inference, Inferred
 from deformscope.stages.fit.model import FitOptions, Model, Observation
+from deformscope.stages.fit.outliers import LeftOut, without_outliers
 from deformscope.stages.fit.search import Progress, Search
 from deformscope.stages.fit.shared_errors import for_posterior, together
+from deformscope.stages.fit.two_materials import FittedBody, two_materials
 from deformscope.stages.msm import clusters
 
 __all__ = ["Calibration", "FitOptions", "Model", "Observation", "Progress", "calibrate"]
@@ -36,14 +51,21 @@ __all__ = ["Calibration", "FitOptions", "Model", "Observation", "Progress", "cal
 BETA_LIMIT = 0.9999
 """Highest beta that is searched: at 1 a cluster resists nothing but rigid motion of the whole."""
 
+TURNED = 5
+"""Values of the parameter, over its range, at which displacements with other axes are simulated."""
+
 
 @dataclass(frozen=True, slots=True)
 class Calibration:
-    """An estimate, the simulation at it of every observation that it rests on, and how sure of it one can be."""
+    """An estimate, the simulation at it of every observation that it rests on, and how sure of it one can be.
+
+    left_out: particles of each observation that were taken for no measurement; empty for the frames of a motion
+    """
 
     estimate: Estimate
     comparisons: tuple[Comparison, ...]
     inferred: Inferred
+    left_out: tuple[LeftOut, ...] = ()
 
 
 def calibrate(
@@ -67,20 +89,7 @@ def calibrate(
     if options.candidates < 3:
         raise InputError("at least 3 candidates", str(options.candidates))
     fit = Search(seen, model, bounds) if pace is None else MovingSearch(seen, model, bounds, pace)
-    used: dict[str, object] = {
-        "cluster_size": model.cluster_size,
-        "mode": model.basis,
-        "alpha": model.alpha,
-        "beta": None if model.parameter == "beta" else model.beta,
-        "theta": None if model.parameter == "theta" else model.theta,
-        "volume": model.volume,
-        "method": options.method,
-        "bounds": list(bounds),
-        "seed": options.seed,
-        "precision": model.precision,
-        "device": model.device,
-        "pose_held": all(s.pose_held for s in seen),
-    }
+    used = _settings(seen, options)
     if options.method == "sweep":
         fit.sweep(options.candidates, progress)
         drawn = fit.tried.parameter.copy()
@@ -89,6 +98,12 @@ def calibrate(
     else:
         used["stopped"] = fit.descend(progress)
         drawn = fit.tried.parameter.copy()
+    left_out: tuple[LeftOut, ...] = ()
+    if not one_motion:  # a motion's frames are the tracker's to judge
+        left_out = without_outliers(fit)
+        seen = fit.seen
+        if any(one.count for one in left_out):
+            used["left_out"] = [one.as_json() for one in left_out]
     judged: Search = fit
     if one_motion:
         found = together(fit, options.seed)
@@ -101,9 +116,11 @@ def calibrate(
         used["frame_values"] = [round(float(v), 4) for v in fit.each_best()]
     curve = Curve(drawn, fit.error()[fit.rows_of(drawn)])
     with threadpool_limits(1):  # small matrices: more threads cost time, and change the last digits
-        inferred = Inference(judged, options.seed).run(progress)
+        inference = Inference(judged, options.seed)
+        inferred = inference.run(progress)
     best = fit.best()
-    ends = inferred.posterior.shortest(options.level, float(fit.tried.parameter[best]))
+    value = float(fit.tried.parameter[best])
+    ends = inferred.posterior.shortest(options.level, value)
     used["noise"] = inferred.noise
     used["noise_source"] = "residuals" if seen[0].noise is None else "given"
     comparisons = tuple(
@@ -117,16 +134,22 @@ def calibrate(
     supported = (fit.tried.parameter >= ends[0]) & (fit.tried.parameter <= ends[1])
     converged = inferred.converged and bool(fit.tried.converged[supported].all())
     identified = identifiability(seen, comparisons, inferred)
+    ratio = residual_ratio(seen, [c.simulated for c in comparisons], inference.floor)
+    noise = ratio, inferred.noise
+    numbers = found_in_numbers(model.parameter, value, ends, bounds, identified, converged=converged, noise=noise)
+    shown = [*shape_doubts(seen), *(_in_residuals(judged, best, inference) if pace is None and converged else ())]
+    here = [setting(seen, model, identified.misfit, inferred.noise)] if model.parameter == "theta" else []
+    reasons = ordered([*numbers, *shown, *here])
     # frames of a motion carry no force
     k = None if one_motion else _stiffness(fit, best, supported, inferred, options.level)
     estimate = Estimate(
         parameter=model.parameter,
-        value=float(fit.tried.parameter[best]),
+        value=value,
         interval=ends,
         level=options.level,
         bounds=bounds,
-        verdict=verdict(ends, bounds, identified) if converged else "unidentified",
-        stiffness_verdict="unidentified" if k is None else relative_verdict(*k),
+        verdict=verdict(ends, bounds, identified, reasons),
+        stiffness_verdict="unidentified" if k is None else relative_verdict(*k, of_stiffness(reasons)),
         aee=float(fit.only(np.arange(len(seen)), np.ones(len(seen))).error()[best]),
         aee_free=float(free.mean()),
         nearest=float(np.mean(near)),
@@ -138,8 +161,28 @@ def calibrate(
         metres_per_unit=seen[0].metres_per_unit,
         posterior=inferred.posterior,
         identifiability=identified,
+        reasons=reasons,
     )
-    return Calibration(estimate, comparisons, inferred)
+    return Calibration(estimate, comparisons, inferred, left_out)
+
+
+def _settings(seen: Sequence[Observation], options: FitOptions) -> dict[str, object]:
+    """What is recorded of how a fit is made."""
+    model = options.model
+    return {
+        "cluster_size": model.cluster_size,
+        "mode": model.basis,
+        "alpha": model.alpha,
+        "beta": None if model.parameter == "beta" else model.beta,
+        "theta": None if model.parameter == "theta" else model.theta,
+        "volume": model.volume,
+        "method": options.method,
+        "bounds": list(options.bounds),
+        "seed": options.seed,
+        "precision": model.precision,
+        "device": model.device,
+        "pose_held": all(s.pose_held for s in seen),
+    }
 
 
 def check_observations(seen: Sequence[Observation]) -> None:
@@ -165,6 +208,60 @@ def identifiability(
         deviation=inferred.posterior.deviation(),
         misfit=float(np.sqrt(np.mean([one.misfit() ** 2 for one in inferred.explanations]))),
     )
+
+
+def shape_doubts(seen: Sequence[Observation]) -> Iterator[Doubt]:
+    """What the shapes alone show: units and mirrored axes."""
+    yield from implausible_lengths(seen)
+    for one in seen:
+        if reasons := list(mirrored(one.rest, one.deformed, known_of(one))):
+            yield reasons[0]
+            return
+
+
+def _in_residuals(search: Search, best: int, inference: Inference) -> Iterator[Doubt]:
+    """What simulations with other axes, and with two betas, show of the residuals of the best."""
+    model = search.model
+    positions = [position[best] for position in search.tried.positions]
+    low, high = map(search.stretch, search.bounds)
+    spread = search.shrink(np.linspace(low, high, TURNED))
+    tried = np.append(spread, search.tried.parameter[best])
+
+    def simulate(shapes: Sequence[FloatArray]) -> list[FloatArray]:
+        each = zip(search.seen, search.bodies, shapes, strict=True)
+        return [search.relax(body, shape[one.held], tried, None).settled for one, body, shape in each]
+
+    yield from swapped_axes(search.seen, simulate, search.weight)
+    beta, _ = search.values(float(search.tried.parameter[best]))
+    grouped = [model.grouping(one) for one in search.seen]
+    if any(one.count < 2 for one in grouped):
+        return
+    bodies = [
+        FittedBody(
+            part=part,
+            grouped=group,
+            position=position,
+            response=inference.response(row, best),
+            others=np.zeros((0, *part.observed.shape)),
+            states=partial(_states, search, row, best),
+            weight=float(weight),
+        )
+        for row, (part, group, position, weight) in enumerate(
+            zip(inference.parts, grouped, positions, search.weight, strict=True)
+        )
+    ]
+    yield from two_materials(bodies, float(beta), search.bounds[1] if model.parameter == "beta" else BETA_LIMIT)
+
+
+def _states(search: Search, row: int, best: int, stretched: FloatArray) -> FloatArray:
+    """(B, K, d) of one observation for -log(1 - beta) of each cluster (B, C), theta as at the best candidate."""
+    one, body = search.seen[row], search.bodies[row]
+    _, theta = search.values(float(search.tried.parameter[best]))
+    start = search.tried.positions[row][best]
+    state = body.relax(
+        one.deformed[one.held], -np.expm1(-stretched), float(theta), volume=search.model.volume, start=start
+    )
+    return state.settled
 
 
 def explained(seen: Sequence[Observation], simulated: Sequence[FloatArray]) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -20,12 +21,48 @@ IDENTIFIED_WIDTH, WEAK_WIDTH = 0.2, 0.7
 RISE_LEAST = 2.0
 """Standard deviations by which the data must separate the likeliest value from the least likely."""
 
-EXPLAINED_LEAST, EXPLAINED_LOW = 0.3, 0.6
-"""Share of the non-rigid motion that a model must explain before its parameter means anything, and below which so much
-is left that a warning goes with the parameter."""
+EXPLAINED_LEAST, EXPLAINED_LOW = 0.3, 0.75
+"""Share of the non-rigid motion (sums of squares) that a model must explain before its parameter means anything, and
+below which half of the motion (root mean square) is left, so that the parameter is a compromise and not identified."""
 
 SHOWN = 121
 """Values of a posterior in the JSON."""
+
+DoubtCode = Literal[
+    "not-converged",
+    "little-explained",
+    "value-at-interval-end",
+    "noise-contradicted",
+    "units",
+    "axes-swapped",
+    "two-materials",
+    "setting",
+]
+
+
+@dataclass(frozen=True, slots=True)
+class Doubt:
+    """A reason to doubt a parameter, or what it holds for.
+
+    code: for programs, stable; text: one sentence for people, with its numbers
+    allows: the best verdict that it leaves; None: it says what the value holds for, or is allowed for in the interval
+    """
+
+    code: DoubtCode
+    text: str
+    allows: Verdict | None = None
+
+    def as_json(self) -> dict[str, object]:
+        """The public form."""
+        return {"code": self.code, "text": self.text, "allows": self.allows}
+
+
+def limited(found: Verdict, reasons: Sequence[Doubt]) -> Verdict:
+    """A verdict, or the lower one that is left by the reasons to doubt it; `at-bound` says no more than `weak`."""
+    allowed = {one.allows for one in reasons}
+    if "unidentified" in allowed:
+        return "unidentified"
+    return "weak" if found == "identified" and "weak" in allowed else found
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,6 +197,7 @@ class Estimate:
     stiffness: the energy's stiffness k and its interval over `interval` [N/m], where a force was given
     metres_per_unit: the scale of the lengths; None where pixels have no known size
     posterior, identifiability: what the interval and the verdict rest on
+    reasons: to doubt the parameter, those that lower its verdict first
     selection: choices of model that were tried, where some were to be chosen; selection_text: what can be said of them
     aee: mean error over all observed particles, held ones included (eq. 3.18); aee_free: over the free ones alone
     nearest: one-sided nearest-neighbour error (eq. 4.6); unit: of every length here
@@ -184,6 +222,7 @@ class Estimate:
     metres_per_unit: float | None = 1.0
     posterior: Posterior | None = None
     identifiability: Identifiability | None = None
+    reasons: tuple[Doubt, ...] = ()
     selection: tuple[Choice, ...] = ()
     selection_text: str = ""
 
@@ -193,31 +232,25 @@ class Estimate:
         return None if self.identifiability is None else self.identifiability.explained
 
     def verdict_text(self) -> str:
-        """The verdict in plain words."""
+        """The verdict in plain words, with the first reason that lowers it."""
         low, high = self.interval
         name = self.parameter
+        because = {one.allows: one.text for one in reversed(self.reasons)}
+        why = because.get("weak", "")
         if self.verdict == "identified":
             return f"identified: {name} is {low:.3g} to {high:.3g}"
         if self.verdict == "unidentified":
-            return f"unidentified: {self._why_not()}"
+            wide = f"any {name} from {low:.2g} to {high:.2g} fits; the data do not identify it"
+            return f"unidentified: {because.get('unidentified', wide)}"
+        but = f", but {why}" if why else ""
         if self.verdict == "weak":
-            return f"weak: any {name} from {low:.2g} to {high:.2g} fits"
+            if high - low < IDENTIFIED_WIDTH:
+                return f"weak: {name} is {low:.3g} to {high:.3g} by this model{but}"
+            return f"weak: any {name} from {low:.2g} to {high:.2g} fits{but}"
         bound = "the lower" if low <= self.bounds[0] else "the upper"
         side = f"below {high:.3g}" if low <= self.bounds[0] else f"above {low:.3g}"
         weak = "" if high - low < IDENTIFIED_WIDTH else "weak, "
-        return f"{weak}at {bound} bound: any {name} {side} fits"
-
-    def _why_not(self) -> str:
-        found = self.identifiability
-        if not self.converged:
-            return "a simulation did not settle"
-        if found is not None and found.explained < EXPLAINED_LEAST:
-            return (
-                f"the model explains {max(found.explained, 0.0):.0%} of the motion; misfit or noise are as large as "
-                "the motion itself"
-            )
-        low, high = self.interval
-        return f"any {self.parameter} from {low:.2g} to {high:.2g} fits; the data do not identify it"
+        return f"{weak}at {bound} bound: any {name} {side} fits{but}"
 
     def stiffness_text(self) -> str:
         """What can be said of stiffness, in plain words."""
@@ -246,6 +279,7 @@ class Estimate:
             "bounds": list(self.bounds),
             "verdict": self.verdict,
             "verdict_text": self.verdict_text(),
+            "reasons": [one.as_json() for one in self.reasons],
             "stiffness_verdict": self.stiffness_verdict,
             "stiffness_text": self.stiffness_text(),
             "aee_m": in_metres(self.aee),
@@ -294,27 +328,26 @@ def explained_text(share: float) -> str:
 
 
 def verdict(
-    ends: tuple[float, float], bounds: tuple[float, float], identifiability: Identifiability | None = None
+    ends: tuple[float, float],
+    bounds: tuple[float, float],
+    identifiability: Identifiability | None = None,
+    reasons: Sequence[Doubt] = (),
 ) -> Verdict:
-    """What an interval within its bounds, and the data behind it, allow to say."""
+    """What an interval within its bounds, the data behind it, and the reasons to doubt it allow to say."""
     width = ends[1] - ends[0]
     found = identifiability
     if width >= WEAK_WIDTH or (found is not None and (found.rise < RISE_LEAST or found.explained < EXPLAINED_LEAST)):
         return "unidentified"
     if ends[0] <= bounds[0] or ends[1] >= bounds[1]:
-        return "at-bound"
-    return "identified" if width < IDENTIFIED_WIDTH else "weak"
+        return limited("at-bound", reasons)
+    return limited("identified" if width < IDENTIFIED_WIDTH else "weak", reasons)
 
 
-def relative_verdict(value: float, ends: tuple[float, float], explained: float = 1.0) -> Verdict:
-    """The verdict on a positive quantity without bounds: its interval's width against its value.
-
-    explained: share of the motion that the model explains
-    """
+def relative_verdict(value: float, ends: tuple[float, float], reasons: Sequence[Doubt] = ()) -> Verdict:
+    """The verdict on a positive quantity without bounds: its interval's width against its value."""
     width = (ends[1] - ends[0]) / value
-    if explained < EXPLAINED_LEAST:
-        return "unidentified"
-    return "identified" if width < IDENTIFIED_WIDTH else "weak" if width < WEAK_WIDTH else "unidentified"
+    found: Verdict = "identified" if width < IDENTIFIED_WIDTH else "weak" if width < WEAK_WIDTH else "unidentified"
+    return limited(found, reasons)
 
 
 @dataclass(frozen=True, slots=True)

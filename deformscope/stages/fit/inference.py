@@ -70,6 +70,11 @@ class Inference:
         empty = Evidence(*3 * (np.zeros((0, 0)),))
         self._found = [empty] * len(self.parts)
 
+    @property
+    def floor(self) -> float:
+        """Smallest deviation of a coordinate that numbers resolve [unit]."""
+        return max(part.measured.floor for part in self.parts)
+
     def run(self, progress: Progress | None = None) -> Inferred:
         search = self.search
         low, high = (search.stretch(bound) for bound in search.bounds)
@@ -77,7 +82,7 @@ class Inference:
         spread = np.linspace(0, len(search.tried.parameter) - 1, 10).round().astype(int)
         rows = np.unique([best, *spread[search.tried.usable[spread]]])
         for row, part in enumerate(self.parts):
-            part.choose(search.tried.positions[row][rows], self._response(row, best))
+            part.choose(search.tried.positions[row][rows], self.response(row, best))
         fine, total, _ = self._narrowed(low, high, self._explain, progress)
         for part, found in zip(self.parts, self._found, strict=True):
             density = np.exp(total - total.max()) * np.gradient(search.shrink(fine))
@@ -126,7 +131,7 @@ class Inference:
         for row, part in enumerate(self.parts):
             left = part.left(search.tried.positions[row][rows[nearest]])
             residual = CubicSpline(knots, left, axis=0)(fine)
-            responses = [self._response(row, int(rows[node])) for node in nodes]
+            responses = [self.response(row, int(rows[node])) for node in nodes]
             total += search.weight[row] * judge(row, residual, responses, _shares(knots[nodes], fine))
         total[np.interp(fine, knots, usable.astype(float)) < 1.0] = -np.inf
         return fine, total
@@ -151,7 +156,7 @@ class Inference:
         each = [part.log_summary(residual, onto, response) for response in responses]
         return np.asarray(np.sum(share * np.stack(each), axis=0))
 
-    def _response(self, row: int, place: int) -> FloatArray:
+    def response(self, row: int, place: int) -> FloatArray:
         """What the held positions of one observation do at one of the candidates tried."""
         search, part = self.search, self.parts[row]
         parameter = float(search.tried.parameter[place])

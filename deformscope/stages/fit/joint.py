@@ -6,7 +6,7 @@ simulated between knots is a cubic spline in -log(1 - beta) and theta; the likel
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,14 +16,25 @@ from threadpoolctl import threadpool_limits
 
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
-from deformscope.stages.fit.calibrate import check_observations, check_range, identifiability
+from deformscope.stages.fit.calibrate import TURNED, check_observations, check_range, identifiability, shape_doubts
 from deformscope.stages.fit.distance import distances, nearest_error
-from deformscope.stages.fit.estimate import Comparison, Curve, Estimate, Parameter, Posterior, relative_verdict, verdict
+from deformscope.stages.fit.doubts import found_in_numbers, of_stiffness, ordered, residual_ratio, setting, swapped_axes
+from deformscope.stages.fit.estimate import (
+    Comparison,
+    Curve,
+    Doubt,
+    Estimate,
+    Parameter,
+    Posterior,
+    relative_verdict,
+    verdict,
+)
 from deformscope.stages.fit.force import stiffness_interval
 from deformscope.stages.fit.inference import Inferred, white_noise
 from deformscope.stages.fit.model import Model, Observation
 from deformscope.stages.fit.residuals import DROP, Explanation, Residuals
 from deformscope.stages.fit.search import Progress, beta_of
+from deformscope.stages.fit.two_materials import FittedBody, two_materials
 from deformscope.stages.msm.solver import Relaxed
 
 KNOTS = (17, 11)
@@ -38,6 +49,9 @@ SUMMARIES = 5
 
 DRAWN = 24
 """Draws of the posterior that stand for it in the stiffness."""
+
+THETA_STEP = 0.02
+"""By which theta is changed for a derivative."""
 
 POLISH = 6
 """Grids of 5 x 5 that close in on the lowest error."""
@@ -70,7 +84,7 @@ class JointEstimate:
 
     def as_json(self) -> dict[str, object]:
         """The public form: what both share as in the estimate of one, and what each has under `parameters`."""
-        own = ("value", "interval", "bounds", "verdict", "verdict_text", "curve")
+        own = ("value", "interval", "bounds", "verdict", "verdict_text", "reasons", "curve")
         each = {one.parameter: one.as_json() for one in (self.beta, self.theta)}
         shared = {k: v for k, v in each["beta"].items() if k not in (*own, "parameter", "posterior")}
         assert self.beta.posterior is not None
@@ -203,8 +217,9 @@ class _Joint:
             Inferred(marginal, explanations, noise, separation, self.converged)
             for marginal, separation in zip(marginals, rise, strict=True)
         ]
-        of_beta = self._estimate("beta", beta, found[0], comparisons, aee, k)
-        of_theta = self._estimate("theta", theta, found[1], comparisons, aee, k)
+        doubts = [*shape_doubts(self.seen), *(self._in_residuals(beta, theta, comparisons) if self.converged else ())]
+        of_beta = self._estimate("beta", beta, found[0], comparisons, aee, k, doubts)
+        of_theta = self._estimate("theta", theta, found[1], comparisons, aee, k, doubts)
         mean_b, mean_t = (float(np.sum(over * x) / over.sum()) for x in self._flat(grid, t))
         gb, gt = self._flat(grid - mean_b, t - mean_t)
         spread = np.sqrt(np.sum(over * gb**2) * np.sum(over * gt**2))
@@ -224,6 +239,39 @@ class _Joint:
             reach = [0.4 * one for one in reach]
         beta, theta, error = self.tried[self.tried[:, 2].argmin()]
         return float(beta), float(theta), float(error)
+
+    def _in_residuals(self, beta: float, theta: float, comparisons: Sequence[Comparison]) -> Iterator[Doubt]:
+        """What simulations with other axes, and with two betas, show of the residuals of the best."""
+        bounds = self.options.beta_bounds
+        low, high = (float(-np.log1p(-end)) for end in bounds)
+        tried = np.append(self.shrink(np.linspace(low, high, TURNED)), beta)
+        # theta of the data as they are may be far from that of the data put right
+        betas, thetas = np.tile(tried, 2), np.repeat([self.options.theta_bounds[0], theta], len(tried))
+
+        def simulate(shapes: Sequence[FloatArray]) -> list[FloatArray]:
+            each = zip(self.seen, self.bodies, shapes, strict=True)
+            return [body.relax(shape[one.held], betas, thetas, volume="project").settled for one, body, shape in each]
+
+        yield from swapped_axes(self.seen, simulate)
+        here = (beta, theta)
+        grouped = [self.options.model.grouping(one) for one in self.seen]
+        if any(one.count < 2 for one in grouped):
+            return
+        beside = np.clip(theta + np.array([-1.0, 1.0]) * THETA_STEP, *self.options.theta_bounds)
+        bodies = []
+        for row, (part, group, compared) in enumerate(zip(self.parts, grouped, comparisons, strict=True)):
+            held = self.seen[row].deformed[self.seen[row].held]
+            by_theta = self.bodies[row].relax(held, beta, beside, volume="project", start=compared.simulated).position
+            slope = (by_theta[1] - by_theta[0])[part.judged] / np.ptp(beside)
+
+            def changed(stretched: FloatArray, row: int = row, held: FloatArray = held) -> FloatArray:
+                start = comparisons[row].simulated
+                found = self.bodies[row].relax(held, -np.expm1(-stretched), theta, volume="project", start=start)
+                return found.settled
+
+            response = self._response(part, *here, compared.simulated)
+            bodies.append(FittedBody(part, group, compared.simulated, response, slope[None], changed))
+        yield from two_materials(bodies, beta, bounds[1])
 
     def shrink(self, stretched: FloatArray) -> FloatArray:
         return beta_of(stretched, self.options.beta_bounds)
@@ -252,11 +300,18 @@ class _Joint:
         comparisons: Sequence[Comparison],
         aee: float,
         k: tuple[float, tuple[float, float]] | None,
+        doubts: Sequence[Doubt],
     ) -> Estimate:
         options = self.options
         bounds = options.beta_bounds if name == "beta" else options.theta_bounds
         ends = inferred.posterior.shortest(options.level, value)
         identified = identifiability(self.seen, comparisons, inferred)
+        simulated = [c.simulated for c in comparisons]
+        ratio = residual_ratio(self.seen, simulated, max(part.measured.floor for part in self.parts))
+        noise = ratio, inferred.noise
+        numbers = found_in_numbers(name, value, ends, bounds, identified, converged=self.converged, noise=noise)
+        here = [setting(self.seen, options.model, identified.misfit, inferred.noise)] if name == "theta" else []
+        reasons = ordered([*numbers, *doubts, *here])
         free = np.concatenate(
             [distances(c.simulated, c.observed)[s.free_observed] for c, s in zip(comparisons, self.seen, strict=True)]
         )
@@ -266,8 +321,8 @@ class _Joint:
             interval=ends,
             level=options.level,
             bounds=bounds,
-            verdict=verdict(ends, bounds, identified) if self.converged else "unidentified",
-            stiffness_verdict="unidentified" if k is None else relative_verdict(*k),
+            verdict=verdict(ends, bounds, identified, reasons),
+            stiffness_verdict="unidentified" if k is None else relative_verdict(*k, of_stiffness(reasons)),
             aee=aee,
             aee_free=float(free.mean()),
             nearest=float(np.mean([nearest_error(c.simulated[c.seen], c.observed[c.seen]) for c in comparisons])),
@@ -285,6 +340,7 @@ class _Joint:
             metres_per_unit=self.seen[0].metres_per_unit,
             posterior=inferred.posterior,
             identifiability=identified,
+            reasons=reasons,
         )
 
     def _stiffness(

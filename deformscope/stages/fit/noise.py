@@ -33,19 +33,23 @@ from deformscope.arrays import BoolArray, FloatArray, IntArray
 Roughness = Literal["exponential", "matern", "gaussian"]
 
 FIELDS: tuple[tuple[Roughness, tuple[float, ...]], ...] = (
-    ("exponential", (1.0, 3.0)),
-    ("matern", (0.6, 1.0, 1.7, 3.0, 6.0)),
-    ("gaussian", (0.7, 1.0, 1.5, 2.5)),
+    ("exponential", (1.0, 3.0, 9.0)),
+    ("matern", (0.6, 1.0, 1.7, 3.0, 5.0, 8.0)),
+    ("gaussian", (0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6, 8.0)),
 )
 """Correlations of the smooth field, from rough to smooth, and their lengths in particle spacings."""
 
 CORRELATIONS = tuple(rough for rough, _ in FIELDS)
 
-FIELD_SIZES = tuple(float(size) for size in 10.0 ** np.arange(-1.0, 5.1, 0.5))
-"""Variances of the smooth field, in units of the white noise."""
+FIELD_SIZES = tuple(float(size) for size in 10.0 ** np.concatenate([np.arange(-1.0, 2.1, 0.5), np.arange(3.0, 8.1)]))
+"""Variances of the smooth field, in units of the white noise; coarser where there is hardly any white noise left."""
 
-SHARED_MOST = 100.0
-"""An error of measurement that neighbours share is of at most this variance, in units of the white noise."""
+MISFIT_MOST = 1e5
+"""Largest of them that misfit may have."""
+
+SHARED_MOST = 1e8
+"""Largest that an error of measurement which neighbours share may have. The smoother a field, the less of it is seen as
+a difference between neighbours, and there may be next to no white noise beside it."""
 
 MISFIT_MOST_UNKNOWN = 100.0
 """As `FIELD_SIZES`, where no noise was stated: beyond, white noise would be read off the smallest of residuals."""
@@ -157,14 +161,14 @@ class ErrorModel:
         stated = self.measured.held_measured
         either = {False: PRIOR_HELD_EXACT, True: 1.0 - PRIOR_HELD_EXACT}
         choices = {True: {True: 1.0}, False: {False: 1.0}, None: either}
-        sizes = [size for size in FIELD_SIZES if not unknown or size <= MISFIT_MOST_UNKNOWN]
         fields = [(CORRELATIONS.index(rough), length) for rough, lengths in FIELDS for length in lengths]
         rows: list[tuple[float, ...]] = []
         for held, prior in choices[stated].items():
             rows.append((held, False, 0, 1.0, 0.0, np.log(prior * PRIOR_NO_FIELD)))
             kinds = (False, True) if held and self.measured.held_rest is not None else (False,)
             for shared, (field, length) in product(kinds, fields):
-                some = [size for size in sizes if not shared or size <= SHARED_MOST]
+                most = MISFIT_MOST_UNKNOWN if unknown else SHARED_MOST if shared else MISFIT_MOST
+                some = [size for size in FIELD_SIZES if size <= most]
                 share = prior * (1.0 - PRIOR_NO_FIELD) / (len(kinds) * len(fields) * len(some))
                 rows.extend((held, shared, field, length, size, np.log(share)) for size in some)
         table = np.array(rows, dtype=np.float64)

@@ -109,12 +109,34 @@ class MapEstimate:
 
 
 @dataclass(frozen=True, slots=True)
+class Missed:
+    """What the touches so far may have missed.
+
+    untouched_m, untouched_at_m: radius and centre (2,) of the largest circle on the surface without a touch [m]
+    lump_radius_m: (n,) of lumps that fit on the surface, rising [m]; lump_probability: (n,) that there is one of these
+    which no touch has felt; it was `prior` before any touch
+    contrast: they are so many times as stiff, or as soft, as what is around them
+    """
+
+    untouched_m: float
+    untouched_at_m: FloatArray
+    lump_radius_m: FloatArray
+    lump_probability: FloatArray
+    contrast: float
+    prior: float
+
+    def probability(self, radius_m: float) -> float:
+        """Of lumps of one of these radii [m]; 0 where they do not fit."""
+        return float(self.lump_probability[self.lump_radius_m == radius_m].sum())
+
+
+@dataclass(frozen=True, slots=True)
 class PlannedTouch:
     """Where the next touch goes, and why.
 
     target_m: (2,), None = no further touch; excluded: cells that may not be touched
     gain, cost_s: (rows, columns) expected gain and time [s], None where no planner computed one
-    reason: in words; stop_reason: why none follows
+    reason: in words; stop_reason: why none follows; missed: by the touches so far, None where it was not computed
     """
 
     target_m: FloatArray | None
@@ -123,6 +145,7 @@ class PlannedTouch:
     excluded: BoolArray
     reason: str
     stop_reason: str = ""
+    missed: Missed | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,6 +23,7 @@ from threadpoolctl import threadpool_limits
 from deformscope.arrays import BoolArray, FloatArray
 from deformscope.errors import InputError
 from deformscope.stages.map.gaussian_process import Believed, Kernel
+from deformscope.stages.regions.touch_error import SCATTER_MEDIAN, SCATTER_SPREAD
 from deformscope.stages.regions.touches import MapGrid
 
 FREEDOM = 3.0
@@ -55,15 +56,15 @@ class FieldPrior:
     sigma_e: deviation of the field [its unit]; length_m [m]; nugget: deviation from touch to touch at one place
     level_sd: deviation of the constant mean around that of the touches; large, so that touches alone determine it
     The defaults are for log stiffness: foams that differ by a factor of 1.2 to 3, regions of 10 to 40 cm, and touches
-    that repeat within some 5 %. For beta, 0 to 1, `BETA_PRIOR`.
+    that scatter as `stages.regions.touch_error` says. For beta, 0 to 1, `BETA_PRIOR`.
     """
 
     sigma_e: float = 0.5
     sigma_e_spread: float = 0.8
     length_m: float = 0.15
     length_spread: float = 0.6
-    nugget: float = 0.05
-    nugget_spread: float = 0.7
+    nugget: float = SCATTER_MEDIAN
+    nugget_spread: float = SCATTER_SPREAD
     level_sd: float = 2.0
 
     def median(self) -> FloatArray:
@@ -75,7 +76,7 @@ class FieldPrior:
 
 
 STIFFNESS_PRIOR = FieldPrior()
-BETA_PRIOR = FieldPrior(sigma_e=0.25, nugget=0.05, level_sd=1.0)
+BETA_PRIOR = FieldPrior(sigma_e=0.25, nugget=0.05, nugget_spread=0.7, level_sd=1.0)
 
 
 @dataclass(frozen=True, slots=True)

@@ -53,6 +53,8 @@ class MapScore:
     rigid_found: most of what is rigid is reported so
     levels_covered: share of the true levels (rigid ones left out) in the 90 % intervals of the regions they are matched
     to; None where the number of regions is wrong
+    wrong, wrong_claimed: share of the surface whose label is not that of the region it is matched to, and what the map
+    expects of it
     field_rms: of log stiffness; field_covered: share of cells whose truth lies in the field's 90 % interval; both over
     what is not rigid
     """
@@ -68,6 +70,8 @@ class MapScore:
     levels_covered: float | None
     field_rms: float
     field_covered: float
+    wrong: float | None = None
+    wrong_claimed: float | None = None
 
 
 def score_map(shown: RegionMap, truth: TrueMap) -> MapScore:
@@ -96,6 +100,9 @@ def score_map(shown: RegionMap, truth: TrueMap) -> MapScore:
     if smallest in matched:
         one, other = labels == matched[smallest], truth.labels == smallest
         least = float((one & other).sum() / (one | other).sum())
+    as_true = np.full(int(labels.max()) + 1, -1)
+    for found, true in pairs:
+        as_true[found] = true
     return MapScore(
         region_count=count,
         verdict=shown.verdict,
@@ -108,6 +115,8 @@ def score_map(shown: RegionMap, truth: TrueMap) -> MapScore:
         levels_covered=float(np.mean(inside)) if inside else None,
         field_rms=rms,
         field_covered=covered,
+        wrong=None if shown.verdict == "gradual" else float((as_true[labels] != truth.labels).mean()),
+        wrong_claimed=None if shown.verdict == "gradual" else shown.wrong_share,
     )
 
 

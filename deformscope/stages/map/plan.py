@@ -2,9 +2,8 @@
 
 `random-above`: any place whose field variance is above a threshold (Thesis 4.2); `max-variance`: the largest variance;
 `integrated-variance`: the largest drop of the mean variance (active learning Cohn, 1996); `regions`, the default:
-touches that fill the space first; then, while one material alone has been met, those that would meet most of the
-inclusions that may be there; and from then on those that are expected to put most of the map's labels right. All of
-these per second.
+touches that fill the space first; then those that are expected to put most of the map's labels right, by showing where
+the regions' borders run, or a lump that the map does not show (`inclusions`). All of these per second.
 """
 
 from __future__ import annotations
@@ -13,12 +12,13 @@ from dataclasses import dataclass, field
 from typing import Literal, cast
 
 import numpy as np
-from scipy.spatial.distance import cdist
 from scipy.special import ndtr, ndtri, xlogy
 from threadpoolctl import threadpool_limits
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.errors import InputError
+from deformscope.stages.map.exploration import Missed
+from deformscope.stages.map.inclusions import LUMP_RADII_M, Lumps, missed
 from deformscope.stages.regions.posterior import RegionHypotheses, RegionPosterior, labels_of
 from deformscope.stages.regions.touch_error import TouchErrorModel
 from deformscope.stages.regions.touches import MapGrid
@@ -36,8 +36,14 @@ OUTCOMES = 16
 CONTENDERS = 100
 """Places, those most informative about the map per second, for which the gain in labels is worked out."""
 
-INCLUSION_RADII_M = (0.04, 0.06, 0.085, 0.12)
-"""Discs that may be there unseen, wherever more than their half lies on the surface."""
+INCLUSION_M = 0.06
+"""Radius of the smallest lumps that are sought unless others are asked for."""
+
+LARGER = (1.0, 1.4, 2.0)
+"""Lumps that are sought, in units of the smallest."""
+
+LUMP_WORTH = 0.5
+"""Share of the labels that are put right where a lump is found: without it, the number of regions is wrong."""
 
 LABEL_CELL_M = 0.025
 LEVEL_WORTH = 0.02
@@ -64,8 +70,10 @@ class PlanOptions:
     """planner; fill: touches that fill the space before regions are asked for; cell_m: of the places considered
     border_m, apart_m: kept from the border and from earlier touches; touch_s, speed_m_s: costs of touch and route
     threshold: of variance, as a share of the field's variance before any touch (Th, thesis 4.2)
-    least_gain: where less is to be gained it stops: of the share of cells with the right label, or of inclusions that
-    may be there; sure: the probability from which the number of regions is no longer in doubt; budget: touches in all
+    least_gain: where less is to be gained it stops: of the share of cells with the right label; sure: the probability
+    from which the number of regions is no longer in doubt; budget: touches in all
+    inclusion_m: radius of the smallest lumps that are sought; unmet: probability that one is there unseen, from which
+    on enough is known of them. `sure` was chosen on tuning seeds (`studies.seeds`)
     """
 
     planner: Planner = "regions"
@@ -77,14 +85,16 @@ class PlanOptions:
     speed_m_s: float = 0.1
     threshold: float = 0.06
     least_gain: float = 0.005
-    sure: float = 0.8
+    sure: float = 0.75
     budget: int = 12
+    inclusion_m: float = INCLUSION_M
+    unmet: float = 0.05
 
     def __post_init__(self) -> None:
         if self.planner not in PLANNERS:
             raise InputError(f"a planner of {', '.join(PLANNERS)}", self.planner)
-        if min(self.cell_m, self.touch_s, self.speed_m_s) <= 0.0 or self.budget < 1:
-            raise InputError("cells, times, speed and budget above 0", f"{self}")
+        if min(self.cell_m, self.touch_s, self.speed_m_s, self.inclusion_m) <= 0.0 or self.budget < 1:
+            raise InputError("cells, times, speed, inclusions and budget above 0", f"{self}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,8 +102,8 @@ class TouchChoice:
     """The next touch. Maps are (rows, columns) of `grid`, whose cells are the places considered.
 
     target_m: (2,) the best place [m], None if there is none; stop: why no touch is worth it any more, None to go on
-    gain: expected of each place, nan where excluded; unit: of gain ("label": share of cells that get the right
-    label; "inclusion": share of the inclusions that may be there which it meets first)
+    gain: expected of each place, nan where excluded; unit: of gain ("label": share of cells that get the right label)
+    missed: what the touches so far may have missed
     cost_s: time of the route and the touch; excluded: codes (ALLOWED, OUT_OF_REACH, AT_BORDER, TOUCHED_BEFORE)
     reason: in words
     """
@@ -106,6 +116,7 @@ class TouchChoice:
     cost_s: FloatArray
     excluded: IntArray
     reason: str
+    missed: Missed
 
 
 def plan_touch(
@@ -135,7 +146,8 @@ def plan_touch(
     allowed = excluded == ALLOWED
     with threadpool_limits(1):
         gain, unit, score = _gain(posterior, kernel, options, places, allowed, touched, variance, cost, seed)
-    stop = _stop(posterior, options, len(made), gain, unit, variance[allowed] / kernel.sd**2)
+        lumps = missed(posterior, made, {*LUMP_RADII_M, options.inclusion_m})
+    stop = _stop(posterior, options, len(made), gain, unit, variance[allowed] / kernel.sd**2, lumps)
 
     target, reason = None, f"stopped: {stop}"
     if allowed.any():
@@ -145,7 +157,7 @@ def plan_touch(
             reason = _why(posterior, options, unit, float(gain[best]), float(np.nanmax(gain)), float(cost[best]))
     shape = grid.shape
     return TouchChoice(
-        grid, target, stop, gain.reshape(shape), unit, cost.reshape(shape), excluded.reshape(shape), reason
+        grid, target, stop, gain.reshape(shape), unit, cost.reshape(shape), excluded.reshape(shape), reason, lumps
     )
 
 
@@ -194,33 +206,16 @@ def label_gain(
 def level_information(hypotheses: RegionHypotheses, places_m: FloatArray, blur_m: float, known_sd: float) -> FloatArray:
     """(p,) information of a touch at places (p, 2) about the levels, were the map known [nat]; a level that is known to
     `known_sd` is worth little more."""
-    _, sd, weight = _predictions(hypotheses, places_m, blur_m, known_sd)
-    return cast(FloatArray, weight @ np.log(sd / known_sd))
-
-
-def inclusion_gain(
-    places_m: FloatArray, touched_m: FloatArray, centres_m: FloatArray, size_m: tuple[float, float], blur_m: float
-) -> FloatArray:
-    """(p,) share of all inclusions which a touch at places (p, 2) would be the first to meet.
-
-    Inclusions are discs of `INCLUSION_RADII_M` around centres (c, 2); a touch meets one if most of what it feels lies
-    within. touched_m: (t, 2) touches so far
-    """
-    inland = np.minimum(centres_m, np.asarray(size_m) - centres_m).min(axis=1)
-    from_places, from_touches = cdist(places_m, centres_m), cdist(touched_m, centres_m)
-    gain = np.zeros(len(places_m))
-    for radius in INCLUSION_RADII_M:
-        there, reach = inland > radius / 2.0, radius - blur_m / 2.0
-        unmet = there & (from_touches > reach).all(axis=0)
-        gain += (from_places[:, unmet] <= reach).sum(axis=1) / max(int(there.sum()), 1)
-    return gain / len(INCLUSION_RADII_M)
+    _, variance, weight = hypotheses.predict(places_m, blur_m)
+    return cast(FloatArray, 0.5 * weight @ np.log1p(variance / known_sd**2))
 
 
 def _outcomes(
     hypotheses: RegionHypotheses, places: FloatArray, blur_m: float, noise_sd: float, count: int
 ) -> tuple[FloatArray, FloatArray]:
     """(count, h, p) probability of each outcome of a touch under each hypothesis, and the hypotheses' weights (h,)."""
-    mean, sd, weight = _predictions(hypotheses, places, blur_m, noise_sd)
+    mean, variance, weight = hypotheses.predict(places, blur_m)
+    sd = np.sqrt(variance + noise_sd**2)
     below = ndtr((_bin_edges(mean, sd, weight, count)[:, None] - mean) / sd)
     return np.diff(below, axis=0, prepend=0.0, append=1.0), weight
 
@@ -235,28 +230,6 @@ def _bin_edges(mean: FloatArray, sd: FloatArray, weight: FloatArray, count: int)
     at = [np.searchsorted(below[:, place], wanted) for place in range(reading.shape[1])]
     chosen = np.take_along_axis(order, np.minimum(np.stack(at, axis=1), len(reading) - 1), axis=0)
     return cast(FloatArray, np.take_along_axis(reading, chosen, axis=0))
-
-
-def _predictions(
-    hypotheses: RegionHypotheses, places: FloatArray, blur_m: float, noise_sd: float
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Mean and deviation (h, p) of a reading under each hypothesis, and their weights (h,)."""
-    means: list[FloatArray] = []
-    variances: list[FloatArray] = []
-    weights: list[FloatArray] = []
-    for maps, level, cov, weight in hypotheses.maps:
-        shares = np.ones((1, len(places), 1)) if maps is None else maps.shares(places, blur_m)
-        means.append((shares @ level[..., None])[..., 0])
-        variances.append(((shares @ cov) * shares).sum(axis=-1))
-        weights.append(weight)
-    for field, share in hypotheses.smooth:
-        mean, variance = field.predict(places)
-        means.append(mean[None])
-        variances.append(variance[None])
-        weights.append(np.array([share]))
-    weight = np.concatenate(weights)
-    sd = np.sqrt(np.concatenate(variances) + noise_sd**2)
-    return np.concatenate(means), sd, weight / weight.sum()
 
 
 def _excluded(
@@ -322,13 +295,18 @@ def _gain(
     if len(touched) < options.fill:
         return drop, "mean variance", drop / cost
     gain = np.full(len(places), np.nan)
-    # a search for the boundaries of what nothing speaks for would only stall
-    if posterior.probability["1"] > 0.5:
-        gain[allowed] = inclusion_gain(places[allowed], touched, places, posterior.grid.size_m, posterior.prior.blur_m)
-        return gain, "inclusion", gain / cost
     if allowed.any():
-        gain[allowed] = _region_gain(posterior, places[allowed], cost[allowed])
+        gain[allowed] = _lump_gain(posterior, options.inclusion_m, places[allowed])
+        # a search for the boundaries of what nothing speaks for would only stall
+        if posterior.probability["1"] <= 0.5:
+            gain[allowed] += _region_gain(posterior, places[allowed], cost[allowed])
     return gain, "label", gain / cost
+
+
+def _lump_gain(posterior: RegionPosterior, smallest_m: float, places: FloatArray) -> FloatArray:
+    """(p,) what a touch is expected to add to the labels by showing a lump."""
+    chance = [Lumps(posterior, times * smallest_m).gain(places) for times in LARGER]
+    return cast(FloatArray, LUMP_WORTH * np.mean(chance, axis=0))
 
 
 def _region_gain(posterior: RegionPosterior, places: FloatArray, cost: FloatArray) -> FloatArray:
@@ -344,18 +322,27 @@ def _region_gain(posterior: RegionPosterior, places: FloatArray, cost: FloatArra
 
 
 def _stop(
-    posterior: RegionPosterior, options: PlanOptions, made: int, gain: FloatArray, unit: str, variance: FloatArray
+    posterior: RegionPosterior,
+    options: PlanOptions,
+    made: int,
+    gain: FloatArray,
+    unit: str,
+    variance: FloatArray,
+    lumps: Missed,
 ) -> StopReason | None:
-    """Why no further touch is made. While the number of regions is in doubt, only the budget and the reach end it."""
+    """Why no further touch is made. While the number of regions is in doubt, or lumps may be there unseen, only the
+    budget and the reach end it."""
     if made >= options.budget:
         return "budget"
     if not np.isfinite(gain).any():
         return "nowhere to go"
     if len(posterior.touches) < 3 or max(posterior.probability.values()) < options.sure:
         return None
+    if options.planner == "regions" and lumps.probability(options.inclusion_m) > options.unmet:
+        return None
     if variance.max() < options.threshold:
         return "nothing above the threshold"
-    if unit in ("label", "inclusion") and np.nanmax(gain) < options.least_gain:
+    if unit == "label" and np.nanmax(gain) < options.least_gain:
         return "little left to learn"
     return None
 
@@ -368,7 +355,7 @@ def _why(posterior: RegionPosterior, options: PlanOptions, unit: str, gain: floa
         return f"the least known place: variance {gain:.3g}"
     if unit == "mean variance":
         return f"fills the space: the mean variance drops by {gain:.2g} for {cost_s:.0f} s"
-    if unit == "inclusion":
-        return f"one material so far: meets {gain:.1%} of the inclusions that may be there, for {cost_s:.0f} s"
+    if posterior.probability["1"] > 0.5:
+        return f"one material so far: may show lumps, adds {gain:.1%} to the labels for {cost_s:.0f} s"
     shares = ", ".join(f"{name}: {share:.0%}" for name, share in posterior.probability.items() if share >= 0.05)
     return f"adds {gain:.1%} to the labels (at most {most:.1%}) for {cost_s:.0f} s; regions {shares}"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,13 +12,16 @@ from scipy.stats import chi2
 from deformscope.arrays import BoolArray, FloatArray
 from deformscope.errors import InputError
 from deformscope.stages.fit import least_squares
-from deformscope.stages.fit.calibrate import BETA_LIMIT, Model, Observation, explained
-from deformscope.stages.fit.estimate import Identifiability, Verdict, verdict
+from deformscope.stages.fit.calibrate import BETA_LIMIT, Model, Observation, explained, shape_doubts
+from deformscope.stages.fit.doubts import found_in_numbers, ordered, residual_ratio, swapped_axes
+from deformscope.stages.fit.estimate import Doubt, Identifiability, Verdict, verdict
 from deformscope.stages.fit.least_squares import Noise
 from deformscope.stages.fit.noise import independent, shared_over
+from deformscope.stages.fit.residuals import Residuals
 from deformscope.stages.fit.search import Progress
+from deformscope.stages.fit.two_materials import FittedBody, two_materials
 from deformscope.stages.msm.materials import AxisBeta
-from deformscope.stages.msm.solver import TOLERANCE, Msm
+from deformscope.stages.msm.solver import TOLERANCE, Msm, Relaxed
 
 RANGE = np.linspace(0.0, -np.log1p(-0.99), 13)
 """Values of -log(1 - beta): of these, the same along all axes, the best is where the search starts."""
@@ -38,7 +41,8 @@ class AxisEstimate:
     """Betas along the axes of a material (linear clusters, theta = 0).
 
     axes: (d, d) columns; value: (d,); interval: (d, 2) at `level`; correlation: (d, d) of -log(1 - beta)
-    verdict: (d,) of each, as for one beta; anisotropic: one beta for all axes is ruled out (p_isotropic below 1 %)
+    verdict: (d,) of each, as for one beta; reasons: (d,) to doubt each, what concerns all of them included
+    anisotropic: one beta for all axes is ruled out (p_isotropic below 1 %)
     beta: the best single one, and p_isotropic: how likely it leaves so much more error if it were true
     identifiability: (d,) of each axis, its rise with the betas along the others as they are
     aee, aee_isotropic: average Euclidean error over all observed particles [unit] (Thesis eq. 3.18)
@@ -50,6 +54,7 @@ class AxisEstimate:
     level: float
     correlation: FloatArray
     verdict: tuple[Verdict, ...]
+    reasons: tuple[tuple[Doubt, ...], ...]
     identifiability: tuple[Identifiability, ...]
     anisotropic: bool
     p_isotropic: float
@@ -75,6 +80,7 @@ class AxisEstimate:
                     "value": float(self.value[k]),
                     "interval": [float(x) for x in self.interval[k]],
                     "verdict": self.verdict[k],
+                    "reasons": [one.as_json() for one in self.reasons[k]],
                 }
                 for k in range(len(self.value))
             ],
@@ -147,9 +153,10 @@ def fit_axes(
         Identifiability(rise, share, float(spread * np.exp(-at)), least_squares.deviation_of(best.residual, d))
         for rise, spread, at in zip(fit.rises(best, noise), deviation, best.at, strict=True)
     )
+    reasons = fit.reasons(best, ends, identifiability, converged=converged)
     verdicts = tuple(
-        verdict((float(low), float(high)), (0.0, BETA_LIMIT), one) if converged else "unidentified"
-        for (low, high), one in zip(ends, identifiability, strict=True)
+        verdict((float(low), float(high)), (0.0, BETA_LIMIT), one, some)
+        for (low, high), one, some in zip(ends, identifiability, reasons, strict=True)
     )
     return AxisEstimate(
         axes=directions,
@@ -158,6 +165,7 @@ def fit_axes(
         level=level,
         correlation=covariance / np.outer(deviation, deviation),
         verdict=verdicts,
+        reasons=reasons,
         identifiability=identifiability,
         anisotropic=converged and p_isotropic < 1.0 - SURE,
         p_isotropic=p_isotropic,
@@ -182,7 +190,7 @@ class _AxisFit:
     """Static states of all observations for betas along the axes, in coordinates -log(1 - beta)."""
 
     def __init__(self, seen: Sequence[Observation], model: Model, axes: FloatArray) -> None:
-        self.seen, self.axes = list(seen), axes
+        self.seen, self.model, self.axes = list(seen), model, axes
         self.bodies: list[Msm] = [model.body(s) for s in seen]
         self.starts: list[FloatArray | None] = [None for _ in seen]
         self.judged: list[BoolArray] = [s.free_observed for s in seen]
@@ -240,6 +248,70 @@ class _AxisFit:
                 more = float(np.sum((best.residual - away) ** 2)) - best.squares
                 square[row] = max(more, 0.0) / noise.variance_along(away)
         return [float(np.sqrt(one)) for one in square.reshape(d, -1).max(axis=1)]
+
+    def reasons(
+        self,
+        best: least_squares.Minimum,
+        ends: FloatArray,
+        identifiability: Sequence[Identifiability],
+        *,
+        converged: bool,
+    ) -> tuple[tuple[Doubt, ...], ...]:
+        """(d,) reasons to doubt each beta."""
+        floor = max(10.0 * TOLERANCE[body.precision] * body.extent for body in self.bodies)
+        ratio = residual_ratio(self.seen, self.positions(best), floor)
+        common = [*shape_doubts(self.seen), *(self._in_residuals(best) if converged else ())]
+        limits = (0.0, BETA_LIMIT)
+        found = []
+        for at, (low, high), one in zip(best.at, ends, identifiability, strict=True):
+            beta, own = float(-np.expm1(-at)), (float(low), float(high))
+            numbers = found_in_numbers("beta", beta, own, limits, one, converged=converged, noise=(ratio, None))
+            found.append(ordered([*numbers, *common]))
+        return tuple(found)
+
+    def _in_residuals(self, best: least_squares.Minimum) -> Iterator[Doubt]:
+        """What simulations with other axes, and with two materials, show of the residuals of the best."""
+        tried = np.concatenate([np.repeat(RANGE[::3, None], len(best.at), axis=1), best.at[None]])
+
+        def simulate(shapes: Sequence[FloatArray]) -> list[FloatArray]:
+            beta = AxisBeta(np.clip(-np.expm1(-tried), 0.0, BETA_LIMIT), self.axes)
+            each = zip(self.seen, self.bodies, shapes, strict=True)
+            return [body.relax(shape[one.held], beta).settled for one, body, shape in each]
+
+        yield from swapped_axes(self.seen, simulate)
+        if any(body.cluster_count < 2 for body in self.bodies):
+            return
+        rng, bodies, first = np.random.default_rng(0), [], 0
+        for row, one in enumerate(self.seen):
+            part, body = Residuals(one, self.bodies[row], rng), self.bodies[row]
+            count = int(self.judged[row].sum()) * one.rest.shape[1]
+            slope = best.jacobian[first : first + count].T.reshape(len(best.at), -1, one.rest.shape[1])
+            first += count
+            along = body.variant(axes=self.axes)
+            simulated = self._at(along, one, best.at[None, None])[0]
+
+            def relax(held: FloatArray, base: FloatArray, tolerance: float, along: Msm = along) -> Relaxed:
+                beta = -np.expm1(-best.at)[None, None]
+                return along.relax(held, np.repeat(beta, len(held), axis=0), start=base, tolerance=tolerance)
+
+            response = part.response(tuple(best.at), simulated, relax)
+            part.choose(simulated[None], response)
+            part.kept = part.chosen
+
+            def states(stretched: FloatArray, along: Msm = along, one: Observation = one) -> FloatArray:
+                # each cluster's betas change alike, from where they are along the axes
+                change = stretched - float(best.at.mean())
+                return self._at(along, one, best.at + change[..., None])
+
+            rows = np.searchsorted(np.flatnonzero(self.judged[row]), part.judged)
+            bodies.append(FittedBody(part, self.model.grouping(one), simulated, response, slope[:, rows], states))
+        yield from two_materials(bodies, float(-np.expm1(-best.at.mean())), BETA_LIMIT)
+
+    @staticmethod
+    def _at(along: Msm, one: Observation, stretched: FloatArray) -> FloatArray:
+        """(B, K, d) for -log(1 - beta) along the axes of each cluster (B, C or 1, d), NaN where it did not settle."""
+        beta = np.clip(-np.expm1(-stretched), 0.0, BETA_LIMIT)
+        return along.relax(one.deformed[one.held], beta).settled
 
     def positions(self, best: least_squares.Minimum) -> list[FloatArray]:
         """(K, d) of every observation at the best betas; what was not judged is as it was seen."""

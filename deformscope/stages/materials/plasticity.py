@@ -7,6 +7,7 @@ with it, for the time to the next frame.
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,16 +16,28 @@ from scipy.ndimage import minimum_filter1d
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.errors import InputError
 from deformscope.stages.fit import least_squares
-from deformscope.stages.fit.calibrate import BETA_LIMIT, Model, Observation
+from deformscope.stages.fit.calibrate import BETA_LIMIT, TURNED, Model, Observation, shape_doubts
 from deformscope.stages.fit.distance import explained_share, unexplained
-from deformscope.stages.fit.estimate import relative_verdict
+from deformscope.stages.fit.doubts import (
+    LIKE_NOISE,
+    little_explained,
+    noise_contradicted,
+    not_converged,
+    ordered,
+    residual_ratio,
+    swapped_axes,
+    value_at_end,
+)
+from deformscope.stages.fit.estimate import Doubt, relative_verdict
 from deformscope.stages.fit.least_squares import Minimum, Noise
 from deformscope.stages.fit.motion import Motion
+from deformscope.stages.fit.residuals import Residuals
 from deformscope.stages.fit.search import Progress
+from deformscope.stages.fit.two_materials import FittedBody, two_materials
 from deformscope.stages.materials.yield_estimate import Parameter, YieldEstimate
 from deformscope.stages.msm.materials import Plasticity
 from deformscope.stages.msm.plastic import PlasticMsm
-from deformscope.stages.msm.solver import TOLERANCE
+from deformscope.stages.msm.solver import TOLERANCE, Relaxed
 
 YIELDS, BETAS, CREEPS = 14, 6, 8
 """Values of the first search; for each yield strain beta and creep are searched anew, closer in `ZOOMS` rounds."""
@@ -128,14 +141,16 @@ def fit_yield(motion: Motion, options: YieldOptions | None = None, progress: Pro
     converged = bool(best.converged and np.isfinite(best.jacobian).all())
     simulated = fit.history(best.at)
     explained = fit.explained(simulated)
-    verdict = relative_verdict(value, (low, np.inf if high_end is None else high_end), explained)
+    reasons = fit.reasons(best, simulated, value, (low, high_end), explained, converged=converged)
+    verdict = relative_verdict(value, (low, np.inf if high_end is None else high_end), reasons)
     if verdict != "unidentified" and value <= LEAST_SHARE * largest * 1.001:
         verdict = "at-bound"
     covariance = noise.covariance(best.jacobian)
     half = least_squares.half_width(covariance, options.level, observed.size - len(best.at))
     return YieldEstimate(
         yield_strain=Parameter(value, (low, high_end)),
-        verdict=verdict if converged else "unidentified",
+        verdict=verdict,
+        reasons=reasons,
         explained=explained,
         beta=fit.beta(best, half),
         creep=fit.creep(best, half),
@@ -204,8 +219,8 @@ class _YieldFit:
             shape=motion.shape,
             cell=motion.cell,
         )
-        model = Model(cluster_size=options.cluster_size, volume="project", device=options.device)
-        self.body = model.body(first)
+        self.model = Model(cluster_size=options.cluster_size, volume="project", device=options.device)
+        self.body = self.model.body(first)
         self.judged = motion.judged
         self.observed = motion.position[self.judged].ravel()
         self.fits_beta, self.fits_creep = options.beta is None, options.creep == "fit"
@@ -337,13 +352,23 @@ class _YieldFit:
     @property
     def least_noise(self) -> float:
         """What was stated, or what numbers can resolve."""
-        return max(self.motion.noise or 0.0, 10.0 * TOLERANCE[self.body.precision] * self.body.extent)
+        return max(self.motion.noise or 0.0, self.resolved)
+
+    @property
+    def resolved(self) -> float:
+        """What numbers can resolve."""
+        return 10.0 * TOLERANCE[self.body.precision] * self.body.extent
+
+    def prescribed(self) -> list[FloatArray]:
+        """Where the prescribed particles were seen, (n, d) of each frame."""
+        return [self.motion.position[frame, index] for frame, index in enumerate(self.frames)]
 
     def repeats(self, best: Minimum, rng: np.random.Generator) -> tuple[FloatArray, float]:
         """What more noise of the prescribed positions makes of the best simulation, (r, n), and its size."""
         tried = max(self.least_noise, least_squares.deviation_of(best.residual, len(best.at)))
-        seen = [self.motion.position[frame, index] for frame, index in enumerate(self.frames)]
-        held = [each + tried * rng.standard_normal((HELD_REPEATS, *each.shape)) for each in seen]
+        held: list[FloatArray] = [
+            each + tried * rng.standard_normal((HELD_REPEATS, *each.shape)) for each in self.prescribed()
+        ]
         strain, beta, creep = self.numbers(np.repeat(best.at[None], HELD_REPEATS, axis=0))
         moved = self.compared(self.run(strain, beta, creep, held)[0]) - best.simulated
         return moved[np.isfinite(moved).all(axis=1)], tried
@@ -413,6 +438,91 @@ class _YieldFit:
             for seen, state, judged, held in zip(motion.position, states, self.judged, motion.held, strict=True)
         ]
         return explained_share(left, self.body.extent)
+
+    def reasons(
+        self,
+        best: Minimum,
+        simulated: FloatArray,
+        value: float,
+        ends: tuple[float, float | None],
+        explained: float,
+        *,
+        converged: bool,
+    ) -> tuple[Doubt, ...]:
+        """Reasons to doubt the yield strain. simulated: (T, K, d) at the best; ends: of its interval"""
+        high = np.inf if ends[1] is None else ends[1]
+        rows = np.flatnonzero(self.judged.any(axis=1))
+        frames = [self.frame(row) for row in rows]
+        ratio = residual_ratio(frames, list(simulated[rows]), self.resolved)
+        found = [
+            *not_converged(converged),
+            *little_explained(explained, left_is_noise=ratio is not None and ratio < LIKE_NOISE),
+            *value_at_end("yield strain", value, (ends[0], high), (0.0, np.inf)),
+            *noise_contradicted(ratio),
+            *shape_doubts(frames),
+        ]
+        if converged:
+            found += self._in_residuals(best, rows, frames, simulated)
+        return ordered(found)
+
+    def frame(self, row: int | np.int64) -> Observation:
+        """What was seen at one of the frames."""
+        motion = self.motion
+        seen = np.isfinite(motion.position[row]).all(axis=1)
+        noise = None if motion.noise is None else np.full(len(seen), motion.noise)
+        more = {"noise": noise, "shape": motion.shape, "cell": motion.cell}
+        return Observation(motion.rest, motion.position[row], self.frames[row], seen, **more)  # type: ignore[arg-type]
+
+    def _in_residuals(
+        self, best: Minimum, rows: IntArray, frames: Sequence[Observation], simulated: FloatArray
+    ) -> Iterator[Doubt]:
+        """What histories with other axes, and with two betas, show of the residuals of the best."""
+        strain, beta, creep = self.numbers(best.at[None])
+        tried = np.append(self.shrink(np.linspace(0.1, 3.0, TURNED)), beta)
+        betas, count = np.tile(tried, 2), 2 * len(tried)
+        strains = np.repeat([float(strain[0]), np.inf], len(tried))
+
+        def simulate(shapes: Sequence[FloatArray]) -> list[FloatArray]:
+            held = self.prescribed()
+            for at, shape in zip(rows, shapes, strict=True):
+                held[at] = shape[self.frames[at]]
+            states = self.run(strains, betas, np.repeat(creep, count), held)[0]
+            return [states[:, at] for at in rows]
+
+        yield from swapped_axes(frames, simulate)
+        if self.body.cluster_count < 2:
+            return
+        # at the frame with the largest motion: errors of all frames are much the same
+        moved = np.where(self.judged[:, :, None], self.motion.position - self.motion.rest, 0.0)
+        row = int(np.sum(moved**2, axis=(1, 2)).argmax())
+        one = self.frame(row)
+        part = Residuals(one, self.body.holding(one.held), np.random.default_rng(self.options.seed))
+
+        def history(betas: FloatArray, held: FloatArray | None = None) -> FloatArray:
+            size, every = len(betas), self.prescribed()
+            if held is not None:
+                every[row] = held
+            return np.asarray(self.run(np.repeat(strain, size), betas, np.repeat(creep, size), every)[0][:, row])
+
+        def relax(held: FloatArray, base: FloatArray, tolerance: float) -> Relaxed:
+            position = history(np.repeat(beta, len(held)), held)
+            zero, settled = np.zeros(len(held)), np.isfinite(position[:, 0, 0])
+            return Relaxed(position, zero, zero, zero.astype(np.int64), settled, ~settled)
+
+        response = part.response(tuple(best.at), simulated[row], relax)
+        part.choose(simulated[row][None], response)
+        part.kept = part.chosen
+        first = int(self.judged[:row].sum()) * one.rest.shape[1]
+        count = int(self.judged[row].sum()) * one.rest.shape[1]
+        others = best.jacobian[first : first + count].T.reshape(len(best.at), -1, one.rest.shape[1])
+        some = np.searchsorted(np.flatnonzero(self.judged[row]), part.judged)
+
+        def states(stretched: FloatArray) -> FloatArray:
+            return history(np.asarray(self.shrink(stretched)))
+
+        grouped = self.model.grouping(one)
+        bodies = [FittedBody(part, grouped, simulated[row], response, others[:, some], states)]
+        yield from two_materials(bodies, float(beta[0]), BETA_LIMIT)
 
     def aee(self, simulated: FloatArray) -> float:
         """Average Euclidean error over all observed particles of all frames, held ones included."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from deformscope.arrays import FloatArray
-from deformscope.stages.fit.estimate import Verdict
+from deformscope.stages.fit.estimate import Doubt, Verdict
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,8 +23,8 @@ class YieldEstimate:
 
     yield_strain: |S - I|_2 above which it flows; where the verdict is `unidentified` its interval has no upper end:
     no yield strain above the lower one contradicts the motion
-    verdict: by the interval's width over the value (`identified` below 0.2, `weak` below 0.7); `unidentified` too where
-    too little is explained
+    verdict: by the interval's width over the value (`identified` below 0.2, `weak` below 0.7); reasons: to doubt it,
+    which may lower its verdict
     explained: share of the motion beyond a rigid one that the model explains (sums of squares; free particles)
     largest_strain: that any cluster would have seen had nothing yielded
     set: root mean square distance between the last frame simulated with and without yielding, at its free particles
@@ -36,6 +36,7 @@ class YieldEstimate:
 
     yield_strain: Parameter
     verdict: Verdict
+    reasons: tuple[Doubt, ...]
     explained: float
     beta: Parameter
     creep: Parameter | None
@@ -66,6 +67,7 @@ class YieldEstimate:
             **(public(self.yield_strain) or {}),
             "level": self.level,
             "verdict": self.verdict,
+            "reasons": [one.as_json() for one in self.reasons],
             "explained": self.explained,
             "beta": public(self.beta),
             "creep_per_s": public(self.creep),

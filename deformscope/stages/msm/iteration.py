@@ -107,7 +107,7 @@ class Iteration:
         return wp.zeros(count, dtype=wp.float64, device=self.layout.device)
 
     def set(self, beta: FloatArray, theta: FloatArray) -> None:
-        """Parameters of the candidates: beta (B,), (B, C) or along each axis (B, 1, d); theta (B,)."""
+        """Parameters of the candidates: beta (B,), (B, C) or along each axis (B, C or 1, d); theta (B,)."""
         self.layout.refill(self.theta, theta)
         stride = self.operator.beta_stride if beta.ndim > 1 else 0
         if stride != self.parameters.beta_stride:

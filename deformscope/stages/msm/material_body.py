@@ -38,7 +38,10 @@ class MaterialBody(GeneralBody):
         return MaterialOperator(self, layout, self.arrays(layout.width))
 
     def weights(self, beta: FloatArray) -> FloatArray:
-        """(B, C, 2, d, d) W over its trace, and C, of every cluster for betas (B, d): see `materials`."""
+        """(B, C, 2, d, d) W over its trace, and C, of every cluster for betas (B, d) or (B, C, d): see `materials`."""
+        if beta.ndim == 3:  # of each cluster: few of them differ
+            distinct, kind = np.unique(beta.reshape(-1, self.dim), axis=0, return_inverse=True)
+            return np.asarray(self.weights(distinct)[kind.reshape(beta.shape[:2]), np.arange(self.cluster_count)])
         arrays, d = self.rest_arrays, self.dim
         assert self.axes is not None
         found = np.zeros((len(beta), self.cluster_count, 2, d, d))
@@ -77,11 +80,12 @@ class MaterialOperator(GeneralOperator):
         self.law: Any = None
 
     def cluster_values(self, values: FloatArray) -> Any:
-        """A beta for each cluster (B, C); along each axis (B, 1, d): W and C as the kernels read them."""
+        """A beta for each cluster (B, C); along each axis (B, C or 1, d): W and C as the kernels read them."""
         if self.material_body.axes is None:
             return super().cluster_values(values)
         d = self.dim
-        packed = self.material_body.weights(values[:, 0]).reshape(len(values), -1, 2 * d * d)
+        betas = values[:, 0] if values.shape[1] == 1 else values
+        packed = self.material_body.weights(betas).reshape(len(values), -1, 2 * d * d)
         return self._pack(packed)
 
     def put_plastic(self, plastic: FloatArray) -> None:

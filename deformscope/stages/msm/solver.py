@@ -65,6 +65,11 @@ class Relaxed:
     converged: BoolArray
     diverged: BoolArray
 
+    @property
+    def settled(self) -> FloatArray:
+        """`position`, NaN where it did not converge."""
+        return np.asarray(np.where(self.converged[:, None, None], self.position, np.nan))
+
 
 @dataclass(frozen=True, slots=True)
 class Sensitivity:

@@ -31,6 +31,7 @@ LOADED = 0.05
 LEAST_SAMPLES = 6
 Z_90 = 1.6449
 RIGID_SDS = 3.0
+DOME_SDS = 3.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,12 +39,14 @@ class ArmCompliance:
     """How the arm yields along the normal.
 
     compliance_m_per_n: tip behind where the arm says it is, for each newton; compliance_sd: its deviation [m/N];
-    position_sd_m: scatter of the arm's position about it [m]
+    position_sd_m: scatter of the arm's position about it [m]; dome: of the tip itself, its dent under a rigid block at
+    1 N, which grows with the power 2/3 of the force [m/N^(2/3)]: reported, and taken off no other dent
     """
 
     compliance_m_per_n: float = 0.0
     compliance_sd: float = 0.0
     position_sd_m: float = 1e-4
+    dome: float = 0.0
 
     def depth_sd_m(self, force_n: float) -> float:
         """What is not known of a depth under a force [m]."""
@@ -58,8 +61,9 @@ class ContactFit:
     `rigid` place a lower bound, whose interval is open above; log_stiffness, log_sd: its natural log and deviation,
     which is of `own_log_sd`, what this touch alone is off by, and of what all touches of a session share: `arm_log_sd`,
     for one deviation of the arm's compliance, and the gain of the force
-    depth_m: of the dent at `at_force_n`; contact_m: where contact began, on the axis of the approach, which grows into
-    the surface; exponent, exponent_sd: p; peak_force_n: along the normal, tare taken off
+    at_force_n: the set force, also where the approach ended before it: the law says what it would have come to, so that
+    all touches compare; depth_m: of the dent at `at_force_n`; contact_m: where contact began, on the axis of the
+    approach, which grows into the surface; exponent, exponent_sd: p; peak_force_n: along the normal, tare taken off
     residual_m: scatter of the arm's position about the law; arm_sd_m: what is not known of the depth for the arm's sake
     samples: that were fitted
     """
@@ -82,6 +86,10 @@ class ContactFit:
     arm_sd_m: float
     samples: int
 
+    def dent_m(self, force_n: float) -> float:
+        """Depth of the dent at a force, by the law [m]."""
+        return float(self.depth_m * (force_n / self.at_force_n) ** (1.0 / self.exponent))
+
 
 def fit_approach(
     time_s: FloatArray,
@@ -100,7 +108,7 @@ def fit_approach(
 
     time_s: (n,) rising [s]; position_m: (n, 3) of the tip as the arm says [m]; force_n: (n, 3) on the tip [N], all in
     one frame; normal: (3,) out of the surface; set_force_n: at which the stiffness is taken; where the approach ended
-    before, it is taken at the force reached
+    before, as by its depth, the fitted law goes on to it, and is less certain there
     arm: how the arm yields, from `calibrate_compliance`; default a stiff arm that scatters by 0.1 mm
     force_sd_n: noise of the force, default as it scatters before contact
     gain_sd: of log stiffness, for the sake of the force sensor's gain
@@ -113,7 +121,7 @@ def fit_approach(
     if set_force_n <= 0.0:
         raise InputError("a set force above 0 N", f"{set_force_n}")
     force, noise, peak, loaded = _loaded(force, set_force_n, force_sd_n)
-    at_force = min(set_force_n, peak)
+    at_force = set_force_n
     z = depth_along[loaded] - arm.compliance_m_per_n * force[loaded]
     share = np.maximum(force[loaded], 0.0) / at_force
 
@@ -149,7 +157,8 @@ def fit_approach(
         own_log_sd, arm_log_sd = log_sd, 0.0
     else:
         stiffness, rigid = 1e-3 * at_force / depth, False
-        own_log_sd, arm_log_sd = float(np.hypot(own_depth_sd / depth, LAW_SD)), bent_m / depth
+        beyond = exponent_sd * float(np.log(max(at_force / peak, 1.0))) / p**2  # the exponent there may be another
+        own_log_sd, arm_log_sd = float(np.linalg.norm([own_depth_sd / depth, LAW_SD, beyond])), bent_m / depth
         log_sd = float(np.linalg.norm([own_log_sd, arm_log_sd, gain_sd]))
         interval = (stiffness * float(np.exp(-Z_90 * log_sd)), stiffness * float(np.exp(Z_90 * log_sd)))
     return ContactFit(
@@ -176,18 +185,37 @@ def fit_approach(
 def calibrate_compliance(
     time_s: FloatArray, position_m: FloatArray, force_n: FloatArray, normal: FloatArray, *, set_force_n: float = 3.0
 ) -> ArmCompliance:
-    """How the arm yields, from an approach to a rigid block: z = z0 + c F (arguments as in `fit_approach`)."""
+    """How the arm yields, from an approach to a rigid block (arguments as in `fit_approach`).
+
+    z = z0 + c F + d F^(2/3): what a force sensor's rubber dome yields itself (Hertz 1882) is not the arm's, where it
+    is DOME_SDS of its deviations or more.
+    """
     depth_along, force = _along(time_s, position_m, force_n, normal)
     force, _, _, loaded = _loaded(force, set_force_n, None)
     z, f = depth_along[loaded], force[loaded]
-    weight, slope, scale = np.ones_like(z), 0.0, 1e-9
-    for _ in range(10):  # Huber's weights, as far as they settle
-        z0, slope = _straight(f, z, weight)
-        off = np.abs(z - z0 - slope * f)
+    line = np.column_stack([np.ones_like(f), f])
+    (_, slope), (_, slope_sd), scale = _huber(line, z)
+    (_, bent, dome), (_, bent_sd, dome_sd), dome_scale = _huber(
+        np.column_stack([line, np.maximum(f, 0.0) ** (1.0 / EXPONENT["sphere"])]), z
+    )
+    if dome > DOME_SDS * dome_sd and bent > -DOME_SDS * bent_sd:
+        return ArmCompliance(max(bent, 0.0), bent_sd, dome_scale, dome)
+    return ArmCompliance(slope, slope_sd, scale)
+
+
+def _huber(design: FloatArray, z: FloatArray) -> tuple[FloatArray, FloatArray, float]:
+    """Coefficients (k,) of z (n,) over a design (n, k), their deviations (k,), and the scatter: Huber's weights, as far
+    as they settle."""
+    found: FloatArray = np.zeros(design.shape[1])
+    weight, scale = np.ones_like(z), 1e-9
+    for _ in range(10):
+        root = np.sqrt(weight)
+        found = np.linalg.lstsq(design * root[:, None], z * root, rcond=None)[0]
+        off = np.abs(z - design @ found)
         scale = max(float(np.median(off)) / 0.6745, 1e-9)
         weight = np.minimum(1.0, 1.5 * scale / np.maximum(off, 1e-12))
-    spread = np.sqrt((weight * (f - np.average(f, weights=weight)) ** 2).sum())
-    return ArmCompliance(slope, float(scale / spread), scale)
+    cov = np.linalg.pinv(design.T @ (weight[:, None] * design))
+    return found, scale * np.sqrt(np.diag(cov)), scale
 
 
 def layer_modulus(

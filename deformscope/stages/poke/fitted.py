@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -24,16 +25,15 @@ from deformscope.stages.msm.poke import Law, Poke, PokeSetup, Pressed, Tip, pres
 from deformscope.stages.msm.solver import Precision
 from deformscope.stages.poke.layers import Layers, MeasuredSurface
 from deformscope.stages.poke.poke_fit import CELLS_ACROSS_TIP, SLIPPED, scene_below
-from deformscope.stages.poke.stiffness_field import StiffnessField
+from deformscope.stages.poke.stiffness_field import CONTACT, StiffnessField, fit_field
 from deformscope.stages.regions.posterior import SurfaceKind
 
 BodyKind = Literal["layers", "particles"]
 
-FORCE_SHARE = 0.05
-"""Relative standard deviation of a predicted force that lattice and tip are always good for: on finite element slabs,
-tips of 1 to 4 cm were off by 1 to 6 % after a fit to one of 2 cm (`deformscope predict --against`)."""
-
-TWO_SIDED_90 = 1.645
+TIP_SHARE, DEPTH_SHARE = 0.05, 0.1
+"""Deviation of a predicted force's logarithm for each doubling or halving of the tip's width, and for each doubling of
+the largest depth fitted: on finite element slabs, tips of 1 to 4 cm were off by 1 to 6 % after a fit to one of 2 cm;
+what real material does deeper than it was pressed is not known."""
 
 BEYOND = 1.25
 """A depth, or depth over tip width, this many times the largest fitted is extrapolated to."""
@@ -63,7 +63,8 @@ class FittedModel:
     shape, cell: lattice of the particles, if they stand on one; fixed: particles that do not move
     toward: (d,) direction of a poke; spacing: of the lattice to which `stiffness` belongs [m]
     tip: what the model was fitted with, and whether it slips
-    law; places: (p, d) of the pokes whose force was measured; stiffness: (p,) k there [N/m]; field: between them
+    law; places: (p, d) of the pokes whose force was measured; stiffness: (p,) k there [N/m]
+    field_kind: what these said of the surface between them when the model was fitted
     left_out: (p,) relative error of each stiffness predicted from the other pokes
     surface_error: root mean square distance from the surface near the pokes, as a share of their depth; held_out: the
     same on pokes left out of the fit, nan with one poke; rivals: other laws that do about as well
@@ -112,26 +113,43 @@ class FittedModel:
             found.append(f"{share:.0%} of the thickness deep, where materials stiffen as the model does not")
         return tuple(found)
 
-    def stiffness_at(self, at: FloatArray, spacing: float, values: FloatArray | None = None) -> float | None:
-        """k [N/m] of a lattice of this spacing at a place (d,); None where no force was measured.
+    def stiffness_at(self, poke: Poke, spacing: float, extra: float = 0.0) -> MetStiffness | None:
+        """k [N/m] of a lattice of this spacing that a poke meets; None where no force was measured.
 
         A finer lattice of the same material has a k that is smaller in proportion (in the plane: the same).
+        extra: deviation of log stiffness for other reasons than the place
         """
-        known = self.stiffness if values is None else values
-        if not len(known):
+        if self.between is None:
             return None
-        field, place = self._field(known, at)
-        return float(field.at(place)[0]) * float(spacing / self.spacing) ** (self.dim - 2)
+        place, finer = self._across(poke.at[None]), float(spacing / self.spacing) ** (self.dim - 2)
+        contact = CONTACT * poke.tip.width
+        low, high = self.between.interval(place, contact_m=contact, extra=extra)[0] * finer
+        return MetStiffness(float(self.between.at(place, contact)[0]) * finer, (float(low), float(high)))
 
-    def stiffness_deviation(self, at: FloatArray) -> float:
-        """Standard deviation of the logarithm of the stiffness at a place (d,), as far as the pokes determine it."""
-        field, place = self._field(self.stiffness, at)
-        return float(field.deviation(place)[0])
+    @cached_property
+    def between(self) -> StiffnessField | None:
+        """Stiffness between the pokes; None where no force was measured."""
+        if not len(self.stiffness):
+            return None
+        return fit_field(self._across(self.places), self.stiffness, None if self.tip is None else self.tip.width)
 
-    def _field(self, values: FloatArray, at: FloatArray) -> tuple[StiffnessField, FloatArray]:
-        across = [0, 1] if self.dim == 3 else [0]
-        field = StiffnessField(self.places[:, across], values, self.field_kind, self.left_out)
-        return field, np.asarray(at)[across]
+    def _across(self, places: FloatArray) -> FloatArray:
+        """Places (p, 2) of the field; in the plane the second is 0."""
+        return np.column_stack([places[:, 0], places[:, 1] if self.dim == 3 else np.zeros(len(places))])
+
+    def transfer_deviation(self, tip: Tip, depth: float) -> float:
+        """Deviation of the logarithm of a force for the sake of a tip, or a depth, that was not fitted."""
+        other = 0.0 if self.tip is None else abs(np.log2(np.sqrt(tip.area / self.tip.area)))
+        deeper = np.log2(depth / self.fitted_depth) if depth > self.fitted_depth else 0.0
+        return float(np.hypot(TIP_SHARE * other, DEPTH_SHARE * deeper))
+
+
+@dataclass(frozen=True, slots=True)
+class MetStiffness:
+    """What a poke meets: median and 90 % interval [N/m]."""
+
+    value: float
+    interval: tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,7 +196,8 @@ def predict(model: FittedModel, poke: Poke, *, precision: Precision = "float32",
     room = model.material_depth
     check_poke(model.rest, room, poke.depth or 0.0, poke.tip.width)
     scene, layers = scene_of(model, model.law, poke)
-    k = model.stiffness_at(poke.at, scene.spacing)
+    known = model.stiffness_at(poke, scene.spacing)
+    k = None if known is None else known.value
     if poke.force is not None and k is None:
         raise InputError("a depth", "a force, but the model knows no stiffness", "fit it with force_n in a pair file")
     found = press(scene, model.law, poke, stiffness=k, deepest=room, precision=precision, device=device)
@@ -189,7 +208,7 @@ def predict(model: FittedModel, poke: Poke, *, precision: Precision = "float32",
             "a smaller force",
         )
     force = None if k is None else k * found.reaction
-    interval = None if force is None else _force_interval(model, poke, found, force, precision, device)
+    interval = None if force is None else _force_interval(model, poke, found, scene.spacing, precision, device)
     error = model.held_out if np.isfinite(model.held_out) else model.surface_error
     return Prediction(
         poke=poke,
@@ -209,19 +228,20 @@ def predict(model: FittedModel, poke: Poke, *, precision: Precision = "float32",
 
 
 def _force_interval(
-    model: FittedModel, poke: Poke, found: Pressed, force: float, precision: Precision, device: str
-) -> tuple[float, float]:
-    every = [force]
+    model: FittedModel, poke: Poke, found: Pressed, spacing: float, precision: Precision, device: str
+) -> tuple[float, float] | None:
+    """Of the stiffness that the poke meets, under the law and its rivals: from the lowest to the highest end."""
+    known = model.stiffness_at(poke, spacing, model.transfer_deviation(poke.tip, found.depth))
+    if known is None:
+        return None
+    responses = [found.reaction]
     for rival in model.rivals:
         scene, _ = scene_of(model, rival.law, poke)
-        k = model.stiffness_at(poke.at, scene.spacing, rival.stiffness)
         same = dataclasses.replace(poke, depth=found.depth, force=None)
         other = press(scene, rival.law, same, precision=precision, device=device)
-        if k is not None and other.converged:
-            every.append(k * other.reaction)
-    # of logarithms: a prediction that is five times too low has an error of -80 % of the measured force
-    wide = float(np.exp(TWO_SIDED_90 * max(model.stiffness_deviation(poke.at), FORCE_SHARE)))
-    return min(every) / wide, max(every) * wide
+        if other.converged:
+            responses.append(other.reaction * float(np.median(rival.stiffness / model.stiffness)))
+    return known.interval[0] * min(responses), known.interval[1] * max(responses)
 
 
 def scene_of(model: FittedModel, law: Law, poke: Poke) -> tuple[PokeSetup, Layers | None]:

@@ -13,6 +13,7 @@ from scipy.special import logsumexp
 
 from deformscope.arrays import FloatArray
 from deformscope.stages.fit.distance import distances, nearest_error
+from deformscope.stages.fit.doubts import found_in_numbers, ordered
 from deformscope.stages.fit.estimate import (
     Comparison,
     Curve,
@@ -179,6 +180,8 @@ def conclude(
     identified = Identifiability(
         rise, 1.0 - left / moved, posterior.deviation(), misfit / np.sqrt(fit.pokes[0].components)
     )
+    numbers = found_in_numbers("beta", best.law.beta, ends, bounds, identified, converged=best.converged)
+    reasons = ordered(numbers)
     k = _stiffness(fit, profile, posterior, level)
     model = _model(fit, provenance)
     estimate = Estimate(
@@ -187,7 +190,7 @@ def conclude(
         interval=ends,
         level=level,
         bounds=bounds,
-        verdict=verdict(ends, bounds, identified) if best.converged else "unidentified",
+        verdict=verdict(ends, bounds, identified, reasons),
         stiffness_verdict="unidentified" if k is None else relative_verdict(*k),
         aee=float(every.mean()),
         aee_free=float(apart.mean()),
@@ -211,6 +214,7 @@ def conclude(
         metres_per_unit=1.0,
         posterior=posterior,
         identifiability=identified,
+        reasons=reasons,
     )
     return PokesFound(estimate, comparisons, fit, model)
 
@@ -346,7 +350,7 @@ def _comparison(one: PosedPoke, law: Law) -> Comparison:
 def _model(fit: PokesFit, provenance: Mapping[str, object]) -> FittedModel:
     measured, k = fit.stiffness(fit.best)
     places = np.array([fit.pokes[i].at for i in measured]).reshape(-1, 3)
-    field = fit_field(places[:, :2], k) if measured.size else None
+    field = fit_field(places[:, :2], k, fit.pokes[0].tip.width) if measured.size else None
     rivals = [
         Rival(one.law, fit.stiffness(one)[1], one.score)
         for one in fit.tried[1:]

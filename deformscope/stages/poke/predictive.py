@@ -11,18 +11,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import ndtr
 
 from deformscope.arrays import BoolArray, FloatArray
 from deformscope.stages.fit.calibrate import Calibration
 from deformscope.stages.fit.model import Model, Observation
 from deformscope.stages.fit.residuals import Explanation
 from deformscope.stages.msm.solver import Msm
+from deformscope.stages.poke.mixture import quantile
 
 VALUES = 15
 """Values of the parameter that stand for its posterior, each of equal probability."""
-
-BISECTIONS = 30
 
 LEAST_WEIGHT = 0.005
 """Explanations of less weight are left out."""
@@ -68,15 +66,15 @@ def predict(
     for one, fitted in zip(found.inferred.explanations, seen, strict=True):
         white = np.full(len(poke.rest), 1.0 if fitted.noise is None else float(np.sqrt(np.mean(fitted.noise**2))))
         grown = motion / max(_motion(fitted.deformed, fitted.rest, fitted.free_observed), 1e-300)
-        for h in np.flatnonzero(one.weight >= LEAST_WEIGHT):
+        for h in np.flatnonzero(one.likely >= LEAST_WEIGHT):
             variance = _variance(one, h, white, grown, by_held, measured=measured)
             for row in range(VALUES):
                 mean.append(simulated[row])
                 deviation.append(np.sqrt(variance))
-                weight.append(one.weight[h] / VALUES / len(seen))
+                weight.append(one.likely[h] / VALUES / len(seen))
     share = np.array(weight) / np.sum(weight)
     tails = 0.5 * (1.0 - level), 0.5, 0.5 * (1.0 + level)
-    ends = [_quantile(np.array(mean), np.array(deviation), share, q) for q in tails]
+    ends = [quantile(np.array(mean), np.array(deviation), share, q) for q in tails]
     for end in ends:
         end[poke.held] = held_position
     return Predicted(ends[1], ends[0], ends[2], level)
@@ -115,13 +113,3 @@ def _variance(
     if not one.shared[h]:
         variance += (one.field[h] * grown) ** 2
     return np.asarray(np.maximum(variance, 1e-300))
-
-
-def _quantile(mean: FloatArray, deviation: FloatArray, weight: FloatArray, share: float) -> FloatArray:
-    """Of a mixture of Gaussians (c, K, d) with weights (c,), by bisection: (K, d)."""
-    low, high = (mean - 9.0 * deviation).min(axis=0), (mean + 9.0 * deviation).max(axis=0)
-    for _ in range(BISECTIONS):
-        middle = 0.5 * (low + high)
-        below = np.tensordot(weight, ndtr((middle - mean) / deviation), 1)
-        low, high = np.where(below < share, middle, low), np.where(below < share, high, middle)
-    return np.asarray(0.5 * (low + high))

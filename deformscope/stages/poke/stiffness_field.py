@@ -1,156 +1,254 @@
-"""Stiffness over a surface, from what a few pokes met: one value, a few materials with borders, or a gradual field.
+"""Stiffness over a surface, from what a few pokes met, as a distribution: every surface that may have met them so.
 
-Which of the three it is says the posterior over regions (`deformscope.stages.regions`), as in an exploration. The
-gradual field, which follows all pokes, stands for materials too where these are as wrong at one of the pokes as noise
-cannot be, or where the pokes are too few to say where a border is.
+The posterior over regions (`deformscope.stages.regions`), which maps an exploration, says what the surface may be: one
+material, several whose borders may lie anywhere between pokes that differ, or a gradual change. The stiffness at a
+place is what all of these say of it, each by its probability. So near a border it may be either material's. How much
+stiffness scatters from poke to poke is not known beforehand; the pokes say that too.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from functools import cached_property, partial
 
 import numpy as np
 from scipy.spatial.distance import cdist
-from scipy.special import softmax
+from scipy.special import logsumexp, stdtr
 
-from deformscope.arrays import FloatArray, IntArray
+from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
-from deformscope.stages.regions.posterior import SurfaceKind, surface_kind
+from deformscope.stages.poke.mixture import quantile
+from deformscope.stages.regions.posterior import (
+    PRIOR_EXTENT_M,
+    PRIOR_MARGIN_M,
+    RegionPosterior,
+    RegionPrior,
+    SmoothField,
+    SmoothKernel,
+    SurfaceKind,
+)
+from deformscope.stages.regions.touch_error import TouchErrorModel
+from deformscope.stages.regions.touches import MapGrid, StiffnessSample
 
-MATERIALS_APART = float(np.log(1.22))
-"""Materials differ by at least 22 % in stiffness: nearer ones are not separable from noise of 8 % a touch."""
+OWN_SD = 0.01
+"""Of log stiffness: what lattice and contact are solved to in each poke, beside the scatter that is learned."""
 
-EXCLUDED = 0.3
-"""A field whose log stiffness differs from that of one of its pokes by more than this is excluded by it: nearly four
-times the noise of 8 % a touch."""
+CONTACT = 0.6
+"""Deviation of the Gaussian that a poke feels the surface with, as a share of the tip's width: on finite element halves
+a tip of 2 cm feels what lies within 1.1 to 1.2 cm."""
 
-FEWEST_WITH_BORDER = 4
-"""Of fewer pokes none has two others near it, on either side of a border."""
+USUAL_TIP_M = 0.02
 
-POKE_NOISE = 0.05
-"""Scatter of log stiffness from poke to poke that a gradual field need not follow."""
+FEWEST_CONTACTS = 10.0
+"""Pokes nearer than this many of these deviations are on a part of a surface; regions are not sought to be smaller."""
 
-LENGTHS = (0.12, 0.25, 0.5, 1.0, 2.0)
-"""Over which a gradual field may change, as shares of the extent of the pokes."""
+FREE_SHARE, FREE_SD, FREE_LENGTH_M = 0.03, 0.7, 0.08
+"""Prior probability of a surface that is no map and nothing smooth: log stiffness wanders by this deviation over this
+length, on a surface of 0.6 m."""
+
+REPEATED = 0.25
+"""Probability that a poke at the very place of an earlier one meets the same, whatever the maps say: half of it is more
+than a tenth, so that a 90 % interval holds that poke for certain."""
+
+TILT = 0.5
+"""The expected value of |f - F| / F^TILT is least at the median of what the true F may be, each weighed by 1 / F^TILT.
+Chosen on tuning seeds (`deformscope.studies.seeds`): where either of two materials is possible, the stiffer is foretold
+only if it is the likelier by the root of their ratio; called wrongly, it is off by far more than the softer one."""
+
+TAILS = 10
+"""Shares of what an interval leaves out that may lie below it."""
+
+FREEDOM = 5.0
+"""Of Student's t: errors have heavier tails than a Gaussian's."""
+
+EXCLUDED = 1e-6
+"""Probability below which a hypothesis is taken as excluded by the pokes together."""
+
+PARTICLES, MAPS, CELL_M = 300, 300, 0.02
+ERROR = TouchErrorModel(gain_sd=0.0)
+"""All pokes are of one session: what they share, forces predicted for it share too."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Mixture:
+    """Log stiffness at n places: mean, variance: (c, n) of components; weight: (c, n), adding up to 1."""
+
+    mean: FloatArray
+    variance: FloatArray
+    weight: FloatArray
 
 
 @dataclass(frozen=True)
 class StiffnessField:
     """Stiffness [N/m] over places (n, 2) [m].
 
-    places: (p, 2); stiffness: (p,) [N/m], above 0, of the pokes; kind: how it goes on between them
-    left_out: (p,) relative error of each poke's stiffness predicted from the others; nan with one poke
+    places: (p, 2); stiffness: (p,) [N/m], above 0, of the pokes; contact_m: deviation of what they feel [m]
+    One poke alone is taken for the whole surface: it cannot say otherwise.
     """
 
     places: FloatArray
     stiffness: FloatArray
-    kind: SurfaceKind
-    left_out: FloatArray
+    contact_m: float
 
-    def at(self, place: FloatArray) -> FloatArray:
-        """Stiffness (n,) [N/m] at places (n, 2)."""
-        return np.exp(FITS[self.kind](self.places, np.log(self.stiffness))(np.atleast_2d(place)))
+    def at(self, place: FloatArray, contact_m: float | None = None) -> FloatArray:
+        """The likeliest to be near (n,) [N/m] at places (n, 2): half-way between the least expected error in newtons,
+        which the median has, and the least relative to the true force (`TILT`)."""
+        mixture = self._mixture(np.atleast_2d(place), contact_m)
+        tilted = mixture.weight * np.exp(-TILT * (mixture.mean - mixture.mean.mean()))
+        return self._quantile(_Mixture(mixture.mean, mixture.variance, tilted / tilted.sum(axis=0)), 0.5)
 
-    def deviation(self, place: FloatArray) -> FloatArray:
-        """Standard deviation of the logarithm of the stiffness (n,) at places (n, 2).
+    def interval(
+        self, place: FloatArray, level: float = 0.9, *, contact_m: float | None = None, extra: float = 0.0
+    ) -> FloatArray:
+        """Ends (n, 2) [N/m] between which a poke at places (n, 2) meets the stiffness with probability `level`: those
+        of the smallest ratio, so that a material which is hardly possible is left out.
 
-        The pokes around a place say how far off the field is that does not know them; that error was made as far away
-        as their nearest neighbours are, and nearer to a poke it is smaller in proportion, down to what the field misses
-        the pokes by that it knows. One poke alone says nothing.
+        contact_m: deviation of what that poke feels, if its tip is another; extra: deviation of log stiffness for other
+        reasons
         """
-        away = cdist(np.atleast_2d(place), self.places)
-        if len(self.places) == 1:
-            return np.full(len(away), POKE_NOISE)
-        between = float(np.median(np.sort(cdist(self.places, self.places), axis=1)[:, 1]))
-        if between <= 0.0:
-            between = float(np.ptp(self.places, axis=0).max()) or 1.0
-        weight = softmax(-0.5 * (away / between) ** 2, axis=1)
-        around, here = (
-            weight @ np.log1p(self.left_out) ** 2,
-            weight @ np.log(self.at(self.places) / self.stiffness) ** 2,
+        mixture = self._mixture(np.atleast_2d(place), contact_m)
+        below = (1.0 - level) * (np.arange(TAILS) + 0.5) / TAILS
+        low, high = (np.array([self._quantile(mixture, one, extra) for one in ends]) for ends in (below, below + level))
+        best = np.argmin(high / low, axis=0)[None]
+        return np.stack([np.take_along_axis(end, best, axis=0)[0] for end in (low, high)], axis=-1)
+
+    @cached_property
+    def kind(self) -> SurfaceKind:
+        """The most probable: gradual only if that is likelier than all regions."""
+        return kind_of(self.probability)
+
+    @cached_property
+    def probability(self) -> dict[str, float]:
+        """Of "1", "2", "3" regions, and "gradual": whatever is neither."""
+        if len(self.stiffness) == 1:
+            return {"1": 1.0, "2": 0.0, "3": 0.0, "gradual": 0.0}
+        free = sum(share for _, share in self._free)
+        found = {name: (1.0 - free) * share for name, share in self._posterior.probability.items()}
+        return found | {"gradual": found["gradual"] + free}
+
+    @cached_property
+    def scatter(self) -> float:
+        """Root mean square deviation of log stiffness from poke to poke about what the surface may be."""
+        fields = [*self._posterior.hypotheses(MAPS).smooth, *self._free]
+        smooth = sum(share for _, share in fields)
+        square = (1.0 - smooth) * self._posterior.scatter**2 + sum(share * field.scatter**2 for field, share in fields)
+        return float(np.sqrt(OWN_SD**2 + square))
+
+    @cached_property
+    def left_out(self) -> FloatArray:
+        """(p,) relative error of each poke's stiffness predicted from the others; nan with one poke.
+
+        Under each hypothesis the poke is taken out again in closed form, and hypotheses count the more, the less they
+        expected it (importance sampling, Gelfand et al. 1992).
+        """
+        if len(self.stiffness) == 1:
+            return np.full(1, np.nan)
+        value = np.log(self.stiffness)
+        centre = value.mean()
+        means, variances, logs = [], [], []
+        for mean, variance, noise2, weight in self._hypotheses(self.places, self.contact_m):
+            if weight.sum() < EXCLUDED:
+                continue  # one poke less would not bring it back
+            own = np.maximum(1.0 / variance - 1.0 / noise2, 1.0)  # precision without the poke; the prior's is 1
+            others = centre + ((mean - centre) / variance - (value - centre) / noise2) / own
+            others = np.clip(others, value.min(), value.max())
+            wide = 1.0 / own + noise2
+            unexpected = 0.5 * ((value - others) ** 2 / wide + np.log(wide))
+            means.append(others)
+            variances.append(wide)
+            logs.append(np.log(np.maximum(weight, 1e-300))[:, None] + unexpected)
+        log_weight = np.concatenate(logs)
+        shares = np.exp(log_weight - logsumexp(log_weight, axis=0))
+        return (
+            self._quantile(_Mixture(np.concatenate(means), np.concatenate(variances), shares), 0.5) / self.stiffness - 1
         )
-        share = np.minimum(away.min(axis=1) / between, 1.0)
-        return np.asarray(np.sqrt(np.maximum(POKE_NOISE**2, here) + share**2 * around))
+
+    # The mixture -----------------------------------------------------------------------------------------------------
+
+    @staticmethod
+    def _quantile(mixture: _Mixture, share: float, extra: float = 0.0) -> FloatArray:
+        wide = np.sqrt(mixture.variance + extra**2)
+        below: Callable[[FloatArray], FloatArray] = partial(stdtr, FREEDOM)
+        return np.exp(quantile(mixture.mean, wide, mixture.weight, share, below=below))
+
+    def _mixture(self, place: FloatArray, contact_m: float | None) -> _Mixture:
+        value = np.log(self.stiffness)
+        if len(value) == 1:
+            flat = np.full((1, len(place)), value[0])
+            return _Mixture(flat, np.full_like(flat, OWN_SD**2 + ERROR.touch_sd**2), np.ones_like(flat))
+        near = REPEATED * np.exp(-0.5 * (cdist(self.places, place) / self.contact_m) ** 2)  # (p, n)
+        repeated = 1.0 - np.prod(1.0 - near, axis=0)
+        parts = self._hypotheses(place, self.contact_m if contact_m is None else contact_m)
+        means = [mean for mean, _, _, _ in parts] + [np.repeat(value[:, None], len(place), axis=1)]
+        variances = [variance + noise2 for _, variance, noise2, _ in parts]
+        variances.append(np.full(near.shape, self.scatter**2))
+        weights = [weight[:, None] * (1.0 - repeated) for _, _, _, weight in parts]
+        weights.append(repeated * near / np.maximum(near.sum(axis=0), 1e-300))
+        return _Mixture(np.concatenate(means), np.concatenate(variances), np.concatenate(weights))
+
+    def _hypotheses(
+        self, place: FloatArray, contact_m: float
+    ) -> list[tuple[FloatArray, FloatArray, FloatArray, FloatArray]]:
+        """Of every hypothesis at n places: mean (c, n) and variance (c, n) of log stiffness, variance (c, n) of a poke
+        about it, and probability (c,)."""
+        at, posterior, free = self._scaled(place), self._posterior, sum(share for _, share in self._free)
+        spread = float(np.ptp(np.log(self.stiffness)))
+        hypotheses = posterior.hypotheses(MAPS)
+        scatter2, found = OWN_SD**2 + posterior.scatter**2, []
+        for maps, level, cov, weight in hypotheses.maps:
+            felt = np.ones((len(level), len(at), 1)) if maps is None else maps.shares(at, contact_m * self._scale)
+            mixed = 2.0 * (1.0 - (felt**2).sum(axis=-1))
+            mean = np.einsum("cnk,ck->cn", felt, level)
+            variance = np.einsum("cnk,ckl,cnl->cn", felt, cov, felt)
+            noise2 = scatter2 + (posterior.prior.mixed_share * spread * mixed) ** 2
+            found.append((mean, variance, noise2, (1.0 - free) * weight))
+        for field, share in [*((field, (1.0 - free) * share) for field, share in hypotheses.smooth), *self._free]:
+            mean, variance = field.predict(at)
+            found.append(
+                (mean[None], variance[None], np.full((1, len(at)), OWN_SD**2 + field.scatter**2), np.array([share]))
+            )
+        return [part for part in found if part[3].sum() > 0.0]
+
+    @cached_property
+    def _posterior(self) -> RegionPosterior:
+        at = self._scaled(self.places)
+        size = np.maximum(at.max(axis=0) + PRIOR_MARGIN_M, 4.0 * PRIOR_MARGIN_M)
+        grid = MapGrid((float(size[0]), float(size[1])), CELL_M)
+        prior = RegionPrior(blur_m=self.contact_m * self._scale, error=ERROR)
+        posterior = RegionPosterior.before_touches(grid, prior, particle_count=PARTICLES)
+        for xy_m, value in zip(at, np.log(self.stiffness), strict=True):
+            posterior = posterior.with_touch(StiffnessSample(xy_m, float(value), OWN_SD))
+        return posterior
+
+    @cached_property
+    def _free(self) -> tuple[tuple[SmoothField, float], ...]:
+        middle = 0.5 * np.asarray(self._posterior.grid.size_m)
+        kernel = SmoothKernel(self._posterior.prior.level_sd, middle, 0.0, FREE_SD, FREE_LENGTH_M)
+        return self._posterior.beside(kernel, FREE_SHARE)
+
+    @property
+    def _scale(self) -> float:
+        """The priors on shapes are of a surface of about 0.6 m: this one is taken as if it were so large."""
+        extent = float(np.ptp(self.places, axis=0).max())
+        return PRIOR_EXTENT_M / max(extent, FEWEST_CONTACTS * self.contact_m)
+
+    def _scaled(self, place: FloatArray) -> FloatArray:
+        return np.asarray((place - self.places.min(axis=0)) * self._scale + PRIOR_MARGIN_M)
 
 
-def fit_field(places: FloatArray, stiffness: FloatArray) -> StiffnessField:
-    """The field of the kind that the pokes say. Raises InputError for stiffness that is not above 0."""
+def fit_field(places: FloatArray, stiffness: FloatArray, tip_width: float | None) -> StiffnessField:
+    """The field that pokes (p, 2) with a tip of this width [m], `USUAL_TIP_M` if not known, say.
+
+    Raises InputError for stiffness that is not above 0.
+    """
     if not (np.isfinite(stiffness).all() and (stiffness > 0.0).all()):
         raise InputError("stiffness above 0 at every poke", f"{float(np.min(stiffness)):g} N/m")
-    value = np.log(stiffness)
-    if len(stiffness) == 1:
-        return StiffnessField(places, stiffness, "uniform", np.full(1, np.nan))
-    kind = surface_kind(places, value, POKE_NOISE)
-    if kind == "materials" and len(stiffness) < FEWEST_WITH_BORDER:
-        kind = "gradual"
-    if np.abs(FITS[kind](places, value)(places) - value).max() > EXCLUDED:
-        kind = "gradual"
-    return StiffnessField(places, stiffness, kind, np.expm1(_left_out(FITS[kind], places, value)))
+    return StiffnessField(places, stiffness, CONTACT * (USUAL_TIP_M if tip_width is None else tip_width))
 
 
-Fitted = Callable[[FloatArray], FloatArray]
-
-
-def _left_out(fit: Callable[[FloatArray, FloatArray], Fitted], places: FloatArray, value: FloatArray) -> FloatArray:
-    """Error of each value predicted from the others, (p,)."""
-    error = np.empty(len(value))
-    for one in range(len(value)):
-        others = np.arange(len(value)) != one
-        error[one] = fit(places[others], value[others])(places[one : one + 1])[0] - value[one]
-    return error
-
-
-def _uniform(places: FloatArray, value: FloatArray) -> Fitted:
-    middle = float(np.median(value))
-    return lambda place: np.full(len(place), middle)
-
-
-def _materials(places: FloatArray, value: FloatArray) -> Fitted:
-    """One value for each material, their borders as far from the pokes as can be."""
-    label = _levels(value)
-    levels = np.array([np.median(value[label == one]) for one in range(label.max() + 1)])
-    if len(levels) == 1:
-        return _uniform(places, value)
-    from sklearn.svm import SVC
-
-    middle, size = places.mean(axis=0), float(np.ptp(places, axis=0).max()) or 1.0
-    classifier: Any = SVC(kernel="linear", C=1e4)
-    scaled = (places - middle) / size
-    if (classifier.fit(scaled, label).predict(scaled) != label).any():
-        classifier = SVC(kernel="rbf", gamma=4.0, C=1e4).fit(scaled, label)
-    return lambda place: levels[np.asarray(classifier.predict((place - middle) / size))]
-
-
-def _levels(value: FloatArray) -> IntArray:
-    """Which material each value belongs to (p,), numbered upwards: values are parted where the gap is wide enough."""
-    order = np.argsort(value)
-    label = np.empty(len(value), dtype=np.int64)
-    label[order] = np.concatenate([[0], np.cumsum(np.diff(value[order]) > MATERIALS_APART)])
-    return label
-
-
-def _gradual(places: FloatArray, value: FloatArray) -> Fitted:
-    """A Gaussian process (Matern 3/2) whose length explains the pokes best."""
-    from sklearn.gaussian_process import GaussianProcessRegressor
-    from sklearn.gaussian_process.kernels import ConstantKernel, Matern
-
-    size = float(np.ptp(places, axis=0).max()) or 1.0
-    spread = max(float(np.var(value)), POKE_NOISE**2)
-    found: list[tuple[float, Any]] = []
-    for share in LENGTHS:
-        kernel = ConstantKernel(spread) * Matern(share * size, nu=1.5)
-        process = GaussianProcessRegressor(kernel, alpha=POKE_NOISE**2, optimizer=None)
-        process.fit(places, value - value.mean())
-        found.append((float(process.log_marginal_likelihood_value_), process))
-    best = max(found, key=lambda one: one[0])[1]
-    mean = float(value.mean())
-    return lambda place: np.asarray(best.predict(place)) + mean
-
-
-FITS: dict[SurfaceKind, Callable[[FloatArray, FloatArray], Fitted]] = {
-    "uniform": _uniform,
-    "materials": _materials,
-    "gradual": _gradual,
-}
+def kind_of(probability: dict[str, float]) -> SurfaceKind:
+    """The most probable kind: gradual only if that is likelier than all numbers of regions together."""
+    if probability["gradual"] > 0.5:
+        return "gradual"
+    return "uniform" if probability["1"] >= max(probability["2"], probability["3"]) else "materials"

@@ -1,9 +1,9 @@
 """Random partitions of a surface into regions: a prior over maps, as curves that can be moved a little.
 
-A map is made of one or two curves: a line (square to the sample or of any direction, straight or wavy), a blob (disc,
-ellipse, rectangle) or a level set of a smooth random field. One curve, or two that bound the same material (two
-patches, a strip), make two regions; two curves, the second within what the first leaves, make three: stripes, a T, a
-patch in a half, two patches.
+A map is made of one or two curves: a line (square to the sample or of any direction, straight, wavy or a zigzag), a
+blob (disc, ellipse, rectangle), a ring of those, or a level set of a random field, smooth or of finer shapes. One
+curve, or two that bound the same material (two patches, a strip), make two regions; two curves, the second within what
+the first leaves, make three: stripes, a T, a patch in a half, two patches.
 
 Every curve is a family and a vector of standard normal numbers. So a small change that leaves the prior as it is costs
 a line (preconditioned Crank-Nicolson, Cotter et al. 2013, 4.2), whatever the shape.
@@ -22,19 +22,24 @@ from scipy.special import ndtr
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.stages.regions.touches import MapGrid
 
-LATENTS = 24
-"""Normal numbers a curve."""
+LATENTS = 60
+"""Normal numbers a curve; most families need few of them."""
 
 LEAST_AREA_M2 = 0.003
 """What is smaller is no region: a patch about as wide as three contacts."""
 
-COARSE_M = 0.03
+COARSE_M = 0.04
 """Cells in which areas are counted."""
 
 LINE_TILT = np.radians(12.0)
 WAVE_M = 0.025
+ZIGZAG_M, ZIGZAG_LENGTH_M = (0.02, 0.06), (0.12, 0.4)
 BLOB_RADIUS_M = (0.03, 0.16)
-LEVEL_SET_LENGTH_M = 0.13
+RING_SHARES = (0.25, 0.75)
+"""Of the way from a blob's border to its middle: how wide a ring is."""
+LEVEL_SET_LENGTH_M, FREE_LENGTH_M = 0.13, 0.075
+LEAST_STRENGTH = 0.1
+"""Cosines that are weaker than this, of 1 for the longest, are left out."""
 OVERHANG = 0.2
 """The level sets' cosines reach beyond the surface by this share, so that its border is nothing special."""
 
@@ -46,9 +51,13 @@ class Family(IntEnum):
     LINE = 1
     BLOB = 2
     LEVEL_SET = 3
+    ZIGZAG = 4
+    RING = 5
+    FREE = 6
 
 
-FAMILY_SHARES = (0.4, 0.15, 0.25, 0.2)
+FAMILY_SHARES = (0.32, 0.10, 0.20, 0.10, 0.08, 0.12, 0.08)
+"""Of curves, in the families' order; of three tried, chosen for rings and straight borders alike (`studies.seeds`)."""
 DOUBLE_SHARE = 0.15
 """Of the maps of two regions: those in which two curves bound the same material."""
 
@@ -133,15 +142,16 @@ class Partitions:
         """(n, p) signed distance to a curve [m], above 0 inside; not `exact`: its sign alone is right."""
         family, latent = self.family[:, curve], self.latent[:, curve]
         distance = np.empty((len(self), len(xy_m)))
-        lines = family <= Family.LINE
-        if lines.any():
-            distance[lines] = _line(latent[lines], family[lines] == Family.SQUARE_LINE, xy_m, self.size_m, exact)
-        blobs = family == Family.BLOB
-        if blobs.any():
-            distance[blobs] = _blob(latent[blobs], xy_m, self.size_m)
-        level_sets = family == Family.LEVEL_SET
-        if level_sets.any():
-            distance[level_sets] = _level_set(latent[level_sets], xy_m, self.size_m, exact)
+        for kind in Family:
+            here = family == kind
+            if not here.any():
+                continue
+            if kind in (Family.SQUARE_LINE, Family.LINE, Family.ZIGZAG):
+                distance[here] = _line(latent[here], kind, xy_m, self.size_m, exact)
+            elif kind in (Family.BLOB, Family.RING):
+                distance[here] = _blob(latent[here], kind, xy_m, self.size_m, exact)
+            else:
+                distance[here] = _level_set(latent[here], kind, xy_m, self.size_m, exact)
         return distance
 
 
@@ -158,7 +168,8 @@ def draw(rng: np.random.Generator, regions: int, size_m: tuple[float, float], co
 
 def propose(rng: np.random.Generator, maps: Partitions) -> Partitions:
     """A change of every map that is reversible under the prior without its least area: small ones of one or all
-    numbers of its curves, now and then a new curve."""
+    numbers of its curves, now and then a new curve, or another family of the same numbers: a ring has its blob's
+    middle and border, a zigzag its line's place and direction."""
     count = len(maps)
     fresh = _draw(rng, maps.regions, maps.size_m, count)
     step = np.exp(rng.uniform(np.log(0.04), np.log(1.0), count))[:, None, None]
@@ -167,11 +178,12 @@ def propose(rng: np.random.Generator, maps: Partitions) -> Partitions:
     some = rng.random((count, 1, 1)) < 0.5  # some of its numbers, or all
     touched = touched & (~some | (rng.random(maps.latent.shape) < 0.25))
     latent = np.where(touched, moved, maps.latent)
-    renewed = rng.random((count, 2)) < 0.06
+    chance = rng.random((count, 2))
+    renewed, other_kind = chance < 0.06, chance < 0.12
     return Partitions(
         maps.regions,
         maps.size_m,
-        np.where(renewed, fresh.family, maps.family),
+        np.where(other_kind, fresh.family, maps.family),
         np.where(renewed[:, :, None], fresh.latent, latent),
         np.where(renewed.any(axis=1), fresh.double, maps.double),
     )
@@ -187,32 +199,45 @@ def _draw(rng: np.random.Generator, regions: int, size_m: tuple[float, float], c
     )
 
 
-def _line(
-    latent: FloatArray, square: BoolArray, xy_m: FloatArray, size_m: tuple[float, float], exact: bool
-) -> FloatArray:
-    """(n, p) distance to lines through a place anywhere on the surface, on which a sine may ride."""
+def _line(latent: FloatArray, kind: Family, xy_m: FloatArray, size_m: tuple[float, float], exact: bool) -> FloatArray:
+    """(n, p) distance to lines through a place anywhere on the surface, on which a sine or a zigzag may ride."""
     free = np.arctan2(latent[:, 0], latent[:, 1])
-    angle = np.where(square, np.round(free / (np.pi / 2)) * (np.pi / 2) + LINE_TILT * latent[:, 2], free)
+    square = np.round(free / (np.pi / 2)) * (np.pi / 2) + LINE_TILT * latent[:, 2]
+    angle = free if kind == Family.LINE else square
     through = ndtr(latent[:, 3:5]) * np.asarray(size_m)
-    amplitude = WAVE_M * np.maximum(latent[:, 5], 0.0)[:, None]  # half of the lines are straight
-    number = 2.0 * np.pi / (0.12 * 4.0 ** ndtr(latent[:, 6]))[:, None]
+    pointed = kind == Family.ZIGZAG
+    if pointed:
+        amplitude = _between(ZIGZAG_M, latent[:, 5])
+        number = 2.0 * np.pi / _between(ZIGZAG_LENGTH_M, latent[:, 6])[:, None]
+    else:
+        amplitude = WAVE_M * np.maximum(latent[:, 5], 0.0)  # half of the lines are straight
+        number = 2.0 * np.pi / (0.12 * 4.0 ** ndtr(latent[:, 6]))[:, None]
     phase = 2.0 * np.pi * ndtr(latent[:, 7])[:, None]
 
     normal = np.stack([np.cos(angle), np.sin(angle)])
     distance = (xy_m @ normal - (through * normal.T).sum(axis=1)).T.copy()
-    wavy = amplitude[:, 0] > 0.0
-    turn = number[wavy] * (xy_m @ np.stack([-normal[1], normal[0]])[:, wavy]).T + phase[wavy]
-    distance[wavy] -= amplitude[wavy] * np.sin(turn)
+    wavy = amplitude > 0.0
+    amplitude, number = amplitude[wavy, None], number[wavy]
+    turn = number * (xy_m @ np.stack([-normal[1], normal[0]])[:, wavy]).T + phase[wavy]
+    sine = np.sin(turn)
+    distance[wavy] -= amplitude * (2.0 / np.pi * np.arcsin(sine) if pointed else sine)
     if exact:
-        distance[wavy] /= np.sqrt(1.0 + (amplitude[wavy] * number[wavy] * np.cos(turn)) ** 2)
+        slope = 2.0 / np.pi if pointed else np.cos(turn)
+        distance[wavy] /= np.sqrt(1.0 + (amplitude * number * slope) ** 2)
     return cast(FloatArray, distance)
 
 
-def _blob(latent: FloatArray, xy_m: FloatArray, size_m: tuple[float, float]) -> FloatArray:
-    """(n, p) distance, along the ray from the middle, to discs, ellipses and rectangles with round corners."""
+def _between(limits: tuple[float, float], latent: FloatArray) -> FloatArray:
+    """Evenly between the limits in the logarithm, from a normal number."""
+    low, high = np.log(limits)
+    return cast(FloatArray, np.exp(low + (high - low) * ndtr(latent)))
+
+
+def _blob(latent: FloatArray, kind: Family, xy_m: FloatArray, size_m: tuple[float, float], exact: bool) -> FloatArray:
+    """(n, p) distance, along the ray from the middle, to discs, ellipses and rectangles with round corners; or to what
+    a hole of the same shape leaves of them."""
     centre = ndtr(latent[:, :2]) * np.asarray(size_m)
-    low, high = np.log(BLOB_RADIUS_M)
-    radius = np.exp(low + (high - low) * ndtr(latent[:, 2]))
+    radius = _between(BLOB_RADIUS_M, latent[:, 2])
     stretch = np.exp(0.5 * np.maximum(np.abs(latent[:, 3]) - 0.5, 0.0) * np.sign(latent[:, 3]))
     power = 2.0 + 6.0 * np.clip(latent[:, 4] - 0.3, 0.0, 1.0)[:, None]
     angle = LINE_TILT * latent[:, 5] + np.where(np.abs(latent[:, 6]) < 1.0, 0.0, np.pi / 4 * latent[:, 6])
@@ -221,33 +246,45 @@ def _blob(latent: FloatArray, xy_m: FloatArray, size_m: tuple[float, float]) -> 
     cos, sin = np.cos(angle)[:, None], np.sin(angle)[:, None]
     u = np.abs(cos * from_centre[..., 0] + sin * from_centre[..., 1]) / (radius * stretch)[:, None]
     v = np.abs(-sin * from_centre[..., 0] + cos * from_centre[..., 1]) / (radius / stretch)[:, None]
-    # a place at 1 is on the border; the ray's length in these units turns the rest into metres
-    rho = np.hypot(u, v)
+    low, high = RING_SHARES
+    hole = 1.0 - (low + (high - low) * ndtr(latent[:, 7:8])) if kind == Family.RING else np.zeros((len(latent), 1))
     cornered = power[:, 0] > 2.0
-    rho[cornered] = (u[cornered] ** power[cornered] + v[cornered] ** power[cornered]) ** (1.0 / power[cornered])
+    rho = u**2 + v**2  # to the power, as yet
+    rho[cornered] = u[cornered] ** power[cornered] + v[cornered] ** power[cornered]
+    if not exact:
+        return cast(FloatArray, np.where(rho > hole**power, 1.0 - rho, -1.0))
+    # a place at 1 is on the border; the ray's length in these units turns the rest into metres
+    rho = np.sqrt(rho)
+    rho[cornered] **= 2.0 / power[cornered]
     rho = np.maximum(rho, 1e-9)
     away = np.maximum(np.hypot(from_centre[..., 0], from_centre[..., 1]), 1e-9 * radius[:, None])
-    return cast(FloatArray, away * (1.0 - rho) / rho)
+    inside = 1.0 - rho if kind == Family.BLOB else np.minimum(1.0 - rho, rho - hole)
+    return cast(FloatArray, away / rho * inside)
 
 
-def _level_set(latent: FloatArray, xy_m: FloatArray, size_m: tuple[float, float], exact: bool) -> FloatArray:
+def _level_set(
+    latent: FloatArray, kind: Family, xy_m: FloatArray, size_m: tuple[float, float], exact: bool
+) -> FloatArray:
     """(n, p) a smooth random field over its slope: the distance to its level set, to first order."""
-    wave, weight = _cosines(size_m)
+    length = FREE_LENGTH_M if kind == Family.FREE else LEVEL_SET_LENGTH_M
+    wave, weight = _cosines(size_m, length)
     shift = 0.5 * OVERHANG * np.asarray(size_m)
     x, y = (xy_m[:, 0] + shift[0])[:, None] * wave[:, 0], (xy_m[:, 1] + shift[1])[:, None] * wave[:, 1]
-    loads = latent * weight
+    loads = latent[:, : len(weight)] * weight
     value = loads @ (np.cos(x) * np.cos(y)).T
     if not exact:
         return cast(FloatArray, value)
     slope = np.hypot(loads @ (-wave[:, 0] * np.sin(x) * np.cos(y)).T, loads @ (-wave[:, 1] * np.cos(x) * np.sin(y)).T)
-    return cast(FloatArray, value / np.maximum(slope, 0.3 / LEVEL_SET_LENGTH_M))
+    return cast(FloatArray, value / np.maximum(slope, 0.3 / length))
 
 
 @lru_cache(maxsize=8)
-def _cosines(size_m: tuple[float, float]) -> tuple[FloatArray, FloatArray]:
-    """Wave numbers (LATENTS, 2) [1/m] of products of cosines and their weights: a squared exponential's spectrum."""
+def _cosines(size_m: tuple[float, float], length_m: float) -> tuple[FloatArray, FloatArray]:
+    """Wave numbers (c, 2) [1/m] of products of cosines and their weights: a squared exponential's spectrum, as far as
+    it matters and there are numbers for it."""
     wide = (1.0 + OVERHANG) * np.asarray(size_m)
-    number = np.stack(np.meshgrid(np.arange(12), np.arange(12)), axis=-1).reshape(-1, 2) * np.pi / wide
-    strength = np.exp(-0.25 * (number**2).sum(axis=1) * LEVEL_SET_LENGTH_M**2)
-    best = np.argsort(-strength, kind="stable")[:LATENTS]
+    number = np.stack(np.meshgrid(np.arange(24), np.arange(24)), axis=-1).reshape(-1, 2) * np.pi / wide
+    strength = np.exp(-0.25 * (number**2).sum(axis=1) * length_m**2)
+    order = np.argsort(-strength, kind="stable")[:LATENTS]
+    best = order[strength[order] > LEAST_STRENGTH]
     return number[best], strength[best] / np.sqrt((strength[best] ** 2).sum() / 4.0)

@@ -41,7 +41,6 @@ SLOPES_PER_M = (1.0, 3.0)
 PRIOR_EXTENT_M, PRIOR_MARGIN_M = 0.5, 0.05
 """Places on things of any size are taken as if they were so far apart, and so far from the border: the priors on shapes
 are of a surface of about 0.6 m."""
-KIND_PARTICLES, KIND_CELL_M = 300, 0.02
 SCATTER_MAPS = 100
 """Maps of which the scatter is asked."""
 LEVELS_DRAWN = 4000
@@ -124,16 +123,37 @@ class RegionHypotheses:
     maps: tuple[tuple[Partitions | None, FloatArray, FloatArray, FloatArray], ...]
     smooth: tuple[tuple[SmoothField, float], ...]
 
+    def predict(self, places_m: FloatArray, blur_m: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Mean and variance (h, p) of what a contact feels at places (p, 2) under each hypothesis, and its probability
+        (h,)."""
+        means: list[FloatArray] = []
+        variances: list[FloatArray] = []
+        weights: list[FloatArray] = []
+        for maps, level, cov, weight in self.maps:
+            shares = np.ones((1, len(places_m), 1)) if maps is None else maps.shares(places_m, blur_m)
+            means.append((shares @ level[..., None])[..., 0])
+            variances.append(((shares @ cov) * shares).sum(axis=-1))
+            weights.append(weight)
+        for smooth, share in self.smooth:
+            mean, variance = smooth.predict(places_m)
+            means.append(mean[None])
+            variances.append(variance[None])
+            weights.append(np.array([share]))
+        weight = np.concatenate(weights)
+        return np.concatenate(means), np.concatenate(variances), weight / weight.sum()
+
 
 @dataclass(frozen=True, slots=True)
 class _Readings:
     """xy_m: (t, 2); value: (t,) log stiffness over `centre`; variance: (t,) of each alone, without the scatter; arm:
-    (t,) shift of each if the arm's compliance is off by a deviation; spread: of all values."""
+    (t,) shift of each if the arm's compliance is off by a deviation; related: (t, t) correlation of their scatter;
+    spread: of all values."""
 
     xy_m: FloatArray
     value: FloatArray
     variance: FloatArray
     arm: FloatArray
+    related: FloatArray
     centre: float
     spread: float
 
@@ -161,7 +181,7 @@ class RegionPosterior:
 
     @classmethod
     def before_touches(
-        cls, grid: MapGrid, prior: RegionPrior | None = None, *, particle_count: int = 1200, seed: int = 0
+        cls, grid: MapGrid, prior: RegionPrior | None = None, *, particle_count: int = 2000, seed: int = 0
     ) -> RegionPosterior:
         """What is known at first. particle_count: maps kept for each number of regions; four times as many at first"""
         if particle_count < 50:
@@ -186,6 +206,20 @@ class RegionPosterior:
     @cached_property
     def probability(self) -> dict[str, float]:
         """Of "1", "2", "3" regions and of "gradual"."""
+        logs = self._joint_logs
+        shares = np.maximum(np.exp(logs - logsumexp(logs)), 1e-9)  # nothing is certain
+        return dict(zip(("1", "2", "3", "gradual"), shares.tolist(), strict=True))
+
+    def beside(self, kernel: SmoothKernel, share: float) -> tuple[tuple[SmoothField, float], ...]:
+        """One more smooth hypothesis, of this prior probability: its fields, and how probable each is among all."""
+        fields = self._fields(kernel)
+        logs = np.log(share) + np.array([one.log_evidence for one in fields])
+        every = np.logaddexp(logsumexp(logs), np.log1p(-share) + logsumexp(self._joint_logs))
+        return tuple(zip(fields, np.exp(logs - every).tolist(), strict=True))
+
+    @property
+    def _joint_logs(self) -> FloatArray:
+        """(4,) logarithm of prior probability times evidence of 1, 2, 3 regions and a smooth field."""
         evidence = [
             logsumexp(self._one_region[0]),
             *(one.log_evidence for one in self.particles),
@@ -193,9 +227,7 @@ class RegionPosterior:
         ]
         prior = np.array([self.prior.one, self.prior.two, self.prior.three, self.prior.gradual])
         with np.errstate(divide="ignore"):
-            logs = np.log(prior) + np.array(evidence)
-        shares = np.maximum(np.exp(logs - logsumexp(logs)), 1e-9)  # nothing is certain
-        return dict(zip(("1", "2", "3", "gradual"), shares.tolist(), strict=True))
+            return cast(FloatArray, np.log(prior) + np.array(evidence))
 
     @property
     def region_count(self) -> int:
@@ -251,8 +283,8 @@ class RegionPosterior:
                 square += (weight * (levels[:, rank] ** 2 + variance[:, rank])) @ here
             if levels.shape[1] == k:
                 probability, level, cov, shared = shares / weight.sum(), levels, covs, weight
-        for field, share in hypotheses.smooth:
-            here, variance = field.predict(centres)
+        for smooth, share in hypotheses.smooth:
+            here, variance = smooth.predict(centres)
             mean += share * here
             square += share * (here**2 + variance)
 
@@ -369,16 +401,16 @@ class RegionPosterior:
     @cached_property
     def _smooth(self) -> tuple[SmoothField, ...]:
         """Of each kernel and each scatter; their evidence has the scatter's prior in it."""
-        readings = _readings(self.touches, self.prior)
         middle = 0.5 * np.asarray(self.grid.size_m)
         kernels = [(slope, 0.0, 1.0) for slope in SLOPES_PER_M]
         kernels += [(0.0, sd, length) for sd in SMOOTH_SDS for length in SMOOTH_LENGTHS_M]
         level_sd = self.prior.level_sd
-        return tuple(
-            SmoothField(readings, SmoothKernel(level_sd, middle, *kernel), float(scatter), float(np.log(share)))
-            for kernel in kernels
-            for scatter, share in zip(*self.prior.error.scatters(), strict=True)
-        )
+        return tuple(field for kernel in kernels for field in self._fields(SmoothKernel(level_sd, middle, *kernel)))
+
+    def _fields(self, kernel: SmoothKernel) -> list[SmoothField]:
+        """Under each scatter."""
+        readings, scatters = _readings(self.touches, self.prior), zip(*self.prior.error.scatters(), strict=True)
+        return [SmoothField(readings, kernel, float(scatter), float(np.log(share))) for scatter, share in scatters]
 
     @property
     def _smooth_log_evidence(self) -> float:
@@ -408,10 +440,10 @@ class SmoothField:
     """A Gaussian process through the touches, which scatter. log_evidence: of these, and `log_prior`"""
 
     def __init__(self, readings: _Readings, kernel: SmoothKernel, scatter: float, log_prior: float) -> None:
-        self.kernel, self._readings, self.log_evidence = kernel, readings, log_prior
+        self.kernel, self._readings, self.scatter, self.log_evidence = kernel, readings, scatter, log_prior
         if count := len(readings.value):
             own = kernel.covariance(readings.xy_m, readings.xy_m) + np.outer(readings.arm, readings.arm)
-            own.flat[:: count + 1] += readings.variance + scatter**2
+            own += scatter**2 * readings.related + np.diag(readings.variance)
             self._factor, _ = cho_factor(own, lower=True)
             self._weight = cho_solve((self._factor, True), readings.value)
             square, logs = readings.value @ self._weight, 2.0 * np.log(np.diag(self._factor)).sum()
@@ -433,18 +465,6 @@ def _prior_maps(seed: int, regions: int, size_m: tuple[float, float], count: int
     return draw(np.random.default_rng((seed, regions)), regions, size_m, count)
 
 
-def surface_kind(places_m: FloatArray, log_stiffness: FloatArray, log_sd: float) -> SurfaceKind:
-    """What values (p,) of deviation `log_sd` at places (p, 2) [m] say of a thing of whatever size."""
-    size = np.ptp(places_m, axis=0)
-    scale = PRIOR_EXTENT_M / (float(size.max()) or 1.0)
-    width, height = (float(side) for side in np.maximum(scale * size, 2.0 * PRIOR_MARGIN_M) + 2.0 * PRIOR_MARGIN_M)
-    grid = MapGrid((width, height), KIND_CELL_M)
-    posterior = RegionPosterior.before_touches(grid, particle_count=KIND_PARTICLES)
-    for xy_m, value in zip((places_m - places_m.min(axis=0)) * scale + PRIOR_MARGIN_M, log_stiffness, strict=True):
-        posterior = posterior.with_touch(StiffnessSample(xy_m, float(value), log_sd))
-    return posterior.kind
-
-
 def _readings(touches: Sequence[StiffnessSample], prior: RegionPrior) -> _Readings:
     """Rigid touches all stand at the highest of their bounds: one material, as stiff as can be measured."""
     value = np.array([touch.log_stiffness for touch in touches])
@@ -457,7 +477,7 @@ def _readings(touches: Sequence[StiffnessSample], prior: RegionPrior) -> _Readin
     centre = float(value.mean()) if len(value) else 0.0
     spread = float(np.ptp(value)) if len(value) else 0.0
     xy_m = np.array([touch.xy_m for touch in touches]).reshape(-1, 2)
-    return _Readings(xy_m, value - centre, sd**2, arm, centre, spread)
+    return _Readings(xy_m, value - centre, sd**2, arm, prior.error.related(xy_m), centre, spread)
 
 
 def _levels(
@@ -467,53 +487,86 @@ def _levels(
     scatter: FloatArray | float = 0.0,
     last_noise: float = 1.0,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Of maps that are felt in shares (n, t, k): log likelihood (n,), levels (n, k) over the centre, their covariance.
+    """Of maps that are felt in shares (n, t, k): log likelihood (n,), levels (n, k) over the centre, their covariance
+    (n, k, k). scatter: (n,) of touches, or of all maps; with one axis more, (s, n) or (s, 1), so have the results
 
-    The touches are a linear model in the levels, whose prior is Gaussian, and in the error of the arm's compliance,
-    where it counts (Bishop 2006, 3.49 and 3.86); what is left of the prior where levels differ enough is counted
-    afterwards, pair by pair.
-    scatter: (n,) of touches, or of all maps; last_noise: factor on the variance of the last touch
+    The touches are a linear model in the levels, whose prior is Gaussian (Bishop 2006, 3.49 and 3.86), their errors
+    correlated by scatter that neighbours share and by the arm; what is left of the prior where levels differ enough is
+    counted afterwards, pair by pair.
+    last_noise: factor on the variance of the last touch
     """
-    k = shares.shape[-1]
+    count, touches, k = shares.shape
     mixed = 2.0 * (1.0 - (shares**2).sum(axis=-1))  # 1 midway between two regions
-    variance = (
-        readings.variance + np.reshape(scatter, (-1, 1)) ** 2 + (prior.mixed_share * readings.spread * mixed) ** 2
-    )
-    variance[:, -1:] *= last_noise
-    prior_precision = np.full(k, prior.level_sd**-2.0)
-    if readings.arm.any():
-        arm = np.broadcast_to(readings.arm[:, None], (*shares.shape[:2], 1))
-        shares, prior_precision = np.concatenate([shares, arm], axis=-1), np.append(prior_precision, 1.0)
-    weighted = shares / variance[..., None]
-    precision = np.swapaxes(weighted, 1, 2) @ shares + np.diag(prior_precision)
-    cov = np.linalg.inv(precision)
-    pull = (weighted * readings.value[:, None]).sum(axis=1)
-    level = (cov @ pull[..., None])[..., 0]
+    own = (readings.variance + (prior.mixed_share * readings.spread * mixed) ** 2).T
+    square = np.broadcast_to(np.asarray(scatter) ** 2, np.broadcast_shapes(np.shape(scatter), (count,)))
+    # the touches' errors made white, column by column of the Cholesky factor of their covariance; by hand, since a
+    # library would solve each of thousands of small matrices by itself
+    lower = np.empty((touches, touches, *square.shape))
+    white = np.empty((touches, k + 1, *square.shape))
+    white[:, :k] = np.expand_dims(np.moveaxis(shares, 0, -1), tuple(range(2, square.ndim + 1)))
+    white[:, k] = np.expand_dims(readings.value, tuple(range(1, square.ndim + 1)))
+    log_det = np.zeros(square.shape)
+    for j in range(touches):
+        shared = np.expand_dims(readings.related[j:, j], tuple(range(1, square.ndim + 1))) * square
+        shared += np.expand_dims(readings.arm[j:] * readings.arm[j], tuple(range(1, square.ndim + 1)))
+        shared[0] = (shared[0] + own[j]) * (last_noise if j == touches - 1 else 1.0)
+        left = shared - (lower[j:, :j] * lower[j, :j]).sum(axis=1)
+        lower[j:, j] = left / np.sqrt(left[0])
+        log_det += np.log(left[0])
+        white[j] = (white[j] - (lower[j, :j, None] * white[:j]).sum(axis=0)) / lower[j, j]
+    products = [(white[:, i] * white[:, j]).sum(axis=0) for i in range(k) for j in range(i + 1)]
+    pull = [(white[:, i] * white[:, k]).sum(axis=0) for i in range(k)]
+    level, cov, log_det_cov = _solved(products, pull, prior.level_sd**-2.0)
     log_likelihood = 0.5 * (
-        (pull * level).sum(axis=1)
-        + np.log(np.linalg.det(cov))
+        (np.stack(pull, axis=-1) * level).sum(axis=-1)
+        + log_det_cov
         - 2.0 * k * np.log(prior.level_sd)
-        - (np.log(2.0 * np.pi * variance) + readings.value**2 / variance).sum(axis=1)
+        - log_det
+        - touches * np.log(2.0 * np.pi)
+        - (white[:, k] ** 2).sum(axis=0)
     )
-    level, cov = level[:, :k], cov[:, :k, :k]
     at_first = 2.0 * ndtr(-prior.least_contrast / (np.sqrt(2.0) * prior.level_sd))
     for i in range(k):
         for j in range(i):
-            apart = level[:, i] - level[:, j]
-            sd = np.sqrt(np.maximum(cov[:, i, i] + cov[:, j, j] - 2.0 * cov[:, i, j], 1e-12))
+            apart = level[..., i] - level[..., j]
+            sd = np.sqrt(np.maximum(cov[..., i, i] + cov[..., j, j] - 2.0 * cov[..., i, j], 1e-12))
             left = ndtr((apart - prior.least_contrast) / sd) + ndtr((-apart - prior.least_contrast) / sd)
             log_likelihood += np.log(np.maximum(left, 1e-300) / at_first)
     return log_likelihood, level, cov
 
 
+def _solved(
+    products: Sequence[FloatArray], pull: Sequence[FloatArray], prior_precision: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Mean (..., c), covariance (..., c, c) and its log determinant (...,) of c levels.
+
+    products: lower triangle of their precision, row by row; prior_precision: added to its diagonal; pull: (c) of them
+    """
+    size = len(pull)
+    lower: dict[tuple[int, int], FloatArray] = {}
+    inverse: dict[tuple[int, int], FloatArray] = {}
+    entry, nothing = iter(products), np.zeros(pull[0].shape)
+    for i in range(size):
+        for j in range(i + 1):
+            rest = next(entry) - sum((lower[i, m] * lower[j, m] for m in range(j)), nothing)
+            lower[i, j] = np.sqrt(rest + prior_precision) if i == j else rest / lower[j, j]
+    for j in range(size):
+        inverse[j, j] = 1.0 / lower[j, j]
+        for i in range(j + 1, size):
+            inverse[i, j] = -sum((lower[i, m] * inverse[m, j] for m in range(j, i)), nothing) / lower[i, i]
+    cov = np.empty((*nothing.shape, size, size))
+    for i in range(size):
+        for j in range(i + 1):
+            both = sum((inverse[m, i] * inverse[m, j] for m in range(i, size)), nothing)
+            cov[..., i, j] = cov[..., j, i] = both
+    mean = (cov * np.stack(pull, axis=-1)[..., None, :]).sum(axis=-1)
+    return mean, cov, 2.0 * sum((np.log(inverse[i, i]) for i in range(size)), nothing)
+
+
 def _by_scatter(shares: FloatArray, readings: _Readings, prior: RegionPrior, last_noise: float = 1.0) -> FloatArray:
     """(s, n) log likelihood of maps under each scatter, with its prior."""
-    return np.stack(
-        [
-            _levels(shares, readings, prior, float(scatter), last_noise)[0] + np.log(share)
-            for scatter, share in zip(*prior.error.scatters(), strict=True)
-        ]
-    )
+    scatter, share = prior.error.scatters()
+    return _levels(shares, readings, prior, scatter[:, None], last_noise)[0] + np.log(share)[:, None]
 
 
 def _log_likelihood(shares: FloatArray, readings: _Readings, prior: RegionPrior, last_noise: float = 1.0) -> FloatArray:

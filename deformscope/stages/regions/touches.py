@@ -16,8 +16,8 @@ class StiffnessSample:
 
     xy_m: (2,) in the surface frame [m]; log_stiffness: natural log of the apparent stiffness at the set force [N/mm];
     log_sd: its standard deviation, of what is this touch's own; rigid: the dent was below what the arm resolves:
-    `log_stiffness` is a lower bound; arm_sd: by how much it would be higher were the arm stiffer by one deviation of its
-    calibration, which all touches of a session share
+    `log_stiffness` is a lower bound; arm_sd: by how much it would be higher were the arm stiffer by one deviation of
+    its calibration, which all touches of a session share
     """
 
     xy_m: FloatArray

@@ -13,6 +13,7 @@ from deformscope_drivers.jaco.errors import CommLayerMissing as CommLayerMissing
 from deformscope_drivers.jaco.errors import CommunicationTimeout as CommunicationTimeout
 from deformscope_drivers.jaco.errors import MotionStopped as MotionStopped
 from deformscope_drivers.jaco.errors import NoDeviceFound as NoDeviceFound
+from deformscope_drivers.jaco.errors import NotHomed as NotHomed
 from deformscope_drivers.jaco.errors import NotReached as NotReached
 from deformscope_drivers.jaco.errors import NotStopped as NotStopped
 from deformscope_drivers.jaco.errors import SymbolMissing as SymbolMissing

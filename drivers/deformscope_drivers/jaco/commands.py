@@ -25,6 +25,9 @@ from deformscope_drivers.jaco.structures import (
 )
 
 Vector3 = tuple[float, float, float]
+JOINT_MARGIN_DEG, NEGLIGIBLE_DEG_S = 5.0, 0.01
+DAMPED_BELOW, OFF_COURSE = 0.03, 0.1
+"""Smallest singular value [m/rad; rad/rad] that is inverted in full; share of a velocity that damping may take."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,7 +152,7 @@ def _at_most(what: str, value: float, limit: float, unit: str, setting: str, whe
 
 
 def velocity_point(velocity: Velocity) -> TrajectoryPoint:
-    """The point that asks for a velocity during one cycle of the arm."""
+    """The point that asks for a velocity during one cycle of the arm (the device sends those of joints alone)."""
     point = TrajectoryPoint()
     if isinstance(velocity, JointVelocity):
         point.Position.Type = PositionType.ANGULAR_VELOCITY
@@ -160,11 +163,33 @@ def velocity_point(velocity: Velocity) -> TrajectoryPoint:
     return point
 
 
-def zero_point(velocity: Velocity) -> TrajectoryPoint:
-    """The point that asks for standing still, of the same kind as a velocity."""
-    point = TrajectoryPoint()
-    point.Position.Type = velocity_point(velocity).Position.Type
-    return point
+def by_joints(velocity: Velocity, chain: Chain, config: JacoConfig, joints_deg: Sequence[float]) -> JointVelocity | str:
+    """The joint rates that make a velocity at these joint angles (n,) [deg], or why there are none.
+
+    After motion by joints the arm ignores Cartesian velocities of its own without a word (kinova-ros issue 269), so
+    none is sent. What the arm's own mode guards is guarded here: no joint is faster than it may be (all are slowed
+    alike), none comes within JOINT_MARGIN_DEG of the end of its range, and where damping near a singularity would take
+    the hand off its way there is no motion. That the arm does not hit itself is not looked at.
+    """
+    if isinstance(velocity, JointVelocity):
+        return velocity
+    if not all(map(math.isfinite, joints_deg)):
+        return "the joint angles that the arm reports are not numbers"
+    joints, links = np.asarray(joints_deg), chain.forward(joints_deg)
+    jacobian = kinematics.jacobian_of(links)
+    twist = np.concatenate([velocity.linear_m_s, links[-1, :3, :3] @ velocity.angular_rad_s])
+    rates_rad_s = kinematics.damped_joint_rates(jacobian, twist, DAMPED_BELOW)
+    lost = float(kinematics.off_course(jacobian, rates_rad_s, twist))
+    if lost > OFF_COURSE:
+        return f"the hand would have left its way by {100 * lost:.0f} %: a singularity is near"
+    rates_deg_s = np.degrees(rates_rad_s)
+    way_deg = np.where(rates_deg_s > 0, chain.upper_deg - joints, joints - chain.lower_deg)
+    near = (way_deg < JOINT_MARGIN_DEG) & (np.abs(rates_deg_s) > NEGLIGIBLE_DEG_S)
+    if near.any():
+        joint = int(np.argmax(near))
+        return f"joint {joint + 1} at {joints[joint]:.1f} deg came within {JOINT_MARGIN_DEG:g} deg of its limit"
+    fastest = max(1.0, float(np.max(np.abs(rates_deg_s) / joint_limits_deg_s(chain, config))))
+    return JointVelocity(tuple(float(rate) for rate in rates_deg_s / fastest))
 
 
 def target_point(target: Target, config: JacoConfig) -> TrajectoryPoint:

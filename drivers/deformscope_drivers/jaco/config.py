@@ -63,14 +63,15 @@ class JacoConfig:
     library: the vendor's library, or its folder; None = the system's loader finds it
     connection: "usb" or "ethernet", the latter with `ethernet` addresses
     serial: of the arm that is meant; None = the only one there is
-    model: "j2n6s300" or "j2s7s300"; None = what the arm says of itself
+    model: "j2n6s300", "j2s6s300" or "j2s7s300"; None = what the arm says of itself
     linear_limit_m_s, angular_limit_rad_s: greatest speed of the end effector that a command may ask for
     joint_limit_deg_s: greatest speed of any joint that a command may ask for; a joint's own limit holds besides
     workspace: box that commands must keep the end effector in; None = no box
     command_deadline_s: how long a velocity command holds when its sender does not say so, and how late the driver's
     own cycle may be before it stops the arm
-    state_hz: how often the state is read; less when the arm's link is too slow for it
+    state_hz: how often the joint angles are read; less when the arm's link is too slow for it
     initialize_fingers: let the fingers open fully when the arm is opened (they move), so that their positions are known
+    require_home: move it only if it says that it was homed since it was switched on (`Jaco.home`, or its joystick)
     open_attempts: how often an arm that is not found (1015) is sought before opening fails
     """
 
@@ -86,6 +87,7 @@ class JacoConfig:
     command_deadline_s: float = 0.1
     state_hz: float = 50.0
     initialize_fingers: bool = False
+    require_home: bool = True
     open_attempts: int = 3
 
     def __post_init__(self) -> None:

@@ -27,16 +27,23 @@ from deformscope_drivers.device import RECONNECT, Device, Reconnect
 from deformscope_drivers.errors import DeviceError, LinkLost, NotConnected, OutOfLimits, Stale
 from deformscope_drivers.health import Identity, Link
 from deformscope_drivers.jaco import commands
-from deformscope_drivers.jaco.commands import JointTarget, Target, Velocity
+from deformscope_drivers.jaco.commands import JointTarget, JointVelocity, Target, Velocity
 from deformscope_drivers.jaco.config import JacoConfig
-from deformscope_drivers.jaco.errors import MotionStopped, NotReached, NotStopped, VendorError
+from deformscope_drivers.jaco.errors import MotionStopped, NotHomed, NotReached, NotStopped, VendorError
 from deformscope_drivers.jaco.kinematics import Chain
-from deformscope_drivers.jaco.library import Functions, Library, call
+from deformscope_drivers.jaco.library import Functions, Library, call, read
 from deformscope_drivers.jaco.pacing import SlotPacer
-from deformscope_drivers.jaco.reading import Sweep
-from deformscope_drivers.jaco.startup import CONFIGURATION_GAP_S, JacoIdentity, bring_up, let_go
+from deformscope_drivers.jaco.reading import StateReader
+from deformscope_drivers.jaco.startup import CONFIGURATION_GAP_S, JacoIdentity, bring_up, check_pose, let_go
 from deformscope_drivers.jaco.state import JacoState
-from deformscope_drivers.jaco.structures import AngularInfo, CartesianInfo, TrajectoryPoint
+from deformscope_drivers.jaco.structures import (
+    ACTUATOR_ADDRESSES,
+    AngularInfo,
+    AngularPosition,
+    CartesianInfo,
+    TrajectoryPoint,
+    actuator_values,
+)
 from deformscope_drivers.memory import SimulatedClock
 from deformscope_drivers.pacing import Pacer
 
@@ -49,7 +56,6 @@ STATE_AGE_S = 0.5
 STILL_DEG_S, STILL_S = 1.0, 0.5
 REACHED_M, REACHED_RAD, REACHED_DEG, REACHED_FINGER = 2e-3, 0.02, 0.5, 70.0
 CANDLE_DEG, CANDLE_WITHIN_DEG = 180.0, 3.0
-FIRST_ACTUATOR_ADDRESS = 16
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +64,6 @@ class _Streamed:
     velocity or one that it replaced"""
 
     velocity: Velocity
-    point: TrajectoryPoint
     expires_ns: int
     since_ns: int
 
@@ -89,7 +94,7 @@ class Jaco(Device[JacoState]):
         self._erase_due = False
         self._stopped = ""
         self._pacer = SlotPacer(PERIOD_NS)
-        self._sweep: Sweep | None = None
+        self._reader: StateReader | None = None
         self._state: JacoState | None = None
         self._crowded = False
         self._configured_ns = 0
@@ -139,8 +144,9 @@ class Jaco(Device[JacoState]):
     def _connect(self) -> None:
         self._arm = bring_up(self._functions, self.config, self._pause)
         self._not_erased = None  # bringing it up has erased what was left
-        self._sweep = Sweep(self._functions, self.chain.joint_count, self.config.state_hz, self._clock)
-        self._state = self._sweep.whole()
+        check_pose(self._functions, self.chain)
+        self._reader = StateReader(self._functions, self.chain, self.config.state_hz, self._clock)
+        self._state = self._reader.whole()
         self._expect(self.config.state_hz)
         self._pacer.start(self._clock() + PERIOD_NS)  # the zero point of bringing it up had this slot
         self._refused_in_a_row = 0
@@ -171,6 +177,7 @@ class Jaco(Device[JacoState]):
             "late_ms_median": median_ms,
             "late_ms_p99": high_ms,
             "late_ms_max": greatest_ms,
+            "call_ms": 0.0 if self._reader is None else self._reader.call_ms,
         }
 
     # The cycle: run by the device's own thread -----------------------------------------------------------------------
@@ -181,12 +188,11 @@ class Jaco(Device[JacoState]):
             return ()
         now_ns = self._clock()
         late_ns = self._pacer.enter(now_ns)
-        assert self._sweep is not None
+        assert self._reader is not None
         try:
             self._command(now_ns, late_ns)
-            state = self._sweep.go_on(self._pacer.due_ns)
+            state = self._reader.go_on(self._pacer.due_ns)
         except VendorError as error:
-            self._sweep.begin_anew()
             self._judge(error)
             return ()
         if state is None:
@@ -215,17 +221,23 @@ class Jaco(Device[JacoState]):
                     self._streamed = None
             self._expired += 1
             self._erase_due = True
-            self._send(commands.zero_point(streamed.velocity))
+            self._send(JointVelocity((0.0,) * self.chain.joint_count))
         elif reason := self._forbids(streamed.velocity, now_ns):
             self._halt(reason)
         elif self._crowded:
             self._crowded = False
             self._left_out += 1
+        elif isinstance(sent := self._by_joints(streamed.velocity), str):
+            self._halt(sent)
         else:
-            self._send(streamed.point)
+            self._send(sent)
 
-    def _send(self, point: TrajectoryPoint) -> None:
-        call(self._functions, "SendBasicTrajectory", point)
+    def _by_joints(self, velocity: Velocity) -> JointVelocity | str:
+        assert self._state is not None
+        return commands.by_joints(velocity, self.chain, self.config, self._state.joints_deg)
+
+    def _send(self, velocity: JointVelocity) -> None:
+        call(self._functions, "SendBasicTrajectory", commands.velocity_point(velocity))
         self._sent += 1
 
     def _erase(self) -> None:
@@ -292,24 +304,25 @@ class Jaco(Device[JacoState]):
     def set_velocity(self, velocity: Velocity, valid_for_s: float | None = None) -> None:
         """Move at a velocity from the next slot on, for as long as this call vouches for it. Returns at once.
 
-        velocity: CartesianVelocity, translation in the base frame and rotation in the end effector's, or JointVelocity
-        [deg/s]; valid_for_s: after this it ends by itself unless it is set again (default: the configured deadline).
-        Raises OutOfLimits (nothing is sent, what was set before still holds) and MotionStopped where the driver has
-        stopped the arm.
+        velocity: CartesianVelocity, translation in the base frame and rotation in the end effector's, sent as joint
+        rates for where the joints are in each slot; or JointVelocity [deg/s]
+        valid_for_s: after this it ends by itself unless it is set again (default: the configured deadline)
+        Raises OutOfLimits (nothing is sent, what was set before still holds), MotionStopped where the driver has
+        stopped the arm, and NotHomed.
         """
         self._require_open()
         commands.check_velocity(velocity, self.chain, self.config, self.name)
         valid_s = self.config.command_deadline_s if valid_for_s is None else valid_for_s
         if not 0.0 < valid_s <= 60.0:
             raise OutOfLimits("valid_for_s above 0 and up to 60", f"{valid_s!r}", "refresh it instead", self.name)
-        point = commands.velocity_point(velocity)
         with self._commanded:
             self._require_moves()
+            self._require_homed()
             if self._position_until_ns is not None:
                 raise OutOfLimits("an arm that is not moving to a target", "one that is", "stop() first", self.name)
             now_ns = self._clock()
             since_ns = now_ns if self._streamed is None else self._streamed.since_ns
-            self._streamed = _Streamed(velocity, point, now_ns + round(valid_s * 1e9), since_ns)
+            self._streamed = _Streamed(velocity, now_ns + round(valid_s * 1e9), since_ns)
 
     def stop(self) -> None:
         """Stop at once: forget the velocity, erase what waits in the arm. Raises where that did not reach the arm.
@@ -332,6 +345,7 @@ class Jaco(Device[JacoState]):
         sent, NotReached after timeout_s; on any exception, Ctrl-C too, the arm is stopped.
         """
         self._require_moves()
+        self._require_homed()
         commands.check_target(target, self.chain, self.config, self._fresh().joints_deg, self.name)
         control = "SetAngularControl" if isinstance(target, JointTarget) else "SetCartesianControl"
 
@@ -348,11 +362,13 @@ class Jaco(Device[JacoState]):
     def move_fingers(self, fingers: Sequence[float], timeout_s: float = 5.0) -> JacoState:
         """Move the fingers to positions (3,) from 0 (open) to 6800 (closed), and wait until they are still.
 
-        The joints stay. Fingers that hold something stop before their target: no error, the state has their positions.
+        The joints hold what they are commanded to hold: at the angles that are measured the arm would sink by what it
+        sags, in each call. Fingers that hold something stop before their target: no error, the state has their
+        positions.
         """
         self._require_moves()
+        self._require_homed()
         values = commands.check_fingers(fingers, self.name)
-        start = self._fresh()
         history: list[JacoState] = []
 
         def there(state: JacoState) -> bool:
@@ -363,11 +379,15 @@ class Jaco(Device[JacoState]):
             spread = max(max(old.fingers[i] for old in since) - min(old.fingers[i] for old in since) for i in range(3))
             return len(history) > len(since) and spread < 10.0
 
-        point = commands.fingers_point(values, start.joints_deg, self.config)
+        held = self._do(lambda: read(self._functions, "GetAngularCommand", AngularPosition), COMMAND_TIMEOUT_S)
+        held_deg = actuator_values(held.Actuators, self.chain.joint_count)
+        point = commands.fingers_point(values, held_deg, self.config)
         return self._travel(point, None, there, timeout_s, f"fingers at {values}")
 
     def home(self, timeout_s: float = 60.0) -> JacoState:
-        """Send the arm to its own home pose, on its own path and at its own speed; wait until it is still."""
+        """Send the arm to its own home pose, on its own path and at its own speed; wait until it is still, and says
+        that it is at home. To be done once after each time it was switched on, by this or its joystick's home button.
+        """
         self._require_moves()
         moving_ns = self._clock()
 
@@ -375,7 +395,7 @@ class Jaco(Device[JacoState]):
             nonlocal moving_ns
             if not _still(state):
                 moving_ns = state.stamp.host_ns
-            return state.stamp.host_ns - moving_ns >= STILL_S * 1e9
+            return state.homed and state.stamp.host_ns - moving_ns >= STILL_S * 1e9
 
         return self._travel(None, None, there, timeout_s, "home")
 
@@ -420,7 +440,8 @@ class Jaco(Device[JacoState]):
                 self._require_moves()
                 if there(state):
                     return state
-            raise NotReached(where_to, f"the arm still moving after {timeout_s:g} s", "a longer timeout_s", self.name)
+            came = f"an arm that is not there after {timeout_s:g} s"
+            raise NotReached(where_to, came, "a longer timeout_s", self.name)
         finally:
             with self._commanded:
                 given_up = True
@@ -478,7 +499,7 @@ class Jaco(Device[JacoState]):
                 self.name,
             )
         for number in range(1, count + 1) if joint is None else (joint,):
-            self._configure("SetTorqueZero", FIRST_ACTUATOR_ADDRESS + number - 1)
+            self._configure("SetTorqueZero", ACTUATOR_ADDRESSES[number - 1])
 
     def _pair(
         self,
@@ -525,6 +546,20 @@ class Jaco(Device[JacoState]):
             return self.latest(STATE_AGE_S)
         except Stale:
             return self.next(2.0)
+
+    @property
+    def homed(self) -> bool:
+        """Whether the arm says that it was at home since it was switched on; read once a second."""
+        return self._state is not None and self._state.homed
+
+    def _require_homed(self) -> None:
+        if self.config.require_home and not self.homed:
+            raise NotHomed(
+                "an arm that was homed since it was switched on",
+                "one that was not",
+                "hold its joystick's home button until it stands still; or arm.home()",
+                self.name,
+            )
 
     def _require_moves(self) -> None:
         self._require_open()

@@ -27,10 +27,14 @@ Floats = ctypes.Array[ctypes.c_float]
 _NO_DEVICE, _TIMEOUT, _INVALID, _NOT_INITIALIZED, _NACK = 1015, 1022, 2100, 2101, 9999
 _WITHOUT_INIT = frozenset({"GetAPIVersion", "InitAPI", "InitEthernetAPI", "CloseAPI"})
 _FINDS_DEVICES = frozenset({"InitAPI", "InitEthernetAPI", "RefresDevicesList", "GetDevices"})
-_DEVICE_TYPES = {"j2n6s300": structures.DeviceType.JACO2_6DOF, "j2s7s300": structures.DeviceType.SPHERICAL_7DOF}
+_DEVICE_TYPES = {
+    "j2n6s300": structures.DeviceType.JACO2_6DOF,
+    "j2s6s300": structures.DeviceType.SPHERICAL_6DOF,
+    "j2s7s300": structures.DeviceType.SPHERICAL_7DOF,
+}
 
 _JOINT_READINGS: dict[str, Callable[[SimulatedArm], FloatArray]] = {
-    "GetAngularVelocity": lambda arm: arm.rates_deg_s,
+    "GetAngularVelocity": SimulatedArm.shown_rates_deg_s,
     "GetAngularForce": SimulatedArm.torque_nm,
     "GetAngularForceGravityFree": SimulatedArm.external_torque_nm,
     "GetAngularCurrent": SimulatedArm.currents_a,
@@ -60,8 +64,8 @@ class JacoDouble:
     ) -> None:
         """clock: [ns], never going back; start_deg: (n,) where the arm stands (default: home)
 
-        serials: of the arms that are plugged in (they share one body); cold_boot: the arm was just switched on and
-        ignores the first StartControlAPI
+        serials: of the arms that are plugged in (they share one body); cold_boot: the arm was just switched on: it
+        ignores the first StartControlAPI, and was not homed
         """
         self.chain = CHAINS[model]
         self.where = f"simulated {model}"
@@ -71,6 +75,7 @@ class JacoDouble:
         self._serials = tuple(serials)
         self._lock = threading.RLock()
         self._codes: dict[str, deque[int]] = {}
+        self._tool_m: FloatArray = np.zeros(3)
         self._initialized = False
         self._unplugged = False
 
@@ -140,6 +145,25 @@ class JacoDouble:
             self._live()
             self._arm.grip = np.array(at, dtype=float)
 
+    def sag(self, sag_deg: npt.ArrayLike) -> None:
+        """Let the joints stand beyond the angles that they are commanded to hold, (n,) [deg], as weight has them do."""
+        with self._lock:
+            self._live()
+            self._arm.sag_deg = np.array(sag_deg, dtype=float)
+
+    def late(self, seconds: float) -> None:
+        """Let the arm follow its commands so late, as its inertia and its own control have it do."""
+        with self._lock:
+            self._live()
+            cycles = round(seconds * 1e9) // CYCLE_NS
+            self._arm.lag = deque(np.zeros(self.chain.joint_count) for _ in range(cycles))
+
+    def store_tool_offset(self, offset_m: npt.ArrayLike) -> None:
+        """Let the arm report the pose of a tool, (3,) [m] from its end effector, as SetEndEffectorOffset has it do: for
+        good, whatever program runs next."""
+        with self._lock:
+            self._tool_m = np.array(offset_m, dtype=float)
+
     def bias(self, torque_nm: npt.ArrayLike) -> None:
         """Let the joints' torque sensors show this much too much, (n,) [Nm]: real ones drift."""
         with self._lock:
@@ -189,6 +213,7 @@ class JacoDouble:
         """Live through the cycles that have passed."""
         due = (self._clock() - self._then_ns) // CYCLE_NS
         self._then_ns += max(0, due) * CYCLE_NS
+        self._arm.cycles += max(0, due)
         while due > 0 and not self._arm.at_rest:
             self._arm.cycle()
             due -= 1
@@ -281,9 +306,15 @@ class JacoDouble:
         _write_joints(response, self._arm.joints_deg)
         self._write_fingers(response)
 
+    def GetAngularCommand(self, response: structures.AngularPosition) -> None:
+        """What the joints are commanded to hold: less than what they are measured at by what they sag."""
+        _write_joints(response, self._arm.joints_deg - self._arm.sag_deg)
+        self._write_fingers(response)
+
     def GetCartesianPosition(self, response: structures.CartesianPosition) -> None:
         pose = self._arm.links[-1]
-        response.Coordinates = structures.CartesianInfo(*pose[:3, 3], *kinematics.euler_xyz_from_rotation(pose[:3, :3]))
+        place_m = pose[:3, 3] + pose[:3, :3] @ self._tool_m
+        response.Coordinates = structures.CartesianInfo(*place_m, *kinematics.euler_xyz_from_rotation(pose[:3, :3]))
         self._write_fingers(response)
 
     def GetCartesianForce(self, response: structures.CartesianPosition) -> None:
@@ -314,6 +345,7 @@ class JacoDouble:
         response.ControlEnableStatus = int(not self._arm.control)
         response.ForceControlStatus = int(not self._arm.admittance.active)
         response.TorqueSensorsStatus = 1
+        response.RetractType = self._arm.retract
 
     # Force -----------------------------------------------------------------------------------------------------------
 
@@ -324,10 +356,10 @@ class JacoDouble:
         self._arm.admittance.active = False
 
     def SetTorqueZero(self, address: int) -> int:
-        """Addresses 16 and up are the joints: what their sensors show now, beside gravity, is zero from here on."""
-        joint = address - 16
-        if not 0 <= joint < self.chain.joint_count:
+        """What a joint's sensor shows now, beside gravity, is zero from here on."""
+        if address not in structures.ACTUATOR_ADDRESSES[: self.chain.joint_count]:
             return _INVALID
+        joint = structures.ACTUATOR_ADDRESSES.index(address)
         self._arm.torque_bias_nm[joint] -= self._arm.external_torque_nm()[joint]
         return OK
 

@@ -175,6 +175,10 @@ class MotionStopped(DeviceError):
     """The arm was stopped, and refuses commands until someone has taken note of why."""
 
 
+class NotHomed(DeviceError):
+    """The arm was not homed since it was switched on: it may ignore commands without a word (kinova-ros 62, 148)."""
+
+
 class NotReached(DeviceError):
     """The arm did not get where it was sent in the time given; it was stopped."""
 

@@ -49,7 +49,7 @@ SIGNATURES: dict[str, tuple[Any, ...]] = {
     # readings
     **{
         f"GetAngular{what}": (POINTER(structures.AngularPosition),)
-        for what in ("Position", "Velocity", "Force", "ForceGravityFree", "Current")
+        for what in ("Position", "Command", "Velocity", "Force", "ForceGravityFree", "Current")
     },
     **dict.fromkeys(("GetCartesianPosition", "GetCartesianForce"), (POINTER(structures.CartesianPosition),)),
     "GetCommandVelocity": (structures.CartesianRates, structures.AngularRates),

@@ -1,8 +1,9 @@
 """Reading the arm's state call by call, in the time that the commands leave.
 
-Over USB the vendor's library opens, claims, transfers and closes for each packet, so one call may take milliseconds.
-A sweep of all calls is therefore spread over as many slots as it needs: a call is only made where it will likely end
-before the next slot is due.
+Over USB the vendor's library opens, claims, transfers and closes for each packet: a call takes 2.8 ms and more
+(kinova-ros issues 281, 372), a slot has 10. So a state needs one call, for the joint angles; the pose follows from
+them, and what else there is to read takes turns in the time that is left, or goes before the angles where none is left
+for too long.
 """
 
 from __future__ import annotations
@@ -12,11 +13,14 @@ from collections import deque
 from typing import cast
 
 from deformscope_drivers.clock import Clock, Stamp
+from deformscope_drivers.jaco.kinematics import Chain, euler_xyz_from_rotation
 from deformscope_drivers.jaco.library import Functions, read
 from deformscope_drivers.jaco.state import JacoState
 from deformscope_drivers.jaco.structures import (
+    HOMED,
     AngularPosition,
     CartesianPosition,
+    QuickStatus,
     SensorsInfo,
     TrajectoryFIFO,
     actuator_values,
@@ -25,102 +29,136 @@ from deformscope_drivers.jaco.structures import (
     sensor_temperatures,
 )
 
-SENSORS_EVERY_NS = 1_000_000_000
+SELDOM_NS = 1_000_000_000
 SLACK_NS = 1_000_000
 SMOOTHING = 0.2
+TURN_NS = 50_000_000
+"""Where no time is left beside points and angles, so often one of the other calls takes the place of the angles."""
+RATES_OVER_NS = 40_000_000
+"""Angles this far apart give the joints' rates. Over one slot, angles off by 0.01 deg would be rates off by 1 deg/s."""
 
-# what moves fastest comes last, so that it is as fresh as the stamp
-_CALLS: tuple[tuple[str, type[ctypes.Structure]], ...] = (
-    ("GetGlobalTrajectoryInfo", TrajectoryFIFO),
-    ("GetAngularCurrent", AngularPosition),
-    ("GetAngularForceGravityFree", AngularPosition),
-    ("GetAngularVelocity", AngularPosition),
-    ("GetCartesianForce", CartesianPosition),
-    ("GetCartesianPosition", CartesianPosition),
-    ("GetAngularPosition", AngularPosition),
-)
+_ANGLES = "GetAngularPosition"
+_IN_TURN: dict[str, type[ctypes.Structure]] = {
+    "GetGlobalTrajectoryInfo": TrajectoryFIFO,
+    "GetAngularForceGravityFree": AngularPosition,
+    "GetCartesianForce": CartesianPosition,
+    "GetAngularCurrent": AngularPosition,
+}
+_SELDOM: dict[str, type[ctypes.Structure]] = {"GetSensorsInfo": SensorsInfo, "GetQuickStatus": QuickStatus}
+_KINDS: dict[str, type[ctypes.Structure]] = {_ANGLES: AngularPosition, **_IN_TURN, **_SELDOM}
 
 
-class Sweep:
+class StateReader:
     """One state after the other, at a rate or as often as the link allows."""
 
-    def __init__(self, functions: Functions, joint_count: int, rate_hz: float, clock: Clock) -> None:
+    def __init__(self, functions: Functions, chain: Chain, rate_hz: float, clock: Clock) -> None:
         self._functions = functions
-        self._joint_count = joint_count
+        self._chain = chain
         self._period_ns = round(1e9 / rate_hz)
         self._clock = clock
         self._next_ns = clock()
-        self._sensors_ns: int | None = None
-        self._left: deque[tuple[str, type[ctypes.Structure]]] = deque()
+        self._in_turn = deque(_IN_TURN)
+        self._left = 0
         self._read: dict[str, ctypes.Structure] = {}
-        self._began_ns = 0
-        self._call_ns = 0.0
+        self._read_ns: dict[str, int] = {}
+        self._call_ns: float | None = None
+        self._track: deque[tuple[int, tuple[float, ...]]] = deque()
+
+    @property
+    def call_ms(self) -> float:
+        """How long a call has taken lately [ms]."""
+        return (self._call_ns or 0.0) / 1e6
 
     def whole(self) -> JacoState:
-        """A whole sweep now, however long it takes."""
-        self.begin_anew()
-        self._begin(self._clock())
-        while self._left:
-            self._call()
-        return self._assemble()
+        """A state with everything read now, however long that takes."""
+        for name in (*_SELDOM, *_IN_TURN):
+            self._call(name)
+        return self._state()
 
     def go_on(self, until_ns: int) -> JacoState | None:
-        """Make calls while they fit before `until_ns`, at least one; the state once its sweep is whole."""
-        if not self._left:
-            now_ns = self._clock()
-            if now_ns < self._next_ns:
-                return None
-            self._begin(now_ns)
-        self._call()
-        while self._left:
-            if self._clock() + self._call_ns + SLACK_NS > until_ns:
-                return None
-            self._call()
-        return self._assemble()
+        """Make calls while they fit before `until_ns`; the state, where the angles were due by then and could be read.
 
-    def begin_anew(self) -> None:
-        """Forget a sweep that is not whole: a call of it failed."""
-        self._left.clear()
+        Angles that are due are read even where they do not fit: without them the arm is not seen.
+        """
+        due = self._next_ns < until_ns
+        last_ns = max(time_ns for name, time_ns in self._read_ns.items() if name != _ANGLES)
+        if due and self._left and self._clock() - last_ns >= TURN_NS and not self._fit(2, until_ns):
+            self._turn()
+            return None
+        while self._left and self._fit(2 if due else 1, until_ns):
+            self._turn()
+        return self._state() if due else None
 
-    def _begin(self, now_ns: int) -> None:
-        self._began_ns = now_ns
-        missed = max(0, now_ns - self._next_ns) // self._period_ns
-        self._next_ns += (missed + 1) * self._period_ns
-        self._left.extend(_CALLS)
-        if self._sensors_ns is None or now_ns - self._sensors_ns >= SENSORS_EVERY_NS:
-            self._sensors_ns = now_ns
-            self._left.appendleft(("GetSensorsInfo", SensorsInfo))
+    def _fit(self, calls: int, until_ns: int) -> bool:
+        return self._clock() + calls * (self._call_ns or 0.0) + SLACK_NS <= until_ns
 
-    def _call(self) -> None:
-        name, kind = self._left[0]
+    def _turn(self) -> None:
+        """The call whose turn it is; one that fails is tried again."""
+        now_ns = self._clock()
+        seldom = next((name for name in _SELDOM if now_ns - self._read_ns[name] >= SELDOM_NS), None)
+        if seldom is not None:
+            self._call(seldom)
+            return
+        self._call(self._in_turn[0])
+        self._in_turn.rotate(-1)
+        self._left -= 1
+
+    def _call(self, name: str) -> None:
         before_ns = self._clock()
-        self._read[name] = read(self._functions, name, kind)
-        self._left.popleft()
-        self._call_ns += SMOOTHING * (self._clock() - before_ns - self._call_ns)
+        self._read[name] = read(self._functions, name, _KINDS[name])
+        now_ns = self._clock()
+        self._read_ns[name] = now_ns
+        taken_ns = float(now_ns - before_ns)
+        self._call_ns = taken_ns if self._call_ns is None else self._call_ns + SMOOTHING * (taken_ns - self._call_ns)
 
-    def _assemble(self) -> JacoState:
-        stamp = Stamp(self._clock())
-        joints = cast(AngularPosition, self._read["GetAngularPosition"])
-        pose = cast(CartesianPosition, self._read["GetCartesianPosition"])
-        x, y, z, *thetas = cartesian_values(pose.Coordinates)
+    def _state(self) -> JacoState:
+        """Read the angles; what goes with them is as old as `sweep_s` says."""
+        missed = max(0, self._clock() - self._next_ns) // self._period_ns
+        self._next_ns += (missed + 1) * self._period_ns
+        self._call(_ANGLES)
+        self._left = len(_IN_TURN)
+        stamp = Stamp(self._read_ns[_ANGLES])
+        joints = cast(AngularPosition, self._read[_ANGLES])
+        joints_deg = actuator_values(joints.Actuators, self._chain.joint_count)
+        pose = self._chain.end_effector(joints_deg)
+        x, y, z = (float(value) for value in pose[:3, 3])
+        theta_x, theta_y, theta_z = (float(value) for value in euler_xyz_from_rotation(pose[:3, :3]))
         fifo = cast(TrajectoryFIFO, self._read["GetGlobalTrajectoryInfo"])
         sensors = cast(SensorsInfo, self._read["GetSensorsInfo"])
         return JacoState(
             stamp=stamp,
-            sweep_s=(stamp.host_ns - self._began_ns) / 1e9,
-            joints_deg=actuator_values(joints.Actuators, self._joint_count),
-            rates_deg_s=self._joints("GetAngularVelocity"),
+            sweep_s=(stamp.host_ns - min(self._read_ns[name] for name in _IN_TURN)) / 1e9,
+            joints_deg=joints_deg,
+            rates_deg_s=self._rates_deg_s(stamp.host_ns, joints_deg),
             torques_nm=self._joints("GetAngularForceGravityFree"),
             currents_a=self._joints("GetAngularCurrent"),
             position_m=(x, y, z),
-            theta_rad=(thetas[0], thetas[1], thetas[2]),
+            theta_rad=(theta_x, theta_y, theta_z),
             wrench=cartesian_values(cast(CartesianPosition, self._read["GetCartesianForce"]).Coordinates),
             fingers=finger_values(joints.Fingers),
             fifo_count=fifo.TrajectoryCount,
             supply_v=sensors.Voltage,
             supply_a=sensors.Current,
-            temperatures_deg_c=sensor_temperatures(sensors, self._joint_count),
+            temperatures_deg_c=sensor_temperatures(sensors, self._chain.joint_count),
+            homed=cast(QuickStatus, self._read["GetQuickStatus"]).RetractType in HOMED,
+        )
+
+    def _rates_deg_s(self, time_ns: int, joints_deg: tuple[float, ...]) -> tuple[float, ...]:
+        """(n,) from the difference of angles: the firmware's own rates are half of the true ones, wrapped, and not near
+        zero at rest (`simulation.SimulatedArm.shown_rates_deg_s`)."""
+        track = self._track
+        track.append((time_ns, joints_deg))
+        while len(track) > 2 and time_ns - track[1][0] >= RATES_OVER_NS:
+            track.popleft()
+        before_ns, before_deg = track[0]
+        if time_ns == before_ns:
+            return (0.0,) * len(joints_deg)
+        span_s = (time_ns - before_ns) / 1e9
+        # the short way round, should the arm begin to count anew after a whole turn
+        return tuple(
+            ((now - before + 180.0) % 360.0 - 180.0) / span_s
+            for now, before in zip(joints_deg, before_deg, strict=True)
         )
 
     def _joints(self, name: str) -> tuple[float, ...]:
-        return actuator_values(cast(AngularPosition, self._read[name]).Actuators, self._joint_count)
+        return actuator_values(cast(AngularPosition, self._read[name]).Actuators, self._chain.joint_count)

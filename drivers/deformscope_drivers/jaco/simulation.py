@@ -1,10 +1,12 @@
 """A simulated arm that lives in cycles of 10 ms: what its controller does with the points that it was sent.
 
 What it models, as in the protocol reference: a FIFO of 2000 trajectory points; one velocity point taken in each
-cycle, so that points sent faster pile up and the arm runs on after the sender stopped; position points followed at a
-limited speed; joint ranges and speeds; fingers from 0 to 6800; control that must be started, and whose first start
-after a cold boot may be ignored; admittance to a push from outside. Where the real arm's behaviour is not public the
-simplest thing is done, and said beside it. Joints follow at once: there is no inertia but that of the admittance.
+cycle, so that points sent faster pile up and the arm runs on after the sender stopped; Cartesian velocities ignored
+without a word after motion by joints, and all Cartesian motion until the arm was homed (kinova-ros issues 62, 148,
+269); position points followed at a limited speed; joint ranges and speeds; fingers from 0 to 6800; control that must
+be started, and whose first start after a cold boot may be ignored; admittance to a push from outside. Where the real
+arm's behaviour is not public the simplest thing is done, and said beside it. Joints follow at once: there is no inertia
+but that of the admittance.
 """
 
 from __future__ import annotations
@@ -22,6 +24,7 @@ FIFO_SIZE = 2000
 FINGER_SPEED = 5000.0  # units/s; not published
 POSITION_SPEED_M_S, POSITION_SPEED_RAD_S = 0.15, 0.6  # of position points without limitations; not published
 HOME_SPEED_DEG_S = 20.0
+AT_HOME_DEG = 0.5
 REACHED_M, REACHED_RAD = 1e-5, 1e-4
 
 
@@ -29,7 +32,10 @@ class SimulatedArm:
     """The arm's state, and `cycle` that carries it 10 ms on.
 
     wrench: (6,) what pushes the end effector [N, Nm] in the base frame; torque_bias_nm: (n,) what the joints' torque
-    sensors show too much; grip: (3,) where each finger meets what it holds. All may be set between cycles.
+    sensors show too much; sag_deg: (n,) how far weight turns the joints beyond the angles that they are to hold
+    grip: (3,) where each finger meets what it holds; cycles: that have passed. All may be set between cycles.
+    lag: rates that it will turn at, one a cycle: it follows its commands so late
+    homed: it went home since it was switched on; cartesian: it takes Cartesian velocities
     """
 
     def __init__(self, chain: Chain, start_deg: npt.ArrayLike | None, cold_boot: bool) -> None:
@@ -44,13 +50,17 @@ class SimulatedArm:
         self.fifo: deque[structures.TrajectoryPoint] = deque()
         self.wrench: FloatArray = np.zeros(6)
         self.torque_bias_nm: FloatArray = np.zeros(chain.joint_count)
+        self.sag_deg: FloatArray = np.zeros(chain.joint_count)
         self.angular_control = False
         self.admittance = Admittance(chain.joint_count)
         self.control = False
+        self.lag: deque[FloatArray] = deque()
+        self.homed = self.cartesian = not cold_boot
         self._cold = cold_boot
         self._delay_left_s: float | None = None
         self._homing = False
         self._opening = False
+        self.cycles = 0
 
     # Commands ------------------------------------------------------------------------------------------------------
 
@@ -92,8 +102,18 @@ class SimulatedArm:
     def power_up(self, cold_boot: bool) -> None:
         """Start as after switching on: nothing is left to do, control is off, the joints stay where they are."""
         self.erase()
-        self.control = self.admittance.active = self.fingers_ready = False
+        self.control = self.admittance.active = self.fingers_ready = self.homed = self.cartesian = False
         self._cold = cold_boot
+
+    @property
+    def retract(self) -> structures.RetractType:
+        """What it says of being at home."""
+        if self._homing:
+            return structures.RetractType.NORMAL_TO_READY
+        if not self.homed:
+            return structures.RetractType.NOT_INITIALIZED
+        at_home = bool(np.abs(self.joints_deg - self.chain.home_deg).max() < AT_HOME_DEG)
+        return structures.RetractType.READY_STANDBY if at_home else structures.RetractType.NORMAL_STANDBY
 
     # The cycle -------------------------------------------------------------------------------------------------------
 
@@ -101,7 +121,7 @@ class SimulatedArm:
     def at_rest(self) -> bool:
         """Whether the next cycle would change nothing."""
         busy = self.control and (self.fifo or self._homing or self._opening or self.admittance.active)
-        return not busy and not np.any(self.rates_deg_s)
+        return not busy and not np.any(self.rates_deg_s) and not any(map(np.any, self.lag))
 
     def cycle(self) -> None:
         """10 ms of the arm's own loop."""
@@ -110,6 +130,8 @@ class SimulatedArm:
             if self._homing:
                 rates = self._towards(self.chain.home_deg, np.full(self.chain.joint_count, HOME_SPEED_DEG_S))
                 self._homing = bool(np.any(rates))
+                if not self._homing:
+                    self.homed = self.cartesian = True
             elif self.fifo:
                 rates = self._follow(self.fifo[0])
             if self._opening:
@@ -118,6 +140,9 @@ class SimulatedArm:
                 self.fingers_ready = not self._opening
             if self.admittance.active:
                 rates = rates + self._give_way()
+        if self.lag:
+            self.lag.append(rates)
+            rates = self.lag.popleft()
         self._turn(rates)
 
     def _follow(self, point: structures.TrajectoryPoint) -> FloatArray:
@@ -125,18 +150,21 @@ class SimulatedArm:
         position, done = point.Position, True
         rates = np.zeros(self.chain.joint_count)
         kind = position.Type
+        if kind in (structures.PositionType.ANGULAR_VELOCITY, structures.PositionType.ANGULAR_POSITION):
+            self.cartesian = False  # until it goes home: kinova-ros issue 269
         if kind == structures.PositionType.ANGULAR_VELOCITY:
             asked = np.array(structures.actuator_values(position.Actuators, self.chain.joint_count))
             rates = np.clip(asked, -self.chain.velocity_deg_s, self.chain.velocity_deg_s)
-        elif kind == structures.PositionType.CARTESIAN_VELOCITY:
+        elif kind == structures.PositionType.CARTESIAN_VELOCITY and self.cartesian:  # else ignored, without a word
             twist = np.array(structures.cartesian_values(position.CartesianPosition))
             twist[3:] = self.links[-1, :3, :3] @ twist[3:]  # a point's rotation is in the end effector's frame
             rates = self._rates_of(twist)
         elif kind == structures.PositionType.ANGULAR_POSITION:
-            target = self.chain.clip(structures.actuator_values(position.Actuators, self.chain.joint_count))
+            held = np.array(structures.actuator_values(position.Actuators, self.chain.joint_count))
+            target = self.chain.clip(held + self.sag_deg)
             rates = self._towards(target, self._joint_speeds(point))
             done = not np.any(rates)
-        elif kind == structures.PositionType.CARTESIAN_POSITION:
+        elif kind == structures.PositionType.CARTESIAN_POSITION and self.homed:
             rates, done = self._towards_pose(point)
         elif kind == structures.PositionType.DELAY:
             self._delay_left_s = (position.Delay if self._delay_left_s is None else self._delay_left_s) - CYCLE_S
@@ -239,6 +267,12 @@ class SimulatedArm:
             return self.wrench
         ghost: FloatArray = np.linalg.pinv(kinematics.jacobian_of(self.links).T, rcond=1e-2) @ self.torque_bias_nm
         return self.wrench + ghost
+
+    def shown_rates_deg_s(self) -> FloatArray:
+        """What the firmware makes of the joints' rates (n,) [deg/s]: half of them, 181 to 360 for what is negative
+        (kinova-ros `kinova_comm.cpp`, getJointVelocities; `kinova_arm.cpp`), and not near zero at rest (issue 366)."""
+        noise = 1.5 * np.sin(7.3 * np.arange(self.chain.joint_count) + 0.41 * self.cycles)
+        return np.asarray((0.5 * self.rates_deg_s + noise) % 360.0)
 
     def currents_a(self) -> FloatArray:
         """About 0.1 A a joint at rest and 1 A for each 20 Nm, (n,) [A]: plausible, not measured."""

@@ -8,28 +8,37 @@ import struct
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import numpy as np
+
 from deformscope_drivers.errors import DeviceError, NotConnected, SettingsRefused
 from deformscope_drivers.jaco.config import EthernetAddresses, JacoConfig
 from deformscope_drivers.jaco.errors import NoDeviceFound
-from deformscope_drivers.jaco.kinematics import CHAINS, Chain
+from deformscope_drivers.jaco.kinematics import CHAINS, Chain, pose_error, rotation_from_euler_xyz, transform
 from deformscope_drivers.jaco.library import Functions, api_version, call, devices, read
 from deformscope_drivers.jaco.structures import (
+    AngularPosition,
+    CartesianPosition,
     DeviceType,
     EthernetCommConfig,
     GeneralInformations,
     KinovaDevice,
     PositionType,
     TrajectoryPoint,
+    actuator_values,
+    cartesian_values,
 )
 
 PAUSE_S = 0.05  # between stopping the control and starting it again
 CONFIGURATION_GAP_S = 0.1  # between two writes to the arm's configuration
 SEARCH_FIRST_S = 0.5  # before an arm that was not found is sought again; then twice as long each time
 GRAVITY_MANUAL = 0
+POSE_MM, POSE_DEG = 5.0, 2.0
+"""Models and tools differ by centimetres; what an arm that is led by its joystick moves within a call is less."""
 
 _MODELS = {
     DeviceType.JACO2_6DOF: "j2n6s300",
     DeviceType.JACO2_6DOF_ASSISTIVE: "j2n6s300",
+    DeviceType.SPHERICAL_6DOF: "j2s6s300",
     DeviceType.SPHERICAL_7DOF: "j2s7s300",
 }
 
@@ -73,6 +82,30 @@ def bring_up(functions: Functions, config: JacoConfig, pause: Callable[[float], 
     if config.initialize_fingers:
         call(functions, "InitFingers")
     return identity
+
+
+def check_pose(functions: Functions, chain: Chain) -> None:
+    """Raise SettingsRefused unless the arm reports its hand where its model's kinematics have it.
+
+    Everything else takes the hand's pose from the joint angles. An arm of another model than it says, or one with a
+    tool's offset stored in it, would move and touch beside where it should.
+    """
+    angles = read(functions, "GetAngularPosition", AngularPosition)
+    pose = cartesian_values(read(functions, "GetCartesianPosition", CartesianPosition).Coordinates)
+    later = read(functions, "GetAngularPosition", AngularPosition)  # it may be moved by its joystick meanwhile
+    both = [actuator_values(one.Actuators, chain.joint_count) for one in (angles, later)]
+    ours = chain.end_effector(np.mean(both, axis=0))
+    theirs = transform(rotation_from_euler_xyz(*pose[3:]), pose[:3])
+    error = pose_error(ours, theirs)
+    off_mm, off_deg = 1e3 * np.linalg.norm(error[:3]), np.degrees(np.linalg.norm(error[3:]))
+    if not (off_mm <= POSE_MM and off_deg <= POSE_DEG):
+        raise SettingsRefused(
+            f"the arm's hand within {POSE_MM:g} mm and {POSE_DEG:g} deg of where a {chain.name} has it at these angles",
+            f"one that the arm reports {off_mm:.1f} mm and {off_deg:.1f} deg away",
+            "another `model`; or set the tool offset that is stored in the arm to zero (SetEndEffectorOffset, Kinova's "
+            "Development Center): the tool belongs into the rig file",
+            functions.where,
+        )
 
 
 def let_go(functions: Functions) -> DeviceError | None:

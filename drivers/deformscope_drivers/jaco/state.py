@@ -13,14 +13,17 @@ from deformscope_drivers.jaco.kinematics import FloatArray
 class JacoState:
     """One look at the arm; n joints (a six-joint arm has six values, never a seventh that means nothing).
 
-    stamp: when the joint angles had been read; sweep_s: how much older the oldest of the other values may be
+    stamp: when the joint angles had been read; sweep_s: how much older wrench, torques, currents and fifo_count may be
     joints_deg: (n,) joint angles as the arm counts them, beyond 360 for joints that turn without end
-    rates_deg_s: (n,) joint rates; torques_nm: (n,) joint torques without those of gravity; currents_a: (n,)
-    position_m: (3,) of the end effector in the base frame; theta_rad: (3,) its rotation about x, the new y, the new z
+    rates_deg_s: (n,) joint rates, from the angles of the last 40 ms
+    torques_nm: (n,) joint torques without those of gravity; currents_a: (n,)
+    position_m: (3,) of the end effector in the base frame, from the angles
+    theta_rad: (3,) its rotation about x, the new y, the new z
     wrench: (6,) force [N] and torque [Nm] at the end effector, in the base frame: the joints' torque sensors drift, so
     that some newtons are shown where nothing touches; its direction was never verified on an arm
     fingers: (3,) from 0 open to 6800 closed; fifo_count: trajectory points that wait in the arm
-    supply_v, supply_a: its main supply; temperatures_deg_c: (n,) of the joints; these are read once a second
+    supply_v, supply_a: its main supply; temperatures_deg_c: (n,) of the joints; homed: whether it was at home since it
+    was switched on; these are read once a second
     """
 
     stamp: Stamp
@@ -37,6 +40,7 @@ class JacoState:
     supply_v: float
     supply_a: float
     temperatures_deg_c: tuple[float, ...]
+    homed: bool
 
     @property
     def T_base_end_effector(self) -> FloatArray:

@@ -16,6 +16,8 @@ STRING_LENGTH = 20
 DEVICE_COUNT_MAX = 20
 FINGER_COUNT = 3
 FINGER_CLOSED = 6800.0
+ACTUATOR_ADDRESSES = (16, 17, 18, 19, 20, 21, 25)
+"""Of the joints on the arm's own bus; 22 to 24 are the fingers (kinova-ros `kinova_comm.cpp`, setZeroTorque)."""
 
 
 class PositionType(IntEnum):
@@ -40,6 +42,22 @@ class HandMode(IntEnum):
     NONE = 0
     POSITION = 1
     VELOCITY = 2
+
+
+class RetractType(IntEnum):
+    """What the arm says of being at home ("ready"), in `QuickStatus`."""
+
+    NORMAL_TO_READY = 0
+    READY_STANDBY = 1
+    READY_TO_RETRACT = 2
+    RETRACT_STANDBY = 3
+    RETRACT_TO_READY = 4
+    NORMAL_STANDBY = 5
+    NOT_INITIALIZED = 6
+
+
+HOMED = (RetractType.READY_STANDBY, RetractType.NORMAL_STANDBY)
+"""At rest at home, or elsewhere after it was there since it was switched on."""
 
 
 class DeviceType(IntEnum):

@@ -22,6 +22,8 @@ from deformscope_drivers.memory import SimulatedClock
 from tests.patience import PATIENCE_S
 
 SOURCE = Path(__file__).with_name("double.c")
+DEVICE_TYPES = {"j2n6s300": 3, "j2s6s300": 7, "j2s7s300": 8}
+"""Typed from KinovaTypes.h."""
 
 
 class VendorBench(Protocol):
@@ -42,6 +44,9 @@ class VendorBench(Protocol):
     def push(self, wrench: Sequence[float]) -> None:
         """Push the end effector."""
 
+    def sag(self, sag_deg: Sequence[float]) -> None:
+        """Let weight turn the joints beyond the angles that they are commanded to hold."""
+
     def last_pair(self, count: int) -> FloatArray:
         """The pair of structures that was set last by value: (2, count)."""
 
@@ -61,6 +66,9 @@ class PythonBench:
 
     def push(self, wrench: Sequence[float]) -> None:
         self.double.push(wrench)
+
+    def sag(self, sag_deg: Sequence[float]) -> None:
+        self.double.sag(sag_deg)
 
     def last_pair(self, count: int) -> FloatArray:
         admittance = self.double._arm.admittance
@@ -100,7 +108,7 @@ class CBench:
         self.functions: Functions = Library(self.path, connection)
         self.prefix = PREFIXES[connection]
         self.own = ctypes.CDLL(str(self.path))
-        self.own.double_reset(self.chain.joint_count, int(cold))
+        self.own.double_reset(DEVICE_TYPES[model], int(cold))
 
     def advance(self, seconds: float) -> None:
         self.own.double_advance(ctypes.c_double(seconds))
@@ -113,6 +121,9 @@ class CBench:
 
     def push(self, wrench: Sequence[float]) -> None:
         self.own.double_push((ctypes.c_double * 6)(*wrench))
+
+    def sag(self, sag_deg: Sequence[float]) -> None:
+        self.own.double_sag((ctypes.c_double * 7)(*sag_deg))
 
     def last_pair(self, count: int) -> FloatArray:
         values = (ctypes.c_float * 14)()

@@ -91,6 +91,14 @@ static const Joint SIX[6] = {
     {{0, -.03703, -.06414}, {1. / 3, 0, 1}, 0, 0, 48},
     {{0, -.03703, -.06414}, {1. / 3, 0, 1}, 0, 0, 48},
 };
+static const Joint SPHERICAL_SIX[6] = {
+    {{0, 0, .15675}, {0, 1, 0}, 0, 0, 36},
+    {{0, .0016, -.11875}, {-.5, 0, 1}, 47, 313, 36},
+    {{0, -.410, 0}, {0, 1, 0}, 19, 341, 36},
+    {{0, .2073, -.0114}, {-.5, 0, 1}, 0, 0, 48},
+    {{0, 0, -.10375}, {.5, 0, 1}, 30, 330, 48},
+    {{0, .10375, 0}, {-.5, 0, 1}, 0, 0, 48},
+};
 static const Joint SEVEN[7] = {
     {{0, 0, .15675}, {0, 1, 0}, 0, 0, 36},
     {{0, .0016, -.11875}, {-.5, 0, 1}, 47, 313, 36},
@@ -102,20 +110,29 @@ static const Joint SEVEN[7] = {
 };
 static const Joint HAND = {{0, 0, -.16}, {1, 0, .5}, 0, 0, 0};
 static const double HOME_SIX[7] = {275, 167.4, 57.4, 240, 82.7, 75.5, 0};
+static const double HOME_SPHERICAL_SIX[7] = {283, 162, 43, 265, 257, 288, 0};
 static const double HOME_SEVEN[7] = {283, 162, 0, 43, 265, 257, 288};
+
+static const struct { int type, joints; const char *name; const Joint *chain; const double *home; } MODELS[3] = {
+    {3, 6, "j2n6s300", SIX, HOME_SIX},
+    {7, 6, "j2s6s300", SPHERICAL_SIX, HOME_SPHERICAL_SIX},
+    {8, 7, "j2s7s300", SEVEN, HOME_SEVEN},
+};
 
 /* The arm --------------------------------------------------------------------------------------------------------- */
 
 static struct {
-    int joints;
+    int joints, type;
+    const char *name;
     const Joint *chain;
     const double *home;
-    double q[7], rates[7], fingers[3], wrench[6];
+    double q[7], rates[7], fingers[3], wrench[6], sag[7];
     double frames[8][16];
     TrajectoryPoint fifo[FIFO_SIZE];
     int first, count, delaying;
     double delay_left;
     int initialized, control, cold, angular, force_control, homing, opening, fingers_ready;
+    int homed, cartesian; /* it went home since it was switched on; it takes Cartesian velocities */
     float pair[14];
     KinovaDevice active;
     EthernetCommConfig ethernet;
@@ -290,11 +307,13 @@ static void follow(double *rates) {
     const UserPosition *to = &point->Position;
     double target[7], fingers[3];
     int done = 1, velocity = to->Type == 7 || to->Type == 8;
-    for (int i = 0; i < 7; i++) target[i] = to->Actuators.Actuator[i];
+    /* what is commanded to hold an angle stands beyond it by what weight turns it */
+    for (int i = 0; i < 7; i++) target[i] = to->Actuators.Actuator[i] + (velocity ? 0 : arm.sag[i]);
     for (int i = 0; i < 3; i++) fingers[i] = to->Fingers.Finger[i];
+    if (to->Type == 2 || to->Type == 8) arm.cartesian = 0; /* until it goes home: kinova-ros issue 269 */
     if (to->Type == 8)
         for (int i = 0; i < arm.joints; i++) rates[i] = clamp(target[i], -arm.chain[i].speed, arm.chain[i].speed);
-    else if (to->Type == 7) {
+    else if (to->Type == 7 && arm.cartesian) { /* else ignored, without a word */
         double twist[6] = {to->CartesianPosition.X,      to->CartesianPosition.Y,      to->CartesianPosition.Z,
                            0, 0, 0};
         const double *hand = arm.frames[arm.joints]; /* a point's rotation is in the end effector's frame */
@@ -306,7 +325,7 @@ static void follow(double *rates) {
         double first = point->LimitationsActive ? point->Limitations.speed[0] : 1e9;
         double others = point->LimitationsActive ? point->Limitations.speed[1] : 1e9;
         done = !towards_joints(target, first, others, rates);
-    } else if (to->Type == 1)
+    } else if (to->Type == 1 && arm.homed)
         done = !towards_pose(point, rates);
     else if (to->Type == 12) {
         arm.delay_left = (arm.delaying ? arm.delay_left : to->Delay) - CYCLE;
@@ -326,9 +345,10 @@ static void follow(double *rates) {
 static void cycle(void) {
     double rates[7] = {0}, open[3] = {0};
     if (arm.control) {
-        if (arm.homing)
+        if (arm.homing) {
             arm.homing = towards_joints(arm.home, 20, 20, rates);
-        else if (arm.count)
+            if (!arm.homing) arm.homed = arm.cartesian = 1;
+        } else if (arm.count)
             follow(rates);
         if (arm.opening) {
             arm.opening = !move_fingers(open);
@@ -378,13 +398,19 @@ static int enter(const char *name, int needs_init) {
 
 /* For the tests --------------------------------------------------------------------------------------------------- */
 
-void double_reset(int joints, int cold) {
+void double_reset(int type, int cold) {
     memset(&arm, 0, sizeof arm);
     memset(injected, 0, sizeof injected);
-    arm.joints = joints;
-    arm.chain = joints == 6 ? SIX : SEVEN;
-    arm.home = joints == 6 ? HOME_SIX : HOME_SEVEN;
+    for (unsigned i = 0; i < sizeof MODELS / sizeof *MODELS; i++)
+        if (MODELS[i].type == type) {
+            arm.type = type;
+            arm.joints = MODELS[i].joints;
+            arm.name = MODELS[i].name;
+            arm.chain = MODELS[i].chain;
+            arm.home = MODELS[i].home;
+        }
     arm.cold = cold;
+    arm.homed = arm.cartesian = !cold;
     memcpy(arm.q, arm.home, sizeof arm.q);
     real_time = 0;
     lived_s = manual_s = 0;
@@ -412,6 +438,8 @@ void double_inject(const char *name, int code, int times) {
 }
 
 void double_push(const double *wrench) { memcpy(arm.wrench, wrench, sizeof arm.wrench); }
+
+void double_sag(const double *sag) { memcpy(arm.sag, sag, sizeof arm.sag); }
 
 void double_last_pair(float *out) { memcpy(out, arm.pair, sizeof arm.pair); }
 
@@ -483,9 +511,9 @@ int VENDOR(GetDevices)(KinovaDevice devices[20], int *status) {
     if (code != OK) return 0;
     memset(&devices[0], 0, sizeof devices[0]);
     strcpy(devices[0].SerialNumber, "DOUBLE-1");
-    strcpy(devices[0].Model, arm.joints == 6 ? "j2n6s300" : "j2s7s300");
+    strcpy(devices[0].Model, arm.name);
     devices[0].VersionMajor = 6, devices[0].VersionMinor = 2, devices[0].VersionRelease = 5;
-    devices[0].DeviceType = arm.joints == 6 ? 3 : 8;
+    devices[0].DeviceType = arm.type;
     return 1;
 }
 
@@ -661,15 +689,23 @@ int VENDOR(GetAngularPosition)(AngularPosition *out) {
 }
 
 int VENDOR(GetAngularCommand)(AngularPosition *out) {
+    double held[7];
     ENTER(GetAngularCommand);
-    write_joints(out, arm.q);
+    for (int i = 0; i < arm.joints; i++) held[i] = arm.q[i] - arm.sag[i];
+    write_joints(out, held);
     write_fingers(&out->Fingers);
     return OK;
 }
 
+/* As the firmware does: half of the true rate, 181 to 360 for what is negative, and not near zero at rest */
 int VENDOR(GetAngularVelocity)(AngularPosition *out) {
+    double shown[7];
     ENTER(GetAngularVelocity);
-    write_joints(out, arm.rates);
+    for (int i = 0; i < arm.joints; i++) {
+        shown[i] = .5 * arm.rates[i] + 1.5 * sin(7.3 * i + 41 * lived_s);
+        if (shown[i] < 0) shown[i] += 360;
+    }
+    write_joints(out, shown);
     return OK;
 }
 
@@ -764,6 +800,9 @@ int VENDOR(GetQuickStatus)(QuickStatus *out) {
     out->ControlEnableStatus = !arm.control;
     out->ForceControlStatus = !arm.force_control;
     out->TorqueSensorsStatus = 1;
+    int away = 0;
+    for (int i = 0; i < arm.joints; i++) away |= fabs(arm.q[i] - arm.home[i]) >= .5;
+    out->RetractType = arm.homing ? 0 : !arm.homed ? 6 : away ? 5 : 1;
     return OK;
 }
 
@@ -815,7 +854,8 @@ int VENDOR(SetAngularInertiaDamping)(AngularInfo inertia, AngularInfo damping) {
 
 int VENDOR(SetTorqueZero)(int address) {
     ENTER(SetTorqueZero);
-    return address >= 16 && address < 16 + arm.joints ? OK : INVALID;
+    /* 22 to 24 are the fingers: a seventh joint is behind them */
+    return (address >= 16 && address <= 21) || (address == 25 && arm.joints == 7) ? OK : INVALID;
 }
 
 int VENDOR(SetTorqueSafetyFactor)(float factor) {

@@ -35,15 +35,17 @@ from deformscope_drivers.jaco import (
     JointVelocity,
     MotionStopped,
     NoDeviceFound,
+    NotHomed,
     NotReached,
     NotStopped,
     Workspace,
 )
 from deformscope_drivers.jaco import errors as vendor_errors
-from deformscope_drivers.jaco.commands import Velocity
-from deformscope_drivers.jaco.kinematics import J2N6S300, FloatArray
-from deformscope_drivers.jaco.library import Functions, Library, read
+from deformscope_drivers.jaco.commands import Velocity, velocity_point
+from deformscope_drivers.jaco.kinematics import CHAINS, J2N6S300, FloatArray
+from deformscope_drivers.jaco.library import Functions, Library, call, read
 from deformscope_drivers.jaco.pacing import SlotPacer
+from deformscope_drivers.jaco.startup import check_pose
 from deformscope_drivers.jaco.structures import (
     AngularPosition,
     PositionType,
@@ -289,9 +291,91 @@ def test_it_comes_up_in_the_order_of_the_vendors_driver_and_lets_go_erasing_firs
     assert lab.recorded.names[count:] == ["EraseAllTrajectories", "StopForceControl", "StopControlAPI", "CloseAPI"]
 
 
-def test_a_cold_arm_obeys_after_it_was_brought_up() -> None:
+@pytest.mark.parametrize(
+    "ask",
+    [
+        lambda arm: arm.set_velocity(TURN),
+        lambda arm: arm.set_velocity(CartesianVelocity((0.0, 0.0, 0.02))),
+        lambda arm: arm.move_to(JointTarget(tuple(J2N6S300.home_deg + 5.0))),
+        lambda arm: arm.move_fingers((1000.0,) * 3),
+    ],
+)
+def test_an_arm_that_was_not_homed_since_it_was_switched_on_says_so_before_it_moves(
+    ask: Callable[[Jaco], object],
+) -> None:
     lab = Simulated(cold_boot=True)
     with lab.arm.open(own_thread=False):
+        assert not lab.arm.homed
+        with pytest.raises(NotHomed, match=r"home button.*arm\.home\(\)"):
+            ask(lab.arm)
+        lab.run(0.1)
+        assert lab.recorded.points() == []
+        assert lab.recorded.times("SendAdvanceTrajectory") == []
+
+
+def test_an_arm_that_is_homed_by_its_joystick_may_move_then() -> None:
+    lab = Simulated(cold_boot=True)
+    with lab.arm.open(own_thread=False):
+        call(lab.double, "MoveHome")
+        lab.run(1.5)
+        assert lab.arm.homed
+        lab.arm.set_velocity(TURN)
+
+
+def test_who_knows_better_may_move_it_all_the_same() -> None:
+    lab = Simulated(JacoConfig(require_home=False), cold_boot=True)
+    with lab.arm.open(own_thread=False):
+        before = lab.double.joints_deg
+        hold(lab.arm, TURN, 0.5)
+        assert lab.double.joints_deg[0] - before[0] == pytest.approx(5.0, abs=0.11)
+
+
+def test_a_cartesian_velocity_moves_the_arm_after_angular_motion_too(simulated: Jaco) -> None:
+    """The arm's own Cartesian velocities would silently fail then: kinova-ros issue 269."""
+    simulated.move_to(JointTarget(tuple(J2N6S300.home_deg + 5.0)))
+    before = simulated.next(1.0).T_base_end_effector
+    hold(simulated, CartesianVelocity((0.02, -0.01, 0.03), (0.0, 0.05, 0.1)), 1.0)
+    after = simulated.next(1.0).T_base_end_effector
+    assert after[:3, 3] - before[:3, 3] == pytest.approx([0.02, -0.01, 0.03], abs=1e-3)
+    turned = Rotation.from_matrix(before[:3, :3].T @ after[:3, :3]).as_rotvec()
+    assert turned == pytest.approx([0.0, 0.05, 0.1], abs=2e-3)
+
+
+def test_a_cartesian_velocity_stops_before_a_joint_s_limit_and_says_so() -> None:
+    start_deg = J2N6S300.home_deg.copy()
+    start_deg[2] = J2N6S300.lower_deg[2] + 12.0
+    lab = Simulated(start_deg=start_deg)
+    towards = J2N6S300.jacobian(start_deg) @ np.radians([0.0, 0.0, -6.0, 0.0, 0.0, 0.0])
+    with lab.arm.open(own_thread=False):
+        pose = lab.arm.next(1.0).T_base_end_effector
+        lab.arm.set_velocity(CartesianVelocity.in_base(towards[:3], towards[3:], pose), valid_for_s=10.0)
+        lab.run(4.0)
+        assert "joint 3" in lab.arm.stopped_because
+        assert J2N6S300.to_limits_deg(lab.double.joints_deg)[2] > 4.5
+
+
+def test_a_cartesian_velocity_that_a_singularity_would_turn_away_stops_the_arm_and_says_so() -> None:
+    lab = Simulated(JacoConfig(joint_limit_deg_s=36.0))
+    with lab.arm.open(own_thread=False):
+        lab.arm.next(1.0)
+        start_m = lab.double.T_base_end_effector[:3, 3]
+        out = tuple(0.05 * start_m / np.linalg.norm(start_m))  # until the arm is stretched out
+        worst = 0.0
+        for _ in range(1200):
+            if lab.arm.stopped_because:
+                break
+            lab.arm.set_velocity(CartesianVelocity(out), valid_for_s=0.5)
+            lab.run(0.02)
+            gone = lab.double.T_base_end_effector[:3, 3] - start_m
+            worst = max(worst, float(np.linalg.norm(gone - (gone @ out) / 0.0025 * np.array(out))))
+        assert "singularity" in lab.arm.stopped_because
+        assert worst < 0.01
+
+
+def test_a_cold_arm_obeys_after_it_was_brought_up_and_homed() -> None:
+    lab = Simulated(cold_boot=True)
+    with lab.arm.open(own_thread=False):
+        lab.arm.home()
         before = lab.double.joints_deg
         hold(lab.arm, TURN, 0.5)
         assert lab.double.joints_deg[0] - before[0] == pytest.approx(5.0, abs=0.11)
@@ -345,6 +429,60 @@ def test_another_arm_than_the_one_meant_is_not_taken(serial: str | None, reporte
     lab = Simulated(JacoConfig(serial=serial), serials=("A", "B"))
     with pytest.raises(NotConnected, match=reported):
         lab.arm.open(own_thread=False)
+
+
+class Mistaken(JacoDouble):
+    """An arm with the spherical wrist that says it is one with the curved wrist."""
+
+    def GetDevices(self, devices: Any, status: Any) -> int:
+        count = super().GetDevices(devices, status)
+        devices[0].DeviceType = 3
+        return count
+
+
+def test_an_arm_of_another_geometry_than_it_says_is_refused_and_let_go() -> None:
+    clock = SimulatedClock(1_000_000_000)
+    recorded = Recorded(Mistaken("j2s6s300", clock), clock)
+    with pytest.raises(SettingsRefused, match=r"j2n6s300.*mm and .* deg away") as caught:
+        Jaco(JacoConfig(), recorded, clock=clock).open(own_thread=False)
+    assert "model" in str(caught.value)
+    assert recorded.names[-1] == "CloseAPI"
+
+
+@pytest.mark.parametrize(("offset_m", "refused"), [((0.0, 0.0, 0.05), True), ((0.0, 0.0, 0.001), False)])
+def test_a_tool_offset_that_is_stored_in_the_arm_is_found_at_the_start(
+    offset_m: tuple[float, float, float], refused: bool
+) -> None:
+    lab = Simulated()
+    lab.double.store_tool_offset(offset_m)
+    with pytest.raises(SettingsRefused, match=r"50\.0 mm") if refused else contextlib.nullcontext() as caught:
+        lab.arm.open(own_thread=False)
+    lab.arm.close()
+    if refused:
+        assert "SetEndEffectorOffset" in str(caught.value)
+
+
+def test_an_arm_that_is_led_by_its_joystick_meanwhile_is_no_other_model() -> None:
+    lab = Simulated()
+    lab.recorded.takes_s = 0.004
+    for _ in range(100):
+        lab.double._arm.fifo.append(velocity_point(JointVelocity((36.0, 36.0, 0.0, 0.0, 0.0, 0.0))))
+    lab.double._arm.control = True
+    check_pose(_initialised(lab), J2N6S300)
+    assert lab.double.joints_deg[0] > J2N6S300.home_deg[0] + 0.2
+
+
+def _initialised(lab: Simulated) -> Recorded:
+    call(lab.double, "InitAPI")
+    return lab.recorded
+
+
+@pytest.mark.parametrize("model", sorted(CHAINS))
+def test_each_model_is_known_by_the_type_that_the_arm_reports(model: str) -> None:
+    lab = Simulated(model=model)
+    with lab.arm.open(own_thread=False):
+        assert lab.arm.identity().model == model
+        assert len(lab.arm.next(1.0).joints_deg) == len(CHAINS[model].joints)
 
 
 def test_an_arm_of_another_model_is_refused() -> None:
@@ -564,27 +702,57 @@ def test_an_erase_that_fails_is_tried_until_it_is_done(lab: Simulated) -> None:
     assert lab.arm.health().refused == {"9999 ERROR_NACK_RECEIVED": 3}
 
 
-def test_a_slow_link_costs_states_and_no_points(lab: Simulated) -> None:
-    """Over USB a call may take milliseconds: the sweep is spread, the points stay at 100 Hz."""
-    lab.recorded.takes_s = 0.0025
-    lab.arm.set_velocity(TURN, valid_for_s=10.0)
+@pytest.mark.parametrize("state_hz", [50.0, 100.0])
+@pytest.mark.parametrize("call_ms", [1.0, 2.8, 4.0])
+def test_a_slow_link_costs_neither_points_nor_states(call_ms: float, state_hz: float) -> None:
+    """Over USB a call takes 2.8 ms or more (kinova-ros issues 281, 372): angles come first, the rest takes turns."""
+    lab = Simulated(JacoConfig(state_hz=state_hz))
+    lab.recorded.takes_s = call_ms / 1e3
+    with lab.arm.open(own_thread=False):
+        lab.arm.set_velocity(TURN, valid_for_s=10.0)
+        lab.run(2.0)
+        states, began_s = lab.arm.readings(), lab.now_s
+        lab.run(2.0)
+        taken = states.take()
+        times_s = [at_s for at_s, _ in lab.recorded.points() if at_s > began_s]
+
+        np.testing.assert_allclose(np.diff(times_s), PERIOD_S, atol=1e-6)
+        assert len(taken) >= 0.8 * state_hz * 2.0
+        assert np.diff([state.stamp.host_ns for state in taken]).max() <= 30e6
+        assert max(state.sweep_s for state in taken) < 0.4
+        assert lab.arm.health().extra["call_ms"] == pytest.approx(call_ms, rel=0.05)
+        assert lab.double.fifo_count <= 1
+
+
+def test_a_link_too_slow_for_a_point_and_a_state_in_a_slot_alternates(lab: Simulated) -> None:
+    """At 10 ms a call the arm moves at half its speed, and is still seen; the preflight refuses it."""
+    lab.recorded.takes_s = 0.01
+    before = lab.double.joints_deg
+    lab.arm.set_velocity(TURN, valid_for_s=4.0)
     lab.run(2.0)
     states = lab.arm.readings()
-    lab.run(1.0)
-    times_s = [at_s for at_s, _ in lab.recorded.points()]
-
-    assert lab.arm.health().extra["slots_missed"] == 0
-    np.testing.assert_allclose(np.diff(times_s), PERIOD_S, atol=1e-3)
+    lab.run(2.0)
     taken = states.take()
-    assert len(taken) == pytest.approx(25, abs=2)
-    assert all(0.0 < state.sweep_s < 0.06 for state in taken)
-    assert lab.double.fifo_count <= 1
+
+    assert lab.arm.stopped_because == ""
+    assert np.diff([state.stamp.host_ns for state in taken]).max() <= 50e6
+    assert lab.double.joints_deg[0] - before[0] == pytest.approx(20.0, abs=2.0)  # of 40
+    assert lab.arm.health().extra["call_ms"] == pytest.approx(10.0)
+
+
+def test_the_pose_is_that_of_the_angles_read_with_it(lab: Simulated) -> None:
+    lab.recorded.takes_s = 0.004
+    lab.arm.set_velocity(JointVelocity((15.0, -10.0, 12.0, 20.0, -20.0, 10.0)), valid_for_s=1.0)
+    lab.run(0.5)
+    state = lab.arm.next(1.0)
+    np.testing.assert_allclose(state.T_base_end_effector, J2N6S300.end_effector(state.joints_deg), atol=1e-9)
 
 
 def test_an_arm_that_is_not_seen_any_more_is_stopped(lab: Simulated) -> None:
     lab.arm.set_velocity(TURN, valid_for_s=10.0)
     lab.run(0.2)
-    lab.recorded.takes_s = 0.045  # a sweep of seven calls, one in a slot, now takes longer than a state may be old
+    lab.recorded.takes_s = 0.045
+    lab.double.inject("GetAngularPosition", 1016, 8)
     lab.run(2.0)
     assert "could not be read" in lab.arm.stopped_because
     assert lab.double.fifo_count == 0
@@ -918,10 +1086,29 @@ def test_fingers_close_and_hold_what_is_between_them(lab: Simulated) -> None:
     assert lab.double.fifo_count == 0
 
 
+def test_the_arm_does_not_sink_however_often_its_fingers_move(lab: Simulated) -> None:
+    """Holding the measured angles lets it sink by its sag each time: kinova-ros `kinova_comm.cpp`, issue 67."""
+    lab.double.sag([0.0, 0.5, -0.3, 0.0, 0.0, 0.0])
+    before = lab.double.joints_deg
+    for finger in (1000.0, 2000.0, 500.0):
+        lab.arm.move_fingers((finger,) * 3)
+    np.testing.assert_allclose(lab.double.joints_deg, before, atol=1e-3)
+
+
 def test_it_goes_home(lab: Simulated) -> None:
     hold(lab.arm, JointVelocity((20.0, 10.0, 0.0, 0.0, -20.0, 0.0)), 1.0)
     state = lab.arm.home()
     np.testing.assert_allclose(state.joints_deg, J2N6S300.home_deg, atol=0.1)
+
+
+def test_the_rates_reported_are_those_of_the_joints_and_zero_at_rest(simulated: Jaco) -> None:
+    at_rest = [simulated.next(1.0) for _ in range(20)]
+    assert max(abs(rate) for state in at_rest for rate in state.rates_deg_s) < 0.05
+    simulated.set_velocity(JointVelocity((20.0, -15.0, 0.0, 10.0, -5.0, 0.0)), valid_for_s=2.0)
+    until_ns = simulated._clock() + 500_000_000
+    while simulated._clock() < until_ns:
+        state = simulated.next(1.0)
+    np.testing.assert_allclose(state.rates_deg_s, (20.0, -15.0, 0.0, 10.0, -5.0, 0.0), atol=0.1)
 
 
 # Force ----------------------------------------------------------------------------------------------------------------
@@ -963,6 +1150,16 @@ def test_force_ranges_that_make_no_sense_are_refused(
     with pytest.raises(OutOfLimits):
         lab.arm.set_force_range(least, most)
     assert lab.recorded.times("SetCartesianForceMinMax") == []
+
+
+def test_the_seventh_joint_s_torque_is_zeroed_behind_the_fingers_addresses() -> None:
+    lab = Simulated(JacoConfig(), model="j2s7s300", start_deg=[180.0] * 7)
+    with lab.arm.open(own_thread=False):
+        lab.double.bias([0.5, 0.4, -0.3, 0.2, 0.1, -0.1, 0.3])
+        lab.arm.set_torque_zero()
+        zeroed = [argument for _, name, argument in lab.recorded.calls if name == "SetTorqueZero"]
+        assert zeroed == [16, 17, 18, 19, 20, 21, 25]
+        np.testing.assert_allclose(lab.arm.next(1.0).torques_nm, 0.0, atol=1e-6)
 
 
 def test_torques_are_zeroed_in_the_candle_pose_alone() -> None:

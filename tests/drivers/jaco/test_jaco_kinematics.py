@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from deformscope_drivers.jaco import kinematics
-from deformscope_drivers.jaco.kinematics import CHAINS, J2N6S300, J2S7S300, Chain, FloatArray
+from deformscope_drivers.jaco.kinematics import CHAINS, J2N6S300, J2S6S300, J2S7S300, Chain, FloatArray
 
 # Classic DH of the six-joint arm, as Kinova publishes it (protocol reference, section 3, geometry)
 DH_A_M = [0.0, 0.41, 0.0, 0.0, 0.0, 0.0]
@@ -65,6 +65,13 @@ def test_home_of_seven_joints_is_near_that_of_six() -> None:
     np.testing.assert_allclose(
         J2S7S300.end_effector(J2S7S300.home_deg), J2N6S300.end_effector(J2N6S300.home_deg), atol=0.04
     )
+
+
+def test_six_joints_with_the_spherical_wrist_are_the_seven_with_the_third_at_0() -> None:
+    """The same arm otherwise, by two of Kinova's robot descriptions (j2s6s300.xacro, j2s7s300.xacro)."""
+    for joints_deg in random_joints(J2S6S300, 50):
+        seven_deg = np.insert(joints_deg, 2, 0.0)
+        np.testing.assert_allclose(J2S6S300.end_effector(joints_deg), J2S7S300.end_effector(seven_deg), atol=1e-9)
 
 
 def test_the_candle_pose_is_as_high_as_its_links() -> None:

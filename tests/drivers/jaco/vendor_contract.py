@@ -26,6 +26,7 @@ from deformscope_drivers.jaco.structures import (
     KinovaDevice,
     PositionType,
     QuickStatus,
+    RetractType,
     SensorsInfo,
     TrajectoryFIFO,
     TrajectoryPoint,
@@ -33,7 +34,7 @@ from deformscope_drivers.jaco.structures import (
     cartesian_values,
     finger_values,
 )
-from tests.drivers.jaco.benches import VendorBench
+from tests.drivers.jaco.benches import DEVICE_TYPES, VendorBench
 
 CYCLE_S = 0.01
 SINGLE = 1e-4  # what single precision leaves of angles in degrees, over some hundred cycles
@@ -78,7 +79,7 @@ class VendorContract:
         (device,) = devices(bench.functions)
 
         assert device.SerialNumber == b"DOUBLE-1"
-        assert device.DeviceType == {6: 3, 7: 8}[bench.chain.joint_count]
+        assert device.DeviceType == DEVICE_TYPES[bench.chain.name]
         call(bench.functions, "SetActiveDevice", device)
         with pytest.raises(errors.NoDeviceFound):
             call(bench.functions, "SetActiveDevice", KinovaDevice(b"ANOTHER"))
@@ -184,7 +185,20 @@ class VendorContract:
         call(started.functions, "GetCommandVelocity", cartesian, angular)
 
         np.testing.assert_allclose(list(cartesian), (0.03, 0.0, -0.02, 0, 0, 0), atol=1e-3)
-        np.testing.assert_allclose(list(angular)[: started.chain.joint_count], rates_deg_s(started), atol=1e-4)
+        made = started.chain.jacobian(joints(started)) @ np.radians(list(angular)[: started.chain.joint_count])
+        np.testing.assert_allclose(made, list(cartesian), atol=1e-4)
+
+    def test_the_firmware_s_joint_velocities_are_halved_wrapped_and_not_zero_at_rest(
+        self, started: VendorBench
+    ) -> None:
+        """As kinova-ros makes up for (kinova_comm.cpp, kinova_arm.cpp) and users see (issue 366)."""
+        at_rest = shown_rates_deg_s(started)
+        assert np.all((at_rest >= 0.0) & (at_rest < 360.0))
+        assert np.abs((at_rest + 180.0) % 360.0 - 180.0).max() > 1.0
+        stream(started, JointVelocity((20.0, -20.0, 20.0, -20.0, 20.0, -20.0, 20.0)[: started.chain.joint_count]), 0.2)
+        shown = shown_rates_deg_s(started)
+        np.testing.assert_allclose(shown[[0, 2, 4]], 10.0, atol=2.0)
+        np.testing.assert_allclose(shown[[1, 3, 5]], 350.0, atol=2.0)
 
     def test_points_sent_at_half_the_rate_move_half_as_far(self, started: VendorBench) -> None:
         before = joints(started)
@@ -302,6 +316,55 @@ class VendorContract:
         started.advance(1.0)
         np.testing.assert_allclose(joints(started), started.chain.home_deg, atol=SINGLE)
 
+    def test_holding_measured_angles_lets_it_sink_and_holding_commanded_ones_does_not(
+        self, started: VendorBench
+    ) -> None:
+        """kinova-ros: `kinova_comm.cpp`, setFingerPositions ("getAngularPosition will cause arm drop"); issue 67."""
+        sag_deg = np.array([0.0, 0.5, -0.3, 0.0, 0.0, 0.0, 0.0])[: started.chain.joint_count]
+        before = joints(started)
+        started.sag(sag_deg.tolist())
+        for name, sunk in (("GetAngularCommand", 0.0), ("GetAngularPosition", 1.0), ("GetAngularPosition", 2.0)):
+            angles = read(started.functions, name, AngularPosition).Actuators
+            held = actuator_values(angles, started.chain.joint_count)
+            point = position_point(PositionType.ANGULAR_POSITION, list(held), limits=(10.0, 10.0))
+            call(started.functions, "SendAdvanceTrajectory", point)
+            started.advance(0.5)
+            np.testing.assert_allclose(joints(started), before + sunk * sag_deg, atol=SINGLE)
+
+    @pytest.mark.parametrize("restored", ["SetCartesianControl", "MoveHome"])
+    def test_after_angular_motion_cartesian_velocities_silently_fail_until_it_goes_home(
+        self, started: VendorBench, restored: str
+    ) -> None:
+        """kinova-ros issue 269: no error, no motion; SetCartesianControl does not help."""
+        stream(started, JointVelocity((10.0,) + (0.0,) * (started.chain.joint_count - 1)), seconds=0.1)
+        call(started.functions, restored)
+        started.advance(1.0)
+        before = pose(started)[:3, 3]
+        stream(started, CartesianVelocity((0.0, 0.0, 0.03)), seconds=1.0)
+        moved_m = 0.03 if restored == "MoveHome" else 0.0
+        np.testing.assert_allclose(pose(started)[:3, 3] - before, (0.0, 0.0, moved_m), atol=1e-3)
+
+    def test_after_power_up_it_must_go_home_before_it_moves_in_cartesian_space(self, cold: VendorBench) -> None:
+        """kinova-ros issues 62 and 148; QuickStatus says so."""
+        call(cold.functions, "InitAPI")
+        for _ in range(2):  # a cold arm ignores the first
+            call(cold.functions, "StartControlAPI")
+        assert retract(cold) == RetractType.NOT_INITIALIZED
+        before = pose(cold)
+        point = position_point(PositionType.CARTESIAN_POSITION, [0.2, -0.3, 0.4, 1.6, 1.1, 0.1], limits=(0.1, 0.5))
+        call(cold.functions, "SendAdvanceTrajectory", point)
+        stream(cold, CartesianVelocity((0.0, 0.0, 0.03)), seconds=0.5)
+        np.testing.assert_array_equal(pose(cold), before)
+        stream(cold, JointVelocity((-20.0,) * cold.chain.joint_count), seconds=0.2)
+        call(cold.functions, "MoveHome")
+        cold.advance(0.1)
+        assert retract(cold) == RetractType.NORMAL_TO_READY
+        cold.advance(1.0)
+        assert retract(cold) == RetractType.READY_STANDBY
+        stream(cold, CartesianVelocity((0.0, 0.0, 0.03)), seconds=1.0)
+        assert pose(cold)[2, 3] - before[2, 3] == pytest.approx(0.03, abs=1e-3)
+        assert retract(cold) == RetractType.NORMAL_STANDBY
+
     # Fingers ---------------------------------------------------------------------------------------------------------
 
     def test_fingers_go_to_a_position_within_their_range(self, started: VendorBench) -> None:
@@ -394,9 +457,11 @@ class VendorContract:
         assert read(started.functions, "GetQuickStatus", QuickStatus).ForceControlStatus == 1
 
     def test_torques_are_zeroed_at_the_addresses_of_the_joints_alone(self, started: VendorBench) -> None:
-        for address in range(16, 16 + started.chain.joint_count):
+        """The seventh joint is at 25, behind the three fingers: kinova-ros `kinova_comm.cpp`, setZeroTorque."""
+        addresses = (16, 17, 18, 19, 20, 21, 25)[: started.chain.joint_count]
+        for address in addresses:
             call(started.functions, "SetTorqueZero", address)
-        for address in (15, 16 + started.chain.joint_count):
+        for address in {15, 22, 23, 24, 25, 26} - set(addresses):
             with pytest.raises(errors.InvalidParameter):
                 call(started.functions, "SetTorqueZero", address)
 
@@ -432,6 +497,13 @@ def joints(bench: VendorBench) -> FloatArray:
 
 
 def rates_deg_s(bench: VendorBench) -> FloatArray:
+    """The rates (n,) that the arm was commanded: it holds them within the cycle."""
+    cartesian, angular = CartesianRates(), AngularRates()
+    call(bench.functions, "GetCommandVelocity", cartesian, angular)
+    return np.array(list(angular)[: bench.chain.joint_count])
+
+
+def shown_rates_deg_s(bench: VendorBench) -> FloatArray:
     rates = read(bench.functions, "GetAngularVelocity", AngularPosition).Actuators
     return np.array(actuator_values(rates, bench.chain.joint_count))
 
@@ -444,6 +516,10 @@ def pose(bench: VendorBench) -> FloatArray:
 
 def fingers(bench: VendorBench) -> tuple[float, float, float]:
     return finger_values(read(bench.functions, "GetAngularPosition", AngularPosition).Fingers)
+
+
+def retract(bench: VendorBench) -> int:
+    return read(bench.functions, "GetQuickStatus", QuickStatus).RetractType
 
 
 def fifo(bench: VendorBench) -> TrajectoryFIFO:

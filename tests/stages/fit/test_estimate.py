@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
+from deformscope.stages.fit.doubts import little_explained
 from deformscope.stages.fit.estimate import (
     Curve,
     Estimate,
@@ -77,7 +78,10 @@ def test_a_quantity_without_bounds_needs_data_that_tell_too() -> None:
     assert relative_verdict(10.0, (9.5, 10.5)) == "identified"
     assert relative_verdict(10.0, (8.0, 13.0)) == "weak"
     assert relative_verdict(10.0, (8.0, float("inf"))) == "unidentified"
-    assert relative_verdict(10.0, (9.5, 10.5), explained=0.2) == "unidentified"
+    unexplained = tuple(little_explained(0.2))
+    assert relative_verdict(10.0, (9.5, 10.5), unexplained) == "unidentified"
+    assert relative_verdict(10.0, (9.5, 10.5), tuple(little_explained(0.5))) == "weak"
+    assert relative_verdict(10.0, (9.5, 10.5), tuple(little_explained(0.9))) == "identified"
 
 
 def test_little_that_is_explained_comes_with_a_warning() -> None:

@@ -9,17 +9,19 @@ import pytest
 from scipy.stats import norm
 
 from deformscope.errors import InputError
+from deformscope.stages.map.inclusions import Lumps
 from deformscope.stages.map.plan import (
     ALLOWED,
     AT_BORDER,
-    INCLUSION_RADII_M,
+    INCLUSION_M,
+    LARGER,
+    LUMP_WORTH,
     OUT_OF_REACH,
     PLANNERS,
     TOUCHED_BEFORE,
     FieldKernel,
     Planner,
     PlanOptions,
-    inclusion_gain,
     information,
     label_gain,
     plan_touch,
@@ -151,35 +153,24 @@ def test_the_way_counts(halves: RegionPosterior) -> None:
     assert away[0] < away[1]
 
 
-def test_it_fills_the_space_first_and_looks_for_inclusions_while_there_is_one_material(
+def test_it_fills_the_space_first_and_looks_for_lumps_while_there_is_one_material(
     one_material: RegionPosterior,
 ) -> None:
     assert plan_touch(RegionPosterior.before_touches(GRID), KERNEL, PlanOptions()).unit == "mean variance"
     plan = plan_touch(one_material, KERNEL, PlanOptions())
-    assert plan.unit == "inclusion"
-    assert "inclusions" in plan.reason
-    done = plan_touch(one_material, KERNEL, PlanOptions(sure=0.1, threshold=0.0, least_gain=1.0))
-    assert done.stop == "little left to learn"
+    assert plan.target_m is not None
+    assert "lumps" in plan.reason
+    assert Lumps(one_material, INCLUSION_M).gain(plan.target_m[None])[0] > 0.05
 
 
-def test_inclusions_are_met_once_and_by_touches_inside_them() -> None:
-    grid = MapGrid(cell_m=0.02)
-    places = grid.centres_m
-    none, blur_m = np.zeros((0, 2)), 0.012
-    first = inclusion_gain(places, none, places, grid.size_m, blur_m)
-    middle, corner = (int(np.hypot(*(places - at).T).argmin()) for at in ((0.3, 0.2), (0.0, 0.0)))
-    # as many as have their centres within reach: one radius by hand
-    reach = INCLUSION_RADII_M[0] - blur_m / 2.0
-    alone = (np.hypot(*(places - places[middle]).T) <= reach).sum()
-    there = (np.minimum(places, np.asarray(grid.size_m) - places).min(axis=1) > INCLUSION_RADII_M[0] / 2.0).sum()
-    assert first[middle] > alone / there / len(INCLUSION_RADII_M) > 0.0
-    assert first[corner] < first[middle]
-
-    again = inclusion_gain(places, places[[middle]], places, grid.size_m, blur_m)
-    assert again[middle] == 0.0
-    far = np.hypot(*(places - places[middle]).T) > 2.0 * INCLUSION_RADII_M[-1]
-    np.testing.assert_array_equal(again[far], first[far])
-    assert (again <= first).all()
+def test_lumps_are_sought_where_there_are_two_materials_too(halves: RegionPosterior) -> None:
+    """What a touch far from the border is worth is what it may show of lumps."""
+    plan = plan_touch(halves, KERNEL, PlanOptions())
+    away = np.array([0.09, 0.21])
+    here = int(np.hypot(*(plan.grid.centres_m - away).T).argmin())
+    chance = [Lumps(halves, times * INCLUSION_M).gain(away[None])[0] for times in LARGER]
+    assert plan.gain.ravel()[here] >= LUMP_WORTH * np.mean(chance) > 0.004
+    assert plan_touch(halves, KERNEL, PlanOptions(sure=0.1, least_gain=1.0, threshold=0.0)).stop is None
 
 
 def test_a_search_for_inclusions_leaves_smaller_holes_than_the_variance() -> None:
@@ -202,18 +193,35 @@ def test_a_search_for_inclusions_leaves_smaller_holes_than_the_variance() -> Non
     assert hole("regions") < 0.95 * hole("max-variance")
 
 
+def test_one_material_is_enough_once_lumps_would_have_been_felt() -> None:
+    """It stops by itself, before its budget; later where smaller lumps are asked for, and then all have been met."""
+    made = []
+    for inclusion_m in (0.06, 0.045):
+        options = PlanOptions(budget=30, inclusion_m=inclusion_m)
+        posterior = RegionPosterior.before_touches(GRID, particle_count=200)
+        while (plan := plan_touch(posterior, KERNEL, options)).stop is None:
+            assert plan.target_m is not None
+            assert plan.missed.probability(inclusion_m) > options.unmet or len(posterior.touches) < 8
+            noise = 0.02 * (-1.0) ** len(posterior.touches)
+            posterior = posterior.with_touch(StiffnessSample(plan.target_m, noise, 0.03))
+        assert plan.stop == "little left to learn"
+        assert plan.missed.probability(inclusion_m) <= options.unmet
+        made.append(len(posterior.touches))
+    assert made[0] <= 12 < made[1]
+
+
 def test_it_never_stops_while_the_number_of_regions_is_in_doubt(halves: RegionPosterior) -> None:
-    content = {"least_gain": 10.0, "threshold": 10.0}
+    content = {"least_gain": 10.0, "threshold": 10.0, "unmet": 1.0}
     assert plan_touch(halves, KERNEL, PlanOptions(sure=1.0, **content)).stop is None
     assert plan_touch(halves, KERNEL, PlanOptions(sure=0.1, **content)).stop is not None
     assert plan_touch(halves, KERNEL, PlanOptions(sure=1.0, budget=6, **content)).stop == "budget"
 
 
 def test_why_it_stops(halves: RegionPosterior, one_material: RegionPosterior) -> None:
-    assert (
-        plan_touch(halves, KERNEL, PlanOptions(sure=0.1, threshold=0.0, least_gain=1.0)).stop == "little left to learn"
-    )
-    plan = plan_touch(one_material, FieldKernel(length_m=1.0), PlanOptions(sure=0.1))
+    content = {"sure": 0.1, "unmet": 1.0}
+    plan = plan_touch(halves, KERNEL, PlanOptions(**content, threshold=0.0, least_gain=1.0))
+    assert plan.stop == "little left to learn"
+    plan = plan_touch(one_material, FieldKernel(length_m=1.0), PlanOptions(**content))
     assert plan.stop == "nothing above the threshold"
     nowhere = plan_touch(halves, KERNEL, PlanOptions(), reachable=np.zeros(GRID.shape, dtype=bool))
     assert (nowhere.stop, nowhere.target_m) == ("nowhere to go", None)

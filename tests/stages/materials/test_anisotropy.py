@@ -138,7 +138,7 @@ def test_the_public_form_lists_the_axes() -> None:
     assert isinstance(axes, list)
     assert 0.9 < float(str(reported["explained"])) <= 1.0
     assert [each["axis"] for each in axes] == [[1.0, 0.0], [0.0, 1.0]]
-    assert set(axes[0]) == {"axis", "value", "interval", "verdict"}
+    assert set(axes[0]) == {"axis", "value", "interval", "verdict", "reasons"}
 
 
 @pytest.mark.slow  # kernels of many candidates on lists in space

@@ -92,24 +92,40 @@ def test_rivals_widen_the_interval_of_the_force(model: FittedModel) -> None:
     assert wide[0] == pytest.approx(alone[0], rel=1e-3)
 
 
-def test_the_interval_of_the_force_is_made_of_errors_of_logarithms(model: FittedModel) -> None:
-    """A stiffness predicted five times too low is off by -80 % of the measured one: the force may be five-fold."""
-    at, tip = np.array([0.08, 0.08, 0.03]), Tip("flat", (0.02, 0.02))
-    places = np.array([[0.04, 0.08, 0.03], [0.12, 0.08, 0.03], [0.08, 0.12, 0.03]])
-    unsure = dataclasses.replace(
-        model, places=places, stiffness=np.full(3, STIFFNESS), field_kind="uniform", left_out=np.full(3, 1 / 5 - 1)
+def test_between_pokes_that_differ_the_force_may_be_of_either_material(model: FittedModel) -> None:
+    """Four pokes, two of 50 N/m and two of 250: between them the interval spans both, at each it is narrow."""
+    tip = Tip("flat", (0.02, 0.02))
+    places = np.array([[x, y, 0.03] for x in (0.04, 0.12) for y in (0.05, 0.11)])
+    stiffness = STIFFNESS * np.array([1.0, 1.02, 5.0, 5.1])
+    unsure = dataclasses.replace(model, places=places, stiffness=stiffness, left_out=np.zeros(4))
+    soft, between, stiff = (
+        predict(unsure, Poke(np.array([x, 0.08, 0.03]), tip, depth=0.001)) for x in (0.03, 0.08, 0.13)
     )
-    found = predict(unsure, Poke(at, tip, depth=0.001))
-    assert found.force is not None
-    assert found.force_interval is not None
-    low, high = found.force_interval
-    assert high >= 5.0 * found.force
-    assert low > 0.0
-    assert low * high == pytest.approx(found.force**2, rel=1e-6)
-    beside = predict(unsure, Poke(places[0] + [0.001, 0.0, 0.0], tip, depth=0.001))
-    assert beside.force_interval is not None
-    assert beside.force is not None
-    assert beside.force_interval[1] < 1.2 * beside.force
+    assert soft.force is not None
+    assert stiff.force is not None
+    assert between.force_interval is not None
+    assert stiff.force > 4.0 * soft.force
+    assert between.force_interval[0] < 1.2 * soft.force  # the lattice is wider there than near the surface's side
+    assert between.force_interval[1] > 0.9 * stiff.force
+    for one in places:
+        there = predict(unsure, Poke(one, tip, depth=0.001))
+        assert there.force is not None
+        assert there.force_interval is not None
+        assert there.force_interval[1] < 2.0 * there.force
+
+
+def test_another_tip_and_a_greater_depth_widen_the_interval(model: FittedModel) -> None:
+    at = np.array([0.08, 0.08, 0.03])
+
+    def ratio(width: float, depth: float) -> float:
+        found = predict(model, Poke(at, Tip("flat", (width, width)), depth=depth))
+        assert found.force_interval is not None
+        return found.force_interval[1] / found.force_interval[0]
+
+    same = ratio(0.02, 0.002)
+    assert ratio(0.02, 0.001) == pytest.approx(same, rel=1e-3)
+    assert ratio(0.04, 0.002) > 1.05 * same
+    assert ratio(0.02, 0.006) > 1.2 * same
 
 
 def test_a_model_without_force_predicts_shape_alone(model: FittedModel) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from deformscope.errors import InputError
-from deformscope.stages.msm.poke import Law, Tip
+from deformscope.stages.msm.poke import Law, Poke, Tip
 from deformscope.stages.poke.poke_estimate import conclude, continuum
 from deformscope.stages.poke.poke_fit import default_spacing, fit_pokes, seen_poke
 from tests.stages.pokes import LAW, SPACING, STIFFNESS, poked, surface
@@ -61,9 +61,13 @@ def test_each_poke_has_its_stiffness_and_the_field_is_judged_by_pokes_left_out()
     reported = conclude(found, level=0.9, settings={}, provenance={})
     np.testing.assert_allclose(reported.model.stiffness, [40.0, 40.0, 90.0, 90.0, 40.0, 90.0], rtol=0.02)
     assert reported.model.field_kind == "materials"
-    assert reported.model.stiffness_at(np.array([0.15, 0.05, 0.03]), SPACING) == pytest.approx(90.0, rel=0.02)
+    beside = Poke(np.array([0.15, 0.05, 0.03]), Tip("flat", (0.02, 0.02)), depth=1e-3)
+    met = reported.model.stiffness_at(beside, SPACING)
+    assert met is not None
+    assert met.value == pytest.approx(90.0, rel=0.03)
+    assert met.interval[0] < 90.0 < met.interval[1]
     assert [row.stiffness_n_per_m for row in reported.rows()] == pytest.approx(reported.model.stiffness.tolist())
-    assert np.abs(reported.model.left_out).max() < 0.05
+    assert np.abs(reported.model.left_out).max() < 0.3  # the other material is -56 or +125 % off
 
 
 @pytest.mark.slow

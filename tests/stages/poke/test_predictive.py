@@ -11,7 +11,7 @@ pytest.importorskip("warp")
 
 from deformscope.arrays import FloatArray
 from deformscope.stages.fit.calibrate import FitOptions, Model, Observation, calibrate
-from deformscope.stages.poke.predictive import _quantile, predict
+from deformscope.stages.poke.predictive import predict
 from tests.stages.bodies import Pushed, pushed
 
 NOISE = 2e-4
@@ -33,18 +33,6 @@ def observation(body: Pushed, deformed: FloatArray, noise: float | None = NOISE)
 def truth(body: Pushed, beta: float) -> FloatArray:
     model = Model(cluster_size=3)
     return np.asarray(model.body(observation(body, body.rest)).relax(body.held_position, beta).position[0])
-
-
-def test_quantiles_of_a_mixture_are_those_of_its_draws() -> None:
-    rng = np.random.default_rng(0)
-    mean, deviation = rng.normal(0.0, 1.0, (3, 2, 2)), rng.uniform(0.2, 1.0, (3, 2, 2))
-    weight = np.array([0.5, 0.3, 0.2])
-    which = rng.choice(3, 40_000, p=weight)
-    draws = mean[which] + deviation[which] * rng.standard_normal((40_000, 2, 2))
-    for share in (0.05, 0.5, 0.9):
-        np.testing.assert_allclose(
-            _quantile(mean, deviation, weight, share), np.quantile(draws, share, axis=0), atol=0.04
-        )
 
 
 @pytest.mark.slow

@@ -5,8 +5,18 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
+from scipy.special import ndtr
 
-from deformscope.stages.regions.partitions import LATENTS, LEAST_AREA_M2, Family, Partitions, draw, propose
+from deformscope.stages.regions.partitions import (
+    LATENTS,
+    LEAST_AREA_M2,
+    ZIGZAG_LENGTH_M,
+    ZIGZAG_M,
+    Family,
+    Partitions,
+    draw,
+    propose,
+)
 from deformscope.stages.regions.touches import MapGrid
 from tests.cases import slow_but
 
@@ -76,8 +86,41 @@ def test_moves_leave_the_prior_as_it_is() -> None:
         maps = maps.instead(proposed.admissible(), proposed)
     moved = (maps.labels(MapGrid(SIZE, 0.02).centres_m) == 0).mean(axis=1)
 
-    shares = np.bincount(maps.family[:, 0], minlength=4) / 3000
-    fresh = np.bincount(draw(rng, 2, SIZE, 6000).family[:, 0], minlength=4) / 6000
+    shares = np.bincount(maps.family[:, 0], minlength=len(Family)) / 3000
+    fresh = np.bincount(draw(rng, 2, SIZE, 6000).family[:, 0], minlength=len(Family)) / 6000
     np.testing.assert_allclose(shares, fresh, atol=0.04)
     np.testing.assert_allclose(np.quantile(moved, [0.1, 0.5, 0.9]), np.quantile(area, [0.1, 0.5, 0.9]), atol=0.05)
     assert np.mean(np.abs(moved - area) > 1e-3) > 0.7  # and they do move
+
+
+def test_a_ring_has_its_blob_s_border_and_a_hole() -> None:
+    """The same numbers as another family: the blob less its middle."""
+    rng = np.random.default_rng(4)
+    latent = rng.standard_normal((40, 2, LATENTS))
+    grid = MapGrid(SIZE, 0.005)
+    blob, ring = (
+        Partitions(2, SIZE, np.full((40, 2), family), latent, np.zeros(40, dtype=bool)).labels(grid.centres_m) == 0
+        for family in (Family.BLOB, Family.RING)
+    )
+    assert (blob | ~ring).all()
+    middle = ndtr(latent[:, 0, :2]) * SIZE
+    here = np.hypot(*(grid.centres_m - middle[:, None]).transpose(2, 0, 1)).argmin(axis=1)
+    assert not ring[np.arange(40), here].any()
+    shares = ring.sum(axis=1) / blob.sum(axis=1)
+    whole = (np.minimum(middle, np.asarray(SIZE) - middle) > 0.1).all(axis=1) & (latent[:, 0, 2] < 0.0)
+    # what is left of a disc whose radius shrinks by a quarter to three quarters
+    assert shares[whole].min() > 1.0 - 0.76**2
+    assert shares[whole].max() < 1.0 - 0.24**2
+
+
+def test_a_zigzag_turns_at_its_points() -> None:
+    """Along its line the border runs straight, up and down, by two amplitudes within half a wave."""
+    latent = np.zeros((1, 2, LATENTS))
+    latent[0, 0, 1] = 1.0  # the line runs along y, through the middle
+    zigzag = Partitions(2, SIZE, np.full((1, 2), Family.ZIGZAG), latent, np.zeros(1, dtype=bool))
+    grid = MapGrid(SIZE, 0.002)
+    border = (zigzag.labels(grid.centres_m)[0].reshape(grid.shape) == 1).sum(axis=1) * grid.cell_m
+    height, length = np.sqrt(np.prod(ZIGZAG_M)), np.sqrt(np.prod(ZIGZAG_LENGTH_M))
+    assert np.ptp(border) == pytest.approx(2.0 * height, abs=0.004)
+    rise = np.abs(border[10:] - border[:-10]) / 0.02
+    assert np.median(rise) == pytest.approx(4.0 * height / length, rel=0.1)

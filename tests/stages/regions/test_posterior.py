@@ -12,7 +12,7 @@ from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 from deformscope.stages.regions import posterior as posterior_module
 from deformscope.stages.regions.partitions import draw
-from deformscope.stages.regions.posterior import RegionPosterior, RegionPrior, surface_kind
+from deformscope.stages.regions.posterior import RegionPosterior, RegionPrior
 from deformscope.stages.regions.touch_error import TouchErrorModel
 from deformscope.stages.regions.touches import MapGrid, StiffnessSample
 from tests.cases import slow_but
@@ -81,7 +81,7 @@ def test_evidence_of_the_particles_is_that_of_the_prior() -> None:
     prior = RegionPrior()
     readings = posterior_module._readings(seen, prior)
     maps = draw(np.random.default_rng(99), 2, GRID.size_m, 20_000)
-    plain, _, _ = posterior_module._levels(maps.shares(readings.xy_m, prior.blur_m), readings, prior)
+    plain = posterior_module._log_likelihood(maps.shares(readings.xy_m, prior.blur_m), readings, prior)
     expected = np.log(np.mean(np.exp(plain - plain.max()))) + plain.max()
 
     found = [posterior(seen, seed=seed, particle_count=600).particles[0].log_evidence for seed in range(2)]
@@ -97,7 +97,7 @@ def test_two_halves_are_found_with_their_levels_and_order() -> None:
     np.testing.assert_allclose(shown.level, [0.0, 0.9], atol=0.08)
     assert ((shown.level_interval[:, 0] < [0.0, 0.9]) & (shown.level_interval[:, 1] > [0.0, 0.9])).all()
     assert shown.label_probability.shape == GRID.shape
-    assert 0.5 * shown.probability["2"] <= shown.label_probability.min()
+    assert 0.5 * shown.probability["2"] <= shown.label_probability.min() + 1e-12
     assert shown.label_probability.max() <= shown.probability["2"]
     assert sum(shown.probability.values()) == pytest.approx(1.0, abs=1e-6)
     assert not shown.rigid.any()
@@ -113,7 +113,7 @@ def test_one_material_stays_one_region(seed: int) -> None:
     shown = posterior(halves(0.0, seed)).region_map()
     assert (shown.verdict, shown.region_count) == ("regions", 1)
     assert np.isnan(shown.boundary_sd_m)
-    assert shown.wrong_share == 0.0
+    assert shown.wrong_share == pytest.approx(0.0, abs=1e-12)
 
 
 @pytest.mark.parametrize("seed", slow_but([0], range(4)))
@@ -170,7 +170,7 @@ def test_levels_come_with_the_scale_of_the_touches() -> None:
     seen = halves(0.9)
     moved = [StiffnessSample(touch.xy_m, touch.log_stiffness + 6.9, touch.log_sd) for touch in seen]
     first, second = (posterior(some).region_map() for some in (seen, moved))
-    np.testing.assert_array_equal(first.labels, second.labels)
+    assert (first.labels != second.labels).mean() < 0.002  # where two labels are as probable, rounding decides
     np.testing.assert_allclose(second.level - first.level, 6.9, atol=1e-6)
 
 
@@ -194,23 +194,6 @@ def test_what_makes_no_sense_is_refused() -> None:
         MapGrid((0.0, 0.4))
 
 
-@pytest.mark.parametrize("size_m", [0.05, 0.6])
-@pytest.mark.parametrize("kind", ["uniform", "materials", "gradual"])
-def test_a_surface_is_of_one_kind_whatever_its_size(kind: str, size_m: float) -> None:
-    """Twelve values of 5 % noise: all alike, two halves of 20 and 50 N/mm, or a slope by a factor of 3.3."""
-    rng = np.random.default_rng(4)
-    places = rng.uniform(0.0, [1.0, 0.6], (12, 2))
-    value = {
-        "uniform": np.full(12, np.log(20.0)),
-        "materials": np.where(places[:, 0] < 0.5, np.log(20.0), np.log(50.0)),
-        "gradual": np.log(20.0) + 1.2 * places[:, 0],
-    }[kind]
-    # a corner anywhere: places of a camera's frame may be below 0
-    found = surface_kind(size_m * places - [0.1, 0.2], value + rng.normal(0.0, 0.05, 12), 0.05)
-
-    assert found == kind
-
-
 def test_an_arm_that_is_off_moves_all_touches_together() -> None:
     """The likelihood is that of y ~ N(0, S^2 F F^T + a a^T + R), scatter and the touches' own noise in R."""
     rng = np.random.default_rng(0)
@@ -223,7 +206,8 @@ def test_an_arm_that_is_off_moves_all_touches_together() -> None:
     readings = posterior_module._readings(seen, prior)
     found, level, cov = posterior_module._levels(shares, readings, prior, 0.1)
 
-    joint = shares[0] @ shares[0].T + np.outer(arm, arm) + (0.05**2 + 0.1**2) * np.eye(6)
+    related = TouchErrorModel().related(np.array(SPREAD[:6]))
+    joint = shares[0] @ shares[0].T + np.outer(arm, arm) + 0.05**2 * np.eye(6) + 0.1**2 * related
     assert found[0] == pytest.approx(multivariate_normal(np.zeros(6), joint).logpdf(readings.value), rel=1e-9)
     gain = shares[0].T @ np.linalg.inv(joint)
     np.testing.assert_allclose(level[0], gain @ readings.value, atol=1e-9)
@@ -238,9 +222,11 @@ def test_the_scatter_of_touches_is_learned_and_makes_no_regions(scatter: float) 
     seen = [StiffnessSample(xy, scatter * rng.standard_normal(), 0.02) for xy in places]
     shown = posterior(seen).region_map()
     assert shown.region_count == 1
-    assert shown.scatter == pytest.approx(max(scatter, 0.02), rel=0.35)
+    assert shown.scatter < 0.05 if scatter == 0.0 else shown.scatter == pytest.approx(scatter, rel=0.35)
     low, high = shown.level_interval[0]
-    expected = 2.0 * 1.645 * np.sqrt(TouchErrorModel().gain_sd ** 2 + (shown.scatter**2 + 0.02**2) / 12)
+    model = TouchErrorModel()
+    precision = np.linalg.inv(shown.scatter**2 * model.related(places) + 0.02**2 * np.eye(12)).sum()
+    expected = 2.0 * 1.645 * np.sqrt(model.gain_sd**2 + 1.0 / precision)
     assert high - low == pytest.approx(expected, rel=0.15)
 
 

@@ -1,0 +1,132 @@
+"""What a laboratory keeps from the estimator, drawn once for each session: nothing of it is in what is measured.
+
+    errors = LabErrors().draw(seed)        # LabErrors.none() is the old, clean laboratory
+    errors.arm_n_per_m, errors.gain, errors.scatter(xy_m)
+
+The estimator knows the deviations that are common practice (a calibration with its interval, a force sensor's data
+sheet), and never what was drawn.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from deformscope.arrays import FloatArray
+from deformscope.lab.arm_contact import ARM_DOUBT, ARM_STIFFNESS_N_M
+from deformscope.lab.scenes import Scene
+
+TOUCHES_S = 100.0
+"""In which ten touches are made."""
+HERTZ = 1.5
+"""Log modulus for log stiffness at a set force, under a ball: what scatters is the stiffness."""
+WAVES = 96
+"""Cosines that a random field is made of."""
+
+
+@dataclass(frozen=True, slots=True)
+class LabErrors:
+    """What sessions differ by.
+
+    arm: deviation of the arm's compliance as a share of what its calibration says; gain: deviation of the force
+    sensor's; drift: deviation of what that changes by in TOUCHES_S
+    scatter: between which the deviation of log stiffness within one material lies, drawn evenly in logarithms;
+    scatter_length_m: over which it changes
+    thickness: deviation of the true thickness as a share of what is stated; overshoot_m: how far the arm goes on after
+    the stop, evenly from 0; friction: of the tip on the surface, evenly from 0
+    """
+
+    arm: float = ARM_DOUBT
+    gain: float = 0.03
+    drift: float = 0.01
+    scatter: tuple[float, float] = (0.02, 0.10)
+    scatter_length_m: float = 0.04
+    thickness: float = 0.03
+    overshoot_m: float = 3e-4
+    friction: float = 0.3
+
+    @classmethod
+    def none(cls) -> LabErrors:
+        """The clean laboratory: everything is as the estimator assumes."""
+        return cls(0.0, 0.0, 0.0, (0.0, 0.0), 0.04, 0.0, 0.0, 0.0)
+
+    def draw(self, seed: int | list[int]) -> SessionErrors:
+        """One session's."""
+        random = np.random.default_rng(np.append(seed, 0x5E5510))
+        arm, gain, drift, thickness = random.standard_normal(4)
+        low, high = self.scatter
+        sd = float(low * (high / low) ** random.random()) if low > 0.0 else 0.0
+        return SessionErrors(
+            arm_n_per_m=ARM_STIFFNESS_N_M / max(1.0 + self.arm * float(arm), 0.1),
+            gain=1.0 + self.gain * float(gain),
+            drift=self.drift * float(drift),
+            scatter_sd=sd,
+            thickness=max(1.0 + self.thickness * float(thickness), 0.5),
+            overshoot_m=self.overshoot_m * float(random.random()),
+            friction=self.friction * float(random.random()),
+            friction_rad=float(random.uniform(0.0, 2.0 * np.pi)),
+            wave_rad_m=random.standard_normal((WAVES, 2)) / self.scatter_length_m,
+            phase_rad=random.uniform(0.0, 2.0 * np.pi, WAVES),
+        )
+
+    def plain(self) -> dict[str, Any]:
+        """For JSON."""
+        return dataclasses.asdict(self)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SessionErrors:
+    """One session's.
+
+    arm_n_per_m: the arm's true stiffness; gain: force as measured over the true one at first, drift: what is added to
+    it in TOUCHES_S; scatter_sd: of log stiffness within a material; thickness: true over stated; overshoot_m; friction:
+    sideways over normal force, towards `friction_rad`; wave_rad_m, phase_rad: (w, 2), (w,) of the scatter's field
+    """
+
+    arm_n_per_m: float
+    gain: float
+    drift: float
+    scatter_sd: float
+    thickness: float
+    overshoot_m: float
+    friction: float
+    friction_rad: float
+    wave_rad_m: FloatArray
+    phase_rad: FloatArray
+
+    def scatter(self, xy_m: FloatArray) -> FloatArray:
+        """(...,) by how much log stiffness at places (..., 2) is above its material's level: a Gaussian random field of
+        squared exponential covariance, as a sum of cosines (Rahimi and Recht 2008)."""
+        waves = np.cos(np.asarray(xy_m) @ self.wave_rad_m.T + self.phase_rad)
+        return np.asarray(self.scatter_sd * np.sqrt(2.0 / WAVES) * waves.sum(axis=-1))
+
+    def gain_at(self, time_s: float) -> float:
+        """Force as measured over the true one, at a time since the first touch [s]."""
+        return self.gain + self.drift * time_s / TOUCHES_S
+
+    def as_felt(self, force_n: FloatArray, time_s: float) -> FloatArray:
+        """(3,) what the sensor makes of a force (3,) in the tip's frame [N]: its gain, and friction aside."""
+        aside = np.array([np.cos(self.friction_rad), np.sin(self.friction_rad), 0.0])
+        felt = force_n + self.friction * float(np.linalg.norm(force_n)) * aside
+        return np.asarray(self.gain_at(time_s) * felt)
+
+    def slab(self, scene: Scene) -> Scene:
+        """As thick as it truly is: what the map's truth is taken from."""
+        return dataclasses.replace(scene, thickness_m=scene.thickness_m * self.thickness)
+
+    def foam(self, scene: Scene) -> Scene:
+        """The slab whose foams scatter, too: what is touched."""
+        slab = self.slab(scene)
+        return dataclasses.replace(slab, _modulus=partial(self._modulus_pa, slab)) if self.scatter_sd > 0.0 else slab
+
+    def _modulus_pa(self, slab: Scene, xy_m: FloatArray) -> FloatArray:
+        return np.asarray(slab.modulus_pa(xy_m) * np.exp(HERTZ * self.scatter(xy_m)))
+
+    def plain(self) -> dict[str, Any]:
+        """What was drawn, for JSON; the scatter's field by its deviation."""
+        left_out = ("wave_rad_m", "phase_rad")
+        return {one.name: getattr(self, one.name) for one in dataclasses.fields(self) if one.name not in left_out}

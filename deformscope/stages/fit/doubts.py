@@ -1,0 +1,289 @@
+"""Reasons to doubt a fit, found from its numbers: the same for beta, theta, axes and yielding.
+
+Which of them lower a verdict, and why:
+
+- `not-converged`, less than 30 % of the motion explained, rest and deformed of two sizes, columns swapped or mirrored,
+  two materials: the value is of nothing that was there, so the parameter is unidentified.
+- Less than 75 % explained (half of the motion, root mean square, is left) where more than noise is left, a value on the
+  end of its interval, residuals ten times as large as the noise that was stated, theta where a misfit outweighs the
+  noise: a compromise that depends on how errors are summed, or on what was done to the body, so at most weak.
+- Other contradictions of a stated noise are allowed for in the interval, which rests on the residuals: named alone.
+- A body of an unlikely size has the same beta and theta in any unit: named, and its stiffness is at most weak.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterable, Iterator, Sequence
+
+import numpy as np
+
+from deformscope.arrays import BoolArray, FloatArray
+from deformscope.stages.fit.distance import rigid_positions
+from deformscope.stages.fit.estimate import EXPLAINED_LEAST, EXPLAINED_LOW, Doubt, DoubtCode, Identifiability, Verdict
+from deformscope.stages.fit.model import Model, Observation
+from deformscope.stages.fit.plausible import LARGE_M, size_of
+
+SMALL_M = 1e-3
+"""No body of particles that a camera follows is smaller [m]."""
+
+NOISE_NAMED, NOISE_LOWERS = 3.0, 10.0
+"""Residuals so many times larger or smaller than the noise that was stated contradict it, and lower a verdict: a
+factor of e is one deviation of what is taken as likely (`noise.SCALE_SPREAD`)."""
+
+LIKE_NOISE = 1.5
+"""Residuals at most so many times as large as the noise that was stated are noise: they hold errors of prescribed
+positions too."""
+
+RESCALED = 2.0
+"""A deformed shape that is larger or smaller than the rest shape by this factor is taken for another unit."""
+
+MIRRORED = 0.25
+"""Share of a motion beyond a rigid one (squares) that a mirrored rest shape leaves at most, where it is mirrored."""
+
+SWAPPED, SWAPPED_SHARE = 0.5, 0.75
+"""With columns put right, the squared residuals are at most this share of what they are without, and the share of the
+motion beyond a rigid one that is left at most that share: what fits neither way is another thing. Chosen on tuning
+seeds (`deformscope.studies.seeds`): the squares of 750 bodies whose columns are right came to no less than 0.6, of 150
+whose columns are swapped 95 % came to 0.45 at most."""
+
+NEGLIGIBLE = 1e-3
+"""Share of a push below which a misfit moves no theta."""
+
+END = 0.01
+"""Of the interval's width: a value nearer to its end stands on it."""
+
+
+def found_in_numbers(
+    name: str,
+    value: float,
+    ends: tuple[float, float],
+    bounds: tuple[float, float],
+    identifiability: Identifiability,
+    *,
+    converged: bool,
+    noise: tuple[float | None, float | None] = (None, None),
+) -> list[Doubt]:
+    """What the numbers of a fit within its bounds show.
+
+    noise: size of the residuals in units of the noise that was stated, if it was; and the noise that they show [unit],
+    where it is known apart from a misfit
+    """
+    ratio, shown = noise
+    left_is_noise = shown is not None and identifiability.misfit < shown if ratio is None else ratio < LIKE_NOISE
+    return [
+        *not_converged(converged),
+        *little_explained(identifiability.explained, left_is_noise=left_is_noise),
+        *value_at_end(name, value, ends, bounds),
+        *noise_contradicted(ratio),
+    ]
+
+
+CAUSES: tuple[DoubtCode, ...] = ("axes-swapped", "units", "two-materials")
+"""What is wrong, rather than what comes of it."""
+
+
+def ordered(reasons: Iterable[Doubt]) -> tuple[Doubt, ...]:
+    """Those that lower a verdict the most first, and of these what is wrong before what comes of it."""
+    rank: dict[Verdict | None, int] = {"unidentified": 0, "weak": 1, None: 2}
+    return tuple(sorted(reasons, key=lambda one: (rank[one.allows], one.code not in CAUSES)))
+
+
+OF_STIFFNESS: tuple[DoubtCode, ...] = ("axes-swapped", "two-materials", "not-converged", "little-explained")
+"""What leaves no stiffness either: it is the model's of those very positions."""
+
+
+def of_stiffness(reasons: Iterable[Doubt]) -> list[Doubt]:
+    """The reasons that concern the stiffness too: it is in newtons a metre, so units lower its verdict in any case."""
+    kept = [one for one in reasons if one.code in OF_STIFFNESS]
+    return kept + [Doubt(one.code, one.text, one.allows or "weak") for one in reasons if one.code == "units"]
+
+
+def not_converged(converged: bool) -> Iterator[Doubt]:
+    if not converged:
+        yield Doubt("not-converged", "a simulation did not settle", "unidentified")
+
+
+def little_explained(share: float, *, left_is_noise: bool = False) -> Iterator[Doubt]:
+    """share: of the motion beyond a rigid one that is explained (sums of squares); left_is_noise: what is left is no
+    larger than noise, for which the interval allows"""
+    words = f"the model explains {max(share, 0.0):.0%} of the motion"
+    if share < EXPLAINED_LEAST:
+        yield Doubt("little-explained", f"{words}; misfit or noise are as large as the motion itself", "unidentified")
+    elif share < EXPLAINED_LOW and not left_is_noise:
+        left = f"{np.sqrt(1.0 - share):.0%} of its root mean square is left"
+        yield Doubt("little-explained", f"{words} only ({left})", "weak")
+
+
+def value_at_end(name: str, value: float, ends: tuple[float, float], bounds: tuple[float, float]) -> Iterator[Doubt]:
+    """The value of least mean distance may be where the likelihood's interval ends, which was stretched to hold it."""
+    low, high = ends
+    slack = END * (high - low)
+    if high <= low or value <= bounds[0] + slack or value >= bounds[1] - slack:
+        return
+    if value - low <= slack or high - value <= slack:
+        other = high if value - low <= slack else low
+        text = (
+            f"the {name} of least mean distance, {value:.3g}, stands on the end of its interval: the likelihood puts "
+            f"it towards {other:.3g}, so the value depends on how errors are summed"
+        )
+        yield Doubt("value-at-interval-end", text, "weak")
+
+
+def residual_ratio(seen: Sequence[Observation], simulated: Sequence[FloatArray], floor: float) -> float | None:
+    """Size of the residuals of simulations (K, d) against the noise that was stated, by the median, which outliers
+    leave alone; None where none was stated. floor: what numbers resolve [unit]"""
+    each = []
+    for one, position in zip(seen, simulated, strict=True):
+        if one.noise is None:
+            return None
+        judged = one.free_observed
+        each.append(np.abs((one.deformed - position)[judged] / np.maximum(one.noise[judged], floor)[:, None]).ravel())
+    return float(np.median(np.concatenate(each)) / NORMAL_MEDIAN)
+
+
+NORMAL_MEDIAN = 0.6745
+"""Median of the absolute value of a standard normal number."""
+
+
+def noise_contradicted(ratio: float | None) -> Iterator[Doubt]:
+    """ratio: size of the residuals against the noise that was stated; None where none was"""
+    if ratio is None or 1.0 / NOISE_NAMED < ratio < NOISE_NAMED:
+        return
+    if ratio > 1.0:
+        text = f"what is left is {ratio:.3g} times the noise that was stated: it is larger, or the model misfits"
+        yield Doubt("noise-contradicted", text, "weak" if ratio > NOISE_LOWERS else None)
+    elif ratio > 0.0:
+        text = f"the noise that was stated is {1.0 / ratio:.3g} times what is left: it is smaller, or smoothed away"
+        yield Doubt("noise-contradicted", text)
+
+
+# Units ---------------------------------------------------------------------------------------------------------------
+
+
+def implausible_lengths(seen: Sequence[Observation]) -> Iterator[Doubt]:
+    """Bodies of an unlikely size, if their positions are metres, and deformed shapes in another unit than rest."""
+    sizes = [size_of(one.rest) * one.metres_per_unit for one in seen if one.metres_per_unit is not None]
+    for size in [one for one in sizes if not SMALL_M <= one <= LARGE_M][:1]:
+        yield Doubt("units", f"positions are taken as metres, so this body is {size:.3g} m large; are they?")
+    for one in seen:
+        known = known_of(one)
+        factor = rescaled(one.rest[known], one.deformed[known])
+        if not 1.0 / RESCALED < factor < RESCALED:
+            text = f"the deformed shape is {factor:.3g} times as large as the rest shape: two units?"
+            yield Doubt("units", text, "unidentified")
+            return
+
+
+def known_of(seen: Observation) -> BoolArray:
+    """(K,) particles whose deformed position is known: seen, or prescribed."""
+    known = seen.observed.copy()
+    known[seen.held] = True
+    return known
+
+
+def rescaled(rest: FloatArray, deformed: FloatArray) -> float:
+    """How many times as large deformed (n, d) is as rest (n, d), root mean square distance from the middle."""
+    spread = [float(np.sqrt(np.mean(np.sum((x - x.mean(axis=0)) ** 2, axis=1)))) for x in (rest, deformed)]
+    return spread[1] / spread[0]
+
+
+# Axes ----------------------------------------------------------------------------------------------------------------
+
+
+def mirrored(rest: FloatArray, deformed: FloatArray, known: BoolArray) -> Iterator[Doubt]:
+    """Whether deformed (K, d), known (K,), is rest (K, d) mirrored: with columns swapped, or the sign of one turned."""
+
+    def left(shape: FloatArray) -> float:
+        return float(np.sum((rigid_positions(shape, deformed, known) - deformed)[known] ** 2))
+
+    mirror = np.ones(rest.shape[1])
+    mirror[0] = -1.0
+    as_is, turned = left(rest), left(rest * mirror)
+    if as_is > (1e-6 * size_of(rest)) ** 2 and turned < MIRRORED * as_is:
+        text = (
+            f"the deformed shape is the rest shape mirrored ({np.sqrt(turned / as_is):.0%} of the motion is left): "
+            "two columns swapped, or the sign of one turned"
+        )
+        yield Doubt("axes-swapped", text, "unidentified")
+
+
+Simulate = Callable[[Sequence[FloatArray]], Sequence[FloatArray]]
+"""States (B, K, d) of each observation at B values of what is fitted, the same ones for all, with the held particles
+where its deformed shape (K, d) has them; NaN where there is none."""
+
+Turn = tuple[str, FloatArray]
+"""What may have been done to the columns of displacements, in words, and the matrix (d, d) that undoes it."""
+
+
+def turns(dim: int) -> list[Turn]:
+    """Columns of displacements taken for each other, with and without a sign, and one sign turned; but for the sign of
+    all, which small motions do not show."""
+    axes, eye = "xyz", np.eye(dim)
+    found: list[Turn] = []
+    for axis in range(dim):
+        found.append((f"the sign of {axes[axis]} turned", np.diag(np.where(np.arange(dim) == axis, -1.0, 1.0))))
+    for i, j in itertools.combinations(range(dim), 2):
+        order = np.arange(dim)
+        order[[i, j]] = order[[j, i]]
+        found.append((f"{axes[i]} and {axes[j]} swapped", eye[order]))
+        if dim == 2:
+            found.append((f"{axes[i]} and {axes[j]} swapped and one sign turned", eye[order] * [1.0, -1.0]))
+    if dim == 3:
+        found += [("x, y and z in another order", eye[[1, 2, 0]]), ("x, y and z in another order", eye[[2, 0, 1]])]
+    return found[1:] if dim == 2 else found  # in the plane one sign is the other one turned, and all
+
+
+def swapped_axes(seen: Sequence[Observation], simulate: Simulate, weight: FloatArray | None = None) -> Iterator[Doubt]:
+    """Whether displacements fit far better with their columns in another order, or of another sign; also as a share of
+    the motion beyond a rigid one, since what is turned may be less than it was.
+
+    weight: of each observation, default 1
+    """
+    each = np.ones(len(seen)) if weight is None else weight
+
+    def left(matrix: FloatArray) -> tuple[float, float]:
+        by_model: FloatArray = np.zeros(1)
+        by_rigid = 0.0
+        shapes = [one.rest + (one.deformed - one.rest) @ matrix.T for one in seen]
+        for one, shape, states, counts in zip(seen, shapes, simulate(shapes), each, strict=True):
+            judged = one.free_observed
+            rigid = rigid_positions(one.rest, shape, known_of(one))
+            by_model = by_model + counts * np.sum((states - shape)[:, judged] ** 2, axis=(1, 2))
+            by_rigid += counts * float(np.sum((rigid - shape)[judged] ** 2))
+        least = float(np.min(by_model, where=np.isfinite(by_model), initial=np.inf))
+        return least, least / by_rigid if by_rigid > 0.0 else np.inf
+
+    dim = seen[0].rest.shape[1]
+    as_is, as_is_share = left(np.eye(dim))
+    (least, share), words = min(((left(matrix), words) for words, matrix in turns(dim)), key=lambda one: one[0])
+    if least < SWAPPED * as_is and share < SWAPPED_SHARE * as_is_share:
+        explained = (
+            f"{max(1.0 - share, 0.0):.0%} of the motion is explained, as it is {max(1.0 - as_is_share, 0.0):.0%}"
+        )
+        yield Doubt("axes-swapped", f"with {words} in the displacements {explained}", "unidentified")
+
+
+# What a value holds for ----------------------------------------------------------------------------------------------
+
+
+def setting(seen: Sequence[Observation], model: Model, misfit: float, noise: float) -> Doubt:
+    """What a theta holds for; where misfit outweighs noise [unit], another depth or resolution gives another theta."""
+    share = max(push_share(one) for one in seen)
+    least = NEGLIGIBLE * share * max(size_of(one.rest) for one in seen)
+    many = ", ".join(dict.fromkeys(str(len(one.rest)) for one in seen))
+    one_cluster = model.cluster_size is None
+    group = f"one {model.basis} cluster" if one_cluster else f"{model.basis} clusters of {model.cluster_size} a side"
+    fixed = f", beta {model.beta:g}" if model.parameter == "theta" else ""
+    text = (
+        f"theta holds for this setting: a push of {share:.0%} of the body's size, {many} particles in {group}{fixed}; "
+        "another depth or resolution gives another value"
+    )
+    return Doubt("setting", text, "weak" if misfit > max(noise, least) else None)
+
+
+def push_share(seen: Observation) -> float:
+    """The largest motion of a held particle, beyond the least one, as a share of the body's size."""
+    moved = (seen.deformed - seen.rest)[seen.held]
+    still = moved[np.linalg.norm(moved, axis=1).argmin()]
+    return float(np.linalg.norm(moved - still, axis=1).max()) / size_of(seen.rest)

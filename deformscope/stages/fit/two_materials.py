@@ -1,0 +1,236 @@
+"""Whether the residuals of a fit show that the parameter differs between two parts of the body.
+
+The body is split in several ways: across each of its axes, and into what is near to the push and what is far from it.
+For each split the residuals get one more term, a beta that is larger on one side and smaller on the other, beside the
+parameters that were fitted, and everything that they were explained by before (noise, its reach, misfit, prescribed
+positions that are off: `deformscope.stages.fit.noise`). Twice the logarithm of the likelihood that this gains is the
+statistic of a likelihood ratio test (a score test, as the states are linear in the betas about the fit). One that gains
+more than noise does is fitted in full, by simulation, and has to leave much less of the residuals.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from scipy.special import logsumexp
+
+from deformscope.arrays import BoolArray, FloatArray
+from deformscope.stages.fit import least_squares
+from deformscope.stages.fit.estimate import Doubt
+from deformscope.stages.fit.model import Observation
+from deformscope.stages.fit.residuals import Residuals
+from deformscope.stages.msm.clusters import Clusters
+
+STEP = 0.2
+"""Of -log(1 - beta), by which each side's beta is changed for the derivative."""
+
+ROUNDS, SMALL_STEP = 5, 0.1
+"""Newton's steps to the likeliest betas at most; one of this share of a standard deviation is the last."""
+
+GAIN = 8.0
+"""Twice the log likelihood that a second beta must gain."""
+
+APART, LEFT = 0.05, 0.8
+"""By how much the two betas must differ at least, and what share of the error (root mean square) they leave at most.
+
+These and `GAIN` were chosen on tuning seeds (`deformscope.studies.seeds`), 150 bodies a kind: together they are met by
+no body of one beta with noise that is independent or shared over a cell, by 1 % with noise shared over three, by 3 % of
+finite element bodies of one modulus, and by most bodies whose halves have betas of 0.2 and 0.8."""
+
+DIFFERENCE = 1e-2
+"""Of -log(1 - beta), for derivatives of the full fit."""
+
+
+@dataclass(frozen=True, slots=True)
+class BodySplit:
+    """A way to take a body as two. first: (C,) clusters of the first part; names: where the parts are"""
+
+    names: tuple[str, str]
+    first: BoolArray
+
+
+def splits(seen: Observation, grouped: Clusters) -> list[BodySplit]:
+    """The ways in which one observation's clusters are split, each into halves of about as many."""
+    middles = np.array([seen.rest[row].mean(axis=0) for row in grouped])
+    found = []
+    for axis, name in enumerate("xyz"[: seen.rest.shape[1]]):
+        found.append(((f"at low {name}", f"at high {name}"), middles[:, axis]))
+    pressed = seen.rest[seen.touched].mean(axis=0) if len(seen.touched) else seen.rest[seen.held].mean(axis=0)
+    found.append((("near the push", "far from the push"), np.linalg.norm(middles - pressed, axis=1)))
+    made = []
+    for names, along in found:
+        # clusters in the middle count with the second part
+        first = along < np.median(along) - 1e-9 * (1e-300 + np.ptp(along))
+        if first.any() and not first.all():
+            made.append(BodySplit(names, first))
+    return made
+
+
+@dataclass(frozen=True, slots=True)
+class Local:
+    """One observation about its fit.
+
+    part: its particles and error model; residual: (n, d) at the fit; response: of held positions there (n, d, m)
+    fitted: (q, n, d) derivatives by the parameters fitted; apart: (s, n, d) by a difference between the parts of each
+    split; weight: of the observation
+    """
+
+    part: Residuals
+    residual: FloatArray
+    response: FloatArray
+    fitted: FloatArray
+    apart: FloatArray
+    weight: float = 1.0
+
+
+def gains(local: Sequence[Local]) -> FloatArray:
+    """(s,) by how much twice the log likelihood rises with a difference between the parts of each split."""
+    before = _highest(local, [one.fitted for one in local])
+    count = len(local[0].apart)
+    after = [
+        _highest(local, [np.concatenate([one.fitted, one.apart[row : row + 1]]) for one in local])
+        for row in range(count)
+    ]
+    return np.maximum(2.0 * (np.array(after) - before), 0.0)
+
+
+def _highest(local: Sequence[Local], columns: Sequence[FloatArray]) -> float:
+    """The highest log likelihood that residuals reach with these derivatives, (q, n, d) each, by Newton's steps."""
+    q = len(columns[0])
+    flat = np.concatenate([one.reshape(q, -1) for one in columns], axis=1)
+    residual = np.concatenate([one.residual.ravel() for one in local])
+    # in directions that are independent, of a size that residuals as they are make likely
+    u, size, _ = np.linalg.svd(flat, full_matrices=False)
+    keep = size > 1e-8 * max(float(size[0]), 1e-300)
+    if not size[0] > 0.0:
+        return float(_likelihood(local, np.zeros((1, residual.size)))[0])
+    turn = (u[:, keep] / size[keep]).T
+    axes = turn @ flat
+    unit = float(np.sqrt(np.mean(residual**2))) or 1.0
+    at = axes @ residual
+    stencil = _stencil(len(axes))
+    best = -np.inf
+    width = unit
+    for _ in range(ROUNDS):
+        tried = at + width * stencil
+        value = _likelihood(local, tried @ axes)
+        best = max(best, float(value.max()))
+        step = _peak(stencil, value)
+        at = at + width * np.clip(step, -5.0, 5.0)
+        if np.abs(step).max() < SMALL_STEP:
+            break
+        width *= 0.5 if np.abs(step).max() < 1.0 else 1.0
+    return max(best, float(_likelihood(local, (at @ axes)[None])[0]))
+
+
+def _likelihood(local: Sequence[Local], taken: FloatArray) -> FloatArray:
+    """(g,) log likelihood of the residuals less what is taken from them (g, all numbers)."""
+    total, first = np.zeros(len(taken)), 0
+    for one in local:
+        size = one.residual.size
+        left = one.residual - taken[:, first : first + size].reshape(-1, *one.residual.shape)
+        evidence = one.part.errors.evidence(left, one.response, one.part.kept)
+        total += one.weight * logsumexp(evidence.log_likelihood, axis=0)
+        first += size
+    return total
+
+
+def _stencil(q: int) -> FloatArray:
+    """Places from which a quadratic function of q numbers is known, (m, q)."""
+    rows = [np.zeros(q)]
+    eye = np.eye(q)
+    rows += [sign * eye[i] for i in range(q) for sign in (1.0, -1.0)]
+    rows += [eye[i] + eye[j] for i, j in combinations(range(q), 2)]
+    return np.array(rows)
+
+
+def _peak(stencil: FloatArray, value: FloatArray) -> FloatArray:
+    """Where the quadratic through values at a stencil is highest; where it bends up, along its slope."""
+    q = stencil.shape[1]
+    middle, up, down = value[0], value[1 : 2 * q + 1 : 2], value[2 : 2 * q + 2 : 2]
+    slope = 0.5 * (up - down)
+    bend = np.diag(up + down - 2.0 * middle)
+    for place, (i, j) in enumerate(combinations(range(q), 2)):
+        bend[i, j] = bend[j, i] = value[2 * q + 1 + place] - up[i] - up[j] + middle
+    curve, along = np.linalg.eigh(bend)
+    curve = np.minimum(curve, -1e-3 * max(float(np.abs(curve).max()), 1e-12))
+    return np.asarray(along @ ((along.T @ slope) / -curve))
+
+
+@dataclass(frozen=True, slots=True)
+class FittedBody:
+    """One observation at its fit, with what is needed to change the beta of each cluster.
+
+    part: its particles and error model; grouped: its clusters; position: (K, d) simulated at the fit
+    response: of held positions there (n, d, m); others: (q, n, d) derivatives by parameters beside beta
+    states: positions (B, K, d) for -log(1 - beta) of each cluster (B, C); weight: of the observation
+    """
+
+    part: Residuals
+    grouped: Clusters
+    position: FloatArray
+    response: FloatArray
+    others: FloatArray
+    states: Callable[[FloatArray], FloatArray]
+    weight: float = 1.0
+
+    def local(self, stretched: float, ways: Sequence[BodySplit]) -> Local:
+        """About one -log(1 - beta) of all clusters."""
+        sides = np.array([np.where(way.first, 0.5, -0.5) for way in ways] + [np.full(self.grouped.count, 0.5)])
+        sides = STEP * np.concatenate([sides, -sides])
+        ahead = self.states(np.maximum(stretched + sides, 0.0))[:, self.part.judged]
+        each = (ahead[: len(ways) + 1] - ahead[len(ways) + 1 :]) / STEP
+        fitted = np.concatenate([each[-1:], self.others])
+        return Local(self.part, self.part.left(self.position), self.response, fitted, each[:-1], self.weight)
+
+
+def two_materials(bodies: Sequence[FittedBody], beta: float, top: float) -> Iterator[Doubt]:
+    """Whether two betas explain what one, fitted to all bodies, does not.
+
+    beta: the one; top: the highest that is searched
+    """
+    every = [{way.names: way for way in splits(body.part.seen, body.grouped)} for body in bodies]
+    names = [name for name in every[0] if all(name in one for one in every)]
+    if not names:
+        return
+    highest = float(-np.log1p(-top))
+    stretched = float(np.clip(-np.log1p(-beta), 0.5 * STEP, highest))
+    local = [body.local(stretched, [one[name] for name in names]) for body, one in zip(bodies, every, strict=True)]
+    if not all(np.isfinite(one.apart).all() and np.isfinite(one.fitted).all() for one in local):
+        return
+    gain = gains(local)
+    best = int(gain.argmax())
+    if gain[best] < GAIN:
+        return
+    ways = [one[names[best]] for one in every]
+    observed = np.concatenate([body.part.observed.ravel() for body in bodies])
+    weight = np.concatenate([np.full(body.part.observed.size, np.sqrt(body.weight)) for body in bodies])
+
+    def simulate(at: FloatArray) -> FloatArray:
+        states = [
+            body.states(np.where(way.first, at[:, :1], at[:, 1:]))[:, body.part.judged].reshape(len(at), -1)
+            for body, way in zip(bodies, ways, strict=True)
+        ]
+        return np.asarray(np.concatenate(states, axis=1) * weight)
+
+    both = np.array([[0.0, highest]] * 2)
+    found = least_squares.minimise(simulate, observed * weight, np.full(2, stretched), both, np.full(2, DIFFERENCE))
+    alike = least_squares.minimise(
+        lambda at: simulate(np.repeat(at, 2, axis=1)),
+        observed * weight,
+        np.full(1, stretched),
+        both[:1],
+        np.full(1, DIFFERENCE),
+    )
+    low, high = -np.expm1(-found.at)
+    share = float(np.sqrt(found.squares / alike.squares))
+    if abs(high - low) < APART or not share < LEFT:
+        return
+    text = (
+        f"residuals show two materials or thicknesses: beta {low:.2g} {names[best][0]} and {high:.2g} {names[best][1]} "
+        f"leave {share:.0%} of the error of one beta"
+    )
+    yield Doubt("two-materials", text, "unidentified")

@@ -1,0 +1,37 @@
+"""Quantiles of mixtures: where a value lies that may come from several hypotheses, each of which errs by its own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from scipy.special import ndtr
+
+from deformscope.arrays import FloatArray
+
+BISECTIONS = 30
+FARTHEST = 9.0
+"""Deviations from a component's mean within which its quantiles are sought."""
+
+
+def quantile(
+    mean: FloatArray,
+    deviation: FloatArray,
+    weight: FloatArray,
+    share: float,
+    *,
+    below: Callable[[FloatArray], FloatArray] = ndtr,
+    farthest: float = FARTHEST,
+) -> FloatArray:
+    """The value (...) that a `share` of a mixture lies below, by bisection.
+
+    mean, deviation: (c, ...) of the components; weight: (c,) or (c, ...), adding up to 1 over them; below: distribution
+    function of a component of mean 0 and deviation 1; farthest: deviations within which the quantile lies for certain
+    """
+    own = weight.reshape(*weight.shape, *(1,) * (mean.ndim - weight.ndim))
+    low, high = (mean - farthest * deviation).min(axis=0), (mean + farthest * deviation).max(axis=0)
+    for _ in range(BISECTIONS):
+        middle = 0.5 * (low + high)
+        less = (own * below((middle - mean) / deviation)).sum(axis=0) < share
+        low, high = np.where(less, middle, low), np.where(less, high, middle)
+    return np.asarray(0.5 * (low + high))

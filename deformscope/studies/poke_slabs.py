@@ -1,0 +1,125 @@
+"""Random slabs, 24 pokes of each: halves, a stiff or a soft disc, a gradual change, or one material.
+
+What a poke meets beside the border of two materials was measured with finite elements (`FELT`); so thousands of slabs
+can be drawn where a true solution of each poke would take seconds.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+
+from deformscope.arrays import BoolArray, FloatArray
+from deformscope.lab.slab import Slab
+
+SlabKind = Literal["one material", "halves", "stiff disc", "soft disc", "gradual"]
+KINDS: tuple[SlabKind, ...] = get_args(SlabKind)
+Split = Literal["alternate", "random"]
+PokeGroup = Literal["in one material", "near a border", "on the inclusion"]
+POKE_GROUPS: tuple[PokeGroup, ...] = get_args(PokeGroup)
+
+SIZE = (0.4, 0.3, 0.05)
+POISSON = 0.3
+GRID, MARGIN, JITTER = (6, 4), 0.035, 0.012
+"""Pokes along x and y, how far the outermost are from the slab's sides, and by how much each may be off [m]."""
+
+SOFT, STIFF = 20e3, (70e3, 120e3)
+HALVES = (20e3, 80e3)
+RADIUS = (0.07, 0.095)
+LEAST_SEEN = 3
+"""Fitted pokes that an inclusion holds, and unseen ones: what nothing has met cannot be predicted."""
+
+BORDER = 0.02
+"""Pokes nearer to a border than this are near it: they feel both materials [m]."""
+
+FELT_M = 0.01 * np.arange(-4.0, 5.0)
+FELT = np.array([0.002, 0.008, 0.022, 0.120, 0.463, 0.768, 0.912, 0.963, 0.989])
+"""By how much of the difference a poke with a tip of 2 x 2 cm meets the stiffer material, at distances from the border
+on its side [m]: finite elements, 20 and 80 kPa, 5 cm thick. Discs of 4 to 8 cm, 20 and 120 kPa, are within 0.06."""
+
+
+@dataclass(frozen=True, slots=True)
+class PokedSlab:
+    """A slab and where it is poked.
+
+    normal, middle: (2,) of the border of halves, or the direction of a gradual change; middle, radius: of a disc
+    modulus: (2,) [Pa] where `inside` is negative and positive; places: (24, 2) [m]; fitted: (24,) the others are unseen
+    """
+
+    kind: SlabKind
+    seed: int
+    normal: FloatArray
+    middle: FloatArray
+    radius: float
+    modulus: tuple[float, float]
+    places: FloatArray
+    fitted: BoolArray
+
+    def inside(self, place: FloatArray) -> FloatArray:
+        """Signed distance (...) of places (..., 2) to the border [m], above 0 within the second material."""
+        if self.kind == "one material":
+            return np.full(place.shape[:-1], -np.inf)
+        if "disc" in self.kind:
+            return np.asarray(self.radius - np.linalg.norm(place - self.middle, axis=-1))
+        return np.asarray((place - self.middle) @ self.normal)
+
+    def young(self, place: FloatArray) -> FloatArray:
+        """Young's modulus (n,) [Pa] at places (n, 2) or (n, 3)."""
+        low, high = self.modulus
+        inside = self.inside(place[..., :2])
+        if self.kind == "gradual":
+            share = np.clip(0.5 + inside / max(SIZE), 0.0, 1.0)
+            return np.asarray(low * (high / low) ** share)
+        return np.where(inside > 0.0, high, low)
+
+    def slab(self) -> Slab:
+        return Slab(SIZE, self.young, POISSON)
+
+    def apparent(self, place: FloatArray) -> FloatArray:
+        """Young's modulus (n,) [Pa] of the slab of one material that a poke at places (n, 2) would meet as this one."""
+        if self.kind == "gradual":
+            return self.young(place)
+        low, high = sorted(self.modulus)
+        stiff_side = self.inside(place) * (1.0 if self.modulus[1] >= self.modulus[0] else -1.0)
+        return np.asarray(low + (high - low) * np.interp(stiff_side, FELT_M, FELT))
+
+    def group(self, place: FloatArray) -> PokeGroup:
+        """What a poke at a place (2,) is for this slab."""
+        inside = float(self.inside(place))
+        if self.kind != "gradual" and abs(inside) < BORDER:
+            return "near a border"
+        return "on the inclusion" if "disc" in self.kind and inside > 0.0 else "in one material"
+
+
+def draw_slab(kind: SlabKind, seed: int, split: Split = "alternate") -> PokedSlab:
+    """The slab of this kind and seed. split: fitted is every other poke, as on a chess board, or any half of them"""
+    rng = np.random.default_rng([seed, KINDS.index(kind), 16])
+    axes = [np.linspace(MARGIN, side - MARGIN, count) for side, count in zip(SIZE, GRID, strict=False)]
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
+    every_other = (np.add.outer(*(np.arange(count) for count in GRID)).ravel() + seed) % 2 == 0
+    while True:
+        angle = rng.choice(4) * np.pi / 2.0 + rng.normal(0.0, np.radians(10.0))
+        middle = np.asarray(SIZE[:2]) * rng.uniform(0.3, 0.7, 2)
+        soft, stiff = SOFT, float(rng.uniform(*STIFF))
+        modulus = {
+            "one material": (2.0 * SOFT,) * 2,
+            "halves": HALVES,
+            "stiff disc": (soft, stiff),
+            "soft disc": (stiff, soft),
+            "gradual": (soft, soft * float(rng.uniform(1.5, 4.0))),
+        }[kind]
+        found = PokedSlab(
+            kind=kind,
+            seed=seed,
+            normal=np.array([np.cos(angle), np.sin(angle)]),
+            middle=middle,
+            radius=float(rng.uniform(*RADIUS)),
+            modulus=modulus,
+            places=grid + rng.uniform(-JITTER, JITTER, grid.shape),
+            fitted=every_other if split == "alternate" else rng.permutation(every_other),
+        )
+        inner = found.inside(found.places) > 0.0
+        if "disc" not in kind or min((inner & found.fitted).sum(), (inner & ~found.fitted).sum()) >= LEAST_SEEN:
+            return found

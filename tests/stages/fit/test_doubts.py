@@ -1,0 +1,316 @@
+"""Reasons to doubt a fit: each is named where it is built in, and lowers the verdict as it says."""
+
+from __future__ import annotations
+
+import dataclasses
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+pytest.importorskip("warp")
+
+from deformscope.arrays import FloatArray
+from deformscope.stages.fit.calibrate import FitOptions, Model, Observation, calibrate
+from deformscope.stages.fit.doubts import (
+    implausible_lengths,
+    little_explained,
+    mirrored,
+    noise_contradicted,
+    of_stiffness,
+    ordered,
+    residual_ratio,
+    setting,
+    turns,
+    value_at_end,
+)
+from deformscope.stages.fit.estimate import Doubt, Estimate, Verdict, limited
+from deformscope.stages.fit.joint import JointOptions, calibrate_both
+from deformscope.stages.fit.two_materials import splits
+from deformscope.stages.materials.anisotropy import fit_axes
+from deformscope.stages.materials.plasticity import YieldOptions, fit_yield
+from deformscope.stages.msm.materials import Plasticity
+from deformscope.stages.msm.plastic import PlasticMsm
+from deformscope.studies.cubes import thesis_cubes
+from tests.cases import slow
+from tests.stages.bodies import pushed
+from tests.stages.materials.test_plasticity import BETA, pressed
+
+BOUNDS = (0.0, 0.99)
+NOISE_M = 1e-4
+
+
+def seen_sheet(beta: float | tuple[float, float], seed: int = 5, noise: float = NOISE_M) -> Observation:
+    """A sheet of one beta, or of two at low and high y, pushed at its far side, with noise that is stated."""
+    body = pushed((7, 8), np.random.default_rng(seed))
+    rng = np.random.default_rng(seed + 100)
+    count = len(body.rest)
+    still = Observation(
+        body.rest,
+        body.rest,
+        body.held,
+        np.ones(count, dtype=bool),
+        noise=np.full(count, noise),
+        shape=body.shape,
+        cell=np.arange(count),
+        held_measured=False,
+    )
+    each: FloatArray | float = np.asarray(beta)
+    if isinstance(beta, tuple):
+        across = next(way for way in splits(still, Model().grouping(still)) if way.names[0].endswith("y"))
+        each = np.where(across.first, *beta)[None]
+    deformed = Model().body(still).relax(body.held_position, each).position[0]
+    shaken = deformed + rng.normal(0.0, noise, deformed.shape)
+    shaken[body.held] = body.held_position
+    return dataclasses.replace(still, deformed=shaken)
+
+
+def fitted(seen: Observation) -> Estimate:
+    return calibrate([seen], FitOptions(Model(), BOUNDS, candidates=40)).estimate
+
+
+def codes(reasons: tuple[Doubt, ...]) -> list[str]:
+    return [one.code for one in reasons]
+
+
+def swapped(seen: Observation) -> Observation:
+    """Displacements with their columns in the wrong order, as of a flow (row, column)."""
+    return dataclasses.replace(seen, deformed=seen.rest + (seen.deformed - seen.rest)[:, ::-1])
+
+
+# Of numbers ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("found", "allows", "left"),
+    [
+        ("identified", (None,), "identified"),
+        ("identified", (None, "weak"), "weak"),
+        ("weak", ("weak",), "weak"),
+        ("at-bound", ("weak",), "at-bound"),
+        ("at-bound", ("weak", "unidentified"), "unidentified"),
+        ("identified", (), "identified"),
+    ],
+)
+def test_a_verdict_is_no_better_than_its_reasons_allow(
+    found: Verdict, allows: tuple[Verdict | None, ...], left: Verdict
+) -> None:
+    assert limited(found, [Doubt("setting", "", one) for one in allows]) == left
+
+
+def test_reasons_that_lower_most_come_first_and_causes_before_effects() -> None:
+    reasons = ordered(
+        [
+            Doubt("noise-contradicted", ""),
+            Doubt("value-at-interval-end", "", "weak"),
+            Doubt("little-explained", "", "unidentified"),
+            Doubt("axes-swapped", "", "unidentified"),
+        ]
+    )
+    assert codes(reasons) == ["axes-swapped", "little-explained", "value-at-interval-end", "noise-contradicted"]
+
+
+@pytest.mark.parametrize(
+    ("share", "allows"), [(0.9, None), (0.7, "weak"), (0.2, "unidentified"), (-3.0, "unidentified")]
+)
+def test_half_of_the_motion_left_is_no_identification(share: float, allows: Verdict | None) -> None:
+    assert [one.allows for one in little_explained(share)] == ([] if allows is None else [allows])
+
+
+def test_what_noise_leaves_is_no_misfit() -> None:
+    assert not list(little_explained(0.6, left_is_noise=True))
+    assert [one.allows for one in little_explained(0.2, left_is_noise=True)] == ["unidentified"]
+
+
+def test_a_value_on_the_end_of_its_interval_says_where_the_likelihood_is() -> None:
+    (reason,) = value_at_end("theta", 0.737, (0.546, 0.737), (0.0, 1.0))
+    assert reason.allows == "weak"
+    assert "theta of least mean distance, 0.737" in reason.text
+    assert "towards 0.546" in reason.text
+    assert not list(value_at_end("theta", 0.6, (0.546, 0.737), (0.0, 1.0)))
+    assert not list(value_at_end("beta", 0.0, (0.0, 0.3), (0.0, 0.99)))  # a bound of the range is no end
+
+
+@pytest.mark.parametrize(
+    ("ratio", "allows"), [(None, ()), (1.4, ()), (0.4, ()), (5.0, (None,)), (20.0, ("weak",)), (0.05, (None,))]
+)
+def test_noise_that_is_contradicted_is_named(ratio: float | None, allows: tuple[Verdict | None, ...]) -> None:
+    assert tuple(one.allows for one in noise_contradicted(ratio)) == allows
+
+
+def test_outliers_do_not_contradict_the_noise() -> None:
+    seen = seen_sheet(0.6)
+    rng = np.random.default_rng(1)
+    residual = rng.normal(0.0, NOISE_M, seen.rest.shape)
+    residual[rng.permutation(len(residual))[:5]] *= 100.0
+    ratio = residual_ratio([seen], [seen.deformed - residual], 1e-9)
+    assert ratio is not None
+    assert 0.7 < ratio < 1.4
+
+
+def test_units_are_doubted() -> None:
+    seen = seen_sheet(0.6)
+    assert not list(implausible_lengths([seen]))
+    for factor, words in ((40.0, "2.8 m large"), (1e-3, "7e-05 m large")):
+        (large,) = implausible_lengths(
+            [dataclasses.replace(seen, rest=factor * seen.rest, deformed=factor * seen.deformed)]
+        )
+        assert words in large.text
+        assert large.allows is None
+        assert [one.allows for one in of_stiffness([large])] == ["weak"]
+    (other,) = implausible_lengths([dataclasses.replace(seen, deformed=0.1 * seen.deformed)])
+    assert other.allows == "unidentified"
+    assert "two units" in other.text
+
+
+def test_a_mirrored_shape_is_named_and_a_turned_one_is_not() -> None:
+    seen = seen_sheet(0.6)
+    known = np.ones(len(seen.rest), dtype=bool)
+    (reason,) = mirrored(seen.rest, seen.deformed[:, ::-1], known)
+    assert reason.code == "axes-swapped"
+    assert not list(mirrored(seen.rest, seen.deformed @ np.array([[0.0, 1.0], [-1.0, 0.0]]), known))
+    assert not list(mirrored(seen.rest, seen.rest[:, ::-1] * [1.0, -1.0], known))
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_each_turn_of_the_columns_is_another_one(dim: int) -> None:
+    """Also but for the sign of all, which small motions do not show."""
+    every = [sign * matrix for _, matrix in turns(dim) for sign in (1.0, -1.0)] + [np.eye(dim), -np.eye(dim)]
+    assert all(np.abs(a - b).max() > 0.5 for i, a in enumerate(every) for b in every[i + 1 :])
+    assert all(np.allclose(matrix @ matrix.T, np.eye(dim)) for matrix in every)
+
+
+# Of fits -------------------------------------------------------------------------------------------------------------
+
+
+def test_one_material_raises_no_reason() -> None:
+    found = fitted(seen_sheet(0.6))
+    assert found.reasons == ()
+    assert found.verdict == "identified"
+    assert found.as_json()["reasons"] == []
+
+
+def test_two_materials_are_named_and_no_beta_is_identified() -> None:
+    found = fitted(seen_sheet((0.2, 0.8)))
+    assert codes(found.reasons)[0] == "two-materials"
+    assert found.verdict == "unidentified"
+    assert found.verdict_text().startswith("unidentified: residuals show two materials or thicknesses: beta 0.2")
+    shown = found.as_json()["reasons"]
+    assert shown[0]["code"] == "two-materials"  # type: ignore[index]
+    assert shown[0]["allows"] == "unidentified"  # type: ignore[index]
+
+
+@pytest.mark.parametrize("what", ["swapped", "sign", "mirrored"])
+def test_columns_in_the_wrong_order_are_named(what: str) -> None:
+    seen = seen_sheet(0.6)
+    moved = (seen.deformed - seen.rest) * [1.0, -1.0]
+    wrong = {
+        "swapped": swapped(seen),
+        "sign": dataclasses.replace(seen, deformed=seen.rest + moved),
+        "mirrored": dataclasses.replace(seen, deformed=seen.deformed[:, ::-1]),
+    }[what]
+    found = fitted(wrong)
+    assert codes(found.reasons)[0] == "axes-swapped"
+    assert found.verdict == "unidentified"
+
+
+def test_noise_stated_far_too_small_is_not_identified() -> None:
+    seen = seen_sheet(0.6, noise=5e-4)
+    assert seen.noise is not None
+    found = fitted(dataclasses.replace(seen, noise=seen.noise / 20.0))
+    assert "noise-contradicted" in codes(found.reasons)
+    assert found.verdict != "identified"
+
+
+def test_theta_gives_its_setting_and_is_not_identified_where_the_model_misfits() -> None:
+    """Thesis 3.A: finite element cubes of one Poisson's ratio, whose theta falls with the depth."""
+    cubes, _ = thesis_cubes((0.4,), (6,), (0.01, 0.03))
+    model = Model("theta", "quadratic", None)
+    found = [calibrate([cube.seen], FitOptions(model, (0.0, 1.0))).estimate for cube in cubes]
+    assert found[0].value > found[1].value + 0.1
+    for one, share in zip(found, ("10%", "30%"), strict=True):
+        assert one.verdict == "weak"
+        assert "setting" in codes(one.reasons)
+        text = next(reason.text for reason in one.reasons if reason.code == "setting")
+        assert f"a push of {share} of the body's size, 216 particles in one quadratic cluster, beta 0.99" in text
+    exact = cubes[0].seen
+    state = model.body(exact).relax(exact.deformed[exact.held], 0.99, 0.5).position[0]
+    same = calibrate([dataclasses.replace(exact, deformed=state)], FitOptions(model, (0.0, 1.0))).estimate
+    assert same.verdict == "identified"
+    assert codes(same.reasons) == ["setting"]
+
+
+@pytest.mark.parametrize("kind", ["two-materials", slow("axes-swapped")])
+def test_both_name_what_one_does(kind: str) -> None:
+    seen = seen_sheet((0.2, 0.8)) if kind == "two-materials" else swapped(seen_sheet(0.6))
+    found, _ = calibrate_both([seen], JointOptions())
+    for one in (found.beta, found.theta):
+        assert kind in codes(one.reasons)
+        assert one.verdict == "unidentified"
+    shown = found.as_json()["parameters"]
+    assert "setting" in [reason["code"] for reason in shown["theta"]["reasons"]]  # type: ignore[index]
+
+
+@pytest.mark.parametrize("kind", ["two-materials", "axes-swapped"])
+def test_axes_name_what_one_beta_does(kind: str) -> None:
+    seen = seen_sheet((0.2, 0.8)) if kind == "two-materials" else swapped(seen_sheet(0.6))
+    found = fit_axes([seen], Model())
+    for reasons, verdict in zip(found.reasons, found.verdict, strict=True):
+        assert kind in codes(reasons)
+        assert verdict == "unidentified"
+    assert not [one for reasons in fit_axes([seen_sheet(0.6)], Model()).reasons for one in reasons]
+
+
+def test_yielding_names_what_one_beta_does() -> None:
+    motion = pressed((5, 4), 0.07, frames=2)
+    options = YieldOptions(beta=BETA)
+    other = dataclasses.replace(motion, position=motion.rest + (motion.position - motion.rest)[:, :, ::-1])
+    found = fit_yield(other, options)
+    assert "axes-swapped" in codes(found.reasons)
+    assert found.verdict == "unidentified"
+    assert found.as_json()["reasons"][0]["code"] == "axes-swapped"  # type: ignore[index]
+
+
+@pytest.mark.slow
+def test_yielding_names_nothing_on_one_material() -> None:
+    assert fit_yield(pressed((6, 4), 0.07), YieldOptions(beta=BETA)).reasons == ()
+
+
+@pytest.mark.slow
+def test_yielding_names_two_materials() -> None:
+    motion = pressed((6, 6), 0.07)
+    still = Observation(
+        motion.rest,
+        motion.rest,
+        np.flatnonzero(motion.held[0]),
+        np.ones(len(motion.rest), dtype=bool),
+        shape=motion.shape,
+        cell=motion.cell,
+    )
+    model = Model(volume="project")
+    way = splits(still, model.grouping(still))[0]
+    beta = np.where(way.first, 0.2, 0.9)[None]
+    body = PlasticMsm(model.body(still), Plasticity(0.07))
+    states = []
+    for position, held in zip(motion.position, motion.held, strict=True):
+        body.hold(np.flatnonzero(held))
+        states.append(body.load(position[held], beta).position[0])
+    found = fit_yield(dataclasses.replace(motion, position=np.array(states)), YieldOptions())
+    assert "two-materials" in codes(found.reasons)
+    assert found.verdict == "unidentified"
+
+
+def test_splits_take_a_body_as_two_halves() -> None:
+    seen = seen_sheet(0.6)
+    grouped = Model().grouping(seen)
+    for way in splits(seen, grouped):
+        assert 0.25 <= way.first.mean() <= 0.5
+    assert [way.names[0] for way in splits(seen, grouped)] == ["at low x", "at low y", "near the push"]
+    assert all(a != b for a, b in pairwise(way.first.tobytes() for way in splits(seen, grouped)))
+
+
+def test_the_setting_counts_for_nothing_where_noise_outweighs_the_misfit() -> None:
+    seen = seen_sheet(0.6)
+    assert setting([seen], Model("theta"), 1e-5, 1e-4).allows is None
+    assert setting([seen], Model("theta"), 1e-4, 1e-5).allows == "weak"
+    assert setting([seen], Model("theta"), 1e-7, 1e-9).allows is None  # what is left is the solver's
