@@ -10,10 +10,13 @@ from typing import Any, Protocol
 import msgspec
 
 from deformscope.page.messages import (
+    CancelMove,
     CommandReply,
+    ConfirmMove,
     Outcome,
     PageCommand,
     PageState,
+    PendingMove,
     Phase,
     Remark,
     StopRun,
@@ -21,7 +24,7 @@ from deformscope.page.messages import (
 )
 
 NEXT: dict[Phase, frozenset[Phase]] = {
-    "idle": frozenset({"live", "recording", "exploring", "stopped"}),
+    "idle": frozenset({"live", "recording", "exploring", "paused", "stopped"}),
     "live": frozenset({"recording", "stopped"}),
     "recording": frozenset({"live", "stopped"}),
     "exploring": frozenset({"paused", "stopped"}),
@@ -31,6 +34,10 @@ NEXT: dict[Phase, frozenset[Phase]] = {
 """What may follow each phase."""
 REMARKS = 50
 """The newest remarks are kept."""
+CONFIRM_S = 10.0
+"""What waits for a confirm waits no longer."""
+BEAT_S = 0.3
+"""What moves by a page's confirm stops so long after the page's last heartbeat, unless it is set otherwise."""
 
 
 class PageRun(Protocol):
@@ -44,11 +51,15 @@ class PageRun(Protocol):
 class Desk:
     """May be used from any thread. Whoever `watch`es is called after every change."""
 
-    def __init__(self, title: str = "", clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, title: str = "", clock: Callable[[], float] = time.monotonic, beat_s: float = BEAT_S) -> None:
         self._clock = clock
         self._began_s = clock()
-        self._state = PageState(title=title)
+        self._state = PageState(title=title, beat_s=beat_s)
         self._run: PageRun | None = None
+        self._beats: dict[str, tuple[float, bool]] = {}
+        self._moves = 0
+        self._confirmed: Callable[[], None] = _nothing
+        self._let_be: Callable[[str], None] = _nothing
         self._pages: list[str] = []
         self._watchers: list[Callable[[], None]] = []
         self._lock = threading.RLock()
@@ -78,7 +89,15 @@ class Desk:
             if phase != self._state.phase and phase not in NEXT[self._state.phase]:
                 raise ValueError(f"{phase} does not follow {self._state.phase}")
             if phase == "stopped" != self._state.phase:
-                changes = {"commands": (), "tares": (), "episode": "", "recording": ""} | changes
+                over = {
+                    "commands": (),
+                    "tares": (),
+                    "episode": "",
+                    "recording": "",
+                    "pending": None,
+                    "next_place": None,
+                }
+                changes = over | changes
             self.show(phase=phase, reason=reason, **changes)
 
     def show(self, **changes: Any) -> None:
@@ -101,6 +120,43 @@ class Desk:
         """A file is being written."""
         self.enter("recording", recording=file, recorded_since_s=self._now_s(), recorded_bytes=0, **changes)
 
+    def ask(self, what: str, confirmed: Callable[[], None], let_be: Callable[[str], None]) -> None:
+        """Have the page that steers confirm that this moves. One of the two is called, from any thread: `let_be` with
+        the reason where it is cancelled, or not confirmed in CONFIRM_S. What waited before is let be."""
+        with self._lock:
+            self._give_up("another move was asked for")
+            self._moves += 1
+            self._confirmed, self._let_be = confirmed, let_be
+            number = self._moves
+            self.show(pending=PendingMove(number, what, self._now_s() + CONFIRM_S))
+        timer = threading.Timer(CONFIRM_S, self._expire, (number,))
+        timer.daemon = True
+        timer.start()
+
+    def _expire(self, number: int) -> None:
+        with self._lock:
+            if self._state.pending is not None and self._state.pending.number == number:
+                self._give_up(f"not confirmed within {CONFIRM_S:g} s: nothing moved")
+
+    def _give_up(self, reason: str) -> None:
+        """Let be what waits for a confirm, where something does."""
+        if self._state.pending is not None:
+            let_be = self._let_be
+            self.show(pending=None)
+            let_be(reason)
+
+    def absent(self) -> str:
+        """Why nobody steers at this moment: empty while the page that does is there, can be seen, and says so often
+        enough. From any thread, and at once: asked in each control period."""
+        state = self._state
+        if not state.controls:
+            return "no page has the controls"
+        beat_s, visible = self._beats.get(state.controls, (-1e9, True))
+        if not visible:
+            return "the page that has the controls is hidden"
+        silent_s = self._clock() - beat_s
+        return f"no heartbeat of the page for {1e3 * min(silent_s, 99.0):.0f} ms" if silent_s > state.beat_s else ""
+
     # For pages -------------------------------------------------------------------------------------------------------
 
     def come(self, page: str) -> None:
@@ -113,8 +169,14 @@ class Desk:
         """A page is gone."""
         with self._lock:
             self._pages.remove(page)
+            if page not in self._pages:
+                self._beats.pop(page, None)
             gone = page == self._state.controls and page not in self._pages
             self.show(pages=len(self._pages), controls="" if gone else self._state.controls)
+
+    def beat(self, page: str, *, visible: bool) -> None:
+        """A page is there, and whether it can be seen."""
+        self._beats[page] = (self._clock(), visible)
 
     def command(self, page: str, command: PageCommand) -> CommandReply:
         """Carry out a page's command, or refuse it."""
@@ -126,10 +188,14 @@ class Desk:
         if state.phase == "stopped":
             return "refused", f"it has stopped: {state.reason}" if state.reason else "it has stopped"
         if isinstance(command, TakeControls):
-            self.show(controls=page)
+            with self._lock:
+                self._give_up("another page took the controls over")
+                self.show(controls=page)
             return "done", "this page has the controls"
         if state.controls != page and not isinstance(command, StopRun):
             return "refused", "another page has the controls: take them over first"
+        if isinstance(command, ConfirmMove | CancelMove):
+            return self._decide(command)
         kind = str(command.__struct_config__.tag)
         if self._run is None or kind not in state.commands:
             return "refused", _refusal(kind, state.phase, state.commands)
@@ -138,6 +204,24 @@ class Desk:
         except Exception as error:  # whatever a command does, the server goes on
             return "refused", " ".join(str(error).split()) or type(error).__name__
 
+    def _decide(self, command: ConfirmMove | CancelMove) -> tuple[Outcome, str]:
+        with self._lock:
+            pending = self._state.pending
+            if pending is None or pending.number != command.number:
+                return "refused", "nothing that waits for this confirm: it has expired, or something else was asked for"
+            if isinstance(command, CancelMove):
+                self._give_up("cancelled: nothing moved")
+                return "done", "nothing moves"
+            if self._now_s() >= pending.until_s:
+                self._expire(pending.number)
+                return "refused", f"it was to be confirmed within {CONFIRM_S:g} s: nothing moves"
+            if absent := self.absent():
+                return "refused", absent
+            confirmed = self._confirmed
+            self.show(pending=None)
+            confirmed()
+            return "done", pending.what
+
     def _now_s(self) -> float:
         return self._clock() - self._began_s
 
@@ -145,3 +229,7 @@ class Desk:
 def _refusal(kind: str, phase: Phase, commands: Collection[str]) -> str:
     possible = ", ".join(commands) or "none"
     return f"no {kind} while it is {phase}; possible: {possible}"
+
+
+def _nothing(*given: object) -> None:
+    pass

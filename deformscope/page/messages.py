@@ -1,6 +1,7 @@
 """What goes between the page's script and its server: JSON objects with a `kind`, all of one version.
 
-A page says `Hello` first. From then on it gets a `PageState` with every change, and a `CommandReply` to each command.
+A page says `Hello` first. From then on it gets a `PageState` with every change, and a `CommandReply` to each command;
+its `Beat`s get no reply.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ Outcome = Literal["done", "begun", "refused"]
 Words = Annotated[str, msgspec.Meta(min_length=1, max_length=1000)]
 Name = Annotated[str, msgspec.Meta(min_length=1, max_length=100)]
 Number = Annotated[int, msgspec.Meta(ge=0, le=2**53)]
+Length = Annotated[float, msgspec.Meta(ge=-100.0, le=100.0)]
 
 
 class FromPage(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_field="kind"):
@@ -32,6 +34,12 @@ class Hello(FromPage, frozen=True, tag="hello"):
 
     version: int
     page: Name
+
+
+class Beat(FromPage, frozen=True, tag="beat"):
+    """The page is there, ten times a second. visible: whether somebody can see it"""
+
+    visible: bool
 
 
 class TakeControls(FromPage, frozen=True, tag="take-controls"):
@@ -69,8 +77,65 @@ class StopRun(FromPage, frozen=True, tag="stop"):
     """End what goes on. From any page, whoever has the controls."""
 
 
+class ConfirmMove(FromPage, frozen=True, tag="confirm"):
+    """Do what waits for it. number: of the `PendingMove`"""
+
+    number: Number
+
+
+class CancelMove(FromPage, frozen=True, tag="cancel"):
+    """Do not do what waits for a confirm."""
+
+    number: Number
+
+
+class StartExploring(FromPage, frozen=True, tag="explore"):
+    """Begin to touch where the plan says, or go on with it. Waits for a confirm."""
+
+
+class PauseExploring(FromPage, frozen=True, tag="pause"):
+    """Begin no further touch. The one under way is ended as any other."""
+
+
+class VetoTouch(FromPage, frozen=True, tag="veto"):
+    """Not where the plan says: it is to choose another place."""
+
+
+class TouchNext(FromPage, frozen=True, tag="touch-next"):
+    """Touch where the plan says, and pause again. Waits for a confirm."""
+
+
+class TouchAt(FromPage, frozen=True, tag="touch-at"):
+    """Touch this place of the surface [m], and pause again. Waits for a confirm."""
+
+    x_m: Length
+    y_m: Length
+
+
+class TouchPicked(FromPage, frozen=True, tag="touch-picked"):
+    """The same for what was selected in the viewer: an entity, and where on it [m, the view's frame]."""
+
+    entity: Words
+    position_m: tuple[Length, Length, Length]
+
+
 PageCommand = (
-    TakeControls | StartRecording | StopRecording | WriteNote | BeginEpisode | EndEpisode | TareDevice | StopRun
+    TakeControls
+    | StartRecording
+    | StopRecording
+    | WriteNote
+    | BeginEpisode
+    | EndEpisode
+    | TareDevice
+    | StopRun
+    | ConfirmMove
+    | CancelMove
+    | StartExploring
+    | PauseExploring
+    | VetoTouch
+    | TouchNext
+    | TouchAt
+    | TouchPicked
 )
 
 
@@ -112,6 +177,43 @@ class Remark(msgspec.Struct, frozen=True):
     bad: bool = False
 
 
+class PendingMove(msgspec.Struct, frozen=True):
+    """Something that moves when it is confirmed. number: for the confirm; what: will move; until_s: when it expires, as
+    `PageState.now_s`"""
+
+    number: int
+    what: str
+    until_s: float
+
+
+class NextPlace(msgspec.Struct, frozen=True):
+    """Where the plan wants to touch next [m], and why."""
+
+    x_m: float
+    y_m: float
+    reason: str
+
+
+class ForceCurve(msgspec.Struct, frozen=True):
+    """What a touch is expected to be felt as, and beside it what was.
+
+    x_m, y_m: where; known: in words, what the expectation rests on; force_n: forces; depth_mm, depth_low_mm,
+    depth_high_mm: the dent at each, and its interval of 90 %; felt_mm, felt_n: as measured, empty before; words: how
+    the two compare
+    """
+
+    x_m: float
+    y_m: float
+    known: str
+    force_n: tuple[float, ...]
+    depth_mm: tuple[float, ...]
+    depth_low_mm: tuple[float, ...]
+    depth_high_mm: tuple[float, ...]
+    felt_mm: tuple[float, ...] = ()
+    felt_n: tuple[float, ...] = ()
+    words: str = ""
+
+
 class PageState(ToPage, frozen=True, tag="state"):
     """All that a page shows beside the viewer.
 
@@ -120,6 +222,8 @@ class PageState(ToPage, frozen=True, tag="state"):
     present pace; episode: label of the one that goes on
     commands: what can be asked for at present, by kind; tares: devices that can be tared
     controls: the page that steers; pages: how many there are
+    pending: waits for a confirm; next_place, curve: of an exploration; beat_s: so long without a `Beat`, and what moves
+    by a page's confirm stops [s]
     """
 
     version: int = VERSION
@@ -138,6 +242,10 @@ class PageState(ToPage, frozen=True, tag="state"):
     remarks: tuple[Remark, ...] = ()
     controls: str = ""
     pages: int = 0
+    pending: PendingMove | None = None
+    next_place: NextPlace | None = None
+    curve: ForceCurve | None = None
+    beat_s: float = 0.3
 
 
 class Drawn(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

@@ -32,7 +32,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 from deformscope.errors import InputError
 from deformscope.page.desk import Desk
 from deformscope.page.guard import BoundedProtocol, Guard
-from deformscope.page.messages import LONGEST_MESSAGE, VERSION, Drawn, Hello, PageCommand, PieceBatch
+from deformscope.page.messages import LONGEST_MESSAGE, VERSION, Beat, Drawn, Hello, PageCommand, PieceBatch
 from deformscope.page.pieces import PageReader, Pieces
 from deformscope.page.viewer_files import LOOPBACK, NAMES, ViewerFiles
 
@@ -176,7 +176,11 @@ class PageServer:
 
     async def _obey(self, websocket: WebSocket, page: str) -> None:
         while True:
-            reply = self.desk.command(page, await _received(websocket, _COMMAND))
+            command = await _received(websocket, _COMMAND)
+            if isinstance(command, Beat):
+                self.desk.beat(page, visible=command.visible)
+                continue
+            reply = self.desk.command(page, command)
             await websocket.send_text(msgspec.json.encode(reply).decode())
 
     # Data ------------------------------------------------------------------------------------------------------------
@@ -211,7 +215,7 @@ class PageServer:
 
 
 _HELLO: msgspec.json.Decoder[Hello] = msgspec.json.Decoder(Hello)
-_COMMAND: msgspec.json.Decoder[PageCommand] = msgspec.json.Decoder(PageCommand)
+_COMMAND: msgspec.json.Decoder[PageCommand | Beat] = msgspec.json.Decoder(PageCommand | Beat)
 _DRAWN: msgspec.json.Decoder[Drawn] = msgspec.json.Decoder(Drawn)
 
 _pages: list[PageServer] = []

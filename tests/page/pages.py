@@ -67,6 +67,10 @@ class AtDesk:
                 assert message["id"] == number
                 return message["outcome"], message["words"]
 
+    def beat(self, *, visible: bool = True) -> None:
+        """The heartbeat of its script."""
+        self._send(kind="beat", visible=visible)
+
     def until(self, wanted: Any) -> dict[str, Any]:
         """The first state that is wanted."""
         while not wanted(self.state):

@@ -45,7 +45,7 @@ def test_the_page_itself_is_served(page: PageServer) -> None:
     for host in (f"127.0.0.1:{port}", f"localhost:{port}", "localhost:8080", "127.0.0.1"):  # also a forwarded port
         status, content = get(page, root(page), {"Host": host})
         assert (status, b"<title>deformscope" in content) == (200, True)
-    for name in ("page.js", "desk.js", "viewer.js", "page.css", "icon.svg", "index.html"):
+    for name in ("page.js", "desk.js", "link.js", "steer.js", "viewer.js", "page.css", "icon.svg", "index.html"):
         assert (
             get(page, root(page) + name, {"Sec-Fetch-Site": "same-origin", "Origin": f"http://{netloc(page)}"})[0]
             == 200

@@ -11,8 +11,8 @@ from contextlib import suppress
 import pytest
 from websockets.sync.client import connect
 
-from deformscope.page.desk import NEXT, Desk
-from deformscope.page.messages import Outcome, PageCommand, TareDevice, WriteNote
+from deformscope.page.desk import BEAT_S, CONFIRM_S, NEXT, Desk
+from deformscope.page.messages import CancelMove, ConfirmMove, Outcome, PageCommand, TakeControls, TareDevice, WriteNote
 from deformscope.page.server import PageServer
 from tests.page.pages import AtDesk, at_desk, netloc, root
 
@@ -140,3 +140,100 @@ def test_remarks_are_the_newest() -> None:
     remarks = desk.state.remarks
     assert len(remarks) == 50
     assert (remarks[-1].number, remarks[-1].words, remarks[-1].bad) == (1000, "number 999", True)
+
+
+class Moves:
+    """What waits for a confirm at a desk whose time is set by hand, with two pages at it; `a` has the controls."""
+
+    def __init__(self) -> None:
+        self.now_s = 100.0
+        self.happened: list[str] = []
+        self.desk = Desk(clock=lambda: self.now_s)
+        self.desk.come("a")
+        self.desk.come("b")
+        self.desk.enter("paused")
+        self.ask()
+        for page in ("a", "b"):
+            self.desk.beat(page, visible=True)
+
+    def ask(self) -> int:
+        """The number of a move that waits from now on."""
+        self.desk.ask("the arm", lambda: self.happened.append("moved"), self.happened.append)
+        assert self.desk.state.pending is not None
+        return self.desk.state.pending.number
+
+    def say(self, page: str, number: int, kind: type[ConfirmMove | CancelMove] = ConfirmMove) -> tuple[str, str]:
+        reply = self.desk.command(page, kind(1, number))
+        return reply.outcome, reply.words
+
+
+def test_a_move_waits_for_its_confirm() -> None:
+    moves = Moves()
+    assert moves.happened == []
+    assert moves.say("b", 1)[0] == "refused"  # another page has the controls
+    assert moves.say("a", 2)[0] == "refused"  # there is no such move
+    assert moves.say("a", 1) == ("done", "the arm")
+    assert moves.say("a", 1)[0] == "refused"  # once, and no more
+    assert moves.happened == ["moved"]
+    assert moves.desk.state.pending is None
+
+
+def test_a_confirm_expires() -> None:
+    moves = Moves()
+    moves.now_s += CONFIRM_S
+    moves.desk.beat("a", visible=True)
+    assert moves.say("a", 1) == ("refused", "it was to be confirmed within 10 s: nothing moves")
+    assert moves.happened == ["not confirmed within 10 s: nothing moved"]
+
+
+def test_nothing_else_moves_by_a_confirm() -> None:
+    """What waited is let be where another move is asked for, where it is cancelled, and where another page steers."""
+    moves = Moves()
+    assert moves.ask() == 2
+    assert moves.say("a", 1)[0] == "refused"
+    assert moves.say("a", 2, CancelMove) == ("done", "nothing moves")
+    assert moves.ask() == 3
+    moves.desk.command("b", TakeControls(1))
+    assert moves.say("b", 3)[0] == "refused"
+    assert moves.happened == [
+        "another move was asked for",
+        "cancelled: nothing moved",
+        "another page took the controls over",
+    ]
+
+
+def test_a_page_that_is_not_there_confirms_nothing() -> None:
+    moves = Moves()
+    moves.now_s += BEAT_S + 0.01
+    assert moves.say("a", 1)[0] == "refused"
+    moves.desk.beat("a", visible=False)
+    assert moves.say("a", 1) == ("refused", "the page that has the controls is hidden")
+    moves.desk.beat("a", visible=True)
+    assert moves.say("a", 1)[0] == "done"
+
+
+def test_whether_the_page_that_steers_is_there() -> None:
+    moves = Moves()
+    desk = moves.desk
+    assert desk.absent() == ""
+    moves.now_s += BEAT_S - 0.01
+    assert desk.absent() == ""
+    moves.now_s += 0.02
+    assert desk.absent() == "no heartbeat of the page for 310 ms"
+    desk.beat("b", visible=True)
+    assert desk.absent() != ""  # it does not steer
+    desk.command("b", TakeControls(1))
+    assert desk.absent() == ""
+    desk.leave("b")
+    assert desk.absent() == "no page has the controls"
+
+
+def test_heartbeats_get_no_answer(page: PageServer) -> None:
+    page.desk.attend(Notebook())
+    with at_desk(page, "a") as one:
+        one.beat()
+        assert one.command("write-note", text="x") == ("done", "noted")
+        assert page.desk.absent() == ""
+        one.beat(visible=False)
+        one.command("write-note", text="x")
+        assert page.desk.absent() == "the page that has the controls is hidden"

@@ -2,9 +2,11 @@
 
 export const VERSION = 1;
 const AGAIN_MS = [200, 500, 1000, 2000];
+const ALIVE_EVERY_MS = 200;
 
 export class Desk {
-  #socket = null;
+  #link = new Worker("link.js");
+  #open = false;
   #id = 0;
   #waiting = new Map();
   #tries = 0;
@@ -14,45 +16,57 @@ export class Desk {
     sessionStorage.setItem("page", this.page);
     this.onState = onState;
     this.onLost = onLost;
+    this.#link.onmessage = ({ data }) => this.#came(data);
     this.#connect();
+    const alive = () => this.#link.postMessage({ visible: document.visibilityState === "visible" });
+    setInterval(alive, ALIVE_EVERY_MS);
+    document.addEventListener("visibilitychange", alive);
+    window.addEventListener("pagehide", () => this.#link.postMessage({ visible: false }));
+    alive();
   }
 
   // Resolves with the reply: { outcome: "done" | "begun" | "refused", words }.
   command(kind, fields = {}) {
-    if (this.#socket?.readyState !== WebSocket.OPEN) {
+    if (!this.#open) {
       return Promise.resolve({ outcome: "refused", words: "no connection to the command" });
     }
     const id = ++this.#id;
-    this.#socket.send(JSON.stringify({ kind, id, ...fields }));
+    this.#send({ kind, id, ...fields });
     return new Promise((resolve) => this.#waiting.set(id, resolve));
   }
 
   #connect() {
-    const socket = new WebSocket(address("desk"));
-    this.#socket = socket;
-    socket.onopen = () => {
+    this.#link.postMessage({ connect: address("desk") });
+  }
+
+  #send(message) {
+    this.#link.postMessage({ send: JSON.stringify(message) });
+  }
+
+  #came({ opened, message, closed }) {
+    if (opened) {
+      this.#open = true;
       this.#tries = 0;
-      socket.send(JSON.stringify({ kind: "hello", id: 0, version: VERSION, page: this.page }));
-    };
-    socket.onmessage = ({ data }) => {
-      const message = JSON.parse(data);
-      if (message.kind === "state") {
-        this.onState(message);
+      this.#send({ kind: "hello", id: 0, version: VERSION, page: this.page });
+    } else if (message) {
+      const said = JSON.parse(message);
+      if (said.kind === "state") {
+        this.onState(said);
       } else {
-        this.#waiting.get(message.id)?.(message);
-        this.#waiting.delete(message.id);
+        this.#waiting.get(said.id)?.(said);
+        this.#waiting.delete(said.id);
       }
-    };
-    socket.onclose = ({ code }) => {
+    } else if (closed !== undefined) {
+      this.#open = false;
       for (const resolve of this.#waiting.values()) {
         resolve({ outcome: "refused", words: "the connection was lost: whether it was done is not known" });
       }
       this.#waiting.clear();
-      this.onLost(code === 4000 ? "another version: load this page again" : "no connection to the command");
-      if (code !== 4000) {
+      this.onLost(closed === 4000 ? "another version: load this page again" : "no connection to the command");
+      if (closed !== 4000) {
         setTimeout(() => this.#connect(), AGAIN_MS[Math.min(this.#tries++, AGAIN_MS.length - 1)]);
       }
-    };
+    }
   }
 }
 

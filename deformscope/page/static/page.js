@@ -1,6 +1,7 @@
 // What is on the page beside the viewer.
 
 import { Desk } from "./desk.js";
+import { startSteering } from "./steer.js";
 import { startViewer } from "./viewer.js";
 
 const at = (id) => document.getElementById(id);
@@ -11,6 +12,7 @@ const rows = new Map();
 const replies = [];
 
 const desk = new Desk(show, lost);
+const steering = startSteering(command, desk.page);
 const words = (text) => (at("viewer-words").textContent = text);
 startViewer(at("canvas"), words, showLag, (event) => document.dispatchEvent(new CustomEvent("viewer", { detail: event })))
   .catch((error) => words(`no viewer: ${error}`));
@@ -26,6 +28,7 @@ function show(next) {
   showDevices(next.devices);
   showControls(next);
   showTares(next.tares);
+  steering.show(next);
   showRemarks();
   showClock();
 }
@@ -34,6 +37,7 @@ function lost(reason) {
   if (state?.phase === "stopped") {
     return;
   }
+  steering.close();
   at("phase").textContent = "lost";
   at("phase").dataset.phase = "lost";
   at("reason").textContent = reason;
@@ -201,12 +205,16 @@ const KEYS = {
   n: () => at("note-text").focus(),
   e: () => (state?.episode ? command("end-episode") : at("episode-label").focus()),
   t: () => state?.tares.forEach((device) => command("tare", { device })),
+  p: () => command("pause"),
+  x: () => command("explore"),
+  v: () => command("veto"),
   "?": () => (at("help").open ? at("help").close() : at("help").showModal()),
 };
 window.addEventListener(
   "keydown",
   (event) => {
-    if (event.target.matches?.("input, textarea")) { // ours, or the viewer's own for text
+    const number = event.target.matches?.("input[type=number]") && event.key === " "; // no number has a space
+    if (!number && event.target.matches?.("input, textarea")) { // ours, or the viewer's own for text
       if (event.key === "Escape") {
         event.target.blur();
       }
