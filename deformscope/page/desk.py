@@ -58,8 +58,7 @@ class Desk:
         self._run: PageRun | None = None
         self._beats: dict[str, tuple[float, bool]] = {}
         self._moves = 0
-        self._confirmed: Callable[[], None] = _nothing
-        self._let_be: Callable[[str], None] = _nothing
+        self._answers: tuple[Callable[[], None], Callable[[str], None]] = (_nothing, _nothing)
         self._pages: list[str] = []
         self._watchers: list[Callable[[], None]] = []
         self._lock = threading.RLock()
@@ -123,27 +122,25 @@ class Desk:
     def ask(self, what: str, confirmed: Callable[[], None], let_be: Callable[[str], None]) -> None:
         """Have the page that steers confirm that this moves. One of the two is called, from any thread: `let_be` with
         the reason where it is cancelled, or not confirmed in CONFIRM_S. What waited before is let be."""
+        self._drop("another move was asked for")
         with self._lock:
-            self._give_up("another move was asked for")
             self._moves += 1
-            self._confirmed, self._let_be = confirmed, let_be
+            self._answers = confirmed, let_be
             number = self._moves
             self.show(pending=PendingMove(number, what, self._now_s() + CONFIRM_S))
-        timer = threading.Timer(CONFIRM_S, self._expire, (number,))
+        timer = threading.Timer(CONFIRM_S, self._drop, (f"not confirmed within {CONFIRM_S:g} s: nothing moved", number))
         timer.daemon = True
         timer.start()
 
-    def _expire(self, number: int) -> None:
+    def _drop(self, reason: str, number: int | None = None) -> bool:
+        """Let be what waits for a confirm, where something does (of this number); whether it did."""
         with self._lock:
-            if self._state.pending is not None and self._state.pending.number == number:
-                self._give_up(f"not confirmed within {CONFIRM_S:g} s: nothing moved")
-
-    def _give_up(self, reason: str) -> None:
-        """Let be what waits for a confirm, where something does."""
-        if self._state.pending is not None:
-            let_be = self._let_be
+            pending, (_, let_be) = self._state.pending, self._answers
+            if pending is None or number not in (None, pending.number):
+                return False
             self.show(pending=None)
-            let_be(reason)
+        let_be(reason)  # without the lock: it may take another, whose holder waits for this one
+        return True
 
     def absent(self) -> str:
         """Why nobody steers at this moment: empty while the page that does is there, can be seen, and says so often
@@ -188,9 +185,8 @@ class Desk:
         if state.phase == "stopped":
             return "refused", f"it has stopped: {state.reason}" if state.reason else "it has stopped"
         if isinstance(command, TakeControls):
-            with self._lock:
-                self._give_up("another page took the controls over")
-                self.show(controls=page)
+            self.show(controls=page)
+            self._drop("another page took the controls over")
             return "done", "this page has the controls"
         if state.controls != page and not isinstance(command, StopRun):
             return "refused", "another page has the controls: take them over first"
@@ -205,22 +201,28 @@ class Desk:
             return "refused", " ".join(str(error).split()) or type(error).__name__
 
     def _decide(self, command: ConfirmMove | CancelMove) -> tuple[Outcome, str]:
+        gone = "nothing waits for this confirm: it has expired, or something else was asked for"
+        if isinstance(command, CancelMove):
+            return (
+                ("done", "nothing moves")
+                if self._drop("cancelled: nothing moved", command.number)
+                else ("refused", gone)
+            )
         with self._lock:
-            pending = self._state.pending
+            pending, (confirmed, _) = self._state.pending, self._answers
             if pending is None or pending.number != command.number:
-                return "refused", "nothing that waits for this confirm: it has expired, or something else was asked for"
-            if isinstance(command, CancelMove):
-                self._give_up("cancelled: nothing moved")
-                return "done", "nothing moves"
-            if self._now_s() >= pending.until_s:
-                self._expire(pending.number)
-                return "refused", f"it was to be confirmed within {CONFIRM_S:g} s: nothing moves"
-            if absent := self.absent():
-                return "refused", absent
-            confirmed = self._confirmed
-            self.show(pending=None)
-            confirmed()
-            return "done", pending.what
+                return "refused", gone
+            late = self._now_s() >= pending.until_s
+            absent = self.absent()
+            if not late and not absent:
+                self.show(pending=None)
+        if late:
+            self._drop(f"not confirmed within {CONFIRM_S:g} s: nothing moved", command.number)
+            return "refused", f"it was to be confirmed within {CONFIRM_S:g} s: nothing moves"
+        if absent:
+            return "refused", absent
+        confirmed()
+        return "done", pending.what
 
     def _now_s(self) -> float:
         return self._clock() - self._began_s

@@ -532,7 +532,9 @@ class Recorder:
         self._page = page = PageServer(str(self._settings.get("rig_name") or self._settings.get("command") or ""))
         page.open()
         print(page.where, file=sys.stderr, flush=True)
-        if self._target is None:
+        if self._layout == "exploration":  # whoever moves the arm says what goes on
+            page.desk.show(recording="" if self._target is None else str(self._target.path))
+        elif self._target is None:
             page.desk.enter("live")
         else:
             page.desk.recording_began(str(self._target.path))

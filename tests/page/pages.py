@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import http.client
 import json
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -68,8 +69,26 @@ class AtDesk:
                 return message["outcome"], message["words"]
 
     def beat(self, *, visible: bool = True) -> None:
-        """The heartbeat of its script."""
-        self._send(kind="beat", visible=visible)
+        """The heartbeat of its script, once. From any thread"""
+        self._websocket.send(json.dumps({"id": 0, "kind": "beat", "visible": visible}))
+
+    @contextmanager
+    def beating(self) -> Iterator[None]:
+        """Ten times a second until the end of the context."""
+        over = threading.Event()
+
+        def work() -> None:
+            while not over.wait(0.1):
+                self.beat()
+
+        self.beat()
+        thread = threading.Thread(target=work)
+        thread.start()
+        try:
+            yield
+        finally:
+            over.set()
+            thread.join()
 
     def until(self, wanted: Any) -> dict[str, Any]:
         """The first state that is wanted."""

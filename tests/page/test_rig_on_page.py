@@ -40,7 +40,8 @@ class CommandInThread:
     def __init__(self, *words: str, folder: Path) -> None:
         self.status = -1
         self._json = folder / "told.json"
-        arguments = [*words, "--viewer", "page", "--seconds", str(PATIENCE_S), "--json", str(self._json)]
+        arguments = [*words, "--viewer", "page", "--json", str(self._json)]
+        arguments += [] if words[0] == "explore" else ["--seconds", str(PATIENCE_S)]
         self._thread = threading.Thread(target=lambda: setattr(self, "status", main(arguments)), daemon=True)
         self._thread.start()
         deadline = time.monotonic() + PATIENCE_S

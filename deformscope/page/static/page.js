@@ -189,9 +189,9 @@ for (const [form, input, kind, field] of [
   at(form).addEventListener("submit", async (event) => {
     event.preventDefault();
     const text = at(input).value.trim();
+    at(input).blur(); // from here on keys are commands again
     if (text && (await command(kind, { [field]: text }))) {
       at(input).value = "";
-      at(input).blur();
     }
   });
 }
