@@ -115,6 +115,7 @@ class PageServer:
             self._server.should_exit = True
             self._thread.join(STOP_S)
             self._server = None
+            self._viewer_files.close()
         if self in _pages:
             _pages.remove(self)
 

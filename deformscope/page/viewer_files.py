@@ -68,6 +68,13 @@ class ViewerFiles:
             yield part
             at, left = at + len(part), left - len(part)
 
+    def close(self) -> None:
+        """Forget them, until one is asked for again."""
+        with self._lock:
+            if self._file is not None:
+                self._file.close()
+                self._file = None
+
     def _made(self) -> BinaryIO:
         """rerun's own server of its web viewer gives them; it has no recording, and lives a second."""
         file = tempfile.TemporaryFile()  # noqa: SIM115  # it lasts as long as this object
@@ -85,6 +92,9 @@ class ViewerFiles:
                 at = file.tell()
                 _copy(f"http://{LOOPBACK}:{port}/{name}", file, serving)
                 self._places[name] = at, file.tell() - at
+        except BaseException:
+            file.close()
+            raise
         finally:
             serving.kill()
             serving.wait()

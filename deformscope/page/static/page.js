@@ -189,8 +189,8 @@ for (const [form, input, kind, field] of [
   at(form).addEventListener("submit", async (event) => {
     event.preventDefault();
     const text = at(input).value.trim();
-    at(input).blur(); // from here on keys are commands again
-    if (text && (await command(kind, { [field]: text }))) {
+    at(input).blur(); // at once: what is typed next are keys again
+    if (text && (await command(kind, { [field]: text })) && at(input).value.trim() === text) {
       at(input).value = "";
     }
   });
@@ -198,7 +198,16 @@ for (const [form, input, kind, field] of [
 at("help-button").addEventListener("click", () => at("help").showModal());
 at("help").addEventListener("click", () => at("help").close());
 
-// Keys: before the viewer gets them, which has a field of its own for text
+// Keys: before the viewer gets them, whose own hidden field for text has the focus whenever the viewer has it
+
+const ownField = (element) => element?.matches?.("#desk input");
+let pointed = null;
+window.addEventListener("pointerdown", ({ target }) => (pointed = target), { capture: true });
+window.addEventListener("focusin", ({ target, relatedTarget }) => {
+  if (ownField(relatedTarget) && !target.closest("aside, dialog, header") && pointed !== at("canvas")) {
+    relatedTarget.focus(); // nobody clicked on the viewer: it takes the focus when it starts
+  }
+});
 
 const KEYS = {
   r: () => command(state?.recording ? "stop-recording" : "start-recording"),
@@ -213,17 +222,18 @@ const KEYS = {
 window.addEventListener(
   "keydown",
   (event) => {
-    const number = event.target.matches?.("input[type=number]") && event.key === " "; // no number has a space
-    if (!number && event.target.matches?.("input, textarea")) { // ours, or the viewer's own for text
+    const number = event.target.type === "number"; // has no space in it
+    const stops = event.key === " " && (event.ctrlKey || number || !ownField(event.target));
+    if (ownField(event.target) && !stops) {
       if (event.key === "Escape") {
         event.target.blur();
       }
       return;
     }
-    if (event.ctrlKey || event.altKey || event.metaKey) {
+    if (!stops && (event.ctrlKey || event.altKey || event.metaKey)) {
       return;
     }
-    const act = event.key === " " ? () => command("stop") : KEYS[event.key];
+    const act = stops ? () => command("stop") : KEYS[event.key];
     if (act) {
       event.preventDefault();
       event.stopPropagation();
