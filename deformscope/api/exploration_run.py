@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -26,9 +26,9 @@ if TYPE_CHECKING:
     from deformscope.experiments.explore import Exploration
     from deformscope.experiments.options import ExploreOptions
     from deformscope.experiments.touching_robot import TouchingRobot
-    from deformscope.frames import Stream
     from deformscope.lab.faults import FaultsToCome
     from deformscope.recording.recorder import Recorder
+    from deformscope.rig.source import RigSource
     from deformscope.robot.setup import Setup
     from deformscope.session import RigExperiment, Step
     from deformscope.stages.map.exploration import MapEstimate, Missed, TouchEstimate
@@ -167,8 +167,8 @@ def _run(
         truth = setup.truth is not None and setup.truth.labels is not None
         place = setup.size_m, setup.placement.T_base_surface
         recorder.start_exploration(source.streams, source.start_ns, *place, truth=truth)
-        watch = Watch(asked, show)
-        page = _steering(config, setup, options, recorder, asked, source.streams)
+        page = _steering(config, setup, options, recorder, asked, source)
+        watch = Watch(asked, show if page is None else _both(show, page.show))
         with touching_robot(setup, source, options, watch) as robot, stages_beside(setup, options) as (beside, stage):
             try:
                 with watch.halts(robot):
@@ -209,7 +209,7 @@ def _steering(
     options: ExploreOptions,
     recorder: Recorder,
     asked: Interruption,
-    streams: Sequence[Stream],
+    source: RigSource,
 ) -> PageSteering | None:
     """What its page steers by; None without one."""
     if recorder.page is None:
@@ -221,13 +221,21 @@ def _steering(
         recorder.page.desk,
         asked,
         setup.clock,
-        streams,
+        source,
         arm=f"{setup.names[0]}{' (simulated)' * setup.simulated}",
         set_force_n=options.set_force_n,
         budget=options.budget,
         compliance_m_per_n=setup.compliance_m_per_n,
         paused=config.paused,
     )
+
+
+def _both(first: Callable[[str], None], second: Callable[[str], None]) -> Callable[[str], None]:
+    def show(words: str) -> None:
+        first(words)
+        second(words)
+
+    return show
 
 
 def _said(
@@ -243,7 +251,6 @@ def _said(
             return
         if page is not None:
             page.saw(step.results)
-            page.came(given)
         if lines := [line for result in step.results for line in _remarks(result)]:
             show("")
             for line in lines:

@@ -17,8 +17,7 @@ import numpy as np
 from deformscope.api.page_run import device_state
 from deformscope.api.rigs import Interruption
 from deformscope.arrays import FloatArray
-from deformscope.experiments.explore import Choice, ExplorationStopped
-from deformscope.frames import HealthReport, Stream
+from deformscope.experiments.explore import ExplorationStopped, NextMove
 from deformscope.page.desk import Desk
 from deformscope.page.messages import (
     ForceCurve,
@@ -33,6 +32,7 @@ from deformscope.page.messages import (
     TouchPicked,
     VetoTouch,
 )
+from deformscope.rig.source import RigSource
 from deformscope.robot.supervisor import Fault
 from deformscope.stages.map.exploration import (
     ExplorationStop,
@@ -46,6 +46,7 @@ SURFACE_ENTITIES = ("surface", "observed", "asked", "target", "contacts", "table
 """What stands on the surface in the view, below `SCENE`: picked, it says a place of it."""
 SCENE = "/display/scene/"
 CURVE_POINTS = 60
+SHOW_EVERY_S = 0.3
 
 
 class PageSteering:
@@ -60,7 +61,7 @@ class PageSteering:
         desk: Desk,
         ended: Interruption,
         clock: Callable[[], int],
-        streams: Sequence[Stream],
+        source: RigSource | None = None,
         *,
         arm: str,
         set_force_n: float,
@@ -75,11 +76,11 @@ class PageSteering:
         self._paused = paused
         self._touches = 0
         self._plan: PlannedTouch | None = None
-        self._choice: Future[Choice] | None = None
+        self._choice: Future[NextMove] | None = None
         self._confirm: Future[bool] | None = None
         self._by_hand = False
         self._permitted, self._what = False, ""
-        self._streams = {stream.device: stream for stream in streams}
+        self._source, self._shown_s = source, -1e9
         self._lock = threading.RLock()
         desk.attend(self)
 
@@ -101,18 +102,18 @@ class PageSteering:
 
     # As `Steering`, from the loop ------------------------------------------------------------------------------------
 
-    def choose(self, plan: PlannedTouch | None, touches: int) -> Future[Choice]:
+    def choose(self, plan: PlannedTouch | None, touches: int) -> Future[NextMove]:
         """As `Steering.choose`."""
         with self._lock:
             self._by_hand = False
             self._plan, self._touches = plan, touches
             place = None if plan is None or plan.target_m is None else NextPlace(*_floats(plan.target_m), plan.reason)
             self.desk.show(next_place=place)
-            choice: Future[Choice] = Future()
+            choice: Future[NextMove] = Future()
             if self._paused:
                 self._choice = choice
             else:
-                choice.set_result(Choice())
+                choice.set_result(NextMove())
             self._enter()
             return choice
 
@@ -159,12 +160,15 @@ class PageSteering:
                     self._paused = True
                 self.desk.remark(f"the touch was broken off, the arm stands: {result.reason}", bad=True)
 
-    def came(self, items: object) -> None:
-        """What the devices gave."""
-        reports = [one for one in items if isinstance(one, HealthReport)] if isinstance(items, Sequence) else []
-        for report in reports[-1:]:
-            devices = (device_state(name, health, self._streams.get(name)) for name, health in report.devices)
-            self.desk.show(devices=tuple(devices))
+    def show(self, doing: str) -> None:
+        """What the robot does, in words, and how its devices are; seldom enough for a control period."""
+        now_s = self.desk.state.now_s
+        if self._source is None or now_s - self._shown_s < SHOW_EVERY_S:
+            return
+        self._shown_s = now_s
+        known = {stream.device: stream for stream in self._source.streams}
+        devices = (device_state(name, health, known.get(name)) for name, health in self._source.look().devices)
+        self.desk.show(devices=tuple(devices), reason=doing)
 
     # As `PageRun`, from the server -----------------------------------------------------------------------------------
 
@@ -184,15 +188,15 @@ class PageSteering:
                 case StartExploring():
                     return self._start()
                 case VetoTouch():
-                    return self._take(Choice("veto", self._planned_m()), "another place is sought")
+                    return self._take(NextMove("veto", self._planned_m()), "another place is sought")
                 case TouchNext():
-                    return self._take(Choice("touch", self._planned_m()), "planning")
+                    return self._take(NextMove("touch", self._planned_m()), "planning")
                 case TouchAt():
-                    return self._take(Choice("touch", np.array([command.x_m, command.y_m])), "planning")
+                    return self._take(NextMove("touch", np.array([command.x_m, command.y_m])), "planning")
                 case TouchPicked():
                     if not is_surface(command.entity):
                         return "refused", f"a place of the surface is to be picked; that was {command.entity}"
-                    return self._take(Choice("touch", np.array(command.position_m[:2])), "planning")
+                    return self._take(NextMove("touch", np.array(command.position_m[:2])), "planning")
                 case _:
                     return "refused", "not while it explores"
 
@@ -218,7 +222,7 @@ class PageSteering:
         with self._lock:
             self._paused = False
             if self._choice is not None:
-                self._take(Choice(), "")
+                self._take(NextMove(), "")
             self._enter()
 
     def _planned_m(self) -> FloatArray:
@@ -226,7 +230,7 @@ class PageSteering:
         assert self._plan.target_m is not None
         return self._plan.target_m
 
-    def _take(self, choice: Choice, words: str) -> tuple[Outcome, str]:
+    def _take(self, choice: NextMove, words: str) -> tuple[Outcome, str]:
         """Give the loop what it waits for."""
         if self._choice is None:
             return "refused", "a touch is under way, or being planned"

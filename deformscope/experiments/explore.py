@@ -61,7 +61,7 @@ class TouchHeld(Exception):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Choice:
+class NextMove:
     """What comes next: go on = as planned, veto = another plan without xy_m, touch = there, after a confirm, and
     replan. xy_m: (2,) [m]"""
 
@@ -72,7 +72,7 @@ class Choice:
 class Steering(Protocol):
     """A person, where one may change what comes next: asked where the loop decides, before each touch."""
 
-    def choose(self, plan: PlannedTouch | None, touches: int) -> Future[Choice]:
+    def choose(self, plan: PlannedTouch | None, touches: int) -> Future[NextMove]:
         """plan: None where nothing could be planned; touches: made so far"""
 
     def confirm(self, forecast: TouchForecast) -> Future[bool]:
@@ -88,8 +88,8 @@ class Steering(Protocol):
 class Unsteered:
     """All goes as planned."""
 
-    def choose(self, plan: PlannedTouch | None, touches: int) -> Future[Choice]:
-        return _known(Choice())
+    def choose(self, plan: PlannedTouch | None, touches: int) -> Future[NextMove]:
+        return _known(NextMove())
 
     def confirm(self, forecast: TouchForecast) -> Future[bool]:
         return _known(True)
@@ -111,11 +111,11 @@ class RecordedSteering(Unsteered):
             if one.kind != "touch" or then is None or then.kind != "held"
         ]
 
-    def choose(self, plan: PlannedTouch | None, touches: int) -> Future[Choice]:
+    def choose(self, plan: PlannedTouch | None, touches: int) -> Future[NextMove]:
         if not self._left or self._left[0].touch != touches:
-            return _known(Choice())
+            return _known(NextMove())
         one = self._left.pop(0)
-        return _known(Choice("replan" if one.kind == "held" else one.kind, one.xy_m))
+        return _known(NextMove("replan" if one.kind == "held" else one.kind, one.xy_m))
 
 
 class ExploringRobot(Protocol):

@@ -13,9 +13,9 @@ from deformscope.arrays import BoolArray
 from deformscope.errors import InputError
 from deformscope.experiments.explore import (
     AtOnce,
-    Choice,
     Exploration,
     ExploringRobot,
+    NextMove,
     RecordedRobot,
     RecordedSteering,
     Steering,
@@ -308,14 +308,14 @@ def test_what_is_stiff_is_pressed_harder_in_proportion(set_n: float, second_n: f
 class Person(Unsteered):
     """Decides as it is written down: about each choice, and each forecast."""
 
-    def __init__(self, choices: list[Choice], confirms: list[bool]) -> None:
+    def __init__(self, choices: list[NextMove], confirms: list[bool]) -> None:
         self.choices, self.confirms = choices, confirms
         self.refusals: list[str] = []
         self.plans: list[PlannedTouch | None] = []
 
-    def choose(self, plan: PlannedTouch | None, touches: int) -> Future[Choice]:
+    def choose(self, plan: PlannedTouch | None, touches: int) -> Future[NextMove]:
         self.plans.append(plan)
-        return later(self.choices.pop(0) if self.choices else Choice())
+        return later(self.choices.pop(0) if self.choices else NextMove())
 
     def confirm(self, forecast: TouchForecast) -> Future[bool]:
         return later(self.confirms.pop(0))
@@ -357,12 +357,12 @@ def test_a_person_decides_and_a_replay_decides_the_same() -> None:
     beside, edge = np.array([0.7, 0.2]), np.array([0.3, 0.395])
     person = Person(
         [
-            Choice("touch", beside),
-            Choice("touch", edge),
-            Choice("touch", at),  # not confirmed
-            Choice("touch", at),  # confirmed, and broken off
-            Choice("veto", np.array([0.15, 0.15])),
-            Choice("touch", at),
+            NextMove("touch", beside),
+            NextMove("touch", edge),
+            NextMove("touch", at),  # not confirmed
+            NextMove("touch", at),  # confirmed, and broken off
+            NextMove("veto", np.array([0.15, 0.15])),
+            NextMove("touch", at),
         ],
         [False, True, True],
     )

@@ -63,7 +63,6 @@ class Steered:
             self.desk,
             self.ended,
             lambda: 0,
-            (),
             arm="arm",
             set_force_n=3.0,
             budget=8,
