@@ -83,6 +83,7 @@ class PageSteering:
         self._source, self._shown_s = source, -1e9
         self._lock = threading.RLock()
         desk.attend(self)
+        desk.enter("idle", commands=("stop",))
 
     # Before it moves -------------------------------------------------------------------------------------------------
 
@@ -107,7 +108,10 @@ class PageSteering:
         with self._lock:
             self._by_hand = False
             self._plan, self._touches = plan, touches
-            place = None if plan is None or plan.target_m is None else NextPlace(*_floats(plan.target_m), plan.reason)
+            place = None
+            if plan is not None and plan.target_m is not None:
+                x_m, y_m = _floats(plan.target_m)
+                place = NextPlace(x_m, y_m, plan.reason)
             self.desk.show(next_place=place)
             choice: Future[NextMove] = Future()
             if self._paused:
@@ -275,8 +279,10 @@ def curve_of(forecast: TouchForecast) -> ForceCurve:
     """As a page draws it."""
     known = f"{forecast.touches} touches" if forecast.touches else "what surfaces are like: none was touched yet"
     x_m, y_m = _floats(forecast.xyz_m[:2])
-    depths = (forecast.depth_m, forecast.depth_low_m, forecast.depth_high_m)
-    return ForceCurve(x_m, y_m, known, _floats(forecast.force_n), *(_floats(1e3 * depth) for depth in depths))
+    depth, low, high = (
+        _floats(1e3 * depth_m) for depth_m in (forecast.depth_m, forecast.depth_low_m, forecast.depth_high_m)
+    )
+    return ForceCurve(x_m, y_m, known, _floats(forecast.force_n), depth, low, high)
 
 
 def felt_beside(curve: ForceCurve, touch: TouchEstimate, compliance_m_per_n: float) -> ForceCurve:

@@ -199,14 +199,14 @@ class ExplorationStages:
     def aim(self, xy_m: FloatArray) -> Computed:
         """What a touch of a place (2,) [m] would be, and what it is expected to feel; or why it cannot be made."""
         began = time.perf_counter()
+        touch, forecast = None, None
         try:
-            refused, touch, forecast = self._refusal(xy_m), None, None
+            refused = self._refusal(xy_m)
             if not refused:
-                height_m, normal = self.explorer.aim(xy_m)
-                touch = self.geometry.approach(xy_m, height_m, normal, self.explorer.over_m(xy_m))
+                touch = self.geometry.approach(xy_m, *self.explorer.aim(xy_m), self.explorer.over_m(xy_m))
                 forecast = self.explorer.forecast(touch)
         except InputError as error:
-            refused, touch = str(error), None
+            refused = str(error)
         return dataclasses.replace(self._computed(_made(forecast), began, touch), refused=refused)
 
     def _refusal(self, xy_m: FloatArray) -> str:
