@@ -216,7 +216,7 @@ def _steering(
         return None
     from deformscope.api.page_steering import PageSteering
 
-    recorder.page.desk.show(beat_s=config.page_timeout)
+    recorder.page.desk.show(title=config.rig, beat_s=config.page_timeout)
     return PageSteering(
         recorder.page.desk,
         asked,

@@ -210,10 +210,6 @@ class PageSteering:
         if not self._permitted:
             self.desk.ask(self._what, self._permit, self.desk.remark)
             return "begun", "waits for a confirm"
-        if self._choice is None:  # the arm still does what it did
-            self._paused = False
-            self._enter()
-            return "done", "it goes on"
         left = max(self._budget - self._touches, 0)
         what = f"{self._arm} goes on touching by itself, {left} times more at most, with {self._set_force_n:g} N"
         self.desk.ask(what, self._go_on, self.desk.remark)

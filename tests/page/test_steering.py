@@ -286,6 +286,8 @@ def test_exploring_pauses_and_goes_on_after_a_confirm() -> None:
     assert steered.say(TouchAt, 0.3, 0.2)[0] == "refused"
     assert steered.say(PauseExploring) == ("done", "no further touch begins")
     assert steered.desk.state.commands == ("stop", "explore")  # the touch under way is ended first
+    assert steered.say(StartExploring) == ("begun", "waits for a confirm")
+    assert steered.desk.state.phase == "paused"
     waits = steered.steering.choose(planned(), 1)
     assert "touch-next" in steered.desk.state.commands
     assert steered.desk.state.next_place is not None

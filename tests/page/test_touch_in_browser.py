@@ -23,7 +23,7 @@ document.addEventListener("viewer", ({ detail }) => {
   for (const item of detail.items ?? []) if (item.position) window.picked.push(item);
 });
 """
-SCENE_PX = (330, 200)
+SCENE_PX = (370, 190)
 """Where the surface is in the window."""
 
 
@@ -65,13 +65,11 @@ def test_a_click_on_the_surface_becomes_one_touch(shown: Any, tmp_path: Path) ->
         until(shown, lambda: shown.evaluate("window.opened"))
         x, y = SCENE_PX
         while not shown.evaluate("window.picked.length"):
-            shown.mouse.move(x - 3, y)
+            shown.mouse.move(x - 5, y)
             shown.wait_for_timeout(1000)
             shown.mouse.move(x, y)
-            shown.wait_for_timeout(3000)  # it has to be under the pointer in a picture that was drawn
-            shown.mouse.down()
-            shown.wait_for_timeout(100)
-            shown.mouse.up()
+            shown.wait_for_timeout(2500)  # it has to be under the pointer in a picture that was drawn
+            shown.mouse.click(x, y)
             shown.wait_for_timeout(3000)
         at_m = np.array(shown.evaluate("window.picked")[0]["position"])[:2]
         what = asked(shown)

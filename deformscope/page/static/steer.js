@@ -82,9 +82,12 @@ export function startSteering(command, page) {
       : "";
     const fresh = next.remarks.filter((remark) => remark.number > (before?.remarks.at(-1)?.number ?? 0));
     const refusal = fresh.find((remark) => remark.bad);
+    if (next.phase !== "paused" || next.curve?.words) {
+      place = "";
+    }
     if (place && refusal) {
       say(refusal.words, true);
-    } else if (next.pending || (place && fresh.length)) {
+    } else if (place && (next.pending || fresh.length)) {
       say(next.pending ? "planned: drawn in the viewer" : fresh.at(-1).words);
     } else if (!place) {
       say(next.commands.includes("touch-picked") ? "or click a point of the surface in the viewer" : "");
