@@ -87,9 +87,9 @@ class PageSteering:
 
     # Before it moves -------------------------------------------------------------------------------------------------
 
-    def wait_for_permission(self, what: str) -> None:
-        """Ask on the page as well whether this may move."""
-        self._what = what
+    def wait_for_permission(self, touches: str) -> None:
+        """Ask on the page as well whether the arm may move. touches: how many, and of what force"""
+        self._what = f"{self._arm} goes on by itself: {touches}"
         self.desk.enter("idle", commands=("stop", "explore"))
 
     def is_permitted(self) -> bool:
