@@ -97,8 +97,8 @@ def test_files_come_and_go_while_the_devices_stay_open(rig: Path, tmp_path: Path
             assert one.command("begin-episode", label="soft")[0] == "done"
             assert one.until(lambda state: state["episode"] == "soft")["recording"].endswith(".rrd")
             assert one.command("write-note", text="it gives")[0] == "done"
-            before = received(one.state)
-            one.until(lambda state: state["recorded_bytes"] > 0 and received(state) > before + 50)
+            enough = received(one.state) + 50
+            one.until(lambda state, enough=enough: state["recorded_bytes"] > 0 and received(state) > enough)
             assert one.command("stop-recording")[0] == "begun"
             one.until(lambda state: "start-recording" in state["commands"])
         assert one.until(lambda state: state["devices"])["devices"][0]["state"] == "ok"
