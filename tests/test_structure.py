@@ -25,9 +25,7 @@ Trees = dict[Path, ast.Module]
 def trees() -> Trees:
     """Every file of both packages, parsed once."""
     return {
-        path.relative_to(ROOT): parsed(path)
-        for folder in PACKAGES.values()
-        for path in sorted(folder.rglob("*.py"))
+        path.relative_to(ROOT): parsed(path) for folder in PACKAGES.values() for path in sorted(folder.rglob("*.py"))
     }
 
 

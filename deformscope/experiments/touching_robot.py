@@ -16,12 +16,13 @@ import numpy as np
 
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.errors import InputError
-from deformscope.experiments.explore import ExplorationStopped, Look, Wait
+from deformscope.experiments.explore import ExplorationStopped, Look, TouchHeld, Wait
 from deformscope.experiments.explorer import Touch
 from deformscope.experiments.measured import UPRIGHT, FrameData, Looked, SetupGeometry, Touched
 from deformscope.experiments.options import ExploreOptions
 from deformscope.rig.source import RigSource
 from deformscope.robot.advice import advice
+from deformscope.robot.by_hand import touch_by_hand
 from deformscope.robot.preflight import Preflight, check
 from deformscope.robot.readings import ArmSample
 from deformscope.robot.robot import Robot, RobotStopped, Watch
@@ -34,6 +35,7 @@ from deformscope.stages.map.measured import LookFrames, TouchFrames
 from deformscope.stages.regions.touches import MapGrid
 from deformscope_drivers.depth_camera.image import DepthImage
 from deformscope_drivers.errors import DeviceError
+from deformscope_drivers.placed.config import PLACED
 from deformscope_drivers.subscription import Subscription
 
 DENT_PICTURES = 10
@@ -95,6 +97,7 @@ class TouchingRobot:
     """Opened devices that look and touch (`deformscope.robot`); a `SessionRobot`.
 
     on_phase: called with each phase of a touch as it begins, and the touch's number from 1
+    reason_to_stand: asked in each control period of a motion: a reason to stand still and end it, empty = none
     stopped: fails with what stops the robot while it carries nothing out
     """
 
@@ -107,6 +110,7 @@ class TouchingRobot:
     ) -> None:
         """make: the robot, with the first command: its devices are recorded meanwhile"""
         self.on_phase: Callable[[Phase, int], None] = lambda phase, touch: None
+        self.reason_to_stand: Callable[[], str] = lambda: ""
         self.stopped: Future[None] = Future()
         self.geometry = SetupGeometry.of(setup)
         self._make, self._on_cycle = make, on_cycle
@@ -127,6 +131,7 @@ class TouchingRobot:
     def _robot(self) -> Robot:
         if self._made is None:
             self._made = self._make(lambda seen, verdict: self._cycled())
+            self._made.reason_to_stand = lambda: self.reason_to_stand()
         return self._made
 
     # Commands ---------------------------------------------------------------------------------------------------------
@@ -190,6 +195,8 @@ class TouchingRobot:
                     continue
                 try:
                     answers.submit(_give, future, self._do(command))
+                except TouchHeld as error:
+                    future.set_exception(error)
                 except BaseException as error:
                     failed = True
                     future.set_exception(error)
@@ -231,7 +238,7 @@ class TouchingRobot:
         """The outermost places that can be reached."""
         grid = MapGrid(self._setup.size_m, PREFLIGHT_CELL_M)
         robot = self._robot
-        allowed = self.geometry.reachable(grid, self._options, robot.arm.chain, robot.pose.joints_deg)
+        allowed = self.geometry.reachable(grid, self._options, robot.chain, robot.pose.joints_deg)
         places = grid.centres_m[allowed.ravel()]
         if not len(places):
             raise InputError("a surface that the arm reaches", "none of it", "move the arm, or the surface")
@@ -264,13 +271,14 @@ class TouchingRobot:
             focal_px, center_px = (reported.fx_px, reported.fy_px), (reported.cx_px, reported.cy_px)
         check_center(center_px, pictures[-1].depth.shape)
         arm, _, name = self._setup.names
-        model = self._robot.arm.chain.name
+        chain = self._robot.chain
+        model = PLACED if chain is None else chain.name
         used = LookFrames(name, _times_ns(pictures), arm, pose.time_ns, model, focal_px, center_px)
         return Looked(used, FrameData(_depths_m(pictures), {pose.time_ns: pose}, {}))
 
     def touch(self, plan: TouchPlan, xy_m: FloatArray) -> Callable[[], Touched]:
         """Go there, touch along the normal, keep the pictures of the dent, come back; what is returned puts together
-        what was measured. Raises ExplorationStopped."""
+        what was measured. Raises ExplorationStopped, and TouchHeld where it was broken off: the arm then stands."""
         robot = self._robot
         robot.start()
         dents: list[tuple[DepthImage, ArmSample]] = []
@@ -280,11 +288,19 @@ class TouchingRobot:
             return True
 
         with self._stopping(), contextlib.ExitStack() as self._dwelling:
-            record = run_touch(robot, plan, still, self._begin)
+            person = self._setup.person
+            record = (
+                run_touch(robot, plan, still, self._begin)
+                if person is None
+                else touch_by_hand(robot, plan, person, still, self._begin)
+            )
         self._phase = None
         verdict = robot.supervisor.verdict
         if verdict.action is not Action.GO_ON:
             raise self._stop(verdict.fault, verdict.reason, verdict.action, verdict.time_ns)
+        if record.ending is TouchEnding.HELD:
+            self._pressed_m, self._begun = None, self._begun - 1
+            raise TouchHeld(record.reason)
         if record.contact_m is None or record.ending in (TouchEnding.NOT_REACHED, TouchEnding.NO_CONTACT):
             where = f"at ({100 * xy_m[0]:.0f}, {100 * xy_m[1]:.0f}) cm"
             raise self._stop(record.ending, f"{where}: {record.reason}" if record.reason else where)

@@ -21,15 +21,14 @@ from deformscope.robot.placement import Placement
 from deformscope.robot.preflight import Preflight
 from deformscope.robot.readings import PERIOD_NS, ArmSample, CameraSample, ForceSample, RobotObservation
 from deformscope.robot.supervisor import Action, Fault, Limits, SafetyVerdict, Supervisor
+from deformscope_drivers.arm import Arm, ArmState, JointVelocity
+from deformscope_drivers.arm.kinematics import Chain, FloatArray, cross
 from deformscope_drivers.clock import Clock, monotonic_ns
 from deformscope_drivers.depth_camera.image import DepthImage
 from deformscope_drivers.device import Device
 from deformscope_drivers.errors import DeviceError
 from deformscope_drivers.health import Link
 from deformscope_drivers.images import fingerprint
-from deformscope_drivers.jaco import Jaco, JacoState, JointVelocity
-from deformscope_drivers.jaco.commands import joint_limits_deg_s
-from deformscope_drivers.jaco.kinematics import FloatArray, cross
 from deformscope_drivers.optoforce import Optoforce
 from deformscope_drivers.optoforce.measurement import ForceMeasurement
 
@@ -47,6 +46,10 @@ class RobotStopped(Exception):
     def __init__(self, verdict: SafetyVerdict) -> None:
         super().__init__(f"the robot was stopped: {verdict.fault}: {verdict.reason}")
         self.verdict = verdict
+
+
+class MotionHeld(Exception):
+    """The robot stands, and was to move: not for a fault, and it may be sent on at any time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,12 +91,13 @@ class Robot:
     The arm is sent joint rates alone (`motion`), in each period for where its joints are then.
 
     commanded: (time [ns], speed of the tip's centre [m/s]) of every period, for recordings and studies
+    reason_to_stand: asked in each period in which it is to move: a reason not to, empty = none
     rotation: that of the arm's end as it was commanded; moving: a velocity was sent in this period
     """
 
     def __init__(
         self,
-        arm: Jaco,
+        arm: Arm[Any],
         force: Optoforce,
         placement: Placement,
         limits: Limits,
@@ -113,6 +117,7 @@ class Robot:
         self._pictures = camera.readings() if camera is not None else None
         self.tare_n: FloatArray = np.zeros(3)
         self.camera_needed = False
+        self.reason_to_stand: Callable[[], str] = lambda: ""
         self._may_move = False
         self._judged_ns = array("q")
         self.commanded: list[tuple[int, float]] = []
@@ -125,9 +130,14 @@ class Robot:
         self._turned_ns = clock()
         self._refusal: tuple[Fault, str] | None = None
         self._next_ns = clock()
-        self.supervisor = Supervisor(limits, clock(), placement.T_ee_center, arm.chain)
+        self.supervisor = Supervisor(limits, clock(), placement.T_ee_center, self.chain, placed=arm.by_hand)
 
     # What is known ---------------------------------------------------------------------------------------------------
+
+    @property
+    def chain(self) -> Chain | None:
+        """The arm's joints; None where a person places it."""
+        return None if self.arm.by_hand else self.arm.chain
 
     @property
     def arm_seen(self) -> bool:
@@ -155,14 +165,17 @@ class Robot:
     def cycle(self, command: Command = None) -> RobotObservation:
         """Send a velocity (None = stand still), let a control period pass, look, and have it judged.
 
-        Raises RobotStopped, now and ever after until the supervisor's `acknowledge`, when the robot must not go on: the
+        Raises MotionHeld where `reason_to_stand` gave one: it was sent nothing, and stood for the period. Raises
+        RobotStopped, now and ever after until the supervisor's `acknowledge`, when the robot must not go on: the
         arm is then halted and what waited in it erased. What makes the robot back off is the caller's to carry out.
         """
         if self.supervisor.verdict.action is Action.STOP:
             raise RobotStopped(self.supervisor.verdict)
         if command is not None and not self._may_move:
             raise InputError("a preflight that passed", "none", "let_move(check(robot, ...))")
-        self._send(command)
+        going_on = self.supervisor.verdict.action is Action.GO_ON  # away from a force it may go, whoever watches
+        held = self.reason_to_stand() if command is not None and going_on else ""
+        self._send(None if held else command)
         now_ns = self._clock()
         # A period that came late is not made up for.
         self._next_ns = max(self._next_ns + PERIOD_NS, now_ns + PERIOD_NS // 2)
@@ -189,6 +202,8 @@ class Robot:
             self._speed_m_s = 0.0
             with contextlib.suppress(DeviceError):
                 self.arm.stop()
+        if held:
+            raise MotionHeld(held)
         return self.seen
 
     def keep_up(self) -> None:
@@ -307,7 +322,7 @@ class Robot:
         self.halt(f"{fault}: {reason}")
 
     def _send_tip(self, command: TipVelocity) -> None:
-        pose, config = self.pose.T_base_ee, self.arm.config
+        pose, limits = self.pose.T_base_ee, self.arm.speed_limits
         linear = self.placement.to_base(command.linear_m_s)
         turned = np.zeros(3)
         if command.angular_rad_s is not None:
@@ -316,12 +331,12 @@ class Robot:
             angular = self.rotation.back_rad_s(pose[:3, :3])
         # The joints are given the velocity of the arm's end; the tip turns about its own centre.
         linear = linear - cross(angular, pose[:3, :3] @ self.placement.T_ee_center[:3, 3])
-        share = min(1.0, _share(linear, config.linear_limit_m_s), _share(angular, config.angular_limit_rad_s))
+        share = min(1.0, _share(linear, limits.linear_limit_m_s), _share(angular, limits.angular_limit_rad_s))
         motion = rates_for_twist(
             self.arm.chain,
             self.pose.joints_deg,
             share * np.concatenate([linear, angular]),
-            joint_limits_deg_s(self.arm.chain, config),
+            self.arm.joint_limits_deg_s,
             self.supervisor.limits.joint_margin_deg,
         )
         if self._sent(motion):
@@ -342,7 +357,7 @@ class Robot:
             chain,
             joints_deg,
             share * np.asarray(command.rates_deg_s, dtype=float),
-            joint_limits_deg_s(chain, self.arm.config),
+            self.arm.joint_limits_deg_s,
             limits.joint_margin_deg,
         )
         if self._sent(motion):
@@ -361,7 +376,7 @@ class Robot:
 
     def _look(self) -> RobotObservation:
         forces: list[ForceMeasurement] = taken(self._forces)
-        states: list[JacoState] = taken(self._states)
+        states: list[ArmState] = taken(self._states)
         pictures: list[DepthImage] = taken(self._pictures) if self._pictures is not None else []
         arms = tuple(map(ArmSample.of, states))
         if arms:

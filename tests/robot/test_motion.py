@@ -19,15 +19,8 @@ from deformscope.robot.robot import JointRates, Robot, RobotStopped, TipVelocity
 from deformscope.robot.supervisor import Fault, Limits, SafetyVerdict
 from deformscope.robot.touch import Phase, run_touch
 from deformscope.robot.travel import move_joints, move_tip
-from deformscope_drivers.jaco.kinematics import (
-    CHAINS,
-    J2N6S300,
-    J2S7S300,
-    Chain,
-    FloatArray,
-    least_singular,
-    off_course,
-)
+from deformscope_drivers.arm.kinematics import Chain, FloatArray, least_singular, off_course
+from deformscope_drivers.jaco.chains import CHAINS, J2N6S300, J2S7S300
 from deformscope_drivers.jaco.structures import PositionType
 from tests.robot.quick_touch import quick_scene
 
