@@ -68,7 +68,7 @@ def dense_flow(before: Image, after: Image, method: FlowMethod = "dis") -> FlowF
     count changes the last digits.
     """
     a, b = _views(before, after, method)
-    return _flow(_seen(a, method), _seen(b, method), method)
+    return _flow(_featured(a, method), _featured(b, method), method)
 
 
 def flow_both_ways(before: Image, after: Image, method: FlowMethod = "dis") -> tuple[FlowField, FlowField]:
@@ -76,17 +76,17 @@ def flow_both_ways(before: Image, after: Image, method: FlowMethod = "dis") -> t
     views = _views(before, after, method)
     if cv2.getNumThreads() > 1:
         # two calls would share OpenCV's threads, and DIS's stripes then be other ones from time to time
-        a, b = (_seen(view, method) for view in views)
+        a, b = (_featured(view, method) for view in views)
         return _flow(a, b, method), _flow(b, a, method)
     with ThreadPoolExecutor(1) as beside:
-        other = beside.submit(_seen, views[1], method)
-        a, b = _seen(views[0], method), other.result()
+        other = beside.submit(_featured, views[1], method)
+        a, b = _featured(views[0], method), other.result()
         backward = beside.submit(_flow, b, a, method)
         return _flow(a, b, method), backward.result()
 
 
 @dataclass(frozen=True, slots=True)
-class _Seen:
+class _Featured:
     """An image on 0..255, (H, W); rounded to 8 bits; its features: places (n, 2) [px] and what SIFT says of each."""
 
     grey: FloatArray
@@ -95,12 +95,12 @@ class _Seen:
     words: Any
 
 
-def _seen(grey: FloatArray, method: FlowMethod) -> _Seen:
+def _featured(grey: FloatArray, method: FlowMethod) -> _Featured:
     grey8 = np.clip(np.rint(grey), 0, 255).astype(np.uint8)
     if method == "farneback":
-        return _Seen(grey, grey8, np.zeros((0, 2)), None)
+        return _Featured(grey, grey8, np.zeros((0, 2)), None)
     keys, words = cv2.SIFT.create(nfeatures=4000, contrastThreshold=0.02).detectAndCompute(grey8, None)
-    return _Seen(grey, grey8, np.array([key.pt for key in keys]), words)
+    return _Featured(grey, grey8, np.array([key.pt for key in keys]), words)
 
 
 def _views(before: Image, after: Image, method: FlowMethod) -> tuple[FloatArray, FloatArray]:
@@ -117,7 +117,7 @@ def _views(before: Image, after: Image, method: FlowMethod) -> tuple[FloatArray,
     return _stretch(a, b)
 
 
-def _flow(a: _Seen, b: _Seen, method: FlowMethod) -> FlowField:
+def _flow(a: _Featured, b: _Featured, method: FlowMethod) -> FlowField:
     if method == "farneback":
         flow = cv2.calcOpticalFlowFarneback(
             a.grey8,
@@ -149,7 +149,7 @@ def _stretch(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
 # --- pixel accuracy -------------------------------------------------------------------------------------------------
 
 
-def _coarse(a: _Seen, b: _Seen) -> FloatArray:
+def _coarse(a: _Featured, b: _Featured) -> FloatArray:
     """DIS, once from rest and once from feature matches; each pixel takes the flow under which its window fits."""
     a8, b8 = a.grey8, b.grey8
     flow = _dis(a8, b8, None)
@@ -173,7 +173,7 @@ def _dis(a8: Image, b8: Image, start: FloatArray | None) -> FloatArray:
     return np.asarray(dis.calc(a8, b8, None if start is None else start.copy()), dtype=np.float32)
 
 
-def _from_features(a: _Seen, b: _Seen) -> FloatArray | None:
+def _from_features(a: _Featured, b: _Featured) -> FloatArray | None:
     """A rough flow from SIFT matches (Lowe 2004), (H, W, 2) [px]; None where too few agree with their neighbours."""
     if min(len(a.at), len(b.at)) < 2:
         return None
