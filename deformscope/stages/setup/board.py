@@ -19,9 +19,9 @@ MARKER_SHARE = 0.75
 """Of a square that its marker fills."""
 FEWEST_CORNERS = 6
 FEWEST_VIEWS = 6
-LEAST_TILT = np.radians(12.0)
-"""Between the board's normals in the views: a board seen always from the front does not tell distance from focal length
-apart."""
+LEAST_TILT = np.radians(6.0)
+"""Deviation of the board's tilt over the views, about the axis that it was tilted about least: one that is seen always
+from the front does not tell distance and focal length apart."""
 
 
 @dataclass(frozen=True, slots=True)
