@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from deformscope.arrays import IntArray
 from deformscope.errors import InputError
+from deformscope.rig.calibrated import CalibrationAge
 from deformscope.rig.rig_file import Rig, RigDevice, Workspace
 from deformscope.rig.source import RigMember, RigSource
 from deformscope.robot.advice import advice
@@ -67,7 +68,7 @@ class Setup:
 
     open_source: opens all devices; names: of arm, force sensor and camera among them
     compliance_m_per_n, compliance_sd: of the arm under a push [m/N]
-    calibrated: what has to be known before the arm moves, by name, and whether it is
+    calibrated: what has to be known before the arm moves, by name, and whether it is; ages: of what was measured
     simulated: nothing real moves; truth: what is simulated, None where that is not known
     runs_itself: the devices have threads of their own and the host's clock, whatever is computed meanwhile
     zeroed: the force sensor's zero is taken as the devices open
@@ -83,6 +84,7 @@ class Setup:
     compliance_m_per_n: float = 0.0
     compliance_sd: float = 0.0
     calibrated: Mapping[str, bool] = field(default_factory=dict)
+    ages: Mapping[str, CalibrationAge] = field(default_factory=dict)
     simulated: bool = False
     truth: Truth | None = None
     runs_itself: bool = True
@@ -252,6 +254,7 @@ def rig_setup(
             "[camera] T_arm_camera": simulated or camera.T_arm_camera is not None,
             "[tool] compliance_m_per_n": simulated or tool.compliance_m_per_n is not None,
         },
+        ages=rig.calibrated.ages(),
         simulated=simulated,
         truth=None if table is None else table.truth,
         runs_itself=table is None or table.runs_itself,

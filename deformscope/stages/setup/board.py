@@ -19,7 +19,9 @@ MARKER_SHARE = 0.75
 """Of a square that its marker fills."""
 FEWEST_CORNERS = 6
 FEWEST_VIEWS = 6
-LEAST_TILT = np.radians(6.0)
+BENDING = cv2.CALIB_FIX_K3 | cv2.CALIB_ZERO_TANGENT_DIST
+"""Of the lens, k1 and k2 alone are sought: a dozen views of a board do not give the others."""
+LEAST_TILT = np.radians(4.0)
 """Deviation of the board's tilt over the views, about the axis that it was tilted about least: one that is seen always
 from the front does not tell distance and focal length apart."""
 
@@ -28,9 +30,9 @@ from the front does not tell distance and focal length apart."""
 class CharucoSpec:
     """columns, rows: squares; square_m: side of one [m]; markers of OpenCV's 4x4 dictionary"""
 
-    columns: int = 7
-    rows: int = 5
-    square_m: float = 0.03
+    columns: int = 5
+    rows: int = 4
+    square_m: float = 0.05
 
     def __post_init__(self) -> None:
         if not (3 <= self.columns <= 12 and 3 <= self.rows <= 8 and self.square_m > 0.0):
@@ -94,14 +96,14 @@ def lens(views: Sequence[SeenBoard], size_px: tuple[int, int], board: CharucoSpe
         raise InputError(f"{FEWEST_VIEWS} views of the board or more", str(len(views)), "12, tilted each way")
     objects = [board.corners_m[view.number].astype(np.float32) for view in views]
     images = [view.px.astype(np.float32).reshape(-1, 1, 2) for view in views]
-    found = cv2.calibrateCameraExtended(objects, images, size_px, None, None)  # type: ignore[call-overload]
+    found = cv2.calibrateCameraExtended(objects, images, size_px, None, None, flags=BENDING)  # type: ignore[call-overload]
     left_over, camera, distortion, turns, _, sd = found[:6]
     normals = np.array([cv2.Rodrigues(np.asarray(turn))[0][:, 2] for turn in turns])
     tilt = float(np.sqrt(np.linalg.eigvalsh(np.cov(normals.T))[1]))
     if tilt < LEAST_TILT:
         came = f"tilts of {np.degrees(tilt):.0f} degrees"
         raise InputError(f"views of the board tilted by {np.degrees(LEAST_TILT):.0f} degrees", came, "tilt it each way")
-    count = sum(2 * len(view.px) for view in views) - 6 * len(views) - 9
+    count = sum(2 * len(view.px) for view in views) - 6 * len(views) - 6
     half = half_widths(np.diag(np.asarray(sd, np.float64).reshape(-1)[:4] ** 2), count, LEVEL)
     matrix = np.asarray(camera, np.float64)
     bent = np.asarray(distortion, np.float64).reshape(-1)[:5]

@@ -25,7 +25,7 @@ from deformscope.stages.setup.transform import (
 )
 
 FEWEST_VIEWS = 6
-LEAST_SPREAD_RAD = np.radians(12.0)
+LEAST_SPREAD_RAD = np.radians(7.0)
 """Of the arm's turns, about the second of the axes that they are about."""
 FAR_M, FAR_RAD = 0.02, np.radians(4.0)
 """A view that is off by more does not belong to the others."""
