@@ -21,6 +21,7 @@ import numpy.typing as npt
 from deformscope.errors import InputError
 from deformscope.lab.arm_contact import ARM_CYCLE_NS, ArmContact
 from deformscope.lab.depth_view import DepthView
+from deformscope.lab.hidden import BoardPicture, HiddenRig
 from deformscope.lab.layer_world import LayerWorld
 from deformscope.lab.ray_camera import DepthViewConfig
 from deformscope.lab.scenes import Scene, built_in
@@ -57,13 +58,14 @@ class _Table:
     placement: Placement
     model: str
     T_surface_camera: npt.NDArray[np.floating] | None
+    hidden: HiddenRig | None = None
 
 
 class _Shared:
     """What the processes share, each value with one writer.
 
     joints_deg: (7,) where the arm is; wrench: (6,) on its end; center_m: (3,) of the tip; pressed: x, y, depth [m] of
-    the dent; max_force_n
+    the dent; max_force_n; finger_n: (3,) of somebody on the tip, surface frame; board: somebody has fixed it to the arm
     """
 
     def __init__(self) -> None:
@@ -72,6 +74,8 @@ class _Shared:
         self.center_m = SPAWN.RawArray("d", 3)
         self.pressed = SPAWN.RawArray("d", 3)
         self.max_force_n = SPAWN.RawValue("d", 0.0)
+        self.finger_n = SPAWN.RawArray("d", 3)
+        self.board = SPAWN.RawValue("b", 0)
         self._over = SPAWN.RawValue("b", 0)
 
     @property
@@ -99,10 +103,14 @@ class LiveLab:
         *,
         T_surface_camera: npt.NDArray[np.floating] | None = None,
         model: str | None = None,
+        hidden: HiddenRig | None = None,
     ) -> None:
-        """T_surface_camera: (4, 4), default where the scene is seen well; model: of the arm, as the vendor calls it"""
+        """T_surface_camera: (4, 4), default where the scene is seen well; model: of the arm, as the vendor calls it
+        hidden: where things truly are; None = as placement and T_surface_camera say"""
+        if hidden is not None:
+            placement, T_surface_camera = hidden.placement, hidden.T_surface_camera
         self.size_m, self.truth = scene.size_m, Truth(scene.regions)
-        self._table = _Table(scene.name, scene.seed, placement, model or "j2n6s300", T_surface_camera)
+        self._table = _Table(scene.name, scene.seed, placement, model or "j2n6s300", T_surface_camera, hidden)
         chain = CHAINS[self._table.model]
         parked = np.array([scene.size_m[0] / 2, scene.size_m[1] / 2, PARKED_M])
         touching = np.array([*parked[:2], scene.thickness_m])
@@ -123,6 +131,14 @@ class LiveLab:
     def max_force_n(self) -> float:
         """The largest true contact force so far [N]."""
         return float(self._shared.max_force_n.value)
+
+    def push_tip(self, force_n: FloatArray) -> None:
+        """From now on a finger pushes the tip, (3,) [N] in the surface frame."""
+        self._shared.finger_n[:] = [float(value) for value in force_n]
+
+    def show_board(self, there: bool) -> None:
+        """Fix the board to the arm's end, or take it off."""
+        self._shared.board.value = int(there)
 
     @contextlib.contextmanager
     def devices(self, entries: Sequence[RigDevice]) -> Iterator[dict[str, Device[Any]]]:
@@ -197,12 +213,22 @@ def _feel(pipe: Connection, table: _Table, shared: _Shared, sensitivity: Sensiti
     scene = built_in(table.scene, table.seed)
     world = LayerWorld(scene, table.placement.tool.radius_m)
     contact = ArmContact(world, _RemoteArm(shared, CHAINS[table.model]), table.placement, monotonic_ns)
-    double = OptoforceDouble(Sensors(scene=contact.load, sensitivity=sensitivity, seed=table.seed))
+
+    def load(time_s: float) -> FloatArray:
+        finger_n = np.array(shared.finger_n[:])
+        if finger_n.any():
+            contact.hit(finger_n, 2 * CYCLE_S)
+        felt = contact.load(time_s)
+        return felt if table.hidden is None else table.hidden.felt(felt, time_s)
+
+    double = OptoforceDouble(Sensors(scene=load, sensitivity=sensitivity, seed=table.seed))
     with PtyWire(double) as wire:
         pipe.send(wire.port)
         due = time.monotonic()
         while _goes_on(shared, due):
             contact.feel()
+            finger_n = table.placement.to_base(np.array(shared.finger_n[:]))
+            shared.wrench[:3] = [have + float(more) for have, more in zip(shared.wrench[:3], finger_n, strict=True)]
             shared.center_m[:] = [float(value) for value in contact.center_m]
             shared.pressed[:] = [float(value) for value in world.pressed]
             shared.max_force_n.value = contact.max_force_n
@@ -214,7 +240,7 @@ def _look(pipe: Connection, table: _Table, shared: _Shared, rate_hz: float) -> N
     scene = built_in(table.scene, table.seed)
     view = DepthView(scene, CAMERA, table.T_surface_camera)
     world = LayerWorld(scene, table.placement.tool.radius_m)
-    chain = CHAINS[table.model]
+    chain, board = CHAINS[table.model], BoardPicture()
     pipe.send("")
     due = time.monotonic()
     while _goes_on(shared, due):
@@ -222,6 +248,10 @@ def _look(pipe: Connection, table: _Table, shared: _Shared, rate_hz: float) -> N
         moved = world.displaced_m(view.places_m) if world.pressed[2] > 0.0 else None
         center = np.array(shared.center_m[:])
         exact = view.render(moved, arm_shape(table.placement, chain, _joints(shared, chain), center))
+        if table.hidden is not None and shared.board.value:
+            T_base_ee = chain.forward(_joints(shared, chain))[-1]
+            T_surface_board = table.placement.T_surface_base @ T_base_ee @ table.hidden.T_ee_board
+            board.put_into(exact.color, view.intrinsics, np.linalg.inv(view.surface_from_camera) @ T_surface_board)
         try:
             pipe.send(View(exact.depth_m, exact.color))
         except OSError:  # nobody looks any more

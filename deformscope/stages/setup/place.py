@@ -51,12 +51,14 @@ def place(
     tip_radius_m: float,
     up: npt.ArrayLike = (0.0, 0.0, 1.0),
     *,
+    tip_sd_m: float = 0.0,
     prior: ErrorPrior = TOUCHED,
 ) -> PlaceEstimate:
     """The rectangle whose corners were touched, each once or more often.
 
     centers_m: (n, 3) the tip's centre at each touch, base frame; corners: (n,) which one, as in CORNERS
     up: (3,) roughly away from the surface, base frame: against the stick
+    tip_sd_m: deviation of where the tip is on the arm, by which all corners are off alike [m]
     Raises InputError for corners that are no rectangle's, or in one line.
     """
     touched, which = np.asarray(centers_m, np.float64), np.asarray(corners, int)
@@ -98,6 +100,7 @@ def place(
         raise InputError("corners of a rectangle", came, "touch the corners again, one by one")
     size_m = found.value[6:] + sides_m
     T = transform_of(found, start)
+    T.covariance[:3, :3] += tip_sd_m**2 * np.eye(3)
     low_m, high_m = _box(T.T, size_m)
     distances = np.linalg.norm(left_over, axis=1)
     return PlaceEstimate(T, size_m, found.half(LEVEL)[6:], low_m, high_m, found.sd, distances)
