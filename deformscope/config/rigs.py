@@ -27,13 +27,15 @@ class DevicesConfig(CommandOptions):
 
 @dataclass(frozen=True, slots=True)
 class DoctorConfig(CommandOptions):
-    """Try a rig: its file, every device of it for a few seconds, the disk; say what is wrong and what to do. Nothing
-    moves."""
+    """Try a rig: its file, every device of it for a few seconds, the disk; say what is wrong and what to do, and which
+    command comes next on the way to an exploration. Nothing moves."""
 
     rig: flags.RigFlag = ""
     """A rig file (.toml), or lab:NAME."""
     example: bool = False
     """Print a rig file to start from, and do nothing else."""
+    doubles: bool = False
+    """With --example: one of doubles over a simulated table, to try everything on."""
     seconds: Annotated[float, flags.one_word("NUMBER", flags.positive)] = 2.0
     """How long every device is listened to [s]."""
     trust_rig: flags.TrustFlag = False

@@ -215,9 +215,6 @@ def _feel(pipe: Connection, table: _Table, shared: _Shared, sensitivity: Sensiti
     contact = ArmContact(world, _RemoteArm(shared, CHAINS[table.model]), table.placement, monotonic_ns)
 
     def load(time_s: float) -> FloatArray:
-        finger_n = np.array(shared.finger_n[:])
-        if finger_n.any():
-            contact.hit(finger_n, 2 * CYCLE_S)
         felt = contact.load(time_s)
         return felt if table.hidden is None else table.hidden.felt(felt, time_s)
 
@@ -226,9 +223,8 @@ def _feel(pipe: Connection, table: _Table, shared: _Shared, sensitivity: Sensiti
         pipe.send(wire.port)
         due = time.monotonic()
         while _goes_on(shared, due):
+            contact.finger_n = np.array(shared.finger_n[:])
             contact.feel()
-            finger_n = table.placement.to_base(np.array(shared.finger_n[:]))
-            shared.wrench[:3] = [have + float(more) for have, more in zip(shared.wrench[:3], finger_n, strict=True)]
             shared.center_m[:] = [float(value) for value in contact.center_m]
             shared.pressed[:] = [float(value) for value in world.pressed]
             shared.max_force_n.value = contact.max_force_n

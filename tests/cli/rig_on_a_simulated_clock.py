@@ -14,6 +14,7 @@ import numpy.typing as npt
 import pytest
 
 from deformscope.lab.depth_view import DepthView
+from deformscope.lab.hidden import BoardPicture, HiddenRig
 from deformscope.lab.layer_world import LayerWorld
 from deformscope.lab.live_lab import CAMERA, PARKED_M
 from deformscope.lab.scenes import Scene
@@ -25,6 +26,7 @@ from deformscope.robot.shape import arm_shape
 from deformscope_drivers.depth_camera import View
 from deformscope_drivers.depth_camera.synthetic import SyntheticDepthConfig
 from deformscope_drivers.device import Device
+from deformscope_drivers.jaco import JacoDouble
 from deformscope_drivers.jaco.kinematics import CHAINS
 from deformscope_drivers.memory import SimulatedClock
 from deformscope_drivers.optoforce.double import OMD_20_SE_40N
@@ -43,8 +45,12 @@ class SimulatedTable:
         *,
         T_surface_camera: npt.NDArray[np.floating] | None = None,
         model: str | None = None,
+        hidden: HiddenRig | None = None,
     ) -> None:
-        self.clock, self._placement = clock, placement
+        if hidden is not None:
+            placement, T_surface_camera = hidden.placement, hidden.T_surface_camera
+        self.clock, self._placement, self._hidden = clock, placement, hidden
+        self._board, self._picture = False, BoardPicture()
         self.size_m, self.truth = scene.size_m, Truth(scene.regions)
         self.view = DepthView(scene, CAMERA, T_surface_camera)
         self._world = LayerWorld(scene, placement.tool.radius_m)
@@ -76,9 +82,20 @@ class SimulatedTable:
             arm_config=configs["jaco"],
             force_config=force_config,
             start_deg=self._start_deg,
+            as_felt=None if self._hidden is None else self._hidden.felt,
         )
         made = {"jaco": self.lab.arm, "optoforce": self.lab.force, "depth_camera": self.lab.camera}
         yield {entry.name: made[entry.driver.name] for entry in entries}
+
+    @property
+    def arm(self) -> JacoDouble:
+        return self.lab.arm_double
+
+    def push_tip(self, force_n: npt.NDArray[np.floating]) -> None:
+        self.lab.contact.finger_n = np.asarray(force_n, np.float64)
+
+    def show_board(self, there: bool) -> None:
+        self._board = there
 
     @property
     def T_surface_camera(self) -> npt.NDArray[np.float64]:
@@ -97,6 +114,10 @@ class SimulatedTable:
         moved = self._world.displaced_m(self.view.places_m) if self._world.pressed[2] > 0.0 else None
         arm, center = self.lab.arm_double, self.lab.contact.center_m
         exact = self.view.render(moved, arm_shape(self._placement, arm.chain, arm.joints_deg, center))
+        if self._board and self._hidden is not None:
+            T_surface_board = self._placement.T_surface_base @ arm.T_base_end_effector @ self._hidden.T_ee_board
+            T_camera_board = np.linalg.inv(self.view.surface_from_camera) @ T_surface_board
+            self._picture.put_into(exact.color, self.view.intrinsics, T_camera_board)
         return View(exact.depth_m, exact.color)
 
 

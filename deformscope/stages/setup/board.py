@@ -21,9 +21,9 @@ FEWEST_CORNERS = 6
 FEWEST_VIEWS = 6
 BENDING = cv2.CALIB_FIX_K3 | cv2.CALIB_ZERO_TANGENT_DIST
 """Of the lens, k1 and k2 alone are sought: a dozen views of a board do not give the others."""
-LEAST_TILT = np.radians(4.0)
-"""Deviation of the board's tilt over the views, about the axis that it was tilted about least: one that is seen always
-from the front does not tell distance and focal length apart."""
+WIDEST = 0.1
+"""Half the interval of a focal length, as a share of it, at most: a board that is seen always from the front does not
+tell distance and focal length apart."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,17 +97,16 @@ def lens(views: Sequence[SeenBoard], size_px: tuple[int, int], board: CharucoSpe
     objects = [board.corners_m[view.number].astype(np.float32) for view in views]
     images = [view.px.astype(np.float32).reshape(-1, 1, 2) for view in views]
     found = cv2.calibrateCameraExtended(objects, images, size_px, None, None, flags=BENDING)  # type: ignore[call-overload]
-    left_over, camera, distortion, turns, _, sd = found[:6]
-    normals = np.array([cv2.Rodrigues(np.asarray(turn))[0][:, 2] for turn in turns])
-    tilt = float(np.sqrt(np.linalg.eigvalsh(np.cov(normals.T))[1]))
-    if tilt < LEAST_TILT:
-        came = f"tilts of {np.degrees(tilt):.0f} degrees"
-        raise InputError(f"views of the board tilted by {np.degrees(LEAST_TILT):.0f} degrees", came, "tilt it each way")
+    left_over, camera, distortion, _, _, sd = found[:6]
     count = sum(2 * len(view.px) for view in views) - 6 * len(views) - 6
     half = half_widths(np.diag(np.asarray(sd, np.float64).reshape(-1)[:4] ** 2), count, LEVEL)
     matrix = np.asarray(camera, np.float64)
+    focal = matrix[[0, 1], [0, 1]]
+    if (unknown := float((half[:2] / focal).max())) > WIDEST:
+        came = f"views that leave {100 * unknown:.0f} % of the focal length unknown"
+        raise InputError("views of the board that is tilted by 20 degrees and more", came, "tilt it each way")
     bent = np.asarray(distortion, np.float64).reshape(-1)[:5]
-    return LensEstimate(matrix[[0, 1], [0, 1]], matrix[:2, 2], bent, half, float(left_over))
+    return LensEstimate(focal, matrix[:2, 2], bent, half, float(left_over))
 
 
 def board_pose(

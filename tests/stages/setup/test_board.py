@@ -64,7 +64,7 @@ def test_the_intervals_of_the_lens_hold_it_in_about_nine_of_ten() -> None:
 def test_a_board_that_is_not_tilted_is_refused() -> None:
     random = np.random.default_rng(2)
 
-    with pytest.raises(InputError, match=r"tilted by 4 degrees.*tilt it each way"):
+    with pytest.raises(InputError, match=r"tilted by 20 degrees.*tilt it each way"):
         lens([projected(held(random, 1.0), 0.2, random) for _ in range(8)], SIZE_PX, BOARD)
     with pytest.raises(InputError, match="6 views"):
         lens([projected(held(random), 0.2, random)], SIZE_PX, BOARD)
