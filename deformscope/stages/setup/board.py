@@ -24,6 +24,8 @@ BENDING = cv2.CALIB_FIX_K3 | cv2.CALIB_ZERO_TANGENT_DIST
 WIDEST = 0.1
 """Half the interval of a focal length, as a share of it, at most: a board that is seen always from the front does not
 tell distance and focal length apart."""
+LENSES = (0.25, 8.0)
+"""Focal lengths that lenses have, as a share of the image's width: a fit without information runs away from them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,8 +104,9 @@ def lens(views: Sequence[SeenBoard], size_px: tuple[int, int], board: CharucoSpe
     half = half_widths(np.diag(np.asarray(sd, np.float64).reshape(-1)[:4] ** 2), count, LEVEL)
     matrix = np.asarray(camera, np.float64)
     focal = matrix[[0, 1], [0, 1]]
-    if (unknown := float((half[:2] / focal).max())) > WIDEST:
-        came = f"views that leave {100 * unknown:.0f} % of the focal length unknown"
+    unknown, share = float((half[:2] / focal).max()), focal / size_px[0]
+    if unknown > WIDEST or (share < LENSES[0]).any() or (share > LENSES[1]).any():
+        came = f"views that leave the focal length unknown ({focal[0]:.0f} px, within {half[0]:.0f} px)"
         raise InputError("views of the board that is tilted by 20 degrees and more", came, "tilt it each way")
     bent = np.asarray(distortion, np.float64).reshape(-1)[:5]
     return LensEstimate(focal, matrix[:2, 2], bent, half, float(left_over))
