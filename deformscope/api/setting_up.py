@@ -16,7 +16,7 @@ from deformscope.api.moving import ask_line
 from deformscope.api.rigs import Interruption, member_of, until_interrupted
 from deformscope.api.setups import table_of
 from deformscope.errors import InputError
-from deformscope.experiments.setting_up import Person, SetupRequest
+from deformscope.experiments.setting_up import Operator, SetupRequest
 from deformscope.file_io import read_file, replacing
 from deformscope.files.arrays_file import read_arrays
 from deformscope.log.findings import RigFindings
@@ -30,7 +30,7 @@ from deformscope.terminal import say
 
 if TYPE_CHECKING:
     from deformscope.config import SetupOptions
-    from deformscope.lab.hidden import SimulatedPerson
+    from deformscope.lab.hidden import SimulatedHand
     from deformscope.recording.recorder import Recorder
     from deformscope.rig.source import RigSource
 
@@ -67,13 +67,13 @@ class SetupFound:
 
 @dataclass(frozen=True, slots=True)
 class Station:
-    """Who and what takes part. arm, wrench, camera: names of devices, empty where the rig has none; person: who moves
+    """Who and what takes part. arm, wrench, camera: names of devices, empty where the rig has none; operator: who moves
     things"""
 
     arm: str
     wrench: str
     camera: str
-    person: Person
+    operator: Operator
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,7 +135,7 @@ def written_lines(found: SetupFound) -> str:
 def _open(rig: Rig, task: SetupTask[Any], asked: Interruption) -> Iterator[tuple[RigSource, Station]]:
     """The devices, open, and who stands there: a person at a terminal, or the laboratory's."""
     if rig.surface.scene:
-        from deformscope.lab.hidden import SimulatedPerson
+        from deformscope.lab.hidden import SimulatedHand
 
         parts = RigParts.of(rig)
         table, hidden = table_of(parts)
@@ -146,8 +146,8 @@ def _open(rig: Rig, task: SetupTask[Any], asked: Interruption) -> Iterator[tuple
                 "something to find out", came, "hidden = 1 in [surface]: drawn, and to be calibrated", rig.name
             )
         with open_rig(rig, member_of, table, parts.devices) as source:
-            person = SimulatedPerson(hidden, table, table.size_m)
-            yield source, Station(*(entry.name for entry in parts.devices), _simulated(person))
+            hand = SimulatedHand(hidden, table, table.size_m)
+            yield source, Station(*(entry.name for entry in parts.devices), _simulated(hand))
         return
     devices = {kind: _device_of(rig, kind) for kind in task.needs}
     used = tuple(entry for entry in devices.values() if entry is not None)
@@ -173,7 +173,7 @@ def _device_of(rig: Rig, kind: str) -> RigDevice:
     return found[0]
 
 
-def _at_terminal(asked: Interruption) -> Person:
+def _at_terminal(asked: Interruption) -> Operator:
     """Somebody who reads what to do, does it, and presses Enter."""
     if not sys.stdin.isatty():
         raise InputError("somebody who does what is asked for", "no terminal to ask at", "--measured FILE.npz")
@@ -187,20 +187,20 @@ def _at_terminal(asked: Interruption) -> Person:
     return does
 
 
-def _simulated(person: SimulatedPerson) -> Person:
+def _simulated(hand: SimulatedHand) -> Operator:
     """The laboratory's person, who lets go and taps while frames pass."""
 
     def does(request: SetupRequest) -> RigExperiment[None]:
         say(request.words)
-        person.do(request.kind, request.number, request.axis)
+        hand.do(request.kind, request.number, request.axis)
         if request.kind == "tap":
             from deformscope.lab.hidden import TAP_S
 
             for pause_s in TAPS_S:
                 yield Step(batch_s=pause_s)
-                person.tap()
+                hand.tap()
                 yield Step(batch_s=TAP_S)
-                person.let_go()
+                hand.let_go()
         yield Step(batch_s=0.3)
 
     return does

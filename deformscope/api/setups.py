@@ -81,12 +81,16 @@ def setup_of(
 
 def setup_of_rig(rig: Rig, seed: int = 0) -> Setup:
     """The setup of a rig file, closed. Raises InputError, which names what it lacks."""
+    from deformscope.api.placing import PersonAtTerminal
     from deformscope.api.rigs import member_of
     from deformscope.lab.arm_contact import ARM_DOUBT, ARM_STIFFNESS_N_M
     from deformscope.robot.setup import RigParts, rig_setup
 
     parts = RigParts.of(rig)
     table = table_of(parts, seed)[0]
+    if table is None:
+        by_hand = parts.devices[0].driver.name == "placed"
+        return rig_setup(parts, member_of, person=PersonAtTerminal() if by_hand else None)
     return rig_setup(parts, member_of, table, (1.0 / ARM_STIFFNESS_N_M, ARM_DOUBT / ARM_STIFFNESS_N_M))
 
 
@@ -106,8 +110,8 @@ def table_of(parts: RigParts, seed: int = 0) -> tuple[LiveLab | None, HiddenRig 
     table = live_lab.LiveLab(
         scene,
         parts.placement,
+        parts.devices[0],
         T_surface_camera=parts.T_surface_camera,
-        model=parts.devices[0].config.model,
         hidden=hidden,
     )
     return table, hidden

@@ -53,7 +53,7 @@ def tip(config: TipConfig) -> None:
     _done(
         config,
         SetupTask(
-            "tip", ("arm",), lambda at: tilt_about_tip(at.person, at.arm, config.poses, say), tip_arrays, solve_tip
+            "tip", ("arm",), lambda at: tilt_about_tip(at.operator, at.arm, config.poses, say), tip_arrays, solve_tip
         ),
     )
 
@@ -63,7 +63,7 @@ def place(config: PlaceConfig) -> None:
     corners = [number for _ in range(config.touches) for number in range(3)]
 
     def measure(at: Station) -> RigExperiment[TouchedCorners]:
-        poses = yield from touch_corners(at.person, at.arm, corners, say)
+        poses = yield from touch_corners(at.operator, at.arm, corners, say)
         return TouchedCorners(poses, np.array(corners))
 
     _done(config, SetupTask("place", ("arm",), measure, place_arrays, solve_place))
@@ -79,7 +79,7 @@ def camera(config: CameraConfig) -> None:
         return
 
     def measure(at: Station) -> RigExperiment[MeasuredCamera]:
-        views = yield from view_board(at.person, at.arm, at.camera, board, config.views, say)
+        views = yield from view_board(at.operator, at.arm, at.camera, board, config.views, say)
         return MeasuredCamera(views)
 
     _done(
@@ -104,7 +104,7 @@ def force(config: ForceConfig) -> None:
         SetupTask(
             "force",
             ("arm", "wrench"),
-            lambda at: push_tip(at.person, at.arm, at.wrench, config.repeats, say),
+            lambda at: push_tip(at.operator, at.arm, at.wrench, config.repeats, say),
             force_arrays,
             solve_force,
         ),
@@ -125,7 +125,7 @@ def time(config: TimeConfig) -> None:
         SetupTask(
             "time",
             ("wrench", kind),
-            lambda at: tap_tip(at.person, at.wrench, name, frames[kind]),
+            lambda at: tap_tip(at.operator, at.wrench, name, frames[kind]),
             time_arrays,
             solve_time,
         ),

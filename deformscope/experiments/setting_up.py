@@ -19,7 +19,7 @@ from deformscope.frames import ArmFrame, ColorFrame, DepthFrame, Frame, Item, Wr
 from deformscope.session import Answer, RigExperiment, Step
 from deformscope.stages.setup.board import CharucoSpec, SeenBoard, find_board
 from deformscope.stages.setup.hand_eye import next_pose
-from deformscope_drivers.jaco.kinematics import rotation_from_euler_xyz, transform
+from deformscope_drivers.arm.kinematics import rotation_from_euler_xyz, transform
 
 FrameT = TypeVar("FrameT", bound=Frame)
 
@@ -49,7 +49,7 @@ class SetupRequest:
     axis: tuple[float, float, float] | None = None
 
 
-Person = Callable[[SetupRequest], RigExperiment[None]]
+Operator = Callable[[SetupRequest], RigExperiment[None]]
 """Who does what is asked; frames pass meanwhile."""
 
 
@@ -122,10 +122,10 @@ def _span_s(frames: Sequence[Frame]) -> float:
     return (frames[-1].stamp.host_ns - frames[0].stamp.host_ns) / 1e9 if len(frames) > 1 else -1.0
 
 
-def _held(person: Person, request: SetupRequest, arm: str, note: Callable[[str], None]) -> RigExperiment[HeldArm]:
+def _held(operator: Operator, request: SetupRequest, arm: str, note: Callable[[str], None]) -> RigExperiment[HeldArm]:
     """Where the arm is held after a request; asked again while it moves."""
     for _ in range(TRIES):
-        yield from person(request)
+        yield from operator(request)
         frames = yield from _frames(HOLD_S, {arm: ArmFrame})
         found = held([one for one in frames[arm] if isinstance(one, ArmFrame)])
         if found.moved_m < STILL_M and found.moved_deg < STILL_DEG:
@@ -135,22 +135,22 @@ def _held(person: Person, request: SetupRequest, arm: str, note: Callable[[str],
 
 
 def touch_corners(
-    person: Person, arm: str, corners: Sequence[int], note: Callable[[str], None]
+    operator: Operator, arm: str, corners: Sequence[int], note: Callable[[str], None]
 ) -> RigExperiment[FloatArray]:
     """(n, 4, 4) poses of the arm's end with the tip on each corner."""
     poses = []
     for number in corners:
         words = f"bring the tip down onto {CORNER_WORDS[number]}, the stick upright, until it just touches"
-        poses.append((yield from _held(person, SetupRequest("corner", number, words), arm, note)).T_base_ee)
+        poses.append((yield from _held(operator, SetupRequest("corner", number, words), arm, note)).T_base_ee)
     return np.array(poses)
 
 
-def tilt_about_tip(person: Person, arm: str, count: int, note: Callable[[str], None]) -> RigExperiment[FloatArray]:
+def tilt_about_tip(operator: Operator, arm: str, count: int, note: Callable[[str], None]) -> RigExperiment[FloatArray]:
     """(n, 4, 4) poses of the arm's end, turned about a ball that stays in its place."""
     poses = []
     for number in range(count):
         words = f"the ball in its cone, tilt the stick {TILT_WORDS[number % len(TILT_WORDS)]} by 20 degrees or more"
-        poses.append((yield from _held(person, SetupRequest("tilt", number, words), arm, note)).T_base_ee)
+        poses.append((yield from _held(operator, SetupRequest("tilt", number, words), arm, note)).T_base_ee)
     return np.array(poses)
 
 
@@ -174,10 +174,10 @@ class PushedTip:
 
 
 def push_tip(
-    person: Person, arm: str, wrench: str, repeats: int, note: Callable[[str], None]
+    operator: Operator, arm: str, wrench: str, repeats: int, note: Callable[[str], None]
 ) -> RigExperiment[PushedTip]:
     """What the sensor gives in free air, and while a finger pushes the tip along the table's axes."""
-    yield from person(SetupRequest("rest", 0, "let nothing touch the tip, the stick upright"))
+    yield from operator(SetupRequest("rest", 0, "let nothing touch the tip, the stick upright"))
     rest = yield from _frames(REST_S, {wrench: WrenchFrame})
     free = _forces(rest[wrench])
     where = yield from _frames(HOLD_S, {arm: ArmFrame})
@@ -187,7 +187,7 @@ def push_tip(
     for number in range(repeats * len(PUSHES)):
         words, axis = PUSHES[number % len(PUSHES)]
         request = SetupRequest("push", number, f"push the tip with a finger {words}, with 2 N or more, and hold", axis)
-        yield from person(request)
+        yield from operator(request)
         frames = yield from _frames(PUSH_S, {wrench: WrenchFrame})
         felt.append(np.median(_forces(frames[wrench]).force_n, axis=0) - tare_n)
         axes.append(axis)
@@ -214,12 +214,12 @@ class Taps:
     y: FloatArray
 
 
-def tap_tip(person: Person, wrench: str, other: str, kind: type[Frame]) -> RigExperiment[Taps]:
+def tap_tip(operator: Operator, wrench: str, other: str, kind: type[Frame]) -> RigExperiment[Taps]:
     """What the force sensor and another device give while the tip is tapped."""
     words = "within the next eight seconds tap the tip from below with a finger, firmly, five times at uneven times"
     wanted: dict[str, type[Frame]] = {wrench: WrenchFrame, other: kind}
     frames: dict[str, list[Frame]] = {name: [] for name in wanted}
-    asked = person(SetupRequest("tap", 0, words))
+    asked = operator(SetupRequest("tap", 0, words))
     with contextlib.suppress(StopIteration):
         step = next(asked)
         while True:  # somebody may tap while they are asked
@@ -264,7 +264,7 @@ class BoardViews:
 
 
 def view_board(
-    person: Person, arm: str, camera: str, board: CharucoSpec, count: int, note: Callable[[str], None]
+    operator: Operator, arm: str, camera: str, board: CharucoSpec, count: int, note: Callable[[str], None]
 ) -> RigExperiment[BoardViews]:
     """So many views of a board that the arm carries; those without it do not count."""
     poses: list[FloatArray] = []
@@ -272,7 +272,7 @@ def view_board(
     size_px = (0, 0)
     for number in range(TRIES * count):
         way = "hold the board so that the camera sees all of it" if not poses else next_pose(np.array(poses))[1]
-        pose = yield from _held(person, SetupRequest("view", number, way), arm, note)
+        pose = yield from _held(operator, SetupRequest("view", number, way), arm, note)
         frames = yield from _frames(0.0, {camera: ColorFrame | DepthFrame})  # type: ignore[dict-item]
         image = _colour(frames[camera][-1])
         found = find_board(image, board)

@@ -1,6 +1,6 @@
 """A rig whose doubles are not where its file says: drawn from a number, known to nobody who calibrates.
 
-`[surface] hidden = 7` in a rig file asks for one. `SimulatedPerson` does what the calibrating commands ask for, with a
+`[surface] hidden = 7` in a rig file asks for one. `SimulatedHand` does what the calibrating commands ask for, with a
 hand that is a little off, as a person at a real rig would.
 """
 
@@ -16,14 +16,15 @@ from scipy.spatial.transform import Rotation
 
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
+from deformscope.lab.arms import ArmBody
 from deformscope.lab.ray_camera import looking_at
 from deformscope.rig.rig_file import Tool
 from deformscope.robot.placement import Placement
 from deformscope.robot.setup import T_BASE_SURFACE
-from deformscope_drivers.clock import Clock
+from deformscope_drivers.arm.kinematics import transform
 from deformscope_drivers.depth_camera.image import Intrinsics
 from deformscope_drivers.jaco import JacoDouble
-from deformscope_drivers.jaco.kinematics import transform
+from deformscope_drivers.placed import StandDouble
 
 UP = np.array([0.0, 0.0, 1.0])
 BOARD_SQUARES, BOARD_SQUARE_M = (5, 4), 0.05
@@ -117,12 +118,10 @@ class BoardPicture:
 
 
 class HandledTable(Protocol):
-    """A simulated table at which somebody stands. arm: the double; clock: the table's"""
-
-    arm: JacoDouble
+    """A simulated table at which somebody stands. body: the arm, which they move by hand"""
 
     @property
-    def clock(self) -> Clock: ...
+    def body(self) -> ArmBody: ...
 
     def push_tip(self, force_n: FloatArray) -> None:
         """From now on a finger pushes the tip, (3,) [N] in the surface frame; zero = not."""
@@ -131,7 +130,7 @@ class HandledTable(Protocol):
         """Fix the board to the arm's end, or take it off."""
 
 
-class SimulatedPerson:
+class SimulatedHand:
     """Does what is asked for at a table, by the kind of the request (`experiments.setting_up`); never quite exactly.
 
     Raises InputError where the arm does not reach what is asked for.
@@ -140,7 +139,7 @@ class SimulatedPerson:
     def __init__(self, rig: HiddenRig, table: HandledTable, size_m: tuple[float, float], seed: int = 0) -> None:
         self._rig, self._table, self._size_m = rig, table, size_m
         self._random = np.random.default_rng([seed, 0x9E6])
-        self._parked_deg = table.arm.joints_deg
+        self._parked = table.body.T_base_end_effector
 
     def do(self, kind: str, number: int, axis: tuple[float, float, float] | None) -> None:
         """What a request says, at once."""
@@ -189,7 +188,7 @@ class SimulatedPerson:
         return np.asarray(np.array(sd_m) * self._random.standard_normal(3))
 
     def _park(self) -> None:
-        self._table.arm.put(self._parked_deg)
+        self._reach(self._parked)
 
     def _stand(self, center_m: FloatArray, normal: FloatArray) -> None:
         """The tip's centre there, the stick along -normal, turned about it as the arm can."""
@@ -202,10 +201,16 @@ class SimulatedPerson:
         raise InputError("a place that the arm reaches", f"{center_m.round(3).tolist()} m", "another hidden number")
 
     def _reach(self, T_base_ee: FloatArray, starts: int = 12) -> bool:
-        arm = self._table.arm
-        found = arm.chain.inverse(T_base_ee, arm.joints_deg, starts=starts, iterations=40)
+        """Bring the arm's end there by hand; whether it goes there."""
+        body = self._table.body
+        if isinstance(body, StandDouble):
+            body.put(T_base_ee)
+            return True
+        if not isinstance(body, JacoDouble):
+            raise TypeError(f"no arm that is moved by hand: {type(body).__name__}")
+        found = body.chain.inverse(T_base_ee, body.joints_deg, starts=starts, iterations=40)
         if found.converged:
-            arm.put(found.joints_deg)
+            body.put(found.joints_deg)
         return found.converged
 
     def _show(self, number: int) -> None:
