@@ -58,11 +58,16 @@ class SetupFound:
     def dated(self) -> Values:
         """The values, with the date."""
         section = f"calibrated.{self.kind}"
-        return {**self.values, section: {"date": datetime.date.today(), **self.values.get(section, {})}}
+        return {**self.values, section: {"date": today(), **self.values.get(section, {})}}
 
     def findings(self, where: str) -> Findings:
         """Its table and picture. where: the rig's name"""
         return Findings((Table(self.rows, caption=f"{self.kind} of {where}"),), (self.figure,))
+
+
+def today() -> datetime.date:
+    """By this computer's clock, in UTC: as ages are counted."""
+    return datetime.datetime.now(tz=datetime.UTC).date()
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,9 +100,8 @@ def set_up(config: SetupOptions, task: SetupTask[M], recorder: Recorder) -> Setu
     """Measure, or read what was measured; solve; write it into the rig file unless that is not wanted."""
     rig = load_rig(config.rig, trusted=config.trust_rig)
     if config.measured is not None:
-        made = task.arrays(
-            read_arrays(read_file(config.measured, "a file of arrays"), "a file of arrays", config.measured)
-        )
+        expected = "a file of arrays (.npz)"
+        made = task.arrays(read_arrays(read_file(config.measured, expected), expected, config.measured))
         found = task.solve(rig, made)
         recorder.write(Step((found.findings(rig.name),)))
     else:
@@ -108,11 +112,11 @@ def set_up(config: SetupOptions, task: SetupTask[M], recorder: Recorder) -> Setu
             recorder.write(Step((RigFindings(found.findings(rig.name), tuple(source.streams)),)))
             finish(source, recorder)
     if config.write:
-        _write(Path(config.rig), found.dated)
+        write_values(Path(config.rig), found.dated)
     return found
 
 
-def _write(path: Path, values: Values) -> None:
+def write_values(path: Path, values: Values) -> None:
     """Into the rig file, which is then as good as it was, or stays as it was."""
     from deformscope.rig.rig_file import parse_rig
 

@@ -221,8 +221,8 @@ class ExploreConfig(RecordedOptions):
 
 @dataclass(frozen=True, slots=True)
 class ArmConfig(RecordedOptions):
-    """Measure the compliance of the arm, by touching something rigid that stands firmly on the surface: what
-    [tool] of the rig file wants. The arm moves, after a table of checks and a question."""
+    """Measure the compliance of the arm, by touching something rigid that stands firmly on the surface, and write it
+    into the rig file. The arm moves, after a table of checks and a question."""
 
     rig: flags.SceneFlag
     """A rig file (.toml), or a simulated scene (lab:homogeneous-rigid)."""
@@ -233,6 +233,8 @@ class ArmConfig(RecordedOptions):
     set_force: flags.ForceFlag = None
     """Force to press with [N], 5 N at most, and 5/3 of it (5 N at most) since nothing gives; default: the rig file's
     target_force_n."""
+    write: bool = True
+    """Write what was found and the date into the rig file; --no-write prints the lines alone."""
     yes: bool = False
     """Let a real arm move, once the checks have passed, without asking."""
     trust_rig: flags.TrustFlag = False
