@@ -13,7 +13,7 @@ DAYS = {"arm": 365, "place": 30, "tip": 180, "camera": 90, "force": 180, "time":
 
 
 @dataclass(frozen=True, slots=True)
-class Calibration:
+class CalibrationEntry:
     """One measurement.
 
     date: of it; half_m, half_deg: half widths of the 90 % intervals of a translation along x, y, z [m] and of a turn
@@ -44,12 +44,12 @@ class Calibration:
 class CalibratedSection:
     """By what was measured; None = not by `deformscope calibrate`."""
 
-    arm: Calibration | None = None
-    place: Calibration | None = None
-    tip: Calibration | None = None
-    camera: Calibration | None = None
-    force: Calibration | None = None
-    time: Calibration | None = None
+    arm: CalibrationEntry | None = None
+    place: CalibrationEntry | None = None
+    tip: CalibrationEntry | None = None
+    camera: CalibrationEntry | None = None
+    force: CalibrationEntry | None = None
+    time: CalibrationEntry | None = None
 
     def ages(self, today: datetime.date | None = None) -> dict[str, CalibrationAge]:
         """Of all that were measured, by name."""

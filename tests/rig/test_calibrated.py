@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from deformscope.errors import InputError
-from deformscope.rig.calibrated import CalibratedSection, Calibration
+from deformscope.rig.calibrated import CalibratedSection, CalibrationEntry
 from deformscope.rig.rig_edit import edited, lines_of
 from deformscope.rig.rig_file import parse_rig
 
@@ -47,7 +47,7 @@ def test_values_are_written_and_all_else_stays() -> None:
     assert rig.tool.T_ee_tip == TIP
     assert rig.tool.length_m == 0.12
     assert rig.tool.compliance_sd == 2e-05
-    assert rig.calibrated.tip == Calibration(DAY, (0.0004, 0.0004, 0.0005))
+    assert rig.calibrated.tip == CalibrationEntry(DAY, (0.0004, 0.0004, 0.0005))
     for kept in ("# my rig", "# the stick's sensor", "# measured with a ruler", "# below it: the ball", "# the end"):
         assert kept in made
     assert edited(made, {"calibrated.tip": {"date": DAY}}) == made
@@ -75,7 +75,7 @@ def test_any_value_comes_back(number: float, count: int, text: str) -> None:
 
 
 def test_ages() -> None:
-    section = CalibratedSection(place=Calibration(DAY), tip=Calibration(DAY, oldest_days=5))
+    section = CalibratedSection(place=CalibrationEntry(DAY), tip=CalibrationEntry(DAY, oldest_days=5))
     ages = section.ages(DAY + datetime.timedelta(days=10))
 
     assert {name: (age.days, age.young) for name, age in ages.items()} == {"place": (10, True), "tip": (10, False)}
