@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import datetime
 import sys
 from collections.abc import Callable, Iterator, Mapping
@@ -150,20 +151,19 @@ def _open(rig: Rig, task: SetupTask[Any], asked: Interruption) -> Iterator[tuple
                 "something to find out", came, "hidden = 1 in [surface]: drawn, and to be calibrated", rig.name
             )
         with open_rig(rig, member_of, table, parts.devices) as source:
+            arm, wrench, camera = parts.devices
             hand = SimulatedHand(hidden, table, table.size_m)
-            yield source, Station(*(entry.name for entry in parts.devices), _simulated(hand))
+            yield source, Station(arm.name, wrench.name, camera.name, _simulated(hand))
         return
     devices = {kind: _device_of(rig, kind) for kind in task.needs}
-    used = tuple(entry for entry in devices.values() if entry is not None)
-    names = {kind: entry.name if entry is not None else "" for kind, entry in devices.items()}
+    used = tuple(devices.values())
+    names = {kind: entry.name for kind, entry in devices.items()}
     with open_rig(_with(rig, used), member_of, None, ()) as source:
         camera = names.get("depth", "")
         yield source, Station(names.get("arm", ""), names.get("wrench", ""), camera, _at_terminal(asked))
 
 
 def _with(rig: Rig, devices: tuple[RigDevice, ...]) -> Rig:
-    import dataclasses
-
     return dataclasses.replace(rig, devices=devices)
 
 

@@ -263,7 +263,7 @@ def pushes_of(rig: Rig, made: PushedTip) -> MeasuredPushes:
         lacks = "place" if rig.surface.T_arm_surface is None else "tip"
         raise InputError("a rig file with tip and place", f"no {lacks}", f"deformscope calibrate {lacks} RIG first")
     placement = Placement(np.array(rig.surface.T_arm_surface, np.float64), rig.tool)
-    R_surface_tip = placement.T_surface_center(made.T_base_ee)[:3, :3]
+    R_surface_tip = placement.T_surface_center(np.asarray(made.T_base_ee, np.float64))[:3, :3]
     return MeasuredPushes(made.force_n, -made.axis @ R_surface_tip, made.free)
 
 

@@ -113,9 +113,11 @@ def _frames(seconds: float, wanted: dict[str, type[Frame]]) -> RigExperiment[dic
 
 def _sort(given: Sequence[Item] | Answer | None, wanted: dict[str, type[Frame]], taken: dict[str, list[Frame]]) -> None:
     """Put what came of the wanted devices to what was taken of each."""
-    for item in given if given is not None and not isinstance(given, Answer) else ():
-        if isinstance(item, tuple(wanted.values())) and item.device in taken:
-            taken[item.device].append(item)  # type: ignore[arg-type]
+    if given is None or isinstance(given, Answer):
+        return
+    for item in given:
+        if isinstance(item, Frame) and item.device in taken and isinstance(item, wanted[item.device]):
+            taken[item.device].append(item)
 
 
 def _span_s(frames: Sequence[Frame]) -> float:

@@ -208,7 +208,7 @@ class SimulatedHand:
             return True
         if not isinstance(body, JacoDouble):
             raise TypeError(f"no arm that is moved by hand: {type(body).__name__}")
-        found = body.chain.inverse(T_base_ee, body.joints_deg, starts=starts, iterations=40)
+        found = body.chain.inverse(np.asarray(T_base_ee, np.float64), body.joints_deg, starts=starts, iterations=40)
         if found.converged:
             body.put(found.joints_deg)
         return found.converged

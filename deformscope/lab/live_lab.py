@@ -152,7 +152,7 @@ class LiveLab:
         """The simulated arm, which somebody may move by hand."""
         return self.arm.body
 
-    def push_tip(self, force_n: FloatArray) -> None:
+    def push_tip(self, force_n: npt.NDArray[np.floating]) -> None:
         """From now on a finger pushes the tip, (3,) [N] in the surface frame."""
         self._shared.finger_n[:] = [float(value) for value in force_n]
 
@@ -237,7 +237,7 @@ def _feel(pipe: Connection, table: _Table, shared: _Shared, sensitivity: Sensiti
 
     def load(time_s: float) -> FloatArray:
         felt = contact.load(time_s)
-        return felt if table.hidden is None else table.hidden.felt(felt, time_s)
+        return felt if table.hidden is None else np.asarray(table.hidden.felt(felt, time_s), np.float64)
 
     double = OptoforceDouble(Sensors(scene=load, sensitivity=sensitivity, seed=table.seed))
     with PtyWire(double) as wire:

@@ -101,4 +101,6 @@ def test_doctor_s_list_leads_from_an_empty_file_to_an_exploration(
             found = tmp_path / "found.json"
             assert main(["explore", name, "--beta-model", "none", "--json", str(found)]) == 0
             overlaps.append(json.loads(found.read_text())["truth"]["iou"])
+    with capsys.disabled():
+        print(f"\nIoU with what was found {overlaps[0]:.3f}, with what is known {overlaps[1]:.3f}")
     assert overlaps[0] >= overlaps[1] - 0.05

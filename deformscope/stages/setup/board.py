@@ -83,10 +83,11 @@ def board_image(board: CharucoSpec, square_px: int = 120) -> npt.NDArray[np.uint
 def find_board(image: ImageArray, board: CharucoSpec) -> SeenBoard | None:
     """The board's corners in an image (H, W) or (H, W, 3); None where fewer than six are seen."""
     grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
-    corners, numbers, _, _ = cv2.aruco.CharucoDetector(_charuco(board)).detectBoard(np.ascontiguousarray(grey))
+    found: Any = cv2.aruco.CharucoDetector(_charuco(board)).detectBoard(np.ascontiguousarray(grey))
+    corners, numbers = found[:2]  # None where there are none, whatever the stubs say
     if numbers is None or len(numbers) < FEWEST_CORNERS:
         return None
-    return SeenBoard(np.asarray(numbers).reshape(-1), np.asarray(corners, np.float64).reshape(-1, 2))
+    return SeenBoard(np.asarray(numbers, np.int64).reshape(-1), np.asarray(corners, np.float64).reshape(-1, 2))
 
 
 def lens(views: Sequence[SeenBoard], size_px: tuple[int, int], board: CharucoSpec) -> LensEstimate:

@@ -51,8 +51,8 @@ def camera_from_views(
     X, Y = whole.T_arm_camera, whole.T_ee_board
     off = []
     for index in range(len(views)):
-        others = np.delete(np.arange(len(views)), index)
-        without, _ = _all(T_base_ee[others], [views[one] for one in others], size_px, board)
+        others = [*views[:index], *views[index + 1 :]]
+        without, _ = _all(np.delete(T_base_ee, index, axis=0), others, size_px, board)
         off.append([*X.deviation(without.T_arm_camera.T), *Y.deviation(without.T_ee_board.T)])
     apart = np.array(off) - np.mean(off, axis=0)
     covariance = (len(views) - 1.0) / len(views) * apart.T @ apart
