@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -18,7 +18,7 @@ from deformscope.rig.rig_file import Rig
 from deformscope.robot.placement import Placement
 from deformscope.stages.setup.board import CharucoSpec
 from deformscope.stages.setup.camera import KnownLens, camera_from_views, doubt_at
-from deformscope.stages.setup.force import FreeAir, free_air, mount
+from deformscope.stages.setup.force import FreeAir, free_air, hanging_weight, mount
 from deformscope.stages.setup.hand_eye import camera_from_touches, hand_eye
 from deformscope.stages.setup.place import CORNER_NAMES, place
 from deformscope.stages.setup.timing import time_offset
@@ -250,11 +250,14 @@ def _pair(first: FloatArray, second: FloatArray) -> tuple[FloatArray, FloatArray
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeasuredPushes:
-    """force_n, axis: (n, 3) felt [N], and of the tip on the world, tip frame; free: None = not measured"""
+    """force_n, axis: (n, 3) felt [N], and of the tip on the world, tip frame; free: None = not measured
+    R_base_tip: (m, 3, 3) how the tip was turned in free air; turned_n: (m, 3) what was felt then [N]"""
 
     force_n: FloatArray
     axis: FloatArray
     free: ForceReadings | None = None
+    R_base_tip: FloatArray = field(default_factory=lambda: np.zeros((0, 3, 3)))
+    turned_n: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
 
 
 def pushes_of(rig: Rig, made: PushedTip) -> MeasuredPushes:
@@ -264,7 +267,10 @@ def pushes_of(rig: Rig, made: PushedTip) -> MeasuredPushes:
         raise InputError("a rig file with tip and place", f"no {lacks}", f"deformscope calibrate {lacks} RIG first")
     placement = Placement(np.array(rig.surface.T_arm_surface, np.float64), rig.tool)
     R_surface_tip = placement.T_surface_center(np.asarray(made.T_base_ee, np.float64))[:3, :3]
-    return MeasuredPushes(made.force_n, -made.axis @ R_surface_tip, made.free)
+    held = np.concatenate([made.T_base_ee[None], made.tilted]) if len(made.tilted) else made.tilted
+    felt = np.concatenate([made.free.force_n.mean(axis=0)[None], made.tilted_n]) if len(made.tilted) else made.tilted_n
+    R_base_tip = (held @ placement.T_ee_center)[:, :3, :3]
+    return MeasuredPushes(made.force_n, -made.axis @ R_surface_tip, made.free, R_base_tip, felt)
 
 
 def solve_force(rig: Rig, made: MeasuredPushes | PushedTip) -> SetupFound:
@@ -281,6 +287,10 @@ def solve_force(rig: Rig, made: MeasuredPushes | PushedTip) -> SetupFound:
     ]
     if rest is not None:
         rows += _free_words(rest)
+    weight = None
+    if len(pushes.turned_n):
+        weight = hanging_weight(pushes.turned_n, pushes.R_base_tip, found.R_tip_force)
+        rows.append(("hangs on it", f"{weight.weight_n:.2f} N, give or take {weight.weight_half_n:.2f}"))
     return SetupFound(
         "force",
         {
@@ -300,6 +310,7 @@ def solve_force(rig: Rig, made: MeasuredPushes | PushedTip) -> SetupFound:
             "half_deg": half_deg,
             "level": LEVEL,
             "free_air": rest,
+            "weight": weight,
         },
     )
 

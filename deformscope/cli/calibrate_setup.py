@@ -104,7 +104,7 @@ def force(config: ForceConfig) -> None:
         SetupTask(
             "force",
             ("arm", "wrench"),
-            lambda at: push_tip(at.operator, at.arm, at.wrench, config.repeats, say),
+            lambda at: push_tip(at.operator, at.arm, at.wrench, config.repeats, config.tilts, say),
             force_arrays,
             solve_force,
         ),

@@ -74,6 +74,8 @@ class ForceConfig(SetupOptions):
 
     repeats: flags.ManyFlag = 2
     """Rounds of five pushes."""
+    tilts: Annotated[int, flags.least(0)] = 0
+    """Weigh what hangs on the sensor, in so many poses of the stick in free air: four or more."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -166,19 +166,25 @@ class ForceReadings:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PushedTip:
-    """T_base_ee: (4, 4) of the arm's end; free: in free air; force_n, axis: (n, 3) of each push: what was felt beyond
-    free air [N], and what the finger did to the tip, surface frame"""
+    """T_base_ee: (4, 4) of the arm's end; free: in free air
+
+    force_n, axis: (n, 3) of each push: what was felt beyond free air [N], what the finger did to the tip, surface frame
+    tilted: (m, 4, 4) poses in which it was held in free air besides; tilted_n: (m, 3) what was felt there [N]
+    """
 
     T_base_ee: FloatArray
     free: ForceReadings
     force_n: FloatArray
     axis: FloatArray
+    tilted: FloatArray
+    tilted_n: FloatArray
 
 
 def push_tip(
-    operator: Operator, arm: str, wrench: str, repeats: int, note: Callable[[str], None]
+    operator: Operator, arm: str, wrench: str, repeats: int, tilts: int, note: Callable[[str], None]
 ) -> RigExperiment[PushedTip]:
-    """What the sensor gives in free air, and while a finger pushes the tip along the table's axes."""
+    """What the sensor gives in free air, while a finger pushes the tip along the table's axes, and in free air with the
+    stick tilted so often."""
     yield from operator(SetupRequest("rest", 0, "let nothing touch the tip, the stick upright"))
     rest = yield from _frames(REST_S, {wrench: WrenchFrame})
     free = _forces(rest[wrench])
@@ -194,7 +200,14 @@ def push_tip(
         felt.append(np.median(_forces(frames[wrench]).force_n, axis=0) - tare_n)
         axes.append(axis)
         note(f"  {np.linalg.norm(felt[-1]):.1f} N")
-    return PushedTip(pose, free, np.array(felt), np.array(axes))
+    tilted, weighed = [], []
+    for number in range(tilts):
+        words = f"let nothing touch the tip, tilt the stick {TILT_WORDS[number % len(TILT_WORDS)]} by 30 degrees"
+        tilted.append((yield from _held(operator, SetupRequest("tilt", number, words), arm, note)).T_base_ee)
+        frames = yield from _frames(PUSH_S, {wrench: WrenchFrame})
+        weighed.append(_forces(frames[wrench]).force_n.mean(axis=0))
+    poses, forces = np.array(tilted).reshape(-1, 4, 4), np.array(weighed).reshape(-1, 3)
+    return PushedTip(pose, free, np.array(felt), np.array(axes), poses, forces)
 
 
 def _forces(frames: Sequence[Frame]) -> ForceReadings:

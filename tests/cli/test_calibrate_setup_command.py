@@ -10,7 +10,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from deformscope.api.first_day import first_day, next_step
+from deformscope.api.setup_solving import solve_force
 from deformscope.cli import main
+from deformscope.experiments.setting_up import ForceReadings, PushedTip
 from deformscope.rig.rig_file import load_rig, parse_rig
 from deformscope.robot.placement import Placement
 from deformscope.stages.setup.transform import rigid
@@ -113,6 +115,34 @@ def test_time_is_written_and_the_picture_drawn(rig: Path, tmp_path: Path) -> Non
     assert kept is not None
     assert kept.offset_s == pytest.approx(0.02, abs=1e-3)
     assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+def test_pushes_along_the_table_s_edges_and_a_weight_in_tilts(rig: Path) -> None:
+    """The stick is turned and tilted: what a finger does along the table's edges is taken to the tip's frame."""
+    T = rigid(Rotation.from_euler("z", 20, degrees=True).as_matrix(), [-0.3, -0.55, 0.0])
+    assert calibrate("tip", rig, T_base_ee=tilts())[0] == 0
+    assert calibrate("place", rig, T_base_ee=corners(T), corner=np.arange(3))[0] == 0
+    made = load_rig(rig)
+    placement = Placement(np.array(made.surface.T_arm_surface), made.tool)
+    mounted = Rotation.from_euler("z", 75, degrees=True).as_matrix() @ np.diag([1.0, -1.0, 1.0])
+    pose, weight_n = tilts()[0], np.array([0.0, 0.0, -0.4])
+
+    def felt(T_base_ee: np.ndarray, force_n: np.ndarray) -> np.ndarray:
+        """What the sensor makes of what the world does to the tip, base frame."""
+        return -mounted.T @ (T_base_ee @ placement.T_ee_center)[:3, :3].T @ force_n
+
+    axes = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [-1, 0, 0], [0, -1, 0]], float)
+    pushed = np.array([felt(pose, 3.0 * placement.to_base(axis)) for axis in axes])
+    poses = tilts()[1:]
+    hanging = np.array([0.2 + felt(one, -weight_n) for one in poses])
+    time_s = np.arange(0.0, 8.0, 0.01)
+    rest = 0.2 + felt(pose, -weight_n) + 0.005 * np.random.default_rng(3).standard_normal((len(time_s), 3))
+
+    found = solve_force(made, PushedTip(pose, ForceReadings(time_s, rest), pushed, axes, poses, hanging))
+
+    assert found.found["R_tip_force"] == pytest.approx(mounted, abs=0.03)
+    assert found.found["weight"].weight_n == pytest.approx(0.4, abs=0.02)
+    assert found.found["weight"].down == pytest.approx([0.0, 0.0, -1.0], abs=0.06)
 
 
 def test_what_data_do_not_show_is_not_written(rig: Path, capsys: pytest.CaptureFixture[str]) -> None:

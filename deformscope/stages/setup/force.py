@@ -25,7 +25,7 @@ ASIDE_RAD = np.radians(35.0)
 """A push by so much off every axis of the sensor that it could be is none along the axis asked for."""
 BLOCK_S = 1.0
 """Noise of a filtered sensor is independent over this."""
-LEAST_TURN = 0.3
+LEAST_TURN = 0.15
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -156,7 +156,7 @@ def hanging_weight(
     turns = np.swapaxes(np.asarray(R_base_tip, np.float64) @ np.asarray(R_tip_force, np.float64), -1, -2)
     if len(felt) < 3 or _least_turn(turns) < LEAST_TURN:
         came = f"{len(felt)} poses that are turned too little"
-        raise InputError("three poses or more, turned by 40 degrees", came, "tilt the stick left, right and away")
+        raise InputError("three poses or more, tilted by 20 degrees", came, "tilt the stick left, right and away")
     design = np.concatenate([np.broadcast_to(np.eye(3), turns.shape), turns], axis=2).reshape(-1, 6)
     inverse = np.linalg.inv(design.T @ design)
     value = inverse @ (design.T @ felt.ravel())
