@@ -159,8 +159,8 @@ def _open(rig: Rig, task: SetupTask[Any], asked: Interruption) -> Iterator[tuple
     used = tuple(devices.values())
     names = {kind: entry.name for kind, entry in devices.items()}
     with open_rig(_with(rig, used), member_of, None, ()) as source:
-        camera = names.get("depth", "")
-        yield source, Station(names.get("arm", ""), names.get("wrench", ""), camera, _at_terminal(asked))
+        played = [names.get(kind, "") for kind in ("arm", "wrench", "depth")]
+        yield source, Station(played[0], played[1], played[2], _at_terminal(asked))
 
 
 def _with(rig: Rig, devices: tuple[RigDevice, ...]) -> Rig:

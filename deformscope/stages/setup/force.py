@@ -12,6 +12,7 @@ import numpy as np
 
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
+from deformscope.stages.setup.tip import spread
 from deformscope.stages.setup.transform import LEVEL, ErrorPrior, LeastSquares, half_widths, judged
 
 PUSHED = ErrorPrior(np.radians(6.0))
@@ -26,6 +27,7 @@ ASIDE_RAD = np.radians(35.0)
 BLOCK_S = 1.0
 """Noise of a filtered sensor is independent over this."""
 LEAST_TURN = 0.15
+"""Spread of rotations (`tip.spread`)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -154,7 +156,7 @@ def hanging_weight(
     """
     felt = np.asarray(force_n, np.float64)
     turns = np.swapaxes(np.asarray(R_base_tip, np.float64) @ np.asarray(R_tip_force, np.float64), -1, -2)
-    if len(felt) < 3 or _least_turn(turns) < LEAST_TURN:
+    if len(felt) < 3 or spread(turns) < LEAST_TURN:
         came = f"{len(felt)} poses that are turned too little"
         raise InputError("three poses or more, tilted by 20 degrees", came, "tilt the stick left, right and away")
     design = np.concatenate([np.broadcast_to(np.eye(3), turns.shape), turns], axis=2).reshape(-1, 6)
@@ -166,8 +168,3 @@ def hanging_weight(
     half = half_widths(np.atleast_2d(down @ found.covariance[3:, 3:] @ down), found.dof)
     off_n = np.linalg.norm((design @ value - felt.ravel()).reshape(-1, 3), axis=1)
     return HangingWeight(weight_n, float(half[0]), value[:3], down, off_n)
-
-
-def _least_turn(turns: FloatArray) -> float:
-    centred = turns - turns.mean(axis=0)
-    return float(np.linalg.svd(centred.reshape(-1, 3), compute_uv=False)[-1] / np.sqrt(len(turns)))
