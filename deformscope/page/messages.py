@@ -214,6 +214,23 @@ class ForceCurve(msgspec.Struct, frozen=True):
     words: str = ""
 
 
+class Chapter(msgspec.Struct, frozen=True):
+    """A part of a recording, of the time since its start [ns]."""
+
+    name: str
+    from_ns: int
+    until_ns: int
+
+
+class Playback(msgspec.Struct, frozen=True):
+    """A recording that a page plays. timeline: of the viewer; until_ns: its end [ns]; step_ns: of a single step"""
+
+    timeline: str
+    until_ns: int
+    step_ns: int
+    chapters: tuple[Chapter, ...] = ()
+
+
 class PageState(ToPage, frozen=True, tag="state"):
     """All that a page shows beside the viewer.
 
@@ -223,7 +240,7 @@ class PageState(ToPage, frozen=True, tag="state"):
     commands: what can be asked for at present, by kind; tares: devices that can be tared
     controls: the page that steers; pages: how many there are
     pending: waits for a confirm; next_place, curve: of an exploration; beat_s: so long without a `Beat`, and what moves
-    by a page's confirm stops [s]
+    by a page's confirm stops [s]; playback: of a page that shows a recording
     """
 
     version: int = VERSION
@@ -246,6 +263,7 @@ class PageState(ToPage, frozen=True, tag="state"):
     next_place: NextPlace | None = None
     curve: ForceCurve | None = None
     beat_s: float = 0.3
+    playback: Playback | None = None
 
 
 class Drawn(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

@@ -2,6 +2,7 @@
 
 /TOKEN/               the page, its script and style, all of it known by name before the first request
 /TOKEN/re_viewer...   rerun's web viewer out of the installed wheel
+/TOKEN/recording.rrd  the recording that is played, where one is
 /TOKEN/desk           websocket: the state to the page, commands from it (`deformscope.page.messages`)
 /TOKEN/data           websocket: pieces of the recording to the viewer in the page, `Drawn` from it
 """
@@ -19,13 +20,14 @@ import time
 from collections.abc import AsyncIterator, Callable, Coroutine, Iterator
 from contextlib import asynccontextmanager, contextmanager, suppress
 from importlib import resources
+from pathlib import Path
 from typing import Any, TypeVar
 
 import msgspec
 import uvicorn
 from starlette.applications import Starlette
 from starlette.requests import Request
-from starlette.responses import PlainTextResponse, Response, StreamingResponse
+from starlette.responses import FileResponse, PlainTextResponse, Response, StreamingResponse
 from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
@@ -37,6 +39,7 @@ from deformscope.page.pieces import PageReader, Pieces
 from deformscope.page.viewer_files import LOOPBACK, NAMES, ViewerFiles
 
 TYPES = {".html": "text/html", ".css": "text/css", ".js": "text/javascript", ".svg": "image/svg+xml"}
+RECORDING = "recording.rrd"
 MOST_PAGES = 8
 STATE_EVERY_S = 0.1
 """A page gets the state at most so often."""
@@ -52,9 +55,10 @@ class PageServer:
     """`with PageServer("lab:bench") as page: print(page.address)`.
 
     desk: the state that pages show, and the commands they give; pieces: data for the viewer in them
+    recording: a file that they play instead
     """
 
-    def __init__(self, title: str = "") -> None:
+    def __init__(self, title: str = "", recording: Path | None = None) -> None:
         self.desk = Desk(title)
         self.pieces = Pieces()
         self.address = ""
@@ -64,6 +68,11 @@ class PageServer:
             file.name: (file.read_bytes(), TYPES["." + file.name.rsplit(".", 1)[1]])
             for file in (resources.files("deformscope.page") / "static").iterdir()
         }
+        self._recording = recording
+        if recording is not None:
+            page, media_type = self._static["index.html"]
+            body = f'<body data-recording="{RECORDING}">'.encode()
+            self._static["index.html"] = page.replace(b"<body>", body), media_type
         self._server: uvicorn.Server | None = None
         self._thread: threading.Thread | None = None
         self._desks: set[WebSocket] = set()
@@ -139,6 +148,8 @@ class PageServer:
         if name in self._static:
             content, media_type = self._static[name]
             return Response(content, media_type=media_type)
+        if name == RECORDING and self._recording is not None:
+            return FileResponse(self._recording, media_type="application/octet-stream")
         if name not in NAMES:
             return PlainTextResponse("no such file\n", 404)
         try:

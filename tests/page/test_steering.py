@@ -5,11 +5,12 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from deformscope.api.moving import Watch
+from deformscope.api import moving
 from deformscope.api.page_steering import PageSteering, curve_of, felt_beside, is_surface
 from deformscope.api.rigs import Interruption
 from deformscope.experiments.explore import ExplorationStopped
@@ -54,7 +55,7 @@ FORECAST = TouchForecast(
 class Steered:
     """A page that steers, and the desk between; its time is set by hand."""
 
-    def __init__(self, *, paused: bool = False) -> None:
+    def __init__(self, *, paused: bool = False, begun: bool = True) -> None:
         self.now_s = 0.0
         self.ended = Interruption()
         self.desk = Desk(clock=lambda: self.now_s)
@@ -70,7 +71,8 @@ class Steered:
             paused=paused,
         )
         self.beat()
-        self.steering.begin()
+        if begun:
+            self.steering.begin()
 
     def beat(self) -> None:
         self.desk.beat("a", visible=True)
@@ -88,6 +90,29 @@ def planned(x_m: float = 0.15) -> PlannedTouch:
     return PlannedTouch(np.array([x_m, 0.2]), None, None, np.zeros((2, 2), bool), "fills the space")
 
 
+# Before it moves -----------------------------------------------------------------------------------------------------
+
+
+def test_a_real_arm_begins_once_somebody_confirms_it_on_the_page(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sys.stdin", SimpleNamespace(isatty=lambda: False))  # nobody sits at a terminal
+    monkeypatch.setattr(moving, "POLL_S", 0.0)
+    steered = Steered(begun=False)
+    assert (steered.desk.state.phase, steered.desk.state.commands) == ("idle", ("stop",))
+    steered.steering.wait_for_permission("up to 8 touches of 3 N")
+    question = moving.ask_line("?", steered.ended, steered.steering.is_permitted)
+    next(question)
+    assert steered.say(StartExploring)[0] == "begun"
+    next(question)
+    assert steered.desk.state.pending is not None
+    assert steered.desk.state.pending.what == "arm goes on by itself: up to 8 touches of 3 N"
+    assert steered.confirm() == "done"
+    with pytest.raises(StopIteration) as answered:
+        next(question)
+    assert answered.value.value == "yes"
+    steered.steering.begin()
+    assert steered.desk.state.phase == "exploring"
+
+
 # Stop ----------------------------------------------------------------------------------------------------------------
 
 
@@ -103,7 +128,7 @@ def presses(count: int) -> list[int]:
 def pressed(scene: FaultScene, at: int, *, looked: bool) -> int:
     """The same for a stop in a period of a motion. looked: whether the supervisor has looked in it"""
     steered, robot = Steered(), scene.robot
-    watch, periods, received = Watch(steered.ended, lambda words: None), itertools.count(), list[int]()
+    watch, periods, received = moving.Watch(steered.ended, lambda words: None), itertools.count(), list[int]()
     watch.robot = _Watched(scene)
 
     def cycled(*seen: object) -> None:

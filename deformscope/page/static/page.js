@@ -1,6 +1,7 @@
 // What is on the page beside the viewer.
 
 import { Desk } from "./desk.js";
+import { cursorRequest, startPlayback } from "./playback.js";
 import { startSteering } from "./steer.js";
 import { startViewer } from "./viewer.js";
 
@@ -14,7 +15,10 @@ const replies = [];
 const desk = new Desk(show, lost);
 const steering = startSteering(command, desk.page);
 const words = (text) => (at("viewer-words").textContent = text);
+let viewer = null;
+const playback = startPlayback((timeline, ns) => viewer?.viewer_control(cursorRequest(timeline, ns)));
 startViewer(at("canvas"), words, showLag, (event) => document.dispatchEvent(new CustomEvent("viewer", { detail: event })))
+  .then((handle) => (viewer = handle))
   .catch((error) => words(`no viewer: ${error}`));
 
 function show(next) {
@@ -29,6 +33,7 @@ function show(next) {
   showControls(next);
   showTares(next.tares);
   steering.show(next);
+  playback.load(next.playback);
   showRemarks();
   showClock();
 }
@@ -214,6 +219,8 @@ const KEYS = {
   n: () => at("note-text").focus(),
   e: () => (state?.episode ? command("end-episode") : at("episode-label").focus()),
   t: () => state?.tares.forEach((device) => command("tare", { device })),
+  ",": () => state?.playback && playback.step(false),
+  ".": () => state?.playback && playback.step(true),
   p: () => command("pause"),
   x: () => command("explore"),
   v: () => command("veto"),
@@ -233,7 +240,7 @@ window.addEventListener(
     if (!stops && (event.ctrlKey || event.altKey || event.metaKey)) {
       return;
     }
-    const act = stops ? () => command("stop") : KEYS[event.key];
+    const act = stops ? (state?.playback ? playback.toggle : () => command("stop")) : KEYS[event.key];
     if (act) {
       event.preventDefault();
       event.stopPropagation();

@@ -33,7 +33,12 @@ export async function startViewer(canvas, onWords, onBatch, onEvent = () => {}) 
   });
   await handle.start(canvas);
   handle.override_panel_state("top", "hidden");
-  handle.open_channel(CHANNEL, "deformscope");
+  const recording = document.body.dataset.recording; // of a page that plays one
+  if (recording) {
+    handle.add_receiver(new URL(recording, location.href).href);
+  } else {
+    handle.open_channel(CHANNEL, "deformscope");
+  }
   onWords("");
   const watch = setInterval(() => {
     if (handle.has_panicked()) {
@@ -41,7 +46,10 @@ export async function startViewer(canvas, onWords, onBatch, onEvent = () => {}) 
       onWords(`the viewer has crashed: ${handle.panic_message()}; load this page again`);
     }
   }, 1000);
-  connect(handle, onBatch, 0);
+  if (!recording) {
+    connect(handle, onBatch, 0);
+  }
+  return handle;
 }
 
 function connect(handle, onBatch, after) {
