@@ -110,7 +110,9 @@ def test_time_is_written_and_the_picture_drawn(rig: Path, tmp_path: Path) -> Non
     picture = tmp_path / "time.png"
     signals = {"x_time_s": time_s, "x": taps, "y_time_s": time_s[::10] + 0.02, "y": (taps + noise)[::10]}
 
-    assert calibrate("time", rig, "--picture", str(picture), **signals)[0] == 0
+    recording = tmp_path / "time.rrd"
+    assert calibrate("time", rig, "--picture", str(picture), "--record", str(recording), **signals)[0] == 0
+    assert main(["verify", str(recording)]) == 0
     kept = load_rig(rig).calibrated.time
     assert kept is not None
     assert kept.offset_s == pytest.approx(0.02, abs=1e-3)

@@ -85,7 +85,9 @@ def test_doctor_s_list_leads_from_an_empty_file_to_an_exploration(
         done.append(arguments[2])
         with monkeypatch.context() as simulated:
             use_a_simulated_clock(simulated)
-            assert main([*arguments[1:], "--json", str(tmp_path / f"{arguments[2]}.json")]) == 0
+            recording = tmp_path / f"{arguments[2]}.rrd"
+            assert main([*arguments[1:], "--record", str(recording)]) == 0
+            assert main(["verify", str(recording)]) == 0
     assert done == ["tip", "place", "camera", "force"]
     parts = RigParts.of(load_rig(rig))
     _, hidden = table_of(parts)
