@@ -88,3 +88,18 @@ def test_go_brings_the_tip_over_a_place(rig: Path, tmp_path: Path) -> None:
 
     assert main(["arm", "go", str(rig), "--above", "0.2,0.15", "--height", "0.12", "--json", str(found)]) == 0
     assert json.loads(found.read_text())["center_m"] == pytest.approx([0.2, 0.15, 0.05 + 0.12 + 0.01], abs=3e-3)
+
+
+def test_where_it_is_and_home(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """On the driver's own thread, with a double behind it."""
+    path, found = tmp_path / "rig.toml", tmp_path / "where.json"
+    path.write_text('[devices.arm]\ndriver = "jaco"\ndouble = true\n')
+
+    assert main(["arm", "where", str(path), "--json", str(found)]) == 0
+    there = json.loads(found.read_text())
+    assert len(there["joints_deg"]) == 6
+    assert there["tip_surface_m"] is None
+    assert np.linalg.norm(np.array(there["T_base_ee"])[:3, 3] - there["tip_base_m"]) == pytest.approx(0.1, abs=1e-3)
+    assert "to its limit" in capsys.readouterr().out
+    assert main(["arm", "home", str(path)]) == 2
+    assert "--yes" in capsys.readouterr().err
