@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import faulthandler
 import json
 import shlex
 from pathlib import Path
@@ -71,6 +72,7 @@ def truth_of(hidden: HiddenRig) -> Values:
 def test_doctor_s_list_leads_from_an_empty_file_to_an_exploration(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    faulthandler.cancel_dump_traceback_later()  # on a busy machine it takes longer than what is reported as a hang
     rig = tmp_path / "rig.toml"
     rig.write_text("")
     assert doctors_next(rig, capsys).startswith("deformscope doctor --example > ")
