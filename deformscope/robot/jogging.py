@@ -22,7 +22,7 @@ GRACE_S = 0.15
 """After the last repeat of a key. Chosen: four repeats of a terminal, and 3 mm of motion."""
 REPEATS_S = 0.8
 """The same key again so soon after the last is a key that is held: terminals wait up to 0.6 s before they repeat."""
-STOP, LEAVE = " ", "q"
+LEAVE = "q"
 
 MOVES: dict[str, tuple[int, float]] = {
     "d": (0, 1.0),
