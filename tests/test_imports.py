@@ -19,7 +19,9 @@ from tests.patience import PATIENCE_S
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = {"deformscope": ROOT / "deformscope", "deformscope_drivers": ROOT / "drivers" / "deformscope_drivers"}
 
-STAGES = tuple(f"stages.{name}" for name in ("msm", "see", "fit", "regions", "poke", "materials", "map", "squeeze"))
+STAGES = tuple(
+    f"stages.{name}" for name in ("msm", "see", "fit", "regions", "poke", "materials", "map", "squeeze", "setup")
+)
 LAYERS: dict[str, tuple[str, ...]] = {
     "arrays": (),
     "errors": (),
@@ -37,6 +39,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "stages.materials": ("arrays", "errors", "stages.msm", "stages.fit"),
     "stages.map": ("arrays", "errors", "stages.msm", "stages.see", "stages.fit", "stages.regions", "stages.poke"),
     "stages.squeeze": ("arrays", "capsule", "errors", "stages.see"),
+    "stages.setup": ("arrays", "errors"),
     "pictures": ("arrays", "errors", "images", "plain", *STAGES),
     "log": ("arrays", "frames", "images", "pictures", "plain", "rows", *STAGES),
     "rig": ("errors", "frames"),

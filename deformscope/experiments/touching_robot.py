@@ -230,7 +230,7 @@ class TouchingRobot:
         plans = [self.geometry.plan(corner, height_m, UPRIGHT, None, self._options) for corner in corners]
         self._robot.start()
         with self._stopping():
-            found = check(self._robot, plans, calibrated=calibrated)
+            found = check(self._robot, plans, calibrated=calibrated, ages=self._setup.ages)
         self._robot.rest()
         return found
 

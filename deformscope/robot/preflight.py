@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from deformscope.rig.calibrated import CalibrationAge
 from deformscope.robot.placement import TURNED_RAD, best_joints, follow, towards
 from deformscope.robot.readings import ArmSample, ForceSample, RobotObservation
 from deformscope_drivers.arm.device import CALL_MS
@@ -64,6 +65,7 @@ HINTS = {
     "camera: alive": "plug the camera out and in, and close other programs that use it",
     "camera": "the camera's cable and port (USB 3), other programs that use it; fps in the rig file",
     "calibration": "measure it and write it into the rig file; deformscope doctor --example shows how",
+    "age": "deformscope calibrate, with the name of the row, measures it again",
     "tip: in free air": "lift the tip by the joystick; or T_arm_surface in the rig file is wrong",
     "plan: force": "a smaller target_force_n, or a higher soft_stop_n, in the rig file",
     "workspace: box": "low_m and high_m of [workspace] in the rig file",
@@ -113,12 +115,14 @@ def check(
     plans: Sequence[TouchPlan],
     *,
     calibrated: Mapping[str, bool],
+    ages: Mapping[str, CalibrationAge] | None = None,
     rates_hz: Mapping[str, float] | None = None,
 ) -> Preflight:
     """Look at a robot that stands still for half a second, and at what it is to do.
 
     plans: the touches, or those at the corners of where it may touch; calibrated: what has to be, by name, and whether
-    it is; rates_hz: of "arm", "force sensor", "camera" (default: as their configurations say)
+    it is; ages: of what was measured, by name; rates_hz: of "arm", "force sensor", "camera" (default: as their
+    configurations say)
     Raises RobotStopped when the supervisor finds something meanwhile; nothing moves.
     """
     robot.start()
@@ -134,6 +138,10 @@ def check(
             *(
                 Check(f"calibration: {name}", there, "present", "present" if there else "missing")
                 for name, there in calibrated.items()
+            ),
+            *(
+                Check(f"age: {name}", age.young, f"{age.at_most} days at most", f"{age.days} days")
+                for name, age in (ages or {}).items()
             ),
             *_plans(robot, plans),
         )
