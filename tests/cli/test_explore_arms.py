@@ -34,15 +34,22 @@ fps = 5
 compliance_m_per_n = 2e-4
 compliance_sd = 2e-5
 [workspace]
-low_m = [-0.1, -0.1, 0.0]
-high_m = [0.7, 0.5, 0.75]
+low_m = [-0.1, -0.4, 0.0]
+high_m = [0.9, 0.5, 0.75]
 [surface]
 scene = "two-60-150"
 """
+KUKA = """
+[devices.arm]
+driver = "kuka"
+double = true
+model = "kr6r900sixx"
+"""
 PLACES = {
+    "kuka": "T_arm_surface = [[0, -1, 0, 0.75], [1, 0, 0, -0.3], [0, 0, 1, 0], [0, 0, 0, 1]]",
     "placed": "T_arm_surface = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]",
 }
-RIGS = {"placed": PLACED + REST + PLACES["placed"]}
+RIGS = {"placed": PLACED + REST + PLACES["placed"], "kuka": KUKA + REST + PLACES["kuka"]}
 
 
 def explored(kind: str, touches: int, tmp_path: Path, capsys: pytest.CaptureFixture[str], *more: str) -> dict[str, Any]:

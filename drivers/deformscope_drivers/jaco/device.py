@@ -96,7 +96,6 @@ class Jaco(Arm[JacoState]):
     def open(self, *, own_thread: bool = True) -> Self:
         """Take control of the arm, at rest. Raises NotConnected, LibraryMissing, or the vendor's code by its name."""
         if not self.is_open:
-            self._stopped = ""
             self._pacer = SlotPacer(PERIOD_NS)
             self._sent = self._expired = self._left_out = 0
         super().open(own_thread=own_thread)
