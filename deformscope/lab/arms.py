@@ -105,7 +105,8 @@ def _jaco(config: Any, placement: Placement, places_m: Sequence[FloatArray], clo
 def _kuka(config: Any, placement: Placement, places_m: Sequence[FloatArray], clock: Clock, seed: int) -> ArmInLab:
     """On the host's clock behind a port of this host, and answered as a controller is."""
     chain = KUKA[config.model]
-    double = KukaDouble(chain.name, start_deg=start_deg(chain, placement, places_m), cycle_s=config.cycle_s)
+    begin_deg = start_deg(chain, placement, places_m)
+    double = KukaDouble(chain.name, start_deg=begin_deg, cycle_s=config.cycle_s, again_s=0.5)
     if isinstance(clock, SimulatedClock):
         return ArmInLab(Kuka(config, MemoryTransport(double, clock, "simulated KUKA"), clock=clock), double)
     port = free_port()

@@ -144,7 +144,7 @@ def _kuka(config: Any) -> Iterator[Device[Any]]:
     from deformscope_drivers.kuka.port import free_port
 
     port = free_port()
-    with UdpWire(KukaDouble(config.model, cycle_s=config.cycle_s), port):
+    with UdpWire(KukaDouble(config.model, cycle_s=config.cycle_s, again_s=0.5), port):
         yield open_kuka(dataclasses.replace(config, address=LOOPBACK, port=port, controller=""))
 
 

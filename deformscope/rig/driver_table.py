@@ -42,7 +42,7 @@ _ALL = (
     Driver("dsa", "deformscope_drivers.dsa", "Dsa", "DsaConfig", "tactile"),
     Driver("sdh", "deformscope_drivers.sdh", "Sdh", "SdhConfig", "hand"),
     Driver("optoforce", "deformscope_drivers.optoforce", "Optoforce", "OptoforceConfig", "wrench"),
-    Driver("jaco", "deformscope_drivers.jaco", "Jaco", "JacoConfig", "arm"),
+    Driver("jaco", "deformscope_drivers.jaco", "open_jaco", "JacoConfig", "arm"),
     Driver("kuka", "deformscope_drivers.kuka", "open_kuka", "KukaConfig", "arm"),
     Driver("placed", "deformscope_drivers.placed", "PlacedArm", "PlacedArmConfig", "arm"),
     Driver("webcam", "deformscope_drivers.webcam", "Webcam", "WebcamConfig", "color"),

@@ -114,11 +114,13 @@ def check(
     *,
     calibrated: Mapping[str, bool],
     rates_hz: Mapping[str, float] | None = None,
+    lift_m: float = 0.0,
 ) -> Preflight:
     """Look at a robot that stands still for half a second, and at what it is to do.
 
     plans: the touches, or those at the corners of where it may touch; calibrated: what has to be, by name, and whether
-    it is; rates_hz: of "arm", "force sensor", "camera" (default: as their configurations say)
+    it is; rates_hz: of "arm", "force sensor", "camera" (default: as their configurations say); lift_m: the plans are so
+    far above the surface
     Raises RobotStopped when the supervisor finds something meanwhile; nothing moves.
     """
     robot.start()
@@ -130,12 +132,12 @@ def check(
             *_arm(robot, seen),
             *_clocks(robot, seen),
             *_pictures(seen),
-            *_free(robot, plans),
+            *_free(robot, plans, lift_m),
             *(
                 Check(f"calibration: {name}", there, "present", "present" if there else "missing")
                 for name, there in calibrated.items()
             ),
-            *_plans(robot, plans),
+            *_plans(robot, plans, lift_m),
         )
     )
 
@@ -246,12 +248,12 @@ def _pictures(seen: Sequence[RobotObservation]) -> Iterator[Check]:
     yield Check("camera: alive", repeats == 0, "no two equal pictures in a row", f"{repeats} of {len(pictures)}")
 
 
-def _free(robot: Robot, plans: Sequence[TouchPlan]) -> Iterator[Check]:
+def _free(robot: Robot, plans: Sequence[TouchPlan], lift_m: float) -> Iterator[Check]:
     """That nothing touches the tip: what presses when the force sensor is zeroed is zero from then on."""
     if not plans:
         return
     over_m = robot.placement.center_offset_m
-    height_m = float(robot.center_m[2]) - over_m - max(float(plan.point_m[2]) for plan in plans)
+    height_m = float(robot.center_m[2]) - over_m + lift_m - max(float(plan.point_m[2]) for plan in plans)
     came = f"{height_m * 100:.1f} cm"
     yield Check("tip: in free air", height_m > FREE_M, f"{FREE_M * 100:g} cm or more above the surface", came)
 
@@ -271,7 +273,7 @@ def _first_way(robot: Robot, goal_deg: FloatArray, height_m: float) -> Check:
     return Check("arm: first way", lowest_m > height_m, "wrist and tip above the surface all along", came)
 
 
-def _plans(robot: Robot, plans: Sequence[TouchPlan]) -> Iterator[Check]:
+def _plans(robot: Robot, plans: Sequence[TouchPlan], lift_m: float) -> Iterator[Check]:
     limits, placement = robot.supervisor.limits, robot.placement
     yield Check("plan: touches", bool(plans), "at least one", f"{len(plans)}")
     forces_n = [max(plan.set_force_n, plan.more_force_n or 0.0) for plan in plans]
@@ -298,7 +300,8 @@ def _plans(robot: Robot, plans: Sequence[TouchPlan]) -> Iterator[Check]:
         if np.linalg.norm(pose_error(robot.pose.T_base_ee, poses[0])[3:]) > TURNED_RAD:
             route, start_deg = [], best_joints(robot.arm.chain, poses)
             if start_deg is not None:
-                yield _first_way(robot, np.asarray(start_deg), max(float(plan.point_m[2]) for plan in plans))
+                top_m = max(float(plan.point_m[2]) for plan in plans) - lift_m
+                yield _first_way(robot, np.asarray(start_deg), top_m)
     for plan in plans:
         crossing_m, above_m, deepest_m = plan.places_m(placement.center_offset_m)
         route += [(place_m, plan.normal) for place_m in (crossing_m, above_m, deepest_m, crossing_m)]

@@ -36,9 +36,11 @@ class KukaDouble:
         start_deg: npt.ArrayLike | None = None,
         cycle_s: float = 0.012,
         T_base_tool_offset_m: float = 0.0,
+        again_s: float | None = None,
     ) -> None:
         """start_deg: (6,) where the axes are (default: upright, flange down); T_base_tool_offset_m: a $TOOL that is set
-        in the controller reaches so far beyond the flange [m]"""
+        in the controller reaches so far beyond the flange [m]; again_s: somebody starts its program again so long after
+        RSI has ended, None = nobody does"""
         self.chain = CHAINS[model]
         self.missed = self.corrections = 0
         self.ended = ""
@@ -47,6 +49,7 @@ class KukaDouble:
         self._joints_deg, self._setpoint_deg = self._start_deg.copy(), self._start_deg.copy()
         self._cycle_ns = round(cycle_s * 1e9)
         self._offset_m = T_base_tool_offset_m
+        self._again_ns = None if again_s is None else round(again_s * 1e9)
         self._ipoc, self._answer = FIRST_IPOC, None
         self._next_ns: int | None = None  # its program is started as somebody first listens
         self._waiting: deque[bytes] = deque(maxlen=WAITING)
@@ -78,10 +81,13 @@ class KukaDouble:
     def power_up(self, now_ns: int) -> None:
         """Somebody starts its program anew; the arm is where it was."""
         with self._lock:
-            self.missed, self.ended, self._answer = 0, "", None
-            self._setpoint_deg = self._joints_deg.copy()
-            self._waiting.clear()
-            self._next_ns = now_ns
+            self._start(now_ns)
+
+    def _start(self, now_ns: int) -> None:
+        self.missed, self.ended, self._answer = 0, "", None
+        self._setpoint_deg = self._joints_deg.copy()
+        self._waiting.clear()
+        self._next_ns = now_ns
 
     def receive(self, data: bytes, now_ns: int) -> None:
         with self._lock:
@@ -102,12 +108,16 @@ class KukaDouble:
         with self._lock:
             if self._waiting:
                 return now_ns
+            if self.ended and self._again_ns is not None and self._next_ns is not None:
+                return self._next_ns + self._again_ns
             return self._next_ns if self.running and not self.ended else None
 
     def _live(self, now_ns: int) -> None:
         """Live through the cycles that have passed."""
         if self._next_ns is None or not self.running:
             self._next_ns = now_ns
+        if self.ended and self._again_ns is not None and now_ns >= self._next_ns + self._again_ns:
+            self._start(now_ns)
         while not self.ended and self.running and self._next_ns <= now_ns:
             self._cycle()
             self._next_ns += self._cycle_ns
