@@ -1,4 +1,4 @@
-"""How far an arm is from the table and from itself: its links and its stick as capsules around the lines between joints.
+"""How far an arm is from the table and from itself: links and stick as capsules around the lines between joints.
 
 What the vendor's Cartesian mode saw to is seen to here, roughly: shapes of arms differ by a centimetre or two from
 capsules of one radius, which is why a margin is kept.
@@ -65,6 +65,8 @@ def segment_distance(a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray)
     tiny = 1e-12
     denominator = aa * ee - ab * ab
     s = np.clip(np.where(denominator > tiny, (ab * f - g * ee) / np.maximum(denominator, tiny), 0.0), 0.0, 1.0)
+    alone = np.clip(-g / np.maximum(aa, tiny), 0.0, 1.0)
+    s = np.where(ee > tiny, s, alone)  # c-d is a point
     t = np.where(ee > tiny, (ab * s + f) / np.maximum(ee, tiny), 0.0)
     t_in = np.clip(t, 0.0, 1.0)
     s = np.where(t == t_in, s, np.clip(np.where(aa > tiny, (t_in * ab - g) / np.maximum(aa, tiny), 0.0), 0.0, 1.0))

@@ -55,6 +55,8 @@ HINTS = {
     "arm: accepts": "the reason, then start again",
     "arm: control period": "end what keeps this computer busy",
     "arm: first way": "bring the tip over the surface by the joystick, the stick down",
+    "arm: over the table": "bring elbow and wrist up by the joystick; or T_arm_surface in the rig file is wrong",
+    "arm: clear of itself": "unfold the arm by the joystick",
     "arm: joints": "turn the joint away from the end of its range by the joystick",
     "arm: reach": "move arm or surface, turn the tool, or bring the arm over the surface by its joystick",
     "force sensor: tare": "let nothing touch the tip, and start again",
@@ -220,6 +222,13 @@ def _joints(robot: Robot, states: Sequence[ArmSample]) -> Iterator[Check]:
     joint = int(np.argmin(left_deg))
     came = f"joint {joint + 1} {left_deg[joint]:.1f} deg"
     yield Check("arm: joints", left_deg[joint] > margin_deg, f"{margin_deg:g} deg or more inside their ranges", came)
+    if robot.clearance is not None:
+        links, limits = robot.arm.chain.forward(joints_deg[-1]), robot.supervisor.limits
+        table_m, itself_m = robot.clearance.over_table_m(links), robot.clearance.to_itself_m(links)
+        wanted = f"elbow and wrist {100 * limits.table_m:g} cm or more above it"
+        yield Check("arm: over the table", table_m > limits.table_m, wanted, f"{100 * table_m:.1f} cm")
+        wanted = f"{100 * limits.itself_m:g} cm or more between parts that could meet"
+        yield Check("arm: clear of itself", itself_m > limits.itself_m, wanted, f"{100 * itself_m:.1f} cm")
     homed = robot.arm.homed
     yield Check("arm: homed", homed, "since it was switched on", "it was" if homed else "it was not, so it says")
     if (call_ms := robot.arm.health().extra.get(CALL_MS)) is not None:

@@ -28,6 +28,7 @@ from deformscope_drivers.kuka.port import free_port
 from deformscope_drivers.wires import LOOPBACK
 from tests.patience import PATIENCE_S
 
+LONG_S = 60.0
 RATES = JointVelocity((4.0, 0.0, 0.0, 0.0, 0.0, 0.0))
 
 
@@ -74,7 +75,7 @@ def test_it_moves_halts_and_takes_commands_again(config: KukaConfig, double: Cou
         assert arm.identity().model == "kr6r900sixx"
         assert arm.urdf.name == "kr6r900sixx.urdf"
         start = double.joints_deg
-        arm.set_velocity(RATES, PATIENCE_S)
+        arm.set_velocity(RATES, LONG_S)
         until(lambda: bool(double.joints_deg[0] > start[0] + 0.1))
         arm.halt("enough")
         halted_ns = monotonic_ns()
@@ -93,7 +94,7 @@ def test_why_it_was_stopped_there_is_known_here(config: KukaConfig, double: Coun
     """An axis that comes to the end of its range is halted by the driver itself."""
     double._joints_deg[1] = double._setpoint_deg[1] = double.chain.upper_deg[1] - 0.3
     with ArmBeside(Kuka, config) as arm:
-        arm.set_velocity(JointVelocity((0.0, 4.0, 0.0, 0.0, 0.0, 0.0)), PATIENCE_S)
+        arm.set_velocity(JointVelocity((0.0, 4.0, 0.0, 0.0, 0.0, 0.0)), LONG_S)
         until(lambda: bool(arm.stopped_because))
         assert "end of its range" in arm.stopped_because
 
@@ -110,7 +111,7 @@ def test_what_is_refused_there_is_raised_here(config: KukaConfig) -> None:
 
 def test_a_process_that_dies_is_a_lost_link_that_is_found_again(config: KukaConfig, double: Counting) -> None:
     with ArmBeside(Kuka, config) as arm:
-        arm.set_velocity(RATES, PATIENCE_S)
+        arm.set_velocity(RATES, LONG_S)
         until(lambda: bool(double.moved_ns))
         assert arm.process_id is not None
         os.kill(arm.process_id, signal.SIGKILL)
