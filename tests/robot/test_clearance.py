@@ -1,4 +1,4 @@
-"""Distances of an arm from the table and from itself, against dense sampling; the supervisor stops it before it hits."""
+"""Distances of an arm from the table and from itself, against dense sampling; it is stopped before it hits."""
 
 from __future__ import annotations
 
