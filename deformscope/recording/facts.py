@@ -54,7 +54,7 @@ def read_facts(path: Path) -> Facts:
 
 def run_rrd(*arguments: str | Path) -> str:
     """Run `rerun rrd ...` of the installed wheel; what it refuses, in a line; empty where it is done."""
-    from deformscope.recording.live import viewer_executable
+    from deformscope.page.viewer_files import viewer_executable
 
     done = _run([str(viewer_executable()), "rrd", *map(str, arguments)])
     if isinstance(done, str):
