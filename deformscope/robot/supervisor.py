@@ -218,7 +218,7 @@ class Supervisor:
         self._unmoved_m, self._moved_ns = 0.0, now_ns
         self._judged_ns, self._excused = now_ns, False
         self._track: deque[ArmSample] = deque()
-        self._clear_m = math.inf, math.inf
+        self._clear_m = -math.inf, -math.inf  # the first is compared with nothing
         self._commanded_ns = now_ns
         self._camera_needed = False
         self._camera_ns = now_ns
