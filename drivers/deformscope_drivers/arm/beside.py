@@ -11,8 +11,9 @@ import contextlib
 import subprocess
 import sys
 import threading
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from multiprocessing.connection import Connection, Pipe
+from pathlib import Path
 from typing import Any
 
 from deformscope_drivers import errors
@@ -65,8 +66,9 @@ class ArmBeside(Arm[ArmState]):
         return hz
 
     @property
-    def urdf(self) -> Any:
-        return self._known.get("urdf")
+    def urdf(self) -> Path | None:
+        known: Path | None = self._known.get("urdf")
+        return known
 
     @property
     def homed(self) -> bool:
@@ -78,7 +80,8 @@ class ArmBeside(Arm[ArmState]):
         return None if self._process is None else self._process.pid
 
     def identity(self) -> Identity:
-        return self._known.get("identity", Identity())
+        known: Identity = self._known.get("identity", Identity())
+        return known
 
     def set_velocity(self, velocity: Velocity, valid_for_s: float | None = None) -> None:
         super().set_velocity(velocity, valid_for_s)
@@ -197,7 +200,7 @@ class ArmBeside(Arm[ArmState]):
         return self._connection
 
     @contextlib.contextmanager
-    def _lost(self) -> Any:
+    def _lost(self) -> Iterator[None]:
         try:
             yield
         except (EOFError, OSError) as error:

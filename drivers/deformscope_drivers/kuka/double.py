@@ -50,7 +50,8 @@ class KukaDouble:
         self._cycle_ns = round(cycle_s * 1e9)
         self._offset_m = T_base_tool_offset_m
         self._again_ns = None if again_s is None else round(again_s * 1e9)
-        self._ipoc, self._answer = FIRST_IPOC, None
+        self._ipoc = FIRST_IPOC
+        self._answer: FloatArray | None = None
         self._next_ns: int | None = None  # its program is started as somebody first listens
         self._waiting: deque[bytes] = deque(maxlen=WAITING)
         self._lock = threading.Lock()

@@ -73,6 +73,7 @@ def test_it_moves_halts_and_takes_commands_again(config: KukaConfig, double: Cou
     with ArmBeside(Kuka, config) as arm:
         assert arm.chain.name == "kr6r900sixx"
         assert arm.identity().model == "kr6r900sixx"
+        assert arm.urdf is not None
         assert arm.urdf.name == "kr6r900sixx.urdf"
         start = double.joints_deg
         arm.set_velocity(RATES, LONG_S)

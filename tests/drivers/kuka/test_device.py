@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from deformscope_drivers.arm import CartesianVelocity, JointVelocity, MotionStopped
+from deformscope_drivers.arm.kinematics import FloatArray
 from deformscope_drivers.errors import DeviceError, LinkLost, NotConnected, SettingsRefused
 from deformscope_drivers.health import Link
 from deformscope_drivers.kuka import Kuka, KukaConfig, KukaDouble
@@ -40,7 +41,7 @@ class Bench:
         self.arm = Kuka(config or KukaConfig(), self.wire, clock=self.clock)
         self.advance = polled(self.arm, self.clock)
 
-    def since(self, moment_ns: int) -> np.ndarray:
+    def since(self, moment_ns: int) -> FloatArray:
         """(n, 6) corrections that were answered since then [deg]."""
         return np.array([answer.corrections_deg for when, answer in self.wire.answers if when > moment_ns])
 
