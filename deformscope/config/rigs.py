@@ -195,6 +195,10 @@ class ExploreConfig(RecordedOptions):
     set_force: flags.ForceFlag = None
     """Force to press with [N], 5 N at most; default: the rig file's target_force_n, which is 3 N unless it says. Where
     it makes a dent below 2 mm, 5/3 of it (5 N at most) is pressed with."""
+    first: flags.PlaceFlag = None
+    """Where to touch first, in the surface frame [m]; default: where it says most."""
+    dry_run: bool = False
+    """Make the first touch 10 cm above the surface, where nothing is met, and end."""
     beta_model: Literal["volume", "thesis", "none"] = "volume"
     """What beta is fitted with: layers below the surface, the thesis's single layer with one held particle, or none."""
     fault: Annotated[

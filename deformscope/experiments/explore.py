@@ -32,6 +32,8 @@ from deformscope.stages.map.exploration import (
 from deformscope.stages.map.measured import SurfaceMeasurement, TouchMeasurement
 
 ESTIMATES_FAILED = "estimates failed"
+DRY_RUN = "dry run"
+"""Kind of the stop at the end of a dry run, which is as it should be."""
 AFTER_S = 0.5
 """A recording goes on for so long after the robot was stopped."""
 

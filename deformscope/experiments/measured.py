@@ -99,7 +99,7 @@ class Touched:
 
 def highest_m(options: ExploreOptions) -> float:
     """Where the tip's middle is above all that a camera may find on the table [m]."""
-    return options.thickness_m + ABOVE_M + options.standoff_m + options.tip_radius_m
+    return options.thickness_m + ABOVE_M + options.standoff_m + options.tip_radius_m + options.lift_m
 
 
 def sample_box(size_m: tuple[float, float], thickness_m: float) -> Box:
@@ -244,9 +244,9 @@ class SetupGeometry:
         """
         highest = highest_m(options)
         if over_m is not None:
-            highest = min(over_m + options.standoff_m + self.placement.center_offset_m, highest)
+            highest = min(over_m + options.lift_m + options.standoff_m + self.placement.center_offset_m, highest)
         plan = TouchPlan(
-            np.append(xy_m, height_m),
+            np.append(xy_m, height_m + options.lift_m),
             np.asarray(normal, np.float64),
             set_force_n=options.set_force_n,
             more_force_n=self.more_force_n(options),

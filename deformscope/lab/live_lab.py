@@ -166,6 +166,8 @@ class LiveLab:
         made: dict[str, Device[Any]] = {}
         with contextlib.ExitStack() as stack:
             stack.enter_context(_thread("simulated arm", self._move))
+            if self.arm.wire is not None:
+                stack.enter_context(self.arm.wire)
             try:
                 for entry in entries:
                     made[entry.name] = self._device(entry, stack)
