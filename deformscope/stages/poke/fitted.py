@@ -24,7 +24,7 @@ from deformscope.stages.msm.clusters import spacing as median_spacing
 from deformscope.stages.msm.poke import Law, Poke, PokeSetup, Pressed, Tip, press
 from deformscope.stages.msm.solver import Precision
 from deformscope.stages.poke.layers import Layers, MeasuredSurface
-from deformscope.stages.poke.poke_fit import CELLS_ACROSS_TIP, SLIPPED, scene_below
+from deformscope.stages.poke.poke_fit import CELLS_ACROSS_TIP, SLIPPED, flat_edge, scene_below
 from deformscope.stages.poke.stiffness_field import CONTACT, StiffnessField, fit_field
 from deformscope.stages.regions.posterior import SurfaceKind
 
@@ -181,7 +181,7 @@ class Prediction:
         """Where points (n, 3) of the surface go, between the lattice's columns; those beyond the lattice stay."""
         if self.layers is None:
             raise InputError("a model of layers below a surface", "one of particles", "leave out the points")
-        weights, inside = self.layers.interpolation(points[:, :2])
+        weights, inside = self.layers.interpolation(points[:, :2], flat_edge(self.poke.at, self.poke.tip))
         moved = weights @ (self.position - self.rest)
         return np.asarray(points + np.where(inside[:, None], moved, 0.0))
 
@@ -238,7 +238,7 @@ def _force_interval(
     for rival in model.rivals:
         scene, _ = scene_of(model, rival.law, poke)
         same = dataclasses.replace(poke, depth=found.depth, force=None)
-        other = press(scene, rival.law, same, precision=precision, device=device)
+        other = press(scene, rival.law, same, start=found.position, precision=precision, device=device)
         if other.converged:
             responses.append(other.reaction * float(np.median(rival.stiffness / model.stiffness)))
     return known.interval[0] * min(responses), known.interval[1] * max(responses)
