@@ -375,5 +375,6 @@ def model_of(fit: PokesFit, provenance: Mapping[str, object]) -> FittedModel:
         fitted_depth=max(poke.depth for poke in fit.pokes),
         fitted_strain=max(poke.depth / poke.tip.width for poke in fit.pokes),
         rivals=tuple(rivals),
+        residual=fit.best.residual,
         provenance=provenance,
     )

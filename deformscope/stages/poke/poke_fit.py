@@ -25,6 +25,7 @@ from deformscope.stages.msm import clusters
 from deformscope.stages.msm.clusters import spacing as median_spacing
 from deformscope.stages.msm.poke import Law, PokedBody, PokeSetup, Tip, hold, settle
 from deformscope.stages.msm.solver import Precision
+from deformscope.stages.poke.dent_residual import DentResidual, SurfaceLeft, residual_of
 from deformscope.stages.poke.layers import FlatEdge, Layers, MeasuredSurface, below
 
 FIRST_SIZES, SIZES = (3, 4), (2, 7)
@@ -167,7 +168,7 @@ class PosedPoke:
     def __init__(
         self, surface: MeasuredSurface, poke: SeenPoke, spacing: float, size: int, precision: Precision, device: str
     ):
-        self.poke, self.size = poke, size
+        self.poke, self.size, self.thickness = poke, size, surface.thickness
         self.scene, layers = scene_below(surface, poke.at, poke.tip, spacing, size)
         upper = layers.rest[layers.top][:, :2]
         if poke.footprint:
@@ -230,6 +231,12 @@ class PosedPoke:
         weights, still = self._layers.interpolation(self.poke.points[:, :2] - found[:, :2])
         height = np.where(still, weights @ displacement[:, 2], found[:, 2])
         return np.column_stack([np.zeros((len(found), 2)), height])
+
+    def left(self, state: PokedBody) -> SurfaceLeft:
+        """What the first of these states leaves of the surface near the poke."""
+        poke, near = self.poke, self.near
+        left = (poke.moved - self.moved(state)[0])[near]
+        return SurfaceLeft(poke.at[:2], poke.tip, poke.depth, poke.points[near], left)
 
     def reaction(self, state: PokedBody) -> FloatArray:
         """Net force on the tip along its direction per unit of stiffness k, (B,) [m]."""
@@ -327,7 +334,7 @@ class ShapeFit:
 
     law; surface_error: (q,) root mean square distance near each poke used, as a share of its depth; held_out: (q,) the
     same with beta and theta fitted to the others, nan with one poke and for all sizes but the best
-    reaction: (p,) of every poke, per unit of k [m]
+    reaction: (p,) of every poke, per unit of k [m]; residual: what is left beside the tip of every poke
     """
 
     law: Law
@@ -335,6 +342,7 @@ class ShapeFit:
     held_out: FloatArray
     reaction: FloatArray
     converged: bool
+    residual: DentResidual | None = None
 
     @property
     def score(self) -> float:
@@ -432,7 +440,7 @@ def _fit_size(
     """settled: takes in the state of every poke."""
     law, good = fit_shape(posed, beta_range=beta_range, theta=theta)
     own = dict(zip(shaped.tolist(), posed, strict=True))
-    reaction, error = np.empty(count), []
+    reaction, error, left = np.empty(count), [], []
     for place in range(count):
         one = own.get(place) or pose(place)
         state = settled[place] = one.settle([law])
@@ -440,7 +448,10 @@ def _fit_size(
         reaction[place] = one.reaction(state)[0] * (one.scene.spacing / spacing)
         if place in own:
             error.append(_rms(one.residual(state)[0]))
-    return ShapeFit(law, np.array(error), np.full(len(posed), np.nan), reaction, good)
+        if not one.poke.heights_only:
+            left.append(one.left(state))
+    residual = residual_of(left, one.thickness) if len(left) == count else None
+    return ShapeFit(law, np.array(error), np.full(len(posed), np.nan), reaction, good, residual)
 
 
 def _hold_out(posed: Sequence[PosedPoke], law: Law, beta_range: tuple[float, float], theta: float | None) -> FloatArray:
