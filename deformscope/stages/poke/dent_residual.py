@@ -1,8 +1,8 @@
 """What fitted layers leave of the surface beside a tip, as found at the pokes that they were fitted to.
 
 A lattice of clusters cannot do all that a foam does: whatever its law, the surface beside a tip moves inwards too far
-and rounds off too little. That is alike at all pokes of a surface, so that unseen ones are predicted with it: the model's
-discrepancy, learned beside its parameters (Kennedy and O'Hagan 2001).
+and rounds off too little. That is alike at all pokes of a surface, so that unseen ones are predicted with it: the
+model's discrepancy, learned beside its parameters (Kennedy and O'Hagan 2001).
 """
 
 from __future__ import annotations
