@@ -65,7 +65,7 @@ FREEDOM = 5.0
 EXCLUDED = 1e-6
 """Probability below which a hypothesis is taken as excluded by the pokes together."""
 
-PARTICLES, MAPS, CELL_M = 300, 300, 0.02
+PARTICLES, MAPS, CELL_M = 1000, 300, 0.02
 ERROR = TouchErrorModel(gain_sd=0.0)
 """All pokes are of one session: what they share, forces predicted for it share too."""
 
