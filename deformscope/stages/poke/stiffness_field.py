@@ -51,7 +51,7 @@ REPEATED = 0.25
 """Probability that a poke at the very place of an earlier one meets the same, whatever the maps say: half of it is more
 than a tenth, so that a 90 % interval holds that poke for certain."""
 
-TILT = 0.5
+TILT = 0.25
 """The expected value of |f - F| / F^TILT is least at the median of what the true F may be, each weighed by 1 / F^TILT.
 Chosen on tuning seeds (`deformscope.studies.seeds`): where either of two materials is possible, the stiffer is foretold
 only if it is the likelier by the root of their ratio; called wrongly, it is off by far more than the softer one."""
@@ -59,7 +59,7 @@ only if it is the likelier by the root of their ratio; called wrongly, it is off
 TAILS = 10
 """Shares of what an interval leaves out that may lie below it."""
 
-FREEDOM = 5.0
+FREEDOM = 8.0
 """Of Student's t: errors have heavier tails than a Gaussian's."""
 
 EXCLUDED = 1e-6
