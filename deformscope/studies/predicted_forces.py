@@ -62,6 +62,7 @@ class UnseenForce:
     place [m]; inside: its signed distance to the border [m]; same_tip: as fitted; force: true [N], of the fast way up
     to a factor; error: of the predicted one, relative; low, high: ends of the interval over the true force; held: it
     holds that; width: of it over the predicted force; surface_error: share of the depth, None of the fast way
+    own_nearest: of the fitted pokes, the nearest is on the same side of the border
     """
 
     group: PokeGroup
@@ -75,6 +76,7 @@ class UnseenForce:
     held: bool
     width: float
     surface_error: float | None
+    own_nearest: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,6 +91,7 @@ class TriedSlab:
 @dataclass(frozen=True, slots=True)
 class ForceRow:
     """A line of the tables: pokes of one group on slabs of one kind, or of all. error: root mean square, relative;
+    own_error: of those alone whose nearest fitted poke is on the same side of the border, None where there are none;
     wrong: of the pokes, those off by more than a fifth; surface_error: root mean square share of the depth, None of the
     fast way"""
 
@@ -97,6 +100,7 @@ class ForceRow:
     scatter: float
     full: bool
     error: float
+    own_error: float | None
     wrong: int
     held: Rate
     width: float
@@ -222,10 +226,13 @@ def _met(model: FittedModel, found: Prediction) -> tuple[float, tuple[float, flo
 
 def _judged(drawn: PokedSlab, which: int, force: float, predicted: float, ends: tuple[float, float]) -> UnseenForce:
     x, y = (float(value) for value in drawn.places[which])
+    fitted = drawn.places[drawn.fitted]
+    nearest = fitted[np.argmin(np.linalg.norm(fitted - drawn.places[which], axis=1))]
+    inside = float(drawn.inside(drawn.places[which]))
     return UnseenForce(
         group=drawn.group(drawn.places[which]),
         place=(x, y),
-        inside=float(drawn.inside(drawn.places[which])),
+        inside=inside,
         same_tip=True,
         force=force,
         error=predicted / force - 1.0,
@@ -234,6 +241,7 @@ def _judged(drawn: PokedSlab, which: int, force: float, predicted: float, ends: 
         held=ends[0] <= force <= ends[1],
         width=(ends[1] - ends[0]) / predicted,
         surface_error=None,
+        own_nearest=drawn.kind == "gradual" or bool((drawn.inside(nearest) > 0.0) == (inside > 0.0)),
     )
 
 
@@ -259,8 +267,13 @@ def _row(slab: str, group: PokeGroup, scatter: float, full: bool, pokes: Sequenc
         scatter=scatter,
         full=full,
         error=float(np.sqrt(np.mean(error**2))),
+        own_error=_rms(error[[poke.own_nearest for poke in pokes]]),
         wrong=int(np.count_nonzero(np.abs(error) > WRONG)),
         held=Rate(len(pokes), sum(poke.held for poke in pokes)),
         width=float(np.median([poke.width for poke in pokes])),
-        surface_error=float(np.sqrt(np.mean(np.square(surface)))) if surface else None,
+        surface_error=_rms(np.array(surface)),
     )
+
+
+def _rms(error: FloatArray) -> float | None:
+    return float(np.sqrt(np.mean(error**2))) if len(error) else None

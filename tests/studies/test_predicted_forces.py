@@ -75,13 +75,13 @@ def test_a_fast_slab_is_fitted_and_its_other_half_predicted() -> None:
         assert poke.held == (poke.low <= 1.0 <= poke.high)
 
 
-def poke(error: float, held: bool, group: str = "in one material") -> UnseenForce:
-    return UnseenForce(group, (0.1, 0.1), 0.05, True, 1.0, error, 0.9, 1.1, held, 0.2, 0.04)  # type: ignore[arg-type]
+def poke(error: float, held: bool, group: str = "in one material", own: bool = True) -> UnseenForce:
+    return UnseenForce(group, (0.1, 0.1), 0.05, True, 1.0, error, 0.9, 1.1, held, 0.2, 0.04, own)  # type: ignore[arg-type]
 
 
 def test_rows_pool_pokes_by_slab_and_group() -> None:
     tried = [
-        TriedSlab(ForceCase("halves", 0), "materials", (poke(0.3, False), poke(-0.1, True))),
+        TriedSlab(ForceCase("halves", 0), "materials", (poke(0.3, False, own=False), poke(-0.1, True))),
         TriedSlab(ForceCase("stiff disc", 0), "materials", (poke(0.0, True, "on the inclusion"),)),
         TriedSlab(ForceCase("halves", 1, 0.1), "materials", (poke(0.0, True),)),
     ]
@@ -95,6 +95,7 @@ def test_rows_pool_pokes_by_slab_and_group() -> None:
         ("halves", "in one material", 0.1),
     ]
     assert rows[0].error == pytest.approx(np.sqrt(0.05))
+    assert rows[0].own_error == pytest.approx(0.1)
     assert (rows[0].wrong, rows[0].held.hits, rows[0].held.cases) == (1, 1, 2)
     assert rows[0].width == pytest.approx(0.2)
     assert rows[0].surface_error == pytest.approx(0.04)

@@ -67,8 +67,8 @@ EXCLUDED = 1e-6
 """Probability below which a hypothesis is taken as excluded by the pokes together."""
 
 PARTICLES, MAPS, CELL_M = 1000, 300, 0.02
-"""With 300 particles few were left where pokes scatter by 3 % or less: on tuning seeds forces on stiff discs were off by
-29 % in place of 20 %, in one material by 7 % in place of 3.5 %."""
+"""With 300 particles few were left where pokes scatter by 3 % or less: on tuning seeds forces on stiff discs were off
+by 29 % in place of 20 %, in one material by 7 % in place of 3.5 %."""
 ERROR = TouchErrorModel(gain_sd=0.0)
 """All pokes are of one session: what they share, forces predicted for it share too."""
 
