@@ -50,7 +50,7 @@ def test_groups_are_by_the_distance_to_the_border() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("aside", [-0.01, 0.02])
 def test_what_a_poke_meets_beside_a_border_is_that_of_finite_elements(aside: float) -> None:
-    """To 3 % of the difference of the two materials; the elements are other ones than the table's."""
+    """To 4 % of the difference of the two materials; the elements are other ones than the table's."""
     drawn = dataclasses.replace(
         draw_slab("halves", 1000), normal=np.array([1.0, 0.0]), middle=np.array([0.2, 0.15]), modulus=(20e3, 80e3)
     )
@@ -58,7 +58,7 @@ def test_what_a_poke_meets_beside_a_border_is_that_of_finite_elements(aside: flo
     point = np.array([[0.2, 0.15, SIZE[2]]])
     met = press(drawn.slab(), at, tip, point, depth=1e-3, finest=0.003).force
     alike = press(dataclasses.replace(drawn.slab(), young=20e3), at, tip, point, depth=1e-3, finest=0.003).force
-    assert drawn.apparent(np.array([at]))[0] == pytest.approx(20e3 * met / alike, abs=0.03 * 60e3)
+    assert drawn.apparent(np.array([at]))[0] == pytest.approx(20e3 * met / alike, abs=0.04 * 60e3)
     swapped = dataclasses.replace(drawn, modulus=(80e3, 20e3), normal=-drawn.normal)
     np.testing.assert_allclose(swapped.apparent(np.array([at])), drawn.apparent(np.array([at])))
 
