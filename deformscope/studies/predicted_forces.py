@@ -59,15 +59,16 @@ class ForceCase:
 class UnseenForce:
     """An unseen poke.
 
-    place [m]; inside: its signed distance to the border [m]; same_tip: as fitted; force: true [N], of the fast way up
-    to a factor; error: of the predicted one, relative; low, high: ends of the interval over the true force; held: it
-    holds that; width: of it over the predicted force; surface_error: share of the depth, None of the fast way
+    place [m]; inside: its signed distance to the border [m], None without one; same_tip: as fitted; force: true [N], of
+    the fast way up to a factor; error: of the predicted one, relative; low, high: ends of the interval over the true
+    force; held: it holds that; width: of it over the predicted force; surface_error: share of the depth, None of the
+    fast way
     own_nearest: of the fitted pokes, the nearest is on the same side of the border
     """
 
     group: PokeGroup
     place: tuple[float, float]
-    inside: float
+    inside: float | None
     same_tip: bool
     force: float
     error: float
@@ -232,7 +233,7 @@ def _judged(drawn: PokedSlab, which: int, force: float, predicted: float, ends: 
     return UnseenForce(
         group=drawn.group(drawn.places[which]),
         place=(x, y),
-        inside=inside,
+        inside=inside if np.isfinite(inside) else None,
         same_tip=True,
         force=force,
         error=predicted / force - 1.0,

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from deformscope.lab.slab import RigidTip, press
+from deformscope.stages.poke import stiffness_field
 from deformscope.studies.poke_slabs import BORDER, KINDS, SIZE, draw_slab
 from deformscope.studies.poke_study import Press, observe, plan_of
 from deformscope.studies.predicted_forces import (
@@ -21,6 +22,12 @@ from deformscope.studies.predicted_forces import (
     slab_works,
     try_slab,
 )
+
+
+@pytest.fixture(autouse=True)
+def _fewer_maps(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As many as these surfaces need: a third of the time."""
+    monkeypatch.setattr(stiffness_field, "PARTICLES", 300)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -67,7 +74,7 @@ def test_a_fast_slab_is_fitted_and_its_other_half_predicted() -> None:
     (found,) = try_slab(Slab24((ForceCase("halves", 1003, scatter=0.03),)))
     assert found.field == "materials"
     assert len(found.pokes) == 12
-    sure = [poke for poke in found.pokes if abs(poke.inside) > 0.06]
+    sure = [poke for poke in found.pokes if poke.inside is not None and abs(poke.inside) > 0.06]
     assert sure
     assert max(abs(poke.error) for poke in sure) < 0.2
     for poke in found.pokes:
