@@ -120,9 +120,9 @@ class Layers:
         """Weights (m, K) that take values at particles to values at places (m, 2) of the top layer, and where these lie
         between four columns that are there (m,). Bilinear; from a flat tip's edge to the next column as the root of the
         distance. The lattice ends less than a cell before the material: there the outermost columns' values hold."""
-        across = (np.asarray(place) - self.origin) / self.spacing
+        across: FloatArray = (np.asarray(place) - self.origin) / self.spacing
         ends = np.clip(across, 0.0, np.array(self.shape[:2]) - 1.0)
-        across = np.where(np.abs(across - ends) < 1.0 - 1e-9, ends, across)
+        across = np.asarray(np.where(np.abs(across - ends) < 1.0 - 1e-9, ends, across), dtype=np.float64)
         low = np.floor(across + 1e-9).astype(np.int64)
         share = np.clip(across - low, 0.0, 1.0)
         if edge is not None:

@@ -450,7 +450,7 @@ def _fit_size(
             error.append(_rms(one.residual(state)[0]))
         if not one.poke.heights_only:
             left.append(one.left(state))
-    residual = residual_of(left, one.thickness) if len(left) == count else None
+    residual = residual_of(left, posed[0].thickness) if len(left) == count else None
     return ShapeFit(law, np.array(error), np.full(len(posed), np.nan), reaction, good, residual)
 
 
