@@ -224,7 +224,7 @@ class StiffnessField:
     @cached_property
     def _free(self) -> tuple[tuple[SmoothField, float], ...]:
         middle = 0.5 * np.asarray(self._posterior.grid.size_m)
-        kernel = SmoothKernel(self._posterior.prior.level_sd, middle, 0.0, FREE_SD, FREE_LENGTH_M)
+        kernel = SmoothKernel(self._posterior.prior.any_level_sd, middle, 0.0, FREE_SD, FREE_LENGTH_M)
         return self._posterior.beside(kernel, FREE_SHARE)
 
     @property

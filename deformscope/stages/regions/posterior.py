@@ -41,6 +41,8 @@ SLOPES_PER_M = (1.0, 3.0)
 PRIOR_EXTENT_M, PRIOR_MARGIN_M = 0.5, 0.05
 """Places on things of any size are taken as if they were so far apart, and so far from the border: the priors on shapes
 are of a surface of about 0.6 m."""
+RIGID_SDS = 2.0
+"""Levels that are so many deviations or less below the bound of rigid touches are as rigid."""
 SCATTER_MAPS = 100
 """Maps of which the scatter is asked."""
 LEVELS_DRAWN = 4000
@@ -55,8 +57,9 @@ class RegionPrior:
 
     one, two, three, gradual: prior probabilities; blur_m: deviation of the Gaussian that a contact feels; error: of a
     touch; mixed_share: touches near a boundary are off by up to this share of all contrast; level_sd: of the regions'
-    log stiffness; least_contrast: between any two of them (0.13: 14 %; a sphere's 0.13 is 20 % in modulus); rigid_sd:
-    of touches that are lower bounds
+    log stiffness about what they have in common, of which `common_sd` is the deviation about the touches' mean: large,
+    so that where the touches were made says nothing of it; least_contrast: between any two of them (0.13: 14 %; a
+    sphere's 0.13 is 20 % in modulus); rigid_sd: of touches that are lower bounds
     """
 
     one: float = 0.47
@@ -67,6 +70,7 @@ class RegionPrior:
     error: TouchErrorModel = field(default_factory=TouchErrorModel)
     mixed_share: float = 0.12
     level_sd: float = 1.0
+    common_sd: float = 2.0
     least_contrast: float = 0.13
     rigid_sd: float = 0.3
 
@@ -74,8 +78,14 @@ class RegionPrior:
         shares = (self.one, self.two, self.three, self.gradual)
         if min(shares) < 0.0 or abs(sum(shares) - 1.0) > 1e-9:
             raise InputError("prior probabilities that add up to 1", f"{shares}")
-        if min(self.blur_m, self.level_sd, self.rigid_sd) <= 0.0:
-            raise InputError("a blur and deviations above 0", f"{self.blur_m}, {self.level_sd}, {self.rigid_sd}")
+        if min(self.blur_m, self.level_sd, self.common_sd, self.rigid_sd) <= 0.0:
+            came = f"{self.blur_m}, {self.level_sd}, {self.common_sd}, {self.rigid_sd}"
+            raise InputError("a blur and deviations above 0", came)
+
+    @property
+    def any_level_sd(self) -> float:
+        """Of one level by itself."""
+        return float(np.hypot(self.level_sd, self.common_sd))
 
 
 @dataclass(frozen=True, slots=True)
@@ -342,6 +352,18 @@ class RegionPosterior:
         """The highest lower bound of log stiffness that rigid touches give; inf without one."""
         return max((touch.log_stiffness for touch in self.touches if touch.rigid), default=np.inf)
 
+    def rigid_probability(self, places_m: FloatArray) -> FloatArray:
+        """(p,) that places (p, 2) are as stiff as the rigid touches, whose level stands at the bound."""
+        if not np.isfinite(self._rigid_bound):
+            return np.zeros(len(places_m))
+        mean, variance, weight = self._some_hypotheses.predict(places_m, self.prior.blur_m)
+        least = self._rigid_bound - RIGID_SDS * self.prior.rigid_sd
+        return cast(FloatArray, weight @ ndtr((mean - least) / np.sqrt(variance)))
+
+    @cached_property
+    def _some_hypotheses(self) -> RegionHypotheses:
+        return self.hypotheses()
+
     def _rigid_regions(self, labels: IntArray, level: FloatArray) -> BoolArray:
         """(k,) regions with a rigid touch whose level stands at its bound: softer touches in them are those that a
         boundary explains."""
@@ -351,7 +373,7 @@ class RegionPosterior:
             if touch.rigid:
                 column, row = np.clip((touch.xy_m / self.grid.cell_m).astype(int), 0, [columns - 1, rows - 1])
                 rigid[labels[row, column]] = True
-        return rigid & (level > self._rigid_bound - 2.0 * self.prior.rigid_sd)
+        return rigid & (level > self._rigid_bound - RIGID_SDS * self.prior.rigid_sd)
 
     def _draw(self, one: _Particles, count: int, readings: _Readings) -> tuple[Partitions, FloatArray, FloatArray]:
         """`count` maps in proportion to their weights, their levels and covariances under one scatter each, which is
@@ -404,7 +426,7 @@ class RegionPosterior:
         middle = 0.5 * np.asarray(self.grid.size_m)
         kernels = [(slope, 0.0, 1.0) for slope in SLOPES_PER_M]
         kernels += [(0.0, sd, length) for sd in SMOOTH_SDS for length in SMOOTH_LENGTHS_M]
-        level_sd = self.prior.level_sd
+        level_sd = self.prior.any_level_sd
         return tuple(field for kernel in kernels for field in self._fields(SmoothKernel(level_sd, middle, *kernel)))
 
     def _fields(self, kernel: SmoothKernel) -> list[SmoothField]:
@@ -516,11 +538,12 @@ def _levels(
         white[j] = (white[j] - (lower[j, :j, None] * white[:j]).sum(axis=0)) / lower[j, j]
     products = [(white[:, i] * white[:, j]).sum(axis=0) for i in range(k) for j in range(i + 1)]
     pull = [(white[:, i] * white[:, k]).sum(axis=0) for i in range(k)]
-    level, cov, log_det_cov = _solved(products, pull, prior.level_sd**-2.0)
+    before = prior.level_sd**2 * np.eye(k) + prior.common_sd**2
+    level, cov, log_det_cov = _solved(products, pull, np.linalg.inv(before))
     log_likelihood = 0.5 * (
         (np.stack(pull, axis=-1) * level).sum(axis=-1)
         + log_det_cov
-        - 2.0 * k * np.log(prior.level_sd)
+        - np.linalg.slogdet(before)[1]
         - log_det
         - touches * np.log(2.0 * np.pi)
         - (white[:, k] ** 2).sum(axis=0)
@@ -536,11 +559,11 @@ def _levels(
 
 
 def _solved(
-    products: Sequence[FloatArray], pull: Sequence[FloatArray], prior_precision: float
+    products: Sequence[FloatArray], pull: Sequence[FloatArray], prior_precision: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Mean (..., c), covariance (..., c, c) and its log determinant (...,) of c levels.
 
-    products: lower triangle of their precision, row by row; prior_precision: added to its diagonal; pull: (c) of them
+    products: lower triangle of their precision, row by row; prior_precision: (c, c) added to it; pull: (c) of them
     """
     size = len(pull)
     lower: dict[tuple[int, int], FloatArray] = {}
@@ -548,8 +571,8 @@ def _solved(
     entry, nothing = iter(products), np.zeros(pull[0].shape)
     for i in range(size):
         for j in range(i + 1):
-            rest = next(entry) - sum((lower[i, m] * lower[j, m] for m in range(j)), nothing)
-            lower[i, j] = np.sqrt(rest + prior_precision) if i == j else rest / lower[j, j]
+            rest = next(entry) + prior_precision[i, j] - sum((lower[i, m] * lower[j, m] for m in range(j)), nothing)
+            lower[i, j] = np.sqrt(rest) if i == j else rest / lower[j, j]
     for j in range(size):
         inverse[j, j] = 1.0 / lower[j, j]
         for i in range(j + 1, size):
