@@ -41,6 +41,7 @@ SLOPES_PER_M = (1.0, 3.0)
 PRIOR_EXTENT_M, PRIOR_MARGIN_M = 0.5, 0.05
 """Places on things of any size are taken as if they were so far apart, and so far from the border: the priors on shapes
 are of a surface of about 0.6 m."""
+LINEARISED = 2
 RIGID_SDS = 2.0
 """Levels that are so many deviations or less below the bound of rigid touches are as rigid."""
 SCATTER_MAPS = 100
@@ -73,6 +74,7 @@ class RegionPrior:
     common_sd: float = 2.0
     least_contrast: float = 0.13
     rigid_sd: float = 0.3
+    forces_add: bool = True
 
     def __post_init__(self) -> None:
         shares = (self.one, self.two, self.three, self.gradual)
@@ -132,6 +134,7 @@ class RegionHypotheses:
 
     maps: tuple[tuple[Partitions | None, FloatArray, FloatArray, FloatArray], ...]
     smooth: tuple[tuple[SmoothField, float], ...]
+    forces_add: bool = True
 
     def predict(self, places_m: FloatArray, blur_m: float) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Mean and variance (h, p) of what a contact feels at places (p, 2) under each hypothesis, and its probability
@@ -141,7 +144,11 @@ class RegionHypotheses:
         weights: list[FloatArray] = []
         for maps, level, cov, weight in self.maps:
             shares = np.ones((1, len(places_m), 1)) if maps is None else maps.shares(places_m, blur_m)
-            means.append((shares @ level[..., None])[..., 0])
+            if self.forces_add:
+                felt, shares = _felt(shares, level)
+                means.append(felt)
+            else:
+                means.append((shares @ level[..., None])[..., 0])
             variances.append(((shares @ cov) * shares).sum(axis=-1))
             weights.append(weight)
         for smooth, share in self.smooth:
@@ -274,7 +281,8 @@ class RegionPosterior:
         weights = np.exp(logs - logs.max())
         kept = np.flatnonzero(weights > LEAST_WEIGHT * weights.sum())
         weights *= self.probability["gradual"] / weights[kept].sum()
-        return RegionHypotheses(tuple(found), tuple((self._smooth[i], float(weights[i])) for i in kept))
+        smooth = tuple((self._smooth[i], float(weights[i])) for i in kept)
+        return RegionHypotheses(tuple(found), smooth, self.prior.forces_add)
 
     def region_map(self, count: int = 240) -> RegionMap:
         """The map that this says; `count` maps are drawn for it."""
@@ -521,12 +529,15 @@ def _levels(
     mixed = 2.0 * (1.0 - (shares**2).sum(axis=-1))  # 1 midway between two regions
     own = (readings.variance + (prior.mixed_share * readings.spread * mixed) ** 2).T
     square = np.broadcast_to(np.asarray(scatter) ** 2, np.broadcast_shapes(np.shape(scatter), (count,)))
+    value = readings.value[:, None]
+    if k > 1 and prior.forces_add:
+        shares, value = _linear(shares, readings, prior, own)
     # the touches' errors made white, column by column of the Cholesky factor of their covariance; by hand, since a
     # library would solve each of thousands of small matrices by itself
     lower = np.empty((touches, touches, *square.shape))
     white = np.empty((touches, k + 1, *square.shape))
     white[:, :k] = np.expand_dims(np.moveaxis(shares, 0, -1), tuple(range(2, square.ndim + 1)))
-    white[:, k] = np.expand_dims(readings.value, tuple(range(1, square.ndim + 1)))
+    white[:, k] = np.expand_dims(value, tuple(range(1, square.ndim)))
     log_det = np.zeros(square.shape)
     for j in range(touches):
         shared = np.expand_dims(readings.related[j:, j], tuple(range(1, square.ndim + 1))) * square
@@ -556,6 +567,34 @@ def _levels(
             left = ndtr((apart - prior.least_contrast) / sd) + ndtr((-apart - prior.least_contrast) / sd)
             log_likelihood += np.log(np.maximum(left, 1e-300) / at_first)
     return log_likelihood, level, cov
+
+
+def _felt(shares: FloatArray, level: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Log stiffness (n, t) that contacts feel in shares (n, t, k) of levels (n, k): their forces add; and by how much
+    it rises with each level (n, t, k)."""
+    most = level.max(axis=1, keepdims=True)
+    force = shares * np.exp(level - most)[:, None]
+    total = force.sum(axis=-1)
+    return np.log(total) + most, force / total[..., None]
+
+
+def _linear(
+    shares: FloatArray, readings: _Readings, prior: RegionPrior, own: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """What is felt, linear in the levels about where they roughly are: its slopes (n, t, k) and the readings (t, n)
+    less what it is at levels of 0. own: (t, n) variance of the touches"""
+    k = shares.shape[-1]
+    precision = 1.0 / (own.T + prior.error.scatter_median**2)
+    before = np.linalg.inv(prior.level_sd**2 * np.eye(k) + prior.common_sd**2)
+    slope, value = shares, np.broadcast_to(readings.value, shares.shape[:2])
+    for _ in range(LINEARISED):
+        weighted = slope * precision[..., None]
+        products = [(weighted[..., i] * slope[..., j]).sum(axis=1) for i in range(k) for j in range(i + 1)]
+        pull = [(weighted[..., i] * value).sum(axis=1) for i in range(k)]
+        level, _, _ = _solved(products, pull, before)
+        felt, slope = _felt(shares, level)
+        value = readings.value - felt + (slope * level[:, None]).sum(axis=-1)
+    return slope, value.T
 
 
 def _solved(
