@@ -36,7 +36,7 @@ OWN_SD = 0.01
 
 CONTACT = 0.6
 """Deviation of the Gaussian that a poke feels the surface with, as a share of the tip's width: on finite element halves
-a tip of 2 cm feels what lies within 1.1 to 1.2 cm."""
+a tip of 2 cm feels what lies within 1.1 to 1.2 cm, if what it feels is the mean of log stiffness."""
 
 USUAL_TIP_M = 0.02
 
@@ -215,7 +215,7 @@ class StiffnessField:
         at = self._scaled(self.places)
         size = np.maximum(at.max(axis=0) + PRIOR_MARGIN_M, 4.0 * PRIOR_MARGIN_M)
         grid = MapGrid((float(size[0]), float(size[1])), CELL_M)
-        prior = RegionPrior(blur_m=self.contact_m * self._scale, error=ERROR)
+        prior = RegionPrior(blur_m=self.contact_m * self._scale, error=ERROR, forces_add=False)
         posterior = RegionPosterior.before_touches(grid, prior, particle_count=PARTICLES)
         for xy_m, value in zip(at, np.log(self.stiffness), strict=True):
             posterior = posterior.with_touch(StiffnessSample(xy_m, float(value), OWN_SD))
