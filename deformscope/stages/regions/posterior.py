@@ -65,16 +65,17 @@ class RegionPrior:
     sphere's 0.13 is 20 % in modulus); rigid_sd: of touches that are lower bounds; forces_add: under a contact that
     feels two regions, else their log stiffness has a mean
 
-    blur_m was fitted to finite elements of a ball of 1 cm at 3 N: with forces that add, 0.0065 is within 6 % of what is
-    felt at any distance from a border of contrast 1.8, 16 % of one of 3.6, and within a factor of 1.4 beside what is
-    rigid, but for the 4 mm next to it; a mean of logarithms needs 0.008 and 0.005 there, and is off by up to 3 times.
+    blur_m was fitted to finite elements of a ball of 1 cm at 3 N, 0 to 4 cm from a border: with forces that add, 0.0075
+    is within 3 % of what is felt where one side is 1.8 times the other, 10 % at 3.6 times, and within a factor of 1.5
+    beside what is rigid, but for the 4 mm next to it. A mean of logarithms needs 0.008 there and 0.0045 here, and a
+    border that is moved by 2 to 6 mm.
     """
 
     one: float = 0.47
     two: float = 0.33
     three: float = 0.14
     gradual: float = 0.06
-    blur_m: float = 0.0065
+    blur_m: float = 0.0075
     error: TouchErrorModel = field(default_factory=TouchErrorModel)
     mixed_share: float = 0.12
     level_sd: float = 1.0
