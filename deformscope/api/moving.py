@@ -104,10 +104,14 @@ def permitted(
     preflight = yield from ask(CheckFirst(calibrated, places_m))
     say(preflight.table())
     if not setup.simulated and preflight.passed:
-        say(
-            f"The arm will now move by itself: up to {options.budget} touches of {robot.forces_words}.\n"
-            "This program is no safety function: keep the emergency stop in your hand."
-        )
+        touches = f"up to {options.budget} touches of {robot.forces_words}"
+        if setup.person is None:
+            say(
+                f"The arm will now move by itself: {touches}.\n"
+                "This program is no safety function: keep the emergency stop in your hand."
+            )
+        else:
+            say(f"You will be asked to place the stick, step by step: {touches}. Keep your hands out of the picture.")
         if not yes and not sys.stdin.isatty():
             raise InputError("somebody who says yes", "no terminal to ask at", "--yes")
         if not yes:

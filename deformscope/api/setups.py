@@ -79,6 +79,7 @@ def setup_of(
 
 def setup_of_rig(rig: Rig, seed: int = 0) -> Setup:
     """The setup of a rig file, closed. Raises InputError, which names what it lacks."""
+    from deformscope.api.placing import PersonAtTerminal
     from deformscope.api.rigs import member_of
     from deformscope.lab.arm_contact import ARM_DOUBT, ARM_STIFFNESS_N_M
     from deformscope.lab.live_lab import LiveLab
@@ -87,12 +88,13 @@ def setup_of_rig(rig: Rig, seed: int = 0) -> Setup:
 
     parts = RigParts.of(rig)
     if not rig.surface.scene:
-        return rig_setup(parts, member_of)
+        by_hand = parts.devices[0].driver.name == "placed"
+        return rig_setup(parts, member_of, person=PersonAtTerminal() if by_hand else None)
     table = LiveLab(
         built_in(rig.surface.scene, seed),
         parts.placement,
+        parts.devices[0],
         T_surface_camera=parts.T_surface_camera,
-        model=parts.devices[0].config.model,
     )
     return rig_setup(parts, member_of, table, (1.0 / ARM_STIFFNESS_N_M, ARM_DOUBT / ARM_STIFFNESS_N_M))
 

@@ -148,8 +148,8 @@ def _frames(path: Path, named: list[Any]) -> Any:
     from deformscope.recording.items import read_items
     from deformscope.robot.readings import ArmSample
     from deformscope.stages.map.measured import LookFrames
+    from deformscope_drivers.arm.kinematics import rotation_from_euler_xyz, transform
     from deformscope_drivers.depth_camera.image import depth_m
-    from deformscope_drivers.jaco.kinematics import rotation_from_euler_xyz, transform
 
     images, states, readings = set[int](), set[int](), set[tuple[int, int]]()
     for one in named:

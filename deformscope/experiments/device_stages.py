@@ -32,7 +32,7 @@ from deformscope.stages.see.cloud import Box, Intrinsics, perceive
 from deformscope.stages.see.flow import flow_both_ways
 from deformscope.stages.see.particles import ParticleGrid, Tracked, advance, seed_grid, start
 from deformscope.stages.see.tactile import TactileContact, tactile_contact
-from deformscope_drivers.jaco.kinematics import rotation_from_euler_xyz
+from deformscope_drivers.arm.kinematics import rotation_from_euler_xyz
 
 StageName = Literal["flow", "beta", "surface", "tactile", "contact"]
 

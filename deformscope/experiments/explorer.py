@@ -36,7 +36,7 @@ from deformscope.stages.poke.contact import ArmCompliance, ContactFit, fit_appro
 from deformscope.stages.regions.posterior import RegionMap, RegionPosterior
 from deformscope.stages.regions.touches import MapGrid, StiffnessSample
 from deformscope.stages.see.cloud import tactile_points
-from deformscope_drivers.jaco.kinematics import CHAINS
+from deformscope_drivers.arms import chain_of
 
 StageResult = TypeVar("StageResult")
 Result = SurfaceEstimate | TouchEstimate | MapEstimate | PlannedTouch | StageFailure
@@ -120,12 +120,12 @@ class FromFrames:
 
     def reachable(self, grid: MapGrid) -> BoolArray:
         assert self._looked is not None
-        chain = CHAINS[self._looked.used.arm_model]
+        chain = chain_of(self._looked.used.arm_model)
         return self._setup.reachable(grid, self._options, chain, self._joints_deg)
 
     def approach(self, xy_m: FloatArray, height_m: float, normal: FloatArray, over_m: float | None) -> Touch:
         assert self._looked is not None
-        chain = CHAINS[self._looked.used.arm_model]
+        chain = chain_of(self._looked.used.arm_model)
         plan = self._setup.plan_led(xy_m, height_m, normal, over_m, self._options, chain, self._joints_deg)
         return Touch(xy_m, height_m, plan.normal, over_m, plan)
 

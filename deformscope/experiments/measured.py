@@ -26,7 +26,8 @@ from deformscope.stages.map.measured import LookFrames, SurfaceMeasurement, Touc
 from deformscope.stages.poke.contact import ArmCompliance
 from deformscope.stages.regions.touches import MapGrid
 from deformscope.stages.see.cloud import Box, Intrinsics, Perceived, perceive
-from deformscope_drivers.jaco.kinematics import CHAINS, Chain
+from deformscope_drivers.arm.kinematics import Chain
+from deformscope_drivers.arms import chain_of
 
 LINK_MARGIN_M, STICK_MARGIN_M = 0.012, 0.005
 """What is taken away around the arm's links, whose shape is rough, and around stick and ball: there four deviations of
@@ -213,15 +214,15 @@ class SetupGeometry:
             raise InputError("[camera] T_arm_camera", "none", "where the camera stands")
         (fx, fy), (cx, cy) = look.focal_px, look.center_px
         camera = Intrinsics((fx, fy), (cx, cy), self.camera.distortion)
-        links = self.links(pose, CHAINS[look.arm_model])
+        links = self.links(pose, chain_of(look.arm_model))
         return perceive(depth_m, camera, self.camera.T_surface_camera, box, links=links, margin_m=0.0, cell_m=cell_m)
 
-    def links(self, pose: ArmSample, chain: Chain) -> tuple[Capsule, ...]:
-        """What arm and stick may fill where the arm reports that they are, surface frame."""
+    def links(self, pose: ArmSample, chain: Chain | None) -> tuple[Capsule, ...]:
+        """What arm and stick may fill where the arm reports that they are, surface frame; of an arm without a chain,
+        the stick alone."""
         return arm_shape(
             self.placement,
-            chain,
-            pose.joints_deg,
+            pose.T_base_ee[None] if chain is None else chain.forward(pose.joints_deg),
             self.placement.T_surface_center(pose.T_base_ee)[:3, 3],
             link_margin_m=LINK_MARGIN_M + self.camera.doubt_m,
             stick_margin_m=STICK_MARGIN_M + self.camera.doubt_m,
@@ -262,19 +263,22 @@ class SetupGeometry:
         normal: FloatArray,
         over_m: float | None,
         options: ExploreOptions,
-        chain: Chain,
+        chain: Chain | None,
         joints_deg: npt.ArrayLike,
     ) -> TouchPlan:
         """The same along the normal, or upright where the arm cannot be led along it: joint limits and singularities
-        depend on the tilt."""
+        depend on the tilt. Whoever places a stick without a chain holds it upright."""
         plan = self.plan(xy_m, height_m, normal, over_m, options)
-        return (
-            plan if self._lead([plan], chain, joints_deg).all() else self.plan(xy_m, height_m, UPRIGHT, over_m, options)
-        )
+        along = chain is not None and self._lead([plan], chain, joints_deg).all()
+        return plan if along else self.plan(xy_m, height_m, UPRIGHT, over_m, options)
 
-    def reachable(self, grid: MapGrid, options: ExploreOptions, chain: Chain, joints_deg: npt.ArrayLike) -> BoolArray:
+    def reachable(
+        self, grid: MapGrid, options: ExploreOptions, chain: Chain | None, joints_deg: npt.ArrayLike
+    ) -> BoolArray:
         """(rows, columns) cells that the tip can be led down to with the stick upright, as deep as a touch goes, all
-        but a margin at the border."""
+        but a margin at the border; without a chain, all those."""
+        if chain is None:
+            return off_the_border(grid)
         rows, columns = grid.shape
         every = max(1, round(COARSE_M / grid.cell_m))
         row, column = np.arange(0, rows, every), np.arange(0, columns, every)

@@ -31,8 +31,8 @@ from deformscope.stages.squeeze.physical import physical_features
 from deformscope.stages.squeeze.tactile import series_of, tactile_feature
 from deformscope.stages.squeeze.track import PoseEstimate, locate, track
 from deformscope.stages.squeeze.trial import SqueezeFeatures, TrackedContainer
+from deformscope_drivers.arm.kinematics import rotation_from_euler_xyz, transform
 from deformscope_drivers.depth_camera.image import depth_m
-from deformscope_drivers.jaco.kinematics import rotation_from_euler_xyz, transform
 from deformscope_drivers.sdh.kinematics import BASE_HEIGHT_M, DISTAL_LINK_M, finger_points
 
 REST_IMAGES, STEADY_IMAGES = 5, 3

@@ -22,6 +22,7 @@ from deformscope.experiments.measured import UPRIGHT, FrameData, Looked, SetupGe
 from deformscope.experiments.options import ExploreOptions
 from deformscope.rig.source import RigSource
 from deformscope.robot.advice import advice
+from deformscope.robot.by_hand import touch_by_hand
 from deformscope.robot.preflight import Preflight, check
 from deformscope.robot.readings import ArmSample
 from deformscope.robot.robot import Robot, RobotStopped, Watch
@@ -34,6 +35,7 @@ from deformscope.stages.map.measured import LookFrames, TouchFrames
 from deformscope.stages.regions.touches import MapGrid
 from deformscope_drivers.depth_camera.image import DepthImage
 from deformscope_drivers.errors import DeviceError
+from deformscope_drivers.placed.config import PLACED
 from deformscope_drivers.subscription import Subscription
 
 DENT_PICTURES = 10
@@ -231,7 +233,7 @@ class TouchingRobot:
         """The outermost places that can be reached."""
         grid = MapGrid(self._setup.size_m, PREFLIGHT_CELL_M)
         robot = self._robot
-        allowed = self.geometry.reachable(grid, self._options, robot.arm.chain, robot.pose.joints_deg)
+        allowed = self.geometry.reachable(grid, self._options, robot.chain, robot.pose.joints_deg)
         places = grid.centres_m[allowed.ravel()]
         if not len(places):
             raise InputError("a surface that the arm reaches", "none of it", "move the arm, or the surface")
@@ -264,7 +266,8 @@ class TouchingRobot:
             focal_px, center_px = (reported.fx_px, reported.fy_px), (reported.cx_px, reported.cy_px)
         check_center(center_px, pictures[-1].depth.shape)
         arm, _, name = self._setup.names
-        model = self._robot.arm.chain.name
+        chain = self._robot.chain
+        model = PLACED if chain is None else chain.name
         used = LookFrames(name, _times_ns(pictures), arm, pose.time_ns, model, focal_px, center_px)
         return Looked(used, FrameData(_depths_m(pictures), {pose.time_ns: pose}, {}))
 
@@ -280,7 +283,12 @@ class TouchingRobot:
             return True
 
         with self._stopping(), contextlib.ExitStack() as self._dwelling:
-            record = run_touch(robot, plan, still, self._begin)
+            person = self._setup.person
+            record = (
+                run_touch(robot, plan, still, self._begin)
+                if person is None
+                else touch_by_hand(robot, plan, person, still, self._begin)
+            )
         self._phase = None
         verdict = robot.supervisor.verdict
         if verdict.action is not Action.GO_ON:

@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from deformscope.robot.placement import Placement
+from deformscope_drivers.arm.kinematics import FloatArray, cross
 from deformscope_drivers.clock import Clock
-from deformscope_drivers.jaco.kinematics import FloatArray, cross
 
 ARM_CYCLE_NS = 10_000_000
 ARM_STIFFNESS_N_M, ARM_DOUBT = 5000.0, 0.1

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from deformscope.lab.scenes import Scene
-from deformscope_drivers.jaco.kinematics import FloatArray
+from deformscope_drivers.arm.kinematics import FloatArray
 
 BLUR_M = 0.012
 """A touch feels the foam around it about this far."""

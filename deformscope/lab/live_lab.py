@@ -20,23 +20,24 @@ import numpy.typing as npt
 
 from deformscope.errors import InputError
 from deformscope.lab.arm_contact import ARM_CYCLE_NS, ArmContact
+from deformscope.lab.arms import arm_in_lab
 from deformscope.lab.depth_view import DepthView
 from deformscope.lab.layer_world import LayerWorld
 from deformscope.lab.ray_camera import DepthViewConfig
 from deformscope.lab.scenes import Scene, built_in
 from deformscope.processes import SPAWN, beside
 from deformscope.rig.rig_file import RigDevice
-from deformscope.robot.placement import Placement, best_joints
+from deformscope.robot.by_hand import Person
+from deformscope.robot.placement import Placement
 from deformscope.robot.robot import sleep_until
 from deformscope.robot.setup import Truth
 from deformscope.robot.shape import arm_shape
+from deformscope_drivers.arm.kinematics import FloatArray
 from deformscope_drivers.clock import monotonic_ns
 from deformscope_drivers.depth_camera import SyntheticDepthCamera, View
 from deformscope_drivers.depth_camera.synthetic import SyntheticDepthConfig
 from deformscope_drivers.device import Device
 from deformscope_drivers.errors import DeviceError
-from deformscope_drivers.jaco import Jaco, JacoDouble
-from deformscope_drivers.jaco.kinematics import CHAINS, Chain, FloatArray
 from deformscope_drivers.optoforce.double import OMD_20_SE_40N, OptoforceDouble, Sensors
 from deformscope_drivers.optoforce.sensitivity import Sensitivity
 from deformscope_drivers.wires import PtyWire
@@ -55,24 +56,39 @@ class _Table:
     scene: str
     seed: int
     placement: Placement
-    model: str
     T_surface_camera: npt.NDArray[np.floating] | None
 
 
 class _Shared:
     """What the processes share, each value with one writer.
 
-    joints_deg: (7,) where the arm is; wrench: (6,) on its end; center_m: (3,) of the tip; pressed: x, y, depth [m] of
-    the dent; max_force_n
+    wrench: (6,) on the arm's end; center_m: (3,) of the tip; pressed: x, y, depth [m] of the dent; max_force_n
     """
 
-    def __init__(self) -> None:
-        self.joints_deg = SPAWN.RawArray("d", 7)
+    def __init__(self, T_base_links: FloatArray) -> None:
+        self._shape = T_base_links.shape
+        self._links = SPAWN.RawArray("d", T_base_links.ravel().tolist())
+        self._version = SPAWN.RawValue("Q", 0)
         self.wrench = SPAWN.RawArray("d", 6)
         self.center_m = SPAWN.RawArray("d", 3)
         self.pressed = SPAWN.RawArray("d", 3)
         self.max_force_n = SPAWN.RawValue("d", 0.0)
         self._over = SPAWN.RawValue("b", 0)
+
+    @property
+    def T_base_links(self) -> FloatArray:
+        """(k, 4, 4) where the arm's joints and its end are: never half of one moment and half of another."""
+        while True:
+            version = self._version.value
+            links = np.array(self._links).reshape(self._shape)
+            if version % 2 == 0 and version == self._version.value:
+                return links
+
+    def put_links(self, T_base_links: FloatArray) -> None:
+        """By its one writer."""
+        self._version.value += 1
+        self._links[:] = T_base_links.ravel().tolist()
+        self._version.value += 1
 
     @property
     def over(self) -> bool:
@@ -87,7 +103,7 @@ class _Shared:
 class LiveLab:
     """The table, the arm over it, and what is seen and felt there (`robot.setup.SimulatedTable`).
 
-    view: the camera; arm: the simulated one
+    view: the camera; arm: the simulated one, and who places it
     """
 
     runs_itself, opener, clock, wait_until = True, None, staticmethod(monotonic_ns), staticmethod(sleep_until)
@@ -96,23 +112,21 @@ class LiveLab:
         self,
         scene: Scene,
         placement: Placement,
+        arm: RigDevice,
         *,
         T_surface_camera: npt.NDArray[np.floating] | None = None,
-        model: str | None = None,
     ) -> None:
-        """T_surface_camera: (4, 4), default where the scene is seen well; model: of the arm, as the vendor calls it"""
+        """arm: of the rig file; T_surface_camera: (4, 4), default where the scene is seen well"""
         self.size_m, self.truth = scene.size_m, Truth(scene.regions)
-        self._table = _Table(scene.name, scene.seed, placement, model or "j2n6s300", T_surface_camera)
-        chain = CHAINS[self._table.model]
-        parked = np.array([scene.size_m[0] / 2, scene.size_m[1] / 2, PARKED_M])
-        touching = np.array([*parked[:2], scene.thickness_m])
-        up = np.array([0.0, 0.0, 1.0])
-        start_deg = best_joints(chain, [placement.T_base_ee(place, up) for place in (parked, touching)])
-        if start_deg is None:
-            raise InputError("a table within the arm's reach", "[surface] T_arm_surface that is not", "move it")
-        self.arm = JacoDouble(chain.name, start_deg=start_deg)
+        self._table = _Table(scene.name, scene.seed, placement, T_surface_camera)
+        self.arm = arm_in_lab(arm.driver.name, arm.config, placement, start_places_m(scene), seed=scene.seed)
         self.view = DepthView(scene, CAMERA, T_surface_camera)
-        self._shared = _Shared()
+        self._shared = _Shared(self.arm.body.T_base_links)
+
+    @property
+    def person(self) -> Person | None:
+        """Who places the arm; None = it moves by itself."""
+        return self.arm.person
 
     @property
     def T_surface_camera(self) -> FloatArray:
@@ -139,9 +153,9 @@ class LiveLab:
 
     def _device(self, entry: RigDevice, stack: contextlib.ExitStack) -> Device[Any]:
         config = entry.config
-        if entry.driver.name == "jaco":
-            return Jaco(config, self.arm)
-        if entry.driver.name == "optoforce":
+        if entry.driver.kind == "arm":
+            return self.arm.arm
+        if entry.driver.kind == "wrench":
             sensitivity = (config.sensitivities or (OMD_20_SE_40N,))[0]
             pipe = stack.enter_context(beside("simulated table", _feel, self._table, self._shared, sensitivity))
             on_pipe = dataclasses.replace(config, port=_first(pipe), bus="", serial="", sensitivity=sensitivity)
@@ -162,28 +176,29 @@ class LiveLab:
         """The table gets where the arm is, and the arm what pushes it."""
         shared = self._shared
         while not shared.over:
-            joints_deg = self.arm.joints_deg
-            shared.joints_deg[: len(joints_deg)] = list(joints_deg)
-            self.arm.push(list(shared.wrench))
+            shared.put_links(self.arm.body.T_base_links)
+            self.arm.body.push(list(shared.wrench))
             time.sleep(0.5 * CYCLE_S)
+
+
+def start_places_m(scene: Scene) -> tuple[FloatArray, FloatArray]:
+    """(3,) where the tip's centre is at the beginning, and where it touches below that [m]."""
+    parked = np.array([scene.size_m[0] / 2, scene.size_m[1] / 2, PARKED_M])
+    return parked, np.array([*parked[:2], scene.thickness_m])
 
 
 class _RemoteArm:
     """The arm as the table's process knows it."""
 
-    def __init__(self, shared: _Shared, chain: Chain) -> None:
-        self._shared, self._chain = shared, chain
+    def __init__(self, shared: _Shared) -> None:
+        self._shared = shared
 
     @property
     def T_base_end_effector(self) -> FloatArray:
-        return np.asarray(self._chain.forward(_joints(self._shared, self._chain))[-1])
+        return np.asarray(self._shared.T_base_links[-1])
 
     def push(self, wrench: npt.ArrayLike) -> None:
         self._shared.wrench[:] = [float(value) for value in np.asarray(wrench)]
-
-
-def _joints(shared: _Shared, chain: Chain) -> FloatArray:
-    return np.array(shared.joints_deg[: chain.joint_count])
 
 
 def _goes_on(shared: _Shared, due_s: float) -> bool:
@@ -196,7 +211,7 @@ def _feel(pipe: Connection, table: _Table, shared: _Shared, sensitivity: Sensiti
     """The process of the table that is touched, and of the force sensor."""
     scene = built_in(table.scene, table.seed)
     world = LayerWorld(scene, table.placement.tool.radius_m)
-    contact = ArmContact(world, _RemoteArm(shared, CHAINS[table.model]), table.placement, monotonic_ns)
+    contact = ArmContact(world, _RemoteArm(shared), table.placement, monotonic_ns)
     double = OptoforceDouble(Sensors(scene=contact.load, sensitivity=sensitivity, seed=table.seed))
     with PtyWire(double) as wire:
         pipe.send(wire.port)
@@ -214,14 +229,13 @@ def _look(pipe: Connection, table: _Table, shared: _Shared, rate_hz: float) -> N
     scene = built_in(table.scene, table.seed)
     view = DepthView(scene, CAMERA, table.T_surface_camera)
     world = LayerWorld(scene, table.placement.tool.radius_m)
-    chain = CHAINS[table.model]
     pipe.send("")
     due = time.monotonic()
     while _goes_on(shared, due):
         world.pressed = np.array(shared.pressed[:])
         moved = world.displaced_m(view.places_m) if world.pressed[2] > 0.0 else None
         center = np.array(shared.center_m[:])
-        exact = view.render(moved, arm_shape(table.placement, chain, _joints(shared, chain), center))
+        exact = view.render(moved, arm_shape(table.placement, shared.T_base_links, center))
         try:
             pipe.send(View(exact.depth_m, exact.color))
         except OSError:  # nobody looks any more

@@ -24,7 +24,7 @@ from deformscope.robot.shape import arm_shape
 from deformscope_drivers.depth_camera import View
 from deformscope_drivers.depth_camera.synthetic import SyntheticDepthConfig
 from deformscope_drivers.device import Device
-from deformscope_drivers.jaco.kinematics import J2N6S300
+from deformscope_drivers.jaco.chains import J2N6S300
 from deformscope_drivers.memory import SimulatedClock
 
 CAMERA_HZ = 10.0
@@ -119,6 +119,6 @@ class SceneLab:
         moved = None
         if self._contact is not None and len(self._contact.node):
             moved = self._world.displaced_m(self._contact, self.view.places_m)
-        arm = self.lab.arm_double
-        exact = self.view.render(moved, arm_shape(self.placement, arm.chain, arm.joints_deg, self.lab.contact.center_m))
+        links = self.lab.body.T_base_links
+        exact = self.view.render(moved, arm_shape(self.placement, links, self.lab.contact.center_m))
         return View(exact.depth_m, exact.color)  # the camera adds its own noise

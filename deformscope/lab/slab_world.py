@@ -36,7 +36,7 @@ from deformscope.errors import InputError
 from deformscope.lab.elasticity import dissected, stiffness_of
 from deformscope.lab.scenes import Scene
 from deformscope.lab.slab import RigidTip
-from deformscope_drivers.jaco.kinematics import cross
+from deformscope_drivers.arm.kinematics import cross
 
 FINE = 0.15
 """Size of the elements under a tip, as a share of its half width."""

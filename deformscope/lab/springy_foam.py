@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from deformscope.rig.rig_file import Tool
-from deformscope_drivers.jaco.kinematics import FloatArray
+from deformscope_drivers.arm.kinematics import FloatArray
 
 POISSON = 0.3
 

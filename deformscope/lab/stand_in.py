@@ -139,6 +139,13 @@ def _jaco(config: Any) -> Iterator[Device[Any]]:
 
 
 @contextlib.contextmanager
+def _placed(config: Any) -> Iterator[Device[Any]]:
+    from deformscope_drivers.placed import PlacedArm
+
+    yield PlacedArm(config)
+
+
+@contextlib.contextmanager
 def _webcam(config: Any) -> Iterator[Device[Any]]:
     from deformscope.lab.bench_scene import side
     from deformscope_drivers.webcam import SyntheticCamera, SyntheticCameraConfig
@@ -160,6 +167,7 @@ WIRED: dict[str, Callable[[Any], Double]] = {"optoforce": _optoforce, "dsa": _ds
 
 _IN_PROCESS: dict[str, Callable[[Any], contextlib.AbstractContextManager[Device[Any]]]] = {
     "jaco": _jaco,
+    "placed": _placed,
     "webcam": _webcam,
     "depth_camera": _depth_camera,
 }

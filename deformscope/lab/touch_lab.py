@@ -17,15 +17,17 @@ import numpy as np
 import numpy.typing as npt
 
 from deformscope.lab.arm_contact import ARM_CYCLE_NS, ARM_STIFFNESS_N_M, ArmContact, World
+from deformscope.lab.arms import ArmInLab
 from deformscope.rig.rig_file import Tool
 from deformscope.robot.placement import Placement
 from deformscope.robot.setup import T_BASE_SURFACE
+from deformscope_drivers.arm.kinematics import FloatArray, damped_joint_rates, jacobian_of
 from deformscope_drivers.depth_camera import SyntheticDepthCamera
 from deformscope_drivers.depth_camera.synthetic import SyntheticDepthConfig, View
 from deformscope_drivers.device import Device
 from deformscope_drivers.errors import DeviceError
 from deformscope_drivers.jaco import Jaco, JacoConfig, JacoDouble
-from deformscope_drivers.jaco.kinematics import CHAINS, FloatArray, damped_joint_rates, jacobian_of
+from deformscope_drivers.jaco.chains import CHAINS
 from deformscope_drivers.jaco.structures import AngularInfo, PositionType, actuator_values
 from deformscope_drivers.memory import MemoryTransport, SimulatedClock
 from deformscope_drivers.optoforce import Optoforce, OptoforceConfig
@@ -41,7 +43,7 @@ POLL_NS = 2_000_000
 class TouchLab:
     """The doubles of a laboratory, closed devices over them, and their faults.
 
-    arm, force, camera: the real drivers' devices, to be opened by `open`; arm_double: the simulated arm; contact: its
+    arm, force, camera: the real drivers' devices, to be opened by `open`; body: of the simulated arm; contact: its
     tip in the world; on_cycle: called once in each of the arm's cycles; call_s: how long a call to the arm takes
     """
 
@@ -58,6 +60,7 @@ class TouchLab:
         camera_config: SyntheticDepthConfig | None = None,
         arm_model: str = "j2n6s300",
         arm_config: JacoConfig | None = None,
+        arm: ArmInLab | None = None,
         force_config: OptoforceConfig | None = None,
         start_deg: npt.ArrayLike | None = None,
         seed: int = 0,
@@ -66,27 +69,30 @@ class TouchLab:
 
         as_felt: what the force sensor makes of a force on it (3,) [N] at a time [s]; default the same
 
-        start_deg: (n,) where the arm stands; default: the six-joint arm ready above the middle of the table
+        arm: any simulated arm, on `clock`, in place of a Jaco with arm_model and arm_config
+
+        start_deg: (n,) where the Jaco stands; default: the six-joint arm ready above the middle of the table
 
         view: what the camera sees at a time since its opening [s]; None = no camera
         """
         self.clock = clock if clock is not None else SimulatedClock()
         self.placement = Placement(np.asarray(T_base_surface, dtype=float), tool if tool is not None else Tool())
-        if start_deg is None:
-            start_deg = (
-                CHAINS["j2n6s300"].inverse(self.placement.T_base_ee(READY_M, (0, 0, 1)), READY_NEAR_DEG).joints_deg
-            )
-        self.arm_double = JacoDouble(arm_model, self.clock, start_deg=start_deg)
-        self.contact = ArmContact(
-            world, self.arm_double, self.placement, self.clock, arm_stiffness_n_m=arm_stiffness_n_m
-        )
-        self.functions = Spoiled(self.arm_double, self.placement.T_ee_center)
+        self._jaco: tuple[JacoDouble, Spoiled] | None = None
+        if arm is None:
+            if start_deg is None:
+                ready = self.placement.T_base_ee(READY_M, (0, 0, 1))
+                start_deg = CHAINS["j2n6s300"].inverse(ready, READY_NEAR_DEG).joints_deg
+            double = JacoDouble(arm_model, self.clock, start_deg=start_deg)
+            self._jaco = double, Spoiled(double, self.placement.T_ee_center)
+            self._jaco[1].waits = self._call
+            config = arm_config if arm_config is not None else JacoConfig(state_hz=100.0)
+            arm = ArmInLab(Jaco(config, self.functions, clock=self.clock), double)
+        self.arm, self.body = arm.arm, arm.body
+        self.contact = ArmContact(world, self.body, self.placement, self.clock, arm_stiffness_n_m=arm_stiffness_n_m)
         self._as_felt = as_felt
         sensors = Sensors(scene=self._load, sensitivity=OMD_20_SE_40N, seed=seed)
         self.sensor_double = OptoforceDouble(sensors)
         self.wire = SpoiledWire(self.sensor_double, self.clock, seed)
-        config = arm_config if arm_config is not None else JacoConfig(state_hz=100.0)
-        self.arm = Jaco(config, self.functions, clock=self.clock)
         self.force = Optoforce(
             force_config if force_config is not None else OptoforceConfig(sensitivity=OMD_20_SE_40N),
             transport=self.wire,
@@ -97,10 +103,23 @@ class TouchLab:
             self.camera = SyntheticDepthCamera(view, camera_config, clock=self.clock)
         self._cycle = -1
         self._arm_ns = 0
-        self.functions.waits = self._call
         self.call_s = 0.0
         self.scheduled: list[tuple[int, Callable[[], None]]] = []
         self.on_cycle: Callable[[], None] | None = None
+
+    @property
+    def arm_double(self) -> JacoDouble:
+        """The simulated Jaco; raises TypeError where the arm is another."""
+        if self._jaco is None:
+            raise TypeError(f"the arm of this laboratory is no Jaco but {self.arm.name}")
+        return self._jaco[0]
+
+    @property
+    def functions(self) -> Spoiled:
+        """Its vendor's functions; raises TypeError as `arm_double` does."""
+        self.arm_double  # noqa: B018
+        assert self._jaco is not None
+        return self._jaco[1]
 
     def open(self) -> None:
         """Open the devices on the laboratory's clock, the force sensor's zero taken."""

@@ -43,6 +43,7 @@ _ALL = (
     Driver("sdh", "deformscope_drivers.sdh", "Sdh", "SdhConfig", "hand"),
     Driver("optoforce", "deformscope_drivers.optoforce", "Optoforce", "OptoforceConfig", "wrench"),
     Driver("jaco", "deformscope_drivers.jaco", "Jaco", "JacoConfig", "arm"),
+    Driver("placed", "deformscope_drivers.placed", "PlacedArm", "PlacedArmConfig", "arm"),
     Driver("webcam", "deformscope_drivers.webcam", "Webcam", "WebcamConfig", "color"),
     Driver("depth_camera", "deformscope_drivers.depth_camera", "DepthCamera", "DepthCameraConfig", "depth"),
     Driver("video_file", "deformscope_drivers.webcam", "VideoFile.configured", "PlaybackConfig", "color", False),

@@ -111,9 +111,7 @@ def _of_wrench(device: Any) -> dict[str, Any]:
 
 
 def _of_arm(device: Any) -> dict[str, Any]:
-    from deformscope_drivers.jaco import urdf_path
-
-    return {"urdf": urdf_path(device.identity().model)}
+    return {"urdf": device.urdf}
 
 
 _KNOWN: dict[Kind, Callable[[Any], dict[str, Any]]] = {"tactile": _of_tactile, "wrench": _of_wrench, "arm": _of_arm}

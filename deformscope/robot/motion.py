@@ -13,7 +13,7 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from deformscope.robot.supervisor import Fault
-from deformscope_drivers.jaco.kinematics import (
+from deformscope_drivers.arm.kinematics import (
     Chain,
     FloatArray,
     damped_joint_rates,

@@ -19,7 +19,7 @@ import numpy.typing as npt
 from deformscope.errors import InputError
 from deformscope.rig.rig_file import Tool
 from deformscope.robot.motion import DAMPED_BELOW, OFF_COURSE
-from deformscope_drivers.jaco.kinematics import (
+from deformscope_drivers.arm.kinematics import (
     Chain,
     FloatArray,
     cross,

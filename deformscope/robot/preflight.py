@@ -11,10 +11,11 @@ import numpy as np
 import numpy.typing as npt
 
 from deformscope.robot.placement import TURNED_RAD, best_joints, follow, towards
-from deformscope.robot.readings import ForceSample, RobotObservation
+from deformscope.robot.readings import ArmSample, ForceSample, RobotObservation
+from deformscope_drivers.arm.device import CALL_MS
+from deformscope_drivers.arm.kinematics import FloatArray, pose_error
 from deformscope_drivers.device import Device
 from deformscope_drivers.health import Link
-from deformscope_drivers.jaco.kinematics import FloatArray, pose_error
 
 if TYPE_CHECKING:
     from deformscope.robot.robot import Robot
@@ -32,7 +33,7 @@ STILL_DEG = 0.05
 """Greatest motion of a joint that counts as at rest [deg]. Chosen."""
 LATE_MS = 20.0
 """Lateness of the control cycle: two periods of 10 ms, within which the supervisor is to act. Chosen."""
-CALL_MS = 4.5
+LONGEST_CALL_MS = 4.5
 """Time of a call to the arm: each slot of 10 ms has a velocity to send and the joint angles to read."""
 CLOCK_PPM = 1000.0
 """Greatest drift between the clocks of device and host. Chosen."""
@@ -140,7 +141,7 @@ def check(
 
 
 def _configured_rates(robot: Robot) -> dict[str, float]:
-    rates = {"arm": robot.arm.config.state_hz, "force sensor": float(robot.force.config.rate_hz)}
+    rates = {"arm": robot.arm.state_hz, "force sensor": float(robot.force.config.rate_hz)}
     if robot.camera is not None:
         rates["camera"] = 1.0 / robot.supervisor.limits.camera_period_s
     return rates
@@ -200,6 +201,15 @@ def _arm(robot: Robot, seen: Sequence[RobotObservation]) -> Iterator[Check]:
     if not states:
         yield Check("arm: still", False, "states", "none")
         return
+    if not robot.arm.by_hand:
+        yield from _joints(robot, states)
+    waiting = max(state.fifo_count for state in states)
+    yield Check("arm: FIFO", waiting == 0, "empty", f"{waiting} points")
+    stopped = robot.arm.stopped_because
+    yield Check("arm: accepts commands", not stopped, "nobody stopped it", stopped or "nobody")
+
+
+def _joints(robot: Robot, states: Sequence[ArmSample]) -> Iterator[Check]:
     joints_deg = np.array([state.joints_deg for state in states])
     moved_deg = float(np.ptp(joints_deg, axis=0).max())
     yield Check("arm: still", moved_deg < STILL_DEG, f"joints within {STILL_DEG:g} deg", f"{moved_deg:.3f} deg")
@@ -210,18 +220,15 @@ def _arm(robot: Robot, seen: Sequence[RobotObservation]) -> Iterator[Check]:
     yield Check("arm: joints", left_deg[joint] > margin_deg, f"{margin_deg:g} deg or more inside their ranges", came)
     homed = robot.arm.homed
     yield Check("arm: homed", homed, "since it was switched on", "it was" if homed else "it was not, so it says")
-    call_ms = robot.arm.health().extra["call_ms"]
-    yield Check("arm: link", call_ms < CALL_MS, f"a call in less than {CALL_MS:g} ms", f"{call_ms:.1f} ms")
-    waiting = max(state.fifo_count for state in states)
-    yield Check("arm: FIFO", waiting == 0, "empty", f"{waiting} points")
-    stopped = robot.arm.stopped_because
-    yield Check("arm: accepts commands", not stopped, "nobody stopped it", stopped or "nobody")
+    if (call_ms := robot.arm.health().extra.get(CALL_MS)) is not None:
+        wanted = f"a call in less than {LONGEST_CALL_MS:g} ms"
+        yield Check("arm: link", call_ms < LONGEST_CALL_MS, wanted, f"{call_ms:.1f} ms")
 
 
 def _clocks(robot: Robot, seen: Sequence[RobotObservation]) -> Iterator[Check]:
     times_ms = np.array([state.time_ns for one in seen for state in one.arms]) / 1e6
     if len(times_ms) > 1:  # what happened before, while devices opened, does not matter any more
-        late_ms = float(np.percentile(np.diff(times_ms), 95)) - 1e3 / robot.arm.config.state_hz
+        late_ms = float(np.percentile(np.diff(times_ms), 95)) - 1e3 / robot.arm.state_hz
         limit_ms = max(LATE_MS, 250.0 * robot.supervisor.limits.arm_silent_s)
         came = f"{max(late_ms, 0.0):.1f} ms (19 of 20 states)"
         yield Check("arm: control period", late_ms < limit_ms, f"less than {limit_ms:g} ms late", came)
@@ -280,6 +287,8 @@ def _plans(robot: Robot, plans: Sequence[TouchPlan]) -> Iterator[Check]:
         places_m = np.array([placement.point_in_base_m(place_m) for place_m, _ in ends]).reshape(-1, 3)
         outside = int(np.count_nonzero(np.any((places_m < low_m) | (places_m > high_m), axis=1)))
         yield Check("workspace: plan inside", outside == 0, "all of it in the box", f"{outside} of {len(ends)} outside")
+    if robot.arm.by_hand:  # where a person places it they see themselves
+        return
     # the joint angles that it will come there with: those it has, or the best where it first has to turn
     start_deg: npt.ArrayLike | None = robot.pose.joints_deg
     here = placement.T_surface_center(robot.pose.T_base_ee)

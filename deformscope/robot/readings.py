@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from deformscope_drivers.jaco.kinematics import FloatArray
-from deformscope_drivers.jaco.state import JacoState
+from deformscope_drivers.arm.kinematics import FloatArray
+from deformscope_drivers.arm.state import ArmState
 
 if TYPE_CHECKING:
     from deformscope_drivers.optoforce.measurement import ForceMeasurement
@@ -50,7 +50,7 @@ class ArmSample:
     fifo_count: int = 0
 
     @classmethod
-    def of(cls, state: JacoState) -> ArmSample:
+    def of(cls, state: ArmState) -> ArmSample:
         """The same, of the driver's state; a state that is not finite becomes a pose that is not."""
         finite = all(map(np.isfinite, (*state.position_m, *state.theta_rad)))
         pose = state.T_base_end_effector if finite else np.full((4, 4), np.nan)

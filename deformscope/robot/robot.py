@@ -21,15 +21,14 @@ from deformscope.robot.placement import Placement
 from deformscope.robot.preflight import Preflight
 from deformscope.robot.readings import PERIOD_NS, ArmSample, CameraSample, ForceSample, RobotObservation
 from deformscope.robot.supervisor import Action, Fault, Limits, SafetyVerdict, Supervisor
+from deformscope_drivers.arm import Arm, ArmState, JointVelocity
+from deformscope_drivers.arm.kinematics import Chain, FloatArray, cross
 from deformscope_drivers.clock import Clock, monotonic_ns
 from deformscope_drivers.depth_camera.image import DepthImage
 from deformscope_drivers.device import Device
 from deformscope_drivers.errors import DeviceError
 from deformscope_drivers.health import Link
 from deformscope_drivers.images import fingerprint
-from deformscope_drivers.jaco import Jaco, JacoState, JointVelocity
-from deformscope_drivers.jaco.commands import joint_limits_deg_s
-from deformscope_drivers.jaco.kinematics import FloatArray, cross
 from deformscope_drivers.optoforce import Optoforce
 from deformscope_drivers.optoforce.measurement import ForceMeasurement
 
@@ -93,7 +92,7 @@ class Robot:
 
     def __init__(
         self,
-        arm: Jaco,
+        arm: Arm[Any],
         force: Optoforce,
         placement: Placement,
         limits: Limits,
@@ -125,9 +124,14 @@ class Robot:
         self._turned_ns = clock()
         self._refusal: tuple[Fault, str] | None = None
         self._next_ns = clock()
-        self.supervisor = Supervisor(limits, clock(), placement.T_ee_center, arm.chain)
+        self.supervisor = Supervisor(limits, clock(), placement.T_ee_center, self.chain, placed=arm.by_hand)
 
     # What is known ---------------------------------------------------------------------------------------------------
+
+    @property
+    def chain(self) -> Chain | None:
+        """The arm's joints; None where a person places it."""
+        return None if self.arm.by_hand else self.arm.chain
 
     @property
     def arm_seen(self) -> bool:
@@ -307,7 +311,7 @@ class Robot:
         self.halt(f"{fault}: {reason}")
 
     def _send_tip(self, command: TipVelocity) -> None:
-        pose, config = self.pose.T_base_ee, self.arm.config
+        pose, limits = self.pose.T_base_ee, self.arm.speed_limits
         linear = self.placement.to_base(command.linear_m_s)
         turned = np.zeros(3)
         if command.angular_rad_s is not None:
@@ -316,12 +320,12 @@ class Robot:
             angular = self.rotation.back_rad_s(pose[:3, :3])
         # The joints are given the velocity of the arm's end; the tip turns about its own centre.
         linear = linear - cross(angular, pose[:3, :3] @ self.placement.T_ee_center[:3, 3])
-        share = min(1.0, _share(linear, config.linear_limit_m_s), _share(angular, config.angular_limit_rad_s))
+        share = min(1.0, _share(linear, limits.linear_limit_m_s), _share(angular, limits.angular_limit_rad_s))
         motion = rates_for_twist(
             self.arm.chain,
             self.pose.joints_deg,
             share * np.concatenate([linear, angular]),
-            joint_limits_deg_s(self.arm.chain, config),
+            self.arm.joint_limits_deg_s,
             self.supervisor.limits.joint_margin_deg,
         )
         if self._sent(motion):
@@ -342,7 +346,7 @@ class Robot:
             chain,
             joints_deg,
             share * np.asarray(command.rates_deg_s, dtype=float),
-            joint_limits_deg_s(chain, self.arm.config),
+            self.arm.joint_limits_deg_s,
             limits.joint_margin_deg,
         )
         if self._sent(motion):
@@ -361,7 +365,7 @@ class Robot:
 
     def _look(self) -> RobotObservation:
         forces: list[ForceMeasurement] = taken(self._forces)
-        states: list[JacoState] = taken(self._states)
+        states: list[ArmState] = taken(self._states)
         pictures: list[DepthImage] = taken(self._pictures) if self._pictures is not None else []
         arms = tuple(map(ArmSample.of, states))
         if arms:

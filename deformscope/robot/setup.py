@@ -16,19 +16,21 @@ import numpy.typing as npt
 
 from deformscope.arrays import IntArray
 from deformscope.errors import InputError
+from deformscope.rig.driver_table import DRIVERS
 from deformscope.rig.rig_file import Rig, RigDevice, Workspace
 from deformscope.rig.source import RigMember, RigSource
 from deformscope.robot.advice import advice
+from deformscope.robot.by_hand import Person
 from deformscope.robot.placement import Placement
 from deformscope.robot.robot import Robot, RobotStopped, Waits, Watch, sleep_until
 from deformscope.robot.supervisor import Limits
+from deformscope_drivers.arm.kinematics import FloatArray, transform
 from deformscope_drivers.clock import Clock, monotonic_ns
 from deformscope_drivers.device import Device
 from deformscope_drivers.errors import DeviceError
-from deformscope_drivers.jaco.kinematics import FloatArray, transform
 
-ROLES = ("jaco", "optoforce", "depth_camera")
-"""Drivers of the arm, of the force sensor at its end, and of the camera."""
+ROLES = ("arm", "wrench", "depth")
+"""Kinds of the arm, of the force sensor at its end, and of the camera."""
 CAMERA_HZ = 30.0
 """What depth cameras do (OpenNI2, RealSense), where the rig file asks for no other rate."""
 FEWEST_PERIODS = 1.5
@@ -72,6 +74,7 @@ class Setup:
     runs_itself: the devices have threads of their own and the host's clock, whatever is computed meanwhile
     zeroed: the force sensor's zero is taken as the devices open
     true_force_n: the largest true contact force so far [N], None where only the sensor can say
+    person: who places the arm, None = it moves by itself
     """
 
     size_m: tuple[float, float]
@@ -88,6 +91,7 @@ class Setup:
     runs_itself: bool = True
     zeroed: bool = False
     true_force_n: Callable[[], float] | None = None
+    person: Person | None = None
     clock: Clock = monotonic_ns
     wait_until: Waits = sleep_until
 
@@ -161,6 +165,9 @@ class SimulatedTable(SimulatedDevices, Protocol):
     @property
     def max_force_n(self) -> float: ...
 
+    @property
+    def person(self) -> Person | None: ...
+
 
 @contextmanager
 def open_rig(
@@ -198,7 +205,7 @@ class RigParts:
 
     @classmethod
     def of(cls, rig: Rig) -> RigParts:
-        devices = tuple(_only(rig, driver) for driver in ROLES)
+        devices = tuple(_only(rig, kind) for kind in ROLES)
         force = devices[1]
         if not force.double and not force.config.sensitivities:
             raise InputError("its sensitivity, for forces in newtons", "none", "the sensor's report", force.name)
@@ -217,11 +224,13 @@ def rig_setup(
     double: Callable[[RigDevice], AbstractContextManager[RigMember]],
     table: SimulatedTable | None = None,
     give: tuple[float, float] = (0.0, 0.0),
+    person: Person | None = None,
 ) -> Setup:
     """All devices of a rig file.
 
     double: makes a device of the rig that nothing is simulated around, or its double
     table: of a `[surface] scene`, over which arm, force sensor and camera are doubles
+    person: who places a real arm that does not move by itself
     give: compliance of a simulated arm and its deviation [m/N], where the rig file has none
     """
     rig, simulated = parts.rig, table is not None
@@ -256,6 +265,7 @@ def rig_setup(
         truth=None if table is None else table.truth,
         runs_itself=table is None or table.runs_itself,
         true_force_n=None if table is None else lambda: table.max_force_n,
+        person=person if table is None else table.person,
         clock=monotonic_ns if table is None else table.clock,
         wait_until=sleep_until if table is None else table.wait_until,
     )
@@ -276,14 +286,15 @@ def _check_rates(rig: Rig, devices: tuple[RigDevice, ...]) -> None:
             raise InputError(least, f"{hz:g}", "a higher rate, or a longer ..._silent_s in [workspace]", rig.name)
 
 
-def _only(rig: Rig, driver: str) -> RigDevice:
+def _only(rig: Rig, kind: str) -> RigDevice:
     """The device of a rig that plays a part."""
-    found = [entry for entry in rig.devices if entry.driver.name == driver]
-    if driver == "depth_camera" and rig.camera.device:
+    found = [entry for entry in rig.devices if entry.driver.kind == kind]
+    if kind == "depth" and rig.camera.device:
         found = [entry for entry in found if entry.name == rig.camera.device]
     if len(found) != 1:
         came = "none" if not found else ", ".join(entry.name for entry in found)
-        raise InputError(f'one device with driver = "{driver}", to explore with', came, "the rig file", rig.name)
+        drivers = " or ".join(f'"{name}"' for name, driver in DRIVERS.items() if driver.kind == kind)
+        raise InputError(f"one device with driver = {drivers}, to explore with", came, "the rig file", rig.name)
     return found[0]
 
 

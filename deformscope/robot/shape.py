@@ -5,11 +5,10 @@ from __future__ import annotations
 from itertools import pairwise
 
 import numpy as np
-import numpy.typing as npt
 
 from deformscope.capsule import Capsule
 from deformscope.robot.placement import Placement
-from deformscope_drivers.jaco.kinematics import Chain, FloatArray
+from deformscope_drivers.arm.kinematics import FloatArray
 
 LINK_RADIUS_M = 0.045
 """Radius of the capsules that stand for the arm's links [m]. Chosen."""
@@ -17,8 +16,7 @@ LINK_RADIUS_M = 0.045
 
 def arm_shape(
     placement: Placement,
-    chain: Chain,
-    joints_deg: npt.ArrayLike,
+    T_base_links: FloatArray,
     center_m: FloatArray,
     *,
     link_margin_m: float = 0.0,
@@ -26,10 +24,11 @@ def arm_shape(
 ) -> tuple[Capsule, ...]:
     """The links, the stick and the ball at its tip, in the surface frame [m].
 
-    joints_deg: (n,) of the arm; center_m: (3,) where its tip's centre is, which a push moves off the chain's own
+    T_base_links: (k, 4, 4) of the arm's joints and, last, of its end (`Chain.forward`); of the end alone where a person
+    holds it; center_m: (3,) where its tip's centre is, which a push moves off the chain's own
     link_margin_m, stick_margin_m: added around the links; around the stick and the ball
     """
-    frames = (np.eye(4), *chain.forward(joints_deg))
+    frames = T_base_links if len(T_base_links) == 1 else (np.eye(4), *T_base_links)
     joints_m = [(placement.T_surface_base @ frame)[:3, 3] for frame in frames]
     links = [Capsule(a, b, LINK_RADIUS_M + link_margin_m) for a, b in pairwise(joints_m)]
     stick = Capsule(joints_m[-1], center_m, placement.tool.stick_radius_m + stick_margin_m)

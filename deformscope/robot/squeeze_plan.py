@@ -10,7 +10,7 @@ import numpy as np
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 from deformscope.rig.squeeze_sections import ContainerSection, SqueezeSection
-from deformscope_drivers.jaco.kinematics import transform
+from deformscope_drivers.arm.kinematics import transform
 from deformscope_drivers.sdh.kinematics import BASE_HEIGHT_M, BASE_SIDE_M, DISTAL_LINK_M, FINGERS, PROXIMAL_LINK_M
 
 BASE_DEG = 90.0

@@ -16,7 +16,7 @@ import numpy as np
 from deformscope.errors import InputError
 from deformscope.rig.rig_file import Workspace
 from deformscope.robot.readings import ArmSample, CameraSample, ForceSample, RobotObservation
-from deformscope_drivers.jaco.kinematics import Chain, FloatArray, rotation_vector
+from deformscope_drivers.arm.kinematics import Chain, FloatArray, rotation_vector
 
 
 class Action(StrEnum):
@@ -149,13 +149,21 @@ class Supervisor:
     """`judge` once in each control period; the verdict stays until `acknowledge`."""
 
     def __init__(
-        self, limits: Limits, now_ns: int, T_ee_center: FloatArray | None = None, chain: Chain | None = None
+        self,
+        limits: Limits,
+        now_ns: int,
+        T_ee_center: FloatArray | None = None,
+        chain: Chain | None = None,
+        *,
+        placed: bool = False,
     ) -> None:
         """T_ee_center: (4, 4) the tip's centre in the frame of the arm's end; default: the arm's end itself
-        chain: whose joints have limits; None = none"""
+        chain: whose joints have limits; None = none
+        placed: a person places the arm, which then is at once where they say: it has no speed, and turns as it should
+        """
         self.limits = limits
         self._T_ee_center = np.eye(4) if T_ee_center is None else T_ee_center
-        self._chain = chain
+        self._chain, self._placed = chain, placed
         self._verdict = _GO_ON
         self._refused = 0
         self.start(now_ns)
@@ -294,7 +302,7 @@ class Supervisor:
             if sample.fifo_count > limits.fifo:
                 found.append((Action.STOP, Fault.ARM_FIFO, f"{sample.fifo_count} points wait in the arm"))
             found += self._motion(sample)
-            if commanded_rotation is not None:
+            if commanded_rotation is not None and not self._placed:
                 found += self._tilt(sample, commanded_rotation)
         if (age_s := (now_ns - self._arm_ns) / 1e9) > limits.arm_silent_s and not self._excused:
             found.append((Action.STOP, Fault.ARM_SILENT, f"no state of the arm for {age_s * 1e3:.0f} ms"))
@@ -310,7 +318,7 @@ class Supervisor:
         self._track.append(sample)
         while len(self._track) > 2 and sample.time_ns - self._track[1].time_ns >= SPEED_OVER_NS:
             self._track.popleft()
-        before = self._track[0]
+        before = sample if self._placed else self._track[0]
         span_s = (sample.time_ns - before.time_ns) / 1e9
         center_m, before_m = ((one.T_base_ee @ self._T_ee_center)[:3, 3] for one in (sample, before))
         velocity_m_s = (center_m - before_m) / span_s if span_s > 0 else np.zeros(3)

@@ -12,7 +12,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Literal
+from typing import Literal, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -25,7 +25,7 @@ from deformscope.robot.readings import ArmSample, ForceSample, RobotObservation
 from deformscope.robot.robot import Robot, RobotStopped, TipVelocity
 from deformscope.robot.supervisor import Action, Fault
 from deformscope.robot.travel import NotThere, to_above
-from deformscope_drivers.jaco.kinematics import FloatArray
+from deformscope_drivers.arm.kinematics import FloatArray
 
 PERIOD_S = 0.01
 """A control period: the Jaco takes one velocity in each (Kinova's library, `readings.PERIOD_NS`)."""
@@ -378,7 +378,11 @@ def run_touch(
     happens to the robot: `ending`, `fault` and `reason` say it, and the supervisor's verdict holds until somebody
     acknowledges it. Raises RobotStopped where it holds already, and InputError where no preflight has passed.
     """
-    run = _Run(robot, plan, on_phase)
+    return carried_out(TouchRun(robot, plan, on_phase), robot, still_seen)
+
+
+def carried_out(run: TouchRun, robot: Robot, still_seen: Callable[[], bool]) -> TouchRecord:
+    """As `run_touch`."""
     try:
         run.travel()
         run.tare()
@@ -396,7 +400,19 @@ def run_touch(
     return run.record()
 
 
-class _Run:
+class TouchProgress(Protocol):
+    """How far a touch has come; attributes as of `TouchRecord`, spans: its phases."""
+
+    contact_m: FloatArray | None
+    settled: bool
+    ending: TouchEnding
+    spans: list[PhaseSpan]
+
+    def end(self, time_s: float) -> None:
+        """Over, wherever it was."""
+
+
+class TouchRun:
     """A touch under way: what it has seen."""
 
     def __init__(self, robot: Robot, plan: TouchPlan, on_phase: Callable[[Phase, int], None]) -> None:
@@ -409,7 +425,7 @@ class _Run:
         self._forces: list[tuple[ForceSample, int]] = []
         self._forces_n: list[FloatArray] = []
         self._poses: list[ArmSample] = []
-        self._machine: TouchStateMachine | None = None
+        self._machine: TouchProgress | None = None
         self._loading_s = math.inf
         self._end_s = math.inf
         self._depth_m = 0.0

@@ -12,7 +12,7 @@ from deformscope.errors import InputError
 from deformscope.robot.placement import TURNED_RAD, best_joints, follow, towards
 from deformscope.robot.robot import JointRates, Robot, TipVelocity
 from deformscope.robot.supervisor import Action
-from deformscope_drivers.jaco.kinematics import FloatArray, pose_error
+from deformscope_drivers.arm.kinematics import FloatArray, pose_error
 
 ANGULAR_RAD_S = 0.3
 """Greatest turn of the end while travelling. Chosen."""

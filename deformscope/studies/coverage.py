@@ -19,13 +19,16 @@ from scipy.stats import binom
 
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.pictures.figures import canvas, png_of
-from deformscope.stages.fit.calibrate import FitOptions, Model, Observation, calibrate
+from deformscope.stages.fit.calibrate import Calibration, FitOptions, Model, Observation, calibrate
 from deformscope.stages.fit.estimate import Estimate, Verdict
 from deformscope.stages.msm.clusters import held_mask
 
 BOUNDS = (0.0, 0.99)
 SPACING_M = 0.01
 CANDIDATES = 40
+NOISE_SHARES = (0.005, 0.05)
+"""Sizes of the noise, even in their logarithm between these [spacings]."""
+
 NEAR_ONE = 0.97
 """Truths above are reported apart, as is 0: there the range ends."""
 
@@ -76,7 +79,8 @@ class Case:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What came of one object. rank: mass of the posterior below the truth; seconds: processor time of the fit"""
+    """What came of one object. beta: its truth (of theta, where that is fitted); rank: mass of the posterior below it
+    seconds: processor time of the fit"""
 
     condition: str
     dim: int
@@ -156,6 +160,16 @@ def random_body(rng: np.random.Generator, dim: int) -> RandomBody:
     return RandomBody(rest, shape, held, position, int(rng.integers(2, 6)))
 
 
+def random_dim(number: int) -> int:
+    """A third of the objects, by their numbers, is in space."""
+    return 3 if number % 3 == 2 else 2
+
+
+def random_sigma(rng: np.random.Generator) -> float:
+    """Deviation of an observed coordinate [m]."""
+    return SPACING_M * float(np.exp(rng.uniform(*np.log(NOISE_SHARES))))
+
+
 def random_noise(rng: np.random.Generator, rest: FloatArray, *, correlated: bool) -> FloatArray:
     """Of unit variance (K, d): white, or shared by neighbours with a correlation drawn out of exponential, Matern 3/2
     and Gaussian, of length 0.7 to 1.3 spacings."""
@@ -172,45 +186,53 @@ def random_noise(rng: np.random.Generator, rest: FloatArray, *, correlated: bool
 def try_object(case: Case) -> Outcome:
     """One random object through the calibration."""
     condition = CONDITIONS[case.condition]
-    dim = 3 if case.number % 3 == 2 else 2
     which = ("prior", "zero", "near one").index(case.truth)
     rng = np.random.default_rng([case.seed, case.condition, which, case.number])
-    body = random_body(rng, dim)
+    body = random_body(rng, random_dim(case.number))
     beta = {"prior": float(rng.uniform(*BOUNDS)), "zero": 0.0, "near one": float(rng.uniform(NEAR_ONE, BOUNDS[1]))}
     truth = beta[case.truth]
-    sigma = SPACING_M * float(np.exp(rng.uniform(np.log(0.005), np.log(0.05))))
+    sigma = random_sigma(rng)
     noise = sigma * random_noise(rng, body.rest, correlated=condition.correlated)
     if not condition.held_noise:
         noise[body.held] = 0.0
     stated = sigma * float(rng.choice(condition.stated))
     seen = body.observe(body.deform(truth) + noise, stated, condition.said)
-    started = time.process_time()
     options = FitOptions(Model(cluster_size=body.cluster_size), BOUNDS, candidates=CANDIDATES, level=case.level)
-    found = calibrate([seen], options)
-    return Outcome(
-        condition=condition.name,
-        dim=dim,
-        cluster_size=body.cluster_size,
-        particles=len(body.rest),
+    return fitted(condition.name, truth, [seen], options)[0]
+
+
+def fitted(
+    name: str, truth: float, seen: Sequence[Observation], options: FitOptions, *, one_motion: bool = False
+) -> tuple[Outcome, Calibration]:
+    """Fit what was seen of one object, and compare it with the truth. name: of the condition"""
+    started = time.process_time()
+    found = calibrate(seen, options, one_motion=one_motion)
+    estimate = found.estimate
+    outcome = Outcome(
+        condition=name,
+        dim=seen[0].rest.shape[1],
+        cluster_size=options.model.cluster_size or 0,
+        particles=len(seen[0].rest),
         beta=truth,
-        value=found.estimate.value,
-        interval=found.estimate.interval,
+        value=estimate.value,
+        interval=estimate.interval,
         rank=found.inferred.posterior.rank(truth),
-        verdict=found.estimate.verdict,
+        verdict=estimate.verdict,
         seconds=time.process_time() - started,
     )
+    return outcome, found
 
 
 def try_nothing(case: NothingCase) -> Verdict:
     """The verdict on data without information; the noise is stated in every other case."""
     rng = np.random.default_rng([case.seed, 99, NOTHING.index(case.kind), case.number])
-    body = random_body(rng, 3 if case.number % 3 == 2 else 2)
+    body = random_body(rng, random_dim(case.number))
     return fit_nothing(body, case.kind, rng, stated=case.number % 2 == 0).verdict
 
 
 def fit_nothing(body: RandomBody, kind: Nothing, rng: np.random.Generator, *, stated: bool) -> Estimate:
     """A body's fit to data of one kind without information; stated: the noise is."""
-    sigma = SPACING_M * float(np.exp(rng.uniform(np.log(0.005), np.log(0.05))))
+    sigma = random_sigma(rng)
     noise = sigma * random_noise(rng, body.rest, correlated=bool(rng.integers(2)))
     deformed = body.rest + (0.0 if kind == "no motion" else noise)
     if kind == "rigid motion":

@@ -6,14 +6,13 @@ Bodies, sizes of noise and truths are those of `deformscope.studies.coverage`; a
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from deformscope.arrays import BoolArray, FloatArray
-from deformscope.stages.fit.calibrate import FitOptions, Model, Observation, calibrate
+from deformscope.stages.fit.calibrate import FitOptions, Model, Observation
 from deformscope.stages.fit.estimate import Parameter
 from deformscope.studies.coverage import (
     BOUNDS,
@@ -22,8 +21,11 @@ from deformscope.studies.coverage import (
     Outcome,
     RandomBody,
     Rate,
+    fitted,
     random_body,
+    random_dim,
     random_noise,
+    random_sigma,
 )
 
 FRAMES = 5
@@ -105,32 +107,18 @@ def try_disturbed(case: DisturbedCase) -> DisturbedOutcome:
     """One random object through the calibration."""
     what = DISTURBED[case.name]
     rng = np.random.default_rng([case.seed, 16, list(DISTURBED).index(case.name), case.number])
-    body = random_body(rng, 3 if case.number % 3 == 2 else 2)
+    body = random_body(rng, random_dim(case.number))
     bounds = BOUNDS if case.parameter == "beta" else (0.0, 1.0)
     truth = float(rng.uniform(*bounds))
     model = _model(case.parameter, body)
-    sigma = SPACING_M * float(np.exp(rng.uniform(np.log(0.005), np.log(0.05))))
-    errors = _Errors(what, body, sigma, rng)
+    errors = _Errors(what, body, random_sigma(rng), rng)
     frames = what.frames or 1
     seen = [errors.observe(model, truth, (frame + 1) / frames) for frame in range(frames)]
-    started = time.process_time()
     options = FitOptions(model, bounds, candidates=CANDIDATES, level=case.level)
-    found = calibrate(seen, options, one_motion=what.frames is not None)
+    outcome, found = fitted(case.name, truth, seen, options, one_motion=what.frames is not None)
     left_out = np.zeros(len(body.rest), dtype=bool)
     for one in found.left_out:
         left_out[np.concatenate([one.lost, one.wrong])] = True
-    outcome = Outcome(
-        condition=case.name,
-        dim=body.rest.shape[1],
-        cluster_size=body.cluster_size,
-        particles=len(body.rest),
-        beta=truth,
-        value=found.estimate.value,
-        interval=found.estimate.interval,
-        rank=found.inferred.posterior.rank(truth),
-        verdict=found.estimate.verdict,
-        seconds=time.process_time() - started,
-    )
     counts = (int(np.count_nonzero(one)) for one in (errors.bad, left_out, errors.bad & left_out))
     return DisturbedOutcome(outcome, *counts)
 
@@ -194,7 +182,7 @@ class DisturbedRow:
 
     covered: truths within their intervals; by_dim: the same in the plane and in space; width: median of the intervals;
     rms: error of the value; identified, unidentified: verdicts; wrong: truths outside intervals that were called
-    identified; caught: of disturbed particles, those left out; spared: of the others, those left out; seconds: median
+    identified; caught: of disturbed particles, those left out; alarms: of the others, those left out; seconds: median
     """
 
     name: str

@@ -16,7 +16,17 @@ import numpy as np
 from deformscope.arrays import BoolArray, FloatArray
 from deformscope.stages.fit.calibrate import FitOptions, Model, Observation, calibrate
 from deformscope.stages.fit.estimate import DoubtCode, Verdict
-from deformscope.studies.coverage import BOUNDS, CANDIDATES, SPACING_M, RandomBody, Rate, random_body, random_noise
+from deformscope.studies.coverage import (
+    BOUNDS,
+    CANDIDATES,
+    SPACING_M,
+    RandomBody,
+    Rate,
+    random_body,
+    random_dim,
+    random_noise,
+    random_sigma,
+)
 from deformscope.studies.unseen_pokes import FoamBody, observe_foam
 
 Data = Literal[
@@ -79,7 +89,7 @@ class Doubted:
 def try_doubts(case: DoubtCase) -> Doubted:
     """One random object through the calibration."""
     rng = np.random.default_rng([case.seed, 55, get_args(Data).index(case.data), case.number])
-    dim = 3 if case.number % 3 == 2 else 2
+    dim = random_dim(case.number)
     truths: tuple[float, ...] = ()
     if case.data == "finite elements, one material":
         foam = FoamBody(rng, dim, even=True)
@@ -104,7 +114,7 @@ def _seen(body: RandomBody, data: Data, rng: np.random.Generator) -> tuple[Obser
     else:
         deformed = body.deform(truths[0])
     cells = {"noise over a cell, held noisy": 1.0, "noise over three cells, held noisy": 3.0}.get(data)
-    sigma = SPACING_M * float(np.exp(rng.uniform(np.log(0.005), np.log(0.05))))
+    sigma = random_sigma(rng)
     noise = sigma * random_noise(rng, body.rest / (cells or 1.0), correlated=cells is not None)
     if cells is None:
         noise[body.held] = 0.0

@@ -25,9 +25,10 @@ from deformscope.robot.robot import Robot
 from deformscope.robot.setup import T_BASE_SURFACE
 from deformscope.robot.supervisor import Action, Fault, Limits, SafetyVerdict
 from deformscope.robot.touch import TouchPlan, run_touch
+from deformscope_drivers.arm.errors import NotStopped
+from deformscope_drivers.arm.kinematics import FloatArray
 from deformscope_drivers.depth_camera.synthetic import View
-from deformscope_drivers.jaco.errors import NotStopped
-from deformscope_drivers.jaco.kinematics import J2N6S300, FloatArray
+from deformscope_drivers.jaco.chains import J2N6S300
 
 BOX_LOW_M, BOX_HIGH_M = (-0.40, -0.65, 0.02), (0.40, -0.08, 0.40)
 """In the arm's base frame: the air over the table."""

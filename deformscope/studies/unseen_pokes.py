@@ -16,7 +16,7 @@ from deformscope.arrays import FloatArray, IntArray
 from deformscope.lab.elasticity import ElasticBox
 from deformscope.stages.fit.calibrate import FitOptions, Model, Observation, calibrate
 from deformscope.stages.poke.predictive import predict
-from deformscope.studies.coverage import CANDIDATES, SPACING_M
+from deformscope.studies.coverage import CANDIDATES, SPACING_M, random_dim
 
 NOISE_M = 1e-4
 
@@ -91,7 +91,7 @@ class FoamBody:
 
 def try_unseen_poke(case: PokeCase) -> UnseenPrediction:
     """Fit one poke of a random body, predict another."""
-    dim = 3 if case.number % 3 == 2 else 2
+    dim = random_dim(case.number)
     rng = np.random.default_rng([case.seed, 77, case.number])
     body = FoamBody(rng, dim)
     model = Model(cluster_size=int(rng.integers(2, 5)))

@@ -13,19 +13,20 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from deformscope.lab.arms import arm_in_lab
 from deformscope.lab.depth_view import DepthView
 from deformscope.lab.layer_world import LayerWorld
-from deformscope.lab.live_lab import CAMERA, PARKED_M
+from deformscope.lab.live_lab import CAMERA, start_places_m
 from deformscope.lab.scenes import Scene
 from deformscope.lab.touch_lab import TouchLab
 from deformscope.rig.rig_file import RigDevice
-from deformscope.robot.placement import Placement, best_joints
+from deformscope.robot.by_hand import Person
+from deformscope.robot.placement import Placement
 from deformscope.robot.setup import Setup, Truth, rig_setup
 from deformscope.robot.shape import arm_shape
 from deformscope_drivers.depth_camera import View
 from deformscope_drivers.depth_camera.synthetic import SyntheticDepthConfig
 from deformscope_drivers.device import Device
-from deformscope_drivers.jaco.kinematics import CHAINS
 from deformscope_drivers.memory import SimulatedClock
 from deformscope_drivers.optoforce.double import OMD_20_SE_40N
 
@@ -40,20 +41,20 @@ class SimulatedTable:
         clock: SimulatedClock,
         scene: Scene,
         placement: Placement,
+        arm: RigDevice,
         *,
         T_surface_camera: npt.NDArray[np.floating] | None = None,
-        model: str | None = None,
     ) -> None:
         self.clock, self._placement = clock, placement
         self.size_m, self.truth = scene.size_m, Truth(scene.regions)
         self.view = DepthView(scene, CAMERA, T_surface_camera)
         self._world = LayerWorld(scene, placement.tool.radius_m)
-        parked = np.array([scene.size_m[0] / 2, scene.size_m[1] / 2, PARKED_M])
-        touching = np.array([*parked[:2], scene.thickness_m])
-        up = np.array([0.0, 0.0, 1.0])
-        chain = CHAINS[model or "j2n6s300"]
-        self._start_deg = best_joints(chain, [placement.T_base_ee(place, up) for place in (parked, touching)])
+        self._arm = arm_in_lab(arm.driver.name, arm.config, placement, start_places_m(scene), clock, scene.seed)
         self.lab: TouchLab
+
+    @property
+    def person(self) -> Person | None:
+        return self._arm.person
 
     @property
     def max_force_n(self) -> float:
@@ -61,10 +62,10 @@ class SimulatedTable:
 
     @contextlib.contextmanager
     def devices(self, entries: Sequence[RigDevice]) -> Iterator[dict[str, Device[Any]]]:
-        configs = {entry.driver.name: entry.config for entry in entries}
-        force_config = dataclasses.replace(configs["optoforce"], port="simulated", sensitivity=OMD_20_SE_40N)
+        configs = {entry.driver.kind: entry.config for entry in entries}
+        force_config = dataclasses.replace(configs["wrench"], port="simulated", sensitivity=OMD_20_SE_40N)
         camera_config = SyntheticDepthConfig(
-            rate_hz=configs["depth_camera"].fps, missing=0.02, intrinsics=self.view.intrinsics
+            rate_hz=configs["depth"].fps, missing=0.02, intrinsics=self.view.intrinsics
         )
         self.lab = TouchLab(
             self._world,
@@ -73,12 +74,11 @@ class SimulatedTable:
             T_base_surface=self._placement.T_base_surface,
             view=self._see,
             camera_config=camera_config,
-            arm_config=configs["jaco"],
+            arm=self._arm,
             force_config=force_config,
-            start_deg=self._start_deg,
         )
-        made = {"jaco": self.lab.arm, "optoforce": self.lab.force, "depth_camera": self.lab.camera}
-        yield {entry.name: made[entry.driver.name] for entry in entries}
+        made = {"arm": self.lab.arm, "wrench": self.lab.force, "depth": self.lab.camera}
+        yield {entry.name: made[entry.driver.kind] for entry in entries}
 
     @property
     def T_surface_camera(self) -> npt.NDArray[np.float64]:
@@ -95,8 +95,8 @@ class SimulatedTable:
 
     def _see(self, time_s: float) -> View:
         moved = self._world.displaced_m(self.view.places_m) if self._world.pressed[2] > 0.0 else None
-        arm, center = self.lab.arm_double, self.lab.contact.center_m
-        exact = self.view.render(moved, arm_shape(self._placement, arm.chain, arm.joints_deg, center))
+        links, center = self.lab.body.T_base_links, self.lab.contact.center_m
+        exact = self.view.render(moved, arm_shape(self._placement, links, center))
         return View(exact.depth_m, exact.color)
 
 

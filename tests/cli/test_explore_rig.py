@@ -23,7 +23,7 @@ from deformscope.robot.robot import Robot, RobotStopped
 from deformscope.robot.supervisor import Action, Fault, SafetyVerdict
 from deformscope.stages.regions.touches import MapGrid
 from deformscope_drivers.errors import SettingsRefused
-from deformscope_drivers.jaco.kinematics import J2N6S300
+from deformscope_drivers.jaco.chains import J2N6S300
 from deformscope_drivers.optoforce import Optoforce
 from tests.cli.quick_scene import use_quick_scene
 from tests.cli.rig_on_a_simulated_clock import count_as_real, use_a_simulated_clock

@@ -18,7 +18,7 @@ from deformscope.rig.rig_file import Workspace
 from deformscope.robot.setup import CameraView, Setup
 from deformscope.robot.shape import arm_shape
 from deformscope.studies.fault_study import FaultScene, make_scene
-from deformscope_drivers.jaco.kinematics import J2N6S300
+from deformscope_drivers.jaco.chains import J2N6S300
 
 UP = np.array([0.0, 0.0, 1.0])
 
@@ -49,7 +49,7 @@ def test_the_arm_does_not_hide_what_it_touches(lab: SceneLab, place: tuple[float
     start = lab.lab.arm_double.joints_deg
     found = J2N6S300.inverse(lab.placement.T_base_ee(center, UP), start)
     assert found.converged
-    robot = arm_shape(lab.placement, J2N6S300, found.joints_deg, center)
+    robot = arm_shape(lab.placement, J2N6S300.forward(found.joints_deg), center)
     free, hidden = lab.view.render(), lab.view.render(None, robot)
     around = (np.abs(lab.view.points_m(free.depth_m)[..., :2] - place) < 0.04).all(axis=-1) & (free.seen == FOAM)
     assert around.sum() > 300

@@ -20,15 +20,8 @@ from deformscope.robot.supervisor import Fault, Limits, SafetyVerdict
 from deformscope.robot.touch import Phase, run_touch
 from deformscope.robot.travel import move_joints, move_tip
 from deformscope.studies.fault_study import make_scene
-from deformscope_drivers.jaco.kinematics import (
-    CHAINS,
-    J2N6S300,
-    J2S7S300,
-    Chain,
-    FloatArray,
-    least_singular,
-    off_course,
-)
+from deformscope_drivers.arm.kinematics import Chain, FloatArray, least_singular, off_course
+from deformscope_drivers.jaco.chains import CHAINS, J2N6S300, J2S7S300
 from deformscope_drivers.jaco.structures import PositionType
 
 FREE_BOX = Limits(low_m=(-1.0, -1.0, -0.5), high_m=(1.0, 1.0, 1.5))

@@ -10,7 +10,8 @@ import pytest
 from deformscope.errors import InputError
 from deformscope.robot.readings import ArmSample, CameraSample, ForceSample, RobotObservation
 from deformscope.robot.supervisor import Action, Fault, Limits, SafetyVerdict, Supervisor
-from deformscope_drivers.jaco.kinematics import J2N6S300, rotation_from_rpy, transform
+from deformscope_drivers.arm.kinematics import rotation_from_rpy, transform
+from deformscope_drivers.jaco.chains import J2N6S300
 
 MS = 1_000_000
 PERIOD = 10 * MS

@@ -23,13 +23,13 @@ from scipy.special import logsumexp
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.errors import InputError
 from deformscope.stages.fit.estimate import Posterior
-from deformscope.stages.fit.noise import Evidence
+from deformscope.stages.fit.noise import Evidence, few
 from deformscope.stages.fit.residuals import DROP, Explanation, Residuals
 from deformscope.stages.fit.search import Progress, Search
 
-Judge = Callable[[int, FloatArray, Sequence[FloatArray], FloatArray], FloatArray]
-"""Log likelihood (f,) of one observation, by its residuals (f, n, d), what held positions do at some nodes, and the
-share of each node at each value (k, f)."""
+Judge = Callable[[int, FloatArray, FloatArray, Sequence[FloatArray], FloatArray], FloatArray]
+"""Log likelihood (f,) of one observation, by residuals (r, n, d) and the sums of them (f, r) that are judged, what held
+positions do at some nodes, and the share of each node at each value (k, f)."""
 
 KNOTS, BETWEEN = 25, 8
 """Candidates over the range, and steps of the grid from one to the next."""
@@ -128,30 +128,31 @@ class Inference:
         nearest = standing[np.abs(np.arange(len(knots))[:, None] - standing).argmin(axis=1)]
         nodes = np.unique(nearest[_nodes(high - low)])
         total = np.zeros(len(fine))
+        spline = CubicSpline(knots, np.eye(len(knots)))(fine)
         for row, part in enumerate(self.parts):
             left = part.left(search.tried.positions[row][rows[nearest]])
-            residual = CubicSpline(knots, left, axis=0)(fine)
             responses = [self.response(row, int(rows[node])) for node in nodes]
-            total += search.weight[row] * judge(row, residual, responses, _shares(knots[nodes], fine))
+            total += search.weight[row] * judge(row, *few(left, spline), responses, _shares(knots[nodes], fine))
         total[np.interp(fine, knots, usable.astype(float)) < 1.0] = -np.inf
         return fine, total
 
     def _explain(
-        self, row: int, residual: FloatArray, responses: Sequence[FloatArray], share: FloatArray
+        self, row: int, residual: FloatArray, mix: FloatArray, responses: Sequence[FloatArray], share: FloatArray
     ) -> FloatArray:
         """By all that the residuals are: identifies their causes."""
         part = self.parts[row]
-        each = [part.errors.evidence(residual, response, part.chosen) for response in responses]
+        each = [part.errors.evidence(residual, response, part.chosen, mix) for response in responses]
         mixed = [np.sum(share[:, None] * np.stack(some), axis=0) for some in zip(*map(_fields, each), strict=True)]
         found = Evidence(*mixed)
         self._found[row] = found
         return np.asarray(logsumexp(found.log_likelihood, axis=0))
 
     def _summarise(
-        self, row: int, residual: FloatArray, responses: Sequence[FloatArray], share: FloatArray
+        self, row: int, residual: FloatArray, mix: FloatArray, responses: Sequence[FloatArray], share: FloatArray
     ) -> FloatArray:
         """By what of the residuals the parameter can change, given their causes: identifies the parameter."""
         part = self.parts[row]
+        residual = np.tensordot(mix, residual, 1)
         onto = part.summary(residual)
         each = [part.log_summary(residual, onto, response) for response in responses]
         return np.asarray(np.sum(share * np.stack(each), axis=0))

@@ -32,6 +32,7 @@ from deformscope.stages.fit.estimate import (
 from deformscope.stages.fit.force import stiffness_interval
 from deformscope.stages.fit.inference import Inferred, white_noise
 from deformscope.stages.fit.model import Model, Observation
+from deformscope.stages.fit.noise import few
 from deformscope.stages.fit.residuals import DROP, Explanation, Residuals
 from deformscope.stages.fit.search import Progress, beta_of
 from deformscope.stages.fit.two_materials import FittedBody, two_materials
@@ -149,6 +150,7 @@ class _Joint:
         corners = np.array([0, KNOTS[1] - 1, (KNOTS[0] - 1) * KNOTS[1], KNOTS[0] * KNOTS[1] - 1])
         u, v = (np.linspace(0.0, 1.0, len(each)) for each in fine)
         share = np.stack([np.outer(x, y).ravel() for x in (1.0 - u, u) for y in (1.0 - v, v)])
+        spline = np.kron(*(CubicSpline(x, np.eye(len(x)))(at) for x, at in zip(knots, fine, strict=True)))
         total = np.zeros(share.shape[1])
         self.evidence = []
         for part, state in zip(self.parts, self.simulate(beta, theta), strict=True):
@@ -157,16 +159,15 @@ class _Joint:
                 best = int(self.tried[-len(beta) :, 2].argmin())
                 some = np.unique(np.concatenate([[best], np.linspace(0, len(beta) - 1, 12).round().astype(int)]))
                 part.choose(state[some], self._response(part, float(beta[best]), float(theta[best]), state[best]))
-            left = part.left(state).reshape(*KNOTS, len(part.judged), -1)
-            residual = CubicSpline(knots[1], CubicSpline(knots[0], left, axis=0)(fine[0]), axis=1)(fine[1])
-            residual = residual.reshape(-1, *residual.shape[2:])
+            residual, mix = few(part.left(state), spline)
             if explain:
-                found = [part.errors.evidence(residual, response, part.chosen) for response in responses]
+                found = [part.errors.evidence(residual, response, part.chosen, mix) for response in responses]
                 likelihood = np.sum(share[:, None] * np.stack([one.log_likelihood for one in found]), axis=0)
                 scale = np.sum(share[:, None] * np.stack([one.log_scale for one in found]), axis=0)
                 self.evidence.append((likelihood, scale))
                 total += logsumexp(likelihood, axis=0)
             else:
+                residual = np.tensordot(mix, residual, 1)
                 onto = part.summary(residual, SUMMARIES)
                 total += np.sum(share * np.stack([part.log_summary(residual, onto, one) for one in responses]), axis=0)
         return fine[0], fine[1], total.reshape(len(fine[0]), len(fine[1]))

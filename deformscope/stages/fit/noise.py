@@ -65,11 +65,17 @@ PRIOR_HELD_EXACT = 0.15
 SCALE_SPREAD = 1.0
 """Log-normal deviation of the true noise about the stated one: a factor of 2.7 up or down is one deviation."""
 
+SCALE_SETTLED = 1e-9
+"""A step of the scale's logarithm shorter than this is the last."""
+
 SCALE_LEAST = 0.05
 """Residuals this far below the stated noise are no sample of it (made-up or smoothed data): the statement stands."""
 
 NEIGHBOURS = 1.2
 """Particles within this many spacings are neighbours."""
+
+TELLS_APART = 1e-13
+"""Parts of residuals that are smaller than this share of the largest are rounding errors."""
 
 PRODUCTS_AT_ONCE = 2_000_000
 """Numbers that the sizes of a field make at once."""
@@ -123,6 +129,21 @@ class Evidence:
     log_likelihood: FloatArray
     log_scale: FloatArray
     log_scale_deviation: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Products:
+    """chi2 of all sums of r residuals under hypotheses h: x'P x of the sum with shares x.
+
+    rows: (h,) the hypotheses; product: (h, r, r) P; log_det: (h,) of the covariance; white: (r, r) P of the stated
+    noise alone; count: numbers in a residual
+    """
+
+    rows: IntArray
+    product: FloatArray
+    log_det: FloatArray
+    white: FloatArray
+    count: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -196,66 +217,80 @@ class ErrorModel:
         moment, vectors = eigh(field / noise[:, None] / noise, check_finite=False, driver="evd")
         return _Basis(vectors.T / noise, np.maximum(moment, 0.0))
 
-    def evidence(self, residual: FloatArray, response: FloatArray, chosen: IntArray | None = None) -> Evidence:
-        """How likely residuals (g, n, d) are, where prescribed positions act by `response` (n, d, m).
+    def evidence(
+        self, residual: FloatArray, response: FloatArray, chosen: IntArray | None = None, mix: FloatArray | None = None
+    ) -> Evidence:
+        """How likely residuals are, where prescribed positions act by `response` (n, d, m).
 
+        residual: (r, n, d); mix: (g, r) sums of them that are judged; default each by itself
         chosen: rows of the hypotheses; default all
         """
+        mix = np.eye(len(residual)) if mix is None else mix
+        return self.judged(self.products(residual, response, chosen), mix)
+
+    def products(self, residual: FloatArray, response: FloatArray, chosen: IntArray | None = None) -> Products:
+        """chi2 of all sums of some residuals (r, n, d); of more than there are coordinates, `few` makes fewer."""
         every = self.hypotheses
         rows = np.arange(len(every.size)) if chosen is None else chosen
-        count = residual.shape[1] * self.dim
-        chi2 = np.empty((len(rows), len(residual)))
+        product = np.empty((len(rows), len(residual), len(residual)))
         log_det = np.empty(len(rows))
         groups: dict[Field, list[int]] = {}
         for at, row in enumerate(rows):
             key = (int(every.field[row]), float(every.length[row]), bool(every.held[row]), bool(every.shared[row]))
             groups.setdefault(key, []).append(at)
         for key, places in groups.items():
-            sizes = every.size[rows[places]]
-            chi2[places], log_det[places] = self._quadratic(residual, response, key, sizes)
-        plain = float(np.min(np.sum((residual / self.noise[:, None]) ** 2, axis=(1, 2)), initial=np.inf)) / count
+            product[places], log_det[places] = self._quadratic(residual, response, key, every.size[rows[places]])
+        white = (residual / self.noise[:, None]).reshape(len(residual), -1)
+        count = residual.shape[1] * self.dim
+        return Products(rows, product, log_det + 2.0 * self.log_noise, white @ white.T, count)
+
+    def judged(self, found: Products, mix: FloatArray) -> Evidence:
+        """How likely sums of residuals are, mix (g, r)."""
+        # x' A x as a sum over pairs, so that all hypotheses and residuals are one product of matrices
+        i, j = np.triu_indices(mix.shape[1])
+        pairs = np.where(i == j, 1.0, 2.0)[:, None] * mix.T[i] * mix.T[j]
+        chi2 = np.maximum(found.product[:, i, j] @ pairs, 0.0)
+        plain = float(np.min(found.white[i, j] @ pairs, initial=np.inf)) / found.count
         trusted = self.measured.noise is not None and plain < SCALE_LEAST**2
-        return self._scaled(chi2, log_det[:, None] + 2.0 * self.log_noise, count, rows, trusted)
+        return self._scaled(chi2, found.log_det[:, None], found.count, found.rows, trusted)
 
     def _quadratic(
         self, residual: FloatArray, response: FloatArray, key: Field, sizes: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """chi2 (f, g) and log determinant (f,), less that of the noise, for each size of one field."""
+        """chi2 (f, r, r) and log determinant (f,), less that of the noise, for each size of one field."""
         basis = self._basis(key)
         held = key[2]
         n, d = residual.shape[1:]
-        g, m = len(residual), response.shape[2]
+        r, m = len(residual), response.shape[2]
         spread = 1.0 + sizes[:, None] * basis.moment
         log_det = d * np.log(spread).sum(axis=1)
-        if not held:
-            turned = np.tensordot(basis.rotate, residual, (1, 1))
-            square = np.sum(turned**2, axis=2)
-            return np.asarray((1.0 / spread) @ square), log_det
         total = len(basis.moment)
-        own = np.tensordot(basis.rotate[:, :n], residual, (1, 1)).transpose(0, 2, 1)  # (N, d, g)
+        own = np.tensordot(basis.rotate[:, :n], residual, (1, 1)).transpose(0, 2, 1).reshape(total * d, r)
+        weight = np.repeat(1.0 / spread, d, axis=1)
+        if not held:
+            return (own.T * weight[:, None]) @ own, log_det
         act = np.tensordot(basis.rotate[:, :n], response, (1, 0))  # (N, d, m)
+        log_held = 0.0
         if self.measured.held_rest is None:  # m combinations of unit noise, no places of their own
-            own, act = own.reshape(n * d, g), act.reshape(n * d, m)
-            own, act = np.concatenate([own, np.zeros((m, g))]), np.concatenate([act, np.eye(m)])
-            weight = np.concatenate([np.repeat(1.0 / spread, d, axis=1), np.ones((len(sizes), m))], axis=1)
-            log_held = 0.0
+            own, act = np.concatenate([own, np.zeros((m, r))]), np.concatenate([act.reshape(total * d, m), np.eye(m)])
+            weight = np.concatenate([weight, np.ones((len(sizes), m))], axis=1)
         else:
             k = total - n
             direct = np.zeros((total, d, k, d))
             for axis in range(d):
                 direct[:, axis, :, axis] = basis.rotate[:, n:]
-            own, act = own.reshape(total * d, g), (act + direct.reshape(total, d, m)).reshape(total * d, m)
-            weight = np.repeat(1.0 / spread, d, axis=1)
+            act = (act + direct.reshape(total, d, m)).reshape(total * d, m)
             log_held = 2.0 * d * float(np.log(self.held_noise).sum())
-        chi2 = weight @ own**2
-        together = max(1, PRODUCTS_AT_ONCE // (m * max(m, g)))
+        both = np.concatenate([act, own], axis=1)
+        found = np.empty((len(sizes), r, r))
+        together = max(1, PRODUCTS_AT_ONCE // (both.size + (m + r) ** 2))
         for first in range(0, len(sizes), together):
             some = slice(first, first + together)
-            scaled = act.T * weight[some, None]  # (f, m, N d)
-            normal, right = scaled @ act, scaled @ own
-            chi2[some] -= np.sum(right * np.linalg.solve(normal, right), axis=1)
+            square = (both.T * weight[some, None]) @ both  # (f, m + r, m + r)
+            normal, right = square[:, :m, :m], square[:, :m, m:]
+            found[some] = square[:, m:, m:] - right.transpose(0, 2, 1) @ np.linalg.solve(normal, right)
             log_det[some] += np.linalg.slogdet(normal)[1] + log_held
-        return np.maximum(chi2, 0.0), log_det
+        return found, log_det
 
     def projected(self, onto: FloatArray, response: FloatArray, chosen: IntArray) -> FloatArray:
         """Covariance (h, q, q) of projections of the residuals onto (n, d, q), at noise of the scale 1."""
@@ -296,7 +331,10 @@ class ErrorModel:
         for _ in range(12 if pull else 0):
             up = c * np.exp(-2.0 * t)
             away = t - np.clip(t, level, 0.0)
-            t = t + np.clip((up - count - pull * away) / (2.0 * up + pull), -1.0, 1.0)
+            step = np.clip((up - count - pull * away) / (2.0 * up + pull), -1.0, 1.0)
+            t = t + step
+            if np.abs(step).max(initial=0.0) < SCALE_SETTLED:
+                break
         up = c * np.exp(-2.0 * t)
         away = t - np.clip(t, level, 0.0)
         bend = 2.0 * up + pull * (away != 0.0)
@@ -304,6 +342,13 @@ class ErrorModel:
         if pull:
             value -= np.log1p(-level / (np.sqrt(2.0 * np.pi) * SCALE_SPREAD))
         return Evidence(value + log_prior, t, bend**-0.5)
+
+
+def few(residual: FloatArray, mix: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Sums (g, r) of residuals (r, n, d) as sums of as few as numbers tell apart."""
+    across, size, along = np.linalg.svd(residual.reshape(len(residual), -1), full_matrices=False)
+    keep = max(1, int(np.count_nonzero(size > TELLS_APART * size[0])))
+    return (size[:keep, None] * along[:keep]).reshape(keep, *residual.shape[1:]), mix @ across[:, :keep]
 
 
 def independent(points: FloatArray, length: float) -> float:

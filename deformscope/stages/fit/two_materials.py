@@ -88,54 +88,55 @@ class Local:
 
 def gains(local: Sequence[Local]) -> FloatArray:
     """(s,) by how much twice the log likelihood rises with a difference between the parts of each split."""
-    before = _highest(local, [one.fitted for one in local])
-    count = len(local[0].apart)
-    after = [
-        _highest(local, [np.concatenate([one.fitted, one.apart[row : row + 1]]) for one in local])
-        for row in range(count)
+    every = [np.concatenate([one.residual[None], one.fitted, one.apart]) for one in local]
+    products = [
+        one.part.errors.products(some, one.response, one.part.kept) for one, some in zip(local, every, strict=True)
     ]
+
+    def likelihood(mix: FloatArray) -> FloatArray:
+        """(g,) log likelihood of sums (g, 1 + q + s) of the residual and all derivatives."""
+        total = np.zeros(len(mix))
+        for one, found in zip(local, products, strict=True):
+            total += one.weight * logsumexp(one.part.errors.judged(found, mix).log_likelihood, axis=0)
+        return total
+
+    flat = np.concatenate([some.reshape(len(some), -1) for some in every], axis=1)
+    common = list(range(1, 1 + len(local[0].fitted)))
+    before = _highest(likelihood, flat, common)
+    after = [_highest(likelihood, flat, [*common, row]) for row in range(common[-1] + 1, len(flat))]
     return np.maximum(2.0 * (np.array(after) - before), 0.0)
 
 
-def _highest(local: Sequence[Local], columns: Sequence[FloatArray]) -> float:
-    """The highest log likelihood that residuals reach with these derivatives, (q, n, d) each, by Newton's steps."""
-    q = len(columns[0])
-    flat = np.concatenate([one.reshape(q, -1) for one in columns], axis=1)
-    residual = np.concatenate([one.residual.ravel() for one in local])
+def _highest(likelihood: Callable[[FloatArray], FloatArray], flat: FloatArray, columns: Sequence[int]) -> float:
+    """The highest log likelihood that the residual, the first row of flat, reaches less multiples of some of the
+    derivatives in the others, by Newton's steps."""
+
+    def taken(multiple: FloatArray) -> FloatArray:
+        mix = np.zeros((len(multiple), len(flat)))
+        mix[:, 0] = 1.0
+        mix[:, columns] = -multiple
+        return likelihood(mix)
+
     # in directions that are independent, of a size that residuals as they are make likely
-    u, size, _ = np.linalg.svd(flat, full_matrices=False)
+    u, size, _ = np.linalg.svd(flat[columns], full_matrices=False)
     keep = size > 1e-8 * max(float(size[0]), 1e-300)
     if not size[0] > 0.0:
-        return float(_likelihood(local, np.zeros((1, residual.size)))[0])
+        return float(taken(np.zeros((1, len(columns))))[0])
     turn = (u[:, keep] / size[keep]).T
-    axes = turn @ flat
-    unit = float(np.sqrt(np.mean(residual**2))) or 1.0
-    at = axes @ residual
-    stencil = _stencil(len(axes))
+    unit = float(np.sqrt(np.mean(flat[0] ** 2))) or 1.0
+    at = turn @ (flat[columns] @ flat[0])
+    stencil = _stencil(len(turn))
     best = -np.inf
     width = unit
     for _ in range(ROUNDS):
-        tried = at + width * stencil
-        value = _likelihood(local, tried @ axes)
+        value = taken((at + width * stencil) @ turn)
         best = max(best, float(value.max()))
         step = _peak(stencil, value)
         at = at + width * np.clip(step, -5.0, 5.0)
         if np.abs(step).max() < SMALL_STEP:
             break
         width *= 0.5 if np.abs(step).max() < 1.0 else 1.0
-    return max(best, float(_likelihood(local, (at @ axes)[None])[0]))
-
-
-def _likelihood(local: Sequence[Local], taken: FloatArray) -> FloatArray:
-    """(g,) log likelihood of the residuals less what is taken from them (g, all numbers)."""
-    total, first = np.zeros(len(taken)), 0
-    for one in local:
-        size = one.residual.size
-        left = one.residual - taken[:, first : first + size].reshape(-1, *one.residual.shape)
-        evidence = one.part.errors.evidence(left, one.response, one.part.kept)
-        total += one.weight * logsumexp(evidence.log_likelihood, axis=0)
-        first += size
-    return total
+    return max(best, float(taken((at @ turn)[None])[0]))
 
 
 def _stencil(q: int) -> FloatArray:

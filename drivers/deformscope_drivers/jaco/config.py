@@ -7,7 +7,7 @@ import math
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from deformscope_drivers.jaco.kinematics import CHAINS
+from deformscope_drivers.jaco.chains import CHAINS
 from deformscope_drivers.jaco.library import PREFIXES, Connection, library_file
 
 

@@ -16,21 +16,23 @@ points, that is 20 ms of motion; but a `move_to` in progress is one point, and g
 from __future__ import annotations
 
 import atexit
-import threading
 import time
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal, Self
 
+from deformscope_drivers.arm.commands import JointVelocity, Velocity, by_joints, finite, linear_velocity_of
+from deformscope_drivers.arm.device import CALL_MS, Arm
+from deformscope_drivers.arm.errors import NotStopped
+from deformscope_drivers.arm.kinematics import Chain
 from deformscope_drivers.clock import Clock, monotonic_ns
-from deformscope_drivers.device import RECONNECT, Device, Reconnect
+from deformscope_drivers.device import RECONNECT, Reconnect
 from deformscope_drivers.errors import DeviceError, LinkLost, NotConnected, OutOfLimits, Stale
 from deformscope_drivers.health import Identity, Link
 from deformscope_drivers.jaco import commands
-from deformscope_drivers.jaco.commands import JointTarget, JointVelocity, Target, Velocity
+from deformscope_drivers.jaco.commands import JointTarget, Target
 from deformscope_drivers.jaco.config import JacoConfig
-from deformscope_drivers.jaco.errors import MotionStopped, NotHomed, NotReached, NotStopped, VendorError
-from deformscope_drivers.jaco.kinematics import Chain
+from deformscope_drivers.jaco.errors import NotHomed, NotReached, VendorError
 from deformscope_drivers.jaco.library import Functions, Library, call, read
 from deformscope_drivers.jaco.pacing import SlotPacer
 from deformscope_drivers.jaco.reading import StateReader
@@ -44,6 +46,7 @@ from deformscope_drivers.jaco.structures import (
     TrajectoryPoint,
     actuator_values,
 )
+from deformscope_drivers.jaco.urdf import urdf_path
 from deformscope_drivers.memory import SimulatedClock
 from deformscope_drivers.pacing import Pacer
 
@@ -58,17 +61,7 @@ REACHED_M, REACHED_RAD, REACHED_DEG, REACHED_FINGER = 2e-3, 0.02, 0.5, 70.0
 CANDLE_DEG, CANDLE_WITHIN_DEG = 180.0, 3.0
 
 
-@dataclass(frozen=True, slots=True)
-class _Streamed:
-    """A velocity that is sent in every slot until it expires. since_ns: when the arm first began to move, with this
-    velocity or one that it replaced"""
-
-    velocity: Velocity
-    expires_ns: int
-    since_ns: int
-
-
-class Jaco(Device[JacoState]):
+class Jaco(Arm[JacoState]):
     """`with Jaco(JacoConfig(library="/opt/kinova")) as arm:`; with the three reads that every device has.
 
     One thread calls the vendor's library, which is not made for several.
@@ -88,11 +81,8 @@ class Jaco(Device[JacoState]):
         super().__init__(self._functions.where, reconnect=reconnect, clock=clock)
         self._arm: JacoIdentity | None = None
         self._waiting = Pacer(clock)
-        self._commanded = threading.Lock()
-        self._streamed: _Streamed | None = None
         self._position_until_ns: int | None = None
         self._erase_due = False
-        self._stopped = ""
         self._pacer = SlotPacer(PERIOD_NS)
         self._reader: StateReader | None = None
         self._state: JacoState | None = None
@@ -132,6 +122,18 @@ class Jaco(Device[JacoState]):
         if self._arm is None:
             raise NotConnected("an arm that was opened", "one that was not yet", "open() it", self.name)
         return self._arm.chain
+
+    @property
+    def speed_limits(self) -> JacoConfig:
+        return self.config
+
+    @property
+    def state_hz(self) -> float:
+        return self.config.state_hz
+
+    @property
+    def urdf(self) -> Path:
+        return urdf_path(self.chain.name)
 
     def identity(self) -> Identity:
         """Model, serial number, and firmware with the version of the vendor's library."""
@@ -177,7 +179,7 @@ class Jaco(Device[JacoState]):
             "late_ms_median": median_ms,
             "late_ms_p99": high_ms,
             "late_ms_max": greatest_ms,
-            "call_ms": 0.0 if self._reader is None else self._reader.call_ms,
+            CALL_MS: 0.0 if self._reader is None else self._reader.call_ms,
         }
 
     # The cycle: run by the device's own thread -----------------------------------------------------------------------
@@ -234,7 +236,7 @@ class Jaco(Device[JacoState]):
 
     def _by_joints(self, velocity: Velocity) -> JointVelocity | str:
         assert self._state is not None
-        return commands.by_joints(velocity, self.chain, self.config, self._state.joints_deg)
+        return by_joints(velocity, self.chain, self.config, self._state.joints_deg)
 
     def _send(self, velocity: JointVelocity) -> None:
         call(self._functions, "SendBasicTrajectory", commands.velocity_point(velocity))
@@ -266,7 +268,7 @@ class Jaco(Device[JacoState]):
         box = self.config.workspace
         if box is None:
             return ""
-        linear_m_s = commands.linear_velocity_of(velocity, self.chain, state.joints_deg)
+        linear_m_s = linear_velocity_of(velocity, self.chain, state.joints_deg)
         for axis, name in enumerate("xyz"):
             here, speed = state.position_m[axis], linear_m_s[axis]
             ahead = here + LOOK_AHEAD_S * speed
@@ -292,48 +294,11 @@ class Jaco(Device[JacoState]):
 
     # Motion ----------------------------------------------------------------------------------------------------------
 
-    @property
-    def stopped_because(self) -> str:
-        """Why the arm was stopped and commands are refused; empty where they are not."""
-        return self._stopped
-
-    def acknowledge_stop(self) -> None:
-        """Take note that the arm was stopped: commands are accepted again."""
-        self._stopped = ""
-
-    def set_velocity(self, velocity: Velocity, valid_for_s: float | None = None) -> None:
-        """Move at a velocity from the next slot on, for as long as this call vouches for it. Returns at once.
-
-        velocity: CartesianVelocity, translation in the base frame and rotation in the end effector's, sent as joint
-        rates for where the joints are in each slot; or JointVelocity [deg/s]
-        valid_for_s: after this it ends by itself unless it is set again (default: the configured deadline)
-        Raises OutOfLimits (nothing is sent, what was set before still holds), MotionStopped where the driver has
-        stopped the arm, and NotHomed.
-        """
-        self._require_open()
-        commands.check_velocity(velocity, self.chain, self.config, self.name)
-        valid_s = self.config.command_deadline_s if valid_for_s is None else valid_for_s
-        if not 0.0 < valid_s <= 60.0:
-            raise OutOfLimits("valid_for_s above 0 and up to 60", f"{valid_s!r}", "refresh it instead", self.name)
-        with self._commanded:
-            self._require_moves()
-            self._require_homed()
-            if self._position_until_ns is not None:
-                raise OutOfLimits("an arm that is not moving to a target", "one that is", "stop() first", self.name)
-            now_ns = self._clock()
-            since_ns = now_ns if self._streamed is None else self._streamed.since_ns
-            self._streamed = _Streamed(velocity, now_ns + round(valid_s * 1e9), since_ns)
-
     def stop(self) -> None:
-        """Stop at once: forget the velocity, erase what waits in the arm. Raises where that did not reach the arm.
-
-        The next command moves it again, whoever gives it; use `halt` to keep it stopped.
-        """
         self._forget_commands()
         self._do(self._erase, COMMAND_TIMEOUT_S)
 
     def halt(self, reason: str) -> None:
-        """Stop at once, and refuse the commands of all threads until `acknowledge_stop`. Raises as `stop` does."""
         self._forget_commands(reason or "by command")
         self._do(self._erase, COMMAND_TIMEOUT_S)
 
@@ -510,8 +475,8 @@ class Jaco(Device[JacoState]):
         *,
         ordered: bool = False,
     ) -> tuple[CartesianInfo | AngularInfo, CartesianInfo | AngularInfo]:
-        lows = commands.finite("values", first, count, self.name)
-        highs = commands.finite("values", second, count, self.name)
+        lows = finite("values", first, count, self.name)
+        highs = finite("values", second, count, self.name)
         if min(*lows, *highs) < 0 or (ordered and any(low > high for low, high in zip(lows, highs, strict=True))):
             raise OutOfLimits(
                 "values from 0" + (", the least not above the most" if ordered else ""),
@@ -552,6 +517,11 @@ class Jaco(Device[JacoState]):
         """Whether the arm says that it was at home since it was switched on; read once a second."""
         return self._state is not None and self._state.homed
 
+    def _require_ready(self) -> None:
+        self._require_homed()
+        if self._position_until_ns is not None:
+            raise OutOfLimits("an arm that is not moving to a target", "one that is", "stop() first", self.name)
+
     def _require_homed(self) -> None:
         if self.config.require_home and not self.homed:
             raise NotHomed(
@@ -560,15 +530,6 @@ class Jaco(Device[JacoState]):
                 "hold its joystick's home button until it stands still; or arm.home()",
                 self.name,
             )
-
-    def _require_moves(self) -> None:
-        self._require_open()
-        if self._stopped:
-            raise MotionStopped(
-                "an arm that may move", f"one that was stopped: {self._stopped}", "acknowledge_stop()", self.name
-            )
-        if self.link is not Link.CONNECTED:
-            raise LinkLost("an arm that is connected", f"link {self.link}", "wait until it is back", self.name)
 
 
 def _still(state: JacoState) -> bool:

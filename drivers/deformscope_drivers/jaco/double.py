@@ -15,10 +15,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from deformscope_drivers.arm import kinematics
+from deformscope_drivers.arm.kinematics import FloatArray
 from deformscope_drivers.clock import Clock, monotonic_ns
-from deformscope_drivers.jaco import kinematics, structures
+from deformscope_drivers.jaco import structures
+from deformscope_drivers.jaco.chains import CHAINS
 from deformscope_drivers.jaco.errors import OK
-from deformscope_drivers.jaco.kinematics import CHAINS, FloatArray
 from deformscope_drivers.jaco.simulation import FIFO_SIZE, SimulatedArm
 
 CYCLE_NS = 10_000_000
@@ -176,6 +178,13 @@ class JacoDouble:
         with self._lock:
             self._live()
             return self._arm.joints_deg.copy()
+
+    @property
+    def T_base_links(self) -> FloatArray:
+        """Where every joint's link and, last, the end effector are now, (n + 1, 4, 4) [m]."""
+        with self._lock:
+            self._live()
+            return np.array(self._arm.links)
 
     @property
     def T_base_end_effector(self) -> FloatArray:

@@ -171,17 +171,9 @@ class SymbolMissing(LibraryMissing):
     """The vendor's library was loaded, and lacks a function."""
 
 
-class MotionStopped(DeviceError):
-    """The arm was stopped, and refuses commands until someone has taken note of why."""
-
-
 class NotHomed(DeviceError):
     """The arm was not homed since it was switched on: it may ignore commands without a word (kinova-ros 62, 148)."""
 
 
 class NotReached(DeviceError):
     """The arm did not get where it was sent in the time given; it was stopped."""
-
-
-class NotStopped(DeviceError):
-    """The arm was moving, and the stop command did not reach it."""

@@ -12,8 +12,8 @@ import ctypes
 from collections import deque
 from typing import cast
 
+from deformscope_drivers.arm.kinematics import Chain, euler_xyz_from_rotation
 from deformscope_drivers.clock import Clock, Stamp
-from deformscope_drivers.jaco.kinematics import Chain, euler_xyz_from_rotation
 from deformscope_drivers.jaco.library import Functions, read
 from deformscope_drivers.jaco.state import JacoState
 from deformscope_drivers.jaco.structures import (

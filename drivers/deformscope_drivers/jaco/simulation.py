@@ -16,8 +16,9 @@ from collections import deque
 import numpy as np
 import numpy.typing as npt
 
-from deformscope_drivers.jaco import kinematics, structures
-from deformscope_drivers.jaco.kinematics import Chain, FloatArray
+from deformscope_drivers.arm import kinematics
+from deformscope_drivers.arm.kinematics import Chain, FloatArray
+from deformscope_drivers.jaco import structures
 
 CYCLE_S = 0.01
 FIFO_SIZE = 2000

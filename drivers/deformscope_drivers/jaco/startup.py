@@ -10,10 +10,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from deformscope_drivers.arm.kinematics import Chain, pose_error, rotation_from_euler_xyz, transform
 from deformscope_drivers.errors import DeviceError, NotConnected, SettingsRefused
+from deformscope_drivers.jaco.chains import CHAINS
 from deformscope_drivers.jaco.config import EthernetAddresses, JacoConfig
 from deformscope_drivers.jaco.errors import NoDeviceFound
-from deformscope_drivers.jaco.kinematics import CHAINS, Chain, pose_error, rotation_from_euler_xyz, transform
 from deformscope_drivers.jaco.library import Functions, api_version, call, devices, read
 from deformscope_drivers.jaco.structures import (
     AngularPosition,

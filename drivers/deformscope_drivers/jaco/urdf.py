@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from deformscope_drivers.jaco.kinematics import CHAINS
+from deformscope_drivers.jaco.chains import CHAINS
 
 
 def urdf_path(model: str) -> Path:

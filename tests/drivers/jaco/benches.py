@@ -15,8 +15,9 @@ from typing import Protocol
 import numpy as np
 import pytest
 
+from deformscope_drivers.arm.kinematics import Chain, FloatArray
+from deformscope_drivers.jaco.chains import CHAINS
 from deformscope_drivers.jaco.double import JacoDouble
-from deformscope_drivers.jaco.kinematics import CHAINS, Chain, FloatArray
 from deformscope_drivers.jaco.library import PREFIXES, Connection, Functions, Library
 from deformscope_drivers.memory import SimulatedClock
 from tests.patience import PATIENCE_S

@@ -20,6 +20,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from deformscope_drivers.arm.commands import Velocity
+from deformscope_drivers.arm.kinematics import FloatArray
 from deformscope_drivers.contract import Bench, DeviceContract, wait_until
 from deformscope_drivers.device import Reconnect
 from deformscope_drivers.errors import LinkLost, NotConnected, OutOfLimits, SettingsRefused
@@ -41,8 +43,8 @@ from deformscope_drivers.jaco import (
     Workspace,
 )
 from deformscope_drivers.jaco import errors as vendor_errors
-from deformscope_drivers.jaco.commands import Velocity, velocity_point
-from deformscope_drivers.jaco.kinematics import CHAINS, J2N6S300, FloatArray
+from deformscope_drivers.jaco.chains import CHAINS, J2N6S300
+from deformscope_drivers.jaco.commands import velocity_point
 from deformscope_drivers.jaco.library import Functions, Library, call, read
 from deformscope_drivers.jaco.pacing import SlotPacer
 from deformscope_drivers.jaco.startup import check_pose

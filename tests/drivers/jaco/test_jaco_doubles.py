@@ -7,10 +7,11 @@ import time
 import numpy as np
 import pytest
 
+from deformscope_drivers.arm.commands import CartesianVelocity, JointVelocity
 from deformscope_drivers.jaco import errors
-from deformscope_drivers.jaco.commands import CartesianVelocity, JointVelocity, velocity_point
+from deformscope_drivers.jaco.chains import CHAINS, J2N6S300
+from deformscope_drivers.jaco.commands import velocity_point
 from deformscope_drivers.jaco.double import JacoDouble
-from deformscope_drivers.jaco.kinematics import CHAINS, J2N6S300
 from deformscope_drivers.jaco.library import Connection, call, devices, read
 from deformscope_drivers.jaco.structures import (
     AngularInfo,

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from deformscope_drivers.jaco import kinematics
-from deformscope_drivers.jaco.kinematics import CHAINS, J2N6S300, J2S6S300, J2S7S300, Chain, FloatArray
+from deformscope_drivers.arm import kinematics
+from deformscope_drivers.arm.kinematics import Chain, FloatArray
+from deformscope_drivers.jaco.chains import CHAINS, J2N6S300, J2S6S300, J2S7S300
 
 # Classic DH of the six-joint arm, as Kinova publishes it (protocol reference, section 3, geometry)
 DH_A_M = [0.0, 0.41, 0.0, 0.0, 0.0, 0.0]

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from deformscope_drivers.jaco.kinematics import CHAINS, J2N6S300, Chain, FloatArray
+from deformscope_drivers.arm.kinematics import Chain, FloatArray
+from deformscope_drivers.jaco.chains import CHAINS, J2N6S300
 from deformscope_drivers.jaco.urdf import urdf_path
 
 MODELS = sorted(CHAINS)

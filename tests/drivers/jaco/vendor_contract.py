@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from deformscope_drivers.jaco import errors, kinematics
-from deformscope_drivers.jaco.commands import CartesianVelocity, JointVelocity, velocity_point
-from deformscope_drivers.jaco.kinematics import FloatArray
+from deformscope_drivers.arm import kinematics
+from deformscope_drivers.arm.commands import CartesianVelocity, JointVelocity
+from deformscope_drivers.arm.kinematics import FloatArray
+from deformscope_drivers.jaco import errors
+from deformscope_drivers.jaco.commands import velocity_point
 from deformscope_drivers.jaco.library import api_version, call, devices, read
 from deformscope_drivers.jaco.structures import (
     AngularInfo,

@@ -1,0 +1,101 @@
+"""Simulated arms behind their own drivers, each with what a laboratory needs of it: where it is, and to be pushed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from deformscope.errors import InputError
+from deformscope.lab.arm_contact import PushedArm
+from deformscope.robot.by_hand import Person, PlaceRequest
+from deformscope.robot.placement import Placement, best_joints
+from deformscope_drivers.arm import Arm
+from deformscope_drivers.arm.kinematics import Chain, FloatArray
+from deformscope_drivers.clock import Clock, monotonic_ns
+from deformscope_drivers.jaco import Jaco, JacoDouble
+from deformscope_drivers.jaco.chains import CHAINS as JACO
+from deformscope_drivers.placed import PlacedArm, StandDouble
+
+UP = np.array([0.0, 0.0, 1.0])
+LOOKS = 5
+"""A simulated person answers at the so many-th look."""
+ACROSS_SD_M, ALONG_SD_M = 5e-4, 3e-5
+"""How exactly a person places a stick across, and by the scale of a slide along it. Chosen."""
+
+
+class ArmBody(PushedArm, Protocol):
+    """Where a simulated arm is (`JacoDouble`)."""
+
+    @property
+    def T_base_links(self) -> FloatArray:
+        """(k, 4, 4) of its joints and, last, of its end [m]."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ArmInLab:
+    """arm: the driver's device, closed; body: what moves; person: who places it, None = it moves by itself"""
+
+    arm: Arm[Any]
+    body: ArmBody
+    person: Person | None = None
+
+
+class SimulatedPerson:
+    """Puts a stand where they are asked to, as exactly as people do. asked: every request, in its order"""
+
+    def __init__(self, stand: StandDouble, seed: int = 0) -> None:
+        self.asked: list[PlaceRequest] = []
+        self._stand, self._looks = stand, 0
+        self._random = np.random.default_rng([seed, 0x4A])
+
+    def ask(self, request: PlaceRequest) -> None:
+        self.asked.append(request)
+        self._looks = 0
+
+    def answered(self) -> str | None:
+        self._looks += 1
+        if self._looks < LOOKS:
+            return None
+        T = self.asked[-1].T_base_ee.copy()
+        T[:3, 3] += T[:3, :3] @ (self._random.standard_normal(3) * (ACROSS_SD_M, ACROSS_SD_M, ALONG_SD_M))
+        self._stand.put(T)
+        return ""
+
+
+def arm_in_lab(
+    driver: str,
+    config: Any,
+    placement: Placement,
+    places_m: Sequence[FloatArray],
+    clock: Clock = monotonic_ns,
+    seed: int = 0,
+) -> ArmInLab:
+    """An arm of a driver and its configuration, at the first of places (3,) of the tip's centre [m, surface frame] from
+    which it reaches the others. Raises InputError where it does not."""
+    return _MADE[driver](config, placement, places_m, clock, seed)
+
+
+def start_deg(chain: Chain, placement: Placement, places_m: Sequence[FloatArray]) -> FloatArray:
+    """(n,) joint angles for the first of some places."""
+    found = best_joints(chain, [placement.T_base_ee(place_m, UP) for place_m in places_m])
+    if found is None:
+        raise InputError("a table within the arm's reach", "[surface] T_arm_surface that is not", "move it")
+    return found
+
+
+def _jaco(config: Any, placement: Placement, places_m: Sequence[FloatArray], clock: Clock, seed: int) -> ArmInLab:
+    chain = JACO[config.model or "j2n6s300"]
+    double = JacoDouble(chain.name, clock, start_deg=start_deg(chain, placement, places_m))
+    return ArmInLab(Jaco(config, double, clock=clock), double)
+
+
+def _placed(config: Any, placement: Placement, places_m: Sequence[FloatArray], clock: Clock, seed: int) -> ArmInLab:
+    arm = PlacedArm(config, clock=clock)
+    stand = StandDouble(arm.T_base_end_effector)
+    return ArmInLab(arm, stand, SimulatedPerson(stand, seed))
+
+
+_MADE: dict[str, Callable[..., ArmInLab]] = {"jaco": _jaco, "placed": _placed}

@@ -1,0 +1,144 @@
+"""An arm as a device: what the robot, its travel, its preflight and an exploration know of any arm.
+
+A velocity holds only as long as its sender vouches for it, whatever becomes of the sender; how an arm is brought to
+rest then is its driver's matter, which the contract tests look at (`tests/drivers/arm`).
+"""
+
+from __future__ import annotations
+
+import threading
+from abc import abstractmethod
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar, TypeVar
+
+from deformscope_drivers.arm import commands
+from deformscope_drivers.arm.commands import SpeedLimits, Velocity
+from deformscope_drivers.arm.errors import MotionStopped
+from deformscope_drivers.arm.kinematics import Chain, FloatArray
+from deformscope_drivers.arm.state import ArmState
+from deformscope_drivers.clock import Clock, monotonic_ns
+from deformscope_drivers.device import RECONNECT, Device, Reconnect
+from deformscope_drivers.errors import LinkLost, OutOfLimits
+from deformscope_drivers.health import Link
+
+LONGEST_S = 60.0
+"""A velocity may hold so long at most; whoever wants more sets it again."""
+CALL_MS = "call_ms"
+"""In `Health.extra`: how long a call to the arm takes [ms]; where an arm answers so, it must be quick enough."""
+
+StateT = TypeVar("StateT", bound=ArmState)
+
+
+@dataclass(frozen=True, slots=True)
+class Streamed:
+    """A velocity that is sent in every cycle until it expires. since_ns: when the arm first began to move, with this
+    velocity or one that it replaced"""
+
+    velocity: Velocity
+    expires_ns: int
+    since_ns: int
+
+
+class Arm(Device[StateT]):
+    """An arm; a subclass gives `chain`, `speed_limits`, `state_hz`, `stop`, `halt`, and carries out `_streamed`.
+
+    by_hand: a person places it: it has no joints that are known, and takes no velocities
+    """
+
+    by_hand: ClassVar[bool] = False
+
+    def __init__(self, name: str, *, reconnect: Reconnect | None = RECONNECT, clock: Clock = monotonic_ns) -> None:
+        super().__init__(name, reconnect=reconnect, clock=clock)
+        self._commanded = threading.Lock()
+        self._streamed: Streamed | None = None
+        self._stopped = ""
+
+    # What is known of it ---------------------------------------------------------------------------------------------
+
+    @property
+    @abstractmethod
+    def chain(self) -> Chain:
+        """Its kinematics, with the joints' ranges and speeds. Raises DeviceError where they are not known."""
+
+    @property
+    @abstractmethod
+    def speed_limits(self) -> SpeedLimits:
+        """How fast a command may ask it to move."""
+
+    @property
+    @abstractmethod
+    def state_hz(self) -> float:
+        """How often it should report."""
+
+    @property
+    def joint_limits_deg_s(self) -> FloatArray:
+        """(n,) the greatest rate of each joint that a command may ask for [deg/s]."""
+        return commands.joint_limits_deg_s(self.chain, self.speed_limits)
+
+    @property
+    def urdf(self) -> Path | None:
+        """The file that describes it for viewers; None = there is none."""
+        return None
+
+    @property
+    def homed(self) -> bool:
+        """Whether it is ready to follow commands since it was switched on."""
+        return True
+
+    # Motion ----------------------------------------------------------------------------------------------------------
+
+    def set_velocity(self, velocity: Velocity, valid_for_s: float | None = None) -> None:
+        """Move at a velocity from the next cycle on, for as long as this call vouches for it. Returns at once.
+
+        velocity: CartesianVelocity, translation in the base frame and rotation in the end effector's, sent as joint
+        rates for where the joints are in each cycle; or JointVelocity [deg/s]
+        valid_for_s: after this it ends by itself unless it is set again (default: the configured deadline)
+        Raises OutOfLimits (nothing is sent, what was set before still holds), MotionStopped where the arm was stopped,
+        and what else its driver says.
+        """
+        self._require_open()
+        commands.check_velocity(velocity, self.chain, self.speed_limits, self.name)
+        valid_s = self.speed_limits.command_deadline_s if valid_for_s is None else valid_for_s
+        if not 0.0 < valid_s <= LONGEST_S:
+            raise OutOfLimits(f"valid_for_s above 0 and up to {LONGEST_S:g}", f"{valid_s!r}", "refresh it", self.name)
+        with self._commanded:
+            self._require_moves()
+            self._require_ready()
+            now_ns = self._clock()
+            since_ns = now_ns if self._streamed is None else self._streamed.since_ns
+            self._streamed = Streamed(velocity, now_ns + round(valid_s * 1e9), since_ns)
+
+    @abstractmethod
+    def stop(self) -> None:
+        """Stop at once. Raises where that did not reach the arm.
+
+        The next command moves it again, whoever gives it; use `halt` to keep it stopped.
+        """
+
+    @abstractmethod
+    def halt(self, reason: str) -> None:
+        """Stop at once, and refuse the commands of all threads until `acknowledge_stop`. Raises as `stop` does."""
+
+    @property
+    def stopped_because(self) -> str:
+        """Why the arm was stopped and commands are refused; empty where they are not."""
+        return self._stopped
+
+    def acknowledge_stop(self) -> None:
+        """Take note that the arm was stopped: commands are accepted again."""
+        self._stopped = ""
+
+    # For subclasses --------------------------------------------------------------------------------------------------
+
+    def _require_ready(self) -> None:
+        """Raises for what else keeps this arm from taking a velocity."""
+
+    def _require_moves(self) -> None:
+        self._require_open()
+        if self._stopped:
+            raise MotionStopped(
+                "an arm that may move", f"one that was stopped: {self._stopped}", "acknowledge_stop()", self.name
+            )
+        if self.link is not Link.CONNECTED:
+            raise LinkLost("an arm that is connected", f"link {self.link}", "wait until it is back", self.name)

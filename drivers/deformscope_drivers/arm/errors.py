@@ -1,0 +1,17 @@
+"""What can go wrong with an arm, beside what can go wrong with any device."""
+
+from __future__ import annotations
+
+from deformscope_drivers.errors import DeviceError
+
+
+class MotionStopped(DeviceError):
+    """The arm was stopped, and refuses commands until someone has taken note of why."""
+
+
+class NotStopped(DeviceError):
+    """The arm was moving, and the stop command did not reach it."""
+
+
+class NotMovedByCommands(DeviceError):
+    """The arm takes no velocities: a person places it."""

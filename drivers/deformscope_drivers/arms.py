@@ -1,0 +1,14 @@
+"""The arms whose joints are known, by the name of their model."""
+
+from __future__ import annotations
+
+from deformscope_drivers.arm.kinematics import Chain
+from deformscope_drivers.jaco.chains import CHAINS as JACO
+from deformscope_drivers.placed.config import PLACED
+
+CHAINS: dict[str, Chain] = {**JACO}
+
+
+def chain_of(model: str) -> Chain | None:
+    """An arm's chain of joints; None where a person places it. Raises KeyError for a model that is not known."""
+    return None if model == PLACED else CHAINS[model]

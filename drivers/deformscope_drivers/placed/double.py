@@ -1,0 +1,31 @@
+"""A stand with a stick, simulated: it is where somebody puts it."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from deformscope_drivers.arm.kinematics import FloatArray
+
+
+class StandDouble:
+    """T_base_end_effector: (4, 4) where the mount of the stick truly is [m]"""
+
+    def __init__(self, T_base_end_effector: npt.ArrayLike) -> None:
+        self._T_base_end_effector: FloatArray = np.array(T_base_end_effector, dtype=float)
+
+    @property
+    def T_base_end_effector(self) -> FloatArray:
+        return self._T_base_end_effector
+
+    def put(self, T_base_end_effector: npt.ArrayLike) -> None:
+        """Somebody puts it there, (4, 4) [m]."""
+        self._T_base_end_effector = np.array(T_base_end_effector, dtype=float)
+
+    @property
+    def T_base_links(self) -> FloatArray:
+        """(1, 4, 4): nothing but its end is known."""
+        return self.T_base_end_effector[None]
+
+    def push(self, wrench: npt.ArrayLike) -> None:
+        """It stands firm; what yields under a push is not seen by a scale either."""

@@ -1,0 +1,104 @@
+"""`explore RIG` with arms other than the Jaco: one that a person places, and a KUKA through RSI."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from deformscope.cli import main
+from deformscope.lab.arms import SimulatedPerson
+from tests.cli.quick_scene import use_quick_scene
+from tests.cli.rig_on_a_simulated_clock import count_as_real, use_a_simulated_clock
+
+PLACED = """
+[devices.arm]
+driver = "placed"
+double = true
+start_m = [0.3, 0.2, 0.28]
+"""
+REST = """
+[devices.tip]
+driver = "optoforce"
+double = true
+bus = "socketcan:can0"
+rate_hz = 1000
+[devices.depth]
+driver = "depth_camera"
+double = true
+fps = 5
+[tool]
+compliance_m_per_n = 2e-4
+compliance_sd = 2e-5
+[workspace]
+low_m = [-0.1, -0.1, 0.0]
+high_m = [0.7, 0.5, 0.75]
+[surface]
+scene = "two-60-150"
+"""
+PLACES = {
+    "placed": "T_arm_surface = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]",
+}
+RIGS = {"placed": PLACED + REST + PLACES["placed"]}
+
+
+def explored(kind: str, touches: int, tmp_path: Path, capsys: pytest.CaptureFixture[str], *more: str) -> dict[str, Any]:
+    rig, found = tmp_path / f"{kind}.toml", tmp_path / "found.json"
+    rig.write_text(RIGS[kind])
+    arguments = ["explore", str(rig), "--touches", str(touches), "--beta-model", "none", "--json", str(found), *more]
+    assert main(arguments) == 0, capsys.readouterr().err
+    return json.loads(found.read_text())  # type: ignore[no-any-return]
+
+
+@pytest.mark.parametrize("kind", RIGS)
+def test_another_arm_explores_records_and_replays(
+    kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    use_a_simulated_clock(monkeypatch)
+    use_quick_scene(monkeypatch)
+    count_as_real(monkeypatch)
+    record = tmp_path / "r.rrd"
+
+    found = explored(kind, 1, tmp_path, capsys, "--yes", "--record", str(record))
+
+    (touch,) = found["touches"]
+    assert not touch["rigid"]
+    assert 0.2 < touch["apparent_stiffness_n_per_mm"] < 3.0
+    assert 2.7 < found["max_force_n"] < 3.8
+    assert main(["verify", str(record)]) == 0, capsys.readouterr().err
+    assert main(["replay", str(record)]) == 0, capsys.readouterr().err
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", RIGS)
+def test_another_arm_maps_two_foams(
+    kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    use_a_simulated_clock(monkeypatch)
+
+    found = explored(kind, 8, tmp_path, capsys)
+
+    with capsys.disabled():
+        print(f"\n{kind}: IoU {found['truth']['iou']:.3f} after {len(found['touches'])} touches")
+    assert found["truth"]["iou"] >= 0.9
+
+
+def test_each_place_of_the_plan_is_asked_for(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    use_a_simulated_clock(monkeypatch)
+    use_quick_scene(monkeypatch)
+    asked: list[Any] = []
+    ask = SimulatedPerson.ask
+    monkeypatch.setattr(SimulatedPerson, "ask", lambda person, request: (asked.append(request), ask(person, request)))
+
+    found = explored("placed", 2, tmp_path, capsys)
+
+    above = [request for request in asked if request.words.startswith("lift the tip, and place it")]
+    places = [request.T_base_ee[:2, 3] for request in above]
+    np.testing.assert_allclose(places, [touch["xy_m"] for touch in found["touches"]], atol=1e-9)
+    assert all("mm above the table" in request.words for request in asked)
+    assert 10 < len(asked) < 80
