@@ -85,7 +85,7 @@ class PlanOptions:
     speed_m_s: float = 0.1
     threshold: float = 0.06
     least_gain: float = 0.006
-    sure: float = 0.75
+    sure: float = 0.7
     budget: int = 12
     inclusion_m: float = INCLUSION_M
     unmet: float = 0.07
