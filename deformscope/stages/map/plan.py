@@ -84,11 +84,11 @@ class PlanOptions:
     touch_s: float = 6.0
     speed_m_s: float = 0.1
     threshold: float = 0.06
-    least_gain: float = 0.006
+    least_gain: float = 0.007
     sure: float = 0.7
     budget: int = 12
     inclusion_m: float = INCLUSION_M
-    unmet: float = 0.07
+    unmet: float = 0.08
 
     def __post_init__(self) -> None:
         if self.planner not in PLANNERS:
