@@ -150,13 +150,23 @@ class HealthReport:
     devices: tuple[tuple[str, Health], ...]
 
 
-Item = Frame | RawBytes | LinkChange | HealthReport
+@dataclass(frozen=True, slots=True)
+class SessionNote:
+    """What a person remarked while the devices went on. host_ns: when [ns]; text: a note in words, an episode's label,
+    the device that was tared"""
+
+    host_ns: int
+    about: Literal["note", "episode-begin", "episode-end", "tare"]
+    text: str
+
+
+Item = Frame | RawBytes | LinkChange | HealthReport | SessionNote
 """What a recording of a rig holds."""
 
 
 def host_ns(item: Item) -> int:
     """When an item was taken, on the host's clock [ns]."""
-    if isinstance(item, RawBytes | HealthReport):
+    if isinstance(item, RawBytes | HealthReport | SessionNote):
         return item.host_ns
     if isinstance(item, LinkChange):
         return item.event.host_ns

@@ -34,6 +34,7 @@ from deformscope.frames import (
     InputFile,
     LinkChange,
     RawBytes,
+    SessionNote,
     TactileFrame,
     WrenchFrame,
 )
@@ -44,8 +45,10 @@ from deformscope.stages.map.exploration import (
     PhaseStart,
     PlannedTouch,
     StageFailure,
+    SteeringDecision,
     SurfaceEstimate,
     TouchEstimate,
+    TouchForecast,
 )
 from deformscope.stages.map.measured import LookFrames, SurfaceMeasurement, TouchFrames, TouchMeasurement
 from deformscope.stages.squeeze.events import SqueezeEvents
@@ -67,7 +70,16 @@ READABLE = (1, FORMAT)
 Input = LookFrames | TouchFrames | SurfaceMeasurement | TouchMeasurement
 """What an exploration is computed from."""
 Result = (
-    SurfaceEstimate | TouchEstimate | MapEstimate | PlannedTouch | StageFailure | PhaseStart | ExplorationStop | Input
+    SurfaceEstimate
+    | TouchEstimate
+    | MapEstimate
+    | PlannedTouch
+    | TouchForecast
+    | SteeringDecision
+    | StageFailure
+    | PhaseStart
+    | ExplorationStop
+    | Input
 )
 SqueezeResult = (
     SqueezePhase
@@ -85,6 +97,8 @@ ENTITIES: dict[type, str] = {
     TouchEstimate: "exploration/touch",
     MapEstimate: "exploration/maps",
     PlannedTouch: "exploration/plan",
+    TouchForecast: "exploration/forecast",
+    SteeringDecision: "exploration/decision",
     StageFailure: "exploration/failed",
     PhaseStart: "exploration/phase",
     ExplorationStop: "exploration/stopped",
@@ -100,6 +114,7 @@ ENTITIES: dict[type, str] = {
     TrackedContainer: "squeeze/container",
     ContentPosterior: "squeeze/content",
     HealthReport: "health",
+    SessionNote: "note",
     InputFile: "input",
 }
 """Where each kind stands in a recording."""

@@ -59,7 +59,8 @@ class Step:
     results: stage results, each of a type that `deformscope.log` knows how to show
     frame: the index of the frame that the results belong to; None = the frame just sent
     moment: where they stand instead, in a session with a robot
-    command: a `Compute`, or something that the robot carries out; an experiment gives one at a time
+    command: a `Compute`, a future that somebody else is to fill, as a person does who is asked, or something that the
+    robot carries out; an experiment gives one at a time
     batch_s: how long what devices give is then gathered, without a robot
     """
 
@@ -164,6 +165,8 @@ def run(
             write(step)
             if isinstance(step.command, Compute):
                 waiting = _started(beside, step.command)
+            elif isinstance(step.command, Future):
+                waiting = step.command
             elif step.command is not None and robot is not None:
                 waiting = robot.carry_out(step.command, keep)
             if waiting is None:

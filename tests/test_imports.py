@@ -45,7 +45,8 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "lab": ("arrays", "capsule", "errors", "processes", "rig", "robot"),
     "session": ("frames",),
     "rows": ("arrays", "frames", "images", "stages.map", "stages.squeeze"),
-    "recording": ("arrays", "errors", "frames", "images", "log", "rows", "session", *STAGES),
+    "page": ("errors",),
+    "recording": ("arrays", "errors", "frames", "images", "log", "page", "rows", "session", *STAGES),
     "files": ("arrays", "errors", "file_io", "frames", "images", "recording", *STAGES),
     "experiments": (
         *("arrays", "capsule", "errors", "files", "frames", "images", "processes", "recording", "rig", "robot"),
@@ -63,7 +64,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
     # What the commands compute, with doubles from the laboratory where they are asked for.
     "api": (
         *("arrays", "config", "errors", "experiments", "file_io", "files", "frames", "images", "lab", "log"),
-        *("pictures", "plain", "recording", "rig", "robot", "session", "studies", "terminal", *STAGES),
+        *("page", "pictures", "plain", "recording", "rig", "robot", "session", "studies", "terminal", *STAGES),
     ),
 }
 """What each folder may import of the others, also inside functions and for type checking. Nothing imports `cli`."""
@@ -74,6 +75,7 @@ FORBIDDEN = {
     "deformscope.frames": ("rerun", "tyro", "rich"),
     "deformscope.pictures": ("rerun",),
     "deformscope.session": ("rerun",),
+    "deformscope.page": ("rerun", "tyro", "rich", "numpy"),
     "deformscope.experiments": ("rerun", "tyro"),
     "deformscope.robot": ("rerun", "tyro", "rich"),
     "deformscope.config": ("numpy", "rich", "rerun", "warp"),
@@ -93,10 +95,16 @@ def modules() -> dict[str, Path]:
 
 
 @cache
+def parsed(path: Path) -> ast.Module:
+    """Once, for all that look at the source."""
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
+@cache
 def imported(path: Path) -> frozenset[str]:
     """The modules that a file imports anywhere, inside functions and for type checking too."""
     names: set[str] = set()
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in ast.walk(parsed(path)):
         if isinstance(node, ast.Import):
             names.update(alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom) and node.module is not None:

@@ -19,6 +19,7 @@ from deformscope.stages.msm.quiet import quiet_warp
 from deformscope.terminal import say, status_line
 
 if TYPE_CHECKING:
+    from deformscope.api.page_steering import PageSteering
     from deformscope.api.rigs import Interruption
     from deformscope.arrays import FloatArray
     from deformscope.config import ExploreConfig
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
     from deformscope.experiments.touching_robot import TouchingRobot
     from deformscope.lab.faults import FaultsToCome
     from deformscope.recording.recorder import Recorder
+    from deformscope.rig.source import RigSource
     from deformscope.robot.setup import Setup
     from deformscope.session import RigExperiment, Step
     from deformscope.stages.map.exploration import MapEstimate, Missed, TouchEstimate
@@ -138,8 +140,8 @@ def explore_on(config: ExploreConfig, report: Callable[[Explored], None]) -> Exp
     for fault in to_come.waiting if to_come is not None else ():
         say(f"--fault {fault.injected.word}@{fault.touch} did not strike: there was no such moment")
     if found.stop is not None or asked.is_set():
-        recording = recorder.summary().path
-        leave(found.stop, len(found.touches), asked.signal_number, recording, arm_stopped=ending.arm_stopped)
+        stands, by = ending.arm_stopped, asked.by
+        leave(found.stop, len(found.touches), asked.signal_number, recorder.summary().path, arm_stopped=stands, by=by)
     return explored
 
 
@@ -165,14 +167,17 @@ def _run(
         truth = setup.truth is not None and setup.truth.labels is not None
         place = setup.size_m, setup.placement.T_base_surface
         recorder.start_exploration(source.streams, source.start_ns, *place, truth=truth)
-        watch = Watch(asked, show)
+        page = _steering(config, setup, options, recorder, asked, source)
+        watch = Watch(asked, show if page is None else _both(show, page.show))
         with touching_robot(setup, source, options, watch) as robot, stages_beside(setup, options) as (beside, stage):
             try:
                 with watch.halts(robot):
                     if to_come is not None:
                         robot.on_phase = to_come.phase_began
-                    permit = _permitted(robot, setup, options, asked, ending, yes=config.yes)
-                    experiment = _said(explore(setup.clock, stage, found, permit), show)
+                    permit = _permitted(robot, setup, options, asked, ending, yes=config.yes, page=page)
+                    if page is not None:
+                        robot.reason_to_stand = page.reason_to_stand
+                    experiment = _said(explore(setup.clock, stage, found, permit, page), show, page)
                     run(source, experiment, recorder, robot, beside)
             finally:
                 ending.arm_stopped, ending.gaps_s = watch.arm_stopped, robot.gaps_s
@@ -190,13 +195,53 @@ def _permitted(
     ending: ExplorationEnd,
     *,
     yes: bool,
+    page: PageSteering | None,
 ) -> RigExperiment[None]:
-    yield from permitted(robot, setup, options, setup.calibrated, asked, yes=yes)
+    yield from permitted(robot, setup, options, setup.calibrated, asked, yes=yes, page=page)
+    if page is not None:
+        page.begin()
     ending.began_s = time.perf_counter()
 
 
-def _said(experiment: RigExperiment[None], show: Callable[[str], None]) -> RigExperiment[None]:
-    """The same experiment; what it finds is printed as it comes."""
+def _steering(
+    config: ExploreConfig,
+    setup: Setup,
+    options: ExploreOptions,
+    recorder: Recorder,
+    asked: Interruption,
+    source: RigSource,
+) -> PageSteering | None:
+    """What its page steers by; None without one."""
+    if recorder.page is None:
+        return None
+    from deformscope.api.page_steering import PageSteering
+
+    recorder.page.desk.show(title=config.rig, beat_s=config.page_timeout)
+    return PageSteering(
+        recorder.page.desk,
+        asked,
+        setup.clock,
+        source,
+        arm=f"{setup.names[0]}{' (simulated)' * setup.simulated}",
+        set_force_n=options.set_force_n,
+        budget=options.budget,
+        compliance_m_per_n=setup.compliance_m_per_n,
+        paused=config.paused,
+    )
+
+
+def _both(first: Callable[[str], None], second: Callable[[str], None]) -> Callable[[str], None]:
+    def show(words: str) -> None:
+        first(words)
+        second(words)
+
+    return show
+
+
+def _said(
+    experiment: RigExperiment[None], show: Callable[[str], None], page: PageSteering | None = None
+) -> RigExperiment[None]:
+    """The same experiment; what it finds is printed, and shown on the page, as it comes."""
     given: Any = None
     answer: Callable[[Any], Step] = experiment.send
     while True:
@@ -204,6 +249,8 @@ def _said(experiment: RigExperiment[None], show: Callable[[str], None]) -> RigEx
             step = answer(given)
         except StopIteration:
             return
+        if page is not None:
+            page.saw(step.results)
         if lines := [line for result in step.results for line in _remarks(result)]:
             show("")
             for line in lines:
@@ -223,11 +270,24 @@ def _remarks(result: object) -> Iterator[str]:
         stiffness_words,
         verdict_words,
     )
-    from deformscope.stages.map.exploration import MapEstimate, PlannedTouch, StageFailure, TouchEstimate
+    from deformscope.stages.map.exploration import (
+        MapEstimate,
+        PlannedTouch,
+        StageFailure,
+        SteeringDecision,
+        TouchEstimate,
+        TouchForecast,
+    )
 
     if isinstance(result, PlannedTouch):
         where = "" if result.target_m is None else f"next touch at {_cm(result.target_m)} cm: "
         yield where + result.reason
+    elif isinstance(result, TouchForecast):
+        low, high = result.stiffness_interval
+        expected = f"{result.stiffness_n_per_mm:.2g} N/mm expected ({low:.2g} to {high:.2g})"
+        yield f"asked for on the page: a touch at {_cm(result.xyz_m[:2])} cm, {expected}"
+    elif isinstance(result, SteeringDecision):
+        yield f"page: {result.kind} at {_cm(result.xy_m)} cm{': ' * bool(result.reason)}{result.reason}"
     elif isinstance(result, TouchEstimate):
         between = interval_words(result)
         yield (

@@ -13,6 +13,7 @@ from deformscope.terminal import say
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from deformscope.api.page_steering import PageSteering
     from deformscope.api.rigs import Interruption
     from deformscope.arrays import FloatArray
     from deformscope.experiments.options import ExploreOptions
@@ -54,7 +55,7 @@ class Watch:
         if self.robot is None:
             return
         if self._asked.is_set():
-            self.robot.ask_to_stop(signal_word(self._asked.signal_number))
+            self.robot.ask_to_stop(self._asked.by or signal_word(self._asked.signal_number))
         self._periods += 1
         if self._periods % SHOW_EVERY == 0:
             self._show(self.robot.doing)
@@ -90,11 +91,12 @@ def permitted(
     *,
     yes: bool,
     places_m: FloatArray | None = None,
+    page: PageSteering | None = None,
 ) -> RigExperiment[None]:
     """Within an experiment: look at everything, print the table of checks, and ask before a real arm moves.
 
     calibrated: what has to be, by name, and whether it is; yes: do not ask
-    places_m: (n, 2) that will be touched, None = any that can be reached
+    places_m: (n, 2) that will be touched, None = any that can be reached; page: where the question can be answered too
     What was checked is checked again after the question, which may have waited for long. Raises InputError where a
     check fails, or nobody says yes, and ExplorationStopped where it is answered by Ctrl-C.
     """
@@ -112,10 +114,13 @@ def permitted(
             )
         else:
             say(f"You will be asked to place the stick, step by step: {touches}. Keep your hands out of the picture.")
-        if not yes and not sys.stdin.isatty():
+        if page is not None and not yes:
+            page.wait_for_permission(touches)
+        if not yes and page is None and not sys.stdin.isatty():
             raise InputError("somebody who says yes", "no terminal to ask at", "--yes")
         if not yes:
-            answered = yield from ask_line("Type yes to begin: ", asked)
+            prompt = "Type yes to begin: " if page is None else "Press Explore on the page, or type yes, to begin: "
+            answered = yield from ask_line(prompt, asked, None if page is None else page.is_permitted)
             if asked.is_set():
                 robot.ask_to_stop(signal_word(asked.signal_number))
             elif answered != "yes":
@@ -126,32 +131,45 @@ def permitted(
     robot.let_move(preflight)
 
 
-def ask_line(prompt: str, asked: Interruption) -> RigExperiment[str]:
-    """What somebody at the terminal says; frames pass meanwhile. Empty once they end it by Ctrl-C, or hang up."""
+def ask_line(prompt: str, asked: Interruption, agreed: Callable[[], bool] | None = None) -> RigExperiment[str]:
+    """What somebody at the terminal says; frames pass meanwhile. Empty once they end it by Ctrl-C, or hang up, and yes
+    once somebody has agreed elsewhere."""
     import select
 
     from deformscope.session import Step
 
     print(prompt, end="", file=sys.stderr, flush=True)
+    listened = [sys.stdin] if agreed is None or sys.stdin.isatty() else []
     while not asked.is_set():
-        if select.select([sys.stdin], [], [], POLL_S)[0]:
+        if agreed is not None and agreed():
+            return "yes"
+        if select.select(listened, [], [], POLL_S)[0]:
             return sys.stdin.readline().strip().lower()
         yield Step()
     return ""
 
 
 def leave(
-    stop: ExplorationStop | None, touched: int, signal_number: int, recording: Path | None, *, arm_stopped: bool = True
+    stop: ExplorationStop | None,
+    touched: int,
+    signal_number: int,
+    recording: Path | None,
+    *,
+    arm_stopped: bool = True,
+    by: str = "",
 ) -> None:
-    """End the command as the stop demands: with the reason and what to do, or by the signal's own exit status."""
+    """End the command as the stop demands: with the reason and what to do, or by the signal's own exit status. by: who
+    asked, where that was no signal"""
+    import signal
+
     from deformscope.robot.supervisor import Fault
 
     stands = "the arm stands" if arm_stopped else "THE ARM COULD NOT BE STOPPED: look at it, use its emergency stop"
     touches = f"after {touched} touch{'es' * (touched != 1)}"
     if stop is None or stop.kind == Fault.ASKED:
         kept = "" if recording is None else f"; the recording is whole: {recording}"
-        say(f"deformscope: ended by {signal_word(signal_number)} {touches}; {stands}{kept}")
-        raise SystemExit(128 + signal_number)
+        say(f"deformscope: ended {by or f'by {signal_word(signal_number)}'} {touches}; {stands}{kept}")
+        raise SystemExit(128 + (signal_number or signal.SIGINT))
     hint = f"see to {stop.advice}, then explore again" if stop.advice else "explore again"
     came = f"{stop.kind} ({stop.reason.split(' | ')[0]}) {touches}; {stands}"
     raise InputError("an exploration that comes to its end", came, hint, recording or "")

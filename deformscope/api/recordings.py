@@ -10,7 +10,7 @@ from typing import Any, cast
 
 from deformscope.api.result import LibraryResult, ViewerChoice, python_names
 from deformscope.config import OutputOptions, RecordConfig
-from deformscope.frames import ColorFrame, Item
+from deformscope.frames import ColorFrame, Item, SessionNote
 from deformscope.pictures.findings import cell_text
 from deformscope.pictures.report import Table
 from deformscope.plain import plain
@@ -51,6 +51,11 @@ class OpenRecording(LibraryResult):
     def items(self) -> Iterator[Item]:
         """Everything that the devices of a rig gave, in its order."""
         return read_items(self.path, trust=True)
+
+    def notes(self) -> tuple[SessionNote, ...]:
+        """What was remarked while it was recorded: notes, episodes, tares, each with its time on the host's clock."""
+        found = read_items(self.path, trust=True, kinds=(SessionNote,))
+        return tuple(note for note in found if isinstance(note, SessionNote))
 
     def estimates(self) -> list[dict[str, Any]]:
         """The recorded estimates of a calibration, as the JSON of the command line has them."""

@@ -12,10 +12,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, cast
 
 from deformscope.api.moving import signal_word
+from deformscope.api.page_run import PageRecorder
 from deformscope.api.recordings import RecordResult
-from deformscope.api.result import open_recorder
+from deformscope.api.result import ViewerChoice, open_recorder
 from deformscope.api.rigs import Interruption, members_of, until_interrupted
-from deformscope.config import RigRunOptions
+from deformscope.config import OutputOptions, RigRunOptions
 from deformscope.config.rigs import StageOptions
 from deformscope.experiments.live_stages import StageCounts, live_stages
 from deformscope.file_io import new_recording
@@ -23,7 +24,7 @@ from deformscope.frames import HealthReport, Item, LinkChange, Stream
 from deformscope.pictures.report import Table
 from deformscope.plain import plain
 from deformscope.recording.losses import in_words, losses_of, lost_by
-from deformscope.recording.recorder import RecordingSummary
+from deformscope.recording.recorder import Recorder, RecordingSummary
 from deformscope.rig.rig_file import Rig, load_rig
 from deformscope.rig.source import RigSource
 from deformscope.session import finish
@@ -59,7 +60,7 @@ def run_rig(config: RigRunOptions, auto: Literal["none", "native"], *, always_re
     rig = load_rig(config.rig, trusted=config.trust_rig)
     file = config.output.record
     if file is None and always_record:
-        file = new_recording(Path(rig.record.folder), rig.name.replace(":", "-"))
+        file = _new_file(rig)
     viewer = auto if config.output.viewer == "auto" else config.output.viewer
     output = dataclasses.replace(config.output, record=file, viewer=viewer)
     settings = {"rig": rig.text, "rig_name": rig.name, "label": config.label, "seed": config.output.seed}
@@ -70,7 +71,7 @@ def run_rig(config: RigRunOptions, auto: Literal["none", "native"], *, always_re
         settings["stages"] = dataclasses.asdict(options)
     with (
         until_interrupted() as asked,
-        open_recorder(output, settings, "rig", variant=_variant(rig, names), real_time=True) as recorder,
+        _recorder(output, settings, rig, names, asked) as recorder,
         _processes(names) if names else contextlib.nullcontext({}) as beside,
         members_of(rig) as members,
     ):
@@ -78,7 +79,10 @@ def run_rig(config: RigRunOptions, auto: Literal["none", "native"], *, always_re
         with RigSource(members, raw=rig.record.raw) as source:
             stages = () if options is None else _stages(options, source.streams)
             shown = [(stage.name, stage.device) for stage in stages]
-            recorder.start_rig(source.streams, source.start_ns, rig.record.lossless, shown)
+            if isinstance(recorder, PageRecorder):
+                recorder.start_source(source, rig.record.lossless, shown)
+            else:
+                recorder.start_rig(source.streams, source.start_ns, rig.record.lossless, shown)
             where = "" if file is None else f" into {file}"
             say(f"recording{where}: Ctrl-C ends it" if file else "watching: Ctrl-C ends it")
             end = _Ending(asked, config.seconds, source)
@@ -88,8 +92,27 @@ def run_rig(config: RigRunOptions, auto: Literal["none", "native"], *, always_re
             failures = dict(source.failures)
             why = end.reason + "".join(f"; {name} failed: {reason}" for name, reason in failures.items())
             recorder.stopped_because(why)
-    result = _result(config, recorder.summary(), last, failures, why, counts)
+    files = recorder.summaries if isinstance(recorder, PageRecorder) else None
+    result = _result(config, recorder.summary(), last, failures, why, counts, files)
     return RigRun(result, failures, end.reason, end.early_by)
+
+
+def _recorder(
+    output: OutputOptions, settings: Mapping[str, object], rig: Rig, names: Sequence[str], asked: Interruption
+) -> Recorder | PageRecorder:
+    """Of one file from the beginning to the end; on a page, of as many as it asks for."""
+
+    def make(file: Path | None, viewer: ViewerChoice) -> Recorder:
+        files = dataclasses.replace(output, record=file, viewer=viewer)
+        return open_recorder(files, settings, "rig", variant=_variant(rig, names), real_time=True)
+
+    if output.viewer != "page":
+        return make(output.record, output.viewer)
+    return PageRecorder(make, output.record, lambda: _new_file(rig), asked)
+
+
+def _new_file(rig: Rig) -> Path:
+    return new_recording(Path(rig.record.folder), rig.name.replace(":", "-"))
 
 
 def _live_options(flags: StageOptions, rig: Rig) -> LiveOptions:
@@ -154,7 +177,8 @@ class _Ending:
         lasted_s = time.monotonic() - self._began
         early = "" if self._seconds is None else f", earlier than the {self._seconds:g} s asked for"
         if self._asked.is_set():
-            self.reason = f"by {signal_word(self._asked.signal_number)} after {lasted_s:.1f} s{early}"
+            by = self._asked.by or f"by {signal_word(self._asked.signal_number)}"
+            self.reason = f"{by} after {lasted_s:.1f} s{early}"
         elif self._source.ended:
             self.reason = f"after {lasted_s:.1f} s{early}: every device has come to its end"
             say("every device has come to its end")
@@ -170,14 +194,16 @@ def _result(
     failures: Mapping[str, str],
     ended: str,
     stages: Mapping[str, StageCounts],
+    files: Sequence[RecordingSummary] | None,
 ) -> RecordResult:
-    """What was recorded, device by device, as a table and as JSON."""
+    """What was recorded, device by device, as a table and as JSON. files: begun and ended from a page"""
     devices = dict(last.devices)
     rows = [(name, _in_words(health, failures.get(name))) for name, health in devices.items()]
     rows += [(f"stage {name}", counts.in_words()) for name, counts in stages.items()]
     rows.append(("ended", ended))
-    if summary.path is not None:
-        rows.append(("recording", f"{summary.path} ({summary.bytes / 1e6:.1f} MB)"))
+    for one in [summary] if files is None else files:
+        if one.path is not None:
+            rows.append(("recording", f"{one.path} ({one.bytes / 1e6:.1f} MB)"))
     found: dict[str, object] = {
         "recording": summary.path,
         "frames": summary.frames,
@@ -188,6 +214,8 @@ def _result(
         "failures": failures,
         "ended": ended,
     }
+    if files is not None:
+        found["recordings"] = [one.path for one in files]
     if stages:
         found["stages"] = {name: counts.as_json() for name, counts in stages.items()}
     return RecordResult(cast("dict[str, Any]", plain(found)), Table(rows, caption=config.label or config.rig))

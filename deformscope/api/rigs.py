@@ -33,9 +33,10 @@ def member_of(entry: RigDevice) -> Iterator[RigMember]:
 
 
 class Interruption(threading.Event):
-    """Set once somebody asked to end. signal_number: with what; 0 before"""
+    """Set once somebody asked to end. signal_number: with what; 0 before, and where it was otherwise: by, in words"""
 
     signal_number = 0
+    by = ""
 
 
 @contextlib.contextmanager

@@ -135,7 +135,7 @@ def main(args: Sequence[str] | None = None) -> int:
     128 + its number: ended by a signal
     """
     status = _status(list(sys.argv[1:] if args is None else args))
-    if "deformscope.recording.live" in sys.modules and status < EXIT_SIGNALLED:
+    if "deformscope.page.server" in sys.modules and status < EXIT_SIGNALLED:
         from deformscope.cli.common import keep_page
 
         keep_page()

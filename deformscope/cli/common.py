@@ -151,11 +151,11 @@ def examined(what: str, function: Callable[[T], R], items: Sequence[T], workers:
 def keep_page() -> None:
     """What was shown on a page stays there until Ctrl-C where somebody sits at a terminal; elsewhere, and then, the
     page's server ends."""
-    from deformscope.recording.live import end_pages, running_pages
+    from deformscope.page.server import end_pages, running_pages
 
     if sys.stdin is not None and sys.stdin.isatty() and sys.stdout.isatty() and (pages := running_pages()):
         with suppress(KeyboardInterrupt):
-            say(f"the page stays until Ctrl-C: {', '.join(viewer.page for viewer in pages)}")
+            say(f"the page stays until Ctrl-C: {', '.join(page.address for page in pages)}")
             while running_pages():
                 time.sleep(PAGE_LOOK_S)
     end_pages()

@@ -49,6 +49,10 @@ def run(config: ReplayConfig) -> None:
     quiet_warp()
     recording = Replay(config.recording)
     settings = dict(recording.settings)
+    if config.output.viewer == "page" and settings.keys() & {"explore", "squeezed", "rig"}:
+        from deformscope.api.replay_page import play_on_page
+
+        play_on_page(config.recording)
     if "explore" in settings:
         from deformscope.cli.replay_exploration import replay_exploration
 

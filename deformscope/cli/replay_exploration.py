@@ -24,7 +24,14 @@ def replay_exploration(recording: Replay, config: ReplayConfig) -> None:
     whether it fails may hang on the machine."""
     import msgspec
 
-    from deformscope.experiments.explore import AtOnce, Exploration, RecordedRobot, explore, within_loop
+    from deformscope.experiments.explore import (
+        AtOnce,
+        Exploration,
+        RecordedRobot,
+        RecordedSteering,
+        explore,
+        within_loop,
+    )
     from deformscope.experiments.explorer import AsMeasured, ExplorationStages, Explorer, FromFrames
     from deformscope.experiments.measured import SetupGeometry
     from deformscope.experiments.options import ExploreOptions
@@ -35,6 +42,7 @@ def replay_exploration(recording: Replay, config: ReplayConfig) -> None:
         MapEstimate,
         PlannedTouch,
         StageFailure,
+        SteeringDecision,
         SurfaceEstimate,
         TouchEstimate,
     )
@@ -53,7 +61,9 @@ def replay_exploration(recording: Replay, config: ReplayConfig) -> None:
     explorer = Explorer(geometry.size_m, options, geometry.arm, failed=failed_before)
     stages = ExplorationStages(explorer, AsMeasured(geometry.size_m) if measured else FromFrames(geometry, options))
     computed = _Heard()
-    run([], explore(lambda: 0, within_loop(stages), Exploration()), computed, AtOnce(RecordedRobot(given)))
+    steering = RecordedSteering([row.item for row in read_results(path, (SteeringDecision,), trust=True)])
+    explored = explore(lambda: 0, within_loop(stages), Exploration(), steering=steering)
+    run([], explored, computed, AtOnce(RecordedRobot(given)))
     again = [one for one in computed.results if isinstance(one, kinds)]
     if changes:
         _show_beside(recorded, again, changes, config)

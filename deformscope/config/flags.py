@@ -255,6 +255,9 @@ SomeFlag = Annotated[int | None, one_word("INT", int), unset, least(1)]
 ClusterFlag = Annotated[int, least(2)]
 ManyFlag = Annotated[int, least(1)]
 LevelFlag = Annotated[float, Rule(lambda value: 0 < value < 1, "a {flag} between 0 and 1", "--level 0.9")]
+TimeoutFlag = Annotated[
+    float, Rule(lambda value: 0.05 <= value <= 60.0, "a {flag} of 0.05 to 60 s", "--page-timeout 0.3")
+]
 SeedFlag = Annotated[int, least(0)]
 CameraFlag = Annotated[str | None, one_word("NAME", str), unset]
 FileFlag = Annotated[Path | None, one_word("FILE", Path), unset, Reads()]

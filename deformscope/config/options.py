@@ -88,9 +88,9 @@ class ViewOptions(Flags):
     """Write a rerun recording (.rrd). Without it nothing is recorded; `record` alone then takes a new name in runs/."""
     viewer: Literal["auto", "native", "page", "none"] = "auto"
     """Show every stage live: in rerun's window (stays when the command has ended), on a web page (ends with it, at a
-    terminal with Ctrl-C), or not at all; auto: the window where there is a display. A window or page opens a port on
-    127.0.0.1 that asks for no password: other users of this machine, and by DNS rebinding web sites in its browsers,
-    can read all that is shown, and steer a window (open files, take pictures). On a shared machine: none."""
+    terminal with Ctrl-C), or not at all; auto: the window where there is a display. A page answers to the address alone
+    that is printed. A window opens a port on 127.0.0.1 that asks for no password: other users of this machine, and by
+    DNS rebinding web sites in its browsers, can read all that is shown, and steer it (open files, take pictures)."""
     overwrite: bool = False
     """Replace a recording that exists; without it an existing one is refused."""
 

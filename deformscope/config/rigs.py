@@ -207,12 +207,18 @@ class ExploreConfig(RecordedOptions):
     """Draw the maps to a PNG."""
     map: flags.ArraysFlag = None
     """Write the maps as arrays: stiffness [N/mm], its deviation (of its log), regions, their probability, beta."""
+    paused: bool = False
+    """With --viewer page: begin paused, and touch only where somebody says so on the page."""
+    page_timeout: flags.TimeoutFlag = 0.3
+    """Stop a touch that was asked for on the page where the page is not heard of for so long [s]; exploring goes on."""
     yes: bool = False
     """Let a real arm move, once the checks have passed, without asking."""
     trust_rig: flags.TrustFlag = False
     output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
 
     def check(self) -> None:
+        if self.paused and self.output.viewer != "page":
+            raise InputError("--paused with --viewer page", f"--viewer {self.output.viewer}", "--viewer page")
         if not self.rig and not self.list_scenarios:
             raise InputError("a rig file, or lab:NAME", "none", "deformscope explore --list-scenarios")
 

@@ -6,17 +6,18 @@ their results; whether robot and stages are simulated, recorded, or run by thems
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import BrokenExecutor, Future
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol
 
 import numpy as np
 
+from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 from deformscope.experiments.explorer import Computed, ExplorationStages, Result, Touch
 from deformscope.experiments.options import PLAN_CELL_M
-from deformscope.session import Compute, Inline, Moment, RigExperiment, Step, ask
+from deformscope.session import Answer, Compute, Inline, Moment, RigExperiment, Step, ask
 from deformscope.stages.map.exploration import (
     ExplorationStop,
     MapEstimate,
@@ -24,7 +25,9 @@ from deformscope.stages.map.exploration import (
     PhaseStart,
     PlannedTouch,
     StageFailure,
+    SteeringDecision,
     TouchEstimate,
+    TouchForecast,
 )
 from deformscope.stages.map.measured import SurfaceMeasurement, TouchMeasurement
 
@@ -51,6 +54,68 @@ class ExplorationStopped(InputError):
     def __init__(self, stop: ExplorationStop, time_ns: int) -> None:
         super().__init__("an exploration that comes to its end", f"{stop.kind}: {stop.reason}", stop.advice)
         self.stop, self.time_ns = stop, time_ns
+
+
+class TouchHeld(Exception):
+    """A touch was broken off before it measured anything; the robot stands, and may be sent elsewhere."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NextMove:
+    """What comes next: go on = as planned, veto = another plan without xy_m, touch = there, after a confirm, and
+    replan. xy_m: (2,) [m]"""
+
+    kind: Literal["go on", "veto", "touch", "replan"] = "go on"
+    xy_m: FloatArray = field(default_factory=lambda: np.zeros(2))
+
+
+class Steering(Protocol):
+    """A person, where one may change what comes next: asked where the loop decides, before each touch."""
+
+    def choose(self, plan: PlannedTouch | None, touches: int) -> Future[NextMove]:
+        """plan: None where nothing could be planned; touches: made so far"""
+
+    def confirm(self, forecast: TouchForecast) -> Future[bool]:
+        """Whether this touch is to be made."""
+
+    def refuse(self, reason: str) -> None:
+        """The touch that was chosen cannot be made."""
+
+    def look(self) -> None:
+        """Called now and then while it is waited for: an answer that will never come is to fail its future."""
+
+
+class Unsteered:
+    """All goes as planned."""
+
+    def choose(self, plan: PlannedTouch | None, touches: int) -> Future[NextMove]:
+        return _known(NextMove())
+
+    def confirm(self, forecast: TouchForecast) -> Future[bool]:
+        return _known(True)
+
+    def refuse(self, reason: str) -> None: ...
+
+    def look(self) -> None: ...
+
+
+class RecordedSteering(Unsteered):
+    """Decides again what was recorded."""
+
+    def __init__(self, decisions: Sequence[SteeringDecision]) -> None:
+        # of a touch that was broken off nothing is left to replay
+        followed = [*decisions[1:], None]
+        self._left = [
+            one
+            for one, then in zip(decisions, followed, strict=False)  # there may be none
+            if one.kind != "touch" or then is None or then.kind != "held"
+        ]
+
+    def choose(self, plan: PlannedTouch | None, touches: int) -> Future[NextMove]:
+        if not self._left or self._left[0].touch != touches:
+            return _known(NextMove())
+        one = self._left.pop(0)
+        return _known(NextMove("replan" if one.kind == "held" else one.kind, one.xy_m))
 
 
 class ExploringRobot(Protocol):
@@ -132,17 +197,22 @@ Stage = Callable[..., Compute]
 
 
 def explore(
-    clock: Callable[[], int], stage: Stage, found: Exploration, permitted: RigExperiment[None] | None = None
+    clock: Callable[[], int],
+    stage: Stage,
+    found: Exploration,
+    permitted: RigExperiment[None] | None = None,
+    steering: Steering | None = None,
 ) -> RigExperiment[None]:
     """Look, then touch until the plan says enough; `found` holds what was found.
 
-    clock: the robot's [ns]; stage: has a stage computed; permitted: what comes before the robot may move
+    clock: the robot's [ns]; stage: has a stage computed; permitted: what comes before the robot may move; steering:
+    may change what comes next
     It returns also where the robot must not go on, or it makes no sense: `found.stop` says why.
     """
     try:
         if permitted is not None:
             yield from permitted
-        yield from _explore(clock, stage, found)
+        yield from _explore(clock, stage, found, steering or Unsteered())
     except ExplorationStopped as error:
         found.stop, found.stop_ns = error.stop, error.time_ns
         found.stop_reason = f"stopped: {error.stop.kind}"
@@ -150,25 +220,77 @@ def explore(
         yield from ask(Wait(AFTER_S), results, Moment(error.time_ns, found.started))
 
 
-def _explore(clock: Callable[[], int], stage: Stage, found: Exploration) -> RigExperiment[None]:
+def _explore(clock: Callable[[], int], stage: Stage, found: Exploration, steering: Steering) -> RigExperiment[None]:
     looked = yield from ask(Look(), (PhaseStart("look", 0),), Moment(clock()))
     seen = yield from _computed(clock, stage("look", looked), found, (_input(looked),), Moment(clock()))
     yield Step(found.add(seen), moment=Moment(clock()))
     if not any(not isinstance(result, StageFailure) for result in seen.results):
         raise _given_up(clock, found)
     while True:
+        touch = yield from _next_touch(clock, stage, found, steering)
+        if touch is None:
+            return
         count = len(found.touches)
-        plan = yield from _computed(clock, stage("plan"), found)
-        yield Step(found.add(plan), moment=Moment(clock(), count, cell_m=PLAN_CELL_M))
-        if plan.touch is None:
-            if any(isinstance(one, PlannedTouch) and one.target_m is None for one in plan.results):
-                return
-            raise _given_up(clock, found, plan.given_up)
         found.started += 1
-        touched = yield from ask(plan.touch)
+        try:
+            touched = yield from ask(touch)
+        except TouchHeld as held:
+            found.started -= 1
+            broken_off = SteeringDecision("held", touch.xy_m, count, str(held))
+            yield Step((broken_off,), moment=Moment(clock(), count))
+            continue
         given = PhaseStart("plan", count), _input(touched)
         made = yield from _computed(clock, stage("touch", touched), found, given, Moment(clock(), count + 1))
         yield Step(found.add(made), moment=Moment(clock(), count + 1, _input(touched).seen_ns or None))
+
+
+def _next_touch(
+    clock: Callable[[], int], stage: Stage, found: Exploration, steering: Steering
+) -> Generator[Step, Any, Touch | None]:
+    """As planned, unless somebody wants another; None where there is none to be made."""
+    count = len(found.touches)
+    plan = yield from _computed(clock, stage("plan"), found)
+    while True:
+        yield Step(found.add(plan), moment=Moment(clock(), count, cell_m=PLAN_CELL_M))
+        planned = next((one for one in plan.results if isinstance(one, PlannedTouch)), None)
+        while True:
+            choice = yield from _answered(steering, steering.choose(planned, count))
+            if choice.kind != "touch":
+                break
+            aimed = yield from _computed(clock, stage("aim", choice.xy_m), found)
+            yield Step(found.add(aimed), moment=Moment(clock(), count))
+            forecast = next((one for one in aimed.results if isinstance(one, TouchForecast)), None)
+            if forecast is None or aimed.touch is None:
+                steering.refuse(aimed.refused)
+            elif (yield from _answered(steering, steering.confirm(forecast))):
+                yield Step((SteeringDecision("touch", choice.xy_m, count),), moment=Moment(clock(), count))
+                return aimed.touch
+        if choice.kind == "go on":
+            if plan.touch is None and (planned is None or planned.target_m is not None):
+                raise _given_up(clock, found, plan.given_up)
+            return plan.touch
+        if choice.kind == "veto":
+            decision = SteeringDecision("veto", choice.xy_m, count)
+            plan = yield from _computed(clock, stage("veto", choice.xy_m), found, (decision,), Moment(clock(), count))
+        else:
+            plan = yield from _computed(clock, stage("plan"), found)
+
+
+def _answered(steering: Steering, asked: Future[Any]) -> Generator[Step, Any, Any]:
+    """What a person says; the session goes on meanwhile."""
+    if asked.done():
+        return asked.result()
+    given = yield Step(command=asked)
+    while not isinstance(given, Answer):
+        steering.look()
+        given = yield Step()
+    return given.value
+
+
+def _known(value: Any) -> Future[Any]:
+    future: Future[Any] = Future()
+    future.set_result(value)
+    return future
 
 
 def _computed(

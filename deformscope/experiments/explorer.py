@@ -15,8 +15,9 @@ from typing import Any, Protocol, TypeVar
 import numpy as np
 
 from deformscope.arrays import BoolArray, FloatArray
+from deformscope.errors import InputError
 from deformscope.experiments.measured import Looked, SetupGeometry, Touched
-from deformscope.experiments.options import PLAN_CELL_M, ExploreOptions
+from deformscope.experiments.options import BORDER_M, PLAN_CELL_M, ExploreOptions
 from deformscope.robot.setup import Truth
 from deformscope.robot.touch import TouchPlan
 from deformscope.stages.map.exploration import (
@@ -25,6 +26,7 @@ from deformscope.stages.map.exploration import (
     StageFailure,
     SurfaceEstimate,
     TouchEstimate,
+    TouchForecast,
 )
 from deformscope.stages.map.field import BETA_PRIOR, fit_field
 from deformscope.stages.map.map_score import boundary_distance, called_labels, match_regions
@@ -32,14 +34,14 @@ from deformscope.stages.map.measured import SurfaceMeasurement, TouchMeasurement
 from deformscope.stages.map.plan import ALLOWED, FieldKernel, PlanOptions, plan_touch
 from deformscope.stages.map.surface import HeightMap, HeightProcess, fit_surface
 from deformscope.stages.map.touch_beta import BallContact, fit_touch, thesis_beta
-from deformscope.stages.poke.contact import ArmCompliance, ContactFit, fit_approach, layer_modulus
+from deformscope.stages.poke.contact import EXPONENT, Z_90, ArmCompliance, ContactFit, fit_approach, layer_modulus
 from deformscope.stages.regions.posterior import RegionMap, RegionPosterior
 from deformscope.stages.regions.touches import MapGrid, StiffnessSample
 from deformscope.stages.see.cloud import tactile_points
 from deformscope_drivers.arms import chain_of
 
 StageResult = TypeVar("StageResult")
-Result = SurfaceEstimate | TouchEstimate | MapEstimate | PlannedTouch | StageFailure
+Result = SurfaceEstimate | TouchEstimate | MapEstimate | PlannedTouch | TouchForecast | StageFailure
 NEAR_M = 0.08
 """Points within this of a touch are shown with it."""
 FEWEST_FOR_FIELD = 2
@@ -48,6 +50,12 @@ BESIDE_M, SURE_SD = 0.02, 3.0
 LAW_STEPS = 400
 """Forces at which the fitted law is taken, from none to twice the largest."""
 THESIS_ROI_M, TACTILE_NOISE_M = 0.08, 2e-4
+VETO_M = 0.03
+"""A veto leaves out what is so near."""
+SEEN_M = 0.01
+"""A place counts as seen where a point of the surface was, so near."""
+FORECAST_STEPS = 25
+"""Forces at which a touch is foretold."""
 MOST_FAILED = 3
 """After so many touches in a row that gave no map the exploration ends: whatever is wrong does not pass by itself."""
 
@@ -143,7 +151,7 @@ class Computed:
     """What one computation of an exploration gave.
 
     results: in their order; touch: that comes next, None where there is none; given_up: why it makes no sense to touch
-    on; region_probability: of each number of regions; seconds: that it took
+    on; region_probability: of each number of regions; seconds: that it took; refused: why a place cannot be touched
     """
 
     results: tuple[Result, ...]
@@ -151,6 +159,7 @@ class Computed:
     given_up: str = ""
     region_probability: dict[str, float] | None = None
     seconds: float = 0.0
+    refused: str = ""
 
 
 class ExplorationStages:
@@ -159,6 +168,7 @@ class ExplorationStages:
     def __init__(self, explorer: Explorer, geometry: Geometry) -> None:
         self.explorer, self.geometry = explorer, geometry
         self._reachable: BoolArray | None = None
+        self._vetoed: list[FloatArray] = []
         self._reported = 0
 
     def look(self, looked: Any) -> Computed:
@@ -173,12 +183,50 @@ class ExplorationStages:
         explorer = self.explorer
         plan, touch = None, None
         if not explorer.given_up:
-            if self._reachable is None:
-                self._reachable = self.geometry.reachable(explorer.grid)
-            plan = explorer.next(self._reachable)
+            allowed = self._reached()
+            for xy_m in self._vetoed:
+                allowed = allowed & ~_near(explorer.grid, xy_m)
+            plan = explorer.next(allowed)
         if plan is not None and plan.target_m is not None:
             touch = explorer.approach(plan.target_m, self.geometry)
         return self._computed(_made(plan), began, touch)
+
+    def veto(self, xy_m: FloatArray) -> Computed:
+        """Plan anew, from now on without a place (2,) [m] and what is near it."""
+        self._vetoed.append(xy_m)
+        return self.plan()
+
+    def aim(self, xy_m: FloatArray) -> Computed:
+        """What a touch of a place (2,) [m] would be, and what it is expected to feel; or why it cannot be made."""
+        began = time.perf_counter()
+        touch, forecast = None, None
+        try:
+            refused = self._refusal(xy_m)
+            if not refused:
+                touch = self.geometry.approach(xy_m, *self.explorer.aim(xy_m), self.explorer.over_m(xy_m))
+                forecast = self.explorer.forecast(touch)
+        except InputError as error:
+            refused = str(error)
+        return dataclasses.replace(self._computed(_made(forecast), began, touch), refused=refused)
+
+    def _refusal(self, xy_m: FloatArray) -> str:
+        """Why a place (2,) [m] cannot be touched; empty where it can."""
+        grid = self.explorer.grid
+        x_cm, y_cm = (100.0 * value for value in grid.size_m)
+        if not ((xy_m > 0.0) & (xy_m < grid.size_m)).all():
+            return f"it is beside the surface, which has {x_cm:g} by {y_cm:g} cm"
+        if not ((xy_m > BORDER_M) & (xy_m < np.asarray(grid.size_m) - BORDER_M)).all():
+            return f"it is within {100 * BORDER_M:g} cm of the surface's edge"
+        seen_m = self.explorer.seen_m
+        if not len(seen_m) or float(np.hypot(*(seen_m[:, :2] - xy_m).T).min()) > SEEN_M:
+            return f"the camera has not seen the surface there: no point within {1e3 * SEEN_M:g} mm"
+        cell = tuple((xy_m[::-1] / grid.cell_m).astype(int))
+        return "" if self._reached()[cell] else "the arm cannot be led there from above"
+
+    def _reached(self) -> BoolArray:
+        if self._reachable is None:
+            self._reachable = self.geometry.reachable(self.explorer.grid)
+        return self._reachable
 
     def touch(self, touched: Any) -> Computed:
         """What a touch says, and the maps after it."""
@@ -199,10 +247,16 @@ def _made(result: StageResult | None) -> tuple[StageResult, ...]:
     return () if result is None else (result,)
 
 
+def _near(grid: MapGrid, xy_m: FloatArray) -> BoolArray:
+    """(rows, columns) within VETO_M of a place (2,) [m]."""
+    return np.asarray(np.hypot(*(grid.centres_m - xy_m).T) < VETO_M).reshape(grid.shape)
+
+
 class Explorer:
     """The estimates after each touch; pure, but for what it was given so far.
 
-    touches: every one made; known: the newest maps, None before the first; failures: every stage that failed
+    touches: every one made; seen_m: (n, 3) points of the surface before any; known: the newest maps, None before the
+    first; failures: every stage that failed
     """
 
     def __init__(
@@ -219,6 +273,8 @@ class Explorer:
         self.world: HeightProcess | None = None
         self.posterior = RegionPosterior.before_touches(self.grid, seed=options.seed)
         self.touches: list[TouchEstimate] = []
+        self.seen_m: FloatArray = np.zeros((0, 3))
+        self._exponents: list[float] = []
         self.known: MapEstimate | None = None
         self.region_probability: dict[str, float] | None = None
         self.failures: list[StageFailure] = []
@@ -249,7 +305,7 @@ class Explorer:
         size_m = self.grid.size_m
         self.world = fit_surface(looked.points_m, noise_m=looked.noise_m, within_m=((0.0, 0.0), size_m), outlier_sd=5.0)
         heights = self.world.on(self.grid)
-        self._heights = heights
+        self._heights, self.seen_m = heights, looked.points_m
         return SurfaceEstimate(looked.points_m, heights.mean_m, heights.deviation_m, self.grid.cell_m)
 
     def _plan(self, reachable: BoolArray | None) -> PlannedTouch:
@@ -285,6 +341,35 @@ class Explorer:
         assert self.world is not None
         return float(self.world.at(xy_m[None]).mean[0]), self.world.normals(xy_m[None])[0]
 
+    def forecast(self, touch: Touch) -> TouchForecast:
+        """What a touch is expected to feel: the map's stiffness there, of the law that touches had so far."""
+        options, found = self.options, self.region_map()
+        row, column = (touch.xy_m[::-1] / self.grid.cell_m).astype(int)
+        log_stiffness = float(found.field[row, column])
+        log_sd = float(np.hypot(found.field_sd[row, column], self.posterior.prior.error.touch_sd))
+        exponent = float(np.mean(self._exponents)) if self._exponents else EXPONENT["sphere"]
+        forces = np.linspace(0.0, options.set_force_n, FORECAST_STEPS)
+        share = (forces / options.set_force_n) ** (1.0 / exponent)
+        stiffness, low, high = (float(np.exp(log_stiffness + sds * log_sd)) for sds in (0.0, -Z_90, Z_90))
+        depth_m, deepest_m, least_m = (1e-3 * options.set_force_n / one * share for one in (stiffness, low, high))
+        at = np.append(touch.xy_m, touch.height_m)
+        above_m = at + options.standoff_m * touch.normal
+        crossing_m = above_m[2] if touch.plan is None else touch.plan.travel_height_m - options.tip_radius_m
+        over_m = np.append(above_m[:2], max(above_m[2], crossing_m))
+        return TouchForecast(
+            at,
+            touch.normal,
+            np.array([over_m, above_m, at]),
+            options.set_force_n,
+            stiffness,
+            (low, high),
+            forces,
+            depth_m,
+            least_m,
+            deepest_m,
+            len(self.touches),
+        )
+
     def over_m(self, xy_m: FloatArray) -> float | None:
         """How high the surface may be on the straight way from the last touch to a place (2,) [m]; None before the
         first touch."""
@@ -311,6 +396,8 @@ class Explorer:
             fit = contact.fit
             seen = StiffnessSample(touched.xy_m, fit.log_stiffness, fit.own_log_sd, fit.rigid, fit.arm_log_sd)
             posterior = self._stage("regions", lambda: self.posterior.with_touch(seen))
+            if not fit.rigid:
+                self._exponents.append(fit.exponent)
         self._usable = posterior is not None
         if posterior is None:
             self._left_out.append(touched.xy_m)

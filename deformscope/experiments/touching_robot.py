@@ -16,7 +16,7 @@ import numpy as np
 
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.errors import InputError
-from deformscope.experiments.explore import ExplorationStopped, Look, Wait
+from deformscope.experiments.explore import ExplorationStopped, Look, TouchHeld, Wait
 from deformscope.experiments.explorer import Touch
 from deformscope.experiments.measured import UPRIGHT, FrameData, Looked, SetupGeometry, Touched
 from deformscope.experiments.options import ExploreOptions
@@ -97,6 +97,7 @@ class TouchingRobot:
     """Opened devices that look and touch (`deformscope.robot`); a `SessionRobot`.
 
     on_phase: called with each phase of a touch as it begins, and the touch's number from 1
+    reason_to_stand: asked in each control period of a motion: a reason to stand still and end it, empty = none
     stopped: fails with what stops the robot while it carries nothing out
     """
 
@@ -109,6 +110,7 @@ class TouchingRobot:
     ) -> None:
         """make: the robot, with the first command: its devices are recorded meanwhile"""
         self.on_phase: Callable[[Phase, int], None] = lambda phase, touch: None
+        self.reason_to_stand: Callable[[], str] = lambda: ""
         self.stopped: Future[None] = Future()
         self.geometry = SetupGeometry.of(setup)
         self._make, self._on_cycle = make, on_cycle
@@ -129,6 +131,7 @@ class TouchingRobot:
     def _robot(self) -> Robot:
         if self._made is None:
             self._made = self._make(lambda seen, verdict: self._cycled())
+            self._made.reason_to_stand = lambda: self.reason_to_stand()
         return self._made
 
     # Commands ---------------------------------------------------------------------------------------------------------
@@ -192,6 +195,8 @@ class TouchingRobot:
                     continue
                 try:
                     answers.submit(_give, future, self._do(command))
+                except TouchHeld as error:
+                    future.set_exception(error)
                 except BaseException as error:
                     failed = True
                     future.set_exception(error)
@@ -273,7 +278,7 @@ class TouchingRobot:
 
     def touch(self, plan: TouchPlan, xy_m: FloatArray) -> Callable[[], Touched]:
         """Go there, touch along the normal, keep the pictures of the dent, come back; what is returned puts together
-        what was measured. Raises ExplorationStopped."""
+        what was measured. Raises ExplorationStopped, and TouchHeld where it was broken off: the arm then stands."""
         robot = self._robot
         robot.start()
         dents: list[tuple[DepthImage, ArmSample]] = []
@@ -293,6 +298,9 @@ class TouchingRobot:
         verdict = robot.supervisor.verdict
         if verdict.action is not Action.GO_ON:
             raise self._stop(verdict.fault, verdict.reason, verdict.action, verdict.time_ns)
+        if record.ending is TouchEnding.HELD:
+            self._pressed_m, self._begun = None, self._begun - 1
+            raise TouchHeld(record.reason)
         if record.contact_m is None or record.ending in (TouchEnding.NOT_REACHED, TouchEnding.NO_CONTACT):
             where = f"at ({100 * xy_m[0]:.0f}, {100 * xy_m[1]:.0f}) cm"
             raise self._stop(record.ending, f"{where}: {record.reason}" if record.reason else where)

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 
 import rerun as rr
 
-from deformscope.frames import Item, StageResult, Stream
+from deformscope.frames import Item, StageResult, Stream, host_ns
 from deformscope.log.rig import Batch, Place, Shown, prepare_items
 from deformscope.log.rig.numbers import visible_in
 from deformscope.log.rig.thinned import thinned
@@ -18,15 +18,22 @@ class LiveStream:
     """What is logged to `rec` goes out at once; items of devices are gathered, and thinned when it is flushed.
 
     check: raises TimeoutError where the viewer does not answer within a time [s], another error where it is gone
+    passing: gets what a viewer that comes later can do without, None = `rec` does
     """
 
-    def __init__(self, rec: rr.RecordingStream, check: Callable[[float], None]) -> None:
+    def __init__(
+        self, rec: rr.RecordingStream, check: Callable[[float], None], passing: rr.RecordingStream | None = None
+    ) -> None:
         self.rec = rec
+        self._passing = passing or rec
+        self._streams_out = (rec,) if passing is None else (rec, passing)
         self._check = check
         self._items: dict[int, list[Item]] = {}
         self._places: dict[int, Place | None] = {}
         self._shown: Shown = {}
         self._start_ns, self._streams = 0, tuple[Stream, ...]()
+        self.newest_ns = 0
+        """Session time of the newest item that was sent [ns]; 0 before any."""
         self._results: list[StageResult] = []
         self._latest: dict[str, StageResult] = {}
 
@@ -42,9 +49,9 @@ class LiveStream:
         self._start_ns, self._streams = start_ns, tuple(streams)
         self._results += results
 
-    def send(self, batch: Batch) -> None:
+    def send(self, batch: Batch, *, lasting: bool = False) -> None:
         """Show what of it is in a view: a page's time goes by the number of entities."""
-        batch.send(self.rec, visible_in(self._streams))
+        batch.send(self.rec if lasting else self._passing, visible_in(self._streams))
 
     def flush(self, *, timeout_sec: float) -> None:
         """Send what was gathered, and return once the viewer has all. Raises TimeoutError where that takes longer,
@@ -52,6 +59,7 @@ class LiveStream:
         for touch, items in sorted(self._items.items()):
             place = self._places[touch]
             few = thinned(items)
+            self.newest_ns = max(self.newest_ns, *(host_ns(item) - self._start_ns for item in few), 0)
             self.send(prepare_items(few, self._start_ns, self._streams, (), place, self._shown, changes_only=True))
         self._items.clear()
         if self._results:
@@ -60,7 +68,8 @@ class LiveStream:
             self.send(prepare_stage_results(results, start_ns, streams, self._latest, newest_pictures=True))
         began = time.monotonic()
         try:
-            self.rec.flush(timeout_sec=timeout_sec)
+            for rec in self._streams_out:
+                rec.flush(timeout_sec=timeout_sec)
         except Exception as error:
             if time.monotonic() - began < timeout_sec:
                 raise
@@ -69,4 +78,5 @@ class LiveStream:
         self._check(timeout_sec)
 
     def disconnect(self) -> None:
-        self.rec.disconnect()
+        for rec in self._streams_out:
+            rec.disconnect()

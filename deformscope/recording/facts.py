@@ -54,7 +54,7 @@ def read_facts(path: Path) -> Facts:
 
 def run_rrd(*arguments: str | Path) -> str:
     """Run `rerun rrd ...` of the installed wheel; what it refuses, in a line; empty where it is done."""
-    from deformscope.recording.live import viewer_executable
+    from deformscope.page.viewer_files import viewer_executable
 
     done = _run([str(viewer_executable()), "rrd", *map(str, arguments)])
     if isinstance(done, str):
@@ -114,13 +114,13 @@ def _counted(entity: str, columns: list[str]) -> str | None:
 
 def _losses(path: Path, outcome: dict[str, Any]) -> dict[str, dict[str, float]]:
     """As the run left them at its end, else by the last look at its devices."""
+    if "losses" in outcome:
+        found: dict[str, dict[str, float]] = json.loads(outcome["losses"])
+        return found
     from deformscope.frames import HealthReport
     from deformscope.recording.items import read_items
     from deformscope.recording.losses import losses_of
 
-    if "losses" in outcome:
-        found: dict[str, dict[str, float]] = json.loads(outcome["losses"])
-        return found
     last: HealthReport | None = None
     for item in read_items(path, trust=True, kinds=(HealthReport,)):
         last = item if isinstance(item, HealthReport) else last

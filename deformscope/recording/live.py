@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import atexit
 import contextlib
-import importlib.util
 import logging
 import os
-import signal
 import socket
 import subprocess
 import sys
@@ -15,12 +12,14 @@ import tempfile
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Generic, Literal, Protocol, TypeVar
+from typing import TYPE_CHECKING, ClassVar, Generic, Literal, Protocol, TypeVar
 
 from deformscope.errors import InputError
+from deformscope.page.pieces import Pieces
+from deformscope.page.viewer_files import LOOPBACK, free_port, viewer_executable
 
 if TYPE_CHECKING:
     from deformscope.log.live_stream import LiveStream
@@ -42,60 +41,42 @@ StreamT = TypeVar("StreamT", bound=ViewerStream)
 
 CAPACITY_JOBS = 256
 CAPACITY_BYTES = 128 << 20
-PERIODS_S: dict[ViewerKind, float] = {"native": 0.1, "page": 1.0}
-"""Jobs are passed on together at most so often. A page without a graphics card takes in a few tens of entities a
-second, whatever their size, and fewer on a busy machine; a bench of seven devices has 10 in each portion."""
-VIEWER_MEMORY = "2GB"
-BACKLOG_MEMORY: dict[ViewerKind, str] = {"native": "512MB", "page": "128MB"}
-"""What a server keeps for who comes later: a page takes all of it in before what is new; what is static stays."""
+PERIOD_S = 0.1
+"""Jobs are passed on to a window together, at most so often."""
+VIEWER_MEMORY, BACKLOG_MEMORY = "2GB", "512MB"
+"""Of a window, and of what its server keeps for it."""
 START_TIMEOUT_S = 20.0
 FLUSH_TIMEOUT_S = 1.0
-LOOPBACK = "127.0.0.1"
 
 _logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
 class Viewer:
-    """A viewer that was started.
+    """A window that was started.
 
-    pid: its process; url: where recordings stream to; page: where a browser finds it, empty for a window
+    pid: its process; url: where recordings stream to
     messages: descriptor of a file that holds what it wrote to its standard error, None where that is not kept
     """
 
     pid: int
     url: str
-    page: str
     messages: int | None = None
 
-    @property
-    def where(self) -> str:
-        """One line for people: where to find it, and how long it lasts."""
-        if self.page:
-            return f"viewer: {self.page} (open it in a browser on this machine)"
-        return "viewer: a window of its own; it stays when this command has ended"
+    where: ClassVar[str] = "viewer: a window of its own; it stays when this command has ended"
 
 
-def start_viewer(kind: Literal["native", "page"]) -> Viewer:
-    """Start the viewer that belongs to the installed rerun, on loopback, and return without waiting for it.
+def start_viewer() -> Viewer:
+    """Start rerun's window, which outlives this process, on loopback, and return without waiting for it.
 
-    A window outlives this process. The server of a page ends with it: at the latest when this process ends, on Linux
-    also where that is killed outright. Raises InputError where there is no display for a window.
+    Raises InputError where there is no display.
     """
-    if kind == "native" and sys.platform.startswith("linux") and not _has_display():
+    if sys.platform.startswith("linux") and not _has_display():
         raise InputError("a display for the viewer's window", "none (DISPLAY is unset)", "--viewer page or none")
-    port = _free_port()
+    port = free_port()
     command = [str(viewer_executable()), "--bind", LOOPBACK, "--port", str(port)]
-    url = f"rerun+http://{LOOPBACK}:{port}/proxy"
-    page = ""
-    if kind == "page":
-        page_port = _free_port()
-        command += ["--serve-web", "--web-viewer-port", str(page_port), "--server-memory-limit", BACKLOG_MEMORY[kind]]
-        page = f"http://{LOOPBACK}:{page_port}?url={url.replace(':', '%3A').replace('/', '%2F').replace('+', '%2B')}"
-        command = _ending_with_this_process(command)
-    else:
-        command += ["--memory-limit", VIEWER_MEMORY, "--server-memory-limit", BACKLOG_MEMORY[kind]]
-        command += ["--hide-welcome-screen", "--expect-data-soon", *window_options()]
+    command += ["--memory-limit", VIEWER_MEMORY, "--server-memory-limit", BACKLOG_MEMORY]
+    command += ["--hide-welcome-screen", "--expect-data-soon", *window_options()]
     quiet = {"RERUN_APP_ONLY": "true", "RUST_LOG": "error"}
     messages, path = tempfile.mkstemp()
     with contextlib.suppress(OSError):  # its descriptor is enough
@@ -109,46 +90,7 @@ def start_viewer(kind: Literal["native", "page"]) -> Viewer:
         env={**os.environ, **quiet},
     )
     process.returncode = 0  # `_ended` alone asks for it: subprocess would warn of a window that outlives this process
-    viewer = Viewer(process.pid, url, page, messages)
-    if page:
-        _pages.append(viewer)
-    return viewer
-
-
-_pages: list[Viewer] = []
-"""Pages that this process serves, or has served."""
-
-
-def running_pages() -> list[Viewer]:
-    """The pages that this process serves and whose server runs."""
-    _pages[:] = [viewer for viewer in _pages if not _ended(viewer.pid)]
-    return list(_pages)
-
-
-@atexit.register
-def end_pages() -> None:
-    """End the servers of all pages."""
-    for viewer in running_pages():
-        with contextlib.suppress(OSError):
-            os.kill(viewer.pid, signal.SIGKILL)  # also one that was stopped
-            os.waitpid(viewer.pid, 0)
-    _pages.clear()
-
-
-_DIES_WITH_PARENT = """
-import ctypes, os, sys
-ctypes.CDLL(None).prctl(1, 9)  # PR_SET_PDEATHSIG, SIGKILL
-if os.getppid() == int(sys.argv[1]):
-    os.execv(sys.argv[2], sys.argv[2:])
-"""
-
-
-def _ending_with_this_process(command: Sequence[str]) -> list[str]:
-    """A command that the kernel kills when this process ends, where it can: on Linux, and where the main thread starts
-    it, as the kernel takes the thread's end for the process's."""
-    if not sys.platform.startswith("linux") or threading.current_thread() is not threading.main_thread():
-        return list(command)
-    return [sys.executable, "-I", "-S", "-c", _DIES_WITH_PARENT, str(os.getpid()), *command]
+    return Viewer(process.pid, f"rerun+http://{LOOPBACK}:{port}/proxy", messages)
 
 
 def window_options() -> list[str]:
@@ -173,6 +115,27 @@ def live_stream(
     rec.set_sinks(rr.GrpcSink(viewer.url))
     rec.send_property("session", rr.AnyValues(True, **properties))
     return LiveStream(rec, check)
+
+
+def page_stream(
+    application: str, recording_id: str, pieces: Pieces, properties: Mapping[str, object], give_up: threading.Event
+) -> LiveStream:
+    """To pages, which take their pieces when they like: what lasts apart from what passes."""
+    import rerun as rr
+
+    from deformscope.log.live_stream import LiveStream
+
+    streams = [rr.RecordingStream(application, recording_id=recording_id) for _ in range(2)]
+    encoded = [rr.binary_stream(stream) for stream in streams]
+
+    def cut(timeout_s: float) -> None:
+        for stream, lasting in zip(encoded, (True, False), strict=True):
+            if data := stream.read(flush_timeout_sec=timeout_s):
+                pieces.add(data, lasting=lasting, until_ns=live.newest_ns)
+
+    streams[0].send_property("session", rr.AnyValues(True, **properties))
+    live = LiveStream(streams[0], cut, streams[1])
+    return live
 
 
 def wait_for_viewer(viewer: Viewer, give_up: threading.Event) -> None:
@@ -223,29 +186,11 @@ def _has_display() -> bool:
     return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")) or "--headless" in window_options()
 
 
-def viewer_executable() -> Path:
-    """The viewer of the installed wheel: never another version from the search path."""
-    package = importlib.util.find_spec("rerun_cli")
-    folder = Path(package.origin or "").parent if package is not None else Path()
-    found = folder / ("rerun.exe" if sys.platform == "win32" else "rerun")
-    if not found.exists():
-        raise InputError(
-            "the viewer that comes with rerun-sdk", "none", "pip install --force-reinstall rerun-sdk", found
-        )
-    return found
-
-
-def _free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind((LOOPBACK, 0))
-        return int(probe.getsockname()[1])
-
-
 class LiveFeed(Generic[StreamT]):
     """Passes jobs on to a live stream from a thread of its own; drops the oldest when the viewer cannot follow.
 
     connect: opens the stream, in the feed's thread; gives up once the event that it is given is set
-    period_s: jobs are passed on together, at most so often
+    period_s: jobs are passed on together, at most so often; a function is asked each time
     """
 
     def __init__(
@@ -253,11 +198,11 @@ class LiveFeed(Generic[StreamT]):
         connect: Callable[[threading.Event], StreamT],
         capacity_jobs: int = CAPACITY_JOBS,
         capacity_bytes: int = CAPACITY_BYTES,
-        period_s: float = PERIODS_S["native"],
+        period_s: float | Callable[[], float] = PERIOD_S,
     ) -> None:
         self._connect = connect
         self._capacity = capacity_jobs, capacity_bytes
-        self._period_s = period_s
+        self._period_s = period_s if callable(period_s) else lambda: period_s
         self._jobs: deque[tuple[Callable[[StreamT], None], int, bool]] = deque()
         self._bytes = 0
         self._given = self._lost = 0
@@ -336,7 +281,7 @@ class LiveFeed(Generic[StreamT]):
             for job, _, _ in jobs:
                 job(stream)
             self._confirm(stream)
-            self._closing.wait(max(0.0, began + self._period_s - time.monotonic()))
+            self._closing.wait(max(0.0, began + self._period_s() - time.monotonic()))
         stream.disconnect()
 
     def _take(self) -> list[tuple[Callable[[StreamT], None], int, bool]]:

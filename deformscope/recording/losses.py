@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping
 
 from deformscope.frames import HealthReport
@@ -17,6 +18,9 @@ WORDS = {
     "reconnects": "reconnects",
 }
 """Each count that is a loss, and how it is called; the order is that in which it matters."""
+
+COUNTS = ("received", "lost", "dropped", "skipped_bytes", "resyncs", "reconnects", "lost_by_time", "silent_s")
+"""What `Health` counts from a device's opening on."""
 
 
 def lost_by(health: Health) -> dict[str, float]:
@@ -36,6 +40,25 @@ def lost_by(health: Health) -> dict[str, float]:
         "reconnects": health.reconnects,
     }
     return {name: value for name, value in found.items() if value}
+
+
+def since(report: HealthReport, before: HealthReport) -> HealthReport:
+    """A look at the devices whose counts begin with an earlier look: what a recording lost that began then."""
+    earlier = dict(before.devices)
+    return HealthReport(report.host_ns, tuple((name, _since(now, earlier[name])) for name, now in report.devices))
+
+
+def _since(now: Health, before: Health) -> Health:
+    refused = {reason: count - before.refused.get(reason, 0) for reason, count in now.refused.items()}
+    extra = {
+        name: now.extra[name] - before.extra.get(name, 0) for name in (RAW_DROPPED, JOINING_BYTES) if name in now.extra
+    }
+    return dataclasses.replace(
+        now,
+        **{name: getattr(now, name) - getattr(before, name) for name in COUNTS},
+        refused={reason: count for reason, count in refused.items() if count},
+        extra={**now.extra, **extra},
+    )
 
 
 def losses_of(report: HealthReport) -> dict[str, dict[str, float]]:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from deformscope.arrays import IntArray
-from deformscope.frames import HealthReport, Item, LinkChange, RawBytes, host_ns
+from deformscope.frames import HealthReport, Item, LinkChange, RawBytes, SessionNote, host_ns
 
 GATHER_S, GATHER_BYTES = 1.0, 8 << 20
 """Items are gathered for so long, or until they are so much."""
@@ -86,6 +86,8 @@ def counted_as(item: Item) -> str:
             return f"{item.device}/link"
         case HealthReport():
             return "health"
+        case SessionNote():
+            return "notes"
         case _:
             return f"{item.device}/frames"
 

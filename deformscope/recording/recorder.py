@@ -25,7 +25,7 @@ import numpy as np
 from deformscope.arrays import FloatArray
 from deformscope.frames import ColorFrame, DepthFrame, Frame, HealthReport, InputFile, Item, StageResult, Stream
 from deformscope.recording import provenance
-from deformscope.recording.live import PERIODS_S, LiveFeed, Viewer, ViewerKind, live_stream, start_viewer
+from deformscope.recording.live import LiveFeed, ViewerKind, live_stream, page_stream, start_viewer
 from deformscope.recording.losses import losses_of
 from deformscope.recording.portions import Portions, RisingTimes, arrays_size, counted_as, item_size
 from deformscope.recording.rrd_file import RecordingError, RecordingFile, leave_streams_alone
@@ -44,6 +44,7 @@ if TYPE_CHECKING:
     from deformscope.log.live_stream import LiveStream
     from deformscope.log.rig import Batch, Place
     from deformscope.log.squeeze import Fingertips
+    from deformscope.page.server import PageServer
 
 APPLICATIONS: dict[RecordingLayout, str] = {
     "images": "deformscope",
@@ -133,7 +134,7 @@ class Recorder:
         self._writer: Writer | None = None
         self._file: RecordingFile | None = None
         self._feed: LiveFeed[LiveStream] | None = None
-        self._viewer: Viewer | None = None
+        self._page: PageServer | None = None
         self._canvas: Canvas | None = None
         self._arranged = False
         self._limits = 0.0, 1.0
@@ -157,9 +158,9 @@ class Recorder:
         return tuple(self._not_shown)
 
     @property
-    def viewer(self) -> Viewer | None:
-        """The viewer that was started."""
-        return self._viewer
+    def page(self) -> PageServer | None:
+        """The page that it is shown on."""
+        return self._page
 
     def __enter__(self) -> Recorder:
         if self.active:
@@ -201,7 +202,9 @@ class Recorder:
         from deformscope.log.rig import rig_blueprint
 
         if not stages:
-            self._start(streams, start_ns, rig_blueprint(streams))
+            self._start(
+                streams, start_ns, rig_blueprint(streams), rig_blueprint(streams, health=self._viewer_kind != "page")
+            )
             return
         from deformscope.log.stages import log_stage_streams, stage_blueprint
 
@@ -225,7 +228,8 @@ class Recorder:
         if self.active:
             from deformscope.log.exploration import exploration_blueprint, log_exploration_start
 
-            self._start(streams, start_ns, exploration_blueprint(streams, size_m, truth=truth))
+            views, in_tabs = (exploration_blueprint(streams, size_m, truth=truth, tabs=tabs) for tabs in (False, True))
+            self._start(streams, start_ns, views, in_tabs if self._viewer_kind == "page" else views)
             given = self._streams
             self._put(lambda: self._emit(lambda rec: log_exploration_start(rec, given, base_from_surface), 0), 0)
 
@@ -290,12 +294,19 @@ class Recorder:
     def _of_devices(self) -> bool:
         return self._layout in ("rig", "exploration", "squeeze")
 
-    def _start(self, streams: Sequence[Stream], start_ns: int, views: rr.blueprint.Blueprint) -> None:
+    def _start(
+        self,
+        streams: Sequence[Stream],
+        start_ns: int,
+        views: rr.blueprint.Blueprint,
+        shown: rr.blueprint.Blueprint | None = None,
+    ) -> None:
+        """shown: the views of the window or page; None: those of the file"""
         from deformscope.log.rig import log_streams
 
         self._streams, self._first_ns = tuple(streams), start_ns
         given = self._streams
-        self._put(lambda: self._emit(lambda rec: rec.send_blueprint(views), 0), 0)
+        self._put(lambda: self._lay_out(views, shown or views), 0)
         self._put(lambda: self._emit(lambda rec: log_streams(rec, given), 0), 0)
 
     def _take_items(self, items: Sequence[Item]) -> None:
@@ -348,7 +359,7 @@ class Recorder:
                 batch = prepare_results(results, session_ns, place, cell_m=moment.cell_m, failed=self._not_shown)
             if self._file is not None:
                 self._file.send(batch)
-            self._show(lambda live: live.send(batch), size, lasting=True)
+            self._show(lambda live: live.send(batch, lasting=True), size, lasting=True)
 
         self._put(write, size)
 
@@ -471,6 +482,11 @@ class Recorder:
             self._file.log(job)
         self._show(lambda live: job(live.rec), size, lasting=True)
 
+    def _lay_out(self, views: rr.blueprint.Blueprint, shown: rr.blueprint.Blueprint) -> None:
+        if self._file is not None:
+            self._file.log(lambda rec: rec.send_blueprint(views))
+        self._show(lambda live: live.rec.send_blueprint(shown), 0, lasting=True)
+
     def _show(self, job: Callable[[LiveStream], None], size: int, *, lasting: bool = False) -> None:
         """To the live view alone. lasting: dropped last where the viewer cannot follow"""
         if self._feed is not None:
@@ -501,12 +517,7 @@ class Recorder:
         recording_id = "deterministic" if self._deterministic else uuid.uuid4().hex
         properties = provenance.properties(self._settings, brief=self._deterministic)
         if self._viewer_kind != "none":
-            self._viewer = viewer = start_viewer(self._viewer_kind)
-            print(viewer.where, file=sys.stderr, flush=True)
-            self._feed = LiveFeed(
-                partial(live_stream, self._application, recording_id, viewer, properties),
-                period_s=PERIODS_S[self._viewer_kind],
-            )
+            self._feed = self._opened_view(recording_id, properties)
             self._feed.start()
         if self._target is not None:
             self._file = RecordingFile(
@@ -523,6 +534,26 @@ class Recorder:
         else:
             self._writer = Writer(self._tick, TICK_S, AHEAD_JOBS, AHEAD_BYTES)
         self._writer.start()
+
+    def _opened_view(self, recording_id: str, properties: Mapping[str, object]) -> LiveFeed[LiveStream]:
+        """A window, or a page, and what feeds it."""
+        if self._viewer_kind == "native":
+            viewer = start_viewer()
+            print(viewer.where, file=sys.stderr, flush=True)
+            return LiveFeed(partial(live_stream, self._application, recording_id, viewer, properties))
+        from deformscope.page.server import PageServer
+
+        self._page = page = PageServer(str(self._settings.get("rig_name") or self._settings.get("command") or ""))
+        page.open()
+        print(page.where, file=sys.stderr, flush=True)
+        if self._layout == "exploration":  # whoever moves the arm says what goes on
+            page.desk.show(recording="" if self._target is None else str(self._target.path))
+        elif self._target is None:
+            page.desk.enter("live")
+        else:
+            page.desk.recording_began(str(self._target.path))
+        connect = partial(page_stream, self._application, recording_id, page.pieces, properties)
+        return LiveFeed(connect, period_s=lambda: page.pieces.period_s)
 
     def _put(self, job: Callable[[], None], size: int) -> None:
         """Have the writer's thread do it, in order. From any thread."""
@@ -582,6 +613,8 @@ class Recorder:
             return 0
         if not self._feed.close(LIVE_TIMEOUT_S):
             leave_streams_alone()
+        if self._page is not None:
+            self._page.desk.enter("stopped", self._stopped or "its command has ended")
         return self._feed.dropped
 
     @property

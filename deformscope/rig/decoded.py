@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from deformscope.errors import InputError
-from deformscope.frames import Frame, HealthReport, Item, LinkChange, RawBytes, Stream, host_ns
+from deformscope.frames import Frame, HealthReport, Item, LinkChange, RawBytes, SessionNote, Stream, host_ns
 from deformscope.rig.measured import to_frame
 from deformscope.rig.rig_file import Rig
 from deformscope_drivers.clock import Stamp, Unwrap
@@ -211,7 +211,7 @@ def compare_with_bytes(rig: Rig, streams: Sequence[Stream], items: Iterable[Item
             for name, health in item.devices:
                 if name in checks:
                     checks[name].health = health
-        elif item.device in checks:
+        elif not isinstance(item, SessionNote) and item.device in checks:
             checks[item.device].take(item)
     return [check.result() for check in checks.values()]
 

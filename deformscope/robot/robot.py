@@ -48,6 +48,10 @@ class RobotStopped(Exception):
         self.verdict = verdict
 
 
+class MotionHeld(Exception):
+    """The robot stands, and was to move: not for a fault, and it may be sent on at any time."""
+
+
 @dataclass(frozen=True, slots=True)
 class TipVelocity:
     """linear_m_s: (3,) of the tip's centre; angular_rad_s: (3,); both in the surface frame, turned about its axes
@@ -87,6 +91,7 @@ class Robot:
     The arm is sent joint rates alone (`motion`), in each period for where its joints are then.
 
     commanded: (time [ns], speed of the tip's centre [m/s]) of every period, for recordings and studies
+    reason_to_stand: asked in each period in which it is to move: a reason not to, empty = none
     rotation: that of the arm's end as it was commanded; moving: a velocity was sent in this period
     """
 
@@ -112,6 +117,7 @@ class Robot:
         self._pictures = camera.readings() if camera is not None else None
         self.tare_n: FloatArray = np.zeros(3)
         self.camera_needed = False
+        self.reason_to_stand: Callable[[], str] = lambda: ""
         self._may_move = False
         self._judged_ns = array("q")
         self.commanded: list[tuple[int, float]] = []
@@ -159,14 +165,17 @@ class Robot:
     def cycle(self, command: Command = None) -> RobotObservation:
         """Send a velocity (None = stand still), let a control period pass, look, and have it judged.
 
-        Raises RobotStopped, now and ever after until the supervisor's `acknowledge`, when the robot must not go on: the
+        Raises MotionHeld where `reason_to_stand` gave one: it was sent nothing, and stood for the period. Raises
+        RobotStopped, now and ever after until the supervisor's `acknowledge`, when the robot must not go on: the
         arm is then halted and what waited in it erased. What makes the robot back off is the caller's to carry out.
         """
         if self.supervisor.verdict.action is Action.STOP:
             raise RobotStopped(self.supervisor.verdict)
         if command is not None and not self._may_move:
             raise InputError("a preflight that passed", "none", "let_move(check(robot, ...))")
-        self._send(command)
+        going_on = self.supervisor.verdict.action is Action.GO_ON  # away from a force it may go, whoever watches
+        held = self.reason_to_stand() if command is not None and going_on else ""
+        self._send(None if held else command)
         now_ns = self._clock()
         # A period that came late is not made up for.
         self._next_ns = max(self._next_ns + PERIOD_NS, now_ns + PERIOD_NS // 2)
@@ -193,6 +202,8 @@ class Robot:
             self._speed_m_s = 0.0
             with contextlib.suppress(DeviceError):
                 self.arm.stop()
+        if held:
+            raise MotionHeld(held)
         return self.seen
 
     def keep_up(self) -> None:

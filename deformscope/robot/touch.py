@@ -22,7 +22,7 @@ from deformscope.errors import InputError
 from deformscope.robot.placement import Placement
 from deformscope.robot.pressing import ForceControl
 from deformscope.robot.readings import ArmSample, ForceSample, RobotObservation
-from deformscope.robot.robot import Robot, RobotStopped, TipVelocity
+from deformscope.robot.robot import MotionHeld, Robot, RobotStopped, TipVelocity
 from deformscope.robot.supervisor import Action, Fault
 from deformscope.robot.travel import NotThere, to_above
 from deformscope_drivers.arm.kinematics import FloatArray
@@ -56,6 +56,7 @@ class TouchEnding(StrEnum):
     SOFT_STOP = "backed off"
     STOPPED = "stopped"
     NOT_REACHED = "target not reached"
+    HELD = "held"
 
 
 @dataclass(frozen=True, slots=True)
@@ -389,6 +390,8 @@ def carried_out(run: TouchRun, robot: Robot, still_seen: Callable[[], bool]) -> 
         run.touch(still_seen)
     except RobotStopped as stopped:
         run.fail(TouchEnding.STOPPED, str(stopped.verdict.reason), stopped.verdict.fault)
+    except MotionHeld as held:
+        run.fail(TouchEnding.HELD, str(held), Fault.NONE)
     except NotThere as error:
         run.fail(TouchEnding.NOT_REACHED, str(error), Fault.NONE)
     except InputError as error:

@@ -61,7 +61,7 @@ def ask(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., None]]:
     def at_terminal(robot: Asked, answer: Callable[[int, int], None]) -> int:
         stdin = SimpleNamespace(isatty=lambda: True, fileno=terminal.fileno, readline=terminal.readline)
         monkeypatch.setattr("sys.stdin", stdin)
-        setup: Any = SimpleNamespace(simulated=False)
+        setup: Any = SimpleNamespace(simulated=False, person=None)
         portions: list[object] = []
 
         def take(wait_s: float) -> list[Any]:

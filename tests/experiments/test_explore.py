@@ -3,17 +3,24 @@
 from __future__ import annotations
 
 import dataclasses
-from concurrent.futures import BrokenExecutor
+from concurrent.futures import BrokenExecutor, Future
+from typing import Any
 
 import numpy as np
 import pytest
 
+from deformscope.arrays import BoolArray
 from deformscope.errors import InputError
 from deformscope.experiments.explore import (
     AtOnce,
     Exploration,
     ExploringRobot,
+    NextMove,
     RecordedRobot,
+    RecordedSteering,
+    Steering,
+    TouchHeld,
+    Unsteered,
     explore,
     within_loop,
 )
@@ -28,11 +35,14 @@ from deformscope.stages.map.exploration import (
     MapEstimate,
     PhaseStart,
     PlannedTouch,
+    SteeringDecision,
     SurfaceEstimate,
     TouchEstimate,
+    TouchForecast,
 )
 from deformscope.stages.map.measured import SurfaceMeasurement, TouchMeasurement
 from deformscope.stages.poke.contact import ArmCompliance
+from deformscope.stages.regions.touches import MapGrid
 from deformscope.studies.surface_robot import LabRobot
 
 
@@ -49,13 +59,17 @@ class Results:
 
 
 def carried_out(
-    robot: ExploringRobot, options: ExploreOptions, truth: Truth | None = None, arm: ArmCompliance | None = None
+    robot: ExploringRobot,
+    options: ExploreOptions,
+    truth: Truth | None = None,
+    arm: ArmCompliance | None = None,
+    steering: Steering | None = None,
 ) -> tuple[Explorer, Exploration, list[tuple[Moment, tuple[object, ...]]]]:
     """An exploration of a robot that is done at once: what computed it, what it found, and all results."""
     results, found, size_m = Results(), Exploration(), (0.6, 0.4)
     explorer = Explorer(size_m, options, arm or ArmCompliance(), truth)
     stages = ExplorationStages(explorer, AsMeasured(size_m, getattr(robot, "reachable", None)))
-    run([], explore(lambda: 0, within_loop(stages), found), results, AtOnce(robot))
+    run([], explore(lambda: 0, within_loop(stages), found, steering=steering), results, AtOnce(robot))
     return explorer, found, results.moments
 
 
@@ -289,3 +303,115 @@ def test_forces_that_are_too_large_are_refused() -> None:
 @pytest.mark.parametrize(("set_n", "second_n"), [(3.0, 5.0), (1.0, 5.0 / 3.0), (4.0, 5.0), (5.0, 5.0)])
 def test_what_is_stiff_is_pressed_harder_in_proportion(set_n: float, second_n: float) -> None:
     assert ExploreOptions(set_force_n=set_n).second_force_n == pytest.approx(second_n)
+
+
+class Person(Unsteered):
+    """Decides as it is written down: about each choice, and each forecast."""
+
+    def __init__(self, choices: list[NextMove], confirms: list[bool]) -> None:
+        self.choices, self.confirms = choices, confirms
+        self.refusals: list[str] = []
+        self.plans: list[PlannedTouch | None] = []
+
+    def choose(self, plan: PlannedTouch | None, touches: int) -> Future[NextMove]:
+        self.plans.append(plan)
+        return later(self.choices.pop(0) if self.choices else NextMove())
+
+    def confirm(self, forecast: TouchForecast) -> Future[bool]:
+        return later(self.confirms.pop(0))
+
+    def refuse(self, reason: str) -> None:
+        self.refusals.append(reason)
+
+
+def later(value: Any) -> Future[Any]:
+    future: Future[Any] = Future()
+    future.set_result(value)
+    return future
+
+
+class HeldAtFirst:
+    """A robot whose first touch is broken off."""
+
+    def __init__(self, robot: LabRobot) -> None:
+        self._robot, self._touched = robot, False
+        self.places: list[list[float]] = []
+        self.reachable = robot.reachable
+
+    def look(self) -> SurfaceMeasurement:
+        return self._robot.look()
+
+    def touch(self, command: Touch) -> TouchMeasurement:
+        if not self._touched:
+            self._touched = True
+            raise TouchHeld("the page is hidden")
+        self.places.append(command.xy_m.tolist())
+        return self._robot.touch(command)
+
+
+def test_a_person_decides_and_a_replay_decides_the_same() -> None:
+    options = ExploreOptions(budget=2, beta_model="none")
+    scene = built_in("two-60-150", options.seed)
+    robot = HeldAtFirst(LabRobot(scene, options, sees=False))
+    at = np.array([0.45, 0.3])
+    beside, edge = np.array([0.7, 0.2]), np.array([0.3, 0.395])
+    person = Person(
+        [
+            NextMove("touch", beside),
+            NextMove("touch", edge),
+            NextMove("touch", at),  # not confirmed
+            NextMove("touch", at),  # confirmed, and broken off
+            NextMove("veto", np.array([0.15, 0.15])),
+            NextMove("touch", at),
+        ],
+        [False, True, True],
+    )
+    _, found, moments = carried_out(robot, options, steering=person)
+    results = [result for _, some in moments for result in some]
+
+    assert person.refusals == [
+        "it is beside the surface, which has 60 by 40 cm",
+        "it is within 2 cm of the surface's edge",
+    ]
+    assert [one.kind for one in results if isinstance(one, SteeringDecision)] == ["touch", "held", "veto", "touch"]
+    assert robot.places[0] == at.tolist()
+    assert len(robot.places) == len(found.touches) == found.started == 2
+    before, after = (one.target_m for one in of(PlannedTouch, results)[1:3])  # type: ignore[attr-defined]
+    assert np.linalg.norm(after - [0.15, 0.15]) > 0.025 > np.linalg.norm(before - [0.15, 0.15])
+    forecast, felt = of(TouchForecast, results)[-1], found.touches[0]
+    assert isinstance(forecast, TouchForecast)
+    assert forecast.xyz_m == pytest.approx(felt.xyz_m, abs=1e-9)
+    low, high = forecast.stiffness_interval
+    assert low < felt.stiffness_n_per_mm < high
+    np.testing.assert_allclose(forecast.depth_m[-1], 1e-3 * options.set_force_n / forecast.stiffness_n_per_mm)
+    assert (forecast.depth_low_m <= forecast.depth_m).all()
+    assert (forecast.depth_m <= forecast.depth_high_m).all()
+
+    given = of(SurfaceMeasurement, results) + of(TouchMeasurement, results)
+    decisions = [one for one in results if isinstance(one, SteeringDecision)]
+    steering = RecordedSteering(decisions)
+    _, _, again = carried_out(RecordedRobot(given), options, steering=steering)
+    for kind in (SurfaceEstimate, PlannedTouch, TouchEstimate, MapEstimate):
+        first, second = of(kind, results), of(kind, [result for _, some in again for result in some])
+        assert len(first) == len(second) > 0
+        assert all(same(one, other) for one, other in zip(first, second, strict=True))
+
+
+def test_what_the_camera_has_not_seen_is_not_touched() -> None:
+    options = ExploreOptions(budget=1, beta_model="none")
+    stages = ExplorationStages(Explorer((0.6, 0.4), options, ArmCompliance()), AsMeasured((0.6, 0.4), grid_left))
+    places = np.random.default_rng(0).uniform((0.0, 0.0), (0.4, 0.4), (2000, 2))
+    stages.look(SurfaceMeasurement(np.column_stack([places, np.full(2000, 0.05)]), np.full(2000, 1e-3)))
+    for place, reason in (((0.5, 0.2), "not seen"), ((0.35, 0.2), "cannot be led there")):
+        refused = stages.aim(np.array(place))
+        assert reason in refused.refused
+        assert refused.touch is None
+        assert refused.results == ()
+    taken = stages.aim(np.array([0.2, 0.2]))
+    assert taken.refused == ""
+    assert taken.touch is not None
+    assert taken.touch.height_m == pytest.approx(0.05, abs=1e-3)
+
+
+def grid_left(grid: MapGrid) -> BoolArray:
+    return np.asarray(grid.centres_m[:, 0] < 0.3).reshape(grid.shape)

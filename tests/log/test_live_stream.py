@@ -195,7 +195,7 @@ def test_a_severed_stream_is_no_slow_one() -> None:
 def shown(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """What a recorder sends to its viewer goes into this file."""
     path = tmp_path / "shown.rrd"
-    monkeypatch.setattr(recorder, "start_viewer", lambda kind: Viewer(0, "", ""))
+    monkeypatch.setattr(recorder, "start_viewer", lambda: Viewer(0, ""))
     monkeypatch.setattr(recorder, "live_stream", lambda *given: LiveStream(to_file(path), lambda timeout_s: None))
     return path
 
@@ -205,7 +205,7 @@ def test_the_file_keeps_everything_that_the_viewer_does_not_get(
 ) -> None:
     items = [item for item in second if not isinstance(item, ColorFrame | DepthFrame)]
     items += [rig.color(index, size=(48, 640)) for index in range(30)]
-    with Recorder(tmp_path / "run.rrd", "page", {}, layout="rig") as made:
+    with Recorder(tmp_path / "run.rrd", "native", {}, layout="rig") as made:
         made.start_rig(rig.STREAMS, rig.START_NS)
         for batch in rig.batches(sorted(items, key=rig.host_ns)):
             made.write(batch)
@@ -227,7 +227,7 @@ def test_the_file_keeps_everything_that_the_viewer_does_not_get(
 
 def test_what_no_view_of_an_exploration_shows_is_not_sent(tmp_path: Path, shown: Path) -> None:
     streams = [stream for stream in rig.STREAMS if stream.kind in ("wrench", "depth")]
-    with Recorder(tmp_path / "run.rrd", "page", {}, layout="exploration") as made:
+    with Recorder(tmp_path / "run.rrd", "native", {}, layout="exploration") as made:
         made.start_exploration(streams, rig.START_NS, (0.6, 0.4), None, truth=True)
         made.write(InputFile("explored/looked", b"the whole cloud"))
         for at_s, touch, result in synthetic_exploration.story():

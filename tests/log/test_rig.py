@@ -398,6 +398,7 @@ def test_the_table_tells_what_is_wrong() -> None:
 def test_views_of_any_devices(count: int) -> None:
     for streams in itertools.combinations(rig.STREAMS, count):
         rig_blueprint(streams)
+        rig_blueprint(streams, health=False)
     rig_blueprint([dataclasses.replace(stream, device=f"{stream.device} {n}") for stream in rig.STREAMS for n in "ab"])
 
 

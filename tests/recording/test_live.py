@@ -7,6 +7,7 @@ import gc
 import json
 import os
 import pty
+import re
 import select
 import signal
 import socket
@@ -15,6 +16,7 @@ import sys
 import textwrap
 import threading
 import time
+import urllib.request
 import weakref
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -23,16 +25,9 @@ import numpy as np
 import pytest
 
 from deformscope.cli import main
-from deformscope.recording import live, recorder
-from deformscope.recording.live import (
-    LiveFeed,
-    Viewer,
-    check_answers,
-    end_pages,
-    running_pages,
-    start_viewer,
-    wait_for_viewer,
-)
+from deformscope.page.server import end_pages, running_pages
+from deformscope.recording import live
+from deformscope.recording.live import LiveFeed, Viewer, check_answers, start_viewer, wait_for_viewer
 from deformscope.recording.reader import Replay
 from deformscope.recording.recorder import Recorder
 
@@ -208,7 +203,7 @@ def server(answer: bytes | None) -> Iterator[Viewer]:
 
         if answer is not None:
             threading.Thread(target=serve, daemon=True).start()
-        yield Viewer(0, f"rerun+http://127.0.0.1:{listening.getsockname()[1]}/proxy", "")
+        yield Viewer(0, f"rerun+http://127.0.0.1:{listening.getsockname()[1]}/proxy")
 
 
 def test_whether_a_viewer_answers() -> None:
@@ -222,7 +217,7 @@ def test_whether_a_viewer_answers() -> None:
         check_answers(viewer, PATIENCE_S)  # nobody listens there any more
 
 
-# A page's server -----------------------------------------------------------------------------------------------------
+# A window, and a page's server ----------------------------------------------------------------------------------------
 
 
 def program(folder: Path, script: str) -> Path:
@@ -232,25 +227,15 @@ def program(folder: Path, script: str) -> Path:
     return path
 
 
-def alive(pid: int) -> bool:
-    """Whether a process runs; one that nobody has asked for since it ended does not."""
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
-    except FileNotFoundError:
-        return False
-
-
 SERVING = """
-    import os, sys, time
-    from pathlib import Path
+    import sys, time
     from deformscope import cli
-    from deformscope.recording import live
     from deformscope.errors import InputError
-    live.viewer_executable = lambda: Path(sys.argv[1])
+    from deformscope.page.server import PageServer
     def command(args):
-        print("pid", live.start_viewer("page").pid, flush=True)
-        if sys.argv[2] == "hang":
-            time.sleep(100)
+        page = PageServer("bench")
+        page.open()
+        print(page.address, flush=True)
         raise InputError("more", "less")
     cli._dispatch = command
     status = cli.main([])
@@ -259,40 +244,22 @@ SERVING = """
 """
 
 
-def serve_command(executable: Path, how: str, **options: int) -> subprocess.Popen[str]:
+def serve_command(**options: int) -> subprocess.Popen[str]:
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "drivers")])}
-    command = [sys.executable, "-c", textwrap.dedent(SERVING), str(executable), how]
+    command = [sys.executable, "-c", textwrap.dedent(SERVING)]
     return subprocess.Popen(command, env=environment, text=True, **{"stdout": subprocess.PIPE, **options})  # type: ignore[call-overload,no-any-return]
 
 
-def test_a_pages_server_ends_with_the_command(tmp_path: Path) -> None:
-    if not Path("/proc/self/stat").exists():
-        pytest.skip("needs /proc")
-    process = serve_command(program(tmp_path, "exec sleep 100"), "end", stdin=subprocess.DEVNULL)
+def test_a_page_ends_with_the_command() -> None:
+    process = serve_command(stdin=subprocess.DEVNULL)
     said, _ = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 2
-    assert not alive(int(said.split()[1]))
+    assert said.splitlines()[1] == "left"
 
 
-def test_a_pages_server_dies_with_a_command_that_is_killed(tmp_path: Path) -> None:
-    if not sys.platform.startswith("linux"):
-        pytest.skip("needs Linux")
-    process = serve_command(program(tmp_path, "exec sleep 100"), "hang", stdin=subprocess.DEVNULL)
-    assert process.stdout is not None
-    pid = int(process.stdout.readline().split()[1])
-    until(lambda: b"sleep" in Path(f"/proc/{pid}/cmdline").read_bytes())
-    process.kill()
-    process.wait(PATIENCE_S)
-    process.stdout.close()
-    until(lambda: not alive(pid))
-
-
-def test_at_a_terminal_a_page_stays_until_ctrl_c(tmp_path: Path) -> None:
-    if not Path("/proc/self/stat").exists():
-        pytest.skip("needs /proc")
+def test_at_a_terminal_a_page_stays_until_ctrl_c() -> None:
     ours, theirs = pty.openpty()
-    executable = program(tmp_path, "exec sleep 100")
-    process = serve_command(executable, "end", stdin=theirs, stdout=theirs, stderr=theirs)
+    process = serve_command(stdin=theirs, stdout=theirs, stderr=theirs)
     os.close(theirs)
     try:
         said = ""
@@ -305,51 +272,25 @@ def test_at_a_terminal_a_page_stays_until_ctrl_c(tmp_path: Path) -> None:
 
         until(lambda: hears("stays until Ctrl-C: http://127.0.0.1:"))
         assert said.index("expected more") < said.index("stays until Ctrl-C")  # what came of it is said first
-        pid = int(said.split()[1])
-        assert alive(pid)
+        with urllib.request.urlopen(said.split()[0], timeout=PATIENCE_S) as answer:
+            assert b"deformscope" in answer.read()
         assert process.poll() is None
         process.send_signal(signal.SIGINT)
         until(lambda: hears("left"))
         assert process.wait(PATIENCE_S) == 2
-        assert not alive(pid)
     finally:
         os.close(ours)
         process.kill()
         process.wait()
 
 
-def test_a_page_is_ended_also_where_its_server_is_stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(live, "viewer_executable", lambda: program(tmp_path, "exec sleep 100"))
-    viewer = start_viewer("page")
-    os.kill(viewer.pid, signal.SIGSTOP)
-    assert running_pages() == [viewer]
-    end_pages()
-    assert running_pages() == []
-    with pytest.raises(ProcessLookupError):
-        os.kill(viewer.pid, 0)
-
-
 def test_why_a_viewer_ended_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(live, "viewer_executable", lambda: program(tmp_path, "echo no port is free >&2; exit 1"))
-    viewer = start_viewer("page")
+    monkeypatch.setenv("DISPLAY", ":0")
     with pytest.raises(ConnectionError, match="no port is free"):
-        wait_for_viewer(viewer, threading.Event())
-    assert running_pages() == []
+        wait_for_viewer(start_viewer(), threading.Event())
 
 
-@pytest.fixture
-def no_viewer(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Every viewer is one that nobody needs to start, and that never comes."""
-
-    def stay_away(*given: object) -> None:
-        raise ConnectionError("nobody there")
-
-    viewer = Viewer(0, "rerun+http://127.0.0.1:1/proxy", "http://127.0.0.1:2?url=here")
-    monkeypatch.setattr(recorder, "start_viewer", lambda kind: viewer)
-    monkeypatch.setattr(recorder, "live_stream", stay_away)
-
-
-@pytest.mark.usefixtures("no_viewer")
 @pytest.mark.parametrize(
     "command",
     [["calibrate", "theta", "PAIR", "--json", "-"], ["record", "lab:bench", "--seconds", ".1", "--json", "-"]],
@@ -365,7 +306,10 @@ def test_a_command_prints_the_address(
     monkeypatch.chdir(tmp_path)
     assert main([str(pair) if word == "PAIR" else word for word in command] + ["--viewer", "page"]) in (0, 3)
     out, err = capsys.readouterr()
-    assert "viewer: http://127.0.0.1:2?url=here (open it in a browser on this machine)" in err.splitlines()
+    assert re.search(
+        r"^viewer: http://127\.0\.0\.1:\d+/[\w-]{32}/ \(open it in a browser on this machine\)$", err, re.M
+    )
+    assert running_pages() == []
     assert isinstance(json.loads(out), dict)
 
 
@@ -374,17 +318,22 @@ def test_a_command_prints_the_address(
 RECORDING = """
     import os, signal, sys, time
     from pathlib import Path
-    from deformscope.recording.recorder import Recorder
+    from deformscope.recording import live, recorder
     from tests.log import synthetic
-    with Recorder(Path(sys.argv[1]), "page", {}) as made:
+    os.environ["DISPLAY"] = ":0"
+    live.window_options = lambda: ["--serve-grpc"]  # a window without a window
+    start, started = recorder.start_viewer, []
+    recorder.start_viewer = lambda: started.append(start()) or started[0]
+    with recorder.Recorder(Path(sys.argv[1]), "native", {}) as made:
         for frame in synthetic.frames(60):
             made.write(frame)
             if frame.index == 20:
                 feed = made._feed
                 while feed._unconfirmed or feed._jobs:
                     time.sleep(0.005)
-                os.kill(made.viewer.pid, signal.Signals[sys.argv[2]])
+                os.kill(started[0].pid, signal.Signals[sys.argv[2]])
     print("dropped", made.summary().dropped)
+    os.kill(started[0].pid, signal.SIGKILL)
 """
 
 

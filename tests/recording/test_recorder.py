@@ -14,6 +14,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
@@ -23,7 +24,9 @@ from rerun.chunk import RrdReader
 from deformscope.errors import InputError
 from deformscope.frames import ColorFrame, DepthFrame, HandFrame, InputFile, Item, RawBytes, host_ns
 from deformscope.images import encode_png
-from deformscope.recording import live, recorder
+from deformscope.page.server import end_pages
+from deformscope.page.viewer_files import viewer_executable
+from deformscope.recording import recorder
 from deformscope.recording import rrd_file as recording_file
 from deformscope.recording.items import read_items
 from deformscope.recording.ledger import check_ledger, ledger_path
@@ -50,7 +53,7 @@ def strict() -> Iterator[None]:
 
 
 def rrd(*arguments: object) -> subprocess.CompletedProcess[str]:
-    command = [str(live.viewer_executable()), "rrd", *map(str, arguments)]
+    command = [str(viewer_executable()), "rrd", *map(str, arguments)]
     return subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
 
 
@@ -576,7 +579,7 @@ def test_the_file_never_waits_for_the_viewer(
 ) -> None:
     stuck = threading.Event()
     unregistered, unblocked = list[bool](), list[bool]()
-    monkeypatch.setattr(recorder, "start_viewer", lambda kind: Viewer(0, "rerun+http://127.0.0.1:1/proxy", ""))
+    monkeypatch.setattr(recorder, "start_viewer", lambda: Viewer(0, "rerun+http://127.0.0.1:1/proxy"))
     monkeypatch.setattr(recorder, "live_stream", lambda *given: unblocked.append(stuck.wait(PATIENCE_S)))
     monkeypatch.setattr(recorder, "LIVE_TIMEOUT_S", 0.3)
     monkeypatch.setattr(recorder, "leave_streams_alone", lambda: unregistered.append(True))
@@ -603,19 +606,21 @@ def test_a_window_needs_a_display(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     assert not list(tmp_path.iterdir())
 
 
-def test_a_page_is_served_on_loopback_and_stays_with_the_process(tmp_path: Path) -> None:
+def test_a_page_is_served_on_loopback_alone(tmp_path: Path) -> None:
+    """No port of rerun's is open: its data go over the page's own websocket."""
+    before = listening(os.getpid())
     try:
         with Recorder(tmp_path / "run.rrd", "page", {}) as made:
-            viewer = made.viewer
-            assert viewer is not None
+            page = made.page
+            assert page is not None
             run(synthetic.frames(3), synthetic.calibration(ROI, SHAPE), made)
         assert made.summary().dropped == 0
-        assert viewer.page.startswith("http://127.0.0.1:")
-        addresses = listening(viewer.pid)
-        assert len(addresses) == 2
-        assert {address for address, _ in addresses} == {"0100007F"}
+        (opened,) = set(listening(os.getpid())) - set(before)
+        assert opened == ("0100007F", urlsplit(page.address).port)
+        assert (page.desk.state.phase, page.desk.state.title) == ("stopped", "")
+        assert page.pieces.held_bytes > 1000
     finally:
-        live.end_pages()
+        end_pages()
     assert Replay(tmp_path / "run.rrd").frame_count == 3
     assert ledger_path(tmp_path / "run.rrd").exists()
 

@@ -5,6 +5,7 @@ at `touch`: 0 before the first touch, then the number of the touch that it belon
 What a touch measured is at the frame of its dent. `deformscope.recording.items` reads the results back.
 
     exploration/surface|touch|maps|plan   one row a result, every field of it a component of the same name
+    exploration/forecast|decision         likewise: what a person asked for on the page, and decided
     exploration/input/...                 which frames they are computed from, or measurements where there are none
     exploration/phase                     likewise, and the state that a timeline shows
     exploration/failed|stopped            likewise, and why as a line of text
@@ -29,7 +30,14 @@ from deformscope.frames import Stream
 from deformscope.log.exploration.blueprint import exploration_blueprint
 from deformscope.log.exploration.dent import log_dent, log_no_dent
 from deformscope.log.exploration.moment import ResultBatch
-from deformscope.log.exploration.scene import log_base, log_contact, log_stiffness, log_surface, log_target
+from deformscope.log.exploration.scene import (
+    log_base,
+    log_contact,
+    log_forecast,
+    log_stiffness,
+    log_surface,
+    log_target,
+)
 from deformscope.log.exploration.shown import (
     log_curves,
     log_failed,
@@ -52,8 +60,10 @@ from deformscope.stages.map.exploration import (
     PhaseStart,
     PlannedTouch,
     StageFailure,
+    SteeringDecision,
     SurfaceEstimate,
     TouchEstimate,
+    TouchForecast,
 )
 
 __all__ = ["exploration_blueprint", "log_exploration_start", "prepare_results"]
@@ -131,12 +141,17 @@ def _twins(
             yield partial(log_height, now, result)
         case TouchEstimate():
             yield from (partial(show, now, result) for show in (log_contact, log_dent, log_curves))
+            yield partial(log_forecast, now, None)
         case MapEstimate():
             yield from (partial(show, now, result) for show in (log_stiffness, log_maps, log_summary))
         case PlannedTouch():
             yield partial(log_target, now, result)
             contacts_m = None if maps is None else maps.contacts_m
             yield partial(log_gain, now, result, cell_m if maps is None else maps.cell_m, contacts_m)
+        case TouchForecast():
+            yield partial(log_forecast, now, result)
+        case SteeringDecision(kind="veto" | "held"):
+            yield partial(log_forecast, now, None)
         case PhaseStart():
             yield partial(log_phase, now, result)
         case StageFailure():

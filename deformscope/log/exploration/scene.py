@@ -17,7 +17,7 @@ from deformscope.log.rig.arm import shape_of
 from deformscope.log.rig.columns import Sink, root
 from deformscope.pictures.exploration import STIFFNESS, stiffness_range
 from deformscope.pictures.palette import ColorArray, Rgb
-from deformscope.stages.map.exploration import MapEstimate, PlannedTouch, SurfaceEstimate, TouchEstimate
+from deformscope.stages.map.exploration import MapEstimate, PlannedTouch, SurfaceEstimate, TouchEstimate, TouchForecast
 
 SCENE = "display/scene"
 SURFACE_FRAME = "tf#/"
@@ -27,6 +27,9 @@ TABLE: Rgb = (84, 88, 96)
 CONTACT: Rgb = (255, 255, 255)
 NORMAL: Rgb = (255, 200, 0)
 TARGET: Rgb = (232, 17, 45)
+ASKED = f"{SCENE}/asked"
+ASKED_COLOR: Rgb = (0, 200, 255)
+FORCE_M_PER_N = 0.02
 POINT_M, LINE_M, MARK_M, ARROW_M = 0.0006, 0.0016, 0.006, 0.05
 TARGET_TOP_M = 0.12
 
@@ -91,6 +94,22 @@ def log_target(now: ResultBatch, plan: PlannedTouch) -> None:
     top = np.array([x, y, TARGET_TOP_M])
     now.show_lines(f"{SCENE}/target", np.array([[[x, y, 0.0], top]]), TARGET, LINE_M)
     now.show_points(f"{SCENE}/target/name", top[None], TEXT, 0.0005, ["next"])
+
+
+def log_forecast(now: ResultBatch, forecast: TouchForecast | None) -> None:
+    """The touch that was asked for: its way down, an arrow as long as its force, what is expected; None = none."""
+    if forecast is None:
+        now.show(f"{ASKED}/way", rr.LineStrips3D([]))
+        now.show(f"{ASKED}/normal", rr.Arrows3D(vectors=[]))
+        now.show(f"{ASKED}/place", rr.Points3D([]))
+        return
+    low, high = forecast.stiffness_interval
+    words = f"{forecast.set_force_n:g} N: {forecast.stiffness_n_per_mm:.2g} N/mm expected ({low:.2g} to {high:.2g})"
+    now.show_lines(f"{ASKED}/way", forecast.way_m[None], ASKED_COLOR, LINE_M)
+    back = forecast.normal * FORCE_M_PER_N * forecast.set_force_n
+    arrow = rr.Arrows3D(origins=[forecast.xyz_m + back], vectors=[-back], colors=ASKED_COLOR, radii=2 * LINE_M)
+    now.show(f"{ASKED}/normal", arrow)
+    now.show_points(f"{ASKED}/place", forecast.xyz_m[None], ASKED_COLOR, MARK_M, [words])
 
 
 def _grid(height_m: FloatArray, cell_m: float) -> tuple[FloatArray, IntArray]:

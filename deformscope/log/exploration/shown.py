@@ -37,6 +37,7 @@ PHASES: dict[str, Rgb] = {
     "dwell more": (0, 120, 90),
     "back off": (200, 60, 120),
     "retreat": (150, 155, 165),
+    "paused": (190, 190, 190),
     "stopped": BAD,
 }
 """What the robot does, each with its colour."""

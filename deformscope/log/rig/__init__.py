@@ -13,6 +13,7 @@ also at `frame`, their place in the device's own stream. In an exploration's rec
     raw/DEVICE                the bytes on the wire, received or sent
     link/DEVICE               when the link was made and lost, and why
     input                     files that were given, with their names
+    note                      notes, episodes and tares
     health                    a table for people; below it each device's counters
     display/...               false colours, labels and transforms, all derived from the above
 """
@@ -35,6 +36,7 @@ from deformscope.frames import (
     Item,
     LinkChange,
     RawBytes,
+    SessionNote,
     Stream,
     TactileFrame,
     WrenchFrame,
@@ -44,7 +46,7 @@ from deformscope.log.rig.blueprint import rig_blueprint
 from deformscope.log.rig.cameras import log_color, log_depth
 from deformscope.log.rig.columns import Batch, Place, Shown, moments, recorded, root
 from deformscope.log.rig.health import log_health, log_health_stream
-from deformscope.log.rig.link import log_link, log_link_stream, log_raw
+from deformscope.log.rig.link import log_link, log_link_stream, log_notes, log_raw
 from deformscope.log.rig.numbers import log_numbers, log_numbers_stream
 from deformscope.log.rig.tactile import log_tactile, log_tactile_stream
 from deformscope.rows import ENTITIES, to_json
@@ -128,6 +130,8 @@ def prepare_items(
             log_link(batch, device, group, start_ns, streams)
         elif kind is HealthReport:
             log_health(batch, group, start_ns, streams, shown if changes_only else None)
+        elif kind is SessionNote:
+            log_notes(batch, group, start_ns)
         elif kind not in NUMBERS:
             raise TypeError(f"no twin in deformscope.log.rig shows a {kind.__name__}")
     return batch
@@ -163,5 +167,5 @@ def warm_up() -> None:
 def _by_device(items: Sequence[Item]) -> dict[tuple[type, str], list[Any]]:
     found: dict[tuple[type, str], list[Any]] = {}
     for item in items:
-        found.setdefault((type(item), "" if isinstance(item, HealthReport) else item.device), []).append(item)
+        found.setdefault((type(item), getattr(item, "device", "")), []).append(item)
     return found

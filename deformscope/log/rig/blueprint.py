@@ -21,16 +21,18 @@ LEGEND = rrb.PlotLegend(corner=rrb.Corner2D.LeftTop)
 PICTURES_A_ROW, PLOTS_A_ROW, FEW = 4, 3, 2
 
 
-def rig_blueprint(streams: Sequence[Stream]) -> rrb.Blueprint:
-    """The views of these devices; of doubles they say SIMULATED."""
-    return blueprint_of(rig_views(streams))
+def rig_blueprint(streams: Sequence[Stream], *, health: bool = True) -> rrb.Blueprint:
+    """The views of these devices; of doubles they say SIMULATED. health: not where a page shows it beside the viewer"""
+    return blueprint_of(rig_views(streams, with_health=health))
 
 
-def rig_views(streams: Sequence[Stream]) -> rrb.Container:
+def rig_views(streams: Sequence[Stream], *, with_health: bool = True) -> rrb.Container:
     """Pictures, plots and health of these devices."""
     pictures = [view for stream in streams for view in _pictures(stream)]
     plots = [view for stream in streams for view in _plots(stream)]
-    health = [_health(streams)] if streams else []
+    health = [_health(streams)] if streams and with_health else []
+    if pictures and not plots and not health:
+        return rrb.Vertical(_rows(pictures, PICTURES_A_ROW))
     if 1 <= len(pictures) <= FEW and len(plots) <= FEW:
         return _beside(pictures, plots, health)
     return _stacked(pictures, plots, health, len(streams))

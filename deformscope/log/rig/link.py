@@ -1,4 +1,4 @@
-"""A device's wire: the bytes that went over it, and when it was there."""
+"""A device's wire: the bytes that went over it, and when it was there; and what people remarked meanwhile."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import rerun as rr
 
-from deformscope.frames import LinkChange, RawBytes, Stream
+from deformscope.frames import LinkChange, RawBytes, SessionNote, Stream
 from deformscope.log.rig.columns import Batch, moments, recorded, root, scalars, states
 from deformscope.log.rig.numbers import plotted
 from deformscope.pictures.palette import BAD, GOOD, IDLE, WARN
@@ -36,6 +36,12 @@ def log_link(
     for path, _ in [plot for stream in streams if stream.device == device for plot in plotted(stream)]:
         if ends:  # a line goes no further: nobody knows what was between
             batch.send_columns(path, moments(ends, start_ns), scalars([np.zeros(0)] * len(ends)))
+
+
+def log_notes(batch: Batch, notes: Sequence[SessionNote], start_ns: int) -> None:
+    words = [note.text if note.about == "note" else f"{note.about}: {note.text}" for note in notes]
+    columns = [*rr.TextLog.columns(text=words, level=["INFO"] * len(notes)), *recorded(notes)]
+    batch.send_columns("note", moments([note.host_ns for note in notes], start_ns), columns)
 
 
 def log_raw(batch: Batch, device: str, pieces: Sequence[RawBytes], start_ns: int) -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import traceback
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -149,6 +150,44 @@ class PlannedTouch:
 
 
 @dataclass(frozen=True, slots=True)
+class TouchForecast:
+    """A touch that a person asks for, as it would be, and what is expected to be felt.
+
+    xyz_m: (3,) where the surface is believed to be; normal: (3,) along which it is touched; way_m: (k, 3) of the tip's
+    lowest point, down to it [m]; set_force_n: pressed with
+    stiffness_n_per_mm, stiffness_interval: apparent, at the set force, as one touch is expected to measure it in 90 %
+    force_n: (n,) [N]; depth_m, depth_low_m, depth_high_m: (n,) of the dent at each, and its interval [m]
+    touches: that it rests on
+    """
+
+    xyz_m: FloatArray
+    normal: FloatArray
+    way_m: FloatArray
+    set_force_n: float
+    stiffness_n_per_mm: float
+    stiffness_interval: tuple[float, float]
+    force_n: FloatArray
+    depth_m: FloatArray
+    depth_low_m: FloatArray
+    depth_high_m: FloatArray
+    touches: int
+
+
+@dataclass(frozen=True, slots=True)
+class SteeringDecision:
+    """What a person decided about the next touch, where it was not left to the plan.
+
+    kind: veto = not at xy_m, touch = at xy_m instead, held = it was broken off before it measured anything
+    xy_m: (2,) [m]; touch: how many were made before; reason: in words
+    """
+
+    kind: Literal["veto", "touch", "held"]
+    xy_m: FloatArray
+    touch: int
+    reason: str = ""
+
+
+@dataclass(frozen=True, slots=True)
 class StageFailure:
     """A stage failed on one touch: the exploration goes on without what it would have given.
 
@@ -171,7 +210,8 @@ class StageFailure:
 
 @dataclass(frozen=True, slots=True)
 class PhaseStart:
-    """The robot began something. name: look, travel, tare, approach, press, dwell, retreat, plan, "stopped: ..." """
+    """The robot began something. name: look, travel, tare, approach, press, dwell, retreat, plan, paused,
+    "stopped: ..." """
 
     name: str
     touch: int

@@ -1,0 +1,306 @@
+"""An exploration that is steered from a page: paused and gone on with, and touched where somebody points.
+
+Nothing of it moves by itself: the loop of `deformscope.experiments.explore` asks it before each touch, and its robot
+asks in each control period whether somebody is still there who confirmed the touch under way.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from deformscope.api.page_run import device_state
+from deformscope.api.rigs import Interruption
+from deformscope.arrays import FloatArray
+from deformscope.experiments.explore import ExplorationStopped, NextMove
+from deformscope.page.desk import Desk
+from deformscope.page.messages import (
+    ForceCurve,
+    NextPlace,
+    Outcome,
+    PageCommand,
+    PauseExploring,
+    StartExploring,
+    StopRun,
+    TouchAt,
+    TouchNext,
+    TouchPicked,
+    VetoTouch,
+)
+from deformscope.rig.source import RigSource
+from deformscope.robot.supervisor import Fault
+from deformscope.stages.map.exploration import (
+    ExplorationStop,
+    PlannedTouch,
+    SteeringDecision,
+    TouchEstimate,
+    TouchForecast,
+)
+
+SURFACE_ENTITIES = ("surface", "observed", "asked", "target", "contacts", "table")
+"""What stands on the surface in the view, below `SCENE`: picked, it says a place of it."""
+SCENE = "/display/scene/"
+CURVE_POINTS = 60
+SHOW_EVERY_S = 0.3
+
+
+class PageSteering:
+    """`Steering` of an exploration, and `PageRun` of its page.
+
+    arm: its name; set_force_n: of a touch; budget: touches at most where it explores
+    paused: begin so, and touch only where the page says
+    """
+
+    def __init__(
+        self,
+        desk: Desk,
+        ended: Interruption,
+        clock: Callable[[], int],
+        source: RigSource | None = None,
+        *,
+        arm: str,
+        set_force_n: float,
+        budget: int,
+        compliance_m_per_n: float,
+        paused: bool = False,
+    ) -> None:
+        self.desk = desk
+        self._ended, self._clock = ended, clock
+        self._arm, self._set_force_n, self._budget = arm, set_force_n, budget
+        self._compliance_m_per_n = compliance_m_per_n
+        self._paused = paused
+        self._touches = 0
+        self._plan: PlannedTouch | None = None
+        self._choice: Future[NextMove] | None = None
+        self._confirm: Future[bool] | None = None
+        self._by_hand = False
+        self._permitted, self._what = False, ""
+        self._source, self._shown_s = source, -1e9
+        self._lock = threading.RLock()
+        desk.attend(self)
+        desk.enter("idle", commands=("stop",))
+
+    # Before it moves -------------------------------------------------------------------------------------------------
+
+    def wait_for_permission(self, touches: str) -> None:
+        """Ask on the page as well whether the arm may move. touches: how many, and of what force"""
+        self._what = f"{self._arm} goes on by itself: {touches}"
+        self.desk.enter("idle", commands=("stop", "explore"))
+
+    def is_permitted(self) -> bool:
+        """Whether somebody at the page has said so."""
+        return self._permitted
+
+    def begin(self) -> None:
+        """From now on the robot may move."""
+        self._permitted = True
+        self._enter()
+
+    # As `Steering`, from the loop ------------------------------------------------------------------------------------
+
+    def choose(self, plan: PlannedTouch | None, touches: int) -> Future[NextMove]:
+        """As `Steering.choose`."""
+        with self._lock:
+            self._by_hand = False
+            self._plan, self._touches = plan, touches
+            place = None
+            if plan is not None and plan.target_m is not None:
+                x_m, y_m = _floats(plan.target_m)
+                place = NextPlace(x_m, y_m, plan.reason)
+            self.desk.show(next_place=place)
+            choice: Future[NextMove] = Future()
+            if self._paused:
+                self._choice = choice
+            else:
+                choice.set_result(NextMove())
+            self._enter()
+            return choice
+
+    def confirm(self, forecast: TouchForecast) -> Future[bool]:
+        """As `Steering.confirm`."""
+        with self._lock:
+            confirm: Future[bool] = Future()
+            self._confirm = confirm
+            curve = curve_of(forecast)
+            self.desk.show(curve=curve)
+            place = f"({100 * curve.x_m:.1f}, {100 * curve.y_m:.1f}) cm"
+            what = f"{self._arm} goes to {place} and presses with {self._set_force_n:g} N, along the normal there"
+            self.desk.ask(what, self._confirmed, self._let_be)
+            return confirm
+
+    def refuse(self, reason: str) -> None:
+        """As `Steering.refuse`."""
+        self.desk.remark(f"no touch there: {reason}", bad=True)
+
+    def look(self) -> None:
+        """As `Steering.look`."""
+        if not self._ended.is_set():
+            return
+        with self._lock:
+            stop = ExplorationStop(Fault.ASKED, self._ended.by or "while paused", "", "stop", self._touches)
+            for waiting in (self._choice, self._confirm):
+                if waiting is not None and not waiting.done():
+                    waiting.set_exception(ExplorationStopped(stop, self._clock()))
+            self._choice = self._confirm = None
+
+    def reason_to_stand(self) -> str:
+        """In each control period of a motion: why it may not go on, where nobody watches what they confirmed."""
+        return self.desk.absent() if self._by_hand else ""
+
+    def saw(self, results: Sequence[object]) -> None:
+        """What the loop found."""
+        for result in results:
+            if isinstance(result, TouchEstimate) and (curve := self.desk.state.curve) is not None:
+                near = np.hypot(result.xyz_m[0] - curve.x_m, result.xyz_m[1] - curve.y_m) < 1e-3
+                shown = felt_beside(curve, result, self._compliance_m_per_n) if near else None
+                self.desk.show(curve=shown)
+            elif isinstance(result, SteeringDecision) and result.kind == "held":
+                with self._lock:
+                    self._paused = True
+                self.desk.remark(f"the touch was broken off, the arm stands: {result.reason}", bad=True)
+
+    def show(self, doing: str) -> None:
+        """What the robot does, in words, and how its devices are; seldom enough for a control period."""
+        now_s = self.desk.state.now_s
+        if self._source is None or now_s - self._shown_s < SHOW_EVERY_S:
+            return
+        self._shown_s = now_s
+        known = {stream.device: stream for stream in self._source.streams}
+        devices = (device_state(name, health, known.get(name)) for name, health in self._source.look().devices)
+        self.desk.show(devices=tuple(devices), reason=doing)
+
+    # As `PageRun`, from the server -----------------------------------------------------------------------------------
+
+    def obey(self, command: PageCommand) -> tuple[Outcome, str]:
+        """As `PageRun.obey`."""
+        match command:
+            case StopRun():  # first of all, and without waiting for any lock
+                self._ended.by = "from the page"
+                self._ended.set()
+                return "done", "the arm stops"
+        with self._lock:
+            match command:
+                case PauseExploring():
+                    self._paused = True
+                    self._enter()
+                    return "done", "no further touch begins"
+                case StartExploring():
+                    return self._start()
+                case VetoTouch():
+                    return self._take(NextMove("veto", self._planned_m()), "another place is sought")
+                case TouchNext():
+                    return self._take(NextMove("touch", self._planned_m()), "planning")
+                case TouchAt():
+                    return self._take(NextMove("touch", np.array([command.x_m, command.y_m])), "planning")
+                case TouchPicked():
+                    if not is_surface(command.entity):
+                        return "refused", f"a place of the surface is to be picked; that was {command.entity}"
+                    return self._take(NextMove("touch", np.array(command.position_m[:2])), "planning")
+                case _:
+                    return "refused", "not while it explores"
+
+    # Within ----------------------------------------------------------------------------------------------------------
+
+    def _start(self) -> tuple[Outcome, str]:
+        if not self._permitted:
+            self.desk.ask(self._what, self._permit, self.desk.remark)
+            return "begun", "waits for a confirm"
+        left = max(self._budget - self._touches, 0)
+        what = f"{self._arm} goes on touching by itself, {left} times more at most, with {self._set_force_n:g} N"
+        self.desk.ask(what, self._go_on, self.desk.remark)
+        return "begun", "waits for a confirm"
+
+    def _permit(self) -> None:
+        self._permitted = True
+
+    def _go_on(self) -> None:
+        with self._lock:
+            self._paused = False
+            if self._choice is not None:
+                self._take(NextMove(), "")
+            self._enter()
+
+    def _planned_m(self) -> FloatArray:
+        assert self._plan is not None
+        assert self._plan.target_m is not None
+        return self._plan.target_m
+
+    def _take(self, choice: NextMove, words: str) -> tuple[Outcome, str]:
+        """Give the loop what it waits for."""
+        if self._choice is None:
+            return "refused", "a touch is under way, or being planned"
+        taken, self._choice = self._choice, None
+        taken.set_result(choice)
+        self._enter()
+        return "begun", words
+
+    def _confirmed(self) -> None:
+        with self._lock:
+            if self._confirm is not None:
+                self._by_hand = True
+                self._confirm.set_result(True)
+            self._confirm = None
+
+    def _let_be(self, reason: str) -> None:
+        with self._lock:
+            if self._confirm is not None:
+                self._confirm.set_result(False)
+            self._confirm = None
+        self.desk.show(curve=None)
+        self.desk.remark(reason)
+
+    def _enter(self) -> None:
+        """Have the state say what goes on, and what can be asked for."""
+        if not self._permitted or self.desk.state.phase == "stopped":
+            return
+        commands = ["stop", "explore" if self._paused else "pause"]
+        if self._paused and self._choice is not None:
+            commands += ["touch-at", "touch-picked"]
+            if self._plan is not None and self._plan.target_m is not None:
+                commands += ["touch-next", "veto"]
+        self.desk.enter("paused" if self._paused else "exploring", commands=tuple(commands))
+
+
+def is_surface(entity: str) -> bool:
+    """Whether an entity of the view stands on the surface."""
+    return entity.startswith(SCENE) and entity.removeprefix(SCENE).split("/")[0] in SURFACE_ENTITIES
+
+
+def curve_of(forecast: TouchForecast) -> ForceCurve:
+    """As a page draws it."""
+    known = f"{forecast.touches} touches" if forecast.touches else "what surfaces are like: none was touched yet"
+    x_m, y_m = _floats(forecast.xyz_m[:2])
+    depth, low, high = (
+        _floats(1e3 * depth_m) for depth_m in (forecast.depth_m, forecast.depth_low_m, forecast.depth_high_m)
+    )
+    return ForceCurve(x_m, y_m, known, _floats(forecast.force_n), depth, low, high)
+
+
+def felt_beside(curve: ForceCurve, touch: TouchEstimate, compliance_m_per_n: float) -> ForceCurve:
+    """The same with what was felt: the dent without what the arm itself yields, from contact to the largest force."""
+    if not touch.usable:
+        return msgspec.structs.replace(curve, words="felt: no stiffness came of it")
+    end = int(np.argmax(touch.approach_n)) + 1
+    force_n = touch.approach_n[:end]
+    dent_m = touch.approach_m[:end] - touch.contact_m - compliance_m_per_n * force_n
+    kept = np.flatnonzero(dent_m >= 0.0)
+    shown = (
+        kept[np.unique(np.linspace(0, len(kept) - 1, min(CURVE_POINTS, len(kept))).astype(int))] if len(kept) else kept
+    )
+    at_n, set_n = touch.stiffness_n_per_mm, curve.force_n[-1]
+    low, high = set_n / curve.depth_high_mm[-1], set_n / curve.depth_low_mm[-1]
+    within = "as expected" if low <= at_n <= high else "outside what was expected"
+    expected = f"{set_n / curve.depth_mm[-1]:.2g} N/mm ({low:.2g} to {high:.2g})"
+    words = f"felt {'more than ' * touch.rigid}{at_n:.2g} N/mm, {within}: {expected}"
+    return msgspec.structs.replace(
+        curve, felt_mm=_floats(1e3 * dent_m[shown]), felt_n=_floats(force_n[shown]), words=words
+    )
+
+
+def _floats(values: Any) -> tuple[float, ...]:
+    return tuple(round(float(value), 5) for value in values)

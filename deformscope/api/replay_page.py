@@ -1,0 +1,63 @@
+"""A recording on a page that plays it: chapters are its touches, its episodes, or its phases."""
+
+from __future__ import annotations
+
+import sys
+from itertools import pairwise
+from pathlib import Path
+
+from deformscope.frames import HealthReport, SessionNote
+from deformscope.page.messages import Chapter, Playback
+from deformscope.page.server import PageServer
+from deformscope.recording.items import Row, read_rows
+from deformscope.recording.reader import Replay
+from deformscope.stages.map.exploration import PhaseStart
+from deformscope.stages.squeeze.trial import SqueezePhase
+
+STEP_NS = 100_000_000
+"""About a picture of a camera that is recorded at 10 Hz."""
+
+
+def play_on_page(path: Path) -> PageServer:
+    """Serve a recording to play; its address is printed. Until `close`, or the end of the process."""
+    page = PageServer(path.name, path)
+    page.desk.show(playback=playback_of(path))
+    page.open()
+    print(page.where, file=sys.stderr, flush=True)
+    return page
+
+
+def playback_of(path: Path) -> Playback:
+    """How long a recording of devices lasted, and its chapters."""
+    rows = list(read_rows(Replay(path, trust=True), (HealthReport, SessionNote, PhaseStart, SqueezePhase)))
+    until_ns = max((row.session_ns for row in rows), default=0)
+    return Playback("session", until_ns, STEP_NS, tuple(chapters_of(rows, until_ns)))
+
+
+def chapters_of(rows: list[Row], until_ns: int) -> list[Chapter]:
+    """In order of time. rows: of notes and phases"""
+    found = []
+    touches = [row for row in rows if isinstance(row.item, PhaseStart)]
+    begun = [row for row in touches if row.item.name in ("look", "travel") or row.item.name.startswith("stopped")]
+    for row, following in pairwise([*begun, None]):
+        assert row is not None
+        end_ns = until_ns if following is None else following.session_ns
+        found.append(Chapter(_touch_words(row), row.session_ns, end_ns))
+    squeezed = [row for row in rows if isinstance(row.item, SqueezePhase)]
+    for row, following in pairwise([*squeezed, None]):
+        assert row is not None
+        end_ns = until_ns if following is None else following.session_ns
+        found.append(Chapter(row.item.name, row.session_ns, end_ns))
+    notes = [row for row in rows if isinstance(row.item, SessionNote)]
+    for place, row in enumerate(notes):
+        if row.item.about == "episode-begin":
+            ends = (one.session_ns for one in notes[place:] if one.item.about == "episode-end")
+            found.append(Chapter(row.item.text, row.session_ns, next(ends, until_ns)))
+        elif row.item.about == "note":
+            found.append(Chapter(f"note: {row.item.text}", row.session_ns, until_ns))
+    return sorted(found, key=lambda chapter: chapter.from_ns)
+
+
+def _touch_words(row: Row) -> str:
+    name = str(row.item.name)
+    return f"touch {row.touch}" if name == "travel" else name

@@ -1,0 +1,237 @@
+"""The state that every page shows and the commands that every page may give: one source of truth, on the server."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Collection
+from typing import Any, Protocol
+
+import msgspec
+
+from deformscope.page.messages import (
+    CancelMove,
+    CommandReply,
+    ConfirmMove,
+    Outcome,
+    PageCommand,
+    PageState,
+    PendingMove,
+    Phase,
+    Remark,
+    StopRun,
+    TakeControls,
+)
+
+NEXT: dict[Phase, frozenset[Phase]] = {
+    "idle": frozenset({"live", "recording", "exploring", "paused", "stopped"}),
+    "live": frozenset({"recording", "stopped"}),
+    "recording": frozenset({"live", "stopped"}),
+    "exploring": frozenset({"paused", "stopped"}),
+    "paused": frozenset({"exploring", "stopped"}),
+    "stopped": frozenset(),
+}
+"""What may follow each phase."""
+REMARKS = 50
+"""The newest remarks are kept."""
+CONFIRM_S = 10.0
+"""What waits for a confirm waits no longer."""
+BEAT_S = 0.3
+"""What moves by a page's confirm stops so long after the page's last heartbeat, unless it is set otherwise."""
+
+
+class PageRun(Protocol):
+    """What carries out the commands of pages."""
+
+    def obey(self, command: PageCommand) -> tuple[Outcome, str]:
+        """Carry it out, or begin with it, at once; what came of it, in words. From the server's thread, which must not
+        wait: what takes longer than some milliseconds has begun, and its end becomes a remark."""
+
+
+class Desk:
+    """May be used from any thread. Whoever `watch`es is called after every change."""
+
+    def __init__(self, title: str = "", clock: Callable[[], float] = time.monotonic, beat_s: float = BEAT_S) -> None:
+        self._clock = clock
+        self._began_s = clock()
+        self._state = PageState(title=title, beat_s=beat_s)
+        self._run: PageRun | None = None
+        self._beats: dict[str, tuple[float, bool]] = {}
+        self._moves = 0
+        self._answers: tuple[Callable[[], None], Callable[[str], None]] = (_nothing, _nothing)
+        self._pages: list[str] = []
+        self._watchers: list[Callable[[], None]] = []
+        self._lock = threading.RLock()
+
+    @property
+    def state(self) -> PageState:
+        """As it is now."""
+        with self._lock:
+            return msgspec.structs.replace(self._state, now_s=self._now_s())
+
+    def watch(self, call: Callable[[], None]) -> Callable[[], None]:
+        """call: after every change, in any thread; returns what ends it."""
+        with self._lock:
+            self._watchers.append(call)
+        return lambda: self._watchers.remove(call)
+
+    # For what goes on ------------------------------------------------------------------------------------------------
+
+    def attend(self, run: PageRun) -> None:
+        """From now on this one gets the commands."""
+        self._run = run
+
+    def enter(self, phase: Phase, reason: str = "", **changes: Any) -> None:
+        """Go on to another phase, or stay in this one; changes: fields of the state. Raises ValueError where the phase
+        may not follow."""
+        with self._lock:
+            if phase != self._state.phase and phase not in NEXT[self._state.phase]:
+                raise ValueError(f"{phase} does not follow {self._state.phase}")
+            if phase == "stopped" != self._state.phase:
+                over = {
+                    "commands": (),
+                    "tares": (),
+                    "episode": "",
+                    "recording": "",
+                    "pending": None,
+                    "next_place": None,
+                }
+                changes = over | changes
+            self.show(phase=phase, reason=reason, **changes)
+
+    def show(self, **changes: Any) -> None:
+        """Change fields of the state."""
+        with self._lock:
+            self._state = msgspec.structs.replace(self._state, **changes)
+            watchers = tuple(self._watchers)
+        for call in watchers:
+            call()
+
+    def remark(self, words: str, *, bad: bool = False) -> None:
+        """Something that pages are to say."""
+        with self._lock:
+            before = self._state.remarks
+            number = before[-1].number + 1 if before else 1
+            one = Remark(number, self._now_s(), " ".join(words.split())[:500], bad)
+            self.show(remarks=(*before, one)[-REMARKS:])
+
+    def recording_began(self, file: str, **changes: Any) -> None:
+        """A file is being written."""
+        self.enter("recording", recording=file, recorded_since_s=self._now_s(), recorded_bytes=0, **changes)
+
+    def ask(self, what: str, confirmed: Callable[[], None], let_be: Callable[[str], None]) -> None:
+        """Have the page that steers confirm that this moves. One of the two is called, from any thread: `let_be` with
+        the reason where it is cancelled, or not confirmed in CONFIRM_S. What waited before is let be."""
+        self._drop("another move was asked for")
+        with self._lock:
+            self._moves += 1
+            self._answers = confirmed, let_be
+            number = self._moves
+            self.show(pending=PendingMove(number, what, self._now_s() + CONFIRM_S))
+        timer = threading.Timer(CONFIRM_S, self._drop, (f"not confirmed within {CONFIRM_S:g} s: nothing moved", number))
+        timer.daemon = True
+        timer.start()
+
+    def _drop(self, reason: str, number: int | None = None) -> bool:
+        """Let be what waits for a confirm, where something does (of this number); whether it did."""
+        with self._lock:
+            pending, (_, let_be) = self._state.pending, self._answers
+            if pending is None or number not in (None, pending.number):
+                return False
+            self.show(pending=None)
+        let_be(reason)  # without the lock: it may take another, whose holder waits for this one
+        return True
+
+    def absent(self) -> str:
+        """Why nobody steers at this moment: empty while the page that does is there, can be seen, and says so often
+        enough. From any thread, and at once: asked in each control period."""
+        state = self._state
+        if not state.controls:
+            return "no page has the controls"
+        beat_s, visible = self._beats.get(state.controls, (-1e9, True))
+        if not visible:
+            return "the page that has the controls is hidden"
+        silent_s = self._clock() - beat_s
+        return f"no heartbeat of the page for {1e3 * min(silent_s, 99.0):.0f} ms" if silent_s > state.beat_s else ""
+
+    # For pages -------------------------------------------------------------------------------------------------------
+
+    def come(self, page: str) -> None:
+        """A page is there; it steers where no other does."""
+        with self._lock:
+            self._pages.append(page)
+            self.show(pages=len(self._pages), controls=self._state.controls or page)
+
+    def leave(self, page: str) -> None:
+        """A page is gone."""
+        with self._lock:
+            self._pages.remove(page)
+            if page not in self._pages:
+                self._beats.pop(page, None)
+            gone = page == self._state.controls and page not in self._pages
+            self.show(pages=len(self._pages), controls="" if gone else self._state.controls)
+
+    def beat(self, page: str, *, visible: bool) -> None:
+        """A page is there, and whether it can be seen."""
+        self._beats[page] = (self._clock(), visible)
+
+    def command(self, page: str, command: PageCommand) -> CommandReply:
+        """Carry out a page's command, or refuse it."""
+        outcome, words = self._answer(page, command)
+        return CommandReply(command.id, outcome, words)
+
+    def _answer(self, page: str, command: PageCommand) -> tuple[Outcome, str]:
+        state = self.state
+        if state.phase == "stopped":
+            return "refused", f"it has stopped: {state.reason}" if state.reason else "it has stopped"
+        if isinstance(command, TakeControls):
+            self.show(controls=page)
+            self._drop("another page took the controls over")
+            return "done", "this page has the controls"
+        if state.controls != page and not isinstance(command, StopRun):
+            return "refused", "another page has the controls: take them over first"
+        if isinstance(command, ConfirmMove | CancelMove):
+            return self._decide(command)
+        kind = str(command.__struct_config__.tag)
+        if self._run is None or kind not in state.commands:
+            return "refused", _refusal(kind, state.phase, state.commands)
+        try:
+            return self._run.obey(command)
+        except Exception as error:  # whatever a command does, the server goes on
+            return "refused", " ".join(str(error).split()) or type(error).__name__
+
+    def _decide(self, command: ConfirmMove | CancelMove) -> tuple[Outcome, str]:
+        gone = "nothing waits for this confirm: it has expired, or something else was asked for"
+        if isinstance(command, CancelMove):
+            return (
+                ("done", "nothing moves")
+                if self._drop("cancelled: nothing moved", command.number)
+                else ("refused", gone)
+            )
+        with self._lock:
+            pending, (confirmed, _) = self._state.pending, self._answers
+            if pending is None or pending.number != command.number:
+                return "refused", gone
+            late = self._now_s() >= pending.until_s
+            absent = self.absent()
+            if not late and not absent:
+                self.show(pending=None)
+        if late:
+            self._drop(f"not confirmed within {CONFIRM_S:g} s: nothing moved", command.number)
+            return "refused", f"it was to be confirmed within {CONFIRM_S:g} s: nothing moves"
+        if absent:
+            return "refused", absent
+        confirmed()
+        return "done", pending.what
+
+    def _now_s(self) -> float:
+        return self._clock() - self._began_s
+
+
+def _refusal(kind: str, phase: Phase, commands: Collection[str]) -> str:
+    possible = ", ".join(commands) or "none"
+    return f"no {kind} while it is {phase}; possible: {possible}"
+
+
+def _nothing(*given: object) -> None:
+    pass

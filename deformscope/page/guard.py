@@ -1,0 +1,109 @@
+"""Who may ask this server anything: the page that it served itself, in a browser that reached it by a loopback name.
+
+Other programs of this machine and other sites in its browsers lack the token of the address. A site that gets its own
+name resolved to 127.0.0.1 (DNS rebinding) sends that name as Host; a page of another origin sends that as Origin.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import hmac
+from typing import Any
+from urllib.parse import urlsplit
+
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.responses import PlainTextResponse
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+from starlette.websockets import WebSocketClose
+from uvicorn.protocols.http.h11_impl import H11Protocol
+
+LOOPBACK_NAMES = ("127.0.0.1", "localhost", "[::1]")
+"""Also through a forwarded port, whose number is another."""
+POLICY = (
+    "default-src 'none'; script-src 'self' 'wasm-unsafe-eval'; style-src 'self'; img-src 'self' blob: data:; "
+    "connect-src 'self'; frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
+)
+HEADERS = {
+    "content-security-policy": POLICY,
+    "cross-origin-opener-policy": "same-origin",
+    "cross-origin-resource-policy": "same-origin",
+    "referrer-policy": "no-referrer",  # the address holds the token
+    "x-content-type-options": "nosniff",
+    "cache-control": "no-store",
+}
+MOST_CONNECTIONS = 64
+REQUEST_S = 10.0
+"""A connection that has not asked for anything by then is closed."""
+
+
+class Guard:
+    """Passes on what may ask, with a path below the token; answers all else with 403, and a wrong method with 405."""
+
+    def __init__(self, app: ASGIApp, token: str) -> None:
+        self._app = app
+        self._token = token.encode()
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] not in ("http", "websocket"):
+            return
+        status = 405 if scope.get("method", "GET") not in ("GET", "HEAD") else 200
+        if not _from_the_page(Headers(scope=scope), websocket=scope["type"] == "websocket"):
+            status = 403
+        _, token, *rest = (*scope["path"].split("/", 2), "")[:3]
+        if not hmac.compare_digest(token.encode(), self._token):
+            status = 403
+
+        async def send_with_headers(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                headers = MutableHeaders(scope=message)
+                for name, value in HEADERS.items():
+                    headers[name] = value
+            await send(message)
+
+        if status == 200:
+            path = "/" + rest[0]
+            inner = {**scope, "path": path, "raw_path": path.encode(), "root_path": ""}
+            await self._app(inner, receive, send_with_headers)
+        elif scope["type"] == "websocket":
+            await WebSocketClose(1008)(scope, receive, send)  # before it is accepted: HTTP 403
+        else:
+            await PlainTextResponse("refused\n", status)(scope, receive, send_with_headers)
+
+
+def _from_the_page(headers: Headers, *, websocket: bool) -> bool:
+    """Whether Host and Origin are those of a page that this server served. A browser sends an Origin with every
+    websocket."""
+    hosts, origins = headers.getlist("host"), headers.getlist("origin")
+    if len(hosts) != 1 or len(origins) > 1:
+        return False
+    host = hosts[0].lower()
+    try:
+        parts = urlsplit(f"http://{host}")
+        name = parts.netloc if parts.port is None else parts.netloc.removesuffix(f":{parts.port}")
+    except ValueError:
+        return False
+    if name not in LOOPBACK_NAMES or parts.netloc != host:
+        return False
+    if headers.get("sec-fetch-site", "none") not in ("same-origin", "none"):
+        return False
+    return origins[0].lower() == f"http://{host}" if origins else not websocket
+
+
+class BoundedProtocol(H11Protocol):
+    """HTTP of at most so many connections, none of which may wait for ever before it asks for something."""
+
+    def connection_made(self, transport: Any) -> None:
+        self._refused = len(self.connections) >= MOST_CONNECTIONS
+        if self._refused:
+            transport.abort()
+            return
+        super().connection_made(transport)
+        asyncio.get_running_loop().call_later(REQUEST_S, self._give_up)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        if not self._refused:
+            super().connection_lost(exc)
+
+    def _give_up(self) -> None:
+        if self.cycle is None and self.transport.get_protocol() is self:
+            self.transport.abort()

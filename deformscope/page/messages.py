@@ -1,0 +1,283 @@
+"""What goes between the page's script and its server: JSON objects with a `kind`, all of one version.
+
+A page says `Hello` first. From then on it gets a `PageState` with every change, and a `CommandReply` to each command;
+its `Beat`s get no reply.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import msgspec
+
+VERSION = 1
+"""Of these messages. A page of another version is refused: it is to be loaded again."""
+LONGEST_MESSAGE = 16 << 10
+"""Bytes of a message from a page."""
+
+Phase = Literal["idle", "live", "recording", "exploring", "paused", "stopped"]
+Outcome = Literal["done", "begun", "refused"]
+Words = Annotated[str, msgspec.Meta(min_length=1, max_length=1000)]
+Name = Annotated[str, msgspec.Meta(min_length=1, max_length=100)]
+Number = Annotated[int, msgspec.Meta(ge=0, le=2**53)]
+Length = Annotated[float, msgspec.Meta(ge=-100.0, le=100.0)]
+
+
+class FromPage(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_field="kind"):
+    """id: which the reply will carry"""
+
+    id: Number
+
+
+class Hello(FromPage, frozen=True, tag="hello"):
+    """The first message. version: of the page's script; page: a name of its own, kept when it connects again"""
+
+    version: int
+    page: Name
+
+
+class Beat(FromPage, frozen=True, tag="beat"):
+    """The page is there, ten times a second. visible: whether somebody can see it"""
+
+    visible: bool
+
+
+class TakeControls(FromPage, frozen=True, tag="take-controls"):
+    """From now on this page steers, and no other."""
+
+
+class StartRecording(FromPage, frozen=True, tag="start-recording"):
+    """Into a new file."""
+
+
+class StopRecording(FromPage, frozen=True, tag="stop-recording"):
+    """The file gets its name; the devices stay open."""
+
+
+class WriteNote(FromPage, frozen=True, tag="write-note"):
+    """Into the recording, at the time it came."""
+
+    text: Words
+
+
+class BeginEpisode(FromPage, frozen=True, tag="begin-episode"):
+    label: Words
+
+
+class EndEpisode(FromPage, frozen=True, tag="end-episode"): ...
+
+
+class TareDevice(FromPage, frozen=True, tag="tare"):
+    """Take the present load for zero."""
+
+    device: Name
+
+
+class StopRun(FromPage, frozen=True, tag="stop"):
+    """End what goes on. From any page, whoever has the controls."""
+
+
+class ConfirmMove(FromPage, frozen=True, tag="confirm"):
+    """Do what waits for it. number: of the `PendingMove`"""
+
+    number: Number
+
+
+class CancelMove(FromPage, frozen=True, tag="cancel"):
+    """Do not do what waits for a confirm."""
+
+    number: Number
+
+
+class StartExploring(FromPage, frozen=True, tag="explore"):
+    """Begin to touch where the plan says, or go on with it. Waits for a confirm."""
+
+
+class PauseExploring(FromPage, frozen=True, tag="pause"):
+    """Begin no further touch. The one under way is ended as any other."""
+
+
+class VetoTouch(FromPage, frozen=True, tag="veto"):
+    """Not where the plan says: it is to choose another place."""
+
+
+class TouchNext(FromPage, frozen=True, tag="touch-next"):
+    """Touch where the plan says, and pause again. Waits for a confirm."""
+
+
+class TouchAt(FromPage, frozen=True, tag="touch-at"):
+    """Touch this place of the surface [m], and pause again. Waits for a confirm."""
+
+    x_m: Length
+    y_m: Length
+
+
+class TouchPicked(FromPage, frozen=True, tag="touch-picked"):
+    """The same for what was selected in the viewer: an entity, and where on it [m, the view's frame]."""
+
+    entity: Words
+    position_m: tuple[Length, Length, Length]
+
+
+PageCommand = (
+    TakeControls
+    | StartRecording
+    | StopRecording
+    | WriteNote
+    | BeginEpisode
+    | EndEpisode
+    | TareDevice
+    | StopRun
+    | ConfirmMove
+    | CancelMove
+    | StartExploring
+    | PauseExploring
+    | VetoTouch
+    | TouchNext
+    | TouchAt
+    | TouchPicked
+)
+
+
+class ToPage(msgspec.Struct, frozen=True, tag_field="kind"):
+    """What a page gets."""
+
+
+class CommandReply(ToPage, frozen=True, tag="reply"):
+    """To the command of this id. begun: what comes of it will be in the remarks of a later state; words: for people"""
+
+    id: int
+    outcome: Outcome
+    words: str = ""
+
+
+class DeviceState(msgspec.Struct, frozen=True):
+    """One device, as its health says. state: in a word; rate_hz: readings a second [1/s]; age_s: of the newest [s]"""
+
+    name: str
+    state: str
+    simulated: bool = False
+    rate_hz: float = 0.0
+    age_s: float | None = None
+    received: int = 0
+    lost: int = 0
+    dropped: int = 0
+    refused: int = 0
+    bad_bytes: int = 0
+    reconnects: int = 0
+    reason: str = ""
+
+
+class Remark(msgspec.Struct, frozen=True):
+    """Something that happened. number: from 1; at_s: since the page's server began [s]"""
+
+    number: int
+    at_s: float
+    words: str
+    bad: bool = False
+
+
+class PendingMove(msgspec.Struct, frozen=True):
+    """Something that moves when it is confirmed. number: for the confirm; what: will move; until_s: when it expires, as
+    `PageState.now_s`"""
+
+    number: int
+    what: str
+    until_s: float
+
+
+class NextPlace(msgspec.Struct, frozen=True):
+    """Where the plan wants to touch next [m], and why."""
+
+    x_m: float
+    y_m: float
+    reason: str
+
+
+class ForceCurve(msgspec.Struct, frozen=True):
+    """What a touch is expected to be felt as, and beside it what was.
+
+    x_m, y_m: where; known: in words, what the expectation rests on; force_n: forces; depth_mm, depth_low_mm,
+    depth_high_mm: the dent at each, and its interval of 90 %; felt_mm, felt_n: as measured, empty before; words: how
+    the two compare
+    """
+
+    x_m: float
+    y_m: float
+    known: str
+    force_n: tuple[float, ...]
+    depth_mm: tuple[float, ...]
+    depth_low_mm: tuple[float, ...]
+    depth_high_mm: tuple[float, ...]
+    felt_mm: tuple[float, ...] = ()
+    felt_n: tuple[float, ...] = ()
+    words: str = ""
+
+
+class Chapter(msgspec.Struct, frozen=True):
+    """A part of a recording, of the time since its start [ns]."""
+
+    name: str
+    from_ns: int
+    until_ns: int
+
+
+class Playback(msgspec.Struct, frozen=True):
+    """A recording that a page plays. timeline: of the viewer; until_ns: its end [ns]; step_ns: of a single step"""
+
+    timeline: str
+    until_ns: int
+    step_ns: int
+    chapters: tuple[Chapter, ...] = ()
+
+
+class PageState(ToPage, frozen=True, tag="state"):
+    """All that a page shows beside the viewer.
+
+    now_s: since the server began [s]; title: what is watched; reason: why it stopped
+    recording: the file; recorded_since_s: when it was begun, as now_s; free_minutes: until its disk is full at the
+    present pace; episode: label of the one that goes on
+    commands: what can be asked for at present, by kind; tares: devices that can be tared
+    controls: the page that steers; pages: how many there are
+    pending: waits for a confirm; next_place, curve: of an exploration; beat_s: so long without a `Beat`, and what moves
+    by a page's confirm stops [s]; playback: of a page that shows a recording
+    """
+
+    version: int = VERSION
+    now_s: float = 0.0
+    title: str = ""
+    phase: Phase = "idle"
+    reason: str = ""
+    devices: tuple[DeviceState, ...] = ()
+    recording: str = ""
+    recorded_since_s: float = 0.0
+    recorded_bytes: int = 0
+    free_minutes: float | None = None
+    episode: str = ""
+    commands: tuple[str, ...] = ()
+    tares: tuple[str, ...] = ()
+    remarks: tuple[Remark, ...] = ()
+    controls: str = ""
+    pages: int = 0
+    pending: PendingMove | None = None
+    next_place: NextPlace | None = None
+    curve: ForceCurve | None = None
+    beat_s: float = 0.3
+    playback: Playback | None = None
+
+
+class Drawn(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """From the page, over the way of the viewer's data: all up to this batch was drawn."""
+
+    batch: Number
+
+
+class PieceBatch(msgspec.Struct, frozen=True):
+    """To the page, after the pieces of a batch. behind_s: age of what was drawn when this was sent; skipped: pieces so
+    far that were too old to be sent; until_ns: session time of the newest in it [ns], 0 = not known"""
+
+    batch: int
+    last: int
+    until_ns: int
+    behind_s: float | None
+    skipped: int

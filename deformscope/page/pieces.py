@@ -1,0 +1,160 @@
+"""The recording's data on its way to pages: pieces of encoded rerun data, kept for a while, dropped when too old.
+
+Whoever makes pieces never waits. Each page takes what is new when it has drawn what it got before, so that a page that
+is slow, hidden or frozen holds nothing back, and no memory grows: what it did not take in time is skipped and counted.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+
+RECENT_S, RECENT_BYTES = 30.0, 16 << 20
+"""What a page that comes gets of the data that pass."""
+FIRST_BYTES, LASTING_BYTES = 4 << 20, 64 << 20
+"""Of what lasts (views, descriptions, results): the first so many bytes are kept, and the newest so many."""
+STALE_S = 1.0
+"""A page that is there is not sent what is older than this, once something newer is there."""
+FASTEST_S, SLOWEST_S = 0.1, 1.0
+"""Pieces are made at least and at most so often."""
+SLACK = 1.25
+"""Longer than a page needs to draw: it has other things to do."""
+
+
+@dataclass(frozen=True, slots=True)
+class ViewerPiece:
+    """One whole stream of rerun data. number: from 1; lasting: what comes later rests on it; made_s: when [s]
+
+    until_ns: session time of the newest that it or an earlier one holds [ns], 0 = not known
+    """
+
+    number: int
+    data: bytes
+    lasting: bool
+    made_s: float
+    until_ns: int = 0
+
+
+@dataclass(slots=True)
+class PageReader:
+    """How far a page is.
+
+    last: the newest piece it was sent; skipped: pieces that were too old for it
+    sent_s, newest_s: when its last batch was sent, and when the newest piece of that was made; drawing: it is not drawn
+    shown_s: when the newest piece was made of the batch before, which it shows until then
+    needs_s: how long it took to draw the last that it has drawn; behind_s: age of what it showed until then
+    """
+
+    last: int = 0
+    skipped: int = 0
+    sent_s: float = 0.0
+    newest_s: float | None = None
+    drawing: bool = False
+    shown_s: float | None = None
+    needs_s: float | None = None
+    behind_s: float | None = None
+
+
+class Pieces:
+    """Used from any thread."""
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock
+        self._first: list[ViewerPiece] = []
+        self._lasting: deque[ViewerPiece] = deque()
+        self._passing: deque[ViewerPiece] = deque()
+        self._bytes = {"first": 0, "lasting": 0, "passing": 0}
+        self._count = 0
+        self._readers: list[PageReader] = []
+        self._watchers: list[Callable[[], None]] = []
+        self._lock = threading.Lock()
+
+    def add(self, data: bytes, *, lasting: bool, until_ns: int = 0) -> None:
+        """Returns at once."""
+        with self._lock:
+            self._count += 1
+            piece = ViewerPiece(self._count, data, lasting, self._clock(), until_ns)
+            if lasting and self._bytes["first"] + len(data) <= FIRST_BYTES:
+                self._first.append(piece)
+                self._bytes["first"] += len(data)
+            else:
+                kept, name = (self._lasting, "lasting") if lasting else (self._passing, "passing")
+                kept.append(piece)
+                self._bytes[name] += len(data)
+            self._forget()
+            watchers = tuple(self._watchers)
+        for call in watchers:
+            call()
+
+    def watch(self, call: Callable[[], None]) -> Callable[[], None]:
+        """call: after every new piece, in any thread; returns what ends it."""
+        with self._lock:
+            self._watchers.append(call)
+        return lambda: self._watchers.remove(call)
+
+    @property
+    def held_bytes(self) -> int:
+        """What is kept for pages to come."""
+        return sum(self._bytes.values())
+
+    # Of one page -----------------------------------------------------------------------------------------------------
+
+    def join(self, after: int) -> PageReader:
+        """A page that has all up to this piece, 0 = nothing."""
+        with self._lock:
+            reader = PageReader(last=min(after, self._count))
+            self._readers.append(reader)
+            return reader
+
+    def part(self, reader: PageReader) -> None:
+        """The page is gone."""
+        with self._lock:
+            self._readers.remove(reader)
+
+    def take(self, reader: PageReader) -> list[ViewerPiece]:
+        """What the page is to get next, oldest first; the first time also the recent stretch, later nothing stale."""
+        with self._lock:
+            now_s, joins = self._clock(), reader.newest_s is None
+            every = sorted((*self._first, *self._lasting, *self._passing), key=lambda piece: piece.number)
+            new = [piece for piece in every if piece.number > reader.last]
+            if not new:
+                return []
+            shown = [
+                piece
+                for piece in new
+                if joins or piece.lasting or now_s - piece.made_s <= STALE_S or piece.number == self._count
+            ]
+            if not joins:
+                reader.skipped += self._count - reader.last - len(shown)
+            reader.last, reader.sent_s, reader.drawing = self._count, now_s, True
+            reader.shown_s, reader.newest_s = reader.newest_s, new[-1].made_s
+            return shown
+
+    def drawn(self, reader: PageReader) -> None:
+        """The page has drawn what it took last."""
+        with self._lock:
+            now_s = self._clock()
+            reader.needs_s, reader.drawing = now_s - reader.sent_s, False
+            reader.behind_s = None if reader.shown_s is None else now_s - reader.shown_s
+
+    @property
+    def period_s(self) -> float:
+        """How often pieces are worth making: as often as the fastest page draws them."""
+        with self._lock:
+            now_s = self._clock()
+            needs = [
+                max(reader.needs_s, now_s - reader.sent_s if reader.drawing else 0.0)  # it may be hidden by now
+                for reader in self._readers
+                if reader.needs_s is not None
+            ]
+            return min(max(SLACK * min(needs, default=SLOWEST_S), FASTEST_S), SLOWEST_S)
+
+    def _forget(self) -> None:
+        while self._bytes["lasting"] > LASTING_BYTES:
+            self._bytes["lasting"] -= len(self._lasting.popleft().data)
+        oldest_s = self._clock() - RECENT_S
+        while self._passing and (self._bytes["passing"] > RECENT_BYTES or self._passing[0].made_s < oldest_s):
+            self._bytes["passing"] -= len(self._passing.popleft().data)

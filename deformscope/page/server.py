@@ -1,0 +1,310 @@
+"""The server of the page: on loopback, in a thread of its own, with a token in its address.
+
+/TOKEN/               the page, its script and style, all of it known by name before the first request
+/TOKEN/re_viewer...   rerun's web viewer out of the installed wheel
+/TOKEN/recording.rrd  the recording that is played, where one is
+/TOKEN/desk           websocket: the state to the page, commands from it (`deformscope.page.messages`)
+/TOKEN/data           websocket: pieces of the recording to the viewer in the page, `Drawn` from it
+"""
+
+from __future__ import annotations
+
+import asyncio
+import atexit
+import itertools
+import logging
+import secrets
+import socket
+import threading
+import time
+from collections.abc import AsyncIterator, Callable, Coroutine, Iterator
+from contextlib import asynccontextmanager, contextmanager, suppress
+from importlib import resources
+from pathlib import Path
+from typing import Any, TypeVar
+
+import msgspec
+import uvicorn
+from starlette.applications import Starlette
+from starlette.requests import Request
+from starlette.responses import FileResponse, PlainTextResponse, Response, StreamingResponse
+from starlette.routing import Route, WebSocketRoute
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+from deformscope.errors import InputError
+from deformscope.page.desk import Desk
+from deformscope.page.guard import BoundedProtocol, Guard
+from deformscope.page.messages import LONGEST_MESSAGE, VERSION, Beat, Drawn, Hello, PageCommand, PieceBatch
+from deformscope.page.pieces import PageReader, Pieces
+from deformscope.page.viewer_files import LOOPBACK, NAMES, ViewerFiles
+
+TYPES = {".html": "text/html", ".css": "text/css", ".js": "text/javascript", ".svg": "image/svg+xml"}
+RECORDING = "recording.rrd"
+MOST_PAGES = 8
+STATE_EVERY_S = 0.1
+"""A page gets the state at most so often."""
+HELLO_S = 10.0
+STOP_S = 5.0
+BAD_MESSAGE, TOO_MANY, OTHER_VERSION = 1008, 1013, 4000
+"""Codes with which a websocket is closed."""
+
+MessageT = TypeVar("MessageT")
+
+
+class PageServer:
+    """`with PageServer("lab:bench") as page: print(page.address)`.
+
+    desk: the state that pages show, and the commands they give; pieces: data for the viewer in them
+    recording: a file that they play instead
+    """
+
+    def __init__(self, title: str = "", recording: Path | None = None) -> None:
+        self.desk = Desk(title)
+        self.pieces = Pieces()
+        self.address = ""
+        self._token = secrets.token_urlsafe(24)
+        self._viewer_files = ViewerFiles()
+        self._static = {
+            file.name: (file.read_bytes(), TYPES["." + file.name.rsplit(".", 1)[1]])
+            for file in (resources.files("deformscope.page") / "static").iterdir()
+        }
+        self._recording = recording
+        if recording is not None:
+            page, media_type = self._static["index.html"]
+            body = f'<body data-recording="{RECORDING}">'.encode()
+            self._static["index.html"] = page.replace(b"<body>", body), media_type
+        self._server: uvicorn.Server | None = None
+        self._thread: threading.Thread | None = None
+        self._desks: set[WebSocket] = set()
+        self._viewers: set[WebSocket] = set()
+
+    @property
+    def where(self) -> str:
+        """One line for people."""
+        return f"viewer: {self.address} (open it in a browser on this machine)"
+
+    def __enter__(self) -> PageServer:
+        self.open()
+        return self
+
+    def __exit__(self, *raised: object) -> None:
+        self.close()
+
+    def open(self) -> None:
+        """Listen, and return once the page can be asked for. It is served until `close`, or the end of the process."""
+        listening = socket.create_server((LOOPBACK, 0))
+        self.address = f"http://{LOOPBACK}:{listening.getsockname()[1]}/{self._token}/"
+        config = uvicorn.Config(
+            self._app(),
+            http=BoundedProtocol,
+            ws="websockets-sansio",
+            ws_max_size=LONGEST_MESSAGE,
+            ws_per_message_deflate=False,
+            lifespan="off",
+            log_config=None,
+            access_log=False,
+            server_header=False,
+            proxy_headers=False,
+            timeout_graceful_shutdown=1,
+        )
+        logging.getLogger("uvicorn").setLevel(logging.CRITICAL)  # an attacker is not to fill the terminal
+        self._server = uvicorn.Server(config)
+        # A daemon: nothing waits for a page.
+        self._thread = threading.Thread(
+            target=self._server.run, args=([listening],), name="deformscope-page", daemon=True
+        )
+        self._thread.start()
+        _pages.append(self)
+
+    def close(self) -> None:
+        """Serve no longer."""
+        if self._server is not None and self._thread is not None:
+            if self._desks:
+                time.sleep(2 * STATE_EVERY_S)  # they get the last state: why it stopped
+            self._server.should_exit = True
+            self._thread.join(STOP_S)
+            self._server = None
+            self._viewer_files.close()
+        if self in _pages:
+            _pages.remove(self)
+
+    def _app(self) -> Guard:
+        routes = [
+            Route("/desk", _only_websocket),
+            Route("/data", _only_websocket),
+            Route("/{name}", self._file),
+            Route("/", self._file),
+            WebSocketRoute("/desk", self._serve_desk),
+            WebSocketRoute("/data", self._serve_data),
+        ]
+        app = Starlette(routes=routes)
+        app.router.redirect_slashes = False  # no answer repeats a path
+        return Guard(app, self._token)
+
+    # Files -----------------------------------------------------------------------------------------------------------
+
+    async def _file(self, request: Request) -> Response:
+        name = request.path_params.get("name", "index.html")
+        if name in self._static:
+            content, media_type = self._static[name]
+            return Response(content, media_type=media_type)
+        if name == RECORDING and self._recording is not None:
+            return FileResponse(self._recording, media_type="application/octet-stream")
+        if name not in NAMES:
+            return PlainTextResponse("no such file\n", 404)
+        try:
+            size = await asyncio.to_thread(self._viewer_files.size, name)
+        except (OSError, InputError) as error:
+            self.desk.remark(f"no viewer: {error}", bad=True)
+            return PlainTextResponse("no viewer\n", 503)
+        headers = {"content-length": str(size)}
+        return StreamingResponse(self._viewer_files.parts(name), media_type=NAMES[name], headers=headers)
+
+    # State and commands ----------------------------------------------------------------------------------------------
+
+    async def _serve_desk(self, websocket: WebSocket) -> None:
+        if len(self._desks) >= MOST_PAGES:
+            await websocket.close(TOO_MANY)
+            return
+        async with _served(websocket, self._desks):
+            async with asyncio.timeout(HELLO_S):
+                hello = await _received(websocket, _HELLO)
+            if hello.version != VERSION:
+                await websocket.close(OTHER_VERSION, "load the page again")
+                return
+            self.desk.come(hello.page)
+            try:
+                await _first_of(self._send_states(websocket), self._obey(websocket, hello.page))
+            finally:
+                self.desk.leave(hello.page)
+
+    async def _send_states(self, websocket: WebSocket) -> None:
+        with _news(self.desk.watch) as changed:
+            while True:
+                changed.clear()
+                await websocket.send_text(msgspec.json.encode(self.desk.state).decode())
+                await asyncio.sleep(STATE_EVERY_S)
+                await changed.wait()
+
+    async def _obey(self, websocket: WebSocket, page: str) -> None:
+        while True:
+            command = await _received(websocket, _COMMAND)
+            if isinstance(command, Beat):
+                self.desk.beat(page, visible=command.visible)
+                continue
+            reply = self.desk.command(page, command)
+            await websocket.send_text(msgspec.json.encode(reply).decode())
+
+    # Data ------------------------------------------------------------------------------------------------------------
+
+    async def _serve_data(self, websocket: WebSocket) -> None:
+        after = websocket.query_params.get("after", "0")
+        if len(self._viewers) >= MOST_PAGES or not (after.isascii() and after.isdigit() and len(after) < 16):
+            await websocket.close(TOO_MANY)
+            return
+        reader = self.pieces.join(int(after))
+        try:
+            async with _served(websocket, self._viewers):
+                drawn: asyncio.Queue[int] = asyncio.Queue(1)
+                await _first_of(self._send_pieces(websocket, reader, drawn), _take_drawn(websocket, drawn))
+        finally:
+            self.pieces.part(reader)
+
+    async def _send_pieces(self, websocket: WebSocket, reader: PageReader, drawn: asyncio.Queue[int]) -> None:
+        """One batch after the other, each once the page has drawn the one before."""
+        with _news(self.pieces.watch) as changed:
+            for count in itertools.count(1):
+                while not (batch := self.pieces.take(reader)):
+                    await changed.wait()
+                    changed.clear()
+                for piece in batch:
+                    await websocket.send_bytes(piece.data)
+                mark = PieceBatch(count, reader.last, batch[-1].until_ns, reader.behind_s, reader.skipped)
+                await websocket.send_text(msgspec.json.encode(mark).decode())
+                while await drawn.get() != count:
+                    pass
+                self.pieces.drawn(reader)
+
+
+_HELLO: msgspec.json.Decoder[Hello] = msgspec.json.Decoder(Hello)
+_COMMAND: msgspec.json.Decoder[PageCommand | Beat] = msgspec.json.Decoder(PageCommand | Beat)
+_DRAWN: msgspec.json.Decoder[Drawn] = msgspec.json.Decoder(Drawn)
+
+_pages: list[PageServer] = []
+"""Pages that this process serves."""
+
+
+def running_pages() -> list[PageServer]:
+    """The pages that this process serves."""
+    return list(_pages)
+
+
+@atexit.register
+def end_pages() -> None:
+    """Serve no page any longer."""
+    for page in running_pages():
+        page.close()
+
+
+async def _only_websocket(request: Request) -> Response:
+    return PlainTextResponse("a websocket alone\n", 426)
+
+
+async def _received(websocket: WebSocket, decoder: msgspec.json.Decoder[MessageT]) -> MessageT:
+    """The next message. Raises DecodeError for any other, WebSocketDisconnect at the end."""
+    message = await websocket.receive()
+    if message["type"] == "websocket.disconnect":
+        raise WebSocketDisconnect(message.get("code", 1005))
+    if message.get("text") is None:
+        raise msgspec.DecodeError("a text message is expected")
+    return decoder.decode(message["text"])
+
+
+async def _take_drawn(websocket: WebSocket, drawn: asyncio.Queue[int]) -> None:
+    while True:
+        await drawn.put((await _received(websocket, _DRAWN)).batch)
+
+
+@asynccontextmanager
+async def _served(websocket: WebSocket, among: set[WebSocket]) -> AsyncIterator[None]:
+    """Accepted until it is gone, says what it should not, or the server ends."""
+    among.add(websocket)
+    try:
+        await websocket.accept()
+        yield
+    except (WebSocketDisconnect, TimeoutError):
+        pass
+    except (msgspec.DecodeError, UnicodeDecodeError):
+        with suppress(RuntimeError, WebSocketDisconnect):
+            await websocket.close(BAD_MESSAGE)
+    finally:
+        among.remove(websocket)
+
+
+@contextmanager
+def _news(watch: Callable[[Callable[[], None]], Callable[[], None]]) -> Iterator[asyncio.Event]:
+    """An event of this loop that is set by every change, in whatever thread it is made."""
+    loop, changed = asyncio.get_running_loop(), asyncio.Event()
+
+    def call() -> None:
+        with suppress(RuntimeError):  # the loop has ended
+            loop.call_soon_threadsafe(changed.set)
+
+    end = watch(call)
+    try:
+        yield changed
+    finally:
+        end()
+
+
+async def _first_of(*works: Coroutine[Any, Any, None]) -> None:
+    """Run them side by side until one ends, and raise what it raised; the others are cancelled."""
+    tasks = [asyncio.ensure_future(work) for work in works]
+    try:
+        done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+    finally:
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+    for task in done:
+        task.result()

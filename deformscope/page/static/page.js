@@ -1,0 +1,255 @@
+// What is on the page beside the viewer.
+
+import { Desk } from "./desk.js";
+import { cursorRequest, startPlayback } from "./playback.js";
+import { startSteering } from "./steer.js";
+import { startViewer } from "./viewer.js";
+
+const at = (id) => document.getElementById(id);
+const LEVELS = { ok: "good", waiting: "idle", closed: "idle", LOST: "bad", FAILED: "bad" };
+let state = null;
+let clockSkew_s = 0;
+const rows = new Map();
+const replies = [];
+
+const desk = new Desk(show, lost);
+const steering = startSteering(command, desk.page);
+const words = (text) => (at("viewer-words").textContent = text);
+let viewer = null;
+const playback = startPlayback((timeline, ns) => viewer?.viewer_control(cursorRequest(timeline, ns)));
+startViewer(at("canvas"), words, showLag, (event) => document.dispatchEvent(new CustomEvent("viewer", { detail: event })))
+  .then((handle) => (viewer = handle))
+  .catch((error) => words(`no viewer: ${error}`));
+
+function show(next) {
+  state = next;
+  clockSkew_s = performance.now() / 1000 - next.now_s;
+  document.title = `${next.phase === "recording" ? "● " : ""}${next.title} – deformscope`;
+  at("title").textContent = next.title || "deformscope";
+  at("phase").textContent = next.phase;
+  at("phase").dataset.phase = next.phase;
+  at("reason").textContent = next.reason;
+  showDevices(next.devices);
+  showControls(next);
+  showTares(next.tares);
+  steering.show(next);
+  playback.load(next.playback);
+  showRemarks();
+  showClock();
+}
+
+function lost(reason) {
+  if (state?.phase === "stopped") {
+    return;
+  }
+  steering.close();
+  at("phase").textContent = "lost";
+  at("phase").dataset.phase = "lost";
+  at("reason").textContent = reason;
+}
+
+function showDevices(devices) {
+  const names = new Set(devices.map((device) => device.name));
+  for (const [name, row] of rows) {
+    if (!names.has(name)) {
+      row.remove();
+      rows.delete(name);
+    }
+  }
+  for (const device of devices) {
+    let row = rows.get(device.name);
+    if (!row) {
+      row = made("div", "device");
+      row.append(made("b"), made("span", "state"), made("small"), made("table"), made("p", "why"));
+      for (const what of ["rate", "age", "lost", "dropped"]) {
+        const line = row.querySelector("table").insertRow();
+        line.insertCell().textContent = what;
+        line.insertCell();
+      }
+      at("devices").append(row);
+      rows.set(device.name, row);
+    }
+    row.dataset.level = LEVELS[device.state] ?? "warn";
+    row.querySelector("b").textContent = device.name;
+    row.querySelector(".state").textContent = device.state;
+    row.querySelector("small").textContent = device.simulated ? "simulated" : "";
+    const cells = row.querySelectorAll("td:last-child");
+    cells[0].textContent = `${device.rate_hz >= 100 ? device.rate_hz.toFixed(0) : device.rate_hz.toFixed(1)} /s`;
+    cells[1].textContent = device.age_s === null ? "–" : device.age_s < 1 ? `${(device.age_s * 1000).toFixed(0)} ms` : `${device.age_s.toFixed(1)} s`;
+    cells[2].textContent = device.lost;
+    cells[3].textContent = device.dropped;
+    const more = [
+      device.refused && `${device.refused} frames refused`,
+      device.bad_bytes && `${device.bad_bytes} bad bytes`,
+      device.reconnects && `${device.reconnects} reconnects`,
+      device.reason,
+    ];
+    row.querySelector(".why").textContent = more.filter(Boolean).join(", ");
+  }
+}
+
+function showControls(next) {
+  const mine = next.controls === desk.page;
+  const over = next.phase === "stopped";
+  const possible = (kind) => next.commands.includes(kind);
+  for (const section of document.querySelectorAll("[data-for]")) {
+    section.hidden = !section.dataset.for.split(" ").some(possible);
+  }
+  for (const button of document.querySelectorAll("[data-kind]")) {
+    const kind = button.dataset.kind;
+    button.disabled = over || (kind !== "take-controls" && !possible(kind)) || (!mine && kind !== "stop" && kind !== "take-controls");
+  }
+  at("holder").firstElementChild.textContent = over
+    ? ""
+    : mine
+      ? next.pages > 1 ? `this page has the controls; ${next.pages} pages are open` : "this page has the controls"
+      : next.controls ? "another page has the controls" : "no page has the controls";
+  at("take").hidden = mine || over;
+}
+
+function showTares(names) {
+  const shown = [...at("tares").children].map((button) => button.dataset.device);
+  if (shown.join("\n") !== names.join("\n")) {
+    at("tares").replaceChildren(
+      ...names.map((name) => {
+        const button = made("button");
+        button.type = "button";
+        button.dataset.device = name;
+        button.dataset.kind = "tare";
+        button.textContent = name;
+        return button;
+      }),
+    );
+    showControls(state);
+  }
+}
+
+function showRemarks() {
+  const all = [...state.remarks, ...replies].sort((a, b) => b.at_s - a.at_s).slice(0, 60);
+  at("remarks").replaceChildren(
+    ...all.map((remark) => {
+      const line = made("li", remark.bad ? "bad" : "");
+      const time = made("time");
+      time.textContent = `${remark.at_s.toFixed(1)} s `;
+      line.append(time, remark.words);
+      return line;
+    }),
+  );
+}
+
+function showClock() {
+  if (state?.recording) {
+    const seconds = Math.max(0, performance.now() / 1000 - clockSkew_s - state.recorded_since_s);
+    const room = state.free_minutes === null ? "" : `, room for ${minutes(state.free_minutes)}`;
+    at("recording").textContent =
+      `${minutes(seconds / 60)}, ${(state.recorded_bytes / 1e6).toFixed(1)} MB${room} ${state.recording}`;
+  } else {
+    at("recording").textContent = "nothing is being recorded";
+  }
+}
+setInterval(() => state && showClock(), 500);
+
+function minutes(value) {
+  const seconds = Math.round(value * 60);
+  return value >= 120 ? `${(value / 60).toFixed(1)} h` : `${Math.floor(seconds / 60)}:${String(seconds % 60).padStart(2, "0")} min`;
+}
+
+function showLag({ behind_s, skipped }) {
+  const behind = behind_s === null ? "" : `viewer ${behind_s.toFixed(1)} s behind`;
+  at("lag").textContent = skipped ? `${behind}, ${skipped} skipped` : behind;
+}
+
+function made(tag, name = "") {
+  const element = document.createElement(tag);
+  element.className = name;
+  return element;
+}
+
+async function command(kind, fields) {
+  const reply = await desk.command(kind, fields);
+  replies.push({
+    at_s: performance.now() / 1000 - clockSkew_s,
+    words: `${kind}: ${reply.outcome}${reply.words ? `, ${reply.words}` : ""}`,
+    bad: reply.outcome === "refused",
+  });
+  replies.splice(0, replies.length - 20);
+  if (state) {
+    showRemarks();
+  }
+  return reply.outcome !== "refused";
+}
+
+// Buttons and forms
+
+document.addEventListener("click", ({ target }) => {
+  const button = target.closest?.("button[data-kind]");
+  if (button && button.type !== "submit") {
+    command(button.dataset.kind, button.dataset.device ? { device: button.dataset.device } : {});
+  }
+});
+for (const [form, input, kind, field] of [
+  ["note", "note-text", "write-note", "text"],
+  ["episode", "episode-label", "begin-episode", "label"],
+]) {
+  at(form).addEventListener("submit", async (event) => {
+    event.preventDefault();
+    const text = at(input).value.trim();
+    at(input).blur(); // at once: what is typed next are keys again
+    if (text && (await command(kind, { [field]: text })) && at(input).value.trim() === text) {
+      at(input).value = "";
+    }
+  });
+}
+at("help-button").addEventListener("click", () => at("help").showModal());
+at("help").addEventListener("click", () => at("help").close());
+
+// Keys: before the viewer gets them, whose own hidden field for text has the focus whenever the viewer has it
+
+const ownField = (element) => element?.matches?.("#desk input");
+let pointed = null;
+window.addEventListener("pointerdown", ({ target }) => (pointed = target), { capture: true });
+window.addEventListener("focusin", ({ target, relatedTarget }) => {
+  if (ownField(relatedTarget) && !target.closest("aside, dialog, header") && pointed !== at("canvas")) {
+    relatedTarget.focus(); // nobody clicked on the viewer: it takes the focus when it starts
+  }
+});
+
+const KEYS = {
+  r: () => command(state?.recording ? "stop-recording" : "start-recording"),
+  n: () => at("note-text").focus(),
+  e: () => (state?.episode ? command("end-episode") : at("episode-label").focus()),
+  t: () => state?.tares.forEach((device) => command("tare", { device })),
+  ",": () => state?.playback && playback.step(false),
+  ".": () => state?.playback && playback.step(true),
+  p: () => command("pause"),
+  x: () => command("explore"),
+  v: () => command("veto"),
+  "?": () => (at("help").open ? at("help").close() : at("help").showModal()),
+};
+window.addEventListener(
+  "keydown",
+  (event) => {
+    const number = event.target.type === "number"; // has no space in it
+    const stops = event.key === " " && (event.ctrlKey || number || !ownField(event.target));
+    if (ownField(event.target) && !stops) {
+      if (event.key === "Escape") {
+        event.target.blur();
+      }
+      return;
+    }
+    if (!stops && (event.ctrlKey || event.altKey || event.metaKey)) {
+      return;
+    }
+    const act = stops ? (state?.playback ? playback.toggle : () => command("stop")) : KEYS[event.key];
+    if (act) {
+      event.preventDefault();
+      event.stopPropagation();
+      if (!event.repeat) {
+        act();
+      }
+    }
+  },
+  { capture: true },
+);
+// a button that has the focus is not pressed by the space that stops
+window.addEventListener("keyup", (event) => event.key === " " && event.target.matches?.("button") && event.preventDefault());

@@ -1,0 +1,80 @@
+// rerun's web viewer in the middle of the page, and the data to it.
+/* global wasm_bindgen */
+
+import { address } from "./desk.js";
+
+const CHANNEL = "recording";
+const AGAIN_MS = 1000;
+const SLACK_NS = 0.5e9; // it need not show the very newest before it gets more
+const LONGEST_MS = 10_000;
+const time = { at_ns: 0, following: true }; // of the viewer; it follows until somebody stops it
+
+// onWords: what to say in the viewer's place, empty once it runs; onBatch: after each batch that was drawn
+export async function startViewer(canvas, onWords, onBatch, onEvent = () => {}) {
+  await wasm_bindgen({ module_or_path: fetch("re_viewer_bg.wasm") });
+  const handle = new wasm_bindgen.WebHandle({
+    url: null,
+    manifest_url: null,
+    hide_welcome_screen: true,
+    enable_history: false,
+    notebook: false,
+    persist: false,
+    theme: matchMedia("(prefers-color-scheme: light)").matches ? "light" : "dark",
+    on_viewer_event: (text) => {
+      const event = JSON.parse(text);
+      if (event.type === "time_update") {
+        time.at_ns = event.time;
+        time.following = true;
+      } else if (event.type === "pause" || event.type === "timeline_change") {
+        time.following = false;
+      }
+      onEvent(event);
+    },
+  });
+  await handle.start(canvas);
+  handle.override_panel_state("top", "hidden");
+  const recording = document.body.dataset.recording; // of a page that plays one
+  if (recording) {
+    handle.add_receiver(new URL(recording, location.href).href);
+  } else {
+    handle.open_channel(CHANNEL, "deformscope");
+  }
+  onWords("");
+  const watch = setInterval(() => {
+    if (handle.has_panicked()) {
+      clearInterval(watch);
+      onWords(`the viewer has crashed: ${handle.panic_message()}; load this page again`);
+    }
+  }, 1000);
+  if (!recording) {
+    connect(handle, onBatch, 0);
+  }
+  return handle;
+}
+
+function connect(handle, onBatch, after) {
+  const socket = new WebSocket(address(`data?after=${after}`));
+  socket.binaryType = "arraybuffer";
+  let last = after;
+  socket.onmessage = async ({ data }) => {
+    if (data instanceof ArrayBuffer) {
+      handle.send_rrd_to_channel(CHANNEL, new Uint8Array(data));
+      return;
+    }
+    const batch = JSON.parse(data);
+    last = batch.last;
+    // A hidden page has no frames, and so asks for nothing more. A viewer that draws slowly takes in a part of what it was
+    // given in each frame: while it follows the newest data, its time says how far it is.
+    const sent_ms = performance.now();
+    do {
+      await new Promise(requestAnimationFrame);
+    } while (
+      time.following && batch.until_ns > time.at_ns + SLACK_NS && performance.now() - sent_ms < LONGEST_MS
+    );
+    if (socket.readyState === WebSocket.OPEN) {
+      socket.send(JSON.stringify({ batch: batch.batch }));
+      onBatch(batch);
+    }
+  };
+  socket.onclose = () => setTimeout(() => connect(handle, onBatch, last), AGAIN_MS);
+}

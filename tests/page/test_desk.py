@@ -1,0 +1,239 @@
+"""All pages see one state; one of them steers; every command is answered at once, whatever it does."""
+
+from __future__ import annotations
+
+import socket
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import suppress
+
+import pytest
+from websockets.sync.client import connect
+
+from deformscope.page.desk import BEAT_S, CONFIRM_S, NEXT, Desk
+from deformscope.page.messages import CancelMove, ConfirmMove, Outcome, PageCommand, TakeControls, TareDevice, WriteNote
+from deformscope.page.server import PageServer
+from tests.page.pages import AtDesk, at_desk, netloc, root
+
+
+class Notebook:
+    """What goes on: notes and tares."""
+
+    def __init__(self) -> None:
+        self.notes: list[str] = []
+
+    def obey(self, command: PageCommand) -> tuple[Outcome, str]:
+        match command:
+            case WriteNote():
+                self.notes.append(command.text)
+                return "done", "noted"
+            case TareDevice():
+                raise RuntimeError("the sensor\nmoves")
+            case _:
+                return "done", "stopped"
+
+
+@pytest.fixture
+def page() -> Iterator[PageServer]:
+    with PageServer("bench") as server:
+        server.desk.enter("live", commands=("write-note", "tare", "stop"))
+        yield server
+
+
+def test_two_pages_see_the_same_and_one_steers(page: PageServer) -> None:
+    notebook = Notebook()
+    page.desk.attend(notebook)
+    with at_desk(page, "a") as first, at_desk(page, "b") as second:
+        for one in (first, second):
+            state = one.until(lambda state: state["pages"] == 2)
+            assert (state["title"], state["phase"], state["controls"]) == ("bench", "live", "a")
+        assert first.command("write-note", text="touched") == ("done", "noted")
+        assert second.command("write-note", text="no") == (
+            "refused",
+            "another page has the controls: take them over first",
+        )
+        assert second.command("take-controls")[0] == "done"
+        assert first.until(lambda state: state["controls"] == "b")
+        assert first.command("write-note", text="no")[0] == "refused"
+        assert second.command("write-note", text="again") == ("done", "noted")
+        assert first.command("stop") == ("done", "stopped")  # from any page
+        assert notebook.notes == ["touched", "again"]
+    with at_desk(page, "c") as third:  # both are gone: whoever comes steers
+        assert third.until(lambda state: state["controls"] == "c")["pages"] == 1
+
+
+def test_through_a_forwarded_port(page: PageServer) -> None:
+    """As by ssh -L: the browser's Host and Origin have another port than the server."""
+    page.desk.attend(Notebook())
+    with socket.create_server(("127.0.0.1", 0)) as near:
+        threading.Thread(target=forward, args=(near, int(netloc(page).split(":")[1])), daemon=True).start()
+        other = f"127.0.0.1:{near.getsockname()[1]}"
+        address = f"ws://{other}{root(page)}desk"
+        with connect(address, origin=f"http://{other}", proxy=None) as websocket:  # type: ignore[arg-type]
+            assert AtDesk(websocket, "far").command("write-note", text="from afar") == ("done", "noted")
+
+
+def forward(near: socket.socket, port: int) -> None:
+    """One connection to a port, on to another."""
+
+    def pump(source: socket.socket, sink: socket.socket) -> None:
+        with suppress(OSError):
+            while data := source.recv(1 << 16):
+                sink.sendall(data)
+        with suppress(OSError):
+            sink.shutdown(socket.SHUT_WR)
+
+    with near.accept()[0] as came, socket.create_connection(("127.0.0.1", port)) as far:
+        back = threading.Thread(target=pump, args=(far, came), daemon=True)
+        back.start()
+        pump(came, far)
+        back.join()
+
+
+def test_what_a_command_cannot_do_is_said(page: PageServer) -> None:
+    with at_desk(page, "a") as one:
+        assert one.command("write-note", text="x")[0] == "refused"  # nothing attends yet
+        page.desk.attend(Notebook())
+        assert one.command("tare", device="tip") == ("refused", "the sensor moves")
+        assert one.command("start-recording") == (
+            "refused",
+            "no start-recording while it is live; possible: write-note, tare, stop",
+        )
+        page.desk.enter("stopped", "by Ctrl-C")
+        assert one.until(lambda state: state["phase"] == "stopped")["commands"] == []
+        assert one.command("write-note", text="x") == ("refused", "it has stopped: by Ctrl-C")
+
+
+def test_answers_come_at_once(page: PageServer) -> None:
+    """Also while the state changes all the time; the median of many, as others have the machine too."""
+    page.desk.attend(Notebook())
+    with at_desk(page, "a") as one:
+        took = []
+        for number in range(50):
+            page.desk.remark(f"number {number}")
+            began = time.monotonic()
+            one.command("write-note", text="x")
+            took.append(time.monotonic() - began)
+    assert sorted(took)[len(took) // 2] < 0.1
+
+
+def test_no_phase_follows_that_may_not() -> None:
+    for phase, following in NEXT.items():
+        for other in NEXT:
+            desk = Desk()
+            way = {"idle": [], "paused": ["exploring", "paused"]}.get(phase, [phase])
+            for step in way:
+                desk.enter(step)  # type: ignore[arg-type]
+            if other in following or other == phase:
+                desk.enter(other)
+                assert desk.state.phase == other
+            else:
+                with pytest.raises(ValueError, match="does not follow"):
+                    desk.enter(other)
+
+
+def test_remarks_are_the_newest() -> None:
+    desk = Desk()
+    for number in range(1000):
+        desk.remark(f"number {number}", bad=number == 999)
+    remarks = desk.state.remarks
+    assert len(remarks) == 50
+    assert (remarks[-1].number, remarks[-1].words, remarks[-1].bad) == (1000, "number 999", True)
+
+
+class Moves:
+    """What waits for a confirm at a desk whose time is set by hand, with two pages at it; `a` has the controls."""
+
+    def __init__(self) -> None:
+        self.now_s = 100.0
+        self.happened: list[str] = []
+        self.desk = Desk(clock=lambda: self.now_s)
+        self.desk.come("a")
+        self.desk.come("b")
+        self.desk.enter("paused")
+        self.ask()
+        for page in ("a", "b"):
+            self.desk.beat(page, visible=True)
+
+    def ask(self) -> int:
+        """The number of a move that waits from now on."""
+        self.desk.ask("the arm", lambda: self.happened.append("moved"), self.happened.append)
+        assert self.desk.state.pending is not None
+        return self.desk.state.pending.number
+
+    def say(self, page: str, number: int, kind: type[ConfirmMove | CancelMove] = ConfirmMove) -> tuple[str, str]:
+        reply = self.desk.command(page, kind(1, number))
+        return reply.outcome, reply.words
+
+
+def test_a_move_waits_for_its_confirm() -> None:
+    moves = Moves()
+    assert moves.happened == []
+    assert moves.say("b", 1)[0] == "refused"  # another page has the controls
+    assert moves.say("a", 2)[0] == "refused"  # there is no such move
+    assert moves.say("a", 1) == ("done", "the arm")
+    assert moves.say("a", 1)[0] == "refused"  # once, and no more
+    assert moves.happened == ["moved"]
+    assert moves.desk.state.pending is None
+
+
+def test_a_confirm_expires() -> None:
+    moves = Moves()
+    moves.now_s += CONFIRM_S
+    moves.desk.beat("a", visible=True)
+    assert moves.say("a", 1) == ("refused", "it was to be confirmed within 10 s: nothing moves")
+    assert moves.happened == ["not confirmed within 10 s: nothing moved"]
+
+
+def test_nothing_else_moves_by_a_confirm() -> None:
+    """What waited is let be where another move is asked for, where it is cancelled, and where another page steers."""
+    moves = Moves()
+    assert moves.ask() == 2
+    assert moves.say("a", 1)[0] == "refused"
+    assert moves.say("a", 2, CancelMove) == ("done", "nothing moves")
+    assert moves.ask() == 3
+    moves.desk.command("b", TakeControls(1))
+    assert moves.say("b", 3)[0] == "refused"
+    assert moves.happened == [
+        "another move was asked for",
+        "cancelled: nothing moved",
+        "another page took the controls over",
+    ]
+
+
+def test_a_page_that_is_not_there_confirms_nothing() -> None:
+    moves = Moves()
+    moves.now_s += BEAT_S + 0.01
+    assert moves.say("a", 1)[0] == "refused"
+    moves.desk.beat("a", visible=False)
+    assert moves.say("a", 1) == ("refused", "the page that has the controls is hidden")
+    moves.desk.beat("a", visible=True)
+    assert moves.say("a", 1)[0] == "done"
+
+
+def test_whether_the_page_that_steers_is_there() -> None:
+    moves = Moves()
+    desk = moves.desk
+    assert desk.absent() == ""
+    moves.now_s += BEAT_S - 0.01
+    assert desk.absent() == ""
+    moves.now_s += 0.02
+    assert desk.absent() == "no heartbeat of the page for 310 ms"
+    desk.beat("b", visible=True)
+    assert desk.absent() != ""  # it does not steer
+    desk.command("b", TakeControls(1))
+    assert desk.absent() == ""
+    desk.leave("b")
+    assert desk.absent() == "no page has the controls"
+
+
+def test_heartbeats_get_no_answer(page: PageServer) -> None:
+    page.desk.attend(Notebook())
+    with at_desk(page, "a") as one:
+        one.beat()
+        assert one.command("write-note", text="x") == ("done", "noted")
+        assert page.desk.absent() == ""
+        one.beat(visible=False)
+        one.command("write-note", text="x")
+        assert page.desk.absent() == "the page that has the controls is hidden"

@@ -1,0 +1,205 @@
+"""The page in a real browser: rerun's viewer draws what is sent, keys and buttons are commands, nothing is loaded from
+elsewhere."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import rerun as rr
+
+from deformscope.page.messages import BeginEpisode, DeviceState, Outcome, PageCommand, StopRun, TareDevice, WriteNote
+from deformscope.page.server import PageServer
+from deformscope.recording.live import page_stream
+from tests.page.pages import at_desk
+from tests.patience import PATIENCE_S
+
+CHROMIUM = Path(os.environ.get("CHROMIUM", "/usr/bin/chromium"))
+FLAGS = ("--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist")
+DEVICES = (
+    DeviceState("tip", "ok", simulated=True, rate_hz=1000.0, age_s=0.001, lost=3),
+    DeviceState("<b>pads</b>", "LOST", reason="unplugged"),
+)
+
+
+class Obeyed:
+    """What pages asked for."""
+
+    def __init__(self) -> None:
+        self.commands: list[PageCommand] = []
+
+    def obey(self, command: PageCommand) -> tuple[Outcome, str]:
+        self.commands.append(command)
+        return "done", ""
+
+
+def until(page: Any, happened: Callable[[], object]) -> None:
+    deadline = time.monotonic() + PATIENCE_S
+    while not happened():
+        assert time.monotonic() < deadline, "it never happened"
+        page.wait_for_timeout(20)
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    sync_api = pytest.importorskip("playwright.sync_api")
+    if not CHROMIUM.exists():
+        pytest.skip(f"no browser at {CHROMIUM}; apt-get install chromium")
+    with sync_api.sync_playwright() as playwright:
+        started = playwright.chromium.launch(executable_path=str(CHROMIUM), args=list(FLAGS))
+        yield started
+        started.close()
+
+
+@pytest.fixture
+def page() -> Iterator[PageServer]:
+    with PageServer("bench") as server:
+        server.desk.enter(
+            "live", commands=("stop", "write-note", "begin-episode", "tare"), tares=("tip",), devices=DEVICES
+        )
+        yield server
+
+
+FAKE_VIEWER = """
+window.pieces = [];
+window.wasm_bindgen = async () => {};
+window.wasm_bindgen.WebHandle = class {
+  constructor(options) { this.tell = (event) => options.on_viewer_event(JSON.stringify(event)); }
+  async start(canvas) {
+    this.field = document.body.appendChild(document.createElement("input"));  // as rerun's viewer has one for text
+    this.field.id = "viewer-field";
+    this.field.focus();
+  }
+  override_panel_state() {}
+  open_channel() {}
+  send_rrd_to_channel(channel, bytes) {
+    window.pieces.push(bytes.length);
+    this.tell({ type: "time_update", time: window.pieces.length * 1e9 });
+  }
+  has_panicked() { return false; }
+};
+"""
+"""In place of rerun's, whose start takes a machine without a graphics card seconds."""
+
+
+def fake_viewer(shown: Any) -> None:
+    shown.route("**/re_viewer.js", lambda route: route.fulfill(body=FAKE_VIEWER, content_type="text/javascript"))
+    shown.route("**/re_viewer_bg.wasm", lambda route: route.fulfill(body=""))
+
+
+@pytest.fixture
+def shown(browser: Any) -> Iterator[Any]:
+    one = browser.new_page(viewport={"width": 1280, "height": 800}, color_scheme="dark")
+    yield one
+    one.close()
+
+
+def test_keys_and_buttons_are_commands(page: PageServer, shown: Any) -> None:
+    run = Obeyed()
+    page.desk.attend(run)
+    fake_viewer(shown)
+    wrong = list[str]()
+    shown.on("console", lambda message: wrong.append(message.text) if message.type == "error" else None)
+    shown.on("pageerror", lambda error: wrong.append(str(error)))
+    shown.goto(page.address)
+    until(shown, lambda: shown.inner_text("#phase") == "live")
+    words = shown.inner_text("#devices").split()
+    assert words[:4] == ["tip", "ok", "simulated", "rate"]
+    assert words[4:6] == ["1000", "/s"]
+    assert "<b>pads</b>" in shown.inner_text("#devices")  # a device's name is no HTML
+    assert shown.is_hidden("[data-kind=start-recording]")  # it cannot be asked for
+
+    # keys: in a field they are text, elsewhere commands, also while a dialog is open or the viewer has the focus
+    until(shown, lambda: shown.evaluate("document.activeElement.id") == "viewer-field")
+    shown.keyboard.press(" ")
+    shown.keyboard.press("n")
+    shown.evaluate("document.getElementById('viewer-field').focus()")  # nobody clicked: the field keeps it
+    shown.keyboard.type("soft here")
+    shown.keyboard.press("Enter")
+    shown.keyboard.press("t")
+    shown.keyboard.press("e")
+    shown.keyboard.type("left")
+    shown.keyboard.press("Control+Space")
+    shown.keyboard.press("Enter")
+    shown.keyboard.press("?")
+    assert shown.is_visible("#help")
+    shown.keyboard.press(" ")
+    shown.keyboard.press("Escape")
+    until(shown, lambda: len(run.commands) == 6)
+    match run.commands:
+        case [
+            StopRun(),
+            WriteNote(text="soft here"),
+            TareDevice(device="tip"),
+            StopRun(),
+            BeginEpisode(label="left"),
+            StopRun(),
+        ]:
+            pass
+        case other:
+            pytest.fail(str(other))
+    until(shown, lambda: "write-note: done" in shown.inner_text("#remarks"))
+    until(shown, lambda: shown.input_value("#note-text") == "")
+
+    # another page takes the controls over
+    with at_desk(page, "other") as other_page:
+        assert other_page.command("take-controls")[0] == "done"
+        until(shown, lambda: "another page has the controls" in shown.inner_text("#holder"))
+        assert shown.is_disabled("[data-kind=write-note]")
+        assert shown.is_enabled("#stop")
+    assert wrong == []
+
+
+def test_a_batch_is_acknowledged_once_it_is_drawn(page: PageServer, shown: Any) -> None:
+    fake_viewer(shown)
+    page.pieces.add(b"views", lasting=True)
+    shown.goto(page.address)
+    for number in range(1, 4):  # the third says how long the first was shown
+        until(shown, lambda number=number: shown.evaluate("window.pieces.length") == number)
+        page.pieces.add(b"numbers", lasting=False, until_ns=number * 10**9)
+    until(shown, lambda: shown.inner_text("#lag").startswith("viewer"))
+    assert shown.evaluate("window.pieces") == [5, 7, 7, 7]
+
+
+@pytest.mark.slow
+def test_the_viewer_draws(page: PageServer, shown: Any) -> None:
+    run = Obeyed()
+    page.desk.attend(run)
+    stream = page_stream("deformscope-test", "test", page.pieces, {"rig": "test"}, threading.Event())
+    stream.rec.log("views", rr.TextDocument("static"), static=True)
+    stream.flush(timeout_sec=PATIENCE_S)
+    wrong, asked = list[str](), set[str]()
+    shown.on("console", lambda message: wrong.append(message.text) if message.type == "error" else None)
+    shown.on("pageerror", lambda error: wrong.append(str(error)))
+    shown.on("requestfinished", lambda request: asked.add(request.url))
+    shown.add_init_script(
+        "window.seen = []; document.addEventListener('viewer', (event) => window.seen.push(event.detail.type))"
+    )
+    shown.goto(page.address)
+    until(shown, lambda: "recording_open" in shown.evaluate("window.seen"))
+
+    # it acknowledges what it draws
+    steps = itertools.count()
+
+    def goes_on() -> bool:
+        stream.rec.set_time("session", duration=float(next(steps)))
+        stream.rec.log("plot", rr.Scalars(1.0))
+        stream.flush(timeout_sec=PATIENCE_S)
+        return bool(shown.inner_text("#lag").startswith("viewer"))
+
+    until(shown, goes_on)
+    shown.mouse.click(640, 400)  # the viewer has the keys now
+    shown.keyboard.press(" ")
+    until(shown, lambda: run.commands)
+    assert isinstance(run.commands[0], StopRun)
+    stream.disconnect()
+    # rerun's viewer asks the internet for new versions, and reports on its use: the page's policy lets neither through
+    blocked = ("Content Security Policy", "violates", "Failed to fetch")
+    assert [words for words in wrong if not any(one in words for one in blocked)] == []
+    assert {url.split("/")[2] for url in asked if "://" in url} == {page.address.split("/")[2]}

@@ -1,0 +1,136 @@
+"""A recording that a page plays: its chapters, and that it is served whole to the page alone."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from deformscope.api.replay_page import chapters_of
+from deformscope.frames import SessionNote
+from deformscope.page.messages import Chapter, Playback
+from deformscope.page.server import PageServer
+from deformscope.recording.items import Row
+from deformscope.stages.map.exploration import PhaseStart
+from deformscope.stages.squeeze.trial import SqueezePhase
+from tests.page.pages import at_desk, get, root
+from tests.page.test_in_browser import FAKE_VIEWER, browser, shown, until
+
+__all__ = ["browser", "shown"]
+
+S = 1_000_000_000
+
+
+def rows(*given: tuple[float, object, int]) -> list[Row]:
+    return [Row(round(at_s * S), touch, item) for at_s, item, touch in given]
+
+
+def test_touches_are_chapters() -> None:
+    found = chapters_of(
+        rows(
+            (0.0, PhaseStart("look", 0), 0),
+            (1.0, PhaseStart("plan", 0), 0),
+            (2.0, PhaseStart("travel", 0), 1),
+            (3.0, PhaseStart("approach", 0), 1),
+            (6.0, PhaseStart("travel", 1), 2),
+            (8.0, PhaseStart("stopped: a person asked", 2), 2),
+        ),
+        9 * S,
+    )
+    assert [(one.name, one.from_ns // S, one.until_ns // S) for one in found] == [
+        ("look", 0, 2),
+        ("touch 1", 2, 6),
+        ("touch 2", 6, 8),
+        ("stopped: a person asked", 8, 9),
+    ]
+
+
+def test_episodes_notes_and_phases_are_chapters() -> None:
+    found = chapters_of(
+        rows(
+            (1.0, SessionNote(0, "episode-begin", "soft"), 0),
+            (2.0, SessionNote(0, "note", "it gives"), 0),
+            (3.0, SessionNote(0, "episode-end", "soft"), 0),
+            (4.0, SessionNote(0, "episode-begin", "hard"), 0),
+            (5.0, SqueezePhase("close"), 0),
+        ),
+        7 * S,
+    )
+    assert [(one.name, one.from_ns // S, one.until_ns // S) for one in found] == [
+        ("soft", 1, 3),
+        ("note: it gives", 2, 7),
+        ("hard", 4, 7),
+        ("close", 5, 7),
+    ]
+    assert chapters_of([], 0) == []
+
+
+def test_a_recording_is_served_to_the_page_alone(tmp_path: Path) -> None:
+    file = tmp_path / "mine.rrd"
+    file.write_bytes(b"RRF2" + bytes(100_000))
+    with PageServer("mine.rrd", file) as page:
+        page.desk.show(playback=Playback("session", S, S // 10))
+        assert get(page, root(page) + "recording.rrd") == (200, file.read_bytes())
+        assert b'<body data-recording="recording.rrd">' in get(page, root(page))[1]
+        for path in ("/recording.rrd", root(page) + "mine.rrd", root(page) + "../recording.rrd"):
+            assert get(page, path)[0] in (403, 404)
+        assert get(page, root(page) + "recording.rrd", {"Origin": "http://evil.example"})[0] == 403
+        with at_desk(page, "a") as one:
+            assert one.state["playback"]["until_ns"] == S
+            assert one.command("stop")[0] == "refused"  # nothing goes on
+    with PageServer("bench") as page:
+        assert get(page, root(page) + "recording.rrd")[0] == 404
+        assert b"data-recording" not in get(page, root(page))[1].split(b"<body")[1].split(b">")[0]
+
+
+PLAYS = """
+window.asked = [];
+window.wasm_bindgen.WebHandle.prototype.add_receiver = (url) => (window.received = url);
+window.wasm_bindgen.WebHandle.prototype.viewer_control = async (bytes) => window.asked.push([...bytes]);
+"""
+
+
+def test_chapters_steps_and_playing_move_the_viewers_time(shown: Any, tmp_path: Path) -> None:
+    file = tmp_path / "mine.rrd"
+    file.write_bytes(b"RRF2")
+    chapters = (Chapter("touch 1", 2 * S, 4 * S),)
+    shown.route(
+        "**/re_viewer.js", lambda route: route.fulfill(body=FAKE_VIEWER + PLAYS, content_type="text/javascript")
+    )
+    shown.route("**/re_viewer_bg.wasm", lambda route: route.fulfill(body=""))
+
+    def moment() -> list[int]:
+        found: list[int] = shown.evaluate("window.asked.at(-1) ?? []")
+        return found
+
+    with PageServer("mine.rrd", file) as page:
+        page.desk.show(playback=Playback("session", 9 * S, S // 10, chapters))
+        shown.goto(page.address)
+        until(shown, lambda: shown.evaluate("window.received") == page.address + "recording.rrd")
+        shown.click("text=touch 1")
+        until(shown, lambda: moment() == list(cursor(2 * S)))
+        shown.keyboard.press(".")
+        until(shown, lambda: moment() == list(cursor(2 * S + S // 10)))
+        shown.keyboard.press(",")
+        until(shown, lambda: moment() == list(cursor(2 * S)))
+        shown.select_option("#speed", "10")
+        shown.keyboard.press(" ")
+        until(shown, lambda: moment() == list(cursor(4 * S)))  # the chapter's end
+        until(shown, lambda: shown.inner_text("#play").startswith("Play"))
+        assert shown.inner_text("#moment") == "4.00 of 9.00 s"
+        assert shown.is_hidden("#stop")  # nothing goes on
+
+
+def cursor(ns: int) -> bytes:
+    """rerun's request by hand: fields of `ViewerControlRequest`, `SetTimeCursorRequest`, `Timeline`."""
+    time = bytes([1 << 3]) + varint(ns)
+    timeline = bytes([1 << 3 | 2, 7]) + b"session"
+    inner = bytes([2 << 3 | 2, len(timeline)]) + timeline + bytes([3 << 3 | 2, len(time)]) + time
+    return bytes([6 << 3 | 2, len(inner)]) + inner
+
+
+def varint(value: int) -> bytes:
+    found = bytearray()
+    while value > 127:
+        found.append(value & 127 | 128)
+        value >>= 7
+    return bytes([*found, value])

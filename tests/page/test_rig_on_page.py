@@ -1,0 +1,175 @@
+"""A rig watched on a page: files come and go while its devices stay open, and each says what a person remarked."""
+
+from __future__ import annotations
+
+import json
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from deformscope.api.recordings import OpenRecording
+from deformscope.cli import main
+from deformscope.frames import HealthReport, WrenchFrame
+from deformscope.page.server import PageServer, running_pages
+from deformscope.recording.losses import lost_by, since
+from deformscope_drivers.health import Health, Link
+from tests.page.pages import at_desk
+from tests.patience import PATIENCE_S
+
+RIG = """
+[devices.tip]
+driver = "optoforce"
+double = true
+rate_hz = 100
+sensitivity = { counts_at_nominal = [16037.0, 16037.0, 16037.0], nominal = [40.0, 40.0, 40.0] }
+
+[record]
+folder = "FOLDER"
+"""
+WHOLE = (0, 3)
+
+
+class CommandInThread:
+    """A command that runs until its page stops it. status, found: once it has ended"""
+
+    def __init__(self, *words: str, folder: Path) -> None:
+        self.status = -1
+        self._json = folder / "told.json"
+        arguments = [*words, "--viewer", "page", "--json", str(self._json)]
+        arguments += [] if words[0] == "explore" else ["--seconds", str(PATIENCE_S)]
+        self._thread = threading.Thread(target=lambda: setattr(self, "status", main(arguments)), daemon=True)
+        self._thread.start()
+        deadline = time.monotonic() + PATIENCE_S
+        while not running_pages():
+            assert self._thread.is_alive(), "it ended before its page was there"
+            assert time.monotonic() < deadline
+            time.sleep(0.01)
+        (self.page,) = running_pages()
+
+    def ended(self) -> dict[str, Any]:
+        """Its JSON."""
+        self._thread.join(PATIENCE_S)
+        assert not self._thread.is_alive()
+        found: dict[str, Any] = json.loads(self._json.read_text())
+        return found
+
+
+@pytest.fixture
+def rig(tmp_path: Path) -> Path:
+    path = tmp_path / "rig.toml"
+    path.write_text(RIG.replace("FOLDER", str(tmp_path / "runs")))
+    return path
+
+
+@contextmanager
+def started(*words: str, folder: Path) -> Iterator[CommandInThread]:
+    command = CommandInThread(*words, folder=folder)
+    try:
+        yield command
+    finally:
+        with suppress(Exception), at_desk(command.page, "end") as one:  # where the test has failed before
+            one.command("stop")
+        command._thread.join(PATIENCE_S)
+
+
+def received(state: dict[str, Any]) -> int:
+    """Readings of the rig's device so far."""
+    return int(state["devices"][0]["received"]) if state["devices"] else 0
+
+
+def frames(path: Path) -> list[WrenchFrame]:
+    return [item for item in OpenRecording(path).items() if isinstance(item, WrenchFrame)]
+
+
+def test_files_come_and_go_while_the_devices_stay_open(rig: Path, tmp_path: Path) -> None:
+    with started("live", str(rig), folder=tmp_path) as command, at_desk(command.page, "a") as one:
+        one.until(lambda state: "start-recording" in state["commands"])
+        assert one.state["phase"] == "live"
+        assert one.command("write-note", text="lost")[0] == "refused"  # there is no file yet
+        for _ in range(2):
+            assert one.command("start-recording")[0] == "begun"
+            one.until(lambda state: state["phase"] == "recording")
+            assert one.command("begin-episode", label="soft")[0] == "done"
+            assert one.until(lambda state: state["episode"] == "soft")["recording"].endswith(".rrd")
+            assert one.command("write-note", text="it gives")[0] == "done"
+            enough = received(one.state) + 50
+            one.until(lambda state, enough=enough: state["recorded_bytes"] > 0 and received(state) > enough)
+            assert one.command("stop-recording")[0] == "begun"
+            one.until(lambda state: "start-recording" in state["commands"])
+        assert one.until(lambda state: state["devices"])["devices"][0]["state"] == "ok"
+        assert one.command("stop") == ("done", "it ends now")
+        one.until(lambda state: state["phase"] == "stopped")
+        assert one.state["reason"].startswith("from the page after")
+        found = command.ended()
+    assert command.status in WHOLE
+    assert found["recording"] == found["recordings"][-1]
+    assert len(found["recordings"]) == 2
+    first, second = (frames(Path(path)) for path in found["recordings"])
+    assert first[-1].index < second[0].index  # the device went on
+    for path in map(Path, found["recordings"]):
+        assert main(["verify", str(path)]) in WHOLE
+        whole = OpenRecording(path)
+        notes = whole.notes()
+        assert [(note.about, note.text) for note in notes] == [
+            ("episode-begin", "soft"),
+            ("note", "it gives"),
+            ("episode-end", "soft"),
+        ]
+        taken = [frame.stamp.host_ns for frame in frames(path)]
+        assert all(taken[0] - 5e8 < note.host_ns < taken[-1] + 5e8 for note in notes)
+        assert whole.outcome["complete"] is True
+        assert json.loads(whole.outcome["counts"])["notes"] == 3
+        indices = [frame.index for frame in frames(path)]
+        assert indices == list(range(indices[0], indices[-1] + 1))
+
+
+def test_a_file_that_was_begun_with_the_command_ends_with_it(rig: Path, tmp_path: Path) -> None:
+    file = tmp_path / "mine.rrd"
+    with started("record", str(rig), "--record", str(file), folder=tmp_path) as command:
+        with at_desk(command.page, "a") as one:
+            one.until(lambda state: "stop-recording" in state["commands"])
+            assert one.state["recording"] == str(file)
+            assert one.state["tares"] == ["tip"]
+            assert one.command("tare", device="pads")[0] == "refused"
+            assert one.command("tare", device="tip")[0] == "begun"
+            said = one.until(
+                lambda state: any("tip" in one["words"] and "tare" in one["words"] for one in state["remarks"])
+            )
+            tared = any("tip: tared" in remark["words"] for remark in said["remarks"])
+            assert one.command("stop")[0] == "done"
+        found = command.ended()
+    assert command.status in WHOLE
+    assert found["recordings"] == [str(file)]
+    assert [note.text for note in OpenRecording(file).notes()] == ["tip"] * tared
+    assert frames(file)[0].index == 0
+
+
+def test_what_was_lost_before_a_file_began_is_not_its_loss() -> None:
+    before = Health(
+        Link.CONNECTED, received=10, lost=3, refused={"checksum": 2}, extra={"raw_dropped": 1}, silent_s=1.0
+    )
+    now = Health(
+        Link.CONNECTED,
+        received=25,
+        lost=3,
+        refused={"checksum": 2, "length": 1},
+        extra={"raw_dropped": 1},
+        silent_s=1.0,
+    )
+    looks = [HealthReport(at, (("tip", health),)) for at, health in ((1, before), (2, now))]
+    ((_, found),) = since(looks[1], looks[0]).devices
+    assert found.received == 15
+    assert lost_by(found) == {"refused": 1}
+    assert lost_by(now) != lost_by(found)
+
+
+def test_a_page_that_ends_leaves_no_thread(rig: Path, tmp_path: Path) -> None:
+    with PageServer("x") as page:
+        assert page in running_pages()
+    assert page not in running_pages()
+    assert not [thread for thread in threading.enumerate() if thread.name == "deformscope-page"]
