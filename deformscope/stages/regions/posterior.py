@@ -3,10 +3,10 @@
 A map divides the surface into one, two or three regions (`partitions`), each with one level of log stiffness. A touch
 feels the regions under its contact, whose forces add, plus its errors (`touch_error`). Given a map and the scatter of
 touches the levels are integrated in closed form (what a contact feels is linear in them about where they roughly are),
-over the scatter is summed; the maps are
-particles that every touch reweights and, where few are left, that move under the prior (iterated batch importance
-sampling, Chopin 2002), so that their evidence comes out as well: it chooses the number of regions. A surface whose
-stiffness changes smoothly is the rival hypothesis (Gaussian processes); where it wins, the verdict is "gradual".
+over the scatter is summed; the maps are particles that every touch reweights and, where few are left, that move under
+the prior (iterated batch importance sampling, Chopin 2002), so that their evidence comes out as well: it chooses the
+number of regions. A surface whose stiffness changes smoothly is the rival hypothesis (Gaussian processes); where it
+wins, the verdict is "gradual".
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ class RegionPrior:
     feels two regions, else their log stiffness has a mean
 
     blur_m was fitted to finite elements of a ball of 1 cm at 3 N, 0 to 4 cm from a border: with forces that add, 0.0075
-    is within 3 % of what is felt where one side is 1.8 times the other, 10 % at 3.6 times, and within a factor of 1.5
+    is within 3 % of what is felt where one side is 1.8 times the other, 6 % at 3.6 times, and within a factor of 1.5
     beside what is rigid, but for the 4 mm next to it. A mean of logarithms needs 0.008 there and 0.0045 here, and a
     border that is moved by 2 to 6 mm.
     """
