@@ -37,7 +37,7 @@ DENT_M = 0.08
 """Half the side of what is seen around a dent."""
 SOFT_STOP_SHARE = 0.75
 """Of the soft stop, at most this share is pressed with: noise and overshoot must not reach it."""
-COARSE_M = 0.03
+COARSE_M = 0.02
 """Reach is computed at places so far apart, and taken for the cells around."""
 UPRIGHT = np.array([0.0, 0.0, 1.0])
 
@@ -282,7 +282,8 @@ class SetupGeometry:
         rows, columns = grid.shape
         every = max(1, round(COARSE_M / grid.cell_m))
         row, column = np.arange(0, rows, every), np.arange(0, columns, every)
-        x, y = np.meshgrid((column + 0.5) * grid.cell_m, (row + 0.5) * grid.cell_m)
+        middle = 0.5 * every
+        x, y = np.meshgrid((column + middle) * grid.cell_m, (row + middle) * grid.cell_m)
         height_m = options.thickness_m
         places = [np.array(xy) for xy in zip(x.flat, y.flat, strict=True)]
         plans = [self.plan(place, height_m, UPRIGHT, None, options) for place in places]

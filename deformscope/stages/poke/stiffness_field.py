@@ -36,7 +36,7 @@ OWN_SD = 0.01
 
 CONTACT = 0.6
 """Deviation of the Gaussian that a poke feels the surface with, as a share of the tip's width: on finite element halves
-a tip of 2 cm feels what lies within 1.1 to 1.2 cm."""
+a tip of 2 cm feels what lies within 1.1 to 1.2 cm, if what it feels is the mean of log stiffness."""
 
 USUAL_TIP_M = 0.02
 
@@ -218,7 +218,7 @@ class StiffnessField:
         at = self._scaled(self.places)
         size = np.maximum(at.max(axis=0) + PRIOR_MARGIN_M, 4.0 * PRIOR_MARGIN_M)
         grid = MapGrid((float(size[0]), float(size[1])), CELL_M)
-        prior = RegionPrior(blur_m=self.contact_m * self._scale, error=ERROR)
+        prior = RegionPrior(blur_m=self.contact_m * self._scale, error=ERROR, forces_add=False)
         posterior = RegionPosterior.before_touches(grid, prior, particle_count=PARTICLES)
         for xy_m, value in zip(at, np.log(self.stiffness), strict=True):
             posterior = posterior.with_touch(StiffnessSample(xy_m, float(value), OWN_SD))
@@ -227,7 +227,7 @@ class StiffnessField:
     @cached_property
     def _free(self) -> tuple[tuple[SmoothField, float], ...]:
         middle = 0.5 * np.asarray(self._posterior.grid.size_m)
-        kernel = SmoothKernel(self._posterior.prior.level_sd, middle, 0.0, FREE_SD, FREE_LENGTH_M)
+        kernel = SmoothKernel(self._posterior.prior.any_level_sd, middle, 0.0, FREE_SD, FREE_LENGTH_M)
         return self._posterior.beside(kernel, FREE_SHARE)
 
     @property
