@@ -152,7 +152,7 @@ class Exploration:
     touches, maps, failures: results; maps is the newest; region_probability: of each number of regions, with `maps`
     travel_m: over the surface, in straight lines from its corner (0, 0); stop_reason: in a word or two
     missed: by the touches so far, None before the first plan
-    started: touches that were started
+    started: touches that were started; asked: numbers of those that a person asked for, from 1
     stop, stop_ns: why and when the robot stopped before its plan said so
     compute_s, slowest_s: spent computing, and on the slowest touch [s]
     """
@@ -165,6 +165,7 @@ class Exploration:
     stop_reason: str = ""
     missed: Missed | None = None
     started: int = 0
+    asked: list[int] = field(default_factory=list)
     stop: ExplorationStop | None = None
     stop_ns: int = 0
     compute_s: float = 0.0
@@ -236,6 +237,7 @@ def _explore(clock: Callable[[], int], stage: Stage, found: Exploration, steerin
             touched = yield from ask(touch)
         except TouchHeld as held:
             found.started -= 1
+            found.asked = [number for number in found.asked if number <= count]
             broken_off = SteeringDecision("held", touch.xy_m, count, str(held))
             yield Step((broken_off,), moment=Moment(clock(), count))
             continue
@@ -264,6 +266,7 @@ def _next_touch(
                 steering.refuse(aimed.refused)
             elif (yield from _answered(steering, steering.confirm(forecast))):
                 yield Step((SteeringDecision("touch", choice.xy_m, count),), moment=Moment(clock(), count))
+                found.asked.append(count + 1)
                 return aimed.touch
         if choice.kind == "go on":
             if plan.touch is None and (planned is None or planned.target_m is not None):

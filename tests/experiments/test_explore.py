@@ -376,6 +376,7 @@ def test_a_person_decides_and_a_replay_decides_the_same() -> None:
     assert [one.kind for one in results if isinstance(one, SteeringDecision)] == ["touch", "held", "veto", "touch"]
     assert robot.places[0] == at.tolist()
     assert len(robot.places) == len(found.touches) == found.started == 2
+    assert found.asked == [1]
     before, after = (one.target_m for one in of(PlannedTouch, results)[1:3])  # type: ignore[attr-defined]
     assert np.linalg.norm(after - [0.15, 0.15]) > 0.025 > np.linalg.norm(before - [0.15, 0.15])
     forecast, felt = of(TouchForecast, results)[-1], found.touches[0]
