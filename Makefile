@@ -17,6 +17,8 @@ FITS    := import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export PYTHONUNBUFFERED := 1
+# Tests start some 200 processes: each would compile the package anew.
+unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
 .PHONY: help setup system-libraries demo bench bench-suite test unit test-slow test-cores test-realtime lint format clean
@@ -70,6 +72,7 @@ test: setup
 	@$(MAKE) --no-print-directory -j 2 lint unit
 
 unit: setup
+	@$(PY) -m compileall -q deformscope drivers
 	$(PARALLEL) -m '$(STEPS)'
 
 # What a processor needs for the kernels that OpenBLAS has for a core type.

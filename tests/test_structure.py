@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.test_imports import PACKAGES, ROOT
+from tests.test_imports import PACKAGES, ROOT, parsed
 
 SHARED = {"Decoder", "Reading", "CommandDecoder"}
 """Every byte-stream driver has one of each: the public contract."""
@@ -25,9 +25,7 @@ Trees = dict[Path, ast.Module]
 def trees() -> Trees:
     """Every file of both packages, parsed once."""
     return {
-        path.relative_to(ROOT): ast.parse(path.read_text(encoding="utf-8"))
-        for folder in PACKAGES.values()
-        for path in sorted(folder.rglob("*.py"))
+        path.relative_to(ROOT): parsed(path) for folder in PACKAGES.values() for path in sorted(folder.rglob("*.py"))
     }
 
 

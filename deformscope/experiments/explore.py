@@ -107,7 +107,7 @@ class RecordedSteering(Unsteered):
         followed = [*decisions[1:], None]
         self._left = [
             one
-            for one, then in zip(decisions, followed, strict=True)
+            for one, then in zip(decisions, followed, strict=False)  # there may be none
             if one.kind != "touch" or then is None or then.kind != "held"
         ]
 

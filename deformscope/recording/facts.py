@@ -114,13 +114,13 @@ def _counted(entity: str, columns: list[str]) -> str | None:
 
 def _losses(path: Path, outcome: dict[str, Any]) -> dict[str, dict[str, float]]:
     """As the run left them at its end, else by the last look at its devices."""
+    if "losses" in outcome:
+        found: dict[str, dict[str, float]] = json.loads(outcome["losses"])
+        return found
     from deformscope.frames import HealthReport
     from deformscope.recording.items import read_items
     from deformscope.recording.losses import losses_of
 
-    if "losses" in outcome:
-        found: dict[str, dict[str, float]] = json.loads(outcome["losses"])
-        return found
     last: HealthReport | None = None
     for item in read_items(path, trust=True, kinds=(HealthReport,)):
         last = item if isinstance(item, HealthReport) else last

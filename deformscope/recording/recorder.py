@@ -202,8 +202,9 @@ class Recorder:
         from deformscope.log.rig import rig_blueprint
 
         if not stages:
-            beside = self._viewer_kind == "page" and self._target is None
-            self._start(streams, start_ns, rig_blueprint(streams, health=not beside))
+            self._start(
+                streams, start_ns, rig_blueprint(streams), rig_blueprint(streams, health=self._viewer_kind != "page")
+            )
             return
         from deformscope.log.stages import log_stage_streams, stage_blueprint
 
@@ -227,7 +228,8 @@ class Recorder:
         if self.active:
             from deformscope.log.exploration import exploration_blueprint, log_exploration_start
 
-            self._start(streams, start_ns, exploration_blueprint(streams, size_m, truth=truth))
+            views, in_tabs = (exploration_blueprint(streams, size_m, truth=truth, tabs=tabs) for tabs in (False, True))
+            self._start(streams, start_ns, views, in_tabs if self._viewer_kind == "page" else views)
             given = self._streams
             self._put(lambda: self._emit(lambda rec: log_exploration_start(rec, given, base_from_surface), 0), 0)
 
@@ -292,12 +294,19 @@ class Recorder:
     def _of_devices(self) -> bool:
         return self._layout in ("rig", "exploration", "squeeze")
 
-    def _start(self, streams: Sequence[Stream], start_ns: int, views: rr.blueprint.Blueprint) -> None:
+    def _start(
+        self,
+        streams: Sequence[Stream],
+        start_ns: int,
+        views: rr.blueprint.Blueprint,
+        shown: rr.blueprint.Blueprint | None = None,
+    ) -> None:
+        """shown: the views of the window or page; None: those of the file"""
         from deformscope.log.rig import log_streams
 
         self._streams, self._first_ns = tuple(streams), start_ns
         given = self._streams
-        self._put(lambda: self._emit(lambda rec: rec.send_blueprint(views), 0), 0)
+        self._put(lambda: self._lay_out(views, shown or views), 0)
         self._put(lambda: self._emit(lambda rec: log_streams(rec, given), 0), 0)
 
     def _take_items(self, items: Sequence[Item]) -> None:
@@ -472,6 +481,11 @@ class Recorder:
         if self._file is not None:
             self._file.log(job)
         self._show(lambda live: job(live.rec), size, lasting=True)
+
+    def _lay_out(self, views: rr.blueprint.Blueprint, shown: rr.blueprint.Blueprint) -> None:
+        if self._file is not None:
+            self._file.log(lambda rec: rec.send_blueprint(views))
+        self._show(lambda live: live.rec.send_blueprint(shown), 0, lasting=True)
 
     def _show(self, job: Callable[[LiveStream], None], size: int, *, lasting: bool = False) -> None:
         """To the live view alone. lasting: dropped last where the viewer cannot follow"""

@@ -1,5 +1,5 @@
 """What makes an exploration through the real drivers quick where its numbers prove nothing: foam in closed form in
-place of finite elements, coarse maps of few particles, fewer places to plan, and no drawing."""
+place of finite elements, coarse maps of few particles, fewer places to plan, a short slow way down, and no drawing."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from deformscope.images import encode_png
 from deformscope.lab.layer_world import LayerWorld
 from deformscope.lab.scenes import Scene
 from deformscope.lab.slab import RigidTip
+from deformscope.robot.touch import TouchPlan
 from deformscope.stages.regions.posterior import RegionPosterior
 
 CELL_M = 0.02
@@ -40,6 +41,8 @@ def use_quick_scene(monkeypatch: pytest.MonkeyPatch) -> None:
     for module in ("explore", "explorer"):
         monkeypatch.setattr(f"deformscope.experiments.{module}.PLAN_CELL_M", PLAN_CELL_M)
     monkeypatch.setattr("deformscope.lab.scene_lab.SlabWorld", _Layers)
+    near = partial(TouchPlan, slow_within_m=0.01, far_speed_m_s=0.05)
+    monkeypatch.setattr("deformscope.experiments.measured.TouchPlan", near)
     monkeypatch.setattr("deformscope.api.exploration_run.setup_of", _coarse_setup_of)
 
 

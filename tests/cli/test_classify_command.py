@@ -15,6 +15,7 @@ pytest.importorskip("tyro")
 
 import deformscope as ds
 from deformscope.cli import main
+from deformscope.images import encode_png
 from deformscope.pictures.figures import canvas
 from tests.pictures.test_report import Page
 from tests.stages.squeeze.trials import blobs, two_modalities
@@ -48,6 +49,13 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     files = ["--json", str(made / "t.json"), "--report", str(made / "report"), "--save", str(made / "m.npz")]
     assert main(["classify", str(made / "t.npz"), *FAST, *files, "--record", str(made / "t.rrd")]) == 0
     return made
+
+
+@pytest.fixture(autouse=True)
+def drawn_once(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """After that table's, pictures are a pixel."""
+    pixel = encode_png(np.zeros((1, 1, 3), np.uint8))
+    monkeypatch.setattr("deformscope.pictures.classification.png_of", lambda *_: pixel)
 
 
 def test_the_json_is_the_public_list(folder: Path) -> None:

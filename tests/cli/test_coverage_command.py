@@ -14,16 +14,26 @@ pytest.importorskip("tyro")
 from deformscope.cli import coverage as command
 from deformscope.cli import coverage_force, main
 from deformscope.stages.fit.calibrate import Model, Observation
-from deformscope.studies import coverage
+from deformscope.studies import coverage, doubt_rates
+from deformscope.studies.coverage import RandomBody, random_body
 from tests.cli.recorded import assert_shows
 from tests.stages.bodies import pushed
+
+
+def small_body(rng: np.random.Generator, dim: int) -> RandomBody:
+    while len((body := random_body(rng, dim)).rest) > 36:
+        pass
+    return body
 
 
 def test_coverage_tells_three_tables(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(coverage, "CONDITIONS", coverage.CONDITIONS[-1:])
-    monkeypatch.setattr(coverage, "NOTHING_CASES", 2)
+    monkeypatch.setattr(coverage, "NOTHING_CASES", 1)
+    monkeypatch.setattr(coverage, "CANDIDATES", 12)
+    for study in (coverage, doubt_rates):
+        monkeypatch.setattr(study, "random_body", small_body)
     every = command.doubt_plan
     monkeypatch.setattr(
         command, "doubt_plan", lambda count, seed: [one for one in every(count, seed) if "two" in one.data]
@@ -38,7 +48,7 @@ def test_coverage_tells_three_tables(
         assert words in said
     found = json.loads(target.read_text())
     assert {row["group"] for row in found["coverage"]} >= {"all", "2D", "beta = 0", "beta > 0.97"}
-    assert all(row["cases"] == 2 for row in found["no_information"])
+    assert all(row["cases"] == 1 for row in found["no_information"])
     assert {row["data"]: row["expected"] for row in found["reasons"]}["two betas, halves"] == "two-materials"
     assert all(row["identified"]["cases"] == 1 for row in found["reasons"])
     assert found["unseen_pokes"][0]["pokes"] == 1

@@ -38,7 +38,7 @@ command_deadline_s = 0.5
 driver = "optoforce"
 double = true
 bus = "socketcan:can0"
-rate_hz = 1000
+rate_hz = 100
 [devices.depth]
 driver = "depth_camera"
 double = true
@@ -177,7 +177,7 @@ def test_an_arm_that_is_not_calibrated_does_not_move(
         ('driver = "jaco"\ndouble = true', 'driver = "jaco"', "double = true for arm, tip, depth"),
         ('[devices.arm]\ndriver = "jaco"', '[devices.arm]\ndriver = "dsa"', 'driver = "jaco"'),
         ("state_hz = 100", "state_hz = 2", "state_hz of 3 or more for arm"),
-        ("rate_hz = 1000", "rate_hz = 0", "rate_hz of 3 or more for tip"),
+        ("rate_hz = 100", "rate_hz = 0", "rate_hz of 3 or more for tip"),
         ("[tool]\n", '[tool]\ntip = "flat"\n', 'tip = "sphere"'),
         ("-0.30], [0, 1", "-3.0], [0, 1", "within the arm's reach"),
     ],

@@ -103,7 +103,7 @@ def wait_for(stream: IO[str] | None, words: str) -> str:
 def test_a_bench_of_doubles_is_recorded_whole(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file, told = tmp_path / "r.rrd", tmp_path / "r.json"
 
-    assert main(["record", "lab:bench", "--seconds", "3", "--record", str(file), "--json", str(told)]) in WHOLE
+    assert main(["record", "lab:bench", "--seconds", "2", "--record", str(file), "--json", str(told)]) in WHOLE
     found = json.loads(told.read_text())
 
     assert found["recording"] == str(file)
@@ -153,7 +153,7 @@ def test_frames_and_bytes_in_the_file_agree(recorded: Path) -> None:
 def test_ctrl_c_ends_a_recording_cleanly(rig: Path, tmp_path: Path, started: list[subprocess.Popen[str]]) -> None:
     process = start(started, "record", rig, "--record", "r.rrd", cwd=tmp_path)
     wait_for(process.stderr, "Ctrl-C ends it")
-    time.sleep(1.0)
+    time.sleep(0.3)
     process.send_signal(signal.SIGINT)
 
     assert process.wait(PATIENCE_S) in WHOLE

@@ -34,7 +34,7 @@ def rig(tmp_path: Path) -> Path:
 
 def test_what_stages_find_is_recorded_counted_and_found_again(rig: Path, tmp_path: Path) -> None:
     file, told, again = (tmp_path / name for name in ("r.rrd", "r.json", "again.json"))
-    command = ["record", str(rig), "--seconds", "3", "--record", str(file), "--json", str(told)]
+    command = ["record", str(rig), "--seconds", "1.5", "--record", str(file), "--json", str(told)]
 
     assert main([*command, "--stage", "tactile", "--stage", "flow", "--stage", "tactile"]) in (0, 3)
 

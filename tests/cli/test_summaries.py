@@ -107,8 +107,8 @@ def test_images_show_the_last_frame(tmp_path: Path) -> None:
 
 def test_pokes_have_their_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pokes = []
-    axes = np.meshgrid(np.linspace(0, 0.12, 13), np.linspace(0, 0.12, 13), indexing="ij")
-    rest = np.column_stack([np.stack(axes, axis=-1).reshape(-1, 2), np.full(169, 0.03)])
+    axes = np.meshgrid(np.linspace(0.02, 0.1, 9), np.linspace(0.02, 0.1, 9), indexing="ij")
+    rest = np.column_stack([np.stack(axes, axis=-1).reshape(-1, 2), np.full(81, 0.03)])
     for number, at in enumerate(((0.05, 0.06), (0.07, 0.06))):
         away = np.linalg.norm(rest[:, :2] - at, axis=1)
         contact = np.flatnonzero(np.abs(rest[:, :2] - at).max(axis=1) < 0.0101)

@@ -49,7 +49,7 @@ def viewer() -> Iterator[ViewerClient]:
     if not Path("/usr/share/vulkan/icd.d").is_dir() and "VK_ICD_FILENAMES" not in os.environ:
         pytest.skip("no Vulkan driver; apt-get install mesa-vulkan-drivers libvulkan1")
     try:
-        with headless_viewer("1200x800") as client:
+        with headless_viewer("900x600") as client:
             client.get_state()
             yield client
     except (RuntimeError, ConnectionError) as error:
@@ -67,7 +67,7 @@ def test_calibration_of_images(tmp_path: Path, viewer: ViewerClient) -> None:
     blue, green, red = (
         (np.abs(particles - color).max(axis=2) < 40).sum() for color in ((255, 110, 40), (80, 190, 30), (45, 45, 235))
     )
-    assert min(blue, green, red) > 100
+    assert min(blue, green, red) > 30
     # No view is left empty.
     for name, picture in pictures.items():
         assert picture.std() > 10, name

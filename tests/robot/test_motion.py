@@ -19,10 +19,10 @@ from deformscope.robot.robot import JointRates, Robot, RobotStopped, TipVelocity
 from deformscope.robot.supervisor import Fault, Limits, SafetyVerdict
 from deformscope.robot.touch import Phase, run_touch
 from deformscope.robot.travel import move_joints, move_tip
-from deformscope.studies.fault_study import make_scene
 from deformscope_drivers.arm.kinematics import Chain, FloatArray, least_singular, off_course
 from deformscope_drivers.jaco.chains import CHAINS, J2N6S300, J2S7S300
 from deformscope_drivers.jaco.structures import PositionType
+from tests.robot.quick_touch import quick_scene
 
 FREE_BOX = Limits(low_m=(-1.0, -1.0, -0.5), high_m=(1.0, 1.0, 1.5))
 PASSED = Preflight((Check("all", True, "", ""),))
@@ -132,7 +132,7 @@ def test_the_tip_goes_straight_and_the_stick_stays(bench: Bench) -> None:
 
 
 def test_through_a_whole_touch_the_stick_is_within_a_degree_of_the_normal() -> None:
-    scene = make_scene(3, modulus_pa=60e3, tip="sphere", tilt_deg=12.0)
+    scene = quick_scene(3, tilt_deg=12.0)
     phases: list[Phase] = []
     tilts_deg: list[float] = []
 

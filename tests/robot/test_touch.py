@@ -15,12 +15,13 @@ from deformscope.robot.robot import RobotStopped, TipVelocity
 from deformscope.robot.supervisor import Fault
 from deformscope.robot.touch import Phase, TouchEnding, TouchPlan, TouchRecord, run_touch
 from deformscope.studies.fault_study import FaultScene, make_scene, run_fault, run_faults
+from tests.robot.quick_touch import quick_scene
 
 SOFT_N = 8.0
 
 
 def touched(seed: int, modulus_pa: float, tip: str, tilt_deg: float) -> tuple[FaultScene, TouchRecord]:
-    scene = make_scene(seed, modulus_pa=modulus_pa, tip=tip, tilt_deg=tilt_deg)
+    scene = quick_scene(seed, modulus_pa=modulus_pa, tip=tip, tilt_deg=tilt_deg)
     record = run_touch(scene.robot, scene.plan)
     scene.lab.close()
     return scene, record
@@ -126,8 +127,8 @@ def test_no_tare_in_contact() -> None:
 
 
 def test_a_soft_stop_stands_and_then_backs_away() -> None:
-    scene = make_scene(9, modulus_pa=60e3, tip="sphere", tilt_deg=0.0)
-    scene.lab.schedule(scene.lab.clock() + 6_500_000_000, lambda: scene.lab.contact.hit((0.0, 0.0, 9.5), 0.1))
+    scene = quick_scene(9)
+    scene.lab.schedule(scene.lab.clock() + 4_000_000_000, lambda: scene.lab.contact.hit((0.0, 0.0, 9.5), 0.1))
 
     record = run_touch(scene.robot, scene.plan)
     height_m = float(scene.robot.center_m[2] - scene.plan.point_m[2])
@@ -196,7 +197,7 @@ def test_a_camera_that_repeats_itself_is_found_before_anything_moves() -> None:
 @pytest.mark.parametrize("call_ms", [4.0, *(pytest.param(ms, marks=pytest.mark.slow) for ms in (1.0, 2.8))])
 def test_a_slow_link_to_the_arm_is_no_fault(call_ms: float) -> None:
     """What a call over USB takes (kinova-ros issues 281, 372): the preflight passes, and a touch is as it was."""
-    scene = make_scene(6, modulus_pa=60e3, tip="sphere", tilt_deg=0.0)
+    scene = quick_scene(6)
     scene.lab.call_s = call_ms / 1e3
     report = check(scene.robot, [scene.plan], calibrated={})
     record = run_touch(scene.robot, scene.plan)

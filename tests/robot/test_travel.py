@@ -15,6 +15,7 @@ from deformscope.robot.supervisor import SafetyVerdict
 from deformscope.robot.touch import Phase, TouchPlan, run_touch
 from deformscope.robot.travel import PASSED_M, REACHED_M, NotThere, lowest_m, to_above
 from deformscope.studies.fault_study import FaultScene, make_scene
+from tests.robot.quick_touch import quick_scene
 
 STANDOFF_M = 0.05
 
@@ -22,7 +23,7 @@ STANDOFF_M = 0.05
 @pytest.fixture(scope="module")
 def scene() -> FaultScene:
     """After a first touch, the tip stands above it."""
-    scene = make_scene(3, modulus_pa=60e3, tip="sphere", tilt_deg=0.0)
+    scene = quick_scene(3)
     run_touch(scene.robot, scene.plan)
     return scene
 

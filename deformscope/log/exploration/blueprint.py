@@ -30,16 +30,23 @@ TITLES = {
 
 
 def exploration_blueprint(
-    streams: Sequence[Stream], size_m: tuple[float, float] = (0.6, 0.4), *, truth: bool = True
+    streams: Sequence[Stream], size_m: tuple[float, float] = (0.6, 0.4), *, truth: bool = True, tabs: bool = False
 ) -> rrb.Blueprint:
     """The views of an exploration with these devices.
 
     size_m: of the surface along x and y; truth: whether it is known: else the surface's height stands in its place
+    tabs: most views behind others, for a page, which has panels at both sides and may have to draw without a GPU
     """
     maps = {name: _picture(path, title) for (name, title), path in zip(TITLES.items(), MAPS, strict=True)}
     gain, force = _picture(GAIN, "Why the next touch goes there"), _picture(FORCE, "Force over depth")
     beside = maps["truth"] if truth else _picture(HEIGHT, "Surface")
     summary = rrb.TextDocumentView(contents=[f"+ /{SUMMARY}"], origin=SUMMARY, name="What is known")
+    if tabs:
+        fields = rrb.Tabs(maps["stiffness"], maps["stiffness_deviation"], maps["beta"], maps["beta_deviation"])
+        known = rrb.Vertical(rrb.Tabs(maps["regions"], beside), fields, rrb.Tabs(gain, summary))
+        at_touch = rrb.Tabs(force, _picture(SECTION, "The dent in section"), *_looks(streams), *_over_time(streams))
+        robot = rrb.Vertical(_scene(streams, size_m), at_touch, row_shares=[4, 3])
+        return blueprint_of(rrb.Horizontal(robot, known, column_shares=[5, 4]))
     known = rrb.Vertical(
         rrb.Horizontal(maps["stiffness"], maps["stiffness_deviation"], gain),
         rrb.Horizontal(maps["beta"], maps["beta_deviation"], force),
@@ -49,7 +56,20 @@ def exploration_blueprint(
 
 
 def _robot(streams: Sequence[Stream], size_m: tuple[float, float]) -> rrb.Container:
-    looks = [_dent(), *(depth_view(stream) for stream in streams if stream.kind == "depth")]
+    looks = _looks(streams)
+    *plots, lanes = _over_time(streams)
+    close = rrb.Horizontal(*looks) if len(looks) > 1 else looks[0]
+    over_time = rrb.Vertical(*plots, lanes, row_shares=[*[1.6] * len(plots), 1.0])
+    below = rrb.Horizontal(_picture(SECTION, "The dent in section"), over_time, column_shares=[1.0, 1.05])
+    return rrb.Vertical(_scene(streams, size_m), close, below, row_shares=[3.6, 2.7, 2.9])
+
+
+def _looks(streams: Sequence[Stream]) -> list[rrb.View]:
+    return [_dent(), *(depth_view(stream) for stream in streams if stream.kind == "depth")]
+
+
+def _over_time(streams: Sequence[Stream]) -> list[rrb.View]:
+    """Forces, and last the phases."""
     plots = [
         rrb.TimeSeriesView(contents=[f"+ /{path}"], origin=path, name=named(stream, title), plot_legend=LEGEND)
         for stream in streams
@@ -57,11 +77,7 @@ def _robot(streams: Sequence[Stream], size_m: tuple[float, float]) -> rrb.Contai
         for path, title in plotted(stream)
         if "force" in title
     ]
-    lanes = rrb.StateTimelineView(contents=[f"+ /{ENTITIES[PhaseStart]}"], origin="exploration", name="Phases")
-    close = rrb.Horizontal(*looks) if len(looks) > 1 else looks[0]
-    over_time = rrb.Vertical(*plots, lanes, row_shares=[*[1.6] * len(plots), 1.0])
-    below = rrb.Horizontal(_picture(SECTION, "The dent in section"), over_time, column_shares=[1.0, 1.05])
-    return rrb.Vertical(_scene(streams, size_m), close, below, row_shares=[3.6, 2.7, 2.9])
+    return [*plots, rrb.StateTimelineView(contents=[f"+ /{ENTITIES[PhaseStart]}"], origin="exploration", name="Phases")]
 
 
 def _scene(streams: Sequence[Stream], size_m: tuple[float, float]) -> rrb.View:

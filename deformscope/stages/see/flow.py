@@ -67,6 +67,44 @@ def dense_flow(before: Image, after: Image, method: FlowMethod = "dis") -> FlowF
     Repeatable bit for bit on one machine; DIS splits its work by the number of OpenCV threads, so another thread
     count changes the last digits.
     """
+    a, b = _views(before, after, method)
+    return _flow(_featured(a, method), _featured(b, method), method)
+
+
+def flow_both_ways(before: Image, after: Image, method: FlowMethod = "dis") -> tuple[FlowField, FlowField]:
+    """`dense_flow` from `before` to `after` and back, features found once; at once where OpenCV is held to one thread."""
+    views = _views(before, after, method)
+    if cv2.getNumThreads() > 1:
+        # two calls would share OpenCV's threads, and DIS's stripes then be other ones from time to time
+        a, b = (_featured(view, method) for view in views)
+        return _flow(a, b, method), _flow(b, a, method)
+    with ThreadPoolExecutor(1) as beside:
+        other = beside.submit(_featured, views[1], method)
+        a, b = _featured(views[0], method), other.result()
+        backward = beside.submit(_flow, b, a, method)
+        return _flow(a, b, method), backward.result()
+
+
+@dataclass(frozen=True, slots=True)
+class _Featured:
+    """An image on 0..255, (H, W); rounded to 8 bits; its features: places (n, 2) [px] and what SIFT says of each."""
+
+    grey: FloatArray
+    grey8: Image
+    at: FloatArray
+    words: Any
+
+
+def _featured(grey: FloatArray, method: FlowMethod) -> _Featured:
+    grey8 = np.clip(np.rint(grey), 0, 255).astype(np.uint8)
+    if method == "farneback":
+        return _Featured(grey, grey8, np.zeros((0, 2)), None)
+    keys, words = cv2.SIFT.create(nfeatures=4000, contrastThreshold=0.02).detectAndCompute(grey8, None)
+    return _Featured(grey, grey8, np.array([key.pt for key in keys]), words)
+
+
+def _views(before: Image, after: Image, method: FlowMethod) -> tuple[FloatArray, FloatArray]:
+    """Both (H, W), on 0..255."""
     if method not in get_args(FlowMethod):
         raise InputError(f"a flow method out of {', '.join(get_args(FlowMethod))}", repr(method))
     if before.dtype != after.dtype:
@@ -76,12 +114,14 @@ def dense_flow(before: Image, after: Image, method: FlowMethod = "dis") -> FlowF
         raise InputError("two images of one size", f"{a.shape} and {b.shape} (rows, columns)", "crop both alike")
     if min(a.shape) < SMALLEST_PX:
         raise InputError(f"images of at least {SMALLEST_PX} x {SMALLEST_PX} px", f"{a.shape} (rows, columns)")
-    a, b = _stretch(a, b)
-    a8, b8 = (np.clip(np.rint(x), 0, 255).astype(np.uint8) for x in (a, b))
+    return _stretch(a, b)
+
+
+def _flow(a: _Featured, b: _Featured, method: FlowMethod) -> FlowField:
     if method == "farneback":
         flow = cv2.calcOpticalFlowFarneback(
-            a8,
-            b8,
+            a.grey8,
+            b.grey8,
             None,
             0.5,
             6,
@@ -92,17 +132,7 @@ def dense_flow(before: Image, after: Image, method: FlowMethod = "dis") -> FlowF
             cv2.OPTFLOW_FARNEBACK_GAUSSIAN,  # type: ignore[call-overload]
         )
         return FlowField(np.asarray(flow, dtype=np.float32))
-    return _refine(a, b, _coarse(a8, b8))
-
-
-def flow_both_ways(before: Image, after: Image, method: FlowMethod = "dis") -> tuple[FlowField, FlowField]:
-    """`dense_flow` from `before` to `after` and back; at once where OpenCV is held to one thread."""
-    if cv2.getNumThreads() > 1:
-        # two calls would share OpenCV's threads, and DIS's stripes then be other ones from time to time
-        return dense_flow(before, after, method), dense_flow(after, before, method)
-    with ThreadPoolExecutor(1) as beside:
-        backward = beside.submit(dense_flow, after, before, method)
-        return dense_flow(before, after, method), backward.result()
+    return _refine(a.grey, b.grey, _coarse(a, b))
 
 
 def _stretch(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -119,10 +149,11 @@ def _stretch(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
 # --- pixel accuracy -------------------------------------------------------------------------------------------------
 
 
-def _coarse(a8: Image, b8: Image) -> FloatArray:
+def _coarse(a: _Featured, b: _Featured) -> FloatArray:
     """DIS, once from rest and once from feature matches; each pixel takes the flow under which its window fits."""
+    a8, b8 = a.grey8, b.grey8
     flow = _dis(a8, b8, None)
-    start = _from_features(a8, b8)
+    start = _from_features(a, b)
     if start is None:
         return flow
     other = _dis(a8, b8, start)
@@ -142,20 +173,17 @@ def _dis(a8: Image, b8: Image, start: FloatArray | None) -> FloatArray:
     return np.asarray(dis.calc(a8, b8, None if start is None else start.copy()), dtype=np.float32)
 
 
-def _from_features(a8: Image, b8: Image) -> FloatArray | None:
+def _from_features(a: _Featured, b: _Featured) -> FloatArray | None:
     """A rough flow from SIFT matches (Lowe 2004), (H, W, 2) [px]; None where too few agree with their neighbours."""
-    sift = cv2.SIFT.create(nfeatures=4000, contrastThreshold=0.02)
-    keys_a, words_a = sift.detectAndCompute(a8, None)
-    keys_b, words_b = sift.detectAndCompute(b8, None)
-    if min(len(keys_a), len(keys_b)) < 2:
+    if min(len(a.at), len(b.at)) < 2:
         return None
-    pairs = cv2.BFMatcher(cv2.NORM_L2).knnMatch(words_a, words_b, k=2)
+    pairs = cv2.BFMatcher(cv2.NORM_L2).knnMatch(a.words, b.words, k=2)
     good = [first for first, second in pairs if first.distance < 0.8 * second.distance]
     if len(good) < 8:
         return None
-    found: FloatArray = np.array([keys_a[m.queryIdx].pt for m in good])
+    found = a.at[[match.queryIdx for match in good]]
     at, first_of = np.unique(found, axis=0, return_index=True)
-    motion = np.array([keys_b[good[i].trainIdx].pt for i in first_of]) - at
+    motion = b.at[[good[i].trainIdx for i in first_of]] - at
     # A right match moves like half its neighbours at least: within 3 px and 30 % strain.
     far, near = cKDTree(at).query(at, min(9, len(at)))
     agree = np.linalg.norm(motion[near] - motion[:, None], axis=2) < 3.0 + 0.3 * far
@@ -163,7 +191,7 @@ def _from_features(a8: Image, b8: Image) -> FloatArray | None:
     if kept.sum() < 8:
         return None
     at, motion = at[kept], motion[kept]
-    height, width = a8.shape
+    height, width = a.grey8.shape
     rows, cols = -(-height // 8), -(-width // 8)
     y, x = np.mgrid[:rows, :cols]
     nodes = np.stack([(x + 0.5) * width / cols - 0.5, (y + 0.5) * height / rows - 0.5], axis=-1)
