@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import BrokenExecutor, Future
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Any, Literal, Protocol
 
 import numpy as np
@@ -104,11 +105,10 @@ class RecordedSteering(Unsteered):
 
     def __init__(self, decisions: Sequence[SteeringDecision]) -> None:
         # of a touch that was broken off nothing is left to replay
-        followed = [*decisions[1:], None]
         self._left = [
             one
-            for one, then in zip(decisions, followed, strict=False)  # there may be none
-            if one.kind != "touch" or then is None or then.kind != "held"
+            for one, then in pairwise([*decisions, None])
+            if one is not None and not (one.kind == "touch" and then is not None and then.kind == "held")
         ]
 
     def choose(self, plan: PlannedTouch | None, touches: int) -> Future[NextMove]:

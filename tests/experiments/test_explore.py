@@ -398,6 +398,18 @@ def test_a_person_decides_and_a_replay_decides_the_same() -> None:
         assert all(same(one, other) for one, other in zip(first, second, strict=True))
 
 
+def test_a_replay_without_decisions_goes_as_planned() -> None:
+    assert RecordedSteering([]).choose(None, 0).result(0).kind == "go on"
+    at, held = np.array([0.1, 0.2]), SteeringDecision("held", np.array([0.1, 0.2]), 1)
+    steering = RecordedSteering([SteeringDecision("touch", at, 1), held, SteeringDecision("touch", at, 1)])
+    assert [steering.choose(None, touches).result(0).kind for touches in (0, 1, 1, 2)] == [
+        "go on",
+        "replan",
+        "touch",
+        "go on",
+    ]
+
+
 def test_what_the_camera_has_not_seen_is_not_touched() -> None:
     options = ExploreOptions(budget=1, beta_model="none")
     stages = ExplorationStages(Explorer((0.6, 0.4), options, ArmCompliance()), AsMeasured((0.6, 0.4), grid_left))
