@@ -352,7 +352,7 @@ def _found(
         "set_force_n": options.set_force_n,
         "verdict": None if maps is None else maps.verdict,
         "verdict_probability": None if maps is None else maps.probability,
-        "touches": [_touch(one, exploration.failed(one.number + 1)) for one in exploration.touches],
+        "touches": [_touch(exploration, one) for one in exploration.touches],
         "region_count": None if maps is None else maps.region_count,
         "regions": [
             {
@@ -398,14 +398,16 @@ def _missed(missed: Missed | None) -> dict[str, Any] | None:
     }
 
 
-def _touch(one: TouchEstimate, failed: list[str]) -> dict[str, Any]:
+def _touch(exploration: Exploration, one: TouchEstimate) -> dict[str, Any]:
+    number = one.number + 1
     same = ("beta", "beta_interval", "beta_verdict", "rigid", "modulus_pa", "depth_m", "peak_force_n")
     return {
         "xy_m": one.xyz_m[:2],
         "apparent_stiffness_n_per_mm": one.stiffness_n_per_mm,
         "apparent_stiffness_interval": one.stiffness_interval,
         **{name: getattr(one, name) for name in same},
-        "failed": failed,
+        "failed": exploration.failed(number),
+        "asked_for": number in exploration.asked,  # by a person, on the page
     }
 
 
