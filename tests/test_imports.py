@@ -19,7 +19,9 @@ from tests.patience import PATIENCE_S
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = {"deformscope": ROOT / "deformscope", "deformscope_drivers": ROOT / "drivers" / "deformscope_drivers"}
 
-STAGES = tuple(f"stages.{name}" for name in ("msm", "see", "fit", "regions", "poke", "materials", "map", "squeeze"))
+STAGES = tuple(
+    f"stages.{name}" for name in ("msm", "see", "fit", "regions", "poke", "materials", "map", "squeeze", "setup")
+)
 LAYERS: dict[str, tuple[str, ...]] = {
     "arrays": (),
     "errors": (),
@@ -37,6 +39,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "stages.materials": ("arrays", "errors", "stages.msm", "stages.fit"),
     "stages.map": ("arrays", "errors", "stages.msm", "stages.see", "stages.fit", "stages.regions", "stages.poke"),
     "stages.squeeze": ("arrays", "capsule", "errors", "stages.see"),
+    "stages.setup": ("arrays", "errors"),
     "pictures": ("arrays", "errors", "images", "plain", *STAGES),
     "log": ("arrays", "frames", "images", "pictures", "plain", "rows", *STAGES),
     "rig": ("errors", "frames"),
@@ -200,6 +203,7 @@ def test_a_driver_in_a_users_script_loads_nothing_of_ours() -> None:
 import sys
 import deformscope_drivers.dsa, deformscope_drivers.sdh, deformscope_drivers.optoforce, deformscope_drivers.jaco
 import deformscope_drivers.webcam, deformscope_drivers.depth_camera
+import deformscope_drivers.kuka, deformscope_drivers.placed
 import deformscope_drivers.wires, deformscope_drivers.ports
 heavy = "rerun warp open3d sklearn scipy cv2 matplotlib skfem pyarrow rich tyro deformscope pytest".split()
 print(sorted(set(heavy) & set(sys.modules)))

@@ -15,6 +15,7 @@ from deformscope.api.moving import Watch, leave, permitted
 from deformscope.api.result import open_recorder
 from deformscope.api.rigs import until_interrupted
 from deformscope.api.setups import setup_of
+from deformscope.errors import InputError
 from deformscope.stages.msm.quiet import quiet_warp
 from deformscope.terminal import say, status_line
 
@@ -97,9 +98,9 @@ def explore_on(config: ExploreConfig, report: Callable[[Explored], None]) -> Exp
 
     Whatever ends it, the arm is halted, and what is known is reported before the recording is closed.
     """
-    from deformscope.experiments.explore import Exploration
+    from deformscope.experiments.explore import DRY_RUN, Exploration
     from deformscope.experiments.measured import SetupGeometry
-    from deformscope.experiments.options import ExploreOptions
+    from deformscope.experiments.options import DRY_RUN_M, ExploreOptions
     from deformscope.lab.faults import FaultAt, FaultsToCome
     from deformscope.stages.map.plan import INCLUSION_M
 
@@ -111,10 +112,13 @@ def explore_on(config: ExploreConfig, report: Callable[[Explored], None]) -> Exp
         beta_model=config.beta_model,
         seed=config.output.seed,
         inclusion_m=config.smallest_inclusion or INCLUSION_M,
+        first_m=config.first,
+        lift_m=DRY_RUN_M if config.dry_run else 0.0,
     )
     faults = [FaultAt.parse(text, options.budget) for text in config.fault]
     opening = setup_of(config.rig, options, config.set_force, trusted=config.trust_rig, clean=config.clean)
     setup, options = opening.setup, opening.options
+    _check_first(config, setup)
     to_come = FaultsToCome(opening.faulty_lab, faults, options.seed) if faults else None
     settings = {"explore": dataclasses.asdict(options), "seed": options.seed, "simulated": setup.simulated}
     settings |= {"setup": SetupGeometry.of(setup).as_json(), **opening.settings}
@@ -139,10 +143,23 @@ def explore_on(config: ExploreConfig, report: Callable[[Explored], None]) -> Exp
             raise ending.error
     for fault in to_come.waiting if to_come is not None else ():
         say(f"--fault {fault.injected.word}@{fault.touch} did not strike: there was no such moment")
+    if found.stop is not None and found.stop.kind == DRY_RUN and not asked.is_set():
+        say(f"dry run: {found.stop.reason}; the arm stands. Without --dry-run it touches.")
+        return explored
     if found.stop is not None or asked.is_set():
         stands, by = ending.arm_stopped, asked.by
         leave(found.stop, len(found.touches), asked.signal_number, recorder.summary().path, arm_stopped=stands, by=by)
     return explored
+
+
+def _check_first(config: ExploreConfig, setup: Setup) -> None:
+    """Raises InputError for a first touch beside the surface, and for a dry run that somebody would make by hand."""
+    if config.first is not None:
+        (x, y), (width, height) = config.first, setup.size_m
+        if not (0.0 < x < width and 0.0 < y < height):
+            raise InputError(f"--first on the surface: between 0,0 and {width:g},{height:g} m", f"{x:g},{y:g}")
+    if config.dry_run and setup.person is not None:
+        raise InputError("an arm that moves by itself, for --dry-run", "one that a person places", "explore without it")
 
 
 def _run(
@@ -335,7 +352,7 @@ def _found(
         "set_force_n": options.set_force_n,
         "verdict": None if maps is None else maps.verdict,
         "verdict_probability": None if maps is None else maps.probability,
-        "touches": [_touch(one, exploration.failed(one.number + 1)) for one in exploration.touches],
+        "touches": [_touch(exploration, one) for one in exploration.touches],
         "region_count": None if maps is None else maps.region_count,
         "regions": [
             {
@@ -381,21 +398,25 @@ def _missed(missed: Missed | None) -> dict[str, Any] | None:
     }
 
 
-def _touch(one: TouchEstimate, failed: list[str]) -> dict[str, Any]:
+def _touch(exploration: Exploration, one: TouchEstimate) -> dict[str, Any]:
+    number = one.number + 1
     same = ("beta", "beta_interval", "beta_verdict", "rigid", "modulus_pa", "depth_m", "peak_force_n")
     return {
         "xy_m": one.xyz_m[:2],
         "apparent_stiffness_n_per_mm": one.stiffness_n_per_mm,
         "apparent_stiffness_interval": one.stiffness_interval,
         **{name: getattr(one, name) for name in same},
-        "failed": failed,
+        "failed": exploration.failed(number),
+        "asked_for": number in exploration.asked,  # by a person, on the page
     }
 
 
 def _fault(exploration: Exploration, ending: ExplorationEnd, faults: FaultsToCome | None) -> dict[str, Any] | None:
     """Why it was stopped, and how long after the laboratory's fault; None where it was not."""
+    from deformscope.experiments.explore import DRY_RUN
+
     stop = exploration.stop
-    if stop is None:
+    if stop is None or stop.kind == DRY_RUN:
         return None
     struck = faults.struck if faults is not None else ()
     struck_ns = [struck_ns for _, struck_ns in struck if struck_ns <= exploration.stop_ns]

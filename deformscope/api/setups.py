@@ -11,9 +11,11 @@ from deformscope.errors import InputError
 
 if TYPE_CHECKING:
     from deformscope.experiments.options import ExploreOptions
+    from deformscope.lab.hidden import HiddenRig
+    from deformscope.lab.live_lab import LiveLab
     from deformscope.lab.touch_lab import TouchLab
     from deformscope.rig.rig_file import Rig
-    from deformscope.robot.setup import Setup
+    from deformscope.robot.setup import RigParts, Setup
     from deformscope.robot.squeeze_setup import SqueezeSetup
 
 LAB = "lab:"
@@ -82,21 +84,37 @@ def setup_of_rig(rig: Rig, seed: int = 0) -> Setup:
     from deformscope.api.placing import PersonAtTerminal
     from deformscope.api.rigs import member_of
     from deformscope.lab.arm_contact import ARM_DOUBT, ARM_STIFFNESS_N_M
-    from deformscope.lab.live_lab import LiveLab
-    from deformscope.lab.scenes import built_in
     from deformscope.robot.setup import RigParts, rig_setup
 
     parts = RigParts.of(rig)
-    if not rig.surface.scene:
+    table = table_of(parts, seed)[0]
+    if table is None:
         by_hand = parts.devices[0].driver.name == "placed"
         return rig_setup(parts, member_of, person=PersonAtTerminal() if by_hand else None)
-    table = LiveLab(
-        built_in(rig.surface.scene, seed),
+    return rig_setup(parts, member_of, table, (1.0 / ARM_STIFFNESS_N_M, ARM_DOUBT / ARM_STIFFNESS_N_M))
+
+
+def table_of(parts: RigParts, seed: int = 0) -> tuple[LiveLab | None, HiddenRig | None]:
+    """The simulated table of a rig with a scene, closed, and where things truly are on it, where that is hidden."""
+    from deformscope.lab import live_lab
+    from deformscope.lab.hidden import HiddenRig
+    from deformscope.lab.scenes import built_in
+
+    surface = parts.rig.surface
+    if not surface.scene:
+        return None, None
+    scene = built_in(surface.scene, seed)
+    hidden = None
+    if surface.hidden is not None:
+        hidden = HiddenRig.draw(surface.hidden, parts.rig.tool, scene.size_m, scene.thickness_m)
+    table = live_lab.LiveLab(
+        scene,
         parts.placement,
         parts.devices[0],
         T_surface_camera=parts.T_surface_camera,
+        hidden=hidden,
     )
-    return rig_setup(parts, member_of, table, (1.0 / ARM_STIFFNESS_N_M, ARM_DOUBT / ARM_STIFFNESS_N_M))
+    return table, hidden
 
 
 CONTAINERS = f"{LAB}containers"

@@ -54,6 +54,17 @@ COMMANDS: dict[str, Command] = {
     "calibrate both": _command("find beta and theta together from pair files", "BothConfig", "materials", "both"),
     "calibrate axes": _command("find a beta along each axis from pair files", "AxesConfig", "materials", "axes"),
     "calibrate arm": _command("measure the compliance of the arm, on something rigid", "ArmConfig", "calibrate_arm"),
+    "calibrate tip": _command("find where the tip is on the arm, by tilting it", "TipConfig", "calibrate_setup", "tip"),
+    "calibrate place": _command(
+        "find where the surface is, by touching its corners", "PlaceConfig", "calibrate_setup", "place"
+    ),
+    "calibrate camera": _command(
+        "find where the camera stands, by a board on the arm", "CameraConfig", "calibrate_setup", "camera"
+    ),
+    "calibrate force": _command(
+        "find how the force sensor sits, by pushing the tip", "ForceConfig", "calibrate_setup", "force"
+    ),
+    "calibrate time": _command("find how clocks differ, by tapping the tip", "TimeConfig", "calibrate_setup", "time"),
     "calibrate yield": _command(
         "the strain at which a thing yields, from its motion", "YieldConfig", "materials", "yielding"
     ),
@@ -97,6 +108,10 @@ COMMANDS: dict[str, Command] = {
     "dataset discard": _command("leave trials out, with the reason", "DiscardConfig", "dataset", "discard"),
     "dataset merge": _command("take over the trials of other data sets", "MergeConfig", "dataset", "merge"),
     "dataset repair": _command("take in recordings that the index lacks", "RepairConfig", "dataset", "repair"),
+    "arm where": _command("where the arm is: joints, end and tip", "WhereConfig", "arm", "where"),
+    "arm home": _command("send the arm to its home pose", "HomeConfig", "arm", "home"),
+    "arm go": _command("bring the tip over a place of the surface", "GoConfig", "arm", "go"),
+    "arm jog": _command("move the tip by keys, in small steps", "JogConfig", "arm", "jog"),
     "devices": _command("what is plugged in, and its health", "DevicesConfig", "devices"),
     "doctor": _command("whether a rig would work, and what to do if not", "DoctorConfig", "doctor"),
     "record": _command("record all devices of a rig", "RecordConfig", "record", "record"),

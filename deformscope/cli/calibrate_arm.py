@@ -6,11 +6,14 @@ deformscope calibrate arm lab:homogeneous-rigid --json -
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 
 from deformscope.api.moving import Watch, leave, permitted
 from deformscope.api.rigs import until_interrupted
-from deformscope.api.setups import setup_of
+from deformscope.api.setting_up import today, write_values
+from deformscope.api.setups import LAB, setup_of
 from deformscope.cli.common import quiet_warp, recorder_of, say, show, status_line, write_json
 from deformscope.config import ArmConfig
 from deformscope.errors import InputError
@@ -29,7 +32,7 @@ from deformscope.studies.arm_figure import compliance_png
 
 
 def run(config: ArmConfig) -> None:
-    """Touch a rigid block some times, and print the lines for the rig file."""
+    """Touch a rigid block some times, and write the compliance into the rig file."""
     quiet_warp()
     options = ExploreOptions(budget=config.touches, beta_model="none", seed=config.output.seed)
     opening = setup_of(config.rig, options, config.set_force, trusted=config.trust_rig)
@@ -75,6 +78,9 @@ def run(config: ArmConfig) -> None:
         finish(source, recorder)
     if stop is not None:
         leave(stop, len(made), asked.signal_number, recorder.summary().path, arm_stopped=watch.arm_stopped)
+    if found is not None and config.write and not config.rig.startswith(LAB):
+        known = {"compliance_m_per_n": found.compliance_m_per_n, "compliance_sd": found.compliance_sd}
+        write_values(Path(config.rig), {"tool": known, "calibrated.arm": {"date": today()}})
     write_json(found, config.output.json)
 
 

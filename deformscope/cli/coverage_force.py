@@ -1,7 +1,7 @@
 """`deformscope coverage force`: how often the intervals of a predicted force hold the true one, on random slabs.
 
 deformscope coverage force
-deformscope coverage force --full --slabs 8 --jobs 16 --json force.json
+deformscope coverage force --full --kinds halves "stiff disc" --slabs 8 --jobs 16 --out forces --json force.json
 """
 
 from __future__ import annotations
@@ -9,14 +9,14 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 
-from deformscope.cli.common import examined, fit_progress, quiet_warp, recorder_of, show, write_json
+from deformscope.cli.common import examined, fit_progress, make_folder, quiet_warp, recorder_of, show, write_json
 from deformscope.cli.coverage import rate_json
 from deformscope.config import ForceCoverageConfig
 from deformscope.pictures.findings import Findings
 from deformscope.pictures.report import Table
 from deformscope.session import Step
 from deformscope.studies.poke_slabs import KINDS
-from deformscope.studies.predicted_forces import ForceRow, force_cases, force_rows, try_slab
+from deformscope.studies.predicted_forces import ForceRow, force_rows, slab_works, try_slab
 from deformscope.studies.seeds import reported
 
 
@@ -24,10 +24,15 @@ def run(config: ForceCoverageConfig) -> None:
     """Try all slabs and print a table for each scatter."""
     quiet_warp()
     seeds = reported(config.slabs, config.output.seed)
-    cases = force_cases(KINDS, seeds, config.scatter, config.full, config.level, config.split)
+    if config.out is not None:
+        make_folder(config.out)
+    works = slab_works(
+        config.kinds or KINDS, seeds, config.scatter, config.full, config.level, config.split, config.out
+    )
     with recorder_of(config) as recorder:
         with fit_progress() as note:
-            tried = examined("random slabs", try_slab, cases, config.jobs, note)
+            found_of = examined("random slabs", try_slab, works, config.jobs, note)
+        tried = [one for each in found_of for one in each]
         rows = force_rows(tried)
         found = Findings(tuple(force_table(rows, scatter, config.level) for scatter in config.scatter))
         show(found)
@@ -52,6 +57,7 @@ def force_table(rows: Sequence[ForceRow], scatter: float, level: float) -> Table
                 row.group,
                 row.held.cases,
                 f"{row.error:.1%}",
+                "" if row.own_error is None else f"{row.own_error:.1%}",
                 row.wrong,
                 held,
                 f"{row.width:.0%}",
@@ -63,6 +69,7 @@ def force_table(rows: Sequence[ForceRow], scatter: float, level: float) -> Table
         "unseen pokes",
         "number",
         "force off (rms)",
+        "nearest is of its material",
         "by a fifth",
         "held (95 % band)",
         "width",

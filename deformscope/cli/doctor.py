@@ -15,6 +15,7 @@ from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+from deformscope.api.first_day import FirstDayStep, begin, first_day, next_step
 from deformscope.api.rigs import member_of
 from deformscope.cli.common import say, write_json
 from deformscope.config import DoctorConfig
@@ -49,7 +50,13 @@ def run(config: DoctorConfig) -> None:
     from deformscope.rig.rig_file import load_rig
 
     if config.example:
-        print((resources.files("deformscope") / "lab" / "rig-example.toml").read_text(encoding="utf-8"), end="")
+        name = "rig-doubles.toml" if config.doubles else "rig-example.toml"
+        print((resources.files("deformscope") / "lab" / name).read_text(encoding="utf-8"), end="")
+        return
+    if (step := _nothing_yet(config.rig)) is not None:
+        doubles = step.command.replace(" >", " --doubles >")
+        say(f"{config.rig} is empty. With hardware: {step.command}; without: {doubles}")
+        write_json({"rig": config.rig, "findings": [], "first_day": [step], "next": step.command}, config.json)
         return
     rig = load_rig(config.rig, trusted=config.trust_rig)
     findings = [Finding("rig file", "ok", f"{len(rig.devices)} devices"), *_sections(rig)]
@@ -61,9 +68,27 @@ def run(config: DoctorConfig) -> None:
         findings += _found(name, partial(_device, entry, name, config.seconds))
     width = max(len(finding.what) for finding in findings)
     print("\n".join(f"{f.verdict:<5} {f.what:<{width}}  {f.told}" for f in findings), flush=True)
-    write_json({"rig": config.rig, "findings": findings}, config.json)
+    steps = first_day(rig, config.rig)
+    following = next_step(steps)
+    if steps:
+        print(_list_of(steps, following), flush=True)
+    command = following.command if following is not None else None
+    write_json({"rig": config.rig, "findings": findings, "first_day": steps, "next": command}, config.json)
     if failed := [finding.what for finding in findings if finding.verdict == "FAIL"]:
         raise Unfit("a rig that works", f"trouble with {', '.join(failed)}", "what stands behind FAIL", config.rig)
+
+
+def _nothing_yet(name: str) -> FirstDayStep | None:
+    """The first step of all, for a file that is empty."""
+    path = Path(name).expanduser()
+    return begin(name) if path.is_file() and not path.read_text(encoding="utf-8", errors="replace").strip() else None
+
+
+def _list_of(steps: tuple[FirstDayStep, ...], following: FirstDayStep | None) -> str:
+    """The way to an exploration, step by step, and the command that comes next."""
+    width = max(len(step.what) for step in steps)
+    lines = ["", *(f"{step.state:<7} {step.what:<{width}}  {step.words}" for step in steps)]
+    return "\n".join([*lines, *([f"next: {following.command}"] if following is not None else [])])
 
 
 def _found(what: str, look: Callable[[], list[Finding]]) -> list[Finding]:

@@ -7,6 +7,7 @@ together the dataclass's `check` (`InputError`). Nothing heavy is imported here:
 
 from __future__ import annotations
 
+from deformscope.config.arm import GoConfig, HomeConfig, JogConfig, MovingOptions, WhereConfig
 from deformscope.config.calibrate import (
     AxesConfig,
     BetaConfig,
@@ -49,6 +50,7 @@ from deformscope.config.rigs import (
     RigRunOptions,
     VerifyConfig,
 )
+from deformscope.config.setup import CameraConfig, ForceConfig, PlaceConfig, SetupOptions, TimeConfig, TipConfig
 from deformscope.config.squeeze import (
     DatasetConfig,
     DiscardConfig,

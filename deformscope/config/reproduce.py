@@ -128,6 +128,9 @@ class RegionCoverageConfig(RecordedOptions):
             raise InputError("a share above 0 and below 1 after --scatter", f"{self.scatter:g}", "0.08")
 
 
+SlabKindFlag = Literal["one material", "halves", "stiff disc", "soft disc", "gradual"]
+
+
 @dataclass(frozen=True, slots=True)
 class ForceCoverageConfig(RecordedOptions):
     """Count how often the intervals of a predicted force hold the true one: random slabs of one material, halves, stiff
@@ -135,11 +138,15 @@ class ForceCoverageConfig(RecordedOptions):
 
     slabs: flags.ManyFlag = 20
     """Slabs of each kind, from seed SEED on. A slab takes some 3 s."""
+    kinds: Annotated[tuple[SlabKindFlag, ...], arg(metavar="KIND...")] = ()
+    """Of slabs; default all."""
     scatter: Annotated[tuple[float, ...], arg(metavar="SHARE...")] = (0.0, 0.03, 0.06, 0.1)
     """By how much the force scatters from poke to poke, as a share."""
     full: bool = False
-    """Press the slabs with finite elements and fit shape-matching models to what their surfaces do: a quarter of an
-    hour a slab."""
+    """Press the slabs with finite elements and fit shape-matching models to what their surfaces do: some minutes a
+    slab."""
+    out: Annotated[Path | None, flags.one_word("DIR", Path), flags.unset] = None
+    """Folder of a file for each slab, written as it comes; a slab whose file is there is not tried again."""
     split: Literal["alternate", "random"] = "alternate"
     """Which half is fitted: every other poke, as on a chess board, or any half."""
     level: flags.LevelFlag = 0.9

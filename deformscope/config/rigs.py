@@ -27,13 +27,15 @@ class DevicesConfig(CommandOptions):
 
 @dataclass(frozen=True, slots=True)
 class DoctorConfig(CommandOptions):
-    """Try a rig: its file, every device of it for a few seconds, the disk; say what is wrong and what to do. Nothing
-    moves."""
+    """Try a rig: its file, every device of it for a few seconds, the disk; say what is wrong and what to do, and which
+    command comes next on the way to an exploration. Nothing moves."""
 
     rig: flags.RigFlag = ""
     """A rig file (.toml), or lab:NAME."""
     example: bool = False
     """Print a rig file to start from, and do nothing else."""
+    doubles: bool = False
+    """With --example: one of doubles over a simulated table, to try everything on."""
     seconds: Annotated[float, flags.one_word("NUMBER", flags.positive)] = 2.0
     """How long every device is listened to [s]."""
     trust_rig: flags.TrustFlag = False
@@ -193,6 +195,10 @@ class ExploreConfig(RecordedOptions):
     set_force: flags.ForceFlag = None
     """Force to press with [N], 5 N at most; default: the rig file's target_force_n, which is 3 N unless it says. Where
     it makes a dent below 2 mm, 5/3 of it (5 N at most) is pressed with."""
+    first: flags.PlaceFlag = None
+    """Where to touch first, in the surface frame [m]; default: where it says most."""
+    dry_run: bool = False
+    """Make the first touch 10 cm above the surface, where nothing is met, and end."""
     beta_model: Literal["volume", "thesis", "none"] = "volume"
     """What beta is fitted with: layers below the surface, the thesis's single layer with one held particle, or none."""
     fault: Annotated[
@@ -225,8 +231,8 @@ class ExploreConfig(RecordedOptions):
 
 @dataclass(frozen=True, slots=True)
 class ArmConfig(RecordedOptions):
-    """Measure the compliance of the arm, by touching something rigid that stands firmly on the surface: what
-    [tool] of the rig file wants. The arm moves, after a table of checks and a question."""
+    """Measure the compliance of the arm, by touching something rigid that stands firmly on the surface, and write it
+    into the rig file. The arm moves, after a table of checks and a question."""
 
     rig: flags.SceneFlag
     """A rig file (.toml), or a simulated scene (lab:homogeneous-rigid)."""
@@ -237,6 +243,8 @@ class ArmConfig(RecordedOptions):
     set_force: flags.ForceFlag = None
     """Force to press with [N], 5 N at most, and 5/3 of it (5 N at most) since nothing gives; default: the rig file's
     target_force_n."""
+    write: bool = True
+    """Write what was found and the date into the rig file; --no-write prints the lines alone."""
     yes: bool = False
     """Let a real arm move, once the checks have passed, without asking."""
     trust_rig: flags.TrustFlag = False

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import BrokenExecutor, Future
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Any, Literal, Protocol
 
 import numpy as np
@@ -32,6 +33,8 @@ from deformscope.stages.map.exploration import (
 from deformscope.stages.map.measured import SurfaceMeasurement, TouchMeasurement
 
 ESTIMATES_FAILED = "estimates failed"
+DRY_RUN = "dry run"
+"""Kind of the stop at the end of a dry run, which is as it should be."""
 AFTER_S = 0.5
 """A recording goes on for so long after the robot was stopped."""
 
@@ -104,11 +107,10 @@ class RecordedSteering(Unsteered):
 
     def __init__(self, decisions: Sequence[SteeringDecision]) -> None:
         # of a touch that was broken off nothing is left to replay
-        followed = [*decisions[1:], None]
         self._left = [
             one
-            for one, then in zip(decisions, followed, strict=False)  # there may be none
-            if one.kind != "touch" or then is None or then.kind != "held"
+            for one, then in pairwise([*decisions, None])
+            if one is not None and not (one.kind == "touch" and then is not None and then.kind == "held")
         ]
 
     def choose(self, plan: PlannedTouch | None, touches: int) -> Future[NextMove]:
@@ -152,7 +154,7 @@ class Exploration:
     touches, maps, failures: results; maps is the newest; region_probability: of each number of regions, with `maps`
     travel_m: over the surface, in straight lines from its corner (0, 0); stop_reason: in a word or two
     missed: by the touches so far, None before the first plan
-    started: touches that were started
+    started: touches that were started; asked: numbers of those that a person asked for, from 1
     stop, stop_ns: why and when the robot stopped before its plan said so
     compute_s, slowest_s: spent computing, and on the slowest touch [s]
     """
@@ -165,6 +167,7 @@ class Exploration:
     stop_reason: str = ""
     missed: Missed | None = None
     started: int = 0
+    asked: list[int] = field(default_factory=list)
     stop: ExplorationStop | None = None
     stop_ns: int = 0
     compute_s: float = 0.0
@@ -236,6 +239,7 @@ def _explore(clock: Callable[[], int], stage: Stage, found: Exploration, steerin
             touched = yield from ask(touch)
         except TouchHeld as held:
             found.started -= 1
+            found.asked = [number for number in found.asked if number <= count]
             broken_off = SteeringDecision("held", touch.xy_m, count, str(held))
             yield Step((broken_off,), moment=Moment(clock(), count))
             continue
@@ -264,6 +268,7 @@ def _next_touch(
                 steering.refuse(aimed.refused)
             elif (yield from _answered(steering, steering.confirm(forecast))):
                 yield Step((SteeringDecision("touch", choice.xy_m, count),), moment=Moment(clock(), count))
+                found.asked.append(count + 1)
                 return aimed.touch
         if choice.kind == "go on":
             if plan.touch is None and (planned is None or planned.target_m is not None):

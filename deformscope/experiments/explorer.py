@@ -325,12 +325,22 @@ class Explorer:
             reachable=reachable,
             seed=options.seed + len(self.touches),
         )
+        if options.first_m is not None and not self.touches and not self._left_out:
+            first_m = self._first_m(np.array(options.first_m), reachable)
+            plan = dataclasses.replace(plan, target_m=first_m, reason="as asked for", stop=None)
         enough = plan.stop is not None and not (options.go_on and len(self.touches) < options.budget)
         target = None if enough else plan.target_m
         self.stop_reason = plan.stop or ""
         return PlannedTouch(
             target, plan.gain, plan.cost_s, plan.excluded != ALLOWED, plan.reason, plan.stop or "", plan.missed
         )
+
+    def _first_m(self, xy_m: FloatArray, reachable: BoolArray | None) -> FloatArray:
+        """Raises InputError where the arm does not reach it."""
+        cell = int(np.argmin(np.linalg.norm(self.grid.centres_m - xy_m, axis=1)))
+        if reachable is not None and not reachable.ravel()[cell]:
+            raise InputError("--first at a place that the tip can be led to", f"{xy_m[0]:g},{xy_m[1]:g}", "another one")
+        return xy_m
 
     def approach(self, xy_m: FloatArray, geometry: Geometry) -> Touch | None:
         """The touch of a place (2,) [m]; None where it could not be planned."""

@@ -37,7 +37,7 @@ DENT_M = 0.08
 """Half the side of what is seen around a dent."""
 SOFT_STOP_SHARE = 0.75
 """Of the soft stop, at most this share is pressed with: noise and overshoot must not reach it."""
-COARSE_M = 0.03
+COARSE_M = 0.02
 """Reach is computed at places so far apart, and taken for the cells around."""
 UPRIGHT = np.array([0.0, 0.0, 1.0])
 
@@ -99,7 +99,7 @@ class Touched:
 
 def highest_m(options: ExploreOptions) -> float:
     """Where the tip's middle is above all that a camera may find on the table [m]."""
-    return options.thickness_m + ABOVE_M + options.standoff_m + options.tip_radius_m
+    return options.thickness_m + ABOVE_M + options.standoff_m + options.tip_radius_m + options.lift_m
 
 
 def sample_box(size_m: tuple[float, float], thickness_m: float) -> Box:
@@ -244,9 +244,9 @@ class SetupGeometry:
         """
         highest = highest_m(options)
         if over_m is not None:
-            highest = min(over_m + options.standoff_m + self.placement.center_offset_m, highest)
+            highest = min(over_m + options.lift_m + options.standoff_m + self.placement.center_offset_m, highest)
         plan = TouchPlan(
-            np.append(xy_m, height_m),
+            np.append(xy_m, height_m + options.lift_m),
             np.asarray(normal, np.float64),
             set_force_n=options.set_force_n,
             more_force_n=self.more_force_n(options),
@@ -282,7 +282,8 @@ class SetupGeometry:
         rows, columns = grid.shape
         every = max(1, round(COARSE_M / grid.cell_m))
         row, column = np.arange(0, rows, every), np.arange(0, columns, every)
-        x, y = np.meshgrid((column + 0.5) * grid.cell_m, (row + 0.5) * grid.cell_m)
+        middle = 0.5 * every
+        x, y = np.meshgrid((column + middle) * grid.cell_m, (row + middle) * grid.cell_m)
         height_m = options.thickness_m
         places = [np.array(xy) for xy in zip(x.flat, y.flat, strict=True)]
         plans = [self.plan(place, height_m, UPRIGHT, None, options) for place in places]

@@ -17,6 +17,8 @@ VIEW_CELL_M = 0.004
 """Points of the surface before any touch are reduced to one in each cell of this size."""
 PLAN_CELL_M = 0.02
 """Places that are considered for a touch are this far apart."""
+DRY_RUN_M = 0.1
+"""A dry run is made so far above the surface: the tip stays 8 cm above it, a hand's breadth."""
 EDGE_M, ABOVE_M, LOW_SHARE = 0.005, 0.08, 0.5
 """What a camera sees counts as the surface so far from its edges, so far above its thickness, and down to this share of
 it."""
@@ -31,6 +33,8 @@ class ExploreOptions:
     beta_model: layers below the surface, the thesis's single layer, or no beta; cell_m: of the maps; seed
     standoff_m: of the tip above the surface before and after a touch, and above all that it crosses
     inclusion_m: radius of the smallest lumps that are sought
+    first_m: where to touch first, None = where it says most
+    lift_m: all touches are made so far above the surface, where nothing is met: a dry run
     go_on: touch until the budget is spent, even where the plan says enough (for studies)
     """
 
@@ -47,6 +51,8 @@ class ExploreOptions:
     standoff_m: float = 0.05
     go_on: bool = False
     inclusion_m: float = INCLUSION_M
+    first_m: tuple[float, float] | None = None
+    lift_m: float = 0.0
 
     def __post_init__(self) -> None:
         if self.budget < 1:

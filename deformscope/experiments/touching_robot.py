@@ -16,7 +16,7 @@ import numpy as np
 
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.errors import InputError
-from deformscope.experiments.explore import ExplorationStopped, Look, TouchHeld, Wait
+from deformscope.experiments.explore import DRY_RUN, ExplorationStopped, Look, TouchHeld, Wait
 from deformscope.experiments.explorer import Touch
 from deformscope.experiments.measured import UPRIGHT, FrameData, Looked, SetupGeometry, Touched
 from deformscope.experiments.options import ExploreOptions
@@ -230,7 +230,7 @@ class TouchingRobot:
         plans = [self.geometry.plan(corner, height_m, UPRIGHT, None, self._options) for corner in corners]
         self._robot.start()
         with self._stopping():
-            found = check(self._robot, plans, calibrated=calibrated)
+            found = check(self._robot, plans, calibrated=calibrated, ages=self._setup.ages, lift_m=self._options.lift_m)
         self._robot.rest()
         return found
 
@@ -301,11 +301,23 @@ class TouchingRobot:
         if record.ending is TouchEnding.HELD:
             self._pressed_m, self._begun = None, self._begun - 1
             raise TouchHeld(record.reason)
+        if self._options.lift_m > 0.0:
+            raise self._dry_run(record, xy_m)
         if record.contact_m is None or record.ending in (TouchEnding.NOT_REACHED, TouchEnding.NO_CONTACT):
             where = f"at ({100 * xy_m[0]:.0f}, {100 * xy_m[1]:.0f}) cm"
             raise self._stop(record.ending, f"{where}: {record.reason}" if record.reason else where)
         self._touches += 1
         return partial(self._touched, record, dents, xy_m, robot.pose)
+
+    def _dry_run(self, record: TouchRecord, xy_m: FloatArray) -> ExplorationStopped:
+        """Nothing was met, as it should be; else what was."""
+        where = f"{100 * self._options.lift_m:g} cm above ({100 * xy_m[0]:.0f}, {100 * xy_m[1]:.0f}) cm"
+        if record.ending is not TouchEnding.NO_CONTACT:
+            return self._stop(record.ending, f"{where}: {record.reason or 'something was met'}")
+        lowest_m = float(record.position_m[:, 2].min()) - self.geometry.placement.center_offset_m
+        over_cm = 100.0 * (lowest_m - float(record.plan.point_m[2]) + self._options.lift_m)
+        reason = f"the first touch, {where}, met nothing; the tip stayed {over_cm:.1f} cm above the surface"
+        return ExplorationStopped(ExplorationStop(DRY_RUN, reason, "", str(Action.GO_ON), 0), self._setup.clock())
 
     def _touched(
         self, record: TouchRecord, dents: list[tuple[DepthImage, ArmSample]], xy_m: FloatArray, end: ArmSample

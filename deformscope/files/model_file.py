@@ -3,6 +3,7 @@
     format            "deformscope model 1"
     told              JSON text: body, law, rivals, tip, errors, provenance
     rest, toward, fixed, places, stiffness, left_out, rival_stiffness; shape and cell where the particles have a lattice
+    residual (2, k)   outward and upward, where pokes have in common what the law leaves beside a tip
 
 Nothing in it is executed when it is read (no pickle).
 """
@@ -20,6 +21,7 @@ from deformscope.errors import InputError
 from deformscope.file_io import replacing
 from deformscope.files.arrays_file import lattice, read_arrays
 from deformscope.stages.msm.poke import Law, Tip
+from deformscope.stages.poke.dent_residual import DentResidual
 from deformscope.stages.poke.fitted import FittedModel, Rival
 
 FORMAT = "deformscope model 1"
@@ -47,6 +49,8 @@ def save_model(model: FittedModel, path: Path) -> None:
     arrays["rival_stiffness"] = np.reshape(rivals, (len(rivals), len(model.stiffness)))
     if model.shape is not None and model.cell is not None:
         arrays["shape"], arrays["cell"] = np.array(model.shape), model.cell
+    if model.residual is not None:
+        arrays["residual"] = np.stack([model.residual.outward, model.residual.upward])
     with replacing(path) as file:
         np.savez_compressed(file, format=np.array(FORMAT), told=np.array(json.dumps(described)), **arrays)
 
@@ -77,6 +81,10 @@ def _model(found: dict[str, Any]) -> FittedModel:
     tip = described["tip"]
     rivals = zip(described["rivals"], found["rival_stiffness"], strict=True)
     shape, cell = lattice(found, found["rest"]) if "shape" in found else (None, None)
+    residual = None
+    if "residual" in found and described["thickness_m"] is not None:
+        outward, upward = found["residual"]
+        residual = DentResidual(outward, upward, float(described["thickness_m"]))
     return FittedModel(
         body=described["body"],
         law=Law(**described["law"]),
@@ -89,6 +97,7 @@ def _model(found: dict[str, Any]) -> FittedModel:
         fitted_depth=_or_nan(described.get("fitted_depth_m")),
         fitted_strain=_or_nan(described.get("fitted_strain")),
         rivals=tuple(Rival(Law(**one["law"]), np.asarray(k), float(one["surface_error"])) for one, k in rivals),
+        residual=residual,
         provenance=described["provenance"],
         shape=shape,
         cell=cell,

@@ -32,7 +32,8 @@ def parse_pair(raw: bytes, where: object = "", *, noise_m: float | None = None) 
     `observed (K,)` bool, `noise_m` (a number, or (K,)), `held_noise_m` (a number; 0 = exact), `force_n` with
     `contact (m,)`, a subset of `held`, and `force_noise_n`, the standard deviation of that force;
     without `contact` it acts on the held particles that moved (`stages.model.TOUCHED_SHARE`).
-    `tip` (flat, disc, sphere) with `tip_size_m`: what pressed `contact`, where particles do not show its size.
+    `tip` (flat, disc, sphere) with `tip_size_m`: what pressed `contact`, where particles do not show its size, and
+    `tip_at_m (d,)`, where its axis met the body: particles show that no better than they stand apart.
     Without `shape`, a rest shape that is regular within 1 % is taken as a lattice. noise_m: instead of the file's.
     Raises InputError for what is missing, does not fit together, is not finite, or cannot be metres.
     """
@@ -80,6 +81,7 @@ def _observation(found: Arrays, noise_m: float | None) -> Observation:
         contact=contact,
         force_noise_n=number(found, "force_noise_n", NOT_KNOWN),
         tip=_tip(found),
+        tip_at=_tip_at(found, rest.shape[1]),
         held_measured=None if held_noise is None else held_noise > 0.0,
     )
 
@@ -98,6 +100,17 @@ def _force(
             raise InputError("contact among the held particles", "others too", "add them to `held`")
         return force, contact
     return force, touched_of(rest, deformed, held)
+
+
+def _tip_at(found: Arrays, dim: int) -> npt.NDArray[Any] | None:
+    if "tip_at_m" not in found:
+        return None
+    at = numbers(found, "tip_at_m").reshape(-1)
+    if at.size != dim or not np.isfinite(at).all():
+        raise InputError(f"tip_at_m of {dim} finite coordinates [m]", f"{at.tolist()}")
+    if "tip" not in found:
+        raise InputError("tip and tip_size_m with tip_at_m", "no tip")
+    return at
 
 
 def _tip(found: Arrays) -> Tip | None:

@@ -40,7 +40,7 @@ class ArmContact:
     """The tip of a simulated arm in a world that can be touched.
 
     world: what is touched; force_n: (3,) on the tip now, surface frame [N]; max_force_n: its greatest
-    magnitude so far
+    magnitude so far; finger_n: (3,) somebody's finger on the tip besides, surface frame [N]
     """
 
     def __init__(
@@ -55,6 +55,7 @@ class ArmContact:
         """arm_stiffness_n_m: of the arm against a push, which its joints' sensors do not see (inf = rigid)"""
         self.force_n: FloatArray = np.zeros(3)
         self.max_force_n = 0.0
+        self.finger_n: FloatArray = np.zeros(3)
         self.world, self._arm, self._placement, self._clock = world, arm, placement, clock
         self._compliance_m_n = 1.0 / arm_stiffness_n_m
         self._deflection_m = 0.0
@@ -72,9 +73,9 @@ class ArmContact:
         """Once in each of the arm's cycles: the contact at its new pose."""
         T = self._kinematic()
         self.force_n = self._contact(T[:3, 3])
-        self._felt_n = -T[:3, :3].T @ self.force_n
+        self._felt_n = -T[:3, :3].T @ (self.force_n + self.finger_n)
         self.max_force_n = max(self.max_force_n, float(np.linalg.norm(self.force_n)))
-        pushed = self._placement.to_base(self.force_n)
+        pushed = self._placement.to_base(self.force_n + self.finger_n)
         if np.any(pushed):
             lever_m = self._placement.to_base(T[:3, 3]) - self._placement.to_base(self._end_m())
             self._arm.push([*pushed, *cross(lever_m, pushed)])

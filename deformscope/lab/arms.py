@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -17,7 +19,12 @@ from deformscope_drivers.arm.kinematics import Chain, FloatArray
 from deformscope_drivers.clock import Clock, monotonic_ns
 from deformscope_drivers.jaco import Jaco, JacoDouble
 from deformscope_drivers.jaco.chains import CHAINS as JACO
+from deformscope_drivers.kuka import Kuka, KukaDouble, UdpWire, open_kuka
+from deformscope_drivers.kuka.chains import CHAINS as KUKA
+from deformscope_drivers.kuka.port import free_port
+from deformscope_drivers.memory import MemoryTransport, SimulatedClock
 from deformscope_drivers.placed import PlacedArm, StandDouble
+from deformscope_drivers.wires import LOOPBACK
 
 UP = np.array([0.0, 0.0, 1.0])
 LOOKS = 5
@@ -36,11 +43,14 @@ class ArmBody(PushedArm, Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ArmInLab:
-    """arm: the driver's device, closed; body: what moves; person: who places it, None = it moves by itself"""
+    """arm: the driver's device, closed; body: what moves; person: who places it, None = it moves by itself
+    wire: between them, to be entered before the arm is opened, None = nothing runs by itself
+    """
 
     arm: Arm[Any]
     body: ArmBody
     person: Person | None = None
+    wire: AbstractContextManager[Any] | None = None
 
 
 class SimulatedPerson:
@@ -92,10 +102,22 @@ def _jaco(config: Any, placement: Placement, places_m: Sequence[FloatArray], clo
     return ArmInLab(Jaco(config, double, clock=clock), double)
 
 
+def _kuka(config: Any, placement: Placement, places_m: Sequence[FloatArray], clock: Clock, seed: int) -> ArmInLab:
+    """On the host's clock behind a port of this host, and answered as a controller is."""
+    chain = KUKA[config.model]
+    begin_deg = start_deg(chain, placement, places_m)
+    double = KukaDouble(chain.name, start_deg=begin_deg, cycle_s=config.cycle_s, again_s=0.5)
+    if isinstance(clock, SimulatedClock):
+        return ArmInLab(Kuka(config, MemoryTransport(double, clock, "simulated KUKA"), clock=clock), double)
+    port = free_port()
+    here = dataclasses.replace(config, address=LOOPBACK, port=port, controller="")
+    return ArmInLab(open_kuka(here), double, wire=UdpWire(double, port))
+
+
 def _placed(config: Any, placement: Placement, places_m: Sequence[FloatArray], clock: Clock, seed: int) -> ArmInLab:
     arm = PlacedArm(config, clock=clock)
     stand = StandDouble(arm.T_base_end_effector)
     return ArmInLab(arm, stand, SimulatedPerson(stand, seed))
 
 
-_MADE: dict[str, Callable[..., ArmInLab]] = {"jaco": _jaco, "placed": _placed}
+_MADE: dict[str, Callable[..., ArmInLab]] = {"jaco": _jaco, "kuka": _kuka, "placed": _placed}

@@ -20,8 +20,9 @@ import numpy.typing as npt
 
 from deformscope.errors import InputError
 from deformscope.lab.arm_contact import ARM_CYCLE_NS, ArmContact
-from deformscope.lab.arms import arm_in_lab
+from deformscope.lab.arms import ArmBody, arm_in_lab
 from deformscope.lab.depth_view import DepthView
+from deformscope.lab.hidden import BoardPicture, HiddenRig
 from deformscope.lab.layer_world import LayerWorld
 from deformscope.lab.ray_camera import DepthViewConfig
 from deformscope.lab.scenes import Scene, built_in
@@ -57,12 +58,14 @@ class _Table:
     seed: int
     placement: Placement
     T_surface_camera: npt.NDArray[np.floating] | None
+    hidden: HiddenRig | None = None
 
 
 class _Shared:
     """What the processes share, each value with one writer.
 
     wrench: (6,) on the arm's end; center_m: (3,) of the tip; pressed: x, y, depth [m] of the dent; max_force_n
+    finger_n: (3,) of somebody on the tip, surface frame; board: somebody has fixed it to the arm
     """
 
     def __init__(self, T_base_links: FloatArray) -> None:
@@ -73,6 +76,8 @@ class _Shared:
         self.center_m = SPAWN.RawArray("d", 3)
         self.pressed = SPAWN.RawArray("d", 3)
         self.max_force_n = SPAWN.RawValue("d", 0.0)
+        self.finger_n = SPAWN.RawArray("d", 3)
+        self.board = SPAWN.RawValue("b", 0)
         self._over = SPAWN.RawValue("b", 0)
 
     @property
@@ -115,10 +120,14 @@ class LiveLab:
         arm: RigDevice,
         *,
         T_surface_camera: npt.NDArray[np.floating] | None = None,
+        hidden: HiddenRig | None = None,
     ) -> None:
-        """arm: of the rig file; T_surface_camera: (4, 4), default where the scene is seen well"""
+        """arm: of the rig file; T_surface_camera: (4, 4), default where the scene is seen well
+        hidden: where things truly are; None = as placement and T_surface_camera say"""
+        if hidden is not None:
+            placement, T_surface_camera = hidden.placement, hidden.T_surface_camera
         self.size_m, self.truth = scene.size_m, Truth(scene.regions)
-        self._table = _Table(scene.name, scene.seed, placement, T_surface_camera)
+        self._table = _Table(scene.name, scene.seed, placement, T_surface_camera, hidden)
         self.arm = arm_in_lab(arm.driver.name, arm.config, placement, start_places_m(scene), seed=scene.seed)
         self.view = DepthView(scene, CAMERA, T_surface_camera)
         self._shared = _Shared(self.arm.body.T_base_links)
@@ -138,12 +147,27 @@ class LiveLab:
         """The largest true contact force so far [N]."""
         return float(self._shared.max_force_n.value)
 
+    @property
+    def body(self) -> ArmBody:
+        """The simulated arm, which somebody may move by hand."""
+        return self.arm.body
+
+    def push_tip(self, force_n: npt.NDArray[np.floating]) -> None:
+        """From now on a finger pushes the tip, (3,) [N] in the surface frame."""
+        self._shared.finger_n[:] = [float(value) for value in force_n]
+
+    def show_board(self, there: bool) -> None:
+        """Fix the board to the arm's end, or take it off."""
+        self._shared.board.value = int(there)
+
     @contextlib.contextmanager
     def devices(self, entries: Sequence[RigDevice]) -> Iterator[dict[str, Device[Any]]]:
         """Devices of drivers over the doubles, closed, by name; the table lives until the end of the context."""
         made: dict[str, Device[Any]] = {}
         with contextlib.ExitStack() as stack:
             stack.enter_context(_thread("simulated arm", self._move))
+            if self.arm.wire is not None:
+                stack.enter_context(self.arm.wire)
             try:
                 for entry in entries:
                     made[entry.name] = self._device(entry, stack)
@@ -212,11 +236,17 @@ def _feel(pipe: Connection, table: _Table, shared: _Shared, sensitivity: Sensiti
     scene = built_in(table.scene, table.seed)
     world = LayerWorld(scene, table.placement.tool.radius_m)
     contact = ArmContact(world, _RemoteArm(shared), table.placement, monotonic_ns)
-    double = OptoforceDouble(Sensors(scene=contact.load, sensitivity=sensitivity, seed=table.seed))
+
+    def load(time_s: float) -> FloatArray:
+        felt = contact.load(time_s)
+        return felt if table.hidden is None else np.asarray(table.hidden.felt(felt, time_s), np.float64)
+
+    double = OptoforceDouble(Sensors(scene=load, sensitivity=sensitivity, seed=table.seed))
     with PtyWire(double) as wire:
         pipe.send(wire.port)
         due = time.monotonic()
         while _goes_on(shared, due):
+            contact.finger_n = np.array(shared.finger_n[:])
             contact.feel()
             shared.center_m[:] = [float(value) for value in contact.center_m]
             shared.pressed[:] = [float(value) for value in world.pressed]
@@ -229,13 +259,18 @@ def _look(pipe: Connection, table: _Table, shared: _Shared, rate_hz: float) -> N
     scene = built_in(table.scene, table.seed)
     view = DepthView(scene, CAMERA, table.T_surface_camera)
     world = LayerWorld(scene, table.placement.tool.radius_m)
+    board = BoardPicture()
     pipe.send("")
     due = time.monotonic()
     while _goes_on(shared, due):
         world.pressed = np.array(shared.pressed[:])
         moved = world.displaced_m(view.places_m) if world.pressed[2] > 0.0 else None
         center = np.array(shared.center_m[:])
-        exact = view.render(moved, arm_shape(table.placement, shared.T_base_links, center))
+        links = shared.T_base_links
+        exact = view.render(moved, arm_shape(table.placement, links, center))
+        if table.hidden is not None and shared.board.value:
+            T_surface_board = table.placement.T_surface_base @ links[-1] @ table.hidden.T_ee_board
+            board.put_into(exact.color, view.intrinsics, np.linalg.inv(view.surface_from_camera) @ T_surface_board)
         try:
             pipe.send(View(exact.depth_m, exact.color))
         except OSError:  # nobody looks any more

@@ -15,7 +15,7 @@ from deformscope.rig.driver_table import DRIVERS
 from deformscope_drivers.clock import monotonic_ns
 from deformscope_drivers.device import Device
 from deformscope_drivers.doubles import Double
-from deformscope_drivers.wires import CanWire, PtyWire, TcpWire, Wire
+from deformscope_drivers.wires import LOOPBACK, CanWire, PtyWire, TcpWire, Wire
 
 _numbers = itertools.count(1)
 
@@ -139,6 +139,16 @@ def _jaco(config: Any) -> Iterator[Device[Any]]:
 
 
 @contextlib.contextmanager
+def _kuka(config: Any) -> Iterator[Device[Any]]:
+    from deformscope_drivers.kuka import KukaDouble, UdpWire, open_kuka
+    from deformscope_drivers.kuka.port import free_port
+
+    port = free_port()
+    with UdpWire(KukaDouble(config.model, cycle_s=config.cycle_s, again_s=0.5), port):
+        yield open_kuka(dataclasses.replace(config, address=LOOPBACK, port=port, controller=""))
+
+
+@contextlib.contextmanager
 def _placed(config: Any) -> Iterator[Device[Any]]:
     from deformscope_drivers.placed import PlacedArm
 
@@ -167,6 +177,7 @@ WIRED: dict[str, Callable[[Any], Double]] = {"optoforce": _optoforce, "dsa": _ds
 
 _IN_PROCESS: dict[str, Callable[[Any], contextlib.AbstractContextManager[Device[Any]]]] = {
     "jaco": _jaco,
+    "kuka": _kuka,
     "placed": _placed,
     "webcam": _webcam,
     "depth_camera": _depth_camera,

@@ -163,7 +163,8 @@ class TouchLab:
             self.clock.advance_to(then_ns)
             self._feel()
             if arm_waits and self.clock() >= self._arm_ns and self.arm.is_open:
-                self._arm_ns = (self.clock() // ARM_CYCLE_NS + 1) * ARM_CYCLE_NS
+                every_ns = POLL_NS if self._jaco is None else ARM_CYCLE_NS
+                self._arm_ns = (self.clock() // every_ns + 1) * every_ns
                 _poll(self.arm)
             for device in (self.force, self.camera):
                 if device is not None and device.is_open:

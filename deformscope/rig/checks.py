@@ -25,3 +25,12 @@ def check_transform(name: str, rows: tuple[tuple[float, ...], ...]) -> None:
     check(turned, f"{name} whose rotation is one", f"rows {turn.tolist()}")
     check(not mirrored, f"{name} that is no mirror image", f"rows {turn.tolist()}")
     check(max(abs(row[3]) for row in rows[:3]) < 10, f"{name} in metres", [row[3] for row in rows[:3]])
+
+
+def check_orthogonal(name: str, rows: tuple[tuple[float, ...], ...]) -> None:
+    """3x3 of axes at right angles, mirrored or not."""
+    check(len(rows) == 3 and all(len(row) == 3 for row in rows), f"{name} of 3 rows of 3 numbers", rows)
+    check(all(math.isfinite(value) for row in rows for value in row), f"{name} of finite numbers", rows)
+    axes = np.array(rows, np.float64)
+    with np.errstate(over="ignore", invalid="ignore"):
+        check(np.abs(axes @ axes.T - np.eye(3)).max() < 1e-3, f"{name} of axes at right angles", axes.tolist())

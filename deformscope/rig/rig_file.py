@@ -18,7 +18,8 @@ from pathlib import Path
 from typing import Any
 
 from deformscope.errors import InputError
-from deformscope.rig.checks import check, check_transform
+from deformscope.rig.calibrated import CalibratedSection
+from deformscope.rig.checks import check, check_orthogonal, check_transform
 from deformscope.rig.driver_table import DRIVERS, Driver
 from deformscope.rig.squeeze_sections import ContainerSection, HandSection, SqueezeSection
 from deformscope.rig.vendor_library import system_library
@@ -94,6 +95,7 @@ class Tool:
 
     length_m: from the arm's end to the tip; tip: its shape; radius_m: of the tip
     T_ee_tip: 4x4, tip to the arm's end [m]; default: straight on along z by length_m
+    R_tip_force: 3x3, forces in the sensor's axes to the tip's: signs, and turned about the stick; default: the same
     stick_radius_m: of the thickest between the arm's end and the tip, as a force sensor there: it is left out of what
     the camera sees
     compliance_m_per_n: how far the tip stays behind where the arm says it is, for each newton that it presses with;
@@ -107,6 +109,7 @@ class Tool:
     compliance_m_per_n: float | None = None
     compliance_sd: float = 0.0
     stick_radius_m: float = 0.008
+    R_tip_force: tuple[tuple[float, ...], ...] | None = None
 
     def __post_init__(self) -> None:
         check(0 <= self.length_m <= 1, "length_m between 0 and 1", self.length_m)
@@ -115,6 +118,8 @@ class Tool:
         check(0 < self.radius_m <= 0.2, "radius_m above 0 and up to 0.2", self.radius_m)
         if self.T_ee_tip is not None:
             check_transform("T_ee_tip", self.T_ee_tip)
+        if self.R_tip_force is not None:
+            check_orthogonal("R_tip_force", self.R_tip_force)
         given = self.compliance_m_per_n
         check(given is None or 0 <= given < 0.01, "compliance_m_per_n between 0 and 0.01", given)
         check(0 <= self.compliance_sd < 0.01, "compliance_sd between 0 and 0.01", self.compliance_sd)
@@ -127,12 +132,15 @@ class SurfaceSection:
     size_m: along x and y; thickness_m: above the table, whose top is at z = 0
     T_arm_surface: 4x4, surface frame to arm base [m]: x and y along the edges, z up
     scene: a simulated table (`deformscope explore --list-scenarios`), where arm, force sensor and camera are doubles
+    hidden: where these doubles truly are is drawn from this number, and to be found by `deformscope calibrate`;
+    None = they are where this file says
     """
 
     size_m: tuple[float, float] = (0.6, 0.4)
     thickness_m: float = 0.05
     T_arm_surface: tuple[tuple[float, ...], ...] | None = None
     scene: str = ""
+    hidden: int | None = None
 
     def __post_init__(self) -> None:
         check(all(0.05 <= side <= 2 for side in self.size_m), "size_m between 0.05 and 2", self.size_m)
@@ -204,6 +212,7 @@ SECTIONS: dict[str, Any] = {
     "container": ContainerSection,
     "squeeze": SqueezeSection,
     "record": Record,
+    "calibrated": CalibratedSection,
 }
 """What a rig file may have beside its devices."""
 
@@ -226,6 +235,7 @@ class Rig:
     container: ContainerSection = field(default_factory=ContainerSection)
     squeeze: SqueezeSection = field(default_factory=SqueezeSection)
     record: Record = field(default_factory=Record)
+    calibrated: CalibratedSection = field(default_factory=CalibratedSection)
 
 
 def load_rig(where: str | Path, *, trusted: bool = False) -> Rig:

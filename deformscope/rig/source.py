@@ -49,6 +49,7 @@ class RigSource:
 
     Nothing that a device gives between opening and closing is left out: what its queue had to drop is counted.
     raw: also the bytes of every wire; clock: that the devices stamp by
+    wait_until: lets time pass until a moment of that clock [ns]; None = the host's
     opener: opens them in its own way, where they are not to open side by side with threads of their own (a laboratory)
     """
 
@@ -59,10 +60,12 @@ class RigSource:
         raw: bool = True,
         clock: Clock = monotonic_ns,
         opener: Callable[[], None] | None = None,
+        wait_until: Callable[[int], None] | None = None,
     ) -> None:
         self.start_ns = 0
         self._clock = clock
         self._opener = opener
+        self._wait_until = wait_until
         self._members = tuple(members)
         self._raw = raw
         self._opened: list[_Opened] = []
@@ -126,7 +129,9 @@ class RigSource:
 
     def take(self, wait_s: float) -> list[Item]:
         """Wait, then all that came since the last call, in order of time; now and then with everyone's health."""
-        if wait_s > 0.0:
+        if wait_s > 0.0 and self._wait_until is not None:
+            self._wait_until(self._clock() + round(wait_s * 1e9))
+        elif wait_s > 0.0:
             time.sleep(wait_s)
         items = self.rest()
         now_s = self._clock() / 1e9

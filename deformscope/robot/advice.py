@@ -29,6 +29,8 @@ ADVICE: dict[Fault | TouchEnding, str] = {
     Fault.TILT: "what turned the tool: a push, a loose mount, another program, or an arm of another model",
     Fault.JOINT_LIMIT: f"{_STANDS}: a joint is near the end of its range; move it away by the joystick",
     Fault.SINGULAR: f"{_STANDS}: stretched out or folded it cannot follow a straight way; bend it by the joystick",
+    Fault.TABLE: f"{_STANDS}: elbow or wrist come down to the table; bring the arm up by the joystick",
+    Fault.ITSELF: f"{_STANDS}: it is folded onto itself; unfold it by the joystick",
     Fault.WORKSPACE: _PLACE,
     Fault.CAMERA_SILENT: _CAMERA,
     Fault.CAMERA_FROZEN: _CAMERA,

@@ -6,6 +6,8 @@ the arm does near a singularity or a joint's limit in that mode is not published
 
 from __future__ import annotations
 
+import dataclasses
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -35,6 +37,10 @@ DAMPED_BELOW = 0.03
 """Smallest singular value of the Jacobian [m/rad; rad/rad] that is inverted in full. With 20 deg/s of the joints (the
 driver's standard limit) the arm's end then makes at least 0.03 * 0.35 rad/s = 10 mm/s, the speed of a touch, in every
 direction; below it the weakest direction is slower than any touch, and damped."""
+SINGULAR_DEG, SINGULAR_SHARE = 15.0, 1.0 / 3.0
+"""Where the fastest joint would come to a singularity within so much, as the smallest singular value falls, all slow
+down in proportion, to this share at least: what leads through it is not stuck, and a way ends in time
+(`travel.SLACK`)."""
 OFF_COURSE, OFF_COURSE_M_S = 0.1, 1e-3
 """The damping may lose or turn away this share of a velocity, or this much of it: a straight way may lead through a
 singularity where it needs nothing of the weak direction, and corrections at rest are slow."""
@@ -79,7 +85,23 @@ def rates_for_twist(
         least = f"smallest singular value {least_singular(jacobian):.3f}, damped below {DAMPED_BELOW:g}"
         why = f"the tip would leave its way by {100 * lost:.0f} %, limit {100 * OFF_COURSE:.0f} %"
         return _blocked(chain, Fault.SINGULAR, f"{why} ({least})")
-    return within_limits(chain, joints, np.degrees(rates), limits_deg_s, margin_deg)
+    near = min(1.0, max(SINGULAR_SHARE, to_singularity_deg(chain, joints, jacobian, rates) / SINGULAR_DEG))
+    motion = within_limits(chain, joints, near * np.degrees(rates), limits_deg_s, margin_deg)
+    return dataclasses.replace(motion, share=near * motion.share)
+
+
+def to_singularity_deg(chain: Chain, joints_deg: FloatArray, jacobian: FloatArray, rates: FloatArray) -> float:
+    """How far the fastest of joint rates (n,) may turn until the smallest singular value is 0, were it to fall on as it
+    does over the next degree [deg]; inf where it does not fall.
+
+    joints_deg: (n,); jacobian: (6, n) there
+    """
+    fastest = float(np.abs(rates).max())
+    if fastest <= 0.0:
+        return math.inf
+    here = float(least_singular(jacobian))
+    falls = here - float(least_singular(chain.jacobian(joints_deg + rates / fastest)))
+    return here / falls if falls > 1e-9 else math.inf
 
 
 def within_limits(

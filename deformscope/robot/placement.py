@@ -88,6 +88,11 @@ class Placement:
     def _T_center_ee(self) -> FloatArray:
         return np.asarray(np.linalg.inv(self.T_ee_center))
 
+    @cached_property
+    def _R_tip_force(self) -> FloatArray:
+        given = self.tool.R_tip_force
+        return np.eye(3) if given is None else np.array(given, dtype=float)
+
     @property
     def center_offset_m(self) -> float:
         """From the point that touches first to the tip's centre, along the normal [m]: a sphere's radius, else 0."""
@@ -98,8 +103,9 @@ class Placement:
         return np.asarray(self.T_surface_base @ T_base_ee @ self.T_ee_center)
 
     def force_on_tip_n(self, force_n: FloatArray, T_base_ee: FloatArray) -> FloatArray:
-        """(3,) what the world does to the tip in the surface frame [N], from what it does to the world in its own."""
-        return np.asarray(-self.T_surface_center(T_base_ee)[:3, :3] @ force_n)
+        """(3,) what the world does to the tip in the surface frame [N], from what the sensor says that it does to the
+        world."""
+        return np.asarray(-self.T_surface_center(T_base_ee)[:3, :3] @ self._R_tip_force @ force_n)
 
     def T_base_ee(self, center_m: npt.ArrayLike, normal: npt.ArrayLike) -> FloatArray:
         """(..., 4, 4) the arm's end in the base frame when the tip's centre (..., 3) [m] is here and the stick along

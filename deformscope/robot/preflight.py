@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from deformscope.rig.calibrated import CalibrationAge
 from deformscope.robot.placement import TURNED_RAD, best_joints, follow, towards
 from deformscope.robot.readings import ArmSample, ForceSample, RobotObservation
 from deformscope_drivers.arm.device import CALL_MS
@@ -55,6 +56,8 @@ HINTS = {
     "arm: accepts": "the reason, then start again",
     "arm: control period": "end what keeps this computer busy",
     "arm: first way": "bring the tip over the surface by the joystick, the stick down",
+    "arm: over the table": "bring elbow and wrist up by the joystick; or T_arm_surface in the rig file is wrong",
+    "arm: clear of itself": "unfold the arm by the joystick",
     "arm: joints": "turn the joint away from the end of its range by the joystick",
     "arm: reach": "move arm or surface, turn the tool, or bring the arm over the surface by its joystick",
     "force sensor: tare": "let nothing touch the tip, and start again",
@@ -64,6 +67,7 @@ HINTS = {
     "camera: alive": "plug the camera out and in, and close other programs that use it",
     "camera": "the camera's cable and port (USB 3), other programs that use it; fps in the rig file",
     "calibration": "measure it and write it into the rig file; deformscope doctor --example shows how",
+    "age": "deformscope calibrate, with the name of the row, measures it again",
     "tip: in free air": "lift the tip by the joystick; or T_arm_surface in the rig file is wrong",
     "plan: force": "a smaller target_force_n, or a higher soft_stop_n, in the rig file",
     "workspace: box": "low_m and high_m of [workspace] in the rig file",
@@ -113,12 +117,15 @@ def check(
     plans: Sequence[TouchPlan],
     *,
     calibrated: Mapping[str, bool],
+    ages: Mapping[str, CalibrationAge] | None = None,
     rates_hz: Mapping[str, float] | None = None,
+    lift_m: float = 0.0,
 ) -> Preflight:
     """Look at a robot that stands still for half a second, and at what it is to do.
 
     plans: the touches, or those at the corners of where it may touch; calibrated: what has to be, by name, and whether
-    it is; rates_hz: of "arm", "force sensor", "camera" (default: as their configurations say)
+    it is; ages: of what was measured, by name; rates_hz: of "arm", "force sensor", "camera" (default: as their
+    configurations say); lift_m: the plans are so far above the surface
     Raises RobotStopped when the supervisor finds something meanwhile; nothing moves.
     """
     robot.start()
@@ -130,12 +137,16 @@ def check(
             *_arm(robot, seen),
             *_clocks(robot, seen),
             *_pictures(seen),
-            *_free(robot, plans),
+            *_free(robot, plans, lift_m),
             *(
                 Check(f"calibration: {name}", there, "present", "present" if there else "missing")
                 for name, there in calibrated.items()
             ),
-            *_plans(robot, plans),
+            *(
+                Check(f"age: {name}", age.young, f"{age.at_most} days at most", f"{age.days} days")
+                for name, age in (ages or {}).items()
+            ),
+            *_plans(robot, plans, lift_m),
         )
     )
 
@@ -218,6 +229,13 @@ def _joints(robot: Robot, states: Sequence[ArmSample]) -> Iterator[Check]:
     joint = int(np.argmin(left_deg))
     came = f"joint {joint + 1} {left_deg[joint]:.1f} deg"
     yield Check("arm: joints", left_deg[joint] > margin_deg, f"{margin_deg:g} deg or more inside their ranges", came)
+    if robot.clearance is not None:
+        links, limits = robot.arm.chain.forward(joints_deg[-1]), robot.supervisor.limits
+        table_m, itself_m = robot.clearance.over_table_m(links), robot.clearance.to_itself_m(links)
+        wanted = f"elbow and wrist {100 * limits.table_m:g} cm or more above it"
+        yield Check("arm: over the table", table_m > limits.table_m, wanted, f"{100 * table_m:.1f} cm")
+        wanted = f"{100 * limits.itself_m:g} cm or more between parts that could meet"
+        yield Check("arm: clear of itself", itself_m > limits.itself_m, wanted, f"{100 * itself_m:.1f} cm")
     homed = robot.arm.homed
     yield Check("arm: homed", homed, "since it was switched on", "it was" if homed else "it was not, so it says")
     if (call_ms := robot.arm.health().extra.get(CALL_MS)) is not None:
@@ -246,12 +264,12 @@ def _pictures(seen: Sequence[RobotObservation]) -> Iterator[Check]:
     yield Check("camera: alive", repeats == 0, "no two equal pictures in a row", f"{repeats} of {len(pictures)}")
 
 
-def _free(robot: Robot, plans: Sequence[TouchPlan]) -> Iterator[Check]:
+def _free(robot: Robot, plans: Sequence[TouchPlan], lift_m: float) -> Iterator[Check]:
     """That nothing touches the tip: what presses when the force sensor is zeroed is zero from then on."""
     if not plans:
         return
     over_m = robot.placement.center_offset_m
-    height_m = float(robot.center_m[2]) - over_m - max(float(plan.point_m[2]) for plan in plans)
+    height_m = float(robot.center_m[2]) - over_m + lift_m - max(float(plan.point_m[2]) for plan in plans)
     came = f"{height_m * 100:.1f} cm"
     yield Check("tip: in free air", height_m > FREE_M, f"{FREE_M * 100:g} cm or more above the surface", came)
 
@@ -271,7 +289,7 @@ def _first_way(robot: Robot, goal_deg: FloatArray, height_m: float) -> Check:
     return Check("arm: first way", lowest_m > height_m, "wrist and tip above the surface all along", came)
 
 
-def _plans(robot: Robot, plans: Sequence[TouchPlan]) -> Iterator[Check]:
+def _plans(robot: Robot, plans: Sequence[TouchPlan], lift_m: float) -> Iterator[Check]:
     limits, placement = robot.supervisor.limits, robot.placement
     yield Check("plan: touches", bool(plans), "at least one", f"{len(plans)}")
     forces_n = [max(plan.set_force_n, plan.more_force_n or 0.0) for plan in plans]
@@ -298,7 +316,8 @@ def _plans(robot: Robot, plans: Sequence[TouchPlan]) -> Iterator[Check]:
         if np.linalg.norm(pose_error(robot.pose.T_base_ee, poses[0])[3:]) > TURNED_RAD:
             route, start_deg = [], best_joints(robot.arm.chain, poses)
             if start_deg is not None:
-                yield _first_way(robot, np.asarray(start_deg), max(float(plan.point_m[2]) for plan in plans))
+                top_m = max(float(plan.point_m[2]) for plan in plans) - lift_m
+                yield _first_way(robot, np.asarray(start_deg), top_m)
     for plan in plans:
         crossing_m, above_m, deepest_m = plan.places_m(placement.center_offset_m)
         route += [(place_m, plan.normal) for place_m in (crossing_m, above_m, deepest_m, crossing_m)]

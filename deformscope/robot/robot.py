@@ -16,6 +16,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from deformscope.errors import InputError
+from deformscope.robot.clearance import ArmClearance
 from deformscope.robot.motion import CommandedRotation, JointMotion, rates_for_twist, within_limits
 from deformscope.robot.placement import Placement
 from deformscope.robot.preflight import Preflight
@@ -130,7 +131,11 @@ class Robot:
         self._turned_ns = clock()
         self._refusal: tuple[Fault, str] | None = None
         self._next_ns = clock()
-        self.supervisor = Supervisor(limits, clock(), placement.T_ee_center, self.chain, placed=arm.by_hand)
+        chain = self.chain
+        self.clearance = None if chain is None else ArmClearance(placement, chain.forward(chain.home_deg))
+        self.supervisor = Supervisor(
+            limits, clock(), placement.T_ee_center, chain, placed=arm.by_hand, clearance=self.clearance
+        )
 
     # What is known ---------------------------------------------------------------------------------------------------
 

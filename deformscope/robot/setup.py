@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from deformscope.arrays import IntArray
 from deformscope.errors import InputError
+from deformscope.rig.calibrated import CalibrationAge
 from deformscope.rig.driver_table import DRIVERS
 from deformscope.rig.rig_file import Rig, RigDevice, Workspace
 from deformscope.rig.source import RigMember, RigSource
@@ -69,7 +70,7 @@ class Setup:
 
     open_source: opens all devices; names: of arm, force sensor and camera among them
     compliance_m_per_n, compliance_sd: of the arm under a push [m/N]
-    calibrated: what has to be known before the arm moves, by name, and whether it is
+    calibrated: what has to be known before the arm moves, by name, and whether it is; ages: of what was measured
     simulated: nothing real moves; truth: what is simulated, None where that is not known
     runs_itself: the devices have threads of their own and the host's clock, whatever is computed meanwhile
     zeroed: the force sensor's zero is taken as the devices open
@@ -86,6 +87,7 @@ class Setup:
     compliance_m_per_n: float = 0.0
     compliance_sd: float = 0.0
     calibrated: Mapping[str, bool] = field(default_factory=dict)
+    ages: Mapping[str, CalibrationAge] = field(default_factory=dict)
     simulated: bool = False
     truth: Truth | None = None
     runs_itself: bool = True
@@ -189,8 +191,11 @@ def open_rig(
             else stack.enter_context(double(entry))
             for entry in rig.devices
         ]
-        opener, clock = (None, monotonic_ns) if simulated is None else (simulated.opener, simulated.clock)
-        with RigSource(members, raw=rig.record.raw, clock=clock, opener=opener) as source:
+        opener, clock, wait_until = None, monotonic_ns, None
+        if simulated is not None:
+            opener, clock = simulated.opener, simulated.clock
+            wait_until = None if simulated.runs_itself else simulated.wait_until
+        with RigSource(members, raw=rig.record.raw, clock=clock, opener=opener, wait_until=wait_until) as source:
             yield source
 
 
@@ -236,19 +241,20 @@ def rig_setup(
     rig, simulated = parts.rig, table is not None
     tool, camera = rig.tool, rig.camera
     known = camera.focal_px is not None and camera.center_px is not None
+    as_written = simulated and rig.surface.hidden is None
     compliance = (tool.compliance_m_per_n, tool.compliance_sd)
     if tool.compliance_m_per_n is None:
         compliance = give if simulated else (0.0, 0.0)
     fps = parts.devices[2].config.fps
     return Setup(
-        size_m=rig.surface.size_m if table is None else table.size_m,
+        size_m=table.size_m if as_written and table is not None else rig.surface.size_m,
         placement=parts.placement,
         workspace=rig.workspace,
         camera=CameraView(
             camera.focal_px if known else None,
             camera.center_px if known else None,
             camera.distortion,
-            parts.T_surface_camera if table is None else table.T_surface_camera,
+            table.T_surface_camera if as_written and table is not None else parts.T_surface_camera,
             camera.doubt_m,
             float(fps or (10.0 if simulated else CAMERA_HZ)),
         ),
@@ -257,10 +263,11 @@ def rig_setup(
         compliance_m_per_n=compliance[0] or 0.0,
         compliance_sd=compliance[1],
         calibrated={
-            "[surface] T_arm_surface": simulated or rig.surface.T_arm_surface is not None,
-            "[camera] T_arm_camera": simulated or camera.T_arm_camera is not None,
+            "[surface] T_arm_surface": as_written or rig.surface.T_arm_surface is not None,
+            "[camera] T_arm_camera": as_written or camera.T_arm_camera is not None,
             "[tool] compliance_m_per_n": simulated or tool.compliance_m_per_n is not None,
         },
+        ages=rig.calibrated.ages(),
         simulated=simulated,
         truth=None if table is None else table.truth,
         runs_itself=table is None or table.runs_itself,

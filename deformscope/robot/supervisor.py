@@ -10,6 +10,7 @@ import math
 from collections import deque
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,6 +18,9 @@ from deformscope.errors import InputError
 from deformscope.rig.rig_file import Workspace
 from deformscope.robot.readings import ArmSample, CameraSample, ForceSample, RobotObservation
 from deformscope_drivers.arm.kinematics import Chain, FloatArray, rotation_vector
+
+if TYPE_CHECKING:
+    from deformscope.robot.clearance import ArmClearance
 
 
 class Action(StrEnum):
@@ -47,6 +51,8 @@ class Fault(StrEnum):
     TILT = "tool turned away"
     JOINT_LIMIT = "joint near its limit"
     SINGULAR = "arm near a singularity"
+    TABLE = "arm near the table"
+    ITSELF = "arm near itself"
     WORKSPACE = "workspace left"
     CAMERA_SILENT = "depth camera silent"
     CAMERA_FROZEN = "depth camera frozen"
@@ -64,6 +70,8 @@ class Limits:
     speed_m_s, turn_deg_s: measured speed of the tip's centre, and rate at which the arm's end turns, both from poses
     tilt_deg: between the rotation of the arm's end as measured and as commanded: 5 deg carry a stick of 10 cm 9 mm
     joint_margin_deg: no joint comes nearer to the end of its range
+    table_m, itself_m: elbow and wrist come no nearer to the table's top, and no parts of the arm to one another that
+    could meet (`clearance.ArmClearance`)
     low_m, high_m: (3,) box of the tip's centre in the base frame, None = none; look_ahead_s: the box holds for where
     the tip will be by then
     force_silent_s, arm_silent_s: greatest age of the newest reading; force_frozen_s: greatest time of equal readings
@@ -80,6 +88,8 @@ class Limits:
     turn_deg_s: float = 40.0
     tilt_deg: float = 5.0
     joint_margin_deg: float = 5.0
+    table_m: float = 0.02
+    itself_m: float = 0.005
     low_m: tuple[float, float, float] | None = None
     high_m: tuple[float, float, float] | None = None
     look_ahead_s: float = 0.05
@@ -156,14 +166,16 @@ class Supervisor:
         chain: Chain | None = None,
         *,
         placed: bool = False,
+        clearance: ArmClearance | None = None,
     ) -> None:
         """T_ee_center: (4, 4) the tip's centre in the frame of the arm's end; default: the arm's end itself
         chain: whose joints have limits; None = none
+        clearance: of the chain from table and itself; None = it is not watched
         placed: a person places the arm, which then is at once where they say: it has no speed, and turns as it should
         """
         self.limits = limits
         self._T_ee_center = np.eye(4) if T_ee_center is None else T_ee_center
-        self._chain, self._placed = chain, placed
+        self._chain, self._placed, self._clearance = chain, placed, clearance
         self._verdict = _GO_ON
         self._refused = 0
         self.start(now_ns)
@@ -206,6 +218,7 @@ class Supervisor:
         self._unmoved_m, self._moved_ns = 0.0, now_ns
         self._judged_ns, self._excused = now_ns, False
         self._track: deque[ArmSample] = deque()
+        self._clear_m = -math.inf, -math.inf  # the first is compared with nothing
         self._commanded_ns = now_ns
         self._camera_needed = False
         self._camera_ns = now_ns
@@ -332,6 +345,7 @@ class Supervisor:
                     (Action.STOP, Fault.ARM_TURN, f"{turn_deg_s:.0f} deg/s, limit {limits.turn_deg_s:g} deg/s")
                 )
             found += self._joint_limits(sample, before, span_s)
+            found += self._clear(sample, before, span_s)
         if limits.low_m is not None and limits.high_m is not None:
             ahead_m = center_m + limits.look_ahead_s * velocity_m_s
             low_m, high_m = np.array(limits.low_m), np.array(limits.high_m)
@@ -360,6 +374,22 @@ class Supervisor:
                 f"limit, margin {margin_deg:g} deg",
             )
             for joint in np.flatnonzero(nearing)
+        ]
+
+    def _clear(self, sample: ArmSample, before: ArmSample, span_s: float) -> list[tuple[Action, Fault, str]]:
+        """Elbow and wrist on their way into the table, and the arm on its way into itself, ahead as the box."""
+        if self._chain is None or self._clearance is None or sample.joints_deg == before.joints_deg:
+            return []
+        joints_deg = np.array(sample.joints_deg)
+        ahead_deg = joints_deg + self.limits.look_ahead_s * (joints_deg - np.array(before.joints_deg)) / span_s
+        links = self._chain.forward(ahead_deg)
+        then_m, self._clear_m = self._clear_m, (self._clearance.over_table_m(links), self._clearance.to_itself_m(links))
+        limits_m = self.limits.table_m, self.limits.itself_m
+        what = (Fault.TABLE, "elbow or wrist above the table"), (Fault.ITSELF, "between two parts of the arm")
+        return [
+            (Action.STOP, fault, f"{100 * now_m:.1f} cm {words} and nearing, limit {100 * limit_m:g} cm")
+            for (fault, words), now_m, was_m, limit_m in zip(what, self._clear_m, then_m, limits_m, strict=True)
+            if now_m < min(limit_m, was_m)
         ]
 
     def _tilt(self, sample: ArmSample, commanded: FloatArray) -> list[tuple[Action, Fault, str]]:

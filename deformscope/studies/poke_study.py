@@ -104,11 +104,13 @@ def study(plan: PokeStudyPlan, *, device: str = "cpu", progress: Progress | None
     return Studied(plan, found, tuple(compare(found.model, unseen, device=device, progress=progress)))
 
 
-def observe(slab: Slab, one: Press) -> Observation:
-    """What is seen of the slab's surface under a poke, by its finite elements."""
+def observe(slab: Slab, one: Press, element: float | None = None) -> Observation:
+    """What is seen of the slab's surface under a poke, by finite elements of this share of the tip's half width."""
     points = slab.grid(GRID)
     half = (0.5 * one.sides[0], 0.5 * one.sides[1])
-    dent = press(slab, one.at, RigidTip(half), points, force=one.force)
+    dent = press(
+        slab, one.at, RigidTip(half), points, force=one.force, finest=None if element is None else element * min(half)
+    )
     touched = np.flatnonzero(dent.touched)
     return Observation(
         points,
@@ -118,6 +120,7 @@ def observe(slab: Slab, one: Press) -> Observation:
         force_n=one.force,
         contact=touched,
         tip=Tip("flat", one.sides),
+        tip_at=np.array([*one.at, slab.size[2]]),
     )
 
 

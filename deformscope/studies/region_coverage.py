@@ -3,7 +3,7 @@
     outcomes = [explore_known(RegionCase(condition, seed)) for seed in reported(300)]
     region_row("stated prior", outcomes), reliability(outcomes)
 
-A touch is log stiffness blurred by its contact plus its errors (`LabErrors`, `touch_error`): no arm, no finite
+A touch is the stiffness under its contact plus its errors (`LabErrors`, `touch_error`): no arm, no finite
 elements, so that hundreds of explorations take minutes. Posterior, planner and stop rule are those of `explore`. Truths
 come from the estimator's own prior (simulation-based calibration, Talts et al. 2018), and from scenes and errors that
 violate it.
@@ -51,8 +51,8 @@ FIT_SD = 0.012
 """Of log stiffness, what a fit to 3 N leaves unknown of the depth (sd .2 to 2.2 % of a sphere)."""
 LOG_N_PER_MM_60 = float(np.log(0.55))
 """Stiffness of foam of 60 N at 3 N under a ball of 1 cm; others follow as the power 2/3 of their modulus (Hertz)."""
-BLUR_M = (0.010, 0.014)
-"""What a contact feels; the estimator assumes 0.012."""
+BLUR_M = (0.006, 0.009)
+"""What a contact feels; the estimator assumes 0.0075."""
 BINS = 5
 FIXED = 1.0
 
@@ -210,7 +210,7 @@ def _from_prior(
     shares = maps.shares(places_m, prior.blur_m)[0]
     mixed = 2.0 * (1.0 - (shares**2).sum(axis=-1))
     off = prior.mixed_share * float(np.ptp(level)) * mixed * rng.standard_normal(len(places_m))
-    return _true(labels, level), shares @ level + off
+    return _true(labels, level), np.log(shares @ np.exp(level)) + off
 
 
 def _smooth(
@@ -234,7 +234,7 @@ def _smooth(
 
 
 def _from_scene(name: str, seed: int, grid: MapGrid, places_m: FloatArray, blur_m: float) -> tuple[TrueMap, FloatArray]:
-    """A layout of the laboratory; what a contact feels is the mean over a Gaussian of `blur_m`."""
+    """A layout of the laboratory; a contact feels the mean stiffness over a Gaussian of `blur_m`."""
     scene = built_in(name, seed)
     node, weight = np.polynomial.hermite_e.hermegauss(7)
     around = np.stack(np.meshgrid(node, node), axis=-1).reshape(-1, 2) * blur_m
@@ -244,7 +244,7 @@ def _from_scene(name: str, seed: int, grid: MapGrid, places_m: FloatArray, blur_
     def field(xy_m: FloatArray) -> FloatArray:
         return np.asarray(LOG_N_PER_MM_60 + 2.0 / 3.0 * np.log(scene.modulus_pa(xy_m) / reference))
 
-    felt = field(places_m[:, None] + around) @ share
+    felt = np.log(np.exp(field(places_m[:, None] + around)) @ share)
     if not scene.pieces:
         return TrueMap(None, np.zeros(0), np.zeros(0, dtype=bool), field(grid.centres_m).reshape(grid.shape)), felt
     moduli = np.array([piece.modulus_pa for piece in scene.pieces])

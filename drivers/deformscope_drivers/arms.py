@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from deformscope_drivers.arm.kinematics import Chain
 from deformscope_drivers.jaco.chains import CHAINS as JACO
+from deformscope_drivers.kuka.chains import CHAINS as KUKA
 from deformscope_drivers.placed.config import PLACED
 
-CHAINS: dict[str, Chain] = {**JACO}
+CHAINS: dict[str, Chain] = {**JACO, **KUKA}
 
 
 def chain_of(model: str) -> Chain | None:

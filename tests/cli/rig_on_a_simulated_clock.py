@@ -13,8 +13,9 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from deformscope.lab.arms import arm_in_lab
+from deformscope.lab.arms import ArmBody, arm_in_lab
 from deformscope.lab.depth_view import DepthView
+from deformscope.lab.hidden import BoardPicture, HiddenRig
 from deformscope.lab.layer_world import LayerWorld
 from deformscope.lab.live_lab import CAMERA, start_places_m
 from deformscope.lab.scenes import Scene
@@ -44,8 +45,12 @@ class SimulatedTable:
         arm: RigDevice,
         *,
         T_surface_camera: npt.NDArray[np.floating] | None = None,
+        hidden: HiddenRig | None = None,
     ) -> None:
-        self.clock, self._placement = clock, placement
+        if hidden is not None:
+            placement, T_surface_camera = hidden.placement, hidden.T_surface_camera
+        self.clock, self._placement, self._hidden = clock, placement, hidden
+        self._board, self._picture = False, BoardPicture()
         self.size_m, self.truth = scene.size_m, Truth(scene.regions)
         self.view = DepthView(scene, CAMERA, T_surface_camera)
         self._world = LayerWorld(scene, placement.tool.radius_m)
@@ -76,9 +81,20 @@ class SimulatedTable:
             camera_config=camera_config,
             arm=self._arm,
             force_config=force_config,
+            as_felt=None if self._hidden is None else self._hidden.felt,
         )
         made = {"arm": self.lab.arm, "wrench": self.lab.force, "depth": self.lab.camera}
         yield {entry.name: made[entry.driver.kind] for entry in entries}
+
+    @property
+    def body(self) -> ArmBody:
+        return self.lab.body
+
+    def push_tip(self, force_n: npt.NDArray[np.floating]) -> None:
+        self.lab.contact.finger_n = np.asarray(force_n, np.float64)
+
+    def show_board(self, there: bool) -> None:
+        self._board = there
 
     @property
     def T_surface_camera(self) -> npt.NDArray[np.float64]:
@@ -97,6 +113,10 @@ class SimulatedTable:
         moved = self._world.displaced_m(self.view.places_m) if self._world.pressed[2] > 0.0 else None
         links, center = self.lab.body.T_base_links, self.lab.contact.center_m
         exact = self.view.render(moved, arm_shape(self._placement, links, center))
+        if self._board and self._hidden is not None:
+            T_surface_board = self._placement.T_surface_base @ links[-1] @ self._hidden.T_ee_board
+            T_camera_board = np.linalg.inv(self.view.surface_from_camera) @ T_surface_board
+            self._picture.put_into(exact.color, self.view.intrinsics, T_camera_board)
         return View(exact.depth_m, exact.color)
 
 

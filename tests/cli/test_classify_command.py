@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import errno
 import json
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 pytest.importorskip("tyro")
 
 import deformscope as ds
 from deformscope.cli import main
 from deformscope.images import encode_png
-from deformscope.pictures.figures import canvas
+from deformscope.pictures.figures import canvas, png_of
 from tests.pictures.test_report import Page
 from tests.stages.squeeze.trials import blobs, two_modalities
 
@@ -30,11 +32,22 @@ def write(path: Path, seed: int = 0, **more: Any) -> Path:
 
 
 @pytest.fixture(scope="module", autouse=True)
-def drawn_roughly() -> Iterator[None]:
-    """Most of the time would go into the layout of pictures, which tests/pictures see to."""
+def drawn_once() -> Iterator[None]:
+    """Each kind of picture is drawn once, roughly; from then on it is a pixel: most of the time would go into them."""
+    drawn: set[str] = set()
+    pixel = encode_png(np.zeros((1, 1, 3), np.uint8))
+
+    def draw(figure: Figure, dpi: int) -> bytes:
+        kind = sys._getframe(1).f_code.co_name
+        if kind in drawn:
+            return pixel
+        drawn.add(kind)
+        return png_of(figure, dpi)
+
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("deformscope.pictures.classification.DPI", 30)
         patch.setattr("deformscope.pictures.classification.canvas", lambda width, height, **_: canvas(width, height))
+        patch.setattr("deformscope.pictures.classification.png_of", draw)
         yield
 
 
@@ -49,13 +62,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     files = ["--json", str(made / "t.json"), "--report", str(made / "report"), "--save", str(made / "m.npz")]
     assert main(["classify", str(made / "t.npz"), *FAST, *files, "--record", str(made / "t.rrd")]) == 0
     return made
-
-
-@pytest.fixture(autouse=True)
-def drawn_once(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """After that table's, pictures are a pixel."""
-    pixel = encode_png(np.zeros((1, 1, 3), np.uint8))
-    monkeypatch.setattr("deformscope.pictures.classification.png_of", lambda *_: pixel)
 
 
 def test_the_json_is_the_public_list(folder: Path) -> None:

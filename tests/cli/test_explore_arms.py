@@ -34,15 +34,22 @@ fps = 5
 compliance_m_per_n = 2e-4
 compliance_sd = 2e-5
 [workspace]
-low_m = [-0.1, -0.1, 0.0]
-high_m = [0.7, 0.5, 0.75]
+low_m = [-0.1, -0.4, 0.0]
+high_m = [0.9, 0.5, 0.75]
 [surface]
 scene = "two-60-150"
 """
+KUKA = """
+[devices.arm]
+driver = "kuka"
+double = true
+model = "kr6r900sixx"
+"""
 PLACES = {
+    "kuka": "T_arm_surface = [[0, -1, 0, 0.75], [1, 0, 0, -0.3], [0, 0, 1, 0], [0, 0, 0, 1]]",
     "placed": "T_arm_surface = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]",
 }
-RIGS = {"placed": PLACED + REST + PLACES["placed"]}
+RIGS = {"placed": PLACED + REST + PLACES["placed"], "kuka": KUKA + REST + PLACES["kuka"]}
 
 
 def explored(kind: str, touches: int, tmp_path: Path, capsys: pytest.CaptureFixture[str], *more: str) -> dict[str, Any]:
@@ -102,3 +109,51 @@ def test_each_place_of_the_plan_is_asked_for(
     np.testing.assert_allclose(places, [touch["xy_m"] for touch in found["touches"]], atol=1e-9)
     assert all("mm above the table" in request.words for request in asked)
     assert 10 < len(asked) < 80
+
+
+# Before the first touch ----------------------------------------------------------------------------------------------
+
+
+def test_a_dry_run_makes_the_motion_of_the_first_touch_in_the_air(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    use_a_simulated_clock(monkeypatch)
+    use_quick_scene(monkeypatch)
+    count_as_real(monkeypatch)
+    record = tmp_path / "dry.rrd"
+
+    found = explored("kuka", 8, tmp_path, capsys, "--yes", "--dry-run", "--first", "0.35,0.15", "--record", str(record))
+
+    said = capsys.readouterr().err
+    assert found["touches"] == []
+    assert found["stop_reason"] == "stopped: dry run"
+    assert found["fault"] is None
+    assert found["max_force_n"] == 0.0
+    assert found["arm_stands"]
+    assert "dry run: the first touch, 10 cm above (35, 15) cm, met nothing; the tip stayed 8." in said
+    assert main(["verify", str(record)]) == 0, capsys.readouterr().err
+
+
+def test_the_first_touch_is_where_it_is_asked_for(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    use_a_simulated_clock(monkeypatch)
+    use_quick_scene(monkeypatch)
+    found = explored("kuka", 1, tmp_path, capsys, "--first", "0.42,0.11")
+    np.testing.assert_allclose(found["touches"][0]["xy_m"], [0.42, 0.11], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("kind", "more", "words"),
+    [
+        ("kuka", ["--first", "0.9,0.1"], "--first on the surface: between 0,0 and 0.6,0.4 m"),
+        ("placed", ["--dry-run"], "an arm that moves by itself"),
+    ],
+)
+def test_what_makes_no_sense_is_refused(
+    kind: str, more: list[str], words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rig = tmp_path / "rig.toml"
+    rig.write_text(RIGS[kind])
+    assert main(["explore", str(rig), *more]) == 2
+    assert words in capsys.readouterr().err

@@ -376,6 +376,7 @@ def test_a_person_decides_and_a_replay_decides_the_same() -> None:
     assert [one.kind for one in results if isinstance(one, SteeringDecision)] == ["touch", "held", "veto", "touch"]
     assert robot.places[0] == at.tolist()
     assert len(robot.places) == len(found.touches) == found.started == 2
+    assert found.asked == [1]
     before, after = (one.target_m for one in of(PlannedTouch, results)[1:3])  # type: ignore[attr-defined]
     assert np.linalg.norm(after - [0.15, 0.15]) > 0.025 > np.linalg.norm(before - [0.15, 0.15])
     forecast, felt = of(TouchForecast, results)[-1], found.touches[0]
@@ -395,6 +396,18 @@ def test_a_person_decides_and_a_replay_decides_the_same() -> None:
         first, second = of(kind, results), of(kind, [result for _, some in again for result in some])
         assert len(first) == len(second) > 0
         assert all(same(one, other) for one, other in zip(first, second, strict=True))
+
+
+def test_a_replay_without_decisions_goes_as_planned() -> None:
+    assert RecordedSteering([]).choose(None, 0).result(0).kind == "go on"
+    at, held = np.array([0.1, 0.2]), SteeringDecision("held", np.array([0.1, 0.2]), 1)
+    steering = RecordedSteering([SteeringDecision("touch", at, 1), held, SteeringDecision("touch", at, 1)])
+    assert [steering.choose(None, touches).result(0).kind for touches in (0, 1, 1, 2)] == [
+        "go on",
+        "replan",
+        "touch",
+        "go on",
+    ]
 
 
 def test_what_the_camera_has_not_seen_is_not_touched() -> None:

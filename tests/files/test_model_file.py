@@ -12,6 +12,7 @@ import pytest
 from deformscope.errors import InputError
 from deformscope.files.model_file import load_model, save_model
 from deformscope.stages.msm.poke import Law, Tip
+from deformscope.stages.poke.dent_residual import DentResidual
 from deformscope.stages.poke.fitted import FittedModel, Rival
 
 
@@ -45,6 +46,8 @@ def test_a_model_comes_back_as_it_was(tmp_path: Path, rivals: bool, lattice: boo
         before = dataclasses.replace(before, rivals=())
     if lattice:
         before = dataclasses.replace(before, shape=(4, 5), cell=np.arange(20), body="particles", thickness=None)
+    if not lattice:
+        before = dataclasses.replace(before, residual=DentResidual(np.arange(8.0), -np.arange(8.0), 0.05))
     save_model(before, tmp_path / "m.npz")
     after = load_model(tmp_path / "m.npz")
     for field in dataclasses.fields(FittedModel):
@@ -53,6 +56,9 @@ def test_a_model_comes_back_as_it_was(tmp_path: Path, rivals: bool, lattice: boo
             assert [(r.law, r.surface_error) for r in one] == [(r.law, r.surface_error) for r in other]
             for r, s in zip(one, other, strict=True):
                 np.testing.assert_array_equal(r.stiffness, s.stiffness)
+        elif field.name == "residual" and one is not None:
+            assert (other.thickness, other.outward.tolist()) == (one.thickness, one.outward.tolist())
+            assert other.upward.tolist() == one.upward.tolist()
         elif isinstance(one, np.ndarray | float):
             np.testing.assert_array_equal(one, other)
         else:

@@ -141,3 +141,16 @@ def test_damaged_files_are_refused(raw: bytes) -> None:
 def test_pickled_objects_are_never_loaded() -> None:
     with pytest.raises(InputError, match=r"numbers or texts in rest; got Python objects \(pickle\)"):
         parse_pair(packed(rest=np.array([{}], dtype=object), deformed=REST, held=np.array([0])))
+
+
+def test_where_the_tip_was_is_read_and_refused_without_a_tip() -> None:
+    rest = lattice((3, 4))
+    tip = {"tip": np.array("disc"), "tip_size_m": np.array([0.01])}
+    middle = rest.mean(axis=0)
+    assert parse_pair(pair(**tip)).tip_at is None
+    seen = parse_pair(pair(**tip, tip_at_m=middle))
+    assert seen.tip_at is not None
+    np.testing.assert_array_equal(seen.tip_at, middle)
+    for changed in ({"tip_at_m": middle}, tip | {"tip_at_m": middle[:1]}, tip | {"tip_at_m": middle * np.nan}):
+        with pytest.raises(InputError, match="tip_at_m"):
+            parse_pair(pair(**changed))

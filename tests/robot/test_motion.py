@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from deformscope.lab.springy_foam import SpringyFoam
 from deformscope.lab.touch_lab import TouchLab
 from deformscope.rig.rig_file import Tool
-from deformscope.robot.motion import CommandedRotation, rates_for_twist, within_limits
+from deformscope.robot.motion import CommandedRotation, rates_for_twist, to_singularity_deg, within_limits
 from deformscope.robot.placement import best_joints
 from deformscope.robot.preflight import Check, Preflight
 from deformscope.robot.readings import RobotObservation
@@ -20,6 +20,7 @@ from deformscope.robot.supervisor import Fault, Limits, SafetyVerdict
 from deformscope.robot.touch import Phase, run_touch
 from deformscope.robot.travel import move_joints, move_tip
 from deformscope_drivers.arm.kinematics import Chain, FloatArray, least_singular, off_course
+from deformscope_drivers.arms import CHAINS as ARMS
 from deformscope_drivers.jaco.chains import CHAINS, J2N6S300, J2S7S300
 from deformscope_drivers.jaco.structures import PositionType
 from tests.robot.quick_touch import quick_scene
@@ -291,3 +292,22 @@ def test_points_that_are_left_out_do_not_add_up_and_turning_by_itself_does() -> 
 
     assert errors_deg[0] < 2.5
     assert errors_deg[1] > 20.0
+
+
+@pytest.mark.parametrize("fifth_deg", [18.0, 14.0, 9.0, 6.0])
+def test_what_leads_into_a_singularity_slows_down_within_15_degrees_of_it(fifth_deg: float) -> None:
+    """A KUKA's wrist is singular where its fifth axis is 0: turned straight towards it, what is found beforehand is the
+    angle that is left."""
+    chain = ARMS["kr6r900sixx"]
+    joints = np.array([0.0, -90.0, 100.0, 0.0, fifth_deg, 0.0])
+    jacobian = chain.jacobian(joints)
+    towards = np.array([0.0, 0.0, 0.0, 0.0, -1.0, 0.0])
+    twist = jacobian @ np.radians(5.0 * towards)
+    left_deg = to_singularity_deg(chain, joints, jacobian, np.radians(5.0 * towards))
+    assert left_deg == pytest.approx(fifth_deg, rel=0.15)
+    motion = rates_for_twist(chain, joints, twist, np.full(6, 100.0), 5.0)
+    assert motion.fault is Fault.NONE
+    assert motion.share == pytest.approx(min(1.0, max(1 / 3, left_deg / 15.0)), rel=1e-3)
+    np.testing.assert_allclose(motion.rates_deg_s, 5.0 * motion.share * towards, atol=0.05)
+    away = rates_for_twist(chain, joints, -twist, np.full(6, 100.0), 5.0)
+    assert away.share == 1.0

@@ -8,7 +8,7 @@ from deformscope.arrays import FloatArray
 from deformscope.stages.fit.model import Observation
 from deformscope.stages.msm.poke import Law, Poke, Tip, press
 from deformscope.stages.poke.layers import MeasuredSurface
-from deformscope.stages.poke.poke_fit import scene_below
+from deformscope.stages.poke.poke_fit import flat_edge, scene_below
 
 THICKNESS, SPACING = 0.03, 0.01
 LAW = Law(0.45, 0.7, 3)
@@ -37,7 +37,7 @@ def poked(
     place = np.array([*at, THICKNESS])
     scene, layers = scene_below(ground, place, tip, SPACING, law.cluster_size or 3)
     found = press(scene, law, Poke(place, tip, depth=depth))
-    weights, inside = layers.interpolation(ground.points[:, :2])
+    weights, inside = layers.interpolation(ground.points[:, :2], flat_edge(place, tip))
     moved: FloatArray = np.where(inside[:, None], weights @ (found.position - scene.rest), 0.0)
     touched = np.flatnonzero((np.abs(ground.points[:, :2] - at) <= 0.5 * side + 1e-9).all(axis=1))
     error = np.random.default_rng(seed).normal(0.0, 1.0, moved.shape) * noise

@@ -39,7 +39,8 @@ class Observation:
     force_n: net force [N] on the held particles `contact`, None if it was not measured; force_noise_n: its standard
     deviation [N], None if unknown
     held_measured: whether the held positions were measured, with the noise of the others, or are exact; None = unknown
-    tip: what pressed the particles of `contact`, if it is known
+    tip: what pressed the particles of `contact`, if it is known; tip_at: (d,) where its axis met the body [unit], which
+    particles show no better than they stand apart, if it is known
     loose: held particles whose position is no measurement but estimated, None = none
     """
 
@@ -57,6 +58,7 @@ class Observation:
     held_measured: bool | None = None
     tip: Tip | None = None
     force_noise_n: float | None = None
+    tip_at: FloatArray | None = None
     loose: IntArray | None = None
 
     def __post_init__(self) -> None:

@@ -3,7 +3,8 @@
 A lump is a disc of some radius, twice as stiff or twice as soft as what is around it, whose centre may be anywhere on
 the surface as long as all of it lies there, each place as likely. The touches are taken to read as the map explains
 them: against a lump at a place then speaks what they would have felt of it (its share under a contact, as of any
-region), in deviations of theirs. So a touch inside excludes it, and one at its rim leaves it open.
+region), in deviations of theirs. So a touch inside excludes it, and one at its rim leaves it open. What is rigid has no
+lumps: twice as stiff or as soft is as rigid to the arm, and no touch there would show one.
 """
 
 from __future__ import annotations
@@ -51,7 +52,9 @@ class Lumps:
         places = np.array([touch.xy_m for touch in posterior.touches])
         own = [posterior.prior.rigid_sd if touch.rigid else touch.log_sd for touch in posterior.touches]
         ratio = np.prod(self._unfelt(places, np.hypot(own, posterior.scatter)[:, None]), axis=0)
-        unmet = float(ratio.mean())
+        soft = 1.0 - posterior.rigid_probability(self._centres)
+        ratio *= soft
+        unmet = float(ratio.sum() / max(soft.sum(), 1.0))  # less than one centre is no place
         self.weight = ratio / max(float(ratio.sum()), 1e-300)  # so many touches may leave nothing at all
         self.probability = LUMP_PRIOR * unmet / (LUMP_PRIOR * unmet + 1.0 - LUMP_PRIOR)
 

@@ -73,7 +73,7 @@ class PlanOptions:
     least_gain: where less is to be gained it stops: of the share of cells with the right label; sure: the probability
     from which the number of regions is no longer in doubt; budget: touches in all
     inclusion_m: radius of the smallest lumps that are sought; unmet: probability that one is there unseen, from which
-    on enough is known of them. `sure` was chosen on tuning seeds (`studies.seeds`)
+    on enough is known of them. `sure`, `unmet` and `least_gain` were chosen on tuning seeds (`studies.seeds`)
     """
 
     planner: Planner = "regions"
@@ -84,11 +84,11 @@ class PlanOptions:
     touch_s: float = 6.0
     speed_m_s: float = 0.1
     threshold: float = 0.06
-    least_gain: float = 0.005
-    sure: float = 0.75
+    least_gain: float = 0.007
+    sure: float = 0.7
     budget: int = 12
     inclusion_m: float = INCLUSION_M
-    unmet: float = 0.05
+    unmet: float = 0.08
 
     def __post_init__(self) -> None:
         if self.planner not in PLANNERS:

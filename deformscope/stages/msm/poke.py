@@ -158,12 +158,14 @@ def press(
     *,
     stiffness: float | None = None,
     deepest: float = np.inf,
+    start: FloatArray | None = None,
     precision: Precision = "float64",
     device: str = "cpu",
 ) -> Pressed:
     """The static state under a poke. With a force, `stiffness` k [N/m] determines its depth.
 
     poke.at: (d,) a point on the tip's axis; deepest: depth [m] at which the search for that of a force is given up
+    start: (K, d) what another law made of the same poke, near which the state is sought
     Each round relaxes the body with the touched particles held, lets those that slip go to where nothing pulls them
     sideways, drops from under a round tip what the tip would pull at and adds what it has reached, and corrects the
     depth until the force is as asked.
@@ -183,7 +185,7 @@ def press(
     gap -= gap.min()
     depth = poke.depth if poke.depth is not None else 0.02 * scene.spacing
     solve = _TipContact(scene, law, poke, gap, stiffness, deepest, precision, device)
-    return solve.run(depth)
+    return solve.run(depth, start)
 
 
 @dataclass(frozen=True, slots=True)
@@ -254,12 +256,15 @@ class _TipContact:
         self.stiffness, self.precision, self.device = stiffness, precision, device
         self.round_tip = bool((gap[np.isfinite(gap)] > 1e-6 * scene.spacing).any())
 
-    def run(self, depth: float) -> Pressed:
+    def run(self, depth: float, start: FloatArray | None) -> Pressed:
         scene, k = self.scene, self.stiffness
         slide = np.zeros((len(scene.open), len(scene.toward)))
         touched = self.gap < depth if self.round_tip else np.isfinite(self.gap)
-        position: FloatArray | None = None
+        position = start
         body: Msm | None = None
+        if start is not None and self.poke.tip.slips:
+            moved = (start - scene.rest)[scene.open]
+            slide = moved - (moved @ scene.toward)[:, None] * scene.toward
         found = Pressed(scene.rest, scene.open[touched], depth, 0.0, False)
         for _ in range(MOST_ROUNDS):
             here = scene.open[touched]

@@ -23,8 +23,9 @@ from deformscope.stages.msm import clusters
 from deformscope.stages.msm.clusters import spacing as median_spacing
 from deformscope.stages.msm.poke import Law, Poke, PokeSetup, Pressed, Tip, press
 from deformscope.stages.msm.solver import Precision
+from deformscope.stages.poke.dent_residual import DentResidual
 from deformscope.stages.poke.layers import Layers, MeasuredSurface
-from deformscope.stages.poke.poke_fit import CELLS_ACROSS_TIP, SLIPPED, scene_below
+from deformscope.stages.poke.poke_fit import CELLS_ACROSS_TIP, SLIPPED, flat_edge, scene_below
 from deformscope.stages.poke.stiffness_field import CONTACT, StiffnessField, fit_field
 from deformscope.stages.regions.posterior import SurfaceKind
 
@@ -69,6 +70,7 @@ class FittedModel:
     surface_error: root mean square distance from the surface near the pokes, as a share of their depth; held_out: the
     same on pokes left out of the fit, nan with one poke; rivals: other laws that do about as well
     fitted_depth: of the deepest poke that was fitted [m]; fitted_strain: the largest depth over tip width; nan: unknown
+    residual: what the law leaves of the surface beside the tip of every poke that it was fitted to
     provenance: where it comes from
     """
 
@@ -91,6 +93,7 @@ class FittedModel:
     fitted_depth: float = float("nan")
     fitted_strain: float = float("nan")
     rivals: tuple[Rival, ...] = ()
+    residual: DentResidual | None = None
     provenance: Mapping[str, object] = field(default_factory=dict)
 
     @property
@@ -160,7 +163,7 @@ class Prediction:
     depth [m]; force [N] and its 90 % interval, None without a measured force; stiffness: k [N/m] there
     surface_error: how far particles of the surface near the tip may be off, root mean square [m]
     extrapolated: in what respects the poke lies beyond what was fitted, in words
-    layers: the lattice, for a body of layers; converged
+    layers: the lattice, for a body of layers; converged; residual: of the model, for points beside the tip
     """
 
     poke: Poke
@@ -176,13 +179,17 @@ class Prediction:
     extrapolated: tuple[str, ...]
     layers: Layers | None
     converged: bool
+    residual: DentResidual | None = None
 
     def at(self, points: FloatArray) -> FloatArray:
-        """Where points (n, 3) of the surface go, between the lattice's columns; those beyond the lattice stay."""
+        """Where points (n, 3) of the surface go, between the lattice's columns, with what the law was found to leave
+        beside a tip; those beyond the lattice stay."""
         if self.layers is None:
             raise InputError("a model of layers below a surface", "one of particles", "leave out the points")
-        weights, inside = self.layers.interpolation(points[:, :2])
+        weights, inside = self.layers.interpolation(points[:, :2], flat_edge(self.poke.at, self.poke.tip))
         moved = weights @ (self.position - self.rest)
+        if self.residual is not None and self.poke.tip.shape != "sphere":
+            moved = moved + self.residual.at(points, self.poke.at[:2], self.poke.tip, self.depth)
         return np.asarray(points + np.where(inside[:, None], moved, 0.0))
 
 
@@ -224,6 +231,7 @@ def predict(model: FittedModel, poke: Poke, *, precision: Precision = "float32",
         extrapolated=model.beyond(found.depth, poke.tip),
         layers=layers,
         converged=found.converged,
+        residual=model.residual,
     )
 
 
@@ -238,7 +246,7 @@ def _force_interval(
     for rival in model.rivals:
         scene, _ = scene_of(model, rival.law, poke)
         same = dataclasses.replace(poke, depth=found.depth, force=None)
-        other = press(scene, rival.law, same, precision=precision, device=device)
+        other = press(scene, rival.law, same, start=found.position, precision=precision, device=device)
         if other.converged:
             responses.append(other.reaction * float(np.median(rival.stiffness / model.stiffness)))
     return known.interval[0] * min(responses), known.interval[1] * max(responses)

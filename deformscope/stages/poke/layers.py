@@ -89,6 +89,18 @@ class MeasuredSurface:
 
 
 @dataclass(frozen=True, slots=True)
+class FlatEdge:
+    """Where a flat tip ends: beside it a surface falls as the root of the distance (Sneddon 1965), steeper than a
+    lattice can.
+
+    middle, half: (2,) of its footprint [m]
+    """
+
+    middle: FloatArray
+    half: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
 class Layers:
     """A lattice of particles below a surface.
 
@@ -104,12 +116,17 @@ class Layers:
     spacing: float
     origin: FloatArray
 
-    def interpolation(self, place: FloatArray) -> tuple[csr_array, BoolArray]:
+    def interpolation(self, place: FloatArray, edge: FlatEdge | None = None) -> tuple[csr_array, BoolArray]:
         """Weights (m, K) that take values at particles to values at places (m, 2) of the top layer, and where these lie
-        between four columns that are there (m,). Bilinear."""
-        across = (np.asarray(place) - self.origin) / self.spacing
+        between four columns that are there (m,). Bilinear; from a flat tip's edge to the next column as the root of the
+        distance. The lattice ends less than a cell before the material: there the outermost columns' values hold."""
+        across: FloatArray = (np.asarray(place) - self.origin) / self.spacing
+        ends = np.clip(across, 0.0, np.array(self.shape[:2]) - 1.0)
+        across = np.asarray(np.where(np.abs(across - ends) < 1.0 - 1e-9, ends, across), dtype=np.float64)
         low = np.floor(across + 1e-9).astype(np.int64)
         share = np.clip(across - low, 0.0, 1.0)
+        if edge is not None:
+            share = self._beside(edge, low, share)
         particle = np.full(self.shape, -1, dtype=np.int64)
         particle.reshape(-1)[self.cell] = np.arange(len(self.cell))
         upper = particle[:, :, -1]
@@ -129,6 +146,23 @@ class Layers:
             weights.append(weight[used])
         entries = (np.concatenate(weights), (np.concatenate(rows), np.concatenate(columns)))
         return csr_array(entries, shape=(len(low), len(self.rest))), inside
+
+    def _beside(self, edge: FlatEdge, low: IntArray, share: FloatArray) -> FloatArray:
+        """Shares (m, 2) of the way across cells (m, 2), those that the tip's edge crosses stretched."""
+        middle, half = ((value / self.spacing) for value in (edge.middle - self.origin, edge.half * (1.0 + 1e-6)))
+        first = low - middle  # of the cell, from the tip's middle
+        beside = np.abs(first + share) <= half + 1.0
+        found = share.copy()
+        for axis in range(2):
+            here = beside[:, 1 - axis]
+            for sign in (1.0, -1.0):  # on the far side as on the near one, looked at in a mirror
+                near = first[:, axis] if sign > 0.0 else -first[:, axis] - 1.0
+                crossed = here & (near <= half[axis]) & (near + 1.0 > half[axis])
+                begins = half[axis] - near[crossed]
+                along = share[crossed, axis] if sign > 0.0 else 1.0 - share[crossed, axis]
+                root = np.sqrt(np.maximum(along - begins, 0.0) / (1.0 - begins))
+                found[crossed, axis] = root if sign > 0.0 else 1.0 - root
+        return found
 
 
 def below(

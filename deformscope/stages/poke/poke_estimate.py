@@ -183,7 +183,7 @@ def conclude(
     numbers = found_in_numbers("beta", best.law.beta, ends, bounds, identified, converged=best.converged)
     reasons = ordered(numbers)
     k = _stiffness(fit, profile, posterior, level)
-    model = _model(fit, provenance)
+    model = model_of(fit, provenance)
     estimate = Estimate(
         parameter="beta",
         value=best.law.beta,
@@ -347,7 +347,8 @@ def _comparison(one: PosedPoke, law: Law) -> Comparison:
     )
 
 
-def _model(fit: PokesFit, provenance: Mapping[str, object]) -> FittedModel:
+def model_of(fit: PokesFit, provenance: Mapping[str, object]) -> FittedModel:
+    """What predicts other pokes; of `conclude`, without what it says of beta."""
     measured, k = fit.stiffness(fit.best)
     places = np.array([fit.pokes[i].at for i in measured]).reshape(-1, 3)
     field = fit_field(places[:, :2], k, fit.pokes[0].tip.width) if measured.size else None
@@ -374,5 +375,6 @@ def _model(fit: PokesFit, provenance: Mapping[str, object]) -> FittedModel:
         fitted_depth=max(poke.depth for poke in fit.pokes),
         fitted_strain=max(poke.depth / poke.tip.width for poke in fit.pokes),
         rivals=tuple(rivals),
+        residual=fit.best.residual,
         provenance=provenance,
     )

@@ -8,7 +8,7 @@ cluster size is the one whose error is smallest; how well it does on pokes left 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,7 +25,8 @@ from deformscope.stages.msm import clusters
 from deformscope.stages.msm.clusters import spacing as median_spacing
 from deformscope.stages.msm.poke import Law, PokedBody, PokeSetup, Tip, hold, settle
 from deformscope.stages.msm.solver import Precision
-from deformscope.stages.poke.layers import Layers, MeasuredSurface, below
+from deformscope.stages.poke.dent_residual import DentResidual, SurfaceLeft, residual_of
+from deformscope.stages.poke.layers import FlatEdge, Layers, MeasuredSurface, below
 
 FIRST_SIZES, SIZES = (3, 4), (2, 7)
 """Cluster sizes tried first, and the smallest and largest that are tried at all, where none is asked for."""
@@ -65,6 +66,8 @@ class SeenPoke:
     average_over: cells of this side, seen from above, whose mean displacement is compared in place of each point's [m]:
     white noise of many points falls, and what is left is the misfit; None: every point by itself
     misfit_over: points nearer than this share the model's misfit [m], None: the tip's width
+    footprint: `at` and `tip` are of the tip itself, so that all below it is touched; else what lies between the touched
+    points is
     heights_only: `points` are places where a camera saw the surface afterwards, and of `moved` it measures the height
     alone, not which point of the material stands there
     """
@@ -78,6 +81,7 @@ class SeenPoke:
     moved: FloatArray
     noise: FloatArray | None
     force: float | None
+    footprint: bool = False
     heights_only: bool = False
     average_over: float | None = None
     misfit_over: float | None = None
@@ -108,13 +112,16 @@ def seen_poke(seen: Observation) -> SeenPoke:
     free = seen.observed
     sideways = move[touched, :2] - move[touched, :2].mean(axis=0)
     slips = bool(np.abs(sideways).max() > SLIPPED * depth)
+    if seen.tip is not None and len(touched) < 2:
+        slips = seen.tip.slips  # one point alone cannot show it
     low, high = rest[:, :2].min(axis=0), rest[:, :2].max(axis=0)
     size = np.maximum(high - low, 1e-3 * median_spacing(seen.rest))
     if (high - low).min() <= 0.0:
         size = np.maximum(high - low, median_spacing(seen.rest))
     tip = seen.tip or Tip("flat", (float(size[0]), float(size[1])))
+    middle = 0.5 * (low + high) if seen.tip_at is None else seen.tip_at[:2]
     return SeenPoke(
-        at=np.array([*(0.5 * (low + high)), rest[:, 2].mean()]),
+        at=np.array([*middle, rest[:, 2].mean()]),
         tip=dataclasses.replace(tip, slips=slips),
         depth=depth,
         touched=rest,
@@ -123,6 +130,7 @@ def seen_poke(seen: Observation) -> SeenPoke:
         moved=move[free],
         noise=None if seen.noise is None else seen.noise[free],
         force=seen.force_n,
+        footprint=seen.tip is not None and tip.shape != "sphere",
     )
 
 
@@ -142,6 +150,13 @@ def scene_below(
     return PokeSetup(layers.rest, grouped, layers.bottom, layers.top, DOWN, fine), layers
 
 
+def flat_edge(at: FloatArray, tip: Tip) -> FlatEdge | None:
+    """The edge of a flat tip at a place (2,) or (3,); other tips have none that the surface falls at."""
+    if tip.shape != "flat":
+        return None
+    return FlatEdge(np.asarray(at)[:2], 0.5 * np.asarray(tip.size if len(tip.size) == 2 else tip.size * 2))
+
+
 def default_spacing(surface: MeasuredSurface, tip: Tip) -> float:
     """A lattice spacing that resolves the tip without more than some 30 layers [m]."""
     return max(tip.width / CELLS_ACROSS_TIP, surface.thickness / 30.0)
@@ -153,14 +168,18 @@ class PosedPoke:
     def __init__(
         self, surface: MeasuredSurface, poke: SeenPoke, spacing: float, size: int, precision: Precision, device: str
     ):
-        self.poke, self.size = poke, size
+        self.poke, self.size, self.thickness = poke, size, surface.thickness
         self.scene, layers = scene_below(surface, poke.at, poke.tip, spacing, size)
         upper = layers.rest[layers.top][:, :2]
-        self.touched = self.scene.open[_covered(poke.touched[:, :2], upper, self.scene.spacing)]
+        if poke.footprint:
+            below = np.isfinite(poke.tip.rise(upper - poke.at[:2], self.scene.spacing))
+        else:
+            below = _covered(poke.touched[:, :2], upper, self.scene.spacing)
+        self.touched = self.scene.open[below]
         self.body = hold(self.scene, self.touched, Law(0.0, cluster_size=size), precision, device)
         rest = self.scene.rest[self.touched]
         self.at = rest + _between(poke.touched[:, :2], poke.touched_by, rest[:, :2])
-        weights, inside = layers.interpolation(poke.points[:, :2])
+        weights, inside = layers.interpolation(poke.points[:, :2], flat_edge(poke.at, poke.tip))
         away = np.abs(poke.points[:, :2] - poke.at[:2]).max(axis=1) - 0.5 * max(poke.tip.size)
         self.near = np.flatnonzero(inside & (away <= NEAR_SHARE * surface.thickness))
         self.inside, self.weights, self._layers = inside, weights, layers
@@ -212,6 +231,12 @@ class PosedPoke:
         weights, still = self._layers.interpolation(self.poke.points[:, :2] - found[:, :2])
         height = np.where(still, weights @ displacement[:, 2], found[:, 2])
         return np.column_stack([np.zeros((len(found), 2)), height])
+
+    def left(self, state: PokedBody) -> SurfaceLeft:
+        """What the first of these states leaves of the surface near the poke."""
+        poke, near = self.poke, self.near
+        left = (poke.moved - self.moved(state)[0])[near]
+        return SurfaceLeft(poke.at[:2], poke.tip, poke.depth, poke.points[near], left)
 
     def reaction(self, state: PokedBody) -> FloatArray:
         """Net force on the tip along its direction per unit of stiffness k, (B,) [m]."""
@@ -309,7 +334,7 @@ class ShapeFit:
 
     law; surface_error: (q,) root mean square distance near each poke used, as a share of its depth; held_out: (q,) the
     same with beta and theta fitted to the others, nan with one poke and for all sizes but the best
-    reaction: (p,) of every poke, per unit of k [m]
+    reaction: (p,) of every poke, per unit of k [m]; residual: what is left beside the tip of every poke
     """
 
     law: Law
@@ -317,6 +342,7 @@ class ShapeFit:
     held_out: FloatArray
     reaction: FloatArray
     converged: bool
+    residual: DentResidual | None = None
 
     @property
     def score(self) -> float:
@@ -375,12 +401,19 @@ def fit_pokes(
     tried: dict[int, ShapeFit] = {}
     posed: dict[int, list[PosedPoke]] = {}
     waiting = list(cluster_sizes or FIRST_SIZES)
+    settled: dict[int, PokedBody] = {}  # of each poke under the size before: where to start from
     while waiting:
         size = waiting.pop(0)
         if progress is not None:
             progress("cluster sizes", len(tried), len(tried) + 1 + len(waiting))
-        posed[size] = [PosedPoke(surface, pokes[i], fine, size, precision, device) for i in shaped]
-        tried[size] = _fit_size(surface, pokes, posed[size], shaped, fine, beta_range, theta, precision, device)
+
+        def pose(place: int, size: int = size) -> PosedPoke:
+            made = PosedPoke(surface, pokes[place], fine, size, precision, device)
+            made.state = settled.get(place)
+            return made
+
+        posed[size] = [pose(int(i)) for i in shaped]
+        tried[size] = _fit_size(pose, posed[size], shaped, len(pokes), fine, beta_range, theta, settled)
         for other in [one for one in posed if tried[one].score > min(each.score for each in tried.values())]:
             del posed[other]
         if not waiting and cluster_sizes is None:
@@ -395,31 +428,30 @@ def fit_pokes(
 
 
 def _fit_size(
-    surface: MeasuredSurface,
-    pokes: Sequence[SeenPoke],
+    pose: Callable[[int], PosedPoke],
     posed: Sequence[PosedPoke],
     shaped: IntArray,
+    count: int,
     spacing: float,
     beta_range: tuple[float, float],
     theta: float | None,
-    precision: Precision,
-    device: str,
+    settled: dict[int, PokedBody],
 ) -> ShapeFit:
-    size = posed[0].size
+    """settled: takes in the state of every poke."""
     law, good = fit_shape(posed, beta_range=beta_range, theta=theta)
-    states = [one.settle([law]) for one in posed]
-    error = np.array([_rms(one.residual(state)[0]) for one, state in zip(posed, states, strict=True)])
-    settled = {int(place): (one, state) for place, one, state in zip(shaped, posed, states, strict=True)}
-    reaction = np.empty(len(pokes))
-    for place, poke in enumerate(pokes):
-        if place in settled:
-            one, state = settled[place]
-        else:
-            one = PosedPoke(surface, poke, spacing, size, precision, device)
-            state = one.settle([law])
+    own = dict(zip(shaped.tolist(), posed, strict=True))
+    reaction, error, left = np.empty(count), [], []
+    for place in range(count):
+        one = own.get(place) or pose(place)
+        state = settled[place] = one.settle([law])
         good &= bool(state.converged[0])
         reaction[place] = one.reaction(state)[0] * (one.scene.spacing / spacing)
-    return ShapeFit(law, error, np.full(len(posed), np.nan), reaction, good)
+        if place in own:
+            error.append(_rms(one.residual(state)[0]))
+        if not one.poke.heights_only:
+            left.append(one.left(state))
+    residual = residual_of(left, posed[0].thickness) if len(left) == count else None
+    return ShapeFit(law, np.array(error), np.full(len(posed), np.nan), reaction, good, residual)
 
 
 def _hold_out(posed: Sequence[PosedPoke], law: Law, beta_range: tuple[float, float], theta: float | None) -> FloatArray:

@@ -72,7 +72,7 @@ def dense_flow(before: Image, after: Image, method: FlowMethod = "dis") -> FlowF
 
 
 def flow_both_ways(before: Image, after: Image, method: FlowMethod = "dis") -> tuple[FlowField, FlowField]:
-    """`dense_flow` from `before` to `after` and back, features found once; at once where OpenCV is held to one thread."""
+    """`dense_flow` from `before` to `after` and back; at once where OpenCV is held to one thread."""
     views = _views(before, after, method)
     if cv2.getNumThreads() > 1:
         # two calls would share OpenCV's threads, and DIS's stripes then be other ones from time to time

@@ -10,7 +10,7 @@ import threading
 from abc import abstractmethod
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar, TypeVar
+from typing import ClassVar, Self, TypeVar
 
 from deformscope_drivers.arm import commands
 from deformscope_drivers.arm.commands import SpeedLimits, Velocity
@@ -53,6 +53,11 @@ class Arm(Device[StateT]):
         self._commanded = threading.Lock()
         self._streamed: Streamed | None = None
         self._stopped = ""
+
+    def open(self, *, own_thread: bool = True) -> Self:
+        if not self.is_open:
+            self._stopped = ""
+        return super().open(own_thread=own_thread)
 
     # What is known of it ---------------------------------------------------------------------------------------------
 

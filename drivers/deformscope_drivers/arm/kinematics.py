@@ -73,6 +73,7 @@ class Chain:
         self.velocity_deg_s: FloatArray = np.array([j.velocity_deg_s for j in joints])
         self.effort_nm: FloatArray = np.array([j.effort_nm for j in joints])
         self._identity = np.eye(self.joint_count)
+        self.end_effector_rpy_rad = end_effector_rpy_rad
         self._T_parent_joint = np.array([transform(rotation_from_rpy(*j.rpy_rad), j.xyz_m) for j in joints])
         self.T_last_end_effector: FloatArray = transform(rotation_from_rpy(*end_effector_rpy_rad), end_effector_xyz_m)
 

@@ -10,6 +10,7 @@ from deformscope_drivers.jaco.config import EthernetAddresses as EthernetAddress
 from deformscope_drivers.jaco.config import JacoConfig as JacoConfig
 from deformscope_drivers.jaco.config import Workspace as Workspace
 from deformscope_drivers.jaco.device import Jaco as Jaco
+from deformscope_drivers.jaco.device import open_jaco as open_jaco
 from deformscope_drivers.jaco.double import JacoDouble as JacoDouble
 from deformscope_drivers.jaco.errors import CommLayerMissing as CommLayerMissing
 from deformscope_drivers.jaco.errors import CommunicationTimeout as CommunicationTimeout

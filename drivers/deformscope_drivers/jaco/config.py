@@ -73,6 +73,8 @@ class JacoConfig:
     initialize_fingers: let the fingers open fully when the arm is opened (they move), so that their positions are known
     require_home: move it only if it says that it was homed since it was switched on (`Jaco.home`, or its joystick)
     open_attempts: how often an arm that is not found (1015) is sought before opening fails
+    own_process: a rig's arm is moved by a process of its own, in which the vendor's library is loaded: it erases and
+    halts when this program dies, and a velocity ends there when this program is stopped
     """
 
     library: str | None = None
@@ -89,6 +91,7 @@ class JacoConfig:
     initialize_fingers: bool = False
     require_home: bool = True
     open_attempts: int = 3
+    own_process: bool = True
 
     def __post_init__(self) -> None:
         if self.connection not in PREFIXES:

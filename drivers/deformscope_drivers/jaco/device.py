@@ -19,8 +19,9 @@ import atexit
 import time
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Literal, Self
+from typing import Any, Literal, Self
 
+from deformscope_drivers.arm.beside import ArmBeside
 from deformscope_drivers.arm.commands import JointVelocity, Velocity, by_joints, finite, linear_velocity_of
 from deformscope_drivers.arm.device import CALL_MS, Arm
 from deformscope_drivers.arm.errors import NotStopped
@@ -61,6 +62,11 @@ REACHED_M, REACHED_RAD, REACHED_DEG, REACHED_FINGER = 2e-3, 0.02, 0.5, 70.0
 CANDLE_DEG, CANDLE_WITHIN_DEG = 180.0, 3.0
 
 
+def open_jaco(config: JacoConfig) -> Arm[Any]:
+    """The device, closed: in a process of its own unless the configuration says otherwise."""
+    return ArmBeside(Jaco, config) if config.own_process else Jaco(config)
+
+
 class Jaco(Arm[JacoState]):
     """`with Jaco(JacoConfig(library="/opt/kinova")) as arm:`; with the three reads that every device has.
 
@@ -96,7 +102,6 @@ class Jaco(Arm[JacoState]):
     def open(self, *, own_thread: bool = True) -> Self:
         """Take control of the arm, at rest. Raises NotConnected, LibraryMissing, or the vendor's code by its name."""
         if not self.is_open:
-            self._stopped = ""
             self._pacer = SlotPacer(PERIOD_NS)
             self._sent = self._expired = self._left_out = 0
         super().open(own_thread=own_thread)

@@ -141,6 +141,13 @@ class JacoDouble:
             self._live()
             self._arm.wrench = pushed.copy()
 
+    def put(self, joints_deg: npt.ArrayLike) -> None:
+        """Bring the joints to these angles, (n,) [deg], as somebody does by the joystick, only at once."""
+        with self._lock:
+            self._live()
+            self._arm.joints_deg = self.chain.clip(joints_deg)
+            self._arm.links = self.chain.forward(self._arm.joints_deg)
+
     def put_between_fingers(self, at: npt.ArrayLike) -> None:
         """Let the fingers meet something at these positions, (3,) from 0 to 6800: they close no further."""
         with self._lock:

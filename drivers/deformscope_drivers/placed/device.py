@@ -97,7 +97,6 @@ class PlacedArm(Arm[ArmState]):
     # Run by the device's own thread ----------------------------------------------------------------------------------
 
     def _connect(self) -> None:
-        self._stopped = ""
         self._expect(self.config.state_hz)
         self._next_ns = self._clock()
 

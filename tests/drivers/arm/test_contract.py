@@ -13,7 +13,8 @@ from deformscope_drivers.contract import Bench, DeviceContract
 from deformscope_drivers.errors import OutOfLimits
 from deformscope_drivers.jaco import Jaco, JacoConfig, JacoDouble
 from deformscope_drivers.jaco.chains import CHAINS as JACO
-from deformscope_drivers.memory import SimulatedClock
+from deformscope_drivers.kuka import Kuka, KukaConfig, KukaDouble
+from deformscope_drivers.memory import MemoryTransport, SimulatedClock
 from deformscope_drivers.placed import PlacedArm, PlacedArmConfig
 from tests.drivers.arm.contract import ArmBench, ArmContract
 
@@ -39,6 +40,15 @@ class TestJaco(ArmContract):
         clock = SimulatedClock(1_000_000_000)
         double = JacoDouble(request.param, clock)
         arm = Jaco(JacoConfig(), double, clock=clock)
+        return ArmBench(arm, polled(arm, clock), lambda: double.T_base_end_effector)
+
+
+class TestKuka(ArmContract):
+    @pytest.fixture(params=[0.012, 0.004])
+    def bench(self, request: pytest.FixtureRequest) -> ArmBench:
+        clock = SimulatedClock(1_000_000_000)
+        double = KukaDouble(cycle_s=request.param)
+        arm = Kuka(KukaConfig(cycle_s=request.param), MemoryTransport(double, clock), clock=clock)
         return ArmBench(arm, polled(arm, clock), lambda: double.T_base_end_effector)
 
 

@@ -48,7 +48,7 @@ def test_touches_exclude_the_lumps_that_they_lie_in() -> None:
     centres = random.uniform(0.06, [0.54, 0.34], (20000, 2))
     deep = 0.06 - np.min([np.hypot(*(centres - at).T) for at in places], axis=0)
     # a share of 0.2 of twice the stiffness is 14 %, more than three deviations; at 0.05 it is less than one
-    at_most, at_least = (float((ndtr(deep / 0.012) < share).mean()) for share in (0.2, 0.05))
+    at_most, at_least = (float((ndtr(deep / posterior.prior.blur_m) < share).mean()) for share in (0.2, 0.05))
     low, high = (LUMP_PRIOR * share / (1.0 - LUMP_PRIOR + LUMP_PRIOR * share) for share in (at_least, at_most))
     assert low < Lumps(posterior, 0.06).probability < high
 
@@ -62,16 +62,24 @@ def test_of_worlds_that_read_the_same_so_many_have_a_lump() -> None:
     count = 400_000
     centres = random.uniform(0.085, [0.515, 0.315], (count, 2))
     there = random.random(count) < LUMP_PRIOR
-    felt = np.log(LUMP_CONTRAST) * ndtr((0.085 - np.hypot(*(places[:, None] - centres).transpose(2, 0, 1))) / 0.012)
+    inside_m = 0.085 - np.hypot(*(places[:, None] - centres).transpose(2, 0, 1))
+    felt = np.log(LUMP_CONTRAST) * ndtr(inside_m / posterior.prior.blur_m)
     read = felt * there + sd * random.standard_normal((3, count))
     same = (np.abs(read) < 0.5 * sd).all(axis=0)
     assert same.sum() > 5000
     assert Lumps(posterior, 0.085).probability == pytest.approx(float(there[same].mean()), abs=0.02)
 
 
-def test_a_place_that_is_only_known_to_be_stiffer_than_the_arm_hides_lumps() -> None:
-    inside = [(0.3, 0.2)]
-    assert Lumps(touched(inside, rigid=True), 0.06).probability > Lumps(touched(inside), 0.06).probability
+def test_what_is_rigid_has_no_lumps() -> None:
+    """Left foam, right rigid: lumps are sought in the foam alone, and no touch of what is rigid would show one."""
+    left = [(0.1, 0.1), (0.1, 0.3), (0.2, 0.2)]
+    right = [(0.4, 0.1), (0.4, 0.3), (0.5, 0.2), (0.55, 0.05), (0.55, 0.35)]
+    samples = [StiffnessSample(np.array(at), 0.0, SD) for at in left]
+    samples += [StiffnessSample(np.array(at), 2.0, SD, rigid=True) for at in right]
+    start = RegionPosterior.before_touches(GRID, particle_count=100)
+    lumps = Lumps(functools.reduce(RegionPosterior.with_touch, samples, start), 0.06)
+    in_foam, in_rigid = lumps.gain(np.array([(0.1, 0.2), (0.5, 0.12)]))
+    assert in_rigid < 0.1 * in_foam
 
 
 def test_the_gain_is_the_chance_of_the_first_touch_that_shows_one() -> None:

@@ -116,10 +116,10 @@ def test_information_is_that_of_two_hypotheses_in_closed_form() -> None:
     other = int(np.argmax((labels != labels[one]).sum(axis=1)))
     pair = maps.take(np.array([one, other]))
     level = np.array([[0.0, 0.5], [0.0, 0.5]])
-    hypotheses = RegionHypotheses(((pair, level, np.zeros((2, 2, 2)), np.array([0.5, 0.5])),), ())
+    hypotheses = RegionHypotheses(((pair, level, np.zeros((2, 2, 2)), np.array([0.5, 0.5])),), (), True)
     found = information(hypotheses, places, 0.012, 0.2)
 
-    mean = (pair.shares(places, 0.012) @ level[0])[..., None]
+    mean = np.log(pair.shares(places, 0.012) @ np.exp(level[0]))[..., None]
     y = np.linspace(-2.0, 3.0, 5001)
     density = norm.pdf(y, mean, 0.2).mean(axis=0)
     entropy = -np.sum(density * np.log(density + 1e-300), axis=-1) * (y[1] - y[0])

@@ -30,6 +30,7 @@ def test_a_poke_with_another_tip_depth_and_place_is_as_the_law_that_made_both(mo
     found = predict(model, Poke(asked.at, asked.tip, depth=asked.depth))
     error = np.linalg.norm(found.at(truth.rest) - truth.deformed, axis=1)
     assert np.sqrt(np.mean(error**2)) < 0.01 * asked.depth
+    assert found.force is not None
     assert found.force == pytest.approx(truth.force_n, rel=0.02)
     assert found.force_interval is not None
     assert found.force_interval[0] < found.force < found.force_interval[1]

@@ -8,7 +8,7 @@ import pytest
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 from deformscope.stages.msm import clusters
-from deformscope.stages.poke.layers import MeasuredSurface, below
+from deformscope.stages.poke.layers import FlatEdge, MeasuredSurface, below
 
 
 def surface_points(height: float = 0.05, slope: float = 0.0, spacing: float = 0.01) -> FloatArray:
@@ -79,6 +79,25 @@ def test_values_between_columns_are_bilinear_and_beyond_them_are_reported() -> N
     np.testing.assert_allclose(found[:50], expected, rtol=1e-9)
     assert inside[:50].all()
     assert not inside[50:].any()
+
+
+def test_beside_a_flat_tip_values_fall_as_the_root_of_the_distance() -> None:
+    layers = below(MeasuredSurface(surface_points(), 0.03), spacing=0.01)
+    edge = FlatEdge(np.array([0.1, 0.06]), np.array([0.02, 0.01]))
+    under = (np.abs(layers.rest[:, :2] - edge.middle) <= edge.half + 1e-9).all(axis=1)
+    place = np.array([[0.1, 0.06], [0.12, 0.06], [0.1225, 0.06], [0.0775, 0.06], [0.1, 0.0725], [0.1225, 0.1]])
+    weights, _ = layers.interpolation(place, edge)
+    np.testing.assert_allclose(weights @ np.where(under, 1.0, 0.2), [1.0, 1.0, 0.6, 0.6, 0.6, 0.2], atol=1e-4)
+    far = FlatEdge(edge.middle, np.array([0.025, 0.01]))  # between columns: full depth up to the edge itself
+    weights, _ = layers.interpolation(np.array([[0.124, 0.06], [0.12625, 0.06]]), far)
+    np.testing.assert_allclose(weights @ np.where(under, 1.0, 0.2), [1.0, 0.6], atol=1e-4)
+
+
+def test_the_outermost_columns_stand_for_what_is_less_than_a_cell_beyond_them() -> None:
+    layers = below(MeasuredSurface(surface_points(), 0.03), spacing=0.01, centre=np.array([0.005, 0.005]))
+    weights, inside = layers.interpolation(np.array([[0.0, 0.005], [0.0, 0.0]]))
+    assert inside.all()
+    np.testing.assert_allclose(weights @ layers.rest[:, 0], 0.005)
 
 
 @pytest.mark.parametrize(

@@ -45,6 +45,17 @@ def test_a_known_law_and_stiffness_come_back() -> None:
     assert found.best.converged
 
 
+def test_a_tip_whose_place_is_known_presses_all_below_it() -> None:
+    at = (0.0938, 0.0835)  # points 1 cm apart show four of nine columns
+    seen = poked(at)
+    known = dataclasses.replace(seen, tip=Tip("flat", (0.02, 0.02)), tip_at=np.array([*at, 0.03]))
+    np.testing.assert_allclose(seen_poke(known).at, [*at, 0.03])
+    found, without = (fit(one, cluster_sizes=[3]) for one in (known, seen))
+    assert found.best.law.beta == pytest.approx(LAW.beta, abs=0.02)
+    assert found.stiffness(found.best)[1] == pytest.approx([STIFFNESS], rel=0.01)
+    assert abs(without.stiffness(without.best)[1][0] / STIFFNESS - 1.0) > 0.2
+
+
 def test_the_true_cluster_size_is_chosen_and_theta_stays_where_it_is_reported() -> None:
     found = fit(poked((0.09, 0.08), law=Law(0.45, 0.7, 4)), poked((0.06, 0.09), law=Law(0.45, 0.7, 4), side=0.04))
     assert found.best.law.cluster_size == 4

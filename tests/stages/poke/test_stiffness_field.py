@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 import pytest
 
 from deformscope.errors import InputError
+from deformscope.stages.poke import stiffness_field
 from deformscope.stages.poke.stiffness_field import StiffnessField, fit_field
 from tests.cases import slow_but
 
@@ -20,6 +23,14 @@ def grid(columns: int = 4, rows: int = 3) -> np.ndarray:
     """(n, 2) places on a surface of 0.4 x 0.3 m."""
     x, y = np.meshgrid(np.linspace(0.05, 0.35, columns), np.linspace(0.05, 0.25, rows), indexing="ij")
     return np.column_stack([x.ravel(), y.ravel()])
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _fewer_maps() -> Iterator[None]:
+    """As many as these surfaces need: a third of the time."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(stiffness_field, "PARTICLES", 300)
+        yield
 
 
 @pytest.fixture(scope="module")

@@ -43,20 +43,64 @@ def posterior(seen: list[StiffnessSample], *, particle_count: int = 300, seed: i
 
 @pytest.mark.parametrize("k", [1, 2, 3])
 def test_levels_are_integrated_as_a_gaussian_s_marginal(k: int) -> None:
-    """Without a least contrast the likelihood is that of y ~ N(0, S^2 F F^T + R), the levels its conditional mean."""
+    """Without a least contrast, and were a mean of logarithms felt, the likelihood is that of y ~ N(0, F P F^T + R),
+    the levels its conditional mean."""
     rng = np.random.default_rng(k)
     shares = rng.dirichlet(np.ones(k), (4, 6))
-    prior = RegionPrior(least_contrast=0.0, mixed_share=0.0)
+    prior = RegionPrior(least_contrast=0.0, mixed_share=0.0, forces_add=False)
+    before = prior.level_sd**2 * np.eye(k) + prior.common_sd**2
     readings = posterior_module._readings(touches(rng.standard_normal(6)), prior)
     found, level, cov = posterior_module._levels(shares, readings, prior)
 
     for one in range(4):
-        joint = shares[one] @ shares[one].T + np.diag(readings.variance)
+        joint = shares[one] @ before @ shares[one].T + np.diag(readings.variance)
         expected = multivariate_normal(np.zeros(6), joint).logpdf(readings.value)
         assert found[one] == pytest.approx(expected, rel=1e-9)
-        gain = shares[one].T @ np.linalg.inv(joint)
+        gain = before @ shares[one].T @ np.linalg.inv(joint)
         np.testing.assert_allclose(level[one], gain @ readings.value, atol=1e-9)
-        np.testing.assert_allclose(cov[one], np.eye(k) - gain @ shares[one], atol=1e-9)
+        np.testing.assert_allclose(cov[one], before - gain @ shares[one] @ before, atol=1e-9)
+
+
+def test_under_a_contact_forces_add() -> None:
+    """Evidence and levels against a sum over all levels: contacts feel the logarithm of the mean stiffness, which the
+    model takes as linear about where the levels roughly are. One side is twelve times the other."""
+    share = np.array([1.0, 0.97, 0.5, 0.2, 0.0, 0.0])
+    shares, at = np.stack([share, 1.0 - share], axis=-1)[None], np.array([-0.5, 2.0])
+    prior = RegionPrior(least_contrast=0.0, mixed_share=0.0)
+    felt = np.log(shares[0] @ np.exp(at))
+    off = 0.03 * np.random.default_rng(1).standard_normal(6)
+    readings = posterior_module._readings(touches(felt + off), prior)
+    found, level, cov = posterior_module._levels(shares, readings, prior)
+
+    axis = np.linspace(-0.25, 0.25, 201)
+    grid = np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1).reshape(-1, 2) + at - readings.centre
+    before = prior.level_sd**2 * np.eye(2) + prior.common_sd**2
+    noise = multivariate_normal(np.zeros(6), np.diag(readings.variance))
+    joint = multivariate_normal(np.zeros(2), before).logpdf(grid)
+    joint += noise.logpdf(readings.value - np.log(np.exp(grid) @ shares[0].T))
+    weight = np.exp(joint - joint.max())
+    assert found[0] == pytest.approx(joint.max() + np.log(weight.sum() * (axis[1] - axis[0]) ** 2), abs=0.05)
+    weight /= weight.sum()
+    np.testing.assert_allclose(level[0], weight @ grid, atol=0.004)
+    np.testing.assert_allclose(np.diagonal(cov[0]), weight @ (grid - weight @ grid) ** 2, rtol=0.05)
+    # a mean of logarithms would be off by 0.4
+    assert np.abs(felt - shares[0] @ at).max() > 0.4
+
+
+def test_where_touches_were_made_says_nothing_of_the_levels() -> None:
+    """Two foams and something rigid: more touches on the latter leave the evidence of the former as it is."""
+    three = np.eye(3)[[0, 0, 1, 1, 2, 2]]
+    two = np.column_stack([three[:, 0] + three[:, 1], three[:, 2]])
+    gained = []
+    for more in (0, 2):
+        values = np.array([0.0, 0.02, 0.4, 0.38, 3.0, 3.0] + more * [3.0])
+        readings = posterior_module._readings(touches(values, sd=0.05), prior := RegionPrior())
+        evidence = [
+            posterior_module._levels(np.vstack([some, np.tile(some[-1], (more, 1))])[None], readings, prior, 0.05)[0][0]
+            for some in (three, two)
+        ]
+        gained.append(evidence[0] - evidence[1])
+    assert gained[1] == pytest.approx(gained[0], abs=0.1)
 
 
 def test_least_contrast_cuts_the_prior_where_levels_are_alike() -> None:
@@ -67,7 +111,7 @@ def test_least_contrast_cuts_the_prior_where_levels_are_alike() -> None:
     readings = posterior_module._readings(touches([0.0, 0.1, 0.3, 0.5], sd=0.2), prior)
     found, _, _ = posterior_module._levels(shares, readings, prior)
 
-    drawn = rng.standard_normal((400_000, 2))
+    drawn = rng.standard_normal((400_000, 2)) + prior.common_sd * rng.standard_normal((400_000, 1))
     drawn = drawn[np.abs(drawn[:, 0] - drawn[:, 1]) > 0.4]
     off = readings.value - drawn @ shares[0].T
     likelihood = np.exp(-0.5 * (off**2 / readings.variance + np.log(2.0 * np.pi * readings.variance)).sum(axis=1))
@@ -195,10 +239,11 @@ def test_what_makes_no_sense_is_refused() -> None:
 
 
 def test_an_arm_that_is_off_moves_all_touches_together() -> None:
-    """The likelihood is that of y ~ N(0, S^2 F F^T + a a^T + R), scatter and the touches' own noise in R."""
+    """The likelihood is that of y ~ N(0, F P F^T + a a^T + R), scatter and the touches' own noise in R."""
     rng = np.random.default_rng(0)
     shares, arm = rng.dirichlet(np.ones(2), (1, 6)), rng.uniform(0.0, 0.3, 6)
-    prior = RegionPrior(least_contrast=0.0, mixed_share=0.0)
+    prior = RegionPrior(least_contrast=0.0, mixed_share=0.0, forces_add=False)
+    before = prior.level_sd**2 * np.eye(2) + prior.common_sd**2
     seen = [
         StiffnessSample(one.xy_m, one.log_stiffness, one.log_sd, arm_sd=float(shift))
         for one, shift in zip(touches(rng.standard_normal(6)), arm, strict=False)
@@ -207,11 +252,11 @@ def test_an_arm_that_is_off_moves_all_touches_together() -> None:
     found, level, cov = posterior_module._levels(shares, readings, prior, 0.1)
 
     related = TouchErrorModel().related(np.array(SPREAD[:6]))
-    joint = shares[0] @ shares[0].T + np.outer(arm, arm) + 0.05**2 * np.eye(6) + 0.1**2 * related
+    joint = shares[0] @ before @ shares[0].T + np.outer(arm, arm) + 0.05**2 * np.eye(6) + 0.1**2 * related
     assert found[0] == pytest.approx(multivariate_normal(np.zeros(6), joint).logpdf(readings.value), rel=1e-9)
-    gain = shares[0].T @ np.linalg.inv(joint)
+    gain = before @ shares[0].T @ np.linalg.inv(joint)
     np.testing.assert_allclose(level[0], gain @ readings.value, atol=1e-9)
-    np.testing.assert_allclose(cov[0], np.eye(2) - gain @ shares[0], atol=1e-9)
+    np.testing.assert_allclose(cov[0], before - gain @ shares[0] @ before, atol=1e-9)
 
 
 @pytest.mark.parametrize("scatter", [0.0, 0.1])

@@ -1,0 +1,210 @@
+"""What `deformscope calibrate tip`, `place`, `camera`, `force` and `time` do: measure, solve, write."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import datetime
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
+
+import numpy.typing as npt
+
+from deformscope.api.moving import ask_line
+from deformscope.api.rigs import Interruption, member_of, until_interrupted
+from deformscope.api.setups import table_of
+from deformscope.errors import InputError
+from deformscope.experiments.setting_up import Operator, SetupRequest
+from deformscope.file_io import read_file, replacing
+from deformscope.files.arrays_file import read_arrays
+from deformscope.log.findings import RigFindings
+from deformscope.pictures.findings import Findings
+from deformscope.pictures.report import Figure, Table
+from deformscope.rig.rig_edit import Values, edited, lines_of
+from deformscope.rig.rig_file import Rig, RigDevice, load_rig
+from deformscope.robot.setup import RigParts, open_rig
+from deformscope.session import RigExperiment, Step, finish, run
+from deformscope.terminal import say
+
+if TYPE_CHECKING:
+    from deformscope.config import SetupOptions
+    from deformscope.lab.hidden import SimulatedHand
+    from deformscope.recording.recorder import Recorder
+    from deformscope.rig.source import RigSource
+
+M = TypeVar("M")
+Arrays = Mapping[str, npt.NDArray[Any]]
+TAPS_S = (0.9, 1.3, 0.7, 1.6, 1.0)
+"""Between the taps of a simulated person: uneven."""
+
+
+@dataclass(frozen=True, slots=True)
+class SetupFound:
+    """What was found.
+
+    kind: place, tip, camera, force or time; values: for the rig file; rows: of the table, names and values
+    figure: how far each measurement is off; found: for JSON
+    """
+
+    kind: str
+    values: Values
+    rows: tuple[tuple[str, str], ...]
+    figure: Figure
+    found: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def dated(self) -> Values:
+        """The values, with the date."""
+        section = f"calibrated.{self.kind}"
+        return {**self.values, section: {"date": today(), **self.values.get(section, {})}}
+
+    def findings(self, where: str) -> Findings:
+        """Its table and picture. where: the rig's name"""
+        return Findings((Table(self.rows, caption=f"{self.kind} of {where}"),), (self.figure,))
+
+
+def today() -> datetime.date:
+    """By this computer's clock, in UTC: as ages are counted."""
+    return datetime.datetime.now(tz=datetime.UTC).date()
+
+
+@dataclass(frozen=True, slots=True)
+class Station:
+    """Who and what takes part. arm, wrench, camera: names of devices, empty where the rig has none; operator: who moves
+    things"""
+
+    arm: str
+    wrench: str
+    camera: str
+    operator: Operator
+
+
+@dataclass(frozen=True, slots=True)
+class SetupTask(Generic[M]):
+    """One of these commands.
+
+    kind: of it; needs: kinds of devices; measure: the experiment; arrays: what was measured, out of a file of arrays
+    solve: what is found of it
+    """
+
+    kind: str
+    needs: tuple[str, ...]
+    measure: Callable[[Station], RigExperiment[M]]
+    arrays: Callable[[Arrays], M]
+    solve: Callable[[Rig, M], SetupFound]
+
+
+def set_up(config: SetupOptions, task: SetupTask[M], recorder: Recorder) -> SetupFound:
+    """Measure, or read what was measured; solve; write it into the rig file unless that is not wanted."""
+    rig = load_rig(config.rig, trusted=config.trust_rig)
+    if config.measured is not None:
+        expected = "a file of arrays (.npz)"
+        made = task.arrays(read_arrays(read_file(config.measured, expected), expected, config.measured))
+        found = task.solve(rig, made)
+        recorder.write(Step((found.findings(rig.name),)))
+    else:
+        with until_interrupted() as asked, _open(rig, task, asked) as (source, station):
+            recorder.start_rig(source.streams, source.start_ns)
+            made = run(source, task.measure(station), recorder)
+            found = task.solve(rig, made)
+            recorder.write(Step((RigFindings(found.findings(rig.name), tuple(source.streams)),)))
+            finish(source, recorder)
+    if config.write:
+        write_values(Path(config.rig), found.dated)
+    return found
+
+
+def write_values(path: Path, values: Values) -> None:
+    """Into the rig file, which is then as good as it was, or stays as it was."""
+    from deformscope.rig.rig_file import parse_rig
+
+    text = edited(path.read_text(encoding="utf-8"), values)
+    parse_rig(text, str(path), trusted=True)
+    with replacing(path) as file:
+        file.write(text.encode())
+    say(f"written into {path}: {', '.join(f'[{section}]' for section in values)}")
+
+
+def written_lines(found: SetupFound) -> str:
+    """What is written, as lines of a rig file."""
+    return lines_of(found.dated)
+
+
+# Devices and the person at them ---------------------------------------------------------------------------------------
+
+
+@contextlib.contextmanager
+def _open(rig: Rig, task: SetupTask[Any], asked: Interruption) -> Iterator[tuple[RigSource, Station]]:
+    """The devices, open, and who stands there: a person at a terminal, or the laboratory's."""
+    if rig.surface.scene:
+        from deformscope.lab.hidden import SimulatedHand
+
+        parts = RigParts.of(rig)
+        table, hidden = table_of(parts)
+        assert table is not None
+        if hidden is None:
+            came = "doubles that are where the file says"
+            raise InputError(
+                "something to find out", came, "hidden = 1 in [surface]: drawn, and to be calibrated", rig.name
+            )
+        with open_rig(rig, member_of, table, parts.devices) as source:
+            arm, wrench, camera = parts.devices
+            hand = SimulatedHand(hidden, table, table.size_m)
+            yield source, Station(arm.name, wrench.name, camera.name, _simulated(hand))
+        return
+    devices = {kind: _device_of(rig, kind) for kind in task.needs}
+    used = tuple(devices.values())
+    names = {kind: entry.name for kind, entry in devices.items()}
+    with open_rig(_with(rig, used), member_of, None, ()) as source:
+        played = [names.get(kind, "") for kind in ("arm", "wrench", "depth")]
+        yield source, Station(played[0], played[1], played[2], _at_terminal(asked))
+
+
+def _with(rig: Rig, devices: tuple[RigDevice, ...]) -> Rig:
+    return dataclasses.replace(rig, devices=devices)
+
+
+def _device_of(rig: Rig, kind: str) -> RigDevice:
+    found = [entry for entry in rig.devices if entry.driver.kind == kind]
+    if kind == "depth" and rig.camera.device:
+        found = [entry for entry in rig.devices if entry.name == rig.camera.device]
+    if len(found) != 1:
+        came = ", ".join(entry.name for entry in found) or "none"
+        raise InputError(f"one device of the kind {kind}", came, "the rig file", rig.name)
+    return found[0]
+
+
+def _at_terminal(asked: Interruption) -> Operator:
+    """Somebody who reads what to do, does it, and presses Enter."""
+    if not sys.stdin.isatty():
+        raise InputError("somebody who does what is asked for", "no terminal to ask at", "--measured FILE.npz")
+
+    def does(request: SetupRequest) -> RigExperiment[None]:
+        say(f"{request.words}; then Enter")
+        yield from ask_line("", asked)
+        if asked.is_set():
+            raise InputError("an answer to each request", "Ctrl-C: nothing was written", "begin again")
+
+    return does
+
+
+def _simulated(hand: SimulatedHand) -> Operator:
+    """The laboratory's person, who lets go and taps while frames pass."""
+
+    def does(request: SetupRequest) -> RigExperiment[None]:
+        say(request.words)
+        hand.do(request.kind, request.number, request.axis)
+        if request.kind == "tap":
+            from deformscope.lab.hidden import TAP_S
+
+            for pause_s in TAPS_S:
+                yield Step(batch_s=pause_s)
+                hand.tap()
+                yield Step(batch_s=TAP_S)
+                hand.let_go()
+        yield Step(batch_s=0.3)
+
+    return does

@@ -1,0 +1,60 @@
+"""`deformscope arm where|home|go|jog`: where an arm is, and moving it without exploring.
+
+deformscope arm where rig.toml
+deformscope arm home rig.toml
+deformscope arm go rig.toml --above 0.30,0.20 --height 0.1
+deformscope arm jog rig.toml
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from deformscope.api import arm_moving
+from deformscope.cli.common import recorder_of, say, show_table, write_json
+from deformscope.config import GoConfig, HomeConfig, JogConfig, WhereConfig
+
+
+def where(config: WhereConfig) -> None:
+    """Print where the arm is."""
+    found = arm_moving.where(config)
+    joints = [
+        f"{angle:.1f} ({left:.0f} to its limit)" if np.isfinite(left) else f"{angle:.1f}"
+        for angle, left in zip(found.joints_deg, found.to_limits_deg, strict=True)
+    ]
+    rows = [
+        ("joints [deg]", ", ".join(joints)),
+        ("homed", "yes" if found.homed else "no: deformscope arm home"),
+        ("end [mm]", _mm(found.T_base_ee[:3, 3]) + " in the base frame"),
+        ("tip [mm]", _mm(found.tip_base_m) + " in the base frame"),
+    ]
+    if found.tip_surface_m is not None:
+        rows.append(("", _mm(found.tip_surface_m) + " in the surface frame"))
+    show_table(config.rig, rows)
+    write_json(found, config.json)
+
+
+def home(config: HomeConfig) -> None:
+    """Send the arm home."""
+    arm_moving.home(config)
+    say("the arm is at home")
+
+
+def go(config: GoConfig) -> None:
+    """Bring the tip over a place."""
+    with recorder_of(config, "rig", real_time=True) as recorder:
+        place_m = arm_moving.go(config, config.above, config.height, recorder)
+    say(f"the tip's centre is at {_mm(place_m)} mm in the surface frame")
+    write_json({"center_m": place_m}, config.output.json)
+
+
+def jog(config: JogConfig) -> None:
+    """Move the tip by keys."""
+    with recorder_of(config, "rig", real_time=True) as recorder:
+        place_m = arm_moving.jog(config, recorder)
+    say(f"the tip's centre is at {_mm(place_m)} mm in the surface frame")
+    write_json({"center_m": place_m}, config.output.json)
+
+
+def _mm(place_m: np.ndarray) -> str:
+    return ", ".join(f"{1e3 * value:.1f}" for value in place_m)

@@ -1,0 +1,312 @@
+"""What a rig's set-up is measured from: places where the arm was held, pushes, taps and views of a board.
+
+A person does what each request says, then frames are taken for a moment, and the next is asked for. No robot commands
+anything here: the arm is moved by its joystick, by `deformscope arm jog`, or in the laboratory.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Literal, TypeVar
+
+import numpy as np
+
+from deformscope.arrays import FloatArray
+from deformscope.errors import InputError
+from deformscope.frames import ArmFrame, ColorFrame, DepthFrame, Frame, Item, WrenchFrame
+from deformscope.session import Answer, RigExperiment, Step
+from deformscope.stages.setup.board import CharucoSpec, SeenBoard, find_board
+from deformscope.stages.setup.hand_eye import next_pose
+from deformscope_drivers.arm.kinematics import rotation_from_euler_xyz, transform
+
+FrameT = TypeVar("FrameT", bound=Frame)
+
+HOLD_S = 0.6
+"""For which the arm is held."""
+PUSH_S, REST_S, TAP_S = 1.5, 8.0, 8.0
+STILL_M, STILL_DEG = 0.0008, 0.3
+"""Greatest motion within that of an arm that is held."""
+TRIES = 5
+WAIT_S = 20.0
+"""For frames of a device, before it is said to be silent."""
+PATIENCE = 400
+"""Steps without a frame, of 0.05 s."""
+
+
+@dataclass(frozen=True, slots=True)
+class SetupRequest:
+    """What a person is asked to do.
+
+    kind: corner, tilt, push, rest, tap or view; number: which one of its kind, from 0; words: for the person
+    axis: of a push: what the finger does to the tip, surface frame
+    """
+
+    kind: Literal["corner", "tilt", "push", "rest", "tap", "view"]
+    number: int
+    words: str
+    axis: tuple[float, float, float] | None = None
+
+
+Operator = Callable[[SetupRequest], RigExperiment[None]]
+"""Who does what is asked; frames pass meanwhile."""
+
+
+CORNER_WORDS = (
+    "the corner that is to be the origin",
+    "the corner at the end of the x edge",
+    "the corner at the end of the y edge",
+    "the far corner",
+)
+TILT_WORDS = (
+    "to the left",
+    "to the right",
+    "towards you",
+    "away from you",
+    "half left and towards you",
+    "half right and away",
+)
+PUSHES: tuple[tuple[str, tuple[float, float, float]], ...] = (
+    ("along the table's x edge, away from the origin", (1.0, 0.0, 0.0)),
+    ("along the table's y edge, away from the origin", (0.0, 1.0, 0.0)),
+    ("straight up, from below", (0.0, 0.0, 1.0)),
+    ("along the table's x edge, towards the origin", (-1.0, 0.0, 0.0)),
+    ("along the table's y edge, towards the origin", (0.0, -1.0, 0.0)),
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HeldArm:
+    """T_base_ee: (4, 4) mean pose; joints_deg: (n,) mean; moved_m, moved_deg: how far it went meanwhile"""
+
+    T_base_ee: FloatArray
+    joints_deg: FloatArray
+    moved_m: float
+    moved_deg: float
+
+
+def held(frames: Sequence[ArmFrame]) -> HeldArm:
+    """Where the arm was while it was held."""
+    places = np.array([frame.position_m for frame in frames])
+    joints = np.array([frame.joint_deg for frame in frames])
+    middle = frames[len(frames) // 2]
+    pose = transform(rotation_from_euler_xyz(*map(float, middle.rotation_rad)), places.mean(axis=0))
+    moved_m = float(np.linalg.norm(np.ptp(places, axis=0)))
+    return HeldArm(np.asarray(pose), joints.mean(axis=0), moved_m, float(np.ptp(joints, axis=0).max()))
+
+
+def _frames(seconds: float, wanted: dict[str, type[Frame]]) -> RigExperiment[dict[str, list[Frame]]]:
+    """The frames of devices, by name, until all of them have given so many seconds of them."""
+    taken: dict[str, list[Frame]] = {name: [] for name in wanted}
+    given: Sequence[Item] | Answer | None = yield Step(batch_s=0.05)  # what waited is from before
+    for _ in range(PATIENCE):
+        given = yield Step(batch_s=0.05)
+        _sort(given, wanted, taken)
+        if all(_span_s(frames) >= seconds for frames in taken.values()):
+            return taken
+        if seconds == 0.0 and all(taken.values()):
+            return taken
+    silent = [name for name, frames in taken.items() if not frames]
+    raise InputError(f"frames of {', '.join(wanted)} for {seconds:g} s", f"none of {', '.join(silent) or 'enough'}")
+
+
+def _sort(given: Sequence[Item] | Answer | None, wanted: dict[str, type[Frame]], taken: dict[str, list[Frame]]) -> None:
+    """Put what came of the wanted devices to what was taken of each."""
+    if given is None or isinstance(given, Answer):
+        return
+    for item in given:
+        if isinstance(item, Frame) and item.device in taken and isinstance(item, wanted[item.device]):
+            taken[item.device].append(item)
+
+
+def _span_s(frames: Sequence[Frame]) -> float:
+    return (frames[-1].stamp.host_ns - frames[0].stamp.host_ns) / 1e9 if len(frames) > 1 else -1.0
+
+
+def _held(operator: Operator, request: SetupRequest, arm: str, note: Callable[[str], None]) -> RigExperiment[HeldArm]:
+    """Where the arm is held after a request; asked again while it moves."""
+    for _ in range(TRIES):
+        yield from operator(request)
+        frames = yield from _frames(HOLD_S, {arm: ArmFrame})
+        found = held([one for one in frames[arm] if isinstance(one, ArmFrame)])
+        if found.moved_m < STILL_M and found.moved_deg < STILL_DEG:
+            return found
+        note(f"the arm moved by {1e3 * found.moved_m:.1f} mm: again")
+    raise InputError("an arm that is held still", f"one that moved, {TRIES} times", "let go of the joystick")
+
+
+def touch_corners(
+    operator: Operator, arm: str, corners: Sequence[int], note: Callable[[str], None]
+) -> RigExperiment[FloatArray]:
+    """(n, 4, 4) poses of the arm's end with the tip on each corner."""
+    poses = []
+    for number in corners:
+        words = f"bring the tip down onto {CORNER_WORDS[number]}, the stick upright, until it just touches"
+        poses.append((yield from _held(operator, SetupRequest("corner", number, words), arm, note)).T_base_ee)
+    return np.array(poses)
+
+
+def tilt_about_tip(operator: Operator, arm: str, count: int, note: Callable[[str], None]) -> RigExperiment[FloatArray]:
+    """(n, 4, 4) poses of the arm's end, turned about a ball that stays in its place."""
+    poses = []
+    for number in range(count):
+        words = f"the ball in its cone, tilt the stick {TILT_WORDS[number % len(TILT_WORDS)]} by 20 degrees or more"
+        poses.append((yield from _held(operator, SetupRequest("tilt", number, words), arm, note)).T_base_ee)
+    return np.array(poses)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ForceReadings:
+    """time_s: (n,) from the first; force_n: (n, 3) in the sensor's axes [N]"""
+
+    time_s: FloatArray
+    force_n: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PushedTip:
+    """T_base_ee: (4, 4) of the arm's end; free: in free air
+
+    force_n, axis: (n, 3) of each push: what was felt beyond free air [N], what the finger did to the tip, surface frame
+    tilted: (m, 4, 4) poses in which it was held in free air besides; tilted_n: (m, 3) what was felt there [N]
+    """
+
+    T_base_ee: FloatArray
+    free: ForceReadings
+    force_n: FloatArray
+    axis: FloatArray
+    tilted: FloatArray
+    tilted_n: FloatArray
+
+
+def push_tip(
+    operator: Operator, arm: str, wrench: str, repeats: int, tilts: int, note: Callable[[str], None]
+) -> RigExperiment[PushedTip]:
+    """What the sensor gives in free air, while a finger pushes the tip along the table's axes, and in free air with the
+    stick tilted so often."""
+    yield from operator(SetupRequest("rest", 0, "let nothing touch the tip, the stick upright"))
+    rest = yield from _frames(REST_S, {wrench: WrenchFrame})
+    free = _forces(rest[wrench])
+    where = yield from _frames(HOLD_S, {arm: ArmFrame})
+    pose = held([one for one in where[arm] if isinstance(one, ArmFrame)]).T_base_ee
+    tare_n = free.force_n.mean(axis=0)
+    felt, axes = [], []
+    for number in range(repeats * len(PUSHES)):
+        words, axis = PUSHES[number % len(PUSHES)]
+        request = SetupRequest("push", number, f"push the tip with a finger {words}, with 2 N or more, and hold", axis)
+        yield from operator(request)
+        frames = yield from _frames(PUSH_S, {wrench: WrenchFrame})
+        felt.append(np.median(_forces(frames[wrench]).force_n, axis=0) - tare_n)
+        axes.append(axis)
+        note(f"  {np.linalg.norm(felt[-1]):.1f} N")
+    tilted, weighed = [], []
+    for number in range(tilts):
+        words = f"let nothing touch the tip, tilt the stick {TILT_WORDS[number % len(TILT_WORDS)]} by 30 degrees"
+        tilted.append((yield from _held(operator, SetupRequest("tilt", number, words), arm, note)).T_base_ee)
+        frames = yield from _frames(PUSH_S, {wrench: WrenchFrame})
+        weighed.append(_forces(frames[wrench]).force_n.mean(axis=0))
+    poses, forces = np.array(tilted).reshape(-1, 4, 4), np.array(weighed).reshape(-1, 3)
+    return PushedTip(pose, free, np.array(felt), np.array(axes), poses, forces)
+
+
+def _forces(frames: Sequence[Frame]) -> ForceReadings:
+    used = [one for one in frames if isinstance(one, WrenchFrame)]
+    time_s = np.array([one.stamp.host_ns for one in used], np.float64) / 1e9
+    force_n = np.array([one.force_n[0] for one in used], np.float64)
+    if not np.isfinite(force_n).all():
+        raise InputError("forces in newtons", "counts alone", "sensitivity of the force sensor, in the rig file")
+    return ForceReadings(time_s - time_s[0], force_n)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Taps:
+    """Two signals by the host's clock: x_time_s, x: (n,) of the force; y_time_s, y: (m,) of the other device"""
+
+    x_time_s: FloatArray
+    x: FloatArray
+    y_time_s: FloatArray
+    y: FloatArray
+
+
+def tap_tip(operator: Operator, wrench: str, other: str, kind: type[Frame]) -> RigExperiment[Taps]:
+    """What the force sensor and another device give while the tip is tapped."""
+    words = "within the next eight seconds tap the tip from below with a finger, firmly, five times at uneven times"
+    wanted: dict[str, type[Frame]] = {wrench: WrenchFrame, other: kind}
+    frames: dict[str, list[Frame]] = {name: [] for name in wanted}
+    asked = operator(SetupRequest("tap", 0, words))
+    with contextlib.suppress(StopIteration):
+        step = next(asked)
+        while True:  # somebody may tap while they are asked
+            given = yield step
+            _sort(given, wanted, frames)
+            step = asked.send(given)
+    more = yield from _frames(TAP_S, wanted)
+    for name, some in frames.items():
+        some += more[name]
+    end_ns = more[wrench][-1].stamp.host_ns
+    forces, others = ([one for one in frames[name] if end_ns - one.stamp.host_ns < 2e9 * TAP_S] for name in wanted)
+    start_ns = forces[0].stamp.host_ns
+    x = np.array([np.linalg.norm(one.force_n[0]) for one in forces if isinstance(one, WrenchFrame)])
+    times = [np.array([one.stamp.host_ns - start_ns for one in some]) / 1e9 for some in (forces, others)]
+    return Taps(times[0], x, times[1], moved_signal(others))
+
+
+def moved_signal(frames: Sequence[Frame]) -> FloatArray:
+    """(n,) what a tap moves in a device's frames: an arm's joint torques, or a camera's picture, off their usual."""
+    if isinstance(frames[0], ArmFrame):
+        values = np.array([one.joint_torque_nm for one in frames if isinstance(one, ArmFrame)])
+    else:
+        values = np.array([_small(one) for one in frames if isinstance(one, ColorFrame | DepthFrame)])
+    off = np.asarray(values - np.median(values, axis=0))
+    way = np.linalg.svd(off, full_matrices=False)[2][0]  # what moves most, along which every tap goes the same way
+    along = off @ way
+    return np.asarray(along * np.sign(along[np.argmax(np.abs(along))]))
+
+
+def _small(frame: ColorFrame | DepthFrame) -> FloatArray:
+    image = frame.image if isinstance(frame, ColorFrame) else frame.depth
+    return np.asarray(image[::16, ::16], np.float64).ravel()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BoardViews:
+    """T_base_ee: (n, 4, 4) of the arm's end in each view; seen: the board in it; size_px: (width, height)"""
+
+    T_base_ee: FloatArray
+    seen: tuple[SeenBoard, ...]
+    size_px: tuple[int, int]
+
+
+def view_board(
+    operator: Operator, arm: str, camera: str, board: CharucoSpec, count: int, note: Callable[[str], None]
+) -> RigExperiment[BoardViews]:
+    """So many views of a board that the arm carries; those without it do not count."""
+    poses: list[FloatArray] = []
+    seen: list[SeenBoard] = []
+    size_px = (0, 0)
+    for number in range(TRIES * count):
+        way = "hold the board so that the camera sees all of it" if not poses else next_pose(np.array(poses))[1]
+        pose = yield from _held(operator, SetupRequest("view", number, way), arm, note)
+        frames = yield from _frames(0.0, {camera: ColorFrame | DepthFrame})  # type: ignore[dict-item]
+        image = _colour(frames[camera][-1])
+        found = find_board(image, board)
+        if found is None:
+            note("  the board was not seen in this one")
+            continue
+        poses.append(pose.T_base_ee)
+        seen.append(found)
+        size_px = (image.shape[1], image.shape[0])
+        note(f"  view {len(seen)} of {count}: {len(found.number)} corners")
+        if len(seen) == count:
+            return BoardViews(np.array(poses), tuple(seen), size_px)
+    raise InputError(f"{count} views of the board", f"{len(seen)}", "more light, the board flat and whole in view")
+
+
+def _colour(frame: Frame) -> np.ndarray[tuple[int, ...], np.dtype[np.uint8]]:
+    image = frame.image if isinstance(frame, ColorFrame) else frame.color if isinstance(frame, DepthFrame) else None
+    if image is None:
+        raise InputError(
+            "a camera with colour images", "depth alone", "colour = true, or --measured with touched places"
+        )
+    return np.asarray(image, np.uint8)

@@ -1,0 +1,75 @@
+"""When each part of a rig was measured, and how well: what `deformscope calibrate` writes beside the values."""
+
+from __future__ import annotations
+
+import dataclasses
+import datetime
+from dataclasses import dataclass
+
+from deformscope.rig.checks import check
+
+DAYS = {"arm": 365, "place": 30, "tip": 180, "camera": 90, "force": 180, "time": 365}
+"""After which each is measured again: a table is moved sooner than a stick is bent. Chosen."""
+
+
+@dataclass(frozen=True, slots=True)
+class CalibrationEntry:
+    """One measurement.
+
+    date: of it; half_m, half_deg: half widths of the 90 % intervals of a translation along x, y, z [m] and of a turn
+    about them [deg], in the frame that the transform leads to; half_size_m: those of a surface's sides [m]
+    offset_s, half_s: of clocks; oldest_days: after which it is measured again, None = as is usual for its kind
+    """
+
+    date: datetime.date
+    half_m: tuple[float, ...] = ()
+    half_deg: tuple[float, ...] = ()
+    half_size_m: tuple[float, ...] = ()
+    offset_s: float | None = None
+    half_s: float | None = None
+    oldest_days: int | None = None
+
+    def __post_init__(self) -> None:
+        check(isinstance(self.date, datetime.date), "date = YEAR-MONTH-DAY", self.date)
+        halves = (*self.half_m, *self.half_deg, *self.half_size_m)
+        check(all(value >= 0.0 for value in halves), "half widths of 0 or more", halves)
+        check(self.oldest_days is None or self.oldest_days > 0, "oldest_days above 0", self.oldest_days)
+
+    def days(self, today: datetime.date) -> int:
+        """How old it is; 0 for one that is dated later than today, as on a computer whose clock is behind."""
+        return max((today - self.date).days, 0)
+
+
+@dataclass(frozen=True, slots=True)
+class CalibratedSection:
+    """By what was measured; None = not by `deformscope calibrate`."""
+
+    arm: CalibrationEntry | None = None
+    place: CalibrationEntry | None = None
+    tip: CalibrationEntry | None = None
+    camera: CalibrationEntry | None = None
+    force: CalibrationEntry | None = None
+    time: CalibrationEntry | None = None
+
+    def ages(self, today: datetime.date | None = None) -> dict[str, CalibrationAge]:
+        """Of all that were measured, by name."""
+        now = today if today is not None else datetime.datetime.now(tz=datetime.UTC).date()
+        found = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        return {
+            name: CalibrationAge(one.days(now), one.oldest_days or DAYS[name])
+            for name, one in found.items()
+            if one is not None
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class CalibrationAge:
+    """days: since it was measured; at_most: after which it is measured again"""
+
+    days: int
+    at_most: int
+
+    @property
+    def young(self) -> bool:
+        """Whether it may still be used."""
+        return self.days <= self.at_most

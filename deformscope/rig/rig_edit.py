@@ -1,0 +1,100 @@
+"""Values written into a rig file, whose comments and order stay.
+
+The text is changed line by line, then read again: what it says afterwards must be what it said before with the new
+values in it, else nothing is written, and the lines are to be put in by hand.
+"""
+
+from __future__ import annotations
+
+import datetime
+import re
+import tomllib
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from deformscope.errors import InputError
+
+TomlValue = bool | int | float | str | datetime.date | Sequence[Any]
+Values = Mapping[str, Mapping[str, TomlValue]]
+"""By section ("tool", "calibrated.tip"), then by key."""
+HEADER = re.compile(r"\s*\[+\s*[\w\"'.-]+\s*\]+\s*(#.*)?$")
+
+
+def lines_of(values: Values) -> str:
+    """The values as lines of a rig file."""
+    return "\n".join(
+        "\n".join([f"[{section}]", *(f"{key} = {_toml(value)}" for key, value in keys.items())])
+        for section, keys in values.items()
+    )
+
+
+def edited(text: str, values: Values) -> str:
+    """The text of a rig file with values set. Raises InputError, with the lines, where that is not to be done."""
+    lines = text.splitlines()
+    for section, keys in values.items():
+        for key, value in keys.items():
+            _set(lines, section, key, _toml(value))
+    made = "\n".join(lines) + "\n"
+    try:
+        same = tomllib.loads(made) == _merged(tomllib.loads(text), values)
+    except tomllib.TOMLDecodeError:
+        same = False
+    if not same:
+        by_hand = lines_of(values).replace("\n", "; ")
+        raise InputError("a rig file with plain [SECTION] lines", "another way of writing", by_hand)
+    return made
+
+
+def _set(lines: list[str], section: str, key: str, value: str) -> None:
+    """Put `key = value` in the place of what there is, else at the end of its section, else into a new section."""
+    header = re.compile(rf"\s*\[\s*{re.escape(section)}\s*\]\s*(#.*)?$")
+    start = next((index for index, line in enumerate(lines) if header.match(line)), None)
+    if start is None:
+        while lines and not lines[-1].strip():
+            lines.pop()
+        lines += [*([""] if lines else []), f"[{section}]", f"{key} = {value}"]
+        return
+    end = next((index for index in range(start + 1, len(lines)) if HEADER.match(lines[index])), len(lines))
+    for index in range(start + 1, end):
+        if re.match(rf"\s*{re.escape(key)}\s*=", lines[index]):
+            last = _end_of_value(lines, index, end)
+            lines[index : last + 1] = [f"{key} = {value}"]
+            return
+    while end > start + 1 and (not lines[end - 1].strip() or lines[end - 1].lstrip().startswith("#")):
+        end -= 1
+    lines.insert(end, f"{key} = {value}")
+
+
+def _end_of_value(lines: list[str], first: int, end: int) -> int:
+    """The last line of a value that may go over several."""
+    for last in range(first, end):
+        try:
+            tomllib.loads("\n".join(lines[first : last + 1]))
+            return last
+        except tomllib.TOMLDecodeError:
+            continue
+    return first
+
+
+def _merged(content: dict[str, Any], values: Values) -> dict[str, Any]:
+    for section, keys in values.items():
+        table = content
+        for name in section.split("."):
+            table = table.setdefault(name, {})
+        table.update({key: tomllib.loads(f"value = {_toml(value)}")["value"] for key, value in keys.items()})
+    return content
+
+
+def _toml(value: TomlValue) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, datetime.date):
+        return value.isoformat()
+    if isinstance(value, str):
+        return '"' + value.replace("\\", "\\\\").replace('"', '\\"') + '"'
+    if isinstance(value, int):
+        return str(value)
+    if isinstance(value, Sequence):
+        return "[" + ", ".join(map(_toml, value)) + "]"
+    number = f"{float(value):.9g}"
+    return number if any(mark in number for mark in ".en") else f"{number}.0"

@@ -1,0 +1,73 @@
+"""How far an arm is from the table and from itself: links and stick as capsules around the lines between joints.
+
+What the vendor's Cartesian mode saw to is seen to here, roughly: shapes of arms differ by a centimetre or two from
+capsules of one radius, which is why a margin is kept.
+"""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+import numpy as np
+
+from deformscope.robot.placement import Placement
+from deformscope.robot.shape import LINK_RADIUS_M
+from deformscope_drivers.arm.kinematics import FloatArray
+
+APART_M = 0.15
+"""Parts of an arm that are joined by less of it than this cannot meet: their joint is between them. Chosen: longer than
+a wrist's links, shorter than a forearm."""
+FROM_ELBOW = 2
+"""Links from the base that the table may be near to: pedestal and shoulder stand on it."""
+
+
+class ArmClearance:
+    """What is known of an arm's shape once its chain is: which of its parts could meet."""
+
+    def __init__(self, placement: Placement, T_base_links: FloatArray) -> None:
+        """T_base_links: (n + 1, 4, 4) of any pose [m]"""
+        self._placement = placement
+        points = self._points_m(T_base_links)
+        lengths = np.linalg.norm(np.diff(points, axis=0), axis=1)
+        before = np.concatenate([[0.0], np.cumsum(lengths)])
+        pairs = [(a, b) for a, b in combinations(range(len(lengths)), 2) if before[b] - before[a + 1] >= APART_M]
+        self._pairs = np.array(pairs, dtype=int).reshape(-1, 2)
+        radius = np.full(len(lengths), LINK_RADIUS_M)
+        radius[-1] = placement.tool.stick_radius_m
+        self._radius_m = radius
+
+    def _points_m(self, T_base_links: FloatArray) -> FloatArray:
+        """(n + 3, 3) base, joints, end and the tip's centre, in the surface frame [m]."""
+        tip = T_base_links[-1] @ self._placement.T_ee_center
+        frames = np.concatenate([np.eye(4)[None], T_base_links, tip[None]])
+        return np.asarray((self._placement.T_surface_base @ frames)[:, :3, 3])
+
+    def over_table_m(self, T_base_links: FloatArray) -> float:
+        """Of the lowest of elbow and wrist, without the stick [m]."""
+        points = self._points_m(T_base_links)[:-1]
+        return float(points[FROM_ELBOW + 1 :, 2].min() - LINK_RADIUS_M)
+
+    def to_itself_m(self, T_base_links: FloatArray) -> float:
+        """Between the nearest two parts that could meet; below 0 they touch; inf where none could [m]."""
+        if not len(self._pairs):
+            return float("inf")
+        points = self._points_m(T_base_links)
+        one, other = self._pairs.T
+        gap = segment_distance(points[one], points[one + 1], points[other], points[other + 1])
+        return float((gap - self._radius_m[one] - self._radius_m[other]).min())
+
+
+def segment_distance(a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray) -> FloatArray:
+    """(n,) shortest distance between segments a-b and c-d, each end (n, 3) [m] (Ericson 2005, 5.1.9)."""
+    along, across, between = b - a, d - c, a - c
+    aa, ee = np.sum(along * along, axis=1), np.sum(across * across, axis=1)
+    f, ab, g = np.sum(across * between, axis=1), np.sum(along * across, axis=1), np.sum(along * between, axis=1)
+    tiny = 1e-12
+    denominator = aa * ee - ab * ab
+    s = np.clip(np.where(denominator > tiny, (ab * f - g * ee) / np.maximum(denominator, tiny), 0.0), 0.0, 1.0)
+    alone = np.clip(-g / np.maximum(aa, tiny), 0.0, 1.0)
+    s = np.where(ee > tiny, s, alone)  # c-d is a point
+    t = np.where(ee > tiny, (ab * s + f) / np.maximum(ee, tiny), 0.0)
+    t_in = np.clip(t, 0.0, 1.0)
+    s = np.where(t == t_in, s, np.clip(np.where(aa > tiny, (t_in * ab - g) / np.maximum(aa, tiny), 0.0), 0.0, 1.0))
+    return np.asarray(np.linalg.norm(between + s[:, None] * along - t_in[:, None] * across, axis=1))

@@ -1,0 +1,77 @@
+"""Moving an arm by keys, a little at a time: what each key does, and that nothing moves once no key is held.
+
+A press moves one step and no more. A key that is held repeats in every terminal: the motion then goes on, and ends
+GRACE_S after the last repeat. So a hand that lets go, a terminal that hangs and a line that breaks all stop the arm.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from deformscope.robot.robot import TipVelocity
+
+SPEED_M_S = 0.02
+"""Of the tip's centre. Chosen: what `explore` approaches with."""
+STEPS_M = {"1": 0.001, "2": 0.005, "3": 0.01}
+"""Of a press, by the key that chooses it."""
+TURN_PER_M = 6.0
+"""A press turns by so much for each metre that it would move [rad/m]: 5 mm and 1.7 degrees."""
+GRACE_S = 0.15
+"""After the last repeat of a key. Chosen: four repeats of a terminal, and 3 mm of motion."""
+REPEATS_S = 0.8
+"""The same key again so soon after the last is a key that is held: terminals wait up to 0.6 s before they repeat."""
+LEAVE = "q"
+
+MOVES: dict[str, tuple[int, float]] = {
+    "d": (0, 1.0),
+    "a": (0, -1.0),
+    "w": (1, 1.0),
+    "s": (1, -1.0),
+    "r": (2, 1.0),
+    "f": (2, -1.0),
+    "o": (3, 1.0),
+    "u": (3, -1.0),
+    "i": (4, 1.0),
+    "k": (4, -1.0),
+    "l": (5, 1.0),
+    "j": (5, -1.0),
+}
+"""Key to axis (x, y, z, then turns about them, surface frame) and way."""
+HELP = (
+    "a d  along x    w s  along y    f r  down, up    u o, k i, j l  turn about x, y, z\n"
+    "1 2 3  steps of 1, 5, 10 mm    hold a key to go on, let go to stop    space  stop    q  leave"
+)
+
+
+@dataclass(slots=True)
+class Jog:
+    """What the keys ask for now. step_m: of a press"""
+
+    step_m: float = STEPS_M["2"]
+    _key: str = ""
+    _pressed_ns: int = 0
+    _until_ns: int = 0
+
+    def press(self, key: str, now_ns: int) -> None:
+        """A key, or a repeat of it, at a time of the robot's clock [ns]. Unknown keys stop."""
+        if key in STEPS_M:
+            self.step_m = STEPS_M[key]
+        again = key == self._key and now_ns - self._pressed_ns < REPEATS_S * 1e9
+        self._key, self._pressed_ns = key, now_ns
+        if key not in MOVES:
+            self._until_ns = now_ns
+        elif again:
+            self._until_ns = max(self._until_ns, now_ns + round(GRACE_S * 1e9))
+        else:
+            self._until_ns = now_ns + round(self.step_m / SPEED_M_S * 1e9)
+
+    def command(self, now_ns: int) -> TipVelocity | None:
+        """What to send in this control period; None = stand still."""
+        if now_ns >= self._until_ns or self._key not in MOVES:
+            return None
+        axis, way = MOVES[self._key]
+        velocity = np.zeros(6)
+        velocity[axis] = way * (SPEED_M_S if axis < 3 else SPEED_M_S * TURN_PER_M)
+        return TipVelocity(velocity[:3], velocity[3:] if axis >= 3 else None)

@@ -1,0 +1,170 @@
+"""How a force sensor sits on the stick, from pushes along known axes; what it reads in free air; what hangs on it.
+
+Axes are those of the tip's frame: z along the stick, outwards. A push is what the tip does to the world: pressing the
+tip onto a table is a push along +z, pressing it with a finger towards -x a push along +x.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from deformscope.arrays import FloatArray
+from deformscope.errors import InputError
+from deformscope.stages.setup.tip import spread
+from deformscope.stages.setup.transform import LEVEL, ErrorPrior, LeastSquares, half_widths, judged
+
+PUSHED = ErrorPrior(np.radians(6.0))
+"""Deviation of the direction of a push by hand [rad]."""
+FREE = ErrorPrior(0.01)
+"""Deviation of a mean force in free air [N]."""
+LEAST_N = 0.5
+LEAST_ANGLE_RAD = np.radians(30.0)
+"""Between the lines of two pushes across the stick: nearer ones do not say whether the sensor's axes are mirrored."""
+ASIDE_RAD = np.radians(35.0)
+"""A push by so much off every axis of the sensor that it could be is none along the axis asked for."""
+BLOCK_S = 1.0
+"""Noise of a filtered sensor is independent over this."""
+LEAST_TURN = 0.15
+"""Spread of rotations (`tip.spread`)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ForceMount:
+    """How the sensor sits on the stick.
+
+    R_tip_force: (3, 3) orthogonal: forces in the sensor's axes to the tip's; a determinant of -1 = an axis mirrored
+    turn_rad, turn_half_rad: its turn about the stick, and half its interval; push_sd_rad: deviation of a push
+    off_rad: (n,) of each push across the stick from where the others have it
+    """
+
+    R_tip_force: FloatArray
+    turn_rad: float
+    turn_half_rad: float
+    push_sd_rad: float
+    off_rad: FloatArray
+
+
+def mount(force_n: FloatArray, axes: FloatArray, *, prior: ErrorPrior = PUSHED) -> ForceMount:
+    """How the sensor sits, from the forces (n, 3) [N] that it gave while it was pushed along `axes` (n, 3), unit
+    vectors in the tip's frame.
+
+    The sensor's z axis is taken to lie along the stick, one way or the other. Raises InputError for pushes too weak,
+    along one axis alone, without one along the stick, or that fit no way of sitting.
+    """
+    felt, pushed = np.asarray(force_n, np.float64), np.asarray(axes, np.float64)
+    size_n = np.linalg.norm(felt, axis=1)
+    if not np.isfinite(felt).all() or (size_n < LEAST_N).any():
+        raise InputError(f"pushes of {LEAST_N:g} N or more", f"{np.nanmin(size_n):.2f} N", "push harder, and hold")
+    along = np.abs(pushed[:, 2]) > 0.9
+    if not along.any():
+        raise InputError("a push along the stick (z)", "none", "press the tip onto the table: +z")
+    signs = np.sign(felt[along, 2] * pushed[along, 2])
+    aside = np.linalg.norm(felt[along, :2], axis=1) > np.tan(ASIDE_RAD) * np.abs(felt[along, 2])
+    if aside.any() or len(set(signs.tolist())) > 1:
+        came = "one that the sensor feels across it" if aside.any() else "pushes whose signs contradict each other"
+        raise InputError("pushes along the stick that the sensor feels on its z axis", came, "push along the stick")
+    flat, aim = felt[~along, :2], pushed[~along, :2]
+    lines = np.arctan2(aim[:, 1], aim[:, 0])
+    if len(lines) < 2 or _widest(lines) < LEAST_ANGLE_RAD:
+        raise InputError("pushes along x and along y", "pushes along one axis alone", "push +x as well as +y")
+    if (np.abs(felt[~along, 2]) > np.tan(ASIDE_RAD) * np.linalg.norm(flat, axis=1)).any():
+        raise InputError("pushes across the stick", "one that the sensor feels along it", "push along x and y")
+    seen = np.arctan2(flat[:, 1], flat[:, 0])
+    plain, mirrored = _turned(seen, lines), _turned(-seen, lines)
+    turn, off = min((plain, mirrored), key=lambda one: float(one[1] @ one[1]))
+    handed = 1.0 if turn == plain[0] else -1.0
+    found = judged(np.array([turn]), np.eye(1) / len(off), off, prior)
+    if found.scatter > 5.0 * prior.sd:
+        came = f"pushes {np.degrees(np.abs(off).max()):.0f} degrees off"
+        raise InputError("pushes along the axes asked for", came, "push along the arm's axes as they are shown")
+    c, s = np.cos(turn), np.sin(turn)
+    R = np.array([[c, -s * handed, 0.0], [s, c * handed, 0.0], [0.0, 0.0, signs[0]]])
+    return ForceMount(R, turn, float(found.half(LEVEL)[0]), found.sd, off)
+
+
+def _widest(angles: FloatArray) -> float:
+    """The largest angle between two of some lines [rad], at most a right one."""
+    between = np.abs(angles[:, None] - angles) % np.pi
+    return float(np.minimum(between, np.pi - between).max())
+
+
+def _turned(seen: FloatArray, aimed: FloatArray) -> tuple[float, FloatArray]:
+    """The angle that brings directions (n,) to others (n,), and what is left over (n,) [rad]."""
+    between = np.exp(1j * (aimed - seen))
+    turn = float(np.angle(between.mean()))
+    return turn, np.asarray(np.angle(between * np.exp(-1j * turn)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FreeAir:
+    """What the sensor reads while nothing touches it.
+
+    tare_n: (3,) its mean [N]; noise_n: (3,) deviation of a reading [N]
+    drift_n_per_min, drift_half: (3,) and half its interval [N/min]
+    """
+
+    tare_n: FloatArray
+    noise_n: FloatArray
+    drift_n_per_min: FloatArray
+    drift_half: FloatArray
+
+
+def free_air(time_s: FloatArray, force_n: FloatArray) -> FreeAir:
+    """Tare, noise and drift out of readings (n, 3) [N] at times (n,) [s], by means over BLOCK_S."""
+    when, force = np.asarray(time_s, np.float64), np.asarray(force_n, np.float64)
+    block = ((when - when[0]) / BLOCK_S).astype(int) if len(when) else np.zeros(0, int)
+    whole = np.unique(block)[:-1]
+    if len(whole) < 5:
+        raise InputError(f"{6 * BLOCK_S:g} s of readings in free air", f"{np.ptp(when) if len(when) else 0:.1f} s")
+    means = np.array([force[block == one].mean(axis=0) for one in whole])
+    minutes = np.array([when[block == one].mean() for one in whole]) / 60.0
+    design = np.column_stack([np.ones(len(whole)), minutes - minutes.mean()])
+    inverse = np.linalg.inv(design.T @ design)
+    fits = [judged(inverse @ design.T @ y, inverse, y - design @ (inverse @ design.T @ y), NOTHING) for y in means.T]
+    noise = np.concatenate([force[block == one] - force[block == one].mean(axis=0) for one in whole]).std(axis=0)
+    slopes, halves = ([float(one.value[1]) for one in fits], [float(one.half()[1]) for one in fits])
+    return FreeAir(force.mean(axis=0), noise, np.array(slopes), np.array(halves))
+
+
+NOTHING = ErrorPrior(0.0, 0.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HangingWeight:
+    """What hangs on the sensor, from readings in free air in several poses.
+
+    weight_n, weight_half_n: its weight and half its interval [N]; bias_n: (3,) reading without it
+    down: (3,) where it pulls, base frame: a base that stands upright has (0, 0, -1); off_n: (n,) left over
+    """
+
+    weight_n: float
+    weight_half_n: float
+    bias_n: FloatArray
+    down: FloatArray
+    off_n: FloatArray
+
+
+def hanging_weight(
+    force_n: FloatArray, R_base_tip: FloatArray, R_tip_force: FloatArray, *, prior: ErrorPrior = FREE
+) -> HangingWeight:
+    """The weight on the sensor, from mean readings (n, 3) [N] with the tip turned as R_base_tip (n, 3, 3).
+
+    What hangs on the sensor pulls it as the tip pushes the world: f = b + R_tip_force^T R_base_tip^T w.
+    Raises InputError for poses that are turned too little.
+    """
+    felt = np.asarray(force_n, np.float64)
+    turns = np.swapaxes(np.asarray(R_base_tip, np.float64) @ np.asarray(R_tip_force, np.float64), -1, -2)
+    if len(felt) < 3 or spread(turns) < LEAST_TURN:
+        came = f"{len(felt)} poses that are turned too little"
+        raise InputError("three poses or more, tilted by 20 degrees", came, "tilt the stick left, right and away")
+    design = np.concatenate([np.broadcast_to(np.eye(3), turns.shape), turns], axis=2).reshape(-1, 6)
+    inverse = np.linalg.inv(design.T @ design)
+    value = inverse @ (design.T @ felt.ravel())
+    found: LeastSquares = judged(value, inverse, design @ value - felt.ravel(), prior)
+    weight_n = float(np.linalg.norm(value[3:]))
+    down = value[3:] / max(weight_n, 1e-9)
+    half = half_widths(np.atleast_2d(down @ found.covariance[3:, 3:] @ down), found.dof)
+    off_n = np.linalg.norm((design @ value - felt.ravel()).reshape(-1, 3), axis=1)
+    return HangingWeight(weight_n, float(half[0]), value[:3], down, off_n)

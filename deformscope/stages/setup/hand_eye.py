@@ -1,0 +1,211 @@
+"""Where a camera stands that sees a board which the arm carries, and where the board is on the arm; or from touches.
+
+Each view gives A Y = X B: A the arm's end in its base frame and B the board in the camera's are known, X the camera in
+the base frame and Y the board on the arm's end are sought.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from deformscope.arrays import FloatArray
+from deformscope.errors import InputError
+from deformscope.stages.setup.transform import (
+    ErrorPrior,
+    TransformEstimate,
+    deviation,
+    fitted,
+    moved,
+    rigid,
+    superposed,
+    transform_of,
+)
+
+FEWEST_VIEWS = 6
+LEAST_SPREAD_RAD = np.radians(7.0)
+"""Of the arm's turns, about the second of the axes that they are about."""
+FAR_M, FAR_RAD = 0.02, np.radians(4.0)
+"""A view that is off by more does not belong to the others."""
+LEVER_M = 0.2
+"""So far from the board a turn counts as much as a motion."""
+TOUCHED = ErrorPrior(0.002)
+"""Deviation between a place as it was touched and as the camera sees it [m]."""
+TURNS_DEG = (-30.0, 30.0)
+STEPS = 6
+"""Of Gauss and Newton, from a closed form that is near."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HandEye:
+    """T_arm_camera: camera to base frame; T_ee_board: board to the arm's end
+    off: (n, 6) of each view, in the board's frame [m, rad]"""
+
+    T_arm_camera: TransformEstimate
+    T_ee_board: TransformEstimate
+    off: FloatArray
+
+
+def hand_eye(T_base_ee: FloatArray, T_camera_board: FloatArray) -> HandEye:
+    """Where the camera stands and where the board is on the arm, from n views: (n, 4, 4) each.
+
+    What is not known of them comes of leaving one view out after the other (jackknife): errors of arm and camera need
+    not be known, nor how they share. Raises InputError for too few views, or turns about one axis alone.
+    """
+    A, B = np.asarray(T_base_ee, np.float64), np.asarray(T_camera_board, np.float64)
+    if len(A) < FEWEST_VIEWS:
+        raise InputError(f"{FEWEST_VIEWS} views of the board or more", str(len(A)), "12, turned each by 30 degrees")
+    if (reached := turned_about(A)) < LEAST_SPREAD_RAD:
+        came = f"turns by {np.degrees(reached):.0f} degrees about the second axis"
+        raise InputError(
+            f"views turned by {np.degrees(LEAST_SPREAD_RAD):.0f} degrees or more about two axes",
+            came,
+            "turn the arm's end by 30 degrees about an axis that it was not turned about",
+        )
+    X, Y = _start(A, B)
+    weight = np.repeat([1.0, LEVER_M], 3)
+    for _ in range(STEPS):
+        J = _jacobian(A, B, X, Y) * weight[:, None]
+        step = -np.linalg.lstsq(J.reshape(-1, 12), (_off(A, B, X, Y) * weight).ravel(), rcond=None)[0]
+        X, Y = moved(X, step[:6]), moved(Y, step[6:])
+    left_over = _off(A, B, X, Y)
+    far = (np.linalg.norm(left_over[:, :3], axis=1) > FAR_M) | (np.linalg.norm(left_over[:, 3:], axis=1) > FAR_RAD)
+    if far.any():
+        worst = int(np.argmax(np.linalg.norm(left_over * weight, axis=1)))
+        came = f"view {worst + 1} off by {1e3 * np.linalg.norm(left_over[worst, :3]):.0f} mm"
+        raise InputError("views that belong together", came, "the board firmly on the arm's end; leave that view out")
+    covariance = _jackknife(A, B, X, Y, weight)
+    dof = len(A) - 2.0
+    return HandEye(
+        TransformEstimate(X, covariance[:6, :6], dof), TransformEstimate(Y, covariance[6:, 6:], dof), left_over
+    )
+
+
+def turned_about(T: FloatArray) -> float:
+    """Of poses (n, 4, 4): root mean square of their turns about the second of the axes that they are about [rad]."""
+    between = Rotation.from_matrix(T[:, :3, :3])
+    mean = between.mean()
+    turns = (mean.inv() * between).as_rotvec()
+    return float(np.sqrt(np.linalg.eigvalsh(turns.T @ turns / len(T))[1]))
+
+
+def _off(A: FloatArray, B: FloatArray, X: FloatArray, Y: FloatArray) -> FloatArray:
+    """(n, 6) from where the arm has the board to where the camera has it, in the board's frame."""
+    return deviation(np.broadcast_to(np.eye(4), A.shape), np.linalg.inv(A @ Y) @ (X @ B))
+
+
+def _start(A: FloatArray, B: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """X and Y in closed form: rotations from the null space of R_A R_Y = R_X R_B, then translations (Li 2010)."""
+    rows = []
+    for a, b in zip(A[:, :3, :3], B[:, :3, :3], strict=True):
+        rows.append(np.hstack([np.kron(np.eye(3), b.T), -np.kron(a, np.eye(3))]))  # vec(R_X) then vec(R_Y), by rows
+    null = np.linalg.svd(np.vstack(rows), full_matrices=False)[2][-1]
+    x, y = null[:9].reshape(3, 3), null[9:].reshape(3, 3)
+    sign = np.sign(np.linalg.det(x))
+    turn_x, turn_y = (_nearest(sign * one) for one in (x, y))
+    design = np.concatenate([np.broadcast_to(np.eye(3), (len(A), 3, 3)), -A[:, :3, :3]], axis=2).reshape(-1, 6)
+    wanted = (A[:, :3, 3] - B[:, :3, 3] @ turn_x.T).ravel()
+    ways = np.linalg.lstsq(design, wanted, rcond=None)[0]
+    return rigid(turn_x, ways[:3]), rigid(turn_y, ways[3:])
+
+
+def _nearest(matrix: FloatArray) -> FloatArray:
+    left, _, right = np.linalg.svd(matrix)
+    return np.asarray(left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right)
+
+
+def _jacobian(A: FloatArray, B: FloatArray, X: FloatArray, Y: FloatArray) -> FloatArray:
+    """(n, 6, 12) of `_off` by deviations of X and Y, for small turns that are left over."""
+    turn = np.swapaxes(A[:, :3, :3] @ Y[:3, :3], -1, -2)
+    back = np.broadcast_to(Y[:3, :3].T, turn.shape)
+    J = np.zeros((len(A), 6, 12))
+    J[:, :3, :3], J[:, 3:, 3:6] = turn, turn
+    J[:, :3, 3:6] = -turn @ _cross(B[:, :3, 3] @ X[:3, :3].T)
+    J[:, :3, 6:9], J[:, 3:, 9:] = -back, -back
+    J[:, :3, 9:] = back @ _cross((np.linalg.inv(A) @ X @ B)[:, :3, 3] - Y[:3, 3])
+    return J
+
+
+def _cross(vectors: FloatArray) -> FloatArray:
+    """(n, 3, 3) by which others are multiplied for the cross product of vectors (n, 3) with them."""
+    made = np.zeros((len(vectors), 3, 3))
+    x, y, z = vectors.T
+    made[:, 0, 1], made[:, 0, 2], made[:, 1, 2] = -z, y, -x
+    return made - np.swapaxes(made, -1, -2)
+
+
+def _jackknife(A: FloatArray, B: FloatArray, X: FloatArray, Y: FloatArray, weight: FloatArray) -> FloatArray:
+    """(12, 12) covariance of X and Y: each view left out of the linear fit around the solution (Efron 1982)."""
+    J = _jacobian(A, B, X, Y) * weight[:, None]
+    r = _off(A, B, X, Y) * weight
+    normal = np.einsum("nij,nik->njk", J, J)
+    whole, pull = normal.sum(axis=0), np.einsum("nij,ni->nj", J, r)
+    without = np.array(
+        [-np.linalg.solve(whole - one, pull.sum(axis=0) - by) for one, by in zip(normal, pull, strict=True)]
+    )
+    count = len(A)
+    return np.asarray((count - 1.0) / count * (without - without.mean(axis=0)).T @ (without - without.mean(axis=0)))
+
+
+def next_pose(T_base_ee: FloatArray) -> tuple[FloatArray, str]:
+    """A pose (4, 4) of the arm's end that adds most to the turns of the poses (n, 4, 4) so far, and how to come there.
+
+    From the mean of the poses, turned about one of the end's own axes: the axis and the way that make the turns' least
+    eigenvalues largest.
+    """
+    poses = np.asarray(T_base_ee, np.float64)
+    turned = Rotation.from_matrix(poses[:, :3, :3])
+    mean = turned.mean()
+    turns = (mean.inv() * turned).as_rotvec()
+    best: tuple[float, int, float] | None = None
+    for axis in range(3):
+        for angle_deg in TURNS_DEG:
+            more = np.zeros(3)
+            more[axis] = np.radians(angle_deg)
+            with_it = np.vstack([turns, more])
+            centred = with_it - with_it.mean(axis=0)
+            gained = float(np.prod(np.linalg.eigvalsh(centred.T @ centred) + np.radians(3.0) ** 2))
+            if best is None or gained > best[0] * (1.0 + 1e-9):
+                best = gained, axis, angle_deg
+    assert best is not None
+    _, axis, angle_deg = best
+    way = np.zeros(3)
+    way[axis] = np.radians(angle_deg)
+    T = rigid((mean * Rotation.from_rotvec(way)).as_matrix(), poses[:, :3, 3].mean(axis=0))
+    return T, f"turn the arm's end by {angle_deg:+.0f} degrees about its own {'xyz'[axis]} axis, the board in view"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CameraFromTouches:
+    """T_arm_camera: camera to base frame; off_m: (n,) of each place; sd_m: deviation of a place [m]"""
+
+    T_arm_camera: TransformEstimate
+    off_m: FloatArray
+    sd_m: float
+
+
+def camera_from_touches(touched_m: FloatArray, seen_m: FloatArray, *, prior: ErrorPrior = TOUCHED) -> CameraFromTouches:
+    """Where the camera stands that sees places (n, 3) [camera frame] which the tip touched (n, 3) [base frame].
+
+    Raises InputError for fewer than four, or places in one line.
+    """
+    touched, seen = np.asarray(touched_m, np.float64), np.asarray(seen_m, np.float64)
+    if len(touched) < 4:
+        raise InputError("4 places or more", str(len(touched)), "six, spread over what the camera sees")
+    wide_m = np.linalg.svd(touched - touched.mean(axis=0), compute_uv=False) / np.sqrt(len(touched))
+    if wide_m[1] < 0.02:
+        raise InputError("places that are not in one line", f"{1e3 * wide_m[1]:.0f} mm beside one", "touch beside it")
+    start = superposed(seen, touched)
+
+    def off_m(values: FloatArray) -> FloatArray:
+        T = moved(start, values)
+        return seen @ T[:3, :3].T + T[:3, 3] - touched
+
+    found = fitted(lambda values: off_m(values).ravel(), np.zeros(6), prior)
+    far_m = np.linalg.norm(off_m(found.value), axis=1)
+    if found.scatter > 10.0 * prior.sd:
+        came = f"place {int(np.argmax(far_m)) + 1} off by {1e3 * far_m.max():.0f} mm"
+        raise InputError("places that belong together", came, "touch what was marked, in the same order")
+    return CameraFromTouches(transform_of(found, start), far_m, found.sd)

@@ -1,0 +1,217 @@
+"""An arm's driver in a process of its own: what this program does, or that it ends, does not keep the arm moving.
+
+The other process opens the arm and carries out velocities until they expire there, on the clock that both share. When
+this process is stopped, nobody sets a velocity again and it ends; when it dies, the socket between them closes, and the
+other process halts the arm, gives it back and ends too.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import subprocess
+import sys
+import threading
+from collections.abc import Iterable, Iterator
+from multiprocessing.connection import Connection, Pipe
+from pathlib import Path
+from typing import Any
+
+from deformscope_drivers import errors
+from deformscope_drivers.arm import errors as arm_errors
+from deformscope_drivers.arm.commands import SpeedLimits, Velocity
+from deformscope_drivers.arm.device import Arm
+from deformscope_drivers.arm.kinematics import Chain
+from deformscope_drivers.arm.state import ArmState
+from deformscope_drivers.clock import monotonic_ns
+from deformscope_drivers.device import RECONNECT, Reconnect
+from deformscope_drivers.errors import DeviceError, LinkLost, NoReply, NotConnected
+from deformscope_drivers.health import Identity
+
+OPEN_S, ANSWER_S, END_S = 90.0, 6.0, 5.0
+"""An arm may be sought for long, and a vendor's library may wait 5 s for a packet."""
+
+
+class ArmBeside(Arm[ArmState]):
+    """Any arm of this package, opened in another process: `ArmBeside(Jaco, JacoConfig(...))`."""
+
+    def __init__(self, kind: type[Arm[Any]], config: Any, *, reconnect: Reconnect | None = RECONNECT) -> None:
+        """kind: the driver's class, made there of config alone"""
+        self.config = config
+        self._kind = kind
+        super().__init__(f"{kind.__name__} in its own process", reconnect=reconnect, clock=monotonic_ns)
+        self._sending = threading.Lock()
+        self._connection: Connection | None = None
+        self._process: subprocess.Popen[bytes] | None = None
+        self._known: dict[str, Any] = {}
+        self._health: dict[str, float] = {}
+        self._homed = False
+        self._asked = 0
+        self._answers: dict[int, Any] = {}
+
+    @property
+    def chain(self) -> Chain:
+        chain: Chain | None = self._known.get("chain")
+        if chain is None:
+            raise NotConnected("an arm that was opened", "one that was not yet", "open() it", self.name)
+        return chain
+
+    @property
+    def speed_limits(self) -> SpeedLimits:
+        limits: SpeedLimits = self.config
+        return limits
+
+    @property
+    def state_hz(self) -> float:
+        hz: float = self.config.state_hz
+        return hz
+
+    @property
+    def urdf(self) -> Path | None:
+        known: Path | None = self._known.get("urdf")
+        return known
+
+    @property
+    def homed(self) -> bool:
+        return self._homed
+
+    @property
+    def process_id(self) -> int | None:
+        """Of the other process; None where there is none."""
+        return None if self._process is None else self._process.pid
+
+    def identity(self) -> Identity:
+        known: Identity = self._known.get("identity", Identity())
+        return known
+
+    def set_velocity(self, velocity: Velocity, valid_for_s: float | None = None) -> None:
+        super().set_velocity(velocity, valid_for_s)
+        with self._commanded:
+            streamed = self._streamed
+        if streamed is not None:
+            self._send("velocity", streamed.velocity, streamed.expires_ns)
+
+    def stop(self) -> None:
+        with self._commanded:
+            self._streamed = None
+        self.ask("stop")
+
+    def halt(self, reason: str) -> None:
+        with self._commanded:
+            self._streamed = None
+            self._stopped = self._stopped or reason or "by command"
+        self.ask("halt", self._stopped)
+
+    def acknowledge_stop(self) -> None:
+        self.ask("acknowledge_stop")
+        super().acknowledge_stop()
+
+    def ask(self, name: str, *arguments: Any, timeout_s: float = ANSWER_S) -> Any:
+        """Have a method of the arm called there, and give what it returns; raises what it raises."""
+        return self._do(lambda: self._ask_there(name, arguments, timeout_s), timeout_s + 1.0)
+
+    # Run by the device's own thread ----------------------------------------------------------------------------------
+
+    def _connect(self) -> None:
+        ours, theirs = Pipe()
+        with theirs:
+            command = [sys.executable, "-m", "deformscope_drivers.arm.process", str(theirs.fileno())]
+            self._process = subprocess.Popen(command, pass_fds=[theirs.fileno()], stdin=subprocess.DEVNULL)
+        self._connection = ours
+        self._send(self._kind, self.config)
+        kind, *said = self._take(OPEN_S)
+        if kind != "opened":
+            raise _error_of(*said)
+        self._known, self._homed = said[0], said[0]["homed"]
+        self._expect(self.state_hz)
+
+    def _disconnect(self) -> None:
+        with self._commanded:
+            moving, self._streamed = self._streamed is not None, None
+            if moving and not self._closing.is_set():
+                self._stopped = self._stopped or "the process that moves the arm was lost"
+        connection, self._connection = self._connection, None
+        process, self._process = self._process, None
+        if connection is not None:
+            connection.close()  # it halts the arm, and ends
+        if process is not None:
+            try:
+                process.wait(END_S)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+
+    def _receive(self, timeout_s: float) -> Iterable[ArmState]:
+        connection = self._opened()
+        found: list[ArmState] = []
+        wait_s = timeout_s
+        with self._lost():
+            while connection.poll(wait_s):
+                wait_s = 0.0
+                self._heed(connection.recv(), found)
+        return found
+
+    def _ask_there(self, name: str, arguments: tuple[Any, ...], timeout_s: float) -> Any:
+        self._asked += 1
+        number, until_ns = self._asked, self._clock() + round(timeout_s * 1e9)
+        self._send("call", number, name, arguments)
+        found: list[ArmState] = []
+        while number not in self._answers:
+            if (left_s := (until_ns - self._clock()) / 1e9) <= 0:
+                raise NoReply(f"{name} done within {timeout_s:g} s", "nothing", where=self.name)
+            with self._lost():
+                if self._opened().poll(left_s):
+                    self._heed(self._opened().recv(), found)
+        for state in found:
+            self._publish(state)
+        failed, *answer = self._answers.pop(number)
+        if failed:
+            raise _error_of(*answer)
+        return answer[0]
+
+    def _heed(self, message: tuple[Any, ...], found: list[ArmState]) -> None:
+        match message:
+            case ("state", state, homed, stopped):
+                self._homed = homed
+                if stopped and not self._stopped:  # the arm was stopped there
+                    with self._commanded:
+                        self._streamed, self._stopped = None, stopped
+                found.append(state)
+            case ("health", extra):
+                self._health = extra
+            case ("answer", number, *answer):
+                self._answers[number] = answer
+            case ("lost", words):
+                raise LinkLost("an arm that is connected", words, where=self.name)
+
+    def _take(self, timeout_s: float) -> tuple[Any, ...]:
+        with self._lost():
+            if self._opened().poll(timeout_s):
+                message: tuple[Any, ...] = self._opened().recv()
+                return message
+        raise NotConnected(f"an arm that is opened within {timeout_s:g} s", "nothing", where=self.name)
+
+    def _send(self, *message: Any) -> None:
+        with self._sending, self._lost():
+            self._opened().send(message)
+
+    def _opened(self) -> Connection:
+        if self._connection is None:
+            raise LinkLost("a process that moves the arm", "none", where=self.name)
+        return self._connection
+
+    @contextlib.contextmanager
+    def _lost(self) -> Iterator[None]:
+        try:
+            yield
+        except (EOFError, OSError) as error:
+            raise LinkLost("a process that moves the arm", "one that has ended", where=self.name) from error
+
+    def _extra_health(self) -> dict[str, float]:
+        return dict(self._health)
+
+
+def _error_of(name: str, words: str) -> DeviceError:
+    """An error of the other process; a vendor's own as the nearest that is known here."""
+    found = getattr(errors, name, None) or getattr(arm_errors, name, DeviceError)
+    kind: type[DeviceError] = found
+    return kind.in_words(words)

@@ -1,0 +1,64 @@
+"""How a KUKA's controller reaches this computer, and what the arm may do."""
+
+from __future__ import annotations
+
+import ipaddress
+import math
+from dataclasses import dataclass
+
+from deformscope_drivers.kuka.chains import CHAINS
+
+
+@dataclass(frozen=True, slots=True)
+class KukaConfig:
+    """All that is to be said before an arm is opened.
+
+    address, port: of this computer, where the controller sends to (IP_NUMBER and PORT of RSI's ethernet configuration);
+    controller: the only address that is answered, empty = whoever speaks first
+    model: the arm; sen_type: SENTYPE of the configuration
+    cycle_s: of RSI: 0.012 (#IPO) or 0.004 (#IPO_FAST)
+    linear_limit_m_s, angular_limit_rad_s: greatest speed of the flange that a command may ask for
+    joint_limit_deg_s: greatest speed of any axis that a command may ask for
+    command_deadline_s: how long a velocity holds when its sender does not say so
+    wait_s: how long opening waits for the controller's program to be started
+    check_pose: refuse a controller that reports the flange elsewhere than the model has it
+    own_process: a process of its own answers the controller, whatever this one does
+    """
+
+    address: str = "0.0.0.0"
+    port: int = 59152
+    controller: str = ""
+    model: str = "kr6r900sixx"
+    sen_type: str = "ImFree"
+    cycle_s: float = 0.012
+    linear_limit_m_s: float = 0.05
+    angular_limit_rad_s: float = 0.35
+    joint_limit_deg_s: float = 20.0
+    command_deadline_s: float = 0.1
+    wait_s: float = 30.0
+    check_pose: bool = True
+    own_process: bool = True
+
+    def __post_init__(self) -> None:
+        for address in (self.address, self.controller):
+            if address:
+                ipaddress.IPv4Address(address)
+        if not 0 <= self.port <= 65535:
+            raise ValueError(f"expected a port from 0 to 65535; came {self.port!r}")
+        if self.model not in CHAINS:
+            raise ValueError(f"expected a model among {', '.join(sorted(CHAINS))}; came {self.model!r}")
+        if not (self.sen_type.isascii() and self.sen_type.isalnum() and len(self.sen_type) <= 32):
+            raise ValueError(f"expected sen_type of letters and digits; came {self.sen_type!r}")
+        if self.cycle_s not in (0.004, 0.012):
+            raise ValueError(f"expected cycle_s 0.004 or 0.012; came {self.cycle_s!r}")
+        for name in ("linear_limit_m_s", "angular_limit_rad_s", "joint_limit_deg_s", "wait_s"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value > 0):
+                raise ValueError(f"expected {name} above 0; came {value!r}")
+        if not 0.02 <= self.command_deadline_s <= 5.0:
+            raise ValueError(f"expected command_deadline_s from 0.02 to 5; came {self.command_deadline_s!r}")
+
+    @property
+    def state_hz(self) -> float:
+        """The controller reports in each of its cycles."""
+        return 1.0 / self.cycle_s

@@ -1,0 +1,153 @@
+"""A KUKA controller with its arm, simulated: RSI's datagrams in each cycle, and what it makes of the answers.
+
+As a controller does, it takes an answer only within its own cycle and with its own IPOC, counts those that are missing,
+and ends RSI after too many, or where a correction would turn an axis faster or further than it can. Corrections are
+relative (RSI_ON(#RELATIVE)): each adds to where the axes are sent. It is pure (`deformscope_drivers.doubles.Double`).
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+
+import numpy as np
+import numpy.typing as npt
+
+from deformscope_drivers.arm.kinematics import FloatArray, euler_xyz_from_rotation
+from deformscope_drivers.errors import ProtocolViolation
+from deformscope_drivers.kuka.chains import CHAINS
+from deformscope_drivers.kuka.messages import RobMessage, decode_sen, encode_rob
+
+MOST_MISSED = 100
+"""Timeout of kuka_experimental's RSI context: missing answers in a row after which RSI ends."""
+WAITING = 64
+"""Datagrams that a network keeps for a host that does not read."""
+FIRST_IPOC = 4_208_163_634
+
+
+class KukaDouble:
+    """Attributes that a simulation reads: missed: answers in a row that did not come; ended: why RSI ended, empty while
+    it runs; corrections: answers that were taken"""
+
+    def __init__(
+        self,
+        model: str = "kr6r900sixx",
+        *,
+        start_deg: npt.ArrayLike | None = None,
+        cycle_s: float = 0.012,
+        T_base_tool_offset_m: float = 0.0,
+        again_s: float | None = None,
+    ) -> None:
+        """start_deg: (6,) where the axes are (default: upright, flange down); T_base_tool_offset_m: a $TOOL that is set
+        in the controller reaches so far beyond the flange [m]; again_s: somebody starts its program again so long after
+        RSI has ended, None = nobody does"""
+        self.chain = CHAINS[model]
+        self.missed = self.corrections = 0
+        self.ended = ""
+        self.running = True
+        self._start_deg: FloatArray = np.array(self.chain.home_deg if start_deg is None else start_deg, dtype=float)
+        self._joints_deg, self._setpoint_deg = self._start_deg.copy(), self._start_deg.copy()
+        self._cycle_ns = round(cycle_s * 1e9)
+        self._offset_m = T_base_tool_offset_m
+        self._again_ns = None if again_s is None else round(again_s * 1e9)
+        self._ipoc = FIRST_IPOC
+        self._answer: FloatArray | None = None
+        self._next_ns: int | None = None  # its program is started as somebody first listens
+        self._waiting: deque[bytes] = deque(maxlen=WAITING)
+        self._lock = threading.Lock()
+
+    # For who runs the simulation -------------------------------------------------------------------------------------
+
+    @property
+    def joints_deg(self) -> FloatArray:
+        """(6,) where the axes are [deg]."""
+        with self._lock:
+            return self._joints_deg.copy()
+
+    @property
+    def T_base_links(self) -> FloatArray:
+        """(7, 4, 4) of the axes and the flange [m]."""
+        return self.chain.forward(self.joints_deg)
+
+    @property
+    def T_base_end_effector(self) -> FloatArray:
+        """(4, 4) where the flange is [m]."""
+        return np.asarray(self.T_base_links[-1])
+
+    def push(self, wrench: npt.ArrayLike) -> None:
+        """It does not yield, as far as its axes show."""
+
+    # The wire --------------------------------------------------------------------------------------------------------
+
+    def power_up(self, now_ns: int) -> None:
+        """Somebody starts its program anew; the arm is where it was."""
+        with self._lock:
+            self._start(now_ns)
+
+    def _start(self, now_ns: int) -> None:
+        self.missed, self.ended, self._answer = 0, "", None
+        self._setpoint_deg = self._joints_deg.copy()
+        self._waiting.clear()
+        self._next_ns = now_ns
+
+    def receive(self, data: bytes, now_ns: int) -> None:
+        with self._lock:
+            self._live(now_ns)
+            try:
+                answer = decode_sen(data)
+            except ProtocolViolation:
+                return
+            if answer.ipoc == self._ipoc:
+                self._answer = np.array(answer.corrections_deg)
+
+    def due(self, now_ns: int) -> bytes:
+        with self._lock:
+            self._live(now_ns)
+            return self._waiting.popleft() if self._waiting else b""
+
+    def next_ns(self, now_ns: int) -> int | None:
+        with self._lock:
+            if self._waiting:
+                return now_ns
+            if self.ended and self._again_ns is not None and self._next_ns is not None:
+                return self._next_ns + self._again_ns
+            return self._next_ns if self.running and not self.ended else None
+
+    def _live(self, now_ns: int) -> None:
+        """Live through the cycles that have passed."""
+        if self._next_ns is None or not self.running:
+            self._next_ns = now_ns
+        if self.ended and self._again_ns is not None and now_ns >= self._next_ns + self._again_ns:
+            self._start(now_ns)
+        while not self.ended and self.running and self._next_ns <= now_ns:
+            self._cycle()
+            self._next_ns += self._cycle_ns
+
+    def _cycle(self) -> None:
+        """The end of one cycle, and the begin of the next."""
+        answer, self._answer = self._answer, None
+        self._joints_deg = self._setpoint_deg.copy()  # the axes follow within a cycle
+        if answer is None:
+            self.missed += 1
+            if self.missed > MOST_MISSED:
+                self.ended = f"{self.missed} answers in a row did not come in time"
+                return
+        else:
+            self.missed = 0
+            self.corrections += bool(np.any(answer))
+            self._setpoint_deg = self._setpoint_deg + answer
+            if np.any(np.abs(answer) > self.chain.velocity_deg_s * self._cycle_ns / 1e9):
+                self.ended = f"a correction by {np.abs(answer).max():.3f} deg in a cycle"
+            elif not self.chain.within_limits(self._setpoint_deg):
+                self.ended = f"axes at {np.round(self._setpoint_deg, 2).tolist()} deg"
+            if self.ended:
+                self._setpoint_deg = self._joints_deg.copy()
+                return
+        self._ipoc += round(self._cycle_ns / 1e6)
+        pose = self.chain.forward(self._joints_deg)[-1]
+        place_mm = 1e3 * (pose[:3, 3] + self._offset_m * pose[:3, 2])
+        c, b, a = -np.degrees(euler_xyz_from_rotation(pose[:3, :3].T))  # Rz(A) Ry(B) Rx(C)
+        said = RobMessage(
+            tuple(self._joints_deg), self._ipoc, (*place_mm, a, b, c), tuple(self._start_deg), self.missed
+        )
+        self._waiting.append(encode_rob(said))

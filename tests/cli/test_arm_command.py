@@ -1,0 +1,105 @@
+"""Where the arm is, and moving it by keys or over a place: watched as in an exploration, on a simulated clock."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from deformscope.api import arm_moving
+from deformscope.cli import main
+from deformscope.config import JogConfig
+from deformscope.recording.recorder import Recorder
+from tests.cli.rig_on_a_simulated_clock import use_a_simulated_clock
+
+RIG = """
+[devices.arm]
+driver = "jaco"
+double = true
+[devices.tip]
+driver = "optoforce"
+double = true
+rate_hz = 1000
+filter_hz = 150
+[devices.depth]
+driver = "depth_camera"
+double = true
+fps = 10
+[surface]
+scene = "two-60-150"
+"""
+BOX = "[workspace]\nlow_m = [-0.40, -0.66, 0.0]\nhigh_m = [0.45, 0.10, 0.75]\n"
+
+
+@pytest.fixture
+def rig(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    use_a_simulated_clock(monkeypatch)
+    path = tmp_path / "rig.toml"
+    path.write_text(RIG + BOX)
+    return path
+
+
+class NoRecorder:
+    """Takes what it is given."""
+
+    def start_rig(self, *_: object) -> None: ...
+
+    def write(self, items: object) -> None: ...
+
+    def summary(self) -> object:
+        return type("Summary", (), {"path": None})()
+
+
+def typed(presses: list[tuple[int, str]]) -> Iterator[str]:
+    """The keys of each control period: (period, key)."""
+    at = dict(presses)
+    for period in range(10_000):
+        yield at.get(period, "")
+
+
+def jogged(rig: Path, presses: list[tuple[int, str]]) -> np.ndarray:
+    keys = typed(presses)
+    recorder: Recorder = NoRecorder()  # type: ignore[assignment]
+    return np.asarray(arm_moving.jog(JogConfig(str(rig)), recorder, lambda: next(keys)))
+
+
+def test_keys_move_the_tip_a_step_each(rig: Path) -> None:
+    rig.write_text(RIG)  # before there is any box
+    start_m = jogged(rig, [(5, "q")])
+    moved_m = jogged(rig, [(5, "d"), (60, "r"), (120, "2"), (130, "s"), (200, "q")])
+
+    assert moved_m - start_m == pytest.approx([0.005, -0.005, 0.005], abs=8e-4)
+
+
+def test_a_jog_is_stopped_by_the_supervisor_at_the_box(rig: Path) -> None:
+    """A key that is held runs into the box's side: the same verdict as in an exploration."""
+    start_m = jogged(rig, [(5, "q")])
+    rig.write_text(RIG + BOX.replace("0.10, 0.75]", "0.10, 0.3]").replace("0.3]", f"{start_m[2] + 0.03:.3f}]"))
+
+    with pytest.raises(Exception, match="workspace left"):
+        jogged(rig, [(5 + 3 * count, "r") for count in range(200)])
+
+
+def test_go_brings_the_tip_over_a_place(rig: Path, tmp_path: Path) -> None:
+    found = tmp_path / "there.json"
+
+    assert main(["arm", "go", str(rig), "--above", "0.2,0.15", "--height", "0.12", "--json", str(found)]) == 0
+    assert json.loads(found.read_text())["center_m"] == pytest.approx([0.2, 0.15, 0.05 + 0.12 + 0.01], abs=3e-3)
+
+
+def test_where_it_is_and_home(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """On the driver's own thread, with a double behind it."""
+    path, found = tmp_path / "rig.toml", tmp_path / "where.json"
+    path.write_text('[devices.arm]\ndriver = "jaco"\ndouble = true\n')
+
+    assert main(["arm", "where", str(path), "--json", str(found)]) == 0
+    there = json.loads(found.read_text())
+    assert len(there["joints_deg"]) == 6
+    assert there["tip_surface_m"] is None
+    assert np.linalg.norm(np.array(there["T_base_ee"])[:3, 3] - there["tip_base_m"]) == pytest.approx(0.1, abs=1e-3)
+    assert "to its limit" in capsys.readouterr().out
+    assert main(["arm", "home", str(path)]) == 2
+    assert "--yes" in capsys.readouterr().err

@@ -1,0 +1,95 @@
+"""The page's side of steering: what waits for a confirm, where somebody points, and its heartbeat."""
+
+from __future__ import annotations
+
+import threading
+from typing import Any
+
+from deformscope.page.messages import ForceCurve, StartExploring, StopRun, TouchAt, TouchPicked
+from deformscope.page.server import PageServer
+from tests.page.test_in_browser import Obeyed, browser, fake_viewer, shown, until
+
+__all__ = ["browser", "shown"]
+
+COMMANDS = ("stop", "explore", "touch-at", "touch-picked")
+EXPECTED = (0.0, 1.0, 2.0)
+
+
+def test_confirms_and_places(shown: Any) -> None:
+    run, happened = Obeyed(), list[str]()
+    with PageServer("bench") as page:
+        page.desk.attend(run)
+        page.desk.enter("paused", commands=COMMANDS)
+        fake_viewer(shown)
+        shown.goto(page.address)
+        until(shown, lambda: shown.inner_text("#phase") == "paused" and not page.desk.absent())
+
+        # the dialog names what moves; space stops while it is open; Enter confirms, Escape cancels
+        for key, came in (("Enter", "moved"), ("Escape", "cancelled: nothing moved")):
+            page.desk.ask("the arm <b>moves</b>", lambda: happened.append("moved"), happened.append)
+            until(shown, lambda: shown.is_visible("#confirm"))
+            assert shown.inner_text("#confirm-what") == "the arm <b>moves</b>"
+            shown.keyboard.press(" ")
+            shown.keyboard.press(key)
+            until(shown, lambda came=came: happened[-1:] == [came] and shown.is_hidden("#confirm"))
+        assert len(happened) == 2
+        assert [type(one) for one in run.commands] == [StopRun, StopRun]
+
+        # a place that is typed, one that is picked, and one that is picked beside everything
+        shown.fill("#place-x", "31.5")
+        shown.fill("#place-y", "20")
+        shown.keyboard.press("Enter")
+        until(shown, lambda: len(run.commands) == 3)
+        pick = "document.dispatchEvent(new CustomEvent('viewer', {detail: {type: 'selection_change', items: [%s]}}))"
+        shown.evaluate(pick % "")
+        shown.evaluate(pick % "{type: 'entity', entity_path: '/display/scene/surface'}")  # out of a list, not a place
+        shown.evaluate(pick % "{type: 'entity', entity_path: '/display/scene/surface', position: [0.25, 0.125, 0.5]}")
+        shown.evaluate("document.activeElement.blur()")
+        shown.keyboard.press("x")
+        until(shown, lambda: len(run.commands) == 5)
+        match run.commands[2:]:
+            case [TouchAt(x_m=0.315, y_m=0.2), TouchPicked(position_m=(0.25, 0.125, 0.5)), StartExploring()]:
+                pass
+            case other:
+                raise AssertionError(other)
+        page.desk.remark("no touch there: the arm cannot be led there from above", bad=True)
+        until(shown, lambda: "cannot be led" in shown.inner_text("#place-words"))
+
+        # what is expected, and what was felt
+        curve = ForceCurve(0.3, 0.2, "2 touches", EXPECTED, EXPECTED, (0.0, 0.5, 1.0), (0.0, 2.0, 4.0))
+        page.desk.show(curve=curve)
+        until(shown, lambda: "expected" in shown.inner_text("#curve figcaption"))
+        drawn = shown.get_attribute("#curve .expected", "d")
+        assert drawn.count("L") == 2
+        assert "NaN" not in drawn + shown.get_attribute("#curve .band", "d")
+
+
+def test_the_heartbeat_says_whether_somebody_is_there(shown: Any) -> None:
+    with PageServer("bench") as page:
+        page.desk.enter("live")
+        fake_viewer(shown)
+        shown.goto(page.address)
+        until(shown, lambda: not page.desk.absent())
+        for seen, absent in (("hidden", "the page that has the controls is hidden"), ("visible", "")):
+            shown.evaluate(
+                f"Object.defineProperty(document, 'visibilityState', {{ value: '{seen}', configurable: true }});"
+                "document.dispatchEvent(new Event('visibilitychange'))"
+            )
+            until(shown, lambda absent=absent: page.desk.absent() == absent)
+
+        # a script that hangs has no heartbeat
+        reasons, over = set[str](), threading.Event()
+
+        def look() -> None:
+            while not over.wait(0.02):
+                reasons.add(page.desk.absent()[:20])
+
+        looking = threading.Thread(target=look)
+        looking.start()
+        shown.evaluate("for (const end = performance.now() + 2500; performance.now() < end; );")
+        over.set()
+        looking.join()
+        assert "no heartbeat of the " in reasons
+        until(shown, lambda: not page.desk.absent())
+        shown.goto("about:blank")
+        until(shown, lambda: page.desk.absent() == "no page has the controls")

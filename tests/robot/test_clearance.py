@@ -1,0 +1,96 @@
+"""Distances of an arm from the table and from itself, against dense sampling; it is stopped before it hits."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from deformscope.robot.clearance import ArmClearance, segment_distance
+from deformscope.robot.placement import Placement
+from deformscope.robot.readings import ArmSample, ForceSample, RobotObservation
+from deformscope.robot.setup import T_BASE_SURFACE
+from deformscope.robot.shape import LINK_RADIUS_M
+from deformscope.robot.supervisor import Action, Fault, Limits, Supervisor
+from deformscope_drivers.arm.kinematics import Chain, FloatArray
+from deformscope_drivers.arms import CHAINS
+
+PERIOD_NS = 10_000_000
+
+
+def test_distances_of_segments_are_those_of_dense_points() -> None:
+    random = np.random.default_rng(2)
+    a, b, c, d = random.normal(size=(4, 200, 3))
+    b[:20], d[10:30] = a[:20], c[10:30]  # points among them
+    share = np.linspace(0.0, 1.0, 201)[:, None, None]
+    one, other = a + share * (b - a), c + share * (d - c)
+    dense = np.array([np.linalg.norm(one[:, None, k] - other[None, :, k], axis=-1).min() for k in range(200)])
+    found = segment_distance(a, b, c, d)
+    assert np.all(found <= dense + 1e-9)
+    np.testing.assert_allclose(found, dense, atol=0.02)
+
+
+@pytest.mark.parametrize("chain", CHAINS.values(), ids=list(CHAINS))
+def test_an_arm_at_home_is_clear(chain: Chain) -> None:
+    clearance = ArmClearance(Placement(T_BASE_SURFACE), chain.forward(chain.home_deg))
+    links = chain.forward(chain.home_deg)
+    assert clearance.over_table_m(links) > 0.3
+    assert clearance.to_itself_m(links) > 0.03
+
+
+def driven(chain: Chain, start_deg: FloatArray, rates_deg_s: FloatArray, seconds: float) -> tuple[Fault, ArmSample]:
+    """What a supervisor says of an arm that turns so, and where it then was."""
+    placement = Placement(T_BASE_SURFACE)
+    clearance = ArmClearance(placement, chain.forward(chain.home_deg))
+    limits = Limits(speed_m_s=9.0, turn_deg_s=900.0)
+    supervisor = Supervisor(limits, 0, placement.T_ee_center, chain, clearance=clearance)
+    sample = ArmSample(0, chain.end_effector(start_deg), tuple(start_deg))
+    for number in range(1, round(100 * seconds)):
+        now_ns = number * PERIOD_NS
+        joints_deg = start_deg + 0.01 * number * rates_deg_s
+        sample = ArmSample(now_ns, chain.end_effector(joints_deg), tuple(joints_deg))
+        force = ForceSample(now_ns, np.zeros(3), pattern=number)
+        verdict = supervisor.judge(RobotObservation(now_ns, (force,), (sample,)))
+        if verdict.action is not Action.GO_ON:
+            return verdict.fault, sample
+    return Fault.NONE, sample
+
+
+INTO = [
+    ("j2n6s300", 90.0, 1, -1, Fault.TABLE),
+    ("j2n6s300", 167.0, 1, 1, Fault.TABLE),
+    ("j2n6s300", 90.0, 2, 1, Fault.TABLE),
+    ("kr6r900sixx", -45.0, 1, 1, Fault.TABLE),
+    ("j2n6s300", 90.0, 2, -1, Fault.ITSELF),
+    ("j2n6s300", 120.0, 4, 1, Fault.ITSELF),
+    ("j2n6s300", 167.0, 4, 1, Fault.ITSELF),
+]
+"""Arm at home but for its second joint [deg], joint that turns and which way, and what it comes near to."""
+
+
+@pytest.mark.parametrize(("model", "second_deg", "joint", "way", "fault"), INTO)
+@pytest.mark.parametrize("rate_deg_s", [2.0, 20.0, 36.0])
+def test_an_arm_is_stopped_before_it_hits(
+    model: str, second_deg: float, joint: int, way: int, fault: Fault, rate_deg_s: float
+) -> None:
+    """Two control periods later, where it stands, it still has not hit."""
+    chain = CHAINS[model]
+    start_deg, rates_deg_s = chain.home_deg.copy(), np.zeros(chain.joint_count)
+    start_deg[1], rates_deg_s[joint] = second_deg, way * rate_deg_s
+    clearance = ArmClearance(Placement(T_BASE_SURFACE), chain.forward(start_deg))
+    degrees = 0
+    while min(clearance.over_table_m(links := chain.forward(start_deg)), clearance.to_itself_m(links)) > 0.0:
+        start_deg[joint], degrees = start_deg[joint] + way, degrees + 1
+    start_deg[joint] -= way * min(degrees, 20)
+    noticed, sample = driven(chain, start_deg, rates_deg_s, 20.0 / rate_deg_s)
+    assert noticed is fault
+    links = chain.forward(np.array(sample.joints_deg) + 0.02 * rates_deg_s)
+    assert min(clearance.over_table_m(links), clearance.to_itself_m(links)) > 0.0
+
+
+def test_an_arm_may_move_away_from_the_table() -> None:
+    chain = CHAINS["kr6r900sixx"]
+    low_deg = np.array([0.0, 10.0, 60.0, 0.0, 20.0, 0.0])
+    clearance = ArmClearance(Placement(T_BASE_SURFACE), chain.forward(low_deg))
+    assert clearance.over_table_m(chain.forward(low_deg)) < LINK_RADIUS_M
+    noticed, _ = driven(chain, low_deg, np.array([0.0, -10.0, 0.0, 0.0, 0.0, 0.0]), 1.0)
+    assert noticed is Fault.NONE
