@@ -119,11 +119,13 @@ def fit_touch(
     low, high = sample_m or world.box_m
     surface = MeasuredSurface(_at_rest(world, touch, thickness_m, low, high, spacing), thickness_m)
     sunk = near[:, 2] - world.at(near[:, :2]).mean
+    touched, touched_by = _contact(touch)
     seen = SeenPoke(
         at=np.array([*touch.lowest_m[:2], touch.lowest_m[2] + touch.depth_m]),
         tip=Tip("disc", (spacing,), slips=False),  # one cell wide: its corners stand in the patch
         depth=touch.depth_m,
-        **_contact(touch),
+        touched=touched,
+        touched_by=touched_by,
         points=np.column_stack([near[:, :2], near[:, 2] - sunk]),
         moved=np.column_stack([np.zeros((len(near), 2)), sunk]),
         noise=None,
@@ -170,7 +172,7 @@ def _at_rest(
     return np.column_stack([places, world.at(places).mean])
 
 
-def _contact(touch: BallContact) -> dict[str, FloatArray]:
+def _contact(touch: BallContact) -> tuple[FloatArray, FloatArray]:
     """The patch under the ball, at rest, and where the ball has pushed it."""
     radius = contact_radius_m(touch.radius_m, touch.depth_m)
     away = radius * np.arange(1, RINGS + 1) / RINGS
@@ -180,7 +182,7 @@ def _contact(touch: BallContact) -> dict[str, FloatArray]:
     )
     sink = Tip("sphere", (2.0 * touch.radius_m,)).rise(aside * (1.0 - 1e-9)) - touch.depth_m
     rest = np.column_stack([touch.lowest_m[:2] + aside, np.full(len(aside), touch.lowest_m[2] + touch.depth_m)])
-    return {"touched": rest, "touched_by": np.column_stack([np.zeros_like(aside), sink])}
+    return rest, np.column_stack([np.zeros_like(aside), sink])
 
 
 # The thesis's procedure ----------------------------------------------------------------------------------------------

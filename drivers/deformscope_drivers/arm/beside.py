@@ -45,7 +45,7 @@ class ArmBeside(Arm[ArmState]):
         self._known: dict[str, Any] = {}
         self._health: dict[str, float] = {}
         self._homed = False
-        self._asked = 0
+        self._questions = 0
         self._answers: dict[int, Any] = {}
 
     @property
@@ -151,8 +151,8 @@ class ArmBeside(Arm[ArmState]):
         return found
 
     def _ask_there(self, name: str, arguments: tuple[Any, ...], timeout_s: float) -> Any:
-        self._asked += 1
-        number, until_ns = self._asked, self._clock() + round(timeout_s * 1e9)
+        self._questions += 1
+        number, until_ns = self._questions, self._clock() + round(timeout_s * 1e9)
         self._send("call", number, name, arguments)
         found: list[ArmState] = []
         while number not in self._answers:
@@ -212,6 +212,5 @@ class ArmBeside(Arm[ArmState]):
 
 def _error_of(name: str, words: str) -> DeviceError:
     """An error of the other process; a vendor's own as the nearest that is known here."""
-    found = getattr(errors, name, None) or getattr(arm_errors, name, DeviceError)
-    kind: type[DeviceError] = found
+    kind: type[DeviceError] = getattr(errors, name, None) or getattr(arm_errors, name, None) or DeviceError
     return kind.in_words(words)

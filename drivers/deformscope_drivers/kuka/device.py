@@ -116,7 +116,8 @@ class Kuka(Arm[ArmState]):
         self._ipoc = 0
         until_ns = self._clock() + round(self.config.wait_s * 1e9)
         steps_ms: list[int] = []
-        while len(steps_ms) < CYCLES_SEEN:
+        message: RobMessage | None = None
+        while message is None or len(steps_ms) < CYCLES_SEEN:
             left_s = (until_ns - self._clock()) / 1e9
             if left_s <= 0 or self._closing.is_set():
                 raise NotConnected("a controller that sends", f"none in {self.config.wait_s:g} s", START, self.name)
