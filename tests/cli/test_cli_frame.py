@@ -91,8 +91,10 @@ def test_every_command_exists_and_has_help(capsys: pytest.CaptureFixture[str]) -
 
 
 DATASET = {f"dataset {what}" for what in ("list", "relabel", "discard", "merge", "repair")}
-ONLY_LOOK = {"devices", "doctor", "verify", "recover", "double", "bench", "export", "report"} | DATASET
-"""Commands that compute nothing of a thing: they list, check, convert, keep a data set, or measure this machine."""
+BY_ITSELF = {"arm where", "arm home"}
+ONLY_LOOK = {"devices", "doctor", "verify", "recover", "double", "bench", "export", "report"} | DATASET | BY_ITSELF
+"""Commands that compute nothing of a thing: they list, check, convert, keep a data set, measure this machine, or ask an
+arm where it is or to go home by its own way."""
 
 
 def test_every_command_that_computes_records_and_shows() -> None:

@@ -144,14 +144,26 @@ def test_a_rig(tmp_path: Path, viewer: ViewerClient, kinds: tuple[str, ...]) -> 
         assert (arm.min(axis=2) > 110).mean() > 0.005  # its links, lighter than the floor
 
 
+def _headless(monkeypatch: pytest.MonkeyPatch) -> list[live.Viewer]:
+    """Windows are not seen; those that are started from here on are listed."""
+    started = list[live.Viewer]()
+
+    def start() -> live.Viewer:
+        started.append(live.start_viewer())
+        return started[-1]
+
+    monkeypatch.setattr(live, "window_options", lambda: ["--headless"])
+    monkeypatch.setenv("VK_ICD_FILENAMES", str(LAVAPIPE))
+    monkeypatch.setattr(recorder, "start_viewer", start)
+    return started
+
+
 def test_a_native_viewer_gets_the_run_and_outlives_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     if not LAVAPIPE.exists():
         pytest.skip("no software Vulkan driver")
-    monkeypatch.setattr(live, "window_options", lambda: ["--headless"])
-    monkeypatch.setenv("VK_ICD_FILENAMES", str(LAVAPIPE))
+    started = _headless(monkeypatch)
     with Recorder(tmp_path / "run.rrd", "native", {}) as made:
-        viewer = made.viewer
-        assert viewer is not None
+        (viewer,) = started
         try:
             with open_source(["sample:tension"]) as source:
                 run(source, synthetic.calibration(), made)
@@ -173,12 +185,10 @@ def test_a_native_viewer_gets_the_run_and_outlives_it(tmp_path: Path, monkeypatc
 def test_a_stopped_window_costs_the_picture_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     if not LAVAPIPE.exists():
         pytest.skip("no software Vulkan driver")
-    monkeypatch.setattr(live, "window_options", lambda: ["--headless"])
-    monkeypatch.setenv("VK_ICD_FILENAMES", str(LAVAPIPE))
+    started = _headless(monkeypatch)
     monkeypatch.setattr(recorder, "leave_streams_alone", lambda: None)  # other tests' streams end as usual
     with Recorder(tmp_path / "run.rrd", "native", {}) as made:
-        viewer = made.viewer
-        assert viewer is not None
+        (viewer,) = started
         try:
             os.kill(viewer.pid, signal.SIGSTOP)
             for frame in synthetic.frames(100, (200, 300)):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -35,7 +36,7 @@ FAR_DEG = np.array([265.0, 228.5, 135.9, 326.6, 105.8, -38.4])
 class Bench:
     """A robot in the laboratory that may move, and what each period's pose was."""
 
-    def __init__(self, model: str = "j2n6s300", start_deg: FloatArray | None = None) -> None:
+    def __init__(self, model: str = "j2n6s300", start_deg: FloatArray | None = None, limits: Limits = FREE_BOX) -> None:
         tool = Tool()
         foam = SpringyFoam(60e3, (0.3, 0.2, 0.02), (0.0, 0.0, 1.0), tool)
         self.lab = TouchLab(foam, tool=tool, arm_model=model, start_deg=start_deg)
@@ -54,7 +55,7 @@ class Bench:
             self.lab.arm,
             self.lab.force,
             self.lab.placement,
-            FREE_BOX,
+            limits,
             clock=self.lab.clock,
             wait_until=self.lab.wait_until,
             watch=self._watch,
@@ -256,10 +257,13 @@ def test_a_tip_sent_ever_farther_stops_near_the_singularity_still_on_its_way() -
 
 
 def test_a_tip_sent_towards_a_joints_limit_stops_at_its_margin() -> None:
-    bench = Bench(start_deg=np.array([260.0, 200.0, 36.0, 340.0, 65.0, -28.0]))
+    """A margin of 20 degrees: at 5 the folded arm would have met itself before."""
+    bench = Bench(
+        start_deg=np.array([260.0, 200.0, 51.0, 340.0, 65.0, -28.0]), limits=replace(FREE_BOX, joint_margin_deg=20.0)
+    )
     assert bench.until_stopped(JointRates(np.array([0.0, 0.0, -12.0, 0.0, 0.0, 0.0]))) is Fault.JOINT_LIMIT
     left_deg = J2N6S300.to_limits_deg(bench.lab.arm_double.joints_deg).min()
-    assert 5.0 < left_deg < 6.0
+    assert 20.0 < left_deg < 21.0
     bench.lab.close()
 
 

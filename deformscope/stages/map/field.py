@@ -23,7 +23,7 @@ from threadpoolctl import threadpool_limits
 from deformscope.arrays import BoolArray, FloatArray
 from deformscope.errors import InputError
 from deformscope.stages.map.gaussian_process import Believed, Kernel
-from deformscope.stages.regions.touch_error import SCATTER_MEDIAN, SCATTER_SPREAD
+from deformscope.stages.regions.touch_error import SCATTER_MEDIAN
 from deformscope.stages.regions.touches import MapGrid
 
 FREEDOM = 3.0
@@ -64,7 +64,9 @@ class FieldPrior:
     length_m: float = 0.15
     length_spread: float = 0.6
     nugget: float = SCATTER_MEDIAN
-    nugget_spread: float = SCATTER_SPREAD
+    nugget_spread: float = (
+        0.6  # wider than of regions' scatter: a field is of any thing, and its nugget ends at 3 of them
+    )
     level_sd: float = 2.0
 
     def median(self) -> FloatArray:
