@@ -156,7 +156,7 @@ function minutes(value) {
 
 function showLag({ behind_s, skipped }) {
   const behind = behind_s === null ? "" : `viewer ${behind_s.toFixed(1)} s behind`;
-  at("lag").textContent = skipped ? `${behind}, ${skipped} skipped` : behind;
+  at("lag").textContent = [behind, skipped && `${skipped} skipped`].filter(Boolean).join(", ");
 }
 
 function made(tag, name = "") {
