@@ -23,10 +23,21 @@ class Stamp:
 
     host_ns: monotonic host clock [ns]; for media without a clock (a video file), the media time since its start [ns]
     device_ticks: the device's own counter or clock, in its own unit; None where it has none
+    late_ns: how late the device is by calibration, which host_ns has been put back by [ns]; None = host_ns is arrival
     """
 
     host_ns: int
     device_ticks: int | None = None
+    late_ns: int | None = None
+
+    @property
+    def arrived_ns(self) -> int:
+        """When it arrived, as stamped at first [ns]."""
+        return self.host_ns + (self.late_ns or 0)
+
+    def put_back(self, late_ns: int) -> Stamp:
+        """Of a device that is so late [ns]: when the reading was taken."""
+        return Stamp(self.arrived_ns - late_ns, self.device_ticks, late_ns)
 
 
 def now() -> Stamp:

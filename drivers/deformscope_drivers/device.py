@@ -7,6 +7,7 @@ to it (`_do`). So no lock guards a port, no reading is torn, and a cable that wa
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import threading
 import time
 from abc import ABC, abstractmethod
@@ -15,7 +16,7 @@ from collections.abc import Callable, Hashable, Iterable, Iterator
 from concurrent.futures import Future
 from concurrent.futures import TimeoutError as FutureTimeout
 from dataclasses import dataclass
-from typing import Any, ClassVar, Generic, Protocol, Self, TypeVar
+from typing import Any, ClassVar, Generic, Protocol, Self, TypeVar, cast
 
 from deformscope_drivers.clock import Clock, ClockFit, Stamp, monotonic_ns
 from deformscope_drivers.errors import DeviceError, LinkLost, NoReply, NotConnected, Stale
@@ -82,6 +83,7 @@ class Device(ABC, Generic[MeasurementT]):
 
     name: for messages; reconnect: None = a lost link ends the session; stuck_after_s: readings that stay exactly the
     same for this long mean a stuck sensor, None = they may; clock: the host's, or a simulated laboratory's
+    late_ns: set before opening, how late the device is by calibration [ns]: the stamps in all queues are put back by it
     A subclass gives `_connect`, `_receive` and `_disconnect`, all run by the device's own thread; one whose readings
     are large gives `queue_readings` too: how many wait for a slow reader where it does not say.
     """
@@ -100,6 +102,7 @@ class Device(ABC, Generic[MeasurementT]):
         self._reconnect = reconnect
         self._stuck_after_ns = None if stuck_after_s is None else round(stuck_after_s * 1e9)
         self._clock = clock
+        self.late_ns = 0
         self._changed = threading.Condition()
         self._thread: threading.Thread | None = None
         self._own_thread = True
@@ -314,6 +317,7 @@ class Device(ABC, Generic[MeasurementT]):
                 resyncs=self._tally.resyncs,
                 reconnects=self._tally.reconnects,
                 rate_hz=self._tally.rate.at(now_ns),
+                jitter_s=self._tally.rate.jitter_s,
                 age_s=None if last is None else (now_ns - last.stamp.host_ns) / 1e9,
                 stuck=self._stuck(),
                 clock=None if self._clock_fit is None else self._clock_fit.relation(),
@@ -323,6 +327,10 @@ class Device(ABC, Generic[MeasurementT]):
     def identity(self) -> Identity:
         """Model, serial number and firmware, as far as the device reported them while connecting; touches nothing."""
         return Identity()
+
+    def remarks(self) -> tuple[str, ...]:
+        """What a user should know of the device as it is connected, though it works; each in words."""
+        return ()
 
     # For subclasses --------------------------------------------------------------------------------------------------
 
@@ -354,7 +362,9 @@ class Device(ABC, Generic[MeasurementT]):
             self._tally.receive(reading.stamp.host_ns)
             if fingerprint is None or fingerprint != self._same:
                 self._same, self._same_since_ns = fingerprint, reading.stamp.host_ns
-            self._last, self._asked = reading, False
+            self._last, self._asked = reading, False  # ages, and what comes next, go by arrival
+            if self.late_ns:
+                reading = _put_back(reading, self.late_ns)
             for queue in self._readings:
                 self._tally.dropped += queue.put(reading)
             self._changed.notify_all()
@@ -537,6 +547,11 @@ class Device(ABC, Generic[MeasurementT]):
         if self._last is None:
             return f"none since it was opened ({link})"
         return f"none for {(self._clock() - self._last.stamp.host_ns) / 1e9:.3g} s ({link})"
+
+
+def _put_back(reading: MeasurementT, late_ns: int) -> MeasurementT:
+    stamp = reading.stamp.put_back(late_ns)
+    return cast("MeasurementT", dataclasses.replace(cast("Any", reading), stamp=stamp))
 
 
 class StreamDevice(Device[MeasurementT]):

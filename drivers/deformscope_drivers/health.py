@@ -7,6 +7,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 
+import numpy as np
+
 from deformscope_drivers.clock import ClockRelation
 from deformscope_drivers.continuity import Continuity
 from deformscope_drivers.framing import NOISE, Skipped
@@ -49,6 +51,9 @@ class Health:
     extra: what only this kind of device counts
     lost_by_time: how many of the lost ones are counted at the device's rate, for the time of a lost link or of silence,
     where its counter does not show it; silent_s: how long that was [s]
+    jitter_s: standard deviation of the time from one reading to the next, lately, as the host stamps them [s]
+    alarms: what its readings themselves show, each in words that begin with `stuck` or `saturated`; filled in by who
+    looks at the readings
     """
 
     link: Link
@@ -67,6 +72,8 @@ class Health:
     extra: Mapping[str, float] = field(default_factory=dict)
     lost_by_time: int = 0
     silent_s: float = 0.0
+    jitter_s: float = 0.0
+    alarms: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,6 +105,11 @@ class Rate:
         if count and silence > 3 * span / count:
             span += silence
         return count / span * 1e9 if span > 0 else 0.0
+
+    @property
+    def jitter_s(self) -> float:
+        """Standard deviation of the time from one reading to the next [s], 0 before the third."""
+        return float(np.diff(self._times).std()) / 1e9 if len(self._times) > 2 else 0.0
 
 
 class Tally:

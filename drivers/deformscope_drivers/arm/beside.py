@@ -18,7 +18,7 @@ from typing import Any
 
 from deformscope_drivers import errors
 from deformscope_drivers.arm import errors as arm_errors
-from deformscope_drivers.arm.commands import SpeedLimits, Velocity
+from deformscope_drivers.arm.commands import Velocity
 from deformscope_drivers.arm.device import Arm
 from deformscope_drivers.arm.kinematics import Chain
 from deformscope_drivers.arm.state import ArmState
@@ -54,16 +54,6 @@ class ArmBeside(Arm[ArmState]):
         if chain is None:
             raise NotConnected("an arm that was opened", "one that was not yet", "open() it", self.name)
         return chain
-
-    @property
-    def speed_limits(self) -> SpeedLimits:
-        limits: SpeedLimits = self.config
-        return limits
-
-    @property
-    def state_hz(self) -> float:
-        hz: float = self.config.state_hz
-        return hz
 
     @property
     def urdf(self) -> Path | None:

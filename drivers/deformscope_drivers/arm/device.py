@@ -10,7 +10,7 @@ import threading
 from abc import abstractmethod
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar, Self, TypeVar
+from typing import Any, ClassVar, Self, TypeVar
 
 from deformscope_drivers.arm import commands
 from deformscope_drivers.arm.commands import SpeedLimits, Velocity
@@ -41,12 +41,14 @@ class Streamed:
 
 
 class Arm(Device[StateT]):
-    """An arm; a subclass gives `chain`, `speed_limits`, `state_hz`, `stop`, `halt`, and carries out `_streamed`.
+    """An arm; a subclass gives `config`, `chain`, `stop`, `halt`, and carries out `_streamed`.
 
+    config: with `state_hz` and, for an arm that takes velocities, what `SpeedLimits` has
     by_hand: a person places it: it has no joints that are known, and takes no velocities
     """
 
     by_hand: ClassVar[bool] = False
+    config: Any
 
     def __init__(self, name: str, *, reconnect: Reconnect | None = RECONNECT, clock: Clock = monotonic_ns) -> None:
         super().__init__(name, reconnect=reconnect, clock=clock)
@@ -67,14 +69,16 @@ class Arm(Device[StateT]):
         """Its kinematics, with the joints' ranges and speeds. Raises DeviceError where they are not known."""
 
     @property
-    @abstractmethod
     def speed_limits(self) -> SpeedLimits:
-        """How fast a command may ask it to move."""
+        """How fast a command may ask it to move: as its configuration says."""
+        limits: SpeedLimits = self.config
+        return limits
 
     @property
-    @abstractmethod
     def state_hz(self) -> float:
-        """How often it should report."""
+        """How often it should report: as its configuration says."""
+        hz: float = self.config.state_hz
+        return hz
 
     @property
     def joint_limits_deg_s(self) -> FloatArray:

@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 FloatArray = npt.NDArray[np.float64]
+GRAVITY_M_S2 = 9.81
 LEVER_M = 0.2
 """So far from the end effector a rotation counts as much as a velocity there: hand, stick and tip."""
 
@@ -76,11 +77,28 @@ class Chain:
         self.end_effector_rpy_rad = end_effector_rpy_rad
         self._T_parent_joint = np.array([transform(rotation_from_rpy(*j.rpy_rad), j.xyz_m) for j in joints])
         self.T_last_end_effector: FloatArray = transform(rotation_from_rpy(*end_effector_rpy_rad), end_effector_xyz_m)
+        self._latest: tuple[bytes, FloatArray] = (b"", np.empty(0))
+        weights_n = -GRAVITY_M_S2 * np.array([joint.mass_kg for joint in joints])
+        self._weights_n = weights_n[:, None]
+        # each joint carries all links behind it
+        self._carried_n = np.cumsum(weights_n[::-1])[::-1, None]
 
     def forward(self, joints_deg: npt.ArrayLike) -> FloatArray:
-        """`T_base_link` of every joint's link and, last, of the end effector: (..., n + 1, 4, 4) [m]; joints_deg
-        (..., n)."""
-        angles_rad = np.radians(self._joints(joints_deg))[..., None]
+        """`T_base_link` of every joint's link and, last, of the end effector: (..., n + 1, 4, 4) [m], not to be written
+        to; joints_deg (..., n)."""
+        joints = self._joints(joints_deg)
+        if joints.ndim > 1:
+            return self._forward(joints)
+        # in one control period several ask for the same pose
+        asked, (known, latest) = joints.tobytes(), self._latest
+        if asked != known:
+            latest = self._forward(joints)
+            latest.flags.writeable = False
+            self._latest = asked, latest
+        return latest
+
+    def _forward(self, joints_deg: FloatArray) -> FloatArray:
+        angles_rad = np.radians(joints_deg)[..., None]
         cosines, sines = np.cos(angles_rad), np.sin(angles_rad)
         x, y = self._T_parent_joint[:, :, 0], self._T_parent_joint[:, :, 1]
         T_base_links = np.empty((*angles_rad.shape[:-2], self.joint_count + 1, 4, 4))
@@ -97,7 +115,7 @@ class Chain:
 
     def end_effector(self, joints_deg: npt.ArrayLike) -> FloatArray:
         """`T_base_end_effector` (4, 4) [m] for joints_deg (n,)."""
-        pose: FloatArray = self.forward(joints_deg)[-1]
+        pose: FloatArray = self.forward(joints_deg)[-1].copy()
         return pose
 
     def jacobian(self, joints_deg: npt.ArrayLike) -> FloatArray:
@@ -107,20 +125,16 @@ class Chain:
         """
         return jacobian_of(self.forward(joints_deg))
 
-    def gravity_torque_nm(self, T_base_links: FloatArray, gravity_m_s2: float = 9.81) -> FloatArray:
+    def gravity_torque_nm(self, T_base_links: FloatArray) -> FloatArray:
         """Torque (n,) [Nm] that holds the links up, base standing upright; T_base_links as from `forward`.
 
         Each link's mass is taken to sit midway to the next joint, which is what the published masses allow.
         """
         axes, origins_m = T_base_links[:-1, :3, 2], T_base_links[:-1, :3, 3]
         centres_m = 0.5 * (origins_m + T_base_links[1:, :3, 3])
-        weights_n = -gravity_m_s2 * np.array([joint.mass_kg for joint in self.joints])
-        # each joint carries all links behind it: their weight, and the moment of it about the base's origin
-        carried_n = np.cumsum(weights_n[::-1])[::-1]
-        moment_nm = np.cumsum((weights_n[:, None] * centres_m)[::-1], axis=0)[::-1] - carried_n[:, None] * origins_m
-        moments_nm = np.stack([moment_nm[:, 1], -moment_nm[:, 0], np.zeros(self.joint_count)], axis=1)
-        torque_nm: FloatArray = -np.einsum("ij,ij->i", axes, moments_nm)
-        return torque_nm
+        # of all links behind each joint: the moment of their weight about the base's origin
+        moment_nm = np.cumsum((self._weights_n * centres_m)[::-1], axis=0)[::-1] - self._carried_n * origins_m
+        return axes[:, 1] * moment_nm[:, 0] - axes[:, 0] * moment_nm[:, 1]
 
     def clip(self, joints_deg: npt.ArrayLike, margin_deg: float = 0.0) -> FloatArray:
         """joints_deg (n,) brought within the joints' ranges, or margin_deg inside them."""

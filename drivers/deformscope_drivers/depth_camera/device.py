@@ -2,40 +2,27 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import json
 import math
 import re
-import socket
-import subprocess
-import time
-from collections.abc import Hashable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
-from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any, ClassVar
 
-import numpy as np
-
-from deformscope_drivers import errors
-from deformscope_drivers.clock import ClockFit, Stamp
+from deformscope_drivers.camera_process.messages import FrameMessage
+from deformscope_drivers.clock import ClockFit
+from deformscope_drivers.depth_camera.beside import CameraBeside
 from deformscope_drivers.depth_camera.discovery import resolve_port
 from deformscope_drivers.depth_camera.image import DepthImage, Intrinsics
-from deformscope_drivers.device import RECONNECT, Device, EndOfReadings, Reconnect
-from deformscope_drivers.errors import DeviceError, LinkLost, NotConnected, SettingsRefused
-from deformscope_drivers.images import QUEUE_IMAGES, fingerprint
+from deformscope_drivers.device import RECONNECT, Reconnect
+from deformscope_drivers.errors import NotConnected, SettingsRefused
 from deformscope_drivers.openni.camera import OpenniSettings
-from deformscope_drivers.openni.command import process_command, process_environment
 from deformscope_drivers.openni.library import library_file
-from deformscope_drivers.openni.messages import END, FAILED, FRAME, OPENED, unpack_frame, unpack_words
 
 RECORDING_SUFFIX = ".oni"
 _CAMERA = re.compile(r"(\w[\w:/@.-]*)?")
 """What OpenNI2 may be given as the name of a camera. It takes any other name for a file's, and opens that."""
-OPEN_TIMEOUT_S = 20.0
-END_TIMEOUT_S = 2.0
-WRONG_SIZE = "size"
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,15 +68,12 @@ class DepthCameraConfig:
         return library_file(self.library) if self.library else None
 
 
-class DepthCamera(Device[DepthImage]):
+class DepthCamera(CameraBeside):
     """`with DepthCamera(DepthCameraConfig(color=True)) as camera: camera.next(1.0).depth_m()`
 
     OpenNI2 runs in a process of its own: what hangs or crashes there is a lost link here, and is started anew.
-    Frames lost are counted by the camera's own counter. Never tried on a camera; tried on OpenNI2's dummy and on
-    recordings written for it.
+    Never tried on a camera; tried on OpenNI2's dummy and on recordings written for it.
     """
-
-    queue_readings: ClassVar[int] = QUEUE_IMAGES
 
     def __init__(
         self,
@@ -100,168 +84,67 @@ class DepthCamera(Device[DepthImage]):
     ) -> None:
         if not (math.isfinite(config.speed) and config.speed >= 0):
             raise SettingsRefused("a speed of 0 or more", f"{config.speed:g}", where=config.port)
-        name = config.port or "the first depth camera"
         is_file = config.is_recording
-        stuck_after_s = None if is_file else config.stuck_after_s
-        super().__init__(name, reconnect=None if is_file else reconnect, stuck_after_s=stuck_after_s)
+        super().__init__(
+            config.port or "the first depth camera",
+            "deformscope_drivers.openni.process",
+            config.silence_s,
+            reconnect=None if is_file else reconnect,
+            stuck_after_s=None if is_file else config.stuck_after_s,
+        )
         self.config = config
         self._usb = usb
-        self._process: subprocess.Popen[bytes] | None = None
-        self._connection: Connection | None = None
-        self._reported: dict[str, Any] = {}
-        self._intrinsics: Intrinsics | None = None
-        self._heard_ns = 0
-        self._last_index: int | None = None
         self._ticks_before = self._ticks_offset = 0
 
-    @property
-    def model(self) -> str:
-        """The camera's maker and name, once it was opened."""
-        return str(self._reported.get("name", ""))
+    # A camera in a process of its own --------------------------------------------------------------------------------
 
-    @property
-    def serial(self) -> str:
-        """The camera's serial number, once it was opened; empty where it reports none."""
-        return str(self._reported.get("serial", ""))
-
-    @property
-    def intrinsics(self) -> Intrinsics | None:
-        """From the camera's field of view, once it was opened; None where it reports none."""
-        return self._intrinsics
-
-    # A device --------------------------------------------------------------------------------------------------------
-
-    def _connect(self) -> None:
+    def _arguments(self) -> tuple[str, ...]:
         if self.config.is_recording and not Path(self.config.port).is_file():
             raise NotConnected("a recording that is there", "none", where=self.config.port)
-        self._start_process(resolve_port(self.config.port, self._usb))
-        self._reported = self._await_opened()
-        width, height = int(self._reported["width"]), int(self._reported["height"])
-        angles = self._reported["field_of_view_rad"]
-        self._intrinsics = None if angles is None else Intrinsics.from_field_of_view(width, height, *angles)
-        self._heard_ns = self._clock()
-        self._last_index = None
+        uri = resolve_port(self.config.port, self._usb)
         self._ticks_before = self._ticks_offset = 0
-        self._clock_fit = ClockFit(1000.0) if self.config.speed == 1.0 else None
-        self._expect(None if self._as_fast_as_read else float(self.config.fps or 0) * self.config.speed)
+        asked = {field.name: getattr(self.config, field.name, uri) for field in dataclasses.fields(OpenniSettings)}
+        return (json.dumps(asked),)
+
+    def _projection(self) -> Intrinsics | None:
+        angles = self._reported["field_of_view_rad"]
+        if angles is None:
+            return None
+        return Intrinsics.from_field_of_view(int(self._reported["width"]), int(self._reported["height"]), *angles)
+
+    def _rate_hz(self) -> float | None:
+        return None if self._as_fast_as_read else float(self.config.fps or 0) * self.config.speed
+
+    def _fitted_clock(self) -> ClockFit | None:
+        return super()._fitted_clock() if self.config.speed == 1.0 else None
 
     def _receive(self, timeout_s: float) -> Iterable[DepthImage]:
         if self._as_fast_as_read and not self._wanted():
             self._heard_ns = self._clock()
             self._closing.wait(0.001)
             return []
-        message = self._message(timeout_s)
-        if message is None:
-            silence_s = (self._clock() - self._heard_ns) / 1e9
-            if silence_s > self.config.silence_s:
-                raise LinkLost("a picture", f"none for {silence_s:.3g} s", "look at the camera", self.name)
-            return []
-        self._heard_ns = self._clock()
-        if message[:1] == END:
-            raise EndOfReadings(f"the end of {Path(self.config.port).name}")
-        if message[:1] == FAILED:
-            raise LinkLost("pictures", _failure(message), where=self.name)
-        return self._picture(message) if message[:1] == FRAME else []
+        return super()._receive(timeout_s)
 
-    def _disconnect(self) -> None:
-        connection, self._connection = self._connection, None
-        process, self._process = self._process, None
-        if connection is not None:
-            connection.close()
-        if process is not None:
-            try:
-                process.wait(END_TIMEOUT_S)
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.wait()
+    def _arrived_ns(self, frame: FrameMessage) -> int:
+        """What was read ahead has not arrived before it is wanted."""
+        return self._clock() if self._as_fast_as_read else frame.host_ns
 
-    def _fingerprint(self, reading: DepthImage) -> Hashable:
-        return fingerprint(reading.depth)
-
-    @property
-    def _as_fast_as_read(self) -> bool:
-        return self.config.is_recording and self.config.speed == 0
-
-    # Within ----------------------------------------------------------------------------------------------------------
-
-    def _start_process(self, uri: str) -> None:
-        asked = {field.name: getattr(self.config, field.name, uri) for field in dataclasses.fields(OpenniSettings)}
-        ours, theirs = socket.socketpair()
-        with theirs:
-            self._connection = Connection(ours.detach())
-            self._process = subprocess.Popen(
-                process_command(str(theirs.fileno()), json.dumps(asked)),
-                pass_fds=[theirs.fileno()],
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.DEVNULL,
-                env=process_environment(),
-            )
-
-    def _await_opened(self) -> dict[str, Any]:
-        until = time.monotonic() + OPEN_TIMEOUT_S
-        while time.monotonic() < until and not self._closing.is_set():
-            try:
-                message = self._message(0.05)
-            except LinkLost as error:
-                status = None if self._process is None else self._process.returncode
-                came = f"the end of the process that reads it (exit status {status})"
-                raise NotConnected("a depth camera", came, "another file or library", self.name) from error
-            if message is None:
-                continue
-            if message[:1] == OPENED:
-                return unpack_words(message)
-            kind: type[DeviceError] = getattr(errors, str(unpack_words(message)["kind"]))
-            raise kind.in_words(_failure(message))
-        raise NotConnected("a depth camera", f"none within {OPEN_TIMEOUT_S:g} s", "plug it in anew", self.name)
-
-    def _message(self, timeout_s: float) -> bytes | None:
-        """The next message of the process; None when none came in time. Raises LinkLost when it has ended."""
-        if self._connection is None or self._process is None:
-            raise NotConnected("an open camera", "one that is closed", where=self.name)
-        try:
-            return self._connection.recv_bytes() if self._connection.poll(timeout_s) else None
-        except (EOFError, OSError) as error:
-            with contextlib.suppress(subprocess.TimeoutExpired):
-                self._process.wait(END_TIMEOUT_S)
-            came = f"its end (exit status {self._process.returncode})"
-            raise LinkLost("the process that reads the camera", came, "", self.name) from error
-
-    def _picture(self, message: bytes) -> Iterable[DepthImage]:
-        frame = unpack_frame(message)
-        self._count(frame.index)
-        if (frame.width, frame.height) != (self._reported["width"], self._reported["height"]):
-            self._count_refused(WRONG_SIZE)
-            return []
-        # What was read ahead has not arrived before it is wanted.
-        host_ns = self._clock() if self._as_fast_as_read else frame.host_ns
-        stamp = Stamp(host_ns, self._ticks(frame.timestamp_us))
-        if self._clock_fit is not None and stamp.device_ticks is not None:
-            self._clock_fit.add(stamp.device_ticks, stamp.host_ns)
-        depth = np.frombuffer(frame.depth, np.uint16).reshape(frame.height, frame.width)
-        color = None
-        if frame.color:
-            color = np.frombuffer(frame.color, np.uint8).reshape(frame.color_height, frame.color_width, 3)
-        return [DepthImage(stamp, depth, float(self._reported["unit_m"]), color, self._intrinsics)]
-
-    def _count(self, index: int) -> None:
-        """Count what is missing before a frame, by the camera's counter; a recording's begins again with each round
-        (and OpenNI2's player, at its own pace, swallows a round's last frame)."""
-        last, self._last_index = self._last_index, index
-        if last is None:
-            return
+    def _before(self, index: int, last: int) -> int:
+        """A recording's counter begins again with each round (and OpenNI2's player, at its own pace, swallows a round's
+        last frame)."""
         frame_count = self._reported["frame_count"]
-        if index <= last:
-            last = index - 1 if frame_count is None else last - int(frame_count)
-        if index > last + 1:
-            self._count_lost(index - last - 1)
+        if index > last or frame_count is None:
+            return super()._before(index, last)
+        return last - int(frame_count)
 
-    def _ticks(self, timestamp_us: int) -> int:
+    def _ticks(self, frame: FrameMessage) -> int:
         """The camera's time, which goes on where a recording begins again."""
+        timestamp_us = frame.timestamp_us
         if timestamp_us + self._ticks_offset < self._ticks_before and self.config.is_recording:
             self._ticks_offset = self._ticks_before + round(1e6 / max(int(self._reported["fps"]), 1)) - timestamp_us
         self._ticks_before = timestamp_us + self._ticks_offset
         return self._ticks_before
 
-
-def _failure(message: bytes) -> str:
-    return str(unpack_words(message).get("words", ""))
+    @property
+    def _as_fast_as_read(self) -> bool:
+        return self.config.is_recording and self.config.speed == 0

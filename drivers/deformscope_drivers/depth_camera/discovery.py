@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import json
-import subprocess
 from collections.abc import Callable
 from pathlib import Path
 
+from deformscope_drivers.camera_process.command import ask_process
 from deformscope_drivers.errors import NotConnected
-from deformscope_drivers.openni.command import process_command, process_environment
 from deformscope_drivers.openni.library import INSTALL, ListedDevice
 from deformscope_drivers.ports import FoundDevice
 from deformscope_drivers.usb import UsbDevice, sysfs_text, usb_device
@@ -32,16 +31,10 @@ microphones."""
 def list_by_openni() -> list[ListedDevice] | None:
     """The cameras that OpenNI2 sees, asked in a process of its own; None where it is not installed."""
     try:
-        asked = subprocess.run(
-            process_command("list"),
-            env=process_environment(),
-            stdin=subprocess.DEVNULL,
-            capture_output=True,
-            timeout=LIST_TIMEOUT_S,
-            check=False,
+        reported = json.loads(
+            ask_process("deformscope_drivers.openni.process", "list", timeout_s=LIST_TIMEOUT_S) or "[]"
         )
-        reported = json.loads(asked.stdout or "[]")
-    except (subprocess.TimeoutExpired, OSError, ValueError):
+    except ValueError:
         return []
     return [ListedDevice(**device) for device in reported] if isinstance(reported, list) else None
 

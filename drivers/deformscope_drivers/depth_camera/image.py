@@ -13,16 +13,18 @@ from deformscope_drivers.clock import Stamp
 
 @dataclass(frozen=True, slots=True)
 class Intrinsics:
-    """A camera's projection, without distortion: u = fx x / z + cx, v = fy y / z + cy, in a frame with x to the right,
-    y down and z along the view.
+    """A camera's projection: u = fx x / z + cx, v = fy y / z + cy, in a frame with x to the right, y down and z along
+    the view.
 
     fx_px, fy_px: focal lengths [px]; cx_px, cy_px: principal point [px], counted from the centre of the first pixel
+    distortion: OpenCV's k1, k2, p1, p2, k3, which move x / z and y / z before; empty = none
     """
 
     fx_px: float
     fy_px: float
     cx_px: float
     cy_px: float
+    distortion: tuple[float, ...] = ()
 
     @classmethod
     def from_field_of_view(cls, width: int, height: int, horizontal_rad: float, vertical_rad: float) -> Intrinsics:
@@ -39,7 +41,7 @@ class DepthImage:
     depth: (H, W) uint16, distance along the view in units of `unit_m`; 0 where the camera measured nothing
     unit_m: 0.001 for millimetres
     color: (H', W', 3) RGB uint8 of the same moment (within half a period), None where there is none
-    intrinsics: of `depth`, as far as the camera knows them (its field of view, no calibration); None where it does not
+    intrinsics: of `depth`, as far as the camera knows them (OpenNI2's: its field of view alone); None where it does not
     """
 
     stamp: Stamp

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from deformscope_drivers.clock import Clock, Stamp, monotonic_ns
 from deformscope_drivers.depth_camera.image import DepthImage, Intrinsics
+from deformscope_drivers.depth_camera.sensors import TriangulatingSensor
 from deformscope_drivers.device import RECONNECT, Reconnect
 from deformscope_drivers.images import fingerprint
 from deformscope_drivers.synthetic import SyntheticConfig, SyntheticSource
@@ -38,6 +39,7 @@ class SyntheticDepthConfig(SyntheticConfig):
     noise_m, noise_per_m: deviation of depth z is noise_m + noise_per_m z^2 [m]; the default is a first Kinect's
     (1.4 mm at 1 m, 6 mm at 2 m: Khoshelham and Oude Elberink 2012); missing: share of pixels without a distance
     near_m, far_m: beyond these nothing is measured
+    sensor: what it measures by, in the place of noise_m and noise_per_m; None = those
     """
 
     name: str = "synthetic depth camera"
@@ -48,6 +50,7 @@ class SyntheticDepthConfig(SyntheticConfig):
     near_m: float = 0.0
     far_m: float = 10.0
     intrinsics: Intrinsics | None = None
+    sensor: TriangulatingSensor | None = None
 
 
 class SyntheticDepthCamera(SyntheticSource[DepthImage, View]):
@@ -68,10 +71,14 @@ class SyntheticDepthCamera(SyntheticSource[DepthImage, View]):
         config = self.config
         depth_m = np.asarray(view.depth_m, np.float64)
         seen = (depth_m > max(config.near_m, 0.0)) & (depth_m <= config.far_m)
+        if config.sensor is not None:
+            lens_px = config.sensor.focal_px if config.intrinsics is None else config.intrinsics.fx_px
+            depth_m = config.sensor.measure(np.where(seen, depth_m, 0.0), lens_px, self._random)
+            seen &= depth_m > 0.0
         if config.missing:
             seen &= self._random.random(depth_m.shape) >= config.missing
         depth_m = np.where(seen, depth_m, 0.0)
-        if config.noise_m or config.noise_per_m:
+        if config.sensor is None and (config.noise_m or config.noise_per_m):
             deviation_m = config.noise_m + config.noise_per_m * depth_m**2
             depth_m = depth_m + self._random.standard_normal(depth_m.shape) * deviation_m
         steps = np.clip(np.rint(depth_m / config.unit_m), 1, MAX_UINT16)

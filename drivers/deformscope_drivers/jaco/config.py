@@ -9,6 +9,7 @@ from pathlib import Path
 
 from deformscope_drivers.jaco.chains import CHAINS
 from deformscope_drivers.jaco.library import PREFIXES, Connection, library_file
+from deformscope_drivers.jaco.structures import ZONES_MAX
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,6 +68,8 @@ class JacoConfig:
     linear_limit_m_s, angular_limit_rad_s: greatest speed of the end effector that a command may ask for
     joint_limit_deg_s: greatest speed of any joint that a command may ask for; a joint's own limit holds besides
     workspace: box that commands must keep the end effector in; None = no box
+    protection_zones: boxes in the base frame that the arm's firmware is to keep the hand out of: set when it is opened,
+    kept there in place of what it kept before (`zones`); None = they are left as they are
     command_deadline_s: how long a velocity command holds when its sender does not say so, and how late the driver's
     own cycle may be before it stops the arm
     state_hz: how often the joint angles are read; less when the arm's link is too slow for it
@@ -86,6 +89,7 @@ class JacoConfig:
     angular_limit_rad_s: float = 0.35
     joint_limit_deg_s: float = 20.0
     workspace: Workspace | None = None
+    protection_zones: tuple[Workspace, ...] | None = None
     command_deadline_s: float = 0.1
     state_hz: float = 50.0
     initialize_fingers: bool = False
@@ -102,6 +106,8 @@ class JacoConfig:
             value = getattr(self, name)
             if not (math.isfinite(value) and value > 0):
                 raise ValueError(f"expected {name} above 0; came {value!r}")
+        if len(self.protection_zones or ()) > ZONES_MAX:
+            raise ValueError(f"expected {ZONES_MAX} protection_zones at most; came {len(self.protection_zones or ())}")
         if not 0.02 <= self.command_deadline_s <= 5.0:
             raise ValueError(f"expected command_deadline_s from 0.02 to 5; came {self.command_deadline_s!r}")
         if not 0 < self.state_hz <= 100:

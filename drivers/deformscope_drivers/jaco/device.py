@@ -129,14 +129,6 @@ class Jaco(Arm[JacoState]):
         return self._arm.chain
 
     @property
-    def speed_limits(self) -> JacoConfig:
-        return self.config
-
-    @property
-    def state_hz(self) -> float:
-        return self.config.state_hz
-
-    @property
     def urdf(self) -> Path:
         return urdf_path(self.chain.name)
 

@@ -22,6 +22,7 @@ from deformscope_drivers.jaco import structures
 from deformscope_drivers.jaco.chains import CHAINS
 from deformscope_drivers.jaco.errors import OK
 from deformscope_drivers.jaco.simulation import FIFO_SIZE, SimulatedArm
+from deformscope_drivers.jaco.zones import boxes_of
 
 CYCLE_NS = 10_000_000
 Floats = ctypes.Array[ctypes.c_float]
@@ -78,6 +79,7 @@ class JacoDouble:
         self._lock = threading.RLock()
         self._codes: dict[str, deque[int]] = {}
         self._tool_m: FloatArray = np.zeros(3)
+        self._zones = structures.ZoneList()
         self._initialized = False
         self._unplugged = False
 
@@ -141,6 +143,18 @@ class JacoDouble:
             self._live()
             self._arm.wrench = pushed.copy()
 
+    def push_link(self, link: int, force_n: npt.ArrayLike | None) -> None:
+        """Push the far end of a link, from 0, from here on: force (3,) [N] in the base frame; None = no more."""
+        with self._lock:
+            self._live()
+            self._arm.link_push = None if force_n is None else (link, np.array(force_n, dtype=float))
+
+    def accelerate(self, at_most_deg_s2: float) -> None:
+        """Let no joint speed up or slow down faster than this, as real ones cannot."""
+        with self._lock:
+            self._live()
+            self._arm.acceleration_deg_s2 = at_most_deg_s2
+
     def put(self, joints_deg: npt.ArrayLike) -> None:
         """Bring the joints to these angles, (n,) [deg], as somebody does by the joystick, only at once."""
         with self._lock:
@@ -178,6 +192,20 @@ class JacoDouble:
         with self._lock:
             self._live()
             self._arm.torque_bias_nm = np.array(torque_nm, dtype=float)
+
+    def blur_torques(self, noise_nm: float, gravity_left: float) -> None:
+        """Let the joints' torques without gravity be off by noise of this deviation [Nm], and by this share of
+        gravity's, as of a tool that the arm does not know."""
+        with self._lock:
+            self._live()
+            self._arm.torque_noise_nm, self._arm.gravity_left = noise_nm, gravity_left
+
+    @property
+    def rates_deg_s(self) -> FloatArray:
+        """How fast the joints turn now, (n,) [deg/s]."""
+        with self._lock:
+            self._live()
+            return self._arm.rates_deg_s.copy()
 
     @property
     def joints_deg(self) -> FloatArray:
@@ -362,6 +390,22 @@ class JacoDouble:
         response.ForceControlStatus = int(not self._arm.admittance.active)
         response.TorqueSensorsStatus = 1
         response.RetractType = self._arm.retract
+
+    # Protection zones ------------------------------------------------------------------------------------------------
+
+    def EraseAllProtectionZones(self) -> None:
+        self._zones = structures.ZoneList()
+        self._arm.closed = ()
+
+    def SetProtectionZone(self, zones: structures.ZoneList) -> int:
+        if not 0 <= zones.NbZones <= structures.ZONES_MAX:
+            return _INVALID
+        self._zones = structures.ZoneList.from_buffer_copy(zones)
+        self._arm.closed = tuple((np.array(box.low_m), np.array(box.high_m)) for box in boxes_of(self._zones))
+        return OK
+
+    def GetProtectionZone(self, response: structures.ZoneList) -> None:
+        ctypes.memmove(ctypes.byref(response), ctypes.byref(self._zones), ctypes.sizeof(response))
 
     # Force -----------------------------------------------------------------------------------------------------------
 

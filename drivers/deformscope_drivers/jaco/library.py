@@ -56,6 +56,10 @@ SIGNATURES: dict[str, tuple[Any, ...]] = {
     "GetForcesInfo": (POINTER(structures.ForcesInfo),),
     "GetSensorsInfo": (POINTER(structures.SensorsInfo),),
     "GetQuickStatus": (POINTER(structures.QuickStatus),),
+    # protection zones
+    "EraseAllProtectionZones": (),
+    "SetProtectionZone": (structures.ZoneList,),
+    "GetProtectionZone": (POINTER(structures.ZoneList),),
     # force
     "StartForceControl": (),
     "StopForceControl": (),

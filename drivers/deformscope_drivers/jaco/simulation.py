@@ -5,8 +5,8 @@ cycle, so that points sent faster pile up and the arm runs on after the sender s
 without a word after motion by joints, and all Cartesian motion until the arm was homed (kinova-ros issues 62, 148,
 269); position points followed at a limited speed; joint ranges and speeds; fingers from 0 to 6800; control that must
 be started, and whose first start after a cold boot may be ignored; admittance to a push from outside. Where the real
-arm's behaviour is not public the simplest thing is done, and said beside it. Joints follow at once: there is no inertia
-but that of the admittance.
+arm's behaviour is not public the simplest thing is done, and said beside it. Joints follow at once unless they have
+greatest accelerations: there is no inertia but that of the admittance.
 """
 
 from __future__ import annotations
@@ -36,6 +36,10 @@ class SimulatedArm:
     sensors show too much; sag_deg: (n,) how far weight turns the joints beyond the angles that they are to hold
     grip: (3,) where each finger meets what it holds; cycles: that have passed. All may be set between cycles.
     lag: rates that it will turn at, one a cycle: it follows its commands so late
+    acceleration_deg_s2: of each joint at most, as it sets out and as it stops
+    link_push: a link, from 0, and the force on its far end (3,) [N] in the base frame, None = nothing pushes one
+    closed: boxes (3,), (3,) in the base frame [m] that no Cartesian motion brings the hand into; those by joints do
+    gravity_left, torque_noise_nm: share of gravity's torques that its model leaves in those without gravity; deviation
     homed: it went home since it was switched on; cartesian: it takes Cartesian velocities
     """
 
@@ -56,6 +60,11 @@ class SimulatedArm:
         self.admittance = Admittance(chain.joint_count)
         self.control = False
         self.lag: deque[FloatArray] = deque()
+        self.acceleration_deg_s2 = np.inf
+        self.link_push: tuple[int, FloatArray] | None = None
+        self.closed: tuple[tuple[FloatArray, FloatArray], ...] = ()
+        self.gravity_left = self.torque_noise_nm = 0.0
+        self._random = np.random.default_rng(0x70)
         self.homed = self.cartesian = not cold_boot
         self._cold = cold_boot
         self._delay_left_s: float | None = None
@@ -144,6 +153,9 @@ class SimulatedArm:
         if self.lag:
             self.lag.append(rates)
             rates = self.lag.popleft()
+        if np.isfinite(self.acceleration_deg_s2):
+            most = self.acceleration_deg_s2 * CYCLE_S
+            rates = self.rates_deg_s + np.clip(rates - self.rates_deg_s, -most, most)
         self._turn(rates)
 
     def _follow(self, point: structures.TrajectoryPoint) -> FloatArray:
@@ -159,7 +171,7 @@ class SimulatedArm:
         elif kind == structures.PositionType.CARTESIAN_VELOCITY and self.cartesian:  # else ignored, without a word
             twist = np.array(structures.cartesian_values(position.CartesianPosition))
             twist[3:] = self.links[-1, :3, :3] @ twist[3:]  # a point's rotation is in the end effector's frame
-            rates = self._rates_of(twist)
+            rates = self._outside_zones(self._rates_of(twist))
         elif kind == structures.PositionType.ANGULAR_POSITION:
             held = np.array(structures.actuator_values(position.Actuators, self.chain.joint_count))
             target = self.chain.clip(held + self.sag_deg)
@@ -167,6 +179,7 @@ class SimulatedArm:
             done = not np.any(rates)
         elif kind == structures.PositionType.CARTESIAN_POSITION and self.homed:
             rates, done = self._towards_pose(point)
+            rates = self._outside_zones(rates)
         elif kind == structures.PositionType.DELAY:
             self._delay_left_s = (position.Delay if self._delay_left_s is None else self._delay_left_s) - CYCLE_S
             done = self._delay_left_s <= 1e-9
@@ -228,6 +241,14 @@ class SimulatedArm:
         fastest = float(np.max(np.abs(rates) / self.chain.velocity_deg_s))
         return rates / max(1.0, fastest)
 
+    def _outside_zones(self, rates_deg_s: FloatArray) -> FloatArray:
+        """The same, or none where they would bring the hand into a zone."""
+        if self.closed:
+            hand_m = self.chain.end_effector(self.joints_deg + rates_deg_s * CYCLE_S)[:3, 3]
+            if any(np.all((low_m < hand_m) & (hand_m < high_m)) for low_m, high_m in self.closed):
+                return np.zeros(self.chain.joint_count)
+        return rates_deg_s
+
     def _give_way(self) -> FloatArray:
         """Rates (n,) [deg/s] by which the arm yields to the push, on top of its command."""
         if self.angular_control:
@@ -253,6 +274,14 @@ class SimulatedArm:
     def external_torque_nm(self) -> FloatArray:
         """What the joints' sensors show beside gravity, (n,) [Nm]."""
         torque: FloatArray = kinematics.jacobian_of(self.links).T @ self.wrench + self.torque_bias_nm
+        if self.link_push is not None:
+            link, force_n = self.link_push
+            levers_m = self.links[link + 1, :3, 3] - self.links[: link + 1, :3, 3]
+            torque[: link + 1] += np.cross(self.links[: link + 1, :3, 2], levers_m) @ force_n
+        if self.gravity_left:
+            torque += self.gravity_left * self.chain.gravity_torque_nm(self.links)
+        if self.torque_noise_nm:
+            torque += self._random.normal(0.0, self.torque_noise_nm, len(torque))
         return torque
 
     def torque_nm(self) -> FloatArray:

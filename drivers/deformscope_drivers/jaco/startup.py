@@ -28,6 +28,7 @@ from deformscope_drivers.jaco.structures import (
     actuator_values,
     cartesian_values,
 )
+from deformscope_drivers.jaco.zones import set_zones
 
 PAUSE_S = 0.05  # between stopping the control and starting it again
 CONFIGURATION_GAP_S = 0.1  # between two writes to the arm's configuration
@@ -77,6 +78,9 @@ def bring_up(functions: Functions, config: JacoConfig, pause: Callable[[float], 
     call(functions, "SetGravityType", GRAVITY_MANUAL)
     pause(CONFIGURATION_GAP_S)
     call(functions, "SetTorqueSafetyFactor", 1.0)
+    if config.protection_zones is not None:
+        pause(CONFIGURATION_GAP_S)
+        set_zones(functions, config.protection_zones, lambda: pause(CONFIGURATION_GAP_S))
     zero = TrajectoryPoint()
     zero.Position.Type = PositionType.CARTESIAN_VELOCITY
     call(functions, "SendBasicTrajectory", zero)

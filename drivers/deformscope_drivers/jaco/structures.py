@@ -16,6 +16,7 @@ STRING_LENGTH = 20
 DEVICE_COUNT_MAX = 20
 FINGER_COUNT = 3
 FINGER_CLOSED = 6800.0
+ZONES_MAX, ZONE_POINTS = 10, 8
 ACTUATOR_ADDRESSES = (16, 17, 18, 19, 20, 21, 25)
 """Of the joints on the arm's own bus; 22 to 24 are the fingers (kinova-ros `kinova_comm.cpp`, setZeroTorque)."""
 
@@ -34,6 +35,12 @@ class PositionType(IntEnum):
     CARTESIAN_VELOCITY = 7
     ANGULAR_VELOCITY = 8
     DELAY = 12
+
+
+class ShapeType(IntEnum):
+    """Of a protection zone; the header says of all others that they are not used."""
+
+    PRISM_SQUARE_BASE_Z = 2
 
 
 class HandMode(IntEnum):
@@ -207,6 +214,27 @@ class GeneralInformations(ctypes.Structure):
         *_alike(c_double, "ControlTimeAbsolute ControlTimeFromStartup"),
         ("ExpansionsBytes", c_ubyte * 192),
     ]
+
+
+class ZoneShape(ctypes.Structure):
+    """Points 0 to 3 are the corners of the base, one after the other; the z of point 4 is that of the top."""
+
+    _fields_ = [*_alike(c_int, "shapeType Expansion1"), ("Points", CartesianInfo * ZONE_POINTS)]
+
+
+class Zone(ctypes.Structure):
+    """Where the hand may move no faster than its limitation; 0 = not at all."""
+
+    _fields_ = [
+        *_alike(c_int, "ID Expansion1"),
+        ("zoneShape", ZoneShape),
+        ("zoneLimitation", Limitation),
+        ("Expansion2", c_int),
+    ]
+
+
+class ZoneList(ctypes.Structure):
+    _fields_ = [*_alike(c_int, "NbZones Expansion1"), ("Zones", Zone * ZONES_MAX)]
 
 
 DeviceList = KinovaDevice * DEVICE_COUNT_MAX

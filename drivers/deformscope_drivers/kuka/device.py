@@ -77,14 +77,6 @@ class Kuka(Arm[ArmState]):
         return self._chain
 
     @property
-    def speed_limits(self) -> KukaConfig:
-        return self.config
-
-    @property
-    def state_hz(self) -> float:
-        return self.config.state_hz
-
-    @property
     def urdf(self) -> Path:
         return Path(__file__).parent / f"{self._chain.name}.urdf"
 
@@ -197,8 +189,9 @@ class Kuka(Arm[ArmState]):
         if isinstance(rates, str):
             self._forget(rates)
             return zero
-        most_deg = self.joint_limits_deg_s * self.config.cycle_s
-        wanted_deg = np.array(rates.rates_deg_s) * self.config.cycle_s
+        cycle_s: float = self.config.cycle_s
+        most_deg = self.joint_limits_deg_s * cycle_s
+        wanted_deg = np.array(rates.rates_deg_s) * cycle_s
         correction_deg = np.clip(wanted_deg, -most_deg, most_deg)
         self._clamped += bool(np.any(correction_deg != wanted_deg))
         ahead_deg = np.asarray(joints_deg) + 2.0 * correction_deg

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass
 
+from deformscope_drivers.camera_process.messages import FrameMessage
 from deformscope_drivers.errors import LinkLost, SettingsRefused
 from deformscope_drivers.openni.library import (
     END_OF_FILE,
@@ -17,7 +18,6 @@ from deformscope_drivers.openni.library import (
     PixelFormat,
     Sensor,
 )
-from deformscope_drivers.openni.messages import FrameMessage
 
 WAITING = 4
 

@@ -14,10 +14,10 @@ import sys
 import time
 from multiprocessing.connection import Connection
 
+from deformscope_drivers.camera_process.messages import END, FAILED, OPENED, pack_frame, pack_words
 from deformscope_drivers.errors import DeviceError
 from deformscope_drivers.openni.camera import OpenniCamera, OpenniSettings, Pairs
 from deformscope_drivers.openni.library import Openni
-from deformscope_drivers.openni.messages import END, FAILED, OPENED, pack_frame, pack_words
 
 ROUND_S = 0.05
 

@@ -57,10 +57,6 @@ class PlacedArm(Arm[ArmState]):
         raise self._no_commands("an arm that moves by itself")
 
     @property
-    def state_hz(self) -> float:
-        return self.config.state_hz
-
-    @property
     def T_base_end_effector(self) -> FloatArray:
         """(4, 4) where it was placed last [m]."""
         with self._commanded:

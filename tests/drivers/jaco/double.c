@@ -73,6 +73,10 @@ typedef struct {
     unsigned char ExpansionsBytes[192];
 } GeneralInformations;
 
+typedef struct { int shapeType, Expansion1; CartesianInfo Points[8]; } ZoneShape;
+typedef struct { int ID, Expansion1; ZoneShape zoneShape; Limitation zoneLimitation; int Expansion2; } Zone;
+typedef struct { int NbZones, Expansion1; Zone Zones[10]; } ZoneList;
+
 enum { OK = 1, NO_DEVICE = 1015, INVALID = 2100, NOT_INITIALIZED = 2101, NACK = 9999 };
 enum { FIFO_SIZE = 2000, INJECTED_MAX = 64 };
 #define CYCLE 0.01
@@ -464,6 +468,8 @@ int double_sizeof(const char *name) {
         {"ForcesInfo", sizeof(ForcesInfo)},
         {"EthernetCommConfig", sizeof(EthernetCommConfig)},
         {"GeneralInformations", sizeof(GeneralInformations)},
+        {"Zone", sizeof(Zone)},
+        {"ZoneList", sizeof(ZoneList)},
     };
     for (unsigned i = 0; i < sizeof sizes / sizeof *sizes; i++)
         if (!strcmp(sizes[i].name, name)) return sizes[i].size;
@@ -856,6 +862,27 @@ int VENDOR(SetTorqueZero)(int address) {
     ENTER(SetTorqueZero);
     /* 22 to 24 are the fingers: a seventh joint is behind them */
     return (address >= 16 && address <= 21) || (address == 25 && arm.joints == 7) ? OK : INVALID;
+}
+
+static ZoneList zones; /* kept, and here not obeyed: no motion by joints keeps to them */
+
+int VENDOR(EraseAllProtectionZones)(void) {
+    ENTER(EraseAllProtectionZones);
+    memset(&zones, 0, sizeof zones);
+    return OK;
+}
+
+int VENDOR(SetProtectionZone)(ZoneList given) {
+    ENTER(SetProtectionZone);
+    if (given.NbZones < 0 || given.NbZones > 10) return INVALID;
+    zones = given;
+    return OK;
+}
+
+int VENDOR(GetProtectionZone)(ZoneList *out) {
+    ENTER(GetProtectionZone);
+    *out = zones;
+    return OK;
 }
 
 int VENDOR(SetTorqueSafetyFactor)(float factor) {

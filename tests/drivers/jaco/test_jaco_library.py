@@ -37,6 +37,8 @@ SIZES = {
     "ForcesInfo": 52,
     "EthernetCommConfig": 40,
     "GeneralInformations": 920,
+    "Zone": 248,
+    "ZoneList": 2488,
 }
 
 # Codes and names typed from the published headers (Kinova.API.*CommLayerUbuntu.h, *CommandLayerUbuntu.h, KinovaTypes.h)

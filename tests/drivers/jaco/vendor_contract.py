@@ -11,8 +11,10 @@ from scipy.spatial.transform import Rotation
 from deformscope_drivers.arm import kinematics
 from deformscope_drivers.arm.commands import CartesianVelocity, JointVelocity
 from deformscope_drivers.arm.kinematics import FloatArray
+from deformscope_drivers.errors import DeviceError
 from deformscope_drivers.jaco import errors
 from deformscope_drivers.jaco.commands import velocity_point
+from deformscope_drivers.jaco.config import Workspace
 from deformscope_drivers.jaco.library import api_version, call, devices, read
 from deformscope_drivers.jaco.structures import (
     AngularInfo,
@@ -32,10 +34,12 @@ from deformscope_drivers.jaco.structures import (
     SensorsInfo,
     TrajectoryFIFO,
     TrajectoryPoint,
+    ZoneList,
     actuator_values,
     cartesian_values,
     finger_values,
 )
+from deformscope_drivers.jaco.zones import boxes_of, set_zones, zone_list
 from tests.drivers.jaco.benches import DEVICE_TYPES, VendorBench
 
 CYCLE_S = 0.01
@@ -466,6 +470,18 @@ class VendorContract:
         for address in {15, 22, 23, 24, 25, 26} - set(addresses):
             with pytest.raises(errors.InvalidParameter):
                 call(started.functions, "SetTorqueZero", address)
+
+    def test_zones_are_kept_until_they_are_erased(self, bench: VendorBench) -> None:
+        call(bench.functions, "InitAPI")
+        boxes = Workspace((-1.0, -0.9, -1.0), (1.0, 0.9, -0.01)), Workspace((0.2, 0.3, 0.1), (0.4, 0.5, 0.6))
+        for given in (boxes, boxes[:1], ()):
+            set_zones(bench.functions, given, lambda: None)
+            kept = boxes_of(read(bench.functions, "GetProtectionZone", ZoneList))
+            np.testing.assert_allclose([(*a.low_m, *a.high_m) for a in kept], [(*a.low_m, *a.high_m) for a in given])
+        too_many = zone_list(boxes)
+        too_many.NbZones = 11
+        with pytest.raises(DeviceError):
+            call(bench.functions, "SetProtectionZone", too_many)
 
 
 def send(bench: VendorBench, velocity: JointVelocity | CartesianVelocity) -> None:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from deformscope_drivers.camera_process.messages import FrameMessage, pack_frame, unpack_frame
 from deformscope_drivers.openni.camera import WAITING, Pairs
 from deformscope_drivers.openni.library import Frame, PixelFormat
-from deformscope_drivers.openni.messages import FrameMessage, pack_frame, unpack_frame
 
 PERIOD_US = 33_333
 

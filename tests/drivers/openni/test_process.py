@@ -6,7 +6,7 @@ import json
 import subprocess
 import sys
 
-from deformscope_drivers.openni.command import process_command, process_environment
+from deformscope_drivers.camera_process.command import ask_process, process_environment
 from tests.patience import PATIENCE_S
 
 
@@ -26,9 +26,7 @@ def test_it_starts_without_what_takes_long_to_load() -> None:
 
 def test_cameras_are_listed_in_json() -> None:
     """A list, or why there is none."""
-    shown = subprocess.run(
-        process_command("list"), env=process_environment(), capture_output=True, timeout=PATIENCE_S, check=True
-    )
-    reported = json.loads(shown.stdout)
+    shown = ask_process("deformscope_drivers.openni.process", "list", timeout_s=PATIENCE_S)
+    reported = json.loads(shown)
 
     assert isinstance(reported, list) or "libopenni2-0" in reported["error"]

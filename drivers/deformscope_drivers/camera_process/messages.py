@@ -7,13 +7,16 @@ import struct
 from dataclasses import dataclass
 from typing import Any
 
-OPENED, FRAME, FAILED, END = b"O", b"F", b"E", b"X"
+OPENED, FRAME, FAILED, END, NOTE = b"O", b"F", b"E", b"X", b"N"
+NO_TIME_US = 2**64 - 1
+"""In the place of a frame's timestamp where the camera's clock did not stamp it."""
 _HEADER = struct.Struct("<cqQIHHHH")
 
 
 @dataclass(frozen=True, slots=True)
 class FrameMessage:
-    """host_ns: arrival on the host's monotonic clock, which all processes share [ns]; the rest as in openni.Frame"""
+    """host_ns: arrival on the host's monotonic clock, which all processes share [ns]; timestamp_us: on the camera's
+    clock [us]; index: the camera's count of frames; sizes [px], 0 = no colour; depth, color: without padding"""
 
     host_ns: int
     timestamp_us: int

@@ -1,0 +1,104 @@
+"""What cameras that triangulate get wrong: a projector or a second imager stands a baseline aside, and disparity, not
+depth, is what they measure."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+JUMP = 0.04
+"""From this share of the distance on, what is nearer and what is behind it are two surfaces."""
+
+
+@dataclass(frozen=True, slots=True)
+class TriangulatingSensor:
+    """Depth z of disparity d = focal_px baseline_m / z [px].
+
+    focal_px: of the sensor itself; step_px: in which disparity comes; noise_px: deviation of disparity before that,
+    which neighbours share within noise_width pixels of the picture
+    bleeding: pixels of the picture next to an edge that take the depth of a neighbour at random; flying: they take one
+    between the two; grazing_deg: surfaces seen flatter than that have none
+    """
+
+    focal_px: float
+    baseline_m: float
+    step_px: float
+    noise_px: float
+    noise_width: int = 1
+    bleeding: int = 1
+    flying: bool = False
+    grazing_deg: float = 12.0
+
+    def step_m(self, depth_m: float) -> float:
+        """From one depth to the next [m]."""
+        return self.step_px * depth_m**2 / (self.focal_px * self.baseline_m)
+
+    def measure(
+        self, depth_m: NDArray[np.floating], lens_px: float, random: np.random.Generator
+    ) -> NDArray[np.float64]:
+        """(H, W) measured depths of exact ones (H, W) [m], 0 where nothing is measured, as in exact ones.
+
+        lens_px: focal length of the picture [px]
+        """
+        exact = np.nan_to_num(np.asarray(depth_m, np.float64), nan=0.0, posinf=0.0)
+        seen = exact > 0.0
+        strength = self.focal_px * self.baseline_m
+        disparity = np.divide(strength, exact, out=np.zeros_like(exact), where=seen)
+        measured = self._bled(disparity, seen, random)
+        noise = random.standard_normal([-(-side // self.noise_width) for side in exact.shape])
+        for axis in (0, 1):
+            noise = noise.repeat(self.noise_width, axis)
+        noise = noise[: exact.shape[0], : exact.shape[1]]
+        measured = np.rint((measured + self.noise_px * noise) / self.step_px) * self.step_px
+        known = seen & (measured > 0.0) & ~self._shadowed(disparity, seen, lens_px) & ~self._grazed(exact, lens_px)
+        return np.divide(strength, measured, out=np.zeros_like(exact), where=known)
+
+    def _bled(
+        self, disparity: NDArray[np.float64], seen: NDArray[np.bool_], random: np.random.Generator
+    ) -> NDArray[np.float64]:
+        """Disparities, those next to a jump taken from a neighbour."""
+        if not self.bleeding:
+            return disparity
+        reach = [step for step in range(-self.bleeding, self.bleeding + 1) if step]
+        around = [_shifted(disparity, step, axis) for step in reach for axis in (0, 1)]
+        beside = [np.where(one > 0.0, one, disparity) for one in around]
+        edge = seen & (np.max(beside, axis=0) - np.min(beside, axis=0) > JUMP * disparity)
+        taken = np.take_along_axis(np.stack(beside), random.integers(len(beside), size=(1, *seen.shape)), axis=0)[0]
+        share = random.random(seen.shape) if self.flying else 1.0
+        return np.where(edge, disparity + share * (taken - disparity), disparity)
+
+    def _shadowed(self, disparity: NDArray[np.float64], seen: NDArray[np.bool_], lens_px: float) -> NDArray[np.bool_]:
+        """What the projector, or the other imager, does not reach: it stands to the right, and something nearer lies
+        between. A pixel is lost where one to the right of it comes to lie at its place, or left of that, over there."""
+        column = np.arange(disparity.shape[1])
+        there = np.where(seen, column - disparity * (lens_px / self.focal_px), np.inf)
+        nearest = np.minimum.accumulate(there[:, ::-1], axis=1)[:, ::-1]
+        return np.asarray(there > nearest + 1e-9)
+
+    def _grazed(self, exact: NDArray[np.float64], lens_px: float) -> NDArray[np.bool_]:
+        """Surfaces along the view; jumps are none."""
+        steepest = 1.0 / (lens_px * math.tan(math.radians(self.grazing_deg)))
+        with np.errstate(invalid="ignore", divide="ignore"):
+            slope = [np.abs(np.gradient(exact, axis=axis)) / exact for axis in (0, 1)]
+            return np.asarray((np.hypot(*slope) > steepest) & (np.maximum(*slope) < JUMP))
+
+
+PRIMESENSE = TriangulatingSensor(focal_px=580.0, baseline_m=0.075, step_px=1 / 8, noise_px=0.408 / 8, bleeding=2)
+"""A first Kinect, Carmine or Xtion. Depth comes in steps of 2.85 mm at 1 m that grow with z^2 (1/8 px of disparity),
+and deviates by half a step, 1.4 mm at 1 m (Khoshelham and Oude Elberink 2012, Sensors 12(2)): 0.408 of a step before it
+is rounded, 0.289 by rounding."""
+REALSENSE = TriangulatingSensor(
+    focal_px=427.0, baseline_m=0.050, step_px=1 / 32, noise_px=0.08, noise_width=3, bleeding=2, flying=True
+)
+"""A D435 at 848 x 480: deviation z^2 subpixel / (focal baseline) with subpixel 0.08, 3.7 mm at 1 m (Grunnet-Jepsen,
+Sweetser and Woodfill, Best-Known-Methods for Tuning Intel RealSense D400 Depth Cameras, Intel), in 1/32 px."""
+SENSORS = {"primesense": PRIMESENSE, "realsense": REALSENSE}
+
+
+def _shifted(values: NDArray[np.float64], step: int, axis: int) -> NDArray[np.float64]:
+    """Each pixel's neighbour; at the border itself."""
+    index = np.clip(np.arange(values.shape[axis]) + step, 0, values.shape[axis] - 1)
+    return np.take(values, index, axis)

@@ -1,0 +1,73 @@
+"""Protection zones that the arm's own firmware keeps its hand out of, also after this program has died.
+
+They are kept in the arm, for whichever program or joystick moves it next. Published of them: a zone is a prism on a
+base with four corners, and one whose speed is 0 is not entered; Cartesian motions keep to them, motions by joints as
+this driver sends them do not (kinova-ros issue 386). Not tried on a real arm.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from deformscope_drivers.errors import SettingsRefused
+from deformscope_drivers.jaco.config import Workspace
+from deformscope_drivers.jaco.library import Functions, call, read
+from deformscope_drivers.jaco.structures import ShapeType, ZoneList
+
+WITHIN_M = 1e-5
+"""Corners that are read back may be off by so much: they travel in single precision."""
+
+
+def zone_list(boxes: Sequence[Workspace]) -> ZoneList:
+    """The vendor's structure of boxes that the hand may not enter."""
+    zones = ZoneList()
+    zones.NbZones = len(boxes)
+    for index, (box, zone) in enumerate(zip(boxes, zones.Zones, strict=False)):
+        (x0, y0, z0), (x1, y1, z1) = box.low_m, box.high_m
+        zone.ID, zone.zoneShape.shapeType = index + 1, ShapeType.PRISM_SQUARE_BASE_Z
+        for corner, (x, y) in enumerate(((x0, y0), (x0, y1), (x1, y1), (x1, y0))):
+            for point, z in ((zone.zoneShape.Points[corner], z0), (zone.zoneShape.Points[corner + 4], z1)):
+                point.X, point.Y, point.Z = x, y, z
+    return zones
+
+
+def boxes_of(zones: ZoneList) -> tuple[Workspace, ...]:
+    """The boxes around zones that are closed to the hand; others, which only slow it down, are left out."""
+    found = []
+    for zone in zones.Zones[: zones.NbZones]:
+        base, top = zone.zoneShape.Points[:4], zone.zoneShape.Points[4]
+        xs, ys = [point.X for point in base], [point.Y for point in base]
+        low_m, high_m = (min(xs), min(ys), min(base[0].Z, top.Z)), (max(xs), max(ys), max(base[0].Z, top.Z))
+        if zone.zoneLimitation.speedParameter1 == 0.0 and all(a < b for a, b in zip(low_m, high_m, strict=True)):
+            found.append(Workspace(low_m, high_m))
+    return tuple(found)
+
+
+def set_zones(functions: Functions, boxes: Sequence[Workspace], pause: Callable[[], None]) -> None:
+    """Have the arm keep exactly these, and read them back. Nothing is written where it keeps them already.
+
+    pause: waits between two writes to the arm's configuration. Raises SettingsRefused where it says otherwise after.
+    """
+    if _alike(boxes, boxes_of(read(functions, "GetProtectionZone", ZoneList))):
+        return
+    call(functions, "EraseAllProtectionZones")
+    pause()
+    if boxes:
+        call(functions, "SetProtectionZone", zone_list(boxes))
+        pause()
+    kept = boxes_of(read(functions, "GetProtectionZone", ZoneList))
+    if not _alike(boxes, kept):
+        raise SettingsRefused(
+            f"an arm that keeps {len(boxes)} protection zones",
+            f"one that says it keeps {len(kept)}, or others",
+            "look at them in Kinova's Development Center; or leave protection_zones out of the rig file",
+            functions.where,
+        )
+
+
+def _alike(ones: Sequence[Workspace], others: Sequence[Workspace]) -> bool:
+    return len(ones) == len(others) and all(
+        abs(a - b) <= WITHIN_M
+        for one, other in zip(ones, others, strict=True)
+        for a, b in zip((*one.low_m, *one.high_m), (*other.low_m, *other.high_m), strict=True)
+    )
