@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from deformscope.api.moving import Watch, leave
-from deformscope.api.rigs import member_of, until_interrupted
+from deformscope.api.moving import Watch, ask_yes, leave
+from deformscope.api.rigs import Interruption, member_of, until_interrupted
 from deformscope.api.setups import setup_of, table_of
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
@@ -25,7 +25,7 @@ from deformscope.robot.jogging import HELP, LEAVE, Jog
 from deformscope.robot.placement import Placement
 from deformscope.robot.preflight import Preflight, check
 from deformscope.robot.robot import Robot, RobotStopped
-from deformscope.robot.setup import RigParts, Setup, open_rig
+from deformscope.robot.setup import RigParts, Setup, only_device, open_rig
 from deformscope.robot.travel import to_above
 from deformscope.session import BATCH_S, Inline, finish
 from deformscope.stages.map.exploration import ExplorationStop
@@ -83,7 +83,8 @@ def home(config: HomeConfig) -> None:
         if not hasattr(arm, "home"):
             raise InputError("an arm that goes home by itself", type(arm).__name__, "bring it there by hand")
         if not config.yes:
-            _ask("The arm will now go home by itself, on its own path: is the way free? Type yes: ")
+            with until_interrupted() as asked:
+                _ask("The arm will now go home by itself, on its own path: is the way free? Type yes: ", asked)
         arm.home()
 
 
@@ -91,18 +92,16 @@ def home(config: HomeConfig) -> None:
 def _arm_of(name: str, *, trusted: bool) -> Iterator[tuple[Any, Placement | None]]:
     """The arm of a rig alone, open, and where the surface is, if that is known."""
     rig = load_rig(name, trusted=trusted)
-    arms = [entry for entry in rig.devices if entry.driver.kind == "arm"]
-    if len(arms) != 1:
-        raise InputError("one arm in the rig file", f"{len(arms)}", where=name)
+    entry = only_device(rig, "arm", "to move")
     given = rig.surface.T_arm_surface
     placement = None if given is None else Placement(np.array(given, np.float64), rig.tool)
     if rig.surface.scene:
         parts = RigParts.of(rig)
         table, _ = table_of(parts)
         with open_rig(rig, member_of, table, parts.devices) as source:
-            yield source.device(arms[0].name), placement
+            yield source.device(entry.name), placement
         return
-    with member_of(arms[0]) as member, member.device as arm:
+    with member_of(entry) as member, member.device as arm:
         yield arm, placement
 
 
@@ -170,7 +169,7 @@ def _moved(
         robot = setup.robot(source, lambda seen, verdict: watch())
         with watch.halts(_Moved(robot)), ThreadPoolExecutor(1, "robot") as beside:
             pool = beside if setup.runs_itself else Inline()
-            moving = pool.submit(_carried_out, config, setup, robot, work, leave_out)
+            moving = pool.submit(_carried_out, config, setup, robot, work, leave_out, asked)
             while not moving.done():
                 recorder.write(source.take(BATCH_S))
             stop = moving.result()
@@ -181,7 +180,12 @@ def _moved(
 
 
 def _carried_out(
-    config: MovingOptions, setup: Setup, robot: Robot, work: Callable[[Robot, Setup], None], leave_out: tuple[str, ...]
+    config: MovingOptions,
+    setup: Setup,
+    robot: Robot,
+    work: Callable[[Robot, Setup], None],
+    leave_out: tuple[str, ...],
+    asked: Interruption,
 ) -> ExplorationStop | None:
     """Why it was stopped; None = it came to its end."""
     try:
@@ -190,7 +194,7 @@ def _carried_out(
         say(preflight.table())
         if preflight.passed and not setup.simulated and not config.yes:
             robot.rest()
-            _ask("The arm will now move: keep the emergency stop in your hand. Type yes: ")
+            _ask("The arm will now move: keep the emergency stop in your hand. Type yes: ", asked)
         robot.start()
         robot.let_move(preflight)
         work(robot, setup)
@@ -200,11 +204,9 @@ def _carried_out(
     return None
 
 
-def _ask(prompt: str) -> None:
-    if not sys.stdin.isatty():
-        raise InputError("somebody who says yes", "no terminal to ask at", "--yes")
-    if input(prompt).strip().lower() != "yes":
-        raise InputError("yes", "something else: nothing has moved")
+def _ask(prompt: str, asked: Interruption) -> None:
+    for _ in ask_yes(prompt, asked):
+        pass  # no experiment takes frames meanwhile
 
 
 @contextlib.contextmanager

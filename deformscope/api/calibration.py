@@ -54,7 +54,7 @@ from deformscope.stages.msm.quiet import quiet_warp
 from deformscope.stages.msm.solver import pick_device
 from deformscope.stages.poke.fitted import FittedModel, from_pair
 from deformscope.stages.poke.poke_estimate import PokesFound
-from deformscope.stages.see.particles import clean_mask
+from deformscope.stages.see.particles import clean_mask, outlined
 from deformscope_drivers.clock import Stamp
 
 PairArrays: TypeAlias = Mapping[str, Any]
@@ -179,8 +179,10 @@ def rerun_command() -> str:
 class CalibrationOptions(TypedDict, total=False):
     """What `calibrate_beta` and `calibrate_theta` share; each is the flag of that name of the command line.
 
-    roi, contact: x, y, width, height [px]; grid: rows and columns of particles; held: parts whose motion is prescribed
+    roi, contact: x, y, width, height [px]; outline: x, y, x, y... of a polygon around the thing [px]
+    grid: rows and columns of particles; held: parts whose motion is prescribed
     mode: how a cluster may deform; candidates: values that a sweep tries; level: of the interval
+    at: a value of the parameter whose error is reported as well
     noise_px, noise_m: deviation of a measured position; volume: how theta conserves it
     record: a recording to make (.rrd); viewer: default none
     progress: called with what is done, how much of it, and of how much
@@ -190,6 +192,7 @@ class CalibrationOptions(TypedDict, total=False):
     grid: GridShape
     spacing_px: float
     mask: Path | str
+    outline: Sequence[float]
     px_per_cm: float
     stride: int
     fps: float
@@ -201,6 +204,7 @@ class CalibrationOptions(TypedDict, total=False):
     method: Literal["sweep", "gradient"]
     candidates: int
     level: float
+    at: float
     noise_px: float
     noise_m: float
     volume: Literal["scale", "project"]
@@ -263,7 +267,7 @@ def _calibrate(
     """The flags of the command line, each in its group; whatever is left belongs to the command itself."""
     given: dict[str, Any] = {"viewer": "none", "joint": _together(source), **options}
     progress = given.pop("progress", None)
-    for name, convert in (("mask", Path), ("record", Path), ("held", tuple)):
+    for name, convert in (("mask", Path), ("record", Path), ("held", tuple), ("outline", tuple)):
         if given.get(name) is not None:
             given[name] = convert(given[name])
     groups = {"images": ImageOptions, "search": SearchOptions, "output": OutputOptions}
@@ -315,8 +319,7 @@ def calibrate(
     """Fit what the options name, or what is given as arrays; one result, or one for each of several pairs."""
     quiet_warp()
     sources, search, output = config.sources, config.search, config.output
-    model, bounds = _model(config)
-    fit = FitOptions(model, bounds, search.method, search.candidates, search.level, output.seed)
+    fit = fit_options(config)
     layers, motion = _layers(config), _motion(config)
     pairs = [source for source in sources if Path(source).suffix.lower() == ".npz"]
     if pairs and len(pairs) != len(sources):
@@ -352,16 +355,33 @@ def calibrate(
             raise InputError(f"pair files with {flag}", "images", f"leave out {flag}")
     if search.noise_m is not None:
         raise InputError("--noise-px for images", "--noise-m", "give the noise in pixels")
-    images = config.images
-    if len(sources) == 1 and sources[0].startswith("sample:"):
-        images = for_sample(sources[0].removeprefix("sample:"), images)
+    images = images_of(config)
     rated = images.fps is not None or (len(sources) == 1 and not given and not Path(sources[0]).is_dir())
     if motion is not None and {"alpha", "dt"} & set(motion.select) and not rated:
         raise InputError("--fps with --select alpha or dt", "images that do not say their rate", "--fps 30")
-    held, noise_px = images.held_parts(), search.noise_px
-    seeded = (images.roi, images.grid, images.spacing_px, held, images.contact)
-    particles = ParticleOptions(*seeded, images.flow, images.px_per_cm, noise_px)
+    particles = particle_options(images, search.noise_px)
     return [calibrate_images(sources, fit, particles, images, output, motion, given, progress)]  # type: ignore[arg-type]
+
+
+def fit_options(config: BetaConfig | ThetaConfig) -> FitOptions:
+    """How the parameter is searched, and of which model."""
+    search = config.search
+    model, bounds = _model(config)
+    return FitOptions(model, bounds, search.method, search.candidates, search.level, config.output.seed, config.at)
+
+
+def images_of(config: BetaConfig | ThetaConfig) -> ImageOptions:
+    """How the images become particles: what was asked for, or what suits a sample."""
+    sources = config.sources
+    if len(sources) == 1 and sources[0].startswith("sample:"):
+        return for_sample(sources[0].removeprefix("sample:"), config.images)
+    return config.images
+
+
+def particle_options(images: ImageOptions, noise_px: float | None) -> ParticleOptions:
+    """The same as the stages take it."""
+    seeded = (images.roi, images.grid, images.spacing_px, images.held_parts(), images.contact)
+    return ParticleOptions(*seeded, images.flow, images.px_per_cm, noise_px)
 
 
 def _model(config: BetaConfig | ThetaConfig) -> tuple[Model, tuple[float, float]]:
@@ -419,7 +439,8 @@ def sample_images(name: str) -> ImageOptions:
 def for_sample(name: str, asked: ImageOptions) -> ImageOptions:
     """What was asked for, with the sample's own particles where nothing was said about them."""
     known = sample_images(name)
-    if any(value is not None for value in (asked.roi, asked.grid, asked.spacing_px, asked.mask, asked.held)):
+    particles = (asked.roi, asked.grid, asked.spacing_px, asked.mask, asked.outline, asked.held)
+    if any(value is not None for value in particles):
         return dataclasses.replace(asked, fps=asked.fps or known.fps)
     return dataclasses.replace(
         known, fps=asked.fps or known.fps, stride=asked.stride, flow=asked.flow, px_per_cm=asked.px_per_cm
@@ -437,19 +458,29 @@ def calibrate_images(
     progress: Progress | None = None,
 ) -> CalibrationResult:
     """Fit a sequence of files, or of the images given, and record it where asked. motion: all frames are fitted"""
+    masked = images.mask is not None or images.outline is not None
+    settings = {"sources": list(sources), "stride": images.stride, "fps": images.fps, "mask": masked}
+    settings |= {"camera": images.camera} if images.camera is not None else {}
+    settings |= {"outline": list(images.outline)} if images.outline is not None else {}
+    opened = _given_images(given, images) if given else opened_images(sources, images)
+    with opened as source:
+        mask = mask_of(sources, images, source.size)
+        return run_images(source, mask, fit, particles, settings, output, motion, progress)
+
+
+def opened_images(sources: Sequence[str], images: ImageOptions) -> Source:
+    """What the user named, as a source of frames."""
+    return open_source(sources, stride=images.stride, fps=images.fps, mask=images.mask, camera=images.camera)
+
+
+def mask_of(sources: Sequence[str], images: ImageOptions, size: tuple[int, int]) -> ImageArray | None:
+    """The mask that was named, or that a recording holds, within the outline. size: height, width of the images [px]"""
     mask: ImageArray | None = None
     if images.mask is not None:
         mask = read_image(images.mask)
     elif len(sources) == 1 and Path(sources[0]).suffix.lower() == ".rrd":
         mask = Replay(Path(sources[0]), trust=True).mask  # its ledger was compared when it was looked at for pairs
-    settings = {"sources": list(sources), "stride": images.stride, "fps": images.fps, "mask": images.mask is not None}
-    settings |= {"camera": images.camera} if images.camera is not None else {}
-    if given:
-        opened = _given_images(given, images)
-    else:
-        opened = open_source(sources, stride=images.stride, fps=images.fps, mask=images.mask, camera=images.camera)
-    with opened as source:
-        return run_images(source, mask, fit, particles, settings, output, motion, progress)
+    return mask if images.outline is None else outlined(mask, images.outline, size)
 
 
 def _given_images(given: Sequence[ImageArray], images: ImageOptions) -> Source:

@@ -22,7 +22,7 @@ from deformscope.pictures.words import counted, failed_words, travel_words
 from deformscope.recording.losses import named
 from deformscope.stages.map.exploration import StageFailure
 
-Planner = Literal["regions", "integrated-variance", "max-variance", "random-above"]
+Planner = Literal["regions", "integrated-variance", "max-variance", "random-above", "thesis"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,7 +137,7 @@ def explore(
     planner: Planner = "regions",
     set_force_n: float | None = None,
     smallest_inclusion_m: float | None = None,
-    beta_model: Literal["volume", "thesis", "none"] = "volume",
+    beta_model: Literal["volume", "thesis", "layers", "none"] | None = None,
     seed: int = 0,
     record: Path | str | None = None,
     viewer: ViewerChoice = "none",

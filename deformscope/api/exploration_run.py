@@ -20,6 +20,7 @@ from deformscope.stages.msm.quiet import quiet_warp
 from deformscope.terminal import say, status_line
 
 if TYPE_CHECKING:
+    from deformscope.api.page_devices import ShownDevices
     from deformscope.api.page_steering import PageSteering
     from deformscope.api.rigs import Interruption
     from deformscope.arrays import FloatArray
@@ -29,7 +30,6 @@ if TYPE_CHECKING:
     from deformscope.experiments.touching_robot import TouchingRobot
     from deformscope.lab.faults import FaultsToCome
     from deformscope.recording.recorder import Recorder
-    from deformscope.rig.source import RigSource
     from deformscope.robot.setup import Setup
     from deformscope.session import RigExperiment, Step
     from deformscope.stages.map.exploration import MapEstimate, Missed, TouchEstimate
@@ -109,14 +109,18 @@ def explore_on(config: ExploreConfig, report: Callable[[Explored], None]) -> Exp
         planner=config.planner,
         budget=config.touches,
         threshold=config.threshold,
-        beta_model=config.beta_model,
+        beta_model=config.beta_model or ("thesis" if config.planner == "thesis" else "volume"),
         seed=config.output.seed,
         inclusion_m=config.smallest_inclusion or INCLUSION_M,
         first_m=config.first,
         lift_m=DRY_RUN_M if config.dry_run else 0.0,
+        hold_s=config.hold,
+        feel=config.feel,
     )
     faults = [FaultAt.parse(text, options.budget) for text in config.fault]
-    opening = setup_of(config.rig, options, config.set_force, trusted=config.trust_rig, clean=config.clean)
+    opening = setup_of(
+        config.rig, options, config.set_force, trusted=config.trust_rig, clean=config.clean, camera=config.camera
+    )
     setup, options = opening.setup, opening.options
     _check_first(config, setup)
     to_come = FaultsToCome(opening.faulty_lab, faults, options.seed) if faults else None
@@ -139,6 +143,7 @@ def explore_on(config: ExploreConfig, report: Callable[[Explored], None]) -> Exp
             as_json["laboratory"] = opening.settings.get("laboratory")
             explored = Explored(as_json, found.maps, setup.simulated)
             report(explored)
+            _say_on_page(recorder, as_json)
         if ending.error is not None:
             raise ending.error
     for fault in to_come.waiting if to_come is not None else ():
@@ -173,6 +178,7 @@ def _run(
     ending: ExplorationEnd,
 ) -> None:
     """Open the devices, explore, close them; `found` and `ending` hold what is known, also where this raises."""
+    from deformscope.api.page_devices import ShownDevices, WatchedDevices
     from deformscope.experiments.beside import stages_beside
     from deformscope.experiments.explore import explore
     from deformscope.experiments.touching_robot import touching_robot
@@ -184,8 +190,10 @@ def _run(
         truth = setup.truth is not None and setup.truth.labels is not None
         place = setup.size_m, setup.placement.T_base_surface
         recorder.start_exploration(source.streams, source.start_ns, *place, truth=truth)
-        page = _steering(config, setup, options, recorder, asked, source)
-        watch = Watch(asked, show if page is None else _both(show, page.show))
+        shown = None if recorder.page is None else ShownDevices(recorder.page.desk, source.streams)
+        page = _steering(config, setup, options, recorder, asked, shown)
+        watched = WatchedDevices(recorder, shown, show)
+        watch = Watch(asked, show, *(() if page is None else (page.show,)))
         with touching_robot(setup, source, options, watch) as robot, stages_beside(setup, options) as (beside, stage):
             try:
                 with watch.halts(robot):
@@ -195,11 +203,11 @@ def _run(
                     if page is not None:
                         robot.reason_to_stand = page.reason_to_stand
                     experiment = _said(explore(setup.clock, stage, found, permit, page), show, page)
-                    run(source, experiment, recorder, robot, beside)
+                    run(source, experiment, watched, robot, beside)
             finally:
                 ending.arm_stopped, ending.gaps_s = watch.arm_stopped, robot.gaps_s
                 ending.session_s = (setup.clock() - source.start_ns) / 1e9
-        ending.losses = losses_of(finish(source, recorder))
+        ending.losses = losses_of(finish(source, watched))
     for name, reason in source.failures.items():
         say(f"deformscope: device {name} failed: {reason}")
 
@@ -226,7 +234,7 @@ def _steering(
     options: ExploreOptions,
     recorder: Recorder,
     asked: Interruption,
-    source: RigSource,
+    shown: ShownDevices | None,
 ) -> PageSteering | None:
     """What its page steers by; None without one."""
     if recorder.page is None:
@@ -238,7 +246,7 @@ def _steering(
         recorder.page.desk,
         asked,
         setup.clock,
-        source,
+        shown,
         arm=f"{setup.names[0]}{' (simulated)' * setup.simulated}",
         set_force_n=options.set_force_n,
         budget=options.budget,
@@ -247,12 +255,17 @@ def _steering(
     )
 
 
-def _both(first: Callable[[str], None], second: Callable[[str], None]) -> Callable[[str], None]:
-    def show(words: str) -> None:
-        first(words)
-        second(words)
+def _say_on_page(recorder: Recorder, found: dict[str, Any]) -> None:
+    """What came of it, where there is a page, which may outlive the exploration. found: as in the JSON"""
+    from deformscope.api.exploration import exploration_rows
 
-    return show
+    if recorder.page is None:
+        return
+    rows = exploration_rows(found)
+    for name, words in reversed([row for row in rows if row[0].startswith(("region", "truth"))]):
+        recorder.page.desk.remark(f"{name}: {words}")
+    known = dict(rows)
+    recorder.page.desk.enter("stopped", f"{known['verdict']}; touches: {known['touches']}")
 
 
 def _said(
@@ -268,6 +281,8 @@ def _said(
             return
         if page is not None:
             page.saw(step.results)
+            for line in (line for result in step.results if _for_page(result) for line in _remarks(result)):
+                page.desk.remark(line)
         if lines := [line for result in step.results for line in _remarks(result)]:
             show("")
             for line in lines:
@@ -278,8 +293,16 @@ def _said(
             given, answer = error, experiment.throw
 
 
+def _for_page(result: object) -> bool:
+    """Whether a page is to say it: plans and answers of its own it shows elsewhere."""
+    from deformscope.stages.map.exploration import MapEstimate, StageFailure, TouchEstimate
+
+    return isinstance(result, TouchEstimate | MapEstimate | StageFailure)
+
+
 def _remarks(result: object) -> Iterator[str]:
     from deformscope.pictures.words import (
+        creep_words,
         dent_words,
         failed_words,
         interval_words,
@@ -312,6 +335,8 @@ def _remarks(result: object) -> Iterator[str]:
             + (f" ({between})" if between else "")
             + f", dent {dent_words(result)}"
         )
+        if result.creep is not None:
+            yield f"  creep: {creep_words(result.creep)}"
     elif isinstance(result, MapEstimate):
         yield "  map: " + ", ".join(one for one in (verdict_words(result), iou_words(result)) if one)
     elif isinstance(result, StageFailure):
@@ -350,6 +375,7 @@ def _found(
         "version": __version__,
         "units": JSON_UNITS,
         "set_force_n": options.set_force_n,
+        "stiffness": options.feel,
         "verdict": None if maps is None else maps.verdict,
         "verdict_probability": None if maps is None else maps.probability,
         "touches": [_touch(exploration, one) for one in exploration.touches],
@@ -406,6 +432,7 @@ def _touch(exploration: Exploration, one: TouchEstimate) -> dict[str, Any]:
         "apparent_stiffness_n_per_mm": one.stiffness_n_per_mm,
         "apparent_stiffness_interval": one.stiffness_interval,
         **{name: getattr(one, name) for name in same},
+        "creep": None if one.creep is None else dataclasses.asdict(one.creep),
         "failed": exploration.failed(number),
         "asked_for": number in exploration.asked,  # by a person, on the page
     }

@@ -8,17 +8,21 @@ from typing import Literal
 
 from deformscope.rig.rig_file import Rig
 
-FirstDayState = Literal["done", "by hand", "old", "to do"]
+FirstDayState = Literal["done", "by hand", "old", "to do", "optional"]
 
 
 @dataclass(frozen=True, slots=True)
 class FirstDayStep:
-    """what: in a word; state: `by hand` = the value is there without a date; words: what is known; command: does it"""
+    """what: in a word; state: `by hand` = the value is there without a date, `optional` = not needed to explore
+    words: what is known; command: does it; minutes: that it takes at an arm, estimated by what is asked of a person, or
+    with doubles; 0 = as many as it finds to do
+    """
 
     what: str
     state: FirstDayState
     words: str
     command: str
+    minutes: int = 0
 
 
 def begin(name: str) -> FirstDayStep:
@@ -45,6 +49,7 @@ def first_day(rig: Rig, name: str, today: datetime.date | None = None) -> tuple[
         "camera": rig.camera.T_arm_camera is not None,
         "force": rig.tool.R_tip_force is not None,
         "arm": rig.tool.compliance_m_per_n is not None,
+        "time": False,
     }
     ages = rig.calibrated.ages(today)
     steps = []
@@ -53,13 +58,15 @@ def first_day(rig: Rig, name: str, today: datetime.date | None = None) -> tuple[
             continue
         command = f"deformscope calibrate {what} {name}"
         age = ages.get(what)
-        if not done:
-            steps.append(FirstDayStep(what, "to do", WHY[what], command))
-        elif age is None:
-            steps.append(FirstDayStep(what, "by hand", "in the file, without a date", command))
+        state: FirstDayState
+        if age is not None and (done or what == "time"):
+            state, words = "done" if age.young else "old", f"{age.days} of {age.at_most} days old"
+        elif done:
+            state, words = "by hand", "in the file, without a date"
         else:
-            state: FirstDayState = "done" if age.young else "old"
-            steps.append(FirstDayStep(what, state, f"{age.days} of {age.at_most} days old", command))
+            state, words = "optional" if what == "time" else "to do", WHY[what]
+        minutes = MINUTES[what] if not simulated else 2 if what == "camera" else 1
+        steps.append(FirstDayStep(what, state, words, command, minutes))
     steps.append(FirstDayStep("explore", "to do", "map how soft it is, and where", f"deformscope explore {name}"))
     return tuple(steps)
 
@@ -70,10 +77,13 @@ def next_step(steps: tuple[FirstDayStep, ...]) -> FirstDayStep | None:
 
 
 WHY = {
-    "tip": "where the tip is on the arm's end: a cone that holds its ball, and the joystick",
-    "place": "where the surface is: the tip on three of its corners",
-    "camera": "where the camera stands: a board on the arm's end (--print-board draws it)",
-    "force": "how the force sensor sits: a finger that pushes the tip",
+    "tip": "where the tip is on the arm's end: its ball in a cone, tilted 8 times by the joystick",
+    "place": "where the surface is: the tip on 3 of its corners, twice each",
+    "camera": "where the camera stands: a board on the arm's end (--print-board draws it) in 14 poses",
+    "force": "how the force sensor sits: a finger that pushes the tip 10 times",
     "arm": "how arm and stick yield: a block of steel or stone on the surface",
+    "time": "how late the arm is beside the force sensor: 5 taps on the tip",
 }
 """What is measured, and what for or with."""
+MINUTES = {"tip": 8, "place": 6, "camera": 15, "force": 5, "arm": 5, "time": 1}
+"""Half a minute for a push, a minute for a pose that is steered to. Estimated: nobody has done it on a real arm."""

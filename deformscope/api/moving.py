@@ -44,11 +44,11 @@ class Watch:
     """Called in every control period: ends it when somebody asks, and shows what the robot does. robot: once there is
     one; arm_stopped: whether the arm could be stopped, in the end"""
 
-    def __init__(self, asked: Interruption, show: Callable[[str], None]) -> None:
-        """asked: set when somebody wants it to end; show: one line that the next replaces"""
+    def __init__(self, asked: Interruption, *shows: Callable[[str], None]) -> None:
+        """asked: set when somebody wants it to end; shows: where one line goes that the next replaces"""
         self.robot: WatchedRobot | None = None
         self.arm_stopped = True
-        self._asked, self._show = asked, show
+        self._asked, self._shows = asked, shows
         self._periods = 0
 
     def __call__(self) -> None:
@@ -58,7 +58,8 @@ class Watch:
             self.robot.ask_to_stop(self._asked.by or signal_word(self._asked.signal_number))
         self._periods += 1
         if self._periods % SHOW_EVERY == 0:
-            self._show(self.robot.doing)
+            for show in self._shows:
+                show(self.robot.doing)
 
     @contextlib.contextmanager
     def halts(self, robot: WatchedRobot) -> Iterator[None]:
@@ -147,6 +148,14 @@ def ask_line(prompt: str, asked: Interruption, agreed: Callable[[], bool] | None
             return sys.stdin.readline().strip().lower()
         yield Step()
     return ""
+
+
+def ask_yes(prompt: str, asked: Interruption) -> RigExperiment[None]:
+    """As `ask_line`; raises InputError unless somebody says yes."""
+    if not sys.stdin.isatty():
+        raise InputError("somebody who says yes", "no terminal to ask at", "--yes")
+    if (yield from ask_line(prompt, asked)) != "yes":
+        raise InputError("yes", "something else: nothing has moved")
 
 
 def leave(

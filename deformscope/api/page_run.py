@@ -9,15 +9,17 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Literal
+from typing import Any, Literal, Protocol
 
+from deformscope.api.page_devices import ShownDevices
 from deformscope.api.rigs import Interruption
-from deformscope.frames import HealthReport, Item, LinkChange, SessionNote, Stream, host_ns
+from deformscope.frames import HealthReport, NoteKind, SessionNote, Stream, host_ns
 from deformscope.page.desk import Desk
 from deformscope.page.messages import (
     BeginEpisode,
-    DeviceState,
+    DiscardPart,
     EndEpisode,
+    KeepRecent,
     Outcome,
     PageCommand,
     StartRecording,
@@ -27,12 +29,11 @@ from deformscope.page.messages import (
     WriteNote,
 )
 from deformscope.recording.losses import since
+from deformscope.recording.recent import RecentItems, end_with_recent, write_recent
 from deformscope.recording.recorder import Recorder, RecordingSummary
 from deformscope.rig.source import RigSource
 from deformscope_drivers.clock import monotonic_ns
-from deformscope_drivers.health import Health
 
-MakeRecorder = Callable[[Path | None, Literal["page", "none"]], Recorder]
 ROOM = 2.0
 """While it goes on, a recording takes so many times its size on the disk."""
 
@@ -47,17 +48,33 @@ class _FileTake:
     begun: bool = False
 
 
+class MakeRecorder(Protocol):
+    """A recorder into this file, or none, with this viewer; at_once: of what is there already, so that it may wait"""
+
+    def __call__(self, file: Path | None, viewer: Literal["page", "none"], *, at_once: bool = False) -> Recorder: ...
+
+
 class PageRecorder:
     """A session's recorder whose file is begun and ended from a page, and which carries out the page's other commands.
 
-    make: a recorder into this file, or none, with this viewer; file: to begin with, None = no file yet
-    next_file: a name for each that follows; ended: is set where the page asks to stop
+    file: to begin with, None = no file yet; next_file: a name for each that follows
+    ended: is set where the page asks to stop; recent: the last seconds, which can still be recorded
+    at_end: a file for what of them is held at the end
     """
 
     def __init__(
-        self, make: MakeRecorder, file: Path | None, next_file: Callable[[], Path], ended: Interruption
+        self,
+        make: MakeRecorder,
+        file: Path | None,
+        next_file: Callable[[], Path],
+        ended: Interruption,
+        recent: RecentItems | None = None,
+        *,
+        at_end: Path | None = None,
     ) -> None:
         self._make, self._next_file, self._ended = make, next_file, ended
+        self._recent = recent
+        self._last_words = None if at_end is None else make(at_end, "none", at_once=True)
         self._watch = make(None, "page")
         self._take = None if file is None else _FileTake(make(file, "none"), file)
         self._source: RigSource | None = None
@@ -65,11 +82,11 @@ class PageRecorder:
         self._lossless: Sequence[str] = ()
         self._stages: Sequence[tuple[str, str]] = ()
         self._notes: list[SessionNote] = []
-        self._episode = ""
+        self._episode = self._last_episode = ""
         self._busy: set[str] = set()
         self._threads: list[threading.Thread] = []
         self._failure: Exception | None = None
-        self._last: HealthReport | None = None
+        self._shown: ShownDevices | None = None
         self.summaries: list[RecordingSummary] = []
         # Held for moments alone: by the session as it hands over, by the page's server as it obeys.
         self._lock = threading.RLock()
@@ -83,6 +100,8 @@ class PageRecorder:
         with ExitStack() as stack:
             if self._take is not None:
                 stack.enter_context(self._take.recorder)  # its name is taken before anything is opened
+            if self._last_words is not None:
+                stack.enter_context(self._last_words)
             self._watch.__enter__()
             stack.pop_all()
         return self
@@ -96,6 +115,11 @@ class PageRecorder:
             if self._take is not None:
                 self._take.recorder.__exit__(kind, error, trace)
                 self.summaries.append(self._take.recorder.summary())
+            if self._last_words is not None:
+                assert self._recent is not None
+                self._last_words.stopped_because(f"the last {self._recent.held_s:.1f} s before the end")
+                end_with_recent(self._last_words, self._recent, self._streams, self._lossless, kind)
+                self.summaries.append(self._last_words.summary())
         finally:
             self._watch.__exit__(kind, error, trace)
         if kind is None and self._failure is not None:
@@ -110,6 +134,7 @@ class PageRecorder:
         if self._take is not None:
             self._take.recorder.start_rig(self._streams, source.start_ns, lossless, stages)
             self._take.begun = True
+        self._shown = ShownDevices(self.desk, self._streams)
         tares = tuple(stream.device for stream in self._streams if hasattr(source.device(stream.device), "zero"))
         self.desk.attend(self)
         self.desk.show(tares=tares)
@@ -119,10 +144,16 @@ class PageRecorder:
         """As `Recorder.write`."""
         self._watch.write(items)
         with self._lock:
+            if isinstance(items, Sequence):
+                if self._recent is not None:
+                    self._recent.add(items)
+                items = [*items, *self._taken_notes()]
             if self._take is not None:
                 self._write_to(self._take, items)
-        if isinstance(items, Sequence):
-            self._show(items)
+        if isinstance(items, Sequence) and self._shown is not None:
+            self._shown.saw(items)
+            if any(isinstance(item, HealthReport) for item in items):
+                self._show_file()
 
     def stopped_because(self, reason: str) -> None:
         """As `Recorder.stopped_because`."""
@@ -136,34 +167,20 @@ class PageRecorder:
         return self.summaries[-1] if self.summaries else self._watch.summary()
 
     def _write_to(self, take: _FileTake, items: object) -> None:
-        given = [*items, *self._notes] if isinstance(items, Sequence) else items
-        if isinstance(given, list):
-            self._notes.clear()
-            if not take.begun and given:
+        if isinstance(items, Sequence):
+            if not take.begun and items:
                 assert self._source is not None
                 take.before, take.begun = self._source.look(), True
-                take.recorder.start_rig(self._streams, min(map(host_ns, given)), self._lossless)
+                take.recorder.start_rig(self._streams, min(map(host_ns, items)), self._lossless)
             if take.before is not None:
                 before = take.before
-                given = [since(item, before) if isinstance(item, HealthReport) else item for item in given]
-        take.recorder.write(given)
+                items = [since(item, before) if isinstance(item, HealthReport) else item for item in items]
+        take.recorder.write(items)
 
-    def _show(self, items: Sequence[Item]) -> None:
-        for item in items:
-            if isinstance(item, HealthReport):
-                self._last = item
-                self._show_devices(item)
-            elif isinstance(item, LinkChange):
-                reason = f": {item.event.reason}" if item.event.reason else ""
-                bad = item.event.link in ("lost", "failed")
-                self.desk.remark(f"{item.device}: {item.event.link}{reason}", bad=bad)
-
-    def _show_devices(self, report: HealthReport) -> None:
-        known = {stream.device: stream for stream in self._streams}
-        changes: dict[str, Any] = {
-            "devices": tuple(device_state(name, health, known.get(name)) for name, health in report.devices)
-        }
+    def _show_file(self) -> None:
+        """How much is held and recorded, and how long that can go on."""
         with self._lock:
+            changes: dict[str, Any] = {"held_s": None if self._recent is None else self._recent.held_s}
             if self._take is not None:
                 size = self._take.recorder.summary().bytes
                 lasted_s = self.desk.state.now_s - self.desk.state.recorded_since_s
@@ -186,12 +203,14 @@ class PageRecorder:
                     return self._start_file()
                 case StopRecording():
                     return self._stop_file()
+                case KeepRecent():
+                    return self._keep_recent()
                 case WriteNote():
                     self._note("note", command.text)
                     return "done", "noted"
                 case BeginEpisode():
                     self._end_episode()
-                    self._episode = command.label
+                    self._episode = self._last_episode = command.label
                     self._note("episode-begin", command.label)
                     self._enter()
                     return "done", f"episode {command.label} began"
@@ -199,6 +218,8 @@ class PageRecorder:
                     label = self._end_episode()
                     self._enter()
                     return "done", f"episode {label} ended"
+                case DiscardPart():
+                    return self._discard(command)
                 case TareDevice():
                     return self._tare(command.device)
                 case _:
@@ -211,9 +232,10 @@ class PageRecorder:
         if take is None:
             # stages begin with the first frame: a file that begins later could not be replayed with them
             commands += [] if self._stages or self._busy & {"file"} else ["start-recording"]
+            commands += [] if self._recent is None or self._busy & {"the last seconds"} else ["keep-recent"]
             self.desk.enter("live", recording="", episode="", commands=tuple(commands), free_minutes=None)
             return
-        commands += ["write-note", "begin-episode", *(["end-episode"] if self._episode else [])]
+        commands += ["write-note", "discard", "begin-episode", *(["end-episode"] if self._episode else [])]
         commands += [] if self._stages else ["stop-recording"]
         changes: dict[str, Any] = {"commands": tuple(commands), "episode": self._episode}
         if self.desk.state.recording == str(take.path):
@@ -221,9 +243,23 @@ class PageRecorder:
         else:
             self.desk.recording_began(str(take.path), **changes)
 
-    def _note(self, about: Literal["note", "episode-begin", "episode-end", "tare"], text: str) -> None:
-        if self._take is not None:
-            self._notes.append(SessionNote(monotonic_ns(), about, text))
+    def _discard(self, command: DiscardPart) -> tuple[Outcome, str]:
+        if command.what == "recording":
+            self._note("discard-recording", command.reason)
+            return "done", "the recording is marked as discarded; it goes on"
+        if not self._last_episode:
+            return "refused", "no episode was begun in this file"
+        self._note("discard-episode", command.reason)
+        return "done", f"episode {self._last_episode} is marked as discarded"
+
+    def _note(self, about: NoteKind, text: str) -> None:
+        self._notes.append(SessionNote(monotonic_ns(), about, text))
+
+    def _taken_notes(self) -> list[SessionNote]:
+        notes, self._notes = self._notes, []
+        if self._recent is not None:
+            self._recent.add(notes)
+        return notes
 
     def _end_episode(self) -> str:
         label, self._episode = self._episode, ""
@@ -242,6 +278,7 @@ class PageRecorder:
         recorder.__enter__()
         with self._lock:
             self._take = _FileTake(recorder, path)
+            self._last_episode = ""
             self._enter()
 
     def _stop_file(self) -> tuple[Outcome, str]:
@@ -249,7 +286,7 @@ class PageRecorder:
         assert take is not None
         self._end_episode()
         if take.begun and self._source is not None:
-            self._write_to(take, [self._source.look()])
+            self._write_to(take, [*self._taken_notes(), self._source.look()])
         self._take = None
         self._beside("file", lambda: self._close_file(take))
         self._enter()
@@ -262,9 +299,33 @@ class PageRecorder:
         except Exception as error:
             self._failure = error
             raise
-        summary = take.recorder.summary()
+        self._add_summary(take.recorder.summary())
+
+    def _add_summary(self, summary: RecordingSummary) -> None:
         self.summaries.append(summary)
         self.desk.remark(f"recorded {summary.path} ({summary.bytes / 1e6:.1f} MB)")
+
+    def _keep_recent(self) -> tuple[Outcome, str]:
+        assert self._recent is not None
+        if self._source is None or self._recent.taken() is None:
+            return "refused", "nothing has come yet"
+        self._recent.add([self._source.look()])
+        taken, held_s, path = self._recent.taken(), self._recent.held_s, self._next_file()
+
+        def keep() -> None:
+            try:
+                with self._make(path, "none", at_once=True) as recorder:
+                    assert taken is not None
+                    write_recent(recorder, taken, self._streams, self._lossless)
+                    recorder.stopped_because(f"kept from the page: the last {held_s:.1f} s")
+            except Exception as error:
+                self._failure = error
+                raise
+            self._add_summary(recorder.summary())
+
+        self._beside("the last seconds", keep)
+        self._enter()
+        return "begun", f"the last {held_s:.1f} s go into {path}"
 
     def _tare(self, name: str) -> tuple[Outcome, str]:
         if name not in self.desk.state.tares or self._source is None:
@@ -277,6 +338,8 @@ class PageRecorder:
             device.zero()
             with self._lock:
                 self._note("tare", name)
+                if self._shown is not None:
+                    self._shown.tared(name)
             self.desk.remark(f"{name}: tared")
 
         self._beside(name, tare)
@@ -300,23 +363,3 @@ class PageRecorder:
         thread = threading.Thread(target=work, name=f"deformscope-page-{what}", daemon=True)
         self._threads.append(thread)
         thread.start()
-
-
-def device_state(name: str, health: Health, stream: Stream | None) -> DeviceState:
-    """A device as a page shows it."""
-    from deformscope.log.rig.health import word  # it brings rerun
-
-    return DeviceState(
-        name=name,
-        state=word(health, stream),
-        simulated=stream is not None and stream.simulated,
-        rate_hz=health.rate_hz,
-        age_s=health.age_s,
-        received=health.received,
-        lost=health.lost,
-        dropped=health.dropped,
-        refused=sum(health.refused.values()),
-        bad_bytes=health.skipped_bytes,
-        reconnects=health.reconnects,
-        reason=health.reason,
-    )

@@ -14,7 +14,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from deformscope.api.page_run import device_state
+from deformscope.api.page_devices import ShownDevices
 from deformscope.api.rigs import Interruption
 from deformscope.arrays import FloatArray
 from deformscope.experiments.explore import ExplorationStopped, NextMove
@@ -32,7 +32,6 @@ from deformscope.page.messages import (
     TouchPicked,
     VetoTouch,
 )
-from deformscope.rig.source import RigSource
 from deformscope.robot.supervisor import Fault
 from deformscope.stages.map.exploration import (
     ExplorationStop,
@@ -46,7 +45,6 @@ SURFACE_ENTITIES = ("surface", "observed", "asked", "target", "contacts", "table
 """What stands on the surface in the view, below `SCENE`: picked, it says a place of it."""
 SCENE = "/display/scene/"
 CURVE_POINTS = 60
-SHOW_EVERY_S = 0.3
 
 
 class PageSteering:
@@ -61,7 +59,7 @@ class PageSteering:
         desk: Desk,
         ended: Interruption,
         clock: Callable[[], int],
-        source: RigSource | None = None,
+        shown: ShownDevices | None = None,
         *,
         arm: str,
         set_force_n: float,
@@ -80,7 +78,7 @@ class PageSteering:
         self._confirm: Future[bool] | None = None
         self._by_hand = False
         self._permitted, self._what = False, ""
-        self._source, self._shown_s = source, -1e9
+        self._shown = shown
         self._lock = threading.RLock()
         desk.attend(self)
         desk.enter("idle", commands=("stop",))
@@ -165,14 +163,9 @@ class PageSteering:
                 self.desk.remark(f"the touch was broken off, the arm stands: {result.reason}", bad=True)
 
     def show(self, doing: str) -> None:
-        """What the robot does, in words, and how its devices are; seldom enough for a control period."""
-        now_s = self.desk.state.now_s
-        if self._source is None or now_s - self._shown_s < SHOW_EVERY_S:
-            return
-        self._shown_s = now_s
-        known = {stream.device: stream for stream in self._source.streams}
-        devices = (device_state(name, health, known.get(name)) for name, health in self._source.look().devices)
-        self.desk.show(devices=tuple(devices), reason=doing)
+        """What the robot does, in words."""
+        if self._shown is not None:
+            self._shown(doing)
 
     # As `PageRun`, from the server -----------------------------------------------------------------------------------
 

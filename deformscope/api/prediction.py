@@ -24,7 +24,7 @@ from deformscope.stages.msm.solver import pick_device
 from deformscope.stages.poke import fitted
 from deformscope.stages.poke.fitted import FittedModel, Prediction
 from deformscope.studies.dents_figure import dents_png
-from deformscope.studies.prediction import PokeComparison
+from deformscope.studies.prediction import PokeComparison, PooledPokes
 
 ModelSource: TypeAlias = FittedModel | CalibrationResult | Path | str
 
@@ -127,7 +127,20 @@ def comparison_table(name: str, found: PokeComparison) -> Table:
     rows += _beyond(found.prediction)
     if found.poke.force is not None:
         rows.append(("measured", f"force {found.poke.force:.3g} N at {1e3 * found.poke.depth:.3g} mm"))
+    if found.prediction.force_interval is not None:
+        low, high = found.prediction.force_interval
+        rows.append(("MSM, 90 % interval", f"{low:.3g} to {high:.3g} N"))
     return Table(rows, caption=f"Against {name}")
+
+
+def together_table(found: PooledPokes) -> Table:
+    """How the model did on all measured pokes."""
+    rows = [("surface", f"off by {found.surface_error:.1%} of the depth (rms)")]
+    if found.force_error is not None:
+        rows.append(("force", f"off by {found.force_error:.1%} (rms)"))
+        held = f"{found.held} of {found.forces} hold the measured force, median width {found.width:.0%}"
+        rows.append(("90 % intervals", held))
+    return Table(rows, caption=f"Against {found.pokes} measured pokes")
 
 
 def poke_words(poke: Poke) -> str:

@@ -14,6 +14,7 @@ from deformscope.frames import ColorFrame, Item, SessionNote
 from deformscope.pictures.findings import cell_text
 from deformscope.pictures.report import Table
 from deformscope.plain import plain
+from deformscope.recording.discards import Discard, discards_of
 from deformscope.recording.items import read_estimates, read_items, read_results
 from deformscope.recording.reader import Replay
 
@@ -53,9 +54,14 @@ class OpenRecording(LibraryResult):
         return read_items(self.path, trust=True)
 
     def notes(self) -> tuple[SessionNote, ...]:
-        """What was remarked while it was recorded: notes, episodes, tares, each with its time on the host's clock."""
+        """What was remarked while it was recorded: notes, episodes, tares, alarms of sensors, discards, each with its
+        time on the host's clock."""
         found = read_items(self.path, trust=True, kinds=(SessionNote,))
         return tuple(note for note in found if isinstance(note, SessionNote))
+
+    def discarded(self) -> list[Discard]:
+        """What of it is not to be used, and why; it is there all the same."""
+        return discards_of(self.path, self.notes())
 
     def estimates(self) -> list[dict[str, Any]]:
         """The recorded estimates of a calibration, as the JSON of the command line has them."""
@@ -69,11 +75,13 @@ class OpenRecording(LibraryResult):
         return f"<recording {self.path}: {self.kind}>"
 
     def as_json(self) -> dict[str, Any]:
-        return {"recording": self.path, "kind": self.kind, "settings": self.settings, "outcome": self.outcome}
+        found = {"recording": self.path, "kind": self.kind, "settings": self.settings, "outcome": self.outcome}
+        return found | {"discarded": self.discarded()}
 
     def tables(self) -> tuple[Table, ...]:
         rows = [("kind", self.kind), ("frames", str(self.outcome.get("frames", "unknown: its run was cut short")))]
         rows += [(name, cell_text(value)) for name, value in self.outcome.items() if name in ("stopped", "complete")]
+        rows += [("discarded", str(one)) for one in self.discarded()]
         rows += [
             (name, cell_text(value)) for name, value in self.settings.items() if isinstance(value, str | int | float)
         ]

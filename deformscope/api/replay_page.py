@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
+
+import msgspec
 
 from deformscope.frames import HealthReport, SessionNote
 from deformscope.page.messages import Chapter, Playback
 from deformscope.page.server import PageServer
-from deformscope.recording.items import Row, read_rows
+from deformscope.recording.items import Row, read_rows, read_streams
 from deformscope.recording.reader import Replay
 from deformscope.stages.map.exploration import PhaseStart
 from deformscope.stages.squeeze.trial import SqueezePhase
 
+LAYER = "layer.rrd"
 STEP_NS = 100_000_000
 """About a picture of a camera that is recorded at 10 Hz."""
 
@@ -25,6 +29,27 @@ def play_on_page(path: Path) -> PageServer:
     page.open()
     print(page.where, file=sys.stderr, flush=True)
     return page
+
+
+def lay_beside(
+    page: PageServer,
+    recording: Replay,
+    recorded: Sequence[Row],
+    again: Sequence[object],
+    size_m: tuple[float, float],
+    name: str,
+) -> None:
+    """Show what other settings make of a recorded exploration as a layer over it. recorded: its results; again: those
+    that the settings give; size_m: of the surface; name: of the settings"""
+    from deformscope.log.exploration.beside import layer_beside
+
+    streams = read_streams(recording.path, trust=True)
+    results = [(row.session_ns, row.item) for row in recorded]
+    layer = layer_beside(recording.identity, streams, size_m, results, again, name)
+    page.offer(LAYER, layer, "application/octet-stream")
+    playback = page.desk.state.playback
+    assert playback is not None
+    page.desk.show(playback=msgspec.structs.replace(playback, layer=LAYER))
 
 
 def playback_of(path: Path) -> Playback:
@@ -52,7 +77,10 @@ def chapters_of(rows: list[Row], until_ns: int) -> list[Chapter]:
     for place, row in enumerate(notes):
         if row.item.about == "episode-begin":
             ends = (one.session_ns for one in notes[place:] if one.item.about == "episode-end")
-            found.append(Chapter(row.item.text, row.session_ns, next(ends, until_ns)))
+            later = [one.item.about for one in notes[place + 1 :]]
+            mine = later[: later.index("episode-begin")] if "episode-begin" in later else later
+            name = f"{row.item.text} (discarded)" if "discard-episode" in mine else row.item.text
+            found.append(Chapter(name, row.session_ns, next(ends, until_ns)))
         elif row.item.about == "note":
             found.append(Chapter(f"note: {row.item.text}", row.session_ns, until_ns))
     return sorted(found, key=lambda chapter: chapter.from_ns)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import hashlib
+import os
 import signal
 import time
 from collections.abc import Mapping, Sequence
@@ -12,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, cast
 
 from deformscope.api.moving import signal_word
+from deformscope.api.page_devices import remark_of
 from deformscope.api.page_run import PageRecorder
 from deformscope.api.recordings import RecordResult
 from deformscope.api.result import ViewerChoice, open_recorder
@@ -20,10 +22,11 @@ from deformscope.config import OutputOptions, RigRunOptions
 from deformscope.config.rigs import StageOptions
 from deformscope.experiments.live_stages import StageCounts, live_stages
 from deformscope.file_io import new_recording
-from deformscope.frames import HealthReport, Item, LinkChange, Stream
+from deformscope.frames import HealthReport, Item, Stream
 from deformscope.pictures.report import Table
 from deformscope.plain import plain
-from deformscope.recording.losses import in_words, losses_of, lost_by
+from deformscope.recording.losses import in_words, losses_of, lost_by, since
+from deformscope.recording.recent import LastRecorder, RecentItems
 from deformscope.recording.recorder import Recorder, RecordingSummary
 from deformscope.rig.rig_file import Rig, load_rig
 from deformscope.rig.source import RigSource
@@ -38,6 +41,8 @@ if TYPE_CHECKING:
     from deformscope.experiments.stage_processes import StageProcesses
 
 REPORT_EVERY_S = 10.0
+PAGE_HOLDS_S = 30.0
+"""So much of the last seconds a page can still record, unless the options say otherwise."""
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -69,9 +74,11 @@ def run_rig(config: RigRunOptions, auto: Literal["none", "native"], *, always_re
     options = _live_options(config.stages, rig) if names else None
     if options is not None:
         settings["stages"] = dataclasses.asdict(options)
+    recent = _recent(config.keep_last, viewer, names)
+    at_end = config.keep_last is not None and always_record
     with (
         until_interrupted() as asked,
-        _recorder(output, settings, rig, names, asked) as recorder,
+        _recorder(output, settings, rig, names, asked, recent, at_end=at_end) as recorder,
         _processes(names) if names else contextlib.nullcontext({}) as beside,
         members_of(rig) as members,
     ):
@@ -83,12 +90,14 @@ def run_rig(config: RigRunOptions, auto: Literal["none", "native"], *, always_re
                 recorder.start_source(source, rig.record.lossless, shown)
             else:
                 recorder.start_rig(source.streams, source.start_ns, rig.record.lossless, shown)
-            where = "" if file is None else f" into {file}"
-            say(f"recording{where}: Ctrl-C ends it" if file else "watching: Ctrl-C ends it")
+            what = f"holding the last {config.keep_last:g} s for" if at_end else "recording into"
+            say(f"{what} {file}: Ctrl-C ends it" if file else "watching: Ctrl-C ends it")
             end = _Ending(asked, config.seconds, source)
             lossless = options is not None and options.lossless
             counts = run_session(source, live_stages(stages, beside, end, lossless=lossless), recorder)
             last = finish(source, recorder)
+            if at_end and recent is not None and (taken := recent.taken()) is not None:
+                last = since(last, taken[0])  # as the recording has it
             failures = dict(source.failures)
             why = end.reason + "".join(f"; {name} failed: {reason}" for name, reason in failures.items())
             recorder.stopped_because(why)
@@ -98,17 +107,38 @@ def run_rig(config: RigRunOptions, auto: Literal["none", "native"], *, always_re
 
 
 def _recorder(
-    output: OutputOptions, settings: Mapping[str, object], rig: Rig, names: Sequence[str], asked: Interruption
-) -> Recorder | PageRecorder:
-    """Of one file from the beginning to the end; on a page, of as many as it asks for."""
+    output: OutputOptions,
+    settings: Mapping[str, object],
+    rig: Rig,
+    names: Sequence[str],
+    asked: Interruption,
+    recent: RecentItems | None,
+    *,
+    at_end: bool,
+) -> Recorder | LastRecorder | PageRecorder:
+    """Of one file from the beginning to the end, or of what was recent then; on a page, of as many as it asks for."""
 
-    def make(file: Path | None, viewer: ViewerChoice) -> Recorder:
+    def make(file: Path | None, viewer: ViewerChoice, *, at_once: bool = False) -> Recorder:
         files = dataclasses.replace(output, record=file, viewer=viewer)
-        return open_recorder(files, settings, "rig", variant=_variant(rig, names), real_time=True)
+        return open_recorder(files, settings, "rig", variant=_variant(rig, names), real_time=not at_once)
 
-    if output.viewer != "page":
-        return make(output.record, output.viewer)
-    return PageRecorder(make, output.record, lambda: _new_file(rig), asked)
+    def next_file() -> Path:
+        return _new_file(rig)
+
+    if output.viewer == "page":
+        first = None if at_end else output.record
+        return PageRecorder(make, first, next_file, asked, recent, at_end=output.record if at_end else None)
+    if at_end and recent is not None:
+        return LastRecorder(make(None, output.viewer), make(output.record, "none", at_once=True), recent)
+    return make(output.record, output.viewer)
+
+
+def _recent(keep_last_s: float | None, viewer: ViewerChoice, stages: Sequence[str]) -> RecentItems | None:
+    """What holds the last seconds, where they can be recorded later."""
+    if keep_last_s is not None:
+        memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+        return RecentItems(keep_last_s, memory // 4)
+    return RecentItems(PAGE_HOLDS_S) if viewer == "page" and not stages else None
 
 
 def _new_file(rig: Rig) -> Path:
@@ -167,9 +197,8 @@ class _Ending:
         for item in items:
             if isinstance(item, HealthReport):
                 self._last = item
-            elif isinstance(item, LinkChange):
-                reason = f": {item.event.reason}" if item.event.reason else ""
-                say(f"{item.device}: {item.event.link}{reason}")
+            elif (remark := remark_of(item)) is not None:
+                say(remark[0])
         if self._last is not None and time.monotonic() - self._reported_at > REPORT_EVERY_S:
             self._reported_at = time.monotonic()
             rates = ", ".join(f"{name} {health.rate_hz:.4g}/s" for name, health in self._last.devices)

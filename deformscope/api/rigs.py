@@ -29,7 +29,7 @@ def member_of(entry: RigDevice) -> Iterator[RigMember]:
     """
     stands_in = stand_in(entry.driver.name, entry.config) if entry.double else contextlib.nullcontext(entry.make())
     with stands_in as device:
-        yield RigMember(entry.name, entry.driver, device, simulated=entry.double)
+        yield RigMember(entry.name, entry.driver, device, simulated=entry.double, late_ns=entry.late_ns)
 
 
 class Interruption(threading.Event):

@@ -25,7 +25,7 @@ from deformscope.pictures.findings import Findings
 from deformscope.pictures.report import Figure, Table
 from deformscope.rig.rig_edit import Values, edited, lines_of
 from deformscope.rig.rig_file import Rig, RigDevice, load_rig
-from deformscope.robot.setup import RigParts, open_rig
+from deformscope.robot.setup import RigParts, only_device, open_rig
 from deformscope.session import RigExperiment, Step, finish, run
 from deformscope.terminal import say
 
@@ -87,7 +87,7 @@ class SetupTask(Generic[M]):
     """One of these commands.
 
     kind: of it; needs: kinds of devices; measure: the experiment; arrays: what was measured, out of a file of arrays
-    solve: what is found of it
+    solve: what is found of it; recorded: what was measured, out of a recording
     """
 
     kind: str
@@ -95,14 +95,18 @@ class SetupTask(Generic[M]):
     measure: Callable[[Station], RigExperiment[M]]
     arrays: Callable[[Arrays], M]
     solve: Callable[[Rig, M], SetupFound]
+    recorded: Callable[[Path], M] | None = None
 
 
 def set_up(config: SetupOptions, task: SetupTask[M], recorder: Recorder) -> SetupFound:
     """Measure, or read what was measured; solve; write it into the rig file unless that is not wanted."""
     rig = load_rig(config.rig, trusted=config.trust_rig)
     if config.measured is not None:
-        expected = "a file of arrays (.npz)"
-        made = task.arrays(read_arrays(read_file(config.measured, expected), expected, config.measured))
+        if config.measured.suffix == ".rrd" and task.recorded is not None:
+            made = task.recorded(config.measured)
+        else:
+            expected = "a file of arrays (.npz)"
+            made = task.arrays(read_arrays(read_file(config.measured, expected), expected, config.measured))
         found = task.solve(rig, made)
         recorder.write(Step((found.findings(rig.name),)))
     else:
@@ -153,9 +157,9 @@ def _open(rig: Rig, task: SetupTask[Any], asked: Interruption) -> Iterator[tuple
         with open_rig(rig, member_of, table, parts.devices) as source:
             arm, wrench, camera = parts.devices
             hand = SimulatedHand(hidden, table, table.size_m)
-            yield source, Station(arm.name, wrench.name, camera.name, _simulated(hand))
+            yield source, Station(arm.name, wrench.name, camera.name, _simulated(hand, asked))
         return
-    devices = {kind: _device_of(rig, kind) for kind in task.needs}
+    devices = {kind: only_device(rig, kind, "to measure with") for kind in task.needs}
     used = tuple(devices.values())
     names = {kind: entry.name for kind, entry in devices.items()}
     with open_rig(_with(rig, used), member_of, None, ()) as source:
@@ -167,16 +171,6 @@ def _with(rig: Rig, devices: tuple[RigDevice, ...]) -> Rig:
     return dataclasses.replace(rig, devices=devices)
 
 
-def _device_of(rig: Rig, kind: str) -> RigDevice:
-    found = [entry for entry in rig.devices if entry.driver.kind == kind]
-    if kind == "depth" and rig.camera.device:
-        found = [entry for entry in rig.devices if entry.name == rig.camera.device]
-    if len(found) != 1:
-        came = ", ".join(entry.name for entry in found) or "none"
-        raise InputError(f"one device of the kind {kind}", came, "the rig file", rig.name)
-    return found[0]
-
-
 def _at_terminal(asked: Interruption) -> Operator:
     """Somebody who reads what to do, does it, and presses Enter."""
     if not sys.stdin.isatty():
@@ -185,17 +179,24 @@ def _at_terminal(asked: Interruption) -> Operator:
     def does(request: SetupRequest) -> RigExperiment[None]:
         say(f"{request.words}; then Enter")
         yield from ask_line("", asked)
-        if asked.is_set():
-            raise InputError("an answer to each request", "Ctrl-C: nothing was written", "begin again")
+        _go_on(asked)
 
     return does
 
 
-def _simulated(hand: SimulatedHand) -> Operator:
+def _go_on(asked: Interruption) -> None:
+    """Raises InputError where somebody asked to end."""
+    if asked.is_set():
+        raise InputError("an answer to each request", "Ctrl-C: nothing was written", "begin again")
+
+
+def _simulated(hand: SimulatedHand, asked: Interruption) -> Operator:
     """The laboratory's person, who lets go and taps while frames pass."""
 
     def does(request: SetupRequest) -> RigExperiment[None]:
-        say(request.words)
+        _go_on(asked)
+        does_so = "holds it in a way of their own" if request.kind == "view" else "does so"
+        say(f"{request.words} (a simulated person {does_so})")
         hand.do(request.kind, request.number, request.axis)
         if request.kind == "tap":
             from deformscope.lab.hidden import TAP_S

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,14 +12,15 @@ import numpy as np
 from deformscope.api.setting_up import Arrays, SetupFound
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.errors import InputError
-from deformscope.experiments.setting_up import BoardViews, ForceReadings, PushedTip, Taps
-from deformscope.pictures.report import Figure
-from deformscope.pictures.setup import off_png, offset_png
+from deformscope.experiments.setting_up import BoardViews, ForceReadings, PushedTip, Taps, taps_of
+from deformscope.frames import ArmFrame, ColorFrame, DepthFrame, Frame, WrenchFrame
+from deformscope.pictures.setup import off_figure, offset_figure
+from deformscope.rig.rig_edit import TomlValue
 from deformscope.rig.rig_file import Rig
 from deformscope.robot.placement import Placement
 from deformscope.stages.setup.board import CharucoSpec
 from deformscope.stages.setup.camera import KnownLens, camera_from_views, doubt_at
-from deformscope.stages.setup.force import FreeAir, free_air, hanging_weight, mount
+from deformscope.stages.setup.force import FreeAir, force_gain, free_air, hanging_weight, mount
 from deformscope.stages.setup.hand_eye import camera_from_touches, hand_eye
 from deformscope.stages.setup.place import CORNER_NAMES, place
 from deformscope.stages.setup.timing import time_offset
@@ -87,7 +89,7 @@ def solve_tip(rig: Rig, T_base_ee: FloatArray) -> SetupFound:
     T_tip = np.array(made.T_ee_center.T)
     if rig.tool.tip == "sphere":
         T_tip[:3, 3] += rig.tool.radius_m * T_tip[:3, 2]
-    picture = off_png(1e3 * made.off_m, _numbered(len(made.off_m)), "mm", 1e3 * made.pivot_sd_m)
+    caption = "How far each tilt has the ball from its place"
     return SetupFound(
         "tip",
         {"tool": {"T_ee_tip": _matrix(T_tip)}, "calibrated.tip": intervals(made.T_ee_center)},
@@ -96,7 +98,9 @@ def solve_tip(rig: Rig, T_base_ee: FloatArray) -> SetupFound:
             *_words(made.T_ee_center),
             ("ball", f"stays within {1e3 * made.pivot_sd_m:.2f} mm"),
         ),
-        Figure(picture, "How far each tilt has the ball from its place"),
+        off_figure(
+            1e3 * made.off_m, _numbered(len(made.off_m)), "mm", 1e3 * made.pivot_sd_m, each="tilt", caption=caption
+        ),
         {"T_ee_center": _json(made.T_ee_center), "pivot_m": made.pivot_m, "pivot_sd_m": made.pivot_sd_m},
     )
 
@@ -152,7 +156,14 @@ def solve_place(rig: Rig, touched: TouchedCorners) -> SetupFound:
             ),
             ("corners", f"touched within {1e3 * made.touch_sd_m:.2f} mm"),
         ),
-        Figure(off_png(1e3 * made.corner_off_m, names, "mm", 1e3 * made.touch_sd_m), "How far each corner is off"),
+        off_figure(
+            1e3 * made.corner_off_m,
+            names,
+            "mm",
+            1e3 * made.touch_sd_m,
+            each="corner, in the order touched",
+            caption="How far each touch is from its corner",
+        ),
         {"T_arm_surface": _json(made.T_arm_surface), "size_m": made.size_m, "size_half_m": made.size_half_m},
     )
 
@@ -218,7 +229,14 @@ def solve_camera(rig: Rig, measured: MeasuredCamera, board: CharucoSpec, *, meas
         "camera",
         {"camera": values, "calibrated.camera": intervals(estimate)},
         tuple(rows),
-        Figure(off_png(1e3 * off_m, _numbered(len(off_m)), "mm", 1e3 * sd_m), "How far each view is off"),
+        off_figure(
+            1e3 * off_m,
+            _numbered(len(off_m)),
+            "mm",
+            1e3 * sd_m,
+            each="place" if measured.places is not None else "view",
+            caption="How far what each shows is from what the arm says",
+        ),
         {"T_arm_camera": _json(estimate), "doubt_m": doubt_m, **extra},
     )
 
@@ -251,13 +269,16 @@ def _pair(first: FloatArray, second: FloatArray) -> tuple[FloatArray, FloatArray
 @dataclass(frozen=True, slots=True, eq=False)
 class MeasuredPushes:
     """force_n, axis: (n, 3) felt [N], and of the tip on the world, tip frame; free: None = not measured
-    R_base_tip: (m, 3, 3) how the tip was turned in free air; turned_n: (m, 3) what was felt then [N]"""
+    R_base_tip: (m, 3, 3) how the tip was turned in free air; turned_n: (m, 3) what was felt then [N]
+    load_n: a known load, None = none; loaded_n: (k, 3) what was felt under it beyond free air [N]"""
 
     force_n: FloatArray
     axis: FloatArray
     free: ForceReadings | None = None
     R_base_tip: FloatArray = field(default_factory=lambda: np.zeros((0, 3, 3)))
     turned_n: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
+    load_n: float | None = None
+    loaded_n: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
 
 
 def pushes_of(rig: Rig, made: PushedTip) -> MeasuredPushes:
@@ -270,16 +291,17 @@ def pushes_of(rig: Rig, made: PushedTip) -> MeasuredPushes:
     held = np.concatenate([made.T_base_ee[None], made.tilted]) if len(made.tilted) else made.tilted
     felt = np.concatenate([made.free.force_n.mean(axis=0)[None], made.tilted_n]) if len(made.tilted) else made.tilted_n
     R_base_tip = (held @ placement.T_ee_center)[:, :3, :3]
-    return MeasuredPushes(made.force_n, -made.axis @ R_surface_tip, made.free, R_base_tip, felt)
+    axes = -made.axis @ R_surface_tip
+    return MeasuredPushes(made.force_n, axes, made.free, R_base_tip, felt, made.load_n, made.loaded_n)
 
 
 def solve_force(rig: Rig, made: MeasuredPushes | PushedTip) -> SetupFound:
-    """`[tool] R_tip_force` from pushes; noise and drift beside it."""
+    """`[tool] R_tip_force` from pushes, and `force_gain` from a known load; noise and drift beside them."""
     pushes = made if isinstance(made, MeasuredPushes) else pushes_of(rig, made)
     found = mount(pushes.force_n, _nearest_axes(pushes.axis))
     rest = None if pushes.free is None else free_air(pushes.free.time_s, pushes.free.force_n)
     half_deg, turn_deg = np.degrees(found.turn_half_rad), np.degrees(found.turn_rad)
-    signs = "as it should" if np.linalg.det(found.R_tip_force) > 0 else "mirrored: an axis the other way round"
+    signs = "as they should be" if np.linalg.det(found.R_tip_force) > 0 else "mirrored: an axis the other way round"
     rows = [
         ("turned", f"by {turn_deg:.1f} degrees about the stick, give or take {half_deg:.1f}"),
         ("axes", signs),
@@ -291,18 +313,28 @@ def solve_force(rig: Rig, made: MeasuredPushes | PushedTip) -> SetupFound:
     if len(pushes.turned_n):
         weight = hanging_weight(pushes.turned_n, pushes.R_base_tip, found.R_tip_force)
         rows.append(("hangs on it", f"{weight.weight_n:.2f} N, give or take {weight.weight_half_n:.2f}"))
+    tool: dict[str, TomlValue] = {"R_tip_force": _matrix(found.R_tip_force)}
+    dated: dict[str, TomlValue] = {"half_deg": (0.0, 0.0, round(float(half_deg), 3))}
+    gain = None if pushes.load_n is None else force_gain(pushes.loaded_n, pushes.load_n)
+    if gain is not None:
+        tool |= {"force_gain": round(gain.gain, 5), "force_gain_sd": round(gain.sd, 5)}
+        dated["half_gain"] = round(gain.half, 5)
+        off = f"{100.0 * (gain.gain - 1.0):+.1f} %, give or take {100.0 * gain.half:.1f}"
+        rows.append(("gain", f"{off}: the sensor under {pushes.load_n:g} N"))
     return SetupFound(
         "force",
         {
-            "tool": {"R_tip_force": _matrix(found.R_tip_force)},
-            "calibrated.force": {"half_deg": (0.0, 0.0, round(float(half_deg), 3))},
+            "tool": tool,
+            "calibrated.force": dated,
         },
         tuple(rows),
-        Figure(
-            off_png(
-                np.degrees(np.abs(found.off_rad)), _numbered(len(found.off_rad)), "deg", np.degrees(found.push_sd_rad)
-            ),
-            "How far each push across the stick is off",
+        off_figure(
+            np.degrees(np.abs(found.off_rad)),
+            _numbered(len(found.off_rad)),
+            "deg",
+            np.degrees(found.push_sd_rad),
+            each="push across the stick",
+            caption="How far each push is from its direction",
         ),
         {
             "R_tip_force": found.R_tip_force,
@@ -311,6 +343,7 @@ def solve_force(rig: Rig, made: MeasuredPushes | PushedTip) -> SetupFound:
             "level": LEVEL,
             "free_air": rest,
             "weight": weight,
+            "gain": gain,
         },
     )
 
@@ -328,30 +361,39 @@ def _free_words(rest: FreeAir) -> Sequence[tuple[str, str]]:
     )
 
 
-def force_arrays(found: Arrays) -> MeasuredPushes:
-    """force_n and axis (n, 3)."""
-    return MeasuredPushes(*_pair(_array(found, "force_n", (3,)), _array(found, "axis", (3,))))
+def force_arrays(found: Arrays, load_n: float | None = None) -> MeasuredPushes:
+    """force_n and axis (n, 3); with a known load [N] loaded_n (k, 3)."""
+    force_n, axis = _pair(_array(found, "force_n", (3,)), _array(found, "axis", (3,)))
+    loaded_n = np.zeros((0, 3)) if load_n is None else _array(found, "loaded_n", (3,))
+    return MeasuredPushes(force_n, axis, load_n=load_n, loaded_n=loaded_n)
 
 
 # Clocks ---------------------------------------------------------------------------------------------------------------
 
 
-def solve_time(rig: Rig, taps: Taps) -> SetupFound:
-    """By how much the other device is late, beside the force sensor."""
+def solve_time(rig: Rig, taps: Taps, device: str, beside: str) -> SetupFound:
+    """By how much a device is late, beside a force sensor; their names in the rig."""
     found = time_offset(taps.x_time_s, taps.x, taps.y_time_s, taps.y)
     half_s = 0.5 * (found.high_s - found.low_s)
+    late_ms, low_ms, high_ms = 1e3 * found.offset_s, 1e3 * found.low_s, 1e3 * found.high_s
     return SetupFound(
         "time",
-        {"calibrated.time": {"offset_s": round(found.offset_s, 5), "half_s": round(half_s, 5)}},
+        {
+            "calibrated.time": {
+                "offset_s": round(found.offset_s, 5),
+                "half_s": round(half_s, 5),
+                "device": device,
+                "beside": beside,
+            }
+        },
         (
-            (
-                "late",
-                f"{1e3 * found.offset_s:+.1f} ms, between {1e3 * found.low_s:.1f} and {1e3 * found.high_s:.1f} ms",
-            ),
+            (f"{device} late", f"{late_ms:+.1f} ms beside {beside}, between {low_ms:.1f} and {high_ms:.1f} ms"),
             ("taps", f"explain {100 * found.share:.0f} % of it"),
         ),
-        Figure(offset_png(found), "How late the other device is"),
+        offset_figure(found, device, beside),
         {
+            "device": device,
+            "beside": beside,
             "offset_s": found.offset_s,
             "low_s": found.low_s,
             "high_s": found.high_s,
@@ -364,3 +406,28 @@ def solve_time(rig: Rig, taps: Taps) -> SetupFound:
 def time_arrays(found: Arrays) -> Taps:
     """x_time_s, x, y_time_s, y."""
     return Taps(*(_array(found, name, ()) for name in ("x_time_s", "x", "y_time_s", "y")))
+
+
+RECORDED_AT_MOST_S = 120.0
+"""Of a recording with taps: all of it is compared at every offset."""
+
+
+def recorded_taps(path: Path, wrench: str, device: str, kind: type[ArmFrame | DepthFrame | ColorFrame]) -> Taps:
+    """Of a recording of a force sensor and another device, by their names in it.
+
+    Raises InputError where one is missing, or where it is too long.
+    """
+    from deformscope.recording.items import read_items
+
+    frames: dict[str, list[Frame]] = {wrench: [], device: []}
+    for item in read_items(path, kinds=(WrenchFrame, kind)):
+        if isinstance(item, Frame) and item.device in frames:
+            frames[item.device].append(item)
+            first_ns = frames[item.device][0].stamp.arrived_ns
+            if (long_s := (item.stamp.arrived_ns - first_ns) / 1e9) > RECORDED_AT_MOST_S:
+                expected = f"a recording of {RECORDED_AT_MOST_S:g} s at most"
+                raise InputError(expected, f"{long_s:.0f} s and more", "record the taps alone", path)
+    missing = [name for name, some in frames.items() if not some]
+    if missing:
+        raise InputError(f"frames of {wrench} and {device}", f"none of {' and '.join(missing)}", where=path)
+    return taps_of(frames[wrench], frames[device])

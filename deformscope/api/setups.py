@@ -42,12 +42,18 @@ class Opening:
 
 
 def setup_of(
-    name: str, options: ExploreOptions, set_force_n: float | None, *, trusted: bool, clean: bool = True
+    name: str,
+    options: ExploreOptions,
+    set_force_n: float | None,
+    *,
+    trusted: bool,
+    clean: bool = True,
+    camera: str = "plain",
 ) -> Opening:
     """The setup of `lab:NAME` or of a rig file, closed.
 
     set_force_n: None = as the rig file says; trusted: as for `deformscope.rig.rig_file.load_rig`; clean: the laboratory
-    keeps nothing from the estimator
+    keeps nothing from the estimator; camera: what its camera measures by
     """
     if name.startswith(LAB):
         from deformscope.experiments.measured import highest_m
@@ -61,8 +67,15 @@ def setup_of(
             options = dataclasses.replace(options, set_force_n=set_force_n)
         parked_m = highest_m(options)
         errors = LabErrors.none() if clean else LabErrors()
-        made = SceneLab(scene, tip_radius_m=options.tip_radius_m, parked_m=parked_m, seed=options.seed, errors=errors)
-        laboratory = {"clean": clean, "errors": errors.plain(), "drawn": made.drawn.plain()}
+        made = SceneLab(
+            scene,
+            tip_radius_m=options.tip_radius_m,
+            parked_m=parked_m,
+            seed=options.seed,
+            errors=errors,
+            sensor="" if camera == "plain" else camera,
+        )
+        laboratory = {"clean": clean, "camera": camera, "errors": errors.plain(), "drawn": made.drawn.plain()}
         return Opening(made.setup, options, {"scene": scene.name, "laboratory": laboratory}, made.lab)
     from deformscope.rig.rig_file import load_rig
 
@@ -74,6 +87,7 @@ def setup_of(
         set_force_n=rig.workspace.target_force_n if set_force_n is None else set_force_n,
         tip_radius_m=rig.tool.radius_m,
         thickness_m=rig.surface.thickness_m,
+        tangential=rig.touch.tangential,
     )
     settings = {"rig": rig.text, "rig_name": rig.name, "scene": rig.surface.scene}
     return Opening(setup_of_rig(rig, options.seed), options, settings)

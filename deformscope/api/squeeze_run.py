@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from deformscope.api.moving import Watch, ask_line
+from deformscope.api.moving import Watch, ask_line, ask_yes
 from deformscope.api.result import open_recorder
 from deformscope.api.rigs import until_interrupted
 from deformscope.api.setups import LAB, squeeze_setup_of
@@ -17,6 +17,8 @@ from deformscope.errors import InputError
 from deformscope.terminal import say, status_line
 
 if TYPE_CHECKING:
+    from deformscope.api.page_devices import ShownDevices
+    from deformscope.api.page_squeezing import PageSqueezing
     from deformscope.api.rigs import Interruption
     from deformscope.api.setups import SqueezeOpening
     from deformscope.arrays import FloatArray
@@ -42,20 +44,25 @@ recordings of lab:containers."""
 class SqueezeOutcome:
     """What a squeeze left. found: as in the JSON; features: None where it was stopped; stop: why it was
 
-    signal_number: of who ended it, 0 = nobody
+    signal_number: of who ended it, 0 = nobody, or somebody by other means: by, in words
     """
 
     found: dict[str, Any]
     features: TrialFeatures | None
     stop: SqueezeStop | None
     signal_number: int
+    by: str = ""
 
     @property
     def interrupted(self) -> bool:
         """Whether that is why it ended."""
         from deformscope.robot.squeeze_supervisor import SqueezeFault
 
-        return self.signal_number != 0 and self.stop is not None and self.stop.kind == SqueezeFault.ASKED
+        return (
+            (self.signal_number != 0 or self.by != "")
+            and self.stop is not None
+            and self.stop.kind == SqueezeFault.ASKED
+        )
 
 
 def squeeze_on(config: SqueezeConfig, report: Callable[[dict[str, Any]], None]) -> SqueezeOutcome:
@@ -99,7 +106,11 @@ def squeeze_on(config: SqueezeConfig, report: Callable[[dict[str, Any]], None]) 
         SqueezeDataset(dataset.folder, feature_settings(opening.setup)).add([row_of(entry, found.features)])
     result = _found(config, opening, entry, found, ended) | {"dataset": config.dataset, "recording": path}
     report(result)
-    return SqueezeOutcome(result, found.features, found.stop, asked.signal_number)
+    if recorder.page is not None:
+        from deformscope.api.page_squeezing import show_squeezed
+
+        show_squeezed(recorder.page.desk, result)
+    return SqueezeOutcome(result, found.features, found.stop, asked.signal_number, asked.by)
 
 
 def _run(
@@ -111,6 +122,7 @@ def _run(
     asked: Interruption,
 ) -> dict[str, Any]:
     """Open the devices, squeeze, close them; what is known beside `found`."""
+    from deformscope.api.page_devices import ShownDevices, WatchedDevices
     from deformscope.experiments.squeeze import squeeze
     from deformscope.experiments.squeeze_features import SqueezeGeometry, around_px
     from deformscope.experiments.squeeze_frames import ObservedRecorder, SqueezeFrames, SqueezeObserver, TactileSource
@@ -140,17 +152,25 @@ def _run(
         )
         if config.model is not None:
             recorder.write(InputFile(MODEL_INPUT, config.model.read_bytes()))
-        observed = ObservedRecorder(recorder, observer)
-        watch = Watch(asked, show)
-        hand = SqueezingHand(setup, source, observer, watch)
+        shown = None if recorder.page is None else ShownDevices(recorder.page.desk, source.streams)
+        observed = ObservedRecorder(WatchedDevices(recorder, shown, show), observer)
+        page = _page(config, recorder, asked, shown)
+        watch = Watch(asked, show, *(() if page is None else (page.show,)))
+
+        def looked_after() -> None:
+            if page is not None:
+                page.look_after(watch)
+            watch()
+
+        hand = SqueezingHand(setup, source, observer, looked_after)
         experiment = squeeze(
             setup.clock,
             observer,
             geometry,
             found,
             None if model is None else final_posterior(model),
-            _permitted(setup, asked, yes=config.yes),
-            None if setup.placed else _placed(config, setup, asked),
+            _permitted(config, setup, asked, page),
+            None if setup.placed else _placed(config, setup, asked, page),
         )
         try:
             with computing_beside(setup, hand) as beside, watch.halts(hand):
@@ -173,25 +193,42 @@ def _run(
 # Who decides --------------------------------------------------------------------------------------------------------
 
 
-def _permitted(setup: SqueezeSetup, asked: Interruption, *, yes: bool) -> RigExperiment[None]:
-    """Within the experiment: ask before a real hand moves. Raises InputError unless somebody says yes."""
-    if setup.simulated:
-        return
-    squeeze = setup.squeeze
-    say(
-        f"The hand will now open, turn its fingers towards each other and, once it is placed, close with "
-        f"{squeeze.current_a:g} A at most.\nThis program is no safety function: keep the hand's switch within reach."
-    )
-    if yes:
-        return
-    if not sys.stdin.isatty():
-        raise InputError("somebody who says yes", "no terminal to ask at", "--yes")
-    answered = yield from ask_line("Type yes to begin: ", asked)
-    if answered != "yes":
-        raise InputError("yes", "something else: nothing has moved")
+def _page(
+    config: SqueezeConfig, recorder: Recorder, asked: Interruption, shown: ShownDevices | None
+) -> PageSqueezing | None:
+    if recorder.page is None or shown is None:
+        return None
+    from deformscope.api.page_squeezing import PageSqueezing
+
+    recorder.page.desk.show(title=config.rig, beat_s=config.page_timeout)
+    return PageSqueezing(recorder.page.desk, asked, shown)
 
 
-def _placed(config: SqueezeConfig, setup: SqueezeSetup, asked: Interruption) -> RigExperiment[None]:
+def _permitted(
+    config: SqueezeConfig, setup: SqueezeSetup, asked: Interruption, page: PageSqueezing | None
+) -> RigExperiment[None]:
+    """Within the experiment: ask before a real hand moves, and where it begins paused. Raises InputError unless
+    somebody says yes."""
+    current_a = setup.squeeze.current_a
+    moves = f"open, turn its fingers towards each other and, once it is placed, close with {current_a:g} A at most"
+    if not setup.simulated:
+        say(f"The hand will now {moves}.\nThis program is no safety function: keep the hand's switch within reach.")
+    if config.yes or (setup.simulated and not config.paused):
+        if page is not None:
+            page.go_on()
+    elif page is None:
+        yield from ask_yes("Type yes to begin: ", asked)
+    else:
+        page.wait_for(f"the hand{' (simulated)' * setup.simulated} will {moves}")
+        prompt = "Press Squeeze on the page, or type yes, to begin: "
+        if (yield from ask_line(prompt, asked, page.is_agreed)) != "yes":
+            raise InputError("yes", f"{asked.by or 'something else'}: nothing has moved")
+        page.go_on()
+
+
+def _placed(
+    config: SqueezeConfig, setup: SqueezeSetup, asked: Interruption, page: PageSqueezing | None
+) -> RigExperiment[None]:
     """Within the experiment: have the hand placed where the grasp was drawn."""
     from deformscope.session import Moment, Step
     from deformscope.stages.squeeze.trial import SqueezePhase
@@ -200,12 +237,19 @@ def _placed(config: SqueezeConfig, setup: SqueezeSetup, asked: Interruption) -> 
     yield Step((SqueezePhase("place"),), moment=Moment(setup.clock()))
     how = "move the arm by its joystick" if setup.names.arm else "place the hand"
     side = "above" if grasp.along_m > 0 else "below"
-    say(
+    words = (
         f"Now {how}, the container between the fingertips: {abs(1e3 * grasp.along_m):.0f} mm {side} the middle of its "
         f"longest edge, tilted by {grasp.tilt_deg:.0f} deg; nothing may touch the fingertips."
     )
+    say(words)
     if not config.yes or sys.stdin.isatty():
-        yield from ask_line("Press Enter when it stands still: ", asked)
+        if page is None:
+            yield from ask_line("Press Enter when it stands still: ", asked)
+            return
+        page.desk.remark(words)
+        page.wait_for("the hand closes")
+        yield from ask_line("Press Squeeze on the page, or Enter, when it stands still: ", asked, page.is_agreed)
+        page.go_on()
 
 
 # A model -------------------------------------------------------------------------------------------------------------

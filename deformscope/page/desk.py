@@ -24,11 +24,13 @@ from deformscope.page.messages import (
 )
 
 NEXT: dict[Phase, frozenset[Phase]] = {
-    "idle": frozenset({"live", "recording", "exploring", "paused", "stopped"}),
+    "idle": frozenset({"live", "recording", "exploring", "squeezing", "paused", "adjusting", "stopped"}),
     "live": frozenset({"recording", "stopped"}),
     "recording": frozenset({"live", "stopped"}),
     "exploring": frozenset({"paused", "stopped"}),
-    "paused": frozenset({"exploring", "stopped"}),
+    "squeezing": frozenset({"paused", "stopped"}),
+    "paused": frozenset({"exploring", "squeezing", "stopped"}),
+    "adjusting": frozenset({"stopped"}),
     "stopped": frozenset(),
 }
 """What may follow each phase."""

@@ -10,12 +10,14 @@ from typing import Annotated, Literal
 
 import msgspec
 
+from deformscope.page.fit_messages import FitSettings, FitState
+
 VERSION = 1
 """Of these messages. A page of another version is refused: it is to be loaded again."""
 LONGEST_MESSAGE = 16 << 10
 """Bytes of a message from a page."""
 
-Phase = Literal["idle", "live", "recording", "exploring", "paused", "stopped"]
+Phase = Literal["idle", "live", "recording", "exploring", "squeezing", "paused", "adjusting", "stopped"]
 Outcome = Literal["done", "begun", "refused"]
 Words = Annotated[str, msgspec.Meta(min_length=1, max_length=1000)]
 Name = Annotated[str, msgspec.Meta(min_length=1, max_length=100)]
@@ -54,6 +56,10 @@ class StopRecording(FromPage, frozen=True, tag="stop-recording"):
     """The file gets its name; the devices stay open."""
 
 
+class KeepRecent(FromPage, frozen=True, tag="keep-recent"):
+    """Record what was held of the last seconds, into a file of its own."""
+
+
 class WriteNote(FromPage, frozen=True, tag="write-note"):
     """Into the recording, at the time it came."""
 
@@ -65,6 +71,13 @@ class BeginEpisode(FromPage, frozen=True, tag="begin-episode"):
 
 
 class EndEpisode(FromPage, frozen=True, tag="end-episode"): ...
+
+
+class DiscardPart(FromPage, frozen=True, tag="discard"):
+    """The newest episode of the file, or all of it, is not to be used. Nothing is deleted."""
+
+    what: Literal["episode", "recording"]
+    reason: Words
 
 
 class TareDevice(FromPage, frozen=True, tag="tare"):
@@ -97,6 +110,10 @@ class PauseExploring(FromPage, frozen=True, tag="pause"):
     """Begin no further touch. The one under way is ended as any other."""
 
 
+class StartSqueezing(FromPage, frozen=True, tag="squeeze"):
+    """Let the hand do what it waits for. Waits for a confirm."""
+
+
 class VetoTouch(FromPage, frozen=True, tag="veto"):
     """Not where the plan says: it is to choose another place."""
 
@@ -119,23 +136,47 @@ class TouchPicked(FromPage, frozen=True, tag="touch-picked"):
     position_m: tuple[Length, Length, Length]
 
 
+class SetFit(FromPage, frozen=True, tag="set-fit"):
+    """Show the model with these settings. number: counts them; what was set before and is not shown yet never is"""
+
+    number: Number
+    settings: FitSettings
+
+
+class RunFit(FromPage, frozen=True, tag="run-fit"):
+    """Fit the parameter, with its interval, to what is set. Whatever is set meanwhile ends it."""
+
+
+class FitDrawn(FromPage, frozen=True, tag="fit-drawn"):
+    """The page has drawn what was set. number: of the `SetFit`; after_ms: since a person changed it [ms]"""
+
+    number: Number
+    after_ms: Annotated[float, msgspec.Meta(ge=0.0, le=1e7)]
+
+
 PageCommand = (
     TakeControls
     | StartRecording
     | StopRecording
+    | KeepRecent
     | WriteNote
     | BeginEpisode
     | EndEpisode
+    | DiscardPart
     | TareDevice
     | StopRun
     | ConfirmMove
     | CancelMove
     | StartExploring
     | PauseExploring
+    | StartSqueezing
     | VetoTouch
     | TouchNext
     | TouchAt
     | TouchPicked
+    | SetFit
+    | RunFit
+    | FitDrawn
 )
 
 
@@ -151,14 +192,30 @@ class CommandReply(ToPage, frozen=True, tag="reply"):
     words: str = ""
 
 
+class DriftState(msgspec.Struct, frozen=True):
+    """Of a force sensor since its tare, while nothing touches it. lasted_s: since then [s]; unit: N or counts
+
+    now: by axis; line: its length at equal distances in time, from the tare to now; empty before it is known
+    """
+
+    lasted_s: float
+    unit: str
+    now: tuple[float, ...]
+    line: tuple[float, ...]
+
+
 class DeviceState(msgspec.Struct, frozen=True):
-    """One device, as its health says. state: in a word; rate_hz: readings a second [1/s]; age_s: of the newest [s]"""
+    """One device, as its health says. state: in a word; rate_hz: readings a second [1/s]; age_s: of the newest [s]
+
+    jitter_s: standard deviation of the time between readings [s]; drift: of a force sensor
+    """
 
     name: str
     state: str
     simulated: bool = False
     rate_hz: float = 0.0
     age_s: float | None = None
+    jitter_s: float = 0.0
     received: int = 0
     lost: int = 0
     dropped: int = 0
@@ -166,6 +223,7 @@ class DeviceState(msgspec.Struct, frozen=True):
     bad_bytes: int = 0
     reconnects: int = 0
     reason: str = ""
+    drift: DriftState | None = None
 
 
 class Remark(msgspec.Struct, frozen=True):
@@ -223,12 +281,18 @@ class Chapter(msgspec.Struct, frozen=True):
 
 
 class Playback(msgspec.Struct, frozen=True):
-    """A recording that a page plays. timeline: of the viewer; until_ns: its end [ns]; step_ns: of a single step"""
+    """A recording that a page plays.
+
+    timeline: of the viewer; from_ns, until_ns: its ends [ns]; step_ns: of a single step
+    layer: a file of the page that is to be shown over it, empty = none
+    """
 
     timeline: str
     until_ns: int
     step_ns: int
     chapters: tuple[Chapter, ...] = ()
+    layer: str = ""
+    from_ns: int = 0
 
 
 class PageState(ToPage, frozen=True, tag="state"):
@@ -236,11 +300,11 @@ class PageState(ToPage, frozen=True, tag="state"):
 
     now_s: since the server began [s]; title: what is watched; reason: why it stopped
     recording: the file; recorded_since_s: when it was begun, as now_s; free_minutes: until its disk is full at the
-    present pace; episode: label of the one that goes on
+    present pace; episode: label of the one that goes on; held_s: of the last seconds so many can still be recorded
     commands: what can be asked for at present, by kind; tares: devices that can be tared
     controls: the page that steers; pages: how many there are
     pending: waits for a confirm; next_place, curve: of an exploration; beat_s: so long without a `Beat`, and what moves
-    by a page's confirm stops [s]; playback: of a page that shows a recording
+    by a page's confirm stops [s]; playback: of a page that shows a recording; fit: that is set on the page
     """
 
     version: int = VERSION
@@ -253,6 +317,7 @@ class PageState(ToPage, frozen=True, tag="state"):
     recorded_since_s: float = 0.0
     recorded_bytes: int = 0
     free_minutes: float | None = None
+    held_s: float | None = None
     episode: str = ""
     commands: tuple[str, ...] = ()
     tares: tuple[str, ...] = ()
@@ -264,6 +329,7 @@ class PageState(ToPage, frozen=True, tag="state"):
     curve: ForceCurve | None = None
     beat_s: float = 0.3
     playback: Playback | None = None
+    fit: FitState | None = None
 
 
 class Drawn(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

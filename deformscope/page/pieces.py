@@ -1,7 +1,8 @@
 """The recording's data on its way to pages: pieces of encoded rerun data, kept for a while, dropped when too old.
 
-Whoever makes pieces never waits. Each page takes what is new when it has drawn what it got before, so that a page that
-is slow, hidden or frozen holds nothing back, and no memory grows: what it did not take in time is skipped and counted.
+Whoever makes pieces never waits. A page is sent what is new when it has drawn what it got before, and that is made
+then: made while the page was drawing, it would be old. A page that is slow, hidden or frozen holds nothing back, and no
+memory grows: what it did not take in time is skipped and counted.
 """
 
 from __future__ import annotations
@@ -20,8 +21,8 @@ STALE_S = 1.0
 """A page that is there is not sent what is older than this, once something newer is there."""
 FASTEST_S, SLOWEST_S = 0.1, 1.0
 """Pieces are made at least and at most so often."""
-SLACK = 1.25
-"""Longer than a page needs to draw: it has other things to do."""
+REST, MOST_REST_S = 0.25, 0.25
+"""Of the time that it took to draw, and at most so long, a page is left alone: it has other things to do."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,6 +47,7 @@ class PageReader:
     sent_s, newest_s: when its last batch was sent, and when the newest piece of that was made; drawing: it is not drawn
     shown_s: when the newest piece was made of the batch before, which it shows until then
     needs_s: how long it took to draw the last that it has drawn; behind_s: age of what it showed until then
+    wants_s: when it is to get more: it has other things to do than to draw
     """
 
     last: int = 0
@@ -56,6 +58,7 @@ class PageReader:
     shown_s: float | None = None
     needs_s: float | None = None
     behind_s: float | None = None
+    wants_s: float = 0.0
 
 
 class Pieces:
@@ -133,24 +136,23 @@ class Pieces:
             reader.shown_s, reader.newest_s = reader.newest_s, new[-1].made_s
             return shown
 
-    def drawn(self, reader: PageReader) -> None:
-        """The page has drawn what it took last."""
+    def drawn(self, reader: PageReader) -> float:
+        """The page has drawn what it took last; for how long a newer piece is worth waiting for [s]."""
         with self._lock:
             now_s = self._clock()
             reader.needs_s, reader.drawing = now_s - reader.sent_s, False
             reader.behind_s = None if reader.shown_s is None else now_s - reader.shown_s
+            rest_s = min(REST * reader.needs_s, MOST_REST_S)
+            reader.wants_s = now_s + rest_s
+            return rest_s + 2 * FASTEST_S
 
     @property
     def period_s(self) -> float:
-        """How often pieces are worth making: as often as the fastest page draws them."""
+        """How long after the piece before one is to be made: soon where a page is ready for it, else now and then."""
         with self._lock:
             now_s = self._clock()
-            needs = [
-                max(reader.needs_s, now_s - reader.sent_s if reader.drawing else 0.0)  # it may be hidden by now
-                for reader in self._readers
-                if reader.needs_s is not None
-            ]
-            return min(max(SLACK * min(needs, default=SLOWEST_S), FASTEST_S), SLOWEST_S)
+            ready = any(not reader.drawing and now_s >= reader.wants_s for reader in self._readers)
+            return FASTEST_S if ready else SLOWEST_S
 
     def _forget(self) -> None:
         while self._bytes["lasting"] > LASTING_BYTES:

@@ -55,10 +55,10 @@ class PageServer:
     """`with PageServer("lab:bench") as page: print(page.address)`.
 
     desk: the state that pages show, and the commands they give; pieces: data for the viewer in them
-    recording: a file that they play instead
+    recording: a file that they play instead; adjusting: they show a fit that is set on them
     """
 
-    def __init__(self, title: str = "", recording: Path | None = None) -> None:
+    def __init__(self, title: str = "", recording: Path | None = None, *, adjusting: bool = False) -> None:
         self.desk = Desk(title)
         self.pieces = Pieces()
         self.address = ""
@@ -68,11 +68,11 @@ class PageServer:
             file.name: (file.read_bytes(), TYPES["." + file.name.rsplit(".", 1)[1]])
             for file in (resources.files("deformscope.page") / "static").iterdir()
         }
+        self._offered: dict[str, tuple[bytes, str]] = {}
         self._recording = recording
-        if recording is not None:
-            page, media_type = self._static["index.html"]
-            body = f'<body data-recording="{RECORDING}">'.encode()
-            self._static["index.html"] = page.replace(b"<body>", body), media_type
+        marks = f'data-recording="{RECORDING}"' if recording is not None else "data-fit" if adjusting else ""
+        page, media_type = self._static["index.html"]
+        self._static["index.html"] = page.replace(b"<body>", f"<body {marks}".strip().encode() + b">"), media_type
         self._server: uvicorn.Server | None = None
         self._thread: threading.Thread | None = None
         self._desks: set[WebSocket] = set()
@@ -143,10 +143,14 @@ class PageServer:
 
     # Files -----------------------------------------------------------------------------------------------------------
 
+    def offer(self, name: str, content: bytes, media_type: str) -> None:
+        """A file of the page's own name that it may ask for from now on, in place of one that was offered under it."""
+        self._offered[name] = content, media_type
+
     async def _file(self, request: Request) -> Response:
         name = request.path_params.get("name", "index.html")
-        if name in self._static:
-            content, media_type = self._static[name]
+        if name in self._static or name in self._offered:
+            content, media_type = self._static.get(name) or self._offered[name]
             return Response(content, media_type=media_type)
         if name == RECORDING and self._recording is not None:
             return FileResponse(self._recording, media_type="application/octet-stream")
@@ -223,7 +227,10 @@ class PageServer:
                 await websocket.send_text(msgspec.json.encode(mark).decode())
                 while await drawn.get() != count:
                     pass
-                self.pieces.drawn(reader)
+                changed.clear()
+                with suppress(TimeoutError):
+                    async with asyncio.timeout(self.pieces.drawn(reader)):  # what was made while it drew is old by now
+                        await changed.wait()
 
 
 _HELLO: msgspec.json.Decoder[Hello] = msgspec.json.Decoder(Hello)

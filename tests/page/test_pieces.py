@@ -11,9 +11,10 @@ from deformscope.page.pieces import (
     FASTEST_S,
     FIRST_BYTES,
     LASTING_BYTES,
+    MOST_REST_S,
     RECENT_BYTES,
     RECENT_S,
-    SLACK,
+    REST,
     SLOWEST_S,
     Pieces,
     ViewerPiece,
@@ -92,24 +93,27 @@ def test_memory_is_bounded_and_the_beginning_stays(pieces: Pieces) -> None:
     assert numbers(kept)[-1] == 399
 
 
-def test_the_pace_is_that_of_the_fastest_page(pieces: Pieces, clock: FakeClock) -> None:
+def test_a_piece_is_made_when_a_page_is_ready_for_it(pieces: Pieces, clock: FakeClock) -> None:
     assert pieces.period_s == SLOWEST_S  # nobody looks
-    needs = {0.3: pieces.join(0), 5.0: pieces.join(0)}
-    for need_s, reader in needs.items():
-        pieces.add(b"x", lasting=False)
+    fast, slow = pieces.join(0), pieces.join(0)
+    assert pieces.period_s == FASTEST_S  # they have nothing yet
+    pieces.add(b"x", lasting=False)
+    for reader in (fast, slow):
         pieces.take(reader)
-        clock.now_s += need_s
-        pieces.drawn(reader)
-    assert pieces.period_s == pytest.approx(SLACK * 0.3)
-    pieces.part(needs[0.3])
     assert pieces.period_s == SLOWEST_S
-    reader = pieces.join(0)
-    pieces.take(reader)
-    pieces.drawn(reader)
+    clock.now_s += 0.4
+    pieces.drawn(fast)
+    assert pieces.period_s == SLOWEST_S
+    clock.now_s += REST * 0.4 + 1e-6  # it has other things to do
     assert pieces.period_s == FASTEST_S
     pieces.add(b"x", lasting=False)
-    pieces.take(reader)
-    clock.now_s += 60.0  # and is hidden: nothing needs to be made for it
+    pieces.take(fast)
+    clock.now_s += 60.0  # and is hidden, and the other never draws: nothing needs to be made for them
+    assert pieces.period_s == SLOWEST_S
+    pieces.drawn(slow)
+    clock.now_s += MOST_REST_S + 1e-6  # however long it took
+    assert pieces.period_s == FASTEST_S
+    pieces.part(slow)
     assert pieces.period_s == SLOWEST_S
 
 

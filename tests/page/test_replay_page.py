@@ -118,6 +118,9 @@ def test_chapters_steps_and_playing_move_the_viewers_time(shown: Any, tmp_path: 
         until(shown, lambda: shown.inner_text("#play").startswith("Play"))
         assert shown.inner_text("#moment") == "4.00 of 9.00 s"
         assert shown.is_hidden("#stop")  # nothing goes on
+        assert shown.is_hidden("#remarks")
+        page.desk.remark("map, with threshold = 0.1: 2 regions; recorded: 1 region")
+        until(shown, lambda: "recorded: 1 region" in shown.inner_text("#remarks"))
 
 
 def cursor(ns: int) -> bytes:

@@ -18,6 +18,7 @@ from deformscope.frames import HealthReport, WrenchFrame
 from deformscope.page.server import PageServer, running_pages
 from deformscope.recording.losses import lost_by, since
 from deformscope_drivers.health import Health, Link
+from tests.cases import slow_but
 from tests.page.pages import at_desk
 from tests.patience import PATIENCE_S
 
@@ -41,7 +42,7 @@ class CommandInThread:
         self.status = -1
         self._json = folder / "told.json"
         arguments = [*words, "--viewer", "page", "--json", str(self._json)]
-        arguments += [] if words[0] == "explore" else ["--seconds", str(PATIENCE_S)]
+        arguments += [] if words[0] in ("explore", "squeeze") else ["--seconds", str(PATIENCE_S)]
         self._thread = threading.Thread(target=lambda: setattr(self, "status", main(arguments)), daemon=True)
         self._thread.start()
         deadline = time.monotonic() + PATIENCE_S
@@ -94,9 +95,11 @@ def test_files_come_and_go_while_the_devices_stay_open(rig: Path, tmp_path: Path
         for _ in range(2):
             assert one.command("start-recording")[0] == "begun"
             one.until(lambda state: state["phase"] == "recording")
+            assert one.command("discard", what="episode", reason="none yet")[0] == "refused"
             assert one.command("begin-episode", label="soft")[0] == "done"
             assert one.until(lambda state: state["episode"] == "soft")["recording"].endswith(".rrd")
             assert one.command("write-note", text="it gives")[0] == "done"
+            assert one.command("discard", what="episode", reason="slipped")[0] == "done"
             enough = received(one.state) + 50
             one.until(lambda state, enough=enough: state["recorded_bytes"] > 0 and received(state) > enough)
             assert one.command("stop-recording")[0] == "begun"
@@ -118,12 +121,14 @@ def test_files_come_and_go_while_the_devices_stay_open(rig: Path, tmp_path: Path
         assert [(note.about, note.text) for note in notes] == [
             ("episode-begin", "soft"),
             ("note", "it gives"),
+            ("discard-episode", "slipped"),
             ("episode-end", "soft"),
         ]
         taken = [frame.stamp.host_ns for frame in frames(path)]
         assert all(taken[0] - 5e8 < note.host_ns < taken[-1] + 5e8 for note in notes)
         assert whole.outcome["complete"] is True
-        assert json.loads(whole.outcome["counts"])["notes"] == 3
+        assert json.loads(whole.outcome["counts"])["notes"] == 4
+        assert [str(one) for one in whole.discarded()] == ["episode 1 (soft): slipped"]
         indices = [frame.index for frame in frames(path)]
         assert indices == list(range(indices[0], indices[-1] + 1))
 
@@ -173,3 +178,41 @@ def test_a_page_that_ends_leaves_no_thread(rig: Path, tmp_path: Path) -> None:
         assert page in running_pages()
     assert page not in running_pages()
     assert not [thread for thread in threading.enumerate() if thread.name == "deformscope-page"]
+
+
+def test_the_last_seconds_are_kept_by_a_button(rig: Path, tmp_path: Path) -> None:
+    with started("live", str(rig), folder=tmp_path) as command, at_desk(command.page, "a") as one:
+        one.until(lambda state: "keep-recent" in state["commands"] and received(state) > 100)
+        assert one.state["phase"] == "live"
+        assert one.until(lambda state: state["held_s"] > 0.5)["recording"] == ""
+        assert one.command("keep-recent")[0] == "begun"
+        said = one.until(lambda state: any("recorded" in remark["words"] for remark in state["remarks"]))
+        assert said["phase"] == "live"  # nothing else goes on
+        assert one.command("stop")[0] == "done"
+        found = command.ended()
+    (path,) = map(Path, found["recordings"])
+    assert main(["verify", str(path)]) in WHOLE
+    indices = [frame.index for frame in frames(path)]
+    assert indices == list(range(indices[0], indices[-1] + 1))
+    assert OpenRecording(path).outcome["stopped"].startswith("kept from the page: the last")
+    assert json.loads(OpenRecording(path).outcome["counts"])["tip/frames"] == len(indices)
+
+
+@pytest.mark.parametrize("viewer", slow_but(["none"], ["page", "none"]))
+def test_record_may_hold_the_last_seconds_alone(rig: Path, tmp_path: Path, viewer: str) -> None:
+    file, said = tmp_path / "last.rrd", tmp_path / "found.json"
+    flags = ["--record", str(file), "--seconds", "3", "--keep-last", "0.5", "--viewer", viewer, "--json", str(said)]
+    assert main(["record", str(rig), *flags]) in WHOLE
+    assert main(["verify", str(file)]) in WHOLE
+    taken = [frame.stamp.host_ns for frame in frames(file)]
+    assert 0.5e9 < taken[-1] - taken[0] < 2.8e9
+    assert frames(file)[0].index > 0
+    found = json.loads(said.read_text())
+    assert found["recording"] == str(file)
+    assert found["devices"]["tip"]["received"] <= frames(file)[-1].index  # of the file, not of the run
+
+
+def test_what_cannot_be_held_is_refused(rig: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["live", str(rig), "--keep-last", "5", "--viewer", "none"]) == 2
+    assert "--keep-last with --viewer page" in capsys.readouterr().err
+    assert main(["record", str(rig), "--keep-last", "5", "--stage", "contact"]) == 2

@@ -1,41 +1,65 @@
 // What is on the page beside the viewer.
 
 import { Desk } from "./desk.js";
+import { startFitting } from "./fit.js";
 import { cursorRequest, startPlayback } from "./playback.js";
 import { startSteering } from "./steer.js";
-import { startViewer } from "./viewer.js";
+import { addLayer, startViewer } from "./viewer.js";
 
 const at = (id) => document.getElementById(id);
 const LEVELS = { ok: "good", waiting: "idle", closed: "idle", LOST: "bad", FAILED: "bad" };
 let state = null;
 let clockSkew_s = 0;
+let skipped = 0;
 const rows = new Map();
 const replies = [];
 
 const desk = new Desk(show, lost);
 const steering = startSteering(command, desk.page);
+const fitting = startFitting(desk, (text) => note(text, true));
 const words = (text) => (at("viewer-words").textContent = text);
 let viewer = null;
 const playback = startPlayback((timeline, ns) => viewer?.viewer_control(cursorRequest(timeline, ns)));
-startViewer(at("canvas"), words, showLag, (event) => document.dispatchEvent(new CustomEvent("viewer", { detail: event })))
-  .then((handle) => (viewer = handle))
-  .catch((error) => words(`no viewer: ${error}`));
+if (document.body.dataset.fit === undefined) {
+  startViewer(at("canvas"), words, showLag, (event) => document.dispatchEvent(new CustomEvent("viewer", { detail: event })))
+    .then((handle) => (viewer = handle))
+    .catch((error) => words(`no viewer: ${error}`));
+} else {
+  at("stop").firstChild.textContent = "Finish ";
+}
 
 function show(next) {
   state = next;
+  document.body.dataset.connected = "";
   clockSkew_s = performance.now() / 1000 - next.now_s;
   document.title = `${next.phase === "recording" ? "● " : ""}${next.title} – deformscope`;
   at("title").textContent = next.title || "deformscope";
   at("phase").textContent = next.phase;
   at("phase").dataset.phase = next.phase;
-  at("reason").textContent = next.reason;
+  at("reason").textContent = at("reason").title = next.reason;
   showDevices(next.devices);
   showControls(next);
   showTares(next.tares);
   steering.show(next);
   playback.load(next.playback);
+  showLayer();
+  fitting.show(next, desk.page);
   showRemarks();
   showClock();
+}
+
+// Once the recording is there, whose views it replaces.
+let layer = "";
+let opened = false;
+document.addEventListener("viewer", ({ detail }) => {
+  opened ||= detail.type === "recording_open";
+  showLayer();
+});
+function showLayer() {
+  if (opened && viewer && state?.playback?.layer && state.playback.layer !== layer) {
+    layer = state.playback.layer;
+    addLayer(viewer, layer).then(playback.stand).catch((error) => note(`no layer: ${error}`, true));
+  }
 }
 
 function lost(reason) {
@@ -60,32 +84,57 @@ function showDevices(devices) {
     let row = rows.get(device.name);
     if (!row) {
       row = made("div", "device");
-      row.append(made("b"), made("span", "state"), made("small"), made("table"), made("p", "why"));
-      for (const what of ["rate", "age", "lost", "dropped"]) {
+      const head = made("p", "head");
+      head.append(made("b"), made("small"), made("span", "state"));
+      row.append(head, made("table"), made("p", "drift numbers"), made("p", "why"));
+      for (const pair of [["rate", "jitter"], ["age", "lost"], ["", "dropped"]]) {
         const line = row.querySelector("table").insertRow();
-        line.insertCell().textContent = what;
-        line.insertCell();
+        for (const what of pair) {
+          line.insertCell().textContent = what;
+          line.insertCell().dataset.of = what;
+        }
       }
       at("devices").append(row);
       rows.set(device.name, row);
     }
     row.dataset.level = LEVELS[device.state] ?? "warn";
-    row.querySelector("b").textContent = device.name;
+    row.querySelector("b").textContent = row.querySelector("b").title = device.name;
     row.querySelector(".state").textContent = device.state;
     row.querySelector("small").textContent = device.simulated ? "simulated" : "";
-    const cells = row.querySelectorAll("td:last-child");
-    cells[0].textContent = `${device.rate_hz >= 100 ? device.rate_hz.toFixed(0) : device.rate_hz.toFixed(1)} /s`;
-    cells[1].textContent = device.age_s === null ? "–" : device.age_s < 1 ? `${(device.age_s * 1000).toFixed(0)} ms` : `${device.age_s.toFixed(1)} s`;
-    cells[2].textContent = device.lost;
-    cells[3].textContent = device.dropped;
+    const say = (what, words) => (row.querySelector(`[data-of=${what}]`).textContent = words);
+    say("rate", `${device.rate_hz >= 100 ? device.rate_hz.toFixed(0) : device.rate_hz.toFixed(1)} /s`);
+    say("jitter", `${(device.jitter_s * 1000).toFixed(1)} ms`);
+    say("age", device.age_s === null ? "–" : device.age_s < 1 ? `${(device.age_s * 1000).toFixed(0)} ms` : `${device.age_s.toFixed(1)} s`);
+    say("lost", device.lost);
+    say("dropped", device.dropped);
+    showDrift(row.querySelector(".drift"), device.drift);
     const more = [
       device.refused && `${device.refused} frames refused`,
       device.bad_bytes && `${device.bad_bytes} bad bytes`,
       device.reconnects && `${device.reconnects} reconnects`,
       device.reason,
     ];
-    row.querySelector(".why").textContent = more.filter(Boolean).join(", ");
+    const why = row.querySelector(".why"); // its line is always there: nothing moves when it is filled
+    why.textContent = why.title = more.filter(Boolean).join(", ");
   }
+}
+
+// A line since the tare, and the drift now by axis.
+function showDrift(place, drift) {
+  if (!drift) {
+    return;
+  }
+  const digits = drift.unit === "N" ? 3 : 1;
+  const most = Math.max(...drift.line, 1e-9);
+  const last = Math.max(drift.line.length - 1, 1);
+  const points = drift.line.map((value, at) => `${((200 * at) / last).toFixed(1)},${(22 - (20 * value) / most).toFixed(1)}`);
+  if (!place.firstChild) {
+    place.innerHTML = '<span></span><svg viewBox="0 0 200 24" preserveAspectRatio="none" role="img" aria-label="drift since the tare"><polyline /></svg>';
+    place.title = "drift since the tare, or the beginning, while nothing touches it; the line: its length, largest at the top";
+  }
+  place.firstChild.textContent = place.firstChild.title = !drift.line.length ? "drift: not known yet" :
+    `drift ≤ ${most.toFixed(digits)} ${drift.unit} in ${minutes(drift.lasted_s / 60)}\nnow ${drift.now.map((value) => value.toFixed(digits)).join(", ")}`;
+  place.querySelector("polyline").setAttribute("points", points.join(" "));
 }
 
 function showControls(next) {
@@ -93,12 +142,16 @@ function showControls(next) {
   const over = next.phase === "stopped";
   const possible = (kind) => next.commands.includes(kind);
   for (const section of document.querySelectorAll("[data-for]")) {
-    section.hidden = !section.dataset.for.split(" ").some(possible);
+    if (section.dataset.for.split(" ").some(possible)) {
+      section.dataset.shown = ""; // and from then on: what cannot be asked for meanwhile is pale, and nothing moves
+    }
+    section.hidden = section.dataset.shown === undefined;
   }
   for (const button of document.querySelectorAll("[data-kind]")) {
     const kind = button.dataset.kind;
     button.disabled = over || (kind !== "take-controls" && !possible(kind)) || (!mine && kind !== "stop" && kind !== "take-controls");
   }
+  at("keep").firstChild.textContent = next.held_s === null ? "Keep the last seconds " : `Keep the last ${next.held_s.toFixed(0)} s `;
   at("holder").firstElementChild.textContent = over
     ? ""
     : mine
@@ -154,8 +207,9 @@ function minutes(value) {
   return value >= 120 ? `${(value / 60).toFixed(1)} h` : `${Math.floor(seconds / 60)}:${String(seconds % 60).padStart(2, "0")} min`;
 }
 
-function showLag({ behind_s, skipped }) {
-  const behind = behind_s === null ? "" : `viewer ${behind_s.toFixed(1)} s behind`;
+function showLag(batch) {
+  skipped = batch?.skipped ?? skipped;
+  const behind = !batch ? "the viewer shows all" : batch.behind_s === null ? "" : `viewer ${batch.behind_s.toFixed(1)} s behind`;
   at("lag").textContent = [behind, skipped && `${skipped} skipped`].filter(Boolean).join(", ");
 }
 
@@ -167,16 +221,16 @@ function made(tag, name = "") {
 
 async function command(kind, fields) {
   const reply = await desk.command(kind, fields);
-  replies.push({
-    at_s: performance.now() / 1000 - clockSkew_s,
-    words: `${kind}: ${reply.outcome}${reply.words ? `, ${reply.words}` : ""}`,
-    bad: reply.outcome === "refused",
-  });
+  note(`${kind}: ${reply.outcome}${reply.words ? `, ${reply.words}` : ""}`, reply.outcome === "refused");
+  return reply.outcome !== "refused";
+}
+
+function note(text, bad) {
+  replies.push({ at_s: performance.now() / 1000 - clockSkew_s, words: text, bad });
   replies.splice(0, replies.length - 20);
   if (state) {
     showRemarks();
   }
-  return reply.outcome !== "refused";
 }
 
 // Buttons and forms
@@ -190,12 +244,14 @@ document.addEventListener("click", ({ target }) => {
 for (const [form, input, kind, field] of [
   ["note", "note-text", "write-note", "text"],
   ["episode", "episode-label", "begin-episode", "label"],
+  ["discard", "discard-reason", "discard", "reason"],
 ]) {
   at(form).addEventListener("submit", async (event) => {
     event.preventDefault();
     const text = at(input).value.trim();
     at(input).blur(); // at once: what is typed next are keys again
-    if (text && (await command(kind, { [field]: text })) && at(input).value.trim() === text) {
+    const what = event.submitter?.value ? { what: event.submitter.value } : {};
+    if (text && (await command(kind, { [field]: text, ...what })) && at(input).value.trim() === text) {
       at(input).value = "";
     }
   });
@@ -205,25 +261,29 @@ at("help").addEventListener("click", () => at("help").close());
 
 // Keys: before the viewer gets them, whose own hidden field for text has the focus whenever the viewer has it
 
-const ownField = (element) => element?.matches?.("#desk input");
+const ownField = (element) => element?.matches?.("#desk input, #fit input");
+const typeless = (element) => ["range", "checkbox", "radio"].includes(element.type); // what is typed there is no text
 let pointed = null;
 window.addEventListener("pointerdown", ({ target }) => (pointed = target), { capture: true });
 window.addEventListener("focusin", ({ target, relatedTarget }) => {
-  if (ownField(relatedTarget) && !target.closest("aside, dialog, header") && pointed !== at("canvas")) {
+  if (ownField(relatedTarget) && !target.closest("aside, dialog, header, #fit") && pointed !== at("canvas")) {
     relatedTarget.focus(); // nobody clicked on the viewer: it takes the focus when it starts
   }
 });
 
 const KEYS = {
   r: () => command(state?.recording ? "stop-recording" : "start-recording"),
+  k: () => command("keep-recent"),
   n: () => at("note-text").focus(),
   e: () => (state?.episode ? command("end-episode") : at("episode-label").focus()),
+  d: () => at("discard-reason").focus(),
   t: () => state?.tares.forEach((device) => command("tare", { device })),
   ",": () => state?.playback && playback.step(false),
   ".": () => state?.playback && playback.step(true),
   p: () => command("pause"),
-  x: () => command("explore"),
+  x: () => command(state?.commands.includes("squeeze") ? "squeeze" : "explore"),
   v: () => command("veto"),
+  f: () => fitting.run(),
   "?": () => (at("help").open ? at("help").close() : at("help").showModal()),
 };
 window.addEventListener(
@@ -231,7 +291,7 @@ window.addEventListener(
   (event) => {
     const number = event.target.type === "number"; // has no space in it
     const stops = event.key === " " && (event.ctrlKey || number || !ownField(event.target));
-    if (ownField(event.target) && !stops) {
+    if (ownField(event.target) && !stops && !(typeless(event.target) && KEYS[event.key])) {
       if (event.key === "Escape") {
         event.target.blur();
       }

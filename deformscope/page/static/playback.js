@@ -20,7 +20,7 @@ export function startPlayback(show) {
   };
 
   function go(ns) {
-    now_ns = Math.min(Math.max(Math.round(ns), 0), playback?.until_ns ?? 0);
+    now_ns = Math.min(Math.max(Math.round(ns), playback?.from_ns ?? 0), playback?.until_ns ?? 0);
     stand();
   }
 
@@ -79,8 +79,8 @@ export function startPlayback(show) {
   for (const id of ["play-from", "play-until"]) {
     at(id).addEventListener("change", () => {
       const [low, high] = [at("play-from"), at("play-until")].map((input) => Math.round(input.valueAsNumber * 1e9));
-      if (low >= 0 && high > low) {
-        span(low, Math.min(high, playback.until_ns));
+      if (low < high && low < playback.until_ns) {
+        span(Math.max(low, playback.from_ns), Math.min(high, playback.until_ns));
       } else {
         span(from_ns, until_ns);
       }
@@ -88,6 +88,7 @@ export function startPlayback(show) {
   }
 
   return {
+    stand,
     toggle,
     step,
     load: (given) => {
@@ -95,9 +96,9 @@ export function startPlayback(show) {
         return;
       }
       playback = given;
-      span(0, given.until_ns);
+      span(given.from_ns, given.until_ns);
       at("chapters").replaceChildren(
-        ...[{ name: "all", from_ns: 0, until_ns: given.until_ns }, ...given.chapters].map((chapter) => {
+        ...[{ name: "all", from_ns: given.from_ns, until_ns: given.until_ns }, ...given.chapters].map((chapter) => {
           const button = document.createElement("button");
           button.type = "button";
           button.textContent = chapter.name;
@@ -109,7 +110,7 @@ export function startPlayback(show) {
           return button;
         }),
       );
-      go(0);
+      go(given.from_ns);
     },
   };
 }
@@ -118,7 +119,7 @@ export function startPlayback(show) {
 export function cursorRequest(timeline, ns) {
   const name = new TextEncoder().encode(timeline);
   const bytes = (number, content) => [(number << 3) | 2, ...varint(BigInt(content.length)), ...content];
-  const time = [1 << 3, ...varint(BigInt(Math.round(ns)))];
+  const time = [1 << 3, ...varint(BigInt.asUintN(64, BigInt(Math.round(ns))))]; // negative ones as protobuf has them
   return new Uint8Array(bytes(6, [...bytes(2, bytes(1, [...name])), ...bytes(3, time)]));
 }
 

@@ -6,10 +6,12 @@ import { address } from "./desk.js";
 const CHANNEL = "recording";
 const AGAIN_MS = 1000;
 const SLACK_NS = 0.5e9; // it need not show the very newest before it gets more
+const IDLE_MS = 5000;
 const LONGEST_MS = 10_000;
 const time = { at_ns: 0, following: true }; // of the viewer; it follows until somebody stops it
 
-// onWords: what to say in the viewer's place, empty once it runs; onBatch: after each batch that was drawn
+// onWords: what to say in the viewer's place, empty once it runs
+// onBatch: after each batch that was drawn, and without one where nothing follows it
 export async function startViewer(canvas, onWords, onBatch, onEvent = () => {}) {
   await wasm_bindgen({ module_or_path: fetch("re_viewer_bg.wasm") });
   const handle = new wasm_bindgen.WebHandle({
@@ -52,11 +54,20 @@ export async function startViewer(canvas, onWords, onBatch, onEvent = () => {}) 
   return handle;
 }
 
+// More of the recording that the page plays, or over it, of the same id.
+export async function addLayer(handle, name) {
+  const answer = await fetch(name);
+  handle.open_channel(name, "deformscope");
+  handle.send_rrd_to_channel(name, new Uint8Array(await answer.arrayBuffer()));
+}
+
 function connect(handle, onBatch, after) {
   const socket = new WebSocket(address(`data?after=${after}`));
   socket.binaryType = "arraybuffer";
   let last = after;
+  let idle = 0;
   socket.onmessage = async ({ data }) => {
+    clearTimeout(idle);
     if (data instanceof ArrayBuffer) {
       handle.send_rrd_to_channel(CHANNEL, new Uint8Array(data));
       return;
@@ -74,6 +85,7 @@ function connect(handle, onBatch, after) {
     if (socket.readyState === WebSocket.OPEN) {
       socket.send(JSON.stringify({ batch: batch.batch }));
       onBatch(batch);
+      idle = setTimeout(onBatch, IDLE_MS, null);
     }
   };
   socket.onclose = () => setTimeout(() => connect(handle, onBatch, last), AGAIN_MS);

@@ -1,0 +1,183 @@
+"""What was found of a material, as a table, a picture and a page."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from deformscope.api.calibration_report import provenance_sections
+from deformscope.experiments.material_motion import MaterialEstimate, MaterialFound
+from deformscope.pictures.findings import cell_text
+from deformscope.pictures.material_figures import axes_png, length_scale, recovery_png, yield_png
+from deformscope.pictures.report import Figure, ReportVerdict, Section, Table, html_report
+from deformscope.pictures.words import reason_rows
+from deformscope.plain import plain
+from deformscope.stages.fit.estimate import LengthUnit, explained_text
+from deformscope.stages.materials.axis_estimate import ACROSS_VIEW, AxisEstimate
+from deformscope.stages.materials.recovery_estimate import Number, RecoveryEstimate
+from deformscope.stages.materials.yield_estimate import Parameter, YieldEstimate
+
+if TYPE_CHECKING:
+    from deformscope.api.materials import MaterialResult
+
+CONVERGED = {True: "yes", False: "NO: do not rely on the values"}
+
+Rows = list[tuple[str, str]]
+
+
+def material_table(found: MaterialEstimate, name: str) -> Table:
+    """The numbers, the verdict and why to doubt it."""
+    if isinstance(found, AxisEstimate):
+        return Table(_axes_rows(found), caption=f"beta along the axes of {name} ({found.level:.0%} intervals)")
+    if isinstance(found, YieldEstimate):
+        return Table(_yield_rows(found), caption=f"Yielding of {name} ({found.level:.0%} intervals)")
+    return Table(_recovery_rows(found), caption=f"Recovery of {name} ({found.level:.0%} intervals)")
+
+
+def material_figure(found: MaterialFound) -> Figure:
+    """The evidence."""
+    estimate = found.estimate
+    if isinstance(estimate, AxisEstimate):
+        return Figure(axes_png(estimate), "beta along each axis")
+    if isinstance(estimate, YieldEstimate):
+        assert found.motion is not None
+        caption = "Error over the yield strain; distance from observed to simulated in each frame"
+        return Figure(yield_png(estimate, found.motion), caption)
+    return Figure(recovery_png(estimate), "How far it was pressed over time, and the recovery after the release")
+
+
+def material_page(result: MaterialResult) -> str:
+    """All that was found, with the picture, settings and provenance, as one HTML page."""
+    (table,) = result.tables()
+    verdict = next(str(row[1]) for row in table.rows if row[0] in ("verdict", "anisotropy"))
+    settings = [
+        (name, cell_text(plain(value))) for name, value in result.estimate.settings.items() if value is not None
+    ]
+    sections = [
+        Section("", [ReportVerdict(verdict, ())]),
+        Section("Numbers and evidence", [table, *result.figures()]),
+        Section("Settings", [Table(settings, caption="Of the fit")]),
+        *provenance_sections(seed=result.seed, settings=result.settings),
+    ]
+    return html_report(table.caption, sections)
+
+
+def _length(value: float, unit: LengthUnit, metres_per_unit: float | None) -> str:
+    scale, name = length_scale(unit, metres_per_unit)
+    return f"{scale * value:.3g} {name}"
+
+
+def _axes_rows(found: AxisEstimate) -> Rows:
+    rows: Rows = []
+    for k, (low, high) in enumerate(found.interval):
+        rows.append(
+            (f"beta along {_axis(found, k)}", f"{found.value[k]:.4g} ({low:.4g} to {high:.4g}): {found.verdict[k]}")
+        )
+    if len(found.value) == 2:
+        rows.append(("beta across the view", f"unidentified: {ACROSS_VIEW}"))
+    rows += reason_rows(tuple(dict.fromkeys(one for some in found.reasons for one in some)))
+    for words, most in (("pressed", found.pressed), ("bulges", found.bulges)):
+        if most is None:
+            rows.append((words, "along no axis"))
+        else:
+            rows.append((words, f"along {_axis(found, most)}: mean strain {found.strain[most]:+.3g}"))
+    differ = "the axes differ" if found.anisotropic else "one beta explains it as well"
+    unit = found.unit, found.metres_per_unit
+    rows += [
+        ("anisotropy", f"{differ} (one beta would leave so much error with probability {found.p_isotropic:.2g})"),
+        ("one beta", f"{found.beta:.4g}"),
+        ("error, axes / one beta", f"{_length(found.aee, *unit)} / {_length(found.aee_isotropic, *unit)}"),
+        ("noise of a position", _length(found.noise, *unit)),
+        ("explained", explained_text(found.explained)),
+        ("converged", CONVERGED[found.converged]),
+    ]
+    return rows
+
+
+def _axis(found: AxisEstimate, k: int) -> str:
+    return "(" + ", ".join(f"{x:.2g}" for x in found.axes[:, k]) + ")"
+
+
+def _yield_rows(found: YieldEstimate) -> Rows:
+    low, high = found.yield_strain.interval
+    strain = f"{found.yield_strain.value:.4g} ({low:.4g} to {high:.4g})" if high is not None else f"above {low:.4g}"
+    unsure = "nothing that yielded is sure" if high is None else "it yielded, but where it began is not known"
+    lowered = next((one.text for one in found.reasons if one.allows == "unidentified"), unsure)
+    meaning = {
+        "identified": "the motion determines it well",
+        "weak": "the motion determines it roughly",
+        "at-bound": "it yields as early as can be seen",
+        "unidentified": lowered,
+    }
+    unit = found.unit, found.metres_per_unit
+    return [
+        ("yield strain", strain),
+        ("verdict", f"{found.verdict}: {meaning[found.verdict]}"),
+        *reason_rows(found.reasons),
+        ("largest strain, unyielded", f"{found.largest_strain:.4g}"),
+        ("beta", _parameter(found.beta)),
+        *([] if found.creep is None else [("creep [1/s]", _parameter(found.creep))]),
+        ("permanent set (rms)", _length(found.set, *unit)),
+        ("error, yielding / elastic", f"{_length(found.aee, *unit)} / {_length(found.elastic_aee, *unit)}"),
+        ("explained", explained_text(found.explained)),
+        *_unloading(found.settings),
+        ("converged", CONVERGED[found.converged]),
+    ]
+
+
+def _unloading(settings: dict[str, object]) -> Rows:
+    """How the end of the push is known."""
+    cycle = settings.get("unloading")
+    if not isinstance(cycle, dict):
+        return []
+    source = {
+        "displacement": "it rests from there on: that no tool still presses is assumed; --at names other frames",
+        "force": "no force from there on",
+        "given": "as named",
+    }[str(cycle["source"])]
+    kept = f"{float(cycle['kept_share']):.0%} of the way down is left"
+    return [("unloaded", f"from frame {cycle['unloaded_frame']} on, {kept} ({source})")]
+
+
+def _parameter(parameter: Parameter) -> str:
+    low, high = parameter.interval
+    return f"{parameter.value:.4g} (given)" if parameter.given else f"{parameter.value:.4g} ({low:.4g} to {high:.4g})"
+
+
+def _recovery_rows(found: RecoveryEstimate) -> Rows:
+    meaning = {
+        "elastic": "it comes back at once, as far as can be seen",
+        "viscous": "what is left of the push recovers with time",
+        "plastic": "it keeps a part of the push, and the rest comes back at once",
+        "viscoplastic": "a part of the push recovers with time, and a part is kept",
+        "unidentified": "whether it relaxes, or keeps a set, is not known",
+    }[found.verdict]
+    lowered = next((one.text for one in found.reasons if one.allows == "unidentified"), meaning)
+    metres = 1.0 if found.unit == "m" else found.metres_per_unit
+    per, unit = (1e-3 / metres, "N/mm") if metres is not None else (1.0, "N/px")
+    rows = [
+        ("share of the modulus that relaxes", _percent(found.share)),
+        ("mean relaxation time", _number(found.time_s, 1.0, "s")),
+        ("permanent set", f"{_percent(found.set)} of the push"),
+        ("verdict", f"{found.verdict}: {lowered}"),
+        *reason_rows(found.reasons),
+        ("stiffness at once", _number(found.instant, per, unit)),
+        ("stiffness, relaxed", _number(found.relaxed, per, unit)),
+        ("pressed", _length(found.largest, found.unit, found.metres_per_unit)),
+        ("held, then watched", f"{found.held_s:.3g} s, {found.watched_s:.3g} s after frame {found.released}"),
+        ("explained", f"{max(found.explained, 0.0):.1%} of the motion by one shape that grows and shrinks"),
+    ]
+    if found.verdict in ("elastic", "plastic"):
+        rows[1] = ("mean relaxation time", "nothing that relaxes is sure")
+    return rows
+
+
+def _percent(one: Number) -> str:
+    low, high = one.interval
+    return f"{one.value:.1%} ({low:.1%} to {high:.1%})"
+
+
+def _number(one: Number | None, scale: float, unit: str) -> str:
+    if one is None:
+        return "unidentified: motion alone does not determine it; record a force beside the images"
+    low, high = (scale * end for end in one.interval)
+    return f"{scale * one.value:.3g} {unit} ({low:.3g} to {high:.3g})"

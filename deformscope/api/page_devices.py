@@ -1,0 +1,118 @@
+"""How a rig's devices are, on its page and at the terminal: rates, losses, drift, alarms."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from deformscope.frames import HealthReport, LinkChange, SessionNote, Stream, WrenchFrame
+from deformscope.page.desk import Desk
+from deformscope.page.messages import DeviceState, DriftState
+from deformscope.rig.drift import TareDrift
+from deformscope.session import SessionRecorder, Step
+from deformscope.stages.map.exploration import PhaseStart
+from deformscope.terminal import say
+from deformscope_drivers.health import Health
+
+SHOW_EVERY_S = 0.3
+"""From one word on what a robot does to the next."""
+UNTOUCHED = ("look", "plan", "travel", "tare", "done")
+"""Phases of an exploration in which nothing touches the force sensor: what it then feels is drift, no load."""
+
+
+class ShownDevices:
+    """Shows on a page how devices are, by all that they give, and what a robot does with them.
+
+    touching: whether something may touch a force sensor, whose drift is then not known
+    """
+
+    def __init__(self, desk: Desk, streams: Sequence[Stream]) -> None:
+        self.touching = False
+        self._desk = desk
+        self._streams = {stream.device: stream for stream in streams}
+        self._drifts: dict[str, TareDrift] = {}
+        self._said_s = -1e9
+
+    def __call__(self, doing: str) -> None:
+        """doing: what the robot does, in words; shown seldom enough for a control period"""
+        now_s = self._desk.state.now_s
+        if now_s - self._said_s >= SHOW_EVERY_S:
+            self._said_s = now_s
+            self._desk.show(reason=doing)
+
+    def saw(self, items: Sequence[object]) -> None:
+        """All that came, in order."""
+        for item in items:
+            if isinstance(item, HealthReport):
+                self._desk.show(devices=tuple(self._state(name, health) for name, health in item.devices))
+            elif isinstance(item, WrenchFrame) and not self.touching:
+                self._drifts.setdefault(item.device, TareDrift()).add((item,))
+            elif (remark := remark_of(item)) is not None:
+                words, bad = remark
+                self._desk.remark(words, bad=bad)
+
+    def tared(self, device: str) -> None:
+        """Its drift begins anew."""
+        self._drifts.pop(device, None)
+
+    def _state(self, name: str, health: Health) -> DeviceState:
+        from deformscope.log.rig.health import word  # it brings rerun
+
+        stream, drift, drifted = self._streams.get(name), self._drifts.get(name), None
+        if drift is not None and drift.line:
+            drifted = DriftState(drift.lasted_s, drift.unit, tuple(map(float, drift.now)), drift.line)
+        elif stream is not None and stream.kind == "wrench":
+            drifted = DriftState(0.0, "", (), ())  # its place is there from the beginning
+        return DeviceState(
+            name=name,
+            state=word(health, stream),
+            simulated=stream is not None and stream.simulated,
+            rate_hz=health.rate_hz,
+            age_s=health.age_s,
+            jitter_s=health.jitter_s,
+            received=health.received,
+            lost=health.lost,
+            dropped=health.dropped,
+            refused=sum(health.refused.values()),
+            bad_bytes=health.skipped_bytes,
+            reconnects=health.reconnects,
+            reason="; ".join(part for part in (health.reason, *health.alarms) if part),
+            drift=drifted,
+        )
+
+
+class WatchedDevices:
+    """A recorder, while a robot acts, that also says at the terminal when an alarm of a sensor begins and ends, and
+    shows what came on a page, where there is one. line: shows what the robot does, and nothing for an empty text"""
+
+    def __init__(self, recorder: SessionRecorder, shown: ShownDevices | None, line: Callable[[str], None]) -> None:
+        self._recorder, self._shown, self._line = recorder, shown, line
+        self._phase = ""
+
+    def write(self, items: object) -> None:
+        """As `Recorder.write`."""
+        self._recorder.write(items)
+        if isinstance(items, Step):
+            for result in items.results:
+                if isinstance(result, PhaseStart):
+                    self._phase = result.name
+                    if self._shown is not None:  # what comes next may have come before the phase began
+                        self._shown.touching |= self._phase not in UNTOUCHED
+        elif isinstance(items, Sequence):
+            for item in items:
+                if isinstance(item, SessionNote) and (remark := remark_of(item)) is not None:
+                    self._line("")
+                    say(remark[0])
+            if self._shown is not None:
+                self._shown.saw(items)
+                self._shown.touching = self._phase not in ("", *UNTOUCHED)
+
+
+def remark_of(item: object) -> tuple[str, bool] | None:
+    """What people are to know of it at once, and whether it is bad: links that change, alarms of sensors."""
+    if isinstance(item, LinkChange):
+        reason = f": {item.event.reason}" if item.event.reason else ""
+        return f"{item.device}: {item.event.link}{reason}", item.event.link in ("lost", "failed")
+    if isinstance(item, SessionNote) and item.about in ("alarm", "alarm-over"):
+        began = item.about == "alarm"
+        return item.text if began else f"over: {item.text}", began
+    return None

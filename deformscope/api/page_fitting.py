@@ -1,0 +1,317 @@
+"""A fit that is set on a page: what is changed there is simulated at once, and the newest change wins."""
+
+from __future__ import annotations
+
+import dataclasses
+import shlex
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from deformscope.api.calibration import CalibrationResult, fit_options, images_of
+from deformscope.api.fit_subject import FitSubject, subject_of
+from deformscope.api.result import Note
+from deformscope.arrays import FloatArray
+from deformscope.config import BetaConfig, ThetaConfig
+from deformscope.config.command_line import command_line
+from deformscope.page.desk import Desk
+from deformscope.page.fit_messages import FitFound, FitSettings, FitState, Points
+from deformscope.page.messages import FitDrawn, Outcome, PageCommand, RunFit, SetFit, StopRun
+from deformscope.page.server import PageServer
+from deformscope.pictures.evidence import Result, results_png
+from deformscope.stages.fit.at_value import errors_of, simulate
+from deformscope.stages.fit.calibrate import calibrate
+from deformscope.stages.fit.estimate import Comparison, Estimate
+from deformscope.stages.fit.model import Model, Observation
+from deformscope.stages.msm.quiet import quiet_warp
+from deformscope.stages.msm.solver import Msm
+
+VALUES, COARSELY = 25, 5
+"""Of the error curve: one after the other while nothing changes, every fifth of them first."""
+QUIET_S = 0.3
+"""It is begun once nothing was changed for so long."""
+BUSY_EVERY_S = 0.2
+
+
+class _SetAnew(Exception):
+    """Something else was set while a whole fit went on."""
+
+
+class PageFitting:
+    """`PageRun` of its page. One thread computes, in `until_finished`; the page's server only says what is wanted.
+
+    config: of the command, with which it begins; offer: as `PageServer.offer`
+    """
+
+    def __init__(
+        self,
+        desk: Desk,
+        config: BetaConfig | ThetaConfig,
+        subject: FitSubject,
+        offer: Callable[[str, bytes, str], None],
+    ) -> None:
+        self._desk, self._subject, self._offer = desk, subject, offer
+        self._base, self._images = config, images_of(config)
+        self._began = _settings_of(config)
+        self._seen: tuple[object, Observation, dict[str, object]] | None = None
+        self._body: tuple[Model, Observation, Msm] | None = None
+        self._curve: list[float] = []
+        self._found: BetaConfig | ThetaConfig | None = None
+        self._news = threading.Condition()
+        self._asked: SetFit | None = SetFit(0, 0, self._began)
+        self._wants_fit = self._finished = False
+        self._busy_s = 0.0
+        self.drawn_ms: list[float] = []
+        self.config = config
+        model = fit_options(config)
+        for name, content in zip(("rest.jpg", "deformed.jpg"), subject.images, strict=False):
+            offer(name, content, "image/jpeg")
+        pictures = ("rest.jpg", "deformed.jpg") if subject.images else ()
+        self.state = FitState(
+            subject.kind, model.model.parameter, self._began, model.bounds, subject.size_px, pictures=pictures
+        )
+        desk.attend(self)
+        desk.enter("adjusting", commands=("stop", "set-fit", "run-fit", "fit-drawn"), fit=self.state)
+
+    # As `PageRun`, from the server -----------------------------------------------------------------------------------
+
+    def obey(self, command: PageCommand) -> tuple[Outcome, str]:
+        """As `PageRun.obey`."""
+        with self._news:
+            match command:
+                case StopRun():
+                    self._finished = True
+                case SetFit():
+                    self._asked, self._wants_fit = command, False
+                case RunFit():
+                    self._wants_fit = True
+                case FitDrawn():
+                    self.drawn_ms.append(command.after_ms)
+                    return "done", ""
+                case _:
+                    return "refused", "not while a fit is set"
+            self._news.notify()
+            return "begun", ""
+
+    # In the command's thread -----------------------------------------------------------------------------------------
+
+    def until_finished(self) -> None:
+        """Simulate and fit what pages ask for, until one of them stops it. `config` is then what was set last."""
+        while True:
+            with self._news:
+                if not self._curve:
+                    self._news.wait_for(self._is_wanted)
+                elif not self.state.values:
+                    self._news.wait_for(self._is_wanted, QUIET_S)
+                asked, fit, finished = self._asked, self._wants_fit, self._finished
+                self._asked = None
+                self._wants_fit = fit and asked is not None  # first what it is to be made of
+            if asked is not None:
+                self._set(asked)
+            elif finished:
+                return
+            elif fit:
+                self._fit()
+            else:
+                self._go_on_with_curve()
+
+    def _is_wanted(self) -> bool:
+        return self._asked is not None or self._wants_fit or self._finished
+
+    @property
+    def command(self) -> str:
+        """What gives the same numbers at a terminal."""
+        return shlex.join(command_line(f"calibrate {self.state.parameter}", self.config))
+
+    def show_found(self, estimate: Estimate, shown: Result) -> None:
+        """A whole fit, with its picture."""
+        self._offer("fit.png", results_png([shown]), "image/png")
+        low, high = estimate.interval
+        words = estimate.verdict_text()
+        found = FitFound(self.command, estimate.value, low, high, estimate.level, estimate.aee_free, words)
+        self._found = dataclasses.replace(self.config, at=None)
+        self._show(found=found, picture="fit.png", busy="")
+
+    def _set(self, asked: SetFit) -> None:
+        """Simulate what is asked for, and show it."""
+        self._curve = []
+        try:
+            self.config = config = self._config_of(asked.settings)
+            seen, body, model = self._prepared(config)
+            value = float(asked.settings.beta if model.parameter == "beta" else asked.settings.theta)
+            found = simulate(seen, model, np.array([value]), body)[0]
+            error = errors_of([seen], value, [found])
+        except Exception as problem:  # whatever is set on a page, the next change may be better
+            words = " ".join(str(problem).split()) or type(problem).__name__
+            self._show(settings=asked.settings, number=asked.number, command=self.command, problem=words, busy="")
+            return
+        same = self._found == dataclasses.replace(config, at=None)
+        spread = np.linspace(*self.state.bounds, VALUES).tolist()
+        self._curve = [value for first in range(COARSELY) for value in spread[first::COARSELY]]
+        self._show(
+            **self._drawn(seen, found),
+            settings=asked.settings,
+            number=asked.number,
+            command=self.command,
+            problem="" if error.converged else "the simulation does not come to rest with these settings",
+            aee=error.aee,
+            aee_free=error.aee_free,
+            values=(),
+            errors=(),
+            busy="",
+            found=self.state.found if same else None,
+            picture=self.state.picture if same else "",
+        )
+
+    def _drawn(self, seen: Observation, found: Comparison) -> dict[str, Any]:
+        """Particles as a page draws them."""
+
+        def points(position: FloatArray) -> Points:
+            return tuple((round(x, 2), round(y, 2)) for x, y in self._subject.in_picture(position).tolist())
+
+        across = np.unique(seen.rest[:, 0])
+        spacing = float(np.diff(across).min()) if self._subject.kind == "images" and len(across) > 1 else None
+        shape = None if seen.shape is None or len(seen.shape) != 2 else (seen.shape[0], seen.shape[1])
+        return {
+            "grid": shape,
+            "spacing_px": spacing,
+            "rest": points(found.rest),
+            "observed": points(found.observed),
+            "simulated": points(found.simulated),
+            "seen": tuple(found.seen.tolist()),
+            "held": tuple(found.held.tolist()),
+            "unit": found.unit,
+        }
+
+    def _go_on_with_curve(self) -> None:
+        """One more value, between two looks at what is new."""
+        value = self._curve.pop(0)
+        seen, body, model = self._prepared(self.config)
+        error = errors_of([seen], value, simulate(seen, model, np.array([value]), body)).aee
+        known = sorted([*zip(self.state.values, self.state.errors, strict=True), (value, error)])
+        values, errors = zip(*known, strict=True)
+        self._show(values=values, errors=errors)
+
+    def _fit(self) -> None:
+        """The parameter with its interval, as the command finds it; left where something else is set meanwhile."""
+        try:
+            seen, _, _ = self._prepared(self.config)
+            assert self._seen is not None
+            found = calibrate([seen], fit_options(self.config), settings=self._seen[2], progress=self._note)
+            self.show_found(found.estimate, Result(found.estimate, found.comparisons[-1:], ("",)))
+        except _SetAnew:
+            self._show(busy="")
+        except Exception as problem:
+            self._show(problem=" ".join(str(problem).split()) or type(problem).__name__, busy="")
+
+    def _note(self, what: str, done: int, total: int) -> None:
+        with self._news:
+            if self._asked is not None or self._finished:
+                raise _SetAnew
+        now_s = time.monotonic()
+        if now_s - self._busy_s > BUSY_EVERY_S:
+            self._busy_s = now_s
+            self._show(busy=f"{what}: {done} of {total}" if total else what)
+
+    def _prepared(self, config: BetaConfig | ThetaConfig) -> tuple[Observation, Msm, Model]:
+        """What was seen, in the model; both are kept while nothing changes that they depend on."""
+        key = config.images, config.search.noise_px
+        if self._seen is None or self._seen[0] != key:
+            seen, used = self._subject.observe(config)
+            self._seen = key, seen, dict(used)
+        _, seen, _ = self._seen
+        model = fit_options(config).model
+        alike = dataclasses.replace(model, beta=0.0, theta=0.0)  # a body has neither
+        if self._body is None or self._body[0] != alike or self._body[1] is not seen:
+            self._body = alike, seen, model.body(seen)
+        return seen, self._body[2], model
+
+    def _config_of(self, asked: FitSettings) -> BetaConfig | ThetaConfig:
+        """The command's options with what was set; those that are as they began stay unsaid. Raises InputError where
+        they do not go together."""
+        config, began = self._base, self._began
+        parts = ("roi", "grid", "spacing_px", "outline", "contact", "held")
+        if any(getattr(asked, name) != getattr(began, name) for name in parts):
+            outline = tuple(value for corner in asked.outline for value in corner) or None
+            images = dataclasses.replace(
+                self._images,
+                roi=asked.roi,
+                grid=asked.grid,
+                spacing_px=asked.spacing_px,
+                outline=outline,
+                contact=asked.contact,
+                held=None,
+            )
+            if set(asked.held) != set(images.held_parts()):
+                images = dataclasses.replace(images, held=asked.held)
+            config = dataclasses.replace(config, images=images)
+        if asked.cluster_size != began.cluster_size:
+            config = dataclasses.replace(config, cluster_size=asked.cluster_size)
+        if isinstance(config, BetaConfig):
+            theta = config.theta if asked.theta == began.theta else asked.theta
+            return dataclasses.replace(config, theta=theta, at=asked.beta)
+        return dataclasses.replace(config, beta=asked.beta, at=asked.theta)
+
+    def _show(self, **changes: Any) -> None:
+        self.state = msgspec.structs.replace(self.state, **changes)
+        self._desk.show(fit=self.state)
+
+
+def _settings_of(config: BetaConfig | ThetaConfig) -> FitSettings:
+    """What a page begins with."""
+    images = images_of(config)
+    corners = images.outline or ()
+    beta = config.beta if isinstance(config, ThetaConfig) else 0.5 if config.at is None else config.at
+    theta = config.fitted_theta if isinstance(config, BetaConfig) else 0.5 if config.at is None else config.at
+    return FitSettings(
+        roi=images.roi,
+        grid=images.grid,
+        spacing_px=images.spacing_px,
+        outline=tuple(zip(corners[::2], corners[1::2], strict=True)),
+        held=images.held_parts(),
+        contact=images.contact,
+        cluster_size=config.fitted_cluster_size if isinstance(config, BetaConfig) else config.cluster_size,
+        beta=beta,
+        theta=theta,
+    )
+
+
+@contextmanager
+def set_on_page(
+    config: BetaConfig | ThetaConfig, note: Note
+) -> Iterator[tuple[BetaConfig | ThetaConfig, Callable[[CalibrationResult], None]]]:
+    """Have a page set a fit, until it is stopped there. Yields the options that were set, and what shows the result.
+
+    The page is served on until the process ends. Raises InputError for what cannot be read.
+    """
+    quiet_warp()
+    config = dataclasses.replace(config, adjust=False, output=dataclasses.replace(config.output, viewer="none"))
+    page = PageServer(" ".join(config.sources), adjusting=True)
+    page.open()
+    note(page.where)
+    try:
+        subject = subject_of(config, lambda words: page.desk.show(reason=words))
+        fitting = PageFitting(page.desk, config, subject, page.offer)
+        try:
+            fitting.until_finished()
+        finally:
+            note(f"as set on the page: {fitting.command}")
+            if fitting.drawn_ms:
+                p50, p95 = np.percentile(fitting.drawn_ms, (50, 95))
+                note(f"slider to picture: p50 {p50:.0f} ms, p95 {p95:.0f} ms, {len(fitting.drawn_ms)} changes")
+        page.desk.enter("adjusting", commands=(), reason="the whole fit is made of what is set")
+
+        def show(found: CalibrationResult) -> None:
+            fitting.show_found(found.estimate, found.shown)
+            page.desk.enter("stopped", "its command has ended")
+
+        yield fitting.config, show
+    except BaseException as error:
+        page.desk.enter("stopped", " ".join(str(error).split()) or "interrupted")
+        page.close()
+        raise

@@ -1,0 +1,87 @@
+"""What goes between a page and its server while a fit is set on it; part of `deformscope.page.messages`."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import msgspec
+
+MOST_CORNERS = 200
+"""Of an outline."""
+
+Pixels = Annotated[float, msgspec.Meta(ge=-1e5, le=1e5)]
+Share = Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
+Box = tuple[Pixels, Pixels, Pixels, Pixels]
+HeldName = Literal["top", "bottom", "left", "right", "border", "contact"]
+Points = tuple[tuple[float, float], ...]
+
+
+class FitSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """What is set on the page.
+
+    roi, contact: x, y, width, height [px]; grid: rows, columns of particles; spacing_px: between them, instead of it
+    outline: corners of a polygon around the thing [px]; held: parts whose motion is prescribed
+    cluster_size: particles a side, None = one cluster; beta, theta: shares
+    """
+
+    roi: Box | None = None
+    grid: tuple[Annotated[int, msgspec.Meta(ge=2, le=1000)], Annotated[int, msgspec.Meta(ge=2, le=1000)]] | None = None
+    spacing_px: Annotated[float, msgspec.Meta(gt=0.0, le=1e5)] | None = None
+    outline: Annotated[tuple[tuple[Pixels, Pixels], ...], msgspec.Meta(max_length=MOST_CORNERS)] = ()
+    held: tuple[HeldName, ...] = ()
+    contact: Box | None = None
+    cluster_size: Annotated[int, msgspec.Meta(ge=2, le=1000)] | None = 3
+    beta: Share = 0.5
+    theta: Share = 0.0
+
+
+class FitFound(msgspec.Struct, frozen=True):
+    """A whole fit. command: what gives it; value, low, high: of the parameter, at this level; aee_free: average error
+    of the free particles there; verdict: in words"""
+
+    command: str
+    value: float
+    low: float
+    high: float
+    level: float
+    aee_free: float
+    verdict: str
+
+
+class FitState(msgspec.Struct, frozen=True):
+    """A fit that is set on the page.
+
+    kind: of what; parameter: that is fitted; size_px: of the picture [px]; pictures: file names, rest and deformed
+    settings: that are shown; number: of the `SetFit` that brought them, 0 = none yet; command: gives the same numbers
+    problem: why they cannot be simulated, in words; what else is here is then of those before
+    grid: rows, columns; spacing_px: between neighbours [px]
+    rest, observed, simulated: where particles are in the picture [px]; seen: whether `observed` was measured
+    held: which are; aee_free: average error of the free particles [unit]; the average of all that were seen is `aee`
+    values, errors: of the parameter, and the average error of all seen there [unit], as far as they were simulated
+    busy: what is being computed, in words; found: the last whole fit; picture: the file that shows it, empty = none
+    """
+
+    kind: Literal["images", "pair"]
+    parameter: Literal["beta", "theta"]
+    settings: FitSettings
+    bounds: tuple[float, float] = (0.0, 1.0)
+    size_px: tuple[float, float] = (1.0, 1.0)
+    pictures: tuple[str, ...] = ()
+    number: int = 0
+    command: str = ""
+    problem: str = ""
+    grid: tuple[int, int] | None = None
+    spacing_px: float | None = None
+    rest: Points = ()
+    observed: Points = ()
+    simulated: Points = ()
+    seen: tuple[bool, ...] = ()
+    held: tuple[int, ...] = ()
+    unit: str = ""
+    aee: float | None = None
+    aee_free: float | None = None
+    values: tuple[float, ...] = ()
+    errors: tuple[float | None, ...] = ()
+    busy: str = ""
+    found: FitFound | None = None
+    picture: str = ""

@@ -1,0 +1,364 @@
+"""A fit that is set on a page: what it shows is what its command line gives, and the newest change wins."""
+
+from __future__ import annotations
+
+import json
+import shlex
+import threading
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import cv2
+import msgspec
+import numpy as np
+import pytest
+
+pytest.importorskip("rerun")
+
+from deformscope.api import page_fitting
+from deformscope.api.fit_subject import PairSubject, asked_on_page, not_on_a_page, subject_of
+from deformscope.api.page_fitting import PageFitting
+from deformscope.cli import main, parse
+from deformscope.config import BetaConfig, ThetaConfig
+from deformscope.config.command_line import command_line
+from deformscope.config.images import ImageOptions
+from deformscope.errors import InputError
+from deformscope.page.desk import Desk
+from deformscope.page.fit_messages import FitSettings
+from deformscope.page.messages import FitDrawn, RunFit, SetFit, StopRun, WriteNote
+from deformscope.page.server import PageServer, running_pages
+from deformscope.stages.fit.model import Observation
+from deformscope.stages.msm import reference
+from deformscope.stages.msm.quiet import quiet_warp
+from tests.page.pages import at_desk
+from tests.patience import PATIENCE_S
+from tests.stages.bodies import pushed
+
+
+@pytest.fixture
+def pair(tmp_path: Path) -> Path:
+    """Beta .6 with 1 mm of noise."""
+    rng = np.random.default_rng(1)
+    body = pushed((4, 5), rng)
+    spec = reference.build_rest(body.rest, body.clusters(3), body.held)
+    deformed, _ = reference.relax(spec, body.held_position, beta=0.6)
+    deformed[np.setdiff1d(np.arange(len(deformed)), body.held)] += rng.normal(
+        0, 1e-3, (len(deformed) - len(body.held), 2)
+    )
+    path = tmp_path / "pair of mine.npz"
+    np.savez(path, rest=body.rest, deformed=deformed, held=body.held)
+    return path
+
+
+@pytest.fixture
+def frames(tmp_path: Path) -> Path:
+    """Three images of a speckled block, stretched upwards a little more in each."""
+    folder = tmp_path / "frames"
+    folder.mkdir()
+    speckle = cv2.GaussianBlur(np.random.default_rng(2).normal(128, 60, (120, 100)).astype(np.float32), (0, 0), 1.3)
+    speckle = np.clip(128 + 2.5 * (speckle - 128), 0, 255).astype(np.float32)
+    y, x = np.mgrid[:120, :100].astype(np.float32)
+    for index in range(3):
+        strain = 0.015 * index
+        moved = cv2.remap(speckle, x, (y + strain * 110) / (1 + strain), cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT)
+        cv2.imwrite(str(folder / f"img{index}.png"), moved.clip(0, 255).astype(np.uint8))
+    return folder
+
+
+class Watched:
+    """A fit on a page without a page; `until` waits for a state."""
+
+    def __init__(self, config: BetaConfig | ThetaConfig) -> None:
+        self.desk = Desk("test")
+        self.files: dict[str, bytes] = {}
+        self._changed = threading.Condition()
+        self.desk.watch(self._change)
+        quiet_warp()
+        self.fitting = PageFitting(self.desk, config, subject_of(config, lambda words: None), self._offer)
+        self._began = self.fitting.state.settings
+
+    def _offer(self, name: str, content: bytes, media_type: str) -> None:
+        self.files[name] = content
+
+    def _change(self) -> None:
+        with self._changed:
+            self._changed.notify_all()
+
+    def until(self, wanted: Any) -> Any:
+        with self._changed:
+            assert self._changed.wait_for(lambda: wanted(self.desk.state.fit), PATIENCE_S)
+        return self.desk.state.fit
+
+    def set(self, number: int, **changes: Any) -> None:
+        """These settings alone are not as they began."""
+        assert self.fitting.obey(SetFit(0, number, msgspec.structs.replace(self._began, **changes)))[0] == "begun"
+
+    def fitted(self, number: int, **changes: Any) -> Any:
+        """The state with these settings, shown and fitted."""
+        self.set(number, **changes)
+        self.until(lambda fit: fit.number == number)
+        self.fitting.obey(RunFit(0))
+        return self.until(lambda fit: fit.found is not None or fit.problem)
+
+
+@contextmanager
+def watched(config: BetaConfig | ThetaConfig) -> Iterator[Watched]:
+    one = Watched(config)
+    thread = threading.Thread(target=one.fitting.until_finished)
+    thread.start()
+    try:
+        yield one
+    finally:
+        one.fitting.obey(StopRun(0))
+        thread.join(PATIENCE_S)
+        assert not thread.is_alive()
+
+
+def typed(command: str, capsys: pytest.CaptureFixture[str]) -> Any:
+    """The JSON of a command line."""
+    name, *words = shlex.split(command)
+    assert name == "deformscope"
+    assert main([*words, "--viewer", "none", "--json", "-"]) == 0, capsys.readouterr().err
+    return json.loads(capsys.readouterr().out)
+
+
+def beta_of(source: Path, **more: Any) -> BetaConfig:
+    from deformscope.config.calibrate import SearchOptions
+
+    return BetaConfig((str(source),), search=SearchOptions(candidates=12), **more)
+
+
+# The same numbers ----------------------------------------------------------------------------------------------------
+
+
+def test_a_pair_is_shown_as_its_command_line_gives_it(pair: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with watched(beta_of(pair)) as one:
+        shown = one.fitted(1, beta=0.37, theta=0.1, cluster_size=2)
+        drawn = one.files["fit.png"]
+        one.set(2, beta=0.3, theta=0.1, cluster_size=2)  # the same fit, looked at elsewhere
+        assert one.until(lambda fit: fit.number == 2).found == shown.found
+        one.set(3, beta=0.3, theta=0.1)
+        assert one.until(lambda fit: fit.number == 3).found is None
+    assert drawn.startswith(b"\x89PNG")
+    assert "pair of mine.npz' " in shown.command
+    found = typed(shown.command, capsys)
+    at = found["settings"]["at"]
+    assert (at["value"], at["aee"], at["aee_free"]) == (0.37, shown.aee, shown.aee_free)
+    kept = shown.found
+    assert [found["value"], *found["interval"], found["aee_free_m"]] == [kept.value, kept.low, kept.high, kept.aee_free]
+    assert found["settings"]["cluster_size"] == 2
+    assert found["settings"]["theta"] == 0.1
+    assert kept.verdict == found["verdict_text"]
+
+
+@pytest.mark.slow
+def test_images_are_shown_as_their_command_line_gives_them(frames: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with watched(beta_of(frames)) as one:
+        began = one.until(lambda fit: fit.number == 0 and fit.aee is not None)
+        assert began.held == tuple(
+            i for i in range(len(began.rest)) if began.rest[i][1] in (began.rest[0][1], began.rest[-1][1])
+        )
+        outline = ((8.0, 6.0), (92.0, 6.0), (92.0, 110.0), (30.0, 110.0))
+        shown = one.fitted(
+            1, roi=(6.0, 5.0, 86.0, 105.0), spacing_px=11.5, outline=outline, held=("top", "border"), beta=0.8
+        )
+        assert one.files["rest.jpg"] != one.files["deformed.jpg"]
+    assert shown.problem == ""
+    assert shown.spacing_px == pytest.approx(11.5)
+    assert len(shown.rest) < shown.grid[0] * shown.grid[1]  # the outline cuts a corner
+    found = typed(shown.command, capsys)
+    at = found["settings"]["at"]
+    assert (at["aee"], at["aee_free"]) == (shown.aee, shown.aee_free)
+    assert found["settings"]["particles"] == len(shown.rest)
+
+
+@pytest.mark.slow
+def test_theta_of_one_cluster(pair: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with watched(ThetaConfig((str(pair),))) as one:
+        one.set(1, theta=0.3, beta=0.7)
+        shown = one.until(lambda fit: fit.number == 1)
+    assert (shown.parameter, shown.settings.cluster_size) == ("theta", None)
+    found = typed(shown.command + " --candidates 5", capsys)
+    assert found["settings"]["at"]["aee"] == shown.aee
+    assert found["settings"]["beta"] == 0.7
+
+
+def test_a_command_line_says_all_that_decides() -> None:
+    config = BetaConfig(
+        ("a b.mp4",),
+        at=0.1 + 0.2,
+        cluster_size=5,
+        theta=0.1,
+        beta_range=(0.2, 0.7),
+        images=ImageOptions(roi=(1.5, 2, 3, 4), outline=(1, 2, 3, 4, 5, 6.25), held=("top", "bottom"), grid=(7, 15)),
+    )
+    words = command_line("calibrate beta", config)
+    assert words[:4] == ["deformscope", "calibrate", "beta", "a b.mp4"]
+    assert parse(BetaConfig, words[3:], "calibrate beta") == config
+    assert command_line("calibrate beta", BetaConfig(("x",))) == ["deformscope", "calibrate", "beta", "x"]
+
+
+# The newest wins -----------------------------------------------------------------------------------------------------
+
+
+class Counted(PairSubject):
+    """Counts how often it was looked at, and holds the first look up."""
+
+    def __init__(self, config: BetaConfig) -> None:
+        super().__init__(config)
+        self.looks: list[float | None] = []
+        self.go_on = threading.Event()
+
+    def observe(self, config: BetaConfig | ThetaConfig) -> tuple[Observation, Mapping[str, object]]:
+        self.looks.append(config.at)
+        assert self.go_on.wait(PATIENCE_S)
+        return super().observe(config)
+
+
+def test_what_is_set_meanwhile_is_simulated_once(pair: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    simulated: list[float] = []
+    real = page_fitting.simulate
+    monkeypatch.setattr(
+        page_fitting,
+        "simulate",
+        lambda seen, model, values, body: (simulated.extend(values), real(seen, model, values, body))[1],
+    )
+    monkeypatch.setattr(page_fitting, "QUIET_S", PATIENCE_S)
+    config = beta_of(pair)
+    quiet_warp()
+    subject = Counted(config)
+    fitting = PageFitting(Desk("test"), config, subject, lambda *given: None)
+    thread = threading.Thread(target=fitting.until_finished)
+    thread.start()
+    for number in range(1, 41):
+        fitting.obey(SetFit(0, number, FitSettings(held=("top",), beta=number / 100)))
+    fitting.obey(StopRun(0))
+    subject.go_on.set()
+    thread.join(PATIENCE_S)
+    assert not thread.is_alive()
+    assert simulated[-1] == 0.4
+    assert len(simulated) <= 2
+    assert fitting.state.number == 40
+
+
+def test_a_fit_is_left_when_something_else_is_set(pair: Path) -> None:
+    with watched(beta_of(pair)) as one:
+        one.until(lambda fit: fit.aee is not None)
+        real = one.fitting._note
+
+        def note(what: str, done: int, total: int) -> None:
+            one.set(7, beta=0.2)
+            real(what, done, total)
+
+        one.fitting._note = note  # type: ignore[method-assign]
+        one.fitting.obey(RunFit(0))
+        shown = one.until(lambda fit: fit.number == 7)
+        one.fitting._note = real  # type: ignore[method-assign]
+        assert shown.found is None
+
+
+def test_what_cannot_be_simulated_is_said_and_the_picture_stays(frames: Path) -> None:
+    with watched(beta_of(frames)) as one:
+        before = one.until(lambda fit: fit.aee is not None)
+        for number, wrong in enumerate(
+            ({"held": ()}, {"roi": (0.0, 0.0, 500.0, 500.0)}, {"spacing_px": 90.0}, {"held": ("contact",)}), 1
+        ):
+            one.set(number, **wrong)
+            shown = one.until(lambda fit, number=number: fit.number == number)
+            assert shown.problem
+            assert (shown.simulated, shown.aee) == (before.simulated, before.aee)
+        one.set(9)
+        assert one.until(lambda fit: fit.number == 9).problem == ""
+        assert one.fitting.obey(FitDrawn(0, 9, 120.0)) == ("done", "")
+        assert one.fitting.drawn_ms == [120.0]
+        assert one.fitting.obey(WriteNote(0, "x"))[0] == "refused"
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"beta": 1.5},
+        {"theta": float("1e400")},
+        {"cluster_size": 1},
+        {"roi": [0, 0, 1]},
+        {"held": ["middle"]},
+        {"spacing_px": 0.0},
+        {"grid": [1, 5]},
+        {"outline": [[0, 0]] * 201},
+        {"path": "/etc/passwd"},
+    ],
+)
+def test_settings_are_checked_field_by_field(wrong: dict[str, Any]) -> None:
+    right = {"kind": "set-fit", "id": 1, "number": 2, "settings": {"beta": 0.4, "held": ["top"]}}
+    assert msgspec.json.decode(json.dumps(right), type=SetFit).settings.beta == 0.4
+    with pytest.raises(msgspec.DecodeError):
+        msgspec.json.decode(json.dumps(right | {"settings": wrong}), type=SetFit)
+
+
+# From the command line -----------------------------------------------------------------------------------------------
+
+
+def test_the_command_waits_for_its_page(pair: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "out.json"
+    words = ["calibrate", "beta", str(pair), "--candidates", "12", "--viewer", "page", "--adjust", "--json", str(out)]
+    status: list[int] = []
+    thread = threading.Thread(target=lambda: status.append(main(words)))
+    thread.start()
+    page = wait_for_page()
+    with at_desk(page, "a") as desk:
+        fit = desk.until(lambda state: state["fit"] and state["fit"]["aee"] is not None)["fit"]
+        settings = fit["settings"] | {"beta": 0.44, "cluster_size": 4}
+        assert desk.command("set-fit", number=5, settings=settings)[0] == "begun"
+        fit = desk.until(lambda state: state["fit"]["number"] == 5)["fit"]
+        assert desk.command("fit-drawn", number=5, after_ms=80.0)[0] == "done"
+        assert desk.command("stop")[0] == "begun"
+        thread.join(PATIENCE_S)
+    assert status == [0]
+    printed = capsys.readouterr()
+    assert f"as set on the page: {fit['command']}" in printed.err
+    assert "slider to picture: p50 80 ms, p95 80 ms, 1 changes" in printed.err
+    kept = json.loads(out.read_text())["settings"]
+    assert (kept["at"]["value"], kept["at"]["aee"], kept["cluster_size"]) == (0.44, fit["aee"], 4)
+
+
+def wait_for_page() -> PageServer:
+    for _ in range(int(PATIENCE_S * 100)):
+        if pages := running_pages():
+            return pages[0]
+        threading.Event().wait(0.01)
+    raise AssertionError("no page")
+
+
+def test_what_is_set_on_a_page(pair: Path) -> None:
+    from deformscope.config.calibrate import LayersFlags, MotionFlags
+    from deformscope.config.options import OutputOptions
+
+    paged = OutputOptions(viewer="page")
+    assert not asked_on_page(beta_of(pair))
+    assert not asked_on_page(beta_of(pair, output=paged))  # nobody sits at a terminal here
+    assert asked_on_page(beta_of(pair, output=paged, adjust=True))
+    assert not_on_a_page(BetaConfig((str(pair), str(pair)))) == "2 files"
+    assert not_on_a_page(BetaConfig(("x",), motion=MotionFlags(whole_motion=True)))
+    assert not_on_a_page(BetaConfig(("x.npz",), layers=LayersFlags(thickness_m=0.1)))
+    with pytest.raises(InputError, match="2 files"):
+        subject_of(BetaConfig((str(pair), str(pair))), print)
+    with pytest.raises(InputError, match="--viewer page with --adjust"):
+        beta_of(pair, adjust=True)
+    with pytest.raises(InputError, match="no --at with"):
+        BetaConfig(("x",), motion=MotionFlags(whole_motion=True), at=0.5)
+
+
+def test_bodies_in_space_are_seen_from_the_side(tmp_path: Path) -> None:
+    rest = np.array([[x, y, z] for x in (0.0, 0.1) for y in (0.0, 0.1) for z in (0.0, 0.1)])
+    path = tmp_path / "cube.npz"
+    np.savez(path, rest=rest, deformed=rest + np.array([0.0, 0.0, 0.01]), held=[0, 1, 2, 3])
+    subject = PairSubject(BetaConfig((str(path),)))
+    drawn = subject.in_picture(rest)
+    width, height = subject.size_px
+    assert (drawn >= 0).all()
+    assert (drawn <= [width, height]).all()
+    low, high = drawn[0], drawn[1]  # z upwards in the picture
+    assert high[1] < low[1]
+    assert high[0] == low[0]

@@ -1,0 +1,161 @@
+"""Two recordings from their first contact on, and other settings as a layer over what was recorded."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+from matplotlib.colors import to_hex
+
+from deformscope.api.aligned_page import align_on_page
+from deformscope.cli import main
+from deformscope.experiments.first_contact import first_contact_ns
+from deformscope.frames import SessionNote, Stream, TactileFrame, WrenchFrame
+from deformscope.log.exploration.beside import layer_beside
+from deformscope.page.messages import Playback
+from deformscope.page.server import PageServer, end_pages
+from deformscope.pictures import exploration as pictures
+from deformscope.pictures.figures import canvas
+from deformscope.recording.items import Row
+from deformscope.recording.reader import Replay
+from deformscope.recording.recorder import Recorder
+from deformscope.stages.map.exploration import PhaseStart
+from deformscope_drivers.clock import Stamp
+from tests.log import synthetic_exploration as synthetic
+from tests.page.pages import at_desk, get, root
+from tests.page.test_in_browser import FAKE_VIEWER, browser, shown, until
+
+__all__ = ["browser", "shown"]
+
+S = 1_000_000_000
+RATE_HZ = 100
+
+
+def forces(force_n: np.ndarray) -> list[WrenchFrame]:
+    """At RATE_HZ, along z, over a load of 0.3 N that is always there. force_n: (n,)"""
+    return [
+        WrenchFrame(Stamp(at * S // RATE_HZ), at, np.zeros(3, np.int64), np.array([[0.3, 0.0, one]]), device="tip")
+        for at, one in enumerate(force_n)
+    ]
+
+
+def ramp(contact_s: float, seconds: float = 5.0) -> np.ndarray:
+    """1 N a second from the contact on."""
+    return np.maximum(np.arange(0.0, seconds, 1 / RATE_HZ) - contact_s, 0.0)
+
+
+def rows(*items: Any) -> list[Row]:
+    """At their own times."""
+    return [Row(item.stamp.host_ns if hasattr(item, "stamp") else item.host_ns, 0, item) for item in items]
+
+
+def recorded(path: Path, force_n: np.ndarray) -> Path:
+    with Recorder(path, settings={"rig_name": "one"}, layout="rig") as recorder:
+        recorder.start_rig([Stream("tip", "wrench", "optoforce")], 0)
+        recorder.write(forces(force_n))
+    return path
+
+
+def test_the_first_contact_is_found_by_force_pads_or_phases() -> None:
+    assert first_contact_ns(rows(*forces(ramp(2.0)))) == pytest.approx(2.54 * S, abs=0.03 * S)
+    assert first_contact_ns(rows(*forces(np.linspace(0.0, 1.0, 3000)))) is None  # it drifts
+    stepped = forces(np.where(np.arange(300) < 100, 2.0, 0.0))
+    assert first_contact_ns(rows(*stepped)) == S
+    tared = [*stepped[:100], SessionNote(S - 1, "tare", "tip"), *stepped[100:]]
+    assert first_contact_ns(rows(*tared)) is None
+    pads = [
+        TactileFrame(Stamp(at * S // 30), at, np.full(6, 20 if at >= 60 else 0, np.uint16), (np.zeros((2, 3)),), "pads")
+        for at in range(90)
+    ]
+    assert first_contact_ns(rows(*pads)) == pytest.approx(59.5 / 30 * S, abs=1e6)
+    phases = [Row(at * S, 1, PhaseStart(name, 0)) for at, name in enumerate(("travel", "approach", "press", "press"))]
+    assert first_contact_ns([*rows(*forces(ramp(0.5))), *phases]) == 2 * S  # an exploration says when it presses
+
+
+def test_two_recordings_are_played_from_their_first_contact_on(tmp_path: Path) -> None:
+    first, second = recorded(tmp_path / "soft.rrd", ramp(1.0)), recorded(tmp_path / "hard.rrd", ramp(3.0))
+    page, contacts_s = align_on_page(Replay(first), Replay(second))
+    with closing(page):
+        assert contacts_s == pytest.approx((1.54, 3.54), abs=0.03)
+        content = get(page, root(page) + "recording.rrd")[1]
+        assert content.startswith(b"RRF2")
+        with at_desk(page, "a") as one:
+            playback = one.state["playback"]
+            assert playback["timeline"] == "contact"
+            assert playback["from_ns"] == pytest.approx(-3.54 * S, abs=0.03 * S)
+            assert playback["until_ns"] == pytest.approx(3.46 * S, abs=0.03 * S)
+
+
+def test_what_cannot_be_aligned_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    first, second = recorded(tmp_path / "felt.rrd", ramp(1.0)), recorded(tmp_path / "air.rrd", 0.0 * ramp(1.0))
+    beside = ["replay", str(first), "--beside", str(second)]
+    assert main([*beside, "--viewer", "page"]) == 2
+    said = capsys.readouterr().err
+    assert "a recording with a contact" in said
+    assert "air.rrd" in said
+    assert main([*beside, "--viewer", "none"]) == 2
+    assert "--viewer page" in capsys.readouterr().err
+    found = tmp_path / "found.json"
+    assert main(["replay", str(first), "--beside", str(first), "--viewer", "page", "--json", str(found)]) == 0
+    end_pages()
+    assert json.loads(found.read_text())["first_contact_s"] == pytest.approx([1.54, 1.54], abs=0.03)
+
+
+def test_other_settings_are_drawn_beside_the_recorded_in_two_colours_and_named() -> None:
+    recorded_maps = synthetic.maps(4)
+    other = dataclasses.replace(recorded_maps, labels=np.zeros_like(recorded_maps.labels), region_count=1)
+    axes: Any = canvas(4.0, 3.0).add_axes((0.1, 0.1, 0.8, 0.7))
+    pictures.draw_regions_beside(axes, recorded_maps, other, "threshold = 0.5")
+    handles = axes.get_legend().legend_handles
+    names = [text.get_text() for text in axes.get_legend().get_texts()]
+    assert names[0].startswith(f"recorded: {recorded_maps.region_count} regions")
+    assert names[1].startswith("threshold = 0.5: 1 region (")
+    assert len({to_hex(handle.get_color()) for handle in handles}) == 2
+    most = max(float((recorded_maps.labels == one).mean()) for one in range(recorded_maps.region_count))
+    assert f"{100 * most:.0f} % of the surface the same" in axes.get_legend().get_title().get_text()
+
+    touches = [synthetic.touch(number) for number in range(3)]
+    softer = [dataclasses.replace(one, stiffness_n_per_mm=one.stiffness_n_per_mm / 2) for one in touches]
+    axes = canvas(4.0, 3.0).add_axes((0.1, 0.1, 0.8, 0.7))
+    pictures.draw_touches_beside(axes, "stiffness", touches, softer, "x")
+    assert [text.get_text() for text in axes.get_legend().get_texts()] == ["recorded", "x"]
+    drawn = [container.lines[0].get_ydata() for container in axes.containers]
+    assert drawn[1] == pytest.approx(drawn[0] / 2)
+
+
+PLAYS = """
+window.asked = [];
+window.wasm_bindgen.WebHandle.prototype.add_receiver = function () { window.handle = this; };
+window.wasm_bindgen.WebHandle.prototype.viewer_control = async (bytes) => window.asked.push([...bytes]);
+"""
+
+
+def test_the_page_lays_it_over_the_recording_once_that_is_there(shown: Any, tmp_path: Path) -> None:
+    file = tmp_path / "mine.rrd"
+    file.write_bytes(b"RRF2")
+    story = [(S, synthetic.touch(0)), (2 * S, synthetic.maps(1))]
+    layer = layer_beside(("deformscope-exploration", "one"), [], (0.6, 0.4), story, [one for _, one in story], "x = 1")
+    shown.route(
+        "**/re_viewer.js", lambda route: route.fulfill(body=FAKE_VIEWER + PLAYS, content_type="text/javascript")
+    )
+    shown.route("**/re_viewer_bg.wasm", lambda route: route.fulfill(body=""))
+    with PageServer("mine.rrd", file) as page:
+        playback = Playback("session", 9 * S, S // 10, from_ns=-2 * S)
+        page.desk.show(playback=playback)
+        shown.goto(page.address)
+        until(shown, lambda: shown.evaluate("window.handle !== undefined"))
+        until(shown, lambda: shown.inner_text("#moment") == "-2.00 of 9.00 s")
+        page.offer("layer.rrd", layer, "application/octet-stream")
+        page.desk.show(playback=msgspec.structs.replace(playback, layer="layer.rrd"))
+        assert shown.evaluate("window.pieces") == []
+        shown.evaluate("window.handle.tell({ type: 'recording_open' })")
+        until(shown, lambda: shown.evaluate("window.pieces") == [len(layer)])
+        until(shown, lambda: shown.evaluate("window.asked.at(-1)"))  # where it stood, also after other views came
+        # -2 s, as protobuf has negative numbers: ten bytes of two's complement
+        assert shown.evaluate("window.asked.at(-1).length") == 2 + 2 + 2 + 7 + 2 + 1 + 10
