@@ -29,6 +29,9 @@ class Injected(StrEnum):
     ARM_SILENT = "arm refuses to answer"
     ARM_INVALID = "arm's pose not a number"
     ARM_TURNS = "arm turns by itself as it moves"
+    ARM_FROZEN = "arm's angles frozen"
+    ARM_LATE = "arm answers late"
+    COLLISION = "collision from the side"
     CAMERA_SILENT = "camera silent"
     CAMERA_FROZEN = "camera frozen"
     CAMERA_CABLE = "camera's cable out"
@@ -40,7 +43,7 @@ class Injected(StrEnum):
 
 
 _EVERY = tuple(Injected)
-FORCE, ARM, CAMERA = _EVERY[:7], _EVERY[7:11], _EVERY[11:]
+FORCE, ARM, CAMERA = _EVERY[:7], _EVERY[7:14], _EVERY[14:]
 """By the device that they strike, in the order above."""
 
 WITHIN_S = {Phase.TRAVEL: 1.0, Phase.APPROACH: 2.0, Phase.PRESS: 0.3, Phase.DWELL: 0.4, Phase.RETREAT: 1.5}
@@ -76,12 +79,27 @@ def inject(lab: TouchLab, injected: Injected, random: np.random.Generator) -> No
         case Injected.ARM_TURNS:
             axis = random.normal(size=3)
             lab.functions.turning_rad_s = np.radians(random.uniform(20.0, 35.0)) * axis / np.linalg.norm(axis)
+        case Injected.ARM_FROZEN:
+            lab.functions.frozen = True
+        case Injected.ARM_LATE:
+            lab.arm_late_s = random.uniform(0.1, 0.3)
+        case Injected.COLLISION:
+            _collide(lab, random)
         case Injected.CAMERA_SILENT:
             lab.camera.stop()
         case Injected.CAMERA_FROZEN:
             lab.camera.freeze()
         case Injected.CAMERA_CABLE:
             lab.camera.unplug()
+
+
+def _collide(lab: TouchLab, random: np.random.Generator) -> None:
+    """Something pushes elbow, forearm or wrist across, so that the joint that feels it most has 6 to 20 Nm."""
+    double = lab.arm_double
+    links, link = double.T_base_links, int(random.integers(1, 4))
+    levers = np.cross(links[: link + 1, :3, 2], links[link + 1, :3, 3] - links[: link + 1, :3, 3])
+    direction = random.normal(size=3)
+    double.push_link(link, direction * random.uniform(6.0, 20.0) / np.abs(levers @ direction).max())
 
 
 @dataclass(frozen=True, slots=True)

@@ -33,6 +33,8 @@ TILT_DEG = 22.0
 TOUCH_M, BALL_M = (5e-4, 5e-4, 2e-4), 3e-4
 """How far a person is off a corner along x, y and z, and a ball moves in its cone: deviations."""
 PUSH_N, AIM_RAD = 3.0, np.radians(5.0)
+LOAD_OFF_N, GAIN_SD = 0.015, 0.03
+"""How far a person is off the load that a scale is to show, and of a sensor's gain: deviations."""
 TAP_N, TAP_S = 4.0, 0.04
 
 
@@ -40,7 +42,8 @@ TAP_N, TAP_S = 4.0, 0.04
 class HiddenRig:
     """Where things truly are.
 
-    placement: surface, arm and tip; R_tip_force: (3, 3) forces in the sensor's axes to the tip's
+    placement: surface, arm and tip; R_tip_force: (3, 3) forces in the sensor's axes to the tip's; force_gain: as the
+    sensor gives them over true ones
     T_surface_camera, T_ee_board: (4, 4) camera to surface frame, board to the arm's end
     """
 
@@ -48,6 +51,7 @@ class HiddenRig:
     R_tip_force: FloatArray
     T_surface_camera: FloatArray
     T_ee_board: FloatArray
+    force_gain: float = 1.0
 
     @classmethod
     def draw(cls, number: int, tool: Tool, size_m: tuple[float, float], thickness_m: float) -> HiddenRig:
@@ -75,11 +79,12 @@ class HiddenRig:
         flat = Rotation.from_euler("x", 180, degrees=True) * Rotation.from_rotvec(random.uniform(-0.1, 0.1, 3))
         half = 0.5 * BOARD_SQUARE_M * np.array([*BOARD_SQUARES, 0.0])
         board = transform(flat.as_matrix(), [0.0, 0.0, random.uniform(0.03, 0.05)] - flat.apply(half))
-        return cls(Placement(T, made), turn @ signs, camera, board)
+        gain = float(np.exp(GAIN_SD * random.standard_normal()))
+        return cls(Placement(T, made), turn @ signs, camera, board, gain)
 
     def felt(self, force_n: FloatArray, time_s: float) -> FloatArray:
         """(3,) what the sensor makes of a force (3,) in the tip's frame [N]."""
-        return np.asarray(self.R_tip_force.T @ force_n)
+        return np.asarray(self.force_gain * self.R_tip_force.T @ force_n)
 
 
 class BoardPicture:
@@ -161,6 +166,11 @@ class SimulatedHand:
                 assert axis is not None
                 wobble = Rotation.from_rotvec(AIM_RAD * self._random.standard_normal(3))
                 self._table.push_tip(np.asarray(PUSH_N * self._random.uniform(0.8, 1.5) * wobble.apply(axis)))
+            case "load":
+                self._park()
+                assert axis is not None
+                off_n = LOAD_OFF_N * self._random.standard_normal()
+                self._table.push_tip(np.add(axis, (0.0, 0.0, off_n)))
             case "tap":
                 self._park()
             case _:

@@ -121,8 +121,8 @@ class LiveSqueezeLab:
         configs = {entry.driver.name: entry.config for entry in entries}
         self._configs = configs["sdh"], configs["dsa"]
         with self:
-            made: dict[str, Device[Any]] = {"sdh": self.hand, "dsa": self.pads, "depth_camera": self.camera}
-            yield {entry.name: made[entry.driver.name] for entry in entries}
+            made: dict[str, Device[Any]] = {"hand": self.hand, "tactile": self.pads, "depth": self.camera}
+            yield {entry.name: made[entry.driver.kind] for entry in entries}
 
     def truth(self) -> ContainerTruth:
         """What is simulated, up to now, on the host's clock. Raises InputError where its process has ended."""

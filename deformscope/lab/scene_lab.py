@@ -7,7 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from deformscope.arrays import FloatArray
 from deformscope.lab.arm_contact import ARM_DOUBT, ARM_STIFFNESS_N_M
+from deformscope.lab.creeping_world import CreepingWorld, Relaxation
 from deformscope.lab.depth_view import DepthView
 from deformscope.lab.ray_camera import DepthViewConfig
 from deformscope.lab.scenes import Scene
@@ -21,13 +23,15 @@ from deformscope.rig.source import RigMember, RigSource
 from deformscope.robot.placement import Placement, best_joints
 from deformscope.robot.setup import T_BASE_SURFACE, CameraView, Setup, Truth
 from deformscope.robot.shape import arm_shape
-from deformscope_drivers.depth_camera import View
+from deformscope_drivers.depth_camera import SENSORS, View
 from deformscope_drivers.depth_camera.synthetic import SyntheticDepthConfig
 from deformscope_drivers.device import Device
 from deformscope_drivers.jaco.chains import J2N6S300
 from deformscope_drivers.memory import SimulatedClock
 
 CAMERA_HZ = 10.0
+CREEP_S = 1.0
+"""Time constant of foam that creeps."""
 CAMERA_AZIMUTH_DEG = -90.0
 """The camera looks across the long edge at y = 0: the arm stands beyond the other, and hides what is behind it."""
 BOX_LOW_M, BOX_HIGH_M = (-0.40, -0.66, 0.0), (0.45, 0.10, 0.75)
@@ -40,15 +44,24 @@ class SceneLab:
     keeps from the estimator"""
 
     def __init__(
-        self, scene: Scene, *, tip_radius_m: float, parked_m: float, seed: int = 0, errors: LabErrors | None = None
+        self,
+        scene: Scene,
+        *,
+        tip_radius_m: float,
+        parked_m: float,
+        seed: int = 0,
+        errors: LabErrors | None = None,
+        sensor: str = "",
     ) -> None:
         """parked_m: z of the tip's centre where the arm stands first [m, surface frame]; errors: what is drawn of what
-        it keeps, default nothing"""
+        it keeps, default nothing; sensor: of SENSORS, what the camera measures by, empty = noise alone"""
         self.drawn = (errors or LabErrors.none()).draw([seed, scene.seed])
         foam = self.drawn.foam(scene)
         self.scene = scene = self.drawn.slab(scene)
         self.clock = SimulatedClock(1_000_000_000)
         self._world = SlabWorld(foam)
+        if any(piece.relaxes for piece in scene.pieces):
+            self._world = CreepingWorld(foam, self._relaxation)
         self._tip = RigidTip(radius=tip_radius_m)
         self._contact: Contact | None = None
         view = DepthViewConfig(width=320, height=240, azimuth_deg=CAMERA_AZIMUTH_DEG)
@@ -65,7 +78,13 @@ class SceneLab:
             arm_stiffness_n_m=self.drawn.arm_n_per_m,
             as_felt=self.drawn.as_felt,
             view=self._see,
-            camera_config=SyntheticDepthConfig(rate_hz=CAMERA_HZ, missing=0.02, seed=seed),
+            camera_config=SyntheticDepthConfig(
+                rate_hz=CAMERA_HZ,
+                missing=0.02,
+                seed=seed,
+                intrinsics=self.view.intrinsics,
+                sensor=SENSORS[sensor] if sensor else None,
+            ),
             start_deg=best_joints(J2N6S300, [self.placement.T_base_ee(place, UPRIGHT) for place in (parked, touching)]),
             seed=seed,
         )
@@ -98,8 +117,16 @@ class SceneLab:
             wait_until=self.lab.wait_until,
         )
 
+    def _relaxation(self, xy_m: FloatArray) -> Relaxation:
+        """Of the foam at a place (2,) [m]."""
+        label = int(self.scene.label(xy_m))
+        relaxes = self.scene.pieces[label].relaxes if label >= 0 else 0.0
+        return Relaxation((relaxes,), (CREEP_S,)) if relaxes else Relaxation()
+
     def press(self, center_m: NDArray[np.float64]) -> NDArray[np.float64]:
         """The slab's force on the tip: what `TouchLab` asks of its world."""
+        if isinstance(self._world, CreepingWorld):
+            self._world.at(1e-9 * self.clock())
         self._contact = self._world.press(self._tip, center_m)
         return np.asarray(self._contact.force_n, np.float64)
 

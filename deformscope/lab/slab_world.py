@@ -14,9 +14,9 @@ is their dense stiffness. A press is then a complementarity problem of about 200
 A ball of 2 cm on 5 cm of foam: force within 2 % of the closed form for a bonded layer from 0.5 to 7 mm, within 3 % of
 finer meshes, also near a border; far less deep a single node carries it all.
 
-What is left out: friction, speed (foam creeps), large strain, and that a deep dent's wall is pushed aside as well as
-down (the gap is closed along the rest surface's normal). `tests/lab/test_slab_world.py` compares with Hertz and with
-finer meshes.
+What is left out: friction, speed (`creeping_world`), large strain, and that a deep dent's wall is pushed aside as well
+as down (the gap is closed along the rest surface's normal). `tests/lab/test_slab_world.py` compares with Hertz and
+with finer meshes.
 """
 
 from __future__ import annotations
@@ -76,7 +76,8 @@ class Contact:
     depth_m: how far the lowest point is below the rest surface, along the normal; negative above it [m]
     gap_m: from tip to foam, along the normal; 0 in contact [m]
     force_n: (3,) on the tip [N]: opposite to the sum of the nodes' forces, and what the table adds
-    place_m: (n, 3) nodes in contact, at rest [m]; node_force_n: (n,) what each carries, along the normal [N]
+    place_m: (n, 3) nodes in contact, at rest [m]; node_force_n: (n,) what moves each, along the normal [N]: what it
+    carries, on foam without a memory
     tip: which; mesh_m: (2,) the place that the mesh was made for [m], None where the tip is far from the foam;
     node: (n,) the nodes' numbers in it
     """
@@ -147,11 +148,12 @@ class Patch:
         corners = np.flatnonzero(top)
         self._top: IntArray = corners[np.lexsort(flat_at[corners, 1::-1].T)]
 
-    def push_out(self, overlap: FloatArray) -> FloatArray:
-        """(n,) forces along the normal [N] that keep the candidates out of a tip which each overlaps so far [m]."""
+    def push_out(self, overlap: FloatArray, softer: float = 1.0) -> FloatArray:
+        """(n,) forces along the normal [N] that keep the candidates out of a tip which each overlaps so far [m], where
+        the foam gives so many times as much."""
         if not (overlap > 0.0).any():
             return np.zeros(len(overlap))
-        return _without_pull(self.compliance, overlap)
+        return _without_pull(softer * self.compliance, overlap)
 
     def displaced_m(self, node_force_n: FloatArray, node: IntArray, xy_m: FloatArray) -> FloatArray:
         """(n, 3) how the surface at (n, 2) moves when `node` of the candidates are pushed down along the normal."""
@@ -206,12 +208,18 @@ class SlabWorld:
             return Contact(center, normal, depth, gap, table, np.zeros((0, 3)), np.zeros(0), tip, None, nothing)
         patch = self.prepare(tip, foot[:2])
         overlap = _overlap(tip, center, patch.normal, patch.candidate_m)
-        force = patch.push_out(overlap)
-        node = np.flatnonzero(force > 0.0)
-        gap = 0.0 if len(node) else max(0.0, -float(overlap.max()))
+        force, load = self._push_out(patch, overlap)
+        node = np.flatnonzero(load)
+        gap = 0.0 if force.any() else max(0.0, -float(overlap.max()))
         on_tip = patch.normal * force.sum() + table
         place = patch.candidate_m[node]
-        return Contact(center, patch.normal, depth, gap, on_tip, place, force[node], tip, patch.xy_m, node)
+        return Contact(center, patch.normal, depth, gap, on_tip, place, load[node], tip, patch.xy_m, node)
+
+    def _push_out(self, patch: Patch, overlap: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(n,) forces on the tip along the normal [N] of a patch's nodes that it overlaps so far (n,) [m], and (n,)
+        those that move the surface."""
+        force = patch.push_out(overlap)
+        return force, force
 
     def displaced_m(self, contact: Contact, xy_m: FloatArray) -> FloatArray:
         """(..., 3) how material points of the surface, at rest at (..., 2), have moved [m]; 0 far from the touch."""

@@ -172,6 +172,13 @@ def _depth_camera(config: Any) -> Iterator[Device[Any]]:
     yield SyntheticDepthCamera(view, SyntheticDepthConfig(rate_hz=config.fps or 30.0))
 
 
+@contextlib.contextmanager
+def _realsense(config: Any) -> Iterator[Device[Any]]:
+    from deformscope_drivers.depth_camera import Realsense
+
+    yield Realsense(config, library="deformscope_drivers.realsense.double")
+
+
 WIRED: dict[str, Callable[[Any], Double]] = {"optoforce": _optoforce, "dsa": _dsa, "sdh": _sdh}
 """Byte-exact doubles, by driver: they go behind any wire."""
 
@@ -181,5 +188,6 @@ _IN_PROCESS: dict[str, Callable[[Any], contextlib.AbstractContextManager[Device[
     "placed": _placed,
     "webcam": _webcam,
     "depth_camera": _depth_camera,
+    "realsense": _realsense,
 }
 """Doubles behind the driver's own interface."""

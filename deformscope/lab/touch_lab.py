@@ -44,7 +44,8 @@ class TouchLab:
     """The doubles of a laboratory, closed devices over them, and their faults.
 
     arm, force, camera: the real drivers' devices, to be opened by `open`; body: of the simulated arm; contact: its
-    tip in the world; on_cycle: called once in each of the arm's cycles; call_s: how long a call to the arm takes
+    tip in the world; on_cycle: called once in each of the arm's cycles; call_s: how long a call to the arm takes;
+    arm_late_s: its driver comes to its turn this seldom, as on a host that is busy
     """
 
     def __init__(
@@ -103,7 +104,7 @@ class TouchLab:
             self.camera = SyntheticDepthCamera(view, camera_config, clock=self.clock)
         self._cycle = -1
         self._arm_ns = 0
-        self.call_s = 0.0
+        self.call_s = self.arm_late_s = 0.0
         self.scheduled: list[tuple[int, Callable[[], None]]] = []
         self.on_cycle: Callable[[], None] | None = None
 
@@ -164,7 +165,8 @@ class TouchLab:
             self._feel()
             if arm_waits and self.clock() >= self._arm_ns and self.arm.is_open:
                 every_ns = POLL_NS if self._jaco is None else ARM_CYCLE_NS
-                self._arm_ns = (self.clock() // every_ns + 1) * every_ns
+                late_ns = 0 if self._jaco is None else round(self.arm_late_s * 1e9)
+                self._arm_ns = max((self.clock() // every_ns + 1) * every_ns, self.clock() + late_ns)
                 _poll(self.arm)
             for device in (self.force, self.camera):
                 if device is not None and device.is_open:

@@ -7,6 +7,7 @@ from deformscope.robot.touch import TouchEnding
 
 _SENSOR = "the force sensor's cable and supply: deformscope doctor RIG listens to it"
 _ARM = "the arm's cable, supply and joystick's red light; move it away by the joystick"
+_BUSY = "and how busy this computer is: what reads it may come too late"
 _HOME = "whether the arm was homed since it was switched on: hold its joystick's home button until it stands still"
 _CAMERA = "the camera's cable, and that no other program uses it"
 _STANDS = "where arm and surface stand to one another, and the pose that the arm begins in"
@@ -15,12 +16,12 @@ _PLACE = "workspace, rig file and what lies on the table"
 ADVICE: dict[Fault | TouchEnding, str] = {
     Fault.FORCE_SOFT: "what pushed the tip; it has backed away from it",
     Fault.FORCE_HARD: "what pushed the tip, and the tip itself, before the arm moves again",
-    Fault.FORCE_SILENT: _SENSOR,
+    Fault.FORCE_SILENT: f"{_SENSOR}; {_BUSY}",
     Fault.FORCE_FROZEN: _SENSOR,
     Fault.FORCE_INVALID: _SENSOR,
     Fault.FORCE_UNUSABLE: _SENSOR,
     Fault.CHECKSUMS: "the force sensor's cable, its plug, and what disturbs them",
-    Fault.ARM_SILENT: _ARM,
+    Fault.ARM_SILENT: f"{_ARM}; {_BUSY}",
     Fault.ARM_FROZEN: f"{_HOME}; then {_ARM}",
     Fault.ARM_INVALID: _ARM,
     Fault.ARM_FIFO: "what else commands the arm, and how busy this computer is",
@@ -31,8 +32,10 @@ ADVICE: dict[Fault | TouchEnding, str] = {
     Fault.SINGULAR: f"{_STANDS}: stretched out or folded it cannot follow a straight way; bend it by the joystick",
     Fault.TABLE: f"{_STANDS}: elbow or wrist come down to the table; bring the arm up by the joystick",
     Fault.ITSELF: f"{_STANDS}: it is folded onto itself; unfold it by the joystick",
+    Fault.ARM_BOX: f"{_STANDS}: elbow, wrist or stick leave the box of arm_low_m and arm_high_m",
+    Fault.COLLISION: "what the arm has met, and its cables; where nothing was there, collision_nm in the rig file",
     Fault.WORKSPACE: _PLACE,
-    Fault.CAMERA_SILENT: _CAMERA,
+    Fault.CAMERA_SILENT: f"{_CAMERA}; {_BUSY}",
     Fault.CAMERA_FROZEN: _CAMERA,
     Fault.LINK: "the cable and supply of the device that was lost",
     Fault.REFUSED: "the reason, and how busy this computer is: a late command stops the arm",

@@ -14,6 +14,8 @@ from deformscope.robot.placement import Placement
 from deformscope.robot.shape import LINK_RADIUS_M
 from deformscope_drivers.arm.kinematics import FloatArray
 
+ArmBox = tuple[tuple[float, float, float], tuple[float, float, float]]
+"""Low and high corner [m]."""
 APART_M = 0.15
 """Parts of an arm that are joined by less of it than this cannot meet: their joint is between them. Chosen: longer than
 a wrist's links, shorter than a forearm."""
@@ -46,6 +48,17 @@ class ArmClearance:
         """Of the lowest of elbow and wrist, without the stick [m]."""
         points = self._points_m(T_base_links)[:-1]
         return float(points[FROM_ELBOW + 1 :, 2].min() - LINK_RADIUS_M)
+
+    def in_box_m(self, T_base_links: FloatArray, box: ArmBox | None) -> float:
+        """How far elbow, wrist, stick and tip are inside a box of the base frame, the nearest [m]; inf without one."""
+        if box is None:
+            return float("inf")
+        tip = T_base_links[-1] @ self._placement.T_ee_center
+        points = np.concatenate([T_base_links[FROM_ELBOW:, :3, 3], tip[None, :3, 3]])
+        radius_m = np.full(len(points), LINK_RADIUS_M)
+        radius_m[-1] = self._placement.tool.stick_radius_m
+        inside = np.minimum(points - np.array(box[0]), np.array(box[1]) - points).min(axis=1)
+        return float((inside - radius_m).min())
 
     def to_itself_m(self, T_base_links: FloatArray) -> float:
         """Between the nearest two parts that could meet; below 0 they touch; inf where none could [m]."""

@@ -41,6 +41,8 @@ SINGULAR_DEG, SINGULAR_SHARE = 15.0, 1.0 / 3.0
 """Where the fastest joint would come to a singularity within so much, as the smallest singular value falls, all slow
 down in proportion, to this share at least: what leads through it is not stuck, and a way ends in time
 (`travel.SLACK`)."""
+AHEAD_DEG: FloatArray = np.array([0.0, 1.0, 3.0, 6.0, 9.0, 12.0, 15.0])
+"""So far on the smallest singular value is looked at: it may fall faster later than it does now. Chosen."""
 OFF_COURSE, OFF_COURSE_M_S = 0.1, 1e-3
 """The damping may lose or turn away this share of a velocity, or this much of it: a straight way may lead through a
 singularity where it needs nothing of the weak direction, and corrections at rest are slow."""
@@ -91,17 +93,21 @@ def rates_for_twist(
 
 
 def to_singularity_deg(chain: Chain, joints_deg: FloatArray, jacobian: FloatArray, rates: FloatArray) -> float:
-    """How far the fastest of joint rates (n,) may turn until the smallest singular value is 0, were it to fall on as it
-    does over the next degree [deg]; inf where it does not fall.
+    """How far the fastest of joint rates (n,) may turn until the smallest singular value is 0 [deg]: were it to fall on
+    as it does over the next degree, or, where that is sooner, as it does at one of AHEAD_DEG shortly before.
 
-    joints_deg: (n,); jacobian: (6, n) there
+    joints_deg: (n,); jacobian: (6, n) there. inf where it does not fall
     """
     fastest = float(np.abs(rates).max())
     if fastest <= 0.0:
         return math.inf
-    here = float(least_singular(jacobian))
-    falls = here - float(least_singular(chain.jacobian(joints_deg + rates / fastest)))
-    return here / falls if falls > 1e-9 else math.inf
+    ahead = chain.forward(joints_deg + AHEAD_DEG[1:, None] * (rates / fastest))
+    least = np.concatenate([[least_singular(jacobian)], least_singular(jacobian_of(ahead))])
+    width_deg, falls = np.diff(AHEAD_DEG), -np.diff(least)
+    zero_deg = AHEAD_DEG[:-1] + np.divide(width_deg * least[:-1], falls, out=np.full(6, np.inf), where=falls > 1e-9)
+    shortly = zero_deg <= AHEAD_DEG[1:] + width_deg
+    shortly[0] = True
+    return float(zero_deg[shortly].min())
 
 
 def within_limits(

@@ -104,8 +104,10 @@ class Placement:
 
     def force_on_tip_n(self, force_n: FloatArray, T_base_ee: FloatArray) -> FloatArray:
         """(3,) what the world does to the tip in the surface frame [N], from what the sensor says that it does to the
-        world."""
-        return np.asarray(-self.T_surface_center(T_base_ee)[:3, :3] @ self._R_tip_force @ force_n)
+        world: less the sensor's gain."""
+        return (
+            np.asarray(-self.T_surface_center(T_base_ee)[:3, :3] @ self._R_tip_force @ force_n) / self.tool.force_gain
+        )
 
     def T_base_ee(self, center_m: npt.ArrayLike, normal: npt.ArrayLike) -> FloatArray:
         """(..., 4, 4) the arm's end in the base frame when the tip's centre (..., 3) [m] is here and the stick along

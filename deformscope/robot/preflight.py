@@ -42,6 +42,8 @@ FREE_M = 0.01
 """Least height of the tip over the surface at the begin [m]. Chosen."""
 WAY_STEPS, WRIST_M = 60, 0.045
 """Poses checked on the first route; radius taken for the wrist [m], as `shape.LINK_RADIUS_M`. Chosen."""
+COLLISION_NOISE = 6.0
+"""A collision's limit is so many deviations of the torques' noise at least."""
 FRESH_S = {"arm": 0.05, "force sensor": 0.02, "camera": 0.1}
 """Greatest age of a reading by device [s], or two of its periods where these are longer. Chosen."""
 
@@ -57,7 +59,9 @@ HINTS = {
     "arm: control period": "end what keeps this computer busy",
     "arm: first way": "bring the tip over the surface by the joystick, the stick down",
     "arm: over the table": "bring elbow and wrist up by the joystick; or T_arm_surface in the rig file is wrong",
+    "arm: box": "bring elbow and wrist in by the joystick; or arm_low_m and arm_high_m of [workspace]",
     "arm: clear of itself": "unfold the arm by the joystick",
+    "arm: joint torques": "let nobody touch the arm; or a higher collision_nm in [workspace]",
     "arm: joints": "turn the joint away from the end of its range by the joystick",
     "arm: reach": "move arm or surface, turn the tool, or bring the arm over the surface by its joystick",
     "force sensor: tare": "let nothing touch the tip, and start again",
@@ -236,11 +240,31 @@ def _joints(robot: Robot, states: Sequence[ArmSample]) -> Iterator[Check]:
         yield Check("arm: over the table", table_m > limits.table_m, wanted, f"{100 * table_m:.1f} cm")
         wanted = f"{100 * limits.itself_m:g} cm or more between parts that could meet"
         yield Check("arm: clear of itself", itself_m > limits.itself_m, wanted, f"{100 * itself_m:.1f} cm")
+        if limits.arm_box is not None:
+            inside_m = robot.clearance.in_box_m(links, limits.arm_box)
+            yield Check("arm: box", inside_m > 0, "elbow, wrist and stick inside", f"{100 * inside_m:.1f} cm inside")
+    yield from _torques(robot, states)
+    if (zones := getattr(robot.arm.config, "protection_zones", None)) is not None:  # an arm that did not, did not open
+        wanted = "those of the rig file set as it was opened"
+        yield Check("arm: protection zones", True, wanted, f"{len(zones)} kept by the arm")
     homed = robot.arm.homed
     yield Check("arm: homed", homed, "since it was switched on", "it was" if homed else "it was not, so it says")
     if (call_ms := robot.arm.health().extra.get(CALL_MS)) is not None:
         wanted = f"a call in less than {LONGEST_CALL_MS:g} ms"
         yield Check("arm: link", call_ms < LONGEST_CALL_MS, wanted, f"{call_ms:.1f} ms")
+
+
+def _torques(robot: Robot, states: Sequence[ArmSample]) -> Iterator[Check]:
+    """That collisions stand out of the noise of an arm that reports torques."""
+    limit_nm = robot.supervisor.limits.collision_nm
+    torques_nm = [state.torques_nm for state in states if state.torques_nm]
+    if limit_nm == 0 or not torques_nm:
+        return
+    noise_nm = np.array(torques_nm).std(axis=0)
+    joint = int(np.argmax(noise_nm))
+    most_nm = limit_nm / COLLISION_NOISE
+    came = f"{noise_nm[joint]:.2f} Nm (joint {joint + 1})"
+    yield Check("arm: joint torques", bool(noise_nm[joint] < most_nm), f"noise below {most_nm:.2g} Nm at rest", came)
 
 
 def _clocks(robot: Robot, seen: Sequence[RobotObservation]) -> Iterator[Check]:

@@ -94,6 +94,7 @@ class Robot:
     commanded: (time [ns], speed of the tip's centre [m/s]) of every period, for recordings and studies
     reason_to_stand: asked in each period in which it is to move: a reason not to, empty = none
     rotation: that of the arm's end as it was commanded; moving: a velocity was sent in this period
+    share: of the tip's velocity asked for last that was sent: less near joint limits and singularities; nan for joints
     """
 
     def __init__(
@@ -127,6 +128,7 @@ class Robot:
         self._speed_m_s = 0.0
         self._angular_rad_s: FloatArray = np.zeros(3)
         self._follows = self.moving = False
+        self.share = 1.0
         self.rotation = CommandedRotation()
         self._turned_ns = clock()
         self._refusal: tuple[Fault, str] | None = None
@@ -345,7 +347,7 @@ class Robot:
             self.supervisor.limits.joint_margin_deg,
         )
         if self._sent(motion):
-            share *= motion.share
+            self.share = share = share * motion.share
             self._speed_m_s = share * float(np.linalg.norm(command.linear_m_s))
             self._angular_rad_s, self._follows = share * turned, command.angular_rad_s is not None
 
@@ -367,6 +369,7 @@ class Robot:
         )
         if self._sent(motion):
             share *= motion.share
+            self.share = float("nan")
             self._speed_m_s = share * float(np.linalg.norm(center_m_s))
             self._angular_rad_s, self._follows = share * angular, True
 

@@ -186,7 +186,7 @@ def open_rig(
     with ExitStack() as stack:
         made = {} if simulated is None else stack.enter_context(simulated.devices(around))
         members = [
-            RigMember(entry.name, entry.driver, made[entry.name], simulated=True)
+            RigMember(entry.name, entry.driver, made[entry.name], simulated=True, late_ns=entry.late_ns)
             if entry.name in made
             else stack.enter_context(double(entry))
             for entry in rig.devices
@@ -210,7 +210,7 @@ class RigParts:
 
     @classmethod
     def of(cls, rig: Rig) -> RigParts:
-        devices = tuple(_only(rig, kind) for kind in ROLES)
+        devices = tuple(only_device(rig, kind) for kind in ROLES)
         force = devices[1]
         if not force.double and not force.config.sensitivities:
             raise InputError("its sensitivity, for forces in newtons", "none", "the sensor's report", force.name)
@@ -293,15 +293,15 @@ def _check_rates(rig: Rig, devices: tuple[RigDevice, ...]) -> None:
             raise InputError(least, f"{hz:g}", "a higher rate, or a longer ..._silent_s in [workspace]", rig.name)
 
 
-def _only(rig: Rig, kind: str) -> RigDevice:
-    """The device of a rig that plays a part."""
+def only_device(rig: Rig, kind: str, use: str = "to explore with") -> RigDevice:
+    """The one device of a kind. use: what it is wanted for; raises InputError where there is none, or several"""
     found = [entry for entry in rig.devices if entry.driver.kind == kind]
     if kind == "depth" and rig.camera.device:
         found = [entry for entry in found if entry.name == rig.camera.device]
     if len(found) != 1:
         came = "none" if not found else ", ".join(entry.name for entry in found)
         drivers = " or ".join(f'"{name}"' for name, driver in DRIVERS.items() if driver.kind == kind)
-        raise InputError(f"one device with driver = {drivers}, to explore with", came, "the rig file", rig.name)
+        raise InputError(f"one device with driver = {drivers}, {use}", came, "the rig file", rig.name)
     return found[0]
 
 

@@ -17,7 +17,7 @@ from deformscope.rig.rig_file import Rig, RigDevice
 from deformscope.rig.source import RigMember, RigSource
 from deformscope.rig.squeeze_sections import ContainerSection, HandSection, SqueezeSection
 from deformscope.robot.robot import Waits, sleep_until
-from deformscope.robot.setup import CAMERA_HZ, CameraView, SimulatedDevices, open_rig
+from deformscope.robot.setup import CAMERA_HZ, CameraView, SimulatedDevices, only_device, open_rig
 from deformscope.robot.squeeze_plan import RandomGrasp, draw_grasp
 from deformscope_drivers.clock import Clock, monotonic_ns
 from deformscope_drivers.depth_camera.image import Intrinsics
@@ -93,13 +93,13 @@ class SqueezeParts:
     @classmethod
     def of(cls, rig: Rig, seed: int) -> SqueezeParts:
         """Raises InputError, which names what is missing, or what does not go together."""
-        cameras = any(entry.driver.name == "depth_camera" for entry in rig.devices)
+        cameras = any(entry.driver.kind == "depth" for entry in rig.devices)
         carried = rig.hand.T_arm_hand is not None
         parts = cls(
             rig,
             _one_of(rig, "sdh", ""),
             _one_of(rig, "dsa", rig.hand.tactile),
-            _one_of(rig, "depth_camera", rig.camera.device) if cameras else None,
+            only_device(rig, "depth", "to squeeze with") if cameras else None,
             _one_of(rig, "jaco", "", "for [hand] T_arm_hand") if carried else None,
             draw_grasp(rig.container, rig.squeeze, seed),
         )

@@ -16,11 +16,12 @@ import numpy as np
 
 from deformscope.errors import InputError
 from deformscope.rig.rig_file import Workspace
+from deformscope.robot.collision import CollisionWatch
 from deformscope.robot.readings import ArmSample, CameraSample, ForceSample, RobotObservation
 from deformscope_drivers.arm.kinematics import Chain, FloatArray, rotation_vector
 
 if TYPE_CHECKING:
-    from deformscope.robot.clearance import ArmClearance
+    from deformscope.robot.clearance import ArmBox, ArmClearance
 
 
 class Action(StrEnum):
@@ -53,6 +54,8 @@ class Fault(StrEnum):
     SINGULAR = "arm near a singularity"
     TABLE = "arm near the table"
     ITSELF = "arm near itself"
+    ARM_BOX = "arm's box left"
+    COLLISION = "something pushes the arm"
     WORKSPACE = "workspace left"
     CAMERA_SILENT = "depth camera silent"
     CAMERA_FROZEN = "depth camera frozen"
@@ -72,11 +75,14 @@ class Limits:
     joint_margin_deg: no joint comes nearer to the end of its range
     table_m, itself_m: elbow and wrist come no nearer to the table's top, and no parts of the arm to one another that
     could meet (`clearance.ArmClearance`)
+    arm_box: low and high corner (3,) in the base frame that elbow, wrist, stick and tip stay in, None = none [m]
+    collision_nm: a joint's torque may differ so much from its mean of the last seconds, beside what the force on the
+    tip explains: a collision (`collision.CollisionWatch`); 0 = torques are not looked at
     low_m, high_m: (3,) box of the tip's centre in the base frame, None = none; look_ahead_s: the box holds for where
     the tip will be by then
     force_silent_s, arm_silent_s: greatest age of the newest reading; force_frozen_s: greatest time of equal readings
-    arm_frozen_m, arm_frozen_s: commanded way, and time at least, during which the joints do not change at all (an arm
-    begins to move, and reports it, some periods after the command)
+    arm_frozen_m, arm_frozen_s: way that it was sent on, and time at least that it was sent, without any change of the
+    joints, pauses between left out (an arm begins to move, and reports it, some periods after the command)
     refused, unusable: this many damaged frames, or readings that are not usable, within window_s
     camera_period_s: of the camera's pictures; camera_periods: greatest age in periods; camera_repeats: the same picture
     so many times after its first is a frozen camera (noise makes two real ones differ)
@@ -90,6 +96,8 @@ class Limits:
     joint_margin_deg: float = 5.0
     table_m: float = 0.02
     itself_m: float = 0.005
+    arm_box: ArmBox | None = None
+    collision_nm: float = 4.0
     low_m: tuple[float, float, float] | None = None
     high_m: tuple[float, float, float] | None = None
     look_ahead_s: float = 0.05
@@ -123,6 +131,8 @@ class Limits:
             speed_m_s=2.0 * workspace.travel_speed_m_s,
             # an arm whose states may come late is seen behind what was commanded while it turns
             tilt_deg=max(standard.tilt_deg, 0.6 * standard.turn_deg_s * workspace.arm_silent_s),
+            arm_box=workspace.arm_box,
+            collision_nm=workspace.collision_nm,
             low_m=workspace.low_m,
             high_m=workspace.high_m,
             camera_period_s=1.0 / camera_hz,
@@ -150,6 +160,9 @@ APPROACH_DEG_S = 0.5
 LATE_NS = 20_000_000
 """A judgement so long after the last one came late: the host was busy, and those who read the devices perhaps too. No
 silence is held against a device then, once and not twice in a row."""
+TIP_DECAY = 0.995
+"""Share of a force on the tip that explains joint torques still a reading of 1 ms later: torques are read by turns, up
+to 0.2 s after (`reading.TURN_NS`)."""
 _GO_ON = SafetyVerdict()
 _SEVERITY = {Action.GO_ON: 0, Action.BACK_OFF: 1, Action.STOP: 2}
 """Of several verdicts the highest counts. Chosen."""
@@ -176,6 +189,7 @@ class Supervisor:
         self.limits = limits
         self._T_ee_center = np.eye(4) if T_ee_center is None else T_ee_center
         self._chain, self._placed, self._clearance = chain, placed, clearance
+        self._collisions = None if chain is None else CollisionWatch(chain, self._T_ee_center)
         self._verdict = _GO_ON
         self._refused = 0
         self.start(now_ns)
@@ -211,14 +225,17 @@ class Supervisor:
         self._force_ns = self._arm_ns = now_ns
         self._pattern: object = None
         self._pattern_ns = now_ns
+        self._tip_n = 0.0
         self._unusable: deque[int] = deque()
         self._refusals: deque[int] = deque()
         self._recount = True
         self._joints: tuple[float, ...] = ()
-        self._unmoved_m, self._moved_ns = 0.0, now_ns
+        self._unmoved_m, self._unmoved_ns = 0.0, 0
         self._judged_ns, self._excused = now_ns, False
         self._track: deque[ArmSample] = deque()
-        self._clear_m = -math.inf, -math.inf  # the first is compared with nothing
+        self._clear_m = -math.inf, -math.inf, -math.inf  # the first is compared with nothing
+        if self._collisions is not None:
+            self._collisions.start()
         self._commanded_ns = now_ns
         self._camera_needed = False
         self._camera_ns = now_ns
@@ -271,6 +288,7 @@ class Supervisor:
             if not math.isfinite(magnitude_n):
                 found.append((Action.STOP, Fault.FORCE_INVALID, f"a force of {sample.force_n.tolist()} N"))
                 continue
+            self._tip_n = max(magnitude_n, TIP_DECAY * self._tip_n)
             if not sample.usable:
                 self._unusable.append(sample.time_ns)
             if magnitude_n > limits.hard_force_n:
@@ -303,26 +321,36 @@ class Supervisor:
         commanded_rotation: FloatArray | None,
     ) -> list[tuple[Action, Fault, str]]:
         limits, found = self.limits, []
-        self._unmoved_m += commanded_m_s * (now_ns - self._commanded_ns) / 1e9
+        if commanded_m_s > 0.0:
+            self._unmoved_m += commanded_m_s * (now_ns - self._commanded_ns) / 1e9
+            self._unmoved_ns += now_ns - self._commanded_ns
         self._commanded_ns = now_ns
         for sample in arms:
             self._arm_ns = sample.time_ns
             if not np.all(np.isfinite(sample.T_base_ee)) or not np.all(np.isfinite(sample.joints_deg)):
                 found.append((Action.STOP, Fault.ARM_INVALID, f"joints {sample.joints_deg}"))
                 continue
-            if sample.joints_deg != self._joints or commanded_m_s == 0.0:
-                self._joints, self._unmoved_m, self._moved_ns = sample.joints_deg, 0.0, now_ns
+            if sample.joints_deg != self._joints:
+                self._joints, self._unmoved_m, self._unmoved_ns = sample.joints_deg, 0.0, 0
             if sample.fifo_count > limits.fifo:
                 found.append((Action.STOP, Fault.ARM_FIFO, f"{sample.fifo_count} points wait in the arm"))
             found += self._motion(sample)
+            found += self._collision(sample)
             if commanded_rotation is not None and not self._placed:
                 found += self._tilt(sample, commanded_rotation)
         if (age_s := (now_ns - self._arm_ns) / 1e9) > limits.arm_silent_s and not self._excused:
             found.append((Action.STOP, Fault.ARM_SILENT, f"no state of the arm for {age_s * 1e3:.0f} ms"))
-        if self._unmoved_m > limits.arm_frozen_m and now_ns - self._moved_ns >= limits.arm_frozen_s * 1e9:
+        if self._unmoved_m > limits.arm_frozen_m and self._unmoved_ns >= limits.arm_frozen_s * 1e9:
             why = f"its joints say the same while it was sent {self._unmoved_m * 1e3:.1f} mm on"
             found.append((Action.STOP, Fault.ARM_FROZEN, why))
         return found
+
+    def _collision(self, sample: ArmSample) -> list[tuple[Action, Fault, str]]:
+        limit_nm = self.limits.collision_nm
+        if self._collisions is None or not sample.torques_nm or limit_nm == 0:
+            return []
+        why = self._collisions.look(sample.torques_nm, sample.joints_deg, self._tip_n, limit_nm, sample.time_ns)
+        return [(Action.STOP, Fault.COLLISION, why)] if why else []
 
     def _motion(self, sample: ArmSample) -> list[tuple[Action, Fault, str]]:
         """Speed and box of the tip's centre in the base frame, the rate of turning, and joints on their way to a limit,
@@ -377,15 +405,21 @@ class Supervisor:
         ]
 
     def _clear(self, sample: ArmSample, before: ArmSample, span_s: float) -> list[tuple[Action, Fault, str]]:
-        """Elbow and wrist on their way into the table, and the arm on its way into itself, ahead as the box."""
+        """Elbow and wrist on their way into the table or out of the arm's box, and the arm into itself, ahead."""
         if self._chain is None or self._clearance is None or sample.joints_deg == before.joints_deg:
             return []
         joints_deg = np.array(sample.joints_deg)
         ahead_deg = joints_deg + self.limits.look_ahead_s * (joints_deg - np.array(before.joints_deg)) / span_s
         links = self._chain.forward(ahead_deg)
-        then_m, self._clear_m = self._clear_m, (self._clearance.over_table_m(links), self._clearance.to_itself_m(links))
-        limits_m = self.limits.table_m, self.limits.itself_m
-        what = (Fault.TABLE, "elbow or wrist above the table"), (Fault.ITSELF, "between two parts of the arm")
+        clearance, limits = self._clearance, self.limits
+        inside_m = clearance.in_box_m(links, limits.arm_box)
+        then_m, self._clear_m = self._clear_m, (clearance.over_table_m(links), clearance.to_itself_m(links), inside_m)
+        limits_m = limits.table_m, limits.itself_m, 0.0
+        what = (
+            (Fault.TABLE, "elbow or wrist above the table"),
+            (Fault.ITSELF, "between two parts of the arm"),
+            (Fault.ARM_BOX, "elbow, wrist or stick inside the arm's box"),
+        )
         return [
             (Action.STOP, fault, f"{100 * now_m:.1f} cm {words} and nearing, limit {100 * limit_m:g} cm")
             for (fault, words), now_m, was_m, limit_m in zip(what, self._clear_m, then_m, limits_m, strict=True)

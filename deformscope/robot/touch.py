@@ -147,7 +147,8 @@ class TouchRecord:
     peak_force_n: greatest measured magnitude; noise_n: (3,) deviation of a reading in free air at the tare
     phases: what it did when; ending, reason: why it ended; settled: dent and force were still
     arms, forces: the states and readings that all of it is computed from, each reading with the time of the arm's
-    newest state then [ns]; poses: all states of that, those before the approach among them
+    newest state then [ns]; poses: all states of that, those before the approach among them; back: states on the way
+    back
     """
 
     plan: TouchPlan
@@ -170,6 +171,7 @@ class TouchRecord:
     arms: tuple[ArmSample, ...] = ()
     forces: tuple[tuple[ForceSample, int], ...] = ()
     poses: tuple[ArmSample, ...] = ()
+    back: tuple[ArmSample, ...] = ()
 
 
 HELD_GAIN_PER_S = 3.0
@@ -548,6 +550,7 @@ class TouchRun:
             arms=tuple(sample for sample, among in zip(self._arms, kept, strict=True) if among),
             forces=tuple(self._forces),
             poses=tuple(self._poses),
+            back=tuple(sample for sample, among in zip(self._arms, kept, strict=True) if not among),
         )
 
     def _now_s(self) -> float:

@@ -6,7 +6,6 @@ Each run has its own foam, tip, tilt, moment and fault, all drawn from its seed,
 from __future__ import annotations
 
 import contextlib
-import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,15 +17,15 @@ from deformscope.lab.faults import ARM, CAMERA, FORCE, Injected, inject
 from deformscope.lab.springy_foam import SpringyFoam
 from deformscope.lab.touch_lab import TouchLab
 from deformscope.rig.rig_file import Tool
-from deformscope.robot.placement import Placement, best_joints, reach
+from deformscope.robot.placement import Placement, best_joints, follow, reach
 from deformscope.robot.preflight import check
-from deformscope.robot.readings import RobotObservation
+from deformscope.robot.readings import PERIOD_NS, RobotObservation
 from deformscope.robot.robot import Robot
 from deformscope.robot.setup import T_BASE_SURFACE
 from deformscope.robot.supervisor import Action, Fault, Limits, SafetyVerdict
 from deformscope.robot.touch import TouchPlan, run_touch
 from deformscope_drivers.arm.errors import NotStopped
-from deformscope_drivers.arm.kinematics import FloatArray
+from deformscope_drivers.arm.kinematics import FloatArray, rotation_vector
 from deformscope_drivers.depth_camera.synthetic import View
 from deformscope_drivers.jaco.chains import J2N6S300
 
@@ -34,7 +33,12 @@ BOX_LOW_M, BOX_HIGH_M = (-0.40, -0.65, 0.02), (0.40, -0.08, 0.40)
 """In the arm's base frame: the air over the table."""
 FOAM_TOP_M = 0.08
 VIEW_SHAPE = (12, 16)
-AFTER_S = 0.3
+AFTER_S = 0.5
+ACCELERATION_DEG_S2 = 200.0
+"""Of a Jaco's joints at most, as Kinova's staff read it in the base's firmware (kinova-ros issue 380)."""
+TORQUE_NOISE_NM, GRAVITY_LEFT = 0.15, 0.1
+"""Of its joint torques without gravity: deviation, and the share of gravity's that is left in them. Chosen; real ones
+show 1 to 3 N at the hand where nothing touches (kinova-ros issues 366, 411)."""
 GREATEST_TILT_DEG = 20.0
 MODULI_PA = (10e3, 1e9)
 
@@ -42,36 +46,79 @@ MODULI_PA = (10e3, 1e9)
 ALLOWED_S = {
     **dict.fromkeys(FORCE, 0.05),
     **dict.fromkeys(ARM, 0.1),
-    Injected.ARM_TURNS: 0.4,
     **dict.fromkeys(CAMERA, 2 / 30),
 }
 """Within which each must be noticed: a camera's two frame periods count from when its pictures matter, an arm that
-turns by itself from when it moves: at 20 deg/s, held against, it has then turned by the 5 deg that are allowed."""
-STANDS_WITHIN_S = 2 * ARM_CYCLE_NS / 1e9
+turns by itself, or whose angles are frozen, from when it moves for the first time."""
+AS_IT_MOVES = (Injected.ARM_TURNS, Injected.ARM_FROZEN)
+UNSEEN_M = 0.002
+"""An arm whose angles are frozen and that hardly moves may be noticed later, but before its tip has gone so far unseen:
+a fifth of a tip's radius. Its force is seen all the while."""
+TURNED_DEG = 6.0
+"""An arm that turns by itself is noticed by how far it has turned, not by time: by the 5 deg beside what was commanded
+that the supervisor allows, and by what it turns in 30 ms."""
+ENDED_WITHIN_S = 2 * ARM_CYCLE_NS / 1e9
+
+
+@dataclass(frozen=True, slots=True)
+class Standstill:
+    """From when a fault was noticed until no joint turned. nan = it never stood
+
+    seconds; tip_m: way of the tip's centre; turned_deg: of the joint that turned most
+    """
+
+    seconds: float = math.nan
+    tip_m: float = math.nan
+    turned_deg: float = math.nan
+
+
+@dataclass(frozen=True, slots=True)
+class ArmCycle:
+    """One of a simulated arm's cycles, as it ends: joints_deg, rates_deg_s (n,), and points that wait in it"""
+
+    time_ns: int
+    joints_deg: FloatArray
+    rates_deg_s: FloatArray
+    waiting: int
+
+    @classmethod
+    def of(cls, lab: TouchLab) -> ArmCycle:
+        """Now."""
+        double = lab.arm_double
+        return cls(lab.clock(), double.joints_deg, double.rates_deg_s, double.fifo_count)
 
 
 @dataclass(frozen=True, slots=True)
 class FaultRun:
     """seed: of everything; noticed_s: after the fault was injected, or began to matter; nan = never
 
-    stands_s: after it was noticed, until a cycle in which the arm does not move; moved_later: a stopped arm has moved
-    again; moving: it moved when the fault came; max_force_n: greatest true contact force
+    ended_s: after it was noticed, until nothing waited in the arm that would move it; moved_later: a stopped arm was
+    moved again; moving: it moved when the fault came; max_force_n: greatest true contact force
+    standstill: from when it was stopped until it stood
+    unseen_m: way of the tip from the fault until it was noticed; turned_deg: how far the arm's end was then turned
+    beside what was commanded; both as they truly were
     """
 
     seed: int
     injected: Injected
     noticed: Fault
     noticed_s: float
-    stands_s: float
+    ended_s: float
     moved_later: bool
     moving: bool
     max_force_n: float
+    standstill: Standstill
+    unseen_m: float = math.nan
+    turned_deg: float = math.nan
 
     @property
     def in_time(self) -> bool:
         """Noticed and stopped within what is allowed, for good."""
         noticed = -1e-9 <= self.noticed_s <= ALLOWED_S[self.injected] + 1e-9
-        return noticed and self.stands_s <= STANDS_WITHIN_S + 1e-9 and not self.moved_later
+        if self.injected in AS_IT_MOVES and self.noticed_s >= -1e-9:
+            frozen = self.injected is Injected.ARM_FROZEN
+            noticed = noticed or self.unseen_m <= UNSEEN_M if frozen else self.turned_deg <= TURNED_DEG
+        return noticed and self.ended_s <= ENDED_WITHIN_S + 1e-9 and not self.moved_later
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,7 +151,8 @@ def make_scene(
         start_deg = best_joints(J2N6S300, [placement.T_base_ee(place_m, normal) for place_m in places_m])
         if start_deg is not None:
             least = reach(J2N6S300, placement, places_m, normal, start_deg=start_deg).least_singular
-            if least.min() > 0.04:
+            route = places_m[[0, 1, 2, 0]]
+            if least.min() > 0.04 and follow(J2N6S300, placement, route, normal, start_deg=start_deg).all():
                 break
     foam = SpringyFoam(drawn_pa if modulus_pa is None else modulus_pa, point_m, normal, tool)
     pictures = np.random.default_rng([seed, 0xCA])
@@ -115,6 +163,8 @@ def make_scene(
         start_deg=start_deg,
         seed=seed,
     )
+    lab.arm_double.accelerate(ACCELERATION_DEG_S2)
+    lab.arm_double.blur_torques(TORQUE_NOISE_NM, GRAVITY_LEFT)
     lab.open()
     limits = Limits(low_m=BOX_LOW_M, high_m=BOX_HIGH_M)
     robot = Robot(lab.arm, lab.force, placement, limits, camera=lab.camera, clock=lab.clock, wait_until=lab.wait_until)
@@ -127,27 +177,29 @@ def run_fault(seed: int, injected: Injected) -> FaultRun:
     random = np.random.default_rng([seed, 0xFA])
     scene = make_scene(seed)
     lab, robot = scene.lab, scene.robot
-    joints: list[tuple[int, FloatArray]] = []
-    state = {"at_ns": -1, "matters_ns": -1, "moving": 0, "noticed_ns": -1}
+    cycles: list[ArmCycle] = []
+    state = {"at_ns": -1, "matters_ns": -1, "moving": 0}
     verdicts: list[SafetyVerdict] = []
+    turned_deg: list[float] = []
 
     def strike() -> None:
         state["at_ns"] = lab.clock()
         state["moving"] = int(robot.commanded[-1][1] > 0) if robot.commanded else 0
-        if robot.camera_needed if injected in CAMERA else injected is not Injected.ARM_TURNS:
+        if robot.camera_needed if injected in CAMERA else injected not in AS_IT_MOVES:
             state["matters_ns"] = lab.clock()
         inject(lab, injected, random)
 
     def watcher(seen: RobotObservation, verdict: SafetyVerdict) -> None:
         if injected in CAMERA and robot.camera_needed and state["at_ns"] < 0 and not lab.scheduled:
             lab.schedule(lab.clock() + round(random.uniform(0.0, 0.3) * 1e9), strike)
-        if injected is Injected.ARM_TURNS and state["at_ns"] >= 0 and (state["matters_ns"] < 0 or not robot.moving):
-            state["matters_ns"] = lab.clock()
-        if verdict.action is not Action.GO_ON and not verdicts:
+        if injected in AS_IT_MOVES and state["at_ns"] >= 0 > state["matters_ns"] and robot.moving:
+            state["matters_ns"] = max(state["at_ns"], lab.clock() - PERIOD_NS)  # sent as this period began
+        if verdict.action is not (verdicts[-1].action if verdicts else Action.GO_ON):
             verdicts.append(verdict)
+            turned_deg.append(turned_aside_deg(robot, lab))
 
     robot.watch = watcher
-    lab.on_cycle = lambda: joints.append((lab.clock(), lab.arm_double.joints_deg))
+    lab.on_cycle = lambda: cycles.append(ArmCycle.of(lab))
     if injected not in CAMERA:
         lab.schedule(lab.clock() + round(random.uniform(0.05, 6.5) * 1e9), strike)
     try:
@@ -158,7 +210,7 @@ def run_fault(seed: int, injected: Injected) -> FaultRun:
             NotStopped
         ):  # the arm's cable is out: its driver says at closing that it could not be stopped
             lab.close()
-    return _judge(seed, injected, state, verdicts, joints, lab)
+    return _judge(seed, injected, state, verdicts, turned_deg, cycles, lab)
 
 
 def _judge(
@@ -166,47 +218,68 @@ def _judge(
     injected: Injected,
     state: dict[str, int],
     verdicts: list[SafetyVerdict],
-    joints: list[tuple[int, FloatArray]],
+    turned_deg: list[float],
+    cycles: list[ArmCycle],
     lab: TouchLab,
 ) -> FaultRun:
+    """verdicts: the first, and a stop after it where it was backed away first; turned_deg: at each"""
     moving, force_n = bool(state["moving"]), lab.contact.max_force_n
     if not verdicts:
-        return FaultRun(seed, injected, Fault.NONE, math.nan, math.nan, False, moving, force_n)
+        return FaultRun(seed, injected, Fault.NONE, math.nan, math.nan, False, moving, force_n, Standstill())
     noticed_ns = verdicts[0].time_ns
-    stands_ns, moved_later = -1, False
-    for (_, before), (now_ns, after) in itertools.pairwise(joints):
-        if now_ns <= noticed_ns:
-            continue
-        if np.array_equal(before, after):
-            stands_ns = now_ns if stands_ns < 0 else stands_ns
-        elif stands_ns >= 0 and verdicts[0].action is Action.STOP:
-            moved_later = True
-    # The cycle in which it does not move began one cycle before it was seen not to have moved.
-    stands_s = math.nan if stands_ns < 0 else max(0, stands_ns - ARM_CYCLE_NS - noticed_ns) / 1e9
+    ended_s, moved_later, still = after_stop(cycles, noticed_ns, lab)
+    if verdicts[0].action is not Action.STOP:  # it stands for a moment, and then backs away
+        moved_later, still = False, Standstill()
+        if verdicts[-1].action is Action.STOP:
+            ended_s, moved_later, still = after_stop(cycles, verdicts[-1].time_ns, lab)
     since_ns = state["matters_ns"] if state["matters_ns"] >= 0 else noticed_ns + 1_000_000_000
     noticed_s = (noticed_ns - since_ns) / 1e9
-    return FaultRun(seed, injected, verdicts[0].fault, noticed_s, stands_s, moved_later, moving, force_n)
+    unseen_m = _way_m([one for one in cycles if state["at_ns"] <= one.time_ns <= noticed_ns], lab)
+    return FaultRun(
+        seed,
+        injected,
+        verdicts[0].fault,
+        noticed_s,
+        ended_s,
+        moved_later,
+        moving,
+        force_n,
+        still,
+        unseen_m,
+        turned_deg[0],
+    )
 
 
-def run_faults(seeds: Sequence[int]) -> list[FaultRun]:
-    """One run a seed, the faults in turn."""
-    kinds = list(Injected)
-    return [run_fault(seed, kinds[seed % len(kinds)]) for seed in seeds]
+def turned_aside_deg(robot: Robot, lab: TouchLab) -> float:
+    """How far the arm's end truly is turned beside what was commanded; nan before anything was."""
+    commanded = robot.rotation.rotation
+    if commanded is None:
+        return math.nan
+    return math.degrees(np.linalg.norm(rotation_vector(lab.arm_double.T_base_links[-1][:3, :3] @ commanded.T)))
 
 
-def table(runs: Sequence[FaultRun]) -> str:
-    """The runs as text, a line for each fault: how many, noticed and standing after how long, how many in time."""
-    lines = [
-        f"{'fault':36}{'runs':>5}{'moving':>8}{'noticed [ms]: median, max, limit':>36}{'stands, max':>13}{'in time':>9}"
-    ]
-    for injected in Injected:
-        some = [run for run in runs if run.injected is injected]
-        if not some:
-            continue
-        noticed_ms = [1e3 * run.noticed_s for run in some]
-        stands_ms = max(1e3 * run.stands_s for run in some)
-        figures = f"{np.median(noticed_ms):.0f}, {max(noticed_ms):.0f}, {1e3 * ALLOWED_S[injected]:.0f}"
-        good = sum(run.in_time for run in some)
-        moving = sum(run.moving for run in some)
-        lines.append(f"{injected:36}{len(some):5}{moving:8}{figures:>36}{stands_ms:13.0f}{good:9}")
-    return "\n".join(lines)
+def _way_m(cycles: Sequence[ArmCycle], lab: TouchLab) -> float:
+    """Of the tip's centre over some cycles."""
+    if not cycles:
+        return 0.0
+    links = lab.arm_double.chain.forward(np.array([one.joints_deg for one in cycles]))
+    tips_m = lab.placement.T_surface_center(links[:, -1])[:, :3, 3]
+    return float(np.linalg.norm(np.diff(tips_m, axis=0), axis=1).sum())
+
+
+def after_stop(cycles: Sequence[ArmCycle], noticed_ns: int, lab: TouchLab) -> tuple[float, bool, Standstill]:
+    """After a fault was noticed: how long until nothing waited in the arm [s], whether anything moved it later, and its
+    way to standstill."""
+    after = [one for one in cycles if one.time_ns > noticed_ns]
+    ended_ns = next((one.time_ns for one in after if one.waiting == 0), -1)
+    # what is seen to be empty at the end of a cycle was so at its begin, unless a point was carried out in it
+    ended_s = math.nan if ended_ns < 0 else max(0, ended_ns - ARM_CYCLE_NS - noticed_ns) / 1e9
+    stands = next((one for one in after if one.time_ns >= ended_ns and not np.any(one.rates_deg_s)), None)
+    if stands is None:
+        return ended_s, True, Standstill()
+    later = any(one.waiting or np.any(one.rates_deg_s) for one in after if one.time_ns > stands.time_ns)
+    way = [*[one for one in cycles if one.time_ns <= noticed_ns][-1:], *after]
+    way = way[: 1 + sum(one.time_ns <= stands.time_ns for one in after)]
+    seconds = max(0, stands.time_ns - ARM_CYCLE_NS - noticed_ns) / 1e9
+    turned_deg = float(np.abs(way[-1].joints_deg - way[0].joints_deg).max())
+    return ended_s, later, Standstill(seconds, _way_m(way, lab), turned_deg)

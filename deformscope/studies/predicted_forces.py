@@ -200,29 +200,21 @@ def _press(drawn: PokedSlab) -> _Pressed:
 
 def _in_full(case: ForceCase, drawn: PokedSlab, factor: FloatArray, pressed: _Pressed) -> TriedSlab:
     """Forces that are off by these factors (24,) change the stiffness alone that pokes meet."""
-    clean = pressed.model
-    model = dataclasses.replace(clean, stiffness=clean.stiffness * factor[drawn.fitted])
+    model = dataclasses.replace(pressed.model, stiffness=pressed.model.stiffness * factor[drawn.fitted])
     assert model.between is not None
     pokes = []
     for (press, poke, found, score), i in zip(pressed.unseen, np.flatnonzero(~drawn.fitted), strict=True):
-        force, ends = _met(model, found)
-        was, was_ends = _met(clean, found)
         assert poke.force is not None
         assert found.force is not None
-        assert found.force_interval is not None
-        low, high = (end * new / old for end, new, old in zip(found.force_interval, ends, was_ends, strict=True))
-        judged = _judged(drawn, int(i), poke.force * float(factor[i]), found.force * force / was, (low, high))
+        assert found.stiffness is not None
+        assert found.layers is not None
+        met = model.stiffness_at(found.poke, found.layers.spacing, found.force_deviation)
+        assert met is not None
+        reaction = found.force / found.stiffness
+        low, high = (reaction * end for end in met.interval)
+        judged = _judged(drawn, int(i), poke.force * float(factor[i]), reaction * met.value, (low, high))
         pokes.append(dataclasses.replace(judged, same_tip=press.sides == TIP, surface_error=score.surface_error))
     return TriedSlab(case, model.between.kind, tuple(pokes))
-
-
-def _met(model: FittedModel, found: Prediction) -> tuple[float, tuple[float, float]]:
-    """Stiffness that a predicted poke meets, and its interval [N/m]."""
-    assert found.layers is not None
-    extra = model.transfer_deviation(found.poke.tip, found.depth)
-    met = model.stiffness_at(found.poke, found.layers.spacing, extra)
-    assert met is not None
-    return met.value, met.interval
 
 
 def _judged(drawn: PokedSlab, which: int, force: float, predicted: float, ends: tuple[float, float]) -> UnseenForce:

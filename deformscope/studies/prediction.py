@@ -76,6 +76,36 @@ def compare(
     return found
 
 
+@dataclass(frozen=True, slots=True)
+class PooledPokes:
+    """How the model did on several measured pokes. surface_error, force_error: root mean square, of the depth and of
+    the measured force; forces: pokes whose force was measured and predicted; held: of these, how many 90 % intervals
+    hold it; width: median of the intervals' widths, of the predicted force; None without forces"""
+
+    pokes: int
+    surface_error: float
+    forces: int
+    force_error: float | None
+    held: int
+    width: float | None
+
+
+def together(compared: Sequence[PokeComparison]) -> PooledPokes:
+    """All of them, at least one."""
+    surface = [one.scores[0].surface_error for one in compared]
+    off, held, width = [], 0, []
+    for one in compared:
+        found, measured = one.prediction, one.poke.force
+        if measured is None or found.force is None or found.force_interval is None:
+            continue
+        low, high = found.force_interval
+        off.append(found.force / measured - 1.0)
+        held += low <= measured <= high
+        width.append((high - low) / found.force)
+    rms, median = (float(np.sqrt(np.mean(np.square(off)))), float(np.median(width))) if off else (None, None)
+    return PooledPokes(len(compared), float(np.sqrt(np.mean(np.square(surface)))), len(off), rms, held, median)
+
+
 def predict_seen(model: FittedModel, poke: SeenPoke, *, device: str = "cpu") -> tuple[Prediction, FloatArray, Score]:
     """A measured poke predicted from its place, tip and depth: displacement (n, 3) of its points [m] too, and how well
     that did."""

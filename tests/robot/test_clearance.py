@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from deformscope.robot.clearance import ArmClearance, segment_distance
+from deformscope.robot.clearance import ArmBox, ArmClearance, segment_distance
 from deformscope.robot.placement import Placement
 from deformscope.robot.readings import ArmSample, ForceSample, RobotObservation
 from deformscope.robot.setup import T_BASE_SURFACE
@@ -37,11 +37,13 @@ def test_an_arm_at_home_is_clear(chain: Chain) -> None:
     assert clearance.to_itself_m(links) > 0.03
 
 
-def driven(chain: Chain, start_deg: FloatArray, rates_deg_s: FloatArray, seconds: float) -> tuple[Fault, ArmSample]:
+def driven(
+    chain: Chain, start_deg: FloatArray, rates_deg_s: FloatArray, seconds: float, box: ArmBox | None = None
+) -> tuple[Fault, ArmSample]:
     """What a supervisor says of an arm that turns so, and where it then was."""
     placement = Placement(T_BASE_SURFACE)
     clearance = ArmClearance(placement, chain.forward(chain.home_deg))
-    limits = Limits(speed_m_s=9.0, turn_deg_s=900.0)
+    limits = Limits(speed_m_s=9.0, turn_deg_s=900.0, arm_box=box)
     supervisor = Supervisor(limits, 0, placement.T_ee_center, chain, clearance=clearance)
     sample = ArmSample(0, chain.end_effector(start_deg), tuple(start_deg))
     for number in range(1, round(100 * seconds)):
@@ -94,3 +96,31 @@ def test_an_arm_may_move_away_from_the_table() -> None:
     assert clearance.over_table_m(chain.forward(low_deg)) < LINK_RADIUS_M
     noticed, _ = driven(chain, low_deg, np.array([0.0, -10.0, 0.0, 0.0, 0.0, 0.0]), 1.0)
     assert noticed is Fault.NONE
+
+
+@pytest.mark.parametrize("model", ["j2n6s300", "kr6r900sixx"])
+@pytest.mark.parametrize("way", [-1.0, 1.0])
+def test_an_arm_is_stopped_before_it_leaves_its_box(model: str, way: float) -> None:
+    """A wall beside the arm that it would meet as it turns by 30 deg about its foot."""
+    chain = CHAINS[model]
+    placement, rates_deg_s = Placement(T_BASE_SURFACE), np.zeros(chain.joint_count)
+    rates_deg_s[0] = 20.0 * way
+    clearance = ArmClearance(placement, chain.forward(chain.home_deg))
+    here, met = chain.forward(chain.home_deg), chain.forward(chain.home_deg + 1.5 * rates_deg_s)
+
+    def wall(side: int, at_m: float) -> ArmBox:
+        corners = [-3.0] * 3 + [3.0] * 3
+        corners[side] = at_m if side > 2 else -at_m
+        return (corners[0], corners[1], corners[2]), (corners[3], corners[4], corners[5])
+
+    out_m = [[-clearance.in_box_m(links, wall(side, 0.0)) for side in (0, 1, 3, 4)] for links in (here, met)]
+    nearing = int(np.argmax(np.subtract(*out_m[::-1])))
+    box = wall((0, 1, 3, 4)[nearing], 0.5 * (out_m[0][nearing] + out_m[1][nearing]))
+    assert clearance.in_box_m(here, box) > 0 > clearance.in_box_m(met, box)
+    assert clearance.in_box_m(here, None) == float("inf")
+
+    noticed, sample = driven(chain, chain.home_deg, rates_deg_s, 3.0, box)
+
+    assert noticed is Fault.ARM_BOX
+    then_deg = np.array(sample.joints_deg) + 0.02 * rates_deg_s
+    assert clearance.in_box_m(chain.forward(then_deg), box) > 0

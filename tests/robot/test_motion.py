@@ -24,6 +24,7 @@ from deformscope_drivers.arm.kinematics import Chain, FloatArray, least_singular
 from deformscope_drivers.arms import CHAINS as ARMS
 from deformscope_drivers.jaco.chains import CHAINS, J2N6S300, J2S7S300
 from deformscope_drivers.jaco.structures import PositionType
+from tests.cases import slow_but
 from tests.robot.quick_touch import quick_scene
 
 FREE_BOX = Limits(low_m=(-1.0, -1.0, -0.5), high_m=(1.0, 1.0, 1.5))
@@ -86,7 +87,7 @@ class Bench:
         return np.degrees(np.arccos(np.clip(-sticks @ normal, -1.0, 1.0)))
 
 
-@pytest.fixture(params=sorted(CHAINS))
+@pytest.fixture(params=slow_but(["j2n6s300", "j2s7s300"], sorted(CHAINS)))
 def bench(request: pytest.FixtureRequest) -> Iterator[Bench]:
     chain, start_deg = CHAINS[request.param], None
     if chain is not J2N6S300:

@@ -163,6 +163,28 @@ def test_an_arm_that_says_the_same_while_it_is_sent_on() -> None:
     assert k * PERIOD <= 100 * MS
 
 
+def test_pauses_between_do_not_hide_an_arm_that_says_the_same() -> None:
+    supervisor = Supervisor(Limits(), 0)
+    for k in range(1, 200):  # five periods of 0.3 mm, five of rest
+        judged(supervisor, k * PERIOD, arms=(arm(k * PERIOD),), commanded_m_s=0.03 if k % 10 < 5 else 0.0)
+        if supervisor.verdict.action is Action.STOP:
+            break
+
+    assert supervisor.verdict.fault is Fault.ARM_FROZEN
+    assert k == 20  # the first period in which it has been sent on for 90 ms
+
+
+def test_an_arm_that_rests_for_long_and_then_begins_late_is_not_frozen() -> None:
+    supervisor = Supervisor(Limits(), 0)
+    for k in range(1, 100):
+        judged(supervisor, k * PERIOD)
+    for k in range(100, 108):  # 80 ms: as long as an arm may take to begin
+        judged(supervisor, k * PERIOD, arms=(arm(k * PERIOD),), commanded_m_s=0.05)
+    judged(supervisor, 108 * PERIOD, arms=(arm(108 * PERIOD, 1e-4),), commanded_m_s=0.05)
+
+    assert supervisor.verdict.action is Action.GO_ON
+
+
 def test_the_arm() -> None:
     broken = ArmSample(PERIOD, np.full((4, 4), np.nan), (0.0,))
     assert judged(Supervisor(Limits(), 0), PERIOD, arms=(broken,)).fault is Fault.ARM_INVALID

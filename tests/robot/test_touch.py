@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from deformscope.robot.preflight import Check, _first_way, check
 from deformscope.robot.robot import RobotStopped, TipVelocity
 from deformscope.robot.supervisor import Fault
 from deformscope.robot.touch import Phase, TouchEnding, TouchPlan, TouchRecord, run_touch
-from deformscope.studies.fault_study import FaultScene, make_scene, run_fault, run_faults
+from deformscope.studies.fault_study import FaultScene, make_scene, run_fault, turned_aside_deg
 from tests.robot.quick_touch import quick_scene
 
 SOFT_N = 8.0
@@ -52,6 +53,25 @@ def test_it_presses_as_told_and_never_harder(modulus_pa: float, tip: str, tilt_d
     )
     assert len(record.time_s) == len(record.position_m) == len(record.force_n) > record.loading > 100
     assert np.all(np.diff(record.time_s) > 0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("tangential", "least_m", "most_m"), [("held", 0.0, 1e-4), ("free", 3e-3, 2e-2)])
+def test_a_tip_on_a_slope_stays_or_follows_the_force_across(
+    tangential: Literal["held", "free"], least_m: float, most_m: float
+) -> None:
+    """A slippery plate that leans by 12 degrees, touched from straight above."""
+    scene = quick_scene(3, modulus_pa=1e11, tip="sphere", tilt_deg=12.0)
+    plan = dataclasses.replace(scene.plan, normal=np.array([0.0, 0.0, 1.0]), tangential=tangential)
+    record = run_touch(scene.robot, plan)
+    scene.lab.close()
+
+    assert record.center_m is not None
+    assert record.contact_m is not None
+    across_m = (record.center_m - record.contact_m)[:2]
+    assert least_m <= float(np.hypot(*across_m)) < most_m
+    assert record.final_force_n is not None
+    assert float(across_m @ record.final_force_n[:2]) >= 0.0 or tangential == "held"
 
 
 def test_the_record_is_the_foams_own_law() -> None:
@@ -144,8 +164,13 @@ def test_a_soft_stop_stands_and_then_backs_away() -> None:
 AS_OTHERS = (
     Injected.FORCE_CABLE,
     Injected.FORCE_FROZEN,
+    Injected.FORCE_BROKEN,
+    Injected.STORM,
+    Injected.ARM_SILENT,
     Injected.ARM_INVALID,
+    Injected.ARM_LATE,
     Injected.CAMERA_SILENT,
+    Injected.CAMERA_FROZEN,
     Injected.CAMERA_CABLE,
 )
 """Noticed as others are; what the supervisor says of each is in `test_supervisor`."""
@@ -159,14 +184,6 @@ def test_a_fault_is_noticed_in_time_and_the_arm_stands(injected: Injected) -> No
 
     assert run.in_time, run
     assert run.max_force_n < SOFT_N
-
-
-@pytest.mark.slow
-def test_a_thousand_faults() -> None:
-    runs = run_faults(range(1000))
-
-    assert [run for run in runs if not run.in_time] == []
-    assert max(run.max_force_n for run in runs) < SOFT_N
 
 
 def test_a_tip_that_may_touch_is_not_taken_for_free() -> None:
@@ -194,18 +211,23 @@ def test_a_camera_that_repeats_itself_is_found_before_anything_moves() -> None:
     assert "camera: alive: plug the camera" in report.table()
 
 
-@pytest.mark.parametrize("call_ms", [4.0, *(pytest.param(ms, marks=pytest.mark.slow) for ms in (1.0, 2.8))])
+@pytest.mark.slow  # whole touches; the jaco device's own tests have the rates of its states
+@pytest.mark.parametrize("call_ms", [1.0, 2.8, 4.0])
 def test_a_slow_link_to_the_arm_is_no_fault(call_ms: float) -> None:
     """What a call over USB takes (kinova-ros issues 281, 372): the preflight passes, and a touch is as it was."""
     scene = quick_scene(6)
     scene.lab.call_s = call_ms / 1e3
     report = check(scene.robot, [scene.plan], calibrated={})
+    aside_deg = [0.0]
+    scene.robot.watch = lambda *_: aside_deg.append(turned_aside_deg(scene.robot, scene.lab))
     record = run_touch(scene.robot, scene.plan)
     scene.lab.close()
 
     assert report.passed, report.table()
     assert record.ending is TouchEnding.SET_FORCE
     assert np.linalg.norm(record.force_n, axis=1).max() < scene.plan.set_force_n + 0.5
+    assert len(aside_deg) > 100
+    assert max(aside_deg) < 1.0
 
 
 def test_a_link_that_is_too_slow_for_the_control_cycle_is_found_before_anything_moves() -> None:

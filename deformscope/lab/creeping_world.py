@@ -1,0 +1,129 @@
+"""A slab that creeps: `SlabWorld` with a memory, in which every modulus relaxes alike.
+
+    world = CreepingWorld(scene, Relaxation((0.3,), (1.0,)))
+    world.at(0.01); world.press(tip, center_m)         # from rest, at a time [s]
+    world.at(0.02); world.press(tip, center_m)         # forces decay while the tip stands still
+
+The foam is a generalised Maxwell solid, E(t) = E0 (1 - sum g_i + sum g_i exp(-t / t_i)), Poisson's ratio constant: then
+all that a touch feels is felt through the elastic stiffness K of the nodes that a tip may touch, and
+
+    f = (1 - sum g_i) K u + sum_i q_i,      dq_i/dt = g_i K du/dt - q_i / t_i
+
+holds for them exactly, those beside the tip included (their f is 0, and their dent recovers slowly). Over a step in
+which u moves evenly this is f = A K u + h with a number A and a known h, so that each step is the same complementarity
+problem as an elastic press, of compliance C / A. What a foam keeps for good is a branch that never relaxes back: a time
+of hours.
+
+What is left out: foams of different relaxation within the reach of one touch (each touch creeps as the foam below the
+tip's middle does), and the memory of a place that the tip slides away from by more than its mesh allows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from deformscope.arrays import FloatArray
+from deformscope.errors import InputError
+from deformscope.lab.scenes import Scene
+from deformscope.lab.slab import RigidTip
+from deformscope.lab.slab_world import Contact, Patch, SlabWorld
+
+
+@dataclass(frozen=True, slots=True)
+class Relaxation:
+    """How a foam's modulus relaxes. shares: of the instantaneous modulus, by branch, together below 1; times_s: each
+    branch's relaxation time"""
+
+    shares: tuple[float, ...] = ()
+    times_s: tuple[float, ...] = ()
+
+    def __post_init__(self) -> None:
+        alike = len(self.shares) == len(self.times_s)
+        if not (alike and min((*self.shares, *self.times_s, 1.0)) > 0.0 and sum(self.shares) < 1.0):
+            raise InputError("shares above 0, together below 1, each with a time above 0 s", f"{self}")
+
+    @property
+    def share(self) -> float:
+        """Of the modulus that relaxes in all."""
+        return sum(self.shares)
+
+
+class CreepingWorld(SlabWorld):
+    """A scene's foam with a memory."""
+
+    def __init__(self, scene: Scene, relaxation: Relaxation | Callable[[FloatArray], Relaxation]) -> None:
+        """relaxation: of all foam, or of the foam at a place (2,) [m]"""
+        super().__init__(scene)
+        self._relaxation = relaxation if callable(relaxation) else lambda xy_m: relaxation
+        self._now_s = 0.0
+        self._step_s = 0.0
+        self._memory: _Memory | None = None
+
+    def at(self, time_s: float) -> None:
+        """The next press is at this time [s]. Of several presses at one time the last is what happens; without any
+        since the last time, nothing touched the foam meanwhile."""
+        if time_s < self._now_s:
+            raise InputError("a time not before the last", f"{time_s:g} s after {self._now_s:g} s")
+        if time_s > self._now_s:
+            if self._memory is not None:
+                self._memory.settle(self._step_s)
+            self._step_s = time_s - self._now_s
+            self._now_s = time_s
+
+    def press(self, tip: RigidTip, center_m: FloatArray) -> Contact:
+        """As `SlabWorld.press`; a tip that has left the foam sees its dent recover."""
+        contact = super().press(tip, center_m)
+        if contact.mesh_m is None and self._memory is not None:
+            patch = self._memory.patch
+            load_n = self._memory.untouched_n(self._step_s)
+            node = np.flatnonzero(load_n)
+            place = patch.candidate_m[node]
+            return replace(contact, place_m=place, node_force_n=load_n[node], mesh_m=patch.xy_m, node=node)
+        return contact
+
+    def _push_out(self, patch: Patch, overlap: FloatArray) -> tuple[FloatArray, FloatArray]:
+        if self._memory is None or self._memory.patch is not patch:
+            self._memory = _Memory(patch, self._relaxation(patch.xy_m))
+        return self._memory.press(overlap, self._step_s)
+
+
+class _Memory:
+    """What one patch remembers. elastic_n: (n,) K u, what its nodes would carry had nothing relaxed [N]"""
+
+    def __init__(self, patch: Patch, relaxation: Relaxation) -> None:
+        self.patch = patch
+        self._share, self._time_s = np.array(relaxation.shares), np.array(relaxation.times_s)
+        self._elastic_n: FloatArray = np.zeros(len(patch.candidate_m))
+        self._branch_n: FloatArray = np.zeros((len(self._share), len(patch.candidate_m)))
+        self._next_n: FloatArray | None = None
+
+    def press(self, overlap: FloatArray, step_s: float) -> tuple[FloatArray, FloatArray]:
+        """(n,) forces after a step [N], and (n,) the elastic ones that move the surface as much."""
+        stiff, known_n, _, _ = self._law(step_s)
+        force_n = self.patch.push_out(overlap + self.patch.compliance @ known_n / stiff, 1.0 / stiff)
+        self._next_n = (force_n - known_n) / stiff
+        return force_n, self._next_n
+
+    def settle(self, step_s: float) -> None:
+        """The step happens as it was pressed last, or with nothing on the foam."""
+        _, _, left, even = self._law(step_s)
+        next_n = self._next_n if self._next_n is not None else self.untouched_n(step_s)
+        self._branch_n = left[:, None] * self._branch_n + (self._share * even)[:, None] * (next_n - self._elastic_n)
+        self._elastic_n, self._next_n = next_n, None
+
+    def untouched_n(self, step_s: float) -> FloatArray:
+        """(n,) the elastic forces after a step with nothing on the foam [N]."""
+        stiff, known_n, _, _ = self._law(step_s)
+        self._next_n = None
+        return -known_n / stiff
+
+    def _law(self, step_s: float) -> tuple[float, FloatArray, FloatArray, FloatArray]:
+        """A and h (n,) of a step, how much each branch keeps over it, and its mean over it for what comes evenly."""
+        over = step_s / self._time_s
+        left, even = np.exp(-over), np.where(over > 1e-9, -np.expm1(-over) / np.maximum(over, 1e-9), 1.0)
+        stiff = float(1.0 - self._share.sum() + (self._share * even).sum())
+        known_n = left @ self._branch_n - float((self._share * even).sum()) * self._elastic_n
+        return stiff, known_n, left, even

@@ -1,0 +1,167 @@
+"""Touches of foams that creep, in finite elements with a memory: is the fit of their creep right?
+
+What is drawn for each: hardness, thickness, Poisson's ratio, one or two branches that relax by RELAXES in all with
+times of TIMES_S, and how far the arm's compliance is off its calibration. The truth of a stiffness is that of the same
+slab pressed without memory, all of its modulus and what is left of it; the truth of a loss that of the true forces.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from deformscope.arrays import FloatArray
+from deformscope.lab.arm_contact import ARM_DOUBT, ARM_STIFFNESS_N_M
+from deformscope.lab.creeping_world import CreepingWorld, Relaxation
+from deformscope.lab.scenes import Piece, Scene, initial_modulus_pa
+from deformscope.lab.slab import RigidTip
+from deformscope.lab.slab_world import SlabWorld
+from deformscope.lab.touching import Sensing, force_curve, held_touch
+from deformscope.stages.poke.contact import ArmCompliance
+from deformscope.stages.poke.creep import CreepFit, CreepVerdict, fit_creep
+from deformscope.studies.coverage import Rate
+
+RELAXES, TIMES_S = (0.1, 0.4), (0.2, 5.0)
+HARDNESS_N, THICKNESS_M, POISSON = (40.0, 150.0), (0.035, 0.06), (0.05, 0.35)
+TIP_M, SET_FORCE_N, DEEPEST_M = 0.01, 3.0, 0.02
+QUANTITIES = (
+    "instantaneous stiffness",
+    "relaxed stiffness",
+    "share that relaxes",
+    "mean relaxation time",
+    "energy loss",
+)
+NEAR = 0.1
+UP = np.array([0.0, 0.0, 1.0])
+
+
+@dataclass(frozen=True, slots=True)
+class CreepCase:
+    """A foam and a touch of it. hold_s: how long the force is held; elastic: the foam has no memory"""
+
+    number: int
+    seed: int
+    hold_s: float
+    elastic: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class CreepOutcome:
+    """truth: (5,) of QUANTITIES (nan: there is none); value, low, high: (5,) as estimated; verdict"""
+
+    elastic: bool
+    truth: tuple[float, ...]
+    value: tuple[float, ...]
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+    verdict: CreepVerdict
+
+
+@dataclass(frozen=True, slots=True)
+class CreepRow:
+    """Of one quantity. error: rms share off; near: how many are within NEAR; held: in their intervals; width: median,
+    as a share of the truth"""
+
+    quantity: str
+    error: float
+    near: Rate
+    held: Rate
+    width: float
+
+
+def try_creep(case: CreepCase) -> CreepOutcome:
+    """Touch one foam, and fit."""
+    random = np.random.default_rng([case.seed, case.number, 19])
+    hardness = float(np.exp(random.uniform(*np.log(HARDNESS_N))))
+    piece = Piece("foam", initial_modulus_pa(hardness))
+    scene = Scene(
+        "homogeneous", 0, (piece,), {}, thickness_m=random.uniform(*THICKNESS_M), poisson=random.uniform(*POISSON)
+    )
+    branches = int(random.integers(1, 3))
+    shares = random.dirichlet([2.0] * branches) * random.uniform(*RELAXES)
+    fastest, slowest = np.log(TIMES_S)
+    times_s = np.exp(random.uniform(fastest, slowest, branches))
+    relaxation = Relaxation() if case.elastic else Relaxation(tuple(shares.tolist()), tuple(times_s.tolist()))
+    arm = ArmCompliance(1.0 / ARM_STIFFNESS_N_M, ARM_DOUBT / ARM_STIFFNESS_N_M)
+    off = max(1.0 + ARM_DOUBT * float(random.standard_normal()), 0.1)
+    tip, xy_m = RigidTip(radius=TIP_M), 0.5 * np.asarray(scene.size_m)
+    made = held_touch(
+        CreepingWorld(scene, relaxation),
+        tip,
+        xy_m,
+        hold_s=case.hold_s,
+        set_force_n=SET_FORCE_N,
+        max_depth_m=DEEPEST_M,
+        sensing=Sensing(arm_n_per_m=ARM_STIFFNESS_N_M / off),
+        random=random,
+    )
+    rest = np.append(xy_m, scene.thickness_m + TIP_M)
+    most_n = 1.1 * SET_FORCE_N / (1.0 - RELAXES[1])
+    depth_m, force_n = force_curve(SlabWorld(scene), tip, rest, UP, most_n, DEEPEST_M)
+    at_once, relaxed = (
+        1e-3 * SET_FORCE_N / float(np.interp(SET_FORCE_N / left, force_n, depth_m))
+        for left in (1.0, 1.0 - relaxation.share)
+    )
+    mean_s = float(np.dot(relaxation.shares, relaxation.times_s) / relaxation.share) if relaxation.share else np.nan
+    fit = fit_creep(
+        made.time_s,
+        made.position_m,
+        made.force_n,
+        UP,
+        loading=made.loading,
+        held=made.held,
+        set_force_n=SET_FORCE_N,
+        arm=arm,
+    )
+    loss = true_loss(made.true_depth_m, made.true_force_n, made.held)
+    return CreepOutcome(
+        case.elastic, (at_once, relaxed, relaxation.share, mean_s, loss), *_estimated(fit), verdict=fit.verdict
+    )
+
+
+def true_loss(depth_m: FloatArray, force_n: FloatArray, held: int) -> float:
+    """Share of the work (n,) steps that the way back did not give again."""
+    work = 0.5 * (force_n[1:] + force_n[:-1]) * np.diff(depth_m)
+    taken = float(work[: held - 1].sum())
+    return 1.0 + float(work[held - 1 :].sum()) / taken
+
+
+def creep_rows(outcomes: Sequence[CreepOutcome]) -> tuple[CreepRow, ...]:
+    """A row for each quantity that has a truth."""
+    truth, value, low, high = (
+        np.array([getattr(one, name) for one in outcomes]) for name in ("truth", "value", "low", "high")
+    )
+    rows = []
+    for at, quantity in enumerate(QUANTITIES):
+        known = np.isfinite(truth[:, at]) & np.isfinite(value[:, at]) & (np.abs(truth[:, at]) > 1e-2)
+        if not known.any():
+            continue
+        true = truth[known, at]
+        off = value[known, at] / true - 1.0
+        count = int(known.sum())
+        held = int(((low[known, at] <= true) & (true <= high[known, at])).sum())
+        rows.append(
+            CreepRow(
+                quantity,
+                float(np.sqrt(np.mean(off**2))),
+                Rate(count, int((np.abs(off) < NEAR).sum())),
+                Rate(count, held),
+                float(np.median((high[known, at] - low[known, at]) / true)),
+            )
+        )
+    return tuple(rows)
+
+
+def _estimated(fit: CreepFit) -> tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]]:
+    """Values, and the ends of their intervals, as QUANTITIES."""
+    nothing = (np.nan, np.nan)
+    pairs = (
+        (fit.instant_n_per_mm, fit.instant_interval),
+        (fit.relaxed_n_per_mm, fit.relaxed_interval),
+        (fit.share, fit.share_interval),
+        (fit.time_s, fit.time_interval),
+        (np.nan if fit.loss is None else fit.loss, fit.loss_interval or nothing),
+    )
+    return tuple(one for one, _ in pairs), tuple(ends[0] for _, ends in pairs), tuple(ends[1] for _, ends in pairs)

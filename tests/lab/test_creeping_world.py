@@ -1,0 +1,59 @@
+"""Foam with a memory: against the closed form of a relaxation test, and against foam without one."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from deformscope.errors import InputError
+from deformscope.lab.creeping_world import CreepingWorld, Relaxation
+from deformscope.lab.scenes import built_in
+from deformscope.lab.slab import RigidTip
+from deformscope.lab.slab_world import SlabWorld
+
+SCENE, TIP = built_in("homogeneous-60"), RigidTip(radius=0.01)
+REST_M = np.array([0.3, 0.2, SCENE.thickness_m + 0.01])
+PRESSED_M, ABOVE_M = REST_M - np.array([0.0, 0.0, 0.003]), REST_M + np.array([0.0, 0.0, 0.01])
+MIDDLE_M = np.array([[0.3, 0.2]])
+
+
+def test_a_dent_that_is_held_relaxes_as_the_material_does_and_recovers_slowly() -> None:
+    """Dented at once, every force is the elastic one times E(t) / E0 (correspondence principle), whatever the steps."""
+    relaxation = Relaxation((0.2, 0.1), (0.5, 2.0))
+    world, elastic = CreepingWorld(SCENE, relaxation), SlabWorld(SCENE).press(TIP, PRESSED_M)
+    world.at(1e-9)
+    assert world.press(TIP, PRESSED_M).normal_force_n == pytest.approx(elastic.normal_force_n, rel=1e-6)
+    for time_s in (0.01, 0.1, 0.5, 0.6, 3.0):
+        world.at(time_s)
+        world.press(TIP, ABOVE_M)  # a look at another place at the same time changes nothing
+        contact = world.press(TIP, PRESSED_M)
+        left = 0.7 + 0.2 * np.exp(-time_s / 0.5) + 0.1 * np.exp(-time_s / 2.0)
+        assert contact.normal_force_n == pytest.approx(left * elastic.normal_force_n, rel=1e-5)
+    dent = world.displaced_m(contact, MIDDLE_M)[0, 2]
+    assert dent == pytest.approx(-0.003, abs=1e-4)
+    dents = []
+    for time_s in (3.01, 4.0, 20.0):
+        world.at(time_s)
+        contact = world.press(TIP, ABOVE_M)
+        assert contact.normal_force_n == 0.0
+        dents.append(world.displaced_m(contact, MIDDLE_M)[0, 2])
+    assert dent < dents[0] < dents[1] < dents[2] < 0.0
+    assert dents[0] < -2e-4
+    assert dents[2] > -1e-5
+
+
+def test_foam_that_does_not_relax_is_the_elastic_one() -> None:
+    world, elastic = CreepingWorld(SCENE, Relaxation()), SlabWorld(SCENE)
+    for time_s, center_m in ((0.1, PRESSED_M), (0.2, 0.5 * (PRESSED_M + REST_M)), (0.3, PRESSED_M)):
+        world.at(time_s)
+        assert world.press(TIP, center_m).normal_force_n == pytest.approx(elastic.press(TIP, center_m).normal_force_n)
+
+
+def test_what_makes_no_sense_is_refused() -> None:
+    world = CreepingWorld(SCENE, Relaxation((0.3,), (1.0,)))
+    world.at(2.0)
+    with pytest.raises(InputError, match="not before the last"):
+        world.at(1.0)
+    for shares, times_s in (((0.3,), ()), ((0.6, 0.5), (1.0, 1.0)), ((0.3,), (0.0,)), ((-0.1,), (1.0,))):
+        with pytest.raises(InputError, match="shares above 0"):
+            Relaxation(shares, times_s)
