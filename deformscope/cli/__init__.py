@@ -52,7 +52,7 @@ COMMANDS: dict[str, Command] = {
     "calibrate beta": _command("find beta from images or pair files", "BetaConfig", "calibrate"),
     "calibrate theta": _command("find theta from images or pair files", "ThetaConfig", "calibrate"),
     "calibrate both": _command("find beta and theta together from pair files", "BothConfig", "materials", "both"),
-    "calibrate axes": _command("find a beta along each axis from pair files", "AxesConfig", "materials", "axes"),
+    "calibrate axes": _command("find a beta along each axis from images or pair files", "AxesConfig", "materials"),
     "calibrate arm": _command("measure the compliance of the arm, on something rigid", "ArmConfig", "calibrate_arm"),
     "calibrate tip": _command("find where the tip is on the arm, by tilting it", "TipConfig", "calibrate_setup", "tip"),
     "calibrate place": _command(
@@ -65,8 +65,9 @@ COMMANDS: dict[str, Command] = {
         "find how the force sensor sits, by pushing the tip", "ForceConfig", "calibrate_setup", "force"
     ),
     "calibrate time": _command("find how clocks differ, by tapping the tip", "TimeConfig", "calibrate_setup", "time"),
-    "calibrate yield": _command(
-        "the strain at which a thing yields, from its motion", "YieldConfig", "materials", "yielding"
+    "calibrate yield": _command("the strain at which a thing yields, from its motion", "YieldConfig", "materials"),
+    "calibrate viscous": _command(
+        "what relaxes, how fast, and what stays, from a push and its end", "ViscousConfig", "materials"
     ),
     "predict": _command("poke a fitted model where it was not poked", "PredictConfig", "predict"),
     "replay": _command("the same stages on recorded inputs, compared", "ReplayConfig", "replay"),
@@ -81,6 +82,9 @@ COMMANDS: dict[str, Command] = {
     "reproduce table41": _command(
         "maps of simulated tables over seeds (Thesis table 4.1)", "Table41Config", "reproduce_table41"
     ),
+    "reproduce chapter4": _command(
+        "fields of beta by the thesis's own rules (Thesis chapter 4)", "Chapter4Config", "reproduce_chapter4"
+    ),
     "reproduce containers": _command(
         "contents of squeezed containers (Thesis chapter 2)", "ContainersConfig", "reproduce_containers"
     ),
@@ -94,9 +98,15 @@ COMMANDS: dict[str, Command] = {
     "coverage force": _command(
         "how often the intervals of a predicted force hold it", "ForceCoverageConfig", "coverage_force"
     ),
+    "coverage creep": _command(
+        "how far off a creeping foam's stiffness and loss are", "CreepCoverageConfig", "coverage_creep"
+    ),
     "coverage": _command("how often the intervals hold the truth", "CoverageConfig", "coverage"),
     "coverage regions": _command(
         "how often a map's levels and number of regions are right", "RegionCoverageConfig", "coverage_regions"
+    ),
+    "coverage safety": _command(
+        "whether an arm stands in time when things go wrong", "SafetyCoverageConfig", "coverage_safety"
     ),
     "explore": _command("map how soft a surface is, by touching it", "ExploreConfig", "explore"),
     "classify": _command(
@@ -118,12 +128,24 @@ COMMANDS: dict[str, Command] = {
     "live": _command("watch all devices of a rig", "LiveConfig", "record", "live"),
     "verify": _command("whether a recording is whole", "VerifyConfig", "verify"),
     "recover": _command("a whole recording out of one that was cut short", "RecoverConfig", "recover"),
+    "discard": _command(
+        "mark a recording, or an episode of it, as not to be used", "DiscardRecordingConfig", "discard"
+    ),
     "export": _command("the images of a recording as files", "ExportConfig", "export"),
     "double": _command("run simulated devices on real transports", "DoubleConfig", "double"),
     "bench": _command("what MSM costs on this machine", "BenchConfig", "bench"),
 }
 """By name; a name of two words (`calibrate beta`) makes a group."""
 
+BEGIN = """\
+deformscope: how soft a thing is, and where.
+
+The first time, map a simulated foam by clicking: open the address that this prints, and press Explore.
+
+  deformscope explore lab:two-60-150 --paused --viewer page
+
+deformscope --help   all commands"""
+"""What it says without arguments."""
 TRACEBACK = "DEFORMSCOPE_TRACEBACK"
 EXIT_INPUT, EXIT_UNEXPECTED, EXIT_INTERRUPTED, EXIT_PIPE = 2, 1, 130, 141
 EXIT_SIGNALLED = 128
@@ -161,6 +183,7 @@ def _status(args: list[str]) -> int:
     # Libraries that complain on stderr by themselves would bury the one line that says what to do.
     os.environ.setdefault("OPENCV_LOG_LEVEL", "ERROR")
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
+    os.environ.setdefault("RUST_LOG", "off")  # rerun reads it as it is imported; recorder and viewer report for it
     try:
         status = _dispatch(args)
         sys.stdout.flush()
@@ -183,7 +206,7 @@ def _status(args: list[str]) -> int:
 
 def _dispatch(args: list[str]) -> int:
     if not args or args[0] in ("-h", "--help"):
-        print(_help())
+        print(_help() if args else BEGIN)
         return 0
     if args[0] == "--version":
         print(f"deformscope {__version__}")

@@ -5,6 +5,7 @@ deformscope calibrate place rig.toml --touches 3
 deformscope calibrate camera rig.toml --board 5x4 --square 0.05
 deformscope calibrate force rig.toml
 deformscope calibrate time rig.toml
+deformscope calibrate time rig.toml --measured taps.rrd
 deformscope calibrate tip rig.toml --measured poses.npz --no-write --json -
 """
 
@@ -15,6 +16,7 @@ from typing import TypeVar
 import cv2
 import numpy as np
 
+from deformscope.api.first_day import first_day, next_step
 from deformscope.api.setting_up import SetupTask, Station, set_up, written_lines
 from deformscope.api.setup_solving import (
     MeasuredCamera,
@@ -22,6 +24,7 @@ from deformscope.api.setup_solving import (
     camera_arrays,
     force_arrays,
     place_arrays,
+    recorded_taps,
     solve_camera,
     solve_force,
     solve_place,
@@ -42,6 +45,7 @@ from deformscope.experiments.setting_up import (
 )
 from deformscope.frames import ArmFrame, ColorFrame, DepthFrame
 from deformscope.rig.rig_file import load_rig
+from deformscope.robot.setup import only_device
 from deformscope.session import RigExperiment
 from deformscope.stages.setup.board import CharucoSpec, board_image
 
@@ -104,8 +108,8 @@ def force(config: ForceConfig) -> None:
         SetupTask(
             "force",
             ("arm", "wrench"),
-            lambda at: push_tip(at.operator, at.arm, at.wrench, config.repeats, config.tilts, say),
-            force_arrays,
+            lambda at: push_tip(at.operator, at.arm, at.wrench, config.repeats, config.tilts, say, config.weight),
+            lambda found: force_arrays(found, config.weight),
             solve_force,
         ),
     )
@@ -116,18 +120,24 @@ def time(config: TimeConfig) -> None:
     rig = load_rig(config.rig, trusted=config.trust_rig)
     kinds = {entry.name: entry.driver.kind for entry in rig.devices}
     name = config.device or next((one for one, kind in kinds.items() if kind == "arm"), "")
-    frames = {"arm": ArmFrame, "depth": DepthFrame, "color": ColorFrame}
+    frames: dict[str, type[ArmFrame | DepthFrame | ColorFrame]] = {
+        "arm": ArmFrame,
+        "depth": DepthFrame,
+        "color": ColorFrame,
+    }
     if kinds.get(name) not in frames:
         raise InputError("--device: an arm or a camera of the rig", repr(name), ", ".join(kinds), config.rig)
-    kind = kinds[name]
+    kind = frames[kinds[name]]
+    wrench = only_device(rig, "wrench", "to measure with").name
     _done(
         config,
         SetupTask(
             "time",
-            ("wrench", kind),
-            lambda at: tap_tip(at.operator, at.wrench, name, frames[kind]),
+            ("wrench", kinds[name]),
+            lambda at: tap_tip(at.operator, at.wrench, name, kind),
             time_arrays,
-            solve_time,
+            lambda rig, taps: solve_time(rig, taps, name, wrench),
+            lambda path: recorded_taps(path, wrench, name, kind),
         ),
     )
 
@@ -141,4 +151,6 @@ def _done(config: SetupOptions, task: SetupTask[M]) -> None:
     if config.picture is not None:
         write_file(config.picture, found.figure.png)
         say(f"picture: {config.picture}")
+    if config.write and (following := next_step(first_day(load_rig(config.rig, trusted=config.trust_rig), config.rig))):
+        say(f"next: {following.command}")
     write_json({"kind": found.kind, **found.found}, config.output.json)

@@ -92,10 +92,7 @@ def disturbed_table(title: str, rows: Sequence[DisturbedRow]) -> Table:
     """A line for each disturbance."""
     lines = [
         (
-            row.name,
-            row.covered.cases,
-            f"{row.covered.rate:.3f}",
-            "{:.3f} to {:.3f}".format(*row.covered.band),
+            *_held(row),
             *(_rate(row.by_dim[dim]) for dim in (2, 3)),
             f"{row.width:.3f}",
             _rate(row.identified),
@@ -116,10 +113,7 @@ def settings_table(title: str, rows: Sequence[DisturbedRow]) -> Table:
     """A line for each way in which two fits of a cube differ."""
     lines = [
         (
-            row.name,
-            row.covered.cases,
-            f"{row.covered.rate:.3f}",
-            "{:.3f} to {:.3f}".format(*row.covered.band),
+            *_held(row),
             f"{row.width:.3f}",
             f"{row.rms:.3f}",
             _rate(row.identified),
@@ -135,6 +129,12 @@ def settings_table(title: str, rows: Sequence[DisturbedRow]) -> Table:
 def reasons_text(row: DisturbedRow) -> str:
     """How often each reason was named."""
     return ", ".join(f"{code} {rate.rate:.2f}" for code, rate in row.reasons.items())
+
+
+def _held(row: DisturbedRow) -> tuple[object, ...]:
+    """Name, cases, and how often the intervals held."""
+    held = row.covered
+    return row.name, held.cases, f"{held.rate:.3f}", "{:.3f} to {:.3f}".format(*held.band)
 
 
 def _rate(rate: Rate) -> str:

@@ -16,6 +16,7 @@ from deformscope.cli.common import say, show_table, write_json
 from deformscope.config import DevicesConfig
 from deformscope.rig.driver_table import DRIVERS
 from deformscope_drivers.depth_camera import discover as find_depth_cameras
+from deformscope_drivers.depth_camera import discover_realsense
 from deformscope_drivers.errors import Busy, DeviceError
 from deformscope_drivers.ports import find_can, find_doubles, find_serial, find_usb_arms
 from deformscope_drivers.webcam import discover as find_webcams
@@ -71,6 +72,7 @@ def _found() -> list[Any]:
         find_usb_arms,
         lambda: list(find_webcams()),
         lambda: list(find_depth_cameras()),
+        lambda: list(discover_realsense()),
     ]
     found: list[Any] = []
     for search in searches:

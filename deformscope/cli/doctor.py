@@ -59,8 +59,12 @@ def run(config: DoctorConfig) -> None:
         write_json({"rig": config.rig, "findings": [], "first_day": [step], "next": step.command}, config.json)
         return
     rig = load_rig(config.rig, trusted=config.trust_rig)
-    findings = [Finding("rig file", "ok", f"{len(rig.devices)} devices"), *_sections(rig)]
-    findings += _found("explore", lambda: _exploring(rig))
+    steps = first_day(rig, config.rig)
+    findings = [Finding("rig file", "ok", f"{len(rig.devices)} devices")]
+    findings += [] if steps else _sections(rig)  # the list of steps says what is lacking, and which command adds it
+    following = next_step(steps)
+    measured = following is None or following.what == "explore"
+    findings += _found("explore", lambda: _exploring(rig, measured))
     findings += _found("disk", lambda: [_disk(rig)])
     for entry in rig.devices:
         say(f"listening to {entry.name}")
@@ -68,8 +72,6 @@ def run(config: DoctorConfig) -> None:
         findings += _found(name, partial(_device, entry, name, config.seconds))
     width = max(len(finding.what) for finding in findings)
     print("\n".join(f"{f.verdict:<5} {f.what:<{width}}  {f.told}" for f in findings), flush=True)
-    steps = first_day(rig, config.rig)
-    following = next_step(steps)
     if steps:
         print(_list_of(steps, following), flush=True)
     command = following.command if following is not None else None
@@ -87,8 +89,13 @@ def _nothing_yet(name: str) -> FirstDayStep | None:
 def _list_of(steps: tuple[FirstDayStep, ...], following: FirstDayStep | None) -> str:
     """The way to an exploration, step by step, and the command that comes next."""
     width = max(len(step.what) for step in steps)
-    lines = ["", *(f"{step.state:<7} {step.what:<{width}}  {step.words}" for step in steps)]
+    lines = ["", *(f"{step.state:<8} {step.what:<{width}}  {step.words}{_minutes(step)}" for step in steps)]
     return "\n".join([*lines, *([f"next: {following.command}"] if following is not None else [])])
+
+
+def _minutes(step: FirstDayStep) -> str:
+    """What it takes, of a step that is not done."""
+    return f" (about {step.minutes} min)" if step.minutes and step.state != "done" else ""
 
 
 def _found(what: str, look: Callable[[], list[Finding]]) -> list[Finding]:
@@ -138,8 +145,11 @@ def _sections(rig: Rig) -> list[Finding]:
     return [Finding(what, "look", words) for lacks, what, words in wanted if lacks]
 
 
-def _exploring(rig: Rig) -> list[Finding]:
-    """Whether `explore` would begin with this file, where it looks as if it were meant to; nothing is opened."""
+def _exploring(rig: Rig, measured: bool) -> list[Finding]:
+    """Whether `explore` would begin with this file, where it looks as if it were meant to; nothing is opened.
+
+    measured: nothing is left to do before it, or there is no list of what is: what it lacks is named here
+    """
     kinds = {entry.driver.kind for entry in rig.devices}
     if "[surface]" not in rig.text or not {"arm", "wrench", "depth"} <= kinds:
         return []
@@ -151,6 +161,8 @@ def _exploring(rig: Rig) -> list[Finding]:
         return [Finding("explore", "look", f"not with this file: {error}")]
     lacks = [name for name, there in setup.calibrated.items() if not there]
     if lacks or rig.workspace.low_m is None:
+        if not measured:
+            return []
         return [Finding("explore", "look", f"lacks {', '.join(lacks) or 'the box of [workspace]'}")]
     return [
         Finding("explore", "ok", "the file has all that it wants; whether it can be reached is checked before a touch")
@@ -173,10 +185,10 @@ def _device(entry: RigDevice, name: str, seconds: float) -> list[Finding]:
         who_is = device.identity()
         device.next(max(seconds, FIRST_READING_S))
         time.sleep(seconds)
-        health = device.health()
+        health, remarks = device.health(), device.remarks()
     who = " ".join(part for part in (who_is.model, who_is.serial, who_is.firmware) if part)
     findings = [Finding(name, "ok", f"{health.rate_hz:.4g} readings a second{', ' + who if who else ''}")]
-    return findings + [Finding(name, "look", doubt) for doubt in _doubts(health)]
+    return findings + [Finding(name, "look", doubt) for doubt in (*_doubts(health), *remarks)]
 
 
 def _doubts(health: Health) -> list[str]:

@@ -6,11 +6,19 @@ deformscope predict slab.npz --against poke2.npz poke3.npz --picture dents.png
 
 from __future__ import annotations
 
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
 
-from deformscope.api.prediction import PredictionResult, arrays_of, comparison_table, moved_body, poke_of
+from deformscope.api.prediction import (
+    PredictionResult,
+    arrays_of,
+    comparison_table,
+    moved_body,
+    poke_of,
+    together_table,
+)
 from deformscope.arrays import FloatArray
 from deformscope.cli.common import (
     fit_progress,
@@ -28,12 +36,12 @@ from deformscope.files.arrays_file import numbers, read_arrays
 from deformscope.files.model_file import load_model
 from deformscope.files.pairs import parse_pair
 from deformscope.pictures.findings import Findings
-from deformscope.pictures.report import Figure
+from deformscope.pictures.report import Figure, Table
 from deformscope.session import Step
 from deformscope.stages.msm.solver import pick_device
 from deformscope.stages.poke.fitted import predict
 from deformscope.studies.dents_figure import dents_png
-from deformscope.studies.prediction import compare
+from deformscope.studies.prediction import compare, together
 
 
 def run(config: PredictConfig) -> None:
@@ -50,19 +58,24 @@ def run(config: PredictConfig) -> None:
             progress("predicting", index, len(asked))
             found.append(PredictionResult(predict(model, poke, device=device), points))
         compared = compare(model, seen, device=device, progress=progress) if seen else []
-    against = [comparison_table(str(path), one) for path, one in zip(config.against, compared, strict=True)]
+    against: list[tuple[Table, ...]] = [
+        (comparison_table(str(path), one),) for path, one in zip(config.against, compared, strict=True)
+    ]
+    summary = together(compared) if compared else None
+    if summary is not None and len(against) > 1:
+        against[-1] = (*against[-1], together_table(summary))
     every = [*(one.prediction for one in found), *(one.prediction for one in compared)]
-    show(Findings((*(table for one in found for table in one.tables()), *against)))
+    show(Findings(tuple(chain.from_iterable([*(one.tables() for one in found), *against]))))
     if config.out is not None:
         with replacing(config.out) as file:
             np.savez_compressed(file, **arrays_of(every))  # type: ignore[arg-type]  # numpy's stub
     with recorder_of(config) as recorder:
         for index, one in enumerate(found):
             recorder.write(Step((one.findings(),), frame=index))
-        for index, (table, measured) in enumerate(zip(against, compared, strict=True), start=len(found)):
+        for index, (tables, measured) in enumerate(zip(against, compared, strict=True), start=len(found)):
             png, body = dents_png([measured.prediction], [measured]), moved_body(measured.prediction)
             figure = Figure(png, "A cut through the dent along x, with what was measured")
-            recorder.write(Step((Findings((table,), (figure,), (body,)),), frame=index))
+            recorder.write(Step((Findings(tables, (figure,), (body,)),), frame=index))
     if config.picture is not None:
         write_file(config.picture, dents_png(every, compared))
     write_json(
@@ -74,6 +87,7 @@ def run(config: PredictConfig) -> None:
                 {"pair": str(path), **PredictionResult(measured.prediction).as_json(), "scores": measured.scores}
                 for path, measured in zip(config.against, compared, strict=True)
             ],
+            "against_together": summary,
         },
         config.output.json,
     )

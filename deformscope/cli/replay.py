@@ -13,7 +13,17 @@ import math
 import sys
 from typing import TYPE_CHECKING, Any
 
-from deformscope.cli.common import Different, console, fit_progress, quiet_warp, say, show, show_table, write_json
+from deformscope.cli.common import (
+    Different,
+    check_same,
+    console,
+    fit_progress,
+    quiet_warp,
+    say,
+    show,
+    show_table,
+    write_json,
+)
 from deformscope.config import ReplayConfig
 from deformscope.errors import InputError
 from deformscope.experiments.replay_stages import replay_stages
@@ -49,14 +59,18 @@ def run(config: ReplayConfig) -> None:
     quiet_warp()
     recording = Replay(config.recording)
     settings = dict(recording.settings)
+    if config.beside is not None:
+        align(recording, Replay(config.beside), config)
+        return
+    page = None
     if config.output.viewer == "page" and settings.keys() & {"explore", "squeezed", "rig"}:
         from deformscope.api.replay_page import play_on_page
 
-        play_on_page(config.recording)
+        page = play_on_page(config.recording)
     if "explore" in settings:
         from deformscope.cli.replay_exploration import replay_exploration
 
-        replay_exploration(recording, config)
+        replay_exploration(recording, config, page)
         return
     if "squeezed" in settings:
         from deformscope.cli.replay_squeeze import replay_squeeze
@@ -67,6 +81,9 @@ def run(config: ReplayConfig) -> None:
         raise InputError("--set with a recorded exploration", "a recording of another kind", where=config.recording)
     if "rig" in settings:
         replay_rig(recording, settings, config)
+        return
+    if "material" in settings:
+        replay_recorded_material(recording, config)
         return
     try:
         fit = msgspec.convert(settings.pop("fit"), FitOptions)
@@ -102,6 +119,36 @@ def run(config: ReplayConfig) -> None:
     every = [one.to_dict() for one in found]
     write_json(every[0] if len(every) == 1 else every, config.output.json)
     _compare(recorded, [one.estimate for one in found], config)
+
+
+def replay_recorded_material(recording: Replay, config: ReplayConfig) -> None:
+    """What was found of a material, computed again. Raises `Different` where a number differs."""
+    from deformscope.api.materials import replay_material
+    from deformscope.files.sources import Source
+
+    frames = Source(str(config.recording), lambda: recording.frames(config.pace, _wait), recording.frame_count)
+    with fit_progress() as progress:
+        recorded, found = replay_material(recording, frames, config.output, progress=progress)
+    show(found)
+    write_json(found.to_dict(), config.output.json)
+    if not recorded:
+        console().print("the recording holds no result (its run was cut short): nothing to compare with")
+        return
+    check_same(recorded[0], found.estimate, config.recording, ("settings",))
+    console().print("replay: identical to the recorded numbers")
+
+
+def align(first: Replay, second: Replay, config: ReplayConfig) -> None:
+    """Show two recordings on a page, both from their first contact on; raises InputError where one has none."""
+    from deformscope.api.aligned_page import align_on_page
+
+    if config.output.viewer != "page" or config.set or config.output.record is not None:
+        raise InputError("--beside with --viewer page, without --set or --record", "other options")
+    _, contacts_s = align_on_page(first, second)
+    paths = first.path, second.path
+    rows = [(str(path), f"first contact at {at_s:.3f} s") for path, at_s in zip(paths, contacts_s, strict=True)]
+    show_table("two recordings from their first contact on", rows)
+    write_json({"beside": paths, "first_contact_s": contacts_s}, config.output.json)
 
 
 def _wait(frame: ColorFrame) -> None:

@@ -13,15 +13,17 @@ from deformscope.config import ReplayConfig
 from deformscope.errors import InputError
 
 if TYPE_CHECKING:
+    from deformscope.page.server import PageServer
     from deformscope.recording.reader import Replay
 
 TRUTH = ("truth_labels", "iou", "boundary_m")
 """Not computed again: it is no input."""
 
 
-def replay_exploration(recording: Replay, config: ReplayConfig) -> None:
+def replay_exploration(recording: Replay, config: ReplayConfig, page: PageServer | None = None) -> None:
     """Compute and compare; raises Different. A stage that failed when it was recorded is reported, not computed again:
-    whether it fails may hang on the machine."""
+    whether it fails may hang on the machine. page: that plays it, and has other settings' results beside the recorded
+    """
     import msgspec
 
     from deformscope.experiments.explore import (
@@ -53,12 +55,13 @@ def replay_exploration(recording: Replay, config: ReplayConfig) -> None:
     options = dataclasses.replace(msgspec.convert(settings["explore"], ExploreOptions), **changes)
     geometry = SetupGeometry.from_json(settings.get("setup", {}))
     kinds = (SurfaceEstimate, PlannedTouch, TouchEstimate, MapEstimate)
-    recorded = [row.item for row in read_results(path, kinds, trust=True)]
+    rows = list(read_results(path, kinds, trust=True))
+    recorded = [row.item for row in rows]
     failed = [row.item for row in read_results(path, (StageFailure,), trust=True)]
     given = recorded_inputs(path)
     measured = bool(given) and isinstance(given[0], SurfaceMeasurement)
     failed_before = [] if changes else failed
-    explorer = Explorer(geometry.size_m, options, geometry.arm, failed=failed_before)
+    explorer = Explorer(geometry.size_m, options, geometry.arm, failed=failed_before, error=geometry.touch_error)
     stages = ExplorationStages(explorer, AsMeasured(geometry.size_m) if measured else FromFrames(geometry, options))
     computed = _Heard()
     steering = RecordedSteering([row.item for row in read_results(path, (SteeringDecision,), trust=True)])
@@ -66,7 +69,11 @@ def replay_exploration(recording: Replay, config: ReplayConfig) -> None:
     run([], explored, computed, AtOnce(RecordedRobot(given)))
     again = [one for one in computed.results if isinstance(one, kinds)]
     if changes:
-        _show_beside(recorded, again, changes, config)
+        _show_beside(recorded, again, changes, config, page)
+        if page is not None:
+            from deformscope.api.replay_page import lay_beside
+
+            lay_beside(page, recording, rows, again, geometry.size_m, _set_words(changes))
         return
     for fresh in (one for one in explorer.failures if one not in failed):
         raise Different("the recorded numbers", failed_words(fresh), where=path)
@@ -107,7 +114,9 @@ def _changes(words: Sequence[str], kind: type) -> dict[str, Any]:
     return found
 
 
-def _show_beside(recorded: list[Any], again: list[Any], changes: dict[str, Any], config: ReplayConfig) -> None:
+def _show_beside(
+    recorded: list[Any], again: list[Any], changes: dict[str, Any], config: ReplayConfig, page: PageServer | None
+) -> None:
     """What comes of other settings, beside what was recorded; the robot touched where the recorded ones sent it."""
     from deformscope.pictures.words import interval_words, stiffness_words, verdict_words
     from deformscope.stages.map.exploration import MapEstimate, TouchEstimate
@@ -123,12 +132,18 @@ def _show_beside(recorded: list[Any], again: list[Any], changes: dict[str, Any],
         return found
 
     before, now = rows(recorded), rows(again)
-    show_table(
-        f"{config.recording} with {', '.join(f'{name} = {value}' for name, value in changes.items())}",
-        [(name, f"{now.get(name, 'not computed')}; recorded: {before.get(name, 'none')}") for name in before | now],
-    )
+    changed = _set_words(changes)
+    beside = [(name, f"{now.get(name, 'not computed')}; recorded: {before.get(name, 'none')}") for name in before | now]
+    show_table(f"{config.recording} with {changed}", beside)
+    if page is not None:  # the newest is above
+        for name, words in reversed(beside):
+            page.desk.remark(f"{name}, with {changed}: {words}")
     found = {"identical": None, "set": changes, "recorded": before, "computed": now}
     write_json(found, config.output.json)
+
+
+def _set_words(changes: dict[str, Any]) -> str:
+    return ", ".join(f"{name} = {value}" for name, value in changes.items())
 
 
 def recorded_inputs(path: Path) -> list[Any]:

@@ -7,6 +7,7 @@ deformscope squeeze lab:containers --model contents.npz --seed 5
 
 from __future__ import annotations
 
+import signal
 from typing import Any
 
 from deformscope.api.moving import signal_word
@@ -28,7 +29,8 @@ def run(config: SqueezeConfig) -> int:
     if squeezed.interrupted:
         path = squeezed.found["recording"]
         kept = "" if path is None else f"; the recording is whole: {path}"
-        say(f"deformscope: ended by {signal_word(squeezed.signal_number)}; the hand {hand_words(squeezed.found)}{kept}")
-        return 128 + squeezed.signal_number
+        by = squeezed.by or f"by {signal_word(squeezed.signal_number)}"
+        say(f"deformscope: ended {by}; the hand {hand_words(squeezed.found)}{kept}")
+        return 128 + (squeezed.signal_number or signal.SIGINT)
     leave(squeezed)
     return EXIT_LOSSES if squeezed.found["losses"] and squeezed.found["recording"] is not None else 0

@@ -11,6 +11,7 @@ from typing import Any
 from deformscope.cli.common import EXIT_LOSSES, say, show_table, write_json
 from deformscope.config import VerifyConfig
 from deformscope.errors import InputError
+from deformscope.recording.discards import Discard
 from deformscope.recording.facts import Facts, read_facts, run_rrd
 from deformscope.recording.ledger import check_ledger, read_counts
 from deformscope.recording.lock import is_being_written
@@ -63,6 +64,7 @@ def run(config: VerifyConfig) -> int:
         "counts": counts,
         "outcome": outcome,
         "losses": facts.losses,
+        "discarded": facts.discarded,
     }
     write_json(found, config.json)
     if problems:
@@ -102,6 +104,7 @@ def _rows(
         ("bytes", UNCHECKED if differs is None else "DIFFERS" if differs else WHOLE),
         ("structure", structure or "readable to the end"),
         ("run", f"{ended}{reached}" + (f"; ended {stopped}" if stopped else "")),
+        *(("discarded", str(Discard(**one))) for one in facts.discarded),
         *((name, str(count)) for name, count in sorted(counts.items()) if count),
         *((f"{name} lost", in_words(facts.losses.get(name, {})) or "nothing") for name in sorted(devices)),
     ]

@@ -12,10 +12,12 @@ from deformscope.config.calibrate import (
     AxesConfig,
     BetaConfig,
     BothConfig,
+    MaterialOptions,
     PredictConfig,
     SearchOptions,
     SummaryOptions,
     ThetaConfig,
+    ViscousConfig,
     YieldConfig,
 )
 from deformscope.config.classify import ClassifyConfig
@@ -24,14 +26,17 @@ from deformscope.config.images import FlowConfig, ImageOptions
 from deformscope.config.options import CommandOptions, OutputOptions, RecordedOptions
 from deformscope.config.reproduce import (
     BenchConfig,
+    Chapter4Config,
     ContainersConfig,
     CoverageConfig,
+    CreepCoverageConfig,
     CubesConfig,
     DisturbedCoverageConfig,
     FoamsConfig,
     ForceCoverageConfig,
     PokesConfig,
     RegionCoverageConfig,
+    SafetyCoverageConfig,
     SqueezesConfig,
     Table41Config,
 )
@@ -39,6 +44,7 @@ from deformscope.config.rigs import (
     ArmConfig,
     DemoConfig,
     DevicesConfig,
+    DiscardRecordingConfig,
     DoctorConfig,
     DoubleConfig,
     ExploreConfig,

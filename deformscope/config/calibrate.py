@@ -99,11 +99,20 @@ class CalibrateOptions(RecordedOptions):
     """A video, a folder of frames, images in the order given, pair files (.npz), or a recording (.rrd)."""
     alpha: AlphaFlag = field(default=1.0, kw_only=True)
     """Stiffness of the pull to the goal positions."""
+    at: flags.ShareFlag = field(default=None, kw_only=True)
+    """Report the error at this value as well (`settings.at`)."""
+    adjust: bool = field(default=False, kw_only=True)
+    """With --viewer page: set region, particles and model on the page, and fit then. At a terminal a page does so by
+    itself."""
     search: OmitArgPrefixes[SearchOptions] = field(default_factory=SearchOptions, kw_only=True)
     images: OmitArgPrefixes[ImageOptions] = field(default_factory=ImageOptions, kw_only=True)
     model: OmitArgPrefixes[ModelOptions] = field(default_factory=ModelOptions, kw_only=True)
     summary: OmitArgPrefixes[SummaryOptions] = field(default_factory=SummaryOptions, kw_only=True)
     output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions, kw_only=True)
+
+    def check(self) -> None:
+        if self.adjust and self.output.viewer != "page":
+            raise InputError("--viewer page with --adjust", self.output.viewer)
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,8 +132,13 @@ class BetaConfig(CalibrateOptions):
     motion: OmitArgPrefixes[MotionFlags] = field(default_factory=MotionFlags)
 
     def check(self) -> None:
+        CalibrateOptions.check(self)
         if self.layers.thickness_m is not None and self.mode != "linear":
             raise InputError("--mode linear with --thickness-m", self.mode)
+        if self.at is not None and (self.layers.thickness_m is not None or self.motion.whole_motion):
+            raise InputError("no --at with --thickness-m or --whole-motion", f"{self.at:g}", "leave out --at")
+        if self.at is not None and self.at > flags.BETA_LIMIT:
+            raise InputError(f"a --at of at most {flags.BETA_LIMIT:g}", f"{self.at:g}")
 
     @property
     def fitted_cluster_size(self) -> int:
@@ -222,7 +236,7 @@ class PredictConfig(RecordedOptions):
             raise InputError("a --poke or pokes to compare with --against", "neither", f"--poke {flags.POKE_EXAMPLE}")
 
 
-# deformscope calibrate axes and yield --------------------------------------------------------------------------------
+# deformscope calibrate axes, yield and viscous ------------------------------------------------------------------------
 
 
 def parse_creep(text: str) -> float | str:
@@ -235,6 +249,15 @@ def parse_creep(text: str) -> float | str:
         raise ValueError(f"expected none, fit or a rate above 0 in 1/s; got {text!r}") from None
 
 
+def parse_frames(text: str) -> tuple[int, int]:
+    """LOADED,UNLOADED: two frames."""
+    try:
+        loaded, unloaded = map(int, text.split(","))
+    except ValueError:
+        raise ValueError(f"expected LOADED,UNLOADED such as 40,95; got {text!r}") from None
+    return loaded, unloaded
+
+
 ElasticFlag = Annotated[
     flags.PositiveFlag,
     flags.Rule(lambda beta: beta <= flags.BETA_LIMIT, f"a {{flag}} of at most {flags.BETA_LIMIT:g}"),
@@ -242,26 +265,80 @@ ElasticFlag = Annotated[
 CreepFlag = Annotated[float | str, flags.one_word("none|fit|RATE", parse_creep)]
 
 
-@dataclass(frozen=True, slots=True)
-class AxesConfig(RecordedOptions):
-    """Find a beta along each axis of a material from pairs of rest and deformed positions: one fit to all of them."""
+FramesFlag = Annotated[
+    tuple[int, int] | None, flags.one_word("LOADED,UNLOADED", parse_frames, flags.joined(",")), flags.unset
+]
 
-    sources: flags.PairSources
-    """Pair files."""
+
+@dataclass(frozen=True, slots=True)
+class MotionFitFlags(FitFlags):
+    """What every fit to a material's motion shares."""
+
+    noise_px: flags.PositiveFlag = None
+    """Standard deviation of a measured position [px]; default: measured in the images."""
+
+    def check(self) -> None:
+        either("--noise-px", "--noise-m", self.noise_px, self.noise_m)
+
+
+@dataclass(frozen=True, slots=True)
+class UnloadingFlags(Flags):
+    """How a camera's motion shows when what was pressed is let go."""
+
+    at: FramesFlag = None
+    """The last frame at the deepest, and the first one that nothing loads, counted from 0 after --stride; default:
+    found by the force where the recording has one, else where what was pressed rests again."""
+    released: flags.HeldFlag = None
+    """Of the held parts, those that let go at the end; default: contact."""
+    force: flags.CameraFlag = None
+    """Of a recording with several force sensors: the one on the tool."""
+
+    def check(self) -> None:
+        if self.at is not None and self.force is not None:
+            raise InputError("--at or --force", "both", "leave one out")
+
+
+@dataclass(frozen=True, slots=True)
+class MaterialOptions(RecordedOptions):
+    """What `calibrate axes`, `yield` and `viscous` share."""
+
+    sources: flags.Sources
+    """A video, a folder of frames, images in the order given, a recording (.rrd), or .npz files."""
+    fit: OmitArgPrefixes[MotionFitFlags] = field(default_factory=MotionFitFlags, kw_only=True)
+    images: OmitArgPrefixes[ImageOptions] = field(default_factory=ImageOptions, kw_only=True)
+    summary: OmitArgPrefixes[SummaryOptions] = field(default_factory=SummaryOptions, kw_only=True)
+    output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions, kw_only=True)
+
+    def check(self) -> None:
+        files = [source for source in self.sources if Path(source).suffix.lower() == ".npz"]
+        if files and len(files) != len(self.sources):
+            other = next(source for source in self.sources if source not in files)
+            raise InputError("either .npz files or images", "both", "name them in two commands", other)
+        if files and self.images != ImageOptions():
+            came = "some (--roi, --grid, --held...)"
+            raise InputError("no flags about images with .npz files", came, "leave them out")
+        if files and self.fit.noise_px is not None:
+            raise InputError("--noise-m for .npz files", "--noise-px", "give the noise in metres")
+
+
+@dataclass(frozen=True, slots=True)
+class AxesConfig(MaterialOptions):
+    """Find a beta along each axis of a material from images, or from pairs of rest and deformed positions (one fit to
+    all of them)."""
+
     turn_deg: float = 0.0
-    """Angle of the material's first axis to x, in the plane of x and y [degrees]."""
+    """Angle of the material's first axis to x, in the plane of x and y [degrees]; in images y goes down."""
+    at: flags.SomeFlag = None
+    """Of images: the frame that is fitted, counted from 0 after --stride; default: the last one."""
     cluster_size: flags.ClusterFlag = 3
     """Particles along each side of a cluster."""
-    fit: OmitArgPrefixes[FitFlags] = field(default_factory=FitFlags)
-    output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
 
 
 @dataclass(frozen=True, slots=True)
-class YieldConfig(RecordedOptions):
-    """Find the strain at which a thing yields from its motion: loaded, and let go."""
+class YieldConfig(MaterialOptions):
+    """Find the strain at which a thing yields from its motion: loaded, and let go. A motion file (.npz) has
+    rest (K, d), motion (T, K, d) [m], held (n,) or (T, K), and dt [s] for creep."""
 
-    source: Annotated[Path, Positional, arg(metavar="MOTION.npz"), flags.Reads()]
-    """rest (K, d), motion (T, K, d) [m], held (n,) or (T, K), and dt [s] for creep."""
     beta: ElasticFlag = None
     """Share of linear deformation; default: found along with the yield strain."""
     creep: CreepFlag = "none"
@@ -272,7 +349,12 @@ class YieldConfig(RecordedOptions):
     """Volume conservation (by projection), which stays as it is."""
     cluster_size: flags.ClusterFlag = 3
     """Particles along each side of a cluster."""
-    picture: flags.PictureFlag = None
-    """Draw the error over the yield strain, and the residuals of the frames. An existing file is replaced."""
-    fit: OmitArgPrefixes[FitFlags] = field(default_factory=FitFlags)
-    output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
+    unloading: OmitArgPrefixes[UnloadingFlags] = field(default_factory=UnloadingFlags)
+
+
+@dataclass(frozen=True, slots=True)
+class ViscousConfig(MaterialOptions):
+    """Find what share of a thing's modulus relaxes, how fast, and what it keeps for good, from how it recovers once it
+    is let go; with a force in the recording from its relaxation too, and stiffness at once and relaxed."""
+
+    unloading: OmitArgPrefixes[UnloadingFlags] = field(default_factory=UnloadingFlags)

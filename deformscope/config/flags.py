@@ -54,6 +54,17 @@ def parse_rectangle(text: str) -> Rectangle:
     return found
 
 
+def parse_outline(text: str) -> tuple[float, ...]:
+    """`x,y,x,y,...` [px], three corners or more."""
+    try:
+        found = tuple(finite(part) for part in text.split(","))
+    except ValueError:
+        found = ()
+    if len(found) < 6 or len(found) % 2:
+        raise ValueError(f"expected x,y,x,y,x,y,... of three corners or more, in pixels; got {text!r}")
+    return found
+
+
 def parse_grid(text: str) -> GridShape:
     """`ROWSxCOLS`, at least 2 each."""
     try:
@@ -210,9 +221,9 @@ def least(number: int) -> Rule:
     return Rule(lambda value: value >= number, f"a {{flag}} of {number} or more")
 
 
-def ends(suffix: str) -> Rule:
-    says = f"a file that ends in {suffix} after {{flag}}"
-    return Rule(lambda path: path.suffix == suffix, says, show=lambda path: repr(str(path)))
+def ends(*suffixes: str) -> Rule:
+    says = f"a file that ends in {' or '.join(suffixes)} after {{flag}}"
+    return Rule(lambda path: path.suffix in suffixes, says, show=lambda path: repr(str(path)))
 
 
 def within(limit: float) -> Rule:
@@ -236,6 +247,7 @@ unset = arg(help_behavior_hint="")
 """No "(default: none)" in the help of a flag that may be left out."""
 
 RectangleFlag = Annotated[Rectangle | None, one_word("X,Y,WIDTH,HEIGHT", parse_rectangle, joined(",")), unset]
+OutlineFlag = Annotated[tuple[float, ...] | None, one_word("X,Y,X,Y,X,Y...", parse_outline, joined(",")), unset]
 GridFlag = Annotated[GridShape | None, one_word("ROWSxCOLS", parse_grid, joined("x")), unset]
 HeldFlag = Annotated[
     tuple[HeldPart, ...] | None, one_word("PART,PART...", some_of(get_args(HeldPart)), joined(",")), unset
@@ -281,6 +293,7 @@ TrustFlag = Annotated[
 JsonFlag = Annotated[str | None, one_word("FILE|-", str), unset, Writes()]
 RigFlag = Annotated[str, Positional, arg(metavar="RIG"), Reads()]
 SceneFlag = Annotated[str, Positional, arg(metavar="RIG|lab:NAME"), Reads()]
+BesideFlag = Annotated[Path | None, one_word("FILE.rrd", Path), unset, Reads()]
 RecordingFlag = Annotated[Path, Positional, arg(metavar="FILE.rrd"), Reads()]
 Folder = Annotated[Path, arg(metavar="DIR")]
 

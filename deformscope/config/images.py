@@ -26,6 +26,8 @@ class ImageOptions(Flags):
     mask: flags.FileFlag = None
     """Image that is not black where the thing is; particles stand there alone. It is left out of a sequence that holds
     it."""
+    outline: flags.OutlineFlag = None
+    """Corners of a polygon around the thing in the first image [px]; particles stand within it alone."""
     px_per_cm: flags.PositiveFlag = None
     """Scale of the image [px/cm]; with it lengths are reported in metres too."""
     stride: flags.ManyFlag = 1

@@ -26,7 +26,7 @@ class Written:
     replace: bool = True
 
 
-def _marks(kind: type) -> dict[str, tuple[object, ...]]:
+def marks_of(kind: type) -> dict[str, tuple[object, ...]]:
     """What the annotation of each field says beside its type."""
     hints = get_type_hints(kind, include_extras=True)
     return {name: getattr(hint, "__metadata__", ()) for name, hint in hints.items()}
@@ -62,7 +62,7 @@ class Flags:
             value = getattr(self, field.name)
             if inner and isinstance(value, Flags):
                 yield from value._marked(kind)
-            for mark in _marks(type(self))[field.name] if value is not None else ():
+            for mark in marks_of(type(self))[field.name] if value is not None else ():
                 if isinstance(mark, kind):
                     yield "--" + field.name.replace("_", "-"), value, mark
 

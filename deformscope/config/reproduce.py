@@ -128,6 +128,20 @@ class RegionCoverageConfig(RecordedOptions):
             raise InputError("a share above 0 and below 1 after --scatter", f"{self.scatter:g}", "0.08")
 
 
+@dataclass(frozen=True, slots=True)
+class SafetyCoverageConfig(RecordedOptions):
+    """Count whether a simulated arm stands in time when things go wrong, of all kinds in turn, how long and how far it
+    takes to stand, and how far it stays from joint limits and singularities on random layouts of arm and table."""
+
+    faults: Annotated[int, flags.least(0)] = 1000
+    """Faults; each takes some 2 s of a core. 0 = none."""
+    layouts: Annotated[int, flags.least(0)] = 200
+    """Layouts; each takes some 5 s of a core. 0 = none."""
+    jobs: flags.ManyFlag = 2
+    """Processes that share the work."""
+    output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
+
+
 SlabKindFlag = Literal["one material", "halves", "stiff disc", "soft disc", "gradual"]
 
 
@@ -161,6 +175,24 @@ class ForceCoverageConfig(RecordedOptions):
 
 
 @dataclass(frozen=True, slots=True)
+class CreepCoverageConfig(RecordedOptions):
+    """Count how often the intervals of a creeping foam's stiffness, relaxation and energy loss hold the truth: touches
+    of finite elements with a memory, a quarter as many of foams without one."""
+
+    objects: flags.ManyFlag = 60
+    """Foams that creep, from seed SEED on; each takes some 5 s."""
+    hold: Annotated[float, arg(metavar="S")] = 8.0
+    """How long the force is held [s]."""
+    jobs: flags.ManyFlag = 2
+    """Processes that share the work."""
+    output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
+
+    def check(self) -> None:
+        if not 0.5 <= self.hold <= 60.0:
+            raise InputError("0.5 to 60 s after --hold", f"{self.hold:g}")
+
+
+@dataclass(frozen=True, slots=True)
 class Table41Config(RecordedOptions):
     """Thesis table 4.1 and scenes beyond it: explore simulated tables over seeds, and report how good the maps are
     after how many touches, planner beside planner. A touch takes about a second of a core: 20 seeds of all scenes take
@@ -182,6 +214,23 @@ class Table41Config(RecordedOptions):
     """Keep nothing from the estimator: the arm is as its calibration says, the force exact, foam without scatter."""
     resume: bool = False
     """Take what an earlier command left in runs.jsonl, and go on from there; it must have been this version."""
+    workers: flags.SomeFlag = None
+    """Processes at once; default: the cores of this machine."""
+    output: OmitArgPrefixes[ViewOptions] = field(default_factory=ViewOptions)
+
+
+@dataclass(frozen=True, slots=True)
+class Chapter4Config(RecordedOptions):
+    """Thesis chapter 4 by its own rules: figure 4.5 (beta over hardness, by how the model is held and the size of its
+    clusters), 4.6 (dents of foams), 4.7 (fields of beta, isopleths, variance, truth) and table 4.1 with the number of
+    touches at Th. Some 10 minutes on two cores."""
+
+    out: flags.Folder = Path("runs/chapter4")
+    """Folder for the figures (PNG), tables (CSV) and chapter4.json; files there are replaced."""
+    seeds: flags.ManyFlag = 3
+    """Layouts of each scenario, from seed 0 on; figure 4.7 shows the first."""
+    quick: bool = False
+    """One foam and one scenario."""
     workers: flags.SomeFlag = None
     """Processes at once; default: the cores of this machine."""
     output: OmitArgPrefixes[ViewOptions] = field(default_factory=ViewOptions)

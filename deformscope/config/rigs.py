@@ -104,21 +104,34 @@ class RigRunOptions(RecordedOptions):
     label: str = ""
     """What is being recorded, in your words; kept in the recording."""
     trust_rig: flags.TrustFlag = False
+    keep_last: flags.PositiveFlag = None
+    """Hold the last seconds in memory [s], a quarter of the machine's at most: `record` writes those before its end and
+    no others; on a page a button writes them, there 30 s in 256 MiB are held without this option."""
     stages: OmitArgPrefixes[StageOptions] = field(default_factory=StageOptions)
     output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
+
+    def check(self) -> None:
+        if self.keep_last is not None and self.stages.names:
+            raise InputError("one of --keep-last and --stage", "both", "stages are recorded from the first frame on")
 
 
 @dataclass(frozen=True, slots=True)
 class RecordConfig(RigRunOptions):
     """Record all devices of a rig, with every byte of their wires and what was lost. Without --record the file is
     runs/NAME-<stamp>.rrd. Ctrl-C ends it cleanly. No viewer, unless --viewer asks for one. --stage computes while it
-    records; `deformscope replay` computes the same again from the recorded frames."""
+    records; `deformscope replay` computes the same again from the recorded frames. --keep-last 30 records the last 30 s
+    before the end alone."""
 
 
 @dataclass(frozen=True, slots=True)
 class LiveConfig(RigRunOptions):
     """Watch all devices of a rig in rerun's window, and what --stage computes from them; with --record, record it all
     as well."""
+
+    def check(self) -> None:
+        RigRunOptions.check(self)
+        if self.keep_last is not None and self.output.viewer != "page":
+            raise InputError("--keep-last with --viewer page", self.output.viewer, "record --keep-last needs no page")
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,6 +155,25 @@ class RecoverConfig(CommandOptions):
     """The new recording; default: NAME.recovered.rrd beside it. An existing file is refused."""
     json: flags.JsonFlag = None
     """Write what there is as JSON; with -, stdout is the JSON alone."""
+
+
+@dataclass(frozen=True, slots=True)
+class DiscardRecordingConfig(CommandOptions):
+    """Mark a recording, or one of its episodes, as not to be used, with the reason, in its ledger. Nothing is deleted:
+    whoever reads it is reminded."""
+
+    recording: flags.RecordingFlag
+    """The recording."""
+    reason: str
+    """Why, in your words."""
+    episode: Annotated[int, flags.least(0)] = 0
+    """Number of the episode, from 1; 0 = all of the recording."""
+    json: flags.JsonFlag = None
+    """Write what the recording is, and what of it is discarded, as JSON; with -, stdout is the JSON alone."""
+
+    def check(self) -> None:
+        if not self.reason.strip():
+            raise InputError("a reason", "none", "--reason WORDS")
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,9 +216,10 @@ class ExploreConfig(RecordedOptions):
     """Name the simulated scenes, what their seeds draw, and what can go wrong in them; do nothing else."""
     touches: flags.ManyFlag = 8
     """Touches at most."""
-    planner: Literal["regions", "integrated-variance", "max-variance", "random-above"] = "regions"
-    """Where to touch next: where the map of regions gains most a second (default), two rules by the field's
-    variance, or the thesis's (any place above --threshold)."""
+    planner: Literal["regions", "integrated-variance", "max-variance", "random-above", "thesis"] = "regions"
+    """Where to touch next: where the map of regions gains most a second (default), three rules by the field's
+    variance, or all of chapter 4 as the thesis has it: its field of beta, from --first (default: a preset place), any
+    place above --threshold until none is, and regions along isopleths."""
     threshold: float = 0.06
     """Variance, as a share of that before any touch, below which a place needs no touch (Th of the thesis)."""
     smallest_inclusion: flags.PositiveFlag = None
@@ -195,12 +228,18 @@ class ExploreConfig(RecordedOptions):
     set_force: flags.ForceFlag = None
     """Force to press with [N], 5 N at most; default: the rig file's target_force_n, which is 3 N unless it says. Where
     it makes a dent below 2 mm, 5/3 of it (5 N at most) is pressed with."""
+    hold: Annotated[float, arg(metavar="S")] = 0.0
+    """Hold the force of each touch for so long [s], and report how the foam creeps: stiffness at once and relaxed,
+    relaxation time, energy that a touch loses. 8 s tell times of 0.2 to 5 s."""
+    feel: Literal["apparent", "relaxed"] = "apparent"
+    """Which stiffness is mapped: as each touch comes down, or, with --hold, when all has relaxed."""
     first: flags.PlaceFlag = None
     """Where to touch first, in the surface frame [m]; default: where it says most."""
     dry_run: bool = False
     """Make the first touch 10 cm above the surface, where nothing is met, and end."""
-    beta_model: Literal["volume", "thesis", "none"] = "volume"
-    """What beta is fitted with: layers below the surface, the thesis's single layer with one held particle, or none."""
+    beta_model: Literal["volume", "thesis", "layers", "none"] | None = None
+    """What beta is fitted with: layers below the surface (volume, default), the thesis's sweep with one held particle
+    of a single layer (thesis, default of --planner thesis) or of layers, or none."""
     fault: Annotated[
         UseAppendAction[tuple[str, ...]], arg(metavar="KIND@TOUCH", help_behavior_hint="(repeatable)")
     ] = ()
@@ -209,6 +248,9 @@ class ExploreConfig(RecordedOptions):
     clean: bool = False
     """Keep nothing from the estimator in a simulated scene: the arm is as its calibration says, the force exact, and
     foam without scatter. Else these are drawn from the seed, as they would be on a table."""
+    camera: Literal["plain", "primesense", "realsense"] = "plain"
+    """What the camera of a simulated scene measures by: noise alone, or disparity as a PrimeSense or a RealSense D435
+    has it, with its steps, edges that bleed, shadows beside them, and no depth where a surface is seen flat."""
     picture: flags.PictureFlag = None
     """Draw the maps to a PNG."""
     map: flags.ArraysFlag = None
@@ -227,6 +269,8 @@ class ExploreConfig(RecordedOptions):
             raise InputError("--paused with --viewer page", f"--viewer {self.output.viewer}", "--viewer page")
         if not self.rig and not self.list_scenarios:
             raise InputError("a rig file, or lab:NAME", "none", "deformscope explore --list-scenarios")
+        if self.camera != "plain" and not self.rig.startswith("lab:"):
+            raise InputError("--camera with a simulated scene alone", f"{self.rig}", "lab:two-60-150")
 
 
 @dataclass(frozen=True, slots=True)
@@ -273,4 +317,7 @@ class ReplayConfig(RecordedOptions):
     set: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="KEY=VALUE", help_behavior_hint="(repeatable)")] = ()
     """Another setting than the recorded one, of an exploration: what comes of it is printed beside what was recorded,
     and not compared to the bit. Several: --set beta_model=none --set threshold=0.1"""
+    beside: flags.BesideFlag = None
+    """With --viewer page: what this other recording's devices measured, in the same plots, both from their first
+    contact on. Nothing is computed again."""
     output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)

@@ -13,6 +13,10 @@ from deformscope.config.options import RecordedOptions, ViewOptions
 
 MeasuredFlag = Annotated[Path | None, flags.one_word("FILE.npz", Path), flags.unset, flags.ends(".npz"), flags.Reads()]
 
+TapsFlag = Annotated[
+    Path | None, flags.one_word("FILE.npz|FILE.rrd", Path), flags.unset, flags.ends(".npz", ".rrd"), flags.Reads()
+]
+
 
 @dataclass(frozen=True, slots=True)
 class SetupOptions(RecordedOptions):
@@ -70,18 +74,22 @@ class CameraConfig(SetupOptions):
 class ForceConfig(SetupOptions):
     """Find how the force sensor sits on the stick, its noise and its drift: push the tip with a finger along the
     table's axes. Wants the tip and the place. --measured: force_n (n, 3) and axis (n, 3), the push of the tip on the
-    world in the tip's frame."""
+    world in the tip's frame; loaded_n (k, 3), felt under --weight beyond free air."""
 
     repeats: flags.ManyFlag = 2
     """Rounds of five pushes."""
+    weight: Annotated[float | None, flags.one_word("NUMBER", flags.positive), flags.unset] = None
+    """Find the sensor's gain too, under this known load [N]: the tip pressed onto a kitchen scale, four times."""
     tilts: Annotated[int, flags.least(0)] = 0
     """Weigh what hangs on the sensor, in so many poses of the stick in free air: four or more."""
 
 
 @dataclass(frozen=True, slots=True)
 class TimeConfig(SetupOptions):
-    """Find by how much another device's clock is behind the force sensor's, from taps on the tip. --measured:
-    x_time_s, x, y_time_s, y."""
+    """Find by how much another device's clock is behind the force sensor's, from taps on the tip. --measured: x_time_s,
+    x, y_time_s, y; or a recording in which the tip was tapped, of whatever command."""
 
+    measured: TapsFlag = None
+    """Solve from arrays, or from a recording of both devices (two minutes at most), instead of with the devices."""
     device: str = ""
     """The other device: an arm or a camera; default: the arm."""

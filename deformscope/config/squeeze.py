@@ -53,10 +53,16 @@ class SqueezeConfig(RecordedOptions):
     """Who does it; kept with the trial."""
     yes: bool = False
     """Let a real hand close without asking."""
+    paused: bool = False
+    """With --viewer page: squeeze in the laboratory, too, once somebody says so on the page."""
+    page_timeout: flags.TimeoutFlag = 0.3
+    """Stop a hand whose motion was confirmed on the page where the page is not heard of for so long [s]."""
     trust_rig: flags.TrustFlag = False
     output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
 
     def check(self) -> None:
+        if self.paused and self.output.viewer != "page":
+            raise InputError("--paused with --viewer page", f"--viewer {self.output.viewer}", "--viewer page")
         if not self.model and not self.content:
             raise InputError("--content NAME, or --model MODEL to name it", "neither")
         if self.dataset is not None and not (self.content and self.container):

@@ -24,7 +24,7 @@ _stages: ExplorationStages | None = None
 
 def exploration_stages(geometry: SetupGeometry, options: ExploreOptions, truth: Truth | None) -> ExplorationStages:
     """The stages of a robot whose frames are at hand."""
-    explorer = Explorer(geometry.size_m, options, geometry.arm, truth)
+    explorer = Explorer(geometry.size_m, options, geometry.arm, truth, error=geometry.touch_error)
     return ExplorationStages(explorer, FromFrames(geometry, options))
 
 

@@ -10,6 +10,7 @@ import dataclasses
 import time
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, Protocol, TypeVar
 
 import numpy as np
@@ -33,9 +34,12 @@ from deformscope.stages.map.map_score import boundary_distance, called_labels, m
 from deformscope.stages.map.measured import SurfaceMeasurement, TouchMeasurement
 from deformscope.stages.map.plan import ALLOWED, FieldKernel, PlanOptions, plan_touch
 from deformscope.stages.map.surface import HeightMap, HeightProcess, fit_surface
-from deformscope.stages.map.touch_beta import BallContact, fit_touch, thesis_beta
+from deformscope.stages.map.thesis_field import FIRST_SHARE, ThesisField, contoured
+from deformscope.stages.map.touch_beta import BallContact, SeenDent, dent_of, fit_touch, thesis_beta
 from deformscope.stages.poke.contact import EXPONENT, Z_90, ArmCompliance, ContactFit, fit_approach, layer_modulus
-from deformscope.stages.regions.posterior import RegionMap, RegionPosterior
+from deformscope.stages.poke.creep import CreepFit, fit_creep
+from deformscope.stages.regions.posterior import RegionMap, RegionPosterior, RegionPrior
+from deformscope.stages.regions.touch_error import LAW_SD, TouchErrorModel
 from deformscope.stages.regions.touches import MapGrid, StiffnessSample
 from deformscope.stages.see.cloud import tactile_points
 from deformscope_drivers.arms import chain_of
@@ -257,6 +261,7 @@ class Explorer:
 
     touches: every one made; seen_m: (n, 3) points of the surface before any; known: the newest maps, None before the
     first; failures: every stage that failed
+    thesis: its field of beta, where that planner is; dents: of its touches, None of what is rigid
     """
 
     def __init__(
@@ -266,12 +271,15 @@ class Explorer:
         arm: ArmCompliance,
         truth: Truth | None = None,
         failed: Collection[StageFailure] = (),
+        error: TouchErrorModel | None = None,
     ) -> None:
-        """failed: what failed when this was recorded: it is not computed again, and fails as it did"""
+        """failed: what failed when this was recorded: it is not computed again, and fails as it did; error: of touches,
+        default as of a rig that is not calibrated"""
         self.options = options
         self.grid = MapGrid(size_m, options.cell_m)
         self.world: HeightProcess | None = None
-        self.posterior = RegionPosterior.before_touches(self.grid, seed=options.seed)
+        prior = RegionPrior(error=error or TouchErrorModel())
+        self.posterior = RegionPosterior.before_touches(self.grid, prior, seed=options.seed)
         self.touches: list[TouchEstimate] = []
         self.seen_m: FloatArray = np.zeros((0, 3))
         self._exponents: list[float] = []
@@ -284,6 +292,8 @@ class Explorer:
         self._truth = truth
         self._regions: RegionMap | None = None
         self._beta_sd: list[float] = []
+        self.dents: list[SeenDent | None] = []
+        self.thesis = ThesisField()
         self._heights: HeightMap | None = None
         self._failed_before = {(one.touch, one.stage): one for one in failed}
         self._touch = 0
@@ -323,11 +333,15 @@ class Explorer:
             tip_m=self.touches[-1].xyz_m[:2] if self.touches else None,
             left_out_m=np.reshape(self._left_out, (-1, 2)),
             reachable=reachable,
+            thesis=self.thesis,
             seed=options.seed + len(self.touches),
         )
-        if options.first_m is not None and not self.touches and not self._left_out:
-            first_m = self._first_m(np.array(options.first_m), reachable)
-            plan = dataclasses.replace(plan, target_m=first_m, reason="as asked for", stop=None)
+        first, reason = options.first_m, "as asked for"
+        if first is None and options.planner == "thesis":
+            first, reason = tuple(np.multiply(FIRST_SHARE, self.grid.size_m)), "the preset place"
+        if first is not None and not self.touches and not self._left_out:
+            first_m = self._first_m(np.array(first), reachable)
+            plan = dataclasses.replace(plan, target_m=first_m, reason=reason, stop=None)
         enough = plan.stop is not None and not (options.go_on and len(self.touches) < options.budget)
         target = None if enough else plan.target_m
         self.stop_reason = plan.stop or ""
@@ -401,11 +415,15 @@ class Explorer:
         before = self.touches[-1].xyz_m[:2] if self.touches else np.zeros(2)
         self.travel_m += float(np.hypot(*(touched.xy_m - before)))
         contact = self._stage("contact", lambda: self._contact(touched))
+        creep = None if contact is None or contact.fit.rigid else self._stage("creep", lambda: self._creep(touched))
         posterior = None
         if contact is not None:
             fit = contact.fit
-            seen = StiffnessSample(touched.xy_m, fit.log_stiffness, fit.own_log_sd, fit.rigid, fit.arm_log_sd)
-            posterior = self._stage("regions", lambda: self.posterior.with_touch(seen))
+            sample = StiffnessSample(touched.xy_m, fit.log_stiffness, fit.own_log_sd, fit.rigid, fit.arm_log_sd)
+            apparent = self.options.feel == "apparent" or fit.rigid
+            seen = sample if apparent else None if creep is None else _relaxed(sample, creep)
+            if seen is not None:
+                posterior = self._stage("regions", partial(self.posterior.with_touch, seen))
             if not fit.rigid:
                 self._exponents.append(fit.exponent)
         self._usable = posterior is not None
@@ -413,7 +431,7 @@ class Explorer:
             self._left_out.append(touched.xy_m)
         else:
             self.posterior, self._regions = posterior, None
-        estimate = self._estimate(touched, contact)
+        estimate = self._estimate(touched, contact, creep)
         self.touches.append(estimate)
         return estimate
 
@@ -437,7 +455,7 @@ class Explorer:
         found = self.region_map()
         beta, beta_sd = self._stage("beta field", self._beta_field) or (None, None)
         truth = None if self._truth is None else self._truth.labels
-        return MapEstimate(
+        maps = MapEstimate(
             touches=len(self.touches),
             cell_m=self.grid.cell_m,
             stiffness_n_per_mm=np.exp(found.field),
@@ -458,6 +476,34 @@ class Explorer:
             truth_labels=truth,
             iou=None if truth is None else match_regions(called_labels(found), truth)[0],
             boundary_m=None if truth is None else boundary_distance(called_labels(found), truth, self.grid.cell_m),
+        )
+        return maps if self.options.planner != "thesis" else self._contoured(maps)
+
+    def _contoured(self, maps: MapEstimate) -> MapEstimate:
+        """The maps with the thesis's regions, between isopleths of its field of beta, in place of those by stiffness,
+        softest first. Levels are means of the field of stiffness; the number of regions is as probable as by stiffness:
+        the thesis has no probability of it."""
+        found = self.thesis.on(self.grid)
+        cut = contoured(found, self.thesis.isopleths)
+        field = np.log(maps.stiffness_n_per_mm)
+        every = [cut.labels == label for label in range(int(cut.labels.max()) + 1)]
+        every.sort(key=lambda cells: float(field[cells].mean()))
+        labels = np.select(every, range(len(every)))
+        level = np.array([field[cells].mean() for cells in every])
+        sd = np.array([maps.stiffness_log_sd[cells].mean() for cells in every])
+        truth = maps.truth_labels
+        return dataclasses.replace(
+            maps,
+            labels=labels,
+            label_probability=cut.probability,
+            region_count=len(every),
+            verdict="regions",
+            probability=self.region_map().probability.get(str(len(every)), 0.0),
+            level_n_per_mm=np.exp(level),
+            level_interval_n_per_mm=np.exp(level[:, None] + Z_90 * sd[:, None] * [-1.0, 1.0]),
+            level_rigid=np.zeros(len(every), dtype=bool),
+            iou=None if truth is None else match_regions(labels, truth)[0],
+            boundary_m=None if truth is None else boundary_distance(labels, truth, maps.cell_m),
         )
 
     def region_map(self) -> RegionMap:
@@ -499,7 +545,22 @@ class Explorer:
             )
         return _Contact(fit, law, modulus)
 
-    def _estimate(self, touched: TouchMeasurement, contact: _Contact | None) -> TouchEstimate:
+    def _creep(self, touched: TouchMeasurement) -> CreepFit | None:
+        whole = touched.whole
+        if whole is None:
+            return None
+        return fit_creep(
+            whole.time_s,
+            whole.position_m,
+            whole.force_n,
+            touched.normal,
+            loading=whole.loading,
+            held=whole.held,
+            set_force_n=self.options.set_force_n,
+            arm=self._arm,
+        )
+
+    def _estimate(self, touched: TouchMeasurement, contact: _Contact | None, creep: CreepFit | None) -> TouchEstimate:
         along = _along(touched)
         nan = float("nan")
         aimed = self._stage("surface", lambda: self.aim(touched.xy_m))
@@ -510,6 +571,9 @@ class Explorer:
             fitted = self._stage("beta", lambda: self._beta(touched, contact.fit))
             beta = fitted or _Beta(f"not fitted: {self.failures[-1].reason}")
         self._beta_sd.append(beta.sd)
+        if self.options.planner == "thesis" and beta.value is not None:
+            self.thesis = self.thesis.with_touch(beta.dented_m, beta.value)
+            self.dents.append(beta.dent)
         near = np.abs(touched.after_m[:, :2] - touched.xy_m).max(axis=1) < NEAR_M if len(touched.after_m) else []
         fit = None if contact is None else contact.fit
         return TouchEstimate(
@@ -531,37 +595,51 @@ class Explorer:
             beta_verdict=beta.verdict,
             observed_m=touched.after_m[near],
             simulated_m=beta.simulated_m,
+            creep=creep,
         )
 
     def _beta(self, touched: TouchMeasurement, fit: ContactFit) -> _Beta:
-        if self.options.beta_model == "none":
+        options = self.options
+        if options.beta_model == "none":
             return _Beta("not asked for")
-        if fit.rigid:
+        as_thesis = options.planner == "thesis"
+        if fit.rigid and not as_thesis:
             return _Beta("rigid: no dent to fit")
         assert self.world is not None
-        radius = self.options.tip_radius_m
+        radius = options.tip_radius_m
+        if fit.rigid:  # nothing moved, so every beta fits: the first of the sweep, where the tip was
+            grid = MapGrid((4.0 * radius, 4.0 * radius), options.cell_m)
+            under = np.linalg.norm(grid.centres_m - 2.0 * radius, axis=1) <= radius
+            return _Beta("rigid: nothing was dented", 0.0, dented_m=touched.xy_m - 2.0 * radius + grid.centres_m[under])
         deepest = int(np.argmax(-(touched.position_m @ touched.normal)))
         gives_m = self._arm.compliance_m_per_n * fit.peak_force_n  # the arm says that it is that much deeper
         lowest = touched.position_m[deepest] - (radius - gives_m) * touched.normal
         ball = BallContact(lowest, radius, fit.dent_m(fit.peak_force_n), fit.peak_force_n)
-        if self.options.beta_model == "thesis":
-            return self._thesis(touched, ball)
-        found = fit_touch(self.world, touched.after_m, ball, thickness_m=self.options.thickness_m)
+        if options.beta_model in ("thesis", "layers"):
+            thickness_m = options.thickness_m if options.beta_model == "layers" else None
+            swept = thesis_beta(self._dent(touched, ball), thickness_m=thickness_m)
+            made = _Beta(f"thesis: {swept.note}", swept.beta, simulated_m=swept.simulated_m)
+            return dataclasses.replace(made, dented_m=swept.dent.dented_m, dent=swept.dent)
+        found = fit_touch(self.world, touched.after_m, ball, thickness_m=options.thickness_m)
         estimate = found.estimate
-        return _Beta(estimate.verdict, estimate.value, estimate.interval, found.sd, found.simulated_m)
+        made = _Beta(estimate.verdict, estimate.value, estimate.interval, found.sd, found.simulated_m)
+        dent = self._dent(touched, ball) if as_thesis else None
+        return made if dent is None else dataclasses.replace(made, dented_m=dent.dented_m, dent=dent)
 
-    def _thesis(self, touched: TouchMeasurement, ball: BallContact) -> _Beta:
-        """The thesis's way: the touch surface's own process, with virtual points where the ball is."""
+    def _dent(self, touched: TouchMeasurement, ball: BallContact) -> SeenDent:
+        """The dent as the thesis has it: the touch surface's own process, with virtual points where the ball is."""
         assert self.world is not None
         tactile = tactile_points(ball.lowest_m, ball.radius_m, ball.depth_m, normal=touched.normal)
         near = np.abs(touched.after_m[:, :2] - touched.xy_m).max(axis=1) < THESIS_ROI_M
         surface = fit_surface(
             touched.after_m[near], known_m=tactile, known_noise_m=np.full(len(tactile), TACTILE_NOISE_M)
         )
-        found = thesis_beta(self.world, surface, touched.xy_m)
-        return _Beta(f"thesis: {found.note}", found.beta, simulated_m=found.simulated_m)
+        return dent_of(self.world, surface, touched.xy_m)
 
     def _beta_field(self) -> tuple[FloatArray | None, FloatArray | None]:
+        if self.options.planner == "thesis":
+            contour = self.thesis.on(self.grid)
+            return contour.mean.clip(0.0, 1.0), contour.deviation
         known = [
             (one.xyz_m[:2], one.beta, sd)
             for one, sd in zip(self.touches, self._beta_sd, strict=True)
@@ -588,13 +666,24 @@ class _Contact:
 @dataclass(frozen=True, slots=True)
 class _Beta:
     """verdict: or why there is no value; value, interval: of beta, None where there is none; sd: nan where not known
-    simulated_m: (p, 3) particles of the fitted model"""
+    simulated_m: (p, 3) particles of the fitted model
+    dented_m: (m, 2) places that the touch dented, and dent: the square around it, for the thesis
+    """
 
     verdict: str
     value: float | None = None
     interval: tuple[float, float] | None = None
     sd: float = float("nan")
     simulated_m: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
+    dented_m: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
+    dent: SeenDent | None = None
+
+
+def _relaxed(seen: StiffnessSample, creep: CreepFit) -> StiffnessSample:
+    """The same touch by its stiffness when all has relaxed."""
+    return dataclasses.replace(
+        seen, log_stiffness=float(np.log(creep.relaxed_n_per_mm)), log_sd=float(np.hypot(creep.relaxed_log_sd, LAW_SD))
+    )
 
 
 def fitted_law(fit: ContactFit, arm: ArmCompliance, along_m: FloatArray) -> FloatArray:

@@ -7,6 +7,7 @@ every frame, so that simulated particles follow the observed ones on the `frame`
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -55,11 +56,21 @@ def foam_video(
     mask: (H, W) True where the thing is in the first frame
     """
     grid, history = yield from track(particles, mask)
-    contact = particles.contact_rect
     if len(history) < 2:
         raise InputError("at least two frames", "one", "a longer sequence, or a smaller --stride")
+    seen, used = last_pose(grid, history, particles)
+    found = calibrate([seen], fit, settings=used, progress=progress)
+    for index, comparison in enumerate(follow(seen, history, fit.model, found)):
+        yield Step((comparison,), frame=index)
+    yield Step((found.estimate,))
+    return found
 
-    held, moved = hold_what_is_seen(grid, history[-1], particles, contact)
+
+def last_pose(
+    grid: ParticleGrid, history: Sequence[Tracked], particles: ParticleOptions
+) -> tuple[Observation, dict[str, object]]:
+    """What is fitted of particles that were followed [px], and what is recorded of how it came to be."""
+    held, moved = hold_what_is_seen(grid, history[-1], particles, particles.contact_rect)
     seen = observe(grid, history[-1], held, particles)
     used: dict[str, object] = {
         "frames": len(history),
@@ -71,11 +82,7 @@ def foam_video(
         "held_moved": moved,
         "noise_source": "flow" if particles.noise_px is None else "given",
     }
-    found = calibrate([seen], fit, settings=used, progress=progress)
-    for index, comparison in enumerate(follow(seen, history, fit.model, found)):
-        yield Step((comparison,), frame=index)
-    yield Step((found.estimate,))
-    return found
+    return seen, used
 
 
 def track(

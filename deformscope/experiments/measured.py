@@ -22,8 +22,9 @@ from deformscope.robot.readings import ArmSample
 from deformscope.robot.setup import CameraView, Setup
 from deformscope.robot.shape import arm_shape
 from deformscope.robot.touch import TouchPlan, centers_of, forces_at
-from deformscope.stages.map.measured import LookFrames, SurfaceMeasurement, TouchFrames, TouchMeasurement
+from deformscope.stages.map.measured import LookFrames, SurfaceMeasurement, TouchFrames, TouchMeasurement, WholeTouch
 from deformscope.stages.poke.contact import ArmCompliance
+from deformscope.stages.regions.touch_error import TouchErrorModel
 from deformscope.stages.regions.touches import MapGrid
 from deformscope.stages.see.cloud import Box, Intrinsics, Perceived, perceive
 from deformscope_drivers.arm.kinematics import Chain
@@ -37,6 +38,8 @@ DENT_M = 0.08
 """Half the side of what is seen around a dent."""
 SOFT_STOP_SHARE = 0.75
 """Of the soft stop, at most this share is pressed with: noise and overshoot must not reach it."""
+DWELL_S, DWELL_AT_MOST_S = 0.5, 3.0
+"""A touch stands still for so long, and no longer than that after it has held its force for as long as asked for."""
 COARSE_M = 0.02
 """Reach is computed at places so far apart, and taken for the cells around."""
 UPRIGHT = np.array([0.0, 0.0, 1.0])
@@ -164,6 +167,12 @@ class SetupGeometry:
     def arm(self) -> ArmCompliance:
         return ArmCompliance(self.compliance_m_per_n, self.compliance_sd)
 
+    @property
+    def touch_error(self) -> TouchErrorModel:
+        """How wrong touches may be: the force sensor's gain as it was calibrated, else as any sensor's."""
+        known_to = self.placement.tool.force_gain_sd
+        return TouchErrorModel() if known_to is None else TouchErrorModel(gain_sd=known_to)
+
     # What was measured ------------------------------------------------------------------------------------------------
 
     def surface(self, looked: Looked, options: ExploreOptions) -> SurfaceMeasurement:
@@ -180,7 +189,8 @@ class SetupGeometry:
     def touch(self, touched: Touched) -> TouchMeasurement:
         """What arm and force sensor gave, without the dent."""
         used, data = touched.used, touched.data
-        arms = [data.arm[int(when)] for when in used.arm_ns]
+        held_ns: IntArray = np.zeros(0, np.int64) if used.held_ns is None else used.held_ns
+        arms = [data.arm[int(when)] for when in (*used.arm_ns, *held_ns)]
         time_s, position_m = centers_of(arms, self.placement)
         forces_n = [
             self.placement.force_on_tip_n(
@@ -190,8 +200,20 @@ class SetupGeometry:
         ]
         force_n = forces_at([arm.time_ns for arm in arms], used.wrench_ns, forces_n)
         nothing: FloatArray = np.zeros((0, 3))
+        count, whole = len(used.arm_ns), None
+        if used.held_ns is not None:
+            held = int(np.searchsorted(1e9 * time_s, used.seen_ns, side="right"))
+            whole = WholeTouch(time_s, position_m, force_n, count, held)
         return TouchMeasurement(
-            used.xy_m, used.normal, time_s, position_m, force_n, nothing, used.reached, used.seen_ns
+            used.xy_m,
+            used.normal,
+            time_s[:count],
+            position_m[:count],
+            force_n[:count],
+            nothing,
+            used.reached,
+            used.seen_ns,
+            whole,
         )
 
     def dent(self, touched: Touched, look: LookFrames, options: ExploreOptions) -> FloatArray:
@@ -253,6 +275,9 @@ class SetupGeometry:
             max_depth_m=options.max_depth_m,
             standoff_m=options.standoff_m,
             travel_height_m=highest,
+            tangential=options.tangential,
+            dwell_s=max(options.hold_s, DWELL_S),
+            dwell_at_most_s=options.hold_s + DWELL_AT_MOST_S,
         )
         return plan.no_faster(self.workspace.contact_speed_m_s, self.workspace.travel_speed_m_s)
 

@@ -8,7 +8,9 @@ from typing import Literal
 from deformscope.errors import InputError
 from deformscope.stages.map.plan import INCLUSION_M, Planner
 
-BetaModel = Literal["volume", "thesis", "none"]
+BetaModel = Literal["volume", "thesis", "layers", "none"]
+Feel = Literal["apparent", "relaxed"]
+MOST_HOLD_S = 60.0
 SECOND_FORCE_N, SECOND_SHARE = 5.0, 5.0 / 3.0
 SHALLOW_M = 0.002
 BORDER_M = 0.02
@@ -30,11 +32,15 @@ class ExploreOptions:
 
     planner, budget, threshold: where to touch, how often at most, and Th of the thesis's rule
     set_force_n, max_depth_m: of a touch; tip_radius_m: of its ball; thickness_m: of the foam
-    beta_model: layers below the surface, the thesis's single layer, or no beta; cell_m: of the maps; seed
+    beta_model: layers below the surface; the thesis's sweep of a single layer, or of layers, with one particle held; or
+    no beta; cell_m: of the maps; seed
     standoff_m: of the tip above the surface before and after a touch, and above all that it crosses
     inclusion_m: radius of the smallest lumps that are sought
-    first_m: where to touch first, None = where it says most
+    first_m: where to touch first, None = where it says most (of the thesis: at a preset place)
+    tangential: while it presses the tip is "held" on the surface's normal, or "free" to follow forces across it
     lift_m: all touches are made so far above the surface, where nothing is met: a dry run
+    hold_s: how long each touch holds its force, for the foam's creep; 0 = no longer than to see the dent
+    feel: which stiffness is mapped: as the touch comes down, or when all has relaxed
     go_on: touch until the budget is spent, even where the plan says enough (for studies)
     """
 
@@ -53,12 +59,22 @@ class ExploreOptions:
     inclusion_m: float = INCLUSION_M
     first_m: tuple[float, float] | None = None
     lift_m: float = 0.0
+    tangential: Literal["held", "free"] = "held"
+    hold_s: float = 0.0
+    feel: Feel = "apparent"
 
     def __post_init__(self) -> None:
         if self.budget < 1:
             raise InputError("a budget of one touch or more", f"{self.budget}")
+        if not 0.0 <= self.hold_s <= MOST_HOLD_S:
+            raise InputError(f"a hold of 0 to {MOST_HOLD_S:g} s", f"{self.hold_s:g} s")
+        if self.feel == "relaxed" and not self.hold_s:
+            raise InputError("a hold, from which the relaxed stiffness is measured", "none", "--hold 5")
         if not 0.0 < self.set_force_n <= SECOND_FORCE_N:
             raise InputError(f"a set force above 0 and up to {SECOND_FORCE_N:g} N", f"{self.set_force_n:g} N")
+
+        if self.planner == "thesis" and self.beta_model == "none":
+            raise InputError("a beta model for the thesis's planner", "none", "--beta-model thesis")
 
     @property
     def second_force_n(self) -> float:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal, TypeVar
 
 import numpy as np
@@ -18,7 +18,7 @@ from deformscope.errors import InputError
 from deformscope.frames import ArmFrame, ColorFrame, DepthFrame, Frame, Item, WrenchFrame
 from deformscope.session import Answer, RigExperiment, Step
 from deformscope.stages.setup.board import CharucoSpec, SeenBoard, find_board
-from deformscope.stages.setup.hand_eye import next_pose
+from deformscope.stages.setup.hand_eye import LEAST_SPREAD_RAD, check_turns, next_pose, turned_about
 from deformscope_drivers.arm.kinematics import rotation_from_euler_xyz, transform
 
 FrameT = TypeVar("FrameT", bound=Frame)
@@ -26,6 +26,8 @@ FrameT = TypeVar("FrameT", bound=Frame)
 HOLD_S = 0.6
 """For which the arm is held."""
 PUSH_S, REST_S, TAP_S = 1.5, 8.0, 8.0
+LOADS = 4
+"""How often the known load is put on."""
 STILL_M, STILL_DEG = 0.0008, 0.3
 """Greatest motion within that of an arm that is held."""
 TRIES = 5
@@ -39,11 +41,11 @@ PATIENCE = 400
 class SetupRequest:
     """What a person is asked to do.
 
-    kind: corner, tilt, push, rest, tap or view; number: which one of its kind, from 0; words: for the person
-    axis: of a push: what the finger does to the tip, surface frame
+    kind: corner, tilt, push, load, rest, tap or view; number: which one of its kind, from 0; words: for the person
+    axis: of a push: what the finger does to the tip, surface frame; of a load its force [N]
     """
 
-    kind: Literal["corner", "tilt", "push", "rest", "tap", "view"]
+    kind: Literal["corner", "tilt", "push", "load", "rest", "tap", "view"]
     number: int
     words: str
     axis: tuple[float, float, float] | None = None
@@ -141,8 +143,9 @@ def touch_corners(
 ) -> RigExperiment[FloatArray]:
     """(n, 4, 4) poses of the arm's end with the tip on each corner."""
     poses = []
-    for number in corners:
-        words = f"bring the tip down onto {CORNER_WORDS[number]}, the stick upright, until it just touches"
+    for turn, number in enumerate(corners):
+        place = f"touch {turn + 1} of {len(corners)}: bring the tip down onto {CORNER_WORDS[number]}"
+        words = f"{place}, the stick upright, until it just touches"
         poses.append((yield from _held(operator, SetupRequest("corner", number, words), arm, note)).T_base_ee)
     return np.array(poses)
 
@@ -151,7 +154,8 @@ def tilt_about_tip(operator: Operator, arm: str, count: int, note: Callable[[str
     """(n, 4, 4) poses of the arm's end, turned about a ball that stays in its place."""
     poses = []
     for number in range(count):
-        words = f"the ball in its cone, tilt the stick {TILT_WORDS[number % len(TILT_WORDS)]} by 20 degrees or more"
+        way = TILT_WORDS[number % len(TILT_WORDS)]
+        words = f"tilt {number + 1} of {count}: the ball in its cone, tilt the stick {way} by 20 degrees or more"
         poses.append((yield from _held(operator, SetupRequest("tilt", number, words), arm, note)).T_base_ee)
     return np.array(poses)
 
@@ -170,6 +174,7 @@ class PushedTip:
 
     force_n, axis: (n, 3) of each push: what was felt beyond free air [N], what the finger did to the tip, surface frame
     tilted: (m, 4, 4) poses in which it was held in free air besides; tilted_n: (m, 3) what was felt there [N]
+    load_n: the known load, None = none; loaded_n: (k, 3) what was felt under it beyond free air [N]
     """
 
     T_base_ee: FloatArray
@@ -178,13 +183,21 @@ class PushedTip:
     axis: FloatArray
     tilted: FloatArray
     tilted_n: FloatArray
+    load_n: float | None = None
+    loaded_n: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
 
 
 def push_tip(
-    operator: Operator, arm: str, wrench: str, repeats: int, tilts: int, note: Callable[[str], None]
+    operator: Operator,
+    arm: str,
+    wrench: str,
+    repeats: int,
+    tilts: int,
+    note: Callable[[str], None],
+    load_n: float | None = None,
 ) -> RigExperiment[PushedTip]:
-    """What the sensor gives in free air, while a finger pushes the tip along the table's axes, and in free air with the
-    stick tilted so often."""
+    """What the sensor gives in free air, while a finger pushes the tip along the table's axes, under a known load [N],
+    and in free air with the stick tilted so often."""
     yield from operator(SetupRequest("rest", 0, "let nothing touch the tip, the stick upright"))
     rest = yield from _frames(REST_S, {wrench: WrenchFrame})
     free = _forces(rest[wrench])
@@ -194,12 +207,25 @@ def push_tip(
     felt, axes = [], []
     for number in range(repeats * len(PUSHES)):
         words, axis = PUSHES[number % len(PUSHES)]
-        request = SetupRequest("push", number, f"push the tip with a finger {words}, with 2 N or more, and hold", axis)
+        turn = f"push {number + 1} of {repeats * len(PUSHES)}"
+        words = f"{turn}: push the tip with a finger {words}, with 2 N or more, and hold"
+        request = SetupRequest("push", number, words, axis)
         yield from operator(request)
         frames = yield from _frames(PUSH_S, {wrench: WrenchFrame})
         felt.append(np.median(_forces(frames[wrench]).force_n, axis=0) - tare_n)
         axes.append(axis)
         note(f"  {np.linalg.norm(felt[-1]):.1f} N")
+    loaded: list[FloatArray] = []
+    for number in range(LOADS if load_n is not None else 0):
+        yield from operator(SetupRequest("rest", 1 + number, "let nothing touch the tip"))
+        before_n = _forces((yield from _frames(PUSH_S, {wrench: WrenchFrame}))[wrench]).force_n
+        words = (
+            f"press the tip down onto a scale until it shows {load_n:g} N ({(load_n or 0.0) / 9.80665:.3f} kg), hold"
+        )
+        yield from operator(SetupRequest("load", number, words, (0.0, 0.0, load_n or 0.0)))
+        under_n = _forces((yield from _frames(PUSH_S, {wrench: WrenchFrame}))[wrench]).force_n
+        loaded.append(np.asarray(np.median(under_n, axis=0) - np.median(before_n, axis=0)))
+        note(f"  {np.linalg.norm(loaded[-1]):.2f} N")
     tilted, weighed = [], []
     for number in range(tilts):
         words = f"let nothing touch the tip, tilt the stick {TILT_WORDS[number % len(TILT_WORDS)]} by 30 degrees"
@@ -207,7 +233,8 @@ def push_tip(
         frames = yield from _frames(PUSH_S, {wrench: WrenchFrame})
         weighed.append(_forces(frames[wrench]).force_n.mean(axis=0))
     poses, forces = np.array(tilted).reshape(-1, 4, 4), np.array(weighed).reshape(-1, 3)
-    return PushedTip(pose, free, np.array(felt), np.array(axes), poses, forces)
+    under = np.array(loaded).reshape(-1, 3)
+    return PushedTip(pose, free, np.array(felt), np.array(axes), poses, forces, load_n, under)
 
 
 def _forces(frames: Sequence[Frame]) -> ForceReadings:
@@ -244,11 +271,17 @@ def tap_tip(operator: Operator, wrench: str, other: str, kind: type[Frame]) -> R
     more = yield from _frames(TAP_S, wanted)
     for name, some in frames.items():
         some += more[name]
-    end_ns = more[wrench][-1].stamp.host_ns
-    forces, others = ([one for one in frames[name] if end_ns - one.stamp.host_ns < 2e9 * TAP_S] for name in wanted)
-    start_ns = forces[0].stamp.host_ns
+    end_ns = more[wrench][-1].stamp.arrived_ns
+    forces, others = ([one for one in frames[name] if end_ns - one.stamp.arrived_ns < 2e9 * TAP_S] for name in wanted)
+    return taps_of(forces, others)
+
+
+def taps_of(forces: Sequence[Frame], others: Sequence[Frame]) -> Taps:
+    """Of frames of a force sensor and another device, one or more of each; as they arrived: an offset that was measured
+    before is in the stamps already."""
+    start_ns = forces[0].stamp.arrived_ns
     x = np.array([np.linalg.norm(one.force_n[0]) for one in forces if isinstance(one, WrenchFrame)])
-    times = [np.array([one.stamp.host_ns - start_ns for one in some]) / 1e9 for some in (forces, others)]
+    times = [np.array([one.stamp.arrived_ns - start_ns for one in some]) / 1e9 for some in (forces, others)]
     return Taps(times[0], x, times[1], moved_signal(others))
 
 
@@ -281,7 +314,8 @@ class BoardViews:
 def view_board(
     operator: Operator, arm: str, camera: str, board: CharucoSpec, count: int, note: Callable[[str], None]
 ) -> RigExperiment[BoardViews]:
-    """So many views of a board that the arm carries; those without it do not count."""
+    """So many views of a board that the arm carries, and more until the arm was turned about two axes; views without
+    the board do not count."""
     poses: list[FloatArray] = []
     seen: list[SeenBoard] = []
     size_px = (0, 0)
@@ -298,8 +332,12 @@ def view_board(
         seen.append(found)
         size_px = (image.shape[1], image.shape[0])
         note(f"  view {len(seen)} of {count}: {len(found.number)} corners")
-        if len(seen) == count:
+        if len(seen) >= count and turned_about(np.array(poses)) >= LEAST_SPREAD_RAD:
             return BoardViews(np.array(poses), tuple(seen), size_px)
+        if len(seen) >= count:
+            note("  turned about one axis alone so far: more views, as the next request says")
+    if len(seen) >= count:
+        check_turns(np.array(poses))
     raise InputError(f"{count} views of the board", f"{len(seen)}", "more light, the board flat and whole in view")
 
 

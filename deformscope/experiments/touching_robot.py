@@ -33,7 +33,7 @@ from deformscope.session import Inline, Moment, Step
 from deformscope.stages.map.exploration import ExplorationStop, PhaseStart
 from deformscope.stages.map.measured import LookFrames, TouchFrames
 from deformscope.stages.regions.touches import MapGrid
-from deformscope_drivers.depth_camera.image import DepthImage
+from deformscope_drivers.depth_camera.image import DepthImage, Intrinsics
 from deformscope_drivers.errors import DeviceError
 from deformscope_drivers.placed.config import PLACED
 from deformscope_drivers.subscription import Subscription
@@ -265,10 +265,7 @@ class TouchingRobot:
         pose, camera = self._robot.pose, self._setup.camera
         focal_px, center_px = camera.focal_px, camera.center_px
         if focal_px is None or center_px is None:
-            reported = pictures[-1].intrinsics
-            if reported is None:
-                raise InputError("[camera] focal_px and center_px", "none, and a camera that reports none")
-            focal_px, center_px = (reported.fx_px, reported.fy_px), (reported.cx_px, reported.cy_px)
+            focal_px, center_px = reported_lens(pictures[-1].intrinsics)
         check_center(center_px, pictures[-1].depth.shape)
         arm, _, name = self._setup.names
         chain = self._robot.chain
@@ -328,7 +325,9 @@ class TouchingRobot:
             for picture, pose in dents
             if any(span.start_s <= picture.stamp.host_ns / 1e9 <= span.end_s for span in dwells[-1:])
         ][-DENT_PICTURES:]
-        arms = record.arms[: max(record.loading, 10)]
+        loading = max(record.loading, 10)
+        arms = record.arms[:loading]
+        held = (*record.arms[loading:], *record.back) if self._options.hold_s > 0.0 else ()
         pictures = [picture for picture, _ in seen]
         arm, wrench, camera = self._setup.names
         used = TouchFrames(
@@ -347,8 +346,9 @@ class TouchingRobot:
             depth_arm_ns=np.array([pose.time_ns for _, pose in seen], np.int64),
             seen_ns=max((round(span.end_s * 1e9) for span in dwells), default=0),
             end_ns=end.time_ns,
+            held_ns=np.array([sample.time_ns for sample in held], np.int64) if held else None,
         )
-        poses = {sample.time_ns: sample for sample in (*arms, *record.poses, *(pose for _, pose in seen), end)}
+        poses = {sample.time_ns: sample for sample in (*arms, *held, *record.poses, *(pose for _, pose in seen), end)}
         forces = {(sample.time_ns, sample.ticks): sample.sensor_n for sample, _ in record.forces}
         return Touched(used, FrameData(_depths_m(pictures), poses, forces))
 
@@ -445,6 +445,16 @@ def check_center(center_px: tuple[float, ...], shape: tuple[int, ...]) -> None:
         came = f"({center_px[0]:g}, {center_px[1]:g}) in images of {columns} x {rows} px"
         try_this = "focal_px and center_px for this resolution, or neither: then the camera's own are used"
         raise InputError("[camera] center_px near the middle of its images", came, try_this)
+
+
+def reported_lens(reported: Intrinsics | None) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Focal length and centre [px] as pictures report them. Raises InputError where the rig file has to say them."""
+    if reported is None:
+        raise InputError("[camera] focal_px and center_px", "none, and a camera that reports none")
+    if any(reported.distortion):
+        came = f"none, and a camera whose pictures have distortion = {list(reported.distortion)}"
+        raise InputError("[camera] focal_px, center_px and distortion", came, "deformscope calibrate camera")
+    return (reported.fx_px, reported.fy_px), (reported.cx_px, reported.cy_px)
 
 
 def _times_ns(pictures: list[DepthImage]) -> IntArray:

@@ -161,9 +161,7 @@ def use_fake_bench(monkeypatch: pytest.MonkeyPatch) -> FakeBench:
     """From now on `explore` explores this, on coarse maps of few particles."""
     bench = FakeBench()
 
-    def setup_of(
-        name: str, options: ExploreOptions, set_force_n: float | None, *, trusted: bool, clean: bool = True
-    ) -> Opening:
+    def setup_of(name: str, options: ExploreOptions, set_force_n: float | None, **flags: Any) -> Opening:
         options = dataclasses.replace(options, cell_m=CELL_M, beta_model="none")
         return Opening(bench.setup, options, {"scene": name})
 

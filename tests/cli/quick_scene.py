@@ -41,15 +41,13 @@ def use_quick_scene(monkeypatch: pytest.MonkeyPatch) -> None:
     for module in ("explore", "explorer"):
         monkeypatch.setattr(f"deformscope.experiments.{module}.PLAN_CELL_M", PLAN_CELL_M)
     monkeypatch.setattr("deformscope.lab.scene_lab.SlabWorld", _Layers)
-    near = partial(TouchPlan, slow_within_m=0.01, far_speed_m_s=0.05)
+    near = partial(TouchPlan, slow_within_m=0.01, far_speed_m_s=0.05, travel_speed_m_s=0.15)
     monkeypatch.setattr("deformscope.experiments.measured.TouchPlan", near)
     monkeypatch.setattr("deformscope.api.exploration_run.setup_of", _coarse_setup_of)
 
 
-def _coarse_setup_of(
-    name: str, options: ExploreOptions, set_force_n: float | None, *, trusted: bool, clean: bool = True
-) -> Opening:
-    return setup_of(name, dataclasses.replace(options, cell_m=CELL_M), set_force_n, trusted=trusted, clean=clean)
+def _coarse_setup_of(name: str, options: ExploreOptions, set_force_n: float | None, **flags: Any) -> Opening:
+    return setup_of(name, dataclasses.replace(options, cell_m=CELL_M), set_force_n, **flags)
 
 
 class _Layers:

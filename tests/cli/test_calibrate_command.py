@@ -24,6 +24,7 @@ from deformscope.cli import main
 from deformscope.config import BetaConfig
 from deformscope.config.images import ImageOptions
 from deformscope.recording.items import read_estimates
+from deformscope.recording.ledger import ledger_path
 from deformscope.recording.reader import Replay
 from deformscope.stages.fit.estimate import Posterior
 from deformscope.stages.msm import reference
@@ -33,15 +34,23 @@ ROOT = Path(__file__).resolve().parents[2]
 FAST = ["--candidates", "12", "--viewer", "none"]
 
 
-@pytest.fixture
-def pair(tmp_path: Path) -> Path:
+@pytest.fixture(scope="module")
+def pair(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A pair of known beta 0.6, without noise."""
     body = pushed((5, 6), np.random.default_rng(1))
     spec = reference.build_rest(body.rest, body.clusters(3), body.held)
     deformed, _ = reference.relax(spec, body.held_position, beta=0.6)
-    path = tmp_path / "pair.npz"
+    path = tmp_path_factory.mktemp("pair") / "pair.npz"
     np.savez(path, rest=body.rest, deformed=deformed, held=body.held)
     return path
+
+
+@pytest.fixture(scope="module")
+def recorded(pair: Path) -> Path:
+    """A recording of its fit."""
+    record = pair.with_name("run.rrd")
+    assert main(["calibrate", "beta", str(pair), *FAST, "--record", str(record)]) == 0
+    return record
 
 
 @pytest.fixture(scope="module")
@@ -201,22 +210,19 @@ def test_replay_gives_the_recorded_numbers(
 def test_replay_compares_numbers(
     change: Callable[[Any], dict[str, Any]],
     expected: str,
-    pair: Path,
-    tmp_path: Path,
+    recorded: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    record = tmp_path / "run.rrd"
-    run_json(["calibrate", "beta", str(pair), *FAST, "--record", str(record)], capsys)
-    (one,) = read_estimates(Replay(record))
+    (one,) = read_estimates(Replay(recorded))
     monkeypatch.setattr("deformscope.cli.replay.read_estimates", lambda _: [dataclasses.replace(one, **change(one))])
-    main(["replay", str(record), "--viewer", "none"])
+    main(["replay", str(recorded), "--viewer", "none"])
     assert expected in capsys.readouterr().err
 
 
-def test_replay_refuses_a_changed_recording(pair: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    record = tmp_path / "run.rrd"
-    run_json(["calibrate", "beta", str(pair), "--record", str(record)], capsys)
+def test_replay_refuses_a_changed_recording(recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    record = Path(shutil.copy(recorded, tmp_path))
+    shutil.copy(ledger_path(recorded), tmp_path)
     raw = bytearray(record.read_bytes())
     raw[len(raw) // 2] ^= 1
     record.write_bytes(raw)
@@ -244,7 +250,7 @@ def test_demo_leaves_a_recording_each_time(
         moment.setattr("deformscope.cli.demo.calibrate", lambda config: config.output.record.touch())
         assert main(["demo", "--images"]) == 0
     (first,) = (tmp_path / "runs").glob("demo-*.rrd")
-    monkeypatch.setattr("deformscope.cli.demo.BetaConfig", partial(BetaConfig, images=ImageOptions(stride=3)))
+    monkeypatch.setattr("deformscope.cli.demo.BetaConfig", partial(BetaConfig, images=ImageOptions(stride=6)))
     assert main(["demo", "--images"]) == 0
     (newest,) = set((tmp_path / "runs").glob("demo-*.rrd")) - {first}
     shown = capsys.readouterr().out

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -71,7 +72,18 @@ def test_tip_then_place_then_force_are_written_with_date_and_interval(
     assert calibrate("force", rig, force_n=3.0 * axes @ turned, axis=axes)[0] == 0
 
     made = load_rig(rig)
+    assert (made.tool.force_gain, made.tool.force_gain_sd) == (1.0, None)
+    loaded = 5.2 * np.ones((4, 1)) * turned[2]
+    pushed = {"force_n": 3.0 * axes @ turned, "axis": axes, "loaded_n": loaded}
+    assert calibrate("force", rig, "--weight", "5", **pushed)[0] == 0
+    made = load_rig(rig)
+    assert made.tool.force_gain == pytest.approx(1.04)
+    assert made.calibrated.force is not None
+    assert made.calibrated.force.half_gain is not None
+    assert 0.0 < (made.tool.force_gain_sd or 0.0) < made.calibrated.force.half_gain < 0.01
     placement = Placement(np.array(made.surface.T_arm_surface), made.tool)
+    under = placement.force_on_tip_n(loaded[0], rigid(DOWN.as_matrix(), np.zeros(3)))
+    assert np.linalg.norm(under) == pytest.approx(5.0)  # what the scale showed
     assert placement.T_ee_center[:3, 3] == pytest.approx(TIP_M, abs=6e-4)
     assert placement.T_base_surface == pytest.approx(T, abs=2e-3)
     assert made.surface.size_m == pytest.approx((0.6, 0.4), abs=1e-3)
@@ -116,6 +128,8 @@ def test_time_is_written_and_the_picture_drawn(rig: Path, tmp_path: Path) -> Non
     kept = load_rig(rig).calibrated.time
     assert kept is not None
     assert kept.offset_s == pytest.approx(0.02, abs=1e-3)
+    late = {entry.name: entry.late_ns for entry in load_rig(rig).devices if entry.late_ns}
+    assert late == {kept.device: round(1e9 * kept.offset_s)}, "what every command puts its stamps back by"
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
@@ -155,6 +169,21 @@ def test_what_data_do_not_show_is_not_written(rig: Path, capsys: pytest.CaptureF
     assert "[calibrated.place]" in capsys.readouterr().out
 
 
+def test_views_turned_about_one_axis_alone_are_refused_with_the_next_pose(
+    rig: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    X = rigid(Rotation.from_euler("x", 135, degrees=True).as_matrix(), [0.0, -0.9, 0.6])
+    about_y = Rotation.from_rotvec(np.linspace(-0.6, 0.6, 8)[:, None] * [0.0, 1.0, 0.0])
+    arm = rigid(about_y.as_matrix(), np.random.default_rng(5).uniform(-0.1, 0.1, (8, 3)))
+    board = np.linalg.inv(X) @ arm @ rigid(np.eye(3), np.array([0.0, 0.0, 0.05]))
+
+    assert calibrate("camera", rig, T_base_ee=arm, T_camera_board=board)[0] == 2
+    said = capsys.readouterr().err
+    assert "expected views turned by 7 degrees or more about two axes" in said
+    assert re.search(r"try: .* by [+-]30 degrees about its own [xz] axis", said)
+    assert rig.read_text() == RIG
+
+
 def test_without_a_terminal_nobody_is_asked(rig: Path, capsys: pytest.CaptureFixture[str]) -> None:
     rig.write_text(RIG.replace('driver = "jaco"', 'driver = "jaco"\ndouble = true'))
 
@@ -166,7 +195,8 @@ def test_the_first_day_in_its_order() -> None:
     rig = parse_rig(RIG, "rig.toml")
     steps = first_day(rig, "rig.toml")
 
-    assert [step.what for step in steps] == ["tip", "place", "camera", "force", "arm", "explore"]
+    assert [step.what for step in steps] == ["tip", "place", "camera", "force", "arm", "time", "explore"]
+    assert {step.what for step in steps if step.state != "to do"} == {"time"}  # the only one that is optional
     following = next_step(steps)
     assert following is not None
     assert following.command == "deformscope calibrate tip rig.toml"

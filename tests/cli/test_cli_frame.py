@@ -78,8 +78,14 @@ def test_help_lists_every_command(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["--help"]) == 0
     told = capsys.readouterr().out
     assert all(f"  {name}" in told for name in cli.COMMANDS)
+
+
+def test_without_arguments_it_says_one_command(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main([]) == 0
-    assert capsys.readouterr().out == told
+    (command,) = [line.split() for line in capsys.readouterr().out.splitlines() if line.startswith("  deformscope ")]
+    options = cli.parse(config.ExploreConfig, command[2:])
+    assert command[1] == "explore"
+    assert options.output.viewer == "page"
 
 
 def test_every_command_exists_and_has_help(capsys: pytest.CaptureFixture[str]) -> None:
@@ -92,7 +98,9 @@ def test_every_command_exists_and_has_help(capsys: pytest.CaptureFixture[str]) -
 
 DATASET = {f"dataset {what}" for what in ("list", "relabel", "discard", "merge", "repair")}
 BY_ITSELF = {"arm where", "arm home"}
-ONLY_LOOK = {"devices", "doctor", "verify", "recover", "double", "bench", "export", "report"} | DATASET | BY_ITSELF
+ONLY_LOOK = (
+    {"devices", "doctor", "verify", "recover", "double", "bench", "export", "discard", "report"} | DATASET | BY_ITSELF
+)
 """Commands that compute nothing of a thing: they list, check, convert, keep a data set, measure this machine, or ask an
 arm where it is or to go home by its own way."""
 
@@ -258,6 +266,11 @@ def test_defaults_are_the_thesis() -> None:
         ("v --grid 1x5", "at least 2 rows and 2 columns"),
         ("v --roi 1,2,3", "--roi: expected x,y,width,height in pixels, such as 400,200,750,350; got '1,2,3'"),
         ("v --roi 1,2,0,4", "expected a width and a height above 0"),
+        ("v --outline 1,2,3,4", "three corners or more, in pixels; got '1,2,3,4'"),
+        ("v --outline 1,2,3,4,5,6,7", "of three corners or more"),
+        ("v --at 1", "expected a --at of at most 0.9999; got 1"),
+        ("v --at 0.5 --whole-motion", "expected no --at with --thickness-m or --whole-motion"),
+        ("v --adjust", "expected --viewer page with --adjust; got auto"),
         ("v --held bottom,side", "--held: expected a comma list of top, bottom, left, right, border, contact"),
         ("v --held contact", "expected --contact X,Y,WIDTH,HEIGHT with --held contact; got no --contact"),
         ("v --held bottom --contact 1,2,3,4", "got --held bottom | try: --held bottom,contact"),

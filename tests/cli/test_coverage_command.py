@@ -14,6 +14,7 @@ pytest.importorskip("tyro")
 from deformscope.cli import coverage as command
 from deformscope.cli import coverage_force, main
 from deformscope.stages.fit.calibrate import Model, Observation
+from deformscope.stages.poke import stiffness_field
 from deformscope.studies import coverage, doubt_rates
 from deformscope.studies.coverage import RandomBody, random_body
 from tests.cli.recorded import assert_shows
@@ -60,6 +61,7 @@ def test_coverage_of_forces_counts_what_random_slabs_say(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(coverage_force, "KINDS", ("one material",))
+    monkeypatch.setattr(stiffness_field, "PARTICLES", 300)
     target = tmp_path / "found.json"
     flags = ["--slabs", "1", "--scatter", "0.05", "--jobs", "1", "--json", str(target)]
     assert main(["coverage", "force", *flags, "--record", str(tmp_path / "r.rrd")]) == 0

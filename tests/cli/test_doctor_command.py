@@ -12,6 +12,7 @@ import pytest
 from deformscope.cli import main
 from deformscope.cli.common import EXIT_LOSSES
 from deformscope.lab import stand_in
+from tests.cases import slow
 
 DEVICES = ("tip", "pads", "hand", "arm", "camera", "depth")
 
@@ -104,7 +105,7 @@ def test_a_folder_that_no_disk_can_have_is_a_row(tmp_path: Path, capsys: pytest.
     assert "ok    arm" in told
 
 
-@pytest.mark.parametrize("command", [["record"], ["live", "--viewer", "none"]])
+@pytest.mark.parametrize("command", [["record"], slow(["live", "--viewer", "none"])])
 def test_the_example_with_doubles_is_recorded(command: list[str], example: str, tmp_path: Path) -> None:
     path, told = tmp_path / "rig.toml", tmp_path / "told.json"
     path.write_text(doubled(example))
@@ -141,3 +142,22 @@ def test_a_rig_without_anything_to_double_is_told(tmp_path: Path, capsys: pytest
 
     assert main(["double", str(path)]) == 2
     assert "expected a rig with devices of optoforce, dsa, sdh; got none" in capsys.readouterr().err
+
+
+def test_what_a_device_remarks_of_itself_is_to_be_looked_at(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from deformscope_drivers.realsense.double import CAMERAS_FILE, DoubleCamera, plug
+
+    plug(tmp_path / "cameras.json", DoubleCamera(usb="2.1"))
+    monkeypatch.setenv(CAMERAS_FILE, str(tmp_path / "cameras.json"))
+    keys = 'driver = "realsense"\ndouble = true\nwidth = 64\nheight = 48\nfps = 6\nwarm_up_s = 0.1'
+    path = tmp_path / "rig.toml"
+    path.write_text(f"[devices.depth]\n{keys}\n")
+
+    assert main(["doctor", str(path), "--seconds", "0.1", "--json", "-"]) == 0
+    found = json.loads(capsys.readouterr().out)["findings"]
+    (fine, look) = [one for one in found if "(realsense" in one["what"] and "lost" not in one["told"]]
+    assert fine["verdict"] == "ok"
+    assert "Intel RealSense D435 837212070000 5.16.0.1" in fine["told"]
+    assert (look["verdict"], look["told"].split(":")[0]) == ("look", "it is on USB 2.1")

@@ -11,6 +11,8 @@ import pytest
 
 from deformscope.cli import main
 from deformscope.lab.arms import SimulatedPerson
+from deformscope.recording.items import read_items
+from tests.cases import slow
 from tests.cli.quick_scene import use_quick_scene
 from tests.cli.rig_on_a_simulated_clock import count_as_real, use_a_simulated_clock
 
@@ -25,7 +27,7 @@ REST = """
 driver = "optoforce"
 double = true
 bus = "socketcan:can0"
-rate_hz = 1000
+rate_hz = 333
 [devices.depth]
 driver = "depth_camera"
 double = true
@@ -36,6 +38,7 @@ compliance_sd = 2e-5
 [workspace]
 low_m = [-0.1, -0.4, 0.0]
 high_m = [0.9, 0.5, 0.75]
+travel_speed_m_s = 0.15
 [surface]
 scene = "two-60-150"
 """
@@ -60,23 +63,48 @@ def explored(kind: str, touches: int, tmp_path: Path, capsys: pytest.CaptureFixt
     return json.loads(found.read_text())  # type: ignore[no-any-return]
 
 
-@pytest.mark.parametrize("kind", RIGS)
+@pytest.mark.parametrize(("kind", "first_m"), [("kuka", (0.42, 0.11)), slow("placed", None)])
 def test_another_arm_explores_records_and_replays(
-    kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    kind: str,
+    first_m: tuple[float, float] | None,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     use_a_simulated_clock(monkeypatch)
     use_quick_scene(monkeypatch)
     count_as_real(monkeypatch)
+    asked = asked_of_the_person(monkeypatch)
     record = tmp_path / "r.rrd"
 
-    found = explored(kind, 1, tmp_path, capsys, "--yes", "--record", str(record))
+    there = [] if first_m is None else ["--first", "{},{}".format(*first_m)]
+    found = explored(kind, 1, tmp_path, capsys, "--yes", "--record", str(record), *there)
 
+    shown = capsys.readouterr()
+    assert ("keep the emergency stop in your hand" in shown.out + shown.err) == (kind == "kuka")
+    assert {item.device for item in read_items(record) if hasattr(item, "device")} == {"arm", "tip", "depth"}
     (touch,) = found["touches"]
+    if first_m is not None:
+        np.testing.assert_allclose(touch["xy_m"], first_m, atol=1e-9)
     assert not touch["rigid"]
     assert 0.2 < touch["apparent_stiffness_n_per_mm"] < 3.0
     assert 2.7 < found["max_force_n"] < 3.8
+    above = [request for request in asked if request.words.startswith("lift the tip, and place it")]
+    assert len(above) == (kind == "placed")
+    for request in above:
+        np.testing.assert_allclose(request.T_base_ee[:2, 3], touch["xy_m"], atol=1e-9)
+    assert all("mm above the table" in request.words for request in asked)
+    assert len(asked) in (range(5, 41) if kind == "placed" else [0])
     assert main(["verify", str(record)]) == 0, capsys.readouterr().err
     assert main(["replay", str(record)]) == 0, capsys.readouterr().err
+
+
+def asked_of_the_person(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+    """What the simulated person is asked for from now on."""
+    asked: list[Any] = []
+    ask = SimulatedPerson.ask
+    monkeypatch.setattr(SimulatedPerson, "ask", lambda person, request: (asked.append(request), ask(person, request)))
+    return asked
 
 
 @pytest.mark.slow
@@ -93,14 +121,13 @@ def test_another_arm_maps_two_foams(
     assert found["truth"]["iou"] >= 0.9
 
 
+@pytest.mark.slow  # a second touch; of one the test above says so
 def test_each_place_of_the_plan_is_asked_for(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     use_a_simulated_clock(monkeypatch)
     use_quick_scene(monkeypatch)
-    asked: list[Any] = []
-    ask = SimulatedPerson.ask
-    monkeypatch.setattr(SimulatedPerson, "ask", lambda person, request: (asked.append(request), ask(person, request)))
+    asked = asked_of_the_person(monkeypatch)
 
     found = explored("placed", 2, tmp_path, capsys)
 
@@ -132,15 +159,6 @@ def test_a_dry_run_makes_the_motion_of_the_first_touch_in_the_air(
     assert found["arm_stands"]
     assert "dry run: the first touch, 10 cm above (35, 15) cm, met nothing; the tip stayed 8." in said
     assert main(["verify", str(record)]) == 0, capsys.readouterr().err
-
-
-def test_the_first_touch_is_where_it_is_asked_for(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    use_a_simulated_clock(monkeypatch)
-    use_quick_scene(monkeypatch)
-    found = explored("kuka", 1, tmp_path, capsys, "--first", "0.42,0.11")
-    np.testing.assert_allclose(found["touches"][0]["xy_m"], [0.42, 0.11], atol=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -17,6 +17,7 @@ from deformscope.errors import InputError
 from deformscope.recording.items import read_results
 from deformscope.recording.recorder import RecordingError
 from deformscope.stages.map.exploration import StageFailure
+from tests.cases import slow_but
 from tests.cli.fake_bench import FakeBench, FakeRobot, use_fake_bench
 
 EXPLORE = ["explore", "lab:two-60-150", "--touches", "4", "--viewer", "none"]
@@ -37,8 +38,8 @@ ERRORS = [
     InputError("points near the touch", "none"),
     MemoryError(),
 ]
-QUICK = [("contact", 0), ("maps", 2), ("display", 1)]
-"""Stages and the numbers of the errors that are not slow together."""
+QUICK = [("contact", 0), ("display", 1)]
+"""A stage and the display, and the numbers of the errors, that are not slow together."""
 
 
 @pytest.fixture
@@ -306,7 +307,7 @@ def test_an_output_that_cannot_be_written_does_not_keep_the_others(
     assert "  verdict " in shown.out
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize("number", slow_but([signal.SIGTERM], [signal.SIGTERM, signal.SIGHUP]))
 def test_a_signal_while_it_computes_is_no_loss(
     number: int, bench: FakeBench, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

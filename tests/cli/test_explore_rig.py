@@ -16,6 +16,7 @@ import pytest
 
 from deformscope.api.setups import setup_of_rig
 from deformscope.cli import main
+from deformscope.frames import Frame
 from deformscope.recording.items import read_items
 from deformscope.rig.rig_file import parse_rig
 from deformscope.robot.placement import reach
@@ -96,11 +97,26 @@ def explored_recorded_and_replayed(
     assert main(["replay", str(record)]) == 0, capsys.readouterr().err
 
 
+@pytest.mark.slow  # test_explore_arms.py has the way of a rig, test_explore_command.py this arm
 @pytest.mark.usefixtures("simulated_clock")
 def test_a_rig_of_doubles_is_explored_recorded_and_replayed(
     rig: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     explored_recorded_and_replayed(rig, tmp_path, capsys, monkeypatch)
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("simulated_clock")
+def test_with_clocks_apart_it_is_explored_recorded_and_replayed(
+    rig: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """`calibrate time` found the arm 20 ms late: all its stamps are put back, and a replay gives the same results."""
+    rig.write_text(RIG + '[calibrated.time]\ndate = 2026-01-02\noffset_s = 0.02\ndevice = "arm"\nbeside = "tip"\n')
+    explored_recorded_and_replayed(rig, tmp_path, capsys, monkeypatch)
+
+    late = {(item.device, item.stamp.late_ns) for item in read_items(tmp_path / "r.rrd") if isinstance(item, Frame)}
+    assert late == {("arm", 20_000_000), ("tip", None), ("depth", None)}
+    assert "identical to the recorded numbers" in " ".join(capsys.readouterr().out.split())
 
 
 @pytest.mark.realtime
@@ -253,6 +269,19 @@ def test_doctor_says_whether_a_rig_can_explore(rig: Path, capsys: pytest.Capture
 
     (told,) = [line for line in capsys.readouterr().out.splitlines() if line.startswith("look") and "explore" in line]
     assert "try: two-60-150" in told
+
+
+def test_doctor_lists_what_there_is_to_do_once(rig: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["doctor", "--example", "--doubles"]) == 0
+    rig.write_text(capsys.readouterr().out)
+
+    assert main(["doctor", str(rig), "--seconds", "0.1"]) == 0
+
+    shown = capsys.readouterr().out
+    assert shown.count("place ") == 1
+    assert "lacks" not in shown
+    assert "T_arm" not in shown
+    assert "(about 1 min)" in shown
 
 
 def test_the_example_fits_together_once_its_lines_are_uncommented(

@@ -69,6 +69,47 @@ def truth_of(hidden: HiddenRig) -> Values:
 
 
 @pytest.mark.slow
+def test_a_load_on_a_scale_gives_the_gain_of_a_sensor_that_nobody_knows(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    faulthandler.cancel_dump_traceback_later()
+    assert main(["doctor", "--example", "--doubles"]) == 0
+    rig = tmp_path / "rig.toml"
+    rig.write_text(capsys.readouterr().out.replace("hidden = 1 ", f"hidden = {HIDDEN} "))
+    _, hidden = table_of(RigParts.of(load_rig(rig)))
+    assert hidden is not None
+    rig.write_text(edited(rig.read_text(), truth_of(hidden)))
+    use_a_simulated_clock(monkeypatch)
+    assert main(["calibrate", "force", str(rig), "--weight", "5", "--record", str(tmp_path / "force.rrd")]) == 0
+    made = load_rig(rig)
+    assert made.calibrated.force is not None
+    assert abs(made.tool.force_gain - hidden.force_gain) <= (made.calibrated.force.half_gain or 0.0) < 0.02
+    assert abs(hidden.force_gain - 1.0) > 0.001
+
+
+@pytest.mark.slow
+def test_taps_are_found_in_their_recording_again(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The same frames, but for those before the taps, give the same offset."""
+    faulthandler.cancel_dump_traceback_later()
+    assert main(["doctor", "--example", "--doubles"]) == 0
+    rig, recording, found = tmp_path / "rig.toml", tmp_path / "taps.rrd", tmp_path / "time.json"
+    rig.write_text(capsys.readouterr().out)
+    use_a_simulated_clock(monkeypatch)
+    offsets = []
+    for more in (["--record", str(recording)], ["--measured", str(recording)]):
+        assert main(["calibrate", "time", str(rig), "--json", str(found), *more]) == 0
+        offsets.append(json.loads(found.read_text()))
+        shown = capsys.readouterr()
+        assert "arm late" in shown.out
+        assert "next: deformscope calibrate tip" in shown.err
+    assert offsets[0]["low_s"] - 1e-3 < offsets[1]["offset_s"] < offsets[0]["high_s"] + 1e-3
+    assert main(["calibrate", "tip", str(rig), "--measured", str(recording)]) == 2
+    assert "ends in .npz" in capsys.readouterr().err
+
+
+@pytest.mark.slow
 def test_doctor_s_list_leads_from_an_empty_file_to_an_exploration(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -1,4 +1,4 @@
-"""`calibrate axes` and `calibrate yield` as a user calls them."""
+"""`calibrate axes`, `yield` and `viscous` as a user calls them: on files, and on what a camera saw."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from deformscope.cli import main
 from deformscope.stages.msm.materials import AxisBeta
 from deformscope.stages.msm.solver import Msm
 from tests.cli.recorded import assert_shows
+from tests.experiments.speckle_video import BORDER_PX, speckle_images, write_images
 from tests.stages.bodies import pushed
 from tests.stages.materials.test_plasticity import BETA, pressed
 
@@ -75,6 +76,8 @@ def test_yield_tells_the_strain_and_draws(press: Path, tmp_path: Path, capsys: p
     files = ["--picture", str(picture), "--record", str(tmp_path / "r.rrd")]
     told = run_json(["calibrate", "yield", str(press), "--beta", str(BETA), *files], capsys)
     assert_shows(tmp_path / "r.rrd", says="yield strain", beside_particles=True)
+    assert main(["replay", str(tmp_path / "r.rrd"), "--viewer", "none"]) == 0
+    assert "identical to the recorded numbers" in capsys.readouterr().err
     assert told["value"] == pytest.approx(0.07, rel=0.06)
     assert told["interval"][0] < told["value"] < told["interval"][1]
     assert told["beta"] == {"value": BETA, "interval": [BETA, BETA], "given": True}
@@ -96,9 +99,85 @@ def test_what_cannot_be_used_is_refused_in_a_line(
     pair: Path, press: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert "expected a pair file" in failure(["calibrate", "axes", str(tmp_path / "none.npz")], capsys)
-    assert "PAIR.npz" in failure(["calibrate", "axes"], capsys)
+    assert "SOURCE" in failure(["calibrate", "axes"], capsys)
     assert "motion in the motion file" in failure(["calibrate", "yield", str(pair)], capsys)
     assert "time between frames" in failure(["calibrate", "yield", str(press), "--creep", "fit"], capsys)
     assert "none, fit or a rate" in failure(["calibrate", "yield", str(press), "--creep", "soon"], capsys)
     assert "--beta of at most" in failure(["calibrate", "yield", str(press), "--beta", "1.5"], capsys)
     assert "ends in .png" in failure(["calibrate", "yield", str(press), "--picture", "a.jpg"], capsys)
+
+
+# What a camera saw ---------------------------------------------------------------------------------------------------
+
+ROWS, COLS, SIDE_PX = 5, 7, 12.0
+SEEDED = [
+    *("--roi", f"{BORDER_PX - 6},{BORDER_PX - 6},{COLS * SIDE_PX:g},{ROWS * SIDE_PX:g}"),
+    *("--grid", f"{ROWS}x{COLS}", "--held", "bottom,contact", "--px-per-cm", "12", "--viewer", "none"),
+    *("--contact", f"{BORDER_PX + 2 * SIDE_PX - 2:g},{BORDER_PX - 2},{2 * SIDE_PX + 4:g},4"),
+]
+
+
+def filmed(folder: Path, shares: list[float]) -> Path:
+    """Images of a block whose middle is pressed to so many shares of a push, one shape at all of them."""
+    y, x = np.mgrid[:ROWS, :COLS].astype(np.float64)
+    rest = BORDER_PX + SIDE_PX * np.column_stack([x.ravel(), y.ravel()])
+    across, depth = x.ravel() - 0.5 * (COLS - 1), 1.0 - y.ravel() / (ROWS - 1)
+    dent = 5.0 * depth * np.exp(-0.3 * across**2)
+    shape = np.column_stack([0.25 * across * dent, dent])
+    write_images(folder, speckle_images(rest, (ROWS, COLS), [rest + share * shape for share in shares]))
+    return folder
+
+
+def test_a_camera_that_saw_no_end_of_the_push_is_refused_with_what_to_record(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pressed_on = str(filmed(tmp_path / "on", [0.5, 1.0, 1.0]))
+    said = failure(["calibrate", "yield", pressed_on, *SEEDED], capsys)
+    assert "loaded and let go" in said
+    assert "record until the tool is off" in said
+    assert "--fps" in failure(["calibrate", "viscous", pressed_on, *SEEDED], capsys)
+    let_go = [pressed_on, *SEEDED, "--fps", "10"]
+    assert "--at LOADED,UNLOADED with" in failure(["calibrate", "viscous", *let_go, "--at", "3,9"], capsys)
+    held = ["--held", "top,bottom", "--contact", "0,0,9,9"]
+    assert "contact among --held" in failure(["calibrate", "yield", pressed_on, *held], capsys)
+    mixed = failure(["calibrate", "axes", "a.npz", pressed_on], capsys)
+    assert "either .npz files or images" in mixed
+
+
+@pytest.mark.slow
+def test_recovery_that_a_camera_saw_is_found_recorded_and_replayed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It keeps 70 % at once of what is 0.3 in the law, and that recovers with its retardation time."""
+    time_s = 0.1 * np.arange(1, 36)
+    held = np.minimum(time_s / 0.4, 1.0)
+    left = 0.25 * np.exp(-(time_s - 1.5) / 0.8)
+    folder = filmed(tmp_path / "push", np.where(time_s <= 1.45, held, left).tolist())
+    record, report = tmp_path / "r.rrd", tmp_path / "r.html"
+    given = ["calibrate", "viscous", str(folder), *SEEDED, "--fps", "10"]
+    found = run_json([*given, "--record", str(record), "--report", str(report)], capsys)
+    assert found["verdict"] in ("viscous", "viscoplastic")
+    assert 0.22 < found["value"] < 0.4
+    assert found["released_frame"] in (15, 16)
+    assert found["instant_n_per_m"] is None
+    assert_shows(record, says="share of the modulus that relaxes", beside_particles=True)
+    assert "relaxes" in report.read_text()
+    assert main(["replay", str(record), "--viewer", "none"]) == 0
+    assert "identical to the recorded numbers" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_axes_that_a_camera_saw_say_what_was_pressed_and_what_one_view_does_not_show(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder, record = filmed(tmp_path / "push", [0.5, 1.0]), tmp_path / "r.rrd"
+    found = run_json(["calibrate", "axes", str(folder), *SEEDED, "--record", str(record)], capsys)
+    assert found["pressed_axis"] == 1
+    assert found["bulging_axis"] == 0
+    assert found["strain"][1] < 0.0 < found["strain"][0]
+    assert found["across_view"]["verdict"] == "unidentified"
+    assert found["aee_px"] == pytest.approx(1200.0 * found["aee_m"])
+    assert found["settings"]["frame"] == 2
+    assert_shows(record, says="beta across the view", beside_particles=True)
+    assert main(["replay", str(record), "--viewer", "none"]) == 0
+    assert "identical to the recorded numbers" in capsys.readouterr().err

@@ -130,14 +130,26 @@ def test_an_unseen_poke_is_compared_with_what_else_one_might_take(
 ) -> None:
     """finest_m: of the finite elements' mesh, None = as users get it"""
     monkeypatch.setattr("deformscope.studies.prediction.press", partial(slab.press, finest=finest_m))
-    assert main(["predict", str(folder / "model.npz"), "--against", str(folder / "unseen.npz"), "--json", "-"]) == 0
-    (told,) = json.loads(capsys.readouterr().out)["against"]
+    unseen = str(folder / "unseen.npz")
+    assert main(["predict", str(folder / "model.npz"), "--against", unseen, unseen, "--json", "-"]) == 0
+    printed = capsys.readouterr()
+    told, again = json.loads(printed.out)["against"]
+    assert told == again
     scores = {one["method"]: one for one in told["scores"]}
     assert list(scores) == ["MSM", "rigid", "half-space", "finite elements"]
     assert scores["MSM"]["surface_error"] < 0.02
     assert abs(scores["MSM"]["force_error"]) < 0.03
     assert scores["rigid"]["force"] is None
     assert scores["rigid"]["surface_error"] > 0.3
+    low, high = told["force_interval_n"]
+    assert json.loads(printed.out)["against_together"] == {
+        "pokes": 2,
+        "surface_error": pytest.approx(scores["MSM"]["surface_error"]),
+        "forces": 2,
+        "force_error": pytest.approx(abs(scores["MSM"]["force_error"])),
+        "held": 2,
+        "width": pytest.approx((high - low) / told["force_n"]),
+    }
 
 
 def test_a_recording_of_pokes_replays_to_the_same_numbers(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -146,6 +146,7 @@ def test_a_hand_that_is_lost_while_it_squeezes(
     kept_as_discarded(made[0], found, "hand lost", EXIT_LOSSES)
 
 
+@pytest.mark.slow  # the next one shows the same with a Ctrl-C on top
 def test_a_saturated_texel_while_it_squeezes(
     rig: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

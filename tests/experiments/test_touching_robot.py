@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 
 import numpy as np
 import pytest
 
 from deformscope.errors import InputError
+from deformscope.experiments.beside import exploration_stages
 from deformscope.experiments.measured import SetupGeometry, highest_m
 from deformscope.experiments.options import ExploreOptions
-from deformscope.experiments.touching_robot import TouchingRobot, check_center
+from deformscope.experiments.touching_robot import TouchingRobot, check_center, reported_lens
 from deformscope.lab.ray_camera import FOAM
 from deformscope.lab.scene_lab import SceneLab
 from deformscope.lab.scenes import built_in
 from deformscope.rig.rig_file import Workspace
 from deformscope.robot.setup import CameraView, Setup
 from deformscope.robot.shape import arm_shape
+from deformscope.stages.regions.touch_error import GAIN_SD
 from deformscope.studies.fault_study import FaultScene, make_scene
+from deformscope_drivers.depth_camera.image import Intrinsics
 from deformscope_drivers.jaco.chains import J2N6S300
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -70,6 +74,9 @@ def test_it_never_plans_to_press_up_to_the_soft_stop(
     scene.lab.close()
 
     assert plan.more_force_n == more_n
+    assert plan.tangential == "held"
+    free = ExploreOptions(set_force_n=set_n, tangential="free")
+    assert robot.geometry.plan(np.array([0.3, 0.2]), 0.05, UP, None, free).tangential == "free"
     assert robot.forces_words.startswith(told)
 
 
@@ -97,6 +104,20 @@ def test_a_geometry_survives_its_settings() -> None:
         SetupGeometry.from_json({})
 
 
+def test_what_is_known_of_the_force_s_gain_comes_from_the_rig_file() -> None:
+    """Of the geometry that is recorded, so that a replay computes the same."""
+    made = SetupGeometry.of(SceneLab(built_in("homogeneous-60"), tip_radius_m=0.01, parked_m=0.2).setup)
+    known = dataclasses.replace(made.placement.tool, force_gain=1.02, force_gain_sd=0.004)
+    placement = dataclasses.replace(made.placement, tool=known)
+    for geometry, expected in ((made, GAIN_SD), (dataclasses.replace(made, placement=placement), 0.004)):
+        back = SetupGeometry.from_json(json.loads(json.dumps(geometry.as_json())))
+        explorer = exploration_stages(back, ExploreOptions(), None).explorer
+        assert explorer.posterior.prior.error.gain_sd == expected
+    force_n, T_base_ee = np.array([0.3, -0.2, 3.0]), np.eye(4)
+    felt_n = made.placement.force_on_tip_n(force_n, T_base_ee)
+    np.testing.assert_allclose(placement.force_on_tip_n(1.02 * force_n, T_base_ee), felt_n)
+
+
 @pytest.mark.parametrize(("center_px", "shape"), [((160.0, 120.0), (240, 320)), ((331.0, 221.0), (480, 640))])
 def test_a_principal_point_near_the_middle_is_taken(center_px: tuple[float, float], shape: tuple[int, int]) -> None:
     check_center(center_px, shape)
@@ -105,3 +126,11 @@ def test_a_principal_point_near_the_middle_is_taken(center_px: tuple[float, floa
 def test_the_principal_point_of_another_resolution_is_refused() -> None:
     with pytest.raises(InputError, match=r"\(319.5, 239.5\) in images of 320 x 240 px.*neither"):
         check_center((319.5, 239.5), (240, 320))
+
+
+def test_a_lens_that_the_pictures_report_is_taken_where_it_has_no_distortion() -> None:
+    assert reported_lens(Intrinsics(570.0, 571.0, 320.0, 240.0)) == ((570.0, 571.0), (320.0, 240.0))
+    with pytest.raises(InputError, match="focal_px and center_px; got none"):
+        reported_lens(None)
+    with pytest.raises(InputError, match=r"and distortion; got .* \[0.1, 0.0, 0.0, 0.0, 0.0\] .*calibrate camera"):
+        reported_lens(Intrinsics(570.0, 571.0, 320.0, 240.0, (0.1, 0.0, 0.0, 0.0, 0.0)))

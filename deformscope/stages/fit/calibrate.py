@@ -6,7 +6,7 @@ The sweep is the thesis's Algorithm 3; `method="gradient"` serves Algorithm 2's 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -14,6 +14,7 @@ from threadpoolctl import threadpool_limits
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.errors import InputError
+from deformscope.stages.fit.at_value import at_value
 from deformscope.stages.fit.distance import distances, explained_share, nearest_error, unexplained
 from deformscope.stages.fit.doubts import (
     NOISE_NAMED,
@@ -199,6 +200,7 @@ def _put_held_right(fit: Search, options: FitOptions) -> tuple[Search, tuple[Int
 def _settings(seen: Sequence[Observation], options: FitOptions) -> dict[str, object]:
     """What is recorded of how a fit is made."""
     model = options.model
+    at = {} if options.at is None else {"at": asdict(at_value(seen, model, options.at))}
     return {
         "cluster_size": model.cluster_size,
         "mode": model.basis,
@@ -212,6 +214,7 @@ def _settings(seen: Sequence[Observation], options: FitOptions) -> dict[str, obj
         "precision": model.precision,
         "device": model.device,
         "pose_held": all(s.pose_held for s in seen),
+        **at,
     }
 
 

@@ -38,6 +38,7 @@ DoubtCode = Literal[
     "two-materials",
     "held-off",
     "setting",
+    "short-record",
 ]
 
 
@@ -349,6 +350,16 @@ def relative_verdict(value: float, ends: tuple[float, float], reasons: Sequence[
     width = (ends[1] - ends[0]) / value
     found: Verdict = "identified" if width < IDENTIFIED_WIDTH else "weak" if width < WEAK_WIDTH else "unidentified"
     return limited(found, reasons)
+
+
+def lengths(name: str, value: float | FloatArray, unit: LengthUnit, metres_per_unit: float | None) -> dict[str, object]:
+    """A length, or lengths, as JSON has them: `NAME_m` and `NAME_px`, None where it is not known in that unit."""
+    given = np.asarray(value, dtype=np.float64)
+    metres = given if unit == "m" else None if metres_per_unit is None else metres_per_unit * given
+    return {
+        f"{name}_m": None if metres is None else metres.tolist(),
+        f"{name}_px": given.tolist() if unit == "px" else None,
+    }
 
 
 @dataclass(frozen=True, slots=True)

@@ -137,6 +137,7 @@ class FitOptions:
     method: "sweep" tries `candidates` values over `bounds` and refines around the lowest error (Algorithm 3);
     "gradient" follows the slope (Algorithm 2's purpose) and draws the curve only where it went
     level: of the interval; seed: of its random repeats
+    at: a value whose error is reported as well, None = none
     """
 
     model: Model = Model()
@@ -145,3 +146,4 @@ class FitOptions:
     candidates: int = 100
     level: float = 0.9
     seed: int = 0
+    at: float | None = None

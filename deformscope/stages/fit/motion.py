@@ -8,6 +8,7 @@ import numpy as np
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.errors import InputError
+from deformscope.stages.fit.estimate import LengthUnit
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,6 +20,7 @@ class Motion:
     duration: (T,) [s] from each frame to the next (the last: as long as the one before); None: not known
     shape, cell: the lattice that the particles stand on, None if they stand on none
     noise: standard deviation of a coordinate; None: from the residuals
+    unit, metres_per_unit: of positions; None: not known
     """
 
     rest: FloatArray
@@ -28,6 +30,8 @@ class Motion:
     shape: tuple[int, ...] | None = None
     cell: IntArray | None = None
     noise: float | None = None
+    unit: LengthUnit = "m"
+    metres_per_unit: float | None = 1.0
 
     def __post_init__(self) -> None:
         if self.position.ndim != 3 or self.position.shape[1:] != self.rest.shape or not len(self.position):

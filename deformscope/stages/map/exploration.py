@@ -14,6 +14,7 @@ import numpy as np
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.errors import InputError
+from deformscope.stages.poke.creep import CreepFit
 
 DISPLAY = "display"
 """The stage that shows results."""
@@ -43,6 +44,7 @@ class TouchEstimate:
     modulus_pa: corrected for the tip and the layer, None = not identified; depth_m, peak_force_n: of the dent
     beta, beta_interval, beta_verdict: of the MSM fitted to the dent, None = not fitted
     observed_m: (k, 3) raw points around the dent; simulated_m: (p, 3) particles of the fitted model there
+    creep: what its hold and its way back say of the foam's creep, None = not asked for, or not fitted
     usable: whether it has a stiffness: where its contact could not be fitted, all that comes from the fit is nan
     """
 
@@ -64,6 +66,7 @@ class TouchEstimate:
     beta_verdict: str
     observed_m: FloatArray
     simulated_m: FloatArray
+    creep: CreepFit | None = None
 
     @property
     def usable(self) -> bool:

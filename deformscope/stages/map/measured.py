@@ -20,6 +20,21 @@ class SurfaceMeasurement:
 
 
 @dataclass(frozen=True, slots=True)
+class WholeTouch:
+    """A touch from the approach until the tip was back, for its creep.
+
+    time_s, position_m, force_n: (n,), (n, 3), (n, 3) as of `TouchMeasurement`; loading, held: how many samples lead up
+    to the set force, and how many were taken until the way back
+    """
+
+    time_s: FloatArray
+    position_m: FloatArray
+    force_n: FloatArray
+    loading: int
+    held: int
+
+
+@dataclass(frozen=True, slots=True)
 class TouchMeasurement:
     """What a touch gave.
 
@@ -27,6 +42,7 @@ class TouchMeasurement:
     time_s: (n,) rising; position_m: (n, 3) middle of the ball as the arm reports; force_n: (n, 3) on it; surface frame
     after_m: (k, 3) points seen while it pressed, without the robot; reached: the set force, rather than the depth
     seen_ns: until when they were seen, on the robot's clock; 0 = nothing was seen
+    whole: the touch with its hold and its way back, None where its creep was not asked for
     """
 
     xy_m: FloatArray
@@ -37,6 +53,7 @@ class TouchMeasurement:
     after_m: FloatArray
     reached: bool
     seen_ns: int = 0
+    whole: WholeTouch | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,6 +83,7 @@ class TouchFrames:
     tare_n: (3,) what they read in free air before [N]
     camera, depth_ns (k,): images of the dent; depth_arm_ns: (k,) the arm's state in each
     seen_ns: until when it pressed still; end_ns: the arm's state after it
+    held_ns: (h,) states from the set force until the tip was back, None where its creep was not asked for
     """
 
     xy_m: FloatArray
@@ -83,3 +101,4 @@ class TouchFrames:
     depth_arm_ns: IntArray
     seen_ns: int
     end_ns: int
+    held_ns: IntArray | None = None

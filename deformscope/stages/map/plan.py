@@ -1,15 +1,17 @@
 """Where to touch next, and why: the expected information of each place, what going there costs, and where not to go.
 
-`random-above`: any place whose field variance is above a threshold (Thesis 4.2); `max-variance`: the largest variance;
+`random-above`: any place whose field variance is above a threshold (Thesis 4.2); `thesis`: the same of the thesis's
+field of beta, whose variance alone ends it (`thesis_field`); `max-variance`: the largest variance;
 `integrated-variance`: the largest drop of the mean variance (active learning Cohn, 1996); `regions`, the default:
 touches that fill the space first; then those that are expected to put most of the map's labels right, by showing where
-the regions' borders run, or a lump that the map does not show (`inclusions`). All of these per second.
+the regions' borders run, or a lump that the map does not show (`inclusions`), or by repeating a touch that may be off.
+All of these per second.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Literal, cast
+from typing import Literal, cast, get_args
 
 import numpy as np
 from scipy.special import ndtr, ndtri, xlogy
@@ -19,12 +21,13 @@ from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.errors import InputError
 from deformscope.stages.map.exploration import Missed
 from deformscope.stages.map.inclusions import LUMP_RADII_M, Lumps, missed
-from deformscope.stages.regions.posterior import RegionHypotheses, RegionPosterior, labels_of
+from deformscope.stages.map.thesis_field import SIGMA_E, ThesisField
+from deformscope.stages.regions.posterior import RegionHypotheses, RegionPosterior, Repeats, labels_of
 from deformscope.stages.regions.touch_error import TouchErrorModel
 from deformscope.stages.regions.touches import MapGrid
 
-Planner = Literal["regions", "integrated-variance", "max-variance", "random-above"]
-PLANNERS: tuple[Planner, ...] = ("regions", "integrated-variance", "max-variance", "random-above")
+Planner = Literal["regions", "integrated-variance", "max-variance", "random-above", "thesis"]
+PLANNERS: tuple[Planner, ...] = get_args(Planner)
 StopReason = Literal["budget", "nothing above the threshold", "little left to learn", "nowhere to go"]
 
 ALLOWED, OUT_OF_REACH, AT_BORDER, TOUCHED_BEFORE = range(4)
@@ -68,7 +71,8 @@ class FieldKernel:
 @dataclass(frozen=True, slots=True)
 class PlanOptions:
     """planner; fill: touches that fill the space before regions are asked for; cell_m: of the places considered
-    border_m, apart_m: kept from the border and from earlier touches; touch_s, speed_m_s: costs of touch and route
+    border_m, apart_m: kept from the border and from earlier touches, but for `regions`, which may repeat one
+    touch_s, speed_m_s: costs of touch and route
     threshold: of variance, as a share of the field's variance before any touch (Th, thesis 4.2)
     least_gain: where less is to be gained it stops: of the share of cells with the right label; sure: the probability
     from which the number of regions is no longer in doubt; budget: touches in all
@@ -127,13 +131,14 @@ def plan_touch(
     tip_m: FloatArray | None = None,
     left_out_m: FloatArray | None = None,
     reachable: BoolArray | None = None,
+    thesis: ThesisField | None = None,
     seed: int = 0,
 ) -> TouchChoice:
     """Where to touch next.
 
     tip_m: (2,) where the tip is now, default the last touch, else the surface's corner [m]
     left_out_m: (n, 2) touches that gave nothing: they count for the budget, and are not made again at their places
-    reachable: (rows, columns) of `posterior.grid`; seed: of the random planner
+    reachable: (rows, columns) of `posterior.grid`; thesis: the field of the planner "thesis"; seed: of random planners
     """
     grid = MapGrid(posterior.grid.size_m, options.cell_m)
     places = grid.centres_m
@@ -141,48 +146,59 @@ def plan_touch(
     made = touched if left_out_m is None else np.concatenate([touched, left_out_m])
     tip = tip_m if tip_m is not None else touched[-1] if len(touched) else np.zeros(2)
     excluded = _excluded(places, made, posterior.grid, reachable, options)
+    again = posterior.repeats(places, 0.5 * options.cell_m)
+    if options.planner == "regions" and len(touched) >= options.fill:
+        failed = _excluded(places, made[len(touched) :], posterior.grid, reachable, options) == TOUCHED_BEFORE
+        excluded[(again.share > 0.0) & (excluded == TOUCHED_BEFORE) & ~failed] = ALLOWED
     cost = options.touch_s + np.hypot(*(places - tip).T) / options.speed_m_s
-    variance = _variance(kernel, touched, places)
+    if options.planner == "thesis":
+        variance, before = ((thesis or ThesisField()).at(places).deviation / SIGMA_E) ** 2, 1.0
+    else:
+        variance, before = _variance(kernel, touched, places), kernel.sd**2
     allowed = excluded == ALLOWED
     with threadpool_limits(1):
-        gain, unit, score = _gain(posterior, kernel, options, places, allowed, touched, variance, cost, seed)
+        if options.planner in ("random-above", "thesis"):
+            gain, unit = np.where(allowed, variance, np.nan), "variance"
+            order = np.random.default_rng((seed, len(touched))).random(len(places))
+            score = np.where(variance / before > options.threshold, order, -1.0)
+        else:
+            gain, unit, score = _gain(posterior, kernel, options, places, allowed, touched, variance, cost)
         lumps = missed(posterior, made, {*LUMP_RADII_M, options.inclusion_m})
-    stop = _stop(posterior, options, len(made), gain, unit, variance[allowed] / kernel.sd**2, lumps)
+    stop = _stop(posterior, options, len(made), gain, unit, variance[allowed] / before, lumps)
 
     target, reason = None, f"stopped: {stop}"
     if allowed.any():
         best = int(np.nanargmax(np.where(allowed, score, -np.inf)))
-        target = places[best]
+        target = again.at_m[best]
         if stop is None:
             reason = _why(posterior, options, unit, float(gain[best]), float(np.nanmax(gain)), float(cost[best]))
+            reason = "the same place again: " * bool(again.share[best] > 0.0) + reason
     shape = grid.shape
     return TouchChoice(
         grid, target, stop, gain.reshape(shape), unit, cost.reshape(shape), excluded.reshape(shape), reason, lumps
     )
 
 
-def information(hypotheses: RegionHypotheses, places_m: FloatArray, blur_m: float, noise_sd: float) -> FloatArray:
-    """(p,) mutual information of a touch at places (p, 2) with what the surface is [nat].
+def information(hypotheses: RegionHypotheses, touches: Repeats, blur_m: float) -> FloatArray:
+    """(p,) mutual information of touches with what the surface is [nat].
 
     It is the entropy of the reading over all hypotheses less that under each (Lindley 1956), in bins: a little less
     than without them.
     """
-    chance, weight = _outcomes(hypotheses, places_m, blur_m, noise_sd, OUTCOMES)
+    chance, weight = _outcomes(hypotheses, touches, blur_m, OUTCOMES)
     together = np.tensordot(chance, weight, axes=(1, 0))
     entropy = -xlogy(together, together).sum(axis=0)
     return cast(FloatArray, np.maximum(entropy + weight @ xlogy(chance, chance).sum(axis=0), 0.0))
 
 
-def label_gain(
-    hypotheses: RegionHypotheses, places_m: FloatArray, cells_m: FloatArray, blur_m: float, noise_sd: float
-) -> FloatArray:
-    """(p,) by how much a touch at places (p, 2) is expected to raise the share of cells (c, 2) with the right label.
+def label_gain(hypotheses: RegionHypotheses, touches: Repeats, cells_m: FloatArray, blur_m: float) -> FloatArray:
+    """(p,) by how much each of some touches is expected to raise the share of cells (c, 2) with the right label.
 
     A label is right if the number of regions is, too; each region of a map counts the same, however small. The share
     is that of the best labels after the touch, over all its outcomes.
     """
     outcomes = OUTCOMES // 2
-    chance, weight = _outcomes(hypotheses, places_m, blur_m, noise_sd, outcomes)
+    chance, weight = _outcomes(hypotheses, touches, blur_m, outcomes)
     joint = np.ascontiguousarray(np.swapaxes(chance * weight[:, None], 1, 2)).reshape(-1, len(weight))
     best, best_now = np.zeros((len(joint), len(cells_m))), np.zeros(len(cells_m))
     start = 0
@@ -199,23 +215,32 @@ def label_gain(
     smooth = np.full((1, len(cells_m)), 1.0)
     np.maximum(best, joint[:, start:].sum(axis=1, keepdims=True) @ smooth, out=best)
     np.maximum(best_now, weight[start:].sum() * smooth[0], out=best_now)
-    after = best.reshape(outcomes, len(places_m), -1).sum(axis=0).mean(axis=1)
+    after = best.reshape(outcomes, len(touches.at_m), -1).sum(axis=0).mean(axis=1)
     return cast(FloatArray, np.maximum(after - best_now.mean(), 0.0))
 
 
-def level_information(hypotheses: RegionHypotheses, places_m: FloatArray, blur_m: float, known_sd: float) -> FloatArray:
-    """(p,) information of a touch at places (p, 2) about the levels, were the map known [nat]; a level that is known to
-    `known_sd` is worth little more."""
-    _, variance, weight = hypotheses.predict(places_m, blur_m)
+def level_information(hypotheses: RegionHypotheses, touches: Repeats, blur_m: float, known_sd: float) -> FloatArray:
+    """(p,) information of touches about the levels, were the map known [nat]; a level that is known to `known_sd` is
+    worth little more."""
+    _, variance, weight = _expected(hypotheses, touches, blur_m)
     return cast(FloatArray, 0.5 * weight @ np.log1p(variance / known_sd**2))
 
 
+def _expected(
+    hypotheses: RegionHypotheses, touches: Repeats, blur_m: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Mean and variance (h, p) of what touches read under each hypothesis, and its weight (h,): a repeat is expected to
+    read a part of what was read there before."""
+    mean, variance, weight = hypotheses.predict(touches.at_m, blur_m)
+    return mean + touches.share * (touches.value - mean), variance * (1.0 - touches.share) ** 2, weight
+
+
 def _outcomes(
-    hypotheses: RegionHypotheses, places: FloatArray, blur_m: float, noise_sd: float, count: int
+    hypotheses: RegionHypotheses, touches: Repeats, blur_m: float, count: int
 ) -> tuple[FloatArray, FloatArray]:
     """(count, h, p) probability of each outcome of a touch under each hypothesis, and the hypotheses' weights (h,)."""
-    mean, variance, weight = hypotheses.predict(places, blur_m)
-    sd = np.sqrt(variance + noise_sd**2)
+    mean, variance, weight = _expected(hypotheses, touches, blur_m)
+    sd = np.sqrt(variance + touches.sd**2)
     below = ndtr((_bin_edges(mean, sd, weight, count)[:, None] - mean) / sd)
     return np.diff(below, axis=0, prepend=0.0, append=1.0), weight
 
@@ -279,16 +304,10 @@ def _gain(
     touched: FloatArray,
     variance: FloatArray,
     cost: FloatArray,
-    seed: int,
 ) -> tuple[FloatArray, str, FloatArray]:
     """Gain (p,), nan where not `allowed`, its unit, and the score (p,) whose largest is taken."""
-    known = np.where(allowed, variance, np.nan)
-    if options.planner == "random-above":
-        above = variance / kernel.sd**2 > options.threshold
-        order = np.random.default_rng((seed, len(touched))).random(len(places))
-        return known, "variance", np.where(above, order, -1.0)
     if options.planner == "max-variance":
-        return known, "variance", variance
+        return np.where(allowed, variance, np.nan), "variance", variance
     drop = np.where(allowed, _integrated_drop(kernel, touched, places), np.nan)
     if options.planner == "integrated-variance":
         return drop, "mean variance", drop
@@ -299,7 +318,8 @@ def _gain(
         gain[allowed] = _lump_gain(posterior, options.inclusion_m, places[allowed])
         # a search for the boundaries of what nothing speaks for would only stall
         if posterior.probability["1"] <= 0.5:
-            gain[allowed] += _region_gain(posterior, places[allowed], cost[allowed])
+            touches = posterior.repeats(places[allowed], 0.5 * options.cell_m)
+            gain[allowed] += _region_gain(posterior, touches, cost[allowed])
     return gain, "label", gain / cost
 
 
@@ -309,15 +329,16 @@ def _lump_gain(posterior: RegionPosterior, smallest_m: float, places: FloatArray
     return cast(FloatArray, LUMP_WORTH * np.mean(chance, axis=0))
 
 
-def _region_gain(posterior: RegionPosterior, places: FloatArray, cost: FloatArray) -> FloatArray:
+def _region_gain(posterior: RegionPosterior, touches: Repeats, cost: FloatArray) -> FloatArray:
     """(p,) what a touch is expected to add to the labels, and to levels that are hardly known; for all but the places
     that are most informative, as far as the latter go."""
-    hypotheses, blur, noise_sd = posterior.hypotheses(), posterior.prior.blur_m, posterior.touch_sd
-    gain = LEVEL_WORTH * level_information(hypotheses, places, blur, posterior.prior.rigid_sd)
-    learned = LEVEL_WORTH * information(hypotheses, places, blur, noise_sd)
+    hypotheses, blur = posterior.hypotheses(), posterior.prior.blur_m
+    gain = LEVEL_WORTH * level_information(hypotheses, touches, blur, posterior.prior.rigid_sd)
+    learned = LEVEL_WORTH * information(hypotheses, touches, blur)
     best = np.argsort(-(gain + learned) / cost, kind="stable")[:CONTENDERS]
     cells = MapGrid(posterior.grid.size_m, LABEL_CELL_M).centres_m
-    gain[best] += label_gain(hypotheses, places[best], cells, blur, noise_sd)
+    some = Repeats(touches.at_m[best], touches.value[best], touches.share[best], touches.sd[best])
+    gain[best] += label_gain(hypotheses, some, cells, blur)
     return gain
 
 
@@ -336,6 +357,8 @@ def _stop(
         return "budget"
     if not np.isfinite(gain).any():
         return "nowhere to go"
+    if options.planner == "thesis":
+        return "nothing above the threshold" if variance.max() < options.threshold else None
     if len(posterior.touches) < 3 or max(posterior.probability.values()) < options.sure:
         return None
     if options.planner == "regions" and lumps.probability(options.inclusion_m) > options.unmet:
@@ -349,7 +372,7 @@ def _stop(
 
 def _why(posterior: RegionPosterior, options: PlanOptions, unit: str, gain: float, most: float, cost_s: float) -> str:
     """Why here, in words."""
-    if options.planner == "random-above":
+    if options.planner in ("random-above", "thesis"):
         return f"any place above the threshold: variance {gain:.3g}"
     if options.planner == "max-variance":
         return f"the least known place: variance {gain:.3g}"

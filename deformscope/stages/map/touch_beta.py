@@ -1,7 +1,7 @@
 """The local *beta* of one touch: the shape parameter of the model that dents as the surface around the tip did.
 
     found = fit_touch(world, after_m, touch, thickness_m=0.05)      # layers below the surface: the default
-    found = thesis_beta(world, touched, place_m)                    # one layer, as in Thesis 4.3
+    found = thesis_beta(dent_of(world, touched, place_m))           # one layer, as in Thesis 4.3
 
 `fit_touch` goes through `deformscope.stages.poke.poke_fit`, as a poke of a pair file does. The data are the raw points
 that the camera saw while the tip pressed, never a smooth surface through them: a Gaussian process widens shallow dents,
@@ -11,7 +11,8 @@ at its bound for every modulus: the verdict `at-bound` is the normal answer.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 
@@ -19,6 +20,7 @@ from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 from deformscope.stages.fit.distance import nearest_error
 from deformscope.stages.fit.estimate import Curve, Estimate
+from deformscope.stages.map.gaussian_process import Believed
 from deformscope.stages.map.surface import HeightProcess
 from deformscope.stages.msm import clusters
 from deformscope.stages.msm.poke import Law, PokeSetup, Tip, hold, settle
@@ -44,12 +46,21 @@ FEWEST = 20
 
 THESIS_CANDIDATES, THESIS_SIDE_M, THESIS_CELL_M = 50, 0.15, 0.01
 
+DENTED = 0.1
+"""Share of the deepest by which a place has sunk that counts as dented."""
+
 THESIS_NOTE = (
     "a trend of this beta with firmness is an effect of the growing contact patch: a ball touches a patch that grows "
     "with the dent, and one held particle makes the model take its width for deformability; with the whole patch held "
     "the trend is gone"
 )
 """Said wherever beta of the thesis's model is shown."""
+
+
+class SurfaceHeights(Protocol):
+    """A surface that is known where it is asked for, such as a `HeightProcess`."""
+
+    def at(self, places_m: FloatArray) -> Believed: ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,6 +110,7 @@ def fit_touch(
     touch: BallContact,
     *,
     thickness_m: float,
+    cluster_size: int = CLUSTER_SIZE,
     sample_m: tuple[tuple[float, float], tuple[float, float]] | None = None,
 ) -> TouchBeta:
     """beta of layers of material below the surface, their bottom held, all that the ball touches held to it.
@@ -134,7 +146,7 @@ def fit_touch(
         average_over=touch.radius_m,
         misfit_over=2.0 * touch.radius_m,
     )
-    fit = fit_pokes(surface, [seen], spacing=spacing, cluster_sizes=[CLUSTER_SIZE], beta_range=BOUNDS, theta=0.0)
+    fit = fit_pokes(surface, [seen], spacing=spacing, cluster_sizes=[cluster_size], beta_range=BOUNDS, theta=0.0)
     found = conclude(fit, level=LEVEL, settings={"model": "volume"}, provenance={})
     posed = fit.posed[0]
     top = posed.settle([fit.best.law]).position[0, posed.scene.open]
@@ -189,11 +201,43 @@ def _contact(touch: BallContact) -> tuple[FloatArray, FloatArray]:
 
 
 @dataclass(frozen=True, slots=True)
-class ThesisBeta:
-    """beta by one layer of particles whose edges are fixed and of which one is held (Thesis 4.3).
+class SeenDent:
+    """A square of the surface around a touch, on cells of `THESIS_CELL_M`, before it and under it (Thesis 4.4).
 
-    curve: error over beta (eq. 4.6) [m]; depth_m: of the particle held; simulated_m: (p, 3) the layer's particles at
-    beta; converged: the state at beta settled; note: what its trend with firmness is
+    before, after: (p, 3) at the same places [m]; shape: (rows, columns)
+    """
+
+    before: FloatArray
+    after: FloatArray
+    shape: tuple[int, int]
+
+    @property
+    def sunk_m(self) -> FloatArray:
+        """(p,) by how much the surface is lower [m]."""
+        return np.asarray(self.before[:, 2] - self.after[:, 2])
+
+    @property
+    def dented_m(self) -> FloatArray:
+        """(m, 2) the places that were dented [m]: all that sank by `DENTED` of the deepest."""
+        sunk = self.sunk_m
+        return np.asarray(self.before[sunk >= DENTED * sunk.max(), :2])
+
+
+def dent_of(world: SurfaceHeights, touched: SurfaceHeights, place_m: FloatArray) -> SeenDent:
+    """The square of `THESIS_SIDE_M` around a place (2,) [m]. world, touched: the surface before and under touch, the
+    latter with the tactile points"""
+    grid = MapGrid((THESIS_SIDE_M, THESIS_SIDE_M), THESIS_CELL_M)
+    places_m = np.asarray(place_m)[:2] - 0.5 * THESIS_SIDE_M + grid.centres_m
+    before, after = (np.column_stack([places_m, one.at(places_m).mean]) for one in (world, touched))
+    return SeenDent(before, after, grid.shape)
+
+
+@dataclass(frozen=True, slots=True)
+class ThesisBeta:
+    """beta by a lattice whose edges are fixed and of which one particle is held (Thesis 4.3).
+
+    curve: error over beta (eq. 4.6) [m]; depth_m: of the particle held; simulated_m: (p, 3) the particles of the
+    surface at beta; converged: the state at beta settled; dent: what it was fitted to; note: what its trend is
     """
 
     beta: float
@@ -201,6 +245,7 @@ class ThesisBeta:
     depth_m: float
     simulated_m: FloatArray
     converged: bool
+    dent: SeenDent
     note: str = THESIS_NOTE
 
     @property
@@ -209,33 +254,52 @@ class ThesisBeta:
         return float(np.nanmin(self.curve.aee))
 
 
-def thesis_beta(world: HeightProcess, touched: HeightProcess, place_m: FloatArray) -> ThesisBeta:
+def thesis_beta(
+    dent: SeenDent, *, thickness_m: float | None = None, cluster_size: int | None = CLUSTER_SIZE
+) -> ThesisBeta:
     """beta as in Thesis 4.3, 4.4 and Algorithm 3: the lowest point of the surface under touch is held, beta is swept.
 
-    world, touched: the surfaces before and under touch, the latter with the tactile points; both are asked on a grid of
-    `THESIS_CELL_M` over a square of `THESIS_SIDE_M` around `place_m` (2,) [m]
+    thickness_m: layers down to a ground that is held, this far below; default a single layer, as the thesis has it
+    cluster_size: particles a side; None: one cluster of all, which deforms quadratically (the thesis's "no cluster")
     A single layer, all bending, dents wider than foam on a table does, whatever beta: on finite element slabs of 20 to
     120 kPa with a square of 15 cm beta is 0 for all but the smoothest dents. One held particle of a volume lattice
     follows firmness: 0.55 to 0.14 there.
     Raises InputError where the lowest point is at the square's edge.
     """
-    grid = MapGrid((THESIS_SIDE_M, THESIS_SIDE_M), THESIS_CELL_M)
-    places_m = np.asarray(place_m)[:2] - 0.5 * THESIS_SIDE_M + grid.centres_m
-    before, after = (np.column_stack([places_m, one.at(places_m).mean]) for one in (world, touched))
-    lowest = int(np.argmin(after[:, 2] - before[:, 2]))
-    row, column = np.unravel_index(np.arange(len(before)), grid.shape)
-    edge = np.flatnonzero((row == 0) | (row == grid.shape[0] - 1) | (column == 0) | (column == grid.shape[1] - 1))
-    if lowest in edge:
+    before, after, shape = dent.before, dent.after, dent.shape
+    lowest = int(np.argmax(dent.sunk_m))
+    row, column = np.unravel_index(np.arange(len(before)), shape)
+    edge = (row == 0) | (row == shape[0] - 1) | (column == 0) | (column == shape[1] - 1)
+    if edge[lowest]:
         raise InputError("a dent inside the square", "the lowest point at its edge", "a place nearer to the touch")
-    grouped = clusters.lattice(before, grid.shape, np.arange(len(before)), CLUSTER_SIZE)
-    scene = PokeSetup(before, grouped, edge, np.arange(len(before)), DOWN, grid.cell_m)
-    here = np.array([lowest])
-    body = hold(scene, here, Law(0.0, cluster_size=CLUSTER_SIZE), "float32", "cpu")
+    layers = 1 if thickness_m is None else max(2, round(thickness_m / THESIS_CELL_M) + 1)
+    rest = np.repeat(before[:, None], layers, axis=1)
+    if thickness_m is not None:
+        rest[:, :, 2] -= thickness_m * np.arange(layers - 1, -1, -1) / (layers - 1)
+    rest = rest.reshape(-1, 3)
+    fixed = np.repeat(edge[:, None], layers, axis=1)
+    fixed[:, 0] |= thickness_m is not None
+    top = np.arange(layers - 1, len(rest), layers)
+    if cluster_size is None:
+        grouped, law = clusters.single(len(rest)), Law(0.0, cluster_size=None, basis="quadratic")
+    else:
+        lattice = shape if layers == 1 else (*shape, layers)
+        grouped = clusters.lattice(rest, lattice, np.arange(len(rest)), cluster_size)
+        law = Law(0.0, cluster_size=cluster_size)
+    scene = PokeSetup(rest, grouped, np.flatnonzero(fixed), top, DOWN, THESIS_CELL_M)
+    here = top[[lowest]]
+    body = hold(scene, here, law, "float32", "cpu")
     beta = np.linspace(*BOUNDS, THESIS_CANDIDATES)
-    laws = [Law(float(one), cluster_size=CLUSTER_SIZE) for one in beta]
-    state = settle(scene, body, laws, here, after[here], slips=False, start=None)
-    error = np.array([nearest_error(one, after) for one in state.position])
+    laws = [replace(law, beta=float(one)) for one in beta]
+    state = settle(scene, body, laws, here, after[[lowest]], slips=False, start=None)
+    surface = np.asarray(state.position, dtype=np.float64)[:, top]
+    error = np.array([nearest_error(one, after) for one in surface])
     best = int(np.argmin(error))
-    depth = float(before[lowest, 2] - after[lowest, 2])
-    simulated = np.asarray(state.position[best], dtype=np.float64)
-    return ThesisBeta(float(beta[best]), Curve(beta, error), depth, simulated, bool(state.converged[best]))
+    return ThesisBeta(
+        beta=float(beta[best]),
+        curve=Curve(beta, error),
+        depth_m=float(dent.sunk_m[lowest]),
+        simulated_m=surface[best],
+        converged=bool(state.converged[best]),
+        dent=dent,
+    )

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.stats import chi2
@@ -14,12 +13,13 @@ from deformscope.errors import InputError
 from deformscope.stages.fit import least_squares
 from deformscope.stages.fit.calibrate import BETA_LIMIT, Model, Observation, explained, shape_doubts
 from deformscope.stages.fit.doubts import found_in_numbers, ordered, residual_ratio, swapped_axes
-from deformscope.stages.fit.estimate import Doubt, Identifiability, Verdict, verdict
+from deformscope.stages.fit.estimate import Doubt, Identifiability, verdict
 from deformscope.stages.fit.least_squares import Noise
 from deformscope.stages.fit.noise import independent, shared_over
 from deformscope.stages.fit.residuals import Residuals
 from deformscope.stages.fit.search import Progress
 from deformscope.stages.fit.two_materials import FittedBody, two_materials
+from deformscope.stages.materials.axis_estimate import AxisEstimate
 from deformscope.stages.msm.materials import AxisBeta
 from deformscope.stages.msm.solver import TOLERANCE, Msm, Relaxed
 
@@ -34,69 +34,6 @@ HELD_REPEATS = 48
 
 SURE = 0.99
 """Level at which one beta for all axes is given up."""
-
-
-@dataclass(frozen=True, slots=True)
-class AxisEstimate:
-    """Betas along the axes of a material (linear clusters, theta = 0).
-
-    axes: (d, d) columns; value: (d,); interval: (d, 2) at `level`; correlation: (d, d) of -log(1 - beta)
-    verdict: (d,) of each, as for one beta; reasons: (d,) to doubt each, what concerns all of them included
-    anisotropic: one beta for all axes is ruled out (p_isotropic below 1 %)
-    beta: the best single one, and p_isotropic: how likely it leaves so much more error if it were true
-    identifiability: (d,) of each axis, its rise with the betas along the others as they are
-    aee, aee_isotropic: average Euclidean error over all observed particles [unit] (Thesis eq. 3.18)
-    """
-
-    axes: FloatArray
-    value: FloatArray
-    interval: FloatArray
-    level: float
-    correlation: FloatArray
-    verdict: tuple[Verdict, ...]
-    reasons: tuple[tuple[Doubt, ...], ...]
-    identifiability: tuple[Identifiability, ...]
-    anisotropic: bool
-    p_isotropic: float
-    beta: float
-    aee: float
-    aee_isotropic: float
-    noise: float
-    converged: bool
-    settings: dict[str, object]
-
-    @property
-    def explained(self) -> float:
-        """Share of the motion beyond a rigid one that the betas explain."""
-        return self.identifiability[0].explained
-
-    def as_json(self) -> dict[str, object]:
-        """The public form."""
-        return {
-            "parameter": "beta",
-            "axes": [
-                {
-                    "axis": [float(x) for x in self.axes[:, k]],
-                    "value": float(self.value[k]),
-                    "interval": [float(x) for x in self.interval[k]],
-                    "verdict": self.verdict[k],
-                    "reasons": [one.as_json() for one in self.reasons[k]],
-                }
-                for k in range(len(self.value))
-            ],
-            "level": self.level,
-            "correlation": self.correlation.tolist(),
-            "anisotropic": self.anisotropic,
-            "p_isotropic": self.p_isotropic,
-            "isotropic_beta": self.beta,
-            "aee_m": self.aee,
-            "aee_isotropic_m": self.aee_isotropic,
-            "noise_m": self.noise,
-            "explained": self.explained,
-            "identifiability": {"rise_sd": [one.rise for one in self.identifiability], "explained": self.explained},
-            "converged": self.converged,
-            "settings": self.settings,
-        }
 
 
 def fit_axes(
@@ -154,6 +91,7 @@ def fit_axes(
         for rise, spread, at in zip(fit.rises(best, noise), deviation, best.at, strict=True)
     )
     reasons = fit.reasons(best, ends, identifiability, converged=converged)
+    strain, strain_sd = mean_strain(seen, directions, noise.deviation)
     verdicts = tuple(
         verdict((float(low), float(high)), (0.0, BETA_LIMIT), one, some)
         for (low, high), one, some in zip(ends, identifiability, reasons, strict=True)
@@ -183,7 +121,25 @@ def fit_axes(
             "seed": seed,
             "noise_source": "residuals" if any(s.noise is None for s in seen) else "given",
         },
+        strain=strain,
+        strain_sd=strain_sd,
+        unit=seen[0].unit,
+        metres_per_unit=seen[0].metres_per_unit,
     )
+
+
+def mean_strain(seen: Sequence[Observation], axes: FloatArray, noise: float) -> tuple[FloatArray, FloatArray]:
+    """(d,) strain along each axis (d, d) of the affine motion nearest to what was seen, and what noise makes of it; the
+    mean over observations."""
+    strains, variances = [], []
+    for one in seen:
+        rest = one.rest[one.observed] - one.rest[one.observed].mean(axis=0)
+        moved = one.deformed[one.observed]
+        slope = np.linalg.lstsq(rest, moved - moved.mean(axis=0), rcond=None)[0].T
+        stretch = slope.T @ slope
+        strains.append(np.sqrt(np.einsum("ik,ij,jk->k", axes, stretch, axes)) - 1.0)
+        variances.append(noise**2 * np.einsum("ik,ij,jk->k", axes, np.linalg.pinv(rest.T @ rest), axes))
+    return np.mean(strains, axis=0), np.sqrt(np.sum(variances, axis=0)) / len(seen)
 
 
 class _AxisFit:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from deformscope.arrays import FloatArray
-from deformscope.stages.fit.estimate import Doubt, Verdict
+from deformscope.stages.fit.estimate import Doubt, LengthUnit, Verdict, lengths
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,6 +32,7 @@ class YieldEstimate:
     aee, elastic_aee: average Euclidean error over all observed particles and frames
     curve: (n,) yield strains and (n,) root mean squares of a coordinate's residual there, the others at their best
     simulated, elastic: (T, K, d) the motion at the best, and without yielding
+    unit, metres_per_unit: of all lengths; None: not known
     """
 
     yield_strain: Parameter
@@ -47,11 +48,13 @@ class YieldEstimate:
     elastic_deviation: float
     aee: float
     elastic_aee: float
-    curve: tuple[FloatArray, FloatArray]
+    curve: tuple[FloatArray, ...]
     simulated: FloatArray
     elastic: FloatArray
     converged: bool
     settings: dict[str, object]
+    unit: LengthUnit = "m"
+    metres_per_unit: float | None = 1.0
 
     def as_json(self) -> dict[str, object]:
         """The public form; an interval's end that is null is open."""
@@ -72,12 +75,15 @@ class YieldEstimate:
             "beta": public(self.beta),
             "creep_per_s": public(self.creep),
             "largest_strain": self.largest_strain,
-            "permanent_set_m": self.set,
-            "rms_m": self.deviation,
-            "rms_elastic_m": self.elastic_deviation,
-            "aee_m": self.aee,
-            "aee_elastic_m": self.elastic_aee,
-            "curve": {"yield_strain": self.curve[0].tolist(), "rms_m": self.curve[1].tolist()},
+            **lengths("permanent_set", self.set, self.unit, self.metres_per_unit),
+            **lengths("rms", self.deviation, self.unit, self.metres_per_unit),
+            **lengths("rms_elastic", self.elastic_deviation, self.unit, self.metres_per_unit),
+            **lengths("aee", self.aee, self.unit, self.metres_per_unit),
+            **lengths("aee_elastic", self.elastic_aee, self.unit, self.metres_per_unit),
+            "curve": {
+                "yield_strain": self.curve[0].tolist(),
+                **lengths("rms", self.curve[1], self.unit, self.metres_per_unit),
+            },
             "converged": self.converged,
             "settings": self.settings,
         }

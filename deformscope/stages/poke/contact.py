@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Literal, cast
 
 import numpy as np
-from scipy.optimize import least_squares
+import scipy  # its parts are imported as they are first used: who only reads results needs none
 
 from deformscope.arrays import BoolArray, FloatArray
 from deformscope.errors import InputError
@@ -117,10 +117,10 @@ def fit_approach(
     z = z0 + d (F / F0)^(1/p) + c F, least squares with a soft loss and a Gaussian prior on p.
     """
     arm = arm or ArmCompliance()
-    depth_along, force = _along(time_s, position_m, force_n, normal)
+    depth_along, force = along_normal(time_s, position_m, force_n, normal)
     if set_force_n <= 0.0:
         raise InputError("a set force above 0 N", f"{set_force_n}")
-    force, noise, peak, loaded = _loaded(force, set_force_n, force_sd_n)
+    force, noise, peak, loaded = since_contact(force, set_force_n, force_sd_n)
     at_force = set_force_n
     z = depth_along[loaded] - arm.compliance_m_per_n * force[loaded]
     share = np.maximum(force[loaded], 0.0) / at_force
@@ -136,7 +136,7 @@ def fit_approach(
         law = z0 + depth * share ** (1.0 / max(p, 0.2))
         return cast(FloatArray, np.append((z - law) / sample_sd, (p - prior) / exponent_sd))
 
-    found = least_squares(
+    found = scipy.optimize.least_squares(
         residuals, [z0, depth, prior], x_scale=[1e-3, 1e-3, 0.1], loss="soft_l1", f_scale=2.0, method="trf"
     )
     z0, depth, p = (float(value) for value in found.x)
@@ -190,8 +190,8 @@ def calibrate_compliance(
     z = z0 + c F + d F^(2/3): what a force sensor's rubber dome yields itself (Hertz 1882) is not the arm's, where it
     is DOME_SDS of its deviations or more.
     """
-    depth_along, force = _along(time_s, position_m, force_n, normal)
-    force, _, _, loaded = _loaded(force, set_force_n, None)
+    depth_along, force = along_normal(time_s, position_m, force_n, normal)
+    force, _, _, loaded = since_contact(force, set_force_n, None)
     z, f = depth_along[loaded], force[loaded]
     line = np.column_stack([np.ones_like(f), f])
     (_, slope), (_, slope_sd), scale = _huber(line, z)
@@ -250,7 +250,7 @@ def layer_modulus(
     return float(force_n / (hertz * correction))
 
 
-def _along(
+def along_normal(
     time_s: FloatArray, position_m: FloatArray, force_n: FloatArray, normal: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """(n,) displacement into the surface [m] and force out of it [N]."""
@@ -267,7 +267,7 @@ def _along(
     return -(position_m @ normal) / length, force_n @ normal / length
 
 
-def _loaded(
+def since_contact(
     force: FloatArray, set_force_n: float, force_sd_n: float | None
 ) -> tuple[FloatArray, float, float, BoolArray]:
     """Force (n,) without its offset, its noise, its peak, and the samples (n,) from contact to the peak.

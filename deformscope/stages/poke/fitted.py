@@ -140,11 +140,15 @@ class FittedModel:
         """Places (p, 2) of the field; in the plane the second is 0."""
         return np.column_stack([places[:, 0], places[:, 1] if self.dim == 3 else np.zeros(len(places))])
 
-    def transfer_deviation(self, tip: Tip, depth: float) -> float:
-        """Deviation of the logarithm of a force for the sake of a tip, or a depth, that was not fitted."""
+    def transfer_deviation(self, tip: Tip, depth: float, rivals: float = 0.0) -> float:
+        """Deviation of the logarithm of a force for the sake of a tip, or a depth, that was not fitted.
+
+        rivals: deviation of what rival laws say. They follow the same pokes and differ at other tips: that is the doubt
+        of the tip seen another way, so that the larger of the two counts, not both
+        """
         other = 0.0 if self.tip is None else abs(np.log2(np.sqrt(tip.area / self.tip.area)))
         deeper = np.log2(depth / self.fitted_depth) if depth > self.fitted_depth else 0.0
-        return float(np.hypot(TIP_SHARE * other, DEPTH_SHARE * deeper))
+        return float(np.hypot(max(TIP_SHARE * other, rivals), DEPTH_SHARE * deeper))
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,6 +165,7 @@ class Prediction:
 
     rest, position: (K, d) [m]; surface: (s,) indices of the particles that a tip could touch; touched: (m,)
     depth [m]; force [N] and its 90 % interval, None without a measured force; stiffness: k [N/m] there
+    force_deviation: of the force's logarithm for the law's, the tip's and the depth's sake, the place left out
     surface_error: how far particles of the surface near the tip may be off, root mean square [m]
     extrapolated: in what respects the poke lies beyond what was fitted, in words
     layers: the lattice, for a body of layers; converged; residual: of the model, for points beside the tip
@@ -174,6 +179,7 @@ class Prediction:
     depth: float
     force: float | None
     force_interval: tuple[float, float] | None
+    force_deviation: float
     stiffness: float | None
     surface_error: float
     extrapolated: tuple[str, ...]
@@ -197,7 +203,8 @@ def predict(model: FittedModel, poke: Poke, *, precision: Precision = "float32",
     """The static state under a poke that need not have been seen.
 
     poke.at: (d,) [m]; its component along the direction of the poke does not count
-    The interval of the force spans the rival laws and what the pokes say of the stiffness at this place.
+    The interval of the force is of what the pokes say of the stiffness at this place, and of what the law, an unusual
+    tip and depth leave open.
     Raises InputError for a poke that the material has no room for, and a force where no stiffness is known.
     """
     room = model.material_depth
@@ -214,8 +221,9 @@ def predict(model: FittedModel, poke: Poke, *, precision: Precision = "float32",
             f"{poke.force:g} N, which would press the tip through",
             "a smaller force",
         )
-    force = None if k is None else k * found.reaction
-    interval = None if force is None else _force_interval(model, poke, found, scene.spacing, precision, device)
+    rivals = 0.0 if k is None else _rival_deviation(model, poke, found, precision, device)
+    deviation = model.transfer_deviation(poke.tip, found.depth, rivals)
+    met = model.stiffness_at(poke, scene.spacing, deviation)
     error = model.held_out if np.isfinite(model.held_out) else model.surface_error
     return Prediction(
         poke=poke,
@@ -224,8 +232,9 @@ def predict(model: FittedModel, poke: Poke, *, precision: Precision = "float32",
         surface=scene.open,
         touched=found.touched,
         depth=found.depth,
-        force=force,
-        force_interval=interval,
+        force=None if k is None else k * found.reaction,
+        force_interval=None if met is None else (met.interval[0] * found.reaction, met.interval[1] * found.reaction),
+        force_deviation=deviation,
         stiffness=k,
         surface_error=error * found.depth,
         extrapolated=model.beyond(found.depth, poke.tip),
@@ -235,21 +244,16 @@ def predict(model: FittedModel, poke: Poke, *, precision: Precision = "float32",
     )
 
 
-def _force_interval(
-    model: FittedModel, poke: Poke, found: Pressed, spacing: float, precision: Precision, device: str
-) -> tuple[float, float] | None:
-    """Of the stiffness that the poke meets, under the law and its rivals: from the lowest to the highest end."""
-    known = model.stiffness_at(poke, spacing, model.transfer_deviation(poke.tip, found.depth))
-    if known is None:
-        return None
-    responses = [found.reaction]
+def _rival_deviation(model: FittedModel, poke: Poke, found: Pressed, precision: Precision, device: str) -> float:
+    """Root mean square difference of log force at this depth between the rival laws and the best one."""
+    apart = []
     for rival in model.rivals:
         scene, _ = scene_of(model, rival.law, poke)
         same = dataclasses.replace(poke, depth=found.depth, force=None)
         other = press(scene, rival.law, same, start=found.position, precision=precision, device=device)
         if other.converged:
-            responses.append(other.reaction * float(np.median(rival.stiffness / model.stiffness)))
-    return known.interval[0] * min(responses), known.interval[1] * max(responses)
+            apart.append(np.log(other.reaction / found.reaction * np.median(rival.stiffness / model.stiffness)))
+    return float(np.sqrt(np.mean(np.square(apart)))) if apart else 0.0
 
 
 def scene_of(model: FittedModel, law: Law, poke: Poke) -> tuple[PokeSetup, Layers | None]:

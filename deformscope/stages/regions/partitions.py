@@ -174,7 +174,9 @@ def propose(rng: np.random.Generator, maps: Partitions) -> Partitions:
     fresh = _draw(rng, maps.regions, maps.size_m, count)
     step = np.exp(rng.uniform(np.log(0.04), np.log(1.0), count))[:, None, None]
     moved = np.sqrt(1.0 - step**2) * maps.latent + step * fresh.latent
-    touched = rng.random((count, 2, 1)) < 0.6  # which curve
+    # one curve, or both; of maps that one curve makes, that one
+    which = np.where((maps.regions == 2) & ~maps.double, 0.0, rng.random(count))
+    touched = np.stack([which < 0.65, which >= 0.35], axis=1)[..., None]
     some = rng.random((count, 1, 1)) < 0.5  # some of its numbers, or all
     touched = touched & (~some | (rng.random(maps.latent.shape) < 0.25))
     latent = np.where(touched, moved, maps.latent)

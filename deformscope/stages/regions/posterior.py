@@ -24,7 +24,7 @@ from threadpoolctl import threadpool_limits
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.errors import InputError
 from deformscope.stages.regions.partitions import Partitions, draw, propose
-from deformscope.stages.regions.touch_error import TouchErrorModel
+from deformscope.stages.regions.touch_error import SCATTER_SHARED, TouchErrorModel
 from deformscope.stages.regions.touches import MapGrid, StiffnessSample
 
 RegionVerdict = Literal["regions", "gradual"]
@@ -32,9 +32,11 @@ SurfaceKind = Literal["uniform", "materials", "gradual"]
 """The same with one region by a name of its own."""
 
 MOST_REGIONS = 3
-MOVES = 24
+MOVES = 40
 TEMPERS = (1.0, 4.0, 16.0, 64.0, 256.0)
 """Factors on the variance of the newest touch, where it comes as a surprise."""
+FEW = 0.3
+"""Share of the maps that they are worth, below which they move."""
 SMOOTH_LENGTHS_M = (0.2, 0.35, 0.6)
 SMOOTH_SDS = (0.25, 0.6)
 SLOPES_PER_M = (1.0, 3.0)
@@ -44,6 +46,8 @@ PRIOR_EXTENT_M, PRIOR_MARGIN_M = 0.5, 0.05
 are of a surface of about 0.6 m."""
 LINEARISED = 2
 """Times that the levels are estimated before what a contact feels is taken as linear about them."""
+SAME_M = 1e-3
+"""Touches that are so near each other are of one place."""
 RIGID_SDS = 2.0
 """Levels that are so many deviations or less below the bound of rigid touches are as rigid."""
 SCATTER_MAPS = 100
@@ -166,6 +170,21 @@ class RegionHypotheses:
             weights.append(np.array([share]))
         weight = np.concatenate(weights)
         return np.concatenate(means), np.concatenate(variances), weight / weight.sum()
+
+
+@dataclass(frozen=True, slots=True)
+class Repeats:
+    """What touches made so far foretell of touches at the same places, whatever the map.
+
+    at_m: (p, 2) where each place was touched, itself where it was not; value: (p,) mean log stiffness that was measured
+    there; share: (p,) of a reading's deviation from what the map says that is expected again, 0 where it was not
+    touched; sd: (p,) of what is then left of it
+    """
+
+    at_m: FloatArray
+    value: FloatArray
+    share: FloatArray
+    sd: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -436,6 +455,30 @@ class RegionPosterior:
         known = [touch.log_sd for touch in self.touches if not touch.rigid]
         return float(np.hypot(self.scatter, np.median(known))) if known else self.prior.error.touch_sd
 
+    def repeats(self, places_m: FloatArray, within_m: float) -> Repeats:
+        """Of touches at places (p, 2) [m]; each counts as the nearest earlier touch's where that is so near along x and
+        along y, and was of nothing rigid.
+
+        Touches of one place share a part of their scatter (`touch_error`), so that a repeat is worth less than a touch
+        elsewhere: given the mean of m readings, of errors q s^2 + ((1 - q) s^2 + own^2) / m, the next is expected to be
+        off by its share q s^2 of that.
+        """
+        sd = self.touch_sd
+        at, value = np.array(places_m, np.float64), np.zeros(len(places_m))
+        share, left = np.zeros(len(places_m)), np.full(len(places_m), sd)
+        xy_m = np.array([touch.xy_m for touch in self.touches]).reshape(-1, 2)
+        together = SCATTER_SHARED * self.scatter**2
+        for number, touch in enumerate(self.touches):
+            here = (np.abs(places_m - touch.xy_m) <= within_m).all(axis=1)
+            same = np.hypot(*(xy_m - xy_m[number]).T) < SAME_M
+            if not here.any() or touch.rigid:
+                continue
+            again = together / (together + (sd**2 - together) / same.sum())
+            at[here], share[here] = touch.xy_m, again
+            value[here] = np.mean([one.log_stiffness for one, its in zip(self.touches, same, strict=True) if its])
+            left[here] = np.sqrt(sd**2 - again * together)
+        return Repeats(at, value, share, left)
+
     @cached_property
     def _smooth(self) -> tuple[SmoothField, ...]:
         """Of each kernel and each scatter; their evidence has the scatter's prior in it."""
@@ -652,14 +695,15 @@ def _update(
     """Reweight the maps by the newest touch; where few are left, its noise is first taken as larger and the maps move
     in between (tempering, in four steps at most). keep: maps that are left once they move"""
     maps, log_weight, before, log_evidence = old.maps, old.log_weight, old.log_likelihood, old.log_evidence
-    least = 0.3 * min(len(maps), keep)
+    least = FEW * min(len(maps), keep) / len(maps)
     left = list(TEMPERS)
     while left:
         shares = maps.shares(readings.xy_m, prior.blur_m)
         likelihoods = ((temper, _log_likelihood(shares, readings, prior, temper)) for temper in left)
         # the first that leaves enough maps, or else the last
         temper, now = next(
-            (one for one in likelihoods if _effective(log_weight + one[1] - before) >= 0.25 * least), (left[-1], None)
+            (one for one in likelihoods if _effective(log_weight + one[1] - before, maps) >= 0.25 * least),
+            (left[-1], None),
         )
         if now is None:
             now = _log_likelihood(shares, readings, prior, temper)
@@ -668,16 +712,37 @@ def _update(
         gained = float(logsumexp(joint))
         log_evidence += gained
         log_weight, before = joint - gained, now
-        if left or _effective(joint) < least:
-            kept = _systematic(np.exp(log_weight), min(len(maps), keep), float(rng.random()))
+        if left or _effective(joint, maps) < least:
+            kept, log_weight = _kept(log_weight, maps.family[:, 0], min(len(maps), keep), float(rng.random()))
             maps, before = _move(rng, maps.take(kept), now[kept], readings, prior, temper)
-            log_weight = np.full(len(maps), -np.log(len(maps)))
     return _Particles(maps, log_weight, before, log_evidence)
 
 
-def _effective(log_weight: FloatArray) -> float:
-    """How many equally weighted particles these are worth (Kong 1992)."""
-    return float(np.exp(2.0 * logsumexp(log_weight) - logsumexp(2.0 * log_weight)))
+def _effective(log_weight: FloatArray, maps: Partitions) -> float:
+    """How much of them weighted maps are worth, as a share (Kong 1992): family by family of the first curve, as they
+    are kept, in proportion to their weights."""
+    weight, family = np.exp(log_weight - log_weight.max()), maps.family[:, 0]
+    each, squares = (np.bincount(family, one) for one in (weight, weight**2))
+    number = np.maximum(np.bincount(family) * squares, 1e-300)
+    return float((each**3 / number).sum() / each.sum())
+
+
+def _kept(log_weight: FloatArray, family: IntArray, count: int, start: float) -> tuple[IntArray, FloatArray]:
+    """About `count` indices, and what each weighs then: of each family in proportion to the cube root of its weight,
+    and in it to its maps' weights.
+
+    What is improbable now may be what explains later touches; from the few maps that its weight is worth it would come
+    back as copies of one, with an evidence that is wrong by factors.
+    """
+    weight = np.exp(log_weight)
+    share = np.bincount(family, weight)
+    number = np.ceil(count * np.cbrt(share) / np.cbrt(share).sum()).astype(int)
+    indices, logs = [], []
+    for kind in np.flatnonzero(share > 0.0):
+        mine = np.flatnonzero(family == kind)
+        indices.append(mine[_systematic(weight[mine], number[kind], start)])
+        logs.append(np.full(number[kind], np.log(share[kind] / number[kind])))
+    return np.concatenate(indices), np.concatenate(logs)
 
 
 def _move(
@@ -688,14 +753,26 @@ def _move(
     prior: RegionPrior,
     last_noise: float,
 ) -> tuple[Partitions, FloatArray]:
-    """Metropolis steps under the prior (`partitions.propose`), which leave the posterior as it is."""
+    """Metropolis steps under the prior (`partitions.propose`), which leave the posterior as it is.
+
+    Most proposals fail already under the one scatter that is likeliest of all; the others are then judged under every
+    scatter, by what that adds (delayed acceptance, Christen and Fox 2005).
+    """
+    scatters, share = prior.error.scatters()
+    logs = _by_scatter(maps.shares(readings.xy_m, prior.blur_m), readings, prior, last_noise)
+    likeliest = int(logsumexp(logs, axis=1).argmax())
+    rough = logs[likeliest]
     for _ in range(MOVES):
         proposed = propose(rng, maps)
-        now = _log_likelihood(proposed.shares(readings.xy_m, prior.blur_m), readings, prior, last_noise)
-        taken = np.log(rng.random(len(maps))) < now - log_likelihood
+        shares = proposed.shares(readings.xy_m, prior.blur_m)
+        roughly = _levels(shares, readings, prior, scatters[likeliest], last_noise)[0] + np.log(share[likeliest])
+        taken = np.log(rng.random(len(maps))) < roughly - rough
         taken[taken] = proposed.take(taken).admissible()
+        now = np.where(taken, roughly, log_likelihood)
+        now[taken] = _log_likelihood(shares[taken], readings, prior, last_noise)
+        taken &= np.log(rng.random(len(maps))) < now - log_likelihood - (roughly - rough)
         maps = maps.instead(taken, proposed)
-        log_likelihood = np.where(taken, now, log_likelihood)
+        log_likelihood, rough = np.where(taken, now, log_likelihood), np.where(taken, roughly, rough)
     return maps, log_likelihood
 
 

@@ -43,9 +43,10 @@ SCATTER_SDS = 1.9
 one before; ten touches determine it to a factor of 1.3 at best."""
 
 GAIN_SD = 0.03
-"""Of log stiffness, common to a session: a force sensor with its nominal sensitivity is off by some 3 %, which moves
-the stiffness of a touch that ends by its depth, or of a flat tip, by as much, and that at a set force under a ball by
-2 %."""
+"""Of log stiffness, common to a session, where the rig file does not say how well the gain is known (`[tool]
+force_gain_sd`, from `deformscope calibrate force --weight`): a force sensor with its nominal sensitivity is off by some
+3 %, which moves the stiffness of a touch that ends by its depth, or of a flat tip, by as much, and that at a set force
+under a ball by 2 %."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,8 +9,7 @@ from typing import Any, Literal, get_args
 import cv2
 import numpy as np
 import numpy.typing as npt
-from scipy import ndimage
-from scipy.spatial import cKDTree
+import scipy  # its parts are imported as they are first used: who only reads results needs none
 
 from deformscope.arrays import BoolArray, FloatArray
 from deformscope.errors import InputError
@@ -185,7 +184,7 @@ def _from_features(a: _Featured, b: _Featured) -> FloatArray | None:
     at, first_of = np.unique(found, axis=0, return_index=True)
     motion = b.at[[good[i].trainIdx for i in first_of]] - at
     # A right match moves like half its neighbours at least: within 3 px and 30 % strain.
-    far, near = cKDTree(at).query(at, min(9, len(at)))
+    far, near = scipy.spatial.cKDTree(at).query(at, min(9, len(at)))
     agree = np.linalg.norm(motion[near] - motion[:, None], axis=2) < 3.0 + 0.3 * far
     kept = agree.mean(axis=1) >= 0.5
     if kept.sum() < 8:
@@ -195,7 +194,7 @@ def _from_features(a: _Featured, b: _Featured) -> FloatArray | None:
     rows, cols = -(-height // 8), -(-width // 8)
     y, x = np.mgrid[:rows, :cols]
     nodes = np.stack([(x + 0.5) * width / cols - 0.5, (y + 0.5) * height / rows - 0.5], axis=-1)
-    _, near = cKDTree(at).query(nodes, 6)
+    _, near = scipy.spatial.cKDTree(at).query(nodes, 6)
     rough: FloatArray = np.median(motion[near], axis=2).astype(np.float32)
     return _enlarge(_blur(rough, 1.5), (height, width))
 
@@ -315,7 +314,7 @@ def _double(image: FloatArray) -> FloatArray:
     OpenCV's own bicubic and Lanczos kernels displace a pattern by up to 0.04 and 0.009 px (measured on speckles);
     linear interpolation between the samples of a spline by less than 0.001 px.
     """
-    knots = ndimage.spline_filter(image, order=3, output=np.float32, mode="mirror")
+    knots = scipy.ndimage.spline_filter(image, order=3, output=np.float32, mode="mirror")
     knots = cv2.pyrUp(knots)  # (1 4 6 4 1) / 8 is the refinement of a cubic B-spline
     at_knot, one = np.array([1, 4, 1], dtype=np.float32) / 6, np.ones(1, dtype=np.float32)
     return np.asarray(cv2.sepFilter2D(cv2.sepFilter2D(knots, cv2.CV_32F, at_knot, one), cv2.CV_32F, one, at_knot))

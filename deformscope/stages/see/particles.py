@@ -12,8 +12,7 @@ from typing import Any, Literal, get_args
 import cv2
 import numpy as np
 import numpy.typing as npt
-from scipy import ndimage
-from scipy.spatial import cKDTree
+import scipy  # its parts are imported as they are first used: who only reads results needs none
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.errors import InputError
@@ -123,6 +122,20 @@ def clean_mask(image: npt.NDArray[Any]) -> BoolArray:
     area = sizes[:, cv2.CC_STAT_AREA].copy()
     area[0] = 0
     return np.asarray((area >= 0.01 * area.max())[pieces] & (closed > 0))
+
+
+def outlined(mask: npt.NDArray[Any] | None, outline: Sequence[float], size: tuple[int, int]) -> npt.NDArray[Any]:
+    """A mask that is black outside a polygon.
+
+    mask: an image of the thing alone, None = white; outline: x, y of each corner in turn [px]; size: height, width [px]
+    """
+    if mask is not None and mask.shape[:2] != size:
+        raise InputError(f"a mask of the image's size {size}", f"{mask.shape[:2]} (rows, columns)")
+    kept = np.full(size, 255, dtype=np.uint8) if mask is None else mask.copy()
+    inside = np.zeros(size, dtype=np.uint8)
+    cv2.fillPoly(inside, [np.rint(np.reshape(outline, (-1, 2))).astype(np.int32)], 1)
+    kept[inside == 0] = 0
+    return kept
 
 
 def seed_grid(
@@ -236,7 +249,7 @@ def sample(field: FloatArray, xy: FloatArray) -> FloatArray:
     inside &= (at[0] >= 0) & (at[0] <= height - 1) & (at[1] >= 0) & (at[1] <= width - 1)
     at = np.where(inside, at, 0.0)
     channels = [
-        ndimage.map_coordinates(field[:, :, c], at, output=np.float64, order=1, mode="nearest")
+        scipy.ndimage.map_coordinates(field[:, :, c], at, output=np.float64, order=1, mode="nearest")
         for c in range(field.shape[2])
     ]
     return np.where(inside[:, None], np.stack(channels, axis=1), np.nan)
@@ -301,7 +314,7 @@ def _neighbourhood(
     typical, spread = np.zeros(len(here)), np.zeros(len(here))
     if found.any():
         count = min(9, int(found.sum()))
-        _, near = cKDTree(here[found]).query(here, [*range(1, count + 1)])
+        _, near = scipy.spatial.cKDTree(here[found]).query(here, [*range(1, count + 1)])
         typical = np.median(length[found][near], axis=1)
         around = np.abs(residual[found][near]).reshape(len(here), -1)
         # The median of |normal| is 0.6745 of its standard deviation.

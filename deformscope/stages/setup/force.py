@@ -19,7 +19,10 @@ PUSHED = ErrorPrior(np.radians(6.0))
 """Deviation of the direction of a push by hand [rad]."""
 FREE = ErrorPrior(0.01)
 """Deviation of a mean force in free air [N]."""
+PRESSED = ErrorPrior(0.02)
+"""Deviation of a load that a scale shows while somebody holds it [N]: 2 g."""
 LEAST_N = 0.5
+LEAST_LOAD_N = 1.0
 LEAST_ANGLE_RAD = np.radians(30.0)
 """Between the lines of two pushes across the stick: nearer ones do not say whether the sensor's axes are mirrored."""
 ASIDE_RAD = np.radians(35.0)
@@ -95,6 +98,33 @@ def _turned(seen: FloatArray, aimed: FloatArray) -> tuple[float, FloatArray]:
     between = np.exp(1j * (aimed - seen))
     turn = float(np.angle(between.mean()))
     return turn, np.asarray(np.angle(between * np.exp(-1j * turn)))
+
+
+@dataclass(frozen=True, slots=True)
+class ForceGain:
+    """gain: a sensor's forces over true ones; sd, half: its deviation, and half its interval; off: (n,) of each load"""
+
+    gain: float
+    sd: float
+    half: float
+    off: FloatArray
+
+
+def force_gain(force_n: FloatArray, load_n: float, *, prior: ErrorPrior = PRESSED) -> ForceGain:
+    """The gain, from the forces (n, 3) [N] beyond free air that a sensor gave under a known load [N].
+
+    Raises InputError for a load too small to say it, and for forces that no sensor of so many newtons gives.
+    """
+    felt_n = np.linalg.norm(np.asarray(force_n, np.float64), axis=1)
+    if not (load_n >= LEAST_LOAD_N and len(felt_n)):
+        raise InputError(f"a load of {LEAST_LOAD_N:g} N or more", f"{load_n:g} N", "the set force of a touch, or more")
+    if not 0.5 * load_n < felt_n.mean() < 2.0 * load_n:
+        came = f"{felt_n.mean():.2f} N under {load_n:g} N"
+        raise InputError("a sensor whose gain is between 0.5 and 2", came, "the load in newtons: 102 g are 1 N")
+    mean_n = float(felt_n.mean())
+    found = judged(np.array([mean_n]), np.eye(1) / len(felt_n), felt_n - mean_n, prior)
+    sd = float(np.sqrt(found.covariance[0, 0]))
+    return ForceGain(mean_n / load_n, sd / load_n, float(found.half()[0]) / load_n, (felt_n - mean_n) / load_n)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

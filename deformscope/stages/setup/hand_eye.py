@@ -57,13 +57,7 @@ def hand_eye(T_base_ee: FloatArray, T_camera_board: FloatArray) -> HandEye:
     A, B = np.asarray(T_base_ee, np.float64), np.asarray(T_camera_board, np.float64)
     if len(A) < FEWEST_VIEWS:
         raise InputError(f"{FEWEST_VIEWS} views of the board or more", str(len(A)), "12, turned each by 30 degrees")
-    if (reached := turned_about(A)) < LEAST_SPREAD_RAD:
-        came = f"turns by {np.degrees(reached):.0f} degrees about the second axis"
-        raise InputError(
-            f"views turned by {np.degrees(LEAST_SPREAD_RAD):.0f} degrees or more about two axes",
-            came,
-            "turn the arm's end by 30 degrees about an axis that it was not turned about",
-        )
+    check_turns(A)
     X, Y = _start(A, B)
     weight = np.repeat([1.0, LEVER_M], 3)
     for _ in range(STEPS):
@@ -89,6 +83,16 @@ def turned_about(T: FloatArray) -> float:
     mean = between.mean()
     turns = (mean.inv() * between).as_rotvec()
     return float(np.sqrt(np.linalg.eigvalsh(turns.T @ turns / len(T))[1]))
+
+
+def check_turns(T_base_ee: FloatArray) -> None:
+    """Raises InputError, with the next pose to take, unless poses (n, 4, 4) are turned about two axes."""
+    if (reached := turned_about(T_base_ee)) < LEAST_SPREAD_RAD:
+        raise InputError(
+            f"views turned by {np.degrees(LEAST_SPREAD_RAD):.0f} degrees or more about two axes",
+            f"turns by {np.degrees(reached):.0f} degrees about the second axis",
+            f"{next_pose(T_base_ee)[1]}, and take more views",
+        )
 
 
 def _off(A: FloatArray, B: FloatArray, X: FloatArray, Y: FloatArray) -> FloatArray:
@@ -174,7 +178,8 @@ def next_pose(T_base_ee: FloatArray) -> tuple[FloatArray, str]:
     way = np.zeros(3)
     way[axis] = np.radians(angle_deg)
     T = rigid((mean * Rotation.from_rotvec(way)).as_matrix(), poses[:, :3, 3].mean(axis=0))
-    return T, f"turn the arm's end by {angle_deg:+.0f} degrees about its own {'xyz'[axis]} axis, the board in view"
+    turned_by = f"{angle_deg:+.0f} degrees about its own {'xyz'[axis]} axis"
+    return T, f"from the middle of the poses turn the arm's end by {turned_by}, the board in view"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

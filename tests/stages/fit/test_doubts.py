@@ -26,7 +26,7 @@ from deformscope.stages.fit.doubts import (
 )
 from deformscope.stages.fit.estimate import Doubt, Estimate, Verdict, limited
 from deformscope.stages.fit.joint import JointOptions, calibrate_both
-from deformscope.stages.fit.two_materials import LUMPS, splits
+from deformscope.stages.fit.two_materials import LEFT, LEFT_SURE, LUMPS, splits
 from deformscope.stages.materials.anisotropy import fit_axes
 from deformscope.stages.materials.plasticity import YieldOptions, fit_yield
 from deformscope.stages.msm.materials import Plasticity
@@ -220,6 +220,15 @@ def test_noise_stated_far_too_small_is_not_identified() -> None:
     found = fitted(dataclasses.replace(seen, noise=seen.noise / 20.0))
     assert "noise-contradicted" in codes(found.reasons)
     assert found.verdict != "identified"
+
+
+def test_two_betas_that_noise_mostly_hides_are_named_by_the_likelihood_alone() -> None:
+    """Noise of a quarter of a spacing, stated: two betas leave more of the error than misfits may."""
+    found = fitted(seen_sheet((0.2, 0.8), 6, 2.5e-3))
+    (text,) = (one.text for one in found.reasons if one.code == "two-materials")
+    assert LEFT < float(text.split("leave ")[1].split("%")[0]) / 100.0 < LEFT_SURE
+    assert found.verdict == "unidentified"
+    assert "two-materials" not in codes(fitted(seen_sheet(0.6, 6, 2.5e-3)).reasons)
 
 
 def test_theta_gives_its_setting_and_is_not_identified_where_the_model_misfits() -> None:

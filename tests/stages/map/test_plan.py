@@ -27,7 +27,8 @@ from deformscope.stages.map.plan import (
     plan_touch,
 )
 from deformscope.stages.regions.partitions import draw
-from deformscope.stages.regions.posterior import RegionHypotheses, RegionPosterior
+from deformscope.stages.regions.posterior import RegionHypotheses, RegionPosterior, Repeats
+from deformscope.stages.regions.touch_error import SCATTER_SHARED
 from deformscope.stages.regions.touches import MapGrid, StiffnessSample
 
 GRID = MapGrid(cell_m=0.01)
@@ -117,7 +118,9 @@ def test_information_is_that_of_two_hypotheses_in_closed_form() -> None:
     pair = maps.take(np.array([one, other]))
     level = np.array([[0.0, 0.5], [0.0, 0.5]])
     hypotheses = RegionHypotheses(((pair, level, np.zeros((2, 2, 2)), np.array([0.5, 0.5])),), (), True)
-    found = information(hypotheses, places, 0.012, 0.2)
+    count = len(places)
+    new = Repeats(places, np.zeros(count), np.zeros(count), np.full(count, 0.2))
+    found = information(hypotheses, new, 0.012)
 
     mean = np.log(pair.shares(places, 0.012) @ np.exp(level[0]))[..., None]
     y = np.linspace(-2.0, 3.0, 5001)
@@ -128,7 +131,7 @@ def test_information_is_that_of_two_hypotheses_in_closed_form() -> None:
     assert expected.max() > 0.3
 
     # where both maps agree nothing is gained; where they differ the right labels are, by about as much as is learned
-    gain = label_gain(hypotheses, places, places, 0.012, 0.2)
+    gain = label_gain(hypotheses, new, places, 0.012)
     assert gain[expected < 1e-6].max(initial=0.0) < 0.01
     assert gain[np.argmax(expected)] > 0.8 * gain.max() > 0.0
 
@@ -234,3 +237,46 @@ def test_what_makes_no_sense_is_refused(halves: RegionPosterior) -> None:
         PlanOptions(budget=0)
     with pytest.raises(InputError, match="mask"):
         plan_touch(halves, KERNEL, PlanOptions(), reachable=np.ones((2, 2), dtype=bool))
+
+
+def test_a_touch_may_be_repeated_at_its_very_place_and_says_less_than_one_beside_it() -> None:
+    """A reading that contradicts its neighbours: either it is off, or something small is there."""
+    xy = np.array([(0.1, 0.1), (0.31, 0.21), (0.5, 0.3), (0.1, 0.3), (0.5, 0.1), (0.301, 0.305)])
+    posterior = mapped([StiffnessSample(one, 0.4 * (i == 1), 0.12) for i, one in enumerate(xy)])
+    plan = plan_touch(posterior, KERNEL, PlanOptions())
+    here, beside = np.array([0.31, 0.21]), np.array([0.33, 0.21])
+    cells = [int(np.hypot(*(plan.grid.centres_m - one).T).argmin()) for one in (here, beside)]
+    assert plan.excluded.ravel()[cells].tolist() == [ALLOWED, TOUCHED_BEFORE]
+    assert plan.gain.ravel()[cells[0]] > 0.0
+
+    # where that touch gave nothing it is not made again; neither in a filling, nor by the other planners
+    failed = plan_touch(posterior, KERNEL, PlanOptions(), left_out_m=here[None])
+    assert failed.excluded.ravel()[cells[0]] == TOUCHED_BEFORE
+    for options in (PlanOptions(fill=20), PlanOptions("max-variance")):
+        assert plan_touch(posterior, KERNEL, options).excluded.ravel()[cells[0]] == TOUCHED_BEFORE
+
+    # the place itself is touched, not its cell's middle; and it was as good as known what it reads
+    off = xy[5]
+    again = posterior.repeats(np.array([[0.31, 0.31], off, [0.4, 0.2]]), 0.01)
+    np.testing.assert_array_equal(again.at_m, [off, off, [0.4, 0.2]])
+    np.testing.assert_array_equal(again.share > 0.0, [True, True, False])
+    assert again.value[0] == 0.0
+    assert again.sd[0] < again.sd[2] == posterior.touch_sd
+    once, new = (information(posterior.hypotheses(), one, 0.0075)[0] for one in (again, _new(off, posterior.touch_sd)))
+    assert 0.0 < once < new
+
+
+def _new(xy_m: np.ndarray, sd: float) -> Repeats:
+    return Repeats(xy_m[None], np.zeros(1), np.zeros(1), np.full(1, sd))
+
+
+def test_what_a_repeat_is_expected_to_read_is_the_conditional_of_correlated_errors() -> None:
+    posterior = mapped([StiffnessSample(np.array([0.3, 0.2]), value, 0.05) for value in (0.1, 0.2)])
+    again = posterior.repeats(np.array([[0.3, 0.2]]), 0.0)
+    scatter, own = posterior.scatter**2, posterior.touch_sd**2 - posterior.scatter**2
+    cov = SCATTER_SHARED * scatter + ((1.0 - SCATTER_SHARED) * scatter + own) * np.eye(3)
+    known = cov[:2, :2]
+    # what is expected of the third of three readings, all of one level, given the first two
+    np.testing.assert_allclose(np.linalg.solve(known, cov[:2, 2]).sum(), again.share[0])
+    np.testing.assert_allclose(cov[2, 2] - cov[2, :2] @ np.linalg.solve(known, cov[:2, 2]), again.sd[0] ** 2)
+    assert again.value[0] == pytest.approx(0.15)

@@ -11,7 +11,7 @@ from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 from deformscope.lab import slab
 from deformscope.stages.map.surface import HeightProcess, fit_surface
-from deformscope.stages.map.touch_beta import THESIS_NOTE, BallContact, fit_touch, thesis_beta
+from deformscope.stages.map.touch_beta import THESIS_NOTE, BallContact, dent_of, fit_touch, thesis_beta
 from deformscope.stages.msm.poke import Law, Poke, Tip, press
 from deformscope.stages.poke.layers import MeasuredSurface
 from deformscope.stages.poke.poke_fit import scene_below
@@ -133,7 +133,7 @@ def test_the_thesiss_model_holds_its_lowest_point_and_says_what_its_trend_is(lev
         known_m=tactile,
         known_noise_m=np.full(len(tactile), 2e-4),
     )
-    found = thesis_beta(level, touched, AT)
+    found = thesis_beta(dent_of(level, touched, AT))
     assert 0.0 <= found.beta <= found.curve.parameter[-1]
     assert len(found.simulated_m) == 15 * 15
     assert (found.simulated_m[:, 2] - THICKNESS).min() == pytest.approx(-found.depth_m, abs=1e-5)
@@ -165,5 +165,5 @@ def test_the_thesiss_model_finds_its_own_beta(level: HeightProcess) -> None:
         def at(self, places: FloatArray) -> Believed:
             return Believed(heights, np.zeros(225))
 
-    found = thesis_beta(level, Made(), AT)  # type: ignore[arg-type]
+    found = thesis_beta(dent_of(level, Made(), AT))
     assert found.beta == pytest.approx(0.8, abs=0.12)

@@ -80,17 +80,28 @@ def test_a_finer_lattice_of_the_same_material_has_nearly_the_same_force(model: F
     assert len(fine.rest) > 4 * len(coarse.rest)
 
 
-def test_rivals_widen_the_interval_of_the_force(model: FittedModel) -> None:
-    from deformscope.stages.poke.fitted import Rival
+def test_what_rivals_say_of_another_tip_counts_in_place_of_what_tips_do_at_most(model: FittedModel) -> None:
+    """One poke, a tip twice as wide: half widths of Student's t by hand. A rival that hardly differs adds nothing."""
+    from scipy.stats import t
 
-    at, tip = np.array([0.08, 0.08, 0.03]), Tip("flat", (0.04, 0.04))
-    alone = predict(model, Poke(at, tip, depth=0.001)).force_interval
-    rival = Rival(LAW, np.array([1.5 * STIFFNESS]), 0.01)
-    wide = predict(dataclasses.replace(model, rivals=(rival,)), Poke(at, tip, depth=0.001)).force_interval
-    assert alone is not None
-    assert wide is not None
-    assert wide[1] == pytest.approx(1.5 * alone[1], rel=0.05)
-    assert wide[0] == pytest.approx(alone[0], rel=1e-3)
+    from deformscope.stages.poke.fitted import TIP_SHARE, Rival
+    from deformscope.stages.poke.stiffness_field import ERROR, FREEDOM, OWN_SD
+
+    asked = Poke(np.array([0.08, 0.08, 0.03]), Tip("flat", (0.04, 0.04)), depth=0.001)
+
+    def half_width(*factors: float) -> float:
+        rivals = tuple(Rival(LAW, np.array([one * STIFFNESS]), 0.01) for one in factors)
+        found = predict(dataclasses.replace(model, rivals=rivals), asked)
+        assert found.force_interval is not None
+        return 0.5 * float(np.log(found.force_interval[1] / found.force_interval[0]))
+
+    in_deviations = t(FREEDOM).ppf(0.95) / t(FREEDOM).std()
+    place = OWN_SD**2 + ERROR.touch_sd**2
+    alone = in_deviations * np.sqrt(place + TIP_SHARE**2)
+    assert half_width() == pytest.approx(alone, rel=0.01)
+    assert half_width(1.03) == pytest.approx(alone, rel=0.01)
+    assert half_width(1.5) == pytest.approx(in_deviations * np.sqrt(place + np.log(1.5) ** 2), rel=0.05)
+    assert half_width(1.5, 1.0 / 1.5) == pytest.approx(half_width(1.5), rel=0.05)
 
 
 def test_between_pokes_that_differ_the_force_may_be_of_either_material(model: FittedModel) -> None:

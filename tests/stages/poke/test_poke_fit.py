@@ -66,11 +66,12 @@ def test_the_true_cluster_size_is_chosen_and_theta_stays_where_it_is_reported() 
 
 
 def test_each_poke_has_its_stiffness_and_the_field_is_judged_by_pokes_left_out() -> None:
-    at = [(0.05, 0.05), (0.06, 0.11), (0.13, 0.06), (0.12, 0.12), (0.04, 0.08), (0.14, 0.09)]
-    seen = [poked(one, stiffness=40.0 if one[0] < 0.09 else 90.0) for one in at]
+    soft = [(0.04, 0.05), (0.06, 0.08), (0.04, 0.08), (0.04, 0.11), (0.06, 0.12)]
+    stiff = [(0.12, 0.05), (0.14, 0.06), (0.14, 0.09), (0.12, 0.10), (0.14, 0.12)]
+    seen = [poked(one, stiffness=40.0) for one in soft] + [poked(one, stiffness=90.0) for one in stiff]
     found = fit(*seen, cluster_sizes=[3])
     reported = conclude(found, level=0.9, settings={}, provenance={})
-    np.testing.assert_allclose(reported.model.stiffness, [40.0, 40.0, 90.0, 90.0, 40.0, 90.0], rtol=0.02)
+    np.testing.assert_allclose(reported.model.stiffness, [40.0] * 5 + [90.0] * 5, rtol=0.02)
     assert reported.model.field_kind == "materials"
     beside = Poke(np.array([0.15, 0.05, 0.03]), Tip("flat", (0.02, 0.02)), depth=1e-3)
     met = reported.model.stiffness_at(beside, SPACING)
@@ -78,7 +79,8 @@ def test_each_poke_has_its_stiffness_and_the_field_is_judged_by_pokes_left_out()
     assert met.value == pytest.approx(90.0, rel=0.03)
     assert met.interval[0] < 90.0 < met.interval[1]
     assert [row.stiffness_n_per_m for row in reported.rows()] == pytest.approx(reported.model.stiffness.tolist())
-    assert np.abs(reported.model.left_out).max() < 0.3  # the other material is -56 or +125 % off
+    # each has pokes of its own material beside it, none stands on the border; the other material is -56 or +125 % off
+    assert np.abs(reported.model.left_out).max() < 0.15
 
 
 @pytest.mark.slow

@@ -11,8 +11,8 @@ from scipy.stats import multivariate_normal, norm
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 from deformscope.stages.regions import posterior as posterior_module
-from deformscope.stages.regions.partitions import draw
-from deformscope.stages.regions.posterior import RegionPosterior, RegionPrior
+from deformscope.stages.regions.partitions import Family, draw
+from deformscope.stages.regions.posterior import RegionPosterior, RegionPrior, _kept
 from deformscope.stages.regions.touch_error import TouchErrorModel
 from deformscope.stages.regions.touches import MapGrid, StiffnessSample
 from tests.cases import slow_but
@@ -291,3 +291,28 @@ def test_a_gain_widens_levels_and_no_contrast() -> None:
     one, other = without.region_map(), with_gain.region_map()
     np.testing.assert_allclose(other.level_sd, np.hypot(one.level_sd, 0.2), rtol=0.05)
     np.testing.assert_allclose(np.diff(other.level), np.diff(one.level), atol=0.02)
+
+
+def test_maps_that_are_kept_weigh_what_they_did_and_no_family_dies_out() -> None:
+    """Lines hold nearly all of the weight, rings a ten-thousandth, blobs nothing."""
+    random = np.random.default_rng(0)
+    family = np.repeat([Family.LINE, Family.RING, Family.BLOB], [900, 90, 10])
+    weight = np.where(family == Family.RING, 1e-4, 1.0) * random.random(1000)
+    weight[family == Family.BLOB] = 0.0
+    with np.errstate(divide="ignore"):
+        log_weight = np.log(weight / weight.sum())
+
+    kept, logs = _kept(log_weight, family, 300, 0.5)
+
+    share = {kind: np.exp(log_weight[family == kind]).sum() for kind in (Family.LINE, Family.RING)}
+    for kind, expected in share.items():
+        here = family[kept] == kind
+        assert np.exp(logs[here]).sum() == pytest.approx(expected)
+        # each as often as its weight in the family says, to within one
+        wanted = np.exp(log_weight[family == kind]) / expected * here.sum()
+        times = np.bincount(kept[here], minlength=1000)[family == kind]
+        assert np.abs(times - wanted).max() <= 1.0
+    rings = np.sum(family[kept] == Family.RING)
+    assert rings / np.sum(family[kept] == Family.LINE) == pytest.approx(np.cbrt(share[Family.RING]), rel=0.2)
+    assert not np.any(family[kept] == Family.BLOB)
+    assert len(kept) == pytest.approx(300, abs=3)

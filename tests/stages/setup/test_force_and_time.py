@@ -10,7 +10,7 @@ from scipy.stats import binom
 
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
-from deformscope.stages.setup.force import PUSHED, free_air, hanging_weight, mount
+from deformscope.stages.setup.force import PRESSED, PUSHED, force_gain, free_air, hanging_weight, mount
 from deformscope.stages.setup.timing import time_offset
 
 DRAWS = 200
@@ -52,6 +52,27 @@ def test_the_interval_of_the_turn_holds_it_in_nine_of_ten() -> None:
         hits += abs(off) <= found.turn_half_rad
 
     assert AT_LEAST <= hits <= AT_MOST
+
+
+def test_the_interval_of_the_gain_holds_it_in_nine_of_ten() -> None:
+    random = np.random.default_rng(4)
+    hits = 0
+    for _ in range(DRAWS):
+        gain = random.uniform(0.9, 1.1)
+        sd_n = PRESSED.sd * np.sqrt(PRESSED.weight / random.chisquare(PRESSED.weight))
+        held = random.standard_normal(3)
+        felt = gain * (5.0 + sd_n * random.standard_normal((4, 1))) * held / np.linalg.norm(held)
+        found = force_gain(felt, 5.0)
+        hits += abs(found.gain - gain) <= found.half
+
+    assert AT_LEAST <= hits <= AT_MOST
+    assert found.sd < found.half < 0.02
+
+
+@pytest.mark.parametrize(("felt_n", "load_n", "expected"), [(5.0, 0.5, "1 N or more"), (0.5, 5.0, "between 0.5 and 2")])
+def test_a_load_that_does_not_say_the_gain_is_refused(felt_n: float, load_n: float, expected: str) -> None:
+    with pytest.raises(InputError, match=expected):
+        force_gain(np.full((4, 3), felt_n / np.sqrt(3.0)), load_n)
 
 
 def test_pushes_that_do_not_say_how_it_sits_are_refused() -> None:

@@ -92,7 +92,7 @@ def test_views_that_do_not_say_where_it_stands_are_refused() -> None:
     slipped = seen(A, X, Y, random)
     slipped[4] = moved(slipped[4], [0.1, 0.0, 0.0, 0.0, 0.0, 0.3])
 
-    with pytest.raises(InputError, match=r"second axis.*try: turn the arm's end by 30 degrees"):
+    with pytest.raises(InputError, match=r"second axis.*try: from the middle.*by .30 degrees about its own [xz] axis"):
         hand_eye(about_one, seen(about_one, X, Y, random))
     with pytest.raises(InputError, match="6 views"):
         hand_eye(A[:5], seen(A[:5], X, Y, random))

@@ -7,6 +7,7 @@ import pytest
 
 from deformscope.errors import InputError
 from deformscope.stages.squeeze.events import EventRule, SqueezeEvents, squeeze_events
+from tests.cases import slow_but
 
 RULE = EventRule()
 START_S = 10.0
@@ -35,7 +36,7 @@ def squeezed(
     return found, touch_s, touch_s + rest_s, 1 / 25.0, 1 / 50.0
 
 
-@pytest.mark.parametrize("dropped", [0.0, 0.1])
+@pytest.mark.parametrize("dropped", slow_but([0.1], [0.0, 0.1]))
 def test_they_are_within_two_sample_periods_in_95_percent(dropped: float) -> None:
     right = []
     for seed in range(200):

@@ -1,0 +1,71 @@
+"""`deformscope coverage creep`: how far off stiffness, relaxation and loss of foams that creep are, and how often their
+intervals hold the truth.
+
+deformscope coverage creep
+deformscope coverage creep --objects 400 --hold 4 --jobs 16 --json creep.json
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+from deformscope.cli.common import examined, fit_progress, quiet_warp, recorder_of, show, write_json
+from deformscope.cli.coverage import rate_json
+from deformscope.config import CreepCoverageConfig
+from deformscope.pictures.findings import Findings
+from deformscope.pictures.report import Table
+from deformscope.session import Step
+from deformscope.studies.creep_touches import CreepCase, CreepOutcome, CreepRow, creep_rows, try_creep
+from deformscope.studies.seeds import reported
+
+
+def run(config: CreepCoverageConfig) -> None:
+    """Touch all foams and print a table of each kind."""
+    quiet_warp()
+    seeds = reported(config.objects, config.output.seed)
+    few = seeds[: max(1, len(seeds) // 4)]
+    cases = [CreepCase(0, seed, config.hold) for seed in seeds]
+    cases += [CreepCase(1, seed, config.hold, elastic=True) for seed in few]
+    with recorder_of(config) as recorder:
+        with fit_progress() as note:
+            tried = examined("touches", try_creep, cases, config.jobs, note)
+        kinds = {"viscous": [one for one in tried if not one.elastic], "elastic": [one for one in tried if one.elastic]}
+        tables = [creep_table(f"{name} foams, held for {config.hold:g} s", some) for name, some in kinds.items()]
+        found = Findings(tuple(tables))
+        show(found)
+        recorder.write(Step((found,)))
+    write_json(
+        {
+            "hold_s": config.hold,
+            "rows": {name: [_row_json(row) for row in creep_rows(some)] for name, some in kinds.items()},
+            "verdicts": {name: _verdicts(some) for name, some in kinds.items()},
+        },
+        config.output.json,
+    )
+
+
+def creep_table(title: str, some: list[CreepOutcome]) -> Table:
+    """A line a quantity."""
+    lines = [
+        (
+            row.quantity,
+            row.held.cases,
+            f"{row.error:.1%}",
+            f"{row.near.rate:.2f}",
+            "{:.2f} ({:.2f} to {:.2f})".format(row.held.rate, *row.held.band),
+            f"{row.width:.0%}",
+        )
+        for row in creep_rows(some)
+    ]
+    said = ", ".join(f"{name} {count}" for name, count in _verdicts(some).items())
+    names = ("quantity", "touches", "off (rms)", "within 10 %", "held (95 % band)", "width")
+    return Table(lines, names, f"90 % intervals, {title}; verdicts: {said}")
+
+
+def _verdicts(some: list[CreepOutcome]) -> dict[str, int]:
+    verdicts = [one.verdict for one in some]
+    return {name: verdicts.count(name) for name in sorted(set(verdicts))}
+
+
+def _row_json(row: CreepRow) -> dict[str, object]:
+    return dataclasses.asdict(row) | {"near": rate_json(row.near), "held": rate_json(row.held)}

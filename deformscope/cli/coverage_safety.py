@@ -1,0 +1,153 @@
+"""`deformscope coverage safety`: whether the arm stands in time, and stays away from limits and singularities.
+
+deformscope coverage safety --faults 1000 --layouts 200 --jobs 8 --json safety.json
+deformscope coverage safety --faults 100 --layouts 0
+"""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Sequence
+
+import numpy as np
+
+from deformscope.cli.common import examined, fit_progress, quiet_warp, recorder_of, show, write_json
+from deformscope.config import SafetyCoverageConfig
+from deformscope.lab.faults import Injected
+from deformscope.pictures.findings import Findings
+from deformscope.pictures.report import Table
+from deformscope.session import Step
+from deformscope.studies.driven_faults import (
+    KILLED_WITHIN_S,
+    KINDS,
+    AnyRun,
+    DrivenRun,
+    KilledRun,
+    kind_of,
+    run_any,
+)
+from deformscope.studies.fault_study import ALLOWED_S, ENDED_WITHIN_S, TURNED_DEG, UNSEEN_M, FaultRun
+from deformscope.studies.layouts import LayoutRun, run_layout, shares_by_distance
+from deformscope.studies.seeds import reported
+
+
+def run(config: SafetyCoverageConfig) -> None:
+    """Let all of it go wrong, and print the tables."""
+    quiet_warp()
+    started, seed = time.monotonic(), config.output.seed
+    with recorder_of(config) as recorder:
+        with fit_progress() as note:
+            faults = examined(
+                "faults", run_any, reported(config.faults, seed) if config.faults else (), config.jobs, note
+            )
+            layouts = examined(
+                "layouts", run_layout, reported(config.layouts, seed) if config.layouts else (), config.jobs, note
+            )
+        tables = [fault_table(faults)] if faults else []
+        if layouts:
+            tables += [layout_table(layouts), slowing_table(layouts)]
+        seconds = time.monotonic() - started
+        found = Findings((*tables, Table([("all", f"{seconds:.0f} s")], caption="Time")))
+        show(found)
+        recorder.write(Step((found,)))
+    late = [run for run in faults if not run.in_time]
+    write_json(
+        {
+            "faults": len(faults),
+            "in_time": len(faults) - len(late),
+            "late": late,
+            "kinds": {kind: [run for run in faults if kind_of(run) == kind] for kind in KINDS},
+            "layouts": layouts,
+            "least_margin_deg": min((run.margin_deg for run in layouts), default=None),
+            "seconds": seconds,
+        },
+        config.output.json,
+    )
+
+
+def fault_table(runs: Sequence[AnyRun]) -> Table:
+    """A line for each kind, and one for all."""
+    lines = [_fault_line(kind, [run for run in runs if kind_of(run) == kind]) for kind in KINDS]
+    lines = [line for line in lines if line[1]]
+    names: tuple[str, ...] = (
+        "fault",
+        "runs",
+        "in time",
+        "noticed [ms]: median, max, limit",
+        "until then, max",
+        f"ended [ms], max ({1e3 * ENDED_WITHIN_S:g})",
+    )
+    names += ("stands after [ms]: median, max", "tip [mm]: median, max", "joint [deg], max", "left, least")
+    return Table([*lines, _fault_line("all", runs)], names, "Injected faults")
+
+
+def _fault_line(name: str, runs: Sequence[AnyRun]) -> tuple[object, ...]:
+    struck = [run for run in runs if isinstance(run, FaultRun)]
+    driven = [run for run in runs if isinstance(run, DrivenRun)]
+    killed = [run for run in runs if isinstance(run, KilledRun)]
+    noticed_ms = [1e3 * run.noticed_s for run in struck] + [1e3 * run.moved_s for run in killed]
+    limits = {_limit(run.injected) for run in struck} | {f"{1e3 * KILLED_WITHIN_S:g}" for _ in killed}
+    stopped: list[FaultRun | DrivenRun] = [*struck, *driven]
+    stills = [run.standstill for run in stopped if np.isfinite(run.standstill.seconds)]
+    turned_deg = [still.turned_deg for still in stills] + [run.turned_deg for run in killed]
+    return (
+        name,
+        len(runs),
+        sum(run.in_time for run in runs),
+        f"{_range(noticed_ms, 0)}, {limits.pop()}" if len(limits) == 1 else "",
+        _until_noticed(struck),
+        f"{1e3 * max(run.ended_s for run in stopped):.0f}" if stopped else "",
+        _range([1e3 * still.seconds for still in stills], 0),
+        _range([1e3 * still.tip_m for still in stills], 1),
+        f"{max(turned_deg):.2f}" if turned_deg else "",
+        f"{min(run.left for run in driven):.3g}" if driven and name != "all" else "",
+    )
+
+
+def _limit(injected: Injected) -> str:
+    """Within which it is to be noticed."""
+    match injected:
+        case Injected.ARM_FROZEN:
+            return f"{1e3 * ALLOWED_S[injected]:.0f} or {1e3 * UNSEEN_M:g} mm"
+        case Injected.ARM_TURNS:
+            return f"{TURNED_DEG:g} deg"
+    return f"{1e3 * ALLOWED_S[injected]:.0f}"
+
+
+def _until_noticed(runs: Sequence[FaultRun]) -> str:
+    """What the arm did unseen, of the kinds that are judged by it: those noticed later than other faults of the arm."""
+    kinds = {run.injected for run in runs}
+    later = [run for run in runs if run.noticed_s > ALLOWED_S[run.injected]]
+    if kinds == {Injected.ARM_FROZEN}:
+        return f"{1e3 * max((run.unseen_m for run in later), default=0.0):.1f} mm of {len(later)} later ones"
+    return f"{max(run.turned_deg for run in runs):.1f} deg" if kinds == {Injected.ARM_TURNS} else ""
+
+
+def _range(values: Sequence[float], digits: int) -> str:
+    return f"{np.median(values):.{digits}f}, {max(values):.{digits}f}" if values else ""
+
+
+def layout_table(runs: Sequence[LayoutRun]) -> Table:
+    """How many layouts were begun, how their touches ended, and what was kept of joints' ranges."""
+    begun = [run for run in runs if not run.refused]
+    refused = Counter(run.refused for run in runs if run.refused)
+    endings = Counter(ending for run in begun for ending in run.endings)
+    faults = Counter(fault for run in begun for fault in run.faults)
+    rows: list[tuple[object, ...]] = [("layouts", len(runs)), ("touched", len(begun))]
+    rows += [(f"refused: {why}", count) for why, count in refused.most_common()]
+    rows += [(f"touches: {ending}", count) for ending, count in endings.most_common()]
+    rows += [(f"stopped on its way: {fault}", count) for fault, count in faults.most_common()]
+    rows.append(
+        ("least way of a joint to its range's end", f"{min((run.margin_deg for run in begun), default=0):.1f} deg")
+    )
+    return Table(rows, caption="Random layouts of arm and table")
+
+
+def slowing_table(runs: Sequence[LayoutRun]) -> Table:
+    """By distance to a singularity along the motion, which share of the velocity asked for was sent."""
+    rows = [
+        (f"up to {high:g} deg" if np.isfinite(high) else "farther", count, f"{share:.2f}")
+        for high, (count, share) in shares_by_distance(runs).items()
+    ]
+    return Table(rows, ("to a singularity", "looks", "share sent, mean"), "Slowing before singularities")

@@ -1,0 +1,20 @@
+"""`deformscope discard`: a recording, or an episode of it, is not to be used, and why. Nothing is deleted.
+
+deformscope discard r.rrd --reason "the stick slipped"
+deformscope discard r.rrd --episode 2 --reason "touched the table"
+"""
+
+from __future__ import annotations
+
+from deformscope.api.recordings import OpenRecording
+from deformscope.cli.common import show_table, write_json
+from deformscope.config import DiscardRecordingConfig
+from deformscope.recording.discards import discard
+
+
+def run(config: DiscardRecordingConfig) -> None:
+    """Mark it in its ledger."""
+    recording = OpenRecording(config.recording)
+    discard(config.recording, config.reason, config.episode, recording.notes())
+    show_table(str(config.recording), [("discarded", str(one)) for one in recording.discarded()])
+    write_json(recording.as_json(), config.json)

@@ -1,0 +1,315 @@
+"""Anisotropy, yielding and recovery of what a camera followed, or of files: one fit, and every frame beside it."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from deformscope.arrays import BoolArray, FloatArray, IntArray
+from deformscope.errors import InputError
+from deformscope.experiments.foam_video import ParticleOptions, last_pose, track
+from deformscope.experiments.whole_motion import TrackedMotion
+from deformscope.session import Experiment, Step
+from deformscope.stages.fit.doubts import little_explained
+from deformscope.stages.fit.estimate import Comparison, Doubt
+from deformscope.stages.fit.model import Model, Observation
+from deformscope.stages.fit.motion import Motion
+from deformscope.stages.fit.search import Progress
+from deformscope.stages.materials.anisotropy import fit_axes
+from deformscope.stages.materials.axis_estimate import AxisEstimate
+from deformscope.stages.materials.plasticity import YieldOptions, fit_yield, simulate_yielding
+from deformscope.stages.materials.press_cycle import (
+    PressCycle,
+    PressForce,
+    course_of,
+    find_cycle,
+    frames_to_fit,
+    share_of_push,
+)
+from deformscope.stages.materials.recovery import fit_recovery
+from deformscope.stages.materials.recovery_estimate import RecoveryEstimate
+from deformscope.stages.materials.yield_estimate import YieldEstimate
+from deformscope.stages.msm.materials import AxisBeta
+from deformscope.stages.see.particles import select_held
+
+MaterialEstimate = AxisEstimate | YieldEstimate | RecoveryEstimate
+
+MOST_FRAMES = 8
+"""Of a camera's motion that yielding is fitted to: a history of loads takes seconds a frame."""
+
+WATCHED_LEAST = 1.0
+"""A recovery is watched long enough if it was for so many times its mean relaxation time."""
+
+
+@dataclass(frozen=True, slots=True)
+class UnloadingOptions:
+    """How the end of a push is known. released: of the held parts, those that let go; at: the loaded and the unloaded
+    frame, where somebody names them; force: of the tool, where it was recorded"""
+
+    released: tuple[str, ...] = ("contact",)
+    at: tuple[int, int] | None = None
+    force: PressForce | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class MaterialFound:
+    """What was found. comparisons: of some frames, by their index; motion: what was fitted, where it was one"""
+
+    estimate: MaterialEstimate
+    comparisons: tuple[tuple[int, Comparison], ...]
+    motion: Motion | None = None
+
+
+def material_video(
+    particles: ParticleOptions, find: Callable[[TrackedMotion], MaterialFound], mask: BoolArray | None = None
+) -> Experiment[MaterialFound]:
+    """Follow particles through the frames that are sent, fit, and show every frame beside the fit.
+
+    mask: (H, W) True where the thing is in the first frame
+    """
+    times: list[float] = []
+    grid, history = yield from track(particles, mask, times)
+    if len(history) < 2:
+        raise InputError("at least two frames", "one", "a longer sequence, or a smaller --stride")
+    return (yield from _shown(find(TrackedMotion(grid, history, times))))
+
+
+def material_files(find: Callable[[], MaterialFound]) -> Experiment[MaterialFound]:
+    """The same of pairs or a motion as files, which have no images."""
+    yield Step()
+    return (yield from _shown(find()))
+
+
+def _shown(found: MaterialFound) -> Experiment[MaterialFound]:
+    for frame, comparison in found.comparisons:
+        yield Step((comparison,), frame=frame)
+    yield Step((found.estimate,), frame=0)
+    return found
+
+
+# Anisotropy ----------------------------------------------------------------------------------------------------------
+
+
+def axes_of_pairs(
+    seen: Sequence[Observation], model: Model, axes: FloatArray, level: float, seed: int, progress: Progress | None
+) -> MaterialFound:
+    """One fit to all pairs, each of which is a place on the `frame` timeline."""
+    estimate = fit_axes(seen, model, axes=axes, level=level, seed=seed, progress=progress)
+    law = AxisBeta(estimate.value, estimate.axes)
+    simulated = [model.body(one).relax(one.deformed[one.held], law).position[0] for one in seen]
+    compared = (
+        Comparison(one.rest, one.deformed, position, one.observed, one.held, one.unit)
+        for one, position in zip(seen, simulated, strict=True)
+    )
+    return MaterialFound(estimate, tuple(enumerate(compared)))
+
+
+def pose_of(tracked: TrackedMotion, particles: ParticleOptions, frame: int | None) -> tuple[int, Observation]:
+    """The frame that is fitted, and what was seen at it. frame: None = the last one"""
+    last = len(tracked.history) - 1
+    if frame is not None and not 0 < frame <= last:
+        raise InputError(f"--at FRAME from 1 to {last}, the last frame", str(frame))
+    at = last if frame is None else frame
+    return at, last_pose(tracked.grid, tracked.history[: at + 1], particles)[0]
+
+
+# A motion of a camera ------------------------------------------------------------------------------------------------
+
+
+def camera_motion(
+    tracked: TrackedMotion, particles: ParticleOptions, unloading: UnloadingOptions
+) -> tuple[Motion, PressCycle]:
+    """All frames, the first one at rest among them, and when what was pressed is let go.
+
+    The parts that let go are held as long as something may hold them: until the frame from which nothing does. From
+    then on they count as not seen.
+    """
+    released = [part for part in particles.held if part in unloading.released]
+    if not released:
+        came = f"--held {','.join(particles.held)}"
+        hint = "--contact X,Y,WIDTH,HEIGHT where the tool presses, or --released PART"
+        raise InputError("a held part that is let go in the end", came, hint)
+    stays = [part for part in particles.held if part not in released]
+    if not stays:
+        hint = "hold what stands still too, such as --held bottom,contact"
+        raise InputError("a held part that stays", f"--held {','.join(particles.held)} alone", hint)
+    grid, history = tracked.grid, tracked.history
+    still, pressed = (select_held(grid, parts, particles.contact_rect) for parts in (stays, released))
+    still = np.setdiff1d(still, pressed)
+    seen = np.stack([moment.seen for moment in history])
+    position = np.stack([np.asarray(moment.position_px, dtype=np.float64) for moment in history])
+    position[~seen] = np.nan
+    rest = np.asarray(grid.rest_px, dtype=np.float64)
+    noise = particles.noise_px or float(np.median(history[-1].noise_px[seen[-1]]))
+    cycle = find_cycle(
+        course_of(position - rest, pressed),
+        noise,
+        time_s=np.asarray(tracked.times),
+        force=unloading.force,
+        given=unloading.at,
+    )
+    held = np.zeros(seen.shape, dtype=bool)
+    held[:, still] = True
+    held[: cycle.unloaded, pressed] = True
+    held &= seen
+    position[cycle.unloaded :, pressed] = np.nan  # what a tool covered is not followed well once it lifts
+    if not held[:, still].any(axis=1).all():
+        raise InputError(f"held particles of {','.join(stays)} that can be followed", "all of them lost at a frame")
+    scale = None if particles.px_per_cm is None else 0.01 / particles.px_per_cm
+    duration = _durations(np.asarray(tracked.times))
+    return Motion(rest, position, held, duration, grid.shape, grid.cell, noise, "px", scale), cycle
+
+
+def some_frames(motion: Motion, rows: IntArray, end_s: FloatArray) -> Motion:
+    """Some frames of a motion, each lasting until the next of them. end_s: (T,) time of each frame [s]"""
+    return dataclasses.replace(
+        motion, position=motion.position[rows], held=motion.held[rows], duration=_durations(end_s[rows])
+    )
+
+
+def _durations(time_s: FloatArray) -> FloatArray:
+    gap = np.diff(time_s)
+    if not (gap > 0.0).all():
+        raise InputError("frames whose time rises", f"a step of {gap.min():g} s", "--fps, or a recording with stamps")
+    return np.append(gap, gap[-1])
+
+
+# Yielding ------------------------------------------------------------------------------------------------------------
+
+
+def yield_of_motion(motion: Motion, options: YieldOptions, progress: Progress | None) -> MaterialFound:
+    """All frames of a motion file."""
+    estimate = fit_yield(motion, options, progress)
+    return MaterialFound(estimate, _beside(motion, estimate.simulated), motion)
+
+
+def yield_of_camera(
+    tracked: TrackedMotion,
+    particles: ParticleOptions,
+    unloading: UnloadingOptions,
+    options: YieldOptions,
+    progress: Progress | None,
+) -> MaterialFound:
+    """Some frames are fitted; what was found is then simulated at every one."""
+    motion, cycle = camera_motion(tracked, particles, unloading)
+    time_s = np.asarray(tracked.times)
+    rows = frames_to_fit(cycle, MOST_FRAMES, between=options.creep != "none")
+    fitted = some_frames(motion, rows, time_s)
+    found = fit_yield(fitted, options, progress)
+    settings = found.settings | {"unloading": cycle.as_json(), "fitted_frames": rows.tolist()}
+    estimate = dataclasses.replace(found, settings=settings)
+    every = np.arange(1, len(time_s))
+    later = some_frames(motion, every, time_s)
+    shown = _beside(later, simulate_yielding(later, options, estimate), first=1)
+    return MaterialFound(estimate, shown, fitted)
+
+
+def _beside(motion: Motion, states: FloatArray, first: int = 0) -> tuple[tuple[int, Comparison], ...]:
+    """Every frame with what was simulated (T, K, d). first: index of the first frame"""
+    return tuple(
+        (
+            frame,
+            Comparison(
+                motion.rest,
+                seen,
+                state,
+                np.isfinite(seen).all(axis=1),
+                np.flatnonzero(held),
+                motion.unit,
+            ),
+        )
+        for frame, (seen, state, held) in enumerate(zip(motion.position, states, motion.held, strict=True), first)
+    )
+
+
+# Recovery ------------------------------------------------------------------------------------------------------------
+
+
+def recovery_of_motion(motion: Motion, level: float, seed: int) -> MaterialFound:
+    """Of a motion file: what is held at its deepest and no longer at the end was let go, from then on."""
+    if motion.duration is None:
+        raise InputError("the time between frames", "none", "give `dt` [s] in the file")
+    gone = np.flatnonzero(motion.held.any(axis=0) & ~motion.held[-1])
+    if not gone.size:
+        came = "the same particles held in every frame"
+        raise InputError("a motion that is let go", came, "`held` as bool (T, K), and frames after the tool is off")
+    time_s = np.concatenate([[0.0], motion.duration[0] + np.cumsum(np.append(0.0, motion.duration[:-1]))])
+    whole = dataclasses.replace(
+        motion,
+        position=np.concatenate([motion.rest[None], motion.position]),
+        held=np.concatenate([motion.held[:1], motion.held]),
+        duration=np.append(motion.duration[0], motion.duration),
+    )
+    released = int(np.flatnonzero(whole.held[:, gone].any(axis=1))[-1]) + 1
+    course = course_of(whole.position - whole.rest, gone)
+    loaded = int(course[:released].argmax())
+    cycle = PressCycle(loaded, released, course, float(course[released] / course[loaded]), "given")
+    return _recovery(whole, cycle, time_s, None, level, seed, first=-1)
+
+
+def recovery_of_camera(
+    tracked: TrackedMotion, particles: ParticleOptions, unloading: UnloadingOptions, level: float, seed: int
+) -> MaterialFound:
+    """What a camera followed, with a force where it was recorded."""
+    motion, cycle = camera_motion(tracked, particles, unloading)
+    return _recovery(motion, cycle, np.asarray(tracked.times), unloading.force, level, seed)
+
+
+def _recovery(
+    motion: Motion,
+    cycle: PressCycle,
+    time_s: FloatArray,
+    force: PressForce | None,
+    level: float,
+    seed: int,
+    first: int = 0,
+) -> MaterialFound:
+    moved = motion.position - motion.rest
+    amplitude, deepest, known = share_of_push(moved)
+    shape = moved[deepest, known]
+    found = fit_recovery(
+        time_s,
+        amplitude,
+        loaded=cycle.loaded,
+        released=None if cycle.source == "displacement" else cycle.unloaded,
+        force_n=None if force is None else force.at(time_s),
+        force_sd_n=0.0 if force is None else force.zero_sd_n,
+        largest=float(cycle.course[cycle.loaded]),
+        level=level,
+        seed=seed,
+    )
+    after = moved[cycle.loaded :, known]
+    left = after - amplitude[cycle.loaded :, None, None] * shape
+    explained = 1.0 - float(np.sum(left**2) / np.sum(after**2))
+    reasons = (*little_explained(explained, left_is_noise=False), *_watched(found))
+    verdict = "unidentified" if any(one.allows == "unidentified" for one in reasons) else found.verdict
+    settings = found.settings | {"unloading": cycle.as_json(), "particles": int(known.sum())}
+    estimate = dataclasses.replace(
+        found,
+        verdict=verdict,
+        reasons=reasons,
+        explained=explained,
+        unit=motion.unit,
+        metres_per_unit=motion.metres_per_unit,
+        settings=settings,
+    )
+    size = np.where(np.isfinite(found.simulated), found.simulated, amplitude)
+    rise = np.where(known[:, None], moved[deepest], np.nan)
+    states = motion.rest + size[:, None, None] * rise
+    every = _beside(motion, states, first)
+    return MaterialFound(estimate, every[max(0, -first) :], motion)
+
+
+def _watched(found: RecoveryEstimate) -> list[Doubt]:
+    """Whether the record is long enough for what it shows."""
+    slowest = found.time_s.interval[1]
+    if found.verdict in ("elastic", "plastic") or found.watched_s >= WATCHED_LEAST * slowest:
+        return []
+    text = (
+        f"what recovers takes {found.time_s.value:.2g} s (up to {slowest:.2g} s), and {found.watched_s:.2g} s were "
+        "watched after the release: a slow recovery and a permanent set look alike; record longer"
+    )
+    return [Doubt("short-record", text)]

@@ -1,0 +1,184 @@
+"""When a motion is loaded most, and from when on nothing loads it: by displacement, by force, or as it is named.
+
+What was pressed moves along the way of the push and comes back when it is let go; nothing loads it any more once it
+rests again. A camera alone cannot see whether a tool that rests still presses, so that a force, where there is one,
+decides instead.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from deformscope.arrays import BoolArray, FloatArray, IntArray
+from deformscope.errors import InputError
+
+RESTS = 0.03
+"""Share of the way of the push within which what was pressed counts as at rest, or as pressed as deep as ever."""
+
+OFF_N, OFF_SHARE, OFF_SDS = 0.05, 0.05, 5.0
+"""A tool is off where its force is at most so much [N], or such a share of the largest, or so many deviations of what
+the sensor reads before the push."""
+
+ROUNDS, CAUCHY = 20, 2.0
+"""Rounds of the weights, and of them the scale: medians of how far particles are off."""
+
+FEWEST = 6
+"""Particles that must be seen throughout."""
+
+RECORD = "record until the tool is off and the thing rests, or name both frames with --at LOADED,UNLOADED"
+
+
+@dataclass(frozen=True, slots=True)
+class PressForce:
+    """A force over a motion. time_s: (n,) rising, on the motion's clock [s]; force_n: (n,) magnitude without the
+    sensor's zero [N]; zero_sd_n: how the sensor scatters in free air [N]"""
+
+    time_s: FloatArray
+    force_n: FloatArray
+    zero_sd_n: float
+
+    def at(self, time_s: FloatArray) -> FloatArray:
+        """(T,) [N] at moments of the motion."""
+        return np.asarray(np.interp(time_s, self.time_s, self.force_n))
+
+    def off_n(self) -> float:
+        """What a tool that is off may read at most [N]."""
+        return max(OFF_N, OFF_SHARE * float(self.force_n.max()), OFF_SDS * self.zero_sd_n)
+
+
+@dataclass(frozen=True, slots=True)
+class PressCycle:
+    """A push and its end.
+
+    loaded: last frame at the deepest; unloaded: first frame from which on nothing loads the thing, and at which by
+    displacement it rests
+    course: (T,) how far what was pressed has moved along the way of the push [unit of the positions]
+    kept: share of that way that is left at the unloaded frame; source: what showed the unloaded frame
+    """
+
+    loaded: int
+    unloaded: int
+    course: FloatArray
+    kept: float
+    source: Literal["displacement", "force", "given"]
+
+    def as_json(self) -> dict[str, object]:
+        """The public form."""
+        return {
+            "loaded_frame": self.loaded,
+            "unloaded_frame": self.unloaded,
+            "kept_share": self.kept,
+            "source": self.source,
+        }
+
+
+def course_of(moved: FloatArray, pressed: IntArray) -> FloatArray:
+    """(T,) how far what was pressed has moved along the way of the push.
+
+    moved: (T, K, d) displacements of all particles, NaN where one was not seen; pressed: those that were pressed
+
+    Particles below a tool are easily lost when it lifts. So the share of the push that each frame has is that of all
+    particles that were seen throughout, and its size that of the pressed ones at the deepest.
+    """
+    amplitude, loaded, _ = share_of_push(moved)
+    down = moved[loaded, pressed]
+    down = down[np.isfinite(down).all(axis=1)]
+    if not len(down):
+        hint = "a --roi with more texture, its edge inside the thing, or a smaller --stride"
+        raise InputError("pressed particles that can be followed to the deepest frame", "every one was lost", hint)
+    return np.asarray(amplitude * float(np.linalg.norm(down.mean(axis=0))))
+
+
+def share_of_push(moved: FloatArray) -> tuple[FloatArray, int, BoolArray]:
+    """(T,) the share of the largest displacement that each frame has, the frame that has it, and the particles (K,)
+    seen in all frames, which this is of.
+
+    moved: (T, K, d) displacements, NaN where a particle was not seen
+    """
+    known: BoolArray = np.asarray(np.isfinite(moved).all(axis=(0, 2)))
+    if known.sum() < FEWEST:
+        hint = "a --roi with more texture, its edge inside the thing, or a smaller --stride"
+        raise InputError(f"{FEWEST} particles that can be followed to the end", str(int(known.sum())), hint)
+    size = np.sum(moved[:, known] ** 2, axis=(1, 2))
+    loaded = int(size.argmax())
+    shape = moved[loaded, known]
+    return np.array([_share(one, shape) for one in moved[:, known]]), loaded, known
+
+
+def _share(moved: FloatArray, shape: FloatArray) -> float:
+    """How many times a shape (k, d) a displacement (k, d) is: tracks that went wrong, as beside a tool that lifts,
+    hardly count (Cauchy's weights)."""
+    along, square = np.sum(moved * shape, axis=1), np.sum(shape**2, axis=1)
+    weight, share = np.ones(len(shape)), 0.0
+    for _ in range(ROUNDS):
+        share = float(weight @ along) / max(float(weight @ square), 1e-300)
+        off = np.linalg.norm(moved - share * shape, axis=1)
+        weight = 1.0 / (1.0 + (off / max(CAUCHY * float(np.median(off)), 1e-300)) ** 2)
+    return share
+
+
+def find_cycle(
+    course: FloatArray,
+    noise: float,
+    *,
+    time_s: FloatArray | None = None,
+    force: PressForce | None = None,
+    given: tuple[int, int] | None = None,
+) -> PressCycle:
+    """The loaded and the unloaded frame of a course (T,).
+
+    noise: deviation of the course; time_s: (T,) of the frames, for a force; given: both frames, as somebody named them
+    Raises InputError where the motion has no push, or no end of it.
+    """
+    last = len(course) - 1
+    if given is not None:
+        if not 0 < given[0] < given[1] <= last:
+            expected = f"--at LOADED,UNLOADED with 0 < LOADED < UNLOADED <= {last}, the last frame"
+            raise InputError(expected, f"{given[0]},{given[1]}")
+        return _cycle(course, *given, "given")
+    peak = float(course.max())
+    near = max(RESTS * peak, 3.0 * noise)
+    if peak <= 2.0 * near:
+        came = f"one whose contact moves by {peak:.3g}, with a noise of {noise:.2g}"
+        raise InputError("a motion that is pressed", came, "a deeper push, or --contact where the tool is")
+    loaded = int(np.flatnonzero(course >= peak - near)[-1])
+    if force is not None and time_s is not None:
+        off = force.at(time_s) <= force.off_n()
+        off[: loaded + 1] = False
+        pressed = np.flatnonzero(~off)
+        if pressed[-1] == last:
+            came = f"{float(force.at(time_s)[-1]):.2g} N at the last frame"
+            raise InputError("a motion whose force goes back to nothing", came, RECORD)
+        return _cycle(course, loaded, int(pressed[-1]) + 1, "force")
+    if loaded == last:
+        raise InputError("a motion that is loaded and let go", "one that is as deep at its last frame as ever", RECORD)
+    moving = np.flatnonzero(np.abs(course - course[-1]) > near)
+    unloaded = int(moving[-1]) + 1
+    if unloaded == last and course[-1] > near:
+        came = f"one still on its way back at the last frame, {course[-1] / peak:.0%} deep"
+        raise InputError("a motion that rests in the end", came, RECORD)
+    return _cycle(course, min(loaded, unloaded - 1), unloaded, "displacement")
+
+
+def _cycle(
+    course: FloatArray, loaded: int, unloaded: int, source: Literal["displacement", "force", "given"]
+) -> PressCycle:
+    kept = float(course[unloaded] / course[loaded]) if course[loaded] else 0.0
+    return PressCycle(loaded, unloaded, course, kept, source)
+
+
+def frames_to_fit(cycle: PressCycle, most: int, *, between: bool) -> IntArray:
+    """At most so many frames, rising: even along the way down, with the loaded, the unloaded and the last one.
+
+    The first frame, at rest, is none of them: a history of loads depends on the way, not on how long it took. between:
+    also along the way back, which what flows with time wants; where a tool lifts, particles are followed least well
+    """
+    last = len(cycle.course) - 1
+    known = {cycle.loaded, cycle.unloaded, (cycle.unloaded + last + 1) // 2, last}
+    end = cycle.unloaded if between else cycle.loaded
+    way = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(cycle.course[: end + 1])))])
+    even = np.linspace(0.0, way[-1], max(most - len(known), 0) + 2)[1:-1]
+    return np.array(sorted(known | {max(1, int(np.searchsorted(way, one))) for one in even}))

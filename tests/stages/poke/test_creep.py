@@ -1,0 +1,109 @@
+"""What a held touch says of a foam's creep, against touches that are integrated here by another method."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from deformscope.arrays import FloatArray
+from deformscope.errors import InputError
+from deformscope.stages.poke.contact import ArmCompliance
+from deformscope.stages.poke.creep import CreepFit, fit_creep
+
+UP = np.array([0.0, 0.0, 1.0])
+RATE_HZ, LOAD_S, SET_N, DEPTH_M, EXPONENT = 100.0, 0.8, 3.0, 0.006, 1.5
+
+
+def touch(shares: tuple[float, ...], times_s: tuple[float, ...], hold_s: float, noise_m: float = 0.0) -> CreepFit:
+    """A ball pressed with a force that rises and stays, on E(t) / E0 = 1 - sum g + sum g exp(-t / tau), by a Volterra
+    equation in steps of 1 ms: F(t) = integral of E(t - s) d(c y(s)), y = depth^p."""
+    step = 1e-3
+    time = np.arange(round((LOAD_S + hold_s) / step) + 1) * step
+    force = SET_N * np.minimum(time / LOAD_S, 1.0)
+    shares_, times_ = np.array(shares), np.array(times_s)
+    elastic, memory, done = 0.0, np.zeros(len(shares)), np.zeros(len(time))
+    for i in range(1, len(time)):
+        # implicit Euler of each Maxwell branch q' = g w' - q / tau, whose forces add to (1 - sum g) w
+        left = 1.0 / (1.0 + step / times_)
+        carried = float((left * (memory - shares_ * elastic)).sum())
+        now = (force[i] - carried) / (1.0 - shares_.sum() + float((left * shares_).sum()))
+        memory = left * (memory + shares_ * (now - elastic))
+        elastic, done[i] = now, now
+    depth = DEPTH_M * (done / SET_N) ** (1.0 / EXPONENT)
+    before = np.arange(30) / RATE_HZ - 30 / RATE_HZ
+    at = slice(None, None, round(1.0 / RATE_HZ / step))
+    time, force, depth = (
+        np.concatenate([first, rest[at]])
+        for first, rest in ((before, time), (0.0 * before, force), (0.01 * before, depth))
+    )
+    random = np.random.default_rng(1)
+    z = depth + 1e-4 * force + noise_m * random.standard_normal(len(depth))
+    felt = force + 0.01 * random.standard_normal(len(force))
+    loading = 30 + round(LOAD_S * RATE_HZ) + 1
+    return fit_creep(
+        time, -z[:, None] * UP, felt[:, None] * UP, UP, loading=loading, held=len(time), arm=ArmCompliance(1e-4, 1e-6)
+    )
+
+
+@pytest.mark.parametrize(
+    ("shares", "times_s"), [((0.3,), (1.0,)), ((0.4,), (3.0,)), ((0.15, 0.15), (0.4, 4.0)), ((0.15,), (0.5,))]
+)
+def test_stiffness_at_once_and_relaxed_and_the_share_that_relaxes_are_found(
+    shares: tuple[float, ...], times_s: tuple[float, ...]
+) -> None:
+    fit = touch(shares, times_s, 8.0, noise_m=5e-5)
+    relaxes = sum(shares)
+    at_once = 1e-3 * SET_N / DEPTH_M
+    relaxed = at_once * (1.0 - relaxes) ** (1.0 / EXPONENT)
+    assert fit.verdict == "viscous"
+    assert fit.instant_n_per_mm == pytest.approx(at_once, rel=0.1)
+    assert fit.relaxed_n_per_mm == pytest.approx(relaxed, rel=0.03)
+    assert fit.relaxed_interval[0] < relaxed < fit.relaxed_interval[1]
+    assert fit.share == pytest.approx(relaxes, abs=0.06)
+    mean_s = float(np.dot(shares, times_s)) / relaxes
+    assert fit.time_s == pytest.approx(mean_s, rel=0.4)
+    assert fit.held_s == pytest.approx(8.0, abs=0.05)
+
+
+def test_an_elastic_foam_is_called_elastic_and_has_one_stiffness() -> None:
+    fit = touch((), (), 4.0, noise_m=5e-5)
+    assert fit.verdict == "elastic"
+    assert fit.relaxed_n_per_mm == pytest.approx(fit.instant_n_per_mm, rel=0.01)
+    assert fit.instant_n_per_mm == pytest.approx(1e-3 * SET_N / DEPTH_M, rel=0.03)
+    assert fit.loss is None
+    assert fit.loss_interval is None
+
+
+def test_a_hold_too_short_for_the_foam_widens_the_interval() -> None:
+    short, long = touch((0.4,), (2.0,), 1.0, noise_m=5e-5), touch((0.4,), (2.0,), 10.0, noise_m=5e-5)
+
+    def width(fit: CreepFit) -> float:
+        return float(np.log(fit.relaxed_interval[1] / fit.relaxed_interval[0]))
+
+    assert width(short) > 2.0 * width(long)
+    assert short.relaxed_interval[0] < 1e-3 * SET_N / DEPTH_M * 0.6 ** (1.0 / EXPONENT) < short.relaxed_interval[1]
+
+
+def cycle(back: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Time, place and force: in to 5 mm and 2 N, and back along another line."""
+    free = np.zeros(30)
+    way_in = np.linspace(0.0, 1.0, 81)
+    z = np.concatenate([free, 5e-3 * way_in, 5e-3 * (1.0 - np.linspace(0.0, 1.0, len(back)))])
+    force = np.concatenate([free, 2.0 * way_in, 2.0 * back])
+    return 0.01 * np.arange(len(z)), z, force
+
+
+def test_a_cycle_loses_the_area_between_way_in_and_way_out() -> None:
+    gone = np.linspace(0.0, 1.0, 81)
+    time, z, force = cycle((1.0 - gone) ** 2)  # 1/3 of 5 mm x 2 N comes back of the 1/2 that went in
+    fit = fit_creep(time, -z[:, None] * UP, force[:, None] * UP, UP, loading=110, held=112, tip="flat", set_force_n=2.0)
+    assert fit.loss is not None
+    assert fit.loss_interval is not None
+    assert fit.loss == pytest.approx(1.0 / 3.0, abs=0.005)
+    assert fit.loss_interval[0] < fit.loss < fit.loss_interval[1]
+
+
+def test_samples_that_do_not_fit_are_refused() -> None:
+    time, z, force = cycle(np.zeros(0))
+    with pytest.raises(InputError, match="loading < held"):
+        fit_creep(time, -z[:, None] * UP, force[:, None] * UP, UP, loading=90, held=90)
