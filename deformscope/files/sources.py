@@ -73,6 +73,17 @@ class Source:
         if self._frames is not None:
             yield from self._frames
 
+    @property
+    def size(self) -> tuple[int, int]:
+        """Height and width of its images [px], until the first was taken."""
+        height, width = self._ahead[0].image.shape[:2]
+        return int(height), int(width)
+
+    @property
+    def began_ns(self) -> int:
+        """When its first frame came, until that was taken."""
+        return self._ahead[0].stamp.host_ns
+
     def close(self) -> None:
         frames, self._frames = self._frames, None
         if frames is not None:

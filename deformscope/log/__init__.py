@@ -10,12 +10,15 @@ import rerun as rr
 from deformscope.arrays import FloatArray
 from deformscope.log.canvas import Canvas
 from deformscope.log.estimate import log_comparison, log_estimate
-from deformscope.log.findings import RigFindings, log_evidence, log_findings, log_rig_findings
+from deformscope.log.findings import RigFindings, log_evidence, log_findings, log_numbers, log_rig_findings
 from deformscope.log.flow import log_flow
 from deformscope.log.particles import log_grid, log_tracked
 from deformscope.pictures.close_up import close_up
 from deformscope.pictures.findings import Findings
 from deformscope.stages.fit.estimate import Comparison, Estimate
+from deformscope.stages.materials.axis_estimate import AxisEstimate
+from deformscope.stages.materials.recovery_estimate import RecoveryEstimate
+from deformscope.stages.materials.yield_estimate import YieldEstimate
 from deformscope.stages.see.flow import FlowField
 from deformscope.stages.see.particles import ParticleGrid, Tracked
 from deformscope.stages.see.triangulation import spacing_of
@@ -68,6 +71,13 @@ def _(result: Findings, rec: rr.RecordingStream, canvas: Canvas) -> None:
         log_findings(rec, result)
     else:
         log_evidence(rec, result, canvas)
+
+
+@_log.register(AxisEstimate)
+@_log.register(YieldEstimate)
+@_log.register(RecoveryEstimate)
+def _(result: object, rec: rr.RecordingStream, canvas: Canvas) -> None:
+    log_numbers(rec, result, canvas)
 
 
 @_log.register

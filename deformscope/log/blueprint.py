@@ -36,16 +36,16 @@ def blueprint(layout: Layout, canvas: Canvas, chart: str = CHART) -> rrb.Bluepri
             _flat_view("flow", canvas), _summary_view(), column_shares=[3, 1]
         )
     elif layout == "images":
-        root = _images(canvas)
+        root = _images(canvas, chart)
     else:
         root = _pair(canvas, chart)
     return blueprint_of(root, "frame", fps=8.0)
 
 
-def _images(canvas: Canvas) -> rrb.Container:
+def _images(canvas: Canvas, chart: str) -> rrb.Container:
     pictures = [_flat_view(name, canvas) for name in ("particles", "flow", "residual", "heat")]
     errors = rrb.TimeSeriesView(origin="/error", name="Average error in each frame", plot_legend=LEGEND)
-    numbers = [_chart_view(), errors, _summary_view()]
+    numbers = [_chart_view(chart), errors, _summary_view()]
     if canvas.height > canvas.width:
         return rrb.Horizontal(*pictures, rrb.Vertical(*numbers, row_shares=[5, 3, 5]), column_shares=[3, 3, 3, 3, 5])
     if canvas.width > WIDE_FROM * canvas.height:

@@ -11,12 +11,13 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from deformscope.frames import Stream
-from deformscope.log.blueprint import blueprint, deep_view
+from deformscope.log.blueprint import Layout, blueprint, deep_view
 from deformscope.log.canvas import Canvas, deep_bar, log_deep_legend
 from deformscope.log.rig.blueprint import blueprint_of, rig_blueprint
 from deformscope.pictures.findings import ColoredBody, Findings, table_markdown
 from deformscope.pictures.palette import colors
 from deformscope.plain import plain
+from deformscope.rows import to_components
 from deformscope.stages.see.triangulation import spacing_of
 
 
@@ -50,18 +51,27 @@ def log_rig_findings(rec: rr.RecordingStream, result: RigFindings) -> None:
 
 def log_evidence(rec: rr.RecordingStream, found: Findings, canvas: Canvas) -> None:
     """The same beside particles: the first picture and the tables stand where an estimate's would."""
-    _log_tables(rec, found, "calibration/summary")
+    whole = bool(canvas.image)  # what is found of a sequence belongs to all of it
+    _log_tables(rec, found, "calibration/summary", whole=whole)
     if not found.figures:
         return
-    rec.log("calibration/chart", rr.EncodedImage(contents=found.figures[0].png, media_type="image/png"))
-    layout = "pair" if canvas.flat else "pair-3d"
-    rec.send_blueprint(blueprint(layout, canvas, chart=found.figures[0].caption))  # type: ignore[arg-type]
+    chart = rr.EncodedImage(contents=found.figures[0].png, media_type="image/png")
+    rec.log("calibration/chart", chart, static=whole)
+    layout: Layout = "images" if whole else "pair" if canvas.flat else "pair-3d"
+    rec.send_blueprint(blueprint(layout, canvas, chart=found.figures[0].caption))
 
 
-def _log_tables(rec: rr.RecordingStream, found: Findings, path: str) -> None:
+def log_numbers(rec: rr.RecordingStream, estimate: object, canvas: Canvas) -> None:
+    """Every field of what was found of a material, for `replay` to compare."""
+    kind = type(estimate).__name__
+    numbers = rr.DynamicArchetype(kind, components=to_components(estimate))
+    rec.log("calibration/estimate", numbers, static=bool(canvas.image))
+
+
+def _log_tables(rec: rr.RecordingStream, found: Findings, path: str, *, whole: bool = False) -> None:
     text = "\n\n".join(table_markdown(one) for one in found.tables)
-    rec.log(path, rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN))
-    rec.log(path, rr.AnyValues(json=json.dumps(plain(found.tables))))
+    rec.log(path, rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN), static=whole)
+    rec.log(path, rr.AnyValues(json=json.dumps(plain(found.tables))), static=whole)
 
 
 def _log_body(rec: rr.RecordingStream, body: ColoredBody, path: str) -> None:

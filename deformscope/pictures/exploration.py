@@ -9,8 +9,8 @@ from __future__ import annotations
 import functools
 import math
 import textwrap
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -31,6 +31,8 @@ from deformscope.pictures.words import (
 )
 from deformscope.stages.map.exploration import MapEstimate, PlannedTouch, SurfaceEstimate, TouchEstimate
 
+RECORDED, OTHER = (0, 114, 178), (213, 94, 0)
+"""Of what was recorded, and of what other settings make of it; distinct to colour-blind readers too."""
 REGIONS = ("#56b4e9", "#e69f00", "#009e73", "#cc79a7", "#f0e442", "#0072b2", "#d55e00", "#999999")
 """From the softest; distinct to colour-blind readers too (Okabe and Ito 2008)."""
 STIFFNESS, BETA, DEVIATION, GAIN, HEIGHT = "viridis", "plasma", "magma", "cividis", "viridis"
@@ -88,6 +90,18 @@ def section_png(touch: TouchEstimate) -> bytes:
 def height_png(surface: SurfaceEstimate) -> bytes:
     """The surface as its Gaussian process has it: height, and lines of equal standard deviation [mm]."""
     return _one(lambda axes: draw_height(axes, surface))
+
+
+def regions_beside_png(recorded: MapEstimate, other: MapEstimate, name: str) -> bytes:
+    """Where the regions end: of a recorded map, and of the one that other settings give. name: of these"""
+    return _one(lambda axes: draw_regions_beside(axes, recorded, other, name), (0.12, 0.12, 0.84, 0.62))
+
+
+def touches_beside_png(
+    quantity: Literal["stiffness", "beta"], recorded: Sequence[TouchEstimate], other: Sequence[TouchEstimate], name: str
+) -> bytes:
+    """What each touch gave, with its interval: as recorded, and with other settings. name: of these"""
+    return _one(lambda axes: draw_touches_beside(axes, quantity, recorded, other, name), (0.16, 0.14, 0.8, 0.62))
 
 
 def words_png(words: str) -> bytes:
@@ -301,6 +315,62 @@ def _beta_words(touch: TouchEstimate) -> str:
     return f"beta {touch.beta:.2f} ({touch.beta_verdict}{between})"
 
 
+def draw_regions_beside(axes: Any, recorded: MapEstimate, other: MapEstimate, name: str) -> None:
+    from matplotlib.lines import Line2D
+
+    beside = ((recorded, RECORDED, 4.0, "recorded"), (other, OTHER, 1.4, name))  # seen both, where they are the same
+    _say(axes, "", recorded.labels.shape, recorded.cell_m)
+    handles = []
+    for maps, color, width, whose in beside:
+        _draw_outline(axes, maps.labels, maps.cell_m, hexadecimal(color), width)
+        words = f"{whose}: {verdict_words(maps)} ({maps.probability:.2f})"
+        handles.append(Line2D([], [], color=hexadecimal(color), lw=width, label=words))
+    _draw_contacts(axes, recorded.contacts_m, recorded.tip_radius_m)
+    matched = _matched(other.labels, recorded.labels) if recorded.region_count and other.region_count else other.labels
+    same = float(np.mean(matched == recorded.labels))
+    _legend_above(axes, f"Regions: {100 * same:.0f} % of the surface the same", handles)
+
+
+def draw_touches_beside(
+    axes: Any, quantity: str, recorded: Sequence[TouchEstimate], other: Sequence[TouchEstimate], name: str
+) -> None:
+    from matplotlib.ticker import MaxNLocator
+
+    handles = []
+    for touches, color, mark, whose, aside in (
+        (recorded, RECORDED, "o", "recorded", -0.1),
+        (other, OTHER, "s", name, 0.1),
+    ):
+        known = [(one.number + 1 + aside, *found) for one in touches if (found := _with_interval(one, quantity))]
+        at, value, low, high = np.array(known).reshape(-1, 4).T
+        ends = np.maximum([value - low, high - value], 0.0)
+        handles.append(axes.errorbar(at, value, ends, fmt=mark, color=hexadecimal(color), ms=5, capsize=3, label=whose))
+    _legend_above(axes, f"{quantity.capitalize()} of each touch, with its interval", handles)
+    axes.set_xlabel("touch", fontsize=11)
+    axes.set_ylabel("stiffness [N/mm]" if quantity == "stiffness" else "beta [-]", fontsize=11)
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    axes.tick_params(labelsize=10)
+    axes.grid(alpha=0.3)
+
+
+def _legend_above(axes: Any, title: str, handles: Sequence[Any]) -> None:
+    """Names of what is drawn, below a title and above the axes."""
+    names = [textwrap.fill(handle.get_label(), 46) for handle in handles]
+    above: dict[str, Any] = {"loc": "lower left", "bbox_to_anchor": (-0.03, 1.0), "frameon": False, "alignment": "left"}
+    bold = {"size": 10, "weight": "bold"}
+    axes.legend(handles, names, title=title, title_fontproperties=bold, fontsize=9, **above)
+
+
+def _with_interval(touch: TouchEstimate, quantity: str) -> tuple[float, float, float] | None:
+    """Value, low, high of what a touch gave; None where it gave none."""
+    if quantity == "beta":
+        return None if touch.beta is None else (touch.beta, *(touch.beta_interval or (touch.beta, touch.beta)))
+    if not touch.usable:
+        return None
+    value, (low, high) = touch.stiffness_n_per_mm, touch.stiffness_interval
+    return (value, low, high) if np.isfinite(high) else (value, value, value)  # a lower bound
+
+
 MAP_DRAWINGS: dict[str, Callable[[Any, MapEstimate], None]] = {
     "stiffness": draw_stiffness,
     "stiffness_deviation": draw_stiffness_deviation,
@@ -344,6 +414,8 @@ def _draw_map(
     high: float | None = None,
     norm: Any = None,
 ) -> None:
+    from matplotlib.ticker import FuncFormatter, MaxNLocator
+
     limits = {} if norm is not None else {"vmin": low, "vmax": high}
     shown = axes.imshow(
         values, origin="lower", extent=_extent(values.shape, cell_m), cmap=colors, interpolation="nearest",
@@ -352,8 +424,9 @@ def _draw_map(
     _label_axes(axes)
     bar = axes.figure.colorbar(shown, cax=axes.inset_axes((1.035, 0.0, 0.045, 1.0)))
     bar.ax.tick_params(labelsize=10)
-    if norm is None:
-        bar.formatter.set_useOffset(False)  # whole numbers, not differences from one
+    if norm is None:  # whole numbers, not differences from one, and as short as there is room
+        bar.locator, bar.formatter = MaxNLocator(4), FuncFormatter(lambda value, _: f"{value:.3g}")
+        bar.update_ticks()
     bar.ax.text(0.55, -0.035, label, transform=bar.ax.transAxes, fontsize=10, va="top", ha="left")
     if norm is not None:
         _number_log_bar(bar, norm.vmin, norm.vmax)
@@ -413,17 +486,21 @@ def _matched(truth: IntArray, found: IntArray) -> IntArray:
     return renamed
 
 
-def _draw_outline(axes: Any, labels: IntArray, cell_m: float, color: str) -> None:
+def _draw_outline(axes: Any, labels: IntArray, cell_m: float, color: str, width: float = 1.4) -> None:
     """Lines between cells of different labels, along the cells' edges."""
     from matplotlib.collections import LineCollection
 
-    size = cell_m * 100
+    lines = LineCollection(list(100 * region_edges(labels, cell_m)), colors=color, linewidths=width)
+    axes.add_collection(lines, autolim=False)
+
+
+def region_edges(labels: IntArray, cell_m: float) -> FloatArray:
+    """(n, 2, 2) edges between cells of different labels, each from a corner to the next [m]."""
     rows, columns = np.nonzero(labels[:, 1:] != labels[:, :-1])
     upright = np.stack([np.stack([columns + 1, rows], -1), np.stack([columns + 1, rows + 1], -1)], axis=1)
     rows, columns = np.nonzero(labels[1:] != labels[:-1])
     level = np.stack([np.stack([columns, rows + 1], -1), np.stack([columns + 1, rows + 1], -1)], axis=1)
-    edges = np.concatenate([upright, level]) * size
-    axes.add_collection(LineCollection(list(edges), colors=color, linewidths=1.4), autolim=False)
+    return np.concatenate([upright, level]) * cell_m
 
 
 def _draw_contacts(axes: Any, contacts_m: FloatArray, tip_radius_m: float, *, path: bool = False) -> None:

@@ -10,9 +10,11 @@ from deformscope.arrays import FloatArray
 from deformscope.pictures.figures import canvas, png_of
 
 if TYPE_CHECKING:
+    from deformscope.stages.fit.estimate import LengthUnit
     from deformscope.stages.fit.joint import JointEstimate
     from deformscope.stages.fit.motion import Motion
-    from deformscope.stages.materials.anisotropy import AxisEstimate
+    from deformscope.stages.materials.axis_estimate import AxisEstimate
+    from deformscope.stages.materials.recovery_estimate import RecoveryEstimate
     from deformscope.stages.materials.yield_estimate import YieldEstimate
 
 
@@ -59,24 +61,51 @@ def yield_png(found: YieldEstimate, motion: Motion) -> bytes:
     figure = canvas(11.0, 4.2, layout="constrained")
     left, right = figure.subplots(1, 2)
     strain, rms = found.curve
-    left.plot(strain, 1e3 * rms, "-", color="tab:blue", label="yielding at this strain")
-    left.axhline(1e3 * found.elastic_deviation, color="tab:gray", linestyle="--", label="elastic")
+    scale, unit = length_scale(found.unit, found.metres_per_unit)
+    left.plot(strain, scale * rms, "-", color="tab:blue", label="yielding at this strain")
+    left.axhline(scale * found.elastic_deviation, color="tab:gray", linestyle="--", label="elastic")
     low, high = found.yield_strain.interval
     left.axvspan(low, high or strain[-1], color="tab:orange", alpha=0.3, label=f"{found.level:.0%} interval")
     if high is not None:
         left.axvline(found.yield_strain.value, color="tab:orange", label=f"{found.yield_strain.value:.3g}")
-    left.set(xscale="log", yscale="log", xlabel="yield strain |S - I|", ylabel="residual of a coordinate, rms [mm]")
+    left.set(
+        xscale="log", yscale="log", xlabel="yield strain |S - I|", ylabel=f"residual of a coordinate, rms [{unit}]"
+    )
     left.legend()
     frames = np.flatnonzero(motion.judged.any(axis=1))
 
     def apart(states: FloatArray) -> FloatArray:
         square = np.where(motion.judged, np.sum((states - motion.position) ** 2, axis=2), np.nan)[frames]
-        return np.asarray(1e3 * np.sqrt(np.nanmean(square, axis=1)))
+        return np.asarray(scale * np.sqrt(np.nanmean(square, axis=1)))
 
     right.plot(frames, apart(motion.rest[None]), "o-", color="tab:blue", label="observed to rest")
     right.plot(frames, apart(found.elastic), "^--", color="tab:gray", label="observed to elastic")
     right.plot(frames, apart(found.simulated), "s-", color="tab:red", label="observed to yielding")
-    right.set(xlabel="frame", ylabel="distance of free particles, rms [mm]", ylim=(0.0, 1.3 * right.get_ylim()[1]))
+    right.set(xlabel="frame", ylabel=f"distance of free particles, rms [{unit}]", ylim=(0.0, 1.3 * right.get_ylim()[1]))
     right.legend()
     figure.suptitle(f"Yield strain: {found.verdict}")
     return png_of(figure, 130)
+
+
+def recovery_png(found: RecoveryEstimate) -> bytes:
+    """How far it was pressed over time, and the recovery that was fitted after the release."""
+    figure = canvas(7.2, 4.2, layout="constrained")
+    axis = figure.subplots()
+    axis.plot(found.time, found.observed, ".", color="tab:blue", label="observed")
+    axis.plot(found.time, found.simulated, "-", color="tab:red", label="law of recovery")
+    if found.released < len(found.time):
+        axis.axvline(found.time[found.released], color="tab:gray", linestyle="--", label="nothing touches it from here")
+    low, high = found.set.interval
+    axis.axhspan(low, max(high, low + 1e-3), color="tab:orange", alpha=0.3, label=f"kept for good, {found.level:.0%}")
+    axis.set(xlabel="time [s]", ylabel="share of the largest displacement [-]")
+    axis.grid(alpha=0.3)
+    axis.legend()
+    axis.set_title(f"{found.verdict}: {found.share.value:.0%} of the modulus relaxes", fontsize=10)
+    return png_of(figure, 130)
+
+
+def length_scale(unit: LengthUnit, metres_per_unit: float | None) -> tuple[float, str]:
+    """What a length is multiplied by to be shown, and in which unit that is."""
+    if unit == "m":
+        return 1e3, "mm"
+    return (1.0, "px") if metres_per_unit is None else (1e3 * metres_per_unit, "mm")

@@ -8,31 +8,37 @@ import numpy as np
 
 from deformscope.arrays import FloatArray
 from deformscope.pictures.figures import COLOURS, canvas, png_of
+from deformscope.pictures.report import Figure
 from deformscope.stages.setup.timing import TimeOffset
 
 
-def off_png(off: FloatArray, names: Sequence[str], unit: str, sd: float) -> bytes:
-    """How far each measurement (n,) is from where the solution has it, with the deviation that was found."""
+def off_figure(off: FloatArray, names: Sequence[str], unit: str, sd: float, *, each: str, caption: str) -> Figure:
+    """How far each measurement (n,) is from where the solution has it, with the standard deviation that was found.
+
+    each: what one measurement is, as under its bars
+    """
     drawn = canvas(5.2, 4.2, layout="constrained")
     axis = drawn.subplots()
     axis.bar(np.arange(len(off)), off, color=COLOURS[0])
-    axis.axhline(sd, color=COLOURS[1], linestyle="--", label=f"deviation {sd:.2g} {unit}")
-    axis.set_xticks(np.arange(len(off)), names, rotation=45 if len(off) > 6 else 0)
-    axis.set(ylabel=f"off by [{unit}]")
+    axis.axhline(sd, color=COLOURS[1], linestyle="--", label=f"standard deviation {sd:.2g} {unit}")
+    axis.set_xticks(np.arange(len(off)), names, rotation=45 if sum(map(len, names)) > 60 else 0)
+    axis.set(title=caption, xlabel=each, ylabel=f"off by [{unit}]")
+    axis.set_ylim(0.0, 1.2 * max(float(off.max(initial=0.0)), sd) or 1.0)  # room for the legend
     axis.grid(alpha=0.3, axis="y")
-    axis.legend()
-    return png_of(drawn, 130)
+    axis.legend(loc="upper right")
+    return Figure(png_of(drawn, 130), caption)
 
 
-def offset_png(found: TimeOffset) -> bytes:
-    """The posterior of an offset, and its interval."""
+def offset_figure(found: TimeOffset, device: str, beside: str) -> Figure:
+    """The posterior of the offset between two devices, and its interval."""
+    caption = f"How late {device} is beside {beside}"
     drawn = canvas(5.2, 4.2, layout="constrained")
     axis = drawn.subplots()
     axis.plot(1e3 * found.offsets_s, found.density / 1e3, color=COLOURS[0])
     axis.axvspan(1e3 * found.low_s, 1e3 * found.high_s, color=COLOURS[1], alpha=0.3, label="90 % interval")
     around = max(found.high_s - found.low_s, 2e-3)
-    axis.set(xlabel="offset [ms]", ylabel="density [1/ms]")
+    axis.set(title=caption, xlabel="offset [ms]", ylabel="probability density [1/ms]")
     axis.set_xlim(1e3 * (found.low_s - 2 * around), 1e3 * (found.high_s + 2 * around))
     axis.grid(alpha=0.3)
     axis.legend()
-    return png_of(drawn, 130)
+    return Figure(png_of(drawn, 130), caption)

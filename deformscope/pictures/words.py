@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from deformscope.pictures.report import Table
 from deformscope.stages.fit.estimate import Choice, Doubt, Estimate, explained_text
 from deformscope.stages.map.exploration import MapEstimate, StageFailure, TouchEstimate
+from deformscope.stages.poke.creep import CreepFit
 
 
 def counted(number: int, word: str) -> str:
@@ -48,6 +49,18 @@ def interval_words(touch: TouchEstimate) -> str:
         return ""
     low, high = touch.stiffness_interval
     return f"{low:.3g} to {high:.3g}"
+
+
+def creep_words(creep: CreepFit) -> str:
+    """What a hold said of the foam's creep."""
+    loss = "" if creep.loss is None else f", a touch loses {creep.loss:.0%} of its energy"
+    if creep.verdict == "elastic":
+        return f"elastic within {creep.held_s:.3g} s{loss}"
+    low, high = creep.relaxed_interval
+    least, most = creep.share_interval
+    relaxed = f"{creep.relaxed_n_per_mm:.3g} N/mm ({low:.3g} to {high:.3g}) when relaxed"
+    share = f"{creep.share:.0%} ({least:.0%} to {most:.0%}) of the modulus relaxes in {creep.time_s:.2g} s"
+    return f"{creep.verdict}: {relaxed}, {share}{loss}"
 
 
 def dent_words(touch: TouchEstimate) -> str:

@@ -29,6 +29,7 @@ class Facts:
     application, recording: rerun's ids; outcome: as the run left it at its end, empty without one
     losses: by device and kind (`deformscope.recording.losses`); counts: frames by device, and inputs
     until_s: session time of the last row [s], None without one; damage: what ended the reading, empty = nothing
+    discarded: what of it is not to be used (`deformscope.recording.discards`)
     """
 
     application: str = ""
@@ -38,6 +39,7 @@ class Facts:
     counts: dict[str, int] = field(default_factory=dict)
     until_s: float | None = None
     damage: str = ""
+    discarded: list[dict[str, Any]] = field(default_factory=list)
 
 
 def read_facts(path: Path) -> Facts:
@@ -79,6 +81,9 @@ def _run(command: list[str]) -> subprocess.CompletedProcess[str] | str:
 
 def gather_facts(path: Path) -> Facts:
     """Read them here."""
+    from deformscope.frames import SessionNote
+    from deformscope.recording.discards import discards_of
+    from deformscope.recording.items import read_items
     from deformscope.recording.reader import Replay
 
     facts: dict[str, Any] = {}
@@ -97,6 +102,9 @@ def gather_facts(path: Path) -> Facts:
                 counts["frames"] += batch.num_rows if counted.endswith("/frames") else 0
         facts["outcome"] = replay.outcome
         facts["losses"] = _losses(path, replay.outcome)
+        notes = read_items(path, trust=True, kinds=(SessionNote,))
+        discards = discards_of(path, (note for note in notes if isinstance(note, SessionNote)))
+        facts["discarded"] = [dataclasses.asdict(one) for one in discards]
     except InputError as error:
         facts["damage"] = str(error).split(" | ")[0]
     except Exception as error:  # damaged bytes make the readers raise what they like

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from deformscope.errors import InputError
 from deformscope.frames import HealthReport, Item, StageResult, Stream
@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 
 ITEMS: tuple[type, ...] = (*OF_DEVICES, HealthReport)
 """What a rig's recording is made of."""
+
+T = TypeVar("T")
 
 _PART = re.compile(r"(?:[^/\\]|\\.)+")
 _ESCAPED = re.compile(r"\\(?:u\{([0-9a-fA-F]+)\}|(.))")
@@ -71,11 +73,16 @@ def read_results(path: Path, kinds: Sequence[type] = (), *, trust: bool = False)
 
 
 def read_estimates(replay: Replay) -> list[Estimate]:
-    """The estimates of a calibration in the order of their frames, equal to what was recorded.
+    """The estimates of a calibration in the order of their frames, equal to what was recorded."""
+    return read_found(replay, Estimate)
+
+
+def read_found(replay: Replay, kind: type[T]) -> list[T]:
+    """The same of any kind that a calibration finds.
 
     Raises InputError where they were recorded in format 1.
     """
-    found: list[tuple[int, Estimate]] = []
+    found: list[tuple[int, T]] = []
     for chunk in replay.chunks("/calibration/estimate"):
         batch = chunk.to_record_batch()
         names = batch.schema.names
@@ -83,11 +90,11 @@ def read_estimates(replay: Replay) -> list[Estimate]:
             hint = "calibrate its images or pairs again, or use the version that made it"
             raise InputError(f"estimates as format {FORMAT} has them", "those of format 1", hint, replay.path)
         frames = batch.column("frame").to_pylist() if "frame" in names else [-1] * batch.num_rows
-        objects = zip(frames, _objects(batch, Estimate), strict=True)
+        objects = zip(frames, _objects(batch, kind), strict=True)
         for frame, cells in objects:
             if cells:  # those recorded before reasons were named have none
                 none: dict[str, object] = {} if "reasons" in cells else {"reasons": ()}
-                found.append((frame, from_components(Estimate, cells, none)))
+                found.append((frame, from_components(kind, cells, none)))
     return [one for _, one in sorted(found, key=lambda row: row[0])]
 
 

@@ -10,6 +10,7 @@ import json
 import os
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 FORMAT = "deformscope-ledger-1"
 BLOCK_BYTES = 1 << 20
@@ -34,7 +35,7 @@ def write_ledger(recording: Path, counts: Mapping[str, int] | None = None, losse
     counts: what was recorded, by kind; losses: what was not
     """
     size, whole, blocks = _digest(recording)
-    content = {
+    content: dict[str, Any] = {
         "format": FORMAT,
         "size": size,
         "sha256": whole,
@@ -43,6 +44,27 @@ def write_ledger(recording: Path, counts: Mapping[str, int] | None = None, losse
         "counts": dict(counts or {}),
         "losses": dict(losses or {}),
     }
+    return _write(recording, content)
+
+
+def add_discard(recording: Path, entry: Mapping[str, object]) -> Path:
+    """Write down that the recording, or a part of it, is not to be used; all else stays."""
+    content = json.loads(ledger_path(recording).read_text(encoding="utf-8"))
+    content.pop("ledger_sha256")
+    content["discarded"] = [*content.get("discarded", ()), dict(entry)]
+    return _write(recording, content)
+
+
+def read_discards(recording: Path) -> list[dict[str, Any]]:
+    """What `add_discard` wrote; nothing where there is no ledger, or one that cannot be read."""
+    try:
+        found: list[dict[str, Any]] = json.loads(ledger_path(recording).read_text(encoding="utf-8"))["discarded"]
+    except (OSError, ValueError, KeyError, TypeError):
+        return []
+    return found
+
+
+def _write(recording: Path, content: dict[str, Any]) -> Path:
     # The ledger answers for itself as well: a flip in it must not pass for one in the recording.
     content["ledger_sha256"] = _seal(content)
     path = ledger_path(recording)

@@ -43,6 +43,8 @@ CAPACITY_JOBS = 256
 CAPACITY_BYTES = 128 << 20
 PERIOD_S = 0.1
 """Jobs are passed on to a window together, at most so often."""
+ASK_S = 0.02
+"""A period that hangs on others is asked for so often."""
 VIEWER_MEMORY, BACKLOG_MEMORY = "2GB", "512MB"
 """Of a window, and of what its server keeps for it."""
 START_TIMEOUT_S = 20.0
@@ -190,7 +192,7 @@ class LiveFeed(Generic[StreamT]):
     """Passes jobs on to a live stream from a thread of its own; drops the oldest when the viewer cannot follow.
 
     connect: opens the stream, in the feed's thread; gives up once the event that it is given is set
-    period_s: jobs are passed on together, at most so often; a function is asked each time
+    period_s: jobs are passed on together, at most so often; a function is asked until it has passed
     """
 
     def __init__(
@@ -281,7 +283,8 @@ class LiveFeed(Generic[StreamT]):
             for job, _, _ in jobs:
                 job(stream)
             self._confirm(stream)
-            self._closing.wait(max(0.0, began + self._period_s() - time.monotonic()))
+            while (rest_s := began + self._period_s() - time.monotonic()) > 0.0 and not self._closing.is_set():
+                self._closing.wait(min(rest_s, ASK_S))
         stream.disconnect()
 
     def _take(self) -> list[tuple[Callable[[StreamT], None], int, bool]]:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from deformscope.arrays import ImageArray
 from deformscope.errors import InputError
-from deformscope.frames import ColorFrame, DepthFrame, InputFile
+from deformscope.frames import ColorFrame, DepthFrame, InputFile, SessionNote
 from deformscope.images import decode_image
 from deformscope.recording.ledger import check_ledger
 from deformscope.rows import FORMAT, READABLE
@@ -177,6 +177,16 @@ class Replay:
             came = f"one of {known[0]!r}" if known else "one without content"
             raise InputError("a recording made by deformscope", came, where=path)
         self._check_format()
+        if not trust:
+            self._name_discards()
+
+    def _name_discards(self) -> None:
+        from deformscope.recording.discards import discards_of
+        from deformscope.recording.items import read_rows
+
+        notes = [row.item for row in read_rows(self, (SessionNote,))]
+        for one in discards_of(self.path, notes):
+            _logger.warning("%s is discarded: %s", self.path, one)
 
     def _check_format(self) -> None:
         """Refuse what this version would misread."""

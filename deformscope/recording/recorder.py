@@ -202,9 +202,8 @@ class Recorder:
         from deformscope.log.rig import rig_blueprint
 
         if not stages:
-            self._start(
-                streams, start_ns, rig_blueprint(streams), rig_blueprint(streams, health=self._viewer_kind != "page")
-            )
+            shown = rig_blueprint(streams, health=False) if self._viewer_kind == "page" else None
+            self._start(streams, start_ns, rig_blueprint(streams), shown)
             return
         from deformscope.log.stages import log_stage_streams, stage_blueprint
 
@@ -228,8 +227,8 @@ class Recorder:
         if self.active:
             from deformscope.log.exploration import exploration_blueprint, log_exploration_start
 
-            views, in_tabs = (exploration_blueprint(streams, size_m, truth=truth, tabs=tabs) for tabs in (False, True))
-            self._start(streams, start_ns, views, in_tabs if self._viewer_kind == "page" else views)
+            views = partial(exploration_blueprint, streams, size_m, truth=truth)
+            self._start(streams, start_ns, views(), views(tabs=True) if self._viewer_kind == "page" else None)
             given = self._streams
             self._put(lambda: self._emit(lambda rec: log_exploration_start(rec, given, base_from_surface), 0), 0)
 
@@ -546,7 +545,7 @@ class Recorder:
         self._page = page = PageServer(str(self._settings.get("rig_name") or self._settings.get("command") or ""))
         page.open()
         print(page.where, file=sys.stderr, flush=True)
-        if self._layout == "exploration":  # whoever moves the arm says what goes on
+        if self._layout in ("exploration", "squeeze"):  # whoever moves the arm or hand says what goes on
             page.desk.show(recording="" if self._target is None else str(self._target.path))
         elif self._target is None:
             page.desk.enter("live")
@@ -613,7 +612,7 @@ class Recorder:
             return 0
         if not self._feed.close(LIVE_TIMEOUT_S):
             leave_streams_alone()
-        if self._page is not None:
+        if self._page is not None and self._page.desk.state.phase != "stopped":
             self._page.desk.enter("stopped", self._stopped or "its command has ended")
         return self._feed.dropped
 

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import dataclasses
 import datetime
+from collections.abc import Collection
 from dataclasses import dataclass
 
 from deformscope.rig.checks import check
 
 DAYS = {"arm": 365, "place": 30, "tip": 180, "camera": 90, "force": 180, "time": 365}
 """After which each is measured again: a table is moved sooner than a stick is bent. Chosen."""
+
+LATEST_S = 0.5
+"""Of one clock beside another [s]: `calibrate time` looks no farther."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -18,20 +22,25 @@ class CalibrationEntry:
 
     date: of it; half_m, half_deg: half widths of the 90 % intervals of a translation along x, y, z [m] and of a turn
     about them [deg], in the frame that the transform leads to; half_size_m: those of a surface's sides [m]
-    offset_s, half_s: of clocks; oldest_days: after which it is measured again, None = as is usual for its kind
+    half_gain: of the force sensor's gain
+    offset_s, half_s: how late `device` is beside the force sensor `beside`, below 0 how much earlier
+    oldest_days: after which it is measured again, None = as is usual for its kind
     """
 
     date: datetime.date
     half_m: tuple[float, ...] = ()
     half_deg: tuple[float, ...] = ()
     half_size_m: tuple[float, ...] = ()
+    half_gain: float | None = None
     offset_s: float | None = None
     half_s: float | None = None
+    device: str = ""
+    beside: str = ""
     oldest_days: int | None = None
 
     def __post_init__(self) -> None:
         check(isinstance(self.date, datetime.date), "date = YEAR-MONTH-DAY", self.date)
-        halves = (*self.half_m, *self.half_deg, *self.half_size_m)
+        halves = (*self.half_m, *self.half_deg, *self.half_size_m, self.half_gain or 0.0)
         check(all(value >= 0.0 for value in halves), "half widths of 0 or more", halves)
         check(self.oldest_days is None or self.oldest_days > 0, "oldest_days above 0", self.oldest_days)
 
@@ -50,6 +59,17 @@ class CalibratedSection:
     camera: CalibrationEntry | None = None
     force: CalibrationEntry | None = None
     time: CalibrationEntry | None = None
+
+    def late_ns(self, devices: Collection[str]) -> dict[str, int]:
+        """How late a device is, by name [ns]: of the two whose clocks were compared the later one, so that no stamp
+        lies in the future. devices: names of all. Raises InputError for one that there is not."""
+        if self.time is None or self.time.offset_s is None or not self.time.device:
+            return {}
+        one, other, offset_s = self.time.device, self.time.beside, self.time.offset_s
+        for name in (one, other):
+            check(name in devices, f"[calibrated.time] device and beside out of {', '.join(devices)}", name)
+        check(abs(offset_s) <= LATEST_S, f"[calibrated.time] offset_s within {LATEST_S:g} s", offset_s)
+        return {one if offset_s >= 0.0 else other: round(1e9 * abs(offset_s))}
 
     def ages(self, today: datetime.date | None = None) -> dict[str, CalibrationAge]:
         """Of all that were measured, by name."""

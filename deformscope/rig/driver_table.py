@@ -47,6 +47,7 @@ _ALL = (
     Driver("placed", "deformscope_drivers.placed", "PlacedArm", "PlacedArmConfig", "arm"),
     Driver("webcam", "deformscope_drivers.webcam", "Webcam", "WebcamConfig", "color"),
     Driver("depth_camera", "deformscope_drivers.depth_camera", "DepthCamera", "DepthCameraConfig", "depth"),
+    Driver("realsense", "deformscope_drivers.depth_camera", "Realsense", "RealsenseConfig", "depth"),
     Driver("video_file", "deformscope_drivers.webcam", "VideoFile.configured", "PlaybackConfig", "color", False),
     Driver("image_folder", "deformscope_drivers.webcam", "ImageFolder.configured", "PlaybackConfig", "color", False),
 )

@@ -11,11 +11,11 @@ import os
 import stat
 import sys
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from deformscope.errors import InputError
 from deformscope.rig.calibrated import CalibratedSection
@@ -44,6 +44,7 @@ class RigDevice:
     name: as its frames and recordings call it; config: its driver's own configuration
     double: run a simulated device in its place
     trusted: whether a vendor's library that the configuration names is loaded from wherever it is
+    late_ns: how late it is, by `calibrate time` [ns]: its stamps are put back by so much
     """
 
     name: str
@@ -51,6 +52,7 @@ class RigDevice:
     config: Any
     double: bool = False
     trusted: bool = False
+    late_ns: int = 0
 
     def make(self) -> Device[Any]:
         """The real device, closed. Raises InputError where its section does not say enough, as without port and bus, or
@@ -100,6 +102,8 @@ class Tool:
     the camera sees
     compliance_m_per_n: how far the tip stays behind where the arm says it is, for each newton that it presses with;
     compliance_sd: its deviation [m/N]. `deformscope calibrate arm` measures both
+    force_gain: forces as the sensor gives them over true ones; force_gain_sd: its deviation, None = not measured, as
+    its data sheet has it. `deformscope calibrate force --weight` measures both
     """
 
     length_m: float = 0.1
@@ -110,6 +114,8 @@ class Tool:
     compliance_sd: float = 0.0
     stick_radius_m: float = 0.008
     R_tip_force: tuple[tuple[float, ...], ...] | None = None
+    force_gain: float = 1.0
+    force_gain_sd: float | None = None
 
     def __post_init__(self) -> None:
         check(0 <= self.length_m <= 1, "length_m between 0 and 1", self.length_m)
@@ -123,6 +129,9 @@ class Tool:
         given = self.compliance_m_per_n
         check(given is None or 0 <= given < 0.01, "compliance_m_per_n between 0 and 0.01", given)
         check(0 <= self.compliance_sd < 0.01, "compliance_sd between 0 and 0.01", self.compliance_sd)
+        check(0.5 <= self.force_gain <= 2, "force_gain between 0.5 and 2", self.force_gain)
+        known_to = self.force_gain_sd
+        check(known_to is None or 0 <= known_to <= 0.2, "force_gain_sd between 0 and 0.2", known_to)
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,6 +163,7 @@ class Workspace:
     """Where the tip may go, and how hard and fast it may touch. The defaults are far below harm.
 
     low_m, high_m: corners of a box in the arm's base frame [m]
+    arm_low_m, arm_high_m: corners of another one, that elbow, wrist and stick stay in beside the tip [m]; None = none
     target_force_n, soft_stop_n, hard_stop_n: pressed with, backed away at, stopped at [N]
     contact_speed_m_s: in the last 3 cm before contact and in it; travel_speed_m_s: elsewhere [m/s]
     force_silent_s, arm_silent_s, camera_silent_s: stopped when there is nothing new from them for so long (the camera
@@ -161,6 +171,8 @@ class Workspace:
     time: 0.5 s at most, in which an arm goes up to 25 mm
     arm_frozen_s: stopped when the arm is sent on and its joints have not changed at all for so long: longer than it
     takes to begin to move (None = 0.09, or 1.2 of arm_silent_s where that is longer)
+    collision_nm: stopped when a joint's torque differs so much from its mean of the last 2 s, beside what the force on
+    the tip explains, of an arm that reports torques [Nm]; 0 = not looked at
     """
 
     low_m: tuple[float, float, float] | None = None
@@ -174,12 +186,13 @@ class Workspace:
     arm_silent_s: float = 0.075
     arm_frozen_s: float | None = None
     camera_silent_s: float | None = None
+    collision_nm: float = 4.0
+    arm_low_m: tuple[float, float, float] | None = None
+    arm_high_m: tuple[float, float, float] | None = None
 
     def __post_init__(self) -> None:
-        check((self.low_m is None) == (self.high_m is None), "both low_m and high_m, or neither", "one of them")
-        if self.low_m is not None and self.high_m is not None:
-            rising = all(low < high for low, high in zip(self.low_m, self.high_m, strict=True))
-            check(rising, "low_m below high_m in every axis", f"{self.low_m}, {self.high_m}")
+        _check_box(self.low_m, self.high_m, "")
+        _check_box(self.arm_low_m, self.arm_high_m, "arm_")
         forces = self.target_force_n, self.soft_stop_n, self.hard_stop_n
         check(0 < forces[0] < forces[1] < forces[2], "0 < target_force_n < soft_stop_n < hard_stop_n", forces)
         check(forces[2] <= 50, "hard_stop_n up to 50", forces[2])
@@ -188,6 +201,27 @@ class Workspace:
         for name in ("force_silent_s", "arm_silent_s", "arm_frozen_s", "camera_silent_s"):
             given_s = getattr(self, name)
             check(given_s is None or 0.01 <= given_s <= 0.5, f"{name} between 0.01 and 0.5", given_s)
+        check(0 <= self.collision_nm <= 50, "collision_nm between 0 and 50", self.collision_nm)
+
+    @property
+    def arm_box(self) -> tuple[tuple[float, float, float], tuple[float, float, float]] | None:
+        """arm_low_m and arm_high_m; None = none."""
+        return None if self.arm_low_m is None or self.arm_high_m is None else (self.arm_low_m, self.arm_high_m)
+
+
+def _check_box(low_m: Sequence[float] | None, high_m: Sequence[float] | None, kind: str) -> None:
+    check((low_m is None) == (high_m is None), f"both {kind}low_m and {kind}high_m, or neither", "one of them")
+    if low_m is not None and high_m is not None:
+        rising = all(low < high for low, high in zip(low_m, high_m, strict=True))
+        check(rising, f"{kind}low_m below {kind}high_m in every axis", f"{low_m}, {high_m}")
+
+
+@dataclass(frozen=True, slots=True)
+class TouchSection:
+    """How the tip touches. tangential: while it presses, "held" on the surface's normal, or "free" to follow forces
+    across it (Thesis 4.4)"""
+
+    tangential: Literal["held", "free"] = "held"
 
 
 @dataclass(frozen=True, slots=True)
@@ -208,6 +242,7 @@ SECTIONS: dict[str, Any] = {
     "tool": Tool,
     "surface": SurfaceSection,
     "workspace": Workspace,
+    "touch": TouchSection,
     "hand": HandSection,
     "container": ContainerSection,
     "squeeze": SqueezeSection,
@@ -231,6 +266,7 @@ class Rig:
     tool: Tool = field(default_factory=Tool)
     surface: SurfaceSection = field(default_factory=SurfaceSection)
     workspace: Workspace = field(default_factory=Workspace)
+    touch: TouchSection = field(default_factory=TouchSection)
     hand: HandSection = field(default_factory=HandSection)
     container: ContainerSection = field(default_factory=ContainerSection)
     squeeze: SqueezeSection = field(default_factory=SqueezeSection)
@@ -318,7 +354,9 @@ def _rig(content: dict[str, Any], text: str, where: str, trusted: bool) -> Rig:
         for name, kind in SECTIONS.items()
         if content.get(name) is not None
     }
-    rig = Rig(Path(where).stem, text, tuple(_device(name, given, trusted) for name, given in devices.items()), **read)
+    late = (section.late_ns(devices)) if (section := read.get("calibrated")) else {}
+    members = tuple(_device(name, given, trusted, late.get(name, 0)) for name, given in devices.items())
+    rig = Rig(Path(where).stem, text, members, **read)
     if rig.camera.device and rig.camera.device not in devices:
         raise InputError(f"[camera] device out of {', '.join(devices)}", repr(rig.camera.device))
     if unknown := [name for name in rig.record.lossless if name not in devices]:
@@ -326,7 +364,7 @@ def _rig(content: dict[str, Any], text: str, where: str, trusted: bool) -> Rig:
     return rig
 
 
-def _device(name: str, given: object, trusted: bool) -> RigDevice:
+def _device(name: str, given: object, trusted: bool, late_ns: int) -> RigDevice:
     section = f"[devices.{name}]"
     if len(name) > NAME_CHARACTERS or not name.replace("-", "").replace("_", "").isalnum():
         raise InputError(f"a device's name of {NAME_HINT}", repr(name))
@@ -341,7 +379,7 @@ def _device(name: str, given: object, trusted: bool) -> RigDevice:
         raise InputError(f"{section} double = true or false", repr(double))
     if double and not driver.doubled:
         raise InputError(f"{section} without double: {driver.name} needs none", "double = true")
-    return RigDevice(name, driver, _read(driver.config_class(), rest, section), double, trusted)
+    return RigDevice(name, driver, _read(driver.config_class(), rest, section), double, trusted, late_ns)
 
 
 def _read(kind: Any, given: object, section: str) -> Any:

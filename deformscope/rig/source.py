@@ -11,6 +11,7 @@ from typing import Any
 
 from deformscope.errors import InputError
 from deformscope.frames import HealthReport, Item, LinkChange, RawBytes, Stream, host_ns
+from deformscope.rig.alarms import SensorAlarms
 from deformscope.rig.driver_table import Driver
 from deformscope.rig.measured import describe, to_frame
 from deformscope_drivers.clock import Clock, monotonic_ns
@@ -24,12 +25,14 @@ HEALTH_PERIOD_S = 1.0
 
 @dataclass(frozen=True, slots=True)
 class RigMember:
-    """A device to be opened. device: closed yet; simulated: a double stands in for it"""
+    """A device to be opened. device: closed yet; simulated: a double stands in for it; late_ns: its stamps are put back
+    by so much, as calibrated"""
 
     name: str
     driver: Driver
     device: Device[Any]
     simulated: bool = False
+    late_ns: int = 0
 
 
 @dataclass(slots=True)
@@ -68,6 +71,7 @@ class RigSource:
         self._wait_until = wait_until
         self._members = tuple(members)
         self._raw = raw
+        self._alarms: SensorAlarms | None = None
         self._opened: list[_Opened] = []
         self._health_at = 0.0
 
@@ -76,6 +80,7 @@ class RigSource:
         self.start_ns = self._clock()
         for member in self._members:  # before they open, so that nothing is missed
             device = member.device
+            device.late_ns = member.late_ns
             raw = device.raw() if self._raw else None
             self._opened.append(_Opened(member, device.readings(), raw, device.events()))
         if self._opener is not None:
@@ -128,7 +133,8 @@ class RigSource:
         return {opened.member.name: opened.failure for opened in self._opened if opened.failure}
 
     def take(self, wait_s: float) -> list[Item]:
-        """Wait, then all that came since the last call, in order of time; now and then with everyone's health."""
+        """Wait, then all that came since the last call, in order of time; now and then with everyone's health, and with
+        notes of what readings show to be stuck or saturated, which their health then says as well."""
         if wait_s > 0.0 and self._wait_until is not None:
             self._wait_until(self._clock() + round(wait_s * 1e9))
         elif wait_s > 0.0:
@@ -138,12 +144,18 @@ class RigSource:
         if now_s - self._health_at >= HEALTH_PERIOD_S:
             self._health_at = now_s
             items.append(self.look())
+        if self._alarms is None:
+            after_s = {member.name: _stuck_after_s(member.device) for member in self._members}
+            self._alarms = SensorAlarms(self.streams, after_s)
+        items += self._alarms.look(items)
         return sorted(items, key=host_ns)
 
     def look(self) -> HealthReport:
         """How all devices do."""
-        reports = tuple((member.name, member.device.health()) for member in self._members)
-        return HealthReport(self._clock(), tuple((name, _plain(health)) for name, health in reports))
+        looks = tuple((member.name, _plain(member.device.health())) for member in self._members)
+        if self._alarms is not None:
+            looks = tuple((name, dataclasses.replace(look, alarms=self._alarms.of(name))) for name, look in looks)
+        return HealthReport(self._clock(), looks)
 
     def close(self) -> None:
         """Close all devices, however many of them fail at it; what they gave last can still be taken."""
@@ -169,6 +181,12 @@ class RigSource:
         if opened.raw is not None:
             items += [RawBytes(c.host_ns, c.data, c.sent, name) for c in _all(opened.raw, opened)]
         return items
+
+
+def _stuck_after_s(device: Device[Any]) -> float | None:
+    """As its configuration has it; None = its readings may stay the same."""
+    found: float | None = getattr(getattr(device, "config", None), "stuck_after_s", None)
+    return found
 
 
 def _all(queue: Subscription[Any], opened: _Opened) -> list[Any]:

@@ -373,6 +373,8 @@ STATES = [
     (Health(Link.CONNECTED, age_s=0.01), "ok"),
     (Health(Link.CONNECTED, age_s=3.0), "stale"),
     (Health(Link.CONNECTED, age_s=0.01, stuck=True), "stuck"),
+    (Health(Link.CONNECTED, age_s=0.01, alarms=("saturated: fz at the end of its range",)), "saturated"),
+    (Health(Link.CONNECTED, age_s=0.01, alarms=("saturated: fz", "stuck at the same count: fx")), "stuck"),
     (Health(Link.CONNECTED), "waiting"),
     (Health(Link.LOST, "gone", age_s=0.01), "LOST"),
     (Health(Link.FAILED), "FAILED"),
@@ -389,8 +391,8 @@ def test_states_in_a_word(health: Health, expected: str) -> None:
 
 def test_the_table_tells_what_is_wrong() -> None:
     lines = table(rig.health(5.0), {stream.device: stream for stream in rig.STREAMS}).splitlines()
-    assert lines[2] == "| fingertip (SIMULATED) | ok | 999.7 | 5 000 | 3 | 0 | 2 (checksum 2) | 12 | 0 |  |"
-    assert lines[5] == "| hand | **LOST** | 0 | 40 | 20 | 0 | 0 | 0 | 0 | cable pulled out |"
+    assert lines[2] == "| fingertip (SIMULATED) | ok | 999.7 | 0 | 5 000 | 3 | 0 | 2 (checksum 2) | 12 | 0 |  |"
+    assert lines[5] == "| hand | **LOST** | 0 | 0 | 40 | 20 | 0 | 0 | 0 | 0 | cable pulled out |"
     assert len(lines) == 8
 
 

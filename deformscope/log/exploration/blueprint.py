@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Literal
 
 import rerun.blueprint as rrb
 
@@ -19,6 +20,12 @@ from deformscope.rows import ENTITIES
 from deformscope.stages.map.exploration import PhaseStart
 
 PAPER = [255, 255, 255]
+BESIDE_REGIONS = "display/beside/regions"
+BESIDE_TOUCHES: dict[Literal["stiffness", "beta"], str] = {
+    "stiffness": "display/beside/stiffness",
+    "beta": "display/beside/beta",
+}
+"""What other settings give beside what was recorded (`deformscope.log.exploration.beside`)."""
 TITLES = {
     "stiffness": "Stiffness field",
     "stiffness_deviation": "Stiffness field: deviation",
@@ -30,27 +37,39 @@ TITLES = {
 
 
 def exploration_blueprint(
-    streams: Sequence[Stream], size_m: tuple[float, float] = (0.6, 0.4), *, truth: bool = True, tabs: bool = False
+    streams: Sequence[Stream],
+    size_m: tuple[float, float] = (0.6, 0.4),
+    *,
+    truth: bool = True,
+    tabs: bool = False,
+    beside: str = "",
 ) -> rrb.Blueprint:
     """The views of an exploration with these devices.
 
     size_m: of the surface along x and y; truth: whether it is known: else the surface's height stands in its place
     tabs: most views behind others, for a page, which has panels at both sides and may have to draw without a GPU
+    beside: other settings, whose results are shown beside the recorded ones (`tabs` alone)
     """
     maps = {name: _picture(path, title) for (name, title), path in zip(TITLES.items(), MAPS, strict=True)}
     gain, force = _picture(GAIN, "Why the next touch goes there"), _picture(FORCE, "Force over depth")
-    beside = maps["truth"] if truth else _picture(HEIGHT, "Surface")
+    truly = maps["truth"] if truth else _picture(HEIGHT, "Surface")
     summary = rrb.TextDocumentView(contents=[f"+ /{SUMMARY}"], origin=SUMMARY, name="What is known")
     if tabs:
         fields = rrb.Tabs(maps["stiffness"], maps["stiffness_deviation"], maps["beta"], maps["beta_deviation"])
-        known = rrb.Vertical(rrb.Tabs(maps["regions"], beside), fields, rrb.Tabs(gain, summary))
-        at_touch = rrb.Tabs(force, _picture(SECTION, "The dent in section"), *_looks(streams), *_over_time(streams))
+        regions, touches = [maps["regions"], truly], [force]
+        if beside:
+            regions.insert(0, _picture(BESIDE_REGIONS, f"Regions: recorded, {beside}"))
+            touches[:0] = [
+                _picture(path, f"{name.capitalize()}: recorded, {beside}") for name, path in BESIDE_TOUCHES.items()
+            ]
+        known = rrb.Vertical(rrb.Tabs(*regions), fields, rrb.Tabs(gain, summary))
+        at_touch = rrb.Tabs(*touches, _picture(SECTION, "The dent in section"), *_looks(streams), *_over_time(streams))
         robot = rrb.Vertical(_scene(streams, size_m), at_touch, row_shares=[4, 3])
         return blueprint_of(rrb.Horizontal(robot, known, column_shares=[5, 4]))
     known = rrb.Vertical(
         rrb.Horizontal(maps["stiffness"], maps["stiffness_deviation"], gain),
         rrb.Horizontal(maps["beta"], maps["beta_deviation"], force),
-        rrb.Horizontal(maps["regions"], beside, summary),
+        rrb.Horizontal(maps["regions"], truly, summary),
     )
     return blueprint_of(rrb.Horizontal(_robot(streams, size_m), known, column_shares=[4, 6]))
 

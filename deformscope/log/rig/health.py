@@ -21,10 +21,11 @@ COLORS = {
     "closed": IDLE,
     "stale": WARN,
     "stuck": WARN,
+    "saturated": WARN,
     "LOST": BAD,
     "FAILED": BAD,
 }
-HEAD = ("device", "state", "Hz", "received", "lost", "dropped", "refused", "bad bytes", "relinked", "why")
+HEAD = ("device", "state", "Hz", "jitter ms", "received", "lost", "dropped", "refused", "bad bytes", "relinked", "why")
 
 
 def word(health: Health, stream: Stream | None) -> str:
@@ -36,7 +37,8 @@ def word(health: Health, stream: Stream | None) -> str:
     fastest_hz = stream.fastest_hz if stream is not None else 0.0
     if health.age_s > max(STALE_S, STALE_READINGS / fastest_hz if fastest_hz > 0 else 0.0):
         return "stale"
-    return "stuck" if health.stuck else "ok"
+    alarms = ["stuck"] * health.stuck + [alarm.replace(":", " ").split()[0] for alarm in health.alarms]
+    return "stuck" if "stuck" in alarms else alarms[0] if alarms else "ok"
 
 
 def log_health_stream(rec: rr.RecordingStream, device: str) -> None:
@@ -84,9 +86,14 @@ def table(report: HealthReport, streams: dict[str, Stream]) -> str:
         numbers = (health.received, health.lost, health.dropped)
         cells = [
             *(name, state if state in ("ok", "waiting", "closed") else f"**{state}**", f"{health.rate_hz:.4g}"),
+            f"{1e3 * health.jitter_s:.2g}",
             *(f"{number:,}".replace(",", " ") for number in numbers),
             f"{refused} ({reasons})" if refused else "0",
-            *(str(health.skipped_bytes), str(health.reconnects), health.reason),
+            *(
+                str(health.skipped_bytes),
+                str(health.reconnects),
+                "; ".join(filter(None, (health.reason, *health.alarms))),
+            ),
         ]
         lines.append(f"| {' | '.join(cell.replace('|', '/') for cell in cells)} |")
     return "\n".join(lines)

@@ -1,0 +1,68 @@
+"""What of a recording is discarded, and why: nothing of it is deleted, and whoever reads it is to know.
+
+What is discarded while it is recorded stands in the recording as notes; what is discarded later, in its ledger.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+from deformscope.errors import InputError
+from deformscope.frames import SessionNote
+from deformscope.recording.ledger import add_discard, check_ledger, read_discards
+
+
+@dataclass(frozen=True, slots=True)
+class Discard:
+    """episode: its number, from 1, 0 = the whole recording; label: of the episode"""
+
+    reason: str
+    episode: int = 0
+    label: str = ""
+
+    def __str__(self) -> str:
+        what = f"episode {self.episode} ({self.label})" if self.episode else "all of it"
+        return f"{what}: {self.reason}"
+
+
+def discards_of(recording: Path, notes: Iterable[SessionNote]) -> list[Discard]:
+    """What of it is discarded, by its notes and its ledger."""
+    return [*_noted(notes), *(Discard(**one) for one in read_discards(recording))]
+
+
+def discard(recording: Path, reason: str, episode: int, notes: Iterable[SessionNote]) -> Discard:
+    """Mark a finished recording, or one of its episodes (0 = all), in its ledger; the recording stays as it is.
+
+    Raises InputError where it has no such episode, or no ledger that fits it.
+    """
+    labels = _labels(notes)
+    if not 0 <= episode <= len(labels):
+        listed = ", ".join(f"{at} = {label}" for at, label in enumerate(labels, 1)) or "none"
+        raise InputError("an episode of the recording", str(episode), f"episodes: {listed}", recording)
+    try:
+        problems = check_ledger(recording)
+    except FileNotFoundError:
+        problems = ["one without: it was not finished, or its ledger was not copied with it"]
+    if problems:  # a new ledger would say that its bytes are as they were recorded
+        raise InputError("a recording that its ledger fits", problems[0], "deformscope verify", recording)
+    found = Discard(reason, episode, labels[episode - 1] if episode else "")
+    add_discard(recording, {"reason": found.reason, "episode": found.episode, "label": found.label})
+    return found
+
+
+def _labels(notes: Iterable[SessionNote]) -> list[str]:
+    return [note.text for note in notes if note.about == "episode-begin"]
+
+
+def _noted(notes: Iterable[SessionNote]) -> list[Discard]:
+    found, labels = [], list[str]()
+    for note in notes:
+        if note.about == "episode-begin":
+            labels.append(note.text)
+        elif note.about == "discard-episode" and labels:
+            found.append(Discard(note.text, len(labels), labels[-1]))
+        elif note.about == "discard-recording":
+            found.append(Discard(note.text))
+    return found

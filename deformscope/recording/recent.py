@@ -1,0 +1,159 @@
+"""The newest seconds of a rig, held in memory, so that what has just happened can still be recorded.
+
+What is written of it is a recording like any other. It begins with a look at the devices, and counts what they lost
+from that look on: neither readings nor losses of an earlier time are in it.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Collection, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+
+from deformscope.frames import HealthReport, Item, Stream, host_ns
+from deformscope.recording.losses import since
+from deformscope.recording.portions import item_size
+from deformscope.recording.recorder import Recorder, RecordingSummary
+
+MOST_BYTES = 256 << 20
+"""Unless more is asked for: pictures are held as they came, some 30 MB a second of each camera."""
+
+
+@dataclass(slots=True)
+class _Stretch:
+    """From one look at the devices to the next."""
+
+    look: HealthReport
+    batches: list[list[Item]] = field(default_factory=list)
+    bytes: int = 0
+
+
+class RecentItems:
+    """seconds: held, and what came since the look at the devices before them; most_bytes: less is held where that is
+    more"""
+
+    def __init__(self, seconds: float, most_bytes: int = MOST_BYTES) -> None:
+        self.seconds = seconds
+        self._most_bytes = most_bytes
+        self._stretches: deque[_Stretch] = deque()
+        self._newest_ns = 0
+
+    def add(self, items: Sequence[Item]) -> None:
+        """What the devices gave, in its order. What came before the first look at them is not held."""
+        batch: list[Item] = []
+        for item in items:
+            if isinstance(item, HealthReport):
+                self._gather(batch)
+                batch = []
+                self._stretches.append(_Stretch(item))
+            batch.append(item)
+        self._gather(batch)
+        self._newest_ns = max([self._newest_ns, *map(host_ns, items)])
+        while len(self._stretches) > 1 and (
+            self._newest_ns - self._stretches[1].look.host_ns >= self.seconds * 1e9
+            or self.held_bytes > self._most_bytes
+        ):
+            self._stretches.popleft()
+
+    def _gather(self, batch: list[Item]) -> None:
+        if batch and self._stretches:
+            self._stretches[-1].batches.append(batch)
+            self._stretches[-1].bytes += sum(map(item_size, batch))
+
+    @property
+    def held_s(self) -> float:
+        """How long the stretch is that is held [s]."""
+        return (self._newest_ns - self._stretches[0].look.host_ns) / 1e9 if self._stretches else 0.0
+
+    @property
+    def held_bytes(self) -> int:
+        """Memory that it keeps."""
+        return sum(stretch.bytes for stretch in self._stretches)
+
+    def taken(self) -> tuple[HealthReport, list[list[Item]]] | None:
+        """The look at the devices with which what is held begins, and all that came from it on; None = nothing yet."""
+        if not self._stretches:
+            return None
+        return self._stretches[0].look, [list(batch) for stretch in self._stretches for batch in stretch.batches]
+
+
+class LastRecorder:
+    """A session's recorder that records the last seconds before its end, and shows all of it.
+
+    watch: shows it; kept: records, and may wait: all of it comes at once
+    """
+
+    def __init__(self, watch: Recorder, kept: Recorder, recent: RecentItems) -> None:
+        self._watch, self._kept, self._recent = watch, kept, recent
+        self._streams: tuple[Stream, ...] = ()
+        self._lossless: Collection[str] = ()
+
+    def __enter__(self) -> LastRecorder:
+        with ExitStack() as stack:
+            stack.enter_context(self._kept)  # its name is taken before anything is opened
+            self._watch.__enter__()
+            stack.pop_all()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *raised: object) -> None:
+        try:
+            end_with_recent(self._kept, self._recent, self._streams, self._lossless, kind)
+        finally:
+            self._watch.__exit__(kind, *raised)
+
+    def start_rig(
+        self,
+        streams: Sequence[Stream],
+        start_ns: int,
+        lossless: Collection[str] = (),
+        stages: Sequence[tuple[str, str]] = (),
+    ) -> None:
+        """As `Recorder.start_rig`."""
+        self._streams, self._lossless = tuple(streams), lossless
+        self._watch.start_rig(streams, start_ns, lossless, stages)
+
+    def write(self, items: object) -> None:
+        """As `Recorder.write`."""
+        self._watch.write(items)
+        if isinstance(items, Sequence):
+            self._recent.add(items)
+
+    def stopped_because(self, reason: str) -> None:
+        """As `Recorder.stopped_because`."""
+        self._watch.stopped_because(reason)
+        self._kept.stopped_because(f"{reason}; of it the last {self._recent.held_s:.1f} s")
+
+    def summary(self) -> RecordingSummary:
+        """Of what was kept."""
+        return self._kept.summary()
+
+
+def write_recent(
+    recorder: Recorder,
+    taken: tuple[HealthReport, Sequence[Sequence[Item]]],
+    streams: Sequence[Stream],
+    lossless: Collection[str] = (),
+) -> None:
+    """Record what was held. recorder: entered, and one that may wait: all of it comes at once"""
+    before, batches = taken
+    recorder.start_rig(streams, min(host_ns(item) for batch in batches for item in batch), lossless)
+    for batch in batches:
+        recorder.write([since(item, before) if isinstance(item, HealthReport) else item for item in batch])
+
+
+def end_with_recent(
+    recorder: Recorder,
+    recent: RecentItems,
+    streams: Sequence[Stream],
+    lossless: Collection[str],
+    kind: type[BaseException] | None,
+) -> None:
+    """Record what is held at a session's end, and close the file. kind: of the error that ended it, None = none did"""
+    try:
+        if (taken := recent.taken()) is not None:
+            write_recent(recorder, taken, streams, lossless)
+    except BaseException as error:
+        recorder.__exit__(type(error))
+        raise
+    recorder.__exit__(kind)

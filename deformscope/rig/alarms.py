@@ -1,0 +1,213 @@
+"""Sensors that are stuck, or at the end of their range, as their readings show.
+
+stuck: an axis of a force sensor, or texels that are pressed, give exactly the same count for longer than the rig allows
+(`stuck_after_s`), and for longer than their own noise does: the share of readings so far that were equal to the one
+before makes such a stretch less likely than CHANCE. Whole readings, and pictures, that stay the same are found by the
+drivers (`Health.stuck`), and passed on.
+saturated: an axis or a texel at its largest count, an overload that the sensor itself reports, most of a picture at its
+brightest or at black, a depth camera that sees nothing. The range of an arm is its supervisor's business.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from deformscope.frames import (
+    ColorFrame,
+    DepthFrame,
+    HealthReport,
+    Item,
+    LinkChange,
+    RawBytes,
+    SessionNote,
+    Stream,
+    TactileFrame,
+    WrenchFrame,
+)
+
+CHANCE = 1e-9
+"""How unlikely a stretch of equal readings is to be by the sensor's noise before it counts as stuck."""
+CLEAR_S = 1.0
+"""An alarm ends once its cause was not seen for so long: one that comes and goes is one."""
+WRENCH_END, TEXEL_END = 32767, 4095
+"""The largest count of an axis (16 bits with sign), and of a texel (12 bits)."""
+AXES = ("fx", "fy", "fz", "tx", "ty", "tz")
+PICTURE_ENDS = (("its brightest", 0.5), ("black", 0.98))
+"""So much of a picture at one end, and it is saturated: a dark room is not, a lens with its cap is."""
+PICTURE_STEP = 8
+"""Of a picture each so-many-th pixel is looked at, along both sides."""
+
+Values = npt.NDArray[np.int64]
+Flags = npt.NDArray[np.bool_]
+
+
+@dataclass(slots=True)
+class _Stretches:
+    """How long each of a sensor's values has been the same.
+
+    last: (n,) newest; since_ns, run: of the present stretch, its beginning and its readings after the first
+    equal, seen: readings before it that were equal to the one before, and all that were compared
+    """
+
+    last: Values
+    since_ns: Values
+    run: Values
+    equal: Values
+    seen: Values
+
+    @classmethod
+    def of(cls, first: Values, at_ns: int) -> _Stretches:
+        nothing = np.zeros(len(first), np.int64)
+        return cls(first, nothing + at_ns, nothing, nothing, nothing)
+
+    def add(self, times_ns: Values, values: Values) -> None:
+        """(k,), (k, n): further readings."""
+        same = np.vstack([self.last, values[:-1]]) == values
+        after = np.argmax(~same[::-1], axis=0)  # readings after the last change
+        whole = same.all(axis=0)
+        count = len(values)
+        new_run = np.where(whole, self.run + count, after)
+        self.equal = self.equal + np.where(whole, 0, self.run + same.sum(axis=0) - after)
+        self.seen = self.seen + np.where(whole, 0, self.run + count - after)
+        self.since_ns = np.where(whole, self.since_ns, times_ns[count - 1 - after])
+        self.last, self.run = values[-1], new_run
+
+    def stuck(self, now_ns: int, after_s: float) -> Flags:
+        """(n,) which have been the same for longer than allowed."""
+        by_chance = (self.equal + 1.0) / (self.seen + 2.0)
+        longest = math.log(CHANCE) / np.log(by_chance)
+        found: Flags = (now_ns - self.since_ns >= after_s * 1e9) & (self.run > longest)
+        return found
+
+
+@dataclass(slots=True)
+class _Watched:
+    """A device. words: of its alarms that go on, by what they are of; seen_ns: when each cause was last seen"""
+
+    stuck_after_s: float | None
+    stretches: _Stretches | None = None
+    words: dict[str, str] = field(default_factory=dict)
+    seen_ns: dict[str, int] = field(default_factory=dict)
+
+
+class SensorAlarms:
+    """`look` at all that devices give, in its order; the alarms that begin and end come back as notes.
+
+    stuck_after_s: by device, as the rig has it; None = it may stay the same for ever
+    """
+
+    def __init__(self, streams: Sequence[Stream], stuck_after_s: Mapping[str, float | None]) -> None:
+        self._streams = {stream.device: stream for stream in streams}
+        self._watched = {name: _Watched(stuck_after_s.get(name)) for name in self._streams}
+
+    def of(self, device: str) -> tuple[str, ...]:
+        """The alarms of a device that go on, in words that begin with `stuck` or `saturated`."""
+        return tuple(self._watched[device].words.values()) if device in self._watched else ()
+
+    def look(self, items: Sequence[Item]) -> list[SessionNote]:
+        """Alarms that begin and end with these."""
+        groups: dict[tuple[type, str], list[Any]] = {}
+        notes = []
+        for item in items:
+            if isinstance(item, HealthReport):
+                for name, health in item.devices:
+                    causes = {"reading": "stuck: the same reading again and again"} if health.stuck else {}
+                    notes += _changes(name, self._watched[name], causes, item.host_ns)
+            elif not isinstance(item, RawBytes | LinkChange | SessionNote):
+                groups.setdefault((type(item), item.device), []).append(item)
+        for (kind, name), frames in groups.items():
+            if kind in _CAUSES and name in self._watched:
+                watched, now_ns = self._watched[name], frames[-1].stamp.host_ns
+                causes = _CAUSES[kind](frames, self._streams[name], watched)
+                notes += _changes(name, watched, causes, now_ns)
+        return notes
+
+
+def _changes(name: str, watched: _Watched, causes: Mapping[str, str], now_ns: int) -> list[SessionNote]:
+    """causes: in words, by what they are of"""
+    notes = []
+    for what, words in causes.items():
+        watched.seen_ns[what] = now_ns
+        if what not in watched.words:
+            watched.words[what] = words
+            notes.append(SessionNote(now_ns, "alarm", f"{name}: {words}"))
+    for what in [what for what in watched.words if now_ns - watched.seen_ns[what] >= CLEAR_S * 1e9]:
+        notes.append(SessionNote(now_ns, "alarm-over", f"{name}: {watched.words.pop(what)}"))
+    return notes
+
+
+def _wrench(frames: Sequence[WrenchFrame], stream: Stream, watched: _Watched) -> dict[str, str]:
+    counts = np.array([frame.counts for frame in frames], np.int64)
+    axes = AXES[: counts.shape[1] // stream.channels]
+    channels = [f"channel {channel + 1} " for channel in range(stream.channels)] if stream.channels > 1 else [""]
+    names = [channel + axis for channel in channels for axis in axes]
+    causes = {}
+    for name, stuck in zip(names, _stuck(frames, counts, watched), strict=True):
+        if stuck:
+            causes[f"stuck {name}"] = f"stuck at the same count: {name}"
+    for place in np.flatnonzero((np.abs(counts) >= WRENCH_END).any(axis=0)):
+        causes[f"end {names[place]}"] = f"saturated: {names[place]} at the end of its range"
+    if any(frame.overload for frame in frames):
+        causes["overload"] = "saturated: the sensor reports an overload"
+    return causes
+
+
+def _tactile(frames: Sequence[TactileFrame], stream: Stream, watched: _Watched) -> dict[str, str]:
+    counts = np.array([frame.counts for frame in frames], np.int64)
+    stuck: Flags = np.logical_and(
+        _stuck(frames, counts, watched), counts[-1] > 0
+    )  # below its threshold a texel gives 0
+    ends: Flags = counts.max(axis=0) >= TEXEL_END
+    causes, first = {}, 0
+    for pad in stream.pads:
+        texels = slice(first, first := first + pad.rows * pad.columns)
+        if stuck[texels].any():
+            causes[f"stuck {pad.name}"] = f"stuck at the same count: {stuck[texels].sum()} texels of {pad.name}"
+        if ends[texels].any():
+            causes[f"end {pad.name}"] = (
+                f"saturated: {ends[texels].sum()} texels of {pad.name} at the end of their range"
+            )
+    return causes
+
+
+def _color(frames: Sequence[ColorFrame], stream: Stream, watched: _Watched) -> dict[str, str]:
+    image = frames[-1].image[::PICTURE_STEP, ::PICTURE_STEP]
+    causes = {}
+    for (what, most), end in zip(PICTURE_ENDS, (np.iinfo(image.dtype).max, 0), strict=True):
+        share = float((image == end).mean())
+        if share >= most:
+            causes[what] = f"saturated: {100 * share:.0f} % of the picture at {what}"
+    return causes
+
+
+def _depth(frames: Sequence[DepthFrame], stream: Stream, watched: _Watched) -> dict[str, str]:
+    if (frames[-1].depth[::PICTURE_STEP, ::PICTURE_STEP] == 0).all():
+        return {"nothing": "saturated: nothing is seen within its range"}
+    return {}
+
+
+def _stuck(frames: Sequence[Any], counts: Values, watched: _Watched) -> Flags:
+    """(n,) which values are stuck after these frames; none where the rig lets them be."""
+    times_ns = np.array([frame.stamp.host_ns for frame in frames], np.int64)
+    known = watched.stretches
+    if known is None or len(known.last) != counts.shape[1]:
+        watched.stretches = known = _Stretches.of(counts[0], int(times_ns[0]))
+        times_ns, counts = times_ns[1:], counts[1:]
+    if len(counts):
+        known.add(times_ns, counts)
+    after_s = math.inf if watched.stuck_after_s is None else watched.stuck_after_s
+    return known.stuck(frames[-1].stamp.host_ns, after_s)
+
+
+_CAUSES: dict[type, Callable[[Sequence[Any], Stream, _Watched], dict[str, str]]] = {
+    WrenchFrame: _wrench,
+    TactileFrame: _tactile,
+    ColorFrame: _color,
+    DepthFrame: _depth,
+}

@@ -1,0 +1,66 @@
+"""A device whose clock is late, as `calibrate time` found: its stamps are put back, and what they were is kept."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from deformscope.cli import main
+from deformscope.errors import InputError
+from deformscope.frames import RawBytes, TactileFrame, WrenchFrame
+from deformscope.recording.items import read_items
+from deformscope.rig.rig_file import parse_rig
+
+LATE_NS = 20_000_000
+RIG = """
+[devices.tip]
+driver = "optoforce"
+double = true
+
+[devices.pads]
+driver = "dsa"
+double = true
+
+[calibrated.time]
+date = 2026-01-02
+"""
+LATE = 'offset_s = {offset}\ndevice = "pads"\nbeside = "{beside}"\n'
+
+
+def test_a_recording_has_stamps_put_back_and_as_they_arrived(tmp_path: Path) -> None:
+    rig, recording = tmp_path / "rig.toml", tmp_path / "late.rrd"
+    rig.write_text(RIG + LATE.format(offset=0.02, beside="tip"))
+    assert main(["record", str(rig), "--seconds", "0.4", "--record", str(recording), "--viewer", "none"]) == 0
+    assert main(["verify", str(recording)]) == 0
+
+    items = list(read_items(recording))
+    pads = [one for one in items if isinstance(one, TactileFrame)]
+    arrivals = {one.host_ns for one in items if isinstance(one, RawBytes) and one.device == "pads"}
+    assert pads
+    assert {one.stamp.late_ns for one in pads} == {LATE_NS}
+    assert {one.stamp.arrived_ns for one in pads} <= arrivals
+    assert not arrivals.intersection(one.stamp.host_ns for one in pads)
+    assert {one.stamp.late_ns for one in items if isinstance(one, WrenchFrame)} == {None}
+
+
+@pytest.mark.parametrize(
+    ("lines", "late"),
+    [
+        (LATE.format(offset=0.02, beside="tip"), {"pads": LATE_NS}),
+        (LATE.format(offset=-0.02, beside="tip"), {"tip": LATE_NS}),
+        ("offset_s = 0.02\n", {}),
+    ],
+    ids=["late", "early", "of whom is not said"],
+)
+def test_the_later_of_two_is_put_back(lines: str, late: dict[str, int]) -> None:
+    rig = parse_rig(RIG + lines, "rig")
+    assert {entry.name: entry.late_ns for entry in rig.devices if entry.late_ns} == late
+
+
+@pytest.mark.parametrize(
+    ("offset", "beside", "match"), [(0.02, "nose", "out of tip, pads"), (9.0, "tip", "within 0.5 s")]
+)
+def test_what_cannot_be_applied_is_refused(offset: float, beside: str, match: str) -> None:
+    with pytest.raises(InputError, match=match):
+        parse_rig(RIG + LATE.format(offset=offset, beside=beside), "rig")
