@@ -147,7 +147,7 @@ def test_files_leave_no_threads_behind(tmp_path: Path) -> None:
     """A page's server begins one file after another."""
 
     def threads_after(name: str) -> int:
-        file = RecordingFile("deformscope-test", name, tmp_path / f"{name}.part.rrd", {})
+        file = RecordingFile("deformscope-test", name, tmp_path / f"{name}.part.rrd", {"a": 1})
         file.log(lambda rec: rec.log("a", rr.Scalars(1.0)))
         file.close()
         return sum(1 for _ in Path("/proc/self/task").iterdir())
