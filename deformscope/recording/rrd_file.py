@@ -82,7 +82,6 @@ class RecordingFile:
         self.broken = False
         self._hint = hint
         self._deterministic = deterministic
-        end_threads_of_former_streams()
         self._stream = _stream(application, recording_id, part, deterministic, footer=False)
         self._merged_path = merged_path(part)
         self._merged_stream: rr.RecordingStream | None = _stream(
@@ -165,9 +164,7 @@ class RecordingFile:
         whole = merged is not None and ended and not self.broken and _has_footer(self._merged_path)
         if not within(self._stream.disconnect, timeout_s):
             ended, self.broken = False, not whole
-        if ended:
-            del self._stream  # its threads end once nobody holds it
-        else:
+        if not ended:
             leave_streams_alone()
         if whole:
             return self._merged_path
@@ -271,13 +268,6 @@ def within(action: Callable[[], object], timeout_s: float) -> bool:
     thread.start()
     thread.join(timeout_s)
     return not thread.is_alive()
-
-
-def end_threads_of_former_streams() -> None:
-    """Of those that nobody holds: rerun keeps two threads of every stream, which wake up five times a second."""
-    from rerun import bindings
-
-    bindings.flush_and_cleanup_orphaned_recordings()
 
 
 def leave_streams_alone() -> None:

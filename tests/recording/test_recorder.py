@@ -143,20 +143,6 @@ def test_two_deterministic_runs_compare_equal(tmp_path: Path) -> None:
     assert rrd("compare", "--unordered", tmp_path / "a.rrd", tmp_path / "c.rrd").returncode != 0
 
 
-def test_files_leave_no_threads_behind(tmp_path: Path) -> None:
-    """A page's server begins one file after another."""
-
-    def threads_after(name: str) -> int:
-        file = RecordingFile("deformscope-test", name, tmp_path / f"{name}.part.rrd", {"a": 1})
-        file.log(lambda rec: rec.log("a", rr.Scalars(1.0)))
-        file.close()
-        return sum(1 for _ in Path("/proc/self/task").iterdir())
-
-    first, *later = [threads_after(str(number)) for number in range(5)]
-
-    assert max(later) <= first
-
-
 def test_a_step_about_an_unknown_frame_is_a_mistake(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="frame 7"), Recorder(tmp_path / "run.rrd") as made:
         made.write(next(synthetic.frames(1)))
