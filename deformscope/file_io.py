@@ -51,10 +51,10 @@ def make_folder(path: Path) -> None:
         raise InputError("a folder that can be written to", came, where=path) from error
 
 
-def new_recording(folder: Path, name: str) -> Path:
+def new_recording(folder: Path, name: str, suffix: str = ".rrd") -> Path:
     """A path in the folder, made where it is not there, that no earlier run took: NAME-<stamp>.rrd."""
     make_folder(folder)
-    first = folder / f"{name}-{datetime.now():%Y%m%d-%H%M%S}.rrd"
+    first = folder / f"{name}-{datetime.now():%Y%m%d-%H%M%S}{suffix}"
     for number in range(1, 100):
         path = first if number == 1 else first.with_stem(f"{first.stem}-{number}")
         if not path.exists():

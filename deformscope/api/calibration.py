@@ -319,6 +319,9 @@ def calibrate(
     """Fit what the options name, or what is given as arrays; one result, or one for each of several pairs."""
     quiet_warp()
     sources, search, output = config.sources, config.search, config.output
+    if config.from_rig:
+        again = "--viewer page; or fit a recording of it (deformscope record)"
+        raise InputError("--viewer page with a rig, whose camera is followed there", output.viewer, again, sources[0])
     fit = fit_options(config)
     layers, motion = _layers(config), _motion(config)
     pairs = [source for source in sources if Path(source).suffix.lower() == ".npz"]

@@ -44,19 +44,17 @@ class FitSubject(Protocol):
         """(K, d) positions of an observation as (K, 2) x, y [px]."""
 
 
-class ImagesSubject:
-    """A video, a folder, images, a sample, or a camera's images in a recording. note: of what is done"""
+class MotionSubject:
+    """Images whose optical flow is kept."""
 
     kind: Literal["images", "pair"] = "images"
 
-    def __init__(self, config: BetaConfig | ThetaConfig, note: Callable[[str], None]) -> None:
-        images = images_of(config)
-        with opened_images(config.sources, images) as source:
-            height, width = source.size
-            of = "" if source.count is None else f" of {source.count}"
-            self._motion = KeptMotion(source, images.flow, lambda done: note(f"optical flow: frame {done}{of}"))
+    def take(self, motion: KeptMotion) -> None:
+        """From now on it is made of these."""
+        self._motion = motion
+        height, width = motion.first.shape[:2]
         self.size_px = float(width), float(height)
-        both = (self._motion.first, self._motion.last)
+        both = (motion.first, motion.last)
         low = min(float(one.min()) for one in both)
         high = max(float(one.max()) for one in both)
         self.images = tuple(encode_jpeg(_eight_bits(one, low, high)) for one in both)
@@ -73,6 +71,16 @@ class ImagesSubject:
     def in_picture(self, position: FloatArray) -> FloatArray:
         """As `FitSubject.in_picture`."""
         return position
+
+
+class ImagesSubject(MotionSubject):
+    """A video, a folder, images, a sample, or a camera's images in a recording. note: of what is done"""
+
+    def __init__(self, config: BetaConfig | ThetaConfig, note: Callable[[str], None]) -> None:
+        images = images_of(config)
+        with opened_images(config.sources, images) as source:
+            of = "" if source.count is None else f" of {source.count}"
+            self.take(KeptMotion(source, images.flow, lambda done: note(f"optical flow: frame {done}{of}")))
 
 
 class PairSubject:
@@ -124,7 +132,7 @@ def asked_on_page(config: BetaConfig | ThetaConfig) -> bool:
     if config.output.viewer != "page":
         return False
     terminal = sys.stdin is not None and sys.stdin.isatty() and sys.stdout.isatty()
-    return config.adjust or (terminal and not_on_a_page(config) is None)
+    return config.adjust or config.from_rig or (terminal and not_on_a_page(config) is None)
 
 
 def _eight_bits(image: ImageArray, low: float, high: float) -> ImageArray:

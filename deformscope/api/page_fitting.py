@@ -36,6 +36,7 @@ VALUES, COARSELY = 25, 5
 QUIET_S = 0.3
 """It is begun once nothing was changed for so long."""
 BUSY_EVERY_S = 0.2
+COMMANDS = ("stop", "set-fit", "run-fit", "fit-drawn")
 
 
 class _SetAnew(Exception):
@@ -64,19 +65,23 @@ class PageFitting:
         self._found: BetaConfig | ThetaConfig | None = None
         self._news = threading.Condition()
         self._asked: SetFit | None = SetFit(0, 0, self._began)
+        self._shown = self._asked
         self._wants_fit = self._finished = False
         self._busy_s = 0.0
         self.drawn_ms: list[float] = []
         self.config = config
         model = fit_options(config)
-        for name, content in zip(("rest.jpg", "deformed.jpg"), subject.images, strict=False):
-            offer(name, content, "image/jpeg")
-        pictures = ("rest.jpg", "deformed.jpg") if subject.images else ()
-        self.state = FitState(
-            subject.kind, model.model.parameter, self._began, model.bounds, subject.size_px, pictures=pictures
-        )
+        self.state = FitState(subject.kind, model.model.parameter, self._began, model.bounds, subject.size_px)
+        self.state = msgspec.structs.replace(self.state, pictures=self._offer_images())
         desk.attend(self)
-        desk.enter("adjusting", commands=("stop", "set-fit", "run-fit", "fit-drawn"), fit=self.state)
+        desk.enter("adjusting", commands=COMMANDS, fit=self.state)
+
+    def _offer_images(self, of: str = "") -> tuple[str, ...]:
+        """The names under which a page finds them."""
+        names = tuple(f"{name}{of}.jpg" for name in ("rest", "deformed")[: len(self._subject.images)])
+        for name, content in zip(names, self._subject.images, strict=True):
+            self._offer(name, content, "image/jpeg")
+        return names
 
     # As `PageRun`, from the server -----------------------------------------------------------------------------------
 
@@ -104,29 +109,42 @@ class PageFitting:
         """Simulate and fit what pages ask for, until one of them stops it. `config` is then what was set last."""
         while True:
             with self._news:
-                if not self._curve:
-                    self._news.wait_for(self._is_wanted)
-                elif not self.state.values:
-                    self._news.wait_for(self._is_wanted, QUIET_S)
+                self._wait()
                 asked, fit, finished = self._asked, self._wants_fit, self._finished
                 self._asked = None
                 self._wants_fit = fit and asked is not None  # first what it is to be made of
+            self._begin_step(whole=fit or finished)
             if asked is not None:
                 self._set(asked)
             elif finished:
                 return
             elif fit:
                 self._fit()
-            else:
+            elif self._curve:
                 self._go_on_with_curve()
+
+    def _wait(self) -> None:
+        """Until there is something to do."""
+        if not self._curve:
+            self._news.wait_for(self._is_wanted)
+        elif not self.state.values:
+            self._news.wait_for(self._is_wanted, QUIET_S)
 
     def _is_wanted(self) -> bool:
         return self._asked is not None or self._wants_fit or self._finished
 
+    def _begin_step(self, *, whole: bool) -> None:
+        """Before what was asked for is done. whole: a whole fit, or the end"""
+
+    @property
+    def result_config(self) -> BetaConfig | ThetaConfig:
+        """The options that were set last, of what can be read again."""
+        return self.config
+
     @property
     def command(self) -> str:
-        """What gives the same numbers at a terminal."""
-        return shlex.join(command_line(f"calibrate {self.state.parameter}", self.config))
+        """What gives the same numbers at a terminal; empty where nothing does yet."""
+        return shlex.join(command_line(f"calibrate {self.state.parameter}", self.result_config))
 
     def show_found(self, estimate: Estimate, shown: Result) -> None:
         """A whole fit, with its picture."""
@@ -137,9 +155,9 @@ class PageFitting:
         self._found = dataclasses.replace(self.config, at=None)
         self._show(found=found, picture="fit.png", busy="")
 
-    def _set(self, asked: SetFit) -> None:
-        """Simulate what is asked for, and show it."""
-        self._curve = []
+    def _set(self, asked: SetFit, pictures: tuple[str, ...] = ()) -> None:
+        """Simulate what is asked for, and show it. pictures: that are new"""
+        self._curve, self._shown = [], asked
         try:
             self.config = config = self._config_of(asked.settings)
             seen, body, model = self._prepared(config)
@@ -148,21 +166,23 @@ class PageFitting:
             error = errors_of([seen], value, [found])
         except Exception as problem:  # whatever is set on a page, the next change may be better
             words = " ".join(str(problem).split()) or type(problem).__name__
-            self._show(settings=asked.settings, number=asked.number, command=self.command, problem=words, busy="")
+            gone = dict.fromkeys(("rest", "observed", "simulated", "seen", "held", "values", "errors"), ())
+            new: dict[str, Any] = {**gone, "pictures": pictures, "aee": None, "aee_free": None} if pictures else {}
+            self._show(
+                settings=asked.settings, number=asked.number, command=self.command, problem=words, busy="", **new
+            )
             return
         same = self._found == dataclasses.replace(config, at=None)
-        spread = np.linspace(*self.state.bounds, VALUES).tolist()
-        self._curve = [value for first in range(COARSELY) for value in spread[first::COARSELY]]
         self._show(
             **self._drawn(seen, found),
+            **self._begun_curve(seen, body, model),
+            pictures=pictures or self.state.pictures,
             settings=asked.settings,
             number=asked.number,
             command=self.command,
             problem="" if error.converged else "the simulation does not come to rest with these settings",
             aee=error.aee,
             aee_free=error.aee_free,
-            values=(),
-            errors=(),
             busy="",
             found=self.state.found if same else None,
             picture=self.state.picture if same else "",
@@ -187,6 +207,12 @@ class PageFitting:
             "held": tuple(found.held.tolist()),
             "unit": found.unit,
         }
+
+    def _begun_curve(self, seen: Observation, body: Msm, model: Model) -> dict[str, Any]:
+        """What is known of it at once."""
+        spread = np.linspace(*self.state.bounds, VALUES).tolist()
+        self._curve = [value for first in range(COARSELY) for value in spread[first::COARSELY]]
+        return {"values": (), "errors": ()}
 
     def _go_on_with_curve(self) -> None:
         """One more value, between two looks at what is new."""
@@ -282,6 +308,20 @@ def _settings_of(config: BetaConfig | ThetaConfig) -> FitSettings:
 
 
 @contextmanager
+def _fitting(config: BetaConfig | ThetaConfig, page: PageServer) -> Iterator[PageFitting]:
+    """Of files; or of a rig's camera, which is open until the end of the context."""
+    if not config.from_rig:
+        subject = subject_of(config, lambda words: page.desk.show(reason=words))
+        yield PageFitting(page.desk, config, subject, page.offer)
+        return
+    from deformscope.api.camera_fitting import CameraFitting
+    from deformscope.api.live_camera import camera_of
+
+    with camera_of(config, lambda words, bad: page.desk.remark(words, bad=bad)) as camera:
+        yield CameraFitting(page.desk, config, camera, page.offer)
+
+
+@contextmanager
 def set_on_page(
     config: BetaConfig | ThetaConfig, note: Note
 ) -> Iterator[tuple[BetaConfig | ThetaConfig, Callable[[CalibrationResult], None]]]:
@@ -295,22 +335,21 @@ def set_on_page(
     page.open()
     note(page.where)
     try:
-        subject = subject_of(config, lambda words: page.desk.show(reason=words))
-        fitting = PageFitting(page.desk, config, subject, page.offer)
-        try:
-            fitting.until_finished()
-        finally:
-            note(f"as set on the page: {fitting.command}")
-            if fitting.drawn_ms:
-                p50, p95 = np.percentile(fitting.drawn_ms, (50, 95))
-                note(f"slider to picture: p50 {p50:.0f} ms, p95 {p95:.0f} ms, {len(fitting.drawn_ms)} changes")
+        with _fitting(config, page) as fitting:
+            try:
+                fitting.until_finished()
+            finally:
+                note(f"as set on the page: {fitting.command}")
+                if fitting.drawn_ms:
+                    p50, p95 = np.percentile(fitting.drawn_ms, (50, 95))
+                    note(f"slider to picture: p50 {p50:.0f} ms, p95 {p95:.0f} ms, {len(fitting.drawn_ms)} changes")
         page.desk.enter("adjusting", commands=(), reason="the whole fit is made of what is set")
 
         def show(found: CalibrationResult) -> None:
             fitting.show_found(found.estimate, found.shown)
             page.desk.enter("stopped", "its command has ended")
 
-        yield fitting.config, show
+        yield fitting.result_config, show
     except BaseException as error:
         page.desk.enter("stopped", " ".join(str(error).split()) or "interrupted")
         page.close()

@@ -91,12 +91,17 @@ class MotionFlags(Flags):
             raise InputError("--whole-motion with --select", "no --whole-motion", "add --whole-motion")
 
 
+def _names_rig(source: str) -> bool:
+    return source.startswith("lab:") or Path(source).suffix.lower() == ".toml"
+
+
 @dataclass(frozen=True, slots=True)
 class CalibrateOptions(RecordedOptions):
     """What `calibrate beta` and `calibrate theta` share."""
 
     sources: flags.Sources
-    """A video, a folder of frames, images in the order given, pair files (.npz), or a recording (.rrd)."""
+    """A video, a folder of frames, images in the order given, pair files (.npz), a recording (.rrd), or with --viewer
+    page a rig (.toml, lab:NAME), whose camera is followed."""
     alpha: AlphaFlag = field(default=1.0, kw_only=True)
     """Stiffness of the pull to the goal positions."""
     at: flags.ShareFlag = field(default=None, kw_only=True)
@@ -104,15 +109,28 @@ class CalibrateOptions(RecordedOptions):
     adjust: bool = field(default=False, kw_only=True)
     """With --viewer page: set region, particles and model on the page, and fit then. At a terminal a page does so by
     itself."""
+    trust_rig: flags.TrustFlag = field(default=False, kw_only=True)
     search: OmitArgPrefixes[SearchOptions] = field(default_factory=SearchOptions, kw_only=True)
     images: OmitArgPrefixes[ImageOptions] = field(default_factory=ImageOptions, kw_only=True)
     model: OmitArgPrefixes[ModelOptions] = field(default_factory=ModelOptions, kw_only=True)
     summary: OmitArgPrefixes[SummaryOptions] = field(default_factory=SummaryOptions, kw_only=True)
     output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions, kw_only=True)
 
+    @property
+    def from_rig(self) -> bool:
+        """Whether the images are those that a rig's camera gives now."""
+        return any(map(_names_rig, self.sources))
+
     def check(self) -> None:
         if self.adjust and self.output.viewer != "page":
             raise InputError("--viewer page with --adjust", self.output.viewer)
+        if not self.from_rig:
+            return
+        rig = next(filter(_names_rig, self.sources))
+        if len(self.sources) > 1:
+            raise InputError("a rig alone, or files", "both", where=rig)
+        if self.images.stride != 1:
+            raise InputError("no --stride with a rig", f"{self.images.stride}", "leave it out", rig)
 
 
 @dataclass(frozen=True, slots=True)

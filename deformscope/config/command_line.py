@@ -10,8 +10,8 @@ from tyro.constructors import PrimitiveConstructorSpec
 from deformscope.config import flags
 from deformscope.config.options import Flags, marks_of
 
-LEFT_OUT = frozenset({"viewer", "overwrite", "adjust"})
-"""Flags that say what is shown, not what is computed."""
+LEFT_OUT = frozenset({"viewer", "overwrite", "adjust", "trust_rig"})
+"""Flags that say what is shown or opened, not what is computed."""
 
 
 def command_line(name: str, options: Flags) -> list[str]:

@@ -33,7 +33,7 @@ class ImageOptions(Flags):
     stride: flags.ManyFlag = 1
     """Take every n-th frame."""
     camera: flags.CameraFlag = None
-    """Of a recording that holds the images of several cameras: the one to take."""
+    """Of a recording or a rig with several cameras: the one to take."""
     fps: flags.PositiveFlag = None
     """Frames a second of images that do not say; default: what the video says."""
     flow: Literal["dis", "farneback"] = "dis"

@@ -59,6 +59,7 @@ class FitState(msgspec.Struct, frozen=True):
     held: which are; aee_free: average error of the free particles [unit]; the average of all that were seen is `aee`
     values, errors: of the parameter, and the average error of all seen there [unit], as far as they were simulated
     busy: what is being computed, in words; found: the last whole fit; picture: the file that shows it, empty = none
+    camera: that is followed, empty = none; following: its newest picture is shown, which has no command line yet
     """
 
     kind: Literal["images", "pair"]
@@ -85,3 +86,5 @@ class FitState(msgspec.Struct, frozen=True):
     busy: str = ""
     found: FitFound | None = None
     picture: str = ""
+    camera: str = ""
+    following: bool = False

@@ -147,6 +147,18 @@ class RunFit(FromPage, frozen=True, tag="run-fit"):
     """Fit the parameter, with its interval, to what is set. Whatever is set meanwhile ends it."""
 
 
+class TakeRest(FromPage, frozen=True, tag="take-rest"):
+    """A camera's newest picture shows the thing at rest."""
+
+
+class HoldPicture(FromPage, frozen=True, tag="hold-picture"):
+    """Follow a camera no further: what is shown stays, and becomes files."""
+
+
+class FollowCamera(FromPage, frozen=True, tag="follow-camera"):
+    """Show the model of a camera's newest picture again."""
+
+
 class FitDrawn(FromPage, frozen=True, tag="fit-drawn"):
     """The page has drawn what was set. number: of the `SetFit`; after_ms: since a person changed it [ms]"""
 
@@ -176,6 +188,9 @@ PageCommand = (
     | TouchPicked
     | SetFit
     | RunFit
+    | TakeRest
+    | HoldPicture
+    | FollowCamera
     | FitDrawn
 )
 

@@ -12,7 +12,17 @@ import numpy as np
 import pytest
 
 from deformscope.page.fit_messages import FitSettings, FitState
-from deformscope.page.messages import FitDrawn, Outcome, PageCommand, RunFit, SetFit, StopRun
+from deformscope.page.messages import (
+    FitDrawn,
+    FollowCamera,
+    HoldPicture,
+    Outcome,
+    PageCommand,
+    RunFit,
+    SetFit,
+    StopRun,
+    TakeRest,
+)
 from deformscope.page.server import PageServer
 from tests.page.test_in_browser import chromium, shown, until
 
@@ -144,6 +154,47 @@ def test_what_is_set_on_the_page_is_asked_for(setting: Setting, shown: Any) -> N
     shown.keyboard.press(" ")
     until(shown, lambda: isinstance(setting.commands[-1], StopRun))
     assert wrong == []
+
+
+def test_a_camera_is_followed_and_held(setting: Setting, shown: Any) -> None:
+    page, commands = setting.page, ("stop", "set-fit", "run-fit", "fit-drawn")
+
+    def show(number: int, **changes: Any) -> None:
+        names = (f"rest-{number}.jpg?{number}", f"deformed-{number}.jpg?{number}")
+        for name in names if number < 3 else ():
+            page.offer(name.split("?")[0], PIXEL, "image/png")
+        more = ("take-rest", "hold-picture") if changes["following"] else ("follow-camera",)
+        page.desk.show(
+            commands=(*commands, *more),
+            fit=msgspec.structs.replace(
+                setting.state, camera="side", pictures=names, aee_free=float(number), **changes
+            ),
+        )
+
+    show(1, following=True, command="", values=(0.0, 0.5, 0.99), errors=(2.0, None, 1.5))
+    shown.goto(page.address)
+    until(shown, lambda: shown.inner_text("#fit-error").startswith("average error 1.000 px"))
+    assert shown.inner_text("#fit-least") == "least of 3 tried: 1.500 px at beta 0.99"
+    assert "hold the picture (h)" in shown.inner_text("#fit-command")
+    assert shown.is_disabled("#fit-copy")
+    assert shown.is_hidden("[data-kind=follow-camera]")
+    until(shown, lambda: shown.inner_text("#fit-age").startswith("newest picture"))
+
+    # numbers and particles come with their picture, the newest of those that came while one was loaded
+    page.desk.show(fit=setting.state)
+    for number in (1, 2):
+        show(number, following=True, command="")
+    until(shown, lambda: shown.inner_text("#fit-error").startswith("average error 2.000 px"))
+    shown.keyboard.press("z")
+    shown.keyboard.press("h")
+    show(2, following=False)
+    until(shown, lambda: shown.inner_text("#fit-command") == "deformscope calibrate beta x")
+    assert shown.is_visible("[data-kind=follow-camera]")
+    shown.keyboard.press("h")
+    shown.focus("#fit-beta")
+    shown.keyboard.press(" ")  # a slider has no use for it
+    until(shown, lambda: len(setting.commands) == 4)
+    assert [type(one) for one in setting.commands] == [TakeRest, HoldPicture, FollowCamera, StopRun]
 
 
 @pytest.mark.slow

@@ -4,6 +4,7 @@ const at = (id) => document.getElementById(id);
 const HELD = ["top", "bottom", "left", "right", "border", "contact"];
 const COLORS = { rest: "#1ebe50", observed: "#286eff", simulated: "#eb2d2d", held: "#ffc800", box: "#ffffff" };
 const FINEST_PX = 4;
+const STALE_S = 3;
 const NEAR_PX = 12; // of the screen: a click so near to the first corner closes an outline
 
 // desk: gives commands; sayable: words that answer them
@@ -14,12 +15,15 @@ export function startFitting(desk, say) {
   let changed_ms = null; // when a person changed what was not sent yet
   let flight = null; // what was sent and is not drawn yet
   let number = Date.now(); // counts on over pages
-  let shown = -1; // number of what was drawn last
+  let shown = ""; // what was drawn last: number and pictures
   let drag = null;
   let tool = "region";
   let showing = "deformed";
   const waits_ms = [];
-  const images = new Map();
+  const images = new Map(); // that were loaded, by name
+  let loading = false;
+  let newest = null; // state that came, and of which page
+  let came_ms = 0; // when the newest picture of a camera came
   const canvas = at("fit-canvas");
 
   // What is set -------------------------------------------------------------------------------------------------------
@@ -67,6 +71,9 @@ export function startFitting(desk, say) {
     if (!state.fit) {
       return;
     }
+    if (missing(state, page)) {
+      return; // particles are drawn on the picture that they were seen in
+    }
     fit = state.fit;
     mine = state.controls === page && state.phase === "adjusting" && state.commands.includes("set-fit");
     if (!mine) {
@@ -75,14 +82,6 @@ export function startFitting(desk, say) {
     const sent = flight?.number === fit.number ? flight : null;
     if (!flight && changed_ms === null) {
       settings = fit.settings;
-    }
-    for (const name of fit.pictures) {
-      if (!images.has(name)) {
-        const image = new Image();
-        image.onload = draw;
-        image.src = name;
-        images.set(name, image);
-      }
     }
     if (showing === "result" && !fit.picture) {
       showing = "deformed";
@@ -94,11 +93,51 @@ export function startFitting(desk, say) {
         draw();
         setTimeout(() => flight === sent && drawn(sent));
       });
-    } else if (fit.number !== shown) {
+    } else if (`${fit.number} ${fit.pictures}` !== shown) {
       requestAnimationFrame(draw);
     }
-    shown = fit.number;
+    shown = `${fit.number} ${fit.pictures}`;
   }
+
+  // Whether pictures of a state are still to be loaded: it is shown with them, and after it the newest that came meanwhile.
+  function missing(state, page) {
+    newest = [state, page];
+    const names = state.fit.pictures;
+    if (names.every((name) => images.has(name))) {
+      return false;
+    }
+    if (!loading) {
+      loading = true;
+      Promise.all(names.map(loaded)).then((all) => {
+        images.clear();
+        names.forEach((name, i) => images.set(name, all[i]));
+        [loading, came_ms] = [false, performance.now()];
+        const later = newest;
+        show(state, page);
+        if (later[0] !== state) {
+          show(...later);
+        }
+      });
+    }
+    return true;
+  }
+
+  async function loaded(name) {
+    const image = images.get(name) ?? new Image();
+    if (!image.src) {
+      image.src = name;
+      await image.decode().catch(() => null);
+    }
+    return image;
+  }
+
+  setInterval(() => {
+    if (fit?.camera) {
+      const age_s = (performance.now() - came_ms) / 1000;
+      at("fit-age").textContent = !fit.following ? "held: its pictures are files" : `newest picture ${age_s.toFixed(1)} s ago`;
+      at("fit-age").className = fit.following && age_s > STALE_S ? "numbers bad" : "numbers";
+    }
+  }, 500);
 
   function showControls() {
     const now = settings;
@@ -114,12 +153,12 @@ export function startFitting(desk, say) {
     if (spacing) {
       const [low, high] = [Math.log(FINEST_PX), Math.log(Math.min(width, height) / 2)];
       at("fit-spacing").value = (1000 * (Math.log(spacing) - low)) / (high - low);
-      at("fit-spacing-words").textContent = `${spacing.toFixed(1)} px${fit.grid ? `, ${fit.grid.join("x")} particles` : ""}`;
+      at("fit-spacing-words").textContent = `${spacing.toFixed(1)} px${fit.grid ? `, ${fit.grid.join("x")}` : ""}`;
     }
     const none = fit.parameter === "theta" ? 1 : 0; // one cluster of all
     at("fit-cluster").min = 2 - none;
     at("fit-cluster").value = now.cluster_size ?? 1;
-    at("fit-cluster-words").textContent = now.cluster_size ? `${now.cluster_size} particles a side` : "one of all particles";
+    at("fit-cluster-words").textContent = now.cluster_size ? `${now.cluster_size} a side` : "one of all";
     for (const name of ["beta", "theta"]) {
       at(`fit-${name}`).max = name === fit.parameter ? fit.bounds[1] : name === "beta" ? 0.99 : 1;
       at(`fit-${name}`).value = now[name];
@@ -151,12 +190,20 @@ export function startFitting(desk, say) {
     at("fit-error").title = `${fit.aee_free} ${fit.unit} free, ${fit.aee} ${fit.unit} all`;
     at("fit-problem").textContent = fit.problem || fit.busy;
     at("fit-problem").className = fit.problem ? "numbers bad" : "numbers";
-    at("fit-command").textContent = fit.command;
+    at("fit-command").textContent = fit.command || "hold the picture (h): what is shown gets its command line";
+    at("fit-copy").disabled = !fit.command;
+    at("fit-camera").textContent = fit.camera;
+    for (const [kind, now] of [["hold-picture", fit.following], ["follow-camera", !fit.following]]) {
+      document.querySelector(`[data-kind=${kind}]`).hidden = !now;
+    }
     const found = fit.found;
     at("fit-found").textContent = found
       ? `${fit.parameter} ${found.value.toFixed(4)}, ${found.low.toFixed(3)} to ${found.high.toFixed(3)} (${100 * found.level} %). ${found.verdict}`
       : "";
     at("fit-found").title = found ? `${found.value}` : "";
+    const least = Math.min(...fit.errors.filter((error) => error !== null));
+    const lowest = fit.values[fit.errors.indexOf(least)];
+    at("fit-least").textContent = lowest === undefined ? "" : `least of ${fit.values.length} tried: ${length(least)} at ${fit.parameter} ${lowest.toFixed(2)}`;
     showCurve();
   }
 

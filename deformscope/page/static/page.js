@@ -283,14 +283,16 @@ const KEYS = {
   p: () => command("pause"),
   x: () => command(state?.commands.includes("squeeze") ? "squeeze" : "explore"),
   v: () => command("veto"),
+  z: () => command("take-rest"),
+  h: () => command(state?.commands.includes("hold-picture") ? "hold-picture" : "follow-camera"),
   f: () => fitting.run(),
   "?": () => (at("help").open ? at("help").close() : at("help").showModal()),
 };
 window.addEventListener(
   "keydown",
   (event) => {
-    const number = event.target.type === "number"; // has no space in it
-    const stops = event.key === " " && (event.ctrlKey || number || !ownField(event.target));
+    const spaceless = ["number", "range"].includes(event.target.type);
+    const stops = event.key === " " && (event.ctrlKey || spaceless || !ownField(event.target));
     if (ownField(event.target) && !stops && !(typeless(event.target) && KEYS[event.key])) {
       if (event.key === "Escape") {
         event.target.blur();
