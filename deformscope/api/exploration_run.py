@@ -119,7 +119,14 @@ def explore_on(config: ExploreConfig, report: Callable[[Explored], None]) -> Exp
     )
     faults = [FaultAt.parse(text, options.budget) for text in config.fault]
     opening = setup_of(
-        config.rig, options, config.set_force, trusted=config.trust_rig, clean=config.clean, camera=config.camera
+        config.rig,
+        options,
+        config.set_force,
+        trusted=config.trust_rig,
+        clean=config.clean,
+        camera=config.camera,
+        robot=config.robot,
+        removal=config.removal,
     )
     setup, options = opening.setup, opening.options
     _check_first(config, setup)

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from deformscope.lab.live_lab import LiveLab
     from deformscope.lab.touch_lab import TouchLab
     from deformscope.rig.rig_file import Rig
+    from deformscope.robot.description import Removal
     from deformscope.robot.setup import RigParts, Setup
     from deformscope.robot.squeeze_setup import SqueezeSetup
 
@@ -49,17 +50,22 @@ def setup_of(
     trusted: bool,
     clean: bool = True,
     camera: str = "plain",
+    robot: str = "plain",
+    removal: Removal | None = None,
 ) -> Opening:
     """The setup of `lab:NAME` or of a rig file, closed.
 
     set_force_n: None = as the rig file says; trusted: as for `deformscope.rig.rig_file.load_rig`; clean: the laboratory
-    keeps nothing from the estimator; camera: what its camera measures by
+    keeps nothing from the estimator; camera: what its camera measures by; robot: what it
+    sees of the robot; removal: how that is taken out of its pictures
     """
     if name.startswith(LAB):
         from deformscope.experiments.measured import highest_m
+        from deformscope.lab.robot_body import RobotBody, described_robot
         from deformscope.lab.scene_lab import SceneLab
         from deformscope.lab.scenes import built_in
         from deformscope.lab.session_errors import LabErrors
+        from deformscope.robot.description import AS_CAPSULES
 
         scene = built_in(name.removeprefix(LAB), options.seed)
         options = dataclasses.replace(options, thickness_m=scene.thickness_m)
@@ -74,8 +80,16 @@ def setup_of(
             seed=options.seed,
             errors=errors,
             sensor="" if camera == "plain" else camera,
+            robot=None if robot == "plain" else RobotBody(options.seed),
+            described=AS_CAPSULES if robot == "plain" else described_robot(removal),
         )
-        laboratory = {"clean": clean, "camera": camera, "errors": errors.plain(), "drawn": made.drawn.plain()}
+        laboratory = {
+            "clean": clean,
+            "camera": camera,
+            "robot": robot,
+            "errors": errors.plain(),
+            "drawn": made.drawn.plain(),
+        }
         return Opening(made.setup, options, {"scene": scene.name, "laboratory": laboratory}, made.lab)
     from deformscope.rig.rig_file import load_rig
 
@@ -127,6 +141,7 @@ def table_of(parts: RigParts, seed: int = 0) -> tuple[LiveLab | None, HiddenRig 
         parts.devices[0],
         T_surface_camera=parts.T_surface_camera,
         hidden=hidden,
+        described=parts.described,
     )
     return table, hidden
 

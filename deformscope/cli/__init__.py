@@ -108,6 +108,9 @@ COMMANDS: dict[str, Command] = {
     "coverage safety": _command(
         "whether an arm stands in time when things go wrong", "SafetyCoverageConfig", "coverage_safety"
     ),
+    "coverage removal": _command(
+        "how well the robot is taken out of the camera's picture", "RemovalCoverageConfig", "coverage_removal"
+    ),
     "explore": _command("map how soft a surface is, by touching it", "ExploreConfig", "explore"),
     "classify": _command(
         "what is in a container, from squeezing it: how well it is known", "ClassifyConfig", "classify"

@@ -36,6 +36,7 @@ from deformscope.config.reproduce import (
     ForceCoverageConfig,
     PokesConfig,
     RegionCoverageConfig,
+    RemovalCoverageConfig,
     SafetyCoverageConfig,
     SqueezesConfig,
     Table41Config,

@@ -142,6 +142,21 @@ class SafetyCoverageConfig(RecordedOptions):
     output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
 
 
+@dataclass(frozen=True, slots=True)
+class RemovalCoverageConfig(RecordedOptions):
+    """Count which points of simulated pictures stay, of foam and of a robot with gripper, stick and cable, by how the
+    robot is taken out: capsules, convex hulls (Thesis 4.4) or meshes; with the camera's place exact, and off by 5 mm
+    and 1 degree."""
+
+    layouts: flags.ManyFlag = 20
+    """Robots, from seed SEED on; of each, six pictures. One takes some 15 s of a core."""
+    jobs: flags.ManyFlag = 2
+    """Processes that share the work."""
+    picture: flags.PictureFlag = None
+    """Draw what was removed of the first robot's pictures to a PNG."""
+    output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
+
+
 SlabKindFlag = Literal["one material", "halves", "stiff disc", "soft disc", "gradual"]
 
 

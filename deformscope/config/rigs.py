@@ -251,6 +251,11 @@ class ExploreConfig(RecordedOptions):
     camera: Literal["plain", "primesense", "realsense"] = "plain"
     """What the camera of a simulated scene measures by: noise alone, or disparity as a PrimeSense or a RealSense D435
     has it, with its steps, edges that bleed, shadows beside them, and no depth where a surface is seen flat."""
+    robot: Literal["plain", "gripper"] = "plain"
+    """What the camera of a simulated scene sees of the robot: capsules, or the meshes of an arm whose gripper holds a
+    stick, and a cable that hangs."""
+    removal: Literal["capsules", "hull", "mesh"] | None = None
+    """With --robot gripper: how that is taken out of the pictures, default mesh. A rig file says it in [shape]."""
     picture: flags.PictureFlag = None
     """Draw the maps to a PNG."""
     map: flags.ArraysFlag = None
@@ -271,6 +276,10 @@ class ExploreConfig(RecordedOptions):
             raise InputError("a rig file, or lab:NAME", "none", "deformscope explore --list-scenarios")
         if self.camera != "plain" and not self.rig.startswith("lab:"):
             raise InputError("--camera with a simulated scene alone", f"{self.rig}", "lab:two-60-150")
+        if self.robot != "plain" and not self.rig.startswith("lab:"):
+            raise InputError("--robot with a simulated scene alone", f"{self.rig}", "[shape] in a rig file")
+        if self.removal is not None and self.robot == "plain":
+            raise InputError("--removal with --robot gripper", "--robot plain", "--robot gripper")
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,10 +13,10 @@ import numpy as np
 import numpy.typing as npt
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
-from deformscope.capsule import Capsule
 from deformscope.errors import InputError
 from deformscope.experiments.options import ABOVE_M, BORDER_M, EDGE_M, LOW_SHARE, VIEW_CELL_M, ExploreOptions
 from deformscope.rig.rig_file import Tool, Workspace
+from deformscope.robot.description import AS_CAPSULES, RobotDescription
 from deformscope.robot.placement import Placement, follow
 from deformscope.robot.readings import ArmSample
 from deformscope.robot.setup import CameraView, Setup
@@ -27,6 +27,7 @@ from deformscope.stages.poke.contact import ArmCompliance
 from deformscope.stages.regions.touch_error import TouchErrorModel
 from deformscope.stages.regions.touches import MapGrid
 from deformscope.stages.see.cloud import Box, Intrinsics, Perceived, perceive
+from deformscope.stages.see.robot import PosedRobot
 from deformscope_drivers.arm.kinematics import Chain
 from deformscope_drivers.arms import chain_of
 
@@ -115,7 +116,7 @@ def sample_box(size_m: tuple[float, float], thickness_m: float) -> Box:
 class SetupGeometry:
     """Where surface, arm and camera are to one another, and what follows of it; pure.
 
-    compliance_m_per_n, compliance_sd: of the arm under a push [m/N]
+    compliance_m_per_n, compliance_sd: of the arm under a push [m/N]; described: what the robot looks like
     """
 
     size_m: tuple[float, float]
@@ -124,16 +125,19 @@ class SetupGeometry:
     camera: CameraView
     compliance_m_per_n: float
     compliance_sd: float
+    described: RobotDescription = AS_CAPSULES
 
     @classmethod
     def of(cls, setup: Setup) -> SetupGeometry:
         give = setup.compliance_m_per_n, setup.compliance_sd
-        return cls(setup.size_m, setup.placement, setup.workspace, setup.camera, *give)
+        return cls(setup.size_m, setup.placement, setup.workspace, setup.camera, *give, setup.described)
 
     def as_json(self) -> dict[str, Any]:
         """For a recording's settings."""
-        values = dataclasses.asdict(self) | {"camera": dataclasses.asdict(self.camera)}
-        del values["placement"]
+        values = {name: getattr(self, name) for name in ("size_m", "compliance_m_per_n", "compliance_sd")}
+        values |= {name: dataclasses.asdict(getattr(self, name)) for name in ("workspace", "camera")}
+        if self.described is not AS_CAPSULES:
+            values["described"] = self.described.as_json()
         values["tool"], values["T_base_surface"] = (
             dataclasses.asdict(self.placement.tool),
             self.placement.T_base_surface,
@@ -157,6 +161,7 @@ class SetupGeometry:
                 view,
                 given["compliance_m_per_n"],
                 given["compliance_sd"],
+                RobotDescription.from_json(given["described"]) if "described" in given else AS_CAPSULES,
             )
         except (KeyError, TypeError, ValueError) as error:
             raise InputError(
@@ -236,19 +241,24 @@ class SetupGeometry:
             raise InputError("[camera] T_arm_camera", "none", "where the camera stands")
         (fx, fy), (cx, cy) = look.focal_px, look.center_px
         camera = Intrinsics((fx, fy), (cx, cy), self.camera.distortion)
-        links = self.links(pose, chain_of(look.arm_model))
-        return perceive(depth_m, camera, self.camera.T_surface_camera, box, links=links, margin_m=0.0, cell_m=cell_m)
+        robot = self.posed_robot(pose, chain_of(look.arm_model))
+        return perceive(depth_m, camera, self.camera.T_surface_camera, box, robot=robot, cell_m=cell_m)
 
-    def links(self, pose: ArmSample, chain: Chain | None) -> tuple[Capsule, ...]:
-        """What arm and stick may fill where the arm reports that they are, surface frame; of an arm without a chain,
-        the stick alone."""
-        return arm_shape(
+    def posed_robot(self, pose: ArmSample, chain: Chain | None) -> PosedRobot:
+        """What arm, gripper, stick and cables may fill where the arm reports that they are, surface frame; of an arm
+        without a chain, what is at its end alone."""
+        T_base_links = pose.T_base_ee[None] if chain is None else chain.forward(pose.joints_deg)
+        doubt_m, described = self.camera.doubt_m, self.described
+        capsules = arm_shape(
             self.placement,
-            pose.T_base_ee[None] if chain is None else chain.forward(pose.joints_deg),
+            T_base_links,
             self.placement.T_surface_center(pose.T_base_ee)[:3, 3],
-            link_margin_m=LINK_MARGIN_M + self.camera.doubt_m,
-            stick_margin_m=STICK_MARGIN_M + self.camera.doubt_m,
+            description=described,
+            link_margin_m=LINK_MARGIN_M + doubt_m,
+            stick_margin_m=STICK_MARGIN_M + doubt_m,
         )
+        solids = described.solids(self.placement, T_base_links)
+        return PosedRobot(capsules, solids, 0.0, described.margin_m + doubt_m, mixes=described.removal != "capsules")
 
     # Where it can touch -----------------------------------------------------------------------------------------------
 

@@ -31,6 +31,7 @@ from deformscope.lab.ray_camera import (
     looking_at,
 )
 from deformscope.lab.scenes import Scene
+from deformscope.solid import PosedSolid
 
 SPACING_M = 0.003
 """Between the vertices of the foam's surface."""
@@ -72,11 +73,16 @@ class DepthView(RayCamera):
         """(4, 4) its pose: x right, y down, z along the view."""
         return self.T_world_camera
 
-    def render(self, displaced_m: FloatArray | None = None, capsules: Sequence[Capsule] = ()) -> Rendered:
+    def render(
+        self,
+        displaced_m: FloatArray | None = None,
+        capsules: Sequence[Capsule] = (),
+        solids: Sequence[PosedSolid] = (),
+    ) -> Rendered:
         """The exact picture.
 
         displaced_m: (n, 3) how the surface has moved at `places_m` [m], None at rest
-        capsules: the robot, surface frame
+        capsules, solids: the robot, surface frame
         """
         if displaced_m is not None and np.shape(displaced_m) != self._rest.shape:
             raise InputError(f"displacements of shape {self._rest.shape}", str(np.shape(displaced_m)), "places_m")
@@ -84,6 +90,8 @@ class DepthView(RayCamera):
         depth, seen, facing = picture.depth_m.copy(), picture.seen.copy(), picture.facing.copy()
         for capsule in capsules:
             self.cover(capsule, depth, seen, facing)
+        if solids:
+            self.cover_solids(solids, depth, seen, facing)
         color = COLOR[seen] * (0.35 + 0.65 * np.abs(facing))[..., None]
         return Rendered(depth, np.rint(color).astype(np.uint8), seen, facing)
 

@@ -29,6 +29,7 @@ from deformscope.lab.scenes import Scene, built_in
 from deformscope.processes import SPAWN, beside
 from deformscope.rig.rig_file import RigDevice
 from deformscope.robot.by_hand import Person
+from deformscope.robot.description import AS_CAPSULES, RobotDescription
 from deformscope.robot.placement import Placement
 from deformscope.robot.robot import sleep_until
 from deformscope.robot.setup import Truth
@@ -59,6 +60,7 @@ class _Table:
     placement: Placement
     T_surface_camera: npt.NDArray[np.floating] | None
     hidden: HiddenRig | None = None
+    described: RobotDescription = AS_CAPSULES
 
 
 class _Shared:
@@ -121,13 +123,14 @@ class LiveLab:
         *,
         T_surface_camera: npt.NDArray[np.floating] | None = None,
         hidden: HiddenRig | None = None,
+        described: RobotDescription = AS_CAPSULES,
     ) -> None:
-        """arm: of the rig file; T_surface_camera: (4, 4), default where the scene is seen well
+        """arm, described: of the rig file; T_surface_camera: (4, 4), default where the scene is seen well
         hidden: where things truly are; None = as placement and T_surface_camera say"""
         if hidden is not None:
             placement, T_surface_camera = hidden.placement, hidden.T_surface_camera
         self.size_m, self.truth = scene.size_m, Truth(scene.regions)
-        self._table = _Table(scene.name, scene.seed, placement, T_surface_camera, hidden)
+        self._table = _Table(scene.name, scene.seed, placement, T_surface_camera, hidden, described)
         self.arm = arm_in_lab(arm.driver.name, arm.config, placement, start_places_m(scene), seed=scene.seed)
         self.view = DepthView(scene, CAMERA, T_surface_camera)
         self._shared = _Shared(self.arm.body.T_base_links)
@@ -267,7 +270,8 @@ def _look(pipe: Connection, table: _Table, shared: _Shared, rate_hz: float) -> N
         moved = world.displaced_m(view.places_m) if world.pressed[2] > 0.0 else None
         center = np.array(shared.center_m[:])
         links = shared.T_base_links
-        exact = view.render(moved, arm_shape(table.placement, links, center))
+        capsules = arm_shape(table.placement, links, center, description=table.described)
+        exact = view.render(moved, capsules, table.described.solids(table.placement, links))
         if table.hidden is not None and shared.board.value:
             T_surface_board = table.placement.T_surface_base @ links[-1] @ table.hidden.T_ee_board
             board.put_into(exact.color, view.intrinsics, np.linalg.inv(view.surface_from_camera) @ T_surface_board)

@@ -5,6 +5,7 @@ It is a PrimeSense by its figures: 640x480 pixels, 570 px of focal length.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,11 +14,14 @@ import open3d as o3d
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.capsule import Capsule
+from deformscope.solid import PosedSolid
 from deformscope_drivers.depth_camera.image import Intrinsics
 
 NOTHING, TABLE, FOAM, ROBOT, CONTAINER = 0, 1, 2, 3, 4
 """What a pixel fell on."""
 
+NEAREST_M = 0.01
+"""What has corners nearer than this to the plane of the camera is sought in all of its picture."""
 COLOR = np.array([[0, 0, 0], [92, 84, 76], [206, 196, 150], [70, 74, 82], [186, 152, 110]], dtype=np.float64)
 """Of each of them, lit along the view; all foams look alike."""
 
@@ -130,6 +134,20 @@ class RayCamera:
         depth[part][nearer] = entered[nearer]
         seen[part][nearer] = ROBOT
         facing[part][nearer] = ((normal * ray).sum(axis=-1) / length)[nearer]
+
+    def cover_solids(
+        self, solids: Sequence[PosedSolid], depth: FloatArray, seen: npt.NDArray[np.uint8], facing: FloatArray
+    ) -> None:
+        """Put solids of the robot into a picture wherever they are nearer."""
+        meshes = [(one.vertices_m, one.solid.triangles) for one in solids]
+        corners = np.concatenate([vertices for vertices, _ in meshes])
+        inside = (corners - self.T_world_camera[:3, 3]) @ self.T_world_camera[:3, 2] > NEAREST_M
+        part = self.part(self.pixels(corners), 2.0) if inside.all() else (slice(None), slice(None))
+        entered, cosine, _ = self.hits(meshes, part)
+        nearer = np.nan_to_num(entered, nan=np.inf) < np.nan_to_num(depth[part], nan=np.inf)
+        depth[part][nearer] = entered[nearer]
+        seen[part][nearer] = ROBOT
+        facing[part][nearer] = cosine[nearer]
 
     def window(self, capsule: Capsule) -> tuple[slice, slice]:
         """Rows and columns that hold every pixel of a capsule."""

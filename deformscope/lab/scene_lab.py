@@ -8,10 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deformscope.arrays import FloatArray
+from deformscope.capsule import Capsule
 from deformscope.lab.arm_contact import ARM_DOUBT, ARM_STIFFNESS_N_M
 from deformscope.lab.creeping_world import CreepingWorld, Relaxation
 from deformscope.lab.depth_view import DepthView
 from deformscope.lab.ray_camera import DepthViewConfig
+from deformscope.lab.robot_body import RobotBody
 from deformscope.lab.scenes import Scene
 from deformscope.lab.session_errors import LabErrors
 from deformscope.lab.slab import RigidTip
@@ -20,9 +22,11 @@ from deformscope.lab.touch_lab import TouchLab
 from deformscope.rig.driver_table import DRIVERS
 from deformscope.rig.rig_file import Tool, Workspace
 from deformscope.rig.source import RigMember, RigSource
+from deformscope.robot.description import AS_CAPSULES, RobotDescription
 from deformscope.robot.placement import Placement, best_joints
 from deformscope.robot.setup import T_BASE_SURFACE, CameraView, Setup, Truth
 from deformscope.robot.shape import arm_shape
+from deformscope.solid import PosedSolid
 from deformscope_drivers.depth_camera import SENSORS, View
 from deformscope_drivers.depth_camera.synthetic import SyntheticDepthConfig
 from deformscope_drivers.device import Device
@@ -52,9 +56,13 @@ class SceneLab:
         seed: int = 0,
         errors: LabErrors | None = None,
         sensor: str = "",
+        robot: RobotBody | None = None,
+        described: RobotDescription = AS_CAPSULES,
     ) -> None:
         """parked_m: z of the tip's centre where the arm stands first [m, surface frame]; errors: what is drawn of what
-        it keeps, default nothing; sensor: of SENSORS, what the camera measures by, empty = noise alone"""
+        it keeps, default nothing; sensor: of SENSORS, what the camera measures by, empty = noise alone
+        robot: that the camera sees, None = capsules; described: what is known of its shape"""
+        self._robot, self._described = robot, described
         self.drawn = (errors or LabErrors.none()).draw([seed, scene.seed])
         foam = self.drawn.foam(scene)
         self.scene = scene = self.drawn.slab(scene)
@@ -115,6 +123,7 @@ class SceneLab:
             true_force_n=lambda: self.lab.contact.max_force_n,
             clock=self.clock,
             wait_until=self.lab.wait_until,
+            described=self._described,
         )
 
     def _relaxation(self, xy_m: FloatArray) -> Relaxation:
@@ -146,6 +155,13 @@ class SceneLab:
         moved = None
         if self._contact is not None and len(self._contact.node):
             moved = self._world.displaced_m(self._contact, self.view.places_m)
-        links = self.lab.body.T_base_links
-        exact = self.view.render(moved, arm_shape(self.placement, links, self.lab.contact.center_m))
+        exact = self.view.render(moved, *self._seen(self.lab.body.T_base_links, self.lab.contact.center_m))
         return View(exact.depth_m, exact.color)  # the camera adds its own noise
+
+    def _seen(
+        self, T_base_links: NDArray[np.float64], center_m: NDArray[np.float64]
+    ) -> tuple[tuple[Capsule, ...], tuple[PosedSolid, ...]]:
+        """The robot as it is before the camera."""
+        if self._robot is None:
+            return arm_shape(self.placement, T_base_links, center_m), ()
+        return self._robot.seen(self.placement, T_base_links, center_m)

@@ -21,6 +21,7 @@ from deformscope.errors import InputError
 from deformscope.rig.calibrated import CalibratedSection
 from deformscope.rig.checks import check, check_orthogonal, check_transform
 from deformscope.rig.driver_table import DRIVERS, Driver
+from deformscope.rig.shape_section import ShapeSection
 from deformscope.rig.squeeze_sections import ContainerSection, HandSection, SqueezeSection
 from deformscope.rig.vendor_library import system_library
 from deformscope_drivers.device import Device
@@ -240,6 +241,7 @@ class Record:
 SECTIONS: dict[str, Any] = {
     "camera": Camera,
     "tool": Tool,
+    "shape": ShapeSection,
     "surface": SurfaceSection,
     "workspace": Workspace,
     "touch": TouchSection,
@@ -256,7 +258,7 @@ SECTIONS: dict[str, Any] = {
 class Rig:
     """A rig as its file says it.
 
-    name: of the file, for titles; text: the file, for recordings
+    name: of the file, for titles; text: the file, for recordings; folder: that it is in, from which its paths count
     """
 
     name: str
@@ -264,6 +266,7 @@ class Rig:
     devices: tuple[RigDevice, ...]
     camera: Camera = field(default_factory=Camera)
     tool: Tool = field(default_factory=Tool)
+    shape: ShapeSection = field(default_factory=ShapeSection)
     surface: SurfaceSection = field(default_factory=SurfaceSection)
     workspace: Workspace = field(default_factory=Workspace)
     touch: TouchSection = field(default_factory=TouchSection)
@@ -272,6 +275,7 @@ class Rig:
     squeeze: SqueezeSection = field(default_factory=SqueezeSection)
     record: Record = field(default_factory=Record)
     calibrated: CalibratedSection = field(default_factory=CalibratedSection)
+    folder: Path = Path()
 
 
 def load_rig(where: str | Path, *, trusted: bool = False) -> Rig:
@@ -356,7 +360,7 @@ def _rig(content: dict[str, Any], text: str, where: str, trusted: bool) -> Rig:
     }
     late = (section.late_ns(devices)) if (section := read.get("calibrated")) else {}
     members = tuple(_device(name, given, trusted, late.get(name, 0)) for name, given in devices.items())
-    rig = Rig(Path(where).stem, text, members, **read)
+    rig = Rig(Path(where).stem, text, members, **read, folder=Path(where).expanduser().parent)
     if rig.camera.device and rig.camera.device not in devices:
         raise InputError(f"[camera] device out of {', '.join(devices)}", repr(rig.camera.device))
     if unknown := [name for name in rig.record.lossless if name not in devices]:

@@ -19,16 +19,20 @@ from deformscope.errors import InputError
 from deformscope.rig.calibrated import CalibrationAge
 from deformscope.rig.driver_table import DRIVERS
 from deformscope.rig.rig_file import Rig, RigDevice, Workspace
+from deformscope.rig.shape_section import ShapeSection
 from deformscope.rig.source import RigMember, RigSource
 from deformscope.robot.advice import advice
 from deformscope.robot.by_hand import Person
+from deformscope.robot.description import AS_CAPSULES, RobotDescription, describe
 from deformscope.robot.placement import Placement
 from deformscope.robot.robot import Robot, RobotStopped, Waits, Watch, sleep_until
 from deformscope.robot.supervisor import Limits
 from deformscope_drivers.arm.kinematics import FloatArray, transform
+from deformscope_drivers.arms import chain_of
 from deformscope_drivers.clock import Clock, monotonic_ns
 from deformscope_drivers.device import Device
 from deformscope_drivers.errors import DeviceError
+from deformscope_drivers.placed.config import PLACED
 
 ROLES = ("arm", "wrench", "depth")
 """Kinds of the arm, of the force sensor at its end, and of the camera."""
@@ -76,6 +80,7 @@ class Setup:
     zeroed: the force sensor's zero is taken as the devices open
     true_force_n: the largest true contact force so far [N], None where only the sensor can say
     person: who places the arm, None = it moves by itself
+    described: what the robot looks like
     """
 
     size_m: tuple[float, float]
@@ -96,6 +101,7 @@ class Setup:
     person: Person | None = None
     clock: Clock = monotonic_ns
     wait_until: Waits = sleep_until
+    described: RobotDescription = AS_CAPSULES
 
     @property
     def max_force_n(self) -> float | None:
@@ -207,6 +213,7 @@ class RigParts:
     devices: tuple[RigDevice, ...]
     placement: Placement
     T_surface_camera: FloatArray | None
+    described: RobotDescription = AS_CAPSULES
 
     @classmethod
     def of(cls, rig: Rig) -> RigParts:
@@ -221,7 +228,7 @@ class RigParts:
         T_surface_camera = None
         if camera is not None:
             T_surface_camera = np.asarray(np.linalg.inv(T_base_surface) @ np.array(camera), dtype=np.float64)
-        return cls(rig, devices, Placement(T_base_surface, rig.tool), T_surface_camera)
+        return cls(rig, devices, Placement(T_base_surface, rig.tool), T_surface_camera, _described(rig, devices[0]))
 
 
 def rig_setup(
@@ -267,6 +274,7 @@ def rig_setup(
             "[camera] T_arm_camera": as_written or camera.T_arm_camera is not None,
             "[tool] compliance_m_per_n": simulated or tool.compliance_m_per_n is not None,
         },
+        described=parts.described,
         ages=rig.calibrated.ages(),
         simulated=simulated,
         truth=None if table is None else table.truth,
@@ -303,6 +311,19 @@ def only_device(rig: Rig, kind: str, use: str = "to explore with") -> RigDevice:
         drivers = " or ".join(f'"{name}"' for name, driver in DRIVERS.items() if driver.kind == kind)
         raise InputError(f"one device with driver = {drivers}, {use}", came, "the rig file", rig.name)
     return found[0]
+
+
+def _described(rig: Rig, arm: RigDevice) -> RobotDescription:
+    """What [shape] says of the robot."""
+    if rig.shape == ShapeSection():
+        return AS_CAPSULES
+    model = PLACED if arm.driver.name == "placed" else arm.config.model
+    if model is None:
+        raise InputError('model = "..." of the arm, beside [shape]', "none", 'model = "j2n6s300"', arm.name)
+    try:
+        return describe(rig.shape, chain_of(model), rig.folder)
+    except InputError as error:
+        raise InputError.about(error, "[shape]") from error
 
 
 def _check_doubles(rig: Rig, devices: tuple[RigDevice, ...]) -> None:

@@ -7,6 +7,7 @@ from itertools import pairwise
 import numpy as np
 
 from deformscope.capsule import Capsule
+from deformscope.robot.description import AS_CAPSULES, RobotDescription
 from deformscope.robot.placement import Placement
 from deformscope_drivers.arm.kinematics import FloatArray
 
@@ -19,17 +20,21 @@ def arm_shape(
     T_base_links: FloatArray,
     center_m: FloatArray,
     *,
+    description: RobotDescription = AS_CAPSULES,
     link_margin_m: float = 0.0,
     stick_margin_m: float = 0.0,
 ) -> tuple[Capsule, ...]:
-    """The links, the stick and the ball at its tip, in the surface frame [m].
+    """The links, the stick, the ball at its tip and the cables, in the surface frame [m].
 
     T_base_links: (k, 4, 4) of the arm's joints and, last, of its end (`Chain.forward`); of the end alone where a person
     holds it; center_m: (3,) where its tip's centre is, which a push moves off the chain's own
-    link_margin_m, stick_margin_m: added around the links; around the stick and the ball
+    description: of the robot; links that are solids in it are left out
+    link_margin_m, stick_margin_m: added around the links; around stick, ball and cables
     """
     frames = T_base_links if len(T_base_links) == 1 else (np.eye(4), *T_base_links)
     joints_m = [(placement.T_surface_base @ frame)[:3, 3] for frame in frames]
     links = [Capsule(a, b, LINK_RADIUS_M + link_margin_m) for a, b in pairwise(joints_m)]
     stick = Capsule(joints_m[-1], center_m, placement.tool.stick_radius_m + stick_margin_m)
-    return (*links, stick, Capsule(center_m, center_m, placement.tool.radius_m + stick_margin_m))
+    ball = Capsule(center_m, center_m, placement.tool.radius_m + stick_margin_m)
+    cables = description.cable_capsules(placement, T_base_links, stick_margin_m)
+    return (*(() if description.whole else links), stick, ball, *cables)

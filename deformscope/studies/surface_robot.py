@@ -27,6 +27,7 @@ from deformscope.stages.map.measured import SurfaceMeasurement, TouchMeasurement
 from deformscope.stages.poke.contact import ArmCompliance
 from deformscope.stages.regions.touches import MapGrid
 from deformscope.stages.see.cloud import Intrinsics, perceive
+from deformscope.stages.see.robot import PosedRobot
 
 STICK_M = 0.25
 TOUCH_S = TOUCHES_S / 10.0
@@ -173,5 +174,7 @@ class LabRobot:
         camera = Intrinsics((seen_by.fx_px, seen_by.fy_px), (seen_by.cx_px, seen_by.cy_px))
         box = sample_box(self.size_m, self._options.thickness_m)
         cell = None if robot else VIEW_CELL_M
-        found = perceive(depth_m, camera, self._view.surface_from_camera, box, links=robot, cell_m=cell)
+        found = perceive(
+            depth_m, camera, self._view.surface_from_camera, box, robot=PosedRobot(robot, margin_m=0.01), cell_m=cell
+        )
         return SurfaceMeasurement(found.points_m, found.noise_m)

@@ -6,15 +6,14 @@ Everything is in one frame, that of the surface; `T_world_camera` and the robot'
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from deformscope.arrays import BoolArray, FloatArray
-from deformscope.capsule import Capsule
 from deformscope.errors import InputError
+from deformscope.stages.see.robot import NO_ROBOT, PosedRobot, beside_robot, measured
 
 TACTILE_POINTS = 10
 """Virtual points on the tip (Thesis 4.4)."""
@@ -64,7 +63,7 @@ def back_project(depth_m: FloatArray, camera: Intrinsics, T_world_camera: FloatA
         raise InputError("a depth image (H, W)", f"shape {depth.shape}")
     if transform.shape != (4, 4) or not np.isfinite(transform).all():
         raise InputError("T_world_camera (4, 4), finite", f"shape {transform.shape}")
-    row, column = np.nonzero(np.isfinite(depth) & (depth > 0.0))
+    row, column = np.nonzero(measured(depth))
     z = depth[row, column]
     aside = (np.column_stack([column, row]) - camera.centre_px) / camera.focal_px
     if any(camera.distortion):
@@ -112,20 +111,6 @@ def reduce_to_grid(points: FloatArray, cell_m: float) -> tuple[FloatArray, Float
     place = place.ravel()
     mean = np.column_stack([np.bincount(place, weights=points[:, d], minlength=len(count)) for d in range(3)])
     return mean / count[:, None], count.astype(np.float64)
-
-
-# The robot ------------------------------------------------------------------------------------------------------------
-
-
-def beside_capsules(points: FloatArray, links: Sequence[Capsule], *, margin_m: float = 0.01) -> BoolArray:
-    """(n,) points that lie outside every link by more than a margin [m]."""
-    outside = np.ones(len(points), dtype=bool)
-    for link in links:
-        along = np.asarray(link.end_m) - np.asarray(link.start_m)
-        share = ((points - link.start_m) @ along / max(float(along @ along), 1e-30)).clip(0.0, 1.0)
-        away = np.linalg.norm(points - link.start_m - share[:, None] * along, axis=1)
-        outside &= away > link.radius_m + margin_m
-    return outside
 
 
 # Noise and touch ------------------------------------------------------------------------------------------------------
@@ -190,22 +175,22 @@ def perceive(
     T_world_camera: FloatArray,
     box: Box,
     *,
-    links: Sequence[Capsule] = (),
-    margin_m: float = 0.01,
+    robot: PosedRobot = NO_ROBOT,
     cell_m: float | None = None,
 ) -> Perceived:
     """The surface's points in a depth image (H, W) [m]: cropped to a box, without the robot, without lone points, and
     reduced to one point a cell where `cell_m` is given.
 
-    links: the arm and its stick
+    robot: the arm with all that is on it
     Raises InputError where nothing is left.
     """
     points = back_project(depth_m, camera, T_world_camera)
     seen = len(points)
-    points = points[within(points, box)]
+    inside = within(points, box)
+    points = points[inside]
     cropped = seen - len(points)
-    kept = beside_capsules(points, links, margin_m=margin_m)
-    robot = int(np.count_nonzero(~kept))
+    kept = beside_robot(points, robot, depth_m, inside)
+    taken = int(np.count_nonzero(~kept))
     points = points[kept]
     kept = not_alone(points)
     outliers = int(np.count_nonzero(~kept))
@@ -218,4 +203,4 @@ def perceive(
     if cell_m is not None:
         points, count = reduce_to_grid(points, cell_m)
         noise = height_noise_m(points, T_world_camera) / np.sqrt(count)
-    return Perceived(points, noise, seen, cropped, outliers, robot)
+    return Perceived(points, noise, seen, cropped, outliers, taken)

@@ -14,7 +14,8 @@ from scipy.ndimage import distance_transform_edt
 from deformscope.arrays import BoolArray, FloatArray
 from deformscope.capsule import Capsule
 from deformscope.errors import InputError
-from deformscope.stages.see.cloud import Intrinsics, beside_capsules
+from deformscope.stages.see.cloud import Intrinsics
+from deformscope.stages.see.robot import beside_capsules
 from deformscope.stages.squeeze.container import ModelRenderer
 
 SIDE_PX = 61

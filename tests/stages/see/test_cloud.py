@@ -13,7 +13,6 @@ from deformscope.stages.see.cloud import (
     Intrinsics,
     axial_noise_m,
     back_project,
-    beside_capsules,
     contact_radius_m,
     height_noise_m,
     not_alone,
@@ -22,6 +21,7 @@ from deformscope.stages.see.cloud import (
     tactile_points,
     within,
 )
+from deformscope.stages.see.robot import PosedRobot, beside_capsules
 
 CAMERA = Intrinsics((300.0, 310.0), (80.0, 60.0))
 BOX = Box((0.0, 0.0, -0.1), (0.6, 0.4, 0.3))
@@ -133,7 +133,7 @@ def test_perceiving_keeps_the_surface_alone() -> None:
     depth[40:60, 78:83] *= 0.9  # something nearer, where the stick is seen
     hidden = back_project(np.where(np.isin(np.arange(120), np.arange(40, 60))[:, None], depth, 0.0), CAMERA, transform)
     on_the_stick = ~beside_capsules(hidden, [stick], margin_m=0.01)
-    found = perceive(depth, CAMERA, transform, BOX, links=[stick], cell_m=0.005)
+    found = perceive(depth, CAMERA, transform, BOX, robot=PosedRobot([stick], margin_m=0.01), cell_m=0.005)
     assert found.seen == 120 * 160
     assert found.robot >= np.count_nonzero(on_the_stick) > 0
     assert found.seen > found.cropped + found.robot + found.outliers

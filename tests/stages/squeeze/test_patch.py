@@ -7,7 +7,8 @@ import pytest
 
 from deformscope.capsule import Capsule
 from deformscope.errors import InputError
-from deformscope.stages.see.cloud import Intrinsics, beside_capsules
+from deformscope.stages.see.cloud import Intrinsics
+from deformscope.stages.see.robot import beside_capsules
 from deformscope.stages.squeeze.container import ModelRenderer
 from deformscope.stages.squeeze.patch import depth_change, hand_pixels
 from tests.stages.squeeze.views import BOX, CAMERA, CYLINDER, NOISE, PIXELS, SHAPE, looking, squeezed

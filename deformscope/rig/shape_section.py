@@ -1,0 +1,60 @@
+"""[shape] of the rig file: what arm, gripper and cables look like, so that the camera's picture is rid of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from deformscope.rig.checks import check, check_transform
+
+LONGEST_M = 3.0
+
+
+@dataclass(frozen=True, slots=True)
+class CableSection:
+    """A cable as lines from point to point, as far around them as it may hang or sway.
+
+    points_m: in the frame of the arm's end, or where `joints` says in those of the links behind these joints, counted
+    from 1; 0 = the arm's base, -1 = its end; radius_m
+    """
+
+    points_m: tuple[tuple[float, float, float], ...]
+    radius_m: float = 0.01
+    joints: tuple[int, ...] | None = None
+
+    def __post_init__(self) -> None:
+        check(len(self.points_m) >= 2, "points_m of 2 or more", len(self.points_m))
+        check(all(abs(value) <= LONGEST_M for one in self.points_m for value in one), "points_m up to 3", self.points_m)
+        check(0 < self.radius_m <= 0.1, "radius_m of a cable above 0 and up to 0.1", self.radius_m)
+        counts = self.joints is None or len(self.joints) == len(self.points_m)
+        check(counts, "joints, one for each of points_m", self.joints)
+
+
+@dataclass(frozen=True, slots=True)
+class ShapeSection:
+    """What the camera sees of arm, gripper and cables beside the stick of [tool].
+
+    removal: "mesh": what is nearer than margin_m to anything that a URDF draws; "hull": to the convex hull of one of
+    its links (Thesis 4.4); "capsules": to 4.5 cm around the lines between joints. Default: "mesh" where there is a urdf
+    or a gripper, which are this file's own and show the robot as it is, else "capsules"
+    urdf: of the arm, with all that is mounted on it and has its joints' angles; gripper: of what is mounted at its end,
+    where the arm's has none; paths beside the rig file
+    T_ee_gripper: 4x4, the gripper's root to the arm's end [m]
+    closed: joints that nothing reports, as those of fingers: share of the way from their lower limit to their upper one
+    margin_m: of meshes and hulls, beside [camera] doubt_m
+    cables: of any removal
+    """
+
+    removal: Literal["capsules", "hull", "mesh"] | None = None
+    urdf: str = ""
+    gripper: str = ""
+    T_ee_gripper: tuple[tuple[float, ...], ...] | None = None
+    closed: float = 0.0
+    margin_m: float = 0.006
+    cables: tuple[CableSection, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.T_ee_gripper is not None:
+            check_transform("T_ee_gripper", self.T_ee_gripper)
+        check(0 <= self.closed <= 1, "closed between 0 and 1", self.closed)
+        check(0 <= self.margin_m <= 0.05, "margin_m between 0 and 0.05", self.margin_m)

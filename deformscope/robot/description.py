@@ -1,0 +1,224 @@
+"""What arm, gripper and cables look like, as the rig file describes them: what is taken out of the camera's picture.
+
+    described = describe(section, chain, folder)                # once, from the rig file's [shape]
+    described.solids(placement, T_base_links)                   # in the surface frame, for one pose
+    described.cable_capsules(placement, T_base_links)
+
+A part belongs to a frame of the arm: 0 its base, i the link behind joint i, -1 its end. Nothing is read later: a
+recording has the triangles themselves.
+"""
+
+from __future__ import annotations
+
+import base64
+import zlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from deformscope.capsule import Capsule
+from deformscope.errors import InputError
+from deformscope.rig.shape_section import ShapeSection
+from deformscope.robot.placement import Placement
+from deformscope.robot.urdf_shapes import UrdfShapes, read_urdf
+from deformscope.solid import PosedSolid, Solid
+from deformscope_drivers.arm.kinematics import Chain, FloatArray
+
+Removal = Literal["capsules", "hull", "mesh"]
+SAME_M, SAME_RAD = 1e-3, 5e-3
+"""How far a URDF's links may be off those of the arm's chain. Chosen: rounded lengths and angles, no other model."""
+TRIED_DEG = (0.0, 17.0, -23.0)
+"""The joints are turned so far from home to compare a URDF with the arm's chain. Chosen."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DescribedPart:
+    """A part of the robot. frame: that it moves with; solid: in it"""
+
+    frame: int
+    solid: Solid
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DescribedCable:
+    """A cable. frames: that each of its points moves with; points_m: (n, 3) in these; radius_m: around the lines from
+    one to the next"""
+
+    frames: tuple[int, ...]
+    points_m: FloatArray
+    radius_m: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RobotDescription:
+    """removal: how the robot is taken away: capsules around the lines between joints, or parts as solids, the convex
+    hull of each link or all that is drawn of it
+    parts: solids; whole: the arm's own links are among them; margin_m: taken away around them beside what the camera's
+    place is in doubt
+    """
+
+    removal: Removal = "capsules"
+    parts: tuple[DescribedPart, ...] = ()
+    cables: tuple[DescribedCable, ...] = ()
+    whole: bool = False
+    margin_m: float = 0.0
+
+    def solids(self, placement: Placement, T_base_links: FloatArray) -> tuple[PosedSolid, ...]:
+        """Where the parts are, surface frame. T_base_links: (k, 4, 4) of the arm's joints and, last, of its end"""
+        frames = _surface_frames(placement, T_base_links)
+        return tuple(PosedSolid(frames[part.frame], part.solid) for part in self.parts)
+
+    def cable_capsules(
+        self, placement: Placement, T_base_links: FloatArray, margin_m: float = 0.0
+    ) -> tuple[Capsule, ...]:
+        """Where the cables are, surface frame."""
+        frames = _surface_frames(placement, T_base_links)
+        found: list[Capsule] = []
+        for cable in self.cables:
+            T = frames[list(cable.frames)]
+            places = np.einsum("nij,nj->ni", T[:, :3, :3], cable.points_m) + T[:, :3, 3]
+            found += [Capsule(a, b, cable.radius_m + margin_m) for a, b in pairwise(places)]
+        return tuple(found)
+
+    def as_json(self) -> dict[str, Any]:
+        """For a recording's settings."""
+        return {
+            "removal": self.removal,
+            "whole": self.whole,
+            "margin_m": self.margin_m,
+            "parts": [
+                {
+                    "frame": part.frame,
+                    "vertices_m": _packed(part.solid.vertices_m, "<f4"),
+                    "triangles": _packed(part.solid.triangles, "<u4"),
+                }
+                for part in self.parts
+            ],
+            "cables": [
+                {"frames": list(one.frames), "points_m": one.points_m.tolist(), "radius_m": one.radius_m}
+                for one in self.cables
+            ],
+        }
+
+    @classmethod
+    def from_json(cls, given: Mapping[str, Any]) -> RobotDescription:
+        """The reverse of `as_json`."""
+        parts = [
+            DescribedPart(one["frame"], Solid(_unpacked(one["vertices_m"], "<f4"), _unpacked(one["triangles"], "<u4")))
+            for one in given["parts"]
+        ]
+        cables = [
+            DescribedCable(tuple(one["frames"]), np.array(one["points_m"], float), one["radius_m"])
+            for one in given["cables"]
+        ]
+        return cls(given["removal"], tuple(parts), tuple(cables), given["whole"], given["margin_m"])
+
+
+AS_CAPSULES = RobotDescription()
+
+
+def _packed(values: Any, kind: str) -> str:
+    return base64.b64encode(zlib.compress(np.ascontiguousarray(values, kind).tobytes(), 9)).decode("ascii")
+
+
+def _unpacked(text: str, kind: str) -> Any:
+    return np.frombuffer(zlib.decompress(base64.b64decode(text)), kind).reshape(-1, 3)
+
+
+def _surface_frames(placement: Placement, T_base_links: FloatArray) -> FloatArray:
+    """(k + 1, 4, 4) of base, joints and end in the surface frame."""
+    return np.asarray(placement.T_surface_base @ np.concatenate([np.eye(4)[None], T_base_links]))
+
+
+def describe(section: ShapeSection, chain: Chain | None, folder: Path) -> RobotDescription:
+    """What a rig file's [shape] says. folder: of the rig file; raises InputError, which says what is wrong."""
+    solids = bool(section.urdf or section.gripper)
+    removal: Removal = section.removal or ("mesh" if solids else "capsules")
+    if removal != "capsules" and not solids:
+        raise InputError(f'[shape] removal = "{removal}" with urdf or gripper', "neither", 'removal = "capsules"')
+    cables = tuple(_cable(number, section, chain) for number in range(len(section.cables)))
+    if removal == "capsules":
+        return RobotDescription(removal, (), cables)
+    parts: list[DescribedPart] = []
+    if section.urdf:
+        if chain is None:
+            raise InputError("[shape] gripper, of an arm without a chain of joints", "urdf", "gripper = ...")
+        parts += _arm_parts(_file(folder, section.urdf), chain, section.closed, removal)
+    if section.gripper:
+        urdf = read_urdf(_file(folder, section.gripper))
+        T = np.eye(4) if section.T_ee_gripper is None else np.array(section.T_ee_gripper, float)
+        for link, pose in urdf.poses(_closed(urdf, 0, section.closed)).items():
+            parts += [DescribedPart(-1, one) for one in _solids(urdf.solids[link], T @ pose, removal)]
+    if not parts:
+        raise InputError("[shape] with a URDF that has shapes", "none", "visual or collision geometry")
+    return RobotDescription(removal, tuple(parts), cables, bool(section.urdf), section.margin_m)
+
+
+def _file(folder: Path, name: str) -> Path:
+    return folder / Path(name).expanduser()
+
+
+def _cable(number: int, section: ShapeSection, chain: Chain | None) -> DescribedCable:
+    given = section.cables[number]
+    joints = 0 if chain is None else chain.joint_count
+    frames = given.joints or (-1,) * len(given.points_m)
+    if any(not -1 <= frame <= joints or (chain is None and frame != -1) for frame in frames):
+        least = f"joints of cable {number + 1} from 0, the base, to {joints}, or -1, the arm's end"
+        raise InputError(least, f"{list(frames)}", where="[shape]")
+    return DescribedCable(tuple(frames), np.array(given.points_m, float), given.radius_m)
+
+
+def _closed(urdf: UrdfShapes, own: int, share: float) -> dict[str, float]:
+    """Values of the joints behind the arm's own, which nothing reports."""
+    return {joint.name: joint.lower + share * (joint.upper - joint.lower) for joint in urdf.movable[own:]}
+
+
+def _arm_parts(path: Path, chain: Chain, share: float, removal: Removal) -> list[DescribedPart]:
+    """All links of an arm's URDF, in the frames of its chain. The URDF's own frames may be others, as long as they move
+    with the chain's."""
+    urdf = read_urdf(path)
+    names = [joint.name for joint in urdf.movable[: chain.joint_count]]
+    if len(names) < chain.joint_count:
+        raise InputError(f"a URDF with the {chain.joint_count} joints of {chain.name}", f"{len(names)}", where=path)
+    carried = {urdf.root: 0}
+    for joint in urdf.joints:
+        carried[joint.child] = names.index(joint.name) + 1 if joint.name in names else carried[joint.parent]
+    tried = []
+    for turned_deg in TRIED_DEG:
+        joints_deg = np.asarray(chain.home_deg, float) + turned_deg * (1.0 + 0.1 * np.arange(chain.joint_count))
+        frames = np.concatenate([np.eye(4)[None], chain.forward(joints_deg)])
+        values = dict(zip(names, np.radians(joints_deg).tolist(), strict=True))
+        poses = urdf.poses(values | _closed(urdf, chain.joint_count, share))
+        tried.append({link: np.linalg.inv(frames[carried[link]]) @ pose for link, pose in poses.items()})
+    first, *others = tried
+    for link in first:
+        for other in others:
+            apart = np.linalg.inv(first[link]) @ other[link]
+            off_m = float(np.linalg.norm(apart[:3, 3]))
+            off_rad = float(np.linalg.norm(apart[:3, :3] - np.eye(3)) / np.sqrt(2.0))
+            if off_m > SAME_M or off_rad > SAME_RAD:
+                came = f"link {link} is {1e3 * off_m:.0f} mm and {np.degrees(off_rad):.1f} deg off as joints turn"
+                raise InputError(f"a URDF whose joints are those of {chain.name}, in their order", came, where=path)
+    parts: list[DescribedPart] = []
+    for link, T in first.items():
+        parts += [DescribedPart(carried[link], one) for one in _solids(urdf.solids[link], T, removal)]
+    return parts
+
+
+def _solids(drawn: Sequence[Solid], T: FloatArray, removal: Removal) -> list[Solid]:
+    """What is taken away of a link: all that is drawn of it, or its convex hull (Thesis 4.4). T: of its frame"""
+    moved = [one.moved(T) for one in drawn]
+    return [_hull(moved)] if removal == "hull" and moved else moved
+
+
+def _hull(drawn: Sequence[Solid]) -> Solid:
+    from scipy.spatial import ConvexHull
+
+    vertices = np.concatenate([one.vertices_m for one in drawn])
+    hull = ConvexHull(vertices)
+    used, triangles = np.unique(hull.simplices, return_inverse=True)
+    return Solid(vertices[used], triangles.reshape(-1, 3).astype(np.uint32))

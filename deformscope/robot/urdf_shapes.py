@@ -1,0 +1,212 @@
+"""The shapes of a URDF's links, and where its links are for given joint angles.
+
+A URDF is somebody else's file: it is read without entities, and its meshes from below its own package alone.
+"""
+
+from __future__ import annotations
+
+import math
+import xml.etree.ElementTree as ET
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from deformscope.errors import InputError
+from deformscope.solid import Solid
+from deformscope_drivers.arm.kinematics import FloatArray, rotation_from_rpy, transform
+
+MOVABLE = ("revolute", "continuous", "prismatic")
+FILE_BYTES = 2_000_000
+"""Of a URDF at most. Chosen: the largest of vendors' have a tenth."""
+MESH_BYTES = 50_000_000
+"""Of a mesh file at most. Chosen."""
+TRIANGLES = 2000
+"""Of one mesh: finer ones are made coarser, as they are recorded with every session. Chosen: an arm's link is then off
+by less than 1 mm."""
+SIDES = 24
+"""Of the prisms that stand for cylinders: less than 1 % of their radius inside of them. Chosen."""
+MESH_ENDINGS = (".stl", ".obj", ".ply", ".off", ".glb")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class UrdfJoint:
+    """T_parent_joint: (4, 4) at 0; axis: (3,) in its own frame; lower, upper: its range [rad or m], 0 to 0 = fixed or
+    without end"""
+
+    name: str
+    kind: str
+    parent: str
+    child: str
+    T_parent_joint: FloatArray
+    axis: FloatArray
+    lower: float
+    upper: float
+
+    def moved(self, value: float) -> FloatArray:
+        """(4, 4) the child's frame in the parent's, at an angle [rad] or a length [m]."""
+        if self.kind not in MOVABLE:
+            return self.T_parent_joint
+        if self.kind == "prismatic":
+            return np.asarray(self.T_parent_joint @ transform(np.eye(3), value * self.axis))
+        x, y, z = self.axis
+        across = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+        turned = np.eye(3) + math.sin(value) * across + (1.0 - math.cos(value)) * across @ across
+        return np.asarray(self.T_parent_joint @ transform(turned, (0.0, 0.0, 0.0)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class UrdfShapes:
+    """root: the first link; joints: parents before children; solids: of each link, in its own frame, as it is seen"""
+
+    root: str
+    joints: tuple[UrdfJoint, ...]
+    solids: Mapping[str, tuple[Solid, ...]]
+
+    @property
+    def movable(self) -> tuple[UrdfJoint, ...]:
+        """Those that turn or slide, nearest to the root first."""
+        return tuple(joint for joint in self.joints if joint.kind in MOVABLE)
+
+    def poses(self, values: Mapping[str, float]) -> dict[str, FloatArray]:
+        """(4, 4) of each link in the root's frame. values: of joints by name [rad or m], 0 where there is none"""
+        found: dict[str, FloatArray] = {self.root: np.eye(4)}
+        for joint in self.joints:
+            found[joint.child] = found[joint.parent] @ joint.moved(values.get(joint.name, 0.0))
+        return found
+
+
+def read_urdf(path: Path) -> UrdfShapes:
+    """Read a URDF with its meshes. Raises InputError, which says what is wrong with it."""
+    try:
+        with path.open("rb") as file:
+            content = file.read(FILE_BYTES + 1)
+        if len(content) > FILE_BYTES:
+            raise InputError(f"a URDF of up to {FILE_BYTES // 1_000_000} MB", "a larger one", where=path)
+        if b"<!DOCTYPE" in content or b"<!ENTITY" in content:
+            raise InputError("a URDF without a document type", "one", "xacro files: run xacro first", path)
+        robot = ET.fromstring(content)
+        if robot.tag != "robot":
+            raise InputError("a URDF: <robot> with links and joints", f"<{robot.tag}>", where=path)
+        solids = {link.attrib["name"]: _link_solids(link, path) for link in robot.findall("link")}
+        joints = [_joint(one) for one in robot.findall("joint")]
+    except OSError as error:
+        raise InputError("a URDF that can be read", (error.strerror or "no file").lower(), where=path) from error
+    except (ET.ParseError, KeyError, ValueError) as error:
+        raise InputError("a URDF: XML with named links and joints", " ".join(str(error).split()), where=path) from error
+    root, ordered = _in_order(joints, list(solids), path)
+    return UrdfShapes(root, ordered, solids)
+
+
+def _in_order(joints: list[UrdfJoint], links: list[str], path: Path) -> tuple[str, tuple[UrdfJoint, ...]]:
+    """The root, and joints level after level."""
+    children = {joint.child for joint in joints}
+    roots = [name for name in links if name not in children]
+    if len(roots) != 1 or len(children) != len(joints):
+        came = f"{len(roots)} of {len(links)} links are nobody's child"
+        raise InputError("a URDF whose links form one tree", came, where=path)
+    ordered: list[UrdfJoint] = []
+    level = roots
+    while level:
+        found = [joint for name in level for joint in joints if joint.parent == name]
+        ordered += found
+        level = [joint.child for joint in found]
+    if len(ordered) != len(joints) or {joint.child for joint in ordered} - set(links):
+        raise InputError("a URDF whose joints join its links", "others", where=path)
+    return roots[0], tuple(ordered)
+
+
+def _joint(given: ET.Element) -> UrdfJoint:
+    parent, child = (given.find(name) for name in ("parent", "child"))
+    if parent is None or child is None:
+        raise ValueError(f"joint {given.attrib['name']} without parent or child")
+    axis, limit = given.find("axis"), given.find("limit")
+    along = np.array([1.0, 0.0, 0.0]) if axis is None else np.array(_numbers(axis.attrib["xyz"], 3))
+    bounds = (0.0, 0.0) if limit is None else (limit.get("lower", "0"), limit.get("upper", "0"))
+    lower, upper = (float(value) for value in bounds)
+    along /= max(float(np.linalg.norm(along)), 1e-12)
+    names = (given.attrib["name"], given.attrib["type"], parent.attrib["link"], child.attrib["link"])
+    return UrdfJoint(*names, _origin(given), along, lower, upper)
+
+
+def _origin(given: ET.Element) -> FloatArray:
+    origin = given.find("origin")
+    if origin is None:
+        return np.eye(4)
+    roll, pitch, yaw = _numbers(origin.get("rpy", "0 0 0"), 3)
+    return transform(rotation_from_rpy(roll, pitch, yaw), _numbers(origin.get("xyz", "0 0 0"), 3))
+
+
+def _numbers(words: str, count: int) -> tuple[float, ...]:
+    found = tuple(float(word) for word in words.split())
+    if len(found) != count or not all(map(math.isfinite, found)):
+        raise ValueError(f"expected {count} numbers; got {words[:60]!r}")
+    return found
+
+
+def _link_solids(link: ET.Element, path: Path) -> tuple[Solid, ...]:
+    """What is drawn of a link, or where it has none what collides."""
+    found = []
+    for part in link.findall("visual") or link.findall("collision"):
+        geometry = part.find("geometry")
+        kind = None if geometry is None else next(iter(geometry), None)
+        if kind is None:
+            raise ValueError(f"link {link.attrib['name']} without geometry")
+        found.append(_solid(kind, path).moved(_origin(part)))
+    return tuple(found)
+
+
+def _solid(kind: ET.Element, path: Path) -> Solid:
+    import open3d as o3d
+
+    make: Any = o3d.geometry.TriangleMesh  # its stubs know paths and booleans where it takes strings and numbers
+    match kind.tag:
+        case "box":
+            size_m = _numbers(kind.attrib["size"], 3)
+            return _of_open3d(make.create_box(*size_m).translate([-0.5 * side for side in size_m]))
+        case "cylinder":
+            radius_m, length_m = float(kind.attrib["radius"]), float(kind.attrib["length"])
+            return _of_open3d(make.create_cylinder(radius_m, length_m, resolution=SIDES, split=1))
+        case "sphere":
+            return _of_open3d(make.create_sphere(float(kind.attrib["radius"]), resolution=SIDES // 2))
+        case "mesh":
+            scale = _numbers(kind.get("scale", "1 1 1"), 3)
+            found = read_mesh(_mesh_file(kind.attrib["filename"], path))
+            return Solid(found.vertices_m * scale, found.triangles)
+    raise ValueError(f"expected box, cylinder, sphere or mesh; got <{kind.tag}>")
+
+
+def _of_open3d(mesh: Any) -> Solid:
+    return Solid(np.asarray(mesh.vertices, np.float64), np.asarray(mesh.triangles, np.uint32))
+
+
+def _mesh_file(name: str, path: Path) -> Path:
+    """Of a URDF at `path`: below the package that it is in, else below its own folder."""
+    folder = path.resolve().parent
+    package = next((one for one in (folder, *folder.parents) if (one / "package.xml").exists()), folder)
+    inside = name.removeprefix("package://").partition("/")[2] if name.startswith("package://") else ""
+    where = ((package / inside) if inside else (folder / name.removeprefix("file://"))).resolve()
+    if not where.is_relative_to(package):
+        raise InputError(f"meshes below {package}", name, "copy them there", path)
+    return where
+
+
+def read_mesh(path: Path) -> Solid:
+    """The triangles of a mesh file [m], made coarser where there are many; raises InputError."""
+    import open3d as o3d
+
+    if path.suffix.lower() not in MESH_ENDINGS:
+        raise InputError(f"a mesh file: {', '.join(MESH_ENDINGS)}", path.suffix or "no ending", "convert it", path)
+    if not path.is_file() or path.stat().st_size > MESH_BYTES:
+        came = "a larger one" if path.is_file() else "no file"
+        raise InputError(f"a mesh file of up to {MESH_BYTES // 1_000_000} MB", came, where=path)
+    with o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
+        mesh = o3d.io.read_triangle_mesh(path)
+    mesh.merge_close_vertices(1e-7)
+    if len(mesh.triangles) > TRIANGLES:
+        mesh = mesh.simplify_quadric_decimation(TRIANGLES)
+    if not len(mesh.triangles) or not np.isfinite(np.asarray(mesh.vertices)).all():
+        raise InputError("a mesh with triangles", "none, or what is no number", where=path)
+    return _of_open3d(mesh)

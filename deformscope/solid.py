@@ -1,0 +1,69 @@
+"""The shape of a link, a gripper or a mount as triangles: what a camera sees of the robot, and what is not surface."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from deformscope.arrays import BoolArray, FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Solid:
+    """A surface of triangles, closed where something is to lie inside of it.
+
+    vertices_m: (n, 3) [m], rounded to float32, as they are recorded; triangles: (m, 3) uint32
+    """
+
+    vertices_m: FloatArray
+    triangles: npt.NDArray[np.uint32]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "vertices_m", np.asarray(self.vertices_m, np.float32).astype(np.float64))
+        object.__setattr__(self, "triangles", np.asarray(self.triangles, np.uint32))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Solid, (self.vertices_m, self.triangles)
+
+    def moved(self, T: FloatArray) -> Solid:
+        """The same in another frame, T (4, 4)."""
+        return Solid(self.vertices_m @ T[:3, :3].T + T[:3, 3], self.triangles)
+
+    @cached_property
+    def ball(self) -> tuple[FloatArray, float]:
+        """A ball around it: middle (3,) and radius [m]."""
+        middle = 0.5 * (self.vertices_m.min(axis=0) + self.vertices_m.max(axis=0))
+        return middle, float(np.linalg.norm(self.vertices_m - middle, axis=1).max())
+
+    @cached_property
+    def _rays(self) -> Any:
+        import open3d as o3d
+
+        rays = o3d.t.geometry.RaycastingScene(nthreads=1)
+        vertices = o3d.core.Tensor.from_numpy(self.vertices_m.astype(np.float32))
+        rays.add_triangles(vertices, o3d.core.Tensor.from_numpy(self.triangles.astype(np.uint32)))
+        return rays
+
+    def near(self, points_m: FloatArray, within_m: float) -> BoolArray:
+        """(n,) points (n, 3) inside of it, or no farther from it than this [m]."""
+        import open3d as o3d
+
+        queries = o3d.core.Tensor.from_numpy(np.ascontiguousarray(points_m, np.float32))
+        return np.asarray(self._rays.compute_signed_distance(queries, nthreads=1).numpy() <= within_m)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PosedSolid:
+    """A solid and where it is: T_world_solid (4, 4)."""
+
+    T_world_solid: FloatArray
+    solid: Solid
+
+    @property
+    def vertices_m(self) -> FloatArray:
+        """(n, 3) in the world [m]."""
+        return np.asarray(self.solid.vertices_m @ self.T_world_solid[:3, :3].T + self.T_world_solid[:3, 3])

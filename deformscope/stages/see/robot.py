@@ -1,0 +1,133 @@
+"""Which points are the robot's, and which hang in the air between the robot and what is behind it.
+
+The robot is known from where the arm reports that it is, as capsules and as solids. A camera that triangulates mixes
+depths at the edges of what is near: pixels there may lie anywhere between both.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from deformscope.arrays import BoolArray, FloatArray
+from deformscope.capsule import Capsule
+from deformscope.solid import PosedSolid
+
+EDGE_PX = 3
+"""So far from a jump of depth a pixel may be mixed: both of today's kinds of camera bleed over 2."""
+JUMP_M = 0.02
+"""From pixel to pixel a surface that is seen aslant changes by less."""
+HOVER_M = 0.006
+"""At jumps of depth, what is so far above the surface around it hangs in the air."""
+CELL_M = 0.01
+"""Of the grid on which the surface's height is taken for that."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PosedRobot:
+    """The robot at one moment, in the frame of the points.
+
+    capsules: with margin_m around them; solids: with solid_margin_m around them [m]
+    mixes: depths are mixed at its edges, and what hangs in the air there counts as the robot's
+    """
+
+    capsules: Sequence[Capsule] = ()
+    solids: Sequence[PosedSolid] = ()
+    margin_m: float = 0.0
+    solid_margin_m: float = 0.0
+    mixes: bool = False
+
+
+NO_ROBOT = PosedRobot()
+
+
+def beside_robot(points: FloatArray, robot: PosedRobot, depth_m: FloatArray, used: BoolArray) -> BoolArray:
+    """(n,) points that are not the robot's. depth_m: (H, W) that they are from [m]; used: (m,) which of the pixels that
+    saw something, row by row, they are"""
+    kept = beside_capsules(points, robot.capsules, margin_m=robot.margin_m)
+    kept[kept] = beside_solids(points[kept], robot.solids, margin_m=robot.solid_margin_m)
+    if robot.mixes:
+        mixed = at_jumps(depth_m)[measured(depth_m)][used]
+        kept[kept] = standing(points[kept], mixed[kept])
+    return kept
+
+
+def measured(depth_m: FloatArray) -> BoolArray:
+    """(H, W) pixels that saw something."""
+    return np.asarray(np.isfinite(depth_m) & (np.asarray(depth_m) > 0.0))
+
+
+def beside_capsules(points: FloatArray, links: Sequence[Capsule], *, margin_m: float = 0.01) -> BoolArray:
+    """(n,) points that lie outside every link by more than a margin [m]."""
+    outside = np.ones(len(points), dtype=bool)
+    for link in links:
+        along = np.asarray(link.end_m) - np.asarray(link.start_m)
+        share = ((points - link.start_m) @ along / max(float(along @ along), 1e-30)).clip(0.0, 1.0)
+        away = np.linalg.norm(points - link.start_m - share[:, None] * along, axis=1)
+        outside &= away > link.radius_m + margin_m
+    return outside
+
+
+def beside_solids(points: FloatArray, solids: Sequence[PosedSolid], *, margin_m: float) -> BoolArray:
+    """(n,) points that lie outside every solid by more than a margin [m]."""
+    outside = np.ones(len(points), dtype=bool)
+    if not solids or not len(points):
+        return outside
+    middle = np.array([one.T_world_solid[:3, :3] @ one.solid.ball[0] + one.T_world_solid[:3, 3] for one in solids])
+    reach = np.array([one.solid.ball[1] + margin_m for one in solids])
+    low, high = points.min(axis=0), points.max(axis=0)
+    away = np.linalg.norm(middle - np.clip(middle, low, high), axis=1)
+    for number in np.flatnonzero(away <= reach).tolist():
+        T, solid = solids[number].T_world_solid, solids[number].solid
+        apart = points - middle[number]
+        near = np.flatnonzero(outside & (np.einsum("ij,ij->i", apart, apart) <= reach[number] ** 2))
+        if len(near):
+            outside[near] = ~solid.near((points[near] - T[:3, 3]) @ T[:3, :3], margin_m)
+    return outside
+
+
+def at_jumps(depth_m: FloatArray) -> BoolArray:
+    """(H, W) pixels within `EDGE_PX` of a jump of depth (H, W) [m]; 0 and NaN saw nothing, and are no jump."""
+    import cv2
+
+    depth = np.nan_to_num(depth_m, nan=0.0).astype(np.float32)
+    beside = np.ones((3, 3), np.uint8)
+    far = cv2.dilate(depth, beside)
+    near = -cv2.dilate(np.where(depth > 0.0, -depth, -np.float32(np.inf)), beside)
+    jump = ((far - near) > JUMP_M).astype(np.uint8)
+    side = 2 * EDGE_PX - 1
+    return np.asarray(cv2.dilate(jump, np.ones((side, side), np.uint8)) > 0)
+
+
+def standing(points: FloatArray, mixed: BoolArray) -> BoolArray:
+    """(n,) points that do not hang in the air.
+
+    mixed: (n,) may be of mixed depth; they stand where they are no higher than `HOVER_M` above the mean of the others
+    around them, as seen from above, and also where there are none
+    """
+    stands = np.ones(len(points), dtype=bool)
+    if not mixed.any() or mixed.all():
+        return stands
+    import cv2
+
+    low = points[:, :2].min(axis=0)
+    column, row = (np.floor((points[:, :2] - low) / CELL_M).astype(np.int64)).T
+    shape = (int(row.max()) + 1, int(column.max()) + 1)
+    cell = row * shape[1] + column
+    sound = ~mixed
+    count = np.bincount(cell[sound], minlength=shape[0] * shape[1]).reshape(shape).astype(np.float64)
+    total = np.bincount(cell[sound], points[sound, 2], shape[0] * shape[1]).reshape(shape)
+    height = np.full(shape, np.nan)
+    for side in (3, 7, 15):
+        # an unnormalised sum over the cells around, wider where there was nothing
+        sums = [
+            cv2.boxFilter(one, -1, (side, side), normalize=False, borderType=cv2.BORDER_CONSTANT)
+            for one in (count, total)
+        ]
+        wanted = np.isnan(height) & (sums[0] > 0.5)
+        height[wanted] = sums[1][wanted] / sums[0][wanted]
+    above = points[mixed, 2] - height.ravel()[cell[mixed]]
+    stands[mixed] = ~(above > HOVER_M)
+    return stands
