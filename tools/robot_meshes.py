@@ -18,6 +18,10 @@ ROOT = Path(__file__).resolve().parents[1]
 ARM = ROOT / "drivers" / "deformscope_drivers" / "jaco" / "j2n6s300.urdf"
 FOLDER = ROOT / "deformscope" / "lab" / "robots"
 NAME = "j2n6s300-stick"
+NOTE = """
+  Made by tools/robot_meshes.py: a Kinova Jaco2 whose fingers hold a stick. Joint origins, axes, limits, efforts, speeds
+  and masses are facts of Kinova's published description (kinova_description, BSD-3); all shapes are our own.
+"""
 SIDES = 20
 
 TUBES: dict[str, list[tuple[float, float, float, float]]] = {
@@ -109,7 +113,7 @@ def tube(stations: list[tuple[float, float, float, float]]) -> o3d.geometry.Tria
 def main() -> None:
     """Write meshes and URDF."""
     for name, stations in TUBES.items():
-        if not o3d.io.write_triangle_mesh(str(FOLDER / f"{name}.stl"), tube(stations)):
+        if not o3d.io.write_triangle_mesh(FOLDER / f"{name}.stl", tube(stations)):
             raise SystemExit(f"{name}.stl could not be written")
     tree = ET.parse(ARM)
     for link in tree.getroot().findall("link"):
@@ -120,7 +124,8 @@ def main() -> None:
         geometry = ET.SubElement(ET.SubElement(link, "visual"), "geometry")
         ET.SubElement(geometry, "mesh", filename=f"{mesh}.stl")
     ET.indent(tree)
-    tree.write(FOLDER / f"{NAME}.urdf", encoding="unicode", xml_declaration=True)
+    text = ET.tostring(tree.getroot(), encoding="unicode")
+    (FOLDER / f"{NAME}.urdf").write_text(f'<?xml version="1.0"?>\n<!--{NOTE}-->\n{text}\n', encoding="utf-8")
     sys.stdout.write(f"{FOLDER}: {len(TUBES)} meshes and {NAME}.urdf\n")
 
 

@@ -187,6 +187,8 @@ def test_scenes_are_listed_without_a_rig(capsys: pytest.CaptureFixture[str]) -> 
         (["explore", "lab:disc", "--fault", "storms@1"], "try: storm@1"),
         (["explore", "lab:disc", "--fault", "storm@9"], "from 1 to 8"),
         (["explore", "rig.toml", "--camera", "primesense"], "--camera with a simulated scene alone"),
+        (["explore", "rig.toml", "--robot", "gripper"], "--robot with a simulated scene alone"),
+        (["explore", "lab:two-60-150", "--removal", "hull"], "--removal with --robot gripper"),
     ],
 )
 def test_what_cannot_be_explored_is_said_in_one_line(
@@ -461,3 +463,17 @@ def test_the_robot_is_watched_while_the_disk_blocks(
     assert looks > 300  # of the approach, the press and the dwell, a hundred a second
     assert check_ledger(record) == []
     assert main(["verify", str(record)]) == 0
+
+
+@pytest.mark.slow
+def test_beneath_a_gripper_it_finds_what_it_finds_beneath_capsules(tmp_path: Path) -> None:
+    record, told = tmp_path / "e.rrd", tmp_path / "e.json"
+    arguments = ["explore", "lab:two-60-150", "--touches", "4", "--viewer", "none", "--json", str(told)]
+    iou = []
+    for more in ([], ["--robot", "gripper", "--record", str(record)]):
+        assert main([*arguments, *more]) == 0
+        iou.append(json.loads(told.read_text())["truth"]["iou"])
+    assert iou[1] == pytest.approx(iou[0], abs=0.02)
+
+    assert main(["replay", str(record), "--json", str(told)]) == 0
+    assert json.loads(told.read_text())["identical"]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
+import open3d as o3d
 import pytest
 
 from deformscope.arrays import BoolArray, FloatArray
@@ -15,6 +16,7 @@ from deformscope.lab.ray_camera import FOAM, NOTHING, ROBOT, TABLE, DepthViewCon
 from deformscope.lab.scenes import built_in
 from deformscope.lab.slab import RigidTip
 from deformscope.lab.slab_world import SlabWorld
+from deformscope.solid import PosedSolid, Solid
 
 SMALL = DepthViewConfig(width=320, height=240)
 FLAT = built_in("two-60-150", 1)
@@ -218,3 +220,21 @@ def test_colour_gives_no_region_away(view: DepthView) -> None:
 def test_displacements_of_another_grid_are_refused(view: DepthView) -> None:
     with pytest.raises(InputError, match="places_m"):
         view.render(np.zeros((3, 3)))
+
+
+def test_solids_are_seen_where_they_are_nearer(view: DepthView) -> None:
+    """A box that stands on the slab: its top is seen as far as it is high."""
+    made = o3d.geometry.TriangleMesh.create_box(0.1, 0.1, 0.04)
+    box = Solid(np.asarray(made.vertices), np.asarray(made.triangles))
+    corner = np.eye(4)
+    corner[:3, 3] = (0.25, 0.15, FLAT.thickness_m)
+    still, hidden = view.render(), view.render(None, (), [PosedSolid(corner, box)])
+    there = hidden.seen == ROBOT
+    np.testing.assert_array_equal(hidden.depth_m[~there], still.depth_m[~there])
+    places = view.points_m(hidden.depth_m)[there] - corner[:3, 3]
+    top, front = np.abs(places[:, 2] - 0.04) < 1e-6, np.abs(places[:, 1] - 0.1) < 1e-6  # the camera stands at +y
+    assert (top | front).all()
+    assert top.any()
+    assert front.any()
+    assert (places[:, :2] > -1e-6).all()
+    assert (places[:, :2] < 0.1 + 1e-6).all()

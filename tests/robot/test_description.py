@@ -11,10 +11,11 @@ import pytest
 
 from deformscope.errors import InputError
 from deformscope.lab.robot_body import FOLDER, described_robot
-from deformscope.rig.rig_file import Tool
+from deformscope.rig.rig_file import Tool, load_rig
 from deformscope.rig.shape_section import CableSection, ShapeSection
-from deformscope.robot.description import RobotDescription, describe
+from deformscope.robot.description import AS_CAPSULES, RobotDescription, describe
 from deformscope.robot.placement import Placement
+from deformscope.robot.setup import RigParts
 from deformscope.robot.shape import arm_shape
 from deformscope.robot.urdf_shapes import read_urdf
 from deformscope_drivers.arm.kinematics import rotation_from_rpy, transform
@@ -30,6 +31,22 @@ GRIPPER = """<robot name="gripper">
     <axis xyz="0 1 0"/><limit lower="0" upper="0.02" effort="1" velocity="1"/></joint>
   <link name="jaw"><visual><geometry><mesh filename="jaw.stl" scale="0.001 0.001 0.001"/></geometry></visual></link>
 </robot>"""
+
+RIG = """
+[devices.arm]
+driver = "jaco"
+double = true
+{model}
+[devices.tip]
+driver = "optoforce"
+double = true
+[devices.depth]
+driver = "depth_camera"
+double = true
+[surface]
+scene = "two-60-150"
+[shape]
+"""
 
 
 @pytest.fixture
@@ -169,3 +186,26 @@ def test_what_cannot_be_is_said() -> None:
         describe(ShapeSection(urdf="a.urdf"), None, Path())
     with pytest.raises(InputError, match="no such file"):
         describe(ShapeSection(urdf="a.urdf"), J2N6S300, Path())
+
+
+def test_a_rig_file_describes_its_robot_beside_itself(folder: Path) -> None:
+    """Paths count from its folder; what the arm's model is has to stand in it."""
+    rig_file = folder / "rig.toml"
+    shape = 'gripper = "gripper.urdf"\ncables = [{ points_m = [[0, 0, 0], [0, 0, 0.05]], radius_m = 0.01 }]\n'
+    rig_file.write_text(RIG.format(model='model = "j2n6s300"') + shape, encoding="utf-8")
+    described = RigParts.of(load_rig(rig_file)).described
+    assert (described.removal, len(described.parts), len(described.cables)) == ("mesh", 2, 1)
+    rig_file.write_text(RIG.format(model="") + shape, encoding="utf-8")
+    with pytest.raises(InputError, match="of the arm, beside"):
+        RigParts.of(load_rig(rig_file))
+    rig_file.write_text(RIG.format(model=""), encoding="utf-8")
+    assert RigParts.of(load_rig(rig_file)).described is AS_CAPSULES
+    for line, message in (
+        ('removal = "mash"', "mash"),
+        ("closed = 1.5", "closed between"),
+        ("cables = [{ points_m = [[0, 0, 0]] }]", "points_m of 2 or more"),
+        ("cables = [{ points_m = [[0, 0, 0], [0, 0, 1]], joints = [1] }]", "one for each"),
+    ):
+        rig_file.write_text(RIG.format(model="") + line, encoding="utf-8")
+        with pytest.raises(InputError, match=message):
+            load_rig(rig_file)
