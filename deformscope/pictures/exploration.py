@@ -348,7 +348,7 @@ def draw_touches_beside(
     _legend_above(axes, f"{quantity.capitalize()} of each touch, with its interval", handles)
     axes.set_xlabel("touch", fontsize=11)
     axes.set_ylabel("stiffness [N/mm]" if quantity == "stiffness" else "beta [-]", fontsize=11)
-    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
     axes.tick_params(labelsize=10)
     axes.grid(alpha=0.3)
 

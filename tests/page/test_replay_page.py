@@ -84,7 +84,9 @@ def test_a_recording_is_served_to_the_page_alone(tmp_path: Path) -> None:
 
 PLAYS = """
 window.asked = [];
-window.wasm_bindgen.WebHandle.prototype.add_receiver = (url) => (window.received = url);
+window.wasm_bindgen.WebHandle.prototype.add_receiver = function (url) {
+  [window.received, window.handle] = [url, this];
+};
 window.wasm_bindgen.WebHandle.prototype.viewer_control = async (bytes) => window.asked.push([...bytes]);
 """
 
@@ -106,6 +108,12 @@ def test_chapters_steps_and_playing_move_the_viewers_time(shown: Any, tmp_path: 
         page.desk.show(playback=Playback("session", 9 * S, S // 10, chapters))
         shown.goto(page.address)
         until(shown, lambda: shown.evaluate("window.received") == page.address + "recording.rrd")
+        until(shown, lambda: shown.inner_text("#moment") == "9.00 of 9.00 s")
+        shown.evaluate("window.asked = []")
+        shown.evaluate("window.handle.tell({ type: 'timeline_change' })")  # of the recording's views, which follow
+        until(shown, lambda: moment() == list(cursor(9 * S)))
+        shown.evaluate("window.handle.tell({ type: 'time_update', time: 3e9 })")  # somebody has moved it in the viewer
+        until(shown, lambda: shown.inner_text("#moment") == "3.00 of 9.00 s")
         shown.click("text=touch 1")
         until(shown, lambda: moment() == list(cursor(2 * S)))
         shown.keyboard.press(".")
@@ -127,7 +135,7 @@ def cursor(ns: int) -> bytes:
     """rerun's request by hand: fields of `ViewerControlRequest`, `SetTimeCursorRequest`, `Timeline`."""
     time = bytes([1 << 3]) + varint(ns)
     timeline = bytes([1 << 3 | 2, 7]) + b"session"
-    inner = bytes([2 << 3 | 2, len(timeline)]) + timeline + bytes([3 << 3 | 2, len(time)]) + time
+    inner = bytes([2 << 3 | 2, len(timeline)]) + timeline + bytes([3 << 3 | 2, len(time)]) + time + bytes([5 << 3, 1])
     return bytes([6 << 3 | 2, len(inner)]) + inner
 
 

@@ -53,6 +53,8 @@ def _batch_of(recorded: Sequence[tuple[int, object]], again: Sequence[object], n
     others = [one for one in again if isinstance(one, TouchEstimate)]
     maps = {one.touches: one for one in again if isinstance(one, MapEstimate)}
     surface = next((one for _, one in recorded if isinstance(one, SurfaceEstimate)), None)
+    for path in (BESIDE_REGIONS, *BESIDE_TOUCHES.values()):
+        ResultBatch(batch, 0).show_png(path, pictures.words_png("no touch yet"))
     for session_ns, result in recorded:
         now = ResultBatch(batch, session_ns)
         if isinstance(result, TouchEstimate):

@@ -65,7 +65,8 @@ def exploration_blueprint(
         known = rrb.Vertical(rrb.Tabs(*regions), fields, rrb.Tabs(gain, summary))
         at_touch = rrb.Tabs(*touches, _picture(SECTION, "The dent in section"), *_looks(streams), *_over_time(streams))
         robot = rrb.Vertical(_scene(streams, size_m), at_touch, row_shares=[4, 3])
-        return blueprint_of(rrb.Horizontal(robot, known, column_shares=[5, 4]))
+        views = rrb.Horizontal(robot, known, column_shares=[5, 4])
+        return blueprint_of(views, play="paused" if beside else "following")
     known = rrb.Vertical(
         rrb.Horizontal(maps["stiffness"], maps["stiffness_deviation"], gain),
         rrb.Horizontal(maps["beta"], maps["beta_deviation"], force),

@@ -50,7 +50,7 @@ def aligned_rrd(series: Sequence[AlignedSeries], names: tuple[str, str]) -> byte
         )
         for quantity in quantities
     ]
-    rec.send_blueprint(blueprint_of(rrb.Vertical(*views), CONTACT_TIMELINE, play=None))
+    rec.send_blueprint(blueprint_of(rrb.Vertical(*views), CONTACT_TIMELINE, play="paused"))
     for one in series:
         path = root("aligned", one.quantity, "ab"[one.which], rr.escape_entity_path_part(one.name))
         log_series(rec, path, [one.name], [COLORS[one.which]])

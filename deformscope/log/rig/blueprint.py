@@ -45,7 +45,7 @@ def blueprint_of(
     views: rrb.Container | rrb.View,
     timeline: str = "session",
     *,
-    play: Literal["following"] | None = "following",
+    play: Literal["following", "paused"] | None = "following",
     **more: Any,
 ) -> rrb.Blueprint:
     """Views over a timeline, without rerun's panels. more: of the time panel"""

@@ -224,8 +224,9 @@ export function startFitting(desk, say) {
     set(".felt", fit.aee === null ? "" : `M${x(here).toFixed(1)} 6V100`);
     set(".band", fit.found ? `M${x(fit.found.low).toFixed(1)} 6H${x(fit.found.high).toFixed(1)}V100H${x(fit.found.low).toFixed(1)}Z` : "");
     const scale = fit.unit === "px" ? 1 : 1000;
-    at("fit-curve").querySelector(".most").textContent = errors.length ? (scale * most).toPrecision(3) : "";
-    at("fit-curve").querySelector(".least").textContent = errors.length ? (scale * least).toPrecision(3) : "";
+    const axis = (value) => (value > 0 && value < 1e-3 ? value.toExponential(0) : value.toPrecision(3));
+    at("fit-curve").querySelector(".most").textContent = errors.length ? axis(scale * most) : "";
+    at("fit-curve").querySelector(".least").textContent = errors.length ? axis(scale * least) : "";
     at("fit-curve").querySelector(".low").textContent = low.toFixed(2);
     at("fit-curve").querySelector(".high").textContent = `${fit.parameter} ${high.toFixed(2)}`;
   }

@@ -19,7 +19,12 @@ const steering = startSteering(command, desk.page);
 const fitting = startFitting(desk, (text) => note(text, true));
 const words = (text) => (at("viewer-words").textContent = text);
 let viewer = null;
-const playback = startPlayback((timeline, ns) => viewer?.viewer_control(cursorRequest(timeline, ns)));
+const playback = startPlayback(async (timeline, ns) => {
+  if (!viewer) {
+    throw new Error("it has not started");
+  }
+  await viewer.viewer_control(cursorRequest(timeline, ns));
+});
 if (document.body.dataset.fit === undefined) {
   startViewer(at("canvas"), words, showLag, (event) => document.dispatchEvent(new CustomEvent("viewer", { detail: event })))
     .then((handle) => (viewer = handle))
@@ -53,6 +58,11 @@ let layer = "";
 let opened = false;
 document.addEventListener("viewer", ({ detail }) => {
   opened ||= detail.type === "recording_open";
+  if (detail.type === "recording_open" || detail.type === "timeline_change") {
+    playback.stand(); // the recording's own views let the viewer follow the newest data
+  } else if (detail.type === "time_update") {
+    playback.moved(detail.time);
+  }
   showLayer();
 });
 function showLayer() {

@@ -2,6 +2,7 @@
 
 const at = (id) => document.getElementById(id);
 const EVERY_MS = 100;
+const AGAIN_MS = 300;
 
 // playback: the part of the state; show: stands at a moment [ns], resolves once it does
 export function startPlayback(show) {
@@ -12,6 +13,7 @@ export function startPlayback(show) {
   let until_ns = 0;
   let shown_ms = performance.now();
   let busy = false;
+  let stood = false; // the viewer has stood where it was asked to
 
   const seconds = (ns) => (ns / 1e9).toFixed(2);
   const words = () => {
@@ -33,8 +35,11 @@ export function startPlayback(show) {
     const asked_ns = now_ns;
     try {
       await show(playback.timeline, asked_ns);
+      stood = true;
+      at("moment").title = "";
     } catch (error) {
-      at("moment").textContent = `the viewer: ${error}`;
+      at("moment").title = `the viewer: ${error}`; // it is painting, or has no data yet
+      setTimeout(stand, AGAIN_MS);
     }
     busy = false;
     if (asked_ns !== now_ns) {
@@ -110,17 +115,25 @@ export function startPlayback(show) {
           return button;
         }),
       );
-      go(given.from_ns);
+      go(given.from_ns < 0 ? given.from_ns : given.until_ns); // what was found, unless it begins before a contact
+    },
+    // The viewer's own time, which somebody has moved in it.
+    moved: (ns) => {
+      if (playback && stood && !busy && !playing) {
+        now_ns = ns;
+        words();
+      }
     },
   };
 }
 
-// rerun's `ViewerControlRequest` to set the time cursor, as protobuf: set_time_cursor (6) of timeline (2) and time (3)
+// rerun's `ViewerControlRequest` to set the time cursor, as protobuf: set_time_cursor (6) of timeline (2), time (3) and
+// play_state (5), which is paused (1): the viewer would go on by itself
 export function cursorRequest(timeline, ns) {
   const name = new TextEncoder().encode(timeline);
   const bytes = (number, content) => [(number << 3) | 2, ...varint(BigInt(content.length)), ...content];
   const time = [1 << 3, ...varint(BigInt.asUintN(64, BigInt(Math.round(ns))))]; // negative ones as protobuf has them
-  return new Uint8Array(bytes(6, [...bytes(2, bytes(1, [...name])), ...bytes(3, time)]));
+  return new Uint8Array(bytes(6, [...bytes(2, bytes(1, [...name])), ...bytes(3, time), 5 << 3, 1]));
 }
 
 function varint(value) {

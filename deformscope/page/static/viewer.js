@@ -34,7 +34,9 @@ export async function startViewer(canvas, onWords, onBatch, onEvent = () => {}) 
     },
   });
   await handle.start(canvas);
-  handle.override_panel_state("top", "hidden");
+  for (const panel of ["top", "blueprint", "selection"]) {
+    handle.override_panel_state(panel, "hidden"); // also before the views are there, which hide them
+  }
   const recording = document.body.dataset.recording; // of a page that plays one
   if (recording) {
     handle.add_receiver(new URL(recording, location.href).href);
