@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -48,6 +49,15 @@ class Solid:
         rays.add_triangles(vertices, o3d.core.Tensor.from_numpy(self.triangles.astype(np.uint32)))
         return rays
 
+    def closest(self, points_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(n, 3) the nearest point of its surface to each point (n, 3) [m], and (n, 3) the normal there."""
+        import open3d as o3d
+
+        queries = o3d.core.Tensor.from_numpy(np.ascontiguousarray(points_m, np.float32))
+        found = self._rays.compute_closest_points(queries, nthreads=1)
+        foot, normal = (found[name].numpy().astype(np.float64) for name in ("points", "primitive_normals"))
+        return foot, normal
+
     def near(self, points_m: FloatArray, within_m: float) -> BoolArray:
         """(n,) points (n, 3) inside of it, or no farther from it than this [m]."""
         import open3d as o3d
@@ -64,6 +74,19 @@ class PosedSolid:
     solid: Solid
 
     @property
+    def ball(self) -> tuple[FloatArray, float]:
+        """A ball around it: middle (3,) and radius [m]."""
+        middle, radius = self.solid.ball
+        return self.T_world_solid[:3, :3] @ middle + self.T_world_solid[:3, 3], radius
+
+    @property
     def vertices_m(self) -> FloatArray:
         """(n, 3) in the world [m]."""
         return np.asarray(self.solid.vertices_m @ self.T_world_solid[:3, :3].T + self.T_world_solid[:3, 3])
+
+
+def merged(solids: Sequence[PosedSolid]) -> Solid:
+    """One surface of all of them where they are; which points lie inside of several it does not tell."""
+    first = np.cumsum([0, *(len(one.solid.vertices_m) for one in solids)])
+    triangles = [one.solid.triangles + np.uint32(number) for one, number in zip(solids, first, strict=False)]
+    return Solid(np.concatenate([one.vertices_m for one in solids]), np.concatenate(triangles))

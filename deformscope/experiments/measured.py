@@ -248,17 +248,23 @@ class SetupGeometry:
         """What arm, gripper, stick and cables may fill where the arm reports that they are, surface frame; of an arm
         without a chain, what is at its end alone."""
         T_base_links = pose.T_base_ee[None] if chain is None else chain.forward(pose.joints_deg)
-        doubt_m, described = self.camera.doubt_m, self.described
+        described = self.described
         capsules = arm_shape(
             self.placement,
             T_base_links,
             self.placement.T_surface_center(pose.T_base_ee)[:3, 3],
             description=described,
-            link_margin_m=LINK_MARGIN_M + doubt_m,
-            stick_margin_m=STICK_MARGIN_M + doubt_m,
+            link_margin_m=LINK_MARGIN_M,
+            stick_margin_m=STICK_MARGIN_M,
         )
-        solids = described.solids(self.placement, T_base_links)
-        return PosedRobot(capsules, solids, 0.0, described.margin_m + doubt_m, mixes=described.removal != "capsules")
+        return PosedRobot(
+            capsules,
+            described.solids(self.placement, T_base_links),
+            margin_m=self.camera.doubt_m,
+            solid_margin_m=described.margin_m,
+            aligns=described.whole and described.removal == "mesh",
+            mixes=described.removal != "capsules",
+        )
 
     # Where it can touch -----------------------------------------------------------------------------------------------
 

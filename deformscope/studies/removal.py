@@ -28,6 +28,7 @@ from deformscope.robot.description import AS_CAPSULES, Removal, RobotDescription
 from deformscope.robot.placement import Placement
 from deformscope.robot.readings import ArmSample
 from deformscope.robot.setup import T_BASE_SURFACE, CameraView
+from deformscope.stages.see.align import as_seen
 from deformscope.stages.see.cloud import Box, Intrinsics, back_project, not_alone, within
 from deformscope.stages.see.robot import beside_robot, measured
 from deformscope_drivers.arm.kinematics import transform
@@ -61,7 +62,7 @@ class RobotPicture:
 
     depth_m: (H, W) measured; exact: what it would be without the sensor's errors; pose: of the arm, as it reports
     center_m: (3,) of the tip; foam: (H, W) pixels that fell on foam and have its depth; robot: pixels on the robot, or
-    within BLEEDING_PX of it, that do not have the depth of what is behind it
+    within BLEEDING_PX of it, that do not have the depth of what is behind it; above_m: nothing of the sample is higher
     """
 
     depth_m: FloatArray
@@ -70,6 +71,7 @@ class RobotPicture:
     center_m: FloatArray
     foam: BoolArray
     robot: BoolArray
+    above_m: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -140,7 +142,8 @@ class RemovalScene:
         near = _grown(exact.seen == ROBOT, BLEEDING_PX)
         pose = ArmSample(0, links[-1], tuple(found.joints_deg.tolist()), 0)
         foam, robot = (exact.seen == FOAM) & as_behind, near & ~as_behind
-        return RobotPicture(depth_m, exact, pose, center, foam, robot)
+        highest_m = self.box("sample", center).high_m[2]
+        return RobotPicture(depth_m, exact, pose, center, foam, robot, highest_m)
 
     def _measure(self, exact: Rendered, sensor: Sensor) -> FloatArray:
         if sensor == "plain":
@@ -189,13 +192,14 @@ def removed(picture: RobotPicture, geometry: SetupGeometry, box: Box) -> Removed
     assert camera.center_px is not None
     points = back_project(picture.depth_m, Intrinsics(camera.focal_px, camera.center_px), np.asarray(T, np.float64))
     inside, seen = within(points, box), measured(picture.depth_m)
-    points = points[inside]
-    began = time.perf_counter()
-    beside = beside_robot(points, geometry.posed_robot(picture.pose, J2N6S300), picture.depth_m, inside)
-    seconds = time.perf_counter() - began
+    cropped = points[inside]
+    began = time.process_time()
+    robot = as_seen(geometry.posed_robot(picture.pose, J2N6S300), points, picture.above_m)
+    beside = beside_robot(cropped, robot, picture.depth_m, inside)
+    seconds = time.process_time() - began
     kept = beside.copy()
-    kept[beside] = not_alone(points[beside])
-    return RemovedPoints(points, picture.foam[seen][inside], picture.robot[seen][inside], beside, kept, seconds)
+    kept[beside] = not_alone(cropped[beside])
+    return RemovedPoints(cropped, picture.foam[seen][inside], picture.robot[seen][inside], beside, kept, seconds)
 
 
 @cache

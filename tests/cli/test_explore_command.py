@@ -468,7 +468,7 @@ def test_the_robot_is_watched_while_the_disk_blocks(
 @pytest.mark.slow
 def test_beneath_a_gripper_it_finds_what_it_finds_beneath_capsules(tmp_path: Path) -> None:
     record, told = tmp_path / "e.rrd", tmp_path / "e.json"
-    arguments = ["explore", "lab:two-60-150", "--touches", "4", "--viewer", "none", "--json", str(told)]
+    arguments = ["explore", "lab:two-60-150", "--touches", "3", "--viewer", "none", "--json", str(told)]
     iou = []
     for more in ([], ["--robot", "gripper", "--record", str(record)]):
         assert main([*arguments, *more]) == 0

@@ -85,7 +85,8 @@ def test_more_is_left_out_around_the_stick_where_the_cameras_place_is_in_doubt()
     radii, pose = [], scene.robot.pose
     for doubt_m in (0.0, 0.004):
         geometry = SetupGeometry.of(setup(scene, Workspace(), doubt_m))
-        radii.append([link.radius_m for link in geometry.posed_robot(pose, J2N6S300).capsules])
+        robot = geometry.posed_robot(pose, J2N6S300)
+        radii.append([link.radius_m + robot.margin_m for link in robot.capsules])
     scene.lab.close()
     plain, doubtful = np.array(radii)
 

@@ -13,6 +13,7 @@ from scipy.spatial import cKDTree
 
 from deformscope.arrays import BoolArray, FloatArray
 from deformscope.errors import InputError
+from deformscope.stages.see.align import as_seen
 from deformscope.stages.see.robot import NO_ROBOT, PosedRobot, beside_robot, measured
 
 TACTILE_POINTS = 10
@@ -181,11 +182,12 @@ def perceive(
     """The surface's points in a depth image (H, W) [m]: cropped to a box, without the robot, without lone points, and
     reduced to one point a cell where `cell_m` is given.
 
-    robot: the arm with all that is on it
+    robot: the arm with all that is on it, where it is reported to be; above the box nothing else is near it
     Raises InputError where nothing is left.
     """
     points = back_project(depth_m, camera, T_world_camera)
     seen = len(points)
+    robot = as_seen(robot, points, box.high_m[2])
     inside = within(points, box)
     points = points[inside]
     cropped = seen - len(points)

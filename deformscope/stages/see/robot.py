@@ -29,7 +29,8 @@ CELL_M = 0.01
 class PosedRobot:
     """The robot at one moment, in the frame of the points.
 
-    capsules: with margin_m around them; solids: with solid_margin_m around them [m]
+    capsules: with margin_m around them; solids: with that and solid_margin_m around them [m]
+    aligns: its solids are all that is seen of it: they may be laid onto the picture first
     mixes: depths are mixed at its edges, and what hangs in the air there counts as the robot's
     """
 
@@ -37,6 +38,7 @@ class PosedRobot:
     solids: Sequence[PosedSolid] = ()
     margin_m: float = 0.0
     solid_margin_m: float = 0.0
+    aligns: bool = False
     mixes: bool = False
 
 
@@ -47,7 +49,7 @@ def beside_robot(points: FloatArray, robot: PosedRobot, depth_m: FloatArray, use
     """(n,) points that are not the robot's. depth_m: (H, W) that they are from [m]; used: (m,) which of the pixels that
     saw something, row by row, they are"""
     kept = beside_capsules(points, robot.capsules, margin_m=robot.margin_m)
-    kept[kept] = beside_solids(points[kept], robot.solids, margin_m=robot.solid_margin_m)
+    kept[kept] = beside_solids(points[kept], robot.solids, margin_m=robot.solid_margin_m + robot.margin_m)
     if robot.mixes:
         mixed = at_jumps(depth_m)[measured(depth_m)][used]
         kept[kept] = standing(points[kept], mixed[kept])
@@ -62,7 +64,13 @@ def measured(depth_m: FloatArray) -> BoolArray:
 def beside_capsules(points: FloatArray, links: Sequence[Capsule], *, margin_m: float = 0.01) -> BoolArray:
     """(n,) points that lie outside every link by more than a margin [m]."""
     outside = np.ones(len(points), dtype=bool)
+    if not len(points):
+        return outside
+    low, high = points.min(axis=0), points.max(axis=0)
     for link in links:
+        ends, reach_m = np.array([link.start_m, link.end_m]), link.radius_m + margin_m
+        if (ends.min(axis=0) - reach_m > high).any() or (ends.max(axis=0) + reach_m < low).any():
+            continue
         along = np.asarray(link.end_m) - np.asarray(link.start_m)
         share = ((points - link.start_m) @ along / max(float(along @ along), 1e-30)).clip(0.0, 1.0)
         away = np.linalg.norm(points - link.start_m - share[:, None] * along, axis=1)
@@ -75,8 +83,8 @@ def beside_solids(points: FloatArray, solids: Sequence[PosedSolid], *, margin_m:
     outside = np.ones(len(points), dtype=bool)
     if not solids or not len(points):
         return outside
-    middle = np.array([one.T_world_solid[:3, :3] @ one.solid.ball[0] + one.T_world_solid[:3, 3] for one in solids])
-    reach = np.array([one.solid.ball[1] + margin_m for one in solids])
+    middle = np.array([one.ball[0] for one in solids])
+    reach = np.array([one.ball[1] + margin_m for one in solids])
     low, high = points.min(axis=0), points.max(axis=0)
     away = np.linalg.norm(middle - np.clip(middle, low, high), axis=1)
     for number in np.flatnonzero(away <= reach).tolist():
