@@ -20,7 +20,6 @@ from deformscope.studies.seeds import reported
 TITLES: dict[Where, str] = {
     "sample": "In the sample's box, as explorations crop it: foam kept (worst picture) / robot left (worst picture)",
     "around a touch": "Within 8 cm of the tip while it presses: foam kept (worst picture) / robot left (worst picture)",
-    "all above": "Without an upper limit: foam kept (worst picture) / robot left (worst picture)",
 }
 ABOUT = {
     "nothing": "exact",

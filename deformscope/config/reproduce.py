@@ -148,8 +148,8 @@ class RemovalCoverageConfig(RecordedOptions):
     robot is taken out: capsules, convex hulls (Thesis 4.4) or meshes; with the camera's place exact, and off by 5 mm
     and 1 degree."""
 
-    layouts: flags.ManyFlag = 20
-    """Robots, from seed SEED on; of each, six pictures. One takes some 15 s of a core."""
+    layouts: flags.ManyFlag = 6
+    """Robots, from seed SEED on; of each, six pictures. One takes some 30 s of a core."""
     jobs: flags.ManyFlag = 2
     """Processes that share the work."""
     picture: flags.PictureFlag = None

@@ -216,7 +216,7 @@ def try_removals(seed: int) -> list[RemovalCount]:
 def _tried(seed: int, sensor: Sensor, pressing: bool) -> Iterator[RemovalCount]:
     scene = RemovalScene(seed)
     picture = scene.picture(sensor, pressing=pressing)
-    boxes: tuple[Where, ...] = ("sample", "all above", "around a touch") if pressing else ("sample", "all above")
+    boxes: tuple[Where, ...] = ("sample", "around a touch") if pressing else ("sample",)
     for about, doubt_m in DOUBT_M.items():
         T = scene.T_surface_camera(about)
         for removal in REMOVALS:

@@ -53,7 +53,7 @@ scene = "two-60-150"
 def folder(tmp_path: Path) -> Path:
     """With a gripper whose jaw is a cube of 10 mm, in mm."""
     jaw = o3d.geometry.TriangleMesh.create_box(10.0, 10.0, 10.0).compute_triangle_normals()
-    assert o3d.io.write_triangle_mesh(str(tmp_path / "jaw.stl"), jaw)
+    assert o3d.io.write_triangle_mesh(tmp_path / "jaw.stl", jaw)
     (tmp_path / "gripper.urdf").write_text(GRIPPER, encoding="utf-8")
     return tmp_path
 
@@ -123,7 +123,7 @@ def test_cables_go_from_joint_to_joint_in_every_removal() -> None:
     links = J2N6S300.forward(POSE_DEG)
     for removal in ("capsules", "mesh"):
         urdf = "" if removal == "capsules" else "j2n6s300-stick.urdf"
-        described = describe(ShapeSection(removal, urdf, cables=(cable,)), J2N6S300, FOLDER)  # type: ignore[arg-type]
+        described = describe(ShapeSection(removal, urdf, cables=(cable,)), J2N6S300, FOLDER)
         shape = arm_shape(PLACEMENT, links, np.zeros(3), description=described, stick_margin_m=0.004)
         assert len(shape) == (10 if removal == "capsules" else 3)
         line = shape[-1]

@@ -20,16 +20,10 @@ UP = 0.2
 def arm() -> tuple[PosedSolid, ...]:
     """Two links at an angle and a box."""
     make = o3d.geometry.TriangleMesh
-    shapes = (
-        make.create_cylinder(0.035, 0.3, 24, 1),
-        make.create_cylinder(0.03, 0.2, 24, 1),
-        make.create_box(0.1, 0.06, 0.05),
-    )
-    poses = (
-        ((0.0, 0.4, 0.0), (0.0, 0.0, UP + 0.3)),
-        ((1.2, 0.0, 0.3), (0.1, -0.1, UP + 0.15)),
-        ((0, 0, 0), (0.1, -0.2, UP)),
-    )
+    cylinders = (make.create_cylinder(radius, length, 24, 1) for radius, length in ((0.035, 0.3), (0.03, 0.2)))
+    shapes = (*cylinders, make.create_box(0.1, 0.06, 0.05))
+    turns = ((0.0, 0.4, 0.0), (1.2, 0.0, 0.3), (0.0, 0.0, 0.0))
+    places = ((0.0, 0.0, UP + 0.3), (0.1, -0.1, UP + 0.15), (0.1, -0.2, UP))
     return tuple(
         PosedSolid(
             transform(Rotation.from_rotvec(turn).as_matrix(), place),
