@@ -22,6 +22,7 @@ from deformscope.lab.scenes import Scene
 from deformscope.lab.touch_lab import TouchLab
 from deformscope.rig.rig_file import RigDevice
 from deformscope.robot.by_hand import Person
+from deformscope.robot.description import AS_CAPSULES, RobotDescription
 from deformscope.robot.placement import Placement
 from deformscope.robot.setup import Setup, Truth, rig_setup
 from deformscope.robot.shape import arm_shape
@@ -46,7 +47,9 @@ class SimulatedTable:
         *,
         T_surface_camera: npt.NDArray[np.floating] | None = None,
         hidden: HiddenRig | None = None,
+        described: RobotDescription = AS_CAPSULES,
     ) -> None:
+        self._described = described
         if hidden is not None:
             placement, T_surface_camera = hidden.placement, hidden.T_surface_camera
         self.clock, self._placement, self._hidden = clock, placement, hidden
@@ -112,7 +115,8 @@ class SimulatedTable:
     def _see(self, time_s: float) -> View:
         moved = self._world.displaced_m(self.view.places_m) if self._world.pressed[2] > 0.0 else None
         links, center = self.lab.body.T_base_links, self.lab.contact.center_m
-        exact = self.view.render(moved, arm_shape(self._placement, links, center))
+        capsules = arm_shape(self._placement, links, center, description=self._described)
+        exact = self.view.render(moved, capsules, self._described.solids(self._placement, links))
         if self._board and self._hidden is not None:
             T_surface_board = self._placement.T_surface_base @ links[-1] @ self._hidden.T_ee_board
             T_camera_board = np.linalg.inv(self.view.surface_from_camera) @ T_surface_board

@@ -12,6 +12,7 @@ import pytest
 from deformscope.cli import main
 from deformscope.lab.arms import SimulatedPerson
 from deformscope.recording.items import read_items
+from deformscope_drivers import kuka
 from tests.cases import slow
 from tests.cli.quick_scene import use_quick_scene
 from tests.cli.rig_on_a_simulated_clock import count_as_real, use_a_simulated_clock
@@ -52,7 +53,12 @@ PLACES = {
     "kuka": "T_arm_surface = [[0, -1, 0, 0.75], [1, 0, 0, -0.3], [0, 0, 1, 0], [0, 0, 0, 1]]",
     "placed": "T_arm_surface = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]",
 }
-RIGS = {"placed": PLACED + REST + PLACES["placed"], "kuka": KUKA + REST + PLACES["kuka"]}
+SHAPE = f"""
+[shape]                                # drawn, and taken out of the picture, as its URDF has it
+urdf = "{kuka.__path__[0]}/kr6r900sixx.urdf"
+cables = [{{ points_m = [[0.03, 0, 0.02], [0.03, 0, -0.1]], radius_m = 0.01 }}]
+"""
+RIGS = {"placed": PLACED + REST + PLACES["placed"], "kuka": KUKA + REST + PLACES["kuka"] + SHAPE}
 
 
 def explored(kind: str, touches: int, tmp_path: Path, capsys: pytest.CaptureFixture[str], *more: str) -> dict[str, Any]:
