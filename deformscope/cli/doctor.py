@@ -65,6 +65,7 @@ def run(config: DoctorConfig) -> None:
     following = next_step(steps)
     measured = following is None or following.what == "explore"
     findings += _found("explore", lambda: _exploring(rig, measured))
+    findings += _found("shape", lambda: _shape(rig))
     findings += _found("disk", lambda: [_disk(rig)])
     for entry in rig.devices:
         say(f"listening to {entry.name}")
@@ -167,6 +168,18 @@ def _exploring(rig: Rig, measured: bool) -> list[Finding]:
     return [
         Finding("explore", "ok", "the file has all that it wants; whether it can be reached is checked before a touch")
     ]
+
+
+def _shape(rig: Rig) -> list[Finding]:
+    """Whether the robot can be taken out of the camera's pictures as [shape] has it."""
+    from deformscope.robot.setup import description_of, only_device
+
+    known = description_of(rig, only_device(rig, "arm")) if rig.shape != type(rig.shape)() else None
+    if known is None:
+        return []
+    triangles = sum(len(part.solid.triangles) for part in known.parts)
+    told = f"{known.removal}: {len(known.parts)} solids of {triangles} triangles, {len(known.cables)} cables"
+    return [Finding("shape", "ok", told)]
 
 
 def _disk(rig: Rig) -> Finding:

@@ -228,7 +228,7 @@ class RigParts:
         T_surface_camera = None
         if camera is not None:
             T_surface_camera = np.asarray(np.linalg.inv(T_base_surface) @ np.array(camera), dtype=np.float64)
-        return cls(rig, devices, Placement(T_base_surface, rig.tool), T_surface_camera, _described(rig, devices[0]))
+        return cls(rig, devices, Placement(T_base_surface, rig.tool), T_surface_camera, description_of(rig, devices[0]))
 
 
 def rig_setup(
@@ -313,8 +313,8 @@ def only_device(rig: Rig, kind: str, use: str = "to explore with") -> RigDevice:
     return found[0]
 
 
-def _described(rig: Rig, arm: RigDevice) -> RobotDescription:
-    """What [shape] says of the robot."""
+def description_of(rig: Rig, arm: RigDevice) -> RobotDescription:
+    """What [shape] says of the robot. Raises InputError, which says what is wrong with it."""
     if rig.shape == ShapeSection():
         return AS_CAPSULES
     model = PLACED if arm.driver.name == "placed" else arm.config.model

@@ -12,6 +12,7 @@ import pytest
 from deformscope.cli import main
 from deformscope.cli.common import EXIT_LOSSES
 from deformscope.lab import stand_in
+from deformscope_drivers import kuka
 from tests.cases import slow
 
 DEVICES = ("tip", "pads", "hand", "arm", "camera", "depth")
@@ -93,6 +94,20 @@ def test_whatever_a_device_raises_is_a_row(
     assert {verdict for verdict, _ in found.values()} == {"ok"}
     assert len(found) == len(DEVICES) - 1
     assert status == 2
+
+
+def test_what_the_robot_looks_like_is_a_row(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rig = tmp_path / "rig.toml"
+    arm = '[devices.arm]\ndriver = "kuka"\ndouble = true\n'
+    rig.write_text(f'{arm}[shape]\nurdf = "none.urdf"\n', encoding="utf-8")
+    assert main(["doctor", str(rig), "--seconds", "0.1"]) == 2
+    told = capsys.readouterr().out
+    assert "FAIL  shape" in told
+    assert "none.urdf" in told
+    cable = "cables = [{ points_m = [[0, 0, 0], [0, 0, 0.1]] }]"
+    rig.write_text(f'{arm}[shape]\nurdf = "{kuka.__path__[0]}/kr6r900sixx.urdf"\n{cable}\n', encoding="utf-8")
+    main(["doctor", str(rig), "--seconds", "0.1"])
+    assert "mesh: 7 solids of" in capsys.readouterr().out
 
 
 def test_a_folder_that_no_disk_can_have_is_a_row(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
