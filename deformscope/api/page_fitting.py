@@ -339,7 +339,8 @@ def set_on_page(
             try:
                 fitting.until_finished()
             finally:
-                note(f"as set on the page: {fitting.command}")
+                if command := fitting.command:
+                    note(f"as set on the page: {command}")
                 if fitting.drawn_ms:
                     p50, p95 = np.percentile(fitting.drawn_ms, (50, 95))
                     note(f"slider to picture: p50 {p50:.0f} ms, p95 {p95:.0f} ms, {len(fitting.drawn_ms)} changes")

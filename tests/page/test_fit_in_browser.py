@@ -99,6 +99,13 @@ def test_what_is_set_on_the_page_is_asked_for(setting: Setting, shown: Any) -> N
     shown.on("pageerror", lambda error: wrong.append(str(error)))
     shown.goto(setting.page.address)
     until(shown, lambda: shown.inner_text("#fit-error").startswith("average error 1.250 px"))
+    red = """() => document.getElementById("fit-canvas").getContext("2d").getImageData(0, 0, 980, 660).data
+      .some((value, i, all) => i % 4 === 0 && value > 200 && all[i + 1] < 80 && all[i + 3] > 200)"""
+    until(shown, lambda: shown.evaluate(red))  # simulated particles
+    setting.page.desk.show(fit=msgspec.structs.replace(setting.state, rest=(), observed=(), simulated=(), held=()))
+    until(shown, lambda: not shown.evaluate(red))
+    setting.page.desk.show(fit=setting.state)
+    until(shown, lambda: shown.evaluate(red))
     assert shown.inner_text("#fit-command") == "deformscope calibrate beta x"
     assert shown.inner_text("#stop").startswith("Finish")
 

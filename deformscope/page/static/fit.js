@@ -15,7 +15,8 @@ export function startFitting(desk, say) {
   let changed_ms = null; // when a person changed what was not sent yet
   let flight = null; // what was sent and is not drawn yet
   let number = Date.now(); // counts on over pages
-  let shown = ""; // what was drawn last: number and pictures
+  let shown = "";
+  const drawing = () => `${fit.number} ${fit.pictures} ${fit.rest.length} ${fit.simulated.length}`;
   let drag = null;
   let tool = "region";
   let showing = "deformed";
@@ -93,10 +94,10 @@ export function startFitting(desk, say) {
         draw();
         setTimeout(() => flight === sent && drawn(sent));
       });
-    } else if (`${fit.number} ${fit.pictures}` !== shown) {
+    } else if (drawing() !== shown) {
       requestAnimationFrame(draw);
     }
-    shown = `${fit.number} ${fit.pictures}`;
+    shown = drawing();
   }
 
   // Whether pictures of a state are still to be loaded: it is shown with them, and after it the newest that came meanwhile.
