@@ -138,6 +138,7 @@ def explore(
     set_force_n: float | None = None,
     smallest_inclusion_m: float | None = None,
     beta_model: Literal["volume", "thesis", "layers", "none"] | None = None,
+    pace: Literal["careful", "quick"] = "careful",
     seed: int = 0,
     record: Path | str | None = None,
     viewer: ViewerChoice = "none",
@@ -149,7 +150,8 @@ def explore(
     """Map how soft a surface is: look, touch where it says most about the map, map, and again.
 
     rig: a rig file (.toml), or a simulated scene (`lab:NAME`); touches: at most; set_force_n: at most 5 N
-    smallest_inclusion_m: radius of the smallest lumps that are sought, default 0.06
+    smallest_inclusion_m: radius of the smallest lumps that are sought, default 0.06; pace: quick = low and fast over
+    what is known of the surface
     record: a recording to make (.rrd); yes: let a real arm move, once the checks have passed, without asking
     verbose: print each touch as it goes on; with a rig file that, the table of checks and the question always appear
     Raises InputError for what cannot be used, and SystemExit where the exploration was stopped before its end.
@@ -163,6 +165,7 @@ def explore(
             set_force=set_force_n,
             smallest_inclusion=smallest_inclusion_m,
             beta_model=beta_model,
+            pace=pace,
             yes=yes,
             trust_rig=trust_rig,
             output=OutputOptions(None, None if record is None else Path(record), viewer, overwrite, seed),

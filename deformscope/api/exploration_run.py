@@ -116,6 +116,7 @@ def explore_on(config: ExploreConfig, report: Callable[[Explored], None]) -> Exp
         lift_m=DRY_RUN_M if config.dry_run else 0.0,
         hold_s=config.hold,
         feel=config.feel,
+        pace=config.pace,
     )
     faults = [FaultAt.parse(text, options.budget) for text in config.fault]
     opening = setup_of(

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from deformscope.robot.squeeze_setup import SqueezeSetup
 
 LAB = "lab:"
+TRAVEL_M_S = {"careful": 0.05, "quick": 0.1}
+"""Between touches in the laboratory, by pace; a rig file says it for a rig."""
 
 
 @dataclasses.dataclass(frozen=True, slots=True, eq=False)
@@ -82,6 +84,7 @@ def setup_of(
             sensor="" if camera == "plain" else camera,
             robot=None if robot == "plain" else RobotBody(options.seed),
             described=AS_CAPSULES if robot == "plain" else described_robot(removal),
+            travel_speed_m_s=TRAVEL_M_S[options.pace],
         )
         laboratory = {
             "clean": clean,

@@ -233,6 +233,10 @@ class ExploreConfig(RecordedOptions):
     relaxation time, energy that a touch loses. 8 s tell times of 0.2 to 5 s."""
     feel: Literal["apparent", "relaxed"] = "apparent"
     """Which stiffness is mapped: as each touch comes down, or, with --hold, when all has relaxed."""
+    pace: Literal["careful", "quick"] = "careful"
+    """quick: once a touch has met the surface where it was seen, the tip crosses it 2 cm above all that it passes, and
+    slows down where the surface may be, in the last 5 to 15 mm; it travels at the rig file's travel_speed_m_s, in the
+    laboratory at 10 cm/s. careful: 5 cm above it, the last 3 cm slowly, in the laboratory at 5 cm/s."""
     first: flags.PlaceFlag = None
     """Where to touch first, in the surface frame [m]; default: where it says most."""
     dry_run: bool = False

@@ -60,6 +60,8 @@ SEEN_M = 0.01
 """A place counts as seen where a point of the surface was, so near."""
 FORECAST_STEPS = 25
 """Forces at which a touch is foretold."""
+QUICK_COSTS = {"touch_s": 3.5, "speed_m_s": 0.1}
+"""What a touch and the way to it cost at a quick pace [s, m/s]: as `explore --pace quick` of the laboratory takes."""
 MOST_FAILED = 3
 """After so many touches in a row that gave no map the exploration ends: whatever is wrong does not pass by itself."""
 
@@ -89,7 +91,10 @@ class Geometry(Protocol):
     def reachable(self, grid: MapGrid) -> BoolArray:
         """(rows, columns) cells that the tip can touch."""
 
-    def approach(self, xy_m: FloatArray, height_m: float, normal: FloatArray, over_m: float | None) -> Touch: ...
+    def approach(
+        self, xy_m: FloatArray, height_m: float, normal: FloatArray, over_m: float | None, known_m: float | None
+    ) -> Touch:
+        """known_m: how far from this height the surface may be, None = not known"""
 
     def touch(self, touched: Any) -> TouchMeasurement: ...
 
@@ -107,7 +112,9 @@ class AsMeasured:
     def look(self, looked: SurfaceMeasurement) -> SurfaceMeasurement:
         return looked
 
-    def approach(self, xy_m: FloatArray, height_m: float, normal: FloatArray, over_m: float | None) -> Touch:
+    def approach(
+        self, xy_m: FloatArray, height_m: float, normal: FloatArray, over_m: float | None, known_m: float | None
+    ) -> Touch:
         return Touch(xy_m, height_m, normal, over_m)
 
     def touch(self, touched: TouchMeasurement) -> TouchMeasurement:
@@ -135,10 +142,12 @@ class FromFrames:
         chain = chain_of(self._looked.used.arm_model)
         return self._setup.reachable(grid, self._options, chain, self._joints_deg)
 
-    def approach(self, xy_m: FloatArray, height_m: float, normal: FloatArray, over_m: float | None) -> Touch:
+    def approach(
+        self, xy_m: FloatArray, height_m: float, normal: FloatArray, over_m: float | None, known_m: float | None
+    ) -> Touch:
         assert self._looked is not None
         chain = chain_of(self._looked.used.arm_model)
-        plan = self._setup.plan_led(xy_m, height_m, normal, over_m, self._options, chain, self._joints_deg)
+        plan = self._setup.plan_led(xy_m, height_m, normal, over_m, self._options, chain, self._joints_deg, known_m)
         return Touch(xy_m, height_m, plan.normal, over_m, plan)
 
     def touch(self, touched: Touched) -> TouchMeasurement:
@@ -207,7 +216,7 @@ class ExplorationStages:
         try:
             refused = self._refusal(xy_m)
             if not refused:
-                touch = self.geometry.approach(xy_m, *self.explorer.aim(xy_m), self.explorer.over_m(xy_m))
+                touch = self.explorer.approached(xy_m, self.geometry)
                 forecast = self.explorer.forecast(touch)
         except InputError as error:
             refused = str(error)
@@ -300,6 +309,7 @@ class Explorer:
         self._left_out: list[FloatArray] = []
         self._usable = False
         self._without_map = 0
+        self._beside_m = 0.0
 
     # Each step --------------------------------------------------------------------------------------------------------
 
@@ -329,6 +339,7 @@ class Explorer:
                 threshold=options.threshold,
                 cell_m=PLAN_CELL_M,
                 inclusion_m=options.inclusion_m,
+                **(QUICK_COSTS if options.pace == "quick" else {}),
             ),
             tip_m=self.touches[-1].xyz_m[:2] if self.touches else None,
             left_out_m=np.reshape(self._left_out, (-1, 2)),
@@ -358,7 +369,11 @@ class Explorer:
 
     def approach(self, xy_m: FloatArray, geometry: Geometry) -> Touch | None:
         """The touch of a place (2,) [m]; None where it could not be planned."""
-        return self._stage("plan", lambda: geometry.approach(xy_m, *self.aim(xy_m), self.over_m(xy_m)))
+        return self._stage("plan", lambda: self.approached(xy_m, geometry))
+
+    def approached(self, xy_m: FloatArray, geometry: Geometry) -> Touch:
+        """The touch of a place (2,) [m]. Raises InputError where it cannot be made."""
+        return geometry.approach(xy_m, *self.aim(xy_m), self.over_m(xy_m), self.known_m(xy_m))
 
     def aim(self, xy_m: FloatArray) -> tuple[float, FloatArray]:
         """Height of the surface at a place (2,) [m], and its unit normal (3,), as the camera saw them."""
@@ -377,7 +392,7 @@ class Explorer:
         stiffness, low, high = (float(np.exp(log_stiffness + sds * log_sd)) for sds in (0.0, -Z_90, Z_90))
         depth_m, deepest_m, least_m = (1e-3 * options.set_force_n / one * share for one in (stiffness, low, high))
         at = np.append(touch.xy_m, touch.height_m)
-        above_m = at + options.standoff_m * touch.normal
+        above_m = at + (options if touch.plan is None else touch.plan).standoff_m * touch.normal
         crossing_m = above_m[2] if touch.plan is None else touch.plan.travel_height_m - options.tip_radius_m
         over_m = np.append(above_m[:2], max(above_m[2], crossing_m))
         return TouchForecast(
@@ -407,6 +422,15 @@ class Explorer:
         crossed = beside_m.reshape(self.grid.shape) <= self.options.tip_radius_m + BESIDE_M
         return float((self._heights.mean_m + SURE_SD * self._heights.deviation_m)[crossed].max())
 
+    def known_m(self, xy_m: FloatArray) -> float | None:
+        """How far the surface at a place (2,) [m] may be from where it was seen: as far as any touch felt it from
+        there, and what its process doubts; None before the first touch, and at a careful pace."""
+        if not self.touches or self.options.pace == "careful":
+            return None
+        assert self._heights is not None
+        row, column = (xy_m[::-1] / self.grid.cell_m).astype(int)
+        return self._beside_m + SURE_SD * float(self._heights.deviation_m[row, column])
+
     def touch(self, touched: TouchMeasurement, dent: Callable[[], FloatArray] | None = None) -> TouchEstimate:
         """Take a touch in. dent: computes its `after_m`, where that is not known yet"""
         self._touch = len(self.touches) + 1
@@ -432,6 +456,7 @@ class Explorer:
         else:
             self.posterior, self._regions = posterior, None
         estimate = self._estimate(touched, contact, creep)
+        self._beside_m = max(self._beside_m, _beside_m(touched, estimate, self.options.tip_radius_m))
         self.touches.append(estimate)
         return estimate
 
@@ -701,3 +726,11 @@ def _along(touched: TouchMeasurement) -> FloatArray:
 def _force_along(touched: TouchMeasurement) -> FloatArray:
     """(n,) force out of the surface [N]."""
     return np.asarray(touched.force_n @ touched.normal / np.linalg.norm(touched.normal))
+
+
+def _beside_m(touched: TouchMeasurement, estimate: TouchEstimate, tip_radius_m: float) -> float:
+    """How far along the normal a touch met the surface from where it was seen [m]; infinite where it met none."""
+    if not np.isfinite(estimate.contact_m):
+        return float("inf")
+    began_m = float((touched.position_m[0] - estimate.xyz_m) @ estimate.normal)
+    return abs(began_m - estimate.contact_m - tip_radius_m)

@@ -45,6 +45,13 @@ COARSE_M = 0.02
 """Reach is computed at places so far apart, and taken for the cells around."""
 UPRIGHT = np.array([0.0, 0.0, 1.0])
 
+HOP_M, HOP_SPEED_M_S, HOP_PASSING_M = 0.02, 0.05, 2e-3
+"""Over a surface that is known, the tip's height before and after a touch, how fast it comes down and goes up, and how
+near it comes to where it begins. Chosen."""
+HOP_MARGIN_M, HOP_SLOW_M = 5e-3, 0.015
+"""It is slow from so much above where the surface may be, and, where that is higher than this above where it was seen,
+from where it is not known. Chosen."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameData:
@@ -274,26 +281,37 @@ class SetupGeometry:
         return more_n if more_n > options.set_force_n else None
 
     def plan(
-        self, xy_m: FloatArray, height_m: float, normal: FloatArray, over_m: float | None, options: ExploreOptions
+        self,
+        xy_m: FloatArray,
+        height_m: float,
+        normal: FloatArray,
+        over_m: float | None,
+        options: ExploreOptions,
+        known_m: float | None = None,
     ) -> TouchPlan:
         """A touch of a place whose surface was seen at this height.
 
         over_m: how high the surface may be on the straight way to it, None = not known: then as high as nothing stands
+        known_m: how far from there the surface may be, None = not known: it is then come near to slowly, from higher up
         """
-        highest = highest_m(options)
+        highest, standoff_m, pace = highest_m(options), options.standoff_m, {}
+        if known_m is not None and (slow_m := known_m + HOP_MARGIN_M) <= HOP_SLOW_M:
+            standoff_m = HOP_M + self.camera.doubt_m
+            pace = {"slow_within_m": slow_m, "far_speed_m_s": HOP_SPEED_M_S, "passing_m": HOP_PASSING_M}
         if over_m is not None:
-            highest = min(over_m + options.lift_m + options.standoff_m + self.placement.center_offset_m, highest)
+            highest = min(over_m + options.lift_m + standoff_m + self.placement.center_offset_m, highest)
         plan = TouchPlan(
             np.append(xy_m, height_m + options.lift_m),
             np.asarray(normal, np.float64),
             set_force_n=options.set_force_n,
             more_force_n=self.more_force_n(options),
             max_depth_m=options.max_depth_m,
-            standoff_m=options.standoff_m,
+            standoff_m=standoff_m,
             travel_height_m=highest,
             tangential=options.tangential,
             dwell_s=max(options.hold_s, DWELL_S),
             dwell_at_most_s=options.hold_s + DWELL_AT_MOST_S,
+            **pace,
         )
         return plan.no_faster(self.workspace.contact_speed_m_s, self.workspace.travel_speed_m_s)
 
@@ -306,12 +324,13 @@ class SetupGeometry:
         options: ExploreOptions,
         chain: Chain | None,
         joints_deg: npt.ArrayLike,
+        known_m: float | None = None,
     ) -> TouchPlan:
         """The same along the normal, or upright where the arm cannot be led along it: joint limits and singularities
         depend on the tilt. Whoever places a stick without a chain holds it upright."""
-        plan = self.plan(xy_m, height_m, normal, over_m, options)
+        plan = self.plan(xy_m, height_m, normal, over_m, options, known_m)
         along = chain is not None and self._lead([plan], chain, joints_deg).all()
-        return plan if along else self.plan(xy_m, height_m, UPRIGHT, over_m, options)
+        return plan if along else self.plan(xy_m, height_m, UPRIGHT, over_m, options, known_m)
 
     def reachable(
         self, grid: MapGrid, options: ExploreOptions, chain: Chain | None, joints_deg: npt.ArrayLike

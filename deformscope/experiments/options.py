@@ -17,6 +17,7 @@ BORDER_M = 0.02
 """No touch is made so near the surface's edge."""
 VIEW_CELL_M = 0.004
 """Points of the surface before any touch are reduced to one in each cell of this size."""
+Pace = Literal["careful", "quick"]
 PLAN_CELL_M = 0.02
 """Places that are considered for a touch are this far apart."""
 DRY_RUN_M = 0.1
@@ -41,6 +42,7 @@ class ExploreOptions:
     lift_m: all touches are made so far above the surface, where nothing is met: a dry run
     hold_s: how long each touch holds its force, for the foam's creep; 0 = no longer than to see the dent
     feel: which stiffness is mapped: as the touch comes down, or when all has relaxed
+    pace: "quick" = low and fast over what is known of the surface
     go_on: touch until the budget is spent, even where the plan says enough (for studies)
     """
 
@@ -62,6 +64,7 @@ class ExploreOptions:
     tangential: Literal["held", "free"] = "held"
     hold_s: float = 0.0
     feel: Feel = "apparent"
+    pace: Pace = "careful"
 
     def __post_init__(self) -> None:
         if self.budget < 1:

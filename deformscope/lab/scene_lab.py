@@ -58,11 +58,14 @@ class SceneLab:
         sensor: str = "",
         robot: RobotBody | None = None,
         described: RobotDescription = AS_CAPSULES,
+        travel_speed_m_s: float = 0.05,
     ) -> None:
         """parked_m: z of the tip's centre where the arm stands first [m, surface frame]; errors: what is drawn of what
         it keeps, default nothing; sensor: of SENSORS, what the camera measures by, empty = noise alone
-        robot: that the camera sees, None = capsules; described: what is known of its shape"""
+        robot: that the camera sees, None = capsules; described: what is known of its shape; travel_speed_m_s: between
+        touches"""
         self._robot, self._described = robot, described
+        self._workspace = Workspace(low_m=BOX_LOW_M, high_m=BOX_HIGH_M, travel_speed_m_s=travel_speed_m_s)
         self.drawn = (errors or LabErrors.none()).draw([seed, scene.seed])
         foam = self.drawn.foam(scene)
         self.scene = scene = self.drawn.slab(scene)
@@ -104,7 +107,7 @@ class SceneLab:
         return Setup(
             size_m=self.scene.size_m,
             placement=self.placement,
-            workspace=Workspace(low_m=BOX_LOW_M, high_m=BOX_HIGH_M),
+            workspace=self._workspace,
             camera=CameraView(
                 (intrinsics.fx_px, intrinsics.fy_px),
                 (intrinsics.cx_px, intrinsics.cy_px),

@@ -71,6 +71,7 @@ class TouchPlan:
     far_speed_m_s, contact_speed_m_s, travel_speed_m_s: speeds far, near and in contact, and between touches
     contact_force_n: along the normal means contact; dwell_s: still for so long; dwell_at_most_s: dwell no longer
     tangential: "held" = the tip stays on the normal's line, "free" = it follows forces across
+    passing_m: so near above the point the tip goes on, without coming to rest where it is sent
     """
 
     point_m: FloatArray
@@ -90,6 +91,7 @@ class TouchPlan:
     dwell_s: float = 0.5
     dwell_at_most_s: float = 3.0
     tangential: Literal["held", "free"] = "held"
+    passing_m: float = 0.0
 
     def __post_init__(self) -> None:
         point, normal = np.asarray(self.point_m, float), np.asarray(self.normal, float)
@@ -325,12 +327,13 @@ class TouchStateMachine:
         return -speed * self.plan.normal
 
     def _away(self, time_s: float, center_m: FloatArray, speed_m_s: float) -> FloatArray:
-        above_m = float((center_m - self._touching_m) @ self.plan.normal)
-        left_m = self.plan.standoff_m - above_m
-        if left_m < 5e-4:
+        plan = self.plan
+        above_m = float((center_m - self._touching_m) @ plan.normal)
+        left_m = plan.standoff_m - above_m
+        if left_m < max(5e-4, plan.passing_m):
             self.end(time_s)
             return np.zeros(3)
-        return min(speed_m_s, max(HELD_GAIN_PER_S * left_m, 2e-3)) * self.plan.normal
+        return min(speed_m_s, max(HELD_GAIN_PER_S * left_m, 2e-3)) * plan.normal
 
     def _across(self, center_m: FloatArray, force_n: FloatArray) -> FloatArray:
         """Velocity across the normal: back to its line, or with the force."""
@@ -450,6 +453,7 @@ class TouchRun:
                 height_m=float(crossing_m[2]),
                 deepest_m=deepest_m,
                 speed_m_s=plan.travel_speed_m_s,
+                passing_m=plan.passing_m,
             )
         finally:
             self._spans.append(PhaseSpan(Phase.TRAVEL, began, self._now_s()))

@@ -43,15 +43,16 @@ def move_tip(
     speed_m_s: float,
     *,
     passing: bool = False,
+    near_m: float = REACHED_M,
 ) -> None:
     """Straight to where the tip's centre (3,) [m] is here and the stick along -normal, both in the surface frame.
 
-    passing: it goes on from there, so that near is enough. Raises NotThere when it takes too long, RobotStopped,
-    InputError when the robot has to back off.
+    passing: it goes on from there, so that near is enough; near_m: else so near.
+    Raises NotThere when it takes too long, RobotStopped, InputError when the robot has to back off.
     """
     goal = robot.placement.T_surface_base @ robot.placement.T_base_ee(center_m, normal)
     goal = goal @ robot.placement.T_ee_center
-    near_m, near_rad = (PASSED_M, PASSED_RAD) if passing else (REACHED_M, REACHED_RAD)
+    near_m, near_rad = (PASSED_M, PASSED_RAD) if passing else (near_m, REACHED_RAD)
     error = _error(robot, goal)
     way_s = max(float(np.linalg.norm(error[:3])) / speed_m_s, float(np.linalg.norm(error[3:])) / ANGULAR_RAD_S)
     for _ in range(round(100 * (SLACK * way_s + 2.0))):
@@ -88,15 +89,22 @@ def move_joints(robot: Robot, joints_deg: npt.ArrayLike) -> None:
 
 
 def to_above(
-    robot: Robot, center_m: FloatArray, normal: FloatArray, *, height_m: float, deepest_m: FloatArray, speed_m_s: float
+    robot: Robot,
+    center_m: FloatArray,
+    normal: FloatArray,
+    *,
+    height_m: float,
+    deepest_m: FloatArray,
+    speed_m_s: float,
+    passing_m: float = 0.0,
 ) -> None:
     """To a place above the surface: up to height_m, across no lower, and down to it.
 
     Straight where the arm can follow; joint by joint the first time, and where a straight way leads near a joint's
     limit or a singularity: its other joint angles for the same pose are then sought.
     height_m: z of the tip's centre while it crosses; deepest_m: (3,) where a straight way goes on to from there [m,
-    surface frame]. Raises NotThere where neither is possible: before it moves, or high
-    above where it was.
+    surface frame]; passing_m: so near the place is near enough.
+    Raises NotThere where neither is possible: before it moves, or high above where it was.
     """
     here = robot.placement.T_surface_center(robot.pose.T_base_ee)
     goal = robot.placement.T_base_ee(center_m, normal)
@@ -123,7 +131,7 @@ def to_above(
             move_joints(robot, joints_deg)
         elif high_m > float(center_m[2]) + REACHED_M:
             move_tip(robot, over, normal, speed_m_s, passing=True)
-    move_tip(robot, center_m, normal, speed_m_s)
+    move_tip(robot, center_m, normal, speed_m_s, near_m=max(REACHED_M, passing_m))
 
 
 def lowest_m(robot: Robot, joints_deg: npt.ArrayLike) -> float:
