@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from deformscope.robot.squeeze_setup import SqueezeSetup
 
 LAB = "lab:"
-TRAVEL_M_S = {"careful": 0.05, "quick": 0.1}
+TRAVEL_M_S = {"careful": 0.05, "quick": 0.15}
 """Between touches in the laboratory, by pace; a rig file says it for a rig."""
 
 

@@ -236,7 +236,7 @@ class ExploreConfig(RecordedOptions):
     pace: Literal["careful", "quick"] = "careful"
     """quick: once a touch has met the surface where it was seen, the tip crosses it 2 cm above all that it passes, and
     slows down where the surface may be, in the last 5 to 15 mm; it travels at the rig file's travel_speed_m_s, in the
-    laboratory at 10 cm/s. careful: 5 cm above it, the last 3 cm slowly, in the laboratory at 5 cm/s."""
+    laboratory at 15 cm/s. careful: 5 cm above it, the last 3 cm slowly, in the laboratory at 5 cm/s."""
     first: flags.PlaceFlag = None
     """Where to touch first, in the surface frame [m]; default: where it says most."""
     dry_run: bool = False

@@ -60,7 +60,7 @@ SEEN_M = 0.01
 """A place counts as seen where a point of the surface was, so near."""
 FORECAST_STEPS = 25
 """Forces at which a touch is foretold."""
-QUICK_COSTS = {"touch_s": 3.5, "speed_m_s": 0.1}
+QUICK_COSTS = {"touch_s": 4.0, "speed_m_s": 0.15}
 """What a touch and the way to it cost at a quick pace [s, m/s]: as `explore --pace quick` of the laboratory takes."""
 MOST_FAILED = 3
 """After so many touches in a row that gave no map the exploration ends: whatever is wrong does not pass by itself."""
@@ -424,8 +424,8 @@ class Explorer:
 
     def known_m(self, xy_m: FloatArray) -> float | None:
         """How far the surface at a place (2,) [m] may be from where it was seen: as far as any touch felt it from
-        there, and what its process doubts; None before the first touch, and at a careful pace."""
-        if not self.touches or self.options.pace == "careful":
+        there, and what its process doubts; None before the first touch."""
+        if not self.touches:
             return None
         assert self._heights is not None
         row, column = (xy_m[::-1] / self.grid.cell_m).astype(int)

@@ -292,12 +292,15 @@ class SetupGeometry:
         """A touch of a place whose surface was seen at this height.
 
         over_m: how high the surface may be on the straight way to it, None = not known: then as high as nothing stands
-        known_m: how far from there the surface may be, None = not known: it is then come near to slowly, from higher up
+        known_m: how far from there the surface may be, None = not known; at a quick pace it is slow where that is, and
+        else from higher up
         """
-        highest, standoff_m, pace = highest_m(options), options.standoff_m, {}
-        if known_m is not None and (slow_m := known_m + HOP_MARGIN_M) <= HOP_SLOW_M:
-            standoff_m = HOP_M + self.camera.doubt_m
-            pace = {"slow_within_m": slow_m, "far_speed_m_s": HOP_SPEED_M_S, "passing_m": HOP_PASSING_M}
+        highest, standoff_m, quick = highest_m(options), options.standoff_m, dict[str, float]()
+        if options.pace == "quick":
+            quick |= {"far_speed_m_s": HOP_SPEED_M_S, "travel_speed_m_s": self.workspace.travel_speed_m_s}
+            quick["passing_m"] = HOP_PASSING_M
+            if known_m is not None and (slow_m := known_m + HOP_MARGIN_M) <= HOP_SLOW_M:
+                quick["slow_within_m"], standoff_m = slow_m, HOP_M + self.camera.doubt_m
         if over_m is not None:
             highest = min(over_m + options.lift_m + standoff_m + self.placement.center_offset_m, highest)
         plan = TouchPlan(
@@ -311,7 +314,7 @@ class SetupGeometry:
             tangential=options.tangential,
             dwell_s=max(options.hold_s, DWELL_S),
             dwell_at_most_s=options.hold_s + DWELL_AT_MOST_S,
-            **pace,
+            **quick,
         )
         return plan.no_faster(self.workspace.contact_speed_m_s, self.workspace.travel_speed_m_s)
 

@@ -31,6 +31,7 @@ from deformscope_drivers.depth_camera import SENSORS, View
 from deformscope_drivers.depth_camera.synthetic import SyntheticDepthConfig
 from deformscope_drivers.device import Device
 from deformscope_drivers.jaco.chains import J2N6S300
+from deformscope_drivers.jaco.config import JacoConfig
 from deformscope_drivers.memory import SimulatedClock
 
 CAMERA_HZ = 10.0
@@ -88,6 +89,7 @@ class SceneLab:
             T_base_surface=T_BASE_SURFACE,
             arm_stiffness_n_m=self.drawn.arm_n_per_m,
             as_felt=self.drawn.as_felt,
+            arm_config=JacoConfig(state_hz=100.0, linear_limit_m_s=travel_speed_m_s),
             view=self._see,
             camera_config=SyntheticDepthConfig(
                 rate_hz=CAMERA_HZ,
