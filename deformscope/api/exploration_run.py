@@ -386,7 +386,7 @@ def _found(
         "stiffness": options.feel,
         "verdict": None if maps is None else maps.verdict,
         "verdict_probability": None if maps is None else maps.probability,
-        "touches": [_touch(exploration, one) for one in exploration.touches],
+        "touches": [_touch(exploration, one, ending.start_ns) for one in exploration.touches],
         "region_count": None if maps is None else maps.region_count,
         "regions": [
             {
@@ -432,7 +432,7 @@ def _missed(missed: Missed | None) -> dict[str, Any] | None:
     }
 
 
-def _touch(exploration: Exploration, one: TouchEstimate) -> dict[str, Any]:
+def _touch(exploration: Exploration, one: TouchEstimate, start_ns: int) -> dict[str, Any]:
     number = one.number + 1
     same = ("beta", "beta_interval", "beta_verdict", "rigid", "modulus_pa", "depth_m", "peak_force_n")
     return {
@@ -441,6 +441,8 @@ def _touch(exploration: Exploration, one: TouchEstimate) -> dict[str, Any]:
         "apparent_stiffness_interval": one.stiffness_interval,
         **{name: getattr(one, name) for name in same},
         "creep": None if one.creep is None else dataclasses.asdict(one.creep),
+        "ended_s": (exploration.ended_ns[one.number] - start_ns) / 1e9,
+        "iou": exploration.iou[one.number] if one.number < len(exploration.iou) else None,
         "failed": exploration.failed(number),
         "asked_for": number in exploration.asked,  # by a person, on the page
     }

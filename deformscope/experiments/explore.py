@@ -152,6 +152,7 @@ class Exploration:
     """What was found so far, whatever ends it.
 
     touches, maps, failures: results; maps is the newest; region_probability: of each number of regions, with `maps`
+    ended_ns, iou: of each touch, when it had ended on the robot's clock, and of the map after it (None without a truth)
     travel_m: over the surface, in straight lines from its corner (0, 0); stop_reason: in a word or two
     missed: by the touches so far, None before the first plan
     started: touches that were started; asked: numbers of those that a person asked for, from 1
@@ -161,6 +162,8 @@ class Exploration:
 
     touches: list[TouchEstimate] = field(default_factory=list)
     maps: MapEstimate | None = None
+    ended_ns: list[int] = field(default_factory=list)
+    iou: list[float | None] = field(default_factory=list)
     failures: list[StageFailure] = field(default_factory=list)
     region_probability: dict[str, float] | None = None
     travel_m: float = 0.0
@@ -243,9 +246,12 @@ def _explore(clock: Callable[[], int], stage: Stage, found: Exploration, steerin
             broken_off = SteeringDecision("held", touch.xy_m, count, str(held))
             yield Step((broken_off,), moment=Moment(clock(), count))
             continue
+        found.ended_ns.append(clock())
         given = PhaseStart("plan", count), _input(touched)
         made = yield from _computed(clock, stage("touch", touched), found, given, Moment(clock(), count + 1))
-        yield Step(found.add(made), moment=Moment(clock(), count + 1, _input(touched).seen_ns or None))
+        results = found.add(made)
+        found.iou.append(None if found.maps is None else found.maps.iou)
+        yield Step(results, moment=Moment(clock(), count + 1, _input(touched).seen_ns or None))
 
 
 def _next_touch(
