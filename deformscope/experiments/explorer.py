@@ -92,7 +92,7 @@ class Geometry(Protocol):
         """(rows, columns) cells that the tip can touch."""
 
     def approach(
-        self, xy_m: FloatArray, height_m: float, normal: FloatArray, over_m: float | None, known_m: float | None
+        self, xy_m: FloatArray, height_m: float, normal: FloatArray, over_m: float | None, known_m: float | None = None
     ) -> Touch:
         """known_m: how far from this height the surface may be, None = not known"""
 
@@ -113,7 +113,7 @@ class AsMeasured:
         return looked
 
     def approach(
-        self, xy_m: FloatArray, height_m: float, normal: FloatArray, over_m: float | None, known_m: float | None
+        self, xy_m: FloatArray, height_m: float, normal: FloatArray, over_m: float | None, known_m: float | None = None
     ) -> Touch:
         return Touch(xy_m, height_m, normal, over_m)
 
@@ -143,7 +143,7 @@ class FromFrames:
         return self._setup.reachable(grid, self._options, chain, self._joints_deg)
 
     def approach(
-        self, xy_m: FloatArray, height_m: float, normal: FloatArray, over_m: float | None, known_m: float | None
+        self, xy_m: FloatArray, height_m: float, normal: FloatArray, over_m: float | None, known_m: float | None = None
     ) -> Touch:
         assert self._looked is not None
         chain = chain_of(self._looked.used.arm_model)

@@ -151,6 +151,26 @@ def test_a_dent_that_was_pressed_on_is_as_deep_as_at_its_last_force() -> None:
     assert told.depth_m == pytest.approx(0.0018 * (5.0 / 3.0) ** (1.0 / 1.5), rel=0.02)
 
 
+def test_a_surface_is_known_as_well_as_touches_met_it() -> None:
+    scene, up, none = built_in("two-60-150", 0), np.array([0.0, 0.0, 1.0]), np.zeros((0, 3))
+    places = np.random.default_rng(0).uniform(size=(500, 2)) * scene.size_m
+    known_m, there = [], np.array([0.3, 0.2])
+    force = np.concatenate([np.zeros(30), np.linspace(0.0, 3.0, 100)])
+    height = np.concatenate([np.linspace(0.07, 0.06, 30), 0.06 - 0.004 * (force[30:] / 3.0) ** (1.0 / 1.5)])
+    for higher_m in (0.0, 0.004):
+        explorer = Explorer(scene.size_m, ExploreOptions(beta_model="none"), ArmCompliance())
+        explorer.look(lambda: SurfaceMeasurement(np.column_stack([places, np.full(500, 0.05)]), np.full(500, 1e-3)))
+        assert explorer.known_m(there) is None
+        position = np.column_stack([np.full((130, 2), 0.2), height + higher_m])
+        along = np.column_stack([np.zeros((130, 2)), force])
+        explorer.touch(TouchMeasurement(np.array([0.2, 0.2]), up, np.arange(130) * 0.01, position, along, none, True))
+        known_m.append(explorer.known_m(there))
+
+    assert known_m[0] is not None
+    assert 0.0 < known_m[0] < 0.003
+    assert known_m[1] == pytest.approx(known_m[0] + 0.004, abs=5e-4)
+
+
 def test_results_of_a_touch_say_which_and_when_its_dent_was_seen() -> None:
     class Once:
         inner = LabRobot(built_in("two-60-150", 0), ExploreOptions(beta_model="none"), sees=False)

@@ -93,6 +93,20 @@ def test_more_is_left_out_around_the_stick_where_the_cameras_place_is_in_doubt()
     assert doubtful - plain == pytest.approx(0.004)
 
 
+def test_what_is_known_of_the_surface_says_how_low_and_how_slowly() -> None:
+    geometry = SetupGeometry.of(SceneLab(built_in("homogeneous-60"), tip_radius_m=0.01, parked_m=0.2).setup)
+    place, quick = np.array([0.3, 0.2]), ExploreOptions(pace="quick")
+    careful = geometry.plan(place, 0.05, UP, 0.051, ExploreOptions(), 0.0)
+    unknown, sure, doubtful, lost = (geometry.plan(place, 0.05, UP, 0.051, quick, m) for m in (None, 0, 0.008, 0.011))
+
+    assert (careful.standoff_m, careful.slow_within_m) == (unknown.standoff_m, unknown.slow_within_m) == (0.05, 0.03)
+    assert (sure.standoff_m, sure.slow_within_m) == (0.02, 0.005)
+    assert doubtful.slow_within_m == pytest.approx(0.013), "slow from 5 mm above the highest that it may be"
+    assert (lost.standoff_m, lost.slow_within_m) == (0.05, 0.03)
+    assert sure.travel_height_m == pytest.approx(careful.travel_height_m - 0.03)
+    assert {one.contact_speed_m_s for one in (careful, unknown, sure, doubtful)} == {0.01}
+
+
 def test_a_geometry_survives_its_settings() -> None:
     made = SetupGeometry.of(SceneLab(built_in("homogeneous-60"), tip_radius_m=0.01, parked_m=0.2).setup)
     back = SetupGeometry.from_json(json.loads(json.dumps(made.as_json())))

@@ -55,6 +55,28 @@ def test_it_presses_as_told_and_never_harder(modulus_pa: float, tip: str, tilt_d
     assert np.all(np.diff(record.time_s) > 0)
 
 
+def test_from_low_above_it_presses_no_harder_and_is_there_soon() -> None:
+    """What is rigid, 3 mm above where it is believed, as far as the slow part of the way allows for."""
+    scene = quick_scene(3, modulus_pa=1e11, tip="sphere", tilt_deg=0.0)
+    low = dataclasses.replace(
+        scene.plan,
+        point_m=scene.plan.point_m - 0.003 * scene.plan.normal,
+        set_force_n=3.0,
+        standoff_m=0.02,
+        slow_within_m=0.008,
+        far_speed_m_s=0.05,
+        passing_m=0.002,
+    )
+    record = run_touch(scene.robot, low)
+    scene.lab.close()
+    spans = {span.phase: span.end_s - span.start_s for span in record.phases}
+
+    assert record.ending is TouchEnding.SET_FORCE
+    assert scene.lab.contact.max_force_n < 1.1 * (low.more_force_n or 0.0)
+    assert spans[Phase.APPROACH] < 1.6  # 12 mm at up to 50 mm/s, 5 mm at 10 mm/s
+    assert spans[Phase.RETREAT] < 1.2
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(("tangential", "least_m", "most_m"), [("held", 0.0, 1e-4), ("free", 3e-3, 2e-2)])
 def test_a_tip_on_a_slope_stays_or_follows_the_force_across(
