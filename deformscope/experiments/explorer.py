@@ -60,8 +60,9 @@ SEEN_M = 0.01
 """A place counts as seen where a point of the surface was, so near."""
 FORECAST_STEPS = 25
 """Forces at which a touch is foretold."""
-QUICK_COSTS = {"touch_s": 4.0, "speed_m_s": 0.15}
-"""What a touch and the way to it cost at a quick pace [s, m/s]: as `explore --pace quick` of the laboratory takes."""
+COSTS = {"careful": (6.0, 0.1), "quick": (4.0, 0.15)}
+"""What the planner takes a touch for [s], and the speed of the way to it [m/s], by pace. Chosen; quick: as in the
+laboratory."""
 MOST_FAILED = 3
 """After so many touches in a row that gave no map the exploration ends: whatever is wrong does not pass by itself."""
 
@@ -330,6 +331,7 @@ class Explorer:
 
     def _plan(self, reachable: BoolArray | None) -> PlannedTouch:
         options = self.options
+        touch_s, speed_m_s = COSTS[options.pace]
         plan = plan_touch(
             self.posterior,
             FieldKernel(),
@@ -339,7 +341,8 @@ class Explorer:
                 threshold=options.threshold,
                 cell_m=PLAN_CELL_M,
                 inclusion_m=options.inclusion_m,
-                **(QUICK_COSTS if options.pace == "quick" else {}),
+                touch_s=touch_s,
+                speed_m_s=speed_m_s,
             ),
             tip_m=self.touches[-1].xyz_m[:2] if self.touches else None,
             left_out_m=np.reshape(self._left_out, (-1, 2)),
