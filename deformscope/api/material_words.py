@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING
 from deformscope.api.calibration_report import provenance_sections
 from deformscope.experiments.material_motion import MaterialEstimate, MaterialFound
 from deformscope.pictures.findings import cell_text
-from deformscope.pictures.material_figures import axes_png, length_scale, recovery_png, yield_png
+from deformscope.pictures.material_figures import axes_png, field_png, length_scale, recovery_png, yield_png
 from deformscope.pictures.report import Figure, ReportVerdict, Section, Table, html_report
 from deformscope.pictures.words import reason_rows
 from deformscope.plain import plain
 from deformscope.stages.fit.estimate import LengthUnit, explained_text
 from deformscope.stages.materials.axis_estimate import ACROSS_VIEW, AxisEstimate
+from deformscope.stages.materials.field_estimate import FieldEstimate
 from deformscope.stages.materials.recovery_estimate import Number, RecoveryEstimate
 from deformscope.stages.materials.yield_estimate import Parameter, YieldEstimate
 
@@ -28,6 +29,8 @@ def material_table(found: MaterialEstimate, name: str) -> Table:
     """The numbers, the verdict and why to doubt it."""
     if isinstance(found, AxisEstimate):
         return Table(_axes_rows(found), caption=f"beta along the axes of {name} ({found.level:.0%} intervals)")
+    if isinstance(found, FieldEstimate):
+        return Table(_field_rows(found), caption=f"Stiffness of each place of {name} ({found.level:.0%} intervals)")
     if isinstance(found, YieldEstimate):
         return Table(_yield_rows(found), caption=f"Yielding of {name} ({found.level:.0%} intervals)")
     return Table(_recovery_rows(found), caption=f"Recovery of {name} ({found.level:.0%} intervals)")
@@ -38,6 +41,8 @@ def material_figure(found: MaterialFound) -> Figure:
     estimate = found.estimate
     if isinstance(estimate, AxisEstimate):
         return Figure(axes_png(estimate), "beta along each axis")
+    if isinstance(estimate, FieldEstimate):
+        return Figure(field_png(estimate), "Stiffness and beta of each place, each with its interval's width")
     if isinstance(estimate, YieldEstimate):
         assert found.motion is not None
         caption = "Error over the yield strain; distance from observed to simulated in each frame"
@@ -141,6 +146,50 @@ def _unloading(settings: dict[str, object]) -> Rows:
 def _parameter(parameter: Parameter) -> str:
     low, high = parameter.interval
     return f"{parameter.value:.4g} (given)" if parameter.given else f"{parameter.value:.4g} ({low:.4g} to {high:.4g})"
+
+
+def _field_rows(found: FieldEstimate) -> Rows:
+    meaning = {
+        "uniform": "no place differs from the others, as far as can be seen",
+        "materials": f"{found.materials} materials with sharp borders",
+        "gradual": "it changes from place to place, by no few materials",
+        "unidentified": "how stiff most places are against the others is not known",
+    }[found.verdict]
+    lowered = next((one.text for one in found.reasons if one.allows == "unidentified"), meaning)
+    low, high = found.ratio_interval
+    metres = 1.0 if found.unit == "m" else found.metres_per_unit
+    absolute = "positions alone tell stiffness against each other only: give a force"
+    if found.absolute is not None and metres is not None:
+        soft, stiff = found.absolute.min() / metres, found.absolute.max() / metres
+        absolute = (
+            f"{soft:.4g} to {stiff:.4g} N/m (modulus times {'thickness' if found.place.shape[1] == 2 else 'spacing'})"
+        )
+    rows = [
+        ("stiffest over softest", f"{found.ratio:.3g} ({low:.3g} to {high:.3g})"),
+        ("verdict", f"{found.verdict}: {lowered}"),
+        *reason_rows(found.reasons),
+        ("places told", f"{found.told:.0%} of {len(found.place)}"),
+    ]
+    for number, one in enumerate(found.levels() if found.materials > 1 else []):
+        numbers = f"{one['stiffness_over_softest']:.3g} times the softest, beta {one['beta']:.2g}, {one['share']:.0%}"
+        rows.append((f"material {number + 1}", numbers))
+    return [
+        *rows,
+        ("stiffness of a cell", absolute),
+        ("beta", f"{found.beta.min():.3g} to {found.beta.max():.3g}"),
+        ("Poisson's ratio", f"{found.poisson:.2g} (deviation {found.poisson_sd:.2g})"),
+        *[
+            (f"left out: {name}", f"{error:.3g} times noise{'' if kept else ', ruled out'}")
+            for name, error, kept in zip(found.tried, found.held_out, found.plausible, strict=True)
+        ],
+        ("noise (a coordinate)", f"{_length(found.noise, found.unit, found.metres_per_unit)}"),
+        (
+            "error, elastic / beta",
+            " / ".join(_length(x, found.unit, found.metres_per_unit) for x in (found.aee, found.beta_aee)),
+        ),
+        ("explained", explained_text(found.explained)),
+        ("converged", CONVERGED[found.converged]),
+    ]
 
 
 def _recovery_rows(found: RecoveryEstimate) -> Rows:

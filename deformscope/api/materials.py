@@ -1,4 +1,5 @@
-"""Anisotropy, yielding and recovery of images, recordings and files: the same for a first run and for its replay."""
+"""Anisotropy, fields of stiffness, yielding and recovery of images, recordings and files: the same for a first run and
+for its replay."""
 
 from __future__ import annotations
 
@@ -22,7 +23,7 @@ from deformscope.api.calibration import (
 from deformscope.api.material_words import material_figure, material_table
 from deformscope.api.result import LibraryResult, Note, log_note, open_recorder, recording_rows
 from deformscope.arrays import ImageArray
-from deformscope.config import AxesConfig, MaterialOptions, OutputOptions, ViscousConfig, YieldConfig
+from deformscope.config import AxesConfig, FieldConfig, MaterialOptions, OutputOptions, ViscousConfig, YieldConfig
 from deformscope.errors import InputError
 from deformscope.experiments.foam_video import ParticleOptions
 from deformscope.experiments.material_motion import (
@@ -30,6 +31,7 @@ from deformscope.experiments.material_motion import (
     MaterialFound,
     UnloadingOptions,
     axes_of_pairs,
+    field_of_pair,
     material_files,
     material_video,
     pose_of,
@@ -50,10 +52,11 @@ from deformscope.recording.items import read_found, read_rows
 from deformscope.recording.reader import Replay
 from deformscope.recording.recorder import RecordingSummary
 from deformscope.session import Step, run
-from deformscope.stages.fit.model import Model
+from deformscope.stages.fit.model import Model, Observation
 from deformscope.stages.fit.motion import Motion
 from deformscope.stages.fit.search import Progress
 from deformscope.stages.materials.axis_estimate import AxisEstimate
+from deformscope.stages.materials.field_estimate import FieldEstimate
 from deformscope.stages.materials.plasticity import YieldOptions
 from deformscope.stages.materials.press_cycle import PressForce
 from deformscope.stages.materials.recovery_estimate import RecoveryEstimate
@@ -68,7 +71,13 @@ FREE_SHARE = 0.05
 """Of a force sensor's readings, the first ones that are taken for its zero."""
 RAW_FILES = {"axes": ("pair", "a pair file (.npz)"), "yield": ("motion", "a motion file (.npz)")}
 RAW_FILES["viscous"] = RAW_FILES["yield"]
-KINDS: dict[str, type[MaterialEstimate]] = {"axes": AxisEstimate, "yield": YieldEstimate, "viscous": RecoveryEstimate}
+RAW_FILES["field"] = RAW_FILES["axes"]
+KINDS: dict[str, type[MaterialEstimate]] = {
+    "axes": AxisEstimate,
+    "field": FieldEstimate,
+    "yield": YieldEstimate,
+    "viscous": RecoveryEstimate,
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,10 +85,10 @@ class MaterialJob:
     """What decides a result beside the inputs; a recording keeps it.
 
     find: what of a material; noise: of a position [m of files, px of images]; particles: of images
-    frame: of images, that axes are fitted to; at, released: see `UnloadingOptions`
+    frame: of images, that axes or a field are fitted to; at, released: see `UnloadingOptions`
     """
 
-    find: Literal["axes", "yield", "viscous"]
+    find: Literal["axes", "field", "yield", "viscous"]
     level: float = 0.9
     seed: int = 0
     device: str = "cpu"
@@ -115,7 +124,7 @@ class MaterialJob:
 
 @dataclass(frozen=True, slots=True)
 class MaterialResult(LibraryResult):
-    """What `calibrate axes`, `yield` or `viscous` found.
+    """What `calibrate axes`, `field`, `yield` or `viscous` found.
 
     estimate: the numbers; name: of the source; found: what they were compared with; recording: what was recorded
     problems: what of the source is damaged; settings, seed: what decides the result
@@ -170,7 +179,7 @@ def calibrate_material(
     with opened_images(sources, images) as source:
         mask = mask_of(sources, images, source.size)
         force = None
-        if job.find != "axes" and job.at is None and Path(sources[0]).suffix.lower() == ".rrd":
+        if job.find not in ("axes", "field") and job.at is None and Path(sources[0]).suffix.lower() == ".rrd":
             sensor = config.unloading.force if isinstance(config, YieldConfig | ViscousConfig) else None
             force = recorded_force(Path(sources[0]), sensor, source.began_ns)
         return run_material_images(source, mask, force, job, settings, config.output, progress=progress)
@@ -188,6 +197,8 @@ def job_of(config: MaterialOptions) -> MaterialJob:
     if isinstance(config, AxesConfig):
         shared |= {"cluster_size": config.cluster_size, "turn_deg": config.turn_deg, "frame": config.at}
         return MaterialJob("axes", **shared)
+    if isinstance(config, FieldConfig):
+        return MaterialJob("field", **shared, frame=config.at)
     assert isinstance(config, YieldConfig | ViscousConfig)
     shared |= {"at": config.unloading.at, "released": config.unloading.released or ("contact",)}
     if isinstance(config, ViscousConfig):
@@ -243,13 +254,14 @@ def run_material_files(
 ) -> MaterialResult:
     """Pairs, all in one fit, or one motion, given by name and content: the same for files and recordings."""
     used = {**settings, "material": dataclasses.asdict(job)}
-    if job.find == "axes":
+    if job.find == "field" and len(raws) > 1:
+        raise InputError("one pair file", str(len(raws)), "name them in several commands")
+    if job.find in ("axes", "field"):
         seen = [parse_pair(raw, name, noise_m=job.noise_m) for name, raw in raws]
         for remark in size_notes([one.rest for one in seen]):
             note(remark)
         with pair_recorder(seen, raws, used, output) as recorder:
-            axes = job.directions(seen[0].rest.shape[1])
-            experiment = material_files(lambda: axes_of_pairs(seen, job.model(), axes, job.level, job.seed, progress))
+            experiment = material_files(lambda: _of_pairs(seen, job, progress))
             result = MaterialResult(run((), experiment, recorder), _named(raws), settings=used, seed=job.seed)
             recorder.write(Step((result.findings(),), frame=0))
         return dataclasses.replace(result, recording=recorder.summary())
@@ -267,6 +279,12 @@ def run_material_files(
     return dataclasses.replace(result, recording=recorder.summary())
 
 
+def _of_pairs(seen: Sequence[Observation], job: MaterialJob, progress: Progress | None) -> MaterialFound:
+    if job.find == "field":
+        return field_of_pair(seen[0], job.level, job.seed, job.device, progress)
+    return axes_of_pairs(seen, job.model(), job.directions(seen[0].rest.shape[1]), job.level, job.seed, progress)
+
+
 def _of_motion(motion: Motion, job: MaterialJob, progress: Progress | None) -> MaterialFound:
     if job.find == "yield":
         return yield_of_motion(motion, job.yield_options(), progress)
@@ -276,9 +294,9 @@ def _of_motion(motion: Motion, job: MaterialJob, progress: Progress | None) -> M
 def _finder(
     job: MaterialJob, particles: ParticleOptions, unloading: UnloadingOptions, progress: Progress | None
 ) -> Callable[[TrackedMotion], MaterialFound]:
-    def axes(tracked: TrackedMotion) -> MaterialFound:
+    def pose(tracked: TrackedMotion) -> MaterialFound:
         frame, seen = pose_of(tracked, particles, job.frame)
-        found = axes_of_pairs([seen], job.model(), job.directions(2), job.level, job.seed, progress)
+        found = _of_pairs([seen], job, progress)
         settings = found.estimate.settings | {"frame": frame, "frames": len(tracked.history)}
         estimate = dataclasses.replace(found.estimate, settings=settings)
         return MaterialFound(estimate, ((frame, found.comparisons[0][1]),))
@@ -289,7 +307,7 @@ def _finder(
     def viscous(tracked: TrackedMotion) -> MaterialFound:
         return recovery_of_camera(tracked, particles, unloading, job.level, job.seed)
 
-    return {"axes": axes, "yield": yielding, "viscous": viscous}[job.find]
+    return {"axes": pose, "field": pose, "yield": yielding, "viscous": viscous}[job.find]
 
 
 def _raw_files(job: MaterialJob, sources: Sequence[str]) -> list[tuple[str, bytes]]:

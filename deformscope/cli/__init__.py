@@ -53,6 +53,7 @@ COMMANDS: dict[str, Command] = {
     "calibrate theta": _command("find theta from images or pair files", "ThetaConfig", "calibrate"),
     "calibrate both": _command("find beta and theta together from pair files", "BothConfig", "materials", "both"),
     "calibrate axes": _command("find a beta along each axis from images or pair files", "AxesConfig", "materials"),
+    "calibrate field": _command("how stiff each place is, from one deformation", "FieldConfig", "materials"),
     "calibrate arm": _command("measure the compliance of the arm, on something rigid", "ArmConfig", "calibrate_arm"),
     "calibrate tip": _command("find where the tip is on the arm, by tilting it", "TipConfig", "calibrate_setup", "tip"),
     "calibrate place": _command(

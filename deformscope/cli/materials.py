@@ -1,10 +1,11 @@
-"""`deformscope calibrate both|axes|yield|viscous`: beta with theta, a beta along each axis, the strain at which a thing
-yields, and what of it relaxes.
+"""`deformscope calibrate both|axes|field|yield|viscous`: beta with theta, a beta along each axis, how stiff each place
+is, the strain at which a thing yields, and what of it relaxes.
 
 deformscope calibrate both pair.npz --picture both.png --json -
 deformscope calibrate both poke1.npz poke2.npz --joint --record both.rrd
 deformscope calibrate axes stretched.npz sheared.npz --turn-deg 30
 deformscope calibrate axes press.mp4 --grid 9x15 --held bottom,contact --contact 200,40,60,20
+deformscope calibrate field stretched.npz --picture field.png --record field.rrd
 deformscope calibrate yield press.npz --picture press.png
 deformscope calibrate yield press.npz --beta 0.7 --creep fit --json -
 deformscope calibrate yield press.mp4 --grid 9x15 --held bottom,contact --contact 200,40,60,20 --at 40,95
@@ -70,7 +71,7 @@ def both(config: BothConfig) -> None:
 
 
 def run(config: MaterialOptions) -> int:
-    """`calibrate axes`, `yield` and `viscous`: images, a recording, or files. Returns the command's exit status."""
+    """`calibrate axes|field|yield|viscous`: images, a recording, or files. Returns the command's exit status."""
     with fit_progress() as progress:
         found = calibrate_material(config, note=say, progress=progress)
     show(found)

@@ -12,6 +12,7 @@ from deformscope.config.calibrate import (
     AxesConfig,
     BetaConfig,
     BothConfig,
+    FieldConfig,
     MaterialOptions,
     PredictConfig,
     SearchOptions,

@@ -254,7 +254,7 @@ class PredictConfig(RecordedOptions):
             raise InputError("a --poke or pokes to compare with --against", "neither", f"--poke {flags.POKE_EXAMPLE}")
 
 
-# deformscope calibrate axes, yield and viscous ------------------------------------------------------------------------
+# deformscope calibrate axes, field, yield and viscous -----------------------------------------------------------------
 
 
 def parse_creep(text: str) -> float | str:
@@ -318,7 +318,7 @@ class UnloadingFlags(Flags):
 
 @dataclass(frozen=True, slots=True)
 class MaterialOptions(RecordedOptions):
-    """What `calibrate axes`, `yield` and `viscous` share."""
+    """What `calibrate axes`, `field`, `yield` and `viscous` share."""
 
     sources: flags.Sources
     """A video, a folder of frames, images in the order given, a recording (.rrd), or .npz files."""
@@ -350,6 +350,15 @@ class AxesConfig(MaterialOptions):
     """Of images: the frame that is fitted, counted from 0 after --stride; default: the last one."""
     cluster_size: flags.ClusterFlag = 3
     """Particles along each side of a cluster."""
+
+
+@dataclass(frozen=True, slots=True)
+class FieldConfig(MaterialOptions):
+    """Find how stiff each place of a thing is against the others from one deformation, by images or one pair file:
+    smooth or of a few materials, with a beta for each place; with a force in the pair file, stiffness in N/m."""
+
+    at: flags.SomeFlag = None
+    """Of images: the frame that is fitted, counted from 0 after --stride; default: the last one."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,4 +1,5 @@
-"""Anisotropy, yielding and recovery of what a camera followed, or of files: one fit, and every frame beside it."""
+"""Anisotropy, fields of stiffness, yielding and recovery of what a camera followed, or of files: one fit, and every
+frame beside it."""
 
 from __future__ import annotations
 
@@ -20,6 +21,8 @@ from deformscope.stages.fit.motion import Motion
 from deformscope.stages.fit.search import Progress
 from deformscope.stages.materials.anisotropy import fit_axes
 from deformscope.stages.materials.axis_estimate import AxisEstimate
+from deformscope.stages.materials.field import fit_field
+from deformscope.stages.materials.field_estimate import FieldEstimate
 from deformscope.stages.materials.plasticity import YieldOptions, fit_yield, simulate_yielding
 from deformscope.stages.materials.press_cycle import (
     PressCycle,
@@ -35,7 +38,7 @@ from deformscope.stages.materials.yield_estimate import YieldEstimate
 from deformscope.stages.msm.materials import AxisBeta
 from deformscope.stages.see.particles import select_held
 
-MaterialEstimate = AxisEstimate | YieldEstimate | RecoveryEstimate
+MaterialEstimate = AxisEstimate | FieldEstimate | YieldEstimate | RecoveryEstimate
 
 MOST_FRAMES = 8
 """Of a camera's motion that yielding is fitted to: a history of loads takes seconds a frame."""
@@ -105,6 +108,12 @@ def axes_of_pairs(
         for one, position in zip(seen, simulated, strict=True)
     )
     return MaterialFound(estimate, tuple(enumerate(compared)))
+
+
+def field_of_pair(seen: Observation, level: float, seed: int, device: str, progress: Progress | None) -> MaterialFound:
+    """How stiff each place is against the others."""
+    estimate, comparison = fit_field(seen, level=level, seed=seed, device=device, progress=progress)
+    return MaterialFound(estimate, ((0, comparison),))
 
 
 def pose_of(tracked: TrackedMotion, particles: ParticleOptions, frame: int | None) -> tuple[int, Observation]:

@@ -17,6 +17,7 @@ from deformscope.pictures.close_up import close_up
 from deformscope.pictures.findings import Findings
 from deformscope.stages.fit.estimate import Comparison, Estimate
 from deformscope.stages.materials.axis_estimate import AxisEstimate
+from deformscope.stages.materials.field_estimate import FieldEstimate
 from deformscope.stages.materials.recovery_estimate import RecoveryEstimate
 from deformscope.stages.materials.yield_estimate import YieldEstimate
 from deformscope.stages.see.flow import FlowField
@@ -74,6 +75,7 @@ def _(result: Findings, rec: rr.RecordingStream, canvas: Canvas) -> None:
 
 
 @_log.register(AxisEstimate)
+@_log.register(FieldEstimate)
 @_log.register(YieldEstimate)
 @_log.register(RecoveryEstimate)
 def _(result: object, rec: rr.RecordingStream, canvas: Canvas) -> None:

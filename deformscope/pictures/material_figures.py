@@ -1,4 +1,4 @@
-"""Pictures of what pairs and motions say of a material: beta with theta, beta along axes, yielding; as PNG."""
+"""Pictures of what pairs and motions say of a material: beta with theta, beta along axes, fields, yielding; as PNG."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from deformscope.stages.fit.joint import JointEstimate
     from deformscope.stages.fit.motion import Motion
     from deformscope.stages.materials.axis_estimate import AxisEstimate
+    from deformscope.stages.materials.field_estimate import FieldEstimate
     from deformscope.stages.materials.recovery_estimate import RecoveryEstimate
     from deformscope.stages.materials.yield_estimate import YieldEstimate
 
@@ -54,6 +55,60 @@ def axes_png(found: AxisEstimate) -> bytes:
     axis.grid(alpha=0.3)
     axis.legend()
     return png_of(figure, 130)
+
+
+FIELD_LAYERS = 4
+"""Layers of a body in space that are drawn, at most."""
+
+
+def field_png(found: FieldEstimate) -> bytes:
+    """Maps of stiffness and of beta, each beside the width of its interval; of a body in space, some of its layers."""
+    from matplotlib.collections import PatchCollection
+    from matplotlib.colors import LogNorm, Normalize
+    from matplotlib.patches import Rectangle
+
+    scale, unit = length_scale(found.unit, found.metres_per_unit)
+    place, flat = scale * found.place, found.place.shape[1] == 2
+    heights = np.zeros(1) if flat else np.unique(np.round(place[:, 2] / (scale * found.spacing)))
+    if len(heights) > FIELD_LAYERS:
+        heights = heights[np.linspace(0, len(heights) - 1, FIELD_LAYERS).round().astype(int)]
+    width = found.interval[:, 1] / found.interval[:, 0]
+    beta_width = found.beta_interval[:, 1] - found.beta_interval[:, 0]
+    most = float(max(found.stiffness.max(), 1.0 / found.stiffness.min(), 1.1))
+    maps = (
+        ("stiffness over its mean [-]", found.stiffness, "RdBu_r", LogNorm(1.0 / most, most)),
+        (f"interval ({found.level:.0%}): upper over lower end [-]", width, "viridis", LogNorm(1.0, 10.0)),
+        ("beta [-]", found.beta, "cividis", Normalize(0.0, 1.0)),
+        (f"interval of beta ({found.level:.0%}), width [-]", beta_width, "viridis", Normalize(0.0, 0.5)),
+    )
+    figure = canvas(12.0, 1.0 + 2.6 * len(heights) if not flat else 7.4, layout="constrained")
+    grid = figure.subplots(2, 2, squeeze=False) if flat else figure.subplots(len(heights), 4, squeeze=False)
+    for number, (title, value, colours, norm) in enumerate(maps):
+        drawn = None
+        for row, height in enumerate(heights):
+            axis = grid.flat[number] if flat else grid[len(heights) - 1 - row, number]
+            here = (
+                np.full(len(place), fill_value=True)
+                if flat
+                else np.round(place[:, 2] / (scale * found.spacing)) == height
+            )
+            side = scale * found.spacing
+            squares = [Rectangle(tuple(one[:2] - 0.5 * side), side, side) for one in place[here]]
+            drawn = PatchCollection(squares, cmap=colours, norm=norm, edgecolor="face", linewidth=0.2)
+            drawn.set_array(value[here])
+            axis.add_collection(drawn)
+            axis.autoscale_view()
+            axis.set_aspect("equal")
+            axis.set(xlabel=f"x [{unit}]", ylabel=f"y [{unit}]")
+            if found.unit == "px":
+                axis.invert_yaxis()
+            layer = "" if flat else f", z {height * side:.3g} {unit}"
+            axis.set_title(title + layer if flat else layer.removeprefix(", "), fontsize=9)
+        beside = [grid.flat[number]] if flat else list(grid[:, number])
+        assert drawn is not None
+        figure.colorbar(drawn, ax=beside, label=title, extend="max" if "interval" in title else "neither")
+    figure.suptitle(f"{found.verdict}: stiffest over softest {found.ratio:.3g}")
+    return png_of(figure, 110)
 
 
 def yield_png(found: YieldEstimate, motion: Motion) -> bytes:

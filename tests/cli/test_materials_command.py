@@ -1,4 +1,4 @@
-"""`calibrate axes`, `yield` and `viscous` as a user calls them: on files, and on what a camera saw."""
+"""`calibrate axes`, `field`, `yield` and `viscous` as a user calls them: on files, and on what a camera saw."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from deformscope.stages.msm.solver import Msm
 from tests.cli.recorded import assert_shows
 from tests.experiments.speckle_video import BORDER_PX, speckle_images, write_images
 from tests.stages.bodies import pushed
+from tests.stages.materials.elastic_pairs import elastic_pair
 from tests.stages.materials.test_plasticity import BETA, pressed
 
 
@@ -181,3 +182,19 @@ def test_axes_that_a_camera_saw_say_what_was_pressed_and_what_one_view_does_not_
     assert_shows(record, says="beta across the view", beside_particles=True)
     assert main(["replay", str(record), "--viewer", "none"]) == 0
     assert "identical to the recorded numbers" in capsys.readouterr().err
+
+
+def test_field_maps_what_is_stiffer_and_is_computed_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    seen = elastic_pair((9, 6), lambda places: np.where(places[:, 0] < 0.04, 10e3, 30e3), noise_m=2e-5)
+    pair, record, picture = (tmp_path / name for name in ("pair.npz", "r.rrd", "map.png"))
+    np.savez(pair, rest=seen.rest, deformed=seen.deformed, held=seen.held, noise_m=2e-5, force_n=seen.force_n)
+    given = ["calibrate", "field", str(pair), "--record", str(record), "--picture", str(picture), "--viewer", "none"]
+    result = run_json(given, capsys)
+    assert result["verdict"] == "materials"
+    assert result["ratio"]["interval"][0] < 3.0 < result["ratio"]["interval"][1]
+    assert len(result["places"]["stiffness_n_per_m"]) == len(result["places"]["beta"]) == 40
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    assert_shows(record, says="stiffest over softest", beside_particles=True)
+    assert main(["replay", str(record)]) == 0
+    assert "identical" in capsys.readouterr().out
+    assert "one pair file" in failure(["calibrate", "field", str(pair), str(pair)], capsys)

@@ -39,6 +39,7 @@ DoubtCode = Literal[
     "held-off",
     "setting",
     "short-record",
+    "large-strain",
 ]
 
 

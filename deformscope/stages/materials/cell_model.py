@@ -1,0 +1,181 @@
+"""Small deformations of a body whose stiffness differs from cell to cell, and their derivatives by each cell's.
+
+The particles of a lattice are the corners of its cells, squares in the plane or cubes in space. The body's energy is
+quadratic in the displacements u, with one factor exp(p) for each cell c:
+
+    E = 1/2 u^T K u,    K = K_0 + sum_c exp(p_c) K_c
+
+"elastic": K_c is the bilinear finite element of modulus 1 (plane stress in the plane), K_0 = 0, and p is the logarithm
+of the modulus. "beta": the model's own energy of 2^d clusters (design: sum of (1 - beta) E_rigid + beta E_affine). For
+small deformations the rigid part is that of the strain e beside the affine part, (1 - beta) |e q|^2 + |what no linear
+map explains|^2: K_c is the strain's, K_0 what keeps a cell from other than linear deformations, p = log(1 - beta).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import product
+from typing import Literal
+
+import numpy as np
+from scipy.sparse import csc_array
+from scipy.sparse.linalg import splu
+
+from deformscope.arrays import FloatArray, IntArray
+from deformscope.errors import InputError
+
+Law = Literal["elastic", "beta"]
+
+GAUSS = 0.5 / np.sqrt(3.0)
+"""Of the quadrature's points from a cell's middle [cells]."""
+
+NU_STEP = 1e-4
+"""Of Poisson's ratio, for the derivative by it."""
+
+
+def lattice_cells(shape: tuple[int, ...], cell: IntArray) -> IntArray:
+    """(C, 2^d) the particles at each cell's corners, of the cells that have all of them."""
+    index = np.full(int(np.prod(shape)), -1)
+    index[cell] = np.arange(len(cell))
+    grid = index.reshape(shape)
+    corners = [
+        grid[tuple(slice(o, n - 1 + o) for o, n in zip(offset, shape, strict=True))].ravel()
+        for offset in product((0, 1), repeat=len(shape))
+    ]
+    found = np.stack(corners, axis=1)
+    return np.asarray(found[(found >= 0).all(axis=1)])
+
+
+def elastic_cells(corner: FloatArray, nu: float) -> FloatArray:
+    """(C, m d, m d) stiffness of bilinear cells of modulus 1. corner: (C, m, d), m = 2^d; nu: Poisson's ratio"""
+    d = corner.shape[2]
+    offset = np.array(list(product((-0.5, 0.5), repeat=d)))
+    law = _elasticity(d, nu)
+    total = np.zeros((len(corner), corner.shape[1] * d, corner.shape[1] * d))
+    for point in offset * (2.0 * GAUSS):
+        factor = 0.5 + 2.0 * offset * point  # (m, d) of each corner's shape function, along each axis
+        local = np.stack([2.0 * offset[:, k] * np.prod(np.delete(factor, k, axis=1), axis=1) for k in range(d)], axis=1)
+        jacobian = np.einsum("mi,cmj->cij", local, corner)
+        gradient = np.einsum("mi,cji->cmj", local, np.linalg.inv(jacobian))
+        strain = _strain(gradient)
+        volume = np.abs(np.linalg.det(jacobian)) / len(offset)
+        total += np.einsum("csa,st,ctb,c->cab", strain, law, strain, volume)
+    return total
+
+
+def beta_cells(corner: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(C, m d, m d) twice: of the strain, times 1 - beta, and of what no linear map explains. corner: (C, m, d)"""
+    count, m, d = corner.shape
+    q = corner - corner.mean(axis=1, keepdims=True)
+    moment = np.einsum("cmi,cmj->cij", q, q)
+    slope = np.einsum("cmi,cij->cmj", q, np.linalg.inv(moment))  # F - 1 = sum_m u_m slope_m^T
+    change = np.zeros((count, m, d, m, d))  # e q of each particle by each displacement
+    for k, j in product(range(d), repeat=2):
+        symmetric = 0.5 * np.einsum("cn,cm->cmn", slope[:, :, j], q[:, :, j])
+        change[:, :, k, :, k] += symmetric
+        change[:, :, k, :, j] += 0.5 * np.einsum("cn,cm->cmn", slope[:, :, k], q[:, :, j])
+    flat = change.reshape(count, m * d, m * d)
+    strain = np.einsum("cka,ckb->cab", flat, flat)
+    linear = np.einsum("cmi,cni->cmn", q, slope) + 1.0 / m
+    left = np.einsum("cmn,ij->cminj", np.eye(m) - linear, np.eye(d)).reshape(count, m * d, m * d)
+    return strain, np.einsum("cka,ckb->cab", left, left)
+
+
+def _elasticity(d: int, nu: float) -> FloatArray:
+    """Stresses of strains, at modulus 1; plane stress in the plane."""
+    if d == 2:
+        return np.array([[1.0, nu, 0.0], [nu, 1.0, 0.0], [0.0, 0.0, 0.5 * (1.0 - nu)]]) / (1.0 - nu**2)
+    shear = 0.5 / (1.0 + nu)
+    law = np.zeros((6, 6))
+    law[:3, :3] = nu / ((1.0 + nu) * (1.0 - 2.0 * nu))
+    law += np.diag([2.0 * shear] * 3 + [shear] * 3)
+    return law
+
+
+def _strain(gradient: FloatArray) -> FloatArray:
+    """(C, s, m d) strains of displacements, shear last. gradient: (C, m, d) of the shape functions"""
+    count, m, d = gradient.shape
+    pairs = [(i, j) for i in range(d) for j in range(i + 1, d)]
+    strain = np.zeros((count, d + len(pairs), m, d))
+    for i in range(d):
+        strain[:, i, :, i] = gradient[:, :, i]
+    for row, (i, j) in enumerate(pairs, start=d):
+        strain[:, row, :, i], strain[:, row, :, j] = gradient[:, :, j], gradient[:, :, i]
+    return strain.reshape(count, -1, m * d)
+
+
+@dataclass(frozen=True, slots=True)
+class CellState:
+    """A static state. moved: (K, d); slope: (K d, C) derivative by each cell's p; by_nu: (K d,), zero for "beta"
+    response: (K d, n d) of every displacement to the held ones; force: (K, d) that what holds the body exerts"""
+
+    moved: FloatArray
+    slope: FloatArray
+    by_nu: FloatArray
+    response: FloatArray
+    force: FloatArray
+
+
+class CellModel:
+    """A body of cells, some of whose particles are held. rest: (K, d); cells: (C, 2^d); held: (n,)"""
+
+    def __init__(self, rest: FloatArray, cells: IntArray, held: IntArray, law: Law = "elastic") -> None:
+        self.count, self.d = rest.shape
+        self.law: Law = law
+        spacing = float(np.median(np.linalg.norm(rest[cells[:, 1]] - rest[cells[:, 0]], axis=1)))
+        self.corner = rest[cells] / spacing
+        self.dof = (cells[:, :, None] * self.d + np.arange(self.d)).reshape(len(cells), -1)
+        used = np.zeros(self.count, dtype=bool)
+        used[cells] = True
+        if not used.all():
+            raise InputError("particles that are corners of whole cells", f"{int((~used).sum())} that are of none")
+        self.fixed = (held[:, None] * self.d + np.arange(self.d)).ravel()
+        self.free = np.setdiff1d(np.arange(rest.size), self.fixed)
+        self._fixed_cells = beta_cells(self.corner) if law == "beta" else None
+
+    def state(self, p: FloatArray, moved: FloatArray, nu: float = 0.3, *, slopes: bool = True) -> CellState:
+        """Displacements and their derivatives. p: (C,); moved: (K, d), read where held; both at any scale"""
+        each = self._cells(nu)
+        base = 0.0 if self._fixed_cells is None else self._fixed_cells[1]
+        whole = self._assembled(np.exp(p)[:, None, None] * each + base)
+        factors = splu(whole[np.ix_(self.free, self.free)].tocsc())
+        u = np.zeros(self.count * self.d)
+        u[self.fixed] = moved.ravel()[self.fixed]
+        coupling = whole[np.ix_(self.free, self.fixed)]
+        u[self.free] = factors.solve(-(coupling @ u[self.fixed]))
+        force = np.zeros(u.size)
+        force[self.fixed] = (whole @ u)[self.fixed]
+        if not slopes:
+            none = np.zeros((0, 0))
+            return CellState(u.reshape(-1, self.d), none, none, none, force.reshape(-1, self.d))
+        response = np.zeros((u.size, self.fixed.size))
+        response[self.free] = factors.solve(-coupling.toarray())
+        response[self.fixed, np.arange(self.fixed.size)] = 1.0
+        loads = np.exp(p)[:, None] * np.einsum("cab,cb->ca", each, u[self.dof])
+        slope = self._solved(factors, self._columns(loads))
+        by_nu = np.zeros((u.size, 1))
+        if self.law == "elastic":
+            change = (self._cells(nu + NU_STEP) - self._cells(nu - NU_STEP)) / (2.0 * NU_STEP)
+            load = np.zeros(u.size)
+            np.add.at(load, self.dof, np.exp(p)[:, None] * np.einsum("cab,cb->ca", change, u[self.dof]))
+            by_nu = self._solved(factors, load[:, None])
+        return CellState(u.reshape(-1, self.d), slope, by_nu[:, 0], response, force.reshape(-1, self.d))
+
+    def _cells(self, nu: float) -> FloatArray:
+        return elastic_cells(self.corner, nu) if self._fixed_cells is None else self._fixed_cells[0]
+
+    def _assembled(self, each: FloatArray) -> csc_array:
+        rows = np.repeat(self.dof, self.dof.shape[1], axis=1)
+        columns = np.tile(self.dof, (1, self.dof.shape[1]))
+        size = self.count * self.d
+        return csc_array((each.ravel(), (rows.ravel(), columns.ravel())), shape=(size, size))
+
+    def _columns(self, loads: FloatArray) -> FloatArray:
+        found = np.zeros((self.count * self.d, len(loads)))
+        found[self.dof, np.arange(len(loads))[:, None]] = loads
+        return found
+
+    def _solved(self, factors: object, load: FloatArray) -> FloatArray:
+        found = np.zeros(load.shape)
+        found[self.free] = -factors.solve(load[self.free])  # type: ignore[attr-defined]
+        return found

@@ -1,0 +1,369 @@
+"""A stiffness per place from one deformation: smooth or of a few materials, whichever predicts particles left out.
+
+What divides a given motion between the places of a body is the ratio of their stiffness; how stiff all of it is, a
+force alone tells. The ratio is that of bilinear finite elements on the particles' lattice (`cell_model`), with
+Poisson's ratio fitted beside it: beta's energy has none, which makes its ratios of 1 - beta too small on foams that
+have one. A beta for each cell is fitted beside it, in the same places.
+
+How far a smooth field hangs together is chosen by blocks of particles left out, and so is whether a few materials with
+sharp borders predict these as well. An interval holds every description that what was left out does not rule out, so
+that a place of which the data say nothing keeps what it had before them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import pairwise
+
+import numpy as np
+from scipy.linalg import solve_triangular
+from scipy.spatial import cKDTree
+from scipy.special import expit
+from scipy.stats import norm
+
+from deformscope.arrays import BoolArray, FloatArray, IntArray
+from deformscope.stages.fit.doubts import little_explained, not_converged, ordered
+from deformscope.stages.fit.estimate import Comparison, Doubt, limited
+from deformscope.stages.fit.model import Model, Observation
+from deformscope.stages.fit.search import Progress
+from deformscope.stages.materials.field_estimate import TOLD_ROUGHLY, FieldEstimate, FieldVerdict, place_verdicts
+from deformscope.stages.materials.field_fit import (
+    LEAST_MOTION,
+    FieldFit,
+    FieldPoint,
+    StiffnessPrior,
+    Folds,
+    LeftOutError,
+    NoiseModel,
+    likeliest_noise,
+    posterior,
+    smooth_mean,
+)
+from deformscope.stages.materials.field_levels import levels_of, neighbours, sharpened
+
+REACHES = (1.5, 3.0, 6.0, 12.0, 24.0)
+"""How far the smooth field may hang together [spacings]: the strength of the prior."""
+
+FIRST_REACH, FIRST_NOISE, SMOOTH_ROUNDS = 6.0, 0.05, 3
+"""Where the search begins (noise as a share of the largest displacement), and its rounds."""
+
+MATERIALS = (1, 2, 3)
+"""How many materials are tried."""
+
+BORDER_ROUNDS = 4
+"""Rounds of fitting levels and moving borders."""
+
+NOT_WORSE, NEAR_BEST = 2.0, 1.0
+"""A description whose error of what was left out is larger by less than so many standard errors may be true.
+The simplest of those is taken. Where that is a few materials, intervals hold those within the second, else all."""
+
+GAIN = 8.0
+"""By which chi2 of what was left out has to differ in any case, for a description to be ruled out."""
+
+EXPLAINABLE = 1e-12
+"""Share of the largest displacement, squared, that there is at least to be explained."""
+
+SPLITS = (0.25, 0.5, 0.75)
+"""Where a body that looks uniform is split, in shares of its places along each axis."""
+
+DRAWS = 40
+"""Of the field, for the scale that a force gives."""
+
+TOLD_LEAST = 0.5
+"""Share of the places that must be told, so that the whole has another verdict than unidentified."""
+
+STRAIN_MOST = 0.15
+"""Change of a cell's sides, as a share, beyond which small deformations are no description (95 % of all sides)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Description:
+    """One way to describe the field. label: (C,) materials, -1 where it is smooth; root: of the covariance after the
+    data (C + 1, q); misfit: chi2 for each number"""
+
+    name: str
+    label: IntArray
+    prior: StiffnessPrior
+    point: FieldPoint
+    root: FloatArray
+    judged: LeftOutError
+    misfit: float
+
+    def relative(self, edges: IntArray, sds: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """(C,) log stiffness over its mean, and the ends of its interval; a cell at a border may be of either side."""
+        p = self.point.at[:-1] - self.point.at[:-1].mean()
+        root = self.root[:-1] - self.root[:-1].mean(axis=0)
+        reach = sds * np.sqrt((root**2).sum(axis=1) * max(1.0, self.misfit))
+        low, high = p - reach, p + reach
+        if self.label[0] >= 0:
+            one, other = np.concatenate([edges, edges[:, ::-1]]).T
+            ends = low.copy(), high.copy()
+            np.minimum.at(low, one, ends[0][other])
+            np.maximum.at(high, one, ends[1][other])
+        return p, low, high
+
+    def contrast(self, sds: float) -> tuple[float, tuple[float, float]]:
+        """Stiffest over softest, and its interval."""
+        p = self.point.at[:-1]
+        if self.label[0] >= 0:
+            each = np.unique(self.label, return_index=True)[1]
+            low, high = each[p[each].argmin()], each[::-1][p[each[::-1]].argmax()]
+        else:
+            low, high = (int(np.abs(p - end).argmin()) for end in np.quantile(p, [0.02, 0.98]))
+        apart = float(p[high] - p[low])
+        sd = float(np.linalg.norm(self.root[high] - self.root[low])) * max(1.0, self.misfit) ** 0.5
+        low_end, high_end = (float(np.exp(apart + sign * sds * sd)) for sign in (-1.0, 1.0))
+        return float(np.exp(apart)), (max(low_end, 1.0), high_end)
+
+
+def fit_field(
+    seen: Observation, *, level: float = 0.9, seed: int = 0, device: str = "cpu", progress: Progress | None = None
+) -> tuple[FieldEstimate, Comparison]:
+    """A stiffness for each place of what was seen, and it beside what the engine makes of the betas."""
+    fit = FieldFit(seen, "elastic")
+    sds = float(norm.ppf(0.5 + 0.5 * level))
+    steps = len(MATERIALS) + 3
+
+    def done(number: int) -> None:
+        if progress is not None:
+            progress("descriptions of the field", number, steps)
+
+    reach, noise, point = _smooth(fit)
+    done(1)
+    found = [_described(fit, "smooth", fit.prior(reach), noise, point)]
+    edges = neighbours(fit.place, fit.spacing)
+    for count in MATERIALS:
+        one = _materials(fit, noise, found[0], edges, count)
+        if one is not None:
+            found.append(one)
+        done(1 + count)
+    total = np.array([one.judged.total for one in found])
+    best = found[int(total.argmin())].judged
+    worse = [one.judged.worse_than(best) for one in found]
+    plausible = [gap <= max(NOT_WORSE * scatter, GAIN) for gap, scatter in worse]
+    chosen = next((one for one, kept in zip(found[1:], plausible[1:], strict=True) if kept), found[0])
+    value, _, _ = chosen.relative(edges, sds)
+    held = [one for one, kept in zip(found, plausible, strict=True) if kept]
+    if chosen.label.max() > 0:
+        near = [one for one, (gap, scatter) in zip(found, worse, strict=True) if gap <= NEAR_BEST * scatter]
+        held = [chosen, *near]
+    elif chosen.label[0] >= 0:
+        held += _hidden(fit, noise, chosen)
+    ends = [one.relative(edges, sds)[1:] for one in held]
+    interval = np.stack([np.min([low for low, _ in ends], axis=0), np.max([high for _, high in ends], axis=0)], axis=1)
+    done(steps - 1)
+    beta, beta_ends, beta_state, beta_aee = _betas(seen, chosen, reach, sds, device)
+    motion = float(np.sum(fit.target**2))
+    left = float(np.sum((fit.target - chosen.point.moved) ** 2))
+    explained = 1.0 - left / motion if motion > fit.size**2 * EXPLAINABLE else 0.0
+    reasons = [*not_converged(chosen.point.converged), *_large_strain(fit), *_part_of_a_face(fit)]
+    reasons += little_explained(explained, left_is_noise=chosen.misfit < 2.0)
+    verdicts = tuple(limited(one, reasons) for one in place_verdicts(np.exp(interval)))
+    kind: FieldVerdict = "gradual" if chosen.label[0] < 0 else "materials" if chosen.label.max() > 0 else "uniform"
+    told = np.mean([one != "unidentified" for one in verdicts]) >= TOLD_LEAST
+    contrasts = [one.contrast(sds)[1] for one in held]
+    if kind == "uniform" and max(high for _, high in contrasts) > TOLD_ROUGHLY:
+        told = np.False_
+    if not told or any(one.allows == "unidentified" for one in reasons):
+        kind = "unidentified"
+    absolute, absolute_ends = _absolute(fit, chosen, value, interval, np.random.default_rng(seed), sds)
+    ratio, own = chosen.contrast(sds)
+    same = own if kind == "materials" else (min(low for low, _ in contrasts), max(high for _, high in contrasts))
+    d = seen.rest.shape[1]
+    off = np.linalg.norm((chosen.point.state.moved - fit.displacement)[seen.observed], axis=1)
+    stiffest = 1.0 - beta
+    estimate = FieldEstimate(
+        place=fit.place,
+        spacing=fit.spacing,
+        stiffness=np.exp(value),
+        interval=np.exp(interval),
+        level=level,
+        verdicts=verdicts,
+        material=chosen.label,
+        ratio=ratio,
+        ratio_interval=same,
+        beta=beta,
+        beta_interval=beta_ends,
+        beta_ratio=float(stiffest.max() / stiffest.min()),
+        absolute=absolute,
+        absolute_interval=absolute_ends,
+        verdict=kind,
+        reasons=ordered(reasons),
+        poisson=fit.nu(chosen.point.at),
+        poisson_sd=float(np.linalg.norm(chosen.root[-1])),
+        reach=reach,
+        tried=tuple(one.name for one in found),
+        held_out=total / len(fit.target),
+        scatter=np.array([scatter for _, scatter in worse]) / len(fit.target),
+        plausible=tuple(plausible),
+        noise=noise.size * fit.spacing,
+        noise_reach=noise.reach,
+        aee=float(off.mean()) * fit.spacing,
+        beta_aee=beta_aee,
+        explained=explained,
+        converged=chosen.point.converged,
+        unit=seen.unit,
+        metres_per_unit=seen.metres_per_unit,
+        settings={"particles": len(seen.rest), "cells": len(fit.cells), "dimensions": d, "device": device},
+    )
+    done(steps)
+    return estimate, Comparison(seen.rest, seen.deformed, beta_state, seen.observed, seen.held, seen.unit)
+
+
+def _smooth(fit: FieldFit) -> tuple[float, NoiseModel, FieldPoint]:
+    """How far the field hangs together, the noise, and the likeliest field."""
+    reach, noise, point = FIRST_REACH, NoiseModel(1.0, FIRST_NOISE * fit.size), None
+    for _ in range(SMOOTH_ROUNDS):
+        prior = fit.prior(reach)
+        point = fit.fit(prior, noise, None if point is None else point.at)
+        noise = likeliest_noise(fit, prior, point)
+        folds = Folds(fit, noise, point.state.response)
+        error = []
+        for one in REACHES:
+            judged = folds.judge(point, fit.target, partial(smooth_mean, fit.prior(one)))
+            error.append(judged.total)
+        reach = REACHES[int(np.argmin(error))]
+    return reach, noise, fit.fit(fit.prior(reach), noise, None if point is None else point.at)
+
+
+def _described(
+    fit: FieldFit, name: str, prior: StiffnessPrior, noise: NoiseModel, point: FieldPoint, label: IntArray | None = None
+) -> Description:
+    """A smooth field, or materials whose borders do not move."""
+    folds = Folds(fit, noise, point.state.response)
+    judged = folds.judge(point, fit.target, partial(smooth_mean, prior))
+    return _finished(fit, name, prior, noise, point, judged, label)
+
+
+def _finished(
+    fit: FieldFit,
+    name: str,
+    prior: StiffnessPrior,
+    noise: NoiseModel,
+    point: FieldPoint,
+    judged: LeftOutError,
+    label: IntArray | None,
+) -> Description:
+    root = fit.noise_root(noise.reach, point.state.response) * noise.size
+    left = solve_triangular(root, fit.target - point.moved, lower=True)
+    smooth = np.full(len(fit.cells), -1) if label is None else label
+    after = posterior(fit, prior, noise, point)
+    return Description(name, smooth, prior, point, after, judged, float(left @ left) / len(left))
+
+
+def _materials(
+    fit: FieldFit, noise: NoiseModel, smooth: Description, edges: IntArray, count: int
+) -> Description | None:
+    """So many materials: levels of the smooth field, whose borders are then moved; None where fewer are left."""
+    weight = 1.0 / np.maximum((smooth.root[:-1] ** 2).sum(axis=1), 1e-12)
+    label = levels_of(smooth.point.at[:-1], weight, count)
+    point = smooth.point
+    for _ in range(BORDER_ROUNDS):
+        point = fit.fit(fit.levels(label), noise)
+        root = fit.noise_root(noise.reach, point.state.response) * noise.size
+        y, w = (solve_triangular(root, rows, lower=True) for rows in (point.linear(fit.target), point.slope))
+        moved = sharpened(label, fit.levels, edges, y, w)
+        if np.array_equal(moved, label):
+            break
+        label = moved
+    if label.max() + 1 < count:
+        return None
+    label = _softest_first(label, point.at[:-1])
+    prior = fit.levels(label)
+    point = fit.fit(prior, noise)
+
+    def again(y: FloatArray, w: FloatArray) -> FloatArray:
+        """The same from some of the rows alone."""
+        own = levels_of(smooth_mean(smooth.prior, y, w)[:-1], weight, count)
+        return smooth_mean(fit.levels(sharpened(own, fit.levels, edges, y, w)), y, w)
+
+    judged = Folds(fit, noise, point.state.response).judge(point, fit.target, again)
+    name = "one material" if count == 1 else f"{count} materials"
+    return _finished(fit, name, prior, noise, point, judged, label)
+
+
+def _hidden(fit: FieldFit, noise: NoiseModel, one: Description) -> list[Description]:
+    """A body that looks uniform, as two materials whose border is across an axis: what contrast could be there unseen.
+    Layers that strain alike show none."""
+    found = []
+    for number, along in enumerate(fit.place.T):
+        for share in SPLITS:
+            label = (along > np.quantile(along, share)).astype(np.int64)
+            if label.any():
+                prior = fit.levels(label)
+                root = posterior(fit, prior, noise, one.point)
+                found.append(replace(one, name=f"split {number} {share}", label=label, prior=prior, root=root))
+    return found
+
+
+def _softest_first(label: IntArray, p: FloatArray) -> IntArray:
+    level = np.array([p[label == k].mean() for k in range(label.max() + 1)])
+    return np.asarray(level.argsort().argsort()[label])
+
+
+def _betas(
+    seen: Observation, chosen: Description, reach: float, sds: float, device: str
+) -> tuple[FloatArray, FloatArray, FloatArray, float]:
+    """(C,) beta of each cell in the places that were found, (C, 2) its interval, and what the engine makes of them:
+    (K, d) positions and their mean distance from what was seen [unit]."""
+    fit = FieldFit(seen, "beta")
+    prior = fit.prior(reach) if chosen.label[0] < 0 else fit.levels(chosen.label)
+    noise = NoiseModel(1.0, FIRST_NOISE * fit.size)
+    point = fit.fit(prior, noise)
+    for _ in range(2):
+        noise = likeliest_noise(fit, prior, point)
+        point = fit.fit(prior, noise, point.at)
+    sd = np.sqrt((posterior(fit, prior, noise, point)[:-1] ** 2).sum(axis=1))
+    odds = point.at[:-1]
+    beta, ends = expit(-odds), np.stack([expit(-odds - sds * sd), expit(-odds + sds * sd)], axis=1)
+    model = Model(cluster_size=2, device=device)
+    middle = np.array([seen.rest[row].mean(axis=0) for row in model.grouping(seen)])
+    of_cluster = beta[cKDTree(fit.place).query(middle)[1]]
+    state = model.body(seen).relax(seen.deformed[seen.held], of_cluster[None]).position[0]
+    left = np.linalg.norm((state - seen.deformed)[seen.observed], axis=1)
+    return beta, ends, state, float(left.mean())
+
+
+def _absolute(
+    fit: FieldFit, chosen: Description, value: FloatArray, interval: FloatArray, rng: np.random.Generator, sds: float
+) -> tuple[FloatArray | None, FloatArray | None]:
+    """(C,) stiffness of each cell [N per unit], modulus times spacing (in the plane, times thickness), and its
+    interval, by the net force on what was touched."""
+    seen = fit.seen
+    if seen.force_n is None or not len(seen.touched) or fit.size <= LEAST_MOTION:
+        return None, None
+    q = chosen.root.shape[1]
+    every = []
+    for draw in np.concatenate([np.zeros((1, q)), rng.standard_normal((DRAWS, q))]):
+        at = chosen.point.at + chosen.root @ draw
+        p = at[:-1] - at[:-1].mean()
+        force = fit.model.state(p, fit.displacement, fit.nu(at), slopes=False).force
+        every.append(float(np.log(np.linalg.norm(force[fit.whole_touched].sum(axis=0)))))
+    scale = float(np.log(seen.force_n / fit.spacing) - every[0])
+    doubt = np.hypot(np.std(every[1:]), 0.0 if seen.force_noise_n is None else seen.force_noise_n / seen.force_n)
+    reach = np.hypot(interval - value[:, None], sds * doubt) * np.array([-1.0, 1.0])
+    return np.exp(value + scale), np.exp(value[:, None] + reach + scale)
+
+
+def _part_of_a_face(fit: FieldFit) -> list[Doubt]:
+    if len(fit.held) == len(fit.seen.held):
+        return []
+    text = (
+        "a tool presses a part of a face: cells blur what happens around it, and little of the motion tells places "
+        "apart; hold and move whole faces (stretch or shear it)"
+    )
+    return [Doubt("setting", text, "weak")]
+
+
+def _large_strain(fit: FieldFit) -> list[Doubt]:
+    sides = [fit.cells[:, [one, other]] for one, other in pairwise(range(fit.cells.shape[1]))]
+    seen: BoolArray = fit.seen.observed
+    change = np.concatenate(
+        [np.linalg.norm(np.diff(fit.displacement[some], axis=1)[:, 0], axis=1) for some in sides if seen[some].any()]
+    )
+    large = float(np.quantile(change, 0.95))
+    if large <= STRAIN_MOST:
+        return []
+    text = f"sides of cells change by {large:.0%}: the field is that of small deformations; deform it less"
+    return [Doubt("large-strain", text, "weak")]

@@ -1,0 +1,340 @@
+"""A body of cells fitted to one deformation: Gauss-Newton, the noise that is likeliest, and blocks left out.
+
+Before the data, the logarithms of stiffness are a Gaussian random field of deviation `SPREAD` (a factor of 3), however
+alike the body looks, or one number for each of a few materials.
+
+Errors of measurement are shared by neighbours, as optical flow's are, and held positions are measured too: their
+covariance is white noise or a random field of the reach that makes what was seen most likely (evidence), at a size that
+is found the same way. What is left out is judged beside the errors that it shares with what was not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import solve_triangular
+from scipy.spatial.distance import cdist
+from scipy.special import expit
+
+from deformscope.arrays import FloatArray, IntArray
+from deformscope.errors import InputError
+from deformscope.stages.fit.held_out import blocks_of
+from deformscope.stages.fit.model import Observation
+from deformscope.stages.materials.cell_model import CellModel, CellState, Law, lattice_cells
+
+SPREAD = float(np.log(3.0))
+"""Deviation of a place's log stiffness before the data."""
+
+NOISE_REACHES = (0.0, 0.6, 1.0, 2.0, 3.0, 6.0)
+"""How far errors may reach [spacings], 0 = each particle by itself."""
+
+NOISE_ROUGH = 0.02
+"""Share of the variance of errors that reach far which does not."""
+
+SIZES = np.exp(np.linspace(np.log(1e-6), np.log(1.0), 57))
+"""Deviations of an error that are tried, as shares of the deformation's largest displacement."""
+
+STATED_SPREAD = 1.0
+"""Log-normal deviation of the true noise about a stated one."""
+
+NU, NU_SPREAD = 0.3, 0.15
+"""Poisson's ratio before the data. In the plane it is what the thickness leaves of it."""
+
+ODDS, ODDS_SPREAD = float(np.log(0.4)), 1.0
+"""log((1 - beta) / beta) of the whole body before the data."""
+
+ROUNDS, SETTLED = 30, 1e-4
+"""Gauss-Newton's steps at most, and the change of a log stiffness that is none."""
+
+MOST_STEP = 1.5
+"""Of a log stiffness at once."""
+
+LEAST_MOTION = 1e-6
+"""Of a spacing: less is no deformation at all."""
+
+MOST_CELLS = 2500
+"""Cells that are fitted at most: time grows with their cube, and 2500 take minutes."""
+
+
+@dataclass(frozen=True, slots=True)
+class NoiseModel:
+    """Errors of measurement. reach: [spacings]; size: deviation of a coordinate [spacings]"""
+
+    reach: float
+    size: float
+
+
+@dataclass(frozen=True, slots=True)
+class StiffnessPrior:
+    """What is assumed of all parameters, those of the cells and one more (Poisson's ratio, or the whole body's level).
+
+    mean: (C + 1,); root: (C + 1, q) of the covariance
+    """
+
+    mean: FloatArray
+    root: FloatArray
+
+
+class FieldFit:
+    """One observation, to which cells of one law are fitted.
+
+    Parameters (C + 1,) are of each cell the logarithm of its modulus, and Poisson's ratio; or of each cell the odds of
+    1 - beta, and what of these all cells share.
+
+    cells: (C, 2^d); place: (C, d) [unit]; held: (n,) particles whose displacement is prescribed; displacement: (K, d)
+    without the rigid motion [spacings]; rows: (m,) of its numbers, those that are judged; target: (m,)
+    """
+
+    def __init__(self, seen: Observation, law: Law) -> None:
+        cells = _cells_of(seen)
+        self.seen, self.law, self.cells = seen, law, cells
+        self.spacing = float(np.median(np.linalg.norm(seen.rest[cells[:, 1]] - seen.rest[cells[:, 0]], axis=1)))
+        self.place = seen.rest[cells].mean(axis=1)
+        self.held = np.union1d(seen.held, _beside_tool(seen, cells))
+        # what presses the tool's particles reaches the others through those beside it, which are prescribed too
+        self.whole_touched = np.union1d(seen.touched, np.setdiff1d(self.held, seen.held))
+        self.model = CellModel(seen.rest, cells, self.held, law)
+        self.displacement = without_rigid(seen) / self.spacing
+        d = seen.rest.shape[1]
+        judged = np.setdiff1d(np.flatnonzero(seen.free_observed), self.held)
+        if not judged.size:
+            raise InputError("particles that are free and were seen", "all held, or beside the tool", "a finer grid")
+        self.rows = (judged[:, None] * d + np.arange(d)).ravel()
+        self.target = self.displacement.ravel()[self.rows]
+        self.size = max(float(np.abs(self.displacement[seen.observed]).max()), LEAST_MOTION)
+        self._reach = cdist(seen.rest, seen.rest) / self.spacing
+
+    def prior(self, reach: float) -> StiffnessPrior:
+        """A smooth field. reach: [spacings]"""
+        covariance = SPREAD**2 * matern(cdist(self.place, self.place) / self.spacing / reach)
+        root = np.linalg.cholesky(covariance + 1e-9 * np.eye(len(covariance)))
+        return self._with_common(root)
+
+    def levels(self, label: IntArray) -> StiffnessPrior:
+        """One number for each material. label: (C,) from 0"""
+        return self._with_common(2.0 * SPREAD * np.eye(int(label.max()) + 1)[label])
+
+    def _with_common(self, root: FloatArray) -> StiffnessPrior:
+        count, own = root.shape
+        full = np.zeros((count + 1, own + 1))
+        full[:count, :own], full[count, own] = root, NU_SPREAD
+        mean = np.append(np.zeros(count), NU)
+        if self.law == "beta":
+            full[:, own] = ODDS_SPREAD
+            mean[:] = ODDS
+        return StiffnessPrior(mean, full)
+
+    def state(self, at: FloatArray) -> tuple[CellState, FloatArray, FloatArray]:
+        """The displacements of parameters (C + 1,), those that are judged (n,), and their derivatives (n, C + 1)."""
+        state = self.model.state(self.log_stiffness(at), self.displacement, self.nu(at))
+        slope = state.slope * (1.0 - expit(at[:-1])) if self.law == "beta" else state.slope
+        return state, state.moved.ravel()[self.rows], np.column_stack([slope, state.by_nu])[self.rows]
+
+    def log_stiffness(self, at: FloatArray) -> FloatArray:
+        """(C,) what the cells' energies are multiplied by: of a modulus 1, or 1 - beta."""
+        return np.asarray(-np.logaddexp(0.0, -at[:-1]) if self.law == "beta" else at[:-1])
+
+    def nu(self, at: FloatArray) -> float:
+        """Poisson's ratio."""
+        return float(np.clip(at[-1], 0.0, 0.9 if self.displacement.shape[1] == 2 else 0.49))
+
+    def noise_root(self, reach: float, response: FloatArray) -> FloatArray:
+        """(n, n) Cholesky factor of the covariance of errors of size 1. response: (K d, n d) of the held positions"""
+        d = self.displacement.shape[1]
+        count = len(self._reach)
+        white = np.eye(count)
+        one = white if reach == 0.0 else (1.0 - NOISE_ROUGH) * matern(self._reach / reach) + NOISE_ROUGH * white
+        if self.seen.held_measured is False:
+            exact = np.zeros(count, dtype=bool)
+            exact[self.seen.held] = True
+            one = np.where(exact[:, None] | exact, 1e-9 * white, one)
+        free = np.unique(self.rows // d)
+        whole = np.kron(one[np.ix_(free, free)], np.eye(d))
+        cross = np.kron(one[np.ix_(free, self.held)], np.eye(d))
+        own = np.kron(one[np.ix_(self.held, self.held)], np.eye(d))
+        by_held = response[self.rows]
+        part = cross @ by_held.T
+        total = whole - part - part.T + by_held @ own @ by_held.T
+        return np.asarray(np.linalg.cholesky(total + 1e-9 * np.eye(len(total))))
+
+    def fit(self, prior: StiffnessPrior, noise: NoiseModel, start: FloatArray | None = None) -> FieldPoint:
+        """The likeliest parameters under a prior and a noise."""
+        z: FloatArray = np.zeros(prior.root.shape[1])
+        if start is not None:
+            z = np.asarray(np.linalg.lstsq(prior.root, start - prior.mean, rcond=1e-6)[0])
+        at = prior.mean + prior.root @ z
+        state, moved, slope = self.state(at)
+        root = self.noise_root(noise.reach, state.response) * noise.size
+        best, step, converged = np.inf, np.zeros_like(z), False
+        for _ in range(ROUNDS):
+            left = solve_triangular(root, self.target - moved, lower=True)
+            cost = float(left @ left + z @ z)
+            if cost > best * (1.0 + 1e-9) and np.abs(step).max() > 1e-9:
+                step = 0.5 * step  # went too far
+                z = z - step
+            else:
+                best = cost
+                whitened = solve_triangular(root, slope @ prior.root, lower=True)
+                step = np.linalg.solve(whitened.T @ whitened + np.eye(len(z)), whitened.T @ left - z)
+                change = float(np.abs(prior.root @ step)[:-1].max(initial=0.0))
+                if change < SETTLED:
+                    converged = True
+                    break
+                step *= min(1.0, MOST_STEP / change)
+                z = z + step
+            at = prior.mean + prior.root @ z
+            state, moved, slope = self.state(at)
+        return FieldPoint(at, state, moved, slope, converged)
+
+
+@dataclass(frozen=True, slots=True)
+class FieldPoint:
+    """A fit, and what it is linear in about it. at: (C + 1,); moved: (n,); slope: (n, C + 1)"""
+
+    at: FloatArray
+    state: CellState
+    moved: FloatArray
+    slope: FloatArray
+    converged: bool
+
+    def linear(self, target: FloatArray) -> FloatArray:
+        """(n,) what the derivatives times the parameters have to be."""
+        return np.asarray(target - self.moved + self.slope @ self.at)
+
+
+def matern(distance: FloatArray) -> FloatArray:
+    """Correlation at distances of so many lengths (Matern, 3/2)."""
+    root = np.sqrt(3.0) * distance
+    return np.asarray((1.0 + root) * np.exp(-root))
+
+
+def without_rigid(seen: Observation) -> FloatArray:
+    """(K, d) displacements, less the rigid motion of the particles that were seen."""
+    some = seen.observed
+    rest, now = seen.rest - seen.rest[some].mean(axis=0), seen.deformed - seen.deformed[some].mean(axis=0)
+    u, _, vt = np.linalg.svd(now[some].T @ rest[some])
+    flip = np.ones(rest.shape[1])
+    flip[-1] = np.sign(np.linalg.det(u @ vt))
+    return np.asarray(np.nan_to_num(now @ ((u * flip) @ vt) - rest))
+
+
+def _beside_tool(seen: Observation, cells: IntArray) -> IntArray:
+    """Particles next to a tool that covers a part of a face. Cells as coarse as particles cannot follow what happens at
+    its edge, which falls anywhere between two: what was seen around it is prescribed instead."""
+    touched = np.isin(np.arange(len(seen.rest)), seen.touched)
+    for axis in seen.rest.T:
+        near = 1e-3 * np.ptp(axis)
+        for end in (axis.min(), axis.max()):
+            if touched[np.abs(axis - end) <= near].all():
+                return np.array([], dtype=np.int64)
+    beside = cells[touched[cells].any(axis=1)]
+    return np.asarray(np.unique(beside[seen.observed[beside]]))
+
+
+def _cells_of(seen: Observation) -> IntArray:
+    if seen.shape is None or seen.cell is None:
+        hint = "give `shape` (last axis fastest), and `cell` where the lattice has holes"
+        raise InputError("particles on a lattice", "points without one", hint)
+    if len(seen.shape) != seen.rest.shape[1]:
+        came = f"a lattice {'x'.join(map(str, seen.shape))} in {seen.rest.shape[1]} dimensions"
+        raise InputError(
+            "a lattice that fills the plane, or space", came, "a surface alone: calibrate beta --thickness-m"
+        )
+    cells = lattice_cells(seen.shape, seen.cell)
+    if not 4 <= len(cells) <= MOST_CELLS:
+        raise InputError(f"a lattice of 4 to {MOST_CELLS} cells", str(len(cells)), "another --grid, or a cut of it")
+    return cells
+
+
+# What is chosen ------------------------------------------------------------------------------------------------------
+
+
+def likeliest_noise(fit: FieldFit, prior: StiffnessPrior, point: FieldPoint) -> NoiseModel:
+    """Reach and size of errors that make what was seen most likely, whatever the field is (evidence)."""
+    wanted = point.linear(fit.target) - point.slope @ prior.mean
+    stated = None if fit.seen.noise is None else float(np.median(fit.seen.noise)) / fit.spacing
+    sizes = SIZES * fit.size
+    best, found = -np.inf, NoiseModel(0.0, sizes[-1])
+    for reach in NOISE_REACHES:
+        root = fit.noise_root(reach, point.state.response)
+        u, s, _ = np.linalg.svd(solve_triangular(root, point.slope @ prior.root, lower=True), full_matrices=False)
+        y = solve_triangular(root, wanted, lower=True)
+        along = u.T @ y
+        beside = max(float(y @ y - along @ along), 0.0)
+        variance = s[None] ** 2 + sizes[:, None] ** 2
+        value = -0.5 * (np.log(variance).sum(axis=1) + (along**2 / variance).sum(axis=1))
+        value -= 0.5 * ((len(y) - len(s)) * np.log(sizes**2) + beside / sizes**2) + np.log(np.diag(root)).sum()
+        if stated:
+            value -= 0.5 * (np.log(sizes / stated) / STATED_SPREAD) ** 2
+        at = int(value.argmax())
+        if value[at] > best:
+            best, found = float(value[at]), NoiseModel(reach, float(sizes[at]))
+    return found
+
+
+@dataclass(frozen=True, slots=True)
+class LeftOutError:
+    """Squared errors of blocks left out, of one way to describe the field. block: (b,) mean of each; total: of all"""
+
+    block: FloatArray
+    total: float
+
+    def worse_than(self, other: LeftOutError) -> tuple[float, float]:
+        """By how much, and the standard error of that."""
+        gap = self.block - other.block
+        return float(gap.sum()), float(np.sqrt(len(gap)) * gap.std(ddof=1)) if len(gap) > 1 else np.inf
+
+
+class Folds:
+    """Which rows are left out in turn, and factors of the noise in which the trained rows come first: what is left out
+    is then judged beside the errors that it shares with what was trained."""
+
+    def __init__(self, fit: FieldFit, noise: NoiseModel, response: FloatArray) -> None:
+        d = fit.displacement.shape[1]
+        block, fold = blocks_of(fit.seen.rest, fit.spacing, 0.0)
+        particle = fit.rows // d
+        self.block, fold_of = block[particle], fold[particle]
+        root = fit.noise_root(noise.reach, response) * noise.size
+        covariance = root @ root.T
+        self.parts = []
+        for one in np.unique(fold_of):
+            order = np.argsort(fold_of == one, kind="stable")
+            self.parts.append(
+                (order, int((fold_of != one).sum()), np.linalg.cholesky(covariance[np.ix_(order, order)]))
+            )
+
+    def whitened(self, part: int, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Rows (n, ...) in units of the noise: those trained, and those left out."""
+        order, count, root = self.parts[part]
+        found = solve_triangular(root, rows[order], lower=True)
+        return found[:count], found[count:]
+
+    def judge(
+        self, point: FieldPoint, target: FloatArray, find: Callable[[FloatArray, FloatArray], FloatArray]
+    ) -> LeftOutError:
+        """How far what is left out is from what the others say. find: gives parameters (C + 1,) of what is wanted (n,)
+        and its derivatives (n, C + 1), whitened"""
+        wanted = point.linear(target)
+        square = np.empty(len(wanted))
+        for part, (order, count, _) in enumerate(self.parts):
+            (w, w_out), (y, y_out) = self.whitened(part, point.slope), self.whitened(part, wanted)
+            square[order[count:]] = (y_out - w_out @ find(y, w)) ** 2
+        each = np.asarray(np.bincount(self.block, weights=square), dtype=np.float64)
+        return LeftOutError(each, float(each.sum()))
+
+
+def smooth_mean(prior: StiffnessPrior, y: FloatArray, w: FloatArray) -> FloatArray:
+    """(C + 1,) parameters of a prior, of whitened rows: y (n,) wanted, w (n, C + 1) derivatives."""
+    own = w @ prior.root
+    z = np.linalg.solve(own.T @ own + np.eye(own.shape[1]), own.T @ (y - w @ prior.mean))
+    return np.asarray(prior.mean + prior.root @ z)
+
+
+def posterior(fit: FieldFit, prior: StiffnessPrior, noise: NoiseModel, point: FieldPoint) -> FloatArray:
+    """(C + 1, q) root of the parameters' covariance after the data."""
+    root = fit.noise_root(noise.reach, point.state.response) * noise.size
+    w = solve_triangular(root, point.slope @ prior.root, lower=True)
+    inner = np.linalg.cholesky(w.T @ w + np.eye(w.shape[1]))
+    return np.asarray(solve_triangular(inner, prior.root.T, lower=True).T)
