@@ -196,5 +196,5 @@ def test_field_maps_what_is_stiffer_and_is_computed_again(tmp_path: Path, capsys
     assert picture.read_bytes().startswith(b"\x89PNG")
     assert_shows(record, says="stiffest over softest", beside_particles=True)
     assert main(["replay", str(record)]) == 0
-    assert "identical" in capsys.readouterr().out
+    assert "identical" in capsys.readouterr().err
     assert "one pair file" in failure(["calibrate", "field", str(pair), str(pair)], capsys)

@@ -32,10 +32,10 @@ from deformscope.stages.materials.field_fit import (
     LEAST_MOTION,
     FieldFit,
     FieldPoint,
-    StiffnessPrior,
     Folds,
     LeftOutError,
     NoiseModel,
+    StiffnessPrior,
     likeliest_noise,
     posterior,
     smooth_mean,
@@ -94,7 +94,12 @@ class Description:
         """(C,) log stiffness over its mean, and the ends of its interval; a cell at a border may be of either side."""
         p = self.point.at[:-1] - self.point.at[:-1].mean()
         root = self.root[:-1] - self.root[:-1].mean(axis=0)
-        reach = sds * np.sqrt((root**2).sum(axis=1) * max(1.0, self.misfit))
+        variance = (root**2).sum(axis=1) * max(1.0, self.misfit)
+        if self.label[0] >= 0:
+            # each cell at a border may be of either side, which moves the mean of all
+            apart = np.unique(edges[self.label[edges[:, 0]] != self.label[edges[:, 1]]])
+            variance = variance + len(apart) * (0.5 * np.ptp(p) / len(p)) ** 2
+        reach = sds * np.sqrt(variance)
         low, high = p - reach, p + reach
         if self.label[0] >= 0:
             one, other = np.concatenate([edges, edges[:, ::-1]]).T
