@@ -33,6 +33,7 @@ from deformscope.config.reproduce import (
     CreepCoverageConfig,
     CubesConfig,
     DisturbedCoverageConfig,
+    FieldCoverageConfig,
     FoamsConfig,
     ForceCoverageConfig,
     PokesConfig,

@@ -208,6 +208,20 @@ class CreepCoverageConfig(RecordedOptions):
 
 
 @dataclass(frozen=True, slots=True)
+class FieldCoverageConfig(RecordedOptions):
+    """Count how often `calibrate field` finds materials, their border and their ratio: plates and slabs of finite
+    elements, under noise that neighbours share."""
+
+    kinds: Annotated[tuple[str, ...], arg(metavar="NAME...")] = ()
+    """Bodies by name, as the table has them; default: all."""
+    objects: flags.ManyFlag = 6
+    """Bodies of each kind, from seed SEED on; a plate takes some 3 s, a slab 15."""
+    jobs: flags.ManyFlag = 2
+    """Processes that share the work."""
+    output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
+
+
+@dataclass(frozen=True, slots=True)
 class Table41Config(RecordedOptions):
     """Thesis table 4.1 and scenes beyond it: explore simulated tables over seeds, and report how good the maps are
     after how many touches, planner beside planner. A touch takes about a second of a core: 20 seeds of all scenes take

@@ -153,7 +153,7 @@ class CellModel:
         response[self.fixed, np.arange(self.fixed.size)] = 1.0
         loads = np.exp(p)[:, None] * np.einsum("cab,cb->ca", each, u[self.dof])
         slope = self._solved(factors, self._columns(loads))
-        by_nu = np.zeros((u.size, 1))
+        by_nu: FloatArray = np.zeros((u.size, 1))
         if self.law == "elastic":
             change = (self._cells(nu + NU_STEP) - self._cells(nu - NU_STEP)) / (2.0 * NU_STEP)
             load = np.zeros(u.size)

@@ -12,8 +12,8 @@ from deformscope.errors import InputError
 from deformscope.stages.fit.model import Observation
 from deformscope.stages.materials.field import fit_field
 from deformscope.stages.materials.field_estimate import FieldEstimate
+from deformscope.studies.field_bodies import SPACING_M, elastic_pair
 from tests.cases import slow
-from tests.stages.materials.elastic_pairs import SPACING_M, elastic_pair
 
 pytest.importorskip("skfem")
 
