@@ -59,9 +59,9 @@ VETO_M = 0.03
 """A veto leaves out what is so near."""
 SEEN_M = 0.01
 """A place counts as seen where a point of the surface was, so near."""
-UNEVEN = 0.1
-"""A surface that is nowhere higher or lower than the stated thickness by more than this share of it counts as level:
-stiffness differs by some 2 % there, as much as the law is off anyway."""
+UNEVEN = 0.05
+"""A surface whose heights differ by less than this share of the stated thickness, and on average from it by less than
+twice as much, counts as level: stiffness differs by some 2 % there, as much as the law is off anyway."""
 LEAST_THICKNESS = 0.1
 """Of the stated thickness: no foam is taken for thinner."""
 CURVED_OVER_M = 0.01
@@ -336,8 +336,9 @@ class Explorer:
         self.world = fit_surface(looked.points_m, noise_m=looked.noise_m, within_m=((0.0, 0.0), size_m), outlier_sd=5.0)
         heights = self.world.on(self.grid)
         self._heights, self.seen_m = heights, looked.points_m
-        off_m = np.abs(heights.mean_m - self.options.thickness_m)[off_the_border(self.grid)]
-        self._uneven = self.options.shape == "seen" and bool(off_m.max() > UNEVEN * self.options.thickness_m)
+        touched_m, even_m = heights.mean_m[off_the_border(self.grid)], UNEVEN * self.options.thickness_m
+        off_m = abs(float(touched_m.mean()) - self.options.thickness_m)
+        self._uneven = self.options.shape == "seen" and bool(np.ptp(touched_m) > even_m or off_m > 2.0 * even_m)
         return SurfaceEstimate(looked.points_m, heights.mean_m, heights.deviation_m, self.grid.cell_m)
 
     def _plan(self, reachable: BoolArray | None) -> PlannedTouch:

@@ -26,8 +26,9 @@ cm long, slopes of up to 0.29, R kappa from -0.16 to 0.26; what is left is 0.4 %
 
 EDGE = 0.51
 EDGE_THICKNESS, EDGE_CONTACT = 0.078, 0.43
-"""An edge takes EDGE exp(-e / L) off log stiffness at a distance e, L these shares of the thickness and of the contact's
-radius sqrt(R d): fitted to finite elements 1 to 3 cm from an edge (as above), layers of 2 to 6 cm, within 0.3 %."""
+"""An edge takes EDGE exp(-e / L) off log stiffness at a distance e, L these shares of the thickness and of the
+contact's radius sqrt(R d): fitted to finite elements 1 to 3 cm from an edge (as above), layers of 2 to 6 cm, within
+0.3 %."""
 
 DOUBT = 0.1
 """Of each of the four, its deviation as a share of it."""
