@@ -51,6 +51,7 @@ JSON_UNITS = {
     "apparent_stiffness_n_per_mm": "N/mm",
     "beta": "1",
     "depth_m": "m",
+    "level_n_per_mm": "N/mm",
     "log_stiffness": "natural logarithm of N/mm",
     "max_force_n": "N",
     "modulus_pa": "Pa",
@@ -58,6 +59,7 @@ JSON_UNITS = {
     "radius_m": "m",
     "set_force_n": "N",
     "seconds": "s",
+    "thickness_m": "m",
     "travel_m": "m",
     "untouched_at_m": "m",
     "untouched_m": "m",
@@ -117,6 +119,7 @@ def explore_on(config: ExploreConfig, report: Callable[[Explored], None]) -> Exp
         hold_s=config.hold,
         feel=config.feel,
         pace=config.pace,
+        shape=config.shape,
     )
     faults = [FaultAt.parse(text, options.budget) for text in config.fault]
     opening = setup_of(
@@ -392,6 +395,7 @@ def _found(
             {
                 "log_stiffness": float(np.log(maps.level_n_per_mm[region])),
                 "interval": np.log(maps.level_interval_n_per_mm[region]),
+                "modulus_pa": None if maps.level_modulus_pa is None else float(maps.level_modulus_pa[region]),
                 "rigid": bool(maps.level_rigid[region]),
             }
             for region in range(0 if maps is None else maps.region_count)
@@ -434,12 +438,13 @@ def _missed(missed: Missed | None) -> dict[str, Any] | None:
 
 def _touch(exploration: Exploration, one: TouchEstimate, start_ns: int) -> dict[str, Any]:
     number = one.number + 1
-    same = ("beta", "beta_interval", "beta_verdict", "rigid", "modulus_pa", "depth_m", "peak_force_n")
+    same = ("rigid", "thickness_m", "level_n_per_mm", "modulus_pa", "depth_m", "peak_force_n")
+    of_beta = ("beta", "beta_interval", "beta_verdict")
     return {
         "xy_m": one.xyz_m[:2],
         "apparent_stiffness_n_per_mm": one.stiffness_n_per_mm,
         "apparent_stiffness_interval": one.stiffness_interval,
-        **{name: getattr(one, name) for name in same},
+        **{name: getattr(one, name) for name in (*same, *of_beta)},
         "creep": None if one.creep is None else dataclasses.asdict(one.creep),
         "ended_s": (exploration.ended_ns[one.number] - start_ns) / 1e9,
         "iou": exploration.iou[one.number] if one.number < len(exploration.iou) else None,

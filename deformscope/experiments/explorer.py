@@ -17,7 +17,7 @@ import numpy as np
 
 from deformscope.arrays import BoolArray, FloatArray
 from deformscope.errors import InputError
-from deformscope.experiments.measured import Looked, SetupGeometry, Touched
+from deformscope.experiments.measured import Looked, SetupGeometry, Touched, off_the_border
 from deformscope.experiments.options import BORDER_M, PLAN_CELL_M, ExploreOptions
 from deformscope.robot.setup import Truth
 from deformscope.robot.touch import TouchPlan
@@ -38,6 +38,7 @@ from deformscope.stages.map.thesis_field import FIRST_SHARE, ThesisField, contou
 from deformscope.stages.map.touch_beta import BallContact, SeenDent, dent_of, fit_touch, thesis_beta
 from deformscope.stages.poke.contact import EXPONENT, Z_90, ArmCompliance, ContactFit, fit_approach, layer_modulus
 from deformscope.stages.poke.creep import CreepFit, fit_creep
+from deformscope.stages.poke.local_shape import LocalShape, ShapeShift, shape_of, shape_shift
 from deformscope.stages.regions.posterior import RegionMap, RegionPosterior, RegionPrior
 from deformscope.stages.regions.touch_error import LAW_SD, TouchErrorModel
 from deformscope.stages.regions.touches import MapGrid, StiffnessSample
@@ -58,6 +59,13 @@ VETO_M = 0.03
 """A veto leaves out what is so near."""
 SEEN_M = 0.01
 """A place counts as seen where a point of the surface was, so near."""
+UNEVEN = 0.05
+"""A surface whose heights differ by less than this share of the stated thickness, and on average from it by less than
+twice as much, counts as level: stiffness differs by some 2 % there, as much as the law is off anyway."""
+LEAST_THICKNESS = 0.1
+"""Of the stated thickness: no foam is taken for thinner."""
+CURVED_OVER_M = 0.01
+"""Curvature is taken over so far to either side: a tip of 1 cm feels no finer."""
 FORECAST_STEPS = 25
 """Forces at which a touch is foretold."""
 COSTS = {"careful": (6.0, 0.1), "quick": (4.0, 0.15)}
@@ -305,6 +313,7 @@ class Explorer:
         self.dents: list[SeenDent | None] = []
         self.thesis = ThesisField()
         self._heights: HeightMap | None = None
+        self._uneven = False
         self._failed_before = {(one.touch, one.stage): one for one in failed}
         self._touch = 0
         self._left_out: list[FloatArray] = []
@@ -327,6 +336,9 @@ class Explorer:
         self.world = fit_surface(looked.points_m, noise_m=looked.noise_m, within_m=((0.0, 0.0), size_m), outlier_sd=5.0)
         heights = self.world.on(self.grid)
         self._heights, self.seen_m = heights, looked.points_m
+        touched_m, even_m = heights.mean_m[off_the_border(self.grid)], UNEVEN * self.options.thickness_m
+        off_m = abs(float(touched_m.mean()) - self.options.thickness_m)
+        self._uneven = self.options.shape == "seen" and bool(np.ptp(touched_m) > even_m or off_m > 2.0 * even_m)
         return SurfaceEstimate(looked.points_m, heights.mean_m, heights.deviation_m, self.grid.cell_m)
 
     def _plan(self, reachable: BoolArray | None) -> PlannedTouch:
@@ -388,6 +400,8 @@ class Explorer:
         options, found = self.options, self.region_map()
         row, column = (touch.xy_m[::-1] / self.grid.cell_m).astype(int)
         log_stiffness = float(found.field[row, column])
+        if (shift := self._shift(touch.xy_m, float(np.exp(log_stiffness)))) is not None:
+            log_stiffness -= shift.log
         log_sd = float(np.hypot(found.field_sd[row, column], self.posterior.prior.error.touch_sd))
         exponent = float(np.mean(self._exponents)) if self._exponents else EXPONENT["sphere"]
         forces = np.linspace(0.0, options.set_force_n, FORECAST_STEPS)
@@ -449,6 +463,10 @@ class Explorer:
             sample = StiffnessSample(touched.xy_m, fit.log_stiffness, fit.own_log_sd, fit.rigid, fit.arm_log_sd)
             apparent = self.options.feel == "apparent" or fit.rigid
             seen = sample if apparent else None if creep is None else _relaxed(sample, creep)
+            shift = None if fit.rigid or seen is None else self._shift(touched.xy_m, float(np.exp(seen.log_stiffness)))
+            if seen is not None and shift is not None:
+                seen = _levelled(seen, shift)
+                contact = dataclasses.replace(contact, level_n_per_mm=float(np.exp(fit.log_stiffness + shift.log)))
             if seen is not None:
                 posterior = self._stage("regions", partial(self.posterior.with_touch, seen))
             if not fit.rigid:
@@ -504,6 +522,7 @@ class Explorer:
             truth_labels=truth,
             iou=None if truth is None else match_regions(called_labels(found), truth)[0],
             boundary_m=None if truth is None else boundary_distance(called_labels(found), truth, self.grid.cell_m),
+            level_modulus_pa=np.array([self._modulus_pa(one) for one in np.exp(found.level)]) if self._uneven else None,
         )
         return maps if self.options.planner != "thesis" else self._contoured(maps)
 
@@ -528,6 +547,7 @@ class Explorer:
             verdict="regions",
             probability=self.region_map().probability.get(str(len(every)), 0.0),
             level_n_per_mm=np.exp(level),
+            level_modulus_pa=np.array([self._modulus_pa(one) for one in np.exp(level)]) if self._uneven else None,
             level_interval_n_per_mm=np.exp(level[:, None] + Z_90 * sd[:, None] * [-1.0, 1.0]),
             level_rigid=np.zeros(len(every), dtype=bool),
             iou=None if truth is None else match_regions(labels, truth)[0],
@@ -541,6 +561,34 @@ class Explorer:
         return self._regions
 
     # Within -----------------------------------------------------------------------------------------------------------
+
+    def _shape(self, xy_m: FloatArray) -> LocalShape | None:
+        """Of the foam at a place (2,) [m] as it was seen; None where it counts as level."""
+        if not self._uneven:
+            return None
+        assert self.world is not None
+        step = CURVED_OVER_M
+        found = self.world.at(xy_m + step * np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]]))
+        edge_m = float(np.min([xy_m, self.grid.size_m - xy_m]))
+        return shape_of(found.mean, found.deviation, step, edge_m, LEAST_THICKNESS * self.options.thickness_m)
+
+    def _shift(self, xy_m: FloatArray, n_per_mm: float) -> ShapeShift | None:
+        """What a level layer as thick as stated would add to a log stiffness [N/mm]; None where it is one."""
+        shape, options = self._shape(xy_m), self.options
+        if shape is None:
+            return None
+        depth_m = 1e-3 * options.set_force_n / n_per_mm
+        return shape_shift(shape, depth_m, reference_m=options.thickness_m, radius_m=options.tip_radius_m)
+
+    def _modulus_pa(self, n_per_mm: float) -> float:
+        """Of a level layer as thick as stated, by its stiffness at the set force."""
+        options = self.options
+        return layer_modulus(
+            1e-3 * options.set_force_n / n_per_mm,
+            options.set_force_n,
+            radius_m=options.tip_radius_m,
+            thickness_m=options.thickness_m,
+        )
 
     def _stage(self, name: str, compute: Callable[[], StageResult]) -> StageResult | None:
         """What a stage computes; None where it fails, which `failures` then says."""
@@ -602,6 +650,9 @@ class Explorer:
         if self.options.planner == "thesis" and beta.value is not None:
             self.thesis = self.thesis.with_touch(beta.dented_m, beta.value)
             self.dents.append(beta.dent)
+        level = None if contact is None else contact.level_n_per_mm
+        modulus_pa = None if contact is None else contact.modulus_pa if level is None else self._modulus_pa(level)
+        shape = self._stage("surface", lambda: self._shape(touched.xy_m)) if self._uneven else None
         near = np.abs(touched.after_m[:, :2] - touched.xy_m).max(axis=1) < NEAR_M if len(touched.after_m) else []
         fit = None if contact is None else contact.fit
         return TouchEstimate(
@@ -615,7 +666,7 @@ class Explorer:
             stiffness_n_per_mm=nan if fit is None else fit.stiffness_n_per_mm,
             stiffness_interval=(nan, nan) if fit is None else fit.interval_n_per_mm,
             rigid=False if fit is None else fit.rigid,
-            modulus_pa=None if contact is None else contact.modulus_pa,
+            modulus_pa=modulus_pa,
             depth_m=nan if fit is None else fit.dent_m(fit.peak_force_n),
             peak_force_n=float(_force_along(touched).max()) if fit is None else fit.peak_force_n,
             beta=beta.value,
@@ -624,6 +675,8 @@ class Explorer:
             observed_m=touched.after_m[near],
             simulated_m=beta.simulated_m,
             creep=creep,
+            thickness_m=None if shape is None else shape.thickness_m,
+            level_n_per_mm=level,
         )
 
     def _beta(self, touched: TouchMeasurement, fit: ContactFit) -> _Beta:
@@ -684,11 +737,13 @@ class Explorer:
 
 @dataclass(frozen=True, slots=True)
 class _Contact:
-    """fit; law_n: (n,) its force at each reading [N]; modulus_pa: of the layer, None where it is not known"""
+    """fit; law_n: (n,) its force at each reading [N]; modulus_pa: of the layer, None where it is not known
+    level_n_per_mm: stiffness of a level layer as thick as stated, None where that is what was touched"""
 
     fit: ContactFit
     law_n: FloatArray
     modulus_pa: float | None
+    level_n_per_mm: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -705,6 +760,13 @@ class _Beta:
     simulated_m: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
     dented_m: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
     dent: SeenDent | None = None
+
+
+def _levelled(seen: StiffnessSample, shift: ShapeShift) -> StiffnessSample:
+    """The same touch on a level layer as thick as stated."""
+    return dataclasses.replace(
+        seen, log_stiffness=seen.log_stiffness + shift.log, log_sd=float(np.hypot(seen.log_sd, shift.sd))
+    )
 
 
 def _relaxed(seen: StiffnessSample, creep: CreepFit) -> StiffnessSample:

@@ -16,8 +16,9 @@ then 37, 68 and 93 kPa. (The secant modulus, 4.6, 8.5 and 11.6 kPa, would let 3 
 
 `DRAWN` says what each scene draws from its seed, each evenly between two values. Other hardnesses come by name:
 `homogeneous-A`, `two-A-B`, `three-A-B-C`, `disc-A-B` (A around, B the disc), and so on with `soft-spot`, `corner`,
-`strip`, `patches`, `wavy`, `zigzag`, `ring`, `bumpy` and, with a third for the lump, `lump`, where a letter is a number
-of newtons or `rigid`. `60c30` is foam of 60 N that creeps: 30 % of its modulus relaxes, with a time constant of 1 s.
+`strip`, `patches`, `wavy`, `zigzag`, `ring`, `bumpy`, `thin-thick`, with one `wedge`, `step`, `egg-crate` and with a
+third for the lump `lump`, where a letter is a number of newtons or `rigid`. `60c30` is foam of 60 N that creeps: 30 %
+of its modulus relaxes, with a time constant of 1 s.
 """
 
 from __future__ import annotations
@@ -43,6 +44,10 @@ CELL_M = 0.005
 
 SIZE_M = (0.6, 0.4)
 THICKNESS_M = 0.05
+UNEVEN_M, RISE_M, RAMP_M = 0.035, 0.015, 0.06
+"""Mean thickness of wedges and steps, how much thinner and thicker they are, and how wide a step is."""
+CRATE_M, CRATE_WAVE_M = 0.005, 0.06
+"""Height of an egg-crate's waves over their mean, and their length."""
 
 
 def initial_modulus_pa(hardness_n: float) -> float:
@@ -133,6 +138,14 @@ DRAWN: dict[str, tuple[Range, ...]] = {
         Range("wave length", 0.16, 0.26, "m"),
         Range("wave phase", 0.0, 360.0, "deg"),
     ),
+    "wedge": (Range("hardness", 0.9, 1.1, "of the nominal one"), Range("direction", 0.0, 360.0, "deg")),
+    "step": (Range("hardness", 0.9, 1.1, "of the nominal one"), *_BORDER),
+    "egg-crate": (
+        Range("hardness", 0.9, 1.1, "of the nominal one"),
+        Range("direction", 0.0, 90.0, "deg"),
+        Range("phase", 0.0, 360.0, "deg"),
+    ),
+    "thin-thick": _BORDER,
     "lump": (
         *_BORDER,
         Range("centre x", 0.08, 0.52, "m"),
@@ -268,16 +281,25 @@ BUILT_IN = {
     "patches": "two discs of 14 to 18 cm in another foam, 60 and 150 N, either being the softer",
     "ring": "a ring 6 to 8 cm wide, 26 to 32 cm across, in another foam, 60 and 150 N, either being the softer",
     "zigzag": "two foams, 60 and 150 N, that meet along a zigzag",
+    "wedge": "one foam of 110 N, 5 cm thick at one corner and 2 at the other",
+    "step": "one foam of 110 N, 2 cm thick on one side of a tilted line and 5 on the other, a ramp of 6 cm between",
+    "egg-crate": "one foam of 110 N, 5 cm thick, with crests and hollows 1 cm apart in height and 6 cm in waves",
+    "thin-thick": "a foam of 60 N, 2 cm thick, beside one of 75 N, 5 cm thick, which feel alike",
     "lump": "two foams, 60 and 150 N, that meet along a tilted line, and something rigid 12 cm wide somewhere in them",
 }
 """Scenes by name, and what they are: thesis table 4.1's six, and what it did not try."""
 
-PIECES = {"disc": ("30", "200"), "soft-spot": ("150", "60"), "lump": ("60", "150", "rigid")} | dict.fromkeys(
-    ("bumpy", "wavy", "corner", "strip", "patches", "ring", "zigzag"), ("60", "150")
-)
+PIECES = {
+    "disc": ("30", "200"),
+    "thin-thick": ("60", "75"),
+    "soft-spot": ("150", "60"),
+    "lump": ("60", "150", "rigid"),
+}
+PIECES |= dict.fromkeys(("bumpy", "wavy", "corner", "strip", "patches", "ring", "zigzag"), ("60", "150"))
+PIECES |= dict.fromkeys(("wedge", "step", "egg-crate"), ("110",))
 """Hardness [N] of the pieces where the name does not say; 30 and 200 N are 19 and 123 kPa."""
 
-COUNT = {"homogeneous": 1, "two": 2, "three": 3} | dict.fromkeys(PIECES, 2) | {"lump": 3}
+COUNT = {"homogeneous": 1, "two": 2, "three": 3} | {kind: len(pieces) for kind, pieces in PIECES.items()}
 
 
 def built_in(name: str, seed: int = 0) -> Scene:
@@ -290,8 +312,9 @@ def built_in(name: str, seed: int = 0) -> Scene:
         return Scene(name, seed, (), drawn, _modulus=_graded(drawn))
     times = drawn.get("hardness", 1.0)
     materials = tuple(Piece.named(piece, times) for piece in pieces)
-    bumps = _bumps(drawn) if kind == "bumpy" else None
-    return Scene(name, seed, materials, drawn, _label=_layout(kind, drawn), _bumps=bumps)
+    thickness_m = UNEVEN_M if kind in ("wedge", "step", "thin-thick") else THICKNESS_M
+    label, bumps = _layout(kind, drawn), _relief(kind, drawn)
+    return Scene(name, seed, materials, drawn, thickness_m=thickness_m, _label=label, _bumps=bumps)
 
 
 def _parsed(name: str) -> tuple[str, tuple[str, ...]]:
@@ -310,7 +333,7 @@ def _parsed(name: str) -> tuple[str, tuple[str, ...]]:
 
 def _layout(kind: str, drawn: dict[str, float]) -> Labels:
     """Which piece is where: the first named is left of a border, or around a disc, unless turned."""
-    if kind == "homogeneous":
+    if COUNT[kind] == 1:
         return lambda xy: np.zeros(np.shape(xy)[:-1], dtype=np.int64)
     if kind == "three":
         return _three(drawn)
@@ -390,11 +413,39 @@ def _border(
 
 def _graded(drawn: dict[str, float]) -> Places:
     """The logarithm of the modulus rises evenly along a direction, from corner to corner."""
-    turn = np.deg2rad(drawn["direction"])
+    share = _along(drawn["direction"])
+    low, high = np.log(initial_modulus_pa(drawn["softest"])), np.log(initial_modulus_pa(drawn["firmest"]))
+    return lambda xy: np.exp(low + (high - low) * 0.5 * (1.0 + share(xy)))
+
+
+def _relief(kind: str, drawn: dict[str, float]) -> Places | None:
+    """How much higher than its thickness the slab is [m]; None where it is level."""
+    if kind == "bumpy":
+        return _bumps(drawn)
+    if kind == "wedge":
+        share = _along(drawn["direction"])
+        return lambda xy: RISE_M * share(xy)
+    if kind in ("step", "thin-thick"):
+        beyond = _border(drawn["border x"], SIZE_M[1] / 2, drawn["border tilt"])
+        sign = -1.0 if drawn["turned"] >= 1.0 else 1.0
+
+        def rise(xy: FloatArray) -> FloatArray:
+            return sign * RISE_M * np.sin(0.5 * np.pi * np.clip(2.0 * beyond(xy) / RAMP_M, -1.0, 1.0))
+
+        return rise
+    if kind != "egg-crate":
+        return None
+    turn, phase = np.deg2rad(drawn["direction"]), np.deg2rad(drawn["phase"])
+    axes = 2.0 * np.pi / CRATE_WAVE_M * np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
+    return lambda xy: CRATE_M * np.cos(np.asarray(xy) @ axes[0] + phase) * np.cos(np.asarray(xy) @ axes[1])
+
+
+def _along(direction_deg: float) -> Places:
+    """How far places are along a direction: -1 and 1 at the corners, 0 in the middle."""
+    turn = np.deg2rad(direction_deg)
     direction, middle = np.array([np.cos(turn), np.sin(turn)]), np.array(SIZE_M) / 2
     reach = float(np.abs(direction) @ middle)
-    low, high = np.log(initial_modulus_pa(drawn["softest"])), np.log(initial_modulus_pa(drawn["firmest"]))
-    return lambda xy: np.exp(low + (high - low) * 0.5 * (1.0 + (xy - middle) @ direction / reach))
+    return lambda xy: (xy - middle) @ direction / reach
 
 
 def _bumps(drawn: dict[str, float]) -> Places:

@@ -25,6 +25,7 @@ from deformscope.pictures.words import (
     interval_words,
     iou_words,
     level_words,
+    modulus_words,
     stiffness_words,
     travel_words,
     verdict_words,
@@ -556,8 +557,9 @@ def _draw_keys(axes: Any, maps: MapEstimate) -> None:
         inside = maps.labels == label
         if inside.any():
             x, y = _middle(inside, maps.cell_m, maps.contacts_m)
+            words = f"{level_words(maps, label)}\nN/mm\n{modulus_words(maps, label)}".strip()
             axes.text(
-                x, y, f"{level_words(maps, label)}\nN/mm", ha="center", va="center", fontsize=11,
+                x, y, words, ha="center", va="center", fontsize=11,
                 weight="bold", zorder=7, path_effects=[withStroke(linewidth=2.5, foreground="white")],
             )  # fmt: skip
 

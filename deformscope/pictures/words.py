@@ -26,6 +26,13 @@ def level_words(maps: MapEstimate, region: int) -> str:
     return f"{'> ' * bool(maps.level_rigid[region])}{maps.level_n_per_mm[region]:.3g}"
 
 
+def modulus_words(maps: MapEstimate, region: int) -> str:
+    """A region's modulus; empty where it was not told apart from stiffness, or is a bound."""
+    if maps.level_modulus_pa is None or maps.level_rigid[region]:
+        return ""
+    return f"{maps.level_modulus_pa[region] / 1e3:.3g} kPa"
+
+
 def travel_words(travel_m: float) -> str:
     """How far it was over the surface."""
     return f"travel {travel_m:.2f} m over the surface"

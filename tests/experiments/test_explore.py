@@ -472,3 +472,28 @@ def test_what_the_camera_has_not_seen_is_not_touched() -> None:
 
 def grid_left(grid: MapGrid) -> BoolArray:
     return np.asarray(grid.centres_m[:, 0] < 0.3).reshape(grid.shape)
+
+
+@pytest.mark.slow  # several whole touches
+def test_an_egg_crate_of_one_foam_is_one_region_and_its_touches_agree() -> None:
+    _, moments = explored("egg-crate", budget=5, shape="seen", seed=1000)
+    touches = [one for one in moments if isinstance(one, TouchEstimate)]
+    last = [one for one in moments if isinstance(one, MapEstimate)][-1]
+
+    apparent = np.log([one.stiffness_n_per_mm for one in touches])
+    level = np.log([one.level_n_per_mm or np.nan for one in touches])
+    assert np.ptp(apparent) > 2.0 * np.ptp(level)
+    assert all(one.thickness_m is not None and 0.04 < one.thickness_m < 0.06 for one in touches)
+    assert last.region_count == 1
+    assert last.level_modulus_pa is not None
+    foam_pa = built_in("egg-crate", 1000).pieces[0].modulus_pa
+    assert last.level_modulus_pa[0] == pytest.approx(foam_pa, rel=0.15)  # small strain, at a dent of half a radius
+
+
+@pytest.mark.slow  # whole touches
+def test_a_level_surface_is_explored_the_same_whether_its_shape_is_looked_at_or_not() -> None:
+    (_, stated), (_, seen) = (explored("homogeneous-60", budget=2, shape=shape) for shape in ("stated", "seen"))
+
+    for before, now in zip(of(TouchEstimate, stated), of(TouchEstimate, seen), strict=True):
+        assert before.stiffness_n_per_mm == now.stiffness_n_per_mm  # type: ignore[attr-defined]
+        assert now.level_n_per_mm is None  # type: ignore[attr-defined]

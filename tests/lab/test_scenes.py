@@ -84,9 +84,12 @@ def test_a_gradient_has_no_regions_and_is_even_in_the_logarithm() -> None:
     assert corners.max() == pytest.approx(initial_modulus_pa(scene.drawn["firmest"]))
 
 
-def test_only_the_bumpy_surface_is_not_flat() -> None:
+UNEVEN = {"wedge", "step", "egg-crate", "thin-thick"}
+
+
+def test_only_the_bumpy_surface_and_those_named_for_it_are_not_flat() -> None:
     middle = np.array([0.31, 0.17])
-    for name in BUILT_IN:
+    for name in BUILT_IN.keys() - UNEVEN:
         scene = built_in(name, 1)
         height = scene.height_m(scene.cells_m())
         if name != "bumpy":
@@ -98,6 +101,22 @@ def test_only_the_bumpy_surface_is_not_flat() -> None:
         chord = np.append(2 * along, scene.height_m(middle + along) - scene.height_m(middle - along))
         assert abs(scene.normal(middle) @ chord) < 1e-3 * np.linalg.norm(chord)
         assert np.linalg.norm(scene.normal(middle)) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("seed", [1000, 1001])
+@pytest.mark.parametrize(
+    ("name", "lowest_m", "highest_m"),
+    [("wedge", 0.02, 0.05), ("step", 0.02, 0.05), ("thin-thick", 0.02, 0.05), ("egg-crate", 0.045, 0.055)],
+)
+def test_uneven_slabs_are_as_thin_and_as_thick_as_they_are_said_to_be(
+    name: str, lowest_m: float, highest_m: float, seed: int
+) -> None:
+    scene = built_in(name, seed)
+    height = scene.height_m(scene.cells_m())
+    assert (height.min(), height.max()) == (pytest.approx(lowest_m, abs=1e-3), pytest.approx(highest_m, abs=1e-3))
+    if name == "thin-thick":
+        softer = scene.truth() == 0
+        assert height[softer].mean() < 0.03 < 0.04 < height[~softer].mean()
 
 
 def test_beside_the_slab_there_is_nothing() -> None:

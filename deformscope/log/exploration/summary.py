@@ -6,7 +6,7 @@ import numpy as np
 import rerun as rr
 
 from deformscope.log.exploration.moment import ResultBatch
-from deformscope.pictures.words import counted, iou_words, level_words, travel_words, verdict_words
+from deformscope.pictures.words import counted, iou_words, level_words, modulus_words, travel_words, verdict_words
 from deformscope.stages.map.exploration import MapEstimate
 
 SUMMARY = "display/summary"
@@ -42,5 +42,7 @@ def summary(maps: MapEstimate) -> str:
     lines += ["| region | stiffness [N/mm] | area [cm²] |", "| --- | --- | --- |"]
     for label in range(maps.region_count):
         area_cm2 = (maps.labels == label).sum() * (100 * maps.cell_m) ** 2
-        lines.append(f"| {label + 1} | {level_words(maps, label)} | {area_cm2:.0f} |")
+        modulus = modulus_words(maps, label)
+        level = level_words(maps, label) + (f" ({modulus})" if modulus else "")
+        lines.append(f"| {label + 1} | {level} | {area_cm2:.0f} |")
     return "\n".join(lines)

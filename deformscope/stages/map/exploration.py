@@ -45,6 +45,8 @@ class TouchEstimate:
     beta, beta_interval, beta_verdict: of the MSM fitted to the dent, None = not fitted
     observed_m: (k, 3) raw points around the dent; simulated_m: (p, 3) particles of the fitted model there
     creep: what its hold and its way back say of the foam's creep, None = not asked for, or not fitted
+    thickness_m: of the foam there, as it was seen; level_n_per_mm: its stiffness were the foam level and as thick as
+    stated, which is what is mapped; both None where it was taken for that
     usable: whether it has a stiffness: where its contact could not be fitted, all that comes from the fit is nan
     """
 
@@ -67,6 +69,8 @@ class TouchEstimate:
     observed_m: FloatArray
     simulated_m: FloatArray
     creep: CreepFit | None = None
+    thickness_m: float | None = None
+    level_n_per_mm: float | None = None
 
     @property
     def usable(self) -> bool:
@@ -87,6 +91,8 @@ class MapEstimate:
     level_rigid: (region_count,) regions whose level is a lower bound, at which the interval begins; it is open above
     contacts_m: (n, 2) touches so far; tip_radius_m: of what touched
     travel_m: over the surface, in straight lines from its corner (0, 0), where planning begins, from touch to touch
+    level_modulus_pa: (region_count,) Young's modulus at each level, of the stated thickness; None where the shape of
+    the surface was not looked at
     truth_labels: where it is known; iou, boundary_m: against it; boundary_m is None where one has no boundary
     """
 
@@ -110,6 +116,7 @@ class MapEstimate:
     truth_labels: IntArray | None = None
     iou: float | None = None
     boundary_m: float | None = None
+    level_modulus_pa: FloatArray | None = None
 
 
 @dataclass(frozen=True, slots=True)
