@@ -119,7 +119,7 @@ def explore_on(config: ExploreConfig, report: Callable[[Explored], None]) -> Exp
         hold_s=config.hold,
         feel=config.feel,
         pace=config.pace,
-        shape=config.shape,
+        relief=config.relief,
     )
     faults = [FaultAt.parse(text, options.budget) for text in config.fault]
     opening = setup_of(

@@ -52,7 +52,7 @@ def run(config: Table41Config) -> None:
             go_on=len(planners) > 1,
             closed_form=config.closed_form,
             clean=config.clean,
-            shape=config.shape,
+            relief=config.relief,
         )
         for seed in range(config.seeds)
         for scene in _scenes(config.scenes)

@@ -241,7 +241,7 @@ class Table41Config(RecordedOptions):
     """Take what a contact feels in closed form instead of pressing finite elements: no surface, no arm, far faster."""
     clean: bool = False
     """Keep nothing from the estimator: the arm is as its calibration says, the force exact, foam without scatter."""
-    shape: Literal["seen", "stated"] = "seen"
+    relief: Literal["seen", "stated"] = "seen"
     """Take the foam as thick and as curved as it is seen, or as level and as thick as stated (finite elements only)."""
     resume: bool = False
     """Take what an earlier command left in runs.jsonl, and go on from there; it must have been this version."""

@@ -237,7 +237,7 @@ class ExploreConfig(RecordedOptions):
     """quick: once a touch has met the surface where it was seen, the tip crosses it 2 cm above all that it passes, and
     slows down where the surface may be, in the last 5 to 15 mm; it travels at the rig file's travel_speed_m_s, in the
     laboratory at 15 cm/s. careful: 5 cm above it, the last 3 cm slowly, in the laboratory at 5 cm/s."""
-    shape: Literal["seen", "stated"] = "seen"
+    relief: Literal["seen", "stated"] = "seen"
     """Where the surface is uneven, compare touches by how thick and how curved the foam was seen to be at each (its
     table is at z = 0), so that they compare by modulus; or take it for level and as thick as stated."""
     first: flags.PlaceFlag = None

@@ -338,7 +338,7 @@ class Explorer:
         self._heights, self.seen_m = heights, looked.points_m
         touched_m, even_m = heights.mean_m[off_the_border(self.grid)], UNEVEN * self.options.thickness_m
         off_m = abs(float(touched_m.mean()) - self.options.thickness_m)
-        self._uneven = self.options.shape == "seen" and bool(np.ptp(touched_m) > even_m or off_m > 2.0 * even_m)
+        self._uneven = self.options.relief == "seen" and bool(np.ptp(touched_m) > even_m or off_m > 2.0 * even_m)
         return SurfaceEstimate(looked.points_m, heights.mean_m, heights.deviation_m, self.grid.cell_m)
 
     def _plan(self, reachable: BoolArray | None) -> PlannedTouch:

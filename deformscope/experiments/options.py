@@ -10,7 +10,7 @@ from deformscope.stages.map.plan import INCLUSION_M, Planner
 
 BetaModel = Literal["volume", "thesis", "layers", "none"]
 Feel = Literal["apparent", "relaxed"]
-Shape = Literal["stated", "seen"]
+Relief = Literal["stated", "seen"]
 MOST_HOLD_S = 60.0
 SECOND_FORCE_N, SECOND_SHARE = 5.0, 5.0 / 3.0
 SHALLOW_M = 0.002
@@ -44,7 +44,7 @@ class ExploreOptions:
     hold_s: how long each touch holds its force, for the foam's creep; 0 = no longer than to see the dent
     feel: which stiffness is mapped: as the touch comes down, or when all has relaxed
     pace: "quick" = low and fast over what is known of the surface
-    shape: the foam is level and as thick as stated, or, on a table at z = 0, as thick and as curved as it was seen
+    relief: the foam is level and as thick as stated, or, on a table at z = 0, as thick and as curved as it was seen
     go_on: touch until the budget is spent, even where the plan says enough (for studies)
     """
 
@@ -67,7 +67,7 @@ class ExploreOptions:
     hold_s: float = 0.0
     feel: Feel = "apparent"
     pace: Pace = "careful"
-    shape: Shape = "stated"
+    relief: Relief = "stated"
 
     def __post_init__(self) -> None:
         if self.budget < 1:

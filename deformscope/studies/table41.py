@@ -35,7 +35,7 @@ def run_table(job: TableJob) -> TableRun:
             seed=job.seed,
             thickness_m=scene.thickness_m,
             go_on=job.go_on,
-            shape=job.shape,
+            relief=job.relief,
         )
         robot = LabRobot(scene, options, sees=False, errors=LabErrors.none() if job.clean else LabErrors())
         explorer = Explorer(scene.size_m, options, robot.arm, robot.truth)

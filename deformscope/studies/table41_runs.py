@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from deformscope.errors import InputError
-from deformscope.experiments.options import Shape
+from deformscope.experiments.options import Relief
 from deformscope.plain import plain
 from deformscope.stages.map.map_score import MapScore
 from deformscope.stages.map.plan import Planner
@@ -18,7 +18,7 @@ from deformscope.stages.map.plan import Planner
 class TableJob:
     """One exploration. go_on: to the last touch, also after the plan has said enough, so that planners compare
     closed_form: touches are what a contact feels in closed form, instead of finite elements; clean: the laboratory
-    keeps nothing from the estimator; shape: as in `ExploreOptions`
+    keeps nothing from the estimator; relief: as in `ExploreOptions`
     """
 
     scene: str
@@ -28,7 +28,7 @@ class TableJob:
     go_on: bool = False
     closed_form: bool = False
     clean: bool = False
-    shape: Shape = "seen"
+    relief: Relief = "seen"
 
 
 @dataclass(frozen=True, slots=True)

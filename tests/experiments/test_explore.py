@@ -476,7 +476,7 @@ def grid_left(grid: MapGrid) -> BoolArray:
 
 @pytest.mark.slow  # several whole touches
 def test_an_egg_crate_of_one_foam_is_one_region_and_its_touches_agree() -> None:
-    _, moments = explored("egg-crate", budget=5, shape="seen", seed=1000)
+    _, moments = explored("egg-crate", budget=5, relief="seen", seed=1000)
     touches = [one for one in moments if isinstance(one, TouchEstimate)]
     last = [one for one in moments if isinstance(one, MapEstimate)][-1]
 
@@ -492,7 +492,7 @@ def test_an_egg_crate_of_one_foam_is_one_region_and_its_touches_agree() -> None:
 
 @pytest.mark.slow  # whole touches
 def test_a_level_surface_is_explored_the_same_whether_its_shape_is_looked_at_or_not() -> None:
-    (_, stated), (_, seen) = (explored("homogeneous-60", budget=2, shape=shape) for shape in ("stated", "seen"))
+    (_, stated), (_, seen) = (explored("homogeneous-60", budget=2, relief=relief) for relief in ("stated", "seen"))
 
     for before, now in zip(of(TouchEstimate, stated), of(TouchEstimate, seen), strict=True):
         assert before.stiffness_n_per_mm == now.stiffness_n_per_mm  # type: ignore[attr-defined]
