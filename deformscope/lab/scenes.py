@@ -430,14 +430,15 @@ def _relief(kind: str, drawn: dict[str, float]) -> Places | None:
         sign = -1.0 if drawn["turned"] >= 1.0 else 1.0
 
         def rise(xy: FloatArray) -> FloatArray:
-            return sign * RISE_M * np.sin(0.5 * np.pi * np.clip(2.0 * beyond(xy) / RAMP_M, -1.0, 1.0))
+            share = np.clip(2.0 * beyond(xy) / RAMP_M, -1.0, 1.0)
+            return np.asarray(sign * RISE_M * np.sin(0.5 * np.pi * share))
 
         return rise
     if kind != "egg-crate":
         return None
     turn, phase = np.deg2rad(drawn["direction"]), np.deg2rad(drawn["phase"])
     axes = 2.0 * np.pi / CRATE_WAVE_M * np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
-    return lambda xy: np.asarray(CRATE_M * np.cos(xy @ axes[0] + phase) * np.cos(xy @ axes[1]))
+    return lambda xy: CRATE_M * np.cos(xy @ axes[0] + phase) * np.cos(xy @ axes[1])
 
 
 def _along(direction_deg: float) -> Places:
@@ -445,7 +446,7 @@ def _along(direction_deg: float) -> Places:
     turn = np.deg2rad(direction_deg)
     direction, middle = np.array([np.cos(turn), np.sin(turn)]), np.array(SIZE_M) / 2
     reach = float(np.abs(direction) @ middle)
-    return lambda xy: np.asarray((xy - middle) @ direction / reach)
+    return lambda xy: (xy - middle) @ direction / reach
 
 
 def _bumps(drawn: dict[str, float]) -> Places:
