@@ -29,7 +29,10 @@ class Discard:
 
 def discards_of(recording: Path, notes: Iterable[SessionNote]) -> list[Discard]:
     """What of it is discarded, by its notes and its ledger."""
-    return [*_noted(notes), *(Discard(**one) for one in read_discards(recording))]
+    found = _noted(notes)
+    for one in read_discards(recording):  # of whatever wrote that ledger
+        found.append(Discard(str(one.get("reason", "")), int(one.get("episode", 0)), str(one.get("label", ""))))
+    return found
 
 
 def discard(recording: Path, reason: str, episode: int, notes: Iterable[SessionNote]) -> Discard:

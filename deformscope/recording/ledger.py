@@ -58,10 +58,10 @@ def add_discard(recording: Path, entry: Mapping[str, object]) -> Path:
 def read_discards(recording: Path) -> list[dict[str, Any]]:
     """What `add_discard` wrote; nothing where there is no ledger, or one that cannot be read."""
     try:
-        found: list[dict[str, Any]] = json.loads(ledger_path(recording).read_text(encoding="utf-8"))["discarded"]
+        found = json.loads(ledger_path(recording).read_text(encoding="utf-8"))["discarded"]
     except (OSError, ValueError, KeyError, TypeError):
         return []
-    return found
+    return [one for one in found if isinstance(one, dict)] if isinstance(found, list) else []
 
 
 def _write(recording: Path, content: dict[str, Any]) -> Path:

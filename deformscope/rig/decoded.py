@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from types import SimpleNamespace
@@ -226,7 +227,7 @@ class _Check:
         self._again = None if known is None else known(config, stream)
         self._decoder = None if self._again is None else self._again.begin()
         self._now_ns = 0
-        self._recorded: list[Frame] = []
+        self._recorded: deque[Frame] = deque()
         self._decoded: list[Frame] = []
         self._frames = self._compared = self._pieces = self._skipped = 0
         self._difference = ""
@@ -257,6 +258,9 @@ class _Check:
     def result(self) -> DeviceComparison:
         """Once all has come."""
         self._settle()
+        if self._recorded:  # their bytes never came
+            self._now_ns = self._recorded[-1].stamp.arrived_ns
+            self._settle()
         stream = self._stream
         left_out = self._again.left_out if self._again is not None else ""
         if self._again is None:
@@ -283,14 +287,20 @@ class _Check:
                 yield to_frame(self._stream.kind, reading, 0, self._stream.device, again.device())
 
     def _settle(self) -> None:
-        """Compare what came at one moment."""
-        recorded, decoded, self._recorded, self._decoded = self._recorded, self._decoded, [], []
+        """Compare what came at one moment. Frames of a device whose stamps were put back stand before their bytes."""
+        recorded, decoded, self._decoded = [], self._decoded, []
+        while self._recorded and self._recorded[0].stamp.arrived_ns <= self._now_ns:
+            recorded.append(self._recorded.popleft())
         if self._again is None or self._difference or not self._pieces:
             return
         at = f"{self._stream.device} at {self._now_ns} ns"
         for frame, other in zip(recorded, decoded, strict=False):
             self._compared += 1
-            for name in ("stamp", *self._again.compares):
+            late_ns = frame.stamp.late_ns
+            if frame.stamp != (other.stamp if late_ns is None else other.stamp.put_back(late_ns)):
+                self._difference = f"another stamp of frame {frame.index} of {at}"
+                return
+            for name in self._again.compares:
                 if not _same(getattr(frame, name), getattr(other, name)):
                     self._difference = f"another {name} of frame {frame.index} of {at}"
                     return

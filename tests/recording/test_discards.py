@@ -11,6 +11,7 @@ import pytest
 from deformscope.api.recordings import open_recording
 from deformscope.cli import main
 from deformscope.frames import NoteKind, SessionNote
+from deformscope.recording.discards import discards_of
 from deformscope.recording.ledger import check_ledger, ledger_path
 from deformscope.recording.recorder import Recorder
 
@@ -64,3 +65,12 @@ def test_what_cannot_be_marked_is_refused(tmp_path: Path, capsys: pytest.Capture
     ledger_path(path).unlink()  # nothing says any more that its bytes are as they were: nor may this
     assert main(["discard", str(path), "--reason", "it slipped"]) == 2
     assert not ledger_path(path).exists()
+
+
+@pytest.mark.parametrize("written", ["lost", None, [{"reason": "wrong foam", "by": "somebody"}, "lost"]])
+def test_a_ledger_that_says_more_or_nonsense_still_opens(tmp_path: Path, written: object) -> None:
+    path = recorded(tmp_path / "r.rrd")
+    content = json.loads(ledger_path(path).read_text())
+    ledger_path(path).write_text(json.dumps(content | {"discarded": written}))
+    known = ["all of it: wrong foam"] if isinstance(written, list) else []
+    assert [str(one) for one in discards_of(path, [])] == known

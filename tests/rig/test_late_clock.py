@@ -33,6 +33,7 @@ def test_a_recording_has_stamps_put_back_and_as_they_arrived(tmp_path: Path) -> 
     rig.write_text(RIG + LATE.format(offset=0.02, beside="tip"))
     assert main(["record", str(rig), "--seconds", "0.4", "--record", str(recording), "--viewer", "none"]) == 0
     assert main(["verify", str(recording)]) == 0
+    assert main(["replay", str(recording), "--viewer", "none"]) == 0  # its bytes give the same, put back alike
 
     items = list(read_items(recording))
     pads = [one for one in items if isinstance(one, TactileFrame)]
