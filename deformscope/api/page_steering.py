@@ -256,9 +256,7 @@ class PageSteering:
             commands += ["touch-at", "touch-picked"]
             if self._plan is not None and self._plan.target_m is not None:
                 commands += ["touch-next", "veto"]
-        waits = self._paused and self._touches == 0
-        reason = "nothing is touched before somebody presses Explore or clicks a place" if waits else ""
-        self.desk.enter("paused" if self._paused else "exploring", reason, commands=tuple(commands))
+        self.desk.enter("paused" if self._paused else "exploring", commands=tuple(commands))
 
 
 def is_surface(entity: str) -> bool:

@@ -313,7 +313,7 @@ class Playback(msgspec.Struct, frozen=True):
 class PageState(ToPage, frozen=True, tag="state"):
     """All that a page shows beside the viewer.
 
-    now_s: since the server began [s]; title: what is watched; reason: why it stopped, or waits
+    now_s: since the server began [s]; title: what is watched; reason: why it stopped
     recording: the file; recorded_since_s: when it was begun, as now_s; free_minutes: until its disk is full at the
     present pace; episode: label of the one that goes on; held_s: of the last seconds so many can still be recorded
     commands: what can be asked for at present, by kind; tares: devices that can be tared
