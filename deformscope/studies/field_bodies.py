@@ -167,7 +167,7 @@ def try_field(case: tuple[str, int]) -> FieldOutcome:
 
 def field_rows(outcomes: Sequence[FieldOutcome]) -> list[tuple[str, ...]]:
     """A line of words for each kind of body."""
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for kind in dict.fromkeys(one.kind for one in outcomes):
         some = [one for one in outcomes if one.kind == kind]
         right = [one for one in some if one.right]

@@ -36,6 +36,7 @@ from deformscope.stages.materials.field_fit import (
     LeftOutError,
     NoiseModel,
     StiffnessPrior,
+    in_whole_cells,
     likeliest_noise,
     posterior,
     smooth_mean,
@@ -126,6 +127,7 @@ def fit_field(
     seen: Observation, *, level: float = 0.9, seed: int = 0, device: str = "cpu", progress: Progress | None = None
 ) -> tuple[FieldEstimate, Comparison]:
     """A stiffness for each place of what was seen, and it beside what the engine makes of the betas."""
+    seen = in_whole_cells(seen)
     fit = FieldFit(seen, "elastic")
     sds = float(norm.ppf(0.5 + 0.5 * level))
     steps = len(MATERIALS) + 3

@@ -11,7 +11,7 @@ is found the same way. What is left out is judged beside the errors that it shar
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -218,6 +218,30 @@ def without_rigid(seen: Observation) -> FloatArray:
     flip = np.ones(rest.shape[1])
     flip[-1] = np.sign(np.linalg.det(u @ vt))
     return np.asarray(np.nan_to_num(now @ ((u * flip) @ vt) - rest))
+
+
+def in_whole_cells(seen: Observation) -> Observation:
+    """The same without particles that are corners of no whole cell, at ragged borders and holes."""
+    used = np.zeros(len(seen.rest), dtype=bool)
+    used[_cells_of(seen)] = True
+    if used.all():
+        return seen
+    new = np.cumsum(used) - 1
+
+    def kept(some: IntArray | None) -> IntArray | None:
+        return None if some is None else np.asarray(new[some[used[some]]])
+
+    return replace(
+        seen,
+        rest=seen.rest[used],
+        deformed=seen.deformed[used],
+        held=new[seen.held[used[seen.held]]],
+        observed=seen.observed[used],
+        noise=None if seen.noise is None else seen.noise[used],
+        cell=None if seen.cell is None else seen.cell[used],
+        contact=kept(seen.contact),
+        loose=kept(seen.loose),
+    )
 
 
 def _beside_tool(seen: Observation, cells: IntArray) -> IntArray:

@@ -12,6 +12,7 @@ from deformscope.errors import InputError
 from deformscope.stages.fit.model import Observation
 from deformscope.stages.materials.field import fit_field
 from deformscope.stages.materials.field_estimate import FieldEstimate
+from deformscope.stages.materials.field_fit import in_whole_cells
 from deformscope.studies.field_bodies import SPACING_M, elastic_pair
 from tests.cases import slow
 
@@ -78,6 +79,19 @@ def test_what_strains_alike_is_not_told_apart() -> None:
     assert estimate.materials < 2
     assert estimate.ratio_interval[1] > 4.0
     assert estimate.verdict == "unidentified"
+
+
+def test_particles_of_no_whole_cell_are_left_out() -> None:
+    seen = elastic_pair(SMALL, halves)
+    rows = np.flatnonzero(np.arange(len(seen.rest)) != 81)  # beside a corner of the lattice, held
+    held = np.searchsorted(rows, seen.held[seen.held != 81])
+    ragged = dataclasses.replace(
+        seen, rest=seen.rest[rows], deformed=seen.deformed[rows], held=held, observed=seen.observed[rows], cell=rows
+    )
+    whole = in_whole_cells(ragged)
+    assert len(whole.rest) == len(seen.rest) - 2
+    assert np.isin(whole.rest[whole.held, 0], [0.0, 0.1]).all()
+    assert len(whole.held) == len(seen.held) - 2
 
 
 def test_a_surface_without_depth_and_points_without_a_lattice_are_refused() -> None:
