@@ -586,6 +586,7 @@ class Explorer:
             held=whole.held,
             set_force_n=self.options.set_force_n,
             arm=self._arm,
+            radius_m=self.options.tip_radius_m,
         )
 
     def _estimate(self, touched: TouchMeasurement, contact: _Contact | None, creep: CreepFit | None) -> TouchEstimate:

@@ -18,7 +18,7 @@ from deformscope.lab.creeping_world import CreepingWorld, Relaxation
 from deformscope.lab.scenes import Piece, Scene, initial_modulus_pa
 from deformscope.lab.slab import RigidTip
 from deformscope.lab.slab_world import SlabWorld
-from deformscope.lab.touching import Sensing, force_curve, held_touch
+from deformscope.lab.touching import HeldTouch, Sensing, force_curve, held_touch
 from deformscope.stages.poke.contact import ArmCompliance
 from deformscope.stages.poke.creep import CreepFit, CreepVerdict, fit_creep
 from deformscope.studies.coverage import Rate
@@ -35,6 +35,7 @@ QUANTITIES = (
 )
 NEAR = 0.1
 UP = np.array([0.0, 0.0, 1.0])
+ARM = ArmCompliance(1.0 / ARM_STIFFNESS_N_M, ARM_DOUBT / ARM_STIFFNESS_N_M)
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,8 +72,22 @@ class CreepRow:
     width: float
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class CreepTouch:
+    """A touch as it was made: as recorded, truth: (5,) of QUANTITIES (nan: there is none)"""
+
+    case: CreepCase
+    made: HeldTouch
+    truth: tuple[float, ...]
+
+
 def try_creep(case: CreepCase) -> CreepOutcome:
     """Touch one foam, and fit."""
+    return judged(touched(case))
+
+
+def touched(case: CreepCase) -> CreepTouch:
+    """Touch one foam."""
     random = np.random.default_rng([case.seed, case.number, 19])
     hardness = float(np.exp(random.uniform(*np.log(HARDNESS_N))))
     piece = Piece("foam", initial_modulus_pa(hardness))
@@ -84,7 +99,6 @@ def try_creep(case: CreepCase) -> CreepOutcome:
     fastest, slowest = np.log(TIMES_S)
     times_s = np.exp(random.uniform(fastest, slowest, branches))
     relaxation = Relaxation() if case.elastic else Relaxation(tuple(shares.tolist()), tuple(times_s.tolist()))
-    arm = ArmCompliance(1.0 / ARM_STIFFNESS_N_M, ARM_DOUBT / ARM_STIFFNESS_N_M)
     off = max(1.0 + ARM_DOUBT * float(random.standard_normal()), 0.1)
     tip, xy_m = RigidTip(radius=TIP_M), 0.5 * np.asarray(scene.size_m)
     made = held_touch(
@@ -105,6 +119,13 @@ def try_creep(case: CreepCase) -> CreepOutcome:
         for left in (1.0, 1.0 - relaxation.share)
     )
     mean_s = float(np.dot(relaxation.shares, relaxation.times_s) / relaxation.share) if relaxation.share else np.nan
+    loss = true_loss(made.true_depth_m, made.true_force_n, made.held)
+    return CreepTouch(case, made, (at_once, relaxed, relaxation.share, mean_s, loss))
+
+
+def judged(touch: CreepTouch) -> CreepOutcome:
+    """What the fit says of a touch."""
+    made = touch.made
     fit = fit_creep(
         made.time_s,
         made.position_m,
@@ -113,12 +134,10 @@ def try_creep(case: CreepCase) -> CreepOutcome:
         loading=made.loading,
         held=made.held,
         set_force_n=SET_FORCE_N,
-        arm=arm,
+        arm=ARM,
+        radius_m=TIP_M,
     )
-    loss = true_loss(made.true_depth_m, made.true_force_n, made.held)
-    return CreepOutcome(
-        case.elastic, (at_once, relaxed, relaxation.share, mean_s, loss), *_estimated(fit), verdict=fit.verdict
-    )
+    return CreepOutcome(touch.case.elastic, touch.truth, *_estimated(fit), verdict=fit.verdict)
 
 
 def true_loss(depth_m: FloatArray, force_n: FloatArray, held: int) -> float:

@@ -42,23 +42,28 @@ from deformscope.stages.poke.contact import (
 CreepVerdict = Literal["elastic", "viscous", "unidentified"]
 
 STRENGTH_MEDIAN, STRENGTH_SPREAD = 0.2, 0.9
-"""Log-normal prior of a branch's strength j: relaxation of 2 to 50 %, where flexible foams lie [assumed]."""
+"""Log-normal prior of the strength j of one branch, in equal parts of several: relaxation of 2 to 50 %, where flexible
+foams lie [assumed]."""
 TIME_MEDIAN_S, TIME_SPREAD = 1.2, 0.9
 """Log-normal prior of a retardation time: 0.08 to 12 s, what a touch of some seconds can be asked about."""
 MOST_BRANCHES = 2
-HOLD_SAMPLES = 200
+HOLD_SAMPLES = 120
 """Of the hold, that are fitted: more are averaged over equal counts."""
 ELASTIC_MOST = 0.03
 """Share of the modulus that may relax in a foam that counts as elastic: what arm's scatter and law leave open."""
 SURE = 0.95
 LEAST_EXPONENT, LEAST_SHARE = 0.2, 1e-4
-BEND_SD = 0.005
+BEND_SD = 0.003
 """Of q: log depth goes by log force over p plus q times its square, 0 at the set force. Finite elements of a ball of
 2 cm on 2 to 8 cm of bonded foam, Poisson's ratio .05 to .4, at 1 and 3 N: -.009 to .006."""
-LAW_OFF, LAW_PIECES = 0.015, 5.0
-"""Of a dent, what that law is off by on the way to the set force: as above, at most 0.02; and as how many samples that
-way counts, since neighbouring ones are off alike."""
-SHAPE = 4
+LAW_OFF, LAW_RISE, LAW_LENGTH = 0.004, 0.4, 0.3
+"""Of a log dent, what that law is off by: a Gaussian process over log force, 0 at the set force, with this deviation
+there, more below it (a power of the force) and with this length: elements that come into contact one after the other
+make waves of 0.2 to 1 % (24 slabs as above, seeds kept for choosing). Foam itself is no better."""
+LAYERED, LAYERED_SD = 0.05, 0.05
+"""What a layer on a table adds to a ball's exponent: 0.04 to 0.07 on these slabs; foam itself may add to it."""
+BALL_STEPS = 400
+SHAPE = 5
 """Parameters of the law without a memory."""
 LOG_TIMES, TIMES = (np.log(0.005), np.log(200.0)), 80
 """Retardation times for which the filters are computed; between them they are interpolated."""
@@ -103,11 +108,12 @@ def fit_creep(
     tip: TipKind = "sphere",
     set_force_n: float = 3.0,
     arm: ArmCompliance | None = None,
-    exponent_sd: float = EXPONENT_SD,
+    radius_m: float | None = None,
 ) -> CreepFit:
     """Fit the law to a touch that came down, held and, if it was recorded, went back.
 
     time_s (n,), position_m (n, 3), force_n (n, 3), normal (3,), set_force_n, arm: as in `contact.fit_approach`
+    radius_m: of a ball, whose dents are not small beside it; None: the law is a power at all depths
     loading: how many samples lead up to the set force; held: how many were taken until the tip went back
 
     Raises InputError where the touch holds nothing to fit, as `fit_approach` does.
@@ -119,15 +125,17 @@ def fit_creep(
     zeroed, force_sd, _, among = since_contact(force[:loading], set_force_n, None)
     force = force - (force[0] - zeroed[0])
     samples = _Samples.of(time_s, z_m, force, int(np.argmax(among)), loading, held)
-    law = _Law(samples, EXPONENT[tip], exponent_sd, set_force_n, arm, force_sd)
+    ball_m = radius_m if tip == "sphere" else None
+    exponent = (EXPONENT[tip] + LAYERED, LAYERED_SD) if ball_m else (EXPONENT[tip], EXPONENT_SD)
+    law = _Law(samples, exponent, set_force_n, arm, force_sd, ball_m)
     draws = [law.posterior(branches) for branches in range(MOST_BRANCHES + 1)]
     weight = pooled([one.log_evidence for one in draws], [one.weight for one in draws])
-    depth_m, exponent, strength, mean_time_s = (
+    depth_m, deeper, strength, mean_time_s = (
         np.concatenate([getattr(one, name) for one in draws])
-        for name in ("depth_m", "exponent", "strength", "mean_time_s")
+        for name in ("depth_m", "log_deeper", "strength", "mean_time_s")
     )
     instant = 1e-3 * set_force_n / depth_m
-    relaxed = instant * (1.0 + strength) ** (-1.0 / exponent)
+    relaxed = instant * np.exp(-deeper)
     share, creeps = strength / (1.0 + strength), strength > 0.0
     middle = float(np.average(np.log(relaxed), weights=weight))
     viscous = float(weight[share > ELASTIC_MOST].sum())
@@ -162,13 +170,14 @@ def cycle_loss(
     middle_n, way_m = 0.5 * (force_n[1 : end + 1] + force_n[:end]), np.diff(z_m[: end + 1])
     work = middle_n * way_m
     taken, given = float(work[: held - 1].sum()), -float(work[held - 1 :].sum())
-    # a work is also minus the sum of places times how the force changes around them, each place off by its own
-    steps = np.zeros(end + 1)
-    steps[1:-1] = 0.5 * (force_n[2 : end + 1] - force_n[: end - 1])
     loss = 1.0 - given / taken
+    # by how much the loss follows the place and the force of each sample, each off by its own
+    counts = np.where(np.arange(end) < held - 1, 1.0 - loss, 1.0)
+    by_place = np.diff(np.pad(counts * middle_n, 1))
+    by_force = 0.5 * np.convolve(counts * way_m, [1.0, 1.0])
     # an arm that gives otherwise than calibrated stored and gave back another c F^2 / 2
     bent = arm.compliance_sd * 0.5 * peak**2 * loss
-    noise = arm.position_sd_m * float(np.linalg.norm(steps)), force_sd_n * float(np.linalg.norm(way_m))
+    noise = arm.position_sd_m * float(np.linalg.norm(by_place)), force_sd_n * float(np.linalg.norm(by_force))
     sd = float(np.linalg.norm(np.array([*noise, bent]))) / taken
     return loss, (loss - Z_90 * sd, loss + Z_90 * sd)
 
@@ -199,51 +208,58 @@ class _Samples:
 
 @dataclass(frozen=True, slots=True)
 class _Draws:
-    """Of one number of branches: log evidence; weight (d,), which adds up to 1; D0 [m], p, sum of j_i, mean relaxation
-    time [s], all (d,)"""
+    """Of one number of branches: log evidence; weight (d,), which adds up to 1; D0 [m], log of the dent when all has
+    relaxed over D0, sum of j_i, mean relaxation time [s], all (d,)"""
 
     log_evidence: float
     weight: FloatArray
     depth_m: FloatArray
-    exponent: FloatArray
+    log_deeper: FloatArray
     strength: FloatArray
     mean_time_s: FloatArray
 
 
 class _Law:
-    """The law over one touch; parameters (4 + 2 b,): z0 [mm], log D0, p, the law's bend q, then log j and log l of
-    each branch."""
+    """The law over one touch; parameters (5 + 2 b,): z0 [mm], log D0 (of a ball: of the dent that a paraboloid
+    would make instead), p, the law's bend q, the arm's compliance in deviations from what it was calibrated to, then
+    log j and log l of each branch.
+
+    What the law is off by at one force it is off by at neighbouring ones, in the hold as on the way down: residuals
+    are whitened by the covariance of that and of the samples' own scatter.
+    """
 
     def __init__(
         self,
         samples: _Samples,
-        prior_exponent: float,
-        exponent_sd: float,
+        exponent: tuple[float, float],
         set_force_n: float,
         arm: ArmCompliance,
         force_sd_n: float,
+        radius_m: float | None,
     ) -> None:
+        self._even, self._deep = _ball(radius_m) if radius_m else (None, None)
         fitted = slice(samples.first, None)
         force = np.maximum(samples.force_n, 0.0) / set_force_n
         self._share = force[fitted]
         log_s = np.linspace(*LOG_TIMES, TIMES)
         self._filtered = scipy.interpolate.CubicSpline(log_s, _lagging(samples.time_s, force, np.exp(log_s))[:, fitted])
         self._z = samples.z_m[fitted] - arm.compliance_m_per_n * samples.force_n[fitted]
-        self._bent_m = arm.compliance_sd * set_force_n
-        self._exponent = prior_exponent, exponent_sd
+        self._bent_m = arm.compliance_sd * set_force_n * self._share
+        self._exponent, prior_exponent = exponent, exponent[0]
         root = np.sqrt(samples.count[fitted])
         share = np.maximum(self._share, LOADED)
         design = np.column_stack([np.ones_like(self._z), share ** (1.0 / prior_exponent)])
         (z0, depth_m), *_ = np.linalg.lstsq(design, self._z, rcond=None)
-        self._start = np.array([1e3 * z0, np.log(max(depth_m, 1e-5)), prior_exponent, 0.0])
+        self._start = np.array([1e3 * z0, np.log(max(depth_m, 1e-5)), prior_exponent, 0.0, 0.0])
         slope_m = depth_m / prior_exponent * share ** (1.0 / prior_exponent - 1.0)
         sd = np.hypot(max(arm.position_sd_m, 1e-6), slope_m * force_sd_n / set_force_n) / root
-        off = LAW_OFF * depth_m * share ** (1.0 / prior_exponent) * np.clip(1.0 - share, 0.0, 1.0)
-        sd = np.hypot(sd, off * np.sqrt(max(1.0, (samples.loading - samples.first) / LAW_PIECES)))
-        self._sd = sd
+        self._whitens = np.diag(1.0 / np.hypot(sd, LAW_OFF * depth_m))
+        self._log_felt, self._dent_m = (one[0] for one in self._dents(self._best(MOST_BRANCHES)[None]))
+        self._off_m2 = self._dent_m * _off_together(self._log_felt, self._log_felt) * self._dent_m[:, None]
+        self._whitens = _whitening(sd, self._off_m2)
         # the arm may scatter more than stated
         scatter = self._off(self._best(MOST_BRANCHES)[None])[0]
-        self._sd = sd * max(1.0, float(np.sqrt(np.mean(scatter**2))))
+        self._whitens = _whitening(sd * max(1.0, float(np.sqrt(np.mean(scatter**2)))), self._off_m2)
 
     def posterior(self, branches: int) -> _Draws:
         """Weighted draws of the parameters with so many branches."""
@@ -253,21 +269,30 @@ class _Law:
             best, self._jacobian(best), self._residuals, self._log_size(branches), random
         )
         strength, retarded_s = np.exp(drawn[:, SHAPE : SHAPE + branches]), np.exp(drawn[:, SHAPE + branches :])
-        bent_m = self._bent_m * random.standard_normal(len(drawn))
+        log_felt = np.log1p(strength.sum(axis=1))
+        log_depth = self._log_dent(drawn, np.zeros(len(drawn)))
+        log_deeper = self._log_dent(drawn, log_felt) - log_depth + self._law_off(drawn, log_felt, random)
         return _Draws(
             log_evidence,
             weight,
-            np.maximum(np.exp(drawn[:, 1]) + bent_m, 1e-6),
-            np.maximum(drawn[:, 2], LEAST_EXPONENT),
+            np.maximum(np.exp(log_depth), 1e-6),
+            np.where(strength.sum(axis=1) > 0.0, log_deeper, 0.0),
             strength.sum(axis=1),
             mean_relaxation_s(strength, retarded_s),
         )
 
+    def _law_off(self, parameters: FloatArray, log_felt: FloatArray, random: np.random.Generator) -> FloatArray:
+        """(d,) draws of what the law is off by at a log force (d,), given what it is off by in the samples."""
+        shared = (_off_together(log_felt, self._log_felt) * self._dent_m) @ self._whitens.T
+        mean = (shared * self._off(parameters)).sum(axis=1)
+        variance = _off_variance(log_felt) - (shared**2).sum(axis=1)
+        return np.asarray(mean + np.sqrt(np.maximum(variance, 0.0)) * random.standard_normal(len(log_felt)))
+
     def _best(self, branches: int) -> FloatArray:
-        """(4 + 2 b,) the likeliest parameters."""
+        """(5 + 2 b,) the likeliest parameters."""
         apart = np.linspace(-0.7, 0.7, branches) if branches > 1 else np.zeros(branches)
         start = np.concatenate(
-            [self._start, np.full(branches, np.log(STRENGTH_MEDIAN)), np.log(TIME_MEDIAN_S) + TIME_SPREAD * apart]
+            [self._start, np.full(branches, np.log(STRENGTH_MEDIAN / max(branches, 1))), np.log(TIME_MEDIAN_S) + TIME_SPREAD * apart]
         )
         found = scipy.optimize.least_squares(
             lambda one: self._residuals(one[None])[0], start, jac=self._jacobian, x_scale="jac"
@@ -288,13 +313,20 @@ class _Law:
         priors = [
             (parameters[:, 2:3] - middle) / spread,
             parameters[:, 3:4] / BEND_SD,
-            (log_j - np.log(STRENGTH_MEDIAN)) / STRENGTH_SPREAD,
+            parameters[:, 4:5],
+            (log_j - np.log(STRENGTH_MEDIAN / max(branches, 1))) / STRENGTH_SPREAD,
             (log_l - np.log(TIME_MEDIAN_S)) / TIME_SPREAD,
         ]
         return np.concatenate([self._off(parameters), *priors], axis=1)
 
     def _off(self, parameters: FloatArray) -> FloatArray:
-        """(d, m) how far each sample is from the law, in its deviations."""
+        """(d, m) how far the samples are from the law, whitened."""
+        _, dent_m = self._dents(parameters)
+        away = self._z - 1e-3 * parameters[:, :1] - dent_m - parameters[:, 4:5] * self._bent_m
+        return np.asarray(away @ self._whitens.T)
+
+    def _dents(self, parameters: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(d, m) log of the force that would make each sample's dent at once, over the set force; and that dent [m]."""
         branches = (parameters.shape[1] - SHAPE) // 2
         felt = np.broadcast_to(self._share, (len(parameters), len(self._share))).copy()
         for strength, log_s in zip(
@@ -302,13 +334,49 @@ class _Law:
         ):
             felt += strength[:, None] * self._filtered(np.clip(log_s, *LOG_TIMES))
         log_felt = np.log(np.maximum(felt, LEAST_SHARE))
-        z0_m, log_depth, exponent, bend = parameters.T[:SHAPE, :, None]
+        return log_felt, np.exp(self._log_dent(parameters[:, None], log_felt))
+
+    def _log_dent(self, parameters: FloatArray, log_felt: FloatArray) -> FloatArray:
+        """(...,) log of the dent [m] at a log force (...,) over the set force, of parameters (..., k)."""
+        _, log_depth, exponent, bend = np.moveaxis(parameters[..., : SHAPE - 1], -1, 0)
         log_dent = log_depth + log_felt / np.maximum(exponent, LEAST_EXPONENT) + bend * log_felt**2
-        return np.asarray((self._z - 1e-3 * z0_m - np.exp(log_dent)) / self._sd)
+        return np.asarray(log_dent if self._even is None else np.interp(log_dent, self._even, self._deep))
 
     def _log_size(self, branches: int) -> float:
         """Logarithm of what the priors' densities are divided by, without what all numbers of branches share."""
         return float(branches * np.log(2.0 * np.pi * STRENGTH_SPREAD * TIME_SPREAD))
+
+
+def _ball(radius_m: float) -> tuple[FloatArray, FloatArray]:
+    """(n,) logs of the dent that a paraboloid of a ball's curvature makes, and of the ball's own, at equal forces [m]
+    (Sneddon 1965, both rigid)."""
+    contact = -np.expm1(-np.geomspace(1e-4, 5.0, BALL_STEPS))  # radius of the contact over the ball's
+    force = (1.0 + contact**2) * np.arctanh(contact) - contact
+    force[contact < 0.03] = (4.0 / 3.0 * contact**3 + 8.0 / 15.0 * contact**5)[contact < 0.03]
+    return np.log(radius_m * (0.75 * force) ** (2.0 / 3.0)), np.log(radius_m * contact * np.arctanh(contact))
+
+
+def _off_together(one: FloatArray, other: FloatArray) -> FloatArray:
+    """(a, b) covariance of what the law is off by at log forces (a,) and (b,): a process g less its value at 0."""
+
+    def g(left: FloatArray, right: FloatArray) -> FloatArray:
+        rise = np.exp(-LAW_RISE * (left[:, None] + right))
+        return LAW_OFF**2 * rise * np.exp(-0.5 * ((left[:, None] - right) / LAW_LENGTH) ** 2)
+
+    at = np.zeros(1)
+    return np.asarray(g(one, other) - g(one, at) - g(at, other) + g(at, at))
+
+
+def _off_variance(one: FloatArray) -> FloatArray:
+    """(a,) as the diagonal of `_off_together`."""
+    high = np.exp(-LAW_RISE * one)
+    return np.asarray(LAW_OFF**2 * (1.0 + high**2 - 2.0 * high * np.exp(-0.5 * (one / LAW_LENGTH) ** 2)))
+
+
+def _whitening(sd_m: FloatArray, together_m2: FloatArray) -> FloatArray:
+    """(m, m) that makes residuals of deviations (m,) with a covariance (m, m) in common white."""
+    lower = np.linalg.cholesky(together_m2 + np.diag(sd_m**2))
+    return np.asarray(scipy.linalg.solve_triangular(lower, np.eye(len(sd_m)), lower=True))
 
 
 def _lagging(time_s: FloatArray, force: FloatArray, retarded_s: FloatArray) -> FloatArray:
