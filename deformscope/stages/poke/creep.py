@@ -18,7 +18,8 @@ measured forces did on the way in less what they gave on the way out.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 from typing import Literal
 
 import numpy as np
@@ -26,7 +27,7 @@ import scipy  # its parts are imported as they are first used: who only reads re
 
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
-from deformscope.stages.fit.relaxation import mean_relaxation_s
+from deformscope.stages.fit.relaxation import mean_relaxation_s, relaxing
 from deformscope.stages.fit.weighted_draws import draw_about, median_and_interval, pooled
 from deformscope.stages.poke.contact import (
     EXPONENT,
@@ -38,8 +39,10 @@ from deformscope.stages.poke.contact import (
     along_normal,
     since_contact,
 )
+from deformscope.stages.poke.permanent_set import kept_share
+from deformscope.stages.poke.slip import SlipFit, fit_slip
 
-CreepVerdict = Literal["elastic", "viscous", "unidentified"]
+CreepVerdict = Literal["elastic", "viscous", "plastic", "slipping", "unidentified"]
 
 STRENGTH_MEDIAN, STRENGTH_SPREAD = 0.2, 0.9
 """Log-normal prior of the strength j of one branch, in equal parts of several: relaxation of 2 to 50 %, where flexible
@@ -51,7 +54,11 @@ HOLD_SAMPLES = 120
 """Of the hold, that are fitted: more are averaged over equal counts."""
 ELASTIC_MOST = 0.03
 """Share of the modulus that may relax in a foam that counts as elastic: what arm's scatter and law leave open."""
+KEPT_LEAST = 0.06
+"""Share of a dent that stays for good from which on a foam counts as plastic: below, the law's error may look so."""
 SURE = 0.95
+KEPT_DRAWS = 60
+"""Of the laws drawn, from which what is kept is computed."""
 LEAST_EXPONENT, LEAST_SHARE = 0.2, 1e-4
 BEND_SD = 0.003
 """Of q: log depth goes by log force over p plus q times its square, 0 at the set force. Finite elements of a ball of
@@ -78,7 +85,11 @@ class CreepFit:
     share: of the modulus that relaxes, 1 - E(inf) / E0; time_s: mean relaxation time, each branch weighed by its share
     loss: energy that the cycle lost over what the way in took; None where the way out was not recorded
     held_s: how long the force was held; speed_m_s: of the approach in contact
-    verdict: "elastic": less than ELASTIC_MOST relaxes; "viscous": more does; "unidentified": either may be
+    verdict: "slipping": the tip slid over the surface, and the rest is doubtful; "plastic": a dent stays for good;
+    "elastic": less than ELASTIC_MOST relaxes; "viscous": more does; "unidentified": none is SURE; why: in words
+    viscous, plastic, slipping: probabilities of each, None where the touch cannot tell
+    kept, kept_interval: share of the dent that stays, beyond what relaxation explains; None without the way out
+    slid_m, force_ratio: how far the tip slid, if it did; the largest force across over the set force
     """
 
     instant_n_per_mm: float
@@ -95,6 +106,14 @@ class CreepFit:
     held_s: float
     speed_m_s: float
     verdict: CreepVerdict
+    why: str = ""
+    viscous: float | None = None
+    plastic: float | None = None
+    slipping: float | None = None
+    kept: float | None = None
+    kept_interval: tuple[float, float] | None = None
+    slid_m: float | None = None
+    force_ratio: float | None = None
 
 
 def fit_creep(
@@ -128,29 +147,92 @@ def fit_creep(
     ball_m = radius_m if tip == "sphere" else None
     exponent = (EXPONENT[tip] + LAYERED, LAYERED_SD) if ball_m else (EXPONENT[tip], EXPONENT_SD)
     law = _Law(samples, exponent, set_force_n, arm, force_sd, ball_m)
-    draws = [law.posterior(branches) for branches in range(MOST_BRANCHES + 1)]
-    weight = pooled([one.log_evidence for one in draws], [one.weight for one in draws])
-    depth_m, deeper, strength, mean_time_s = (
-        np.concatenate([getattr(one, name) for one in draws])
-        for name in ("depth_m", "log_deeper", "strength", "mean_time_s")
-    )
-    instant = 1e-3 * set_force_n / depth_m
-    relaxed = instant * np.exp(-deeper)
+    draws = _Draws.together([law.posterior(branches) for branches in range(MOST_BRANCHES + 1)])
+    weight, strength = draws.weight, draws.strength.sum(axis=1)
+    instant = 1e-3 * set_force_n / draws.depth_m
+    relaxed = instant * np.exp(-draws.log_deeper)
     share, creeps = strength / (1.0 + strength), strength > 0.0
     middle = float(np.average(np.log(relaxed), weights=weight))
     viscous = float(weight[share > ELASTIC_MOST].sum())
-    verdict: CreepVerdict = "viscous" if viscous > SURE else "elastic" if viscous < 1.0 - SURE else "unidentified"
+    kept = _kept(draws, time_s, z_m, force, held, arm, force_sd)
+    slip = _slip(draws, z_m, force, position_m[:held], force_n[:held], normal, loading, arm, force_sd)
+    plastic = None if kept is None else float((kept > KEPT_LEAST).mean())
+    verdict, why = _verdict(viscous, plastic, slip)
     return CreepFit(
         *median_and_interval(instant, weight),
         *median_and_interval(relaxed, weight),
         float(np.sqrt(np.average((np.log(relaxed) - middle) ** 2, weights=weight))),
         *median_and_interval(share, weight),
-        *median_and_interval(mean_time_s[creeps], weight[creeps]),
+        *median_and_interval(draws.mean_time_s[creeps], weight[creeps]),
         *cycle_loss(z_m, force, held, arm, force_sd),
         float(time_s[held - 1] - time_s[loading - 1]),
         float((z_m[loading - 1] - z_m[samples.first]) / (time_s[loading - 1] - time_s[samples.first])),
         verdict,
+        why,
+        viscous,
+        plastic,
+        slip.probability,
+        *((None, None) if kept is None else median_and_interval(kept, np.ones(len(kept)))),
+        slip.slid_m,
+        slip.ratio,
     )
+
+
+def _verdict(viscous: float, plastic: float | None, slip: SlipFit) -> tuple[CreepVerdict, str]:
+    """What a touch met, and why it is taken for that."""
+    if slip.probability > SURE:
+        where = f"once the force across was {slip.friction:.2g} of the force"
+        return "slipping", f"the tip slid {1e3 * slip.slid_m:.1f} mm {where}"
+    if plastic is not None and plastic > SURE:
+        return "plastic", "the tip let go deeper than relaxation explains"
+    if viscous > SURE:
+        return "viscous", f"more than {ELASTIC_MOST:.0%} of the modulus relaxes"
+    if viscous < 1.0 - SURE:
+        return "elastic", f"less than {ELASTIC_MOST:.0%} of the modulus relaxes"
+    return "unidentified", f"whether {ELASTIC_MOST:.0%} of the modulus relaxes is too near to call"
+
+
+def _kept(
+    draws: _Draws,
+    time_s: FloatArray,
+    z_m: FloatArray,
+    force_n: FloatArray,
+    held: int,
+    arm: ArmCompliance,
+    force_sd_n: float,
+) -> FloatArray | None:
+    """(d,) draws of the share of the dent that stays; None where the way back was not recorded."""
+    random = np.random.default_rng(0)
+    some = draws.some(random, KEPT_DRAWS)
+    share, relaxation_s = relaxing(some.strength, some.retarded_s)
+    dent_m = some.dents(z_m, force_n, arm)
+    found = kept_share(time_s, dent_m, force_n, held, some.exponent, share, relaxation_s, arm, force_sd_n)
+    if found is None:
+        return None
+    kept, sd = found
+    return np.asarray(kept[:, None] + sd[:, None] * random.standard_normal((len(kept), KEPT_DRAWS))).ravel()
+
+
+def _slip(
+    draws: _Draws,
+    z_m: FloatArray,
+    force_along_n: FloatArray,
+    position_m: FloatArray,
+    force_n: FloatArray,
+    normal: FloatArray,
+    loading: int,
+    arm: ArmCompliance,
+    force_sd_n: float,
+) -> SlipFit:
+    """Whether the tip slid until its way back."""
+    held = len(position_m)
+    along = normal / np.linalg.norm(normal)
+    plane = np.linalg.svd(along[None])[2][1:]
+    across_n = force_n @ plane.T
+    free = force_along_n[:loading] < LOADED * force_along_n.max()
+    across_n = across_n - np.median(across_n[:loading][free], axis=0) if free.any() else across_n
+    dent_m = draws.some(np.random.default_rng(0), KEPT_DRAWS).dents(z_m[:held], force_along_n[:held], arm).mean(axis=0)
+    return fit_slip(position_m @ plane.T, across_n, dent_m, force_along_n[:held], force_sd_n)
 
 
 def cycle_loss(
@@ -208,15 +290,38 @@ class _Samples:
 
 @dataclass(frozen=True, slots=True)
 class _Draws:
-    """Of one number of branches: log evidence; weight (d,), which adds up to 1; D0 [m], log of the dent when all has
-    relaxed over D0, sum of j_i, mean relaxation time [s], all (d,)"""
+    """Weighted draws, of one number of branches or of all: log evidence; weight (d,), which adds up to 1; z0, D0 [m],
+    log of the dent when all has relaxed over D0, p, deviations of the arm's compliance, mean relaxation time [s], all
+    (d,); j_i and l_i [s] (d, MOST_BRANCHES), what is not there with a strength of 0"""
 
     log_evidence: float
     weight: FloatArray
+    start_m: FloatArray
     depth_m: FloatArray
     log_deeper: FloatArray
-    strength: FloatArray
+    exponent: FloatArray
+    bent: FloatArray
     mean_time_s: FloatArray
+    strength: FloatArray
+    retarded_s: FloatArray
+
+    @classmethod
+    def together(cls, models: Sequence[_Draws]) -> _Draws:
+        """All, each model by its evidence."""
+        weight = pooled([one.log_evidence for one in models], [one.weight for one in models])
+        others = [one.name for one in fields(cls)][2:]
+        return cls(0.0, weight, *(np.concatenate([getattr(one, name) for one in models]) for name in others))
+
+    def some(self, random: np.random.Generator, count: int) -> _Draws:
+        """So many of them, by their weight."""
+        at = random.choice(len(self.weight), count, p=self.weight / self.weight.sum())
+        others = (getattr(self, one.name)[at] for one in fields(self)[2:])
+        return _Draws(self.log_evidence, np.full(count, 1.0 / count), *others)
+
+    def dents(self, z_m: FloatArray, force_n: FloatArray, arm: ArmCompliance) -> FloatArray:
+        """(d, n) of places and forces (n,) [m]."""
+        gives = arm.compliance_m_per_n + arm.compliance_sd * self.bent[:, None]
+        return np.asarray(np.maximum(z_m - self.start_m[:, None] - gives * force_n, 0.0))
 
 
 class _Law:
@@ -268,17 +373,23 @@ class _Law:
         drawn, weight, log_evidence = draw_about(
             best, self._jacobian(best), self._residuals, self._log_size(branches), random
         )
-        strength, retarded_s = np.exp(drawn[:, SHAPE : SHAPE + branches]), np.exp(drawn[:, SHAPE + branches :])
+        none = ((0, 0), (0, MOST_BRANCHES - branches))
+        strength = np.pad(np.exp(drawn[:, SHAPE : SHAPE + branches]), none)
+        retarded_s = np.pad(np.exp(drawn[:, SHAPE + branches :]), none, constant_values=1.0)
         log_felt = np.log1p(strength.sum(axis=1))
         log_depth = self._log_dent(drawn, np.zeros(len(drawn)))
         log_deeper = self._log_dent(drawn, log_felt) - log_depth + self._law_off(drawn, log_felt, random)
         return _Draws(
             log_evidence,
             weight,
+            1e-3 * drawn[:, 0],
             np.maximum(np.exp(log_depth), 1e-6),
-            np.where(strength.sum(axis=1) > 0.0, log_deeper, 0.0),
-            strength.sum(axis=1),
+            log_deeper if branches else np.zeros(len(drawn)),
+            np.maximum(drawn[:, 2], LEAST_EXPONENT),
+            drawn[:, 4],
             mean_relaxation_s(strength, retarded_s),
+            strength,
+            retarded_s,
         )
 
     def _law_off(self, parameters: FloatArray, log_felt: FloatArray, random: np.random.Generator) -> FloatArray:
@@ -291,9 +402,8 @@ class _Law:
     def _best(self, branches: int) -> FloatArray:
         """(5 + 2 b,) the likeliest parameters."""
         apart = np.linspace(-0.7, 0.7, branches) if branches > 1 else np.zeros(branches)
-        start = np.concatenate(
-            [self._start, np.full(branches, np.log(STRENGTH_MEDIAN / max(branches, 1))), np.log(TIME_MEDIAN_S) + TIME_SPREAD * apart]
-        )
+        log_j = np.full(branches, np.log(STRENGTH_MEDIAN / max(branches, 1)))
+        start = np.concatenate([self._start, log_j, np.log(TIME_MEDIAN_S) + TIME_SPREAD * apart])
         found = scipy.optimize.least_squares(
             lambda one: self._residuals(one[None])[0], start, jac=self._jacobian, x_scale="jac"
         )
