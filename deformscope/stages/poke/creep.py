@@ -57,6 +57,10 @@ ELASTIC_MOST = 0.03
 KEPT_LEAST = 0.06
 """Share of a dent that stays for good from which on a foam counts as plastic: below, the law's error may look so."""
 SURE = 0.95
+REFERENCE_SPEED_M_S = 0.01
+"""Stiffness is converted to what an approach at this speed would have felt, so that touches compare."""
+RAMP_STEPS = 60
+"""Of the force on the way down at the reference speed."""
 KEPT_DRAWS = 60
 """Of the laws drawn, from which what is kept is computed."""
 LEAST_EXPONENT, LEAST_SHARE = 0.2, 1e-4
@@ -90,6 +94,8 @@ class CreepFit:
     viscous, plastic, slipping: probabilities of each, None where the touch cannot tell
     kept, kept_interval: share of the dent that stays, beyond what relaxation explains; None without the way out
     slid_m, force_ratio: how far the tip slid, if it did; the largest force across over the set force
+    log_at_reference, log_at_reference_sd: log of the stiffness that an approach at REFERENCE_SPEED_M_S would have felt
+    over that which this one felt, and its deviation
     """
 
     instant_n_per_mm: float
@@ -114,6 +120,8 @@ class CreepFit:
     kept_interval: tuple[float, float] | None = None
     slid_m: float | None = None
     force_ratio: float | None = None
+    log_at_reference: float = 0.0
+    log_at_reference_sd: float = 0.0
 
 
 def fit_creep(
@@ -158,6 +166,8 @@ def fit_creep(
     slip = _slip(draws, z_m, force, position_m[:held], force_n[:held], normal, loading, arm, force_sd)
     plastic = None if kept is None else float((kept > KEPT_LEAST).mean())
     verdict, why = _verdict(viscous, plastic, slip)
+    speed_m_s = float((z_m[loading - 1] - z_m[samples.first]) / (time_s[loading - 1] - time_s[samples.first]))
+    other_speed = _at_reference(draws, speed_m_s)
     return CreepFit(
         *median_and_interval(instant, weight),
         *median_and_interval(relaxed, weight),
@@ -166,7 +176,7 @@ def fit_creep(
         *median_and_interval(draws.mean_time_s[creeps], weight[creeps]),
         *cycle_loss(z_m, force, held, arm, force_sd),
         float(time_s[held - 1] - time_s[loading - 1]),
-        float((z_m[loading - 1] - z_m[samples.first]) / (time_s[loading - 1] - time_s[samples.first])),
+        speed_m_s,
         verdict,
         why,
         viscous,
@@ -175,7 +185,26 @@ def fit_creep(
         *((None, None) if kept is None else median_and_interval(kept, np.ones(len(kept)))),
         slip.slid_m,
         slip.ratio,
+        float(other_speed.mean()),
+        float(other_speed.std()),
     )
+
+
+def _at_reference(draws: _Draws, speed_m_s: float) -> FloatArray:
+    """(d,) draws of the log of the stiffness at the reference speed over that at this one: how much of the force the
+    branches follow by while it rises as the p-th power of time."""
+    some = draws.some(np.random.default_rng(0), KEPT_DRAWS)
+    gone = (np.arange(RAMP_STEPS) + 0.5) / RAMP_STEPS  # share of the way down
+
+    def log_softer(speed: float) -> FloatArray:
+        ramp_s = (some.depth_m / max(speed, 1e-6))[:, None, None]
+        force = gone ** some.exponent[:, None, None]
+        # by parts: what has not come through yet of each step of the force
+        late = np.exp(-(1.0 - gone) * ramp_s / some.retarded_s[..., None])
+        follows = 1.0 - (late * np.gradient(force, gone, axis=-1)).mean(axis=-1)
+        return np.asarray(np.log1p((some.strength * follows.clip(0.0, 1.0)).sum(axis=1)) / some.exponent)
+
+    return log_softer(speed_m_s) - log_softer(REFERENCE_SPEED_M_S)
 
 
 def _verdict(viscous: float, plastic: float | None, slip: SlipFit) -> tuple[CreepVerdict, str]:
