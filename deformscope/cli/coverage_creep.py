@@ -8,6 +8,7 @@ deformscope coverage creep --objects 400 --hold 4 --jobs 16 --json creep.json
 from __future__ import annotations
 
 import dataclasses
+from typing import get_args
 
 from deformscope.cli.common import examined, fit_progress, quiet_warp, recorder_of, show, write_json
 from deformscope.cli.coverage import rate_json
@@ -15,8 +16,11 @@ from deformscope.config import CreepCoverageConfig
 from deformscope.pictures.findings import Findings
 from deformscope.pictures.report import Table
 from deformscope.session import Step
-from deformscope.studies.creep_touches import CreepCase, CreepOutcome, CreepRow, creep_rows, try_creep
+from deformscope.stages.poke.creep import CreepVerdict
+from deformscope.studies.creep_touches import KINDS, CreepCase, CreepKind, CreepOutcome, CreepRow, creep_rows, try_creep
 from deformscope.studies.seeds import reported
+
+VERDICTS: tuple[str, ...] = get_args(CreepVerdict)
 
 
 def run(config: CreepCoverageConfig) -> None:
@@ -24,14 +28,14 @@ def run(config: CreepCoverageConfig) -> None:
     quiet_warp()
     seeds = reported(config.objects, config.output.seed)
     few = seeds[: max(1, len(seeds) // 4)]
-    cases = [CreepCase(0, seed, config.hold) for seed in seeds]
-    cases += [CreepCase(1, seed, config.hold, elastic=True) for seed in few]
+    cases = [CreepCase(seed, config.hold) for seed in seeds]
+    cases += [CreepCase(seed, config.hold, kind) for kind in KINDS[1:] for seed in few]
     with recorder_of(config) as recorder:
         with fit_progress() as note:
             tried = examined("touches", try_creep, cases, config.jobs, note)
-        kinds = {"viscous": [one for one in tried if not one.elastic], "elastic": [one for one in tried if one.elastic]}
-        tables = [creep_table(f"{name} foams, held for {config.hold:g} s", some) for name, some in kinds.items()]
-        found = Findings(tuple(tables))
+        kinds = {kind: [one for one in tried if one.kind == kind] for kind in KINDS}
+        tables = [creep_table(f"{name} touches, held for {config.hold:g} s", some) for name, some in kinds.items()]
+        found = Findings((*tables, verdict_table(kinds)))
         show(found)
         recorder.write(Step((found,)))
     write_json(
@@ -42,6 +46,12 @@ def run(config: CreepCoverageConfig) -> None:
         },
         config.output.json,
     )
+
+
+def verdict_table(kinds: dict[CreepKind, list[CreepOutcome]]) -> Table:
+    """A line a kind."""
+    lines = [(kind, *(_verdicts(some).get(name, 0) for name in VERDICTS)) for kind, some in kinds.items()]
+    return Table(lines, ("touches of", *VERDICTS), "what they were taken for")
 
 
 def creep_table(title: str, some: list[CreepOutcome]) -> Table:
@@ -57,9 +67,8 @@ def creep_table(title: str, some: list[CreepOutcome]) -> Table:
         )
         for row in creep_rows(some)
     ]
-    said = ", ".join(f"{name} {count}" for name, count in _verdicts(some).items())
     names = ("quantity", "touches", "off (rms)", "within 10 %", "held (95 % band)", "width")
-    return Table(lines, names, f"90 % intervals, {title}; verdicts: {said}")
+    return Table(lines, names, f"90 % intervals, {title}")
 
 
 def _verdicts(some: list[CreepOutcome]) -> dict[str, int]:

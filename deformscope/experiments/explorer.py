@@ -37,7 +37,7 @@ from deformscope.stages.map.surface import HeightMap, HeightProcess, fit_surface
 from deformscope.stages.map.thesis_field import FIRST_SHARE, ThesisField, contoured
 from deformscope.stages.map.touch_beta import BallContact, SeenDent, dent_of, fit_touch, thesis_beta
 from deformscope.stages.poke.contact import EXPONENT, Z_90, ArmCompliance, ContactFit, fit_approach, layer_modulus
-from deformscope.stages.poke.creep import CreepFit, fit_creep
+from deformscope.stages.poke.creep import REFERENCE_SPEED_M_S, CreepFit, fit_creep
 from deformscope.stages.poke.local_shape import LocalShape, ShapeShift, shape_of, shape_shift
 from deformscope.stages.regions.posterior import RegionMap, RegionPosterior, RegionPrior
 from deformscope.stages.regions.touch_error import LAW_SD, TouchErrorModel
@@ -71,6 +71,9 @@ FORECAST_STEPS = 25
 COSTS = {"careful": (6.0, 0.1), "quick": (4.0, 0.15)}
 """What the planner takes a touch for [s], and the speed of the way to it [m/s], by pace. Chosen; quick: as in the
 laboratory."""
+SPEED_SD = 0.03
+"""Of log stiffness for each e-fold of the approach speed, where a touch's creep could not be fitted: a third of a
+modulus that relaxes evenly over three decades of time changes a ball's stiffness so [assumed]."""
 MOST_FAILED = 3
 """After so many touches in a row that gave no map the exploration ends: whatever is wrong does not pass by itself."""
 
@@ -461,8 +464,7 @@ class Explorer:
         if contact is not None:
             fit = contact.fit
             sample = StiffnessSample(touched.xy_m, fit.log_stiffness, fit.own_log_sd, fit.rigid, fit.arm_log_sd)
-            apparent = self.options.feel == "apparent" or fit.rigid
-            seen = sample if apparent else None if creep is None else _relaxed(sample, creep)
+            seen = _as_mapped(sample, creep, self.options, _speed_m_s(touched, fit))
             shift = None if fit.rigid or seen is None else self._shift(touched.xy_m, float(np.exp(seen.log_stiffness)))
             if seen is not None and shift is not None:
                 seen = _levelled(seen, shift)
@@ -634,6 +636,7 @@ class Explorer:
             held=whole.held,
             set_force_n=self.options.set_force_n,
             arm=self._arm,
+            radius_m=self.options.tip_radius_m,
         )
 
     def _estimate(self, touched: TouchMeasurement, contact: _Contact | None, creep: CreepFit | None) -> TouchEstimate:
@@ -677,6 +680,7 @@ class Explorer:
             creep=creep,
             thickness_m=None if shape is None else shape.thickness_m,
             level_n_per_mm=level,
+            speed_m_s=nan if fit is None else _speed_m_s(touched, fit),
         )
 
     def _beta(self, touched: TouchMeasurement, fit: ContactFit) -> _Beta:
@@ -767,6 +771,31 @@ def _levelled(seen: StiffnessSample, shift: ShapeShift) -> StiffnessSample:
     return dataclasses.replace(
         seen, log_stiffness=seen.log_stiffness + shift.log, log_sd=float(np.hypot(seen.log_sd, shift.sd))
     )
+
+
+def _as_mapped(
+    seen: StiffnessSample, creep: CreepFit | None, options: ExploreOptions, speed_m_s: float
+) -> StiffnessSample | None:
+    """What the map takes of a touch; None where it has not what is to be mapped."""
+    if seen.rigid or not options.hold_s:
+        return seen
+    if options.feel == "relaxed":
+        return None if creep is None else _relaxed(seen, creep)
+    if creep is None:  # how much it would creep is not known
+        away = SPEED_SD * abs(float(np.log(max(speed_m_s, 1e-4) / REFERENCE_SPEED_M_S)))
+        return dataclasses.replace(seen, log_sd=float(np.hypot(seen.log_sd, away)))
+    log_stiffness = seen.log_stiffness + creep.log_at_reference
+    log_sd = float(np.hypot(seen.log_sd, creep.log_at_reference_sd))
+    return dataclasses.replace(seen, log_stiffness=log_stiffness, log_sd=log_sd)
+
+
+def _speed_m_s(touched: TouchMeasurement, fit: ContactFit) -> float:
+    """Of the tip from contact to the peak of the force."""
+    along, force = _along(touched), _force_along(touched)
+    until = int(np.argmax(force))
+    since = min(int(np.searchsorted(np.maximum.accumulate(along), fit.contact_m)), max(until - 1, 0))
+    taken_s = float(touched.time_s[until] - touched.time_s[since])
+    return float(along[until] - along[since]) / taken_s if taken_s > 0.0 else float("nan")
 
 
 def _relaxed(seen: StiffnessSample, creep: CreepFit) -> StiffnessSample:

@@ -11,8 +11,11 @@ all that a touch feels is felt through the elastic stiffness K of the nodes that
 
 holds for them exactly, those beside the tip included (their f is 0, and their dent recovers slowly). Over a step in
 which u moves evenly this is f = A K u + h with a number A and a known h, so that each step is the same complementarity
-problem as an elastic press, of compliance C / A. What a foam keeps for good is a branch that never relaxes back: a time
-of hours.
+problem as an elastic press, of compliance C / A.
+
+A foam that keeps a part of every dent for good is not pressed from its rest any more but from what it kept:
+f = A K (u - u_p) + h, with u_p at each node the same share of how deep it ever was. On the way down that is a foam of a
+modulus lower by that share; on the way back it is as stiff as it was, and the tip leaves it at u_p.
 
 What is left out: foams of different relaxation within the reach of one touch (each touch creeps as the foam below the
 tip's middle does), and the memory of a place that the tip slides away from by more than its mesh allows.
@@ -24,6 +27,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg import cho_factor, cho_solve
 
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
@@ -35,15 +39,18 @@ from deformscope.lab.slab_world import Contact, Patch, SlabWorld
 @dataclass(frozen=True, slots=True)
 class Relaxation:
     """How a foam's modulus relaxes. shares: of the instantaneous modulus, by branch, together below 1; times_s: each
-    branch's relaxation time"""
+    branch's relaxation time; keeps: share of each dent that stays for good"""
 
     shares: tuple[float, ...] = ()
     times_s: tuple[float, ...] = ()
+    keeps: float = 0.0
 
     def __post_init__(self) -> None:
         alike = len(self.shares) == len(self.times_s)
         if not (alike and min((*self.shares, *self.times_s, 1.0)) > 0.0 and sum(self.shares) < 1.0):
             raise InputError("shares above 0, together below 1, each with a time above 0 s", f"{self}")
+        if not 0.0 <= self.keeps < 1.0:
+            raise InputError("a share of a dent that stays, from 0 to below 1", f"{self.keeps}")
 
     @property
     def share(self) -> float:
@@ -78,7 +85,7 @@ class CreepingWorld(SlabWorld):
         contact = super().press(tip, center_m)
         if contact.mesh_m is None and self._memory is not None:
             patch = self._memory.patch
-            load_n = self._memory.untouched_n(self._step_s)
+            load_n = self._memory.moves_n(self._memory.untouched_n(self._step_s))
             node = np.flatnonzero(load_n)
             place = patch.candidate_m[node]
             return replace(contact, place_m=place, node_force_n=load_n[node], mesh_m=patch.xy_m, node=node)
@@ -91,7 +98,8 @@ class CreepingWorld(SlabWorld):
 
 
 class _Memory:
-    """What one patch remembers. elastic_n: (n,) K u, what its nodes would carry had nothing relaxed [N]"""
+    """What one patch remembers: what its nodes would carry had nothing relaxed, K (u - u_p) (n,) [N]; how deep each
+    ever was and what of that it keeps, u_p, (n,) [m]; K u_p [N]"""
 
     def __init__(self, patch: Patch, relaxation: Relaxation) -> None:
         self.patch = patch
@@ -99,13 +107,21 @@ class _Memory:
         self._elastic_n: FloatArray = np.zeros(len(patch.candidate_m))
         self._branch_n: FloatArray = np.zeros((len(self._share), len(patch.candidate_m)))
         self._next_n: FloatArray | None = None
+        self._keeps = relaxation.keeps
+        self._deepest_m, self._kept_m, self._kept_n = (np.zeros(len(patch.candidate_m)) for _ in range(3))
+        self._compliance = cho_factor(patch.compliance) if self._keeps else None
 
     def press(self, overlap: FloatArray, step_s: float) -> tuple[FloatArray, FloatArray]:
         """(n,) forces after a step [N], and (n,) the elastic ones that move the surface as much."""
         stiff, known_n, _, _ = self._law(step_s)
-        force_n = self.patch.push_out(overlap + self.patch.compliance @ known_n / stiff, 1.0 / stiff)
+        over = overlap - self._kept_m + self.patch.compliance @ known_n / stiff
+        force_n = self.patch.push_out(over, 1.0 / stiff)
         self._next_n = (force_n - known_n) / stiff
-        return force_n, self._next_n
+        return force_n, self.moves_n(self._next_n)
+
+    def moves_n(self, elastic_n: FloatArray) -> FloatArray:
+        """(n,) the forces that would move elastic foam as far, with what it keeps [N]."""
+        return elastic_n + self._kept_n
 
     def settle(self, step_s: float) -> None:
         """The step happens as it was pressed last, or with nothing on the foam."""
@@ -113,6 +129,10 @@ class _Memory:
         next_n = self._next_n if self._next_n is not None else self.untouched_n(step_s)
         self._branch_n = left[:, None] * self._branch_n + (self._share * even)[:, None] * (next_n - self._elastic_n)
         self._elastic_n, self._next_n = next_n, None
+        if self._compliance is not None:
+            self._deepest_m = np.maximum(self._deepest_m, self.patch.compliance @ next_n + self._kept_m)
+            self._kept_m = self._keeps * self._deepest_m
+            self._kept_n = cho_solve(self._compliance, self._kept_m)
 
     def untouched_n(self, step_s: float) -> FloatArray:
         """(n,) the elastic forces after a step with nothing on the foam [N]."""

@@ -72,7 +72,7 @@ class SceneLab:
         self.scene = scene = self.drawn.slab(scene)
         self.clock = SimulatedClock(1_000_000_000)
         self._world = SlabWorld(foam)
-        if any(piece.relaxes for piece in scene.pieces):
+        if any(piece.relaxes or piece.keeps for piece in scene.pieces):
             self._world = CreepingWorld(foam, self._relaxation)
         self._tip = RigidTip(radius=tip_radius_m)
         self._contact: Contact | None = None
@@ -134,8 +134,10 @@ class SceneLab:
     def _relaxation(self, xy_m: FloatArray) -> Relaxation:
         """Of the foam at a place (2,) [m]."""
         label = int(self.scene.label(xy_m))
-        relaxes = self.scene.pieces[label].relaxes if label >= 0 else 0.0
-        return Relaxation((relaxes,), (CREEP_S,)) if relaxes else Relaxation()
+        if label < 0:
+            return Relaxation()
+        relaxes, keeps = self.scene.pieces[label].relaxes, self.scene.pieces[label].keeps
+        return Relaxation((relaxes,), (CREEP_S,), keeps) if relaxes else Relaxation(keeps=keeps)
 
     def press(self, center_m: NDArray[np.float64]) -> NDArray[np.float64]:
         """The slab's force on the tip: what `TouchLab` asks of its world."""

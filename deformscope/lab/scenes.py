@@ -18,7 +18,7 @@ then 37, 68 and 93 kPa. (The secant modulus, 4.6, 8.5 and 11.6 kPa, would let 3 
 `homogeneous-A`, `two-A-B`, `three-A-B-C`, `disc-A-B` (A around, B the disc), and so on with `soft-spot`, `corner`,
 `strip`, `patches`, `wavy`, `zigzag`, `ring`, `bumpy`, `thin-thick`, with one `wedge`, `step`, `egg-crate` and with a
 third for the lump `lump`, where a letter is a number of newtons or `rigid`. `60c30` is foam of 60 N that creeps: 30 %
-of its modulus relaxes, with a time constant of 1 s.
+of its modulus relaxes, with a time constant of 1 s; `60p20` and `60c30p20` keep 20 % of each dent for good.
 """
 
 from __future__ import annotations
@@ -162,20 +162,24 @@ Labels = Callable[[FloatArray], IntArray]
 @dataclass(frozen=True, slots=True)
 class Piece:
     """One material. name: hardness in N, or "rigid"; modulus_pa: its Young's modulus [Pa], before it relaxes; relaxes:
-    share of it that does"""
+    share of it that does; keeps: share of each dent that stays"""
 
     name: str
     modulus_pa: float
     rigid: bool = False
     relaxes: float = 0.0
+    keeps: float = 0.0
 
     @classmethod
     def named(cls, name: str, times: float = 1.0) -> Piece:
-        """Of a hardness in N ("110", or "110c30" where 30 % relaxes), times a factor, or "rigid"."""
+        """Of a hardness in N ("110", or "110c30p20" where 30 % relaxes and 20 % of each dent stays), times a factor, or
+        "rigid"."""
         if name == "rigid":
             return cls(name, RIGID_PA, rigid=True)
-        hardness, _, relaxes = name.partition("c")
-        return cls(name, times * initial_modulus_pa(float(hardness)), relaxes=0.01 * float(relaxes or 0))
+        creeping, _, keeps = name.partition("p")
+        hardness, _, relaxes = creeping.partition("c")
+        modulus_pa = times * initial_modulus_pa(float(hardness))
+        return cls(name, modulus_pa, relaxes=0.01 * float(relaxes or 0), keeps=0.01 * float(keeps or 0))
 
 
 @dataclass(frozen=True, slots=True)
@@ -319,7 +323,7 @@ def built_in(name: str, seed: int = 0) -> Scene:
 
 def _parsed(name: str) -> tuple[str, tuple[str, ...]]:
     """Kind of scene, and the names of its pieces."""
-    kind, piece = "|".join(sorted(DRAWN)), r"(?:rigid|[1-9]\d{0,3}(?:c[1-9]\d?)?)"
+    kind, piece = "|".join(sorted(DRAWN)), r"(?:rigid|[1-9]\d{0,3}(?:c[1-9]\d?)?(?:p[1-9]\d?)?)"
     found = re.fullmatch(rf"({kind})((?:-{piece})*)", name)
     expected = f"a scene: {', '.join(BUILT_IN)}, or one with other hardnesses"
     if found is None:

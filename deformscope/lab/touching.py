@@ -26,6 +26,8 @@ FORCE_PER_S = 5.0
 SLOPE_N_PER_M = 1e3
 """Of a foam under a ball, about: how fast the balance between arm and foam is found depends on it, nothing else."""
 BALANCED_M, BALANCED_AT_MOST = 1e-7, 20
+STICKS = 0.8
+"""Stiffness across over force per depth of a contact that sticks (Mindlin 1949, Poisson's ratio about 0.3)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,6 +38,8 @@ class Sensing:
     arm_n_per_m: stiffness of the arm, which reads joints and does not see itself bend; infinite by default
     gain: force as measured over the true one, which decides where it stops; overshoot_m: how far it goes on after that
     friction: force aside over the normal one, towards `friction_rad` from the x axis
+    lean: of a touch that is held: how far it goes aside along x for its way down; it then sticks, STICKS times as stiff
+    across as along, until `friction` is reached, and slides
     """
 
     rate_hz: float = 100.0
@@ -47,6 +51,7 @@ class Sensing:
     overshoot_m: float = 0.0
     friction: float = 0.0
     friction_rad: float = 0.0
+    lean: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,7 +129,7 @@ class HeldTouch:
     """A touch that was held under its force and went back, as recorded, and as it was.
 
     time_s, position_m, force_n, true_depth_m, true_force_n: as of `Approach`; loading, held: how many samples lead up
-    to the set force, and how many were taken until the way back
+    to the set force, and how many were taken until the way back; slid_m: how far it slid until then
     """
 
     time_s: FloatArray
@@ -134,6 +139,7 @@ class HeldTouch:
     true_force_n: FloatArray
     loading: int
     held: int
+    slid_m: float = 0.0
 
 
 def held_touch(
@@ -181,7 +187,29 @@ def held_touch(
     gone, depth, force_n = np.array(rows).T
     position = rest - gone[:, None] * normal + random.normal(scale=sensing.position_sd_m, size=(len(gone), 3))
     felt_n = sensing.gain * force_n[:, None] * normal + random.normal(scale=sensing.force_sd_n, size=(len(gone), 3))
-    return HeldTouch(period_s * np.arange(len(gone)), position, felt_n, depth, force_n, loading, held)
+    slid_m = 0.0
+    if sensing.lean:
+        aside_m = sensing.lean * np.maximum(gone, 0.0)
+        across_n, slid_m = _dragged(aside_m, depth, force_n, sensing.friction, held)
+        position[:, 0] += aside_m
+        felt_n[:, 0] += sensing.gain * across_n
+    return HeldTouch(period_s * np.arange(len(gone)), position, felt_n, depth, force_n, loading, held, slid_m)
+
+
+def _dragged(
+    aside_m: FloatArray, depth_m: FloatArray, force_n: FloatArray, friction: float, held: int
+) -> tuple[FloatArray, float]:
+    """(n,) force across of a tip that goes aside (n,) [m] while it presses: it sticks until friction is reached; and
+    how far it slid before `held`."""
+    across_n, slid_m = np.zeros(len(aside_m)), 0.0
+    for i in range(1, len(aside_m)):
+        stiff_n_per_m = STICKS * force_n[i] / max(float(depth_m[i]), 1e-5)
+        limit_n = friction * force_n[i]
+        wanted_n = across_n[i - 1] + stiff_n_per_m * (aside_m[i] - aside_m[i - 1])
+        across_n[i] = np.clip(wanted_n, -limit_n, limit_n)
+        if i < held and stiff_n_per_m > 0.0:
+            slid_m += abs(wanted_n - across_n[i]) / stiff_n_per_m
+    return across_n, slid_m
 
 
 def _balanced(

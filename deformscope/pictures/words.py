@@ -63,6 +63,10 @@ def creep_words(creep: CreepFit) -> str:
     loss = "" if creep.loss is None else f", a touch loses {creep.loss:.0%} of its energy"
     if creep.verdict == "elastic":
         return f"elastic within {creep.held_s:.3g} s{loss}"
+    if creep.verdict == "slipping":
+        return f"slipping: {creep.why}; what it says of creep is doubtful"
+    if creep.kept is not None and creep.kept_interval is not None and creep.verdict == "plastic":
+        loss += ", {:.0%} ({:.0%} to {:.0%}) of the dent stays".format(creep.kept, *creep.kept_interval)
     low, high = creep.relaxed_interval
     least, most = creep.share_interval
     relaxed = f"{creep.relaxed_n_per_mm:.3g} N/mm ({low:.3g} to {high:.3g}) when relaxed"

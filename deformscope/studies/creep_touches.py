@@ -1,14 +1,17 @@
-"""Touches of foams that creep, in finite elements with a memory: is the fit of their creep right?
+"""Touches of foams that creep, keep a dent or are slid over, in finite elements: are fit and verdict right?
 
 What is drawn for each: hardness, thickness, Poisson's ratio, one or two branches that relax by RELAXES in all with
 times of TIMES_S, and how far the arm's compliance is off its calibration. The truth of a stiffness is that of the same
 slab pressed without memory, all of its modulus and what is left of it; the truth of a loss that of the true forces.
+Plastic foams creep too, and keep KEEPS of each dent. A tip that goes aside while it presses sticks, or slides once it
+has felt a part of what sticking would come to.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -18,7 +21,7 @@ from deformscope.lab.creeping_world import CreepingWorld, Relaxation
 from deformscope.lab.scenes import Piece, Scene, initial_modulus_pa
 from deformscope.lab.slab import RigidTip
 from deformscope.lab.slab_world import SlabWorld
-from deformscope.lab.touching import Sensing, force_curve, held_touch
+from deformscope.lab.touching import HeldTouch, Sensing, force_curve, held_touch
 from deformscope.stages.poke.contact import ArmCompliance
 from deformscope.stages.poke.creep import CreepFit, CreepVerdict, fit_creep
 from deformscope.studies.coverage import Rate
@@ -32,26 +35,33 @@ QUANTITIES = (
     "share that relaxes",
     "mean relaxation time",
     "energy loss",
+    "share of the dent that stays",
 )
+CreepKind = Literal["viscous", "elastic", "plastic", "slipping", "sticking"]
+KINDS: tuple[CreepKind, ...] = get_args(CreepKind)
+KEEPS, LEANS, SLIDES_AT = (0.15, 0.4), (0.2, 0.6), (0.2, 0.7)
+STUCK, ROUGH = 0.5, 2.0
+"""Force across over along of a tip that sticks, for each lean; a friction that is never reached."""
 NEAR = 0.1
 UP = np.array([0.0, 0.0, 1.0])
+ARM = ArmCompliance(1.0 / ARM_STIFFNESS_N_M, ARM_DOUBT / ARM_STIFFNESS_N_M)
 
 
 @dataclass(frozen=True, slots=True)
 class CreepCase:
-    """A foam and a touch of it. hold_s: how long the force is held; elastic: the foam has no memory"""
+    """A foam and a touch of it. hold_s: how long the force is held"""
 
-    number: int
     seed: int
     hold_s: float
-    elastic: bool = False
+    kind: CreepKind = "viscous"
 
 
 @dataclass(frozen=True, slots=True)
 class CreepOutcome:
-    """truth: (5,) of QUANTITIES (nan: there is none); value, low, high: (5,) as estimated; verdict"""
+    """truth: (6,) of QUANTITIES (nan: there is none); value, low, high: (6,) as estimated; slid_m: how far it slid"""
 
-    elastic: bool
+    kind: CreepKind
+    slid_m: float
     truth: tuple[float, ...]
     value: tuple[float, ...]
     low: tuple[float, ...]
@@ -71,9 +81,23 @@ class CreepRow:
     width: float
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class CreepTouch:
+    """A touch as it was made: as recorded, truth: (6,) of QUANTITIES (nan: there is none)"""
+
+    case: CreepCase
+    made: HeldTouch
+    truth: tuple[float, ...]
+
+
 def try_creep(case: CreepCase) -> CreepOutcome:
     """Touch one foam, and fit."""
-    random = np.random.default_rng([case.seed, case.number, 19])
+    return judged(touched(case))
+
+
+def touched(case: CreepCase) -> CreepTouch:
+    """Touch one foam."""
+    random = np.random.default_rng([case.seed, KINDS.index(case.kind), 19])
     hardness = float(np.exp(random.uniform(*np.log(HARDNESS_N))))
     piece = Piece("foam", initial_modulus_pa(hardness))
     scene = Scene(
@@ -83,9 +107,17 @@ def try_creep(case: CreepCase) -> CreepOutcome:
     shares = random.dirichlet([2.0] * branches) * random.uniform(*RELAXES)
     fastest, slowest = np.log(TIMES_S)
     times_s = np.exp(random.uniform(fastest, slowest, branches))
-    relaxation = Relaxation() if case.elastic else Relaxation(tuple(shares.tolist()), tuple(times_s.tolist()))
-    arm = ArmCompliance(1.0 / ARM_STIFFNESS_N_M, ARM_DOUBT / ARM_STIFFNESS_N_M)
+    relaxation = Relaxation(tuple(shares.tolist()), tuple(times_s.tolist()))
+    if case.kind == "elastic":
+        relaxation = Relaxation()
     off = max(1.0 + ARM_DOUBT * float(random.standard_normal()), 0.1)
+    sensing = Sensing(arm_n_per_m=ARM_STIFFNESS_N_M / off)
+    if case.kind == "plastic":
+        relaxation = replace(relaxation, keeps=random.uniform(*KEEPS))
+    elif case.kind in ("slipping", "sticking"):
+        lean = random.uniform(*LEANS)
+        friction = ROUGH if case.kind == "sticking" else STUCK * lean * random.uniform(*SLIDES_AT)
+        sensing = replace(sensing, lean=lean, friction=friction)
     tip, xy_m = RigidTip(radius=TIP_M), 0.5 * np.asarray(scene.size_m)
     made = held_touch(
         CreepingWorld(scene, relaxation),
@@ -94,17 +126,24 @@ def try_creep(case: CreepCase) -> CreepOutcome:
         hold_s=case.hold_s,
         set_force_n=SET_FORCE_N,
         max_depth_m=DEEPEST_M,
-        sensing=Sensing(arm_n_per_m=ARM_STIFFNESS_N_M / off),
+        sensing=sensing,
         random=random,
     )
     rest = np.append(xy_m, scene.thickness_m + TIP_M)
-    most_n = 1.1 * SET_FORCE_N / (1.0 - RELAXES[1])
+    most_n = 1.1 * SET_FORCE_N / (1.0 - RELAXES[1]) / (1.0 - relaxation.keeps)
     depth_m, force_n = force_curve(SlabWorld(scene), tip, rest, UP, most_n, DEEPEST_M)
     at_once, relaxed = (
         1e-3 * SET_FORCE_N / float(np.interp(SET_FORCE_N / left, force_n, depth_m))
-        for left in (1.0, 1.0 - relaxation.share)
+        for left in (1.0 - relaxation.keeps, (1.0 - relaxation.keeps) * (1.0 - relaxation.share))
     )
     mean_s = float(np.dot(relaxation.shares, relaxation.times_s) / relaxation.share) if relaxation.share else np.nan
+    loss = true_loss(made.true_depth_m, made.true_force_n, made.held)
+    return CreepTouch(case, made, (at_once, relaxed, relaxation.share, mean_s, loss, relaxation.keeps))
+
+
+def judged(touch: CreepTouch) -> CreepOutcome:
+    """What the fit says of a touch."""
+    made = touch.made
     fit = fit_creep(
         made.time_s,
         made.position_m,
@@ -113,12 +152,10 @@ def try_creep(case: CreepCase) -> CreepOutcome:
         loading=made.loading,
         held=made.held,
         set_force_n=SET_FORCE_N,
-        arm=arm,
+        arm=ARM,
+        radius_m=TIP_M,
     )
-    loss = true_loss(made.true_depth_m, made.true_force_n, made.held)
-    return CreepOutcome(
-        case.elastic, (at_once, relaxed, relaxation.share, mean_s, loss), *_estimated(fit), verdict=fit.verdict
-    )
+    return CreepOutcome(touch.case.kind, made.slid_m, touch.truth, *_estimated(fit), verdict=fit.verdict)
 
 
 def true_loss(depth_m: FloatArray, force_n: FloatArray, held: int) -> float:
@@ -163,5 +200,6 @@ def _estimated(fit: CreepFit) -> tuple[tuple[float, ...], tuple[float, ...], tup
         (fit.share, fit.share_interval),
         (fit.time_s, fit.time_interval),
         (np.nan if fit.loss is None else fit.loss, fit.loss_interval or nothing),
+        (np.nan if fit.kept is None else fit.kept, fit.kept_interval or nothing),
     )
     return tuple(one for one, _ in pairs), tuple(ends[0] for _, ends in pairs), tuple(ends[1] for _, ends in pairs)

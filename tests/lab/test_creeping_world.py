@@ -49,6 +49,17 @@ def test_foam_that_does_not_relax_is_the_elastic_one() -> None:
         assert world.press(TIP, center_m).normal_force_n == pytest.approx(elastic.press(TIP, center_m).normal_force_n)
 
 
+def test_what_a_foam_keeps_of_a_dent_stays_and_the_way_in_is_softer_by_it() -> None:
+    world, elastic = CreepingWorld(SCENE, Relaxation(keeps=0.3)), SlabWorld(SCENE).press(TIP, PRESSED_M)
+    for step in range(1, 16):  # what it keeps follows a step behind
+        world.at(0.1 * step)
+        down_m = min(step / 12, 1.0)
+        contact = world.press(TIP, (1.0 - down_m) * REST_M + down_m * PRESSED_M)
+    assert contact.normal_force_n == pytest.approx(0.7 * elastic.normal_force_n, rel=1e-6)
+    world.at(9.0)
+    assert world.displaced_m(world.press(TIP, ABOVE_M), MIDDLE_M)[0, 2] == pytest.approx(-0.3 * 0.003, rel=0.02)
+
+
 def test_what_makes_no_sense_is_refused() -> None:
     world = CreepingWorld(SCENE, Relaxation((0.3,), (1.0,)))
     world.at(2.0)
@@ -57,3 +68,5 @@ def test_what_makes_no_sense_is_refused() -> None:
     for shares, times_s in (((0.3,), ()), ((0.6, 0.5), (1.0, 1.0)), ((0.3,), (0.0,)), ((-0.1,), (1.0,))):
         with pytest.raises(InputError, match="shares above 0"):
             Relaxation(shares, times_s)
+    with pytest.raises(InputError, match="a share of a dent"):
+        Relaxation(keeps=1.0)

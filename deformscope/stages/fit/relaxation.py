@@ -7,6 +7,18 @@ import numpy as np
 from deformscope.arrays import FloatArray
 
 
+def relaxing(strength: FloatArray, retarded_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(d, b) shares of the modulus that relax, and (d, b) their times [s], of strengths and retardation times (d, b):
+    the eigenvectors and eigenvalues of the rates below."""
+    if strength.shape[1] == 0:
+        return strength, retarded_s
+    rates = (np.eye(strength.shape[1]) + strength[:, None, :]) / retarded_s[:, :, None]
+    rate, mode = np.linalg.eig(rates)
+    into = np.linalg.solve(mode, (1.0 / retarded_s)[..., None])[..., 0]
+    share = (strength[:, None, :] @ mode)[:, 0] * into / rate
+    return np.asarray(share.real), np.asarray(1.0 / rate.real)
+
+
 def mean_relaxation_s(strength: FloatArray, retarded_s: FloatArray) -> FloatArray:
     """(d,) mean relaxation time of strengths and retardation times (d, b), each branch weighed by its share.
 

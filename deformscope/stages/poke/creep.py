@@ -18,7 +18,8 @@ measured forces did on the way in less what they gave on the way out.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 from typing import Literal
 
 import numpy as np
@@ -26,7 +27,7 @@ import scipy  # its parts are imported as they are first used: who only reads re
 
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
-from deformscope.stages.fit.relaxation import mean_relaxation_s
+from deformscope.stages.fit.relaxation import mean_relaxation_s, relaxing
 from deformscope.stages.fit.weighted_draws import draw_about, median_and_interval, pooled
 from deformscope.stages.poke.contact import (
     EXPONENT,
@@ -38,27 +39,42 @@ from deformscope.stages.poke.contact import (
     along_normal,
     since_contact,
 )
+from deformscope.stages.poke.permanent_set import kept_share
+from deformscope.stages.poke.slip import SlipFit, fit_slip
 
-CreepVerdict = Literal["elastic", "viscous", "unidentified"]
+CreepVerdict = Literal["elastic", "viscous", "plastic", "slipping", "unidentified"]
 
 STRENGTH_MEDIAN, STRENGTH_SPREAD = 0.2, 0.9
-"""Log-normal prior of a branch's strength j: relaxation of 2 to 50 %, where flexible foams lie [assumed]."""
+"""Log-normal prior of the strength j of one branch, in equal parts of several: relaxation of 2 to 50 %, where flexible
+foams lie [assumed]."""
 TIME_MEDIAN_S, TIME_SPREAD = 1.2, 0.9
 """Log-normal prior of a retardation time: 0.08 to 12 s, what a touch of some seconds can be asked about."""
 MOST_BRANCHES = 2
-HOLD_SAMPLES = 200
+HOLD_SAMPLES = 120
 """Of the hold, that are fitted: more are averaged over equal counts."""
 ELASTIC_MOST = 0.03
 """Share of the modulus that may relax in a foam that counts as elastic: what arm's scatter and law leave open."""
+KEPT_LEAST = 0.06
+"""Share of a dent that stays for good from which on a foam counts as plastic: below, the law's error may look so."""
 SURE = 0.95
+REFERENCE_SPEED_M_S = 0.01
+"""Stiffness is converted to what an approach at this speed would have felt, so that touches compare."""
+RAMP_STEPS = 60
+"""Of the force on the way down at the reference speed."""
+KEPT_DRAWS = 60
+"""Of the laws drawn, from which what is kept is computed."""
 LEAST_EXPONENT, LEAST_SHARE = 0.2, 1e-4
-BEND_SD = 0.005
+BEND_SD = 0.003
 """Of q: log depth goes by log force over p plus q times its square, 0 at the set force. Finite elements of a ball of
 2 cm on 2 to 8 cm of bonded foam, Poisson's ratio .05 to .4, at 1 and 3 N: -.009 to .006."""
-LAW_OFF, LAW_PIECES = 0.015, 5.0
-"""Of a dent, what that law is off by on the way to the set force: as above, at most 0.02; and as how many samples that
-way counts, since neighbouring ones are off alike."""
-SHAPE = 4
+LAW_OFF, LAW_RISE, LAW_LENGTH = 0.004, 0.4, 0.3
+"""Of a log dent, what that law is off by: a Gaussian process over log force, 0 at the set force, with this deviation
+there, more below it (a power of the force) and with this length: elements that come into contact one after the other
+make waves of 0.2 to 1 % (24 slabs as above, seeds kept for choosing). Foam itself is no better."""
+LAYERED, LAYERED_SD = 0.05, 0.05
+"""What a layer on a table adds to a ball's exponent: 0.04 to 0.07 on these slabs; foam itself may add to it."""
+BALL_STEPS = 400
+SHAPE = 5
 """Parameters of the law without a memory."""
 LOG_TIMES, TIMES = (np.log(0.005), np.log(200.0)), 80
 """Retardation times for which the filters are computed; between them they are interpolated."""
@@ -73,7 +89,13 @@ class CreepFit:
     share: of the modulus that relaxes, 1 - E(inf) / E0; time_s: mean relaxation time, each branch weighed by its share
     loss: energy that the cycle lost over what the way in took; None where the way out was not recorded
     held_s: how long the force was held; speed_m_s: of the approach in contact
-    verdict: "elastic": less than ELASTIC_MOST relaxes; "viscous": more does; "unidentified": either may be
+    verdict: "slipping": the tip slid over the surface, and the rest is doubtful; "plastic": a dent stays for good;
+    "elastic": less than ELASTIC_MOST relaxes; "viscous": more does; "unidentified": none is SURE; why: in words
+    viscous, plastic, slipping: probabilities of each, None where the touch cannot tell
+    kept, kept_interval: share of the dent that stays, beyond what relaxation explains; None without the way out
+    slid_m, force_ratio: how far the tip slid, if it did; the largest force across over the set force
+    log_at_reference, log_at_reference_sd: log of the stiffness that an approach at REFERENCE_SPEED_M_S would have felt
+    over that which this one felt, and its deviation
     """
 
     instant_n_per_mm: float
@@ -90,6 +112,16 @@ class CreepFit:
     held_s: float
     speed_m_s: float
     verdict: CreepVerdict
+    why: str = ""
+    viscous: float | None = None
+    plastic: float | None = None
+    slipping: float | None = None
+    kept: float | None = None
+    kept_interval: tuple[float, float] | None = None
+    slid_m: float | None = None
+    force_ratio: float | None = None
+    log_at_reference: float = 0.0
+    log_at_reference_sd: float = 0.0
 
 
 def fit_creep(
@@ -103,11 +135,12 @@ def fit_creep(
     tip: TipKind = "sphere",
     set_force_n: float = 3.0,
     arm: ArmCompliance | None = None,
-    exponent_sd: float = EXPONENT_SD,
+    radius_m: float | None = None,
 ) -> CreepFit:
     """Fit the law to a touch that came down, held and, if it was recorded, went back.
 
     time_s (n,), position_m (n, 3), force_n (n, 3), normal (3,), set_force_n, arm: as in `contact.fit_approach`
+    radius_m: of a ball, whose dents are not small beside it; None: the law is a power at all depths
     loading: how many samples lead up to the set force; held: how many were taken until the tip went back
 
     Raises InputError where the touch holds nothing to fit, as `fit_approach` does.
@@ -119,30 +152,116 @@ def fit_creep(
     zeroed, force_sd, _, among = since_contact(force[:loading], set_force_n, None)
     force = force - (force[0] - zeroed[0])
     samples = _Samples.of(time_s, z_m, force, int(np.argmax(among)), loading, held)
-    law = _Law(samples, EXPONENT[tip], exponent_sd, set_force_n, arm, force_sd)
-    draws = [law.posterior(branches) for branches in range(MOST_BRANCHES + 1)]
-    weight = pooled([one.log_evidence for one in draws], [one.weight for one in draws])
-    depth_m, exponent, strength, mean_time_s = (
-        np.concatenate([getattr(one, name) for one in draws])
-        for name in ("depth_m", "exponent", "strength", "mean_time_s")
-    )
-    instant = 1e-3 * set_force_n / depth_m
-    relaxed = instant * (1.0 + strength) ** (-1.0 / exponent)
+    ball_m = radius_m if tip == "sphere" else None
+    exponent = (EXPONENT[tip] + LAYERED, LAYERED_SD) if ball_m else (EXPONENT[tip], EXPONENT_SD)
+    law = _Law(samples, exponent, set_force_n, arm, force_sd, ball_m)
+    draws = _Draws.together([law.posterior(branches) for branches in range(MOST_BRANCHES + 1)])
+    weight, strength = draws.weight, draws.strength.sum(axis=1)
+    instant = 1e-3 * set_force_n / draws.depth_m
+    relaxed = instant * np.exp(-draws.log_deeper)
     share, creeps = strength / (1.0 + strength), strength > 0.0
     middle = float(np.average(np.log(relaxed), weights=weight))
     viscous = float(weight[share > ELASTIC_MOST].sum())
-    verdict: CreepVerdict = "viscous" if viscous > SURE else "elastic" if viscous < 1.0 - SURE else "unidentified"
+    kept = _kept(draws, time_s, z_m, force, held, arm, force_sd)
+    slip = _slip(draws, z_m, force, position_m[:held], force_n[:held], normal, loading, arm, force_sd)
+    plastic = None if kept is None else float((kept > KEPT_LEAST).mean())
+    verdict, why = _verdict(viscous, plastic, slip)
+    speed_m_s = float((z_m[loading - 1] - z_m[samples.first]) / (time_s[loading - 1] - time_s[samples.first]))
+    other_speed = _at_reference(draws, speed_m_s)
     return CreepFit(
         *median_and_interval(instant, weight),
         *median_and_interval(relaxed, weight),
         float(np.sqrt(np.average((np.log(relaxed) - middle) ** 2, weights=weight))),
         *median_and_interval(share, weight),
-        *median_and_interval(mean_time_s[creeps], weight[creeps]),
+        *median_and_interval(draws.mean_time_s[creeps], weight[creeps]),
         *cycle_loss(z_m, force, held, arm, force_sd),
         float(time_s[held - 1] - time_s[loading - 1]),
-        float((z_m[loading - 1] - z_m[samples.first]) / (time_s[loading - 1] - time_s[samples.first])),
+        speed_m_s,
         verdict,
+        why,
+        viscous,
+        plastic,
+        slip.probability,
+        *((None, None) if kept is None else median_and_interval(kept, np.ones(len(kept)))),
+        slip.slid_m,
+        slip.ratio,
+        float(other_speed.mean()),
+        float(other_speed.std()),
     )
+
+
+def _at_reference(draws: _Draws, speed_m_s: float) -> FloatArray:
+    """(d,) draws of the log of the stiffness at the reference speed over that at this one: how much of the force the
+    branches follow by while it rises as the p-th power of time."""
+    some = draws.some(np.random.default_rng(0), KEPT_DRAWS)
+    gone = (np.arange(RAMP_STEPS) + 0.5) / RAMP_STEPS  # share of the way down
+
+    def log_softer(speed: float) -> FloatArray:
+        ramp_s = (some.depth_m / max(speed, 1e-6))[:, None, None]
+        force = gone ** some.exponent[:, None, None]
+        # by parts: what has not come through yet of each step of the force
+        late = np.exp(-(1.0 - gone) * ramp_s / some.retarded_s[..., None])
+        follows = 1.0 - (late * np.gradient(force, gone, axis=-1)).mean(axis=-1)
+        return np.asarray(np.log1p((some.strength * follows.clip(0.0, 1.0)).sum(axis=1)) / some.exponent)
+
+    return log_softer(speed_m_s) - log_softer(REFERENCE_SPEED_M_S)
+
+
+def _verdict(viscous: float, plastic: float | None, slip: SlipFit) -> tuple[CreepVerdict, str]:
+    """What a touch met, and why it is taken for that."""
+    if slip.probability > SURE:
+        where = f"once the force across was {slip.friction:.2g} of the force"
+        return "slipping", f"the tip slid {1e3 * slip.slid_m:.1f} mm {where}"
+    if plastic is not None and plastic > SURE:
+        return "plastic", "the tip let go deeper than relaxation explains"
+    if viscous > SURE:
+        return "viscous", f"more than {ELASTIC_MOST:.0%} of the modulus relaxes"
+    if viscous < 1.0 - SURE:
+        return "elastic", f"less than {ELASTIC_MOST:.0%} of the modulus relaxes"
+    return "unidentified", f"whether {ELASTIC_MOST:.0%} of the modulus relaxes is too near to call"
+
+
+def _kept(
+    draws: _Draws,
+    time_s: FloatArray,
+    z_m: FloatArray,
+    force_n: FloatArray,
+    held: int,
+    arm: ArmCompliance,
+    force_sd_n: float,
+) -> FloatArray | None:
+    """(d,) draws of the share of the dent that stays; None where the way back was not recorded."""
+    random = np.random.default_rng(0)
+    some = draws.some(random, KEPT_DRAWS)
+    share, relaxation_s = relaxing(some.strength, some.retarded_s)
+    dent_m = some.dents(z_m, force_n, arm)
+    found = kept_share(time_s, dent_m, force_n, held, some.exponent, share, relaxation_s, arm, force_sd_n)
+    if found is None:
+        return None
+    kept, sd = found
+    return np.asarray(kept[:, None] + sd[:, None] * random.standard_normal((len(kept), KEPT_DRAWS))).ravel()
+
+
+def _slip(
+    draws: _Draws,
+    z_m: FloatArray,
+    force_along_n: FloatArray,
+    position_m: FloatArray,
+    force_n: FloatArray,
+    normal: FloatArray,
+    loading: int,
+    arm: ArmCompliance,
+    force_sd_n: float,
+) -> SlipFit:
+    """Whether the tip slid until its way back."""
+    held = len(position_m)
+    along = normal / np.linalg.norm(normal)
+    plane = np.linalg.svd(along[None])[2][1:]
+    across_n = force_n @ plane.T
+    free = force_along_n[:loading] < LOADED * force_along_n.max()
+    across_n = across_n - np.median(across_n[:loading][free], axis=0) if free.any() else across_n
+    dent_m = draws.some(np.random.default_rng(0), KEPT_DRAWS).dents(z_m[:held], force_along_n[:held], arm).mean(axis=0)
+    return fit_slip(position_m @ plane.T, across_n, dent_m, force_along_n[:held], force_sd_n)
 
 
 def cycle_loss(
@@ -162,13 +281,14 @@ def cycle_loss(
     middle_n, way_m = 0.5 * (force_n[1 : end + 1] + force_n[:end]), np.diff(z_m[: end + 1])
     work = middle_n * way_m
     taken, given = float(work[: held - 1].sum()), -float(work[held - 1 :].sum())
-    # a work is also minus the sum of places times how the force changes around them, each place off by its own
-    steps = np.zeros(end + 1)
-    steps[1:-1] = 0.5 * (force_n[2 : end + 1] - force_n[: end - 1])
     loss = 1.0 - given / taken
+    # by how much the loss follows the place and the force of each sample, each off by its own
+    counts = np.where(np.arange(end) < held - 1, 1.0 - loss, 1.0)
+    by_place = np.diff(np.pad(counts * middle_n, 1))
+    by_force = 0.5 * np.convolve(counts * way_m, [1.0, 1.0])
     # an arm that gives otherwise than calibrated stored and gave back another c F^2 / 2
     bent = arm.compliance_sd * 0.5 * peak**2 * loss
-    noise = arm.position_sd_m * float(np.linalg.norm(steps)), force_sd_n * float(np.linalg.norm(way_m))
+    noise = arm.position_sd_m * float(np.linalg.norm(by_place)), force_sd_n * float(np.linalg.norm(by_force))
     sd = float(np.linalg.norm(np.array([*noise, bent]))) / taken
     return loss, (loss - Z_90 * sd, loss + Z_90 * sd)
 
@@ -199,51 +319,81 @@ class _Samples:
 
 @dataclass(frozen=True, slots=True)
 class _Draws:
-    """Of one number of branches: log evidence; weight (d,), which adds up to 1; D0 [m], p, sum of j_i, mean relaxation
-    time [s], all (d,)"""
+    """Weighted draws, of one number of branches or of all: log evidence; weight (d,), which adds up to 1; z0, D0 [m],
+    log of the dent when all has relaxed over D0, p, deviations of the arm's compliance, mean relaxation time [s], all
+    (d,); j_i and l_i [s] (d, MOST_BRANCHES), what is not there with a strength of 0"""
 
     log_evidence: float
     weight: FloatArray
+    start_m: FloatArray
     depth_m: FloatArray
+    log_deeper: FloatArray
     exponent: FloatArray
-    strength: FloatArray
+    bent: FloatArray
     mean_time_s: FloatArray
+    strength: FloatArray
+    retarded_s: FloatArray
+
+    @classmethod
+    def together(cls, models: Sequence[_Draws]) -> _Draws:
+        """All, each model by its evidence."""
+        weight = pooled([one.log_evidence for one in models], [one.weight for one in models])
+        others = [one.name for one in fields(cls)][2:]
+        return cls(0.0, weight, *(np.concatenate([getattr(one, name) for one in models]) for name in others))
+
+    def some(self, random: np.random.Generator, count: int) -> _Draws:
+        """So many of them, by their weight."""
+        at = random.choice(len(self.weight), count, p=self.weight / self.weight.sum())
+        others = (getattr(self, one.name)[at] for one in fields(self)[2:])
+        return _Draws(self.log_evidence, np.full(count, 1.0 / count), *others)
+
+    def dents(self, z_m: FloatArray, force_n: FloatArray, arm: ArmCompliance) -> FloatArray:
+        """(d, n) of places and forces (n,) [m]."""
+        gives = arm.compliance_m_per_n + arm.compliance_sd * self.bent[:, None]
+        return np.asarray(np.maximum(z_m - self.start_m[:, None] - gives * force_n, 0.0))
 
 
 class _Law:
-    """The law over one touch; parameters (4 + 2 b,): z0 [mm], log D0, p, the law's bend q, then log j and log l of
-    each branch."""
+    """The law over one touch; parameters (5 + 2 b,): z0 [mm], log D0 (of a ball: of the dent that a paraboloid
+    would make instead), p, the law's bend q, the arm's compliance in deviations from what it was calibrated to, then
+    log j and log l of each branch.
+
+    What the law is off by at one force it is off by at neighbouring ones, in the hold as on the way down: residuals
+    are whitened by the covariance of that and of the samples' own scatter.
+    """
 
     def __init__(
         self,
         samples: _Samples,
-        prior_exponent: float,
-        exponent_sd: float,
+        exponent: tuple[float, float],
         set_force_n: float,
         arm: ArmCompliance,
         force_sd_n: float,
+        radius_m: float | None,
     ) -> None:
+        self._even, self._deep = _ball(radius_m) if radius_m else (None, None)
         fitted = slice(samples.first, None)
         force = np.maximum(samples.force_n, 0.0) / set_force_n
         self._share = force[fitted]
         log_s = np.linspace(*LOG_TIMES, TIMES)
         self._filtered = scipy.interpolate.CubicSpline(log_s, _lagging(samples.time_s, force, np.exp(log_s))[:, fitted])
         self._z = samples.z_m[fitted] - arm.compliance_m_per_n * samples.force_n[fitted]
-        self._bent_m = arm.compliance_sd * set_force_n
-        self._exponent = prior_exponent, exponent_sd
+        self._bent_m = arm.compliance_sd * set_force_n * self._share
+        self._exponent, prior_exponent = exponent, exponent[0]
         root = np.sqrt(samples.count[fitted])
         share = np.maximum(self._share, LOADED)
         design = np.column_stack([np.ones_like(self._z), share ** (1.0 / prior_exponent)])
         (z0, depth_m), *_ = np.linalg.lstsq(design, self._z, rcond=None)
-        self._start = np.array([1e3 * z0, np.log(max(depth_m, 1e-5)), prior_exponent, 0.0])
+        self._start = np.array([1e3 * z0, np.log(max(depth_m, 1e-5)), prior_exponent, 0.0, 0.0])
         slope_m = depth_m / prior_exponent * share ** (1.0 / prior_exponent - 1.0)
         sd = np.hypot(max(arm.position_sd_m, 1e-6), slope_m * force_sd_n / set_force_n) / root
-        off = LAW_OFF * depth_m * share ** (1.0 / prior_exponent) * np.clip(1.0 - share, 0.0, 1.0)
-        sd = np.hypot(sd, off * np.sqrt(max(1.0, (samples.loading - samples.first) / LAW_PIECES)))
-        self._sd = sd
+        self._whitens = np.diag(1.0 / np.hypot(sd, LAW_OFF * depth_m))
+        self._log_felt, self._dent_m = (one[0] for one in self._dents(self._best(MOST_BRANCHES)[None]))
+        self._off_m2 = self._dent_m * _off_together(self._log_felt, self._log_felt) * self._dent_m[:, None]
+        self._whitens = _whitening(sd, self._off_m2)
         # the arm may scatter more than stated
         scatter = self._off(self._best(MOST_BRANCHES)[None])[0]
-        self._sd = sd * max(1.0, float(np.sqrt(np.mean(scatter**2))))
+        self._whitens = _whitening(sd * max(1.0, float(np.sqrt(np.mean(scatter**2)))), self._off_m2)
 
     def posterior(self, branches: int) -> _Draws:
         """Weighted draws of the parameters with so many branches."""
@@ -252,23 +402,37 @@ class _Law:
         drawn, weight, log_evidence = draw_about(
             best, self._jacobian(best), self._residuals, self._log_size(branches), random
         )
-        strength, retarded_s = np.exp(drawn[:, SHAPE : SHAPE + branches]), np.exp(drawn[:, SHAPE + branches :])
-        bent_m = self._bent_m * random.standard_normal(len(drawn))
+        none = ((0, 0), (0, MOST_BRANCHES - branches))
+        strength = np.pad(np.exp(drawn[:, SHAPE : SHAPE + branches]), none)
+        retarded_s = np.pad(np.exp(drawn[:, SHAPE + branches :]), none, constant_values=1.0)
+        log_felt = np.log1p(strength.sum(axis=1))
+        log_depth = self._log_dent(drawn, np.zeros(len(drawn)))
+        log_deeper = self._log_dent(drawn, log_felt) - log_depth + self._law_off(drawn, log_felt, random)
         return _Draws(
             log_evidence,
             weight,
-            np.maximum(np.exp(drawn[:, 1]) + bent_m, 1e-6),
+            1e-3 * drawn[:, 0],
+            np.maximum(np.exp(log_depth), 1e-6),
+            log_deeper if branches else np.zeros(len(drawn)),
             np.maximum(drawn[:, 2], LEAST_EXPONENT),
-            strength.sum(axis=1),
+            drawn[:, 4],
             mean_relaxation_s(strength, retarded_s),
+            strength,
+            retarded_s,
         )
 
+    def _law_off(self, parameters: FloatArray, log_felt: FloatArray, random: np.random.Generator) -> FloatArray:
+        """(d,) draws of what the law is off by at a log force (d,), given what it is off by in the samples."""
+        shared = (_off_together(log_felt, self._log_felt) * self._dent_m) @ self._whitens.T
+        mean = (shared * self._off(parameters)).sum(axis=1)
+        variance = _off_variance(log_felt) - (shared**2).sum(axis=1)
+        return np.asarray(mean + np.sqrt(np.maximum(variance, 0.0)) * random.standard_normal(len(log_felt)))
+
     def _best(self, branches: int) -> FloatArray:
-        """(4 + 2 b,) the likeliest parameters."""
+        """(5 + 2 b,) the likeliest parameters."""
         apart = np.linspace(-0.7, 0.7, branches) if branches > 1 else np.zeros(branches)
-        start = np.concatenate(
-            [self._start, np.full(branches, np.log(STRENGTH_MEDIAN)), np.log(TIME_MEDIAN_S) + TIME_SPREAD * apart]
-        )
+        log_j = np.full(branches, np.log(STRENGTH_MEDIAN / max(branches, 1)))
+        start = np.concatenate([self._start, log_j, np.log(TIME_MEDIAN_S) + TIME_SPREAD * apart])
         found = scipy.optimize.least_squares(
             lambda one: self._residuals(one[None])[0], start, jac=self._jacobian, x_scale="jac"
         )
@@ -288,13 +452,20 @@ class _Law:
         priors = [
             (parameters[:, 2:3] - middle) / spread,
             parameters[:, 3:4] / BEND_SD,
-            (log_j - np.log(STRENGTH_MEDIAN)) / STRENGTH_SPREAD,
+            parameters[:, 4:5],
+            (log_j - np.log(STRENGTH_MEDIAN / max(branches, 1))) / STRENGTH_SPREAD,
             (log_l - np.log(TIME_MEDIAN_S)) / TIME_SPREAD,
         ]
         return np.concatenate([self._off(parameters), *priors], axis=1)
 
     def _off(self, parameters: FloatArray) -> FloatArray:
-        """(d, m) how far each sample is from the law, in its deviations."""
+        """(d, m) how far the samples are from the law, whitened."""
+        _, dent_m = self._dents(parameters)
+        away = self._z - 1e-3 * parameters[:, :1] - dent_m - parameters[:, 4:5] * self._bent_m
+        return np.asarray(away @ self._whitens.T)
+
+    def _dents(self, parameters: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(d, m) log of the force that would make each sample's dent at once, over the set force; and that dent [m]."""
         branches = (parameters.shape[1] - SHAPE) // 2
         felt = np.broadcast_to(self._share, (len(parameters), len(self._share))).copy()
         for strength, log_s in zip(
@@ -302,13 +473,49 @@ class _Law:
         ):
             felt += strength[:, None] * self._filtered(np.clip(log_s, *LOG_TIMES))
         log_felt = np.log(np.maximum(felt, LEAST_SHARE))
-        z0_m, log_depth, exponent, bend = parameters.T[:SHAPE, :, None]
+        return log_felt, np.exp(self._log_dent(parameters[:, None], log_felt))
+
+    def _log_dent(self, parameters: FloatArray, log_felt: FloatArray) -> FloatArray:
+        """(...,) log of the dent [m] at a log force (...,) over the set force, of parameters (..., k)."""
+        _, log_depth, exponent, bend = np.moveaxis(parameters[..., : SHAPE - 1], -1, 0)
         log_dent = log_depth + log_felt / np.maximum(exponent, LEAST_EXPONENT) + bend * log_felt**2
-        return np.asarray((self._z - 1e-3 * z0_m - np.exp(log_dent)) / self._sd)
+        return np.asarray(log_dent if self._even is None else np.interp(log_dent, self._even, self._deep))
 
     def _log_size(self, branches: int) -> float:
         """Logarithm of what the priors' densities are divided by, without what all numbers of branches share."""
         return float(branches * np.log(2.0 * np.pi * STRENGTH_SPREAD * TIME_SPREAD))
+
+
+def _ball(radius_m: float) -> tuple[FloatArray, FloatArray]:
+    """(n,) logs of the dent that a paraboloid of a ball's curvature makes, and of the ball's own, at equal forces [m]
+    (Sneddon 1965, both rigid)."""
+    contact = -np.expm1(-np.geomspace(1e-4, 5.0, BALL_STEPS))  # radius of the contact over the ball's
+    force = (1.0 + contact**2) * np.arctanh(contact) - contact
+    force[contact < 0.03] = (4.0 / 3.0 * contact**3 + 8.0 / 15.0 * contact**5)[contact < 0.03]
+    return np.log(radius_m * (0.75 * force) ** (2.0 / 3.0)), np.log(radius_m * contact * np.arctanh(contact))
+
+
+def _off_together(one: FloatArray, other: FloatArray) -> FloatArray:
+    """(a, b) covariance of what the law is off by at log forces (a,) and (b,): a process g less its value at 0."""
+
+    def g(left: FloatArray, right: FloatArray) -> FloatArray:
+        rise = np.exp(-LAW_RISE * (left[:, None] + right))
+        return LAW_OFF**2 * rise * np.exp(-0.5 * ((left[:, None] - right) / LAW_LENGTH) ** 2)
+
+    at = np.zeros(1)
+    return np.asarray(g(one, other) - g(one, at) - g(at, other) + g(at, at))
+
+
+def _off_variance(one: FloatArray) -> FloatArray:
+    """(a,) as the diagonal of `_off_together`."""
+    high = np.exp(-LAW_RISE * one)
+    return np.asarray(LAW_OFF**2 * (1.0 + high**2 - 2.0 * high * np.exp(-0.5 * (one / LAW_LENGTH) ** 2)))
+
+
+def _whitening(sd_m: FloatArray, together_m2: FloatArray) -> FloatArray:
+    """(m, m) that makes residuals of deviations (m,) with a covariance (m, m) in common white."""
+    lower = np.linalg.cholesky(together_m2 + np.diag(sd_m**2))
+    return np.asarray(scipy.linalg.solve_triangular(lower, np.eye(len(sd_m)), lower=True))
 
 
 def _lagging(time_s: FloatArray, force: FloatArray, retarded_s: FloatArray) -> FloatArray:

@@ -14,12 +14,14 @@ UP = np.array([0.0, 0.0, 1.0])
 RATE_HZ, LOAD_S, SET_N, DEPTH_M, EXPONENT = 100.0, 0.8, 3.0, 0.006, 1.5
 
 
-def touch(shares: tuple[float, ...], times_s: tuple[float, ...], hold_s: float, noise_m: float = 0.0) -> CreepFit:
+def touch(
+    shares: tuple[float, ...], times_s: tuple[float, ...], hold_s: float, noise_m: float = 0.0, load_s: float = LOAD_S
+) -> CreepFit:
     """A ball pressed with a force that rises and stays, on E(t) / E0 = 1 - sum g + sum g exp(-t / tau), by a Volterra
     equation in steps of 1 ms: F(t) = integral of E(t - s) d(c y(s)), y = depth^p."""
     step = 1e-3
-    time = np.arange(round((LOAD_S + hold_s) / step) + 1) * step
-    force = SET_N * np.minimum(time / LOAD_S, 1.0)
+    time = np.arange(round((load_s + hold_s) / step) + 1) * step
+    force = SET_N * np.minimum(time / load_s, 1.0)
     shares_, times_ = np.array(shares), np.array(times_s)
     elastic, memory, done = 0.0, np.zeros(len(shares)), np.zeros(len(time))
     for i in range(1, len(time)):
@@ -39,7 +41,7 @@ def touch(shares: tuple[float, ...], times_s: tuple[float, ...], hold_s: float, 
     random = np.random.default_rng(1)
     z = depth + 1e-4 * force + noise_m * random.standard_normal(len(depth))
     felt = force + 0.01 * random.standard_normal(len(force))
-    loading = 30 + round(LOAD_S * RATE_HZ) + 1
+    loading = 30 + round(load_s * RATE_HZ) + 1
     return fit_creep(
         time, -z[:, None] * UP, felt[:, None] * UP, UP, loading=loading, held=len(time), arm=ArmCompliance(1e-4, 1e-6)
     )
@@ -82,6 +84,41 @@ def test_a_hold_too_short_for_the_foam_widens_the_interval() -> None:
 
     assert width(short) > 2.0 * width(long)
     assert short.relaxed_interval[0] < 1e-3 * SET_N / DEPTH_M * 0.6 ** (1.0 / EXPONENT) < short.relaxed_interval[1]
+
+
+def test_stiffness_felt_at_two_speeds_is_one_at_the_reference_speed() -> None:
+    quick, slow = (touch((0.3,), (1.0,), 6.0, noise_m=5e-5, load_s=load_s) for load_s in (0.4, 2.4))
+    assert quick.speed_m_s > 4.0 * slow.speed_m_s
+
+    def apparent(fit: CreepFit, load_s: float) -> float:
+        """log of force over depth when it is reached: a third of the branch's strength, and what has followed of it."""
+        late = float(np.exp(-load_s * 0.7) * -1.0 + 1.0) / (load_s * 0.7)  # retardation time 1 / 0.7 s, an even ramp
+        return -float(np.log1p(0.3 / 0.7 * (1.0 - late))) / EXPONENT
+
+    before = apparent(quick, 0.4) - apparent(slow, 2.4)
+    after = before + quick.log_at_reference - slow.log_at_reference
+    assert before > 0.08
+    assert abs(after) < 0.3 * before
+
+
+def test_a_dent_that_stays_is_told_from_one_that_recovers() -> None:
+    gone = np.linspace(0.0, 1.0, 21)
+    for keeps, expected in ((0.0, "elastic"), (0.3, "plastic")):
+        dent = np.concatenate([np.zeros(30), np.linspace(0.0, 1.0, 81), np.ones(200), 1.0 - gone, np.full(20, -0.1)])
+        force = SET_N * np.concatenate(
+            [(dent[:311].clip(0.0)) ** EXPONENT, ((dent[311:] - keeps) / (1.0 - keeps)).clip(0.0) ** EXPONENT]
+        )
+        random = np.random.default_rng(2)
+        z = DEPTH_M * dent + 5e-5 * random.standard_normal(len(dent))
+        felt = force + 0.01 * random.standard_normal(len(force))
+        fit = fit_creep(
+            0.01 * np.arange(len(z)), -z[:, None] * UP, felt[:, None] * UP, UP, loading=111, held=311,
+        )  # fmt: skip
+        assert fit.verdict == expected
+        assert fit.kept is not None
+        assert fit.kept == pytest.approx(keeps, abs=0.06)
+        assert fit.slipping is not None
+        assert fit.slipping < 0.5
 
 
 def cycle(back: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -1,0 +1,98 @@
+"""Did the tip slide over the foam while it pressed? From what it feels and where it goes across the normal.
+
+While a contact sticks, the force across grows with the way across, dT = k (F / d) dx: a ball on an elastic body is
+about STICK times as stiff across as along (Mindlin 1949: 2 (1 - v) / (2 - v) of the tangent, with F / d the secant). A
+sensor or a normal that is tilted adds a share of F. Once T reaches a limit, mu F, it follows that while the tip still
+moves: it slides. Both are weighed over k, mu and tilt; how far it slid is what it moved beyond the limit.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy
+
+from deformscope.arrays import FloatArray
+from deformscope.stages.poke.contact import LOADED
+
+STICK, STICK_SD = 0.9, 0.3
+TILT_SD = 0.05
+"""Of the share of F that a tilted sensor or normal adds: 3 degrees."""
+FRICTION = np.geomspace(0.03, 2.0, 40)
+STICKS = STICK + STICK_SD * np.linspace(-2.0, 2.0, 9)
+PIECES = 40
+"""Means of so many parts of the touch are compared."""
+STICK_OFF = 0.1
+"""Of the force across, what that law is off by."""
+START_SD = 0.02
+"""Of the largest force: what is felt across before a twentieth of it, where the way across is not followed."""
+SMOOTHED = 9
+"""Samples over which the way across is averaged."""
+SLID_M = 5e-4
+"""What slid less did not slide."""
+
+
+@dataclass(frozen=True, slots=True)
+class SlipFit:
+    """probability: that the tip slid by SLID_M or more; slid_m: how far, if it did; friction: the force across over
+    that along it there; ratio: the largest that was felt"""
+
+    probability: float
+    slid_m: float
+    friction: float
+    ratio: float
+
+
+def fit_slip(
+    across_m: FloatArray, across_n: FloatArray, dent_m: FloatArray, force_n: FloatArray, force_sd_n: float
+) -> SlipFit:
+    """Of a touch until its way back.
+
+    across_m, across_n: (n, 2) place and force in the surface's plane, the latter without its offset; dent_m, force_n:
+    (n,) along the normal, force_sd_n: scatter of one axis of one reading
+    """
+    peak = float(force_n.max())
+    loaded = slice(int(np.argmax(force_n > LOADED * peak)), None)
+    kernel = np.full(SMOOTHED, 1.0 / SMOOTHED)
+    padded = np.pad(across_m, ((SMOOTHED // 2, SMOOTHED // 2), (0, 0)), mode="edge")
+    smooth_m = np.stack([np.convolve(one, kernel, mode="valid") for one in padded.T], axis=1)[loaded]
+    force, felt = np.maximum(force_n[loaded], LOADED * peak), across_n[loaded]
+    secant = force / np.maximum(dent_m[loaded], 1e-5)
+    # how the force across would grow did the contact stick
+    steps_m = np.diff(smooth_m, axis=0, prepend=smooth_m[:1])
+    sticking = np.cumsum(secant[:, None] * steps_m, axis=0)
+    way = sticking[-1] if np.linalg.norm(sticking[-1]) > 0.0 else np.array([1.0, 0.0])
+    way = way / np.linalg.norm(way)
+    sticking_n, moved_m, felt_n = sticking @ way, (smooth_m - smooth_m[0]) @ way, felt @ way
+    ends = np.unique(np.linspace(0, len(force), PIECES + 1).round().astype(int))
+    count = np.diff(ends)
+
+    def pieces(one: FloatArray) -> FloatArray:
+        return np.asarray(np.add.reduceat(one, ends[:-1], axis=-1) / count)
+
+    stick, friction = (one.ravel() for one in np.meshgrid(STICKS, FRICTION, indexing="ij"))
+    whole = stick[:, None] * sticking_n
+    limit = friction[:, None] * force
+    slid = np.abs(whole) > limit
+    across = pieces(felt_n)
+    sd = np.hypot(force_sd_n / np.sqrt(count), STICK_OFF * np.abs(across)) + 1e-3
+    off = (across - pieces(np.clip(whole, -limit, limit))) / sd
+    # tilt and start are taken out in closed form
+    taken = np.stack([TILT_SD * pieces(force), np.full(len(count), START_SD * peak)], axis=1) / sd[:, None]
+    shared = off @ taken
+    fitted = (off**2).sum(axis=1) - (shared * np.linalg.solve(taken.T @ taken + np.eye(2), shared.T).T).sum(axis=1)
+    prior = -0.5 * ((stick - STICK) / STICK_SD) ** 2
+    log_weight = prior - 0.5 * fitted
+    weight = np.exp(log_weight - scipy.special.logsumexp(log_weight))
+    steps = np.diff(moved_m, prepend=moved_m[:1])
+    slid_m = np.abs((slid * steps).sum(axis=1))
+    slides = slid_m > SLID_M
+    probability = float(weight[slides].sum())
+    given = weight * slides if probability > 0.0 else weight
+    return SlipFit(
+        probability,
+        float(np.average(slid_m, weights=given)),
+        float(np.average(friction, weights=given)),
+        float(np.linalg.norm(felt, axis=1).max() / peak),
+    )
