@@ -36,7 +36,7 @@ def test_a_touch_takes_what_its_way_its_speeds_and_its_dwell_come_to() -> None:
     down_s, up_s = 0.02 / 0.03 + 0.03 / 0.01, 0.056 / 0.03
     press_s = 0.006 / 0.01
 
-    # speeds end softly: an exponential of 4 a second at the end of the way, of the descent, of the press and of the way up
+    # speeds end softly: way, descent, press and way up, by an exponential of 4 a second each
     soft_s = 3.0
     least_s = way_s + TARE_S + down_s + press_s + plan.dwell_s + up_s
     assert least_s < seconds(plan) < least_s + soft_s
