@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from deformscope.robot.squeeze_setup import SqueezeSetup
 
 LAB = "lab:"
-TRAVEL_M_S = {"careful": 0.05, "quick": 0.15}
-"""Between touches in the laboratory, by pace; a rig file says it for a rig."""
 
 
 @dataclasses.dataclass(frozen=True, slots=True, eq=False)
@@ -63,6 +61,7 @@ def setup_of(
     """
     if name.startswith(LAB):
         from deformscope.experiments.measured import highest_m
+        from deformscope.experiments.options import TRAVEL_M_S
         from deformscope.lab.robot_body import RobotBody, described_robot
         from deformscope.lab.scene_lab import SceneLab
         from deformscope.lab.scenes import built_in

@@ -53,6 +53,7 @@ def run(config: Table41Config) -> None:
             closed_form=config.closed_form,
             clean=config.clean,
             relief=config.relief,
+            pace=config.pace,
         )
         for seed in range(config.seeds)
         for scene in _scenes(config.scenes)

@@ -19,6 +19,8 @@ BORDER_M = 0.02
 VIEW_CELL_M = 0.004
 """Points of the surface before any touch are reduced to one in each cell of this size."""
 Pace = Literal["careful", "quick"]
+TRAVEL_M_S = {"careful": 0.05, "quick": 0.15}
+"""Between touches in the laboratory, by pace; a rig file says it for a rig."""
 PLAN_CELL_M = 0.02
 """Places that are considered for a touch are this far apart."""
 DRY_RUN_M = 0.1

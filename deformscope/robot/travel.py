@@ -61,7 +61,7 @@ def move_tip(
             if not passing:
                 robot.cycle()
             return
-        step(robot, TipVelocity(_capped(error[:3], speed_m_s), _capped(error[3:], ANGULAR_RAD_S)))
+        step(robot, TipVelocity(capped(error[:3], speed_m_s), capped(error[3:], ANGULAR_RAD_S)))
     robot.cycle()
     left = f"{np.linalg.norm(error[:3]) * 1e3:.1f} mm and {np.linalg.norm(error[3:]):.3f} rad away"
     raise NotThere(f"the tip at {np.round(np.asarray(center_m), 4)} m", left, "a place that the arm reaches")
@@ -174,7 +174,7 @@ def _error(robot: Robot, goal: FloatArray) -> FloatArray:
     return pose_error(robot.placement.T_surface_center(robot.pose.T_base_ee), goal)
 
 
-def _capped(error: FloatArray, fastest: float) -> FloatArray:
+def capped(error: FloatArray, fastest: float) -> FloatArray:
     """A velocity that ends softly."""
     wanted = GAIN_PER_S * error
     size = float(np.linalg.norm(wanted))

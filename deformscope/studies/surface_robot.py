@@ -28,6 +28,7 @@ from deformscope.stages.poke.contact import ArmCompliance
 from deformscope.stages.regions.touches import MapGrid
 from deformscope.stages.see.cloud import Intrinsics, perceive
 from deformscope.stages.see.robot import PosedRobot
+from deformscope.studies.touch_clock import TouchClock
 
 STICK_M = 0.25
 TOUCH_S = TOUCHES_S / 10.0
@@ -107,8 +108,11 @@ class LabRobot:
         sees: bool = True,
         sensing: Sensing | None = None,
         errors: LabErrors | None = None,
+        clock: TouchClock | None = None,
     ) -> None:
-        """errors: what the session keeps from the estimator; default nothing"""
+        """errors: what the session keeps from the estimator; default nothing; clock: counts the seconds of touches that
+        have a plan"""
+        self._clock = clock
         self._errors = (errors or LabErrors.none()).draw([options.seed, scene.seed])
         self.scene = self._errors.slab(scene)
         foam = self._errors.foam(scene)
@@ -157,6 +161,8 @@ class LabRobot:
         )
         self.most_force_n = max(self.most_force_n, float(made.true_force_n.max()))
         self.felt.append(felt_log_stiffness(made, options.set_force_n))
+        if self._clock is not None and command.plan is not None:
+            self._clock.add(command.plan, made)
         after: FloatArray = np.zeros((0, 3))
         if self._sees:
             middle = made.position_m[-1]

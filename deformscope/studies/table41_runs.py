@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from deformscope.errors import InputError
-from deformscope.experiments.options import Relief
+from deformscope.experiments.options import Pace, Relief
 from deformscope.plain import plain
 from deformscope.stages.map.map_score import MapScore
 from deformscope.stages.map.plan import Planner
@@ -18,7 +18,7 @@ from deformscope.stages.map.plan import Planner
 class TableJob:
     """One exploration. go_on: to the last touch, also after the plan has said enough, so that planners compare
     closed_form: touches are what a contact feels in closed form, instead of finite elements; clean: the laboratory
-    keeps nothing from the estimator; relief: as in `ExploreOptions`
+    keeps nothing from the estimator; relief, pace: as in `ExploreOptions`
     """
 
     scene: str
@@ -29,14 +29,15 @@ class TableJob:
     closed_form: bool = False
     clean: bool = False
     relief: Relief = "seen"
+    pace: Pace = "careful"
 
 
 @dataclass(frozen=True, slots=True)
 class MapAfter:
     """The map after some touches.
 
-    travel_m: of the tip over the surface, from its corner; robot_s: what that and the touches take, as the planner
-    reckons; compute_s: from this touch to the next target
+    travel_m: of the tip over the surface, from its corner; robot_s: that the touches took (`touch_clock`; in closed
+    form: as the planner reckons); compute_s: from this touch to the next target
     log_stiffness, log_sd, rigid: what the last touch measured [N/mm], at `xy_m`; felt_log_stiffness: what it would have
     measured without noise; touch_covered: whether its 90 % interval holds that, None where it is rigid
     unseen: probability that lumps of the size that is sought are there unseen, None where it was not computed

@@ -65,7 +65,7 @@ def test_a_row_of_the_table_and_its_file(tmp_path: Path) -> None:
     last = found.after[-1]
     assert last.score.ordered
     assert last.travel_m > 0.1
-    assert last.robot_s == pytest.approx(last.travel_m / 0.1 + 3 * 6.0)
+    assert last.robot_s > last.travel_m / 0.05
     soft = [one for one in found.after if not one.rigid]
     assert soft
     assert all(abs(one.log_stiffness - one.felt_log_stiffness) < 0.1 for one in soft)
