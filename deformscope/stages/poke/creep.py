@@ -168,6 +168,8 @@ def fit_creep(
     verdict, why = _verdict(viscous, plastic, slip)
     speed_m_s = float((z_m[loading - 1] - z_m[samples.first]) / (time_s[loading - 1] - time_s[samples.first]))
     other_speed = _at_reference(draws, speed_m_s)
+    nothing: tuple[None, None] = (None, None)
+    stays = nothing if kept is None else median_and_interval(kept, np.ones(len(kept)))
     return CreepFit(
         *median_and_interval(instant, weight),
         *median_and_interval(relaxed, weight),
@@ -178,15 +180,16 @@ def fit_creep(
         float(time_s[held - 1] - time_s[loading - 1]),
         speed_m_s,
         verdict,
-        why,
-        viscous,
-        plastic,
-        slip.probability,
-        *((None, None) if kept is None else median_and_interval(kept, np.ones(len(kept)))),
-        slip.slid_m,
-        slip.ratio,
-        float(other_speed.mean()),
-        float(other_speed.std()),
+        why=why,
+        viscous=viscous,
+        plastic=plastic,
+        slipping=slip.probability,
+        kept=stays[0],
+        kept_interval=stays[1],
+        slid_m=slip.slid_m,
+        force_ratio=slip.ratio,
+        log_at_reference=float(other_speed.mean()),
+        log_at_reference_sd=float(other_speed.std()),
     )
 
 
@@ -371,7 +374,7 @@ class _Law:
         force_sd_n: float,
         radius_m: float | None,
     ) -> None:
-        self._even, self._deep = _ball(radius_m) if radius_m else (None, None)
+        self._ball = _ball(radius_m) if radius_m else None
         fitted = slice(samples.first, None)
         force = np.maximum(samples.force_n, 0.0) / set_force_n
         self._share = force[fitted]
@@ -479,7 +482,7 @@ class _Law:
         """(...,) log of the dent [m] at a log force (...,) over the set force, of parameters (..., k)."""
         _, log_depth, exponent, bend = np.moveaxis(parameters[..., : SHAPE - 1], -1, 0)
         log_dent = log_depth + log_felt / np.maximum(exponent, LEAST_EXPONENT) + bend * log_felt**2
-        return np.asarray(log_dent if self._even is None else np.interp(log_dent, self._even, self._deep))
+        return np.asarray(log_dent if self._ball is None else np.interp(log_dent, *self._ball))
 
     def _log_size(self, branches: int) -> float:
         """Logarithm of what the priors' densities are divided by, without what all numbers of branches share."""
