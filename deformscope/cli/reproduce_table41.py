@@ -41,6 +41,8 @@ RUNS = "runs.jsonl"
 
 def run(config: Table41Config) -> None:
     """Explore every scene with every planner over the seeds; write and print the table."""
+    if config.closed_form and config.pace != "careful":
+        raise InputError("--pace with touches that are made", "--closed-form, which travels nowhere", "one of them")
     make_folder(config.out)
     planners = _planners(config.planners)
     jobs = [

@@ -222,6 +222,7 @@ class RigParts:
         if not force.double and not force.config.sensitivities:
             raise InputError("its sensitivity, for forces in newtons", "none", "the sensor's report", force.name)
         _check_rates(rig, devices)
+        _check_offsets(rig, devices)
         _check_doubles(rig, devices)
         given, camera = rig.surface.T_arm_surface, rig.camera.T_arm_camera
         T_base_surface = T_BASE_SURFACE if given is None else np.array(given, dtype=np.float64)
@@ -299,6 +300,17 @@ def _check_rates(rig: Rig, devices: tuple[RigDevice, ...]) -> None:
         if silent_s is not None and hz is not None and hz * silent_s < FEWEST_PERIODS:
             least = f"{key} of {FEWEST_PERIODS / silent_s:.0f} or more for {entry.name}, missed after {silent_s:g} s"
             raise InputError(least, f"{hz:g}", "a higher rate, or a longer ..._silent_s in [workspace]", rig.name)
+
+
+def _check_offsets(rig: Rig, devices: tuple[RigDevice, ...]) -> None:
+    """None is later than it may be silent: the supervisor knows a reading by when it was measured."""
+    limits = Limits.of(rig.workspace, camera_hz=float(devices[2].config.fps or CAMERA_HZ))
+    camera_s = limits.camera_periods * limits.camera_period_s
+    for entry, silent_s in zip(devices, (limits.arm_silent_s, limits.force_silent_s, camera_s), strict=True):
+        if entry.late_ns >= 1e9 * silent_s:
+            least = f"{entry.name} late by less than the {silent_s:g} s that it may be silent for"
+            came = f"{entry.late_ns / 1e9:g} s, by calibrate time"
+            raise InputError(least, came, "a faster link, or a longer ..._silent_s in [workspace]", rig.name)
 
 
 def only_device(rig: Rig, kind: str, use: str = "to explore with") -> RigDevice:

@@ -16,11 +16,13 @@ import pytest
 
 from deformscope.api.setups import setup_of_rig
 from deformscope.cli import main
+from deformscope.errors import InputError
 from deformscope.frames import Frame
 from deformscope.recording.items import read_items
-from deformscope.rig.rig_file import parse_rig
+from deformscope.rig.rig_file import load_rig, parse_rig
 from deformscope.robot.placement import reach
 from deformscope.robot.robot import Robot, RobotStopped
+from deformscope.robot.setup import RigParts
 from deformscope.robot.supervisor import Action, Fault, SafetyVerdict
 from deformscope.stages.regions.touches import MapGrid
 from deformscope_drivers.errors import SettingsRefused
@@ -117,6 +119,16 @@ def test_with_clocks_apart_it_is_explored_recorded_and_replayed(
     late = {(item.device, item.stamp.late_ns) for item in read_items(tmp_path / "r.rrd") if isinstance(item, Frame)}
     assert late == {("arm", 20_000_000), ("tip", None), ("depth", None)}
     assert "identical to the recorded numbers" in " ".join(capsys.readouterr().out.split())
+
+
+def test_a_device_later_than_it_may_be_silent_is_refused(rig: Path) -> None:
+    """It would stop the robot as if it were silent."""
+    late = '[calibrated.time]\ndate = 2026-01-02\noffset_s = {}\ndevice = "tip"\nbeside = "arm"\n'
+    rig.write_text(RIG + late.format(0.4))
+    RigParts.of(load_rig(rig))
+    rig.write_text(RIG.replace("force_silent_s = 0.5", "force_silent_s = 0.4") + late.format(0.4))
+    with pytest.raises(InputError, match="tip late by less than"):
+        RigParts.of(load_rig(rig))
 
 
 @pytest.mark.realtime
