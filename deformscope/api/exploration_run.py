@@ -347,7 +347,8 @@ def _remarks(result: object) -> Iterator[str]:
             + f", dent {dent_words(result)}"
         )
         if result.creep is not None:
-            yield f"  creep, felt at {1e3 * result.speed_m_s:.2g} mm/s: {creep_words(result.creep)}"
+            at = "" if result.speed_m_s is None else f", felt at {1e3 * result.speed_m_s:.2g} mm/s"
+            yield f"  creep{at}: {creep_words(result.creep)}"
     elif isinstance(result, MapEstimate):
         yield "  map: " + ", ".join(one for one in (verdict_words(result), iou_words(result)) if one)
     elif isinstance(result, StageFailure):
@@ -445,7 +446,7 @@ def _touch(exploration: Exploration, one: TouchEstimate, start_ns: int) -> dict[
         "apparent_stiffness_n_per_mm": one.stiffness_n_per_mm,
         "apparent_stiffness_interval": one.stiffness_interval,
         **{name: getattr(one, name) for name in (*same, *of_beta)},
-        "approach_speed_mm_s": 1e3 * one.speed_m_s,
+        "approach_speed_mm_s": None if one.speed_m_s is None else 1e3 * one.speed_m_s,
         "held_s": 0.0 if one.creep is None else one.creep.held_s,
         "creep": None if one.creep is None else dataclasses.asdict(one.creep),
         "ended_s": (exploration.ended_ns[one.number] - start_ns) / 1e9,

@@ -680,7 +680,7 @@ class Explorer:
             creep=creep,
             thickness_m=None if shape is None else shape.thickness_m,
             level_n_per_mm=level,
-            speed_m_s=nan if fit is None else _speed_m_s(touched, fit),
+            speed_m_s=None if fit is None else _speed_m_s(touched, fit),
         )
 
     def _beta(self, touched: TouchMeasurement, fit: ContactFit) -> _Beta:
@@ -774,7 +774,7 @@ def _levelled(seen: StiffnessSample, shift: ShapeShift) -> StiffnessSample:
 
 
 def _as_mapped(
-    seen: StiffnessSample, creep: CreepFit | None, options: ExploreOptions, speed_m_s: float
+    seen: StiffnessSample, creep: CreepFit | None, options: ExploreOptions, speed_m_s: float | None
 ) -> StiffnessSample | None:
     """What the map takes of a touch; None where it has not what is to be mapped."""
     if seen.rigid or not options.hold_s:
@@ -782,20 +782,21 @@ def _as_mapped(
     if options.feel == "relaxed":
         return None if creep is None else _relaxed(seen, creep)
     if creep is None:  # how much it would creep is not known
-        away = SPEED_SD * abs(float(np.log(max(speed_m_s, 1e-4) / REFERENCE_SPEED_M_S)))
+        speed_m_s = REFERENCE_SPEED_M_S if speed_m_s is None else max(speed_m_s, 1e-4)
+        away = SPEED_SD * abs(float(np.log(speed_m_s / REFERENCE_SPEED_M_S)))
         return dataclasses.replace(seen, log_sd=float(np.hypot(seen.log_sd, away)))
     log_stiffness = seen.log_stiffness + creep.log_at_reference
     log_sd = float(np.hypot(seen.log_sd, creep.log_at_reference_sd))
     return dataclasses.replace(seen, log_stiffness=log_stiffness, log_sd=log_sd)
 
 
-def _speed_m_s(touched: TouchMeasurement, fit: ContactFit) -> float:
+def _speed_m_s(touched: TouchMeasurement, fit: ContactFit) -> float | None:
     """Of the tip from contact to the peak of the force."""
     along, force = _along(touched), _force_along(touched)
     until = int(np.argmax(force))
     since = min(int(np.searchsorted(np.maximum.accumulate(along), fit.contact_m)), max(until - 1, 0))
     taken_s = float(touched.time_s[until] - touched.time_s[since])
-    return float(along[until] - along[since]) / taken_s if taken_s > 0.0 else float("nan")
+    return float(along[until] - along[since]) / taken_s if taken_s > 0.0 else None
 
 
 def _relaxed(seen: StiffnessSample, creep: CreepFit) -> StiffnessSample:

@@ -99,6 +99,7 @@ def touch(number: int) -> TouchEstimate:
         beta_verdict="" if number == 0 else "at-bound",
         observed_m=observed,
         simulated_m=np.concatenate(simulated),
+        speed_m_s=0.0098,
     )
 
 

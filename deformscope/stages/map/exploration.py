@@ -44,7 +44,7 @@ class TouchEstimate:
     modulus_pa: corrected for the tip and the layer, None = not identified; depth_m, peak_force_n: of the dent
     beta, beta_interval, beta_verdict: of the MSM fitted to the dent, None = not fitted
     observed_m: (k, 3) raw points around the dent; simulated_m: (p, 3) particles of the fitted model there
-    speed_m_s: at which the tip came down in contact: foam that creeps is the stiffer the faster
+    speed_m_s: at which the tip came down in contact, None = not known: foam that creeps is the stiffer the faster
     creep: what its hold and its way back say of the foam's creep, None = not asked for, or not fitted
     thickness_m: of the foam there, as it was seen; level_n_per_mm: its stiffness were the foam level and as thick as
     stated, which is what is mapped; both None where it was taken for that
@@ -72,7 +72,7 @@ class TouchEstimate:
     creep: CreepFit | None = None
     thickness_m: float | None = None
     level_n_per_mm: float | None = None
-    speed_m_s: float = float("nan")
+    speed_m_s: float | None = None
 
     @property
     def usable(self) -> bool:
