@@ -180,7 +180,7 @@ def field_rows(outcomes: Sequence[FieldOutcome]) -> list[tuple[str, ...]]:
                 str(sum(one.verdict == "unidentified" for one in some)),
                 f"{np.mean(np.abs(ratio - 1.0) <= 0.15):.0%}" if len(right) else "-",
                 f"{ratio.min():.2f} to {ratio.max():.2f}" if len(right) else "-",
-                f"{np.mean([one.border <= 1.0 for one in right]):.0%}" if several and right else "-",
+                f"{np.mean([one.border < 1.0 + 1e-6 for one in right]):.0%}" if several and right else "-",
                 f"{np.mean([one.covered for one in some]):.2f}, {np.mean([one.held for one in some]):.2f}",
                 f"{np.median([one.beta_ratio for one in some]):.2f}",
             )
