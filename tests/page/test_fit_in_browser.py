@@ -194,6 +194,7 @@ def test_a_camera_is_followed_and_held(setting: Setting, shown: Any) -> None:
     until(shown, lambda: shown.inner_text("#fit-error").startswith("average error 2.000 px"))
     shown.keyboard.press("z")
     shown.keyboard.press("h")
+    until(shown, lambda: len(setting.commands) == 2)  # while they are still allowed
     show(2, following=False)
     until(shown, lambda: shown.inner_text("#fit-command") == "deformscope calibrate beta x")
     assert shown.is_visible("[data-kind=follow-camera]")
