@@ -17,7 +17,7 @@ import pytest
 
 from deformscope.errors import InputError
 from deformscope.experiments.live_stages import live_stages
-from deformscope.frames import HealthReport, Item, LinkChange, RawBytes, TactileFrame, WrenchFrame, host_ns
+from deformscope.frames import Frame, HealthReport, Item, LinkChange, RawBytes, TactileFrame, WrenchFrame, host_ns
 from deformscope.lab.stand_in import stand_in, wire_of
 from deformscope.recording.losses import losses_of, named
 from deformscope.rig.driver_table import DRIVERS
@@ -49,10 +49,8 @@ def gather(source: RigSource, until: Callable[[list[Item]], bool]) -> list[Item]
     return items
 
 
-def frames_of(items: Sequence[Item], device: str) -> list[Item]:
-    return [
-        item for item in items if not isinstance(item, RawBytes | LinkChange | HealthReport) and item.device == device
-    ]
+def frames_of(items: Sequence[Item], device: str) -> list[Frame]:
+    return [item for item in items if isinstance(item, Frame) and item.device == device]
 
 
 def test_frames_bytes_and_health_of_all_devices_in_order_of_time() -> None:
