@@ -464,7 +464,7 @@ class Explorer:
         if contact is not None:
             fit = contact.fit
             sample = StiffnessSample(touched.xy_m, fit.log_stiffness, fit.own_log_sd, fit.rigid, fit.arm_log_sd)
-            seen = _as_mapped(sample, creep, self.options, _speed_m_s(touched, fit))
+            seen = _as_mapped(sample, creep, self.options, contact.speed_m_s)
             shift = None if fit.rigid or seen is None else self._shift(touched.xy_m, float(np.exp(seen.log_stiffness)))
             if seen is not None and shift is not None:
                 seen = _levelled(seen, shift)
@@ -621,7 +621,7 @@ class Explorer:
             modulus = layer_modulus(
                 fit.dent_m(force), force, radius_m=options.tip_radius_m, thickness_m=options.thickness_m
             )
-        return _Contact(fit, law, modulus)
+        return _Contact(fit, law, modulus, _speed_m_s(touched, fit))
 
     def _creep(self, touched: TouchMeasurement) -> CreepFit | None:
         whole = touched.whole
@@ -680,7 +680,7 @@ class Explorer:
             creep=creep,
             thickness_m=None if shape is None else shape.thickness_m,
             level_n_per_mm=level,
-            speed_m_s=None if fit is None else _speed_m_s(touched, fit),
+            speed_m_s=None if contact is None else contact.speed_m_s,
         )
 
     def _beta(self, touched: TouchMeasurement, fit: ContactFit) -> _Beta:
@@ -742,11 +742,13 @@ class Explorer:
 @dataclass(frozen=True, slots=True)
 class _Contact:
     """fit; law_n: (n,) its force at each reading [N]; modulus_pa: of the layer, None where it is not known
+    speed_m_s: at which the tip came down in it, None where that is not known
     level_n_per_mm: stiffness of a level layer as thick as stated, None where that is what was touched"""
 
     fit: ContactFit
     law_n: FloatArray
     modulus_pa: float | None
+    speed_m_s: float | None
     level_n_per_mm: float | None = None
 
 
