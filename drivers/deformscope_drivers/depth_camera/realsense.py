@@ -20,7 +20,7 @@ LONGEST_WARM_UP_S = 10.0
 
 
 @dataclass(frozen=True, slots=True)
-class RealsenseConfig:
+class RealsenseConfig(RealsenseSettings):
     """How a RealSense camera is opened and set; each setting is read back.
 
     serial: as `deformscope devices` prints it; empty = the only camera
@@ -34,16 +34,6 @@ class RealsenseConfig:
     frozen one, None = it may
     """
 
-    serial: str = ""
-    width: int = 848
-    height: int = 480
-    fps: int = 30
-    preset: str = ""
-    unit_m: float | None = None
-    warm_up_s: float = 1.0
-    global_time: bool = False
-    color: bool = False
-    registered: bool = True
     silence_s: float = 2.0
     stuck_after_s: float | None = 5.0
 
