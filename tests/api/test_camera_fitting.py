@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import json
 import threading
-from collections.abc import Iterator
 from concurrent.futures import Executor, Future
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
@@ -27,11 +26,11 @@ from deformscope.config.images import ImageOptions
 from deformscope.errors import InputError
 from deformscope.images import read_image
 from deformscope.page.desk import Desk
-from deformscope.page.messages import FollowCamera, HoldPicture, RunFit, StopRun, TakeRest
+from deformscope.page.messages import FollowCamera, HoldPicture, RunFit, TakeRest
 from deformscope.page.server import PageServer, running_pages
 from deformscope.session import Inline
 from deformscope.stages.msm.quiet import quiet_warp
-from tests.api.test_page_fitting import Watched, beta_of, typed
+from tests.api.test_page_fitting import Watched, beta_of, going_on, typed
 from tests.page.pages import at_desk
 from tests.patience import PATIENCE_S
 
@@ -76,17 +75,8 @@ class Camera(Watched):
         return self.until(lambda fit: fit.pictures != before.pictures)
 
 
-@contextmanager
-def camera(folder: Path, beside: Executor | None = None) -> Iterator[Camera]:
-    one = Camera(folder, beside)
-    thread = threading.Thread(target=one.fitting.until_finished)
-    thread.start()
-    try:
-        yield one
-    finally:
-        one.fitting.obey(StopRun(0))
-        thread.join(PATIENCE_S)
-        assert not thread.is_alive()
+def camera(folder: Path, beside: Executor | None = None) -> AbstractContextManager[Camera]:
+    return going_on(Camera(folder, beside))
 
 
 def test_what_is_held_is_what_its_command_line_gives(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -6,9 +6,9 @@ import json
 import shlex
 import threading
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import cv2
 import msgspec
@@ -103,9 +103,16 @@ class Watched:
         return self.until(lambda fit: fit.found is not None or fit.problem)
 
 
+AnyWatched = TypeVar("AnyWatched", bound=Watched)
+
+
+def watched(config: BetaConfig | ThetaConfig) -> AbstractContextManager[Watched]:
+    return going_on(Watched(config))
+
+
 @contextmanager
-def watched(config: BetaConfig | ThetaConfig) -> Iterator[Watched]:
-    one = Watched(config)
+def going_on(one: AnyWatched) -> Iterator[AnyWatched]:
+    """In a thread, until the end of the context, at which it has to finish."""
     thread = threading.Thread(target=one.fitting.until_finished)
     thread.start()
     try:
