@@ -168,7 +168,7 @@ def _field_rows(found: FieldEstimate) -> Rows:
         ("stiffest over softest", f"{found.ratio:.3g} ({low:.3g} to {high:.3g})"),
         ("verdict", f"{found.verdict}: {lowered}"),
         *reason_rows(found.reasons),
-        ("places told", f"{found.told:.0%} of {len(found.place)}"),
+        ("places determined", f"{found.determined:.0%} of {len(found.place)}"),
     ]
     for number, one in enumerate(found.levels() if found.materials > 1 else []):
         numbers = f"{one['stiffness_over_softest']:.3g} times the softest, beta {one['beta']:.2g}, {one['share']:.0%}"

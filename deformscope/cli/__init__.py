@@ -99,7 +99,9 @@ COMMANDS: dict[str, Command] = {
     "coverage force": _command(
         "how often the intervals of a predicted force hold it", "ForceCoverageConfig", "coverage_force"
     ),
-    "coverage field": _command("how well stiffness of each place is told", "FieldCoverageConfig", "coverage_field"),
+    "coverage field": _command(
+        "how well stiffness of each place is determined", "FieldCoverageConfig", "coverage_field"
+    ),
     "coverage creep": _command(
         "how far off a creeping foam's stiffness and loss are", "CreepCoverageConfig", "coverage_creep"
     ),

@@ -1,4 +1,4 @@
-"""`deformscope coverage field`: how well one deformation tells the stiffness of each place of a body.
+"""`deformscope coverage field`: how well one deformation determines the stiffness of each place of a body.
 
 deformscope coverage field
 deformscope coverage field --kinds "two, stretch" "three, shear" --objects 20 --json field.json

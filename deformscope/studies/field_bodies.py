@@ -1,5 +1,5 @@
 """Plates and slabs whose stiffness differs from place to place, by the laboratory's finite elements: how well one
-deformation tells it (`calibrate field`)."""
+deformation determines it (`calibrate field`)."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def elastic_pair(
     )
 
 
-# How well it is told -------------------------------------------------------------------------------------------------
+# How well it is determined -------------------------------------------------------------------------------------------
 
 PLATE, SLAB = (17, 13), (11, 6, 4)
 NOISE_SHARES, NOISE_REACH = (0.005, 0.02), (0.6, 3.0)
@@ -111,7 +111,7 @@ BODIES = _bodies()
 
 @dataclass(frozen=True, slots=True)
 class FieldOutcome:
-    """How one body's field was told.
+    """How one body's field was determined.
 
     right: the verdict and number of materials are the true ones; ratio: stiffest over softest, over the true one
     border: how far the farthest wrong cell is from one of the material that it was given [spacings], 0 = none is wrong;

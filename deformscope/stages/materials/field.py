@@ -1,7 +1,7 @@
 """A stiffness per place from one deformation: smooth or of a few materials, whichever predicts particles left out.
 
 What divides a given motion between the places of a body is the ratio of their stiffness; how stiff all of it is, a
-force alone tells. The ratio is that of bilinear finite elements on the particles' lattice (`cell_model`), with
+force alone determines. The ratio is that of bilinear finite elements on the particles' lattice (`cell_model`), with
 Poisson's ratio fitted beside it: beta's energy has none, which makes its ratios of 1 - beta too small on foams that
 have one. A beta for each cell is fitted beside it, in the same places.
 
@@ -27,7 +27,7 @@ from deformscope.stages.fit.doubts import little_explained, not_converged, order
 from deformscope.stages.fit.estimate import Comparison, Doubt, limited
 from deformscope.stages.fit.model import Model, Observation
 from deformscope.stages.fit.search import Progress
-from deformscope.stages.materials.field_estimate import TOLD_ROUGHLY, FieldEstimate, FieldVerdict, place_verdicts
+from deformscope.stages.materials.field_estimate import WEAK_FACTOR, FieldEstimate, FieldVerdict, place_verdicts
 from deformscope.stages.materials.field_fit import (
     LEAST_MOTION,
     FieldFit,
@@ -71,8 +71,8 @@ SPLITS = (0.25, 0.5, 0.75)
 DRAWS = 40
 """Of the field, for the scale that a force gives."""
 
-TOLD_LEAST = 0.5
-"""Share of the places that must be told, so that the whole has another verdict than unidentified."""
+DETERMINED_LEAST = 0.5
+"""Share of the places that must be determined, so that the whole has another verdict than unidentified."""
 
 STRAIN_MOST = 0.15
 """Change of a cell's sides, as a share, beyond which small deformations are no description (95 % of all sides)."""
@@ -168,11 +168,11 @@ def fit_field(
     reasons += little_explained(explained, left_is_noise=chosen.misfit < 2.0)
     verdicts = tuple(limited(one, reasons) for one in place_verdicts(np.exp(interval)))
     kind: FieldVerdict = "gradual" if chosen.label[0] < 0 else "materials" if chosen.label.max() > 0 else "uniform"
-    told = np.mean([one != "unidentified" for one in verdicts]) >= TOLD_LEAST
+    determined = np.mean([one != "unidentified" for one in verdicts]) >= DETERMINED_LEAST
     contrasts = [one.contrast(sds)[1] for one in held]
-    if kind == "uniform" and max(high for _, high in contrasts) > TOLD_ROUGHLY:
-        told = np.False_
-    if not told or any(one.allows == "unidentified" for one in reasons):
+    if kind == "uniform" and max(high for _, high in contrasts) > WEAK_FACTOR:
+        determined = np.False_
+    if not determined or any(one.allows == "unidentified" for one in reasons):
         kind = "unidentified"
     absolute, absolute_ends = _absolute(fit, chosen, value, interval, np.random.default_rng(seed), sds)
     ratio, own = chosen.contrast(sds)

@@ -12,14 +12,16 @@ from deformscope.stages.fit.estimate import Doubt, LengthUnit, Verdict, lengths
 
 FieldVerdict = Literal["uniform", "materials", "gradual", "unidentified"]
 
-TOLD, TOLD_ROUGHLY = 1.5, 2.5
+IDENTIFIED_FACTOR, WEAK_FACTOR = 1.5, 2.5
 """A place whose interval spans less than these factors is identified, or weak."""
 
 
 def place_verdicts(interval: FloatArray) -> tuple[Verdict, ...]:
     """Of each place, by the factor that its interval spans. interval: (C, 2) of a stiffness"""
     factor = interval[:, 1] / interval[:, 0]
-    return tuple("identified" if x <= TOLD else "weak" if x <= TOLD_ROUGHLY else "unidentified" for x in factor)
+    return tuple(
+        "identified" if x <= IDENTIFIED_FACTOR else "weak" if x <= WEAK_FACTOR else "unidentified" for x in factor
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +83,7 @@ class FieldEstimate:
         return int(self.material.max()) + 1
 
     @property
-    def told(self) -> float:
+    def determined(self) -> float:
         """Share of the places whose stiffness is identified or weak."""
         return float(np.mean([one != "unidentified" for one in self.verdicts]))
 
@@ -114,7 +116,7 @@ class FieldEstimate:
             "level": self.level,
             "ratio": {"value": self.ratio, "interval": list(self.ratio_interval)},
             "materials": self.levels(),
-            "told_share": self.told,
+            "determined_share": self.determined,
             "places": {
                 **lengths("at", self.place, self.unit, self.metres_per_unit),
                 "stiffness": self.stiffness.tolist(),

@@ -67,7 +67,7 @@ def test_data_that_tell_nothing_are_unidentified(kind: str) -> None:
     }[kind]
     estimate = found(dataclasses.replace(seen, deformed=deformed, force_n=None))
     assert estimate.verdict == "unidentified"
-    assert estimate.told < 0.2
+    assert estimate.determined < 0.2
 
 
 def test_what_strains_alike_is_not_told_apart() -> None:
