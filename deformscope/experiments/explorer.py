@@ -496,8 +496,10 @@ class Explorer:
         """Why it makes no sense to touch on; empty where it does."""
         if self._without_map < MOST_FAILED:
             return ""
-        last = next(one for one in reversed(self.failures) if one.stage in ("contact", "regions", "maps"))
-        return f"{self._without_map} touches in a row gave no map, the last for {last.stage}: {last.reason}"
+        stages = ("contact", "creep", "regions", "maps")  # of creep where relaxed stiffness is mapped
+        last = next((one for one in reversed(self.failures) if one.stage in stages), None)
+        why = "none was held for long enough" if last is None else f"the last for {last.stage}: {last.reason}"
+        return f"{self._without_map} touches in a row gave no map, {why}"
 
     def _maps(self) -> MapEstimate:
         found = self.region_map()
