@@ -68,9 +68,9 @@ CURVED_OVER_M = 0.01
 """Curvature is taken over so far to either side: a tip of 1 cm feels no finer."""
 FORECAST_STEPS = 25
 """Forces at which a touch is foretold."""
-COSTS = {"careful": (6.0, 0.1), "quick": (4.0, 0.15)}
-"""What the planner takes a touch for [s], and the speed of the way to it [m/s], by pace. Chosen; quick: as in the
-laboratory."""
+COSTS = {"careful": (6.0, 0.1), "quick": (3.2, 0.15)}
+"""What the planner takes a touch for [s], and the speed of the way to it [m/s], by pace. Chosen; quick: as a
+touch and its way take there in the laboratory."""
 SPEED_SD = 0.03
 """Of log stiffness for each e-fold of the approach speed, where a touch's creep could not be fitted: a third of a
 modulus that relaxes evenly over three decades of time changes a ball's stiffness so [assumed]."""
