@@ -97,10 +97,10 @@ def _map_file(config: ExploreConfig, maps: MapEstimate) -> bytes:
 
 def _list() -> None:
     from deformscope.lab.faults import Injected
-    from deformscope.lab.scenes import BUILT_IN, DRAWN
+    from deformscope.lab.scenes import BUILT_IN, BURIED, DRAWN
 
     print("simulated scenes; other hardnesses in newtons go as well (lab:two-80-200):")
-    for name in BUILT_IN:
+    for name in BUILT_IN | BURIED:
         kind = next((kind for kind in DRAWN if name.startswith(kind)), name)
         drawn = ", ".join(f"{one.what} {one.low:g} to {one.high:g}" for one in DRAWN[kind])
         print(f"  lab:{name:<22} {drawn or 'nothing is drawn'}")

@@ -22,6 +22,7 @@ from deformscope.experiments.options import BORDER_M, PLAN_CELL_M, ExploreOption
 from deformscope.robot.setup import Truth
 from deformscope.robot.touch import TouchPlan
 from deformscope.stages.map.exploration import (
+    LumpsFound,
     MapEstimate,
     PlannedTouch,
     StageFailure,
@@ -30,6 +31,8 @@ from deformscope.stages.map.exploration import (
     TouchForecast,
 )
 from deformscope.stages.map.field import BETA_PRIOR, fit_field
+from deformscope.stages.map.lump_plan import plan_lump_touch
+from deformscope.stages.map.lump_posterior import LumpPosterior, LumpPrior
 from deformscope.stages.map.map_score import boundary_distance, called_labels, match_regions
 from deformscope.stages.map.measured import SurfaceMeasurement, TouchMeasurement
 from deformscope.stages.map.plan import ALLOWED, FieldKernel, PlanOptions, plan_touch
@@ -46,7 +49,7 @@ from deformscope.stages.see.cloud import tactile_points
 from deformscope_drivers.arms import chain_of
 
 StageResult = TypeVar("StageResult")
-Result = SurfaceEstimate | TouchEstimate | MapEstimate | PlannedTouch | TouchForecast | StageFailure
+Result = SurfaceEstimate | TouchEstimate | MapEstimate | LumpsFound | PlannedTouch | TouchForecast | StageFailure
 NEAR_M = 0.08
 """Points within this of a touch are shown with it."""
 FEWEST_FOR_FIELD = 2
@@ -258,7 +261,7 @@ class ExplorationStages:
         began = time.perf_counter()
         made = self.geometry.touch(touched)
         estimate = self.explorer.touch(made, lambda: self.geometry.dent(touched))
-        return self._computed((estimate, *_made(self.explorer.maps())), began)
+        return self._computed((estimate, *_made(self.explorer.maps()), *_made(self.explorer.lumps())), began)
 
     def _computed(self, results: tuple[Result, ...], began: float, touch: Touch | None = None) -> Computed:
         explorer = self.explorer
@@ -299,8 +302,13 @@ class Explorer:
         self.options = options
         self.grid = MapGrid(size_m, options.cell_m)
         self.world: HeightProcess | None = None
-        prior = RegionPrior(error=error or TouchErrorModel())
-        self.posterior = RegionPosterior.before_touches(self.grid, prior, seed=options.seed)
+        self.posterior: RegionPosterior | LumpPosterior
+        if options.goal == "inclusions":
+            of_touches = options.inclusion_m, options.tip_radius_m, options.set_force_n
+            self.posterior = LumpPosterior(self.grid, LumpPrior(*of_touches, error or TouchErrorModel()))
+        else:
+            prior = RegionPrior(error=error or TouchErrorModel())
+            self.posterior = RegionPosterior.before_touches(self.grid, prior, seed=options.seed)
         self.touches: list[TouchEstimate] = []
         self.seen_m: FloatArray = np.zeros((0, 3))
         self._exponents: list[float] = []
@@ -347,24 +355,30 @@ class Explorer:
     def _plan(self, reachable: BoolArray | None) -> PlannedTouch:
         options = self.options
         touch_s, speed_m_s = COSTS[options.pace]
-        plan = plan_touch(
-            self.posterior,
-            FieldKernel(),
-            PlanOptions(
-                planner=options.planner,
-                budget=options.budget,
-                threshold=options.threshold,
-                cell_m=PLAN_CELL_M,
-                inclusion_m=options.inclusion_m,
-                touch_s=touch_s,
-                speed_m_s=speed_m_s,
-            ),
-            tip_m=self.touches[-1].xyz_m[:2] if self.touches else None,
-            left_out_m=np.reshape(self._left_out, (-1, 2)),
-            reachable=reachable,
-            thesis=self.thesis,
-            seed=options.seed + len(self.touches),
+        planning = PlanOptions(
+            planner=options.planner,
+            budget=options.budget,
+            threshold=options.threshold,
+            cell_m=PLAN_CELL_M,
+            inclusion_m=options.inclusion_m,
+            touch_s=touch_s,
+            speed_m_s=speed_m_s,
         )
+        tip_m = self.touches[-1].xyz_m[:2] if self.touches else None
+        left_out_m = np.reshape(self._left_out, (-1, 2))
+        if isinstance(self.posterior, LumpPosterior):
+            plan = plan_lump_touch(self.posterior, planning, tip_m=tip_m, left_out_m=left_out_m, reachable=reachable)
+        else:
+            plan = plan_touch(
+                self.posterior,
+                FieldKernel(),
+                planning,
+                tip_m=tip_m,
+                left_out_m=left_out_m,
+                reachable=reachable,
+                thesis=self.thesis,
+                seed=options.seed + len(self.touches),
+            )
         first, reason = options.first_m, "as asked for"
         if first is None and options.planner == "thesis":
             first, reason = tuple(np.multiply(FIRST_SHARE, self.grid.size_m)), "the preset place"
@@ -499,6 +513,14 @@ class Explorer:
         last = next(one for one in reversed(self.failures) if one.stage in ("contact", "regions", "maps"))
         return f"{self._without_map} touches in a row gave no map, the last for {last.stage}: {last.reason}"
 
+    def lumps(self) -> LumpsFound | None:
+        """What was found after the newest touch, where lumps are sought; None where they are not, or it gave none."""
+        posterior = self.posterior
+        if not isinstance(posterior, LumpPosterior) or not self._usable:
+            return None
+        truth_m = None if self._truth is None else self._truth.lumps_m
+        return self._stage("lumps", lambda: posterior.lumps(truth_m))
+
     def _maps(self) -> MapEstimate:
         found = self.region_map()
         beta, beta_sd = self._stage("beta field", self._beta_field) or (None, None)
@@ -565,13 +587,13 @@ class Explorer:
     # Within -----------------------------------------------------------------------------------------------------------
 
     def _shape(self, xy_m: FloatArray) -> LocalShape | None:
-        """Of the foam at a place (2,) [m] as it was seen; None where it counts as level."""
+        """Of the foam at a place (2,) [m] as it was seen; None where it counts as level, and, for regions, as wide."""
+        edge_m = float(np.min([xy_m, self.grid.size_m - xy_m]))
         if not self._uneven:
-            return None
+            return LocalShape(self.options.thickness_m, edge_m=edge_m) if self.options.goal == "inclusions" else None
         assert self.world is not None
         step = CURVED_OVER_M
         found = self.world.at(xy_m + step * np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]]))
-        edge_m = float(np.min([xy_m, self.grid.size_m - xy_m]))
         return shape_of(found.mean, found.deviation, step, edge_m, LEAST_THICKNESS * self.options.thickness_m)
 
     def _shift(self, xy_m: FloatArray, n_per_mm: float) -> ShapeShift | None:
