@@ -59,7 +59,9 @@ class _Outputs:
         if (maps := explored.maps) is not None:
             if config.map is not None and self._write(config.map, lambda: _map_file(config, maps)):
                 written.append(("map", str(config.map)))
-            if config.picture is not None and self._write(config.picture, lambda: result_png(maps, config.rig)):
+            if config.picture is not None and self._write(
+                config.picture, lambda: result_png(maps, config.rig, explored.lumps)
+            ):
                 written.append(("picture", str(config.picture)))
         try:
             write_json(found, config.output.json)

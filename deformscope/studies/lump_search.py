@@ -37,7 +37,7 @@ class LumpCase:
     clean: bool = True
     smallest_m: float = 0.02
     radius_m: float | None = None
-    set_force_n: float = 3.0
+    set_force_n: float = 5.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -153,8 +153,8 @@ class LumpsFound:
     radius_m: (k,), radius_interval_m: (k, 2) of 90 % [m]; stiff: (k,) rather than soft; probability: (k,) of each
     depth: of each `shallow` (the uppermost point at most `deep_m` down), `deep`, or empty where it cannot be told
     covered: (rows, columns) probability that a cell lies above a lump, found or not; cell_m: of that map
-    size_m: (n,) radii, rising [m]; missed: (n,) probability of a lump of each that is not among those found
-    smallest_m, missed_smallest: the same of lumps of this radius or larger
+    size_m: (n,) radii, rising [m]; missed: (n,) probability of a lump of each that is not among those found, were lumps
+    of this radius alone there; missed_smallest: the largest of these from the radius `smallest_m` on
     prior, contrast, deepest_m: what is taken for granted: a lump is there with `prior` before any touch, `contrast`
     times as stiff or as soft as the foam or more, and its uppermost point at most so deep [m]
     scatter: deviation of log stiffness within the foam; contacts_m: (n, 2) touches so far

@@ -3,7 +3,7 @@
 While nothing is felt: the place whose touch most lowers the probability that a lump is missed, for the second: of every
 lump that is still thought of, how far apart its reading there and that of the foam alone are expected to be, in
 deviations of what the other touches leave open. Where one is felt: the place that says most about which lump it is.
-It stops where one of the smallest size or a larger one is missed with less than `PlanOptions.missed`.
+It stops where a lump of the smallest size, and of any larger one, is missed with less than `PlanOptions.missed`.
 """
 
 from __future__ import annotations
@@ -71,9 +71,11 @@ def plan_lump_touch(
 
 
 def shown(posterior: LumpPosterior, places_m: FloatArray) -> FloatArray:
-    """(p,) probability that touches at places (p, 2) are the first to show a lump that must not be missed."""
-    wanted = posterior.guesses.radius_m >= posterior.prior.smallest_m
-    weight = np.where(wanted, posterior.state.posterior, 0.0)
+    """(p,) probability that touches at places (p, 2) are the first to show a lump of the size that is missed most
+    probably, of those that must not be."""
+    radii = np.array(posterior.radii_m)
+    worst = radii[int(np.where(radii >= posterior.prior.smallest_m, posterior.missed, -1.0).argmax())]
+    weight = np.where(posterior.guesses.radius_m == worst, posterior.state.posterior, 0.0)
     weight = posterior.missed_smallest * weight / max(float(weight.sum()), 1e-300)
     apart, variance = _readings(posterior, places_m)
     return cast(FloatArray, -np.expm1(-0.5 * apart**2 / variance[:, None]) @ weight)

@@ -304,13 +304,12 @@ class LumpPosterior:
 
     @cached_property
     def missed_smallest(self) -> float:
-        """Probability that there is a further lump of the smallest radius or a larger one, of those that are thought
-        of."""
-        return self.state.missed(self.guesses.radius_m >= self.prior.smallest_m)
+        """The largest probability of `missed`, of the smallest radius that must not be missed and of larger ones."""
+        return float(self.missed[np.array(self.radii_m) >= self.prior.smallest_m].max())
 
     @cached_property
     def missed(self) -> FloatArray:
-        """(r,) the same of each of `radii_m` alone."""
+        """(r,) probability that there is a further lump of each of `radii_m`, were lumps of this radius alone there."""
         return np.array([self.state.missed(self.guesses.radius_m == one) for one in self.radii_m])
 
     @cached_property

@@ -25,7 +25,7 @@ from deformscope.errors import InputError
 
 POISSON = 0.2
 """Of foam; 0 and 0.3 change a share by less than a tenth."""
-CALIBRATED = 1.0
+CALIBRATED = 1.1
 """The finite elements' effect over this one."""
 CONTACT_STEP = 0.1
 """Contacts are taken in steps of this in their logarithm."""
