@@ -495,7 +495,7 @@ class Explorer:
                 seen = _levelled(seen, shift)
                 contact = dataclasses.replace(contact, level_n_per_mm=float(np.exp(fit.log_stiffness + shift.log)))
             if seen is not None:
-                posterior = self._stage("regions", partial(self.posterior.with_touch, seen))
+                posterior = self._stage("regions", partial(_after, self.posterior, seen))
             if not fit.rigid:
                 self._exponents.append(fit.exponent)
         self._usable = posterior is not None
@@ -800,6 +800,10 @@ class _Beta:
     simulated_m: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
     dented_m: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
     dent: SeenDent | None = None
+
+
+def _after(posterior: RegionPosterior | LumpPosterior, touch: StiffnessSample) -> RegionPosterior | LumpPosterior:
+    return posterior.with_touch(touch)
 
 
 def _levelled(seen: StiffnessSample, shift: ShapeShift) -> StiffnessSample:

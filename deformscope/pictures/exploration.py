@@ -230,6 +230,7 @@ def draw_missed(axes: Any, lumps: LumpsFound) -> None:
     wanted = lumps.size_m >= lumps.smallest_m
     axes.bar(names, 100.0 * lumps.missed, color=np.where(wanted, REGIONS[5], EXCLUDED))
     axes.axhline(100.0 * lumps.prior, color="black", lw=1, ls="--")
+    axes.set_box_aspect(0.62)  # leaves room for the names below
     axes.set(ylim=(0.0, 110.0 * lumps.prior), xlabel="radius of the lump [cm]", ylabel="missed with [%]")
     words = f"{lumps.missed_smallest:.1%} of {100.0 * lumps.smallest_m:.3g} cm radius or more; dashed: before any touch"
     _title(axes, "A lump that is missed", words)

@@ -7,12 +7,14 @@ Touches are pressed into finite elements and estimated as the robot's are, witho
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from deformscope.arrays import FloatArray
 from deformscope.experiments.explore import AtOnce, Exploration, ExplorationStopped, explore, within_loop
 from deformscope.experiments.explorer import AsMeasured, ExplorationStages, Explorer
 from deformscope.experiments.options import ExploreOptions
@@ -20,23 +22,23 @@ from deformscope.lab.scenes import built_in
 from deformscope.lab.session_errors import LabErrors
 from deformscope.session import run
 from deformscope.stages.map.exploration import LumpsFound, PlannedTouch
+from deformscope.stages.map.lump_posterior import DEEP_M
 from deformscope.studies.coverage import Rate
 from deformscope.studies.surface_robot import LabRobot
 
-LOOKED_AT = (10, 15, 20, 25, 30)
+LOOKED_AT = (3, 5, 7, 10, 15, 20)
 
 
 @dataclass(frozen=True, slots=True)
 class LumpCase:
     """One search. scene: `BURIED`'s, or one with other hardnesses; clean: nothing is kept from the estimator;
-    smallest_m: radius of the smallest lump that must not be missed; radius_m: of the lump, None = as the scene draws"""
+    smallest_m: radius of the smallest lump that must not be missed; set_force_n: of a touch"""
 
     scene: str
     seed: int
     touches: int = 30
     clean: bool = True
     smallest_m: float = 0.02
-    radius_m: float | None = None
     set_force_n: float = 5.0
 
 
@@ -92,8 +94,6 @@ def seek(case: LumpCase) -> LumpOutcome:
     began = time.perf_counter()
     with threadpool_limits(1):
         scene = built_in(case.scene, case.seed)
-        if case.radius_m is not None and scene.buried is not None:
-            scene = replace(scene, buried=replace(scene.buried, radius_m=case.radius_m))
         options = ExploreOptions(
             goal="inclusions",
             budget=case.touches,
@@ -163,12 +163,69 @@ def _outcome(
     )
 
 
-def _off_m(found: LumpsFound, truth: tuple[float, float, float, float] | None) -> np.ndarray:
+def _off_m(found: LumpsFound, truth: tuple[float, float, float, float] | None) -> FloatArray:
     """(k,) from the middles that were found to the true one; none without a truth."""
-    return np.zeros(0) if truth is None else np.linalg.norm(found.centre_m - truth[:2], axis=1)
+    return np.zeros(0) if truth is None else np.asarray(np.linalg.norm(found.centre_m - truth[:2], axis=1))
 
 
-def found_rate(outcomes: Sequence[LumpOutcome], touches: int) -> Rate:
-    """Of searches where there is a lump, those that found it within so many touches."""
-    some = [one for one in outcomes if one.truth is not None]
-    return Rate(len(some), sum(one.hit(touches) for one in some))
+@dataclass(frozen=True, slots=True)
+class LumpRow:
+    """With so many touches at most. found: of fields with a lump, a middle within its radius; alarms: of all fields,
+    those with a lump where there is none; said: mean probability of a missed lump, as it was said; missed: of all
+    fields, those where there is one that was not found
+    """
+
+    touches: int
+    found: Rate
+    alarms: Rate
+    said: float
+    missed: Rate
+
+
+def lump_rows(outcomes: Sequence[LumpOutcome]) -> list[LumpRow]:
+    """After some numbers of touches."""
+    most = max(one.case.touches for one in outcomes)
+    rows = []
+    for touches in (*(count for count in LOOKED_AT if count < most), most):
+        hits = [one.hit(touches) for one in outcomes]
+        there = [one.truth is not None for one in outcomes]
+        rows.append(
+            LumpRow(
+                touches,
+                Rate(sum(there), sum(hits)),
+                Rate(len(outcomes), sum(one.alarms(touches) > 0 for one in outcomes)),
+                float(np.mean([one.at(touches).missed for one in outcomes])),
+                Rate(len(outcomes), sum(there) - sum(hits)),
+            )
+        )
+    return rows
+
+
+def details(outcomes: Sequence[LumpOutcome]) -> dict[str, float]:
+    """Of the lumps that were found in the end: how far off, and how often what was said of them holds the truth;
+    touches that were made. nan where none was found."""
+    with_lump = [one for one in outcomes if one.truth is not None]
+    without = [one for one in outcomes if one.truth is None]
+    hits = [(one, one.truth) for one in with_lump if one.truth is not None and one.hit(one.case.touches)]
+    to_find = [next(after.touches for after in one.after if one.hit(after.touches)) for one, _ in hits]
+    told = [(one.depth == "deep") == (truth[3] > DEEP_M) for one, truth in hits if one.depth]
+    held = [one.interval_m is not None and one.interval_m[0] <= truth[2] <= one.interval_m[1] for one, truth in hits]
+    off = [one.after[-1].off_m or 0.0 for one, _ in hits]
+    within = [away <= (one.within_m or 0.0) for away, (one, _) in zip(off, hits, strict=True)]
+    radius_off = [(one.radius_m or 0.0) - truth[2] for one, truth in hits]
+    return {
+        "touches_to_find": _mean(to_find, np.median),
+        "most_to_find": _mean(to_find, np.max),
+        "touches_with": _mean([len(one.xy_m) for one in with_lump]),
+        "touches_without": _mean([len(one.xy_m) for one in without]),
+        "off_m": _mean(off, np.median),
+        "within": _mean(within),
+        "radius_held": _mean(held),
+        "radius_off_m": float(np.sqrt(_mean(np.square(radius_off)))),
+        "depth_told": len(told) / max(len(hits), 1),
+        "depth_right": _mean(told),
+    }
+
+
+def _mean(values: Sequence[float] | FloatArray, of: Callable[..., Any] = np.mean) -> float:
+    return float(of(values)) if len(values) else float("nan")
