@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import gc
 import queue
+import sys
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -53,6 +54,9 @@ KEEP_EVERY = 50
 """Control periods of a simulated clock between two portions of the recording: each costs bytes and seconds."""
 IDLE_S = 0.02
 """A robot that may not move yet looks so often whether there is a command."""
+SWITCH_S = 5e-4
+"""A thread that waits for Python's lock is let in after this. With Python's 5 ms a control period, which waits for it
+several times, comes late where threads beside it write and draw."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,12 +88,15 @@ def touching_robot(
 @contextlib.contextmanager
 def _without_long_pauses() -> Iterator[None]:
     """Keep what was loaded until now out of Python's search for garbage, which would hold all threads up for 0.1 s and
-    more, in the middle of a motion."""
+    more, in the middle of a motion; and have threads take turns more often."""
     gc.collect()
     gc.freeze()
+    as_before_s = sys.getswitchinterval()
+    sys.setswitchinterval(SWITCH_S)
     try:
         yield
     finally:
+        sys.setswitchinterval(as_before_s)
         gc.unfreeze()
 
 
