@@ -102,6 +102,9 @@ COMMANDS: dict[str, Command] = {
     "coverage field": _command(
         "how well stiffness of each place is determined", "FieldCoverageConfig", "coverage_field"
     ),
+    "coverage lumps": _command(
+        "how many lumps in foam are found, and how many are missed", "LumpCoverageConfig", "coverage_lumps"
+    ),
     "coverage creep": _command(
         "how far off a creeping foam's stiffness and loss are", "CreepCoverageConfig", "coverage_creep"
     ),
