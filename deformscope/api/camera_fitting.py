@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 
 from deformscope.api.live_camera import CameraSubject
-from deformscope.api.page_fitting import COMMANDS, QUIET_S, VALUES, PageFitting
+from deformscope.api.page_fitting import COMMANDS, QUIET_S, VALUES, PageFitting, words_of
 from deformscope.config import BetaConfig, ThetaConfig
 from deformscope.page.desk import Desk
 from deformscope.page.messages import FollowCamera, HoldPicture, Outcome, PageCommand, TakeRest
@@ -95,7 +95,7 @@ class CameraFitting(PageFitting):
         try:
             self._camera.go_on()
         except Exception as problem:
-            self._show(problem=" ".join(str(problem).split()) or type(problem).__name__)
+            self._show(problem=words_of(problem))
             return
         self._seen = self._found = None
         self._set(self._shown, self._offer_images())
@@ -105,7 +105,7 @@ class CameraFitting(PageFitting):
         try:
             self._camera.keep()
         except Exception as problem:
-            self._show(problem=f"the pictures cannot be kept: {' '.join(str(problem).split())}")
+            self._show(problem=f"the pictures cannot be kept: {words_of(problem)}")
             return
         self._show_following(False)
         self._set(self._shown)
@@ -134,7 +134,7 @@ class CameraFitting(PageFitting):
         try:
             found = simulate(seen, model, values, body)
             errors = [errors_of([seen], value, [one]).aee for value, one in zip(values.tolist(), found, strict=True)]
-        except Exception:  # what is set is shown without a line
-            return {"values": (), "errors": ()}
+        except Exception as problem:
+            return {"values": (), "errors": (), "problem": f"no error curve: {words_of(problem)}"}
         self._curve_s = time.monotonic() - began_s
         return {"values": tuple(values.tolist()), "errors": tuple(errors)}

@@ -6,8 +6,10 @@ import dataclasses
 import shlex
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from operator import itemgetter
 from typing import Any
 
 import msgspec
@@ -36,6 +38,8 @@ VALUES, COARSELY = 25, 5
 QUIET_S = 0.3
 """It is begun once nothing was changed for so long."""
 BUSY_EVERY_S = 0.2
+MOST_CHANGES = 1000
+"""Of so many, the newest, it is kept how long they took to be seen."""
 COMMANDS = ("stop", "set-fit", "run-fit", "fit-drawn")
 
 
@@ -68,7 +72,7 @@ class PageFitting:
         self._shown = self._asked
         self._wants_fit = self._finished = False
         self._busy_s = 0.0
-        self.drawn_ms: list[float] = []
+        self.drawn_ms: deque[float] = deque(maxlen=MOST_CHANGES)
         self.config = config
         model = fit_options(config)
         self.state = FitState(subject.kind, model.model.parameter, self._began, model.bounds, subject.size_px)
@@ -164,23 +168,22 @@ class PageFitting:
             value = float(asked.settings.beta if model.parameter == "beta" else asked.settings.theta)
             found = simulate(seen, model, np.array([value]), body)[0]
             error = errors_of([seen], value, [found])
+            drawn = self._drawn(seen, found)
         except Exception as problem:  # whatever is set on a page, the next change may be better
-            words = " ".join(str(problem).split()) or type(problem).__name__
             gone = dict.fromkeys(("rest", "observed", "simulated", "seen", "held", "values", "errors"), ())
             new: dict[str, Any] = {**gone, "pictures": pictures, "aee": None, "aee_free": None} if pictures else {}
-            self._show(
-                settings=asked.settings, number=asked.number, command=self.command, problem=words, busy="", **new
-            )
+            shown = {"settings": asked.settings, "number": asked.number, "command": self.command, "busy": ""}
+            self._show(**shown, problem=words_of(problem), **new)
             return
         same = self._found == dataclasses.replace(config, at=None)
+        problem = "" if error.converged else "the simulation does not come to rest with these settings"
+        changes: dict[str, Any] = {"problem": problem, **drawn, **self._begun_curve(seen, body, model)}
         self._show(
-            **self._drawn(seen, found),
-            **self._begun_curve(seen, body, model),
+            **changes,
             pictures=pictures or self.state.pictures,
             settings=asked.settings,
             number=asked.number,
             command=self.command,
-            problem="" if error.converged else "the simulation does not come to rest with these settings",
             aee=error.aee,
             aee_free=error.aee_free,
             busy="",
@@ -215,14 +218,15 @@ class PageFitting:
         return {"values": (), "errors": ()}
 
     def _go_on_with_curve(self) -> None:
-        """One more value, between two looks at what is new; none where it cannot be simulated."""
+        """One more value, between two looks at what is new; one that cannot be simulated has no error, and is said."""
         value = self._curve.pop(0)
+        error: float | None = None
         try:
             seen, body, model = self._prepared(self.config)
             error = errors_of([seen], value, simulate(seen, model, np.array([value]), body)).aee
-        except Exception:  # the line has a gap there: what is set is shown without it
-            error = None
-        known = sorted([*zip(self.state.values, self.state.errors, strict=True), (value, error)])
+        except Exception as problem:
+            self._show(problem=f"at {self.state.parameter} {value:.3f}: {words_of(problem)}")
+        known = sorted([*zip(self.state.values, self.state.errors, strict=True), (value, error)], key=itemgetter(0))
         values, errors = zip(*known, strict=True)
         self._show(values=values, errors=errors)
 
@@ -236,7 +240,7 @@ class PageFitting:
         except _SetAnew:
             self._show(busy="")
         except Exception as problem:
-            self._show(problem=" ".join(str(problem).split()) or type(problem).__name__, busy="")
+            self._show(problem=words_of(problem), busy="")
 
     def _note(self, what: str, done: int, total: int) -> None:
         with self._news:
@@ -289,6 +293,11 @@ class PageFitting:
     def _show(self, **changes: Any) -> None:
         self.state = msgspec.structs.replace(self.state, **changes)
         self._desk.show(fit=self.state)
+
+
+def words_of(problem: Exception) -> str:
+    """In a line, for the page."""
+    return " ".join(str(problem).split()) or type(problem).__name__
 
 
 def _settings_of(config: BetaConfig | ThetaConfig) -> FitSettings:

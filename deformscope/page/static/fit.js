@@ -5,6 +5,7 @@ const HELD = ["top", "bottom", "left", "right", "border", "contact"];
 const COLORS = { rest: "#1ebe50", observed: "#286eff", simulated: "#eb2d2d", held: "#ffc800", box: "#ffffff" };
 const FINEST_PX = 4;
 const STALE_S = 3;
+const MOST_CHANGES = 1000; // of so many, the newest, it is said how long they took to be seen
 const NEAR_PX = 12; // of the screen: a click so near to the first corner closes an outline
 
 // desk: gives commands; sayable: words that answer them
@@ -58,6 +59,7 @@ export function startFitting(desk, say) {
   function drawn(sent) {
     const after_ms = performance.now() - sent.since_ms;
     waits_ms.push(after_ms);
+    waits_ms.splice(0, waits_ms.length - MOST_CHANGES);
     desk.command("fit-drawn", { number: sent.number, after_ms });
     const rising = [...waits_ms].sort((a, b) => a - b);
     const share = (part) => rising[Math.min(rising.length - 1, Math.floor(part * rising.length))].toFixed(0);
