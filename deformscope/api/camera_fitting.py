@@ -10,9 +10,8 @@ import msgspec
 import numpy as np
 
 from deformscope.api.live_camera import CameraSubject
-from deformscope.api.page_fitting import COMMANDS, QUIET_S, VALUES, PageFitting, words_of
+from deformscope.api.page_fitting import COMMANDS, QUIET_S, VALUES, FitDesk, PageFitting, words_of
 from deformscope.config import BetaConfig, ThetaConfig
-from deformscope.page.desk import Desk
 from deformscope.page.messages import FollowCamera, HoldPicture, Outcome, PageCommand, TakeRest
 from deformscope.stages.fit.at_value import errors_of, simulate
 from deformscope.stages.fit.model import Model, Observation
@@ -30,7 +29,7 @@ class CameraFitting(PageFitting):
 
     def __init__(
         self,
-        desk: Desk,
+        desk: FitDesk,
         config: BetaConfig | ThetaConfig,
         camera: CameraSubject,
         offer: Callable[[str, bytes, str], None],
@@ -38,7 +37,7 @@ class CameraFitting(PageFitting):
         self._camera = camera
         self._following = True
         self._command: TakeRest | HoldPicture | FollowCamera | None = None
-        self._pictures = 0
+        self._pictures = time.monotonic_ns() // 10**6  # no page has one of this name from before
         self._curve_s = 0.0
         super().__init__(desk, config, camera, offer)
         self._show_following(True)

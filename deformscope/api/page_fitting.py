@@ -10,20 +10,21 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from operator import itemgetter
-from typing import Any
+from typing import Any, Protocol
 
 import msgspec
 import numpy as np
 
 from deformscope.api.calibration import CalibrationResult, fit_options, images_of
+from deformscope.api.fit_settings import IN_PICTURE, images_with
 from deformscope.api.fit_subject import FitSubject, subject_of
 from deformscope.api.result import Note
 from deformscope.arrays import FloatArray
 from deformscope.config import BetaConfig, ThetaConfig
 from deformscope.config.command_line import command_line
-from deformscope.page.desk import Desk
+from deformscope.page.desk import PageRun
 from deformscope.page.fit_messages import FitFound, FitSettings, FitState, Points
-from deformscope.page.messages import FitDrawn, Outcome, PageCommand, RunFit, SetFit, StopRun
+from deformscope.page.messages import FitDrawn, Outcome, PageCommand, Phase, RunFit, SetFit, StopRun
 from deformscope.page.server import PageServer
 from deformscope.pictures.evidence import Result, results_png
 from deformscope.stages.fit.at_value import errors_of, simulate
@@ -47,15 +48,30 @@ class _SetAnew(Exception):
     """Something else was set while a whole fit went on."""
 
 
+class FitDesk(Protocol):
+    """What a fit is shown on, and commands for it come from (`deformscope.page.desk.Desk`)."""
+
+    def attend(self, run: PageRun) -> None: ...
+
+    def enter(self, phase: Phase, **changes: Any) -> None: ...
+
+    def show(self, **changes: Any) -> None: ...
+
+    def absent(self) -> str: ...
+
+
 class PageFitting:
     """`PageRun` of its page. One thread computes, in `until_finished`; the page's server only says what is wanted.
 
     config: of the command, with which it begins; offer: as `PageServer.offer`
+    keeps_last: what is shown in the end is kept
     """
+
+    keeps_last = True
 
     def __init__(
         self,
-        desk: Desk,
+        desk: FitDesk,
         config: BetaConfig | ThetaConfig,
         subject: FitSubject,
         offer: Callable[[str, bytes, str], None],
@@ -117,7 +133,7 @@ class PageFitting:
                 asked, fit, finished = self._asked, self._wants_fit, self._finished
                 self._asked = None
                 self._wants_fit = fit and asked is not None  # first what it is to be made of
-            self._begin_step(whole=fit or finished)
+            self._begin_step(whole=fit or (finished and self.keeps_last))
             if asked is not None:
                 self._set(asked)
             elif finished:
@@ -138,7 +154,7 @@ class PageFitting:
         return self._asked is not None or self._wants_fit or self._finished
 
     def _begin_step(self, *, whole: bool) -> None:
-        """Before what was asked for is done. whole: a whole fit, or the end"""
+        """Before what was asked for is done. whole: it is one that is to stay"""
 
     @property
     def result_config(self) -> BetaConfig | ThetaConfig:
@@ -176,8 +192,8 @@ class PageFitting:
             self._show(**shown, problem=words_of(problem), **new)
             return
         same = self._found == dataclasses.replace(config, at=None)
-        problem = "" if error.converged else "the simulation does not come to rest with these settings"
-        changes: dict[str, Any] = {"problem": problem, **drawn, **self._begun_curve(seen, body, model)}
+        restless = "" if error.converged else "the simulation does not come to rest with these settings"
+        changes: dict[str, Any] = {"problem": restless, **drawn, **self._begun_curve(seen, body, model)}
         self._show(
             **changes,
             pictures=pictures or self.state.pictures,
@@ -268,21 +284,8 @@ class PageFitting:
         """The command's options with what was set; those that are as they began stay unsaid. Raises InputError where
         they do not go together."""
         config, began = self._base, self._began
-        parts = ("roi", "grid", "spacing_px", "outline", "contact", "held")
-        if any(getattr(asked, name) != getattr(began, name) for name in parts):
-            outline = tuple(value for corner in asked.outline for value in corner) or None
-            images = dataclasses.replace(
-                self._images,
-                roi=asked.roi,
-                grid=asked.grid,
-                spacing_px=asked.spacing_px,
-                outline=outline,
-                contact=asked.contact,
-                held=None,
-            )
-            if set(asked.held) != set(images.held_parts()):
-                images = dataclasses.replace(images, held=asked.held)
-            config = dataclasses.replace(config, images=images)
+        if any(getattr(asked, name) != getattr(began, name) for name in IN_PICTURE):
+            config = dataclasses.replace(config, images=images_with(self._images, asked))
         if asked.cluster_size != began.cluster_size:
             config = dataclasses.replace(config, cluster_size=asked.cluster_size)
         if isinstance(config, BetaConfig):
