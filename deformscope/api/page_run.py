@@ -111,10 +111,10 @@ class PageRecorder:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._fit.close()
         for thread in self._threads:
             thread.join()
         with ExitStack() as stack:  # each is closed whatever another's closing raises
+            stack.callback(self._fit.close)  # last: no file waits for it
             stack.callback(self._watch.__exit__, kind, error, trace)
             if self._last_words is not None:
                 stack.callback(self._end_last, self._last_words, kind)
