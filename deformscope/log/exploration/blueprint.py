@@ -27,8 +27,8 @@ BESIDE_TOUCHES: dict[Literal["stiffness", "beta"], str] = {
 }
 """What other settings give beside what was recorded (`deformscope.log.exploration.beside`)."""
 TITLES = {
-    "stiffness": "Stiffness field",
-    "stiffness_deviation": "Stiffness field: deviation",
+    "stiffness": "{} field",
+    "stiffness_deviation": "{} field: deviation",
     "beta": "Beta-field",
     "beta_deviation": "Beta-field: deviation",
     "regions": "Regions found",
@@ -43,14 +43,17 @@ def exploration_blueprint(
     truth: bool = True,
     tabs: bool = False,
     beside: str = "",
+    mapped: str = "stiffness",
 ) -> rrb.Blueprint:
     """The views of an exploration with these devices.
 
     size_m: of the surface along x and y; truth: whether it is known: else the surface's height stands in its place
     tabs: most views behind others, for a page, which has panels at both sides and may have to draw without a GPU
-    beside: other settings, whose results are shown beside the recorded ones (`tabs` alone)
+    beside: other settings, whose results are shown beside the recorded ones (`tabs` alone); mapped: by what regions are
+    told apart
     """
-    maps = {name: _picture(path, title) for (name, title), path in zip(TITLES.items(), MAPS, strict=True)}
+    titles = {name: title.format(mapped.capitalize()) for name, title in TITLES.items()}
+    maps = {name: _picture(path, title) for (name, title), path in zip(titles.items(), MAPS, strict=True)}
     gain, force = _picture(GAIN, "Why the next touch goes there"), _picture(FORCE, "Force over depth")
     truly = maps["truth"] if truth else _picture(HEIGHT, "Surface")
     summary = rrb.TextDocumentView(contents=[f"+ /{SUMMARY}"], origin=SUMMARY, name="What is known")
