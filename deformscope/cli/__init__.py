@@ -102,6 +102,9 @@ COMMANDS: dict[str, Command] = {
     "coverage field": _command(
         "how well stiffness of each place is determined", "FieldCoverageConfig", "coverage_field"
     ),
+    "coverage materials": _command(
+        "how often axes, yielding and recovery are held", "MaterialsCoverageConfig", "coverage_materials"
+    ),
     "coverage creep": _command(
         "how far off a creeping foam's stiffness and loss are", "CreepCoverageConfig", "coverage_creep"
     ),

@@ -208,6 +208,20 @@ class CreepCoverageConfig(RecordedOptions):
 
 
 @dataclass(frozen=True, slots=True)
+class MaterialsCoverageConfig(RecordedOptions):
+    """Count how often the intervals of `calibrate axes`, `yield` and `viscous` hold the truth: deformations and motions
+    of known materials, under noise that neighbours share."""
+
+    kinds: Annotated[tuple[Literal["axes", "yield", "viscous"], ...], arg(metavar="NAME...")] = ()
+    """Of axes, yield and viscous; default: all."""
+    objects: flags.ManyFlag = 12
+    """Motions of each kind, from seed SEED on; one to yield takes some 5 s, another less than one."""
+    jobs: flags.ManyFlag = 2
+    """Processes that share the work."""
+    output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
+
+
+@dataclass(frozen=True, slots=True)
 class FieldCoverageConfig(RecordedOptions):
     """Count how often `calibrate field` finds materials, their border and their ratio: plates and slabs of finite
     elements, under noise that neighbours share."""
