@@ -15,7 +15,7 @@ LEAST_TRUTH = 1e-2
 """A truth below this has no errors that are shares of it."""
 
 
-class Estimated(Protocol):
+class QuantityOutcome(Protocol):
     """Of one try. truth, value, low, high: (q,) of its quantities, nan where there is none"""
 
     @property
@@ -43,7 +43,7 @@ class QuantityRow:
     width: float
 
 
-def quantity_rows(outcomes: Sequence[Estimated], quantities: Sequence[str]) -> tuple[QuantityRow, ...]:
+def quantity_rows(outcomes: Sequence[QuantityOutcome], quantities: Sequence[str]) -> tuple[QuantityRow, ...]:
     """A row for each quantity that has a truth."""
     truth, value, low, high = (
         np.array([getattr(one, name) for one in outcomes]) for name in ("truth", "value", "low", "high")
