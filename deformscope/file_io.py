@@ -51,12 +51,18 @@ def make_folder(path: Path) -> None:
         raise InputError("a folder that can be written to", came, where=path) from error
 
 
+_named: set[Path] = set()
+"""What `new_recording` gave: the file may come later."""
+
+
 def new_recording(folder: Path, name: str, suffix: str = ".rrd") -> Path:
-    """A path in the folder, made where it is not there, that no earlier run took: NAME-<stamp>.rrd."""
+    """A path in the folder, made where it is not there, that nobody took: neither an earlier run, nor another that goes
+    on, nor this one a moment ago. NAME-<stamp>.rrd"""
     make_folder(folder)
     first = folder / f"{name}-{datetime.now():%Y%m%d-%H%M%S}{suffix}"
     for number in range(1, 100):
         path = first if number == 1 else first.with_stem(f"{first.stem}-{number}")
-        if not path.exists():
+        if not (path in _named or path.exists() or path.with_name(f"{path.stem}.part{suffix}").exists()):
+            _named.add(path)
             return path
     raise InputError("fewer recordings in one second", "100", where=first)

@@ -131,7 +131,10 @@ class CameraFitting(PageFitting):
             return {"values": (), "errors": ()}
         began_s = time.monotonic()
         values = np.linspace(*self.state.bounds, VALUES)[::2]
-        found = simulate(seen, model, values, body)
-        errors = [errors_of([seen], value, [one]).aee for value, one in zip(values.tolist(), found, strict=True)]
+        try:
+            found = simulate(seen, model, values, body)
+            errors = [errors_of([seen], value, [one]).aee for value, one in zip(values.tolist(), found, strict=True)]
+        except Exception:  # what is set is shown without a line
+            return {"values": (), "errors": ()}
         self._curve_s = time.monotonic() - began_s
         return {"values": tuple(values.tolist()), "errors": tuple(errors)}

@@ -99,8 +99,9 @@ class CameraSubject(MotionSubject):
         """Take what was asked for, once it is there. Raises what went wrong with it."""
         asked, self._asked = self._asked, None
         assert asked is not None
+        self._pair = self._wanted  # also where nothing comes of it: it is not asked for again
         motion = asked.result()
-        motion.first, motion.last = self._pair = self._wanted  # these very arrays
+        motion.first, motion.last = self._pair  # these very arrays
         self._kept = None
         self.take(motion)
 
@@ -112,8 +113,9 @@ class CameraSubject(MotionSubject):
         if self._kept is not None:
             return
         if self._folder is None:
-            self._folder = self._next_folder()
-            make_folder(self._folder)
+            folder = self._next_folder()
+            make_folder(folder)
+            self._folder = folder
         self._pairs += 1
         rest, now = (self._folder / f"{name}-{self._pairs}.png" for name in ("rest", "now"))
         rest.write_bytes(encode_png(self._motion.first))

@@ -215,10 +215,13 @@ class PageFitting:
         return {"values": (), "errors": ()}
 
     def _go_on_with_curve(self) -> None:
-        """One more value, between two looks at what is new."""
+        """One more value, between two looks at what is new; none where it cannot be simulated."""
         value = self._curve.pop(0)
-        seen, body, model = self._prepared(self.config)
-        error = errors_of([seen], value, simulate(seen, model, np.array([value]), body)).aee
+        try:
+            seen, body, model = self._prepared(self.config)
+            error = errors_of([seen], value, simulate(seen, model, np.array([value]), body)).aee
+        except Exception:  # the line has a gap there: what is set is shown without it
+            error = None
         known = sorted([*zip(self.state.values, self.state.errors, strict=True), (value, error)])
         values, errors = zip(*known, strict=True)
         self._show(values=values, errors=errors)

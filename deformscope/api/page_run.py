@@ -111,19 +111,22 @@ class PageRecorder:
     ) -> None:
         for thread in self._threads:
             thread.join()
-        try:
+        with ExitStack() as stack:  # each is closed whatever another's closing raises
+            stack.callback(self._watch.__exit__, kind, error, trace)
+            if self._last_words is not None:
+                stack.callback(self._end_last, self._last_words, kind)
             if self._take is not None:
                 self._take.recorder.__exit__(kind, error, trace)
                 self.summaries.append(self._take.recorder.summary())
-            if self._last_words is not None:
-                assert self._recent is not None
-                self._last_words.stopped_because(f"the last {self._recent.held_s:.1f} s before the end")
-                end_with_recent(self._last_words, self._recent, self._streams, self._lossless, kind)
-                self.summaries.append(self._last_words.summary())
-        finally:
-            self._watch.__exit__(kind, error, trace)
         if kind is None and self._failure is not None:
             raise self._failure
+
+    def _end_last(self, recorder: Recorder, kind: type[BaseException] | None) -> None:
+        """Record the last seconds before the end. kind: of the error that ended it"""
+        assert self._recent is not None
+        recorder.stopped_because(f"the last {self._recent.held_s:.1f} s before the end")
+        end_with_recent(recorder, self._recent, self._streams, self._lossless, kind)
+        self.summaries.append(recorder.summary())
 
     # As a session's recorder -----------------------------------------------------------------------------------------
 
@@ -171,7 +174,8 @@ class PageRecorder:
             if not take.begun and items:
                 assert self._source is not None
                 take.before, take.begun = self._source.look(), True
-                take.recorder.start_rig(self._streams, min(map(host_ns, items)), self._lossless)
+                start_ns = min(map(host_ns, items)) - self._source.latest_ns  # what comes later may be put back so far
+                take.recorder.start_rig(self._streams, start_ns, self._lossless)
             if take.before is not None:
                 before = take.before
                 items = [since(item, before) if isinstance(item, HealthReport) else item for item in items]

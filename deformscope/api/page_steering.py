@@ -81,14 +81,14 @@ class PageSteering:
         self._shown = shown
         self._lock = threading.RLock()
         desk.attend(self)
-        desk.enter("idle", commands=("stop",))
+        desk.enter("idle", "devices open, and are checked", commands=("stop",))
 
     # Before it moves -------------------------------------------------------------------------------------------------
 
     def wait_for_permission(self, touches: str) -> None:
         """Ask on the page as well whether the arm may move. touches: how many, and of what force"""
         self._what = f"{self._arm} goes on by itself: {touches}"
-        self.desk.enter("idle", commands=("stop", "explore"))
+        self.desk.enter("idle", "press Explore: the arm begins once you confirm it", commands=("stop", "explore"))
 
     def is_permitted(self) -> bool:
         """Whether somebody at the page has said so."""
@@ -256,7 +256,13 @@ class PageSteering:
             commands += ["touch-at", "touch-picked"]
             if self._plan is not None and self._plan.target_m is not None:
                 commands += ["touch-next", "veto"]
-        self.desk.enter("paused" if self._paused else "exploring", commands=tuple(commands))
+        if not self._paused:
+            self.desk.enter("exploring", commands=tuple(commands))
+        elif self._choice is None:
+            self.desk.enter("paused", "what is under way ends first", commands=tuple(commands))
+        else:
+            what = f"press Explore to touch{' on' * bool(self._touches)} as planned, or choose a place"
+            self.desk.enter("paused", what, commands=tuple(commands))
 
 
 def is_surface(entity: str) -> bool:

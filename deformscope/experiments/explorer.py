@@ -69,9 +69,9 @@ CURVED_OVER_M = 0.01
 """Curvature is taken over so far to either side: a tip of 1 cm feels no finer."""
 FORECAST_STEPS = 25
 """Forces at which a touch is foretold."""
-COSTS = {"careful": (6.0, 0.1), "quick": (4.0, 0.15)}
-"""What the planner takes a touch for [s], and the speed of the way to it [m/s], by pace. Chosen; quick: as in the
-laboratory."""
+COSTS = {"careful": (6.0, 0.1), "quick": (3.2, 0.15)}
+"""What the planner takes a touch for [s], and the speed of the way to it [m/s], by pace. Chosen; quick: as a
+touch and its way take there in the laboratory."""
 SPEED_SD = 0.03
 """Of log stiffness for each e-fold of the approach speed, where a touch's creep could not be fitted: a third of a
 modulus that relaxes evenly over three decades of time changes a ball's stiffness so [assumed]."""
@@ -512,8 +512,9 @@ class Explorer:
         """Why it makes no sense to touch on; empty where it does."""
         if self._without_map < MOST_FAILED:
             return ""
-        last = next(one for one in reversed(self.failures) if one.stage in BEFORE_A_MAP)
-        return f"{self._without_map} touches in a row gave no map, the last for {last.stage}: {last.reason}"
+        last = next((one for one in reversed(self.failures) if one.stage in BEFORE_A_MAP), None)
+        why = "none was held for long enough" if last is None else f"the last for {last.stage}: {last.reason}"
+        return f"{self._without_map} touches in a row gave no map, {why}"
 
     def _maps(self) -> MapEstimate:
         found = self.region_map()

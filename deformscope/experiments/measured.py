@@ -45,9 +45,11 @@ COARSE_M = 0.02
 """Reach is computed at places so far apart, and taken for the cells around."""
 UPRIGHT = np.array([0.0, 0.0, 1.0])
 
-HOP_M, HOP_SPEED_M_S, HOP_PASSING_M = 0.02, 0.05, 2e-3
-"""Over a surface that is known, the tip's height before and after a touch, how fast it comes down and goes up, and how
-near it comes to where it begins. Chosen."""
+HOP_M, HOP_SPEED_M_S, HOP_PASSING_M, HOP_BRAKING_PER_S = 0.02, 0.05, 2e-3, 8.0
+"""Over a surface that is known, the tip's height before and after a touch, how fast it comes down and goes up, how
+near it comes to where it begins, and how it slows down. Chosen."""
+HOP_DWELL_S = 0.3
+"""A touch of which no pictures are wanted stands still for as long as shows that it does (`touch.STILL_S`)."""
 HOP_MARGIN_M, HOP_SLOW_M = 5e-3, 0.015
 """It is slow from so much above where the surface may be, and, where that is higher than this above where it was seen,
 from where it is not known. Chosen."""
@@ -296,9 +298,11 @@ class SetupGeometry:
         else from higher up
         """
         highest, standoff_m, quick = highest_m(options), options.standoff_m, dict[str, float]()
+        still_s = DWELL_S
         if options.pace == "quick":
             quick |= {"far_speed_m_s": HOP_SPEED_M_S, "travel_speed_m_s": self.workspace.travel_speed_m_s}
-            quick["passing_m"] = HOP_PASSING_M
+            quick |= {"passing_m": HOP_PASSING_M, "braking_per_s": HOP_BRAKING_PER_S}
+            still_s = HOP_DWELL_S if options.beta_model == "none" else DWELL_S
             if known_m is not None and (slow_m := known_m + HOP_MARGIN_M) <= HOP_SLOW_M:
                 quick["slow_within_m"], standoff_m = slow_m, HOP_M + self.camera.doubt_m
         if over_m is not None:
@@ -312,7 +316,7 @@ class SetupGeometry:
             standoff_m=standoff_m,
             travel_height_m=highest,
             tangential=options.tangential,
-            dwell_s=max(options.hold_s, DWELL_S),
+            dwell_s=max(options.hold_s, still_s),
             dwell_at_most_s=options.hold_s + DWELL_AT_MOST_S,
             slow_back=options.hold_s > 0.0,
             **quick,

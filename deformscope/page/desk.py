@@ -19,6 +19,7 @@ from deformscope.page.messages import (
     PendingMove,
     Phase,
     Remark,
+    SeeMove,
     StopRun,
     TakeControls,
 )
@@ -37,9 +38,13 @@ NEXT: dict[Phase, frozenset[Phase]] = {
 REMARKS = 50
 """The newest remarks are kept."""
 CONFIRM_S = 10.0
-"""What waits for a confirm waits no longer."""
+"""What waits for a confirm waits no longer, once the page has drawn it."""
+UNSEEN_S = 30.0
+"""A page that is busy draws it that late at most."""
 BEAT_S = 0.3
 """What moves by a page's confirm stops so long after the page's last heartbeat, unless it is set otherwise."""
+
+GONE = "nothing waits for this confirm: it has expired, or something else was asked for"
 
 
 class PageRun(Protocol):
@@ -123,14 +128,25 @@ class Desk:
 
     def ask(self, what: str, confirmed: Callable[[], None], let_be: Callable[[str], None]) -> None:
         """Have the page that steers confirm that this moves. One of the two is called, from any thread: `let_be` with
-        the reason where it is cancelled, or not confirmed in CONFIRM_S. What waited before is let be."""
+        the reason where it is cancelled, or not confirmed in CONFIRM_S from when the page has drawn it, and from now on
+        where it does not say. What waited before is let be."""
         self._drop("another move was asked for")
         with self._lock:
             self._moves += 1
             self._answers = confirmed, let_be
             number = self._moves
             self.show(pending=PendingMove(number, what, self._now_s() + CONFIRM_S))
-        timer = threading.Timer(CONFIRM_S, self._drop, (f"not confirmed within {CONFIRM_S:g} s: nothing moved", number))
+        self._drop_after(UNSEEN_S, number, seen=False)
+
+    def _drop_after(self, wait_s: float, number: int, *, seen: bool) -> None:
+        """Let it be where nobody has answered by then. seen: as it is to be at that time, else another waits for it"""
+
+        def expire() -> None:
+            pending = self._state.pending
+            if pending is not None and pending.seen == seen:
+                self._drop(_expired(), number)
+
+        timer = threading.Timer(wait_s, expire)
         timer.daemon = True
         timer.start()
 
@@ -194,6 +210,8 @@ class Desk:
             return "refused", "another page has the controls: take them over first"
         if isinstance(command, ConfirmMove | CancelMove):
             return self._decide(command)
+        if isinstance(command, SeeMove):
+            return self._see(command.number)
         kind = str(command.__struct_config__.tag)
         if self._run is None or kind not in state.commands:
             return "refused", _refusal(kind, state.phase, state.commands)
@@ -202,24 +220,33 @@ class Desk:
         except Exception as error:  # whatever a command does, the server goes on
             return "refused", " ".join(str(error).split()) or type(error).__name__
 
+    def _see(self, number: int) -> tuple[Outcome, str]:
+        with self._lock:
+            pending = self._state.pending
+            if pending is None or pending.number != number or pending.seen:
+                return "refused", GONE
+            until_s = self._now_s() + CONFIRM_S
+            self.show(pending=msgspec.structs.replace(pending, until_s=until_s, seen=True))
+        self._drop_after(CONFIRM_S, number, seen=True)
+        return "done", pending.what
+
     def _decide(self, command: ConfirmMove | CancelMove) -> tuple[Outcome, str]:
-        gone = "nothing waits for this confirm: it has expired, or something else was asked for"
         if isinstance(command, CancelMove):
             return (
                 ("done", "nothing moves")
                 if self._drop("cancelled: nothing moved", command.number)
-                else ("refused", gone)
+                else ("refused", GONE)
             )
         with self._lock:
             pending, (confirmed, _) = self._state.pending, self._answers
             if pending is None or pending.number != command.number:
-                return "refused", gone
+                return "refused", GONE
             late = self._now_s() >= pending.until_s
             absent = self.absent()
             if not late and not absent:
                 self.show(pending=None)
         if late:
-            self._drop(f"not confirmed within {CONFIRM_S:g} s: nothing moved", command.number)
+            self._drop(_expired(), command.number)
             return "refused", f"it was to be confirmed within {CONFIRM_S:g} s: nothing moves"
         if absent:
             return "refused", absent
@@ -228,6 +255,10 @@ class Desk:
 
     def _now_s(self) -> float:
         return self._clock() - self._began_s
+
+
+def _expired() -> str:
+    return f"not confirmed within {CONFIRM_S:g} s: nothing moved"
 
 
 def _refusal(kind: str, phase: Phase, commands: Collection[str]) -> str:

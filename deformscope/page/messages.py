@@ -96,6 +96,12 @@ class ConfirmMove(FromPage, frozen=True, tag="confirm"):
     number: Number
 
 
+class SeeMove(FromPage, frozen=True, tag="seen"):
+    """The page has drawn what waits for a confirm: its time counts from now on. number: of the `PendingMove`"""
+
+    number: Number
+
+
 class CancelMove(FromPage, frozen=True, tag="cancel"):
     """Do not do what waits for a confirm."""
 
@@ -178,6 +184,7 @@ PageCommand = (
     | TareDevice
     | StopRun
     | ConfirmMove
+    | SeeMove
     | CancelMove
     | StartExploring
     | PauseExploring
@@ -252,11 +259,12 @@ class Remark(msgspec.Struct, frozen=True):
 
 class PendingMove(msgspec.Struct, frozen=True):
     """Something that moves when it is confirmed. number: for the confirm; what: will move; until_s: when it expires, as
-    `PageState.now_s`"""
+    `PageState.now_s`; seen: the page that steers has drawn it"""
 
     number: int
     what: str
     until_s: float
+    seen: bool = False
 
 
 class NextPlace(msgspec.Struct, frozen=True):

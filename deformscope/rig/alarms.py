@@ -34,7 +34,8 @@ from deformscope.frames import (
 CHANCE = 1e-9
 """How unlikely a stretch of equal readings is to be by the sensor's noise before it counts as stuck."""
 CLEAR_S = 1.0
-"""An alarm ends once its cause was not seen for so long: one that comes and goes is one."""
+"""An alarm ends once readings have come for so long without its cause: one that comes and goes is one, and it does not
+end as its sensor falls silent."""
 WRENCH_END, TEXEL_END = 32767, 4095
 """The largest count of an axis (16 bits with sign), and of a texel (12 bits)."""
 AXES = ("fx", "fy", "fz", "tx", "ty", "tz")
@@ -88,12 +89,14 @@ class _Stretches:
 
 @dataclass(slots=True)
 class _Watched:
-    """A device. words: of its alarms that go on, by what they are of; seen_ns: when each cause was last seen"""
+    """A device. words: of its alarms that go on, by what they are of; newest_ns: of what was looked at, by its kind, as
+    an alarm is cleared by what shows it alone; seen_ns: when each cause was last seen, silence since then left out"""
 
     stuck_after_s: float | None
     stretches: _Stretches | None = None
-    words: dict[str, str] = field(default_factory=dict)
-    seen_ns: dict[str, int] = field(default_factory=dict)
+    words: dict[tuple[type, str], str] = field(default_factory=dict)
+    newest_ns: dict[type, int] = field(default_factory=dict)
+    seen_ns: dict[tuple[type, str], int] = field(default_factory=dict)
 
 
 class SensorAlarms:
@@ -118,27 +121,36 @@ class SensorAlarms:
             if isinstance(item, HealthReport):
                 for name, health in item.devices:
                     causes = {"reading": "stuck: the same reading again and again"} if health.stuck else {}
-                    notes += _changes(name, self._watched[name], causes, item.host_ns)
+                    notes += _changes(name, self._watched[name], HealthReport, causes, item.host_ns)
             elif not isinstance(item, RawBytes | LinkChange | SessionNote):
                 groups.setdefault((type(item), item.device), []).append(item)
         for (kind, name), frames in groups.items():
             if kind in _CAUSES and name in self._watched:
                 watched, now_ns = self._watched[name], frames[-1].stamp.host_ns
+                _leave_out_silence(watched, kind, frames[0].stamp.host_ns)
                 causes = _CAUSES[kind](frames, self._streams[name], watched)
-                notes += _changes(name, watched, causes, now_ns)
+                notes += _changes(name, watched, kind, causes, now_ns)
         return notes
 
 
-def _changes(name: str, watched: _Watched, causes: Mapping[str, str], now_ns: int) -> list[SessionNote]:
-    """causes: in words, by what they are of"""
+def _leave_out_silence(watched: _Watched, kind: type, first_ns: int) -> None:
+    """Nothing is cleared by time in which nothing came. first_ns: of what comes now"""
+    silent_ns = first_ns - watched.newest_ns.get(kind, first_ns)
+    if silent_ns > CLEAR_S * 1e9:
+        watched.seen_ns = {what: at_ns + silent_ns * (what[0] is kind) for what, at_ns in watched.seen_ns.items()}
+
+
+def _changes(name: str, watched: _Watched, kind: type, causes: Mapping[str, str], now_ns: int) -> list[SessionNote]:
+    """kind: of what shows them; causes: in words, by what they are of"""
     notes = []
+    watched.newest_ns[kind] = now_ns
     for what, words in causes.items():
-        watched.seen_ns[what] = now_ns
-        if what not in watched.words:
-            watched.words[what] = words
+        watched.seen_ns[kind, what] = now_ns
+        if (kind, what) not in watched.words:
+            watched.words[kind, what] = words
             notes.append(SessionNote(now_ns, "alarm", f"{name}: {words}"))
-    for what in [what for what in watched.words if now_ns - watched.seen_ns[what] >= CLEAR_S * 1e9]:
-        notes.append(SessionNote(now_ns, "alarm-over", f"{name}: {watched.words.pop(what)}"))
+    for one in [one for one in watched.words if one[0] is kind and now_ns - watched.seen_ns[one] >= CLEAR_S * 1e9]:
+        notes.append(SessionNote(now_ns, "alarm-over", f"{name}: {watched.words.pop(one)}"))
     return notes
 
 

@@ -54,6 +54,8 @@ class RigSource:
     raw: also the bytes of every wire; clock: that the devices stamp by
     wait_until: lets time pass until a moment of that clock [ns]; None = the host's
     opener: opens them in its own way, where they are not to open side by side with threads of their own (a laboratory)
+    latest_ns: by how much the stamps of the latest device are put back; start_ns: of the session, so much before they
+    open: no frame is older
     """
 
     def __init__(
@@ -66,6 +68,7 @@ class RigSource:
         wait_until: Callable[[int], None] | None = None,
     ) -> None:
         self.start_ns = 0
+        self.latest_ns = max((member.late_ns for member in members), default=0)
         self._clock = clock
         self._opener = opener
         self._wait_until = wait_until
@@ -77,7 +80,7 @@ class RigSource:
 
     def __enter__(self) -> RigSource:
         """Open all devices side by side; the first that fails closes them all. Raises InputError naming it."""
-        self.start_ns = self._clock()
+        self.start_ns = self._clock() - self.latest_ns
         for member in self._members:  # before they open, so that nothing is missed
             device = member.device
             device.late_ns = member.late_ns

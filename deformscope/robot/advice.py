@@ -34,6 +34,7 @@ ADVICE: dict[Fault | TouchEnding, str] = {
     Fault.ITSELF: f"{_STANDS}: it is folded onto itself; unfold it by the joystick",
     Fault.ARM_BOX: f"{_STANDS}: elbow, wrist or stick leave the box of arm_low_m and arm_high_m",
     Fault.COLLISION: "what the arm has met, and its cables; where nothing was there, collision_nm in the rig file",
+    Fault.TORQUES: "the arm's torque sensors; with collision_nm = 0 in the rig file it moves without seeing collisions",
     Fault.WORKSPACE: _PLACE,
     Fault.CAMERA_SILENT: f"{_CAMERA}; {_BUSY}",
     Fault.CAMERA_FROZEN: _CAMERA,

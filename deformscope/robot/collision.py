@@ -39,10 +39,11 @@ class CollisionWatch:
     ) -> str:
         """Why this is a collision, with which joint; empty where it is none.
 
-        torques_nm: (n,) without gravity's, the same again until they are read anew; joints_deg: (n,); now_ns: when
+        torques_nm: (n,) numbers, without gravity's, the same again until they are read anew; joints_deg: (n,)
+        now_ns: when
         tip_n: greatest magnitude lately of the force on the tip [N]; limit_nm: of noise and the model's error [Nm]
         """
-        if torques_nm == self._before or not np.all(np.isfinite(torques_nm)):
+        if torques_nm == self._before:
             return ""
         self._before = torques_nm
         torques = np.array(torques_nm)

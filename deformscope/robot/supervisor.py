@@ -56,6 +56,7 @@ class Fault(StrEnum):
     ITSELF = "arm near itself"
     ARM_BOX = "arm's box left"
     COLLISION = "something pushes the arm"
+    TORQUES = "joint torques not known"
     WORKSPACE = "workspace left"
     CAMERA_SILENT = "depth camera silent"
     CAMERA_FROZEN = "depth camera frozen"
@@ -192,6 +193,7 @@ class Supervisor:
         self._collisions = None if chain is None else CollisionWatch(chain, self._T_ee_center)
         self._verdict = _GO_ON
         self._refused = 0
+        self._torques = False  # whether the arm has reported any
         self.start(now_ns)
 
     @property
@@ -346,10 +348,13 @@ class Supervisor:
         return found
 
     def _collision(self, sample: ArmSample) -> list[tuple[Action, Fault, str]]:
-        limit_nm = self.limits.collision_nm
-        if self._collisions is None or not sample.torques_nm or limit_nm == 0:
+        limit_nm, torques_nm = self.limits.collision_nm, sample.torques_nm
+        if self._collisions is None or limit_nm == 0 or not (torques_nm or self._torques):
             return []
-        why = self._collisions.look(sample.torques_nm, sample.joints_deg, self._tip_n, limit_nm, sample.time_ns)
+        self._torques = True
+        if not torques_nm or not np.all(np.isfinite(torques_nm)):
+            return [(Action.STOP, Fault.TORQUES, f"torques {torques_nm} where collisions are seen by them")]
+        why = self._collisions.look(torques_nm, sample.joints_deg, self._tip_n, limit_nm, sample.time_ns)
         return [(Action.STOP, Fault.COLLISION, why)] if why else []
 
     def _motion(self, sample: ArmSample) -> list[tuple[Action, Fault, str]]:

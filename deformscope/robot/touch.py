@@ -24,7 +24,7 @@ from deformscope.robot.pressing import ForceControl
 from deformscope.robot.readings import ArmSample, ForceSample, RobotObservation
 from deformscope.robot.robot import MotionHeld, Robot, RobotStopped, TipVelocity
 from deformscope.robot.supervisor import Action, Fault
-from deformscope.robot.travel import NotThere, to_above
+from deformscope.robot.travel import GAIN_PER_S, NotThere, to_above
 from deformscope_drivers.arm.kinematics import FloatArray
 
 PERIOD_S = 0.01
@@ -73,6 +73,7 @@ class TouchPlan:
     tangential: "held" = the tip stays on the normal's line, "free" = it follows forces across
     passing_m: so near above the point the tip goes on, without coming to rest where it is sent
     slow_back: until contact is lost it goes back as slowly as it came, for the energy that the foam gives back
+    braking_per_s: share of the way left that it goes a second where it slows down in free air; None = slowly
     """
 
     point_m: FloatArray
@@ -94,6 +95,7 @@ class TouchPlan:
     tangential: Literal["held", "free"] = "held"
     passing_m: float = 0.0
     slow_back: bool = False
+    braking_per_s: float | None = None
 
     def __post_init__(self) -> None:
         point, normal = np.asarray(self.point_m, float), np.asarray(self.normal, float)
@@ -284,7 +286,8 @@ class TouchStateMachine:
         speed = plan.contact_speed_m_s
         if above_m > plan.slow_within_m:
             # slowing down begins early enough to be slow where it has to be
-            speed = min(plan.far_speed_m_s, speed + 4.0 * (above_m - plan.slow_within_m))
+            braking_per_s = plan.braking_per_s or GAIN_PER_S
+            speed = min(plan.far_speed_m_s, speed + braking_per_s * (above_m - plan.slow_within_m))
         return -speed * plan.normal
 
     def _press(self, time_s: float, center_m: FloatArray, along_n: float) -> FloatArray:
@@ -336,7 +339,7 @@ class TouchStateMachine:
         if left_m < max(5e-4, plan.passing_m):
             self.end(time_s)
             return np.zeros(3)
-        return min(speed_m_s, max(HELD_GAIN_PER_S * left_m, 2e-3)) * plan.normal
+        return min(speed_m_s, max((plan.braking_per_s or HELD_GAIN_PER_S) * left_m, 2e-3)) * plan.normal
 
     def _across(self, center_m: FloatArray, force_n: FloatArray) -> FloatArray:
         """Velocity across the normal: back to its line, or with the force."""
@@ -457,6 +460,7 @@ class TouchRun:
                 deepest_m=deepest_m,
                 speed_m_s=plan.travel_speed_m_s,
                 passing_m=plan.passing_m,
+                braking_per_s=plan.braking_per_s,
             )
         finally:
             self._spans.append(PhaseSpan(Phase.TRAVEL, began, self._now_s()))

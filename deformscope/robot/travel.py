@@ -44,10 +44,11 @@ def move_tip(
     *,
     passing: bool = False,
     near_m: float = REACHED_M,
+    braking_per_s: float | None = None,
 ) -> None:
     """Straight to where the tip's centre (3,) [m] is here and the stick along -normal, both in the surface frame.
 
-    passing: it goes on from there, so that near is enough; near_m: else so near.
+    passing: it goes on from there, so that near is enough; near_m: else so near; braking_per_s: as of `TouchPlan`
     Raises NotThere when it takes too long, RobotStopped, InputError when the robot has to back off.
     """
     goal = robot.placement.T_surface_base @ robot.placement.T_base_ee(center_m, normal)
@@ -61,7 +62,7 @@ def move_tip(
             if not passing:
                 robot.cycle()
             return
-        step(robot, TipVelocity(capped(error[:3], speed_m_s), capped(error[3:], ANGULAR_RAD_S)))
+        step(robot, TipVelocity(capped(error[:3], speed_m_s, braking_per_s), capped(error[3:], ANGULAR_RAD_S)))
     robot.cycle()
     left = f"{np.linalg.norm(error[:3]) * 1e3:.1f} mm and {np.linalg.norm(error[3:]):.3f} rad away"
     raise NotThere(f"the tip at {np.round(np.asarray(center_m), 4)} m", left, "a place that the arm reaches")
@@ -97,13 +98,14 @@ def to_above(
     deepest_m: FloatArray,
     speed_m_s: float,
     passing_m: float = 0.0,
+    braking_per_s: float | None = None,
 ) -> None:
     """To a place above the surface: up to height_m, across no lower, and down to it.
 
     Straight where the arm can follow; joint by joint the first time, and where a straight way leads near a joint's
     limit or a singularity: its other joint angles for the same pose are then sought.
     height_m: z of the tip's centre while it crosses; deepest_m: (3,) where a straight way goes on to from there [m,
-    surface frame]; passing_m: so near the place is near enough.
+    surface frame]; passing_m: so near the place is near enough; braking_per_s: as of `TouchPlan`.
     Raises NotThere where neither is possible: before it moves, or high above where it was.
     """
     here = robot.placement.T_surface_center(robot.pose.T_base_ee)
@@ -124,14 +126,14 @@ def to_above(
         if not straight.all() and (joints_deg is None or not straight[0]):
             raise _no_way((up, over, center_m, deepest_m)[int(straight.argmin())])
         if here[2, 3] < high_m:
-            move_tip(robot, up, -here[:3, 2], speed_m_s, passing=joints_deg is None)
+            move_tip(robot, up, -here[:3, 2], speed_m_s, passing=joints_deg is None, braking_per_s=braking_per_s)
         if joints_deg is not None:
             if lowest_m(robot, joints_deg) < high_m - SAG_M:
                 raise _no_way(over)
             move_joints(robot, joints_deg)
         elif high_m > float(center_m[2]) + REACHED_M:
-            move_tip(robot, over, normal, speed_m_s, passing=True)
-    move_tip(robot, center_m, normal, speed_m_s, near_m=max(REACHED_M, passing_m))
+            move_tip(robot, over, normal, speed_m_s, passing=True, braking_per_s=braking_per_s)
+    move_tip(robot, center_m, normal, speed_m_s, near_m=max(REACHED_M, passing_m), braking_per_s=braking_per_s)
 
 
 def lowest_m(robot: Robot, joints_deg: npt.ArrayLike) -> float:
@@ -174,8 +176,8 @@ def _error(robot: Robot, goal: FloatArray) -> FloatArray:
     return pose_error(robot.placement.T_surface_center(robot.pose.T_base_ee), goal)
 
 
-def capped(error: FloatArray, fastest: float) -> FloatArray:
-    """A velocity that ends softly."""
-    wanted = GAIN_PER_S * error
+def capped(error: FloatArray, fastest: float, braking_per_s: float | None = None) -> FloatArray:
+    """A velocity that ends softly; braking_per_s: as of `TouchPlan`"""
+    wanted = (braking_per_s or GAIN_PER_S) * error
     size = float(np.linalg.norm(wanted))
     return wanted if size <= fastest else wanted * (fastest / size)

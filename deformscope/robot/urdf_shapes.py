@@ -26,6 +26,8 @@ MESH_BYTES = 50_000_000
 TRIANGLES = 2000
 """Of one mesh: finer ones are made coarser, as they are recorded with every session. Chosen: an arm's link is then off
 by less than 1 mm."""
+LONGEST_M = 1000.0
+"""Side of a box, radius or length, or factor of a mesh: files in millimetres stay below it. Chosen."""
 SIDES = 24
 """Of the prisms that stand for cylinders: less than 1 % of their radius inside of them. Chosen."""
 MESH_ENDINGS = (".stl", ".obj", ".ply", ".off", ".glb")
@@ -85,7 +87,8 @@ def read_urdf(path: Path) -> UrdfShapes:
             content = file.read(FILE_BYTES + 1)
         if len(content) > FILE_BYTES:
             raise InputError(f"a URDF of up to {FILE_BYTES // 1_000_000} MB", "a larger one", where=path)
-        if b"<!DOCTYPE" in content or b"<!ENTITY" in content:
+        plain = content.replace(b"\0", b"")  # of whatever width its letters are
+        if b"<!DOCTYPE" in plain or b"<!ENTITY" in plain:
             raise InputError("a URDF without a document type", "one", "xacro files: run xacro first", path)
         robot = ET.fromstring(content)
         if robot.tag != "robot":
@@ -124,8 +127,8 @@ def _joint(given: ET.Element) -> UrdfJoint:
         raise ValueError(f"joint {given.attrib['name']} without parent or child")
     axis, limit = given.find("axis"), given.find("limit")
     along = np.array([1.0, 0.0, 0.0]) if axis is None else np.array(_numbers(axis.attrib["xyz"], 3))
-    bounds = (0.0, 0.0) if limit is None else (limit.get("lower", "0"), limit.get("upper", "0"))
-    lower, upper = (float(value) for value in bounds)
+    bounds = ("0", "0") if limit is None else (limit.get("lower", "0"), limit.get("upper", "0"))
+    lower, upper = _numbers(" ".join(bounds), 2)
     along /= max(float(np.linalg.norm(along)), 1e-12)
     names = (given.attrib["name"], given.attrib["type"], parent.attrib["link"], child.attrib["link"])
     return UrdfJoint(*names, _origin(given), along, lower, upper)
@@ -143,6 +146,13 @@ def _numbers(words: str, count: int) -> tuple[float, ...]:
     found = tuple(float(word) for word in words.split())
     if len(found) != count or not all(map(math.isfinite, found)):
         raise ValueError(f"expected {count} numbers; got {words[:60]!r}")
+    return found
+
+
+def _lengths(words: str, count: int) -> tuple[float, ...]:
+    found = _numbers(words, count)
+    if not all(0.0 < one <= LONGEST_M for one in found):
+        raise ValueError(f"expected lengths above 0, up to {LONGEST_M:g} m; got {words[:60]!r}")
     return found
 
 
@@ -164,15 +174,16 @@ def _solid(kind: ET.Element, path: Path) -> Solid:
     make: Any = o3d.geometry.TriangleMesh  # its stubs know paths and booleans where it takes strings and numbers
     match kind.tag:
         case "box":
-            size_m = _numbers(kind.attrib["size"], 3)
+            size_m = _lengths(kind.attrib["size"], 3)
             return _of_open3d(make.create_box(*size_m).translate([-0.5 * side for side in size_m]))
         case "cylinder":
-            radius_m, length_m = float(kind.attrib["radius"]), float(kind.attrib["length"])
+            radius_m, length_m = _lengths(f"{kind.attrib['radius']} {kind.attrib['length']}", 2)
             return _of_open3d(make.create_cylinder(radius_m, length_m, resolution=SIDES, split=1))
         case "sphere":
-            return _of_open3d(make.create_sphere(float(kind.attrib["radius"]), resolution=SIDES // 2))
+            return _of_open3d(make.create_sphere(*_lengths(kind.attrib["radius"], 1), resolution=SIDES // 2))
         case "mesh":
             scale = _numbers(kind.get("scale", "1 1 1"), 3)
+            _lengths(" ".join(str(abs(one)) for one in scale), 3)
             found = read_mesh(_mesh_file(kind.attrib["filename"], path))
             return Solid(found.vertices_m * scale, found.triangles)
     raise ValueError(f"expected box, cylinder, sphere or mesh; got <{kind.tag}>")

@@ -49,18 +49,18 @@ class TouchClock:
     def add(self, plan: TouchPlan, felt: Approach) -> None:
         """Travel to a touch, take the tare, touch what was felt there, and go back."""
         crossing_m, above_m, _ = plan.places_m(self._offset_m)
-        speed_m_s, high_m = plan.travel_speed_m_s, float(crossing_m[2])
+        high_m = float(crossing_m[2])
         if self.center_m[2] < high_m:
-            self._go(np.append(self.center_m[:2], high_m + PASSED_M), speed_m_s, PASSED_M)
+            self._go(np.append(self.center_m[:2], high_m + PASSED_M), plan, PASSED_M)
         if high_m > above_m[2] + REACHED_M:
-            self._go(crossing_m, speed_m_s, PASSED_M)
-        self._go(above_m, speed_m_s, max(REACHED_M, plan.passing_m))
+            self._go(crossing_m, plan, PASSED_M)
+        self._go(above_m, plan, max(REACHED_M, plan.passing_m))
         self.seconds += TARE_S
         self._touch(plan, felt)
 
-    def _go(self, goal_m: FloatArray, speed_m_s: float, near_m: float) -> None:
+    def _go(self, goal_m: FloatArray, plan: TouchPlan, near_m: float) -> None:
         while np.linalg.norm(goal_m - self.center_m) >= near_m:
-            self._move(capped(goal_m - self.center_m, speed_m_s))
+            self._move(capped(goal_m - self.center_m, plan.travel_speed_m_s, plan.braking_per_s))
 
     def _touch(self, plan: TouchPlan, felt: Approach) -> None:
         normal, began_s = plan.normal, self.seconds

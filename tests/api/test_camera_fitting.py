@@ -158,6 +158,33 @@ def test_nothing_is_computed_for_nobody(tmp_path: Path, monkeypatch: pytest.Monk
     assert beside.calls == 2
 
 
+def test_what_cannot_be_computed_is_not_asked_for_again_and_again(tmp_path: Path) -> None:
+    """A picture of another size, as a camera gives whose mode was changed."""
+    beside = Counting()
+    one = Camera(tmp_path, beside)
+    one.desk.beat("a", visible=True)
+    one.subject.saw(np.zeros((60, 60, 3), np.uint8))
+    for _ in range(3):
+        one.subject.ask(lambda: None)
+        one.fitting._begin_step(whole=False)
+    assert "60x60 after 100x120" in one.fitting.state.problem
+    assert beside.calls == 2
+    one.see(3)
+    one.subject.ask(lambda: None)
+    one.fitting._begin_step(whole=False)
+    assert (beside.calls, one.fitting.state.problem) == (3, "")
+
+
+def test_a_folder_that_could_not_be_made_is_tried_again(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    one = Camera(tmp_path / "file" / "kept")
+    with pytest.raises(InputError, match="a folder that can be written to"):
+        one.subject.keep()
+    (tmp_path / "file").unlink()
+    one.subject.keep()
+    assert sorted(path.name for path in (tmp_path / "file" / "kept").iterdir()) == ["now-1.png", "rest-1.png"]
+
+
 def test_pictures_that_cannot_be_kept_are_said(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with camera(tmp_path / "file") as one:

@@ -283,6 +283,24 @@ def test_what_cannot_be_simulated_is_said_and_the_picture_stays(frames: Path) ->
         assert one.fitting.obey(WriteNote(0, "x"))[0] == "refused"
 
 
+def test_a_value_of_the_curve_that_cannot_be_simulated_is_a_gap_in_it(
+    pair: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    real = page_fitting.simulate
+
+    def failing(seen: Any, model: Any, values: Any, body: Any) -> Any:
+        if values[0] > 0.9:
+            raise FloatingPointError("overflow")
+        return real(seen, model, values, body)
+
+    monkeypatch.setattr(page_fitting, "simulate", failing)
+    with watched(beta_of(pair)) as one:
+        shown = one.until(lambda fit: len(fit.values) == page_fitting.VALUES)
+    gaps = [value for value, error in zip(shown.values, shown.errors, strict=True) if error is None]
+    assert gaps == [value for value in shown.values if value > 0.9] != []
+    assert shown.problem == ""
+
+
 @pytest.mark.parametrize(
     "wrong",
     [

@@ -151,6 +151,25 @@ def test_a_dent_that_was_pressed_on_is_as_deep_as_at_its_last_force() -> None:
     assert told.depth_m == pytest.approx(0.0018 * (5.0 / 3.0) ** (1.0 / 1.5), rel=0.02)
 
 
+def test_touches_without_a_relaxed_stiffness_end_with_a_reason_where_that_is_mapped() -> None:
+    """None was held, so that none failed either."""
+    force = np.concatenate([np.zeros(30), np.linspace(0.0, 3.0, 100)])
+    height = np.concatenate([np.linspace(0.07, 0.06, 30), 0.06 - 0.004 * (force[30:] / 3.0) ** (1.0 / 1.5)])
+    options = ExploreOptions(beta_model="none", hold_s=8.0, feel="relaxed")
+    scene = built_in("two-60-150", 0)
+    explorer = Explorer(scene.size_m, options, ArmCompliance())
+    places = np.random.default_rng(0).uniform(size=(500, 2)) * scene.size_m
+    explorer.look(lambda: SurfaceMeasurement(np.column_stack([places, np.full(500, 0.05)]), np.full(500, 1e-3)))
+    stages = ExplorationStages(explorer, AsMeasured(scene.size_m))
+    up, none, along = np.array([0.0, 0.0, 1.0]), np.zeros((0, 3)), np.column_stack([np.zeros((130, 2)), force])
+    position = np.column_stack([np.full((130, 2), 0.2), height])
+    for _ in range(3):
+        assert stages.plan().given_up == ""
+        touched = TouchMeasurement(np.array([0.2, 0.2]), up, np.arange(130) * 0.01, position, along, none, True)
+        stages.touch(touched)
+    assert "3 touches in a row gave no map" in stages.plan().given_up
+
+
 def test_a_surface_is_known_as_well_as_touches_met_it() -> None:
     scene, up, none = built_in("two-60-150", 0), np.array([0.0, 0.0, 1.0]), np.zeros((0, 3))
     places = np.random.default_rng(0).uniform(size=(500, 2)) * scene.size_m

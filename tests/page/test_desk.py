@@ -12,9 +12,19 @@ import pytest
 from websockets.sync.client import connect
 
 from deformscope.page.desk import BEAT_S, CONFIRM_S, NEXT, Desk
-from deformscope.page.messages import CancelMove, ConfirmMove, Outcome, PageCommand, TakeControls, TareDevice, WriteNote
+from deformscope.page.messages import (
+    CancelMove,
+    ConfirmMove,
+    Outcome,
+    PageCommand,
+    SeeMove,
+    TakeControls,
+    TareDevice,
+    WriteNote,
+)
 from deformscope.page.server import PageServer
 from tests.page.pages import AtDesk, at_desk, netloc, root
+from tests.patience import PATIENCE_S
 
 
 class Notebook:
@@ -162,7 +172,9 @@ class Moves:
         assert self.desk.state.pending is not None
         return self.desk.state.pending.number
 
-    def say(self, page: str, number: int, kind: type[ConfirmMove | CancelMove] = ConfirmMove) -> tuple[str, str]:
+    def say(
+        self, page: str, number: int, kind: type[ConfirmMove | CancelMove | SeeMove] = ConfirmMove
+    ) -> tuple[str, str]:
         reply = self.desk.command(page, kind(1, number))
         return reply.outcome, reply.words
 
@@ -184,6 +196,42 @@ def test_a_confirm_expires() -> None:
     moves.desk.beat("a", visible=True)
     assert moves.say("a", 1) == ("refused", "it was to be confirmed within 10 s: nothing moves")
     assert moves.happened == ["not confirmed within 10 s: nothing moved"]
+
+
+def test_the_time_of_a_question_counts_from_when_it_was_drawn_once() -> None:
+    """A page that is busy draws it late; whoever then has 10 s to read it has no more."""
+    moves = Moves()
+    moves.now_s += CONFIRM_S + 5.0
+    moves.desk.beat("a", visible=True)
+    assert moves.say("b", 1, SeeMove)[0] == "refused"  # it does not steer
+    assert moves.say("a", 1, SeeMove)[0] == "done"
+    moves.now_s += CONFIRM_S - 0.1
+    assert moves.say("a", 1, SeeMove)[0] == "refused"  # seen before
+    moves.desk.beat("a", visible=True)
+    assert moves.say("a", 1) == ("done", "the arm")
+    moves.ask()
+    assert moves.say("a", 2, SeeMove)[0] == "done"
+    moves.now_s += CONFIRM_S
+    moves.desk.beat("a", visible=True)
+    assert moves.say("a", 2)[0] == "refused"
+    assert moves.happened == ["moved", "not confirmed within 10 s: nothing moved"]
+
+
+def test_what_nobody_answers_is_let_be(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Seen or not, by itself; the one who waits next is not."""
+    monkeypatch.setattr("deformscope.page.desk.UNSEEN_S", 0.05)
+    monkeypatch.setattr("deformscope.page.desk.CONFIRM_S", 0.2)
+    let_be = [threading.Event() for _ in range(2)]
+    desk = Desk()
+    desk.come("a")
+    desk.enter("paused")
+    for number, waits in enumerate(let_be, 1):
+        desk.ask("the arm", lambda: None, lambda reason, waits=waits: waits.set())  # type: ignore[misc]
+        if number == 2:
+            assert desk.command("a", SeeMove(1, number)).outcome == "done"
+            assert not waits.wait(0.06)  # as long as what nobody has seen
+        assert waits.wait(PATIENCE_S)
+        assert desk.state.pending is None
 
 
 def test_nothing_else_moves_by_a_confirm() -> None:

@@ -17,6 +17,8 @@ from deformscope.cli import main
 from deformscope.frames import HealthReport, WrenchFrame
 from deformscope.page.server import PageServer, running_pages
 from deformscope.recording.losses import lost_by, since
+from deformscope.recording.recorder import Recorder
+from deformscope.recording.rrd_file import RecordingError
 from deformscope_drivers.health import Health, Link
 from tests.cases import slow_but
 from tests.page.pages import at_desk
@@ -210,6 +212,29 @@ def test_record_may_hold_the_last_seconds_alone(rig: Path, tmp_path: Path, viewe
     found = json.loads(said.read_text())
     assert found["recording"] == str(file)
     assert found["devices"]["tip"]["received"] <= frames(file)[-1].index  # of the file, not of the run
+
+
+def test_the_last_seconds_are_kept_where_the_file_beside_them_cannot_be_closed(
+    rig: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file, close = tmp_path / "last.rrd", Recorder._close
+
+    def full(self: Recorder, *, complete: bool) -> None:
+        close(self, complete=complete)
+        if self.summary().path is not None and self.summary().path != file:
+            raise RecordingError("a disk with room", "a full one")
+
+    monkeypatch.setattr(Recorder, "_close", full)
+    words = ("record", str(rig), "--record", str(file), "--keep-last", "5")
+    with started(*words, folder=tmp_path) as command, at_desk(command.page, "a") as one:
+        one.until(lambda state: "start-recording" in state["commands"] and received(state) > 50)
+        assert one.command("start-recording")[0] == "begun"
+        one.until(lambda state: state["recorded_bytes"] > 0)
+        assert one.command("stop")[0] == "done"
+        command._thread.join(PATIENCE_S)
+    assert command.status == 2
+    assert main(["verify", str(file)]) in WHOLE
+    assert frames(file)
 
 
 def test_what_cannot_be_held_is_refused(rig: Path, capsys: pytest.CaptureFixture[str]) -> None:

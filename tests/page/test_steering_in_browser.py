@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
-from deformscope.page.messages import ForceCurve, StartExploring, StopRun, TouchAt, TouchPicked
+import pytest
+
+from deformscope.page.messages import ForceCurve, Outcome, PageCommand, StartExploring, StopRun, TouchAt, TouchPicked
 from deformscope.page.server import PageServer
 from tests.page.test_in_browser import Obeyed, browser, fake_viewer, shown, until
 
@@ -13,6 +17,25 @@ __all__ = ["browser", "shown"]
 
 COMMANDS = ("stop", "explore", "touch-at", "touch-picked")
 EXPECTED = (0.0, 1.0, 2.0)
+
+
+class Seen:
+    """Calls this with each command."""
+
+    def __init__(self, call: Callable[[], None]) -> None:
+        self._call = call
+
+    def obey(self, command: PageCommand) -> tuple[Outcome, str]:
+        self._call()
+        return "done", ""
+
+
+@contextmanager
+def no_heartbeat(page: PageServer) -> Iterator[None]:
+    """For the desk nobody is there meanwhile."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(page.desk, "absent", lambda: "nobody is there")
+        yield
 
 
 def test_confirms_and_places(shown: Any) -> None:
@@ -34,6 +57,21 @@ def test_confirms_and_places(shown: Any) -> None:
             until(shown, lambda came=came: happened[-1:] == [came] and shown.is_hidden("#confirm"))
         assert len(happened) == 2
         assert [type(one) for one in run.commands] == [StopRun, StopRun]
+
+        # one that is refused for now still waits; its time counts from when it was drawn; that it was let be is said
+        happened.clear()
+        page.desk.ask("the arm", lambda: happened.append("moved"), page.desk.remark)
+        until(shown, lambda: page.desk.state.pending is not None and page.desk.state.pending.seen)
+        with no_heartbeat(page):
+            shown.keyboard.press("Enter")
+            until(shown, lambda: "confirm: refused, nobody is there" in shown.inner_text("#remarks"))
+        until(shown, lambda: shown.is_visible("#confirm"))
+        shown.keyboard.press("Enter")
+        until(shown, lambda: happened == ["moved"] and shown.is_hidden("#confirm"))
+        page.desk.ask("the arm", lambda: None, page.desk.remark)
+        until(shown, lambda: shown.is_visible("#confirm"))
+        page.desk._drop("not in time")
+        until(shown, lambda: shown.inner_text("#place-words") == "not in time" and shown.is_hidden("#confirm"))
 
         # a place that is typed, one that is picked, and one that is picked beside everything
         shown.fill("#place-x", "31.5")
@@ -76,6 +114,17 @@ def test_the_heartbeat_says_whether_somebody_is_there(shown: Any) -> None:
                 "document.dispatchEvent(new Event('visibilitychange'))"
             )
             until(shown, lambda absent=absent: page.desk.absent() == absent)
+
+        # who presses a button is there, however long the page was busy before
+        page.desk.enter("live", commands=("stop",))
+        until(shown, lambda: shown.is_enabled("#stop"))
+        there = list[str]()
+        page.desk.attend(Seen(lambda: there.append(page.desk.absent())))
+        shown.evaluate(
+            "for (const end = performance.now() + 2500; performance.now() < end; );"
+            "document.getElementById('stop').click()"
+        )
+        until(shown, lambda: there == [""])
 
         # a script that hangs has no heartbeat
         reasons, over = set[str](), threading.Event()

@@ -8,12 +8,14 @@ import signal
 import subprocess
 import sys
 from collections import namedtuple
+from datetime import datetime
 from pathlib import Path
 
 import pytest
 
 from deformscope.cli import main
 from deformscope.errors import InputError
+from deformscope.file_io import new_recording
 from deformscope.frames import InputFile
 from deformscope.recording.ledger import check_ledger
 from deformscope.recording.lock import is_being_written
@@ -43,6 +45,21 @@ def test_two_runs_at_once_to_one_name(tmp_path: Path, overwrite: bool) -> None:
     with Recorder(path, overwrite=True) as again:
         again.write(InputFile("a", b"3"))
     assert check_ledger(path) == []
+
+
+def test_names_that_are_made_within_a_second_differ(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also before there is a file, as of a page where two buttons are pressed, and while another run records."""
+    monkeypatch.setattr("deformscope.file_io.datetime", Frozen)
+    names = [new_recording(tmp_path, "rig") for _ in range(2)]
+    (tmp_path / "rig-20260102-030405-3.part.rrd").touch()
+    names.append(new_recording(tmp_path, "rig"))
+    assert [path.name for path in names] == [f"rig-20260102-030405{end}.rrd" for end in ("", "-2", "-4")]
+
+
+class Frozen:
+    @staticmethod
+    def now() -> datetime:
+        return datetime(2026, 1, 2, 3, 4, 5)
 
 
 def test_the_lock_of_a_run_that_was_killed_is_gone(tmp_path: Path) -> None:

@@ -134,3 +134,27 @@ def test_what_a_driver_finds_stuck_is_passed_on() -> None:
         health = Health(Link.CONNECTED, age_s=0.01, stuck=stuck)
         seen.append([note.about for note in alarms.look([HealthReport(at_s * 10**9, (("camera", health),))])])
     assert seen == [[], ["alarm"], [], ["alarm-over"]]
+
+
+def test_an_alarm_goes_on_where_its_device_falls_silent() -> None:
+    """Looks at health go on, and other pictures of the same camera: neither shows that the sensor is well again."""
+    counts = noise(24.0, 3.0)
+    counts[100:130, 2] = WRENCH_END
+    counts[1600:, 2] = WRENCH_END
+    batches = list(wrenches(counts))
+    alarms = SensorAlarms([TIP, DEPTH], AFTER_S)
+    assert [about for about, _, _ in said(alarms, iter(batches[:13]))] == ["alarm"]
+    alarms.look([DepthFrame(Stamp(10**9), 0, np.zeros((64, 64), np.uint16), 1e-3, device="above")])
+    silent = Health(Link.LOST, age_s=9.0)
+    for at_s in range(2, 12):
+        assert alarms.look([HealthReport(at_s * 10**9, (("tip", silent), ("above", silent)))]) == []
+        assert alarms.look([ColorFrame(Stamp(at_s * 10**9), at_s, np.full((64, 64, 3), 90, np.uint8), "above")]) == []
+    assert alarms.of("tip") == ("saturated: fz at the end of its range",)
+    assert alarms.of("above") == ("saturated: nothing is seen within its range",)
+    # it comes back after 10.7 s, well: cleared as any other alarm, and not at once
+    found = said(alarms, iter(batches[120:140]))
+    assert [about for about, _, _ in found] == ["alarm-over"]
+    assert 13.0 - 0.1 <= found[0][2] <= 13.2
+    # and where it comes back as it went, it is the same alarm
+    assert [about for about, _, _ in said(alarms, iter(batches[160:165]))] == ["alarm"]
+    assert not [text for _, text, _ in said(alarms, iter(batches[200:])) if "saturated" in text]

@@ -9,8 +9,12 @@ import pytest
 from deformscope.cli import main
 from deformscope.errors import InputError
 from deformscope.frames import RawBytes, TactileFrame, WrenchFrame
-from deformscope.recording.items import read_items
+from deformscope.recording.items import read_items, read_rows
+from deformscope.recording.reader import Replay
 from deformscope.rig.rig_file import parse_rig
+from deformscope.rows import OF_DEVICES
+from tests.page.pages import at_desk
+from tests.page.test_rig_on_page import started
 
 LATE_NS = 20_000_000
 RIG = """
@@ -35,6 +39,8 @@ def test_a_recording_has_stamps_put_back_and_as_they_arrived(tmp_path: Path) -> 
     assert main(["verify", str(recording)]) == 0
     assert main(["replay", str(recording), "--viewer", "none"]) == 0  # its bytes give the same, put back alike
 
+    assert first_ns(recording) >= 0
+
     items = list(read_items(recording))
     pads = [one for one in items if isinstance(one, TactileFrame)]
     arrivals = {one.host_ns for one in items if isinstance(one, RawBytes) and one.device == "pads"}
@@ -43,6 +49,32 @@ def test_a_recording_has_stamps_put_back_and_as_they_arrived(tmp_path: Path) -> 
     assert {one.stamp.arrived_ns for one in pads} <= arrivals
     assert not arrivals.intersection(one.stamp.host_ns for one in pads)
     assert {one.stamp.late_ns for one in items if isinstance(one, WrenchFrame)} == {None}
+
+
+def first_ns(recording: Path) -> int:
+    """Session time of the oldest that a recording holds [ns]."""
+    return min(row.session_ns for row in read_rows(Replay(recording), OF_DEVICES))
+
+
+def test_a_session_begins_before_its_latest_device_has_seen_anything(tmp_path: Path) -> None:
+    """Also of a file that begins between two readings, and where devices open faster than their stamps are put back."""
+    rig = tmp_path / "rig.toml"
+    rig.write_text(RIG + LATE.format(offset=0.5, beside="tip") + f'[record]\nfolder = "{tmp_path}"\n')
+    whole = tmp_path / "whole.rrd"
+    words = ("record", str(rig), "--record", str(whole))
+    with started(*words, folder=tmp_path) as command, at_desk(command.page, "a") as one:
+        one.until(lambda state: "stop-recording" in state["commands"] and state["devices"])
+        assert one.command("stop-recording")[0] == "begun"
+        one.until(lambda state: "start-recording" in state["commands"])
+        assert one.command("start-recording")[0] == "begun"
+        one.until(lambda state: state["recorded_bytes"] > 0 and "stop-recording" in state["commands"])
+        one.command("stop")
+        found = command.ended()
+    assert found["recordings"][0] == str(whole)
+    for file in map(Path, found["recordings"]):
+        kept = [one for one in read_items(file) if isinstance(one, TactileFrame)]
+        assert {one.stamp.late_ns for one in kept} == {500_000_000}
+        assert 0 <= first_ns(file) < 2e9
 
 
 @pytest.mark.parametrize(

@@ -5,10 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from deformscope.robot.advice import advice
 from deformscope.robot.collision import CollisionWatch
 from deformscope.robot.preflight import check
+from deformscope.robot.readings import ArmSample, ForceSample, RobotObservation
 from deformscope.robot.robot import RobotStopped
-from deformscope.robot.supervisor import Fault
+from deformscope.robot.supervisor import Fault, Limits, Supervisor
 from deformscope_drivers.arm.kinematics import FloatArray, jacobian_of
 from deformscope_drivers.jaco.chains import J2N6S300
 from tests.robot.quick_touch import quick_scene
@@ -16,6 +18,7 @@ from tests.robot.quick_touch import quick_scene
 JOINTS_DEG = tuple(J2N6S300.home_deg)
 LIMIT_NM = 4.0
 PERIOD_NS = 10_000_000
+STILL_NM = (0.0,) * 6
 TIP = np.eye(4)
 TIP[2, 3] = 0.1
 
@@ -58,10 +61,10 @@ def test_what_the_force_at_the_tip_explains_is_no_collision_whatever_its_sign() 
             assert seen(torques_nm, tip_n=0.0)[0] == 51
 
 
-def test_readings_that_repeat_count_once_and_what_is_no_number_not_at_all() -> None:
+def test_readings_that_repeat_count_once() -> None:
     watch = CollisionWatch(J2N6S300, TIP)
     still, pushed = (0.1,) * 6, (0.1, 9.0, 0.1, 0.1, 0.1, 0.1)
-    for number, torques_nm in enumerate([still, pushed, pushed, pushed, (float("nan"),) * 6, pushed]):
+    for number, torques_nm in enumerate([still, pushed, pushed, pushed]):
         assert watch.look(torques_nm, JOINTS_DEG, 0.0, LIMIT_NM, number * PERIOD_NS) == ""
     assert "joint 2 feels 9.0 Nm" in watch.look((0.1, 9.1, *still[2:]), JOINTS_DEG, 0.0, LIMIT_NM, 9 * PERIOD_NS)
 
@@ -83,3 +86,50 @@ def test_an_arm_that_is_pushed_from_the_side_stops_and_one_whose_torques_are_noi
     assert before.passed, before.table()
     assert [one.name for one in noisy.checks if not one.passed] == ["arm: joint torques"]
     assert "collision_nm" in noisy.table()
+
+
+@pytest.mark.parametrize("joint", [0, 5])
+def test_an_arm_whose_torques_are_no_numbers_stops_and_does_not_begin(joint: int) -> None:
+    """Collisions would not be seen any more: as any other loss of what safety rests on."""
+    scene = quick_scene(12)
+    double, lab = scene.lab.arm_double, scene.lab
+    broken = np.where(np.arange(6) == joint, np.nan, 0.0)
+    lab.schedule(lab.clock() + 200_000_000, lambda: double.bias(broken))
+    with pytest.raises(RobotStopped) as stopped:
+        check(scene.robot, [scene.plan], calibrated={})
+    scene.robot.resume()
+    with pytest.raises(RobotStopped):
+        check(scene.robot, [scene.plan], calibrated={})
+    double.bias(np.zeros(6))
+    scene.robot.resume()
+    mended = check(scene.robot, [scene.plan], calibrated={})
+    scene.lab.close()
+
+    assert stopped.value.verdict.fault is Fault.TORQUES
+    assert "nan" in stopped.value.verdict.reason
+    assert "collision_nm = 0" in advice(Fault.TORQUES)
+    assert mended.passed, mended.table()
+
+
+def torqued(time_ns: int, torques_nm: tuple[float, ...]) -> RobotObservation:
+    arm = ArmSample(time_ns, np.eye(4), JOINTS_DEG, 0, torques_nm)
+    return RobotObservation(time_ns, (ForceSample(time_ns, np.zeros(3), time_ns),), (arm,))
+
+
+@pytest.mark.parametrize(
+    ("limit_nm", "first_nm", "then_nm", "fault"),
+    [
+        (4.0, STILL_NM, (), Fault.TORQUES),  # an arm that reports them no more
+        (4.0, STILL_NM, (0.0, np.inf, 0.0, 0.0, 0.0, 0.0), Fault.TORQUES),
+        (4.0, (), (), Fault.NONE),  # one that never has
+        (0.0, STILL_NM, (), Fault.NONE),  # they are not looked at
+    ],
+)
+def test_torques_that_are_lost_stop_an_arm_that_had_them(
+    limit_nm: float, first_nm: tuple[float, ...], then_nm: tuple[float, ...], fault: Fault
+) -> None:
+    supervisor = Supervisor(Limits(collision_nm=limit_nm), 0, chain=J2N6S300)
+    assert supervisor.judge(torqued(PERIOD_NS, first_nm)).fault is Fault.NONE
+    assert supervisor.judge(torqued(2 * PERIOD_NS, then_nm)).fault is fault
+    supervisor.acknowledge(2 * PERIOD_NS)  # and not once alone
+    assert supervisor.judge(torqued(3 * PERIOD_NS, then_nm)).fault is fault

@@ -146,6 +146,23 @@ def test_a_description_survives_its_recording() -> None:
     np.testing.assert_array_equal(back.cables[0].points_m, made.cables[0].points_m)
 
 
+def one_shape(geometry: str) -> str:
+    return f"<robot name='x'><link name='a'><visual><geometry>{geometry}</geometry></visual></link></robot>"
+
+
+def joined(limit: str) -> str:
+    joint = f"<joint name='j' type='revolute'><parent link='a'/><child link='b'/>{limit}</joint>"
+    return f"<robot name='x'><link name='a'/><link name='b'/>{joint}</robot>"
+
+
+def test_entities_are_refused_whatever_the_file_is_written_in(folder: Path) -> None:
+    kind = "<?xml version='1.0' encoding='UTF-16'?><!DOCTYPE x [<!ENTITY a 'b'>]>"
+    text = f"{kind}<robot name='&a;'><link name='l'/></robot>"
+    (folder / "gripper.urdf").write_text(text, encoding="utf-16")
+    with pytest.raises(InputError, match="document type"):
+        describe(ShapeSection(gripper="gripper.urdf"), None, folder)
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
@@ -160,6 +177,14 @@ def test_a_description_survives_its_recording() -> None:
         (GRIPPER.replace("jaw.stl", "other.stl"), "no file"),
         (GRIPPER.replace("jaw.stl", "jaw.dae"), "a mesh file"),
         (GRIPPER.replace("0.08 0.06 0.04", "0.08 nan 0.04"), "3 numbers"),
+        (GRIPPER.replace("0.08 0.06 0.04", "0.08 0 0.04"), "lengths above 0"),
+        (GRIPPER.replace("0.08 0.06 0.04", "80000 60000 40000"), "lengths above 0"),
+        (one_shape("<sphere radius='nan'/>"), "1 numbers"),
+        (one_shape("<sphere radius='-1'/>"), "lengths above 0"),
+        (one_shape("<cylinder radius='inf' length='0.1'/>"), "2 numbers"),
+        (one_shape("<cylinder radius='0.1' length='0'/>"), "lengths above 0"),
+        (one_shape("<mesh filename='jaw.stl' scale='1 0 1'/>"), "lengths above 0"),
+        (joined("<limit lower='nan' upper='1'/>"), "2 numbers"),
     ],
 )
 def test_descriptions_that_are_none_are_refused(folder: Path, text: str, message: str) -> None:

@@ -17,6 +17,8 @@ onmessage = ({ data }) => {
     socket.onmessage = (event) => postMessage({ message: event.data });
     socket.onclose = ({ code }) => postMessage({ closed: code });
   } else if (data.send) {
+    alive_ms = performance.now(); // whoever presses a button is there, however long the page drew before
+    beat();
     socket.send(data.send);
     greeted = true;
   } else {

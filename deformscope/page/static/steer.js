@@ -5,20 +5,27 @@ const WIDTH = 180;
 const HEIGHT = 94;
 const LEFT = 24;
 const TOP = 6;
+const LET_BE = "let be"; // in the place of what was asked for: nobody confirmed it
 
-// command: sends one, and resolves with whether it was not refused
-export function startSteering(command, page) {
+// command: sends one, and resolves with whether it was not refused; tell: the same, and nobody reads of it
+export function startSteering(command, tell, page) {
   let state = null;
   let skew_s = 0;
   let answered = 0; // the number of the move that was answered here
+  let seen = 0; // the number of the newest that was drawn here
   let place = ""; // what was asked for
 
   const dialog = at("confirm");
-  const answer = (kind) => {
-    if (state?.pending && dialog.open) {
-      answered = state.pending.number;
-      command(kind, { number: answered });
-      dialog.close();
+  const answer = async (kind) => {
+    if (!state?.pending || !dialog.open) {
+      return;
+    }
+    const { number } = state.pending;
+    answered = number;
+    dialog.close();
+    if (!(await command(kind, { number })) && answered === number) {
+      answered = 0; // it still waits, where it has not expired
+      show(state);
     }
   };
   at("confirm-yes").addEventListener("click", () => answer("confirm"));
@@ -70,11 +77,19 @@ export function startSteering(command, page) {
     if (waits && !dialog.open) {
       at("help").close();
       at("confirm-what").textContent = next.pending.what;
-      showLeft();
       dialog.showModal();
       at("confirm-yes").focus();
+      place = place === LET_BE ? "" : place;
+      if (seen !== next.pending.number) {
+        seen = next.pending.number;
+        requestAnimationFrame(() => setTimeout(tell, 0, "seen", { number: seen })); // once it is drawn: its time counts from then
+      }
     } else if (!waits && dialog.open) {
       dialog.close();
+    }
+    showLeft();
+    if (mine && before?.pending && !next.pending && before.pending.number !== answered) {
+      place = LET_BE; // why comes as a remark
     }
     const planned = next.next_place;
     at("next-place").textContent = planned
@@ -98,10 +113,10 @@ export function startSteering(command, page) {
   }
 
   function showLeft() {
-    if (state?.pending) {
+    if (state?.pending && dialog.open) {
       const left_s = state.pending.until_s - (performance.now() / 1000 - skew_s);
       at("confirm-left").textContent = Math.max(0, Math.ceil(left_s));
-      if (left_s <= 0 && dialog.open) {
+      if (left_s <= 0 && state.pending.seen) {
         dialog.close();
       }
     }

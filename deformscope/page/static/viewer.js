@@ -10,7 +10,7 @@ const IDLE_MS = 5000;
 const LONGEST_MS = 10_000;
 const time = { at_ns: 0, following: true }; // of the viewer; it follows until somebody stops it
 
-// onWords: what to say in the viewer's place, empty once it runs
+// onWords: what to say in the viewer's place, empty once it shows something
 // onBatch: after each batch that was drawn, and without one where nothing follows it
 export async function startViewer(canvas, onWords, onBatch, onEvent = () => {}) {
   await wasm_bindgen({ module_or_path: fetch("re_viewer_bg.wasm") });
@@ -40,19 +40,25 @@ export async function startViewer(canvas, onWords, onBatch, onEvent = () => {}) 
   const recording = document.body.dataset.recording; // of a page that plays one
   if (recording) {
     handle.add_receiver(new URL(recording, location.href).href);
+    onWords("");
   } else {
     handle.open_channel(CHANNEL, "deformscope");
+    let covered = true; // until there are data: what the viewer shows of its own before their views nobody needs
+    const shown = (batch) => {
+      if (covered && (!batch || batch.until_ns)) {
+        covered = false;
+        onWords("");
+      }
+      onBatch(batch);
+    };
+    connect(handle, shown, 0);
   }
-  onWords("");
   const watch = setInterval(() => {
     if (handle.has_panicked()) {
       clearInterval(watch);
       onWords(`the viewer has crashed: ${handle.panic_message()}; load this page again`);
     }
   }, 1000);
-  if (!recording) {
-    connect(handle, onBatch, 0);
-  }
   return handle;
 }
 

@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from deformscope_drivers.errors import SettingsRefused
 from deformscope_drivers.jaco.config import Workspace
 from deformscope_drivers.jaco.library import Functions, call, read
-from deformscope_drivers.jaco.structures import ShapeType, ZoneList
+from deformscope_drivers.jaco.structures import ShapeType, Zone, ZoneList
 
 WITHIN_M = 1e-5
 """Corners that are read back may be off by so much: they travel in single precision."""
@@ -48,26 +48,55 @@ def set_zones(functions: Functions, boxes: Sequence[Workspace], pause: Callable[
 
     pause: waits between two writes to the arm's configuration. Raises SettingsRefused where it says otherwise after.
     """
-    if _alike(boxes, boxes_of(read(functions, "GetProtectionZone", ZoneList))):
+    if _alike(boxes, read(functions, "GetProtectionZone", ZoneList)):
         return
     call(functions, "EraseAllProtectionZones")
     pause()
     if boxes:
         call(functions, "SetProtectionZone", zone_list(boxes))
         pause()
-    kept = boxes_of(read(functions, "GetProtectionZone", ZoneList))
+    kept = read(functions, "GetProtectionZone", ZoneList)
     if not _alike(boxes, kept):
         raise SettingsRefused(
             f"an arm that keeps {len(boxes)} protection zones",
-            f"one that says it keeps {len(kept)}, or others",
+            f"one that says it keeps {len(_closed(kept))}, or others",
             "look at them in Kinova's Development Center; or leave protection_zones out of the rig file",
             functions.where,
         )
 
 
-def _alike(ones: Sequence[Workspace], others: Sequence[Workspace]) -> bool:
-    return len(ones) == len(others) and all(
-        abs(a - b) <= WITHIN_M
-        for one, other in zip(ones, others, strict=True)
-        for a, b in zip((*one.low_m, *one.high_m), (*other.low_m, *other.high_m), strict=True)
+def _closed(zones: ZoneList) -> list[Zone]:
+    return [zone for zone in zones.Zones[: zones.NbZones] if zone.zoneLimitation.speedParameter1 == 0.0]
+
+
+def _alike(boxes: Sequence[Workspace], zones: ZoneList) -> bool:
+    """Whether these and no others are closed to the hand, in whatever order they are kept."""
+    left = _closed(zones)
+    for box in boxes:
+        same = next((number for number, zone in enumerate(left) if _is(box, zone)), None)
+        if same is None:
+            return False
+        left.pop(same)
+    return not left
+
+
+def _is(box: Workspace, zone: Zone) -> bool:
+    """Whether a zone is this box: a prism with its four corners, from whichever and whichever way round they are named.
+    One that lies turned within the box keeps the hand out of less."""
+    points = zone.zoneShape.Points
+    (x0, y0, z0), (x1, y1, z1) = box.low_m, box.high_m
+    corners = ((x0, y0), (x0, y1), (x1, y1), (x1, y0))
+    low_z, top_z = sorted((points[0].Z, points[4].Z))
+    upright = zone.zoneShape.shapeType == ShapeType.PRISM_SQUARE_BASE_Z and _near((low_z, top_z), (z0, z1))
+    return upright and any(
+        all(
+            _near((point.X, point.Y, point.Z), (*corners[(first + way * number) % 4], points[0].Z))
+            for number, point in enumerate(points[:4])
+        )
+        for first in range(4)
+        for way in (1, -1)
     )
+
+
+def _near(ones: Sequence[float], others: Sequence[float]) -> bool:
+    return all(abs(one - other) <= WITHIN_M for one, other in zip(ones, others, strict=True))

@@ -14,6 +14,9 @@ from deformscope_drivers.errors import SettingsRefused
 from deformscope_drivers.jaco import Jaco, JacoConfig, JacoDouble
 from deformscope_drivers.jaco.commands import velocity_point
 from deformscope_drivers.jaco.config import Workspace
+from deformscope_drivers.jaco.library import call
+from deformscope_drivers.jaco.structures import CartesianInfo, Zone, ZoneList
+from deformscope_drivers.jaco.zones import set_zones, zone_list
 from deformscope_drivers.memory import SimulatedClock
 
 
@@ -45,6 +48,66 @@ def test_zones_are_written_once_and_an_arm_that_does_not_keep_them_is_refused() 
     assert functions.calls["EraseAllProtectionZones"] == 1
     with pytest.raises(SettingsRefused, match="protection zones"):
         Jaco(below, Counted(double, liar=True), clock=clock).open(own_thread=False)
+
+
+BOXES = Workspace((-1.0, -0.9, -1.0), (1.0, 0.9, -0.01)), Workspace((0.2, 0.3, 0.1), (0.4, 0.5, 0.6))
+
+
+def other_order(zones: ZoneList) -> None:
+    zones.Zones[0], zones.Zones[1] = Zone.from_buffer_copy(zones.Zones[1]), Zone.from_buffer_copy(zones.Zones[0])
+
+
+def other_corners(zones: ZoneList) -> None:
+    """From another corner on, the other way round, and a hair beside."""
+    points = zones.Zones[1].zoneShape.Points
+    old = [CartesianInfo.from_buffer_copy(point) for point in points]
+    for number in range(8):
+        points[number] = old[(2 - number) % 4 + number // 4 * 4]
+    points[0].X += 2e-6
+
+
+def turned(zones: ZoneList) -> None:
+    """A base that stands on its corner in the box, and is half of it."""
+    for point, (x, y) in zip(
+        zones.Zones[1].zoneShape.Points, ((0.3, 0.3), (0.2, 0.4), (0.3, 0.5), (0.4, 0.4)) * 2, strict=True
+    ):
+        point.X, point.Y = x, y
+
+
+def one_more(zones: ZoneList) -> None:
+    zones.NbZones = 3
+    zones.Zones[2] = Zone.from_buffer_copy(zones.Zones[1])
+
+
+def slower_alone(zones: ZoneList) -> None:
+    zones.Zones[1].zoneLimitation.speedParameter1 = 0.05
+
+
+def another_shape(zones: ZoneList) -> None:
+    zones.Zones[1].zoneShape.shapeType = 0
+
+
+@pytest.mark.parametrize(
+    ("change", "same"),
+    [
+        (other_order, True),
+        (other_corners, True),
+        (turned, False),
+        (one_more, False),
+        (slower_alone, False),
+        (another_shape, False),
+    ],
+)
+def test_zones_are_the_same_by_what_they_keep_the_hand_out_of(change: Callable[[ZoneList], None], same: bool) -> None:
+    double = JacoDouble("j2n6s300", SimulatedClock())
+    functions = Counted(double)
+    call(functions, "InitAPI")
+    kept = zone_list(BOXES)
+    change(kept)
+    call(functions, "SetProtectionZone", kept)
+    functions.calls.clear()
+    set_zones(functions, BOXES, lambda: None)
+    assert functions.calls["SetProtectionZone"] == (not same)
 
 
 @pytest.mark.parametrize("by_joints", [False, True])
