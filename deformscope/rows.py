@@ -41,6 +41,7 @@ from deformscope.frames import (
 from deformscope.images import decode_image
 from deformscope.stages.map.exploration import (
     ExplorationStop,
+    LumpsFound,
     MapEstimate,
     PhaseStart,
     PlannedTouch,
@@ -73,6 +74,7 @@ Result = (
     SurfaceEstimate
     | TouchEstimate
     | MapEstimate
+    | LumpsFound
     | PlannedTouch
     | TouchForecast
     | SteeringDecision
@@ -96,6 +98,7 @@ ENTITIES: dict[type, str] = {
     SurfaceEstimate: "exploration/surface",
     TouchEstimate: "exploration/touch",
     MapEstimate: "exploration/maps",
+    LumpsFound: "exploration/lumps",
     PlannedTouch: "exploration/plan",
     TouchForecast: "exploration/forecast",
     SteeringDecision: "exploration/decision",

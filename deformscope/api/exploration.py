@@ -100,8 +100,11 @@ def exploration_rows(found: Mapping[str, Any]) -> Rows:
     if betas := [one["beta_verdict"] for one in touches if one["beta"] is not None]:
         common = max(set(betas), key=betas.count)
         rows.append(("beta", f"{common} in {betas.count(common)} of {len(betas)} touches"))
+    if inclusions := found["inclusions"]:
+        rows += [(name, words) for name, words in inclusions["words"]]
     if missed := found["missed"]:
-        rows += missed_rows(missed, by_loss=found["stiffness"] == "loss")
+        by_loss = found["stiffness"] == "loss"
+        rows += missed_rows({**missed, "lumps": []} if inclusions else missed, by_loss=by_loss)
     true_n, reason = found["max_force_n"], found["stop_reason"]
     felt_n = max((one["peak_force_n"] for one in touches), default=0.0) if true_n is None else true_n
     ended = reason if reason.startswith("stopped") else f"stopped: {reason or 'before its plan said so'}"
@@ -141,10 +144,12 @@ def missed_rows(missed: Mapping[str, Any], *, by_loss: bool = False) -> Rows:
 def explore(
     rig: str | Path,
     *,
-    touches: int = 8,
+    touches: int | None = None,
+    goal: Literal["regions", "inclusions"] = "regions",
     planner: Planner = "regions",
     set_force_n: float | None = None,
     smallest_inclusion_m: float | None = None,
+    smallest_lump_m: float | None = None,
     beta_model: Literal["volume", "thesis", "layers", "none"] | None = None,
     pace: Literal["careful", "quick"] = "careful",
     hold_s: float = 0.0,
@@ -159,7 +164,9 @@ def explore(
 ) -> ExplorationResult:
     """Map how soft a surface is: look, touch where it says most about the map, map, and again.
 
-    rig: a rig file (.toml), or a simulated scene (`lab:NAME`); touches: at most; set_force_n: at most 5 N
+    rig: a rig file (.toml), or a simulated scene (`lab:NAME`); touches: at most, default 8, or 30 for inclusions
+    goal: regions of one stiffness each, or inclusions: lumps below the surface; smallest_lump_m: radius of the smallest
+    that must not be missed, default 0.02; set_force_n: at most 5 N
     smallest_inclusion_m: radius of the smallest lumps that are sought, default 0.06; pace: quick = low and fast over
     what is known of the surface; hold_s: of each touch, from which it says how the foam creeps; feel: what is mapped:
     stiffness at once, stiffness when all has relaxed, or the share of its energy that a touch loses
@@ -172,6 +179,8 @@ def explore(
         config = ExploreConfig(
             str(rig),
             touches=touches,
+            goal=goal,
+            smallest_lump_cm=None if smallest_lump_m is None else 100.0 * smallest_lump_m,
             planner=planner,
             set_force=set_force_n,
             smallest_inclusion=smallest_inclusion_m,
@@ -197,4 +206,4 @@ def _explored(config: ExploreConfig, *, quiet: bool) -> ExplorationResult:
         raise InputError("an exploration", "none: it ended before the arm could move")
     if (maps := explored.maps) is None:
         return ExplorationResult(explored.found, {})
-    return ExplorationResult(explored.found, map_arrays(maps), result_png(maps, config.rig))
+    return ExplorationResult(explored.found, map_arrays(maps), result_png(maps, config.rig, explored.lumps))

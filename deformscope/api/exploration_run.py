@@ -14,7 +14,7 @@ from deformscope import __version__
 from deformscope.api.moving import Watch, leave, permitted
 from deformscope.api.result import open_recorder
 from deformscope.api.rigs import until_interrupted
-from deformscope.api.setups import setup_of
+from deformscope.api.setups import LAB, setup_of
 from deformscope.errors import InputError
 from deformscope.stages.msm.quiet import quiet_warp
 from deformscope.terminal import say, status_line
@@ -32,9 +32,13 @@ if TYPE_CHECKING:
     from deformscope.recording.recorder import Recorder
     from deformscope.robot.setup import Setup
     from deformscope.session import RigExperiment, Step
-    from deformscope.stages.map.exploration import MapEstimate, Missed, TouchEstimate
+    from deformscope.stages.map.exploration import LumpsFound, MapEstimate, Missed, TouchEstimate
 
 
+REGION_TOUCHES, LUMP_TOUCHES = 8, 30
+"""At most, unless asked for otherwise."""
+LUMP_FORCE_N = 5.0
+"""Lumps are sought with in the laboratory, unless asked for otherwise: pressed harder, a touch feels deeper."""
 MAP_UNITS = {
     "cell_m": "m",
     "stiffness_n_per_mm": "N/mm",
@@ -91,11 +95,13 @@ class ExplorationEnd:
 
 @dataclass(frozen=True, slots=True)
 class Explored:
-    """What an exploration found. found: as in the JSON; maps: None where no touch gave one; simulated: the scene"""
+    """What an exploration found. found: as in the JSON; maps: None where no touch gave one; simulated: the scene;
+    lumps: None where none are sought"""
 
     found: dict[str, Any]
     maps: MapEstimate | None
     simulated: bool
+    lumps: LumpsFound | None = None
 
 
 def explore_on(config: ExploreConfig, report: Callable[[Explored], None]) -> Explored | None:
@@ -110,13 +116,15 @@ def explore_on(config: ExploreConfig, report: Callable[[Explored], None]) -> Exp
     from deformscope.stages.map.plan import INCLUSION_M
 
     quiet_warp()
+    lumps = config.goal == "inclusions"
     options = ExploreOptions(
         planner=config.planner,
-        budget=config.touches,
+        budget=config.touches or (LUMP_TOUCHES if lumps else REGION_TOUCHES),
         threshold=config.threshold,
-        beta_model=config.beta_model or ("thesis" if config.planner == "thesis" else "volume"),
+        beta_model=config.beta_model or ("none" if lumps else "thesis" if config.planner == "thesis" else "volume"),
         seed=config.output.seed,
-        inclusion_m=config.smallest_inclusion or INCLUSION_M,
+        goal=config.goal,
+        inclusion_m=0.01 * (config.smallest_lump_cm or 2.0) if lumps else config.smallest_inclusion or INCLUSION_M,
         first_m=config.first,
         lift_m=DRY_RUN_M if config.dry_run else 0.0,
         hold_s=config.hold,
@@ -128,7 +136,7 @@ def explore_on(config: ExploreConfig, report: Callable[[Explored], None]) -> Exp
     opening = setup_of(
         config.rig,
         options,
-        config.set_force,
+        LUMP_FORCE_N if config.set_force is None and lumps and config.rig.startswith(LAB) else config.set_force,
         trusted=config.trust_rig,
         clean=config.clean,
         camera=config.camera,
@@ -155,7 +163,7 @@ def explore_on(config: ExploreConfig, report: Callable[[Explored], None]) -> Exp
         if ending.began_s > 0.0 or found.stop is not None:
             as_json = _found(config, setup, options, found, recorder, ending, to_come)
             as_json["laboratory"] = opening.settings.get("laboratory")
-            explored = Explored(as_json, found.maps, setup.simulated)
+            explored = Explored(as_json, found.maps, setup.simulated, found.lumps)
             report(explored)
             _say_on_page(recorder, as_json)
         if ending.error is not None:
@@ -203,8 +211,8 @@ def _run(
         ending.start_ns = source.start_ns
         truth = setup.truth is not None and setup.truth.labels is not None
         place = setup.size_m, setup.placement.T_base_surface
-        mapped = "energy loss" if options.feel == "loss" else "stiffness"
-        recorder.start_exploration(source.streams, source.start_ns, *place, truth=truth, mapped=mapped)
+        mapped, lumps = "energy loss" if options.feel == "loss" else "stiffness", options.goal == "inclusions"
+        recorder.start_exploration(source.streams, source.start_ns, *place, truth=truth, lumps=lumps, mapped=mapped)
         shown = None if recorder.page is None else ShownDevices(recorder.page.desk, source.streams)
         page = _steering(config, setup, options, recorder, asked, shown)
         watched = WatchedDevices(recorder, shown, show)
@@ -310,9 +318,9 @@ def _said(
 
 def _for_page(result: object) -> bool:
     """Whether a page is to say it: plans and answers of its own it shows elsewhere."""
-    from deformscope.stages.map.exploration import MapEstimate, StageFailure, TouchEstimate
+    from deformscope.stages.map.exploration import LumpsFound, MapEstimate, StageFailure, TouchEstimate
 
-    return isinstance(result, TouchEstimate | MapEstimate | StageFailure)
+    return isinstance(result, TouchEstimate | MapEstimate | LumpsFound | StageFailure)
 
 
 def _remarks(result: object) -> Iterator[str]:
@@ -320,12 +328,14 @@ def _remarks(result: object) -> Iterator[str]:
         creep_words,
         dent_words,
         failed_words,
+        found_words,
         interval_words,
         iou_words,
         stiffness_words,
         verdict_words,
     )
     from deformscope.stages.map.exploration import (
+        LumpsFound,
         MapEstimate,
         PlannedTouch,
         StageFailure,
@@ -355,6 +365,9 @@ def _remarks(result: object) -> Iterator[str]:
             yield f"  creep{at}: {creep_words(result.creep)}"
     elif isinstance(result, MapEstimate):
         yield "  map: " + ", ".join(one for one in (verdict_words(result), iou_words(result)) if one)
+    elif isinstance(result, LumpsFound):
+        smallest = f"{100.0 * result.smallest_m:g} cm radius or more"
+        yield f"  {found_words(result)}; one of {smallest} is missed with {result.missed_smallest:.1%}"
     elif isinstance(result, StageFailure):
         yield f"deformscope: {failed_words(result)}"
 
@@ -420,6 +433,7 @@ def _found(
         },
         "supervisor_gaps_ms": _gaps_ms(ending.gaps_s),
         "stop_reason": exploration.stop_reason,
+        "inclusions": None if exploration.lumps is None else _inclusions(exploration.lumps),
         "missed": _missed(exploration.missed),
         "arm_stands": ending.arm_stopped,
         "failures": [{"stage": one.stage, "touch": one.touch, "reason": one.reason} for one in exploration.failures],
@@ -427,6 +441,28 @@ def _found(
         # after an error it keeps the name of an unfinished one
         "recording": config.output.record if ending.error is None else recorder.summary().path,
         "fault": _fault(exploration, ending, faults),
+    }
+
+
+def _inclusions(lumps: LumpsFound) -> dict[str, Any]:
+    from deformscope.pictures.words import lump_rows
+
+    names = ("centre_m", "within_m", "radius_m", "radius_interval_m", "stiff", "probability", "depth")
+    each = zip(lumps.size_m, lumps.missed, strict=True)
+    truth = () if lumps.truth_m is None else lumps.truth_m
+    return {
+        "lumps": [{name: getattr(lumps, name)[number] for name in names} for number in range(len(lumps))],
+        "missed": [{"radius_m": radius, "probability": share} for radius, share in each],
+        "smallest_m": lumps.smallest_m,
+        "missed_smallest": lumps.missed_smallest,
+        "prior": lumps.prior,
+        "contrast": lumps.contrast,
+        "deepest_m": lumps.deepest_m,
+        "shallow_to_m": lumps.deep_m,
+        "scatter": lumps.scatter,
+        "touches": len(lumps.contacts_m),
+        "truth": [{"centre_m": one[:2], "radius_m": one[2], "depth_m": one[3]} for one in truth],
+        "words": lump_rows(lumps),
     }
 
 

@@ -105,6 +105,9 @@ COMMANDS: dict[str, Command] = {
     "coverage materials": _command(
         "how often axes, yielding and recovery are held", "MaterialsCoverageConfig", "coverage_materials"
     ),
+    "coverage lumps": _command(
+        "how many lumps in foam are found, and how many are missed", "LumpCoverageConfig", "coverage_lumps"
+    ),
     "coverage creep": _command(
         "how far off a creeping foam's stiffness and loss are", "CreepCoverageConfig", "coverage_creep"
     ),

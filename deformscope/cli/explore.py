@@ -59,7 +59,9 @@ class _Outputs:
         if (maps := explored.maps) is not None:
             if config.map is not None and self._write(config.map, lambda: _map_file(config, maps)):
                 written.append(("map", str(config.map)))
-            if config.picture is not None and self._write(config.picture, lambda: result_png(maps, config.rig)):
+            if config.picture is not None and self._write(
+                config.picture, lambda: result_png(maps, config.rig, explored.lumps)
+            ):
                 written.append(("picture", str(config.picture)))
         try:
             write_json(found, config.output.json)
@@ -97,10 +99,10 @@ def _map_file(config: ExploreConfig, maps: MapEstimate) -> bytes:
 
 def _list() -> None:
     from deformscope.lab.faults import Injected
-    from deformscope.lab.scenes import BUILT_IN, DRAWN
+    from deformscope.lab.scenes import BUILT_IN, BURIED, DRAWN
 
     print("simulated scenes; other hardnesses in newtons go as well (lab:two-80-200):")
-    for name in BUILT_IN:
+    for name in BUILT_IN | BURIED:
         kind = next((kind for kind in DRAWN if name.startswith(kind)), name)
         drawn = ", ".join(f"{one.what} {one.low:g} to {one.high:g}" for one in DRAWN[kind])
         print(f"  lab:{name:<22} {drawn or 'nothing is drawn'}")

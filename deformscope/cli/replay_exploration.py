@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from deformscope.page.server import PageServer
     from deformscope.recording.reader import Replay
 
-TRUTH = ("truth_labels", "iou", "boundary_m")
+TRUTH = ("truth_labels", "iou", "boundary_m", "truth_m")
 """Not computed again: it is no input."""
 LATER = ("speed_m_s",)
 """Older recordings do not have these."""
@@ -43,6 +43,7 @@ def replay_exploration(recording: Replay, config: ReplayConfig, page: PageServer
     from deformscope.recording.items import read_results
     from deformscope.session import run
     from deformscope.stages.map.exploration import (
+        LumpsFound,
         MapEstimate,
         PlannedTouch,
         StageFailure,
@@ -56,7 +57,7 @@ def replay_exploration(recording: Replay, config: ReplayConfig, page: PageServer
     changes = _changes(config.set, ExploreOptions)
     options = dataclasses.replace(msgspec.convert(settings["explore"], ExploreOptions), **changes)
     geometry = SetupGeometry.from_json(settings.get("setup", {}))
-    kinds = (SurfaceEstimate, PlannedTouch, TouchEstimate, MapEstimate)
+    kinds = (SurfaceEstimate, PlannedTouch, TouchEstimate, MapEstimate, LumpsFound)
     rows = list(read_results(path, kinds, trust=True))
     recorded = [row.item for row in rows]
     failed = [row.item for row in read_results(path, (StageFailure,), trust=True)]

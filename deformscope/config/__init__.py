@@ -36,6 +36,7 @@ from deformscope.config.reproduce import (
     FieldCoverageConfig,
     FoamsConfig,
     ForceCoverageConfig,
+    LumpCoverageConfig,
     MaterialsCoverageConfig,
     PokesConfig,
     RegionCoverageConfig,

@@ -222,6 +222,31 @@ class MaterialsCoverageConfig(RecordedOptions):
 
 
 @dataclass(frozen=True, slots=True)
+class LumpCoverageConfig(RecordedOptions):
+    """Count how many lumps `explore --goal inclusions` finds within how many touches, how often it finds one where
+    there is none, and whether what it says of missed ones is right: fields of 20 by 20 cm of finite elements, with a
+    lump of 2 cm radius 1 to 2 cm deep and without."""
+
+    objects: flags.ManyFlag = 40
+    """Fields with a lump, and as many without, from seed SEED on; each takes some 25 s."""
+    touches: flags.ManyFlag = 30
+    """Touches at most."""
+    foam: Annotated[str, arg(metavar="N")] = "60"
+    """Hardness of the foam [N]."""
+    lump: Annotated[str, arg(metavar="N|rigid")] = "600"
+    """Hardness of the lump [N]."""
+    smallest_lump_cm: Annotated[float, arg(metavar="CM")] = 2.0
+    """Radius of the smallest lump that must not be missed [cm]."""
+    set_force: Annotated[float, arg(metavar="N")] = 5.0
+    """Force to press with [N]."""
+    errors: bool = False
+    """With all errors of the laboratory, foam that scatters among them; else nothing is kept from the estimator."""
+    jobs: flags.ManyFlag = 2
+    """Processes that share the work."""
+    output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
+
+
+@dataclass(frozen=True, slots=True)
 class FieldCoverageConfig(RecordedOptions):
     """Count how often `calibrate field` finds materials, their border and their ratio: plates and slabs of finite
     elements, under noise that neighbours share."""

@@ -214,8 +214,14 @@ class ExploreConfig(RecordedOptions):
     """A rig file (.toml), or a simulated scene; --list-scenarios names these."""
     list_scenarios: bool = False
     """Name the simulated scenes, what their seeds draw, and what can go wrong in them; do nothing else."""
-    touches: flags.ManyFlag = 8
-    """Touches at most."""
+    touches: flags.SomeFlag = None
+    """Touches at most, default 8, with --goal inclusions 30."""
+    goal: Literal["regions", "inclusions"] = "regions"
+    """What is sought: regions of one stiffness each, or inclusions: lumps below a surface that shows nothing, stiffer
+    or softer than the foam around them; touched is until one of --smallest-lump-cm or more is missed with less than
+    5 %."""
+    smallest_lump_cm: flags.PositiveFlag = None
+    """With --goal inclusions: radius of the smallest lump that must not be missed [cm], default 2."""
     planner: Literal["regions", "integrated-variance", "max-variance", "random-above", "thesis"] = "regions"
     """Where to touch next: where the map of regions gains most a second (default), three rules by the field's
     variance, or all of chapter 4 as the thesis has it: its field of beta, from --first (default: a preset place), any
@@ -278,6 +284,14 @@ class ExploreConfig(RecordedOptions):
     output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
 
     def check(self) -> None:
+        if self.smallest_lump_cm is not None and self.goal != "inclusions":
+            raise InputError("--smallest-lump-cm with --goal inclusions", f"--goal {self.goal}", "--goal inclusions")
+        if self.smallest_inclusion is not None and self.goal == "inclusions":
+            raise InputError(
+                "--smallest-lump-cm with --goal inclusions", "--smallest-inclusion", "--smallest-lump-cm 2"
+            )
+        if self.goal == "inclusions" and self.planner != "regions":
+            raise InputError("the planner of --goal inclusions", f"--planner {self.planner}", "leave --planner out")
         if self.paused and self.output.viewer != "page":
             raise InputError("--paused with --viewer page", f"--viewer {self.output.viewer}", "--viewer page")
         if not self.rig and not self.list_scenarios:

@@ -21,6 +21,7 @@ from deformscope.experiments.options import PLAN_CELL_M
 from deformscope.session import Answer, Compute, Inline, Moment, RigExperiment, Step, ask
 from deformscope.stages.map.exploration import (
     ExplorationStop,
+    LumpsFound,
     MapEstimate,
     Missed,
     PhaseStart,
@@ -154,7 +155,7 @@ class Exploration:
     touches, maps, failures: results; maps is the newest; region_probability: of each number of regions, with `maps`
     ended_ns, iou: of each touch, when it had ended on the robot's clock, and of the map after it (None without a truth)
     travel_m: over the surface, in straight lines from its corner (0, 0); stop_reason: in a word or two
-    missed: by the touches so far, None before the first plan
+    missed: by the touches so far, None before the first plan; lumps: the newest, None where none are sought
     started: touches that were started; asked: numbers of those that a person asked for, from 1
     stop, stop_ns: why and when the robot stopped before its plan said so
     compute_s, slowest_s: spent computing, and on the slowest touch [s]
@@ -169,6 +170,7 @@ class Exploration:
     travel_m: float = 0.0
     stop_reason: str = ""
     missed: Missed | None = None
+    lumps: LumpsFound | None = None
     started: int = 0
     asked: list[int] = field(default_factory=list)
     stop: ExplorationStop | None = None
@@ -187,6 +189,8 @@ class Exploration:
                 self.touches.append(result)
             elif isinstance(result, MapEstimate):
                 self.maps, self.region_probability = result, computed.region_probability
+            elif isinstance(result, LumpsFound):
+                self.lumps = result
             elif isinstance(result, PlannedTouch):
                 self.stop_reason, self.missed = result.stop_reason, result.missed
             elif isinstance(result, StageFailure):

@@ -22,6 +22,7 @@ from deformscope.experiments.options import BORDER_M, PLAN_CELL_M, ExploreOption
 from deformscope.robot.setup import Truth
 from deformscope.robot.touch import TouchPlan
 from deformscope.stages.map.exploration import (
+    LumpsFound,
     MapEstimate,
     PlannedTouch,
     StageFailure,
@@ -31,13 +32,23 @@ from deformscope.stages.map.exploration import (
 )
 from deformscope.stages.map.field import BETA_PRIOR, fit_field, levels_of
 from deformscope.stages.map.loss import by_loss, loss_sample
+from deformscope.stages.map.lump_plan import plan_lump_touch
+from deformscope.stages.map.lump_posterior import LumpPosterior, LumpPrior
 from deformscope.stages.map.map_score import boundary_distance, called_labels, match_regions
 from deformscope.stages.map.measured import SurfaceMeasurement, TouchMeasurement
 from deformscope.stages.map.plan import ALLOWED, FieldKernel, PlanOptions, plan_touch
 from deformscope.stages.map.surface import HeightMap, HeightProcess, fit_surface
 from deformscope.stages.map.thesis_field import FIRST_SHARE, ThesisField, contoured
 from deformscope.stages.map.touch_beta import BallContact, SeenDent, dent_of, fit_touch, thesis_beta
-from deformscope.stages.poke.contact import EXPONENT, Z_90, ArmCompliance, ContactFit, fit_approach, layer_modulus
+from deformscope.stages.poke.contact import (
+    EXPONENT,
+    EXPONENT_SD,
+    Z_90,
+    ArmCompliance,
+    ContactFit,
+    fit_approach,
+    layer_modulus,
+)
 from deformscope.stages.poke.creep import REFERENCE_SPEED_M_S, CreepFit, fit_creep
 from deformscope.stages.poke.local_shape import LocalShape, ShapeShift, shape_of, shape_shift
 from deformscope.stages.regions.posterior import RegionMap, RegionPosterior, RegionPrior
@@ -47,7 +58,7 @@ from deformscope.stages.see.cloud import tactile_points
 from deformscope_drivers.arms import chain_of
 
 StageResult = TypeVar("StageResult")
-Result = SurfaceEstimate | TouchEstimate | MapEstimate | PlannedTouch | TouchForecast | StageFailure
+Result = SurfaceEstimate | TouchEstimate | MapEstimate | LumpsFound | PlannedTouch | TouchForecast | StageFailure
 NEAR_M = 0.08
 """Points within this of a touch are shown with it."""
 FEWEST_FOR_FIELD = 2
@@ -69,9 +80,12 @@ CURVED_OVER_M = 0.01
 """Curvature is taken over so far to either side: a tip of 1 cm feels no finer."""
 FORECAST_STEPS = 25
 """Forces at which a touch is foretold."""
-COSTS = {"careful": (6.0, 0.1), "quick": (3.2, 0.15)}
-"""What the planner takes a touch for [s], and the speed of the way to it [m/s], by pace. Chosen; quick: as a
-touch and its way take there in the laboratory."""
+COSTS = {"careful": (6.0, 0.1), "quick": (4.0, 0.15)}
+"""What the planner takes a touch for [s], and the speed of the way to it [m/s], by pace. Chosen: near enough to
+what they take, and such that both paces weigh a touch and its way alike, and touch the same places."""
+ONE_FOAM_EXPONENT_SD = 0.02
+"""Of the contact's exponent where lumps are sought: touches of one foam share it, and what it is off by is a part of
+the level. A touch of 5 N then scatters by 0.4 % instead of 0.6 (finite elements with the sensors' noise)."""
 SPEED_SD = 0.03
 """Of log stiffness for each e-fold of the approach speed, where a touch's creep could not be fitted: a third of a
 modulus that relaxes evenly over three decades of time changes a ball's stiffness so [assumed]."""
@@ -263,7 +277,7 @@ class ExplorationStages:
         began = time.perf_counter()
         made = self.geometry.touch(touched)
         estimate = self.explorer.touch(made, lambda: self.geometry.dent(touched))
-        return self._computed((estimate, *_made(self.explorer.maps())), began)
+        return self._computed((estimate, *_made(self.explorer.maps()), *_made(self.explorer.lumps())), began)
 
     def _computed(self, results: tuple[Result, ...], began: float, touch: Touch | None = None) -> Computed:
         explorer = self.explorer
@@ -306,9 +320,14 @@ class Explorer:
         self.world: HeightProcess | None = None
         error = error or TouchErrorModel()
         self._gain_sd = error.gain_sd
-        # the force that goes in and the one that comes back are off by the same gain
-        prior = RegionPrior(error=dataclasses.replace(error, gain_sd=0.0) if options.feel == "loss" else error)
-        self.posterior = RegionPosterior.before_touches(self.grid, prior, seed=options.seed)
+        self.posterior: RegionPosterior | LumpPosterior
+        if options.goal == "inclusions":
+            of_touches = options.inclusion_m, options.tip_radius_m, options.set_force_n
+            self.posterior = LumpPosterior(self.grid, LumpPrior(*of_touches, error))
+        else:
+            # the force that goes in and the one that comes back are off by the same gain
+            prior = RegionPrior(error=dataclasses.replace(error, gain_sd=0.0) if options.feel == "loss" else error)
+            self.posterior = RegionPosterior.before_touches(self.grid, prior, seed=options.seed)
         self.touches: list[TouchEstimate] = []
         self.seen_m: FloatArray = np.zeros((0, 3))
         self._exponents: list[float] = []
@@ -356,24 +375,30 @@ class Explorer:
     def _plan(self, reachable: BoolArray | None) -> PlannedTouch:
         options = self.options
         touch_s, speed_m_s = COSTS[options.pace]
-        plan = plan_touch(
-            self.posterior,
-            FieldKernel(),
-            PlanOptions(
-                planner=options.planner,
-                budget=options.budget,
-                threshold=options.threshold,
-                cell_m=PLAN_CELL_M,
-                inclusion_m=options.inclusion_m,
-                touch_s=touch_s,
-                speed_m_s=speed_m_s,
-            ),
-            tip_m=self.touches[-1].xyz_m[:2] if self.touches else None,
-            left_out_m=np.reshape(self._left_out, (-1, 2)),
-            reachable=reachable,
-            thesis=self.thesis,
-            seed=options.seed + len(self.touches),
+        planning = PlanOptions(
+            planner=options.planner,
+            budget=options.budget,
+            threshold=options.threshold,
+            cell_m=PLAN_CELL_M,
+            inclusion_m=options.inclusion_m,
+            touch_s=touch_s,
+            speed_m_s=speed_m_s,
         )
+        tip_m = self.touches[-1].xyz_m[:2] if self.touches else None
+        left_out_m = np.reshape(self._left_out, (-1, 2))
+        if isinstance(self.posterior, LumpPosterior):
+            plan = plan_lump_touch(self.posterior, planning, tip_m=tip_m, left_out_m=left_out_m, reachable=reachable)
+        else:
+            plan = plan_touch(
+                self.posterior,
+                FieldKernel(),
+                planning,
+                tip_m=tip_m,
+                left_out_m=left_out_m,
+                reachable=reachable,
+                thesis=self.thesis,
+                seed=options.seed + len(self.touches),
+            )
         first, reason = options.first_m, "as asked for"
         if first is None and options.planner == "thesis":
             first, reason = tuple(np.multiply(FIRST_SHARE, self.grid.size_m)), "the preset place"
@@ -457,12 +482,11 @@ class Explorer:
 
     def known_m(self, xy_m: FloatArray) -> float | None:
         """How far the surface at a place (2,) [m] may be from where it was seen: as far as any touch felt it from
-        there, and what its process doubts; None before the first touch."""
-        if not self.touches:
-            return None
+        there, and what its process doubts; None before the first touch, of a place that was seen."""
         assert self._heights is not None
         row, column = (xy_m[::-1] / self.grid.cell_m).astype(int)
-        return self._beside_m + SURE_SD * float(self._heights.deviation_m[row, column])
+        doubt_m = SURE_SD * float(self._heights.deviation_m[row, column])
+        return None if not self.touches and doubt_m <= SEEN_M else self._beside_m + doubt_m
 
     def touch(self, touched: TouchMeasurement, dent: Callable[[], FloatArray] | None = None) -> TouchEstimate:
         """Take a touch in. dent: computes its `after_m`, where that is not known yet"""
@@ -486,7 +510,7 @@ class Explorer:
                 self._felt.append(seen)
                 seen = self._stage("loss", lambda: loss_sample(touched.xy_m, creep, rigid=fit.rigid))
             if seen is not None:
-                posterior = self._stage("regions", partial(self.posterior.with_touch, seen))
+                posterior = self._stage("regions", partial(_after, self.posterior, seen))
             if not fit.rigid:
                 self._exponents.append(fit.exponent)
         self._usable = posterior is not None
@@ -515,6 +539,14 @@ class Explorer:
         last = next((one for one in reversed(self.failures) if one.stage in BEFORE_A_MAP), None)
         why = "none was held for long enough" if last is None else f"the last for {last.stage}: {last.reason}"
         return f"{self._without_map} touches in a row gave no map, {why}"
+
+    def lumps(self) -> LumpsFound | None:
+        """What was found after the newest touch, where lumps are sought; None where they are not, or it gave none."""
+        posterior = self.posterior
+        if not isinstance(posterior, LumpPosterior) or not self._usable:
+            return None
+        truth_m = None if self._truth is None else self._truth.lumps_m
+        return self._stage("lumps", lambda: posterior.lumps(truth_m))
 
     def _maps(self) -> MapEstimate:
         found = self.region_map()
@@ -587,13 +619,13 @@ class Explorer:
     # Within -----------------------------------------------------------------------------------------------------------
 
     def _shape(self, xy_m: FloatArray) -> LocalShape | None:
-        """Of the foam at a place (2,) [m] as it was seen; None where it counts as level."""
+        """Of the foam at a place (2,) [m] as it was seen; None where it counts as level, and, for regions, as wide."""
+        edge_m = float(np.min([xy_m, self.grid.size_m - xy_m]))
         if not self._uneven:
-            return None
+            return LocalShape(self.options.thickness_m, edge_m=edge_m) if self.options.goal == "inclusions" else None
         assert self.world is not None
         step = CURVED_OVER_M
         found = self.world.at(xy_m + step * np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]]))
-        edge_m = float(np.min([xy_m, self.grid.size_m - xy_m]))
         return shape_of(found.mean, found.deviation, step, edge_m, LEAST_THICKNESS * self.options.thickness_m)
 
     def _shift(self, xy_m: FloatArray, n_per_mm: float) -> ShapeShift | None:
@@ -635,6 +667,7 @@ class Explorer:
             set_force_n=options.set_force_n,
             arm=self._arm,
             gain_sd=self._gain_sd,
+            exponent_sd=ONE_FOAM_EXPONENT_SD if options.goal == "inclusions" else EXPONENT_SD,
         )
         law = fitted_law(fit, self._arm, _along(touched))
         modulus = None
@@ -789,6 +822,10 @@ class _Beta:
     simulated_m: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
     dented_m: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
     dent: SeenDent | None = None
+
+
+def _after(posterior: RegionPosterior | LumpPosterior, touch: StiffnessSample) -> RegionPosterior | LumpPosterior:
+    return posterior.with_touch(touch)
 
 
 def _levelled(seen: StiffnessSample, shift: ShapeShift) -> StiffnessSample:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
@@ -18,6 +19,7 @@ BORDER_M = 0.02
 """No touch is made so near the surface's edge."""
 VIEW_CELL_M = 0.004
 """Points of the surface before any touch are reduced to one in each cell of this size."""
+Goal = Literal["regions", "inclusions"]
 Pace = Literal["careful", "quick"]
 TRAVEL_M_S = {"careful": 0.05, "quick": 0.15}
 """Between touches in the laboratory, by pace; a rig file says it for a rig."""
@@ -39,6 +41,7 @@ class ExploreOptions:
     beta_model: layers below the surface; the thesis's sweep of a single layer, or of layers, with one particle held; or
     no beta; cell_m: of the maps; seed
     standoff_m: of the tip above the surface before and after a touch, and above all that it crosses
+    goal: regions of one stiffness each, or lumps below a surface that shows nothing (`stages.map.lump_posterior`)
     inclusion_m: radius of the smallest lumps that are sought
     first_m: where to touch first, None = where it says most (of the thesis: at a preset place)
     tangential: while it presses the tip is "held" on the surface's normal, or "free" to follow forces across it
@@ -63,6 +66,7 @@ class ExploreOptions:
     seed: int = 0
     standoff_m: float = 0.05
     go_on: bool = False
+    goal: Goal = "regions"
     inclusion_m: float = INCLUSION_M
     first_m: tuple[float, float] | None = None
     lift_m: float = 0.0
@@ -84,7 +88,16 @@ class ExploreOptions:
             raise InputError("a planner whose regions are not those of beta", "thesis", "--planner regions")
         if not 0.0 < self.set_force_n <= SECOND_FORCE_N:
             raise InputError(f"a set force above 0 and up to {SECOND_FORCE_N:g} N", f"{self.set_force_n:g} N")
-
+        if self.goal == "inclusions" and self.feel == "loss":
+            raise InputError("lumps that are felt by their stiffness", "--feel loss", "--goal regions")
+        if self.goal == "inclusions" and self.planner != "regions":
+            raise InputError("the goal's own planner", f"--planner {self.planner}", "leave --planner out")
+        lengths = ("max_depth_m", "tip_radius_m", "thickness_m", "cell_m", "standoff_m", "inclusion_m")
+        for name in lengths:
+            if not 0.0 < getattr(self, name) < math.inf:
+                raise InputError(f"{name} above 0", f"{getattr(self, name):g}")
+        if not 0.0 <= self.threshold < math.inf or self.seed < 0:
+            raise InputError("a threshold and a seed of 0 or more", f"{self.threshold:g} and {self.seed}")
         if self.planner == "thesis" and self.beta_model == "none":
             raise InputError("a beta model for the thesis's planner", "none", "--beta-model thesis")
 

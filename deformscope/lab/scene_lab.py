@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from deformscope.arrays import FloatArray
 from deformscope.capsule import Capsule
 from deformscope.lab.arm_contact import ARM_DOUBT, ARM_STIFFNESS_N_M
+from deformscope.lab.buried_world import slab_world
 from deformscope.lab.creeping_world import CreepingWorld, Relaxation
 from deformscope.lab.depth_view import DepthView
 from deformscope.lab.ray_camera import DepthViewConfig
@@ -17,7 +18,7 @@ from deformscope.lab.robot_body import RobotBody
 from deformscope.lab.scenes import Scene
 from deformscope.lab.session_errors import LabErrors
 from deformscope.lab.slab import RigidTip
-from deformscope.lab.slab_world import Contact, SlabWorld
+from deformscope.lab.slab_world import Contact
 from deformscope.lab.touch_lab import TouchLab
 from deformscope.rig.driver_table import DRIVERS
 from deformscope.rig.rig_file import Tool, Workspace
@@ -71,7 +72,7 @@ class SceneLab:
         foam = self.drawn.foam(scene)
         self.scene = scene = self.drawn.slab(scene)
         self.clock = SimulatedClock(1_000_000_000)
-        self._world = SlabWorld(foam)
+        self._world = slab_world(foam)
         if any(piece.relaxes or piece.keeps for piece in scene.pieces):
             self._world = CreepingWorld(foam, self._relaxation)
         self._tip = RigidTip(radius=tip_radius_m)
@@ -123,7 +124,7 @@ class SceneLab:
             compliance_sd=ARM_DOUBT / ARM_STIFFNESS_N_M,
             calibrated={"camera to surface": True, "arm's compliance": True},
             simulated=True,
-            truth=Truth(self.scene.regions),
+            truth=Truth(self.scene.regions, self.scene.lumps_m),
             runs_itself=False,
             zeroed=True,
             true_force_n=lambda: self.lab.contact.max_force_n,

@@ -19,6 +19,9 @@ then 37, 68 and 93 kPa. (The secant modulus, 4.6, 8.5 and 11.6 kPa, would let 3 
 `strip`, `patches`, `wavy`, `zigzag`, `ring`, `bumpy`, `thin-thick`, with one `wedge`, `step`, `egg-crate` and with a
 third for the lump `lump`, where a letter is a number of newtons or `rigid`. `60c30` is foam of 60 N that creeps: 30 %
 of its modulus relaxes, with a time constant of 1 s; `60p20` and `60c30p20` keep 20 % of each dent for good.
+
+`buried-A-B` is a foam of A with a ball of B glued into it, which does not reach the surface, and `empty-A` the same
+foam with nothing in it: smaller and thicker slabs (`BURIED`).
 """
 
 from __future__ import annotations
@@ -27,7 +30,7 @@ import difflib
 import re
 import zlib
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -44,6 +47,7 @@ CELL_M = 0.005
 
 SIZE_M = (0.6, 0.4)
 THICKNESS_M = 0.05
+BURIED_SIZE_M, BURIED_THICKNESS_M = (0.2, 0.2), 0.07
 UNEVEN_M, RISE_M, RAMP_M = 0.035, 0.015, 0.06
 """Mean thickness of wedges and steps, how much thinner and thicker they are, and how wide a step is."""
 CRATE_M, CRATE_WAVE_M = 0.005, 0.06
@@ -152,6 +156,14 @@ DRAWN: dict[str, tuple[Range, ...]] = {
         Range("centre y", 0.08, 0.32, "m"),
         Range("radius", 0.06, 0.06, "m"),
     ),
+    "buried": (
+        Range("hardness", 0.9, 1.1, "of the nominal one"),
+        Range("centre x", 0.02, 0.18, "m"),
+        Range("centre y", 0.02, 0.18, "m"),
+        Range("radius", 0.02, 0.02, "m"),
+        Range("depth", 0.01, 0.02, "m from the surface to the ball"),
+    ),
+    "empty": (Range("hardness", 0.9, 1.1, "of the nominal one"),),
 }
 """What each kind of scene draws. "turned" below 1 leaves the pieces' order as named from the left, else reverses it."""
 
@@ -183,12 +195,24 @@ class Piece:
 
 
 @dataclass(frozen=True, slots=True)
+class BuriedBall:
+    """A ball of another material, glued into a slab. centre_m: (x, y) [m]; depth_m: from the surface to its uppermost
+    point; modulus_pa: Young's modulus [Pa]"""
+
+    centre_m: tuple[float, float]
+    radius_m: float
+    depth_m: float
+    modulus_pa: float
+
+
+@dataclass(frozen=True, slots=True)
 class Scene:
     """A slab on the table.
 
     pieces: the materials, by label; empty where the modulus varies everywhere (`gradient`)
     size_m: (x, y) [m]; thickness_m: before any bumps [m]; poisson: Poisson's ratio
-    drawn: what the seed gave, by name
+    drawn: what the seed gave, by name; buried: what is in the foam below the surface, whose label is that of the places
+    above it, and which no modulus of a place knows
     """
 
     name: str
@@ -198,6 +222,7 @@ class Scene:
     size_m: tuple[float, float] = SIZE_M
     thickness_m: float = THICKNESS_M
     poisson: float = POISSON
+    buried: BuriedBall | None = None
     _label: Labels | None = None
     _modulus: Places | None = None
     _bumps: Places | None = None
@@ -259,6 +284,12 @@ class Scene:
         return np.stack(np.meshgrid(x, y), axis=-1)
 
     @property
+    def lumps_m(self) -> FloatArray:
+        """(n, 4) what is buried: x and y of each ball's middle, its radius, and how deep its uppermost point is [m]."""
+        ball = self.buried
+        return np.zeros((0, 4)) if ball is None else np.array([[*ball.centre_m, ball.radius_m, ball.depth_m]])
+
+    @property
     def regions(self) -> IntArray | None:
         """(rows, columns) as `truth`; None where the modulus changes smoothly."""
         return self.truth() if self.pieces else None
@@ -293,11 +324,19 @@ BUILT_IN = {
 }
 """Scenes by name, and what they are: thesis table 4.1's six, and what it did not try."""
 
+BURIED = {
+    "buried": "a foam of 60 N, 20 by 20 cm and 7 cm thick, with a ball of 600 N in it, 4 cm across, 1 to 2 cm deep",
+    "empty": "the same foam with nothing in it",
+}
+"""Scenes whose surface shows nothing, in which lumps are sought."""
+
 PIECES = {
     "disc": ("30", "200"),
     "thin-thick": ("60", "75"),
     "soft-spot": ("150", "60"),
     "lump": ("60", "150", "rigid"),
+    "buried": ("60", "600"),
+    "empty": ("60",),
 }
 PIECES |= dict.fromkeys(("bumpy", "wavy", "corner", "strip", "patches", "ring", "zigzag"), ("60", "150"))
 PIECES |= dict.fromkeys(("wedge", "step", "egg-crate"), ("110",))
@@ -312,6 +351,8 @@ def built_in(name: str, seed: int = 0) -> Scene:
     # each name has its own stream, so that equal seeds of two scenes are not the same layout
     random = np.random.default_rng([seed, zlib.crc32(name.encode())])
     drawn = {one.what: float(random.uniform(one.low, one.high)) for one in DRAWN[kind]}
+    if kind in BURIED:
+        return _buried(name, seed, pieces, drawn)
     if kind == "gradient":
         return Scene(name, seed, (), drawn, _modulus=_graded(drawn))
     times = drawn.get("hardness", 1.0)
@@ -321,13 +362,28 @@ def built_in(name: str, seed: int = 0) -> Scene:
     return Scene(name, seed, materials, drawn, thickness_m=thickness_m, _label=label, _bumps=bumps)
 
 
+def _buried(name: str, seed: int, pieces: tuple[str, ...], drawn: dict[str, float]) -> Scene:
+    """A foam whose surface shows nothing, with a ball in it or not."""
+    foam, *balls = (Piece.named(piece, drawn["hardness"]) for piece in pieces)
+    level = Scene(name, seed, (foam,), drawn, BURIED_SIZE_M, BURIED_THICKNESS_M, _modulus=_even(foam.modulus_pa))
+    if not balls:
+        return level
+    centre = drawn["centre x"], drawn["centre y"]
+    ball = BuriedBall(centre, drawn["radius"], drawn["depth"], balls[0].modulus_pa)
+    return replace(level, pieces=(foam, *balls), buried=ball, _label=_layout("disc", drawn))
+
+
+def _even(modulus_pa: float) -> Places:
+    return lambda xy: np.full(np.shape(xy)[:-1], modulus_pa)
+
+
 def _parsed(name: str) -> tuple[str, tuple[str, ...]]:
     """Kind of scene, and the names of its pieces."""
     kind, piece = "|".join(sorted(DRAWN)), r"(?:rigid|[1-9]\d{0,3}(?:c[1-9]\d?)?(?:p[1-9]\d?)?)"
     found = re.fullmatch(rf"({kind})((?:-{piece})*)", name)
-    expected = f"a scene: {', '.join(BUILT_IN)}, or one with other hardnesses"
+    expected = f"a scene: {', '.join(BUILT_IN | BURIED)}, or one with other hardnesses"
     if found is None:
-        near = difflib.get_close_matches(name, BUILT_IN, n=1)
+        near = difflib.get_close_matches(name, BUILT_IN | BURIED, n=1)
         raise InputError(expected, repr(name), near[0] if near else "two-80-200, three-60-110-rigid")
     pieces = tuple(found[2].split("-")[1:]) or PIECES.get(found[1], ())
     if len(pieces) != COUNT.get(found[1], 0):

@@ -185,9 +185,13 @@ class SlabWorld:
                 return patch
         fine = _fine_m(tip)
         self._patches = self._patches[-MOST_PATCHES + 1 :]  # before the next is made
-        patch = Patch(self.scene, xy_m, _half_m(tip) + MARGIN * fine, fine)
+        patch = self._made(xy_m, _half_m(tip) + MARGIN * fine, fine)
         self._patches.append((tip, patch))
         return patch
+
+    def _made(self, xy_m: FloatArray, reach_m: FloatArray, fine_m: FloatArray) -> Patch:
+        """As `Patch`."""
+        return Patch(self.scene, xy_m, reach_m, fine_m)
 
     def press(self, tip: RigidTip, center_m: FloatArray) -> Contact:
         """What a tip feels at a place, held still there.

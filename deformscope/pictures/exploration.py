@@ -22,6 +22,7 @@ from deformscope.pictures.palette import OBSERVED, SIMULATED, hexadecimal, round
 from deformscope.pictures.words import (
     counted,
     dent_words,
+    found_words,
     interval_words,
     iou_words,
     level_words,
@@ -31,7 +32,7 @@ from deformscope.pictures.words import (
     travel_words,
     verdict_words,
 )
-from deformscope.stages.map.exploration import MapEstimate, PlannedTouch, SurfaceEstimate, TouchEstimate
+from deformscope.stages.map.exploration import LumpsFound, MapEstimate, PlannedTouch, SurfaceEstimate, TouchEstimate
 
 RECORDED, OTHER = (0, 114, 178), (213, 94, 0)
 """Of what was recorded, and of what other settings make of it; distinct to colour-blind readers too."""
@@ -111,12 +112,26 @@ def words_png(words: str) -> bytes:
     return _one(lambda axes: _say(axes, words))
 
 
-def result_png(maps: MapEstimate, title: str = "") -> bytes:
-    """The whole result in one picture: both fields with their deviations, the regions, and the truth where known."""
+def lumps_png(lumps: LumpsFound) -> bytes:
+    """How probably each cell lies above a lump, those that were found, and the true ones where these are known."""
+    return _one(lambda axes: draw_lumps(axes, lumps))
+
+
+def missed_png(lumps: LumpsFound) -> bytes:
+    """How probably a lump of each size is missed."""
+    return _one(lambda axes: draw_missed(axes, lumps), (0.15, 0.155, 0.8, 0.62))
+
+
+def result_png(maps: MapEstimate, title: str = "", lumps: LumpsFound | None = None) -> bytes:
+    """The whole result in one picture: both fields with their deviations, the regions, and the truth where known; where
+    lumps are sought, they and what may be missed in the place of beta."""
     figure = canvas(3 * WIDE, 2 * HIGH + 0.5)
+    second: tuple[Callable[[Any, MapEstimate], None], ...] = (draw_beta, draw_beta_deviation)
+    if lumps is not None:
+        second = (lambda axes, _: draw_lumps(axes, lumps), lambda axes, _: draw_missed(axes, lumps))
     drawings: tuple[tuple[Callable[[Any, MapEstimate], None], ...], ...] = (
-        (functools.partial(draw_stiffness, path=True), draw_beta, draw_regions),
-        (draw_stiffness_deviation, draw_beta_deviation, draw_truth),
+        (functools.partial(draw_stiffness, path=True), second[0], draw_regions),
+        (draw_stiffness_deviation, second[1], draw_truth),
     )
     share = HIGH / (2 * HIGH + 0.5)
     for row, line in enumerate(drawings):
@@ -199,6 +214,31 @@ def draw_truth(axes: Any, maps: MapEstimate) -> None:
     _draw_contacts(axes, maps.contacts_m, maps.tip_radius_m)
     score = f"{iou_words(maps)}; " if maps.iou is not None else ""
     _title(axes, f"Truth: {counted(len(np.unique(truth)), 'region')}", f"{score}line: as found")
+
+
+def draw_lumps(axes: Any, lumps: LumpsFound) -> None:
+    from matplotlib.patches import Circle
+
+    _draw_map(axes, 100.0 * lumps.covered, lumps.cell_m, GAIN, "[%]", low=0.0, high=100.0)
+    axes.plot(*(100.0 * lumps.contacts_m).T, ".", color="white", ms=4)
+    circles = [(*row, "-", "black") for row in 100.0 * np.column_stack([lumps.centre_m, lumps.radius_m])]
+    if lumps.truth_m is not None:
+        circles += [(*row[:3], "--", TARGET) for row in 100.0 * lumps.truth_m]
+    for x, y, radius, style, color in circles:
+        axes.add_patch(Circle((x, y), radius, fill=False, ls=style, ec=color, lw=2.2))
+    truth = "" if lumps.truth_m is None else "; red: the true ones"
+    _title(axes, found_words(lumps).capitalize(), f"probability that a lump lies below; black: found{truth}")
+
+
+def draw_missed(axes: Any, lumps: LumpsFound) -> None:
+    names = [f"{100.0 * radius:.3g}" for radius in lumps.size_m]
+    wanted = lumps.size_m >= lumps.smallest_m
+    axes.bar(names, 100.0 * lumps.missed, color=np.where(wanted, REGIONS[5], EXCLUDED))
+    axes.axhline(100.0 * lumps.prior, color="black", lw=1, ls="--")
+    axes.set_box_aspect(0.62)  # leaves room for the names below
+    axes.set(ylim=(0.0, 110.0 * lumps.prior), xlabel="radius of the lump [cm]", ylabel="missed with [%]")
+    words = f"{lumps.missed_smallest:.1%} of {100.0 * lumps.smallest_m:.3g} cm radius or more; dashed: before any touch"
+    _title(axes, "A lump that is missed", words)
 
 
 def draw_gain(axes: Any, plan: PlannedTouch, cell_m: float, contacts_m: FloatArray | None = None) -> None:

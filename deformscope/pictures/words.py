@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from deformscope.pictures.report import Table
 from deformscope.stages.fit.estimate import Choice, Doubt, Estimate, explained_text
-from deformscope.stages.map.exploration import MapEstimate, StageFailure, TouchEstimate
+from deformscope.stages.map.exploration import LumpsFound, MapEstimate, StageFailure, TouchEstimate
 from deformscope.stages.poke.creep import CreepFit
 
 
@@ -85,6 +87,41 @@ def dent_words(touch: TouchEstimate) -> str:
     """The dent and the force that made it; the force alone where no contact was fitted."""
     force = f"{touch.peak_force_n:.2f} N"
     return f"{1e3 * touch.depth_m:.1f} mm at {force}" if touch.usable else force
+
+
+def found_words(lumps: LumpsFound) -> str:
+    """How many lumps were found."""
+    return counted(len(lumps), "lump") if len(lumps) else "no lump found"
+
+
+def lump_rows(lumps: LumpsFound) -> list[tuple[str, str]]:
+    """Every lump that was found, and what may be missed, as names and values."""
+    rows = []
+    for number in range(len(lumps)):
+        x, y = 100.0 * lumps.centre_m[number]
+        low, high = 100.0 * lumps.radius_interval_m[number]
+        depth = {"shallow": "up to {:g} cm deep", "deep": "deeper than {:g} cm"}.get(lumps.depth[number])
+        parts = [
+            f"{'stiff' if lumps.stiff[number] else 'soft'}, its middle at ({x:.1f}, {y:.1f}) cm"
+            f" (90 % within {100.0 * lumps.within_m[number]:.1f} cm)",
+            f"radius {100.0 * lumps.radius_m[number]:.1f} cm ({low:.1f} to {high:.1f})",
+            "its depth cannot be told" if depth is None else depth.format(100.0 * lumps.deep_m),
+            f"probability {lumps.probability[number]:.2f}",
+        ]
+        rows.append((f"lump {number + 1}", ", ".join(parts)))
+    for x, y, radius, depth_m in 100.0 * (np.zeros((0, 4)) if lumps.truth_m is None else lumps.truth_m):
+        off = np.hypot(*(100.0 * lumps.centre_m - (x, y)).T).min(initial=np.inf)
+        found = f"found, {off:.1f} cm off" if off <= radius else "not found"
+        rows.append(("true lump", f"({x:.1f}, {y:.1f}) cm, radius {radius:.1f} cm, {depth_m:.1f} cm deep: {found}"))
+    each = ", ".join(
+        f"{100.0 * radius:.3g} cm {share:.2f}" for radius, share in zip(lumps.size_m, lumps.missed, strict=True)
+    )
+    wanted = f"of {100.0 * lumps.smallest_m:.3g} cm radius or more {lumps.missed_smallest:.3f}"
+    taken = (
+        f"balls {lumps.contrast:g} times as stiff or soft or more, at most {100.0 * lumps.deepest_m:g} cm deep;"
+        f" {lumps.prior:g} before any touch"
+    )
+    return [*rows, ("a lump missed", f"{wanted}; by radius {each} ({taken})")]
 
 
 def failed_words(failed: StageFailure) -> str:

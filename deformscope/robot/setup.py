@@ -47,9 +47,11 @@ long edge at y = 0.4 m, and the far corners are 0.63 m from its axis."""
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Truth:
-    """What a simulated surface really is. labels: (rows, columns) region of each cell, None where there are none"""
+    """What a simulated surface really is. labels: (rows, columns) region of each cell, None where there are none;
+    lumps_m: (n, 4) balls below it: x and y of the middle, radius, depth of the uppermost point [m]"""
 
     labels: IntArray | None
+    lumps_m: FloatArray = field(default_factory=lambda: np.zeros((0, 4)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

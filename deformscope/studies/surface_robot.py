@@ -14,6 +14,7 @@ from deformscope.experiments.explorer import Touch
 from deformscope.experiments.measured import off_the_border, sample_box
 from deformscope.experiments.options import SHALLOW_M, VIEW_CELL_M, ExploreOptions
 from deformscope.lab.arm_contact import ARM_DOUBT, ARM_STIFFNESS_N_M
+from deformscope.lab.buried_world import slab_world
 from deformscope.lab.depth_view import DepthView
 from deformscope.lab.scenes import RIGID_PA, Piece, Scene
 from deformscope.lab.session_errors import TOUCHES_S, LabErrors
@@ -118,7 +119,7 @@ class LabRobot:
         foam = self._errors.foam(scene)
         self.size_m = scene.size_m
         self.arm = ArmCompliance(1.0 / ARM_STIFFNESS_N_M, ARM_DOUBT / ARM_STIFFNESS_N_M)
-        self.truth = Truth(scene.regions)
+        self.truth = Truth(scene.regions, scene.lumps_m)
         self.most_force_n = 0.0
         self.felt: list[float] = []
         self._options = options
@@ -129,7 +130,7 @@ class LabRobot:
             friction_rad=self._errors.friction_rad,
         )
         self._sees = sees
-        self._world = SlabWorld(foam)
+        self._world = slab_world(foam)
         self._view = DepthView(self.scene)
         self._tip = RigidTip(radius=options.tip_radius_m)
         self._random = np.random.default_rng([options.seed, scene.seed])

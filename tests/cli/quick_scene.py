@@ -40,7 +40,7 @@ def use_quick_scene(monkeypatch: pytest.MonkeyPatch) -> None:
     use_coarse_maps(monkeypatch)
     for module in ("explore", "explorer"):
         monkeypatch.setattr(f"deformscope.experiments.{module}.PLAN_CELL_M", PLAN_CELL_M)
-    monkeypatch.setattr("deformscope.lab.scene_lab.SlabWorld", _Layers)
+    monkeypatch.setattr("deformscope.lab.scene_lab.slab_world", _Layers)
     near = partial(TouchPlan, slow_within_m=0.01, far_speed_m_s=0.05, travel_speed_m_s=0.15)
     monkeypatch.setattr("deformscope.experiments.measured.TouchPlan", near)
     monkeypatch.setattr("deformscope.api.exploration_run.setup_of", _coarse_setup_of)

@@ -11,6 +11,7 @@ from deformscope.arrays import FloatArray
 from deformscope.rows import Result
 from deformscope.stages.map.exploration import (
     ExplorationStop,
+    LumpsFound,
     MapEstimate,
     Missed,
     PhaseStart,
@@ -37,6 +38,34 @@ MISSED = Missed(0.13, np.array([0.13, 0.2]), np.array([0.03, 0.06]), np.array([0
 Y, X = (np.mgrid[:ROWS, :COLUMNS] + 0.5) * CELL_M
 EDGE_M = 0.3 - 0.15 * (Y - 0.2)
 TRUTH = (EDGE_M < X).astype(np.int64)
+
+
+def lumps(*found: tuple[float, float, float], truth: bool = True) -> LumpsFound:
+    """Lumps at x, y of a radius [m] after eight touches."""
+    each, none = np.array(found).reshape(-1, 3), np.zeros(len(found))
+    above = [np.hypot(X - x, Y - y) < radius for x, y, radius in each]
+    return LumpsFound(
+        centre_m=each[:, :2],
+        within_m=none + 0.01,
+        radius_m=each[:, 2],
+        radius_interval_m=each[:, 2:] * [0.8, 1.3],
+        stiff=np.arange(len(found)) % 2 == 0,
+        probability=none + 0.98,
+        depth=("deep", "")[: len(found)],
+        covered=np.maximum(0.02, np.any(above, axis=0)) if above else np.full((ROWS, COLUMNS), 0.02),
+        cell_m=CELL_M,
+        size_m=np.array([0.01, 0.02, 0.03]),
+        missed=np.array([0.4, 0.03, 0.01]),
+        smallest_m=0.02,
+        missed_smallest=0.03,
+        prior=0.5,
+        contrast=4.0,
+        deepest_m=0.02,
+        deep_m=0.0125,
+        scatter=0.005,
+        contacts_m=CONTACTS_M,
+        truth_m=np.array([[0.2, 0.1, 0.02, 0.015]]) if truth else None,
+    )
 
 
 def height(dents: int) -> FloatArray:

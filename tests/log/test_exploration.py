@@ -86,8 +86,8 @@ def assert_equal(found: object, expected: Any) -> None:
 def test_results_come_back_equal_to_the_last_bit(tmp_path: Path) -> None:
     told: list[Told] = [
         *((round(at * 1e9), touch, [result]) for at, touch, result in synthetic.story() if at < 6.9),
-        (7_500_000_001, 2, [synthetic.touch(1), synthetic.maps(2, truth=False), synthetic.plan(2)]),
-        (60_000_000_000, 8, [synthetic.rigid_touch(7), synthetic.plan(8)]),
+        (7_500_000_001, 2, [synthetic.touch(1), synthetic.maps(2, truth=False), synthetic.lumps(), synthetic.plan(2)]),
+        (60_000_000_000, 8, [synthetic.rigid_touch(7), synthetic.lumps((0.2, 0.1, 0.02)), synthetic.plan(8)]),
         (61_000_000_000, 9, [synthetic.gradual(8), StageFailure("beta", 9, "ValueError: x", "Traceback\n...")]),
     ]
     record(tmp_path / "run.rrd", told)

@@ -4,7 +4,7 @@ Every row is at `session`, the time since the recording's start; at `frame`, the
 at `touch`: 0 before the first touch, then the number of the touch that it belongs to, from 1, the way there among it.
 What a touch measured is at the frame of its dent. `deformscope.recording.items` reads the results back.
 
-    exploration/surface|touch|maps|plan   one row a result, every field of it a component of the same name
+    exploration/surface|touch|maps|lumps|plan   one row a result, every field of it a component of the same name
     exploration/forecast|decision         likewise: what a person asked for on the page, and decided
     exploration/input/...                 which frames they are computed from, or measurements where there are none
     exploration/phase                     likewise, and the state that a timeline shows
@@ -15,6 +15,7 @@ What a touch measured is at the frame of its dent. `deformscope.recording.items`
     display/plan/gain                     why the next touch goes where it goes
     display/touch/force|section           force over depth; the dent's height over the distance from the contact
     display/summary                       what is known, in words
+    display/lumps/map|missed|summary      where lumps are sought: which were found, what may be missed, in words
 """
 
 from __future__ import annotations
@@ -43,6 +44,7 @@ from deformscope.log.exploration.shown import (
     log_failed,
     log_gain,
     log_height,
+    log_lumps,
     log_maps,
     log_nothing_known,
     log_phase,
@@ -56,6 +58,7 @@ from deformscope.rows import Result
 from deformscope.stages.map.exploration import (
     DISPLAY,
     ExplorationStop,
+    LumpsFound,
     MapEstimate,
     PhaseStart,
     PlannedTouch,
@@ -144,6 +147,8 @@ def _twins(
             yield partial(log_forecast, now, None)
         case MapEstimate():
             yield from (partial(show, now, result) for show in (log_stiffness, log_maps, log_summary))
+        case LumpsFound():
+            yield partial(log_lumps, now, result)
         case PlannedTouch():
             yield partial(log_target, now, result)
             contacts_m = None if maps is None else maps.contacts_m

@@ -10,7 +10,7 @@ import rerun.blueprint as rrb
 from deformscope.frames import Stream
 from deformscope.log.exploration.dent import DENT
 from deformscope.log.exploration.scene import SCENE, SURFACE_FRAME
-from deformscope.log.exploration.shown import FORCE, GAIN, HEIGHT, MAPS, SECTION
+from deformscope.log.exploration.shown import FORCE, GAIN, HEIGHT, LUMPS, LUMPS_SUMMARY, MAPS, MISSED, SECTION
 from deformscope.log.exploration.summary import SUMMARY
 from deformscope.log.rig.blueprint import FLOOR, LEGEND, blueprint_of, depth_view, named
 from deformscope.log.rig.columns import root
@@ -41,6 +41,7 @@ def exploration_blueprint(
     size_m: tuple[float, float] = (0.6, 0.4),
     *,
     truth: bool = True,
+    lumps: bool = False,
     tabs: bool = False,
     beside: str = "",
     mapped: str = "stiffness",
@@ -48,15 +49,19 @@ def exploration_blueprint(
     """The views of an exploration with these devices.
 
     size_m: of the surface along x and y; truth: whether it is known: else the surface's height stands in its place
+    lumps: whether lumps are sought: they stand in the place of beta
     tabs: most views behind others, for a page, which has panels at both sides and may have to draw without a GPU
     beside: other settings, whose results are shown beside the recorded ones (`tabs` alone); mapped: by what regions are
     told apart
     """
     titles = {name: title.format(mapped.capitalize()) for name, title in TITLES.items()}
     maps = {name: _picture(path, title) for (name, title), path in zip(titles.items(), MAPS, strict=True)}
+    if lumps:
+        maps |= {"beta": _picture(LUMPS, "Lumps"), "beta_deviation": _picture(MISSED, "What may be missed")}
     gain, force = _picture(GAIN, "Why the next touch goes there"), _picture(FORCE, "Force over depth")
     truly = maps["truth"] if truth else _picture(HEIGHT, "Surface")
-    summary = rrb.TextDocumentView(contents=[f"+ /{SUMMARY}"], origin=SUMMARY, name="What is known")
+    words = LUMPS_SUMMARY if lumps else SUMMARY
+    summary = rrb.TextDocumentView(contents=[f"+ /{words}"], origin=words, name="What is known")
     if tabs:
         fields = rrb.Tabs(maps["stiffness"], maps["stiffness_deviation"], maps["beta"], maps["beta_deviation"])
         regions, touches = [maps["regions"], truly], [force]

@@ -9,10 +9,11 @@ from deformscope.log.exploration.moment import ResultBatch
 from deformscope.log.rig.columns import Sink, states
 from deformscope.pictures import exploration as pictures
 from deformscope.pictures.palette import BAD, Rgb
-from deformscope.pictures.words import failed_words
+from deformscope.pictures.words import counted, failed_words, found_words, lump_rows
 from deformscope.rows import ENTITIES
 from deformscope.stages.map.exploration import (
     ExplorationStop,
+    LumpsFound,
     MapEstimate,
     PhaseStart,
     PlannedTouch,
@@ -23,6 +24,7 @@ from deformscope.stages.map.exploration import (
 
 HEIGHT, GAIN = "display/surface/height", "display/plan/gain"
 FORCE, SECTION = "display/touch/force", "display/touch/section"
+LUMPS, MISSED, LUMPS_SUMMARY = (f"display/lumps/{what}" for what in ("map", "missed", "summary"))
 MAPS = {f"display/maps/{quantity}": quantity for quantity in pictures.MAP_DRAWINGS}
 
 PHASES: dict[str, Rgb] = {
@@ -56,6 +58,14 @@ def log_height(now: ResultBatch, surface: SurfaceEstimate) -> None:
 def log_maps(now: ResultBatch, maps: MapEstimate) -> None:
     for path, quantity in MAPS.items():
         now.show_png(path, pictures.map_png(quantity, maps))
+
+
+def log_lumps(now: ResultBatch, lumps: LumpsFound) -> None:
+    now.show_png(LUMPS, pictures.lumps_png(lumps))
+    now.show_png(MISSED, pictures.missed_png(lumps))
+    text = "\n\n".join(f"**{name}**: {words}" for name, words in lump_rows(lumps))
+    title = f"# {found_words(lumps)} after {counted(len(lumps.contacts_m), 'touch')}"
+    now.show(LUMPS_SUMMARY, rr.TextDocument(f"{title}\n\n{text}", media_type=rr.MediaType.MARKDOWN))
 
 
 def log_gain(now: ResultBatch, plan: PlannedTouch, cell_m: float, contacts_m: FloatArray | None) -> None:

@@ -142,6 +142,7 @@ class Missed:
     lump_radius_m: (n,) of lumps that fit on the surface, rising [m]; lump_probability: (n,) that there is one of these
     which no touch has felt; it was `prior` before any touch
     contrast: they are so many times as stiff, or as soft, as what is around them
+    deepest_m: from the surface to their uppermost points, at most; None = they reach from top to bottom
     """
 
     untouched_m: float
@@ -150,10 +151,53 @@ class Missed:
     lump_probability: FloatArray
     contrast: float
     prior: float
+    deepest_m: float | None = None
 
     def probability(self, radius_m: float) -> float:
         """Of lumps of one of these radii [m]; 0 where they do not fit."""
         return float(self.lump_probability[self.lump_radius_m == radius_m].sum())
+
+
+@dataclass(frozen=True, slots=True)
+class LumpsFound:
+    """What the touches so far say of lumps below a surface that shows nothing (`stages.map.lump_posterior`).
+
+    centre_m: (k, 2) middles of those that were found; within_m: (k,) distance from it within which each lies in 90 %
+    radius_m: (k,), radius_interval_m: (k, 2) of 90 % [m]; stiff: (k,) rather than soft; probability: (k,) of each
+    depth: of each `shallow` (the uppermost point at most `deep_m` down), `deep`, or empty where it cannot be told
+    covered: (rows, columns) probability that a cell lies above a lump, found or not; cell_m: of that map
+    size_m: (n,) radii, rising [m]; missed: (n,) probability of a lump of each that is not among those found, were lumps
+    of this radius alone there; missed_smallest: the largest of these from the radius `smallest_m` on
+    prior, contrast, deepest_m: what is taken for granted: a lump is there with `prior` before any touch, `contrast`
+    times as stiff or as soft as the foam or more, and its uppermost point at most so deep [m]
+    scatter: deviation of log stiffness within the foam; contacts_m: (n, 2) touches so far
+    truth_m: (m, 4) where it is known: x, y, radius, depth of each [m]
+    """
+
+    centre_m: FloatArray
+    within_m: FloatArray
+    radius_m: FloatArray
+    radius_interval_m: FloatArray
+    stiff: BoolArray
+    probability: FloatArray
+    depth: tuple[str, ...]
+    covered: FloatArray
+    cell_m: float
+    size_m: FloatArray
+    missed: FloatArray
+    smallest_m: float
+    missed_smallest: float
+    prior: float
+    contrast: float
+    deepest_m: float
+    deep_m: float
+    scatter: float
+    contacts_m: FloatArray
+    truth_m: FloatArray | None = None
+
+    def __len__(self) -> int:
+        """How many were found."""
+        return len(self.centre_m)
 
 
 @dataclass(frozen=True, slots=True)
@@ -216,7 +260,7 @@ class SteeringDecision:
 class StageFailure:
     """A stage failed on one touch: the exploration goes on without what it would have given.
 
-    stage: surface, dent, contact, creep, loss, regions, beta, maps, beta field, plan or display
+    stage: surface, dent, contact, creep, loss, regions, beta, maps, beta field, lumps, plan or display
     touch: from 1, 0 = before the first
     reason: in one line; trace: where it failed, for whoever mends it
     """

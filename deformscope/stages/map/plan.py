@@ -28,7 +28,7 @@ from deformscope.stages.regions.touches import MapGrid
 
 Planner = Literal["regions", "integrated-variance", "max-variance", "random-above", "thesis"]
 PLANNERS: tuple[Planner, ...] = get_args(Planner)
-StopReason = Literal["budget", "nothing above the threshold", "little left to learn", "nowhere to go"]
+StopReason = Literal["budget", "nothing above the threshold", "little left to learn", "nowhere to go", "no lump missed"]
 
 ALLOWED, OUT_OF_REACH, AT_BORDER, TOUCHED_BEFORE = range(4)
 """Codes of `TouchChoice.excluded`."""
@@ -78,6 +78,7 @@ class PlanOptions:
     from which the number of regions is no longer in doubt; budget: touches in all
     inclusion_m: radius of the smallest lumps that are sought; unmet: probability that one is there unseen, from which
     on enough is known of them. `sure`, `unmet` and `least_gain` were chosen on tuning seeds (`studies.seeds`)
+    missed: where lumps alone are sought: probability of a missed one, below which enough is known (`lump_plan`)
     """
 
     planner: Planner = "regions"
@@ -93,6 +94,7 @@ class PlanOptions:
     budget: int = 12
     inclusion_m: float = INCLUSION_M
     unmet: float = 0.08
+    missed: float = 0.05
 
     def __post_init__(self) -> None:
         if self.planner not in PLANNERS:
@@ -145,10 +147,10 @@ def plan_touch(
     touched = np.array([touch.xy_m for touch in posterior.touches]).reshape(-1, 2)
     made = touched if left_out_m is None else np.concatenate([touched, left_out_m])
     tip = tip_m if tip_m is not None else touched[-1] if len(touched) else np.zeros(2)
-    excluded = _excluded(places, made, posterior.grid, reachable, options)
+    excluded = exclusions(places, made, posterior.grid, reachable, options)
     again = posterior.repeats(places, 0.5 * options.cell_m)
     if options.planner == "regions" and len(touched) >= options.fill:
-        failed = _excluded(places, made[len(touched) :], posterior.grid, reachable, options) == TOUCHED_BEFORE
+        failed = exclusions(places, made[len(touched) :], posterior.grid, reachable, options) == TOUCHED_BEFORE
         excluded[(again.share > 0.0) & (excluded == TOUCHED_BEFORE) & ~failed] = ALLOWED
     cost = options.touch_s + np.hypot(*(places - tip).T) / options.speed_m_s
     if options.planner == "thesis":
@@ -257,9 +259,11 @@ def _bin_edges(mean: FloatArray, sd: FloatArray, weight: FloatArray, count: int)
     return cast(FloatArray, np.take_along_axis(reading, chosen, axis=0))
 
 
-def _excluded(
+def exclusions(
     places: FloatArray, touched: FloatArray, cells: MapGrid, reachable: BoolArray | None, options: PlanOptions
 ) -> IntArray:
+    """(p,) codes of places (p, 2): where a touch may be made, and why not elsewhere. touched: (n, 2) of earlier ones;
+    cells: that `reachable` is given on"""
     excluded = np.full(len(places), ALLOWED)
     if len(touched):
         nearest = np.hypot(*(places[:, None] - touched).transpose(2, 0, 1)).min(axis=1)

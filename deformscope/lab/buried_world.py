@@ -1,0 +1,144 @@
+"""The foam slab with a ball of another material in it: finite elements on two scales.
+
+    world = slab_world(built_in("buried", seed=3))      # `SlabWorld` where nothing is buried
+    world.press(tip, center_m)                          # as any
+
+What a tip feels within its own width needs elements of 1.5 mm, which a mesh as wide and as deep as a lump's effect
+cannot have. So the surface's compliance is that of the patch without the ball (`slab_world`), plus what the ball
+changes of it: the difference of two solutions of the whole slab on one mesh, with the ball and without, of elements of
+5 mm around the ball, wider elsewhere. That difference is smooth, since the ball lies a centimetre deep or more, and its
+mesh's errors at the surface are the same in both. The two are factorised once for a slab; a press costs what it costs
+without a ball. `tests/lab/test_buried_world.py` compares with one fine mesh of all.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.interpolate import RegularGridInterpolator
+from scipy.linalg import cho_factor, cho_solve
+from scipy.sparse.linalg import splu
+from skfem import Basis, ElementHex1, MeshHex
+
+from deformscope.arrays import FloatArray
+from deformscope.lab.elasticity import dissected, stiffness_of
+from deformscope.lab.scenes import BuriedBall, Scene
+from deformscope.lab.slab_world import Contact, Patch, SlabWorld
+
+ELEMENT_M, AROUND, GROWTH = 0.005, 1.5, 1.5
+"""Size of the elements around the ball, up to so many of its radii from its middle, and their growth beyond."""
+UPPER_M = 0.0025
+"""Thickness of the uppermost two layers of elements."""
+SAMPLES = 4
+"""Along each side of an element, of the modulus in it."""
+
+
+def slab_world(scene: Scene) -> SlabWorld:
+    """A scene's foam, to be pressed anywhere."""
+    return SlabWorld(scene) if scene.buried is None else BuriedWorld(scene, scene.buried)
+
+
+class BuriedWorld(SlabWorld):
+    """A scene's foam with a ball in it."""
+
+    def __init__(self, scene: Scene, ball: BuriedBall) -> None:
+        super().__init__(scene)
+        self._change = BallCompliance(scene, ball)
+
+    def _made(self, xy_m: FloatArray, reach_m: FloatArray, fine_m: FloatArray) -> Patch:
+        patch = super()._made(xy_m, reach_m, fine_m)
+        patch.compliance += self._change.between(patch.candidate_m[:, :2], patch.candidate_m[:, :2])
+        return patch
+
+    def displaced_m(self, contact: Contact, xy_m: FloatArray) -> FloatArray:
+        """As `SlabWorld.displaced_m`; of what the ball changes, up and down alone."""
+        moved = super().displaced_m(contact, xy_m)
+        if len(contact.node):
+            inside = ((xy_m >= 0.0) & (xy_m <= self.scene.size_m)).all(axis=-1)
+            change = self._change.between(np.asarray(xy_m)[inside], contact.place_m[:, :2])
+            moved[inside, 2] -= change @ contact.node_force_n
+        return moved
+
+
+class BallCompliance:
+    """By how much more the surface of a slab gives for a ball in it: below 0 where that is stiff.
+
+    x_m, y_m: (n,), (m,) of the mesh; change: (n m, n m) how much farther down each of its nodes goes for a unit push
+    down on each, y fastest [m/N]
+    """
+
+    def __init__(self, scene: Scene, ball: BuriedBall) -> None:
+        half = AROUND * ball.radius_m
+        self.x_m, self.y_m = (
+            np.array(_beside(middle, half, side)) for middle, side in zip(ball.centre_m, scene.size_m, strict=True)
+        )
+        bottom = scene.thickness_m - ball.depth_m - 2.0 * ball.radius_m
+        z_m = _upward(scene.thickness_m, bottom)
+        mesh = MeshHex.init_tensor(self.x_m, self.y_m, z_m)
+        basis = Basis(mesh, ElementHex1(), intorder=2)
+        foam, filled = _moduli_pa(scene, ball, mesh.p[:, mesh.t])
+        axes = (self.x_m, self.y_m, z_m)
+        self.change = _surface_compliance(basis, filled, scene.poisson, axes) - _surface_compliance(
+            basis, foam, scene.poisson, axes
+        )
+
+    def between(self, there_m: FloatArray, pushed_m: FloatArray) -> FloatArray:
+        """(n, m) at places (n, 2), for pushes on places (m, 2), all on the slab [m/N]."""
+        shape = len(self.x_m), len(self.y_m)
+        axes = (self.x_m, self.y_m)
+        along = RegularGridInterpolator(axes, self.change.reshape(*shape, -1))(there_m)
+        return np.asarray(RegularGridInterpolator(axes, np.moveaxis(along.reshape(-1, *shape), 0, -1))(pushed_m).T)
+
+
+def _surface_compliance(
+    basis: Basis, modulus_pa: FloatArray, poisson: float, axes: tuple[FloatArray, ...]
+) -> FloatArray:
+    """(n, n) how far down each node of the upper face goes for a unit push down on each, y fastest [m/N]."""
+    place = np.empty((basis.N, 3))
+    place[basis.nodal_dofs[0]] = basis.mesh.p.T
+    stiffness = stiffness_of(basis, modulus_pa, np.full(len(modulus_pa), poisson))
+    upper = np.flatnonzero(np.abs(place[:, 2] - axes[2][-1]) < 1e-9)
+    last = 3 * upper[np.lexsort(place[upper, 1::-1].T)] + 2
+    free = np.setdiff1d(np.flatnonzero(np.repeat(place[:, 2] > 1e-9, 3)), last)
+    order = np.concatenate([free[dissected(place[free // 3], axes)], last])
+    own = stiffness[order][:, order].tocsc()
+    factors = splu(own, permc_spec="NATURAL", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+    # what elimination leaves at the last unknowns is their stiffness with all others free (Schur complement)
+    lower, upward = (part[-len(last) :, -len(last) :].toarray() for part in (factors.L, factors.U))
+    left = lower @ upward
+    return np.asarray(cho_solve(cho_factor(0.5 * (left + left.T)), np.eye(len(last))))
+
+
+def _moduli_pa(scene: Scene, ball: BuriedBall, corner_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(E,), (E,) modulus of each element, (3, 8, E) its corners [m], without the ball and with it: where its rim goes
+    through, the mean of what evenly strained and evenly stressed parts would have (Hill 1952)."""
+    low, side = corner_m.min(axis=1), np.ptp(corner_m, axis=1)
+    share = (np.arange(SAMPLES) + 0.5) / SAMPLES
+    spots = np.stack(np.meshgrid(share, share, share), axis=-1).reshape(-1, 1, 3)
+    places = low.T + spots * side.T
+    foam = scene.modulus_pa(places[..., :2])
+    middle = np.array([*ball.centre_m, scene.thickness_m - ball.depth_m - ball.radius_m])
+    inside = np.linalg.norm(places - middle, axis=-1) < ball.radius_m
+    filled = np.where(inside, ball.modulus_pa, foam)
+    return foam.mean(axis=0), 0.5 * (filled.mean(axis=0) + 1.0 / (1.0 / filled).mean(axis=0))
+
+
+def _beside(middle: float, half: float, side: float) -> FloatArray:
+    """Corners along one axis of the slab: even around the middle, farther apart beyond."""
+    count = int(np.ceil(half / ELEMENT_M))
+    outer, step = [count * ELEMENT_M], ELEMENT_M
+    while outer[-1] < side:
+        step *= GROWTH
+        outer.append(outer[-1] + step)
+    every = middle + np.concatenate([-np.array(outer[:0:-1]), np.arange(-count, count + 1) * ELEMENT_M, outer[1:]])
+    kept = every[(every > 0.4 * ELEMENT_M) & (every < side - 0.4 * ELEMENT_M)]
+    return np.concatenate([[0.0], kept, [side]])
+
+
+def _upward(thickness_m: float, bottom_m: float) -> FloatArray:
+    """Corners along z: even from the surface to below the ball, farther apart below."""
+    depths, step = [0.0, UPPER_M, 2.0 * UPPER_M], ELEMENT_M
+    while depths[-1] < thickness_m:
+        if depths[-1] > thickness_m - bottom_m:
+            step *= GROWTH
+        depths.append(depths[-1] + step)
+    return thickness_m * (1.0 - np.array(depths[::-1]) / depths[-1])

@@ -1,0 +1,128 @@
+"""Where to touch next for lumps, and when enough is known: `explore --goal inclusions`.
+
+While nothing is felt: the place whose touch most lowers the probability that a lump is missed, for the second: of every
+lump that is still thought of, how far apart its reading there and that of the foam alone are expected to be, in
+deviations of what the other touches leave open. Where one is felt: the place that says most about which lump it is.
+It stops where a lump of the smallest size, and of any larger one, is missed with less than `PlanOptions.missed`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import cast
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from deformscope.arrays import BoolArray, FloatArray
+from deformscope.stages.map.exploration import Missed
+from deformscope.stages.map.lump_posterior import DEPTHS_M, EXISTS, TIMES, LumpPosterior
+from deformscope.stages.map.plan import ALLOWED, PlanOptions, StopReason, TouchChoice, exclusions
+from deformscope.stages.regions.touches import MapGrid
+
+FELT = 0.6
+"""From this probability of a lump on, the next touch is to tell which it is."""
+FEWEST = 3
+"""Touches before it stops."""
+LEAST_VARIANCE = 2e-5
+"""Of a reading, however well it is known: 0.4 %."""
+
+
+def plan_lump_touch(
+    posterior: LumpPosterior,
+    options: PlanOptions,
+    *,
+    tip_m: FloatArray | None = None,
+    left_out_m: FloatArray | None = None,
+    reachable: BoolArray | None = None,
+) -> TouchChoice:
+    """Where to touch next; arguments as of `plan.plan_touch`."""
+    grid = MapGrid(posterior.grid.size_m, options.cell_m)
+    places = grid.centres_m
+    made = posterior.places_m if left_out_m is None else np.concatenate([posterior.places_m, left_out_m])
+    tip = tip_m if tip_m is not None else made[-1] if len(made) else np.zeros(2)
+    excluded = exclusions(places, made, posterior.grid, reachable, replace(options, apart_m=0.75 * options.cell_m))
+    allowed = excluded == ALLOWED
+    cost = options.touch_s + np.hypot(*(places - tip).T) / options.speed_m_s
+    missed = _missed(posterior, made)
+    gain = np.full(len(places), np.nan)
+    felt = posterior.state.exists >= FELT and len(posterior.touches) >= FEWEST
+    if allowed.any():
+        gain[allowed] = (told if felt else shown)(posterior, places[allowed])
+    stop = _stop(posterior, options, len(made), allowed)
+    target, reason = None, f"stopped: {stop}"
+    if allowed.any():
+        best = int(np.nanargmax(gain / cost))
+        target = places[best]
+        if stop is None:
+            reason = _why(posterior, felt, float(gain[best]), float(cost[best]))
+    shape = grid.shape
+    return TouchChoice(
+        grid,
+        target,
+        stop,
+        gain.reshape(shape),
+        "nat" if felt else "probability",
+        cost.reshape(shape),
+        excluded.reshape(shape),
+        reason,
+        missed,
+    )
+
+
+def shown(posterior: LumpPosterior, places_m: FloatArray) -> FloatArray:
+    """(p,) probability that touches at places (p, 2) are the first to show a lump of the size that is missed most
+    probably, of those that must not be."""
+    radii = np.array(posterior.radii_m)
+    worst = radii[int(np.where(radii >= posterior.prior.smallest_m, posterior.missed, -1.0).argmax())]
+    weight = np.where(posterior.guesses.radius_m == worst, posterior.state.posterior, 0.0)
+    weight = posterior.missed_smallest * weight / max(float(weight.sum()), 1e-300)
+    apart, variance = _readings(posterior, places_m)
+    return cast(FloatArray, -np.expm1(-0.5 * apart**2 / variance[:, None]) @ weight)
+
+
+def told(posterior: LumpPosterior, places_m: FloatArray) -> FloatArray:
+    """(p,) about how many nats touches at places (p, 2) say about which lump there is, if any."""
+    state = posterior.state
+    apart, variance = _readings(posterior, places_m)
+    weight = state.exists * state.posterior
+    spread = apart**2 @ weight - (apart @ weight) ** 2
+    return cast(FloatArray, 0.5 * np.log1p(np.maximum(spread, 0.0) / variance))
+
+
+def _readings(posterior: LumpPosterior, places_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(p, j) by how much each lump is expected to change a reading at places (p, 2), beyond what it changed of the
+    earlier ones, and (p,) the variance of a reading."""
+    weights, variance = posterior.kriging(places_m)
+    apart = posterior.guesses.shifts(places_m, posterior.contact_m) - weights @ posterior.felt
+    return apart, variance + LEAST_VARIANCE
+
+
+def _stop(posterior: LumpPosterior, options: PlanOptions, made: int, allowed: BoolArray) -> StopReason | None:
+    if made >= options.budget:
+        return "budget"
+    if not allowed.any():
+        return "nowhere to go"
+    if len(posterior.touches) >= FEWEST and posterior.missed_smallest < options.missed:
+        return "no lump missed"
+    return None
+
+
+def _missed(posterior: LumpPosterior, made_m: FloatArray) -> Missed:
+    size, centres = np.asarray(posterior.grid.size_m), posterior.grid.centres_m
+    circle = np.minimum(centres, size - centres).min(axis=1)
+    if len(made_m):
+        circle = np.minimum(circle, KDTree(made_m).query(centres)[0])
+    at = int(circle.argmax())
+    radii = np.array(posterior.radii_m)
+    return Missed(float(circle[at]), centres[at], radii, posterior.missed, TIMES[0], EXISTS, max(DEPTHS_M))
+
+
+def _why(posterior: LumpPosterior, felt: bool, gain: float, cost_s: float) -> str:
+    """Why here, in words."""
+    smallest = f"a lump of {100 * posterior.prior.smallest_m:g} cm radius or more"
+    unseen = f"{smallest} is missed with {posterior.missed_smallest:.0%}"
+    if felt:
+        there = f"one more is there with {posterior.state.exists:.0%}"
+        return f"tells which lump it is ({gain:.2g} nat for {cost_s:.0f} s); {there}"
+    return f"may show a lump with {gain:.1%} for {cost_s:.0f} s; {unseen}"
