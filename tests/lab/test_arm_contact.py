@@ -6,9 +6,10 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from deformscope.arrays import FloatArray
 from deformscope.lab.arm_contact import ARM_CYCLE_NS, ArmContact
-from deformscope.robot.placement import Placement, Tool
+from deformscope.rig.rig_file import Tool
+from deformscope.robot.placement import Placement
+from deformscope_drivers.arm.kinematics import FloatArray
 
 
 class _Moved:

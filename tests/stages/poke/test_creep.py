@@ -156,6 +156,7 @@ def test_the_doubt_about_an_energy_loss_holds_clocks_that_are_apart() -> None:
     loss, interval = cycle_loss(depth_m, force_n, 161, none, 1e-6, clock_sd=1.0)
     assert exact == loss == pytest.approx(0.0, abs=2e-3)  # trapezia of a tenth of a millimetre
     assert late is not None
+    assert loss is not None
     assert interval is not None
     assert late < -0.02
     assert interval[1] - loss == pytest.approx(1.645 * abs(late - loss), rel=0.1)
