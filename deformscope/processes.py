@@ -76,10 +76,13 @@ def _begin(also: Callable[[], None] | None) -> None:
 
 
 @contextlib.contextmanager
-def beside(name: str, target: Callable[..., None], *arguments: Any) -> Iterator[Connection]:
-    """Run `target(pipe, *arguments)` in such a process, which is to end when the pipe does; yields the other end."""
+def beside(name: str, target: Callable[..., None], *arguments: Any, makes_others: bool = False) -> Iterator[Connection]:
+    """Run `target(pipe, *arguments)` in such a process, which is to end when the pipe does; yields the other end.
+
+    makes_others: it may have processes of its own
+    """
     ours, theirs = SPAWN.Pipe()
-    process = SPAWN.Process(target=_followed, args=(target, theirs, *arguments), name=name, daemon=True)
+    process = SPAWN.Process(target=_followed, args=(target, theirs, *arguments), name=name, daemon=not makes_others)
     with starting():
         process.start()
     theirs.close()

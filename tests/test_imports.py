@@ -68,7 +68,8 @@ LAYERS: dict[str, tuple[str, ...]] = {
     # What the commands compute, with doubles from the laboratory where they are asked for.
     "api": (
         *("arrays", "config", "errors", "experiments", "file_io", "files", "frames", "images", "lab", "log"),
-        *("page", "pictures", "plain", "recording", "rig", "robot", "session", "studies", "terminal", *STAGES),
+        *("page", "pictures", "plain", "processes", "recording", "rig", "robot", "session", "studies", "terminal"),
+        *STAGES,
     ),
 }
 """What each folder may import of the others, also inside functions and for type checking. Nothing imports `cli`."""

@@ -10,9 +10,8 @@ import msgspec
 import numpy as np
 
 from deformscope.api.live_camera import CameraSubject
-from deformscope.api.page_fitting import COMMANDS, QUIET_S, VALUES, PageFitting
+from deformscope.api.page_fitting import COMMANDS, QUIET_S, VALUES, FitDesk, PageFitting, words_of
 from deformscope.config import BetaConfig, ThetaConfig
-from deformscope.page.desk import Desk
 from deformscope.page.messages import FollowCamera, HoldPicture, Outcome, PageCommand, TakeRest
 from deformscope.stages.fit.at_value import errors_of, simulate
 from deformscope.stages.fit.model import Model, Observation
@@ -30,7 +29,7 @@ class CameraFitting(PageFitting):
 
     def __init__(
         self,
-        desk: Desk,
+        desk: FitDesk,
         config: BetaConfig | ThetaConfig,
         camera: CameraSubject,
         offer: Callable[[str, bytes, str], None],
@@ -38,7 +37,7 @@ class CameraFitting(PageFitting):
         self._camera = camera
         self._following = True
         self._command: TakeRest | HoldPicture | FollowCamera | None = None
-        self._pictures = 0
+        self._pictures = time.monotonic_ns() // 10**6  # no page has one of this name from before
         self._curve_s = 0.0
         super().__init__(desk, config, camera, offer)
         self._show_following(True)
@@ -95,7 +94,7 @@ class CameraFitting(PageFitting):
         try:
             self._camera.go_on()
         except Exception as problem:
-            self._show(problem=" ".join(str(problem).split()) or type(problem).__name__)
+            self._show(problem=words_of(problem))
             return
         self._seen = self._found = None
         self._set(self._shown, self._offer_images())
@@ -105,7 +104,7 @@ class CameraFitting(PageFitting):
         try:
             self._camera.keep()
         except Exception as problem:
-            self._show(problem=f"the pictures cannot be kept: {' '.join(str(problem).split())}")
+            self._show(problem=f"the pictures cannot be kept: {words_of(problem)}")
             return
         self._show_following(False)
         self._set(self._shown)
@@ -134,7 +133,7 @@ class CameraFitting(PageFitting):
         try:
             found = simulate(seen, model, values, body)
             errors = [errors_of([seen], value, [one]).aee for value, one in zip(values.tolist(), found, strict=True)]
-        except Exception:  # what is set is shown without a line
-            return {"values": (), "errors": ()}
+        except Exception as problem:
+            return {"values": (), "errors": (), "problem": f"no error curve: {words_of(problem)}"}
         self._curve_s = time.monotonic() - began_s
         return {"values": tuple(values.tolist()), "errors": tuple(errors)}

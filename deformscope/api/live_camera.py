@@ -13,7 +13,7 @@ from pathlib import Path
 import cv2
 
 from deformscope.api.fit_subject import MotionSubject, not_on_a_page
-from deformscope.api.page_devices import remark_of
+from deformscope.api.page_devices import picture_of, remark_of
 from deformscope.api.rigs import member_of
 from deformscope.arrays import ImageArray
 from deformscope.config import BetaConfig, ThetaConfig
@@ -22,7 +22,7 @@ from deformscope.experiments.kept_motion import KeptMotion
 from deformscope.experiments.live_stages import Beside, live_stages
 from deformscope.experiments.stage_processes import StageProcesses
 from deformscope.file_io import make_folder, new_recording
-from deformscope.frames import ColorFrame, DepthFrame
+from deformscope.frames import ColorFrame
 from deformscope.images import encode_png
 from deformscope.rig.rig_file import Rig, RigDevice, load_rig
 from deformscope.rig.source import RigSource
@@ -190,16 +190,11 @@ class _Watching:
 
     def write(self, items: object) -> None:
         """As `Recorder.write`."""
-        pictures: list[ImageArray] = []
         for item in items if isinstance(items, Sequence) else ():
-            if isinstance(item, ColorFrame):
-                pictures.append(item.image)
-            elif isinstance(item, DepthFrame) and item.color is not None:
-                pictures.append(item.color)
+            if (image := picture_of(item, self._subject.camera)) is not None:
+                self._subject.saw(image)
             elif (said := remark_of(item)) is not None:
                 self._remark(*said)
-        if pictures:
-            self._subject.saw(pictures[-1])
 
 
 def _camera_in(rig: Rig, wanted: str | None) -> RigDevice:

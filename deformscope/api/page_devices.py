@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from deformscope.frames import HealthReport, LinkChange, SessionNote, Stream, WrenchFrame
+from deformscope.arrays import ImageArray
+from deformscope.frames import ColorFrame, DepthFrame, HealthReport, LinkChange, SessionNote, Stream, WrenchFrame
 from deformscope.page.desk import Desk
 from deformscope.page.messages import DeviceState, DriftState
 from deformscope.rig.drift import TareDrift
@@ -116,3 +117,10 @@ def remark_of(item: object) -> tuple[str, bool] | None:
         began = item.about == "alarm"
         return item.text if began else f"over: {item.text}", began
     return None
+
+
+def picture_of(item: object, camera: str) -> ImageArray | None:
+    """What this camera saw, in colour; None for any other item."""
+    if not isinstance(item, ColorFrame | DepthFrame) or item.device != camera:
+        return None
+    return item.image if isinstance(item, ColorFrame) else item.color

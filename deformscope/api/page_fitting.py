@@ -6,22 +6,25 @@ import dataclasses
 import shlex
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any
+from operator import itemgetter
+from typing import Any, Protocol
 
 import msgspec
 import numpy as np
 
 from deformscope.api.calibration import CalibrationResult, fit_options, images_of
+from deformscope.api.fit_settings import IN_PICTURE, images_with
 from deformscope.api.fit_subject import FitSubject, subject_of
 from deformscope.api.result import Note
 from deformscope.arrays import FloatArray
 from deformscope.config import BetaConfig, ThetaConfig
 from deformscope.config.command_line import command_line
-from deformscope.page.desk import Desk
+from deformscope.page.desk import PageRun
 from deformscope.page.fit_messages import FitFound, FitSettings, FitState, Points
-from deformscope.page.messages import FitDrawn, Outcome, PageCommand, RunFit, SetFit, StopRun
+from deformscope.page.messages import FitDrawn, Outcome, PageCommand, Phase, RunFit, SetFit, StopRun
 from deformscope.page.server import PageServer
 from deformscope.pictures.evidence import Result, results_png
 from deformscope.stages.fit.at_value import errors_of, simulate
@@ -36,6 +39,8 @@ VALUES, COARSELY = 25, 5
 QUIET_S = 0.3
 """It is begun once nothing was changed for so long."""
 BUSY_EVERY_S = 0.2
+MOST_CHANGES = 1000
+"""Of so many, the newest, it is kept how long they took to be seen."""
 COMMANDS = ("stop", "set-fit", "run-fit", "fit-drawn")
 
 
@@ -43,15 +48,30 @@ class _SetAnew(Exception):
     """Something else was set while a whole fit went on."""
 
 
+class FitDesk(Protocol):
+    """What a fit is shown on, and commands for it come from (`deformscope.page.desk.Desk`)."""
+
+    def attend(self, run: PageRun) -> None: ...
+
+    def enter(self, phase: Phase, **changes: Any) -> None: ...
+
+    def show(self, **changes: Any) -> None: ...
+
+    def absent(self) -> str: ...
+
+
 class PageFitting:
     """`PageRun` of its page. One thread computes, in `until_finished`; the page's server only says what is wanted.
 
     config: of the command, with which it begins; offer: as `PageServer.offer`
+    keeps_last: what is shown in the end is kept
     """
+
+    keeps_last = True
 
     def __init__(
         self,
-        desk: Desk,
+        desk: FitDesk,
         config: BetaConfig | ThetaConfig,
         subject: FitSubject,
         offer: Callable[[str, bytes, str], None],
@@ -68,7 +88,7 @@ class PageFitting:
         self._shown = self._asked
         self._wants_fit = self._finished = False
         self._busy_s = 0.0
-        self.drawn_ms: list[float] = []
+        self.drawn_ms: deque[float] = deque(maxlen=MOST_CHANGES)
         self.config = config
         model = fit_options(config)
         self.state = FitState(subject.kind, model.model.parameter, self._began, model.bounds, subject.size_px)
@@ -113,7 +133,7 @@ class PageFitting:
                 asked, fit, finished = self._asked, self._wants_fit, self._finished
                 self._asked = None
                 self._wants_fit = fit and asked is not None  # first what it is to be made of
-            self._begin_step(whole=fit or finished)
+            self._begin_step(whole=fit or (finished and self.keeps_last))
             if asked is not None:
                 self._set(asked)
             elif finished:
@@ -134,7 +154,7 @@ class PageFitting:
         return self._asked is not None or self._wants_fit or self._finished
 
     def _begin_step(self, *, whole: bool) -> None:
-        """Before what was asked for is done. whole: a whole fit, or the end"""
+        """Before what was asked for is done. whole: it is one that is to stay"""
 
     @property
     def result_config(self) -> BetaConfig | ThetaConfig:
@@ -164,23 +184,22 @@ class PageFitting:
             value = float(asked.settings.beta if model.parameter == "beta" else asked.settings.theta)
             found = simulate(seen, model, np.array([value]), body)[0]
             error = errors_of([seen], value, [found])
+            drawn = self._drawn(seen, found)
         except Exception as problem:  # whatever is set on a page, the next change may be better
-            words = " ".join(str(problem).split()) or type(problem).__name__
             gone = dict.fromkeys(("rest", "observed", "simulated", "seen", "held", "values", "errors"), ())
             new: dict[str, Any] = {**gone, "pictures": pictures, "aee": None, "aee_free": None} if pictures else {}
-            self._show(
-                settings=asked.settings, number=asked.number, command=self.command, problem=words, busy="", **new
-            )
+            shown = {"settings": asked.settings, "number": asked.number, "command": self.command, "busy": ""}
+            self._show(**shown, problem=words_of(problem), **new)
             return
         same = self._found == dataclasses.replace(config, at=None)
+        restless = "" if error.converged else "the simulation does not come to rest with these settings"
+        changes: dict[str, Any] = {"problem": restless, **drawn, **self._begun_curve(seen, body, model)}
         self._show(
-            **self._drawn(seen, found),
-            **self._begun_curve(seen, body, model),
+            **changes,
             pictures=pictures or self.state.pictures,
             settings=asked.settings,
             number=asked.number,
             command=self.command,
-            problem="" if error.converged else "the simulation does not come to rest with these settings",
             aee=error.aee,
             aee_free=error.aee_free,
             busy="",
@@ -215,14 +234,15 @@ class PageFitting:
         return {"values": (), "errors": ()}
 
     def _go_on_with_curve(self) -> None:
-        """One more value, between two looks at what is new; none where it cannot be simulated."""
+        """One more value, between two looks at what is new; one that cannot be simulated has no error, and is said."""
         value = self._curve.pop(0)
+        error: float | None = None
         try:
             seen, body, model = self._prepared(self.config)
             error = errors_of([seen], value, simulate(seen, model, np.array([value]), body)).aee
-        except Exception:  # the line has a gap there: what is set is shown without it
-            error = None
-        known = sorted([*zip(self.state.values, self.state.errors, strict=True), (value, error)])
+        except Exception as problem:
+            self._show(problem=f"at {self.state.parameter} {value:.3f}: {words_of(problem)}")
+        known = sorted([*zip(self.state.values, self.state.errors, strict=True), (value, error)], key=itemgetter(0))
         values, errors = zip(*known, strict=True)
         self._show(values=values, errors=errors)
 
@@ -236,7 +256,7 @@ class PageFitting:
         except _SetAnew:
             self._show(busy="")
         except Exception as problem:
-            self._show(problem=" ".join(str(problem).split()) or type(problem).__name__, busy="")
+            self._show(problem=words_of(problem), busy="")
 
     def _note(self, what: str, done: int, total: int) -> None:
         with self._news:
@@ -264,21 +284,8 @@ class PageFitting:
         """The command's options with what was set; those that are as they began stay unsaid. Raises InputError where
         they do not go together."""
         config, began = self._base, self._began
-        parts = ("roi", "grid", "spacing_px", "outline", "contact", "held")
-        if any(getattr(asked, name) != getattr(began, name) for name in parts):
-            outline = tuple(value for corner in asked.outline for value in corner) or None
-            images = dataclasses.replace(
-                self._images,
-                roi=asked.roi,
-                grid=asked.grid,
-                spacing_px=asked.spacing_px,
-                outline=outline,
-                contact=asked.contact,
-                held=None,
-            )
-            if set(asked.held) != set(images.held_parts()):
-                images = dataclasses.replace(images, held=asked.held)
-            config = dataclasses.replace(config, images=images)
+        if any(getattr(asked, name) != getattr(began, name) for name in IN_PICTURE):
+            config = dataclasses.replace(config, images=images_with(self._images, asked))
         if asked.cluster_size != began.cluster_size:
             config = dataclasses.replace(config, cluster_size=asked.cluster_size)
         if isinstance(config, BetaConfig):
@@ -289,6 +296,11 @@ class PageFitting:
     def _show(self, **changes: Any) -> None:
         self.state = msgspec.structs.replace(self.state, **changes)
         self._desk.show(fit=self.state)
+
+
+def words_of(problem: Exception) -> str:
+    """In a line, for the page."""
+    return " ".join(str(problem).split()) or type(problem).__name__
 
 
 def _settings_of(config: BetaConfig | ThetaConfig) -> FitSettings:

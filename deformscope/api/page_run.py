@@ -11,6 +11,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Literal, Protocol
 
+from deformscope.api.fit_beside import FitBeside
 from deformscope.api.page_devices import ShownDevices
 from deformscope.api.rigs import Interruption
 from deformscope.frames import HealthReport, NoteKind, SessionNote, Stream, host_ns
@@ -59,7 +60,7 @@ class PageRecorder:
 
     file: to begin with, None = no file yet; next_file: a name for each that follows
     ended: is set where the page asks to stop; recent: the last seconds, which can still be recorded
-    at_end: a file for what of them is held at the end
+    fit: that can be set meanwhile; at_end: a file for what of them is held at the end
     """
 
     def __init__(
@@ -70,10 +71,11 @@ class PageRecorder:
         ended: Interruption,
         recent: RecentItems | None = None,
         *,
+        fit: FitBeside,
         at_end: Path | None = None,
     ) -> None:
         self._make, self._next_file, self._ended = make, next_file, ended
-        self._recent = recent
+        self._recent, self._fit = recent, fit
         self._last_words = None if at_end is None else make(at_end, "none", at_once=True)
         self._watch = make(None, "page")
         self._take = None if file is None else _FileTake(make(file, "none"), file)
@@ -112,6 +114,7 @@ class PageRecorder:
         for thread in self._threads:
             thread.join()
         with ExitStack() as stack:  # each is closed whatever another's closing raises
+            stack.callback(self._fit.close)  # last: no file waits for it
             stack.callback(self._watch.__exit__, kind, error, trace)
             if self._last_words is not None:
                 stack.callback(self._end_last, self._last_words, kind)
@@ -142,6 +145,8 @@ class PageRecorder:
         self.desk.attend(self)
         self.desk.show(tares=tares)
         self._enter()
+        assert self._watch.page is not None
+        self._fit.attend(self._watch.page, self._streams, self._found)
 
     def write(self, items: object) -> None:
         """As `Recorder.write`."""
@@ -154,6 +159,7 @@ class PageRecorder:
             if self._take is not None:
                 self._write_to(self._take, items)
         if isinstance(items, Sequence) and self._shown is not None:
+            self._fit.saw(items)
             self._shown.saw(items)
             if any(isinstance(item, HealthReport) for item in items):
                 self._show_file()
@@ -258,6 +264,12 @@ class PageRecorder:
 
     def _note(self, about: NoteKind, text: str) -> None:
         self._notes.append(SessionNote(monotonic_ns(), about, text))
+
+    def _found(self, words: str) -> None:
+        """What a fit found is said, and a note in what is recorded."""
+        with self._lock:
+            self._note("note", words)
+        self.desk.remark(words)
 
     def _taken_notes(self) -> list[SessionNote]:
         notes, self._notes = self._notes, []

@@ -261,7 +261,7 @@ class PageSteering:
         elif self._choice is None:
             self.desk.enter("paused", "what is under way ends first", commands=tuple(commands))
         else:
-            what = f"press Explore to touch{' on' * bool(self._touches)} as planned, or choose a place"
+            what = f"press Explore, and the arm touches{' on' * bool(self._touches)} by itself; or choose a place"
             self.desk.enter("paused", what, commands=tuple(commands))
 
 

@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, cast
 
+from deformscope.api.fit_beside import FitBeside
 from deformscope.api.moving import signal_word
 from deformscope.api.page_devices import remark_of
 from deformscope.api.page_run import PageRecorder
@@ -19,6 +20,7 @@ from deformscope.api.recordings import RecordResult
 from deformscope.api.result import ViewerChoice, open_recorder
 from deformscope.api.rigs import Interruption, members_of, until_interrupted
 from deformscope.config import OutputOptions, RigRunOptions
+from deformscope.config.images import ImageOptions
 from deformscope.config.rigs import StageOptions
 from deformscope.experiments.live_stages import StageCounts, live_stages
 from deformscope.file_io import new_recording
@@ -76,9 +78,10 @@ def run_rig(config: RigRunOptions, auto: Literal["none", "native"], *, always_re
         settings["stages"] = dataclasses.asdict(options)
     recent = _recent(config.keep_last, viewer, names)
     at_end = config.keep_last is not None and always_record
+    fit = FitBeside(config.rig, Path(rig.record.folder), rig.name.replace(":", "-"), _begun_images(config.stages))
     with (
         until_interrupted() as asked,
-        _recorder(output, settings, rig, names, asked, recent, at_end=at_end) as recorder,
+        _recorder(output, settings, rig, names, asked, recent, fit, at_end=at_end) as recorder,
         _processes(names) if names else contextlib.nullcontext({}) as beside,
         members_of(rig) as members,
     ):
@@ -113,6 +116,7 @@ def _recorder(
     names: Sequence[str],
     asked: Interruption,
     recent: RecentItems | None,
+    fit: FitBeside,
     *,
     at_end: bool,
 ) -> Recorder | LastRecorder | PageRecorder:
@@ -126,11 +130,17 @@ def _recorder(
         return _new_file(rig)
 
     if output.viewer == "page":
-        first = None if at_end else output.record
-        return PageRecorder(make, first, next_file, asked, recent, at_end=output.record if at_end else None)
+        first, last = (None, output.record) if at_end else (output.record, None)
+        return PageRecorder(make, first, next_file, asked, recent, fit=fit, at_end=last)
     if at_end and recent is not None:
         return LastRecorder(make(None, output.viewer), make(output.record, "none", at_once=True), recent)
     return make(output.record, output.viewer)
+
+
+def _begun_images(flags: StageOptions) -> ImageOptions:
+    """What a fit on the page begins with: as the stages have it."""
+    same = {name: getattr(flags, name) for name in ("roi", "grid", "spacing_px", "contact", "held")}
+    return ImageOptions(camera=flags.camera or None, **same)
 
 
 def _recent(keep_last_s: float | None, viewer: ViewerChoice, stages: Sequence[str]) -> RecentItems | None:

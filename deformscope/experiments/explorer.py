@@ -79,9 +79,9 @@ CURVED_OVER_M = 0.01
 """Curvature is taken over so far to either side: a tip of 1 cm feels no finer."""
 FORECAST_STEPS = 25
 """Forces at which a touch is foretold."""
-COSTS = {"careful": (6.0, 0.1), "quick": (3.2, 0.15)}
-"""What the planner takes a touch for [s], and the speed of the way to it [m/s], by pace. Chosen; quick: as a
-touch and its way take there in the laboratory."""
+COSTS = {"careful": (6.0, 0.1), "quick": (4.0, 0.15)}
+"""What the planner takes a touch for [s], and the speed of the way to it [m/s], by pace. Chosen: near enough to
+what they take, and such that both paces weigh a touch and its way alike, and touch the same places."""
 ONE_FOAM_EXPONENT_SD = 0.02
 """Of the contact's exponent where lumps are sought: touches of one foam share it, and what it is off by is a part of
 the level. A touch of 5 N then scatters by 0.4 % instead of 0.6 (finite elements with the sensors' noise)."""
@@ -469,12 +469,11 @@ class Explorer:
 
     def known_m(self, xy_m: FloatArray) -> float | None:
         """How far the surface at a place (2,) [m] may be from where it was seen: as far as any touch felt it from
-        there, and what its process doubts; None before the first touch."""
-        if not self.touches:
-            return None
+        there, and what its process doubts; None before the first touch, of a place that was seen."""
         assert self._heights is not None
         row, column = (xy_m[::-1] / self.grid.cell_m).astype(int)
-        return self._beside_m + SURE_SD * float(self._heights.deviation_m[row, column])
+        doubt_m = SURE_SD * float(self._heights.deviation_m[row, column])
+        return None if not self.touches and doubt_m <= SEEN_M else self._beside_m + doubt_m
 
     def touch(self, touched: TouchMeasurement, dent: Callable[[], FloatArray] | None = None) -> TouchEstimate:
         """Take a touch in. dent: computes its `after_m`, where that is not known yet"""

@@ -21,7 +21,7 @@ from deformscope.robot.placement import Placement, follow
 from deformscope.robot.readings import ArmSample
 from deformscope.robot.setup import CameraView, Setup
 from deformscope.robot.shape import arm_shape
-from deformscope.robot.touch import TouchPlan, centers_of, forces_at
+from deformscope.robot.touch import STILL_S, TouchPlan, centers_of, forces_at
 from deformscope.stages.map.measured import LookFrames, SurfaceMeasurement, TouchFrames, TouchMeasurement, WholeTouch
 from deformscope.stages.poke.contact import ArmCompliance
 from deformscope.stages.regions.touch_error import TouchErrorModel
@@ -48,11 +48,9 @@ UPRIGHT = np.array([0.0, 0.0, 1.0])
 HOP_M, HOP_SPEED_M_S, HOP_PASSING_M, HOP_BRAKING_PER_S = 0.02, 0.05, 2e-3, 8.0
 """Over a surface that is known, the tip's height before and after a touch, how fast it comes down and goes up, how
 near it comes to where it begins, and how it slows down. Chosen."""
-HOP_DWELL_S = 0.3
-"""A touch of which no pictures are wanted stands still for as long as shows that it does (`touch.STILL_S`)."""
 HOP_MARGIN_M, HOP_SLOW_M = 5e-3, 0.015
-"""It is slow from so much above where the surface may be, and, where that is higher than this above where it was seen,
-from where it is not known. Chosen."""
+"""It is slow from so much above where the surface may be; the first touch from the other above where it was seen. Where
+it may be higher than that, all is as at a careful pace. Chosen."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -294,16 +292,18 @@ class SetupGeometry:
         """A touch of a place whose surface was seen at this height.
 
         over_m: how high the surface may be on the straight way to it, None = not known: then as high as nothing stands
-        known_m: how far from there the surface may be, None = not known; at a quick pace it is slow where that is, and
-        else from higher up
+        known_m: how far from there the surface may be, None = seen, and nothing was touched yet; at a quick pace it is
+        slow where that is
         """
         highest, standoff_m, quick = highest_m(options), options.standoff_m, dict[str, float]()
         still_s = DWELL_S
         if options.pace == "quick":
             quick |= {"far_speed_m_s": HOP_SPEED_M_S, "travel_speed_m_s": self.workspace.travel_speed_m_s}
             quick |= {"passing_m": HOP_PASSING_M, "braking_per_s": HOP_BRAKING_PER_S}
-            still_s = HOP_DWELL_S if options.beta_model == "none" else DWELL_S
-            if known_m is not None and (slow_m := known_m + HOP_MARGIN_M) <= HOP_SLOW_M:
+            still_s = STILL_S if options.beta_model == "none" else DWELL_S
+            if known_m is None:
+                quick["slow_within_m"] = HOP_SLOW_M
+            elif (slow_m := known_m + HOP_MARGIN_M) <= HOP_SLOW_M:
                 quick["slow_within_m"], standoff_m = slow_m, HOP_M + self.camera.doubt_m
         if over_m is not None:
             highest = min(over_m + options.lift_m + standoff_m + self.placement.center_offset_m, highest)

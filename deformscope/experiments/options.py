@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
@@ -83,9 +84,14 @@ class ExploreOptions:
             raise InputError("a hold, from which the relaxed stiffness is measured", "none", "--hold 5")
         if not 0.0 < self.set_force_n <= SECOND_FORCE_N:
             raise InputError(f"a set force above 0 and up to {SECOND_FORCE_N:g} N", f"{self.set_force_n:g} N")
-
         if self.goal == "inclusions" and self.planner != "regions":
             raise InputError("the goal's own planner", f"--planner {self.planner}", "leave --planner out")
+        lengths = ("max_depth_m", "tip_radius_m", "thickness_m", "cell_m", "standoff_m", "inclusion_m")
+        for name in lengths:
+            if not 0.0 < getattr(self, name) < math.inf:
+                raise InputError(f"{name} above 0", f"{getattr(self, name):g}")
+        if not 0.0 <= self.threshold < math.inf or self.seed < 0:
+            raise InputError("a threshold and a seed of 0 or more", f"{self.threshold:g} and {self.seed}")
         if self.planner == "thesis" and self.beta_model == "none":
             raise InputError("a beta model for the thesis's planner", "none", "--beta-model thesis")
 

@@ -33,9 +33,10 @@ class StageProcesses:
     3.6 s after its frame from a thread, 0.6 s from a process.
     """
 
-    def __init__(self, names: Sequence[StageName], start_engine: Callable[[], None]) -> None:
-        """start_engine: starts what simulates, in the process of a stage that does"""
-        self._names = names
+    def __init__(self, names: Sequence[StageName], start_engine: Callable[[], None], *, finish: bool = False) -> None:
+        """start_engine: starts what simulates, in the process of a stage that does; finish: in the end, wait for what
+        is computed then, as a process must that is itself one of another"""
+        self._names, self._finish = names, finish
         self._start_engine = start_engine
         self.beside: dict[str, StageProcess] = {}
 
@@ -47,7 +48,7 @@ class StageProcesses:
 
     def __exit__(self, kind: type[BaseException] | None, *raised: object) -> None:
         for process in self.beside.values():
-            process.close()
+            process.close(finish=self._finish)
 
 
 class StageProcess:
@@ -75,9 +76,9 @@ class StageProcess:
             self._start()
             return self._pool.submit(function, *arguments)
 
-    def close(self) -> None:
-        """End it after what it computes now, without waiting for that."""
-        self._pool.shutdown(wait=False, cancel_futures=True)
+    def close(self, *, finish: bool = False) -> None:
+        """End it after what it computes now. finish: wait for that"""
+        self._pool.shutdown(wait=finish, cancel_futures=True)
 
 
 def warm_up(name: StageName, start_engine: Callable[[], None]) -> None:

@@ -63,6 +63,9 @@ class Desk:
         self._began_s = clock()
         self._state = PageState(title=title, beat_s=beat_s)
         self._run: PageRun | None = None
+        self._aside: PageRun | None = None
+        self._commands: tuple[str, ...] = ()
+        self._aside_commands: tuple[str, ...] = ()
         self._beats: dict[str, tuple[float, bool]] = {}
         self._moves = 0
         self._answers: tuple[Callable[[], None], Callable[[str], None]] = (_nothing, _nothing)
@@ -88,6 +91,17 @@ class Desk:
         """From now on this one gets the commands."""
         self._run = run
 
+    def attend_aside(self, run: PageRun) -> None:
+        """From now on this one gets the commands that `show_aside` names."""
+        self._aside = run
+
+    def show_aside(self, commands: tuple[str, ...], **changes: Any) -> None:
+        """Beside those of what goes on, these can be asked for until it has stopped. changes: as `show`"""
+        with self._lock:
+            if self._state.phase != "stopped":
+                self._aside_commands = commands
+                self.show(commands=self._commands, **changes)
+
     def enter(self, phase: Phase, reason: str = "", **changes: Any) -> None:
         """Go on to another phase, or stay in this one; changes: fields of the state. Raises ValueError where the phase
         may not follow."""
@@ -104,11 +118,15 @@ class Desk:
                     "next_place": None,
                 }
                 changes = over | changes
+                self._aside_commands = ()
             self.show(phase=phase, reason=reason, **changes)
 
     def show(self, **changes: Any) -> None:
         """Change fields of the state."""
         with self._lock:
+            if "commands" in changes:
+                self._commands = changes["commands"]
+                changes["commands"] = (*self._commands, *self._aside_commands)
             self._state = msgspec.structs.replace(self._state, **changes)
             watchers = tuple(self._watchers)
         for call in watchers:
@@ -213,10 +231,11 @@ class Desk:
         if isinstance(command, SeeMove):
             return self._see(command.number)
         kind = str(command.__struct_config__.tag)
-        if self._run is None or kind not in state.commands:
+        run = self._aside if kind in self._aside_commands else self._run
+        if run is None or kind not in state.commands:
             return "refused", _refusal(kind, state.phase, state.commands)
         try:
-            return self._run.obey(command)
+            return run.obey(command)
         except Exception as error:  # whatever a command does, the server goes on
             return "refused", " ".join(str(error).split()) or type(error).__name__
 

@@ -142,6 +142,17 @@ class TouchPicked(FromPage, frozen=True, tag="touch-picked"):
     position_m: tuple[Length, Length, Length]
 
 
+class OpenFit(FromPage, frozen=True, tag="open-fit"):
+    """Show the model of what a camera sees, beside what goes on. camera: None = the one before, or the first"""
+
+    parameter: Literal["beta", "theta"]
+    camera: Name | None = None
+
+
+class CloseFit(FromPage, frozen=True, tag="close-fit"):
+    """Show what goes on again."""
+
+
 class SetFit(FromPage, frozen=True, tag="set-fit"):
     """Show the model with these settings. number: counts them; what was set before and is not shown yet never is"""
 
@@ -193,6 +204,8 @@ PageCommand = (
     | TouchNext
     | TouchAt
     | TouchPicked
+    | OpenFit
+    | CloseFit
     | SetFit
     | RunFit
     | TakeRest

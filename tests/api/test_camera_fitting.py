@@ -15,7 +15,7 @@ import pytest
 
 pytest.importorskip("rerun")
 
-from deformscope.api import live_camera
+from deformscope.api import camera_fitting, live_camera
 from deformscope.api.camera_fitting import CameraFitting
 from deformscope.api.live_camera import CameraSubject, camera_of
 from deformscope.arrays import ImageArray
@@ -129,6 +129,22 @@ def test_another_picture_can_be_the_one_at_rest(tmp_path: Path) -> None:
         moved = one.look()
         one.fitting.obey(TakeRest(0))
         assert one.until(lambda fit: fit.pictures != moved.pictures).aee < 1e-3 < moved.aee
+
+
+def test_a_curve_that_cannot_be_simulated_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    real = camera_fitting.simulate
+
+    def simulate(seen: Any, model: Any, values: Any, body: Any) -> Any:
+        raise ArithmeticError("a singular cluster")
+
+    monkeypatch.setattr(camera_fitting, "simulate", simulate)
+    with camera(tmp_path) as one:
+        fit = one.until(lambda fit: fit.aee is not None)
+        assert (fit.problem, fit.values) == ("no error curve: a singular cluster", ())
+        monkeypatch.setattr(camera_fitting, "simulate", real)
+        one.see(2)
+        fit = one.look()
+        assert (fit.problem, len(fit.values)) == ("", 13)
 
 
 class Counting(Inline):

@@ -30,36 +30,11 @@ from deformscope_drivers.jaco.chains import J2N6S300
 from deformscope_drivers.optoforce import Optoforce
 from tests.cli.quick_scene import use_quick_scene
 from tests.cli.rig_on_a_simulated_clock import count_as_real, use_a_simulated_clock
+from tools import page_robustness
 
-RIG = """
-[devices.arm]
-driver = "jaco"
-double = true
-state_hz = 100
-command_deadline_s = 0.5
-[devices.tip]
-driver = "optoforce"
-double = true
-bus = "socketcan:can0"
-rate_hz = 100
-[devices.depth]
-driver = "depth_camera"
-double = true
-fps = 5
-[surface]
-scene = "two-60-150"
-T_arm_surface = [[1, 0, 0, -0.30], [0, 1, 0, -0.55], [0, 0, 1, 0], [0, 0, 0, 1]]
-[tool]
-compliance_m_per_n = 2e-4
-compliance_sd = 2e-5
-[workspace]
-low_m = [-0.40, -0.66, 0.0]
-high_m = [0.45, 0.10, 0.75]
-# doubles share a busy machine with what reads them
-force_silent_s = 0.5
-arm_silent_s = 0.5
-camera_silent_s = 0.5
-"""
+RIG = page_robustness.RIG.replace('port = "/dev/double"\nrate_hz = 333', 'bus = "socketcan:can0"\nrate_hz = 100')
+"""Of doubles on the host's clock, the force sensor slower and on a CAN bus."""
+assert "socketcan:can0" in RIG
 
 
 @pytest.fixture

@@ -151,6 +151,22 @@ def test_a_dent_that_was_pressed_on_is_as_deep_as_at_its_last_force() -> None:
     assert told.depth_m == pytest.approx(0.0018 * (5.0 / 3.0) ** (1.0 / 1.5), rel=0.02)
 
 
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"threshold": float("nan")}, "threshold"),
+        ({"seed": -1}, "seed"),
+        ({"tip_radius_m": 0.0}, "tip_radius_m above 0"),
+        ({"cell_m": float("inf")}, "cell_m above 0"),
+        ({"set_force_n": float("nan")}, "set force"),
+    ],
+)
+def test_options_that_are_no_quantities_are_refused(wrong: dict[str, float], message: str) -> None:
+    """As `replay --set` takes them."""
+    with pytest.raises(InputError, match=message):
+        ExploreOptions(**wrong)  # type: ignore[arg-type]
+
+
 def test_touches_without_a_relaxed_stiffness_end_with_a_reason_where_that_is_mapped() -> None:
     """None was held, so that none failed either."""
     force = np.concatenate([np.zeros(30), np.linspace(0.0, 3.0, 100)])

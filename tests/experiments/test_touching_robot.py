@@ -19,6 +19,7 @@ from deformscope.lab.scenes import built_in
 from deformscope.rig.rig_file import Workspace
 from deformscope.robot.setup import CameraView, Setup
 from deformscope.robot.shape import arm_shape
+from deformscope.robot.touch import STILL_S
 from deformscope.stages.regions.touch_error import GAIN_SD
 from deformscope.studies.fault_study import FaultScene, make_scene
 from deformscope_drivers.depth_camera.image import Intrinsics
@@ -99,12 +100,15 @@ def test_what_is_known_of_the_surface_says_how_low_and_how_slowly() -> None:
     careful = geometry.plan(place, 0.05, UP, 0.051, ExploreOptions(), 0.0)
     unknown, sure, doubtful, lost = (geometry.plan(place, 0.05, UP, 0.051, quick, m) for m in (None, 0, 0.008, 0.011))
 
-    assert (careful.standoff_m, careful.slow_within_m) == (unknown.standoff_m, unknown.slow_within_m) == (0.05, 0.03)
+    assert (careful.standoff_m, careful.slow_within_m) == (0.05, 0.03)
+    assert (unknown.standoff_m, unknown.slow_within_m) == (0.05, 0.015), "high, until a touch has met it"
     assert (sure.standoff_m, sure.slow_within_m) == (0.02, 0.005)
     assert doubtful.slow_within_m == pytest.approx(0.013), "slow from 5 mm above the highest that it may be"
     assert (lost.standoff_m, lost.slow_within_m) == (0.05, 0.03)
     assert sure.travel_height_m == pytest.approx(careful.travel_height_m - 0.03)
     assert {one.contact_speed_m_s for one in (careful, unknown, sure, doubtful)} == {0.01}
+    without_pictures = geometry.plan(place, 0.05, UP, 0.051, ExploreOptions(pace="quick", beta_model="none"), 0.0)
+    assert (without_pictures.dwell_s, sure.dwell_s) == (STILL_S, careful.dwell_s)
 
 
 def test_a_geometry_survives_its_settings() -> None:

@@ -73,6 +73,27 @@ def test_two_pages_see_the_same_and_one_steers(page: PageServer) -> None:
         assert third.until(lambda state: state["controls"] == "c")["pages"] == 1
 
 
+def test_what_goes_on_beside_has_its_own_commands() -> None:
+    desk, main, aside = Desk("x"), Notebook(), Notebook()
+    desk.come("a")
+    desk.attend(main)
+    desk.enter("live", commands=("write-note", "stop"))
+    desk.attend_aside(aside)
+    desk.show_aside(("tare",))
+    assert desk.state.commands == ("write-note", "stop", "tare")
+    assert desk.command("a", WriteNote(1, "x")).outcome == "done"
+    assert desk.command("a", TareDevice(2, "tip")).words == "the sensor moves"
+    assert (main.notes, aside.notes) == (["x"], [])
+    desk.enter("live", commands=("stop",))  # the one does not know of the other
+    assert list(desk.state.commands) == ["stop", "tare"]
+    desk.show_aside(("write-note",), reason="beside")
+    assert desk.command("a", WriteNote(3, "y")).outcome == "done"
+    assert (desk.state.reason, aside.notes) == ("beside", ["y"])
+    desk.enter("stopped")
+    desk.show_aside(("tare",))
+    assert not desk.state.commands
+
+
 def test_through_a_forwarded_port(page: PageServer) -> None:
     """As by ssh -L: the browser's Host and Origin have another port than the server."""
     page.desk.attend(Notebook())

@@ -13,9 +13,11 @@ import pytest
 
 from deformscope.page.fit_messages import FitSettings, FitState
 from deformscope.page.messages import (
+    CloseFit,
     FitDrawn,
     FollowCamera,
     HoldPicture,
+    OpenFit,
     Outcome,
     PageCommand,
     RunFit,
@@ -24,7 +26,7 @@ from deformscope.page.messages import (
     TakeRest,
 )
 from deformscope.page.server import PageServer
-from tests.page.test_in_browser import chromium, shown, until
+from tests.page.test_in_browser import chromium, fake_viewer, shown, until
 
 __all__ = ["shown"]
 
@@ -185,7 +187,7 @@ def test_a_camera_is_followed_and_held(setting: Setting, shown: Any) -> None:
     assert "hold the picture (h)" in shown.inner_text("#fit-command")
     assert shown.is_disabled("#fit-copy")
     assert shown.is_hidden("[data-kind=follow-camera]")
-    until(shown, lambda: shown.inner_text("#fit-age").startswith("newest picture"))
+    until(shown, lambda: shown.inner_text("#fit-age").startswith("picture 0."))
 
     # numbers and particles come with their picture, the newest of those that came while one was loaded
     page.desk.show(fit=setting.state)
@@ -203,6 +205,72 @@ def test_a_camera_is_followed_and_held(setting: Setting, shown: Any) -> None:
     shown.keyboard.press(" ")  # a slider has no use for it
     until(shown, lambda: len(setting.commands) == 4)
     assert [type(one) for one in setting.commands] == [TakeRest, HoldPicture, FollowCamera, StopRun]
+
+
+class SettingBeside:
+    """A rig that is watched, and a fit beside it that a page opens and closes."""
+
+    def __init__(self, page: PageServer, state: FitState) -> None:
+        self.page, self.commands = page, list[PageCommand]()
+        self.state = msgspec.structs.replace(state, camera="side", cameras=("side", "top"), following=True)
+        page.desk.attend_aside(self)
+        page.desk.show_aside(("open-fit",))
+
+    def obey(self, command: PageCommand) -> tuple[Outcome, str]:
+        self.commands.append(command)
+        if isinstance(command, OpenFit):
+            shown = msgspec.structs.replace(self.state, parameter=command.parameter)
+            self.page.desk.show_aside(("open-fit", "close-fit", "set-fit", "hold-picture"), fit=shown)
+        elif isinstance(command, CloseFit):
+            self.page.desk.show_aside(("open-fit",), fit=None)
+        return "begun", ""
+
+
+def test_a_fit_is_opened_over_the_viewer_of_a_rig(setting: Setting, shown: Any) -> None:
+    wrong = list[str]()
+    shown.on("pageerror", lambda error: wrong.append(str(error)))
+    fake_viewer(shown)
+    with PageServer("bench") as page:
+        for name in setting.state.pictures:
+            page.offer(name, PIXEL, "image/png")
+        page.desk.enter("live", commands=("stop", "start-recording"))
+        beside = SettingBeside(page, setting.state)
+        page.pieces.add(b"views", lasting=True)
+        shown.goto(page.address)
+        until(shown, lambda: shown.is_enabled("[data-kind=open-fit][data-parameter=beta]"))
+        until(shown, lambda: "viewer" in shown.inner_text("#lag"))
+        assert shown.is_hidden("#fit")
+        shown.keyboard.press("m")
+        until(shown, lambda: shown.inner_text("#fit-error").startswith("average error 1.250 px"))
+        assert shown.evaluate("document.elementFromPoint(600, 400).id") == "fit-canvas"
+        assert shown.is_visible("[aria-label=devices]")  # they go on, and are seen
+        assert shown.is_hidden("[data-kind=start-recording]")
+        assert shown.locator("#shown [aria-pressed=true]").inner_text() == "Fit beta"
+
+        # the viewer below it gets one batch at most; then nothing, until it is seen again
+        for number in range(1, 4):
+            page.pieces.add(b"numbers", lasting=False, until_ns=number * 10**9)
+            shown.wait_for_timeout(100)
+        below = shown.evaluate("window.pieces.length")
+        assert below <= 2
+        shown.focus("#fit-beta")
+        shown.keyboard.press("ArrowRight")
+        until(shown, lambda: isinstance(beside.commands[-1], SetFit))
+        shown.keyboard.press("n")  # what is written into a field is seen
+        until(shown, lambda: "m shows that" in shown.text_content("#remarks"))
+        shown.select_option("#fit-cameras", "top")
+        until(shown, lambda: isinstance(beside.commands[-1], OpenFit))
+        assert beside.commands[-1] == OpenFit(beside.commands[-1].id, "beta", "top")
+        shown.click("[data-parameter=theta]")
+        until(shown, lambda: shown.locator("#shown [aria-pressed=true]").inner_text() == "Fit theta")
+        shown.evaluate("document.activeElement.blur()")
+        shown.keyboard.press("m")
+        until(shown, lambda: shown.is_hidden("#fit"))
+        until(shown, lambda: shown.evaluate("window.pieces.length") > below)
+        assert shown.evaluate("document.elementFromPoint(600, 400).id") == "canvas"
+        shown.keyboard.press("m")  # of what it was before
+        until(shown, lambda: isinstance(beside.commands[-1], OpenFit) and beside.commands[-1].parameter == "theta")
+    assert wrong == []
 
 
 @pytest.mark.slow

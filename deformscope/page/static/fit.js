@@ -5,10 +5,13 @@ const HELD = ["top", "bottom", "left", "right", "border", "contact"];
 const COLORS = { rest: "#1ebe50", observed: "#286eff", simulated: "#eb2d2d", held: "#ffc800", box: "#ffffff" };
 const FINEST_PX = 4;
 const STALE_S = 3;
+const MOST_CHANGES = 1000; // of so many, the newest, it is said how long they took to be seen
 const NEAR_PX = 12; // of the screen: a click so near to the first corner closes an outline
 
-// desk: gives commands; sayable: words that answer them
-export function startFitting(desk, say) {
+// desk: gives commands; say: words that answer them; cover: whether a fit lies over the viewer
+export function startFitting(desk, say, cover) {
+  const alone = document.body.dataset.fit !== undefined; // there is no viewer
+  let parameter = "beta";
   let fit = null;
   let mine = false;
   let settings = null; // as they are on the page, shown or not
@@ -58,6 +61,7 @@ export function startFitting(desk, say) {
   function drawn(sent) {
     const after_ms = performance.now() - sent.since_ms;
     waits_ms.push(after_ms);
+    waits_ms.splice(0, waits_ms.length - MOST_CHANGES);
     desk.command("fit-drawn", { number: sent.number, after_ms });
     const rising = [...waits_ms].sort((a, b) => a - b);
     const share = (part) => rising[Math.min(rising.length - 1, Math.floor(part * rising.length))].toFixed(0);
@@ -69,14 +73,18 @@ export function startFitting(desk, say) {
   // From the server ---------------------------------------------------------------------------------------------------
 
   function show(state, page) {
+    if (!alone) {
+      showOver(state.fit);
+    }
     if (!state.fit) {
+      [mine, flight, changed_ms] = [false, null, null];
       return;
     }
     if (missing(state, page)) {
       return; // particles are drawn on the picture that they were seen in
     }
     fit = state.fit;
-    mine = state.controls === page && state.phase === "adjusting" && state.commands.includes("set-fit");
+    mine = state.controls === page && state.commands.includes("set-fit");
     if (!mine) {
       [flight, changed_ms] = [null, null]; // another page goes on with it
     }
@@ -99,6 +107,23 @@ export function startFitting(desk, say) {
     }
     shown = drawing();
   }
+
+  // In the viewer's place, while what goes on goes on.
+  function showOver(now) {
+    cover(now !== null);
+    if (now) {
+      document.body.dataset.fit = "beside";
+      parameter = now.parameter;
+    } else {
+      delete document.body.dataset.fit;
+    }
+    for (const button of document.querySelectorAll("#shown button")) {
+      button.ariaPressed = String(now ? button.dataset.parameter === parameter : button.dataset.kind === "close-fit");
+    }
+  }
+
+  // What shows the fit in place of the viewer, or the viewer.
+  const other = () => (document.body.dataset.fit === undefined ? ["open-fit", { parameter }] : ["close-fit"]);
 
   // Whether pictures of a state are still to be loaded: it is shown with them, and after it the newest that came meanwhile.
   function missing(state, page) {
@@ -133,9 +158,9 @@ export function startFitting(desk, say) {
   }
 
   setInterval(() => {
-    if (fit?.camera) {
+    if (fit?.pictures.length && fit.camera) {
       const age_s = (performance.now() - came_ms) / 1000;
-      at("fit-age").textContent = !fit.following ? "held: its pictures are files" : `newest picture ${age_s.toFixed(1)} s ago`;
+      at("fit-age").textContent = !fit.following ? "held as files" : `picture ${age_s.toFixed(1)} s old`;
       at("fit-age").className = fit.following && age_s > STALE_S ? "numbers bad" : "numbers";
     }
   }, 500);
@@ -193,7 +218,8 @@ export function startFitting(desk, say) {
     at("fit-problem").className = fit.problem ? "numbers bad" : "numbers";
     at("fit-command").textContent = fit.command || "hold the picture (h): what is shown gets its command line";
     at("fit-copy").disabled = !fit.command;
-    at("fit-camera").textContent = fit.camera;
+    showCameras();
+    at("fit-words").textContent = fit.kind === "images" && !fit.pictures.length ? fit.busy : "";
     for (const [kind, now] of [["hold-picture", fit.following], ["follow-camera", !fit.following]]) {
       document.querySelector(`[data-kind=${kind}]`).hidden = !now;
     }
@@ -206,6 +232,18 @@ export function startFitting(desk, say) {
     const lowest = fit.values[fit.errors.indexOf(least)];
     at("fit-least").textContent = lowest === undefined ? "" : `least of ${fit.values.length} tried: ${length(least)} at ${fit.parameter} ${lowest.toFixed(2)}`;
     showCurve();
+  }
+
+  function showCameras() {
+    const [several, choice] = [fit.cameras.length > 1, at("fit-cameras")];
+    at("fit-camera").textContent = several ? "" : fit.camera;
+    choice.hidden = !several;
+    if (choice.childElementCount !== fit.cameras.length) {
+      choice.replaceChildren(...fit.cameras.map((name) => new Option(name)));
+    }
+    if (document.activeElement !== choice) {
+      choice.value = fit.camera;
+    }
   }
 
   function showCurve() {
@@ -256,7 +294,7 @@ export function startFitting(desk, say) {
     const image = images.get(showing === "rest" ? fit.pictures[0] : fit.pictures[1]);
     if (image?.complete && image.naturalWidth) {
       pen.drawImage(image, 0, 0, width, height);
-    } else {
+    } else if (fit.pictures.length || fit.kind === "pair") {
       pen.fillStyle = "#e8ebf0";
       pen.fillRect(0, 0, width, height);
     }
@@ -446,6 +484,13 @@ export function startFitting(desk, say) {
       }
     });
   }
+  at("fit-cameras").addEventListener("change", async ({ target }) => {
+    target.blur();
+    const reply = await desk.command("open-fit", { parameter, camera: target.value });
+    if (reply.outcome === "refused") {
+      say(`not followed: ${reply.words}`);
+    }
+  });
   at("fit-clear").addEventListener("click", () => {
     pending = [];
     change({ outline: [] });
@@ -485,5 +530,5 @@ export function startFitting(desk, say) {
     }
   }
 
-  return { show, run };
+  return { show, run, other };
 }

@@ -4,7 +4,7 @@ import { Desk } from "./desk.js";
 import { startFitting } from "./fit.js";
 import { cursorRequest, startPlayback } from "./playback.js";
 import { startSteering } from "./steer.js";
-import { addLayer, startViewer } from "./viewer.js";
+import { addLayer, cover, startViewer } from "./viewer.js";
 
 const at = (id) => document.getElementById(id);
 const LEVELS = { ok: "good", waiting: "idle", closed: "idle", LOST: "bad", FAILED: "bad" };
@@ -16,7 +16,7 @@ const replies = [];
 
 const desk = new Desk(show, lost);
 const steering = startSteering(command, (kind, fields) => desk.command(kind, fields), desk.page);
-const fitting = startFitting(desk, (text) => note(text, true));
+const fitting = startFitting(desk, (text) => note(text, true), cover);
 const words = (text) => (at("viewer-words").textContent = text);
 let viewer = null;
 const playback = startPlayback(async (timeline, ns) => {
@@ -248,7 +248,8 @@ function note(text, bad) {
 document.addEventListener("click", ({ target }) => {
   const button = target.closest?.("button[data-kind]");
   if (button && button.type !== "submit") {
-    command(button.dataset.kind, button.dataset.device ? { device: button.dataset.device } : {});
+    const { kind, device, parameter } = button.dataset;
+    command(kind, { device, parameter });
   }
 });
 for (const [form, input, kind, field] of [
@@ -281,12 +282,20 @@ window.addEventListener("focusin", ({ target, relatedTarget }) => {
   }
 });
 
+function write(field) {
+  at(field).focus();
+  if (document.activeElement !== at(field)) {
+    note("its field is beside the viewer: m shows that", false);
+  }
+}
+
 const KEYS = {
   r: () => command(state?.recording ? "stop-recording" : "start-recording"),
   k: () => command("keep-recent"),
-  n: () => at("note-text").focus(),
-  e: () => (state?.episode ? command("end-episode") : at("episode-label").focus()),
-  d: () => at("discard-reason").focus(),
+  n: () => write("note-text"),
+  e: () => (state?.episode ? command("end-episode") : write("episode-label")),
+  d: () => write("discard-reason"),
+  m: () => command(...fitting.other()),
   t: () => state?.tares.forEach((device) => command("tare", { device })),
   ",": () => state?.playback && playback.step(false),
   ".": () => state?.playback && playback.step(true),

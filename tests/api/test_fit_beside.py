@@ -1,0 +1,282 @@
+"""A fit that is set on the page of a rig that goes on: in its own process, of pictures that the rig gave."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from multiprocessing import Pipe
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+
+pytest.importorskip("rerun")
+
+from deformscope.api import fit_beside
+from deformscope.api.afar_fitting import AfarCamera, AfarDesk
+from deformscope.api.camera_fitting import CameraFitting
+from deformscope.api.fit_beside import FitBeside
+from deformscope.api.recordings import OpenRecording
+from deformscope.config import BetaConfig
+from deformscope.config.images import ImageOptions
+from deformscope.frames import ColorFrame, DepthFrame, Stream
+from deformscope.page.fit_messages import FitFound, FitSettings, FitState
+from deformscope.page.messages import CloseFit, HoldPicture, OpenFit, RunFit, StopRun, TakeRest
+from deformscope.page.server import PageServer
+from deformscope.session import Inline
+from deformscope.stages.msm.quiet import quiet_warp
+from deformscope_drivers.clock import Stamp
+from tests.api.test_camera_fitting import folder_camera, rig_of, stretched
+from tests.api.test_page_fitting import typed
+from tests.page.pages import at_desk
+from tests.page.test_rig_on_page import WHOLE, started
+from tests.patience import PATIENCE_S
+
+TIP = '[devices.tip]\ndriver = "optoforce"\ndouble = true\nrate_hz = 100\n'
+
+
+STREAMS = (
+    Stream("tip", "wrench", "x"),
+    Stream("depth", "depth", "x"),
+    *(Stream(name, "color", "x") for name in ("side", "top")),
+)
+
+
+class Beside:
+    """A fit beside a rig, whose process is this test. pipes: its ends, of each process that was begun"""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.page, self.found = PageServer("bench"), list[str]()
+        self.pipes: list[Connection] = []
+        self.configs: list[Any] = []
+        monkeypatch.setattr(fit_beside, "beside", self._process)
+        self.page.desk.come("a")
+        self.page.desk.enter("live", commands=("stop", "tare"))
+        self.fit = FitBeside("rig.toml", Path("runs"), "bench")
+        self.fit.attend(self.page, STREAMS, self.found.append)
+
+    @contextmanager
+    def _process(self, name: str, target: Any, *, makes_others: bool) -> Iterator[Connection]:
+        ours, theirs = Pipe()
+        self.configs.append(target.args[0])
+        self.pipes.append(theirs)
+        yield ours
+        ours.close()
+
+    def ask(self, command: Any) -> tuple[str, str]:
+        reply = self.page.desk.command("a", command)
+        return reply.outcome, reply.words
+
+    def see(self, index: int, camera: str = "side") -> None:
+        self.fit.saw([ColorFrame(Stamp(index), index, np.full((2, 2, 3), index, np.uint8), camera), "another item"])
+
+    def until(self, wanted: Any) -> Any:
+        came = threading.Event()
+        end = self.page.desk.watch(lambda: came.set() if wanted(self.page.desk.state) else None)
+        assert wanted(self.page.desk.state) or came.wait(PATIENCE_S)
+        end()
+        return self.page.desk.state
+
+    def opened(self, parameter: Any = "beta", camera: str | None = None) -> Connection:
+        count = len(self.pipes)
+        assert self.ask(OpenFit(1, parameter, camera))[0] == "begun"
+        for _ in range(int(100 * PATIENCE_S)):
+            if len(self.pipes) > count:
+                return self.pipes[-1]
+            threading.Event().wait(0.01)
+        raise AssertionError("no process")
+
+    def ended(self) -> None:
+        fit = self.fit._fit
+        assert fit is not None
+        for pipe in self.pipes:
+            pipe.close()
+        fit.thread.join(PATIENCE_S)
+        assert not fit.thread.is_alive()
+
+
+@pytest.fixture
+def beside(monkeypatch: pytest.MonkeyPatch) -> Beside:
+    return Beside(monkeypatch)
+
+
+def received(pipe: Connection) -> Any:
+    assert pipe.poll(PATIENCE_S), "nothing came"
+    return pipe.recv()
+
+
+STATE = FitState("images", "beta", FitSettings(roi=(1, 2, 3, 4)), camera="side", number=3, command="deformscope x")
+
+
+def test_pictures_go_where_they_are_wanted_and_looked_at(beside: Beside) -> None:
+    desk = beside.page.desk
+    assert list(desk.state.commands) == ["stop", "tare", "open-fit"]
+    assert beside.ask(OpenFit(1, "beta", "tip"))[1] == "expected one of side, top, depth; got tip"
+    assert beside.ask(HoldPicture(2))[0] == "refused"
+    pipe = beside.opened()
+    assert desk.state.fit is not None
+    assert (desk.state.fit.camera, desk.state.fit.cameras) == ("side", ("side", "top", "depth"))
+    assert "takes some seconds" in desk.state.fit.busy
+    assert "set-fit" not in desk.state.commands
+
+    fit = beside.fit._fit
+    assert fit is not None
+
+    def wants() -> None:
+        pipe.send(("want",))
+        pipe.send(("fit", STATE, ("stop", "set-fit", "hold-picture", "take-rest")))
+        beside.until(lambda state: state.fit is not None and state.fit.number == 3)
+        while not fit._wanted:
+            threading.Event().wait(0.01)
+
+    desk.beat("a", visible=True)
+    beside.see(1)  # nobody asked for it
+    wants()
+    assert list(desk.state.commands)[2:] == ["open-fit", "close-fit", "set-fit", "hold-picture", "take-rest"]
+    desk.beat("a", visible=False)
+    beside.see(2)  # nobody would look at it
+    desk.beat("a", visible=True)
+    beside.see(3, "top")  # another camera
+    beside.see(4)
+    beside.see(5)  # it asked for one
+    assert received(pipe)[1][0, 0, 0] == 4
+    assert beside.ask(TakeRest(3))[0] == "begun"  # what is seen at that moment
+    assert received(pipe)[1][0, 0, 0] == 5
+    assert received(pipe) == ("command", TakeRest(3))
+
+    assert beside.ask(CloseFit(4))[0] == "done"
+    assert desk.state.fit is None
+    assert list(desk.state.commands) == ["stop", "tare", "open-fit"]
+    pipe.send(("want",))
+    while not fit._wanted:
+        threading.Event().wait(0.01)
+    beside.see(6)
+    assert beside.ask(OpenFit(5, "beta"))[0] == "done"  # it is as it was left
+    assert desk.state.fit is not None
+    assert desk.state.fit.number == 3
+    beside.see(7)
+    assert received(pipe)[1][0, 0, 0] == 7
+    beside.ended()
+
+
+def test_a_depth_cameras_colour_is_taken(beside: Beside) -> None:
+    pipe = beside.opened(camera="depth")
+    pipe.send(("want",))
+    fit = beside.fit._fit
+    assert fit is not None
+    while not fit._wanted:
+        threading.Event().wait(0.01)
+    beside.page.desk.beat("a", visible=True)
+    colour = np.full((2, 2, 3), 9, np.uint8)
+    for image in (None, colour):
+        beside.fit.saw([DepthFrame(Stamp(0), 0, np.zeros((2, 2), np.uint16), 1e-3, image, device="depth")])
+    assert (received(pipe)[1] == colour).all()
+    beside.ended()
+
+
+def test_what_was_found_is_said_and_what_ends_it_too(beside: Beside, capsys: pytest.CaptureFixture[str]) -> None:
+    pipe = beside.opened()
+    pipe.send(("fit", STATE, ("set-fit",)))
+    found = FitFound("deformscope x", 0.5, 0.4, 0.6, 0.9, 1.0, "weak")
+    for busy in ("a", "b"):
+        pipe.send(("fit", msgspec.structs.replace(STATE, found=found, busy=busy), None))
+    beside.until(lambda state: state.fit is not None and state.fit.busy == "b")
+    assert beside.found == ["fit of side: beta 0.5000, 0.400 to 0.600 (90%), weak: deformscope x"]
+
+    other = beside.opened("theta")  # with what was drawn on the picture
+    assert received(pipe) == ("command", StopRun(0))
+    assert "as set on the page: deformscope x" in capsys.readouterr().err
+    pipe.close()
+    assert [one.images.roi for one in beside.configs] == [None, (1, 2, 3, 4)]
+    assert [type(one).__name__ for one in beside.configs] == ["BetaConfig", "ThetaConfig"]
+
+    other.send(("ended", "no picture came"))
+    other.close()
+    state = beside.until(lambda state: state.remarks)
+    assert state.remarks[-1].words == "no fit of side any longer: no picture came"
+    beside.until(lambda state: state.fit is None)
+    again = beside.opened("theta")
+    again.close()
+    beside.ended()
+
+
+def test_afar_it_is_the_same_fit(tmp_path: Path) -> None:
+    """In a thread of this process."""
+    ours, theirs = Pipe()
+    config = BetaConfig(("rig.toml",), images=ImageOptions(camera="side", roi=(6, 5, 88, 105), grid=(5, 4)))
+    quiet_warp()
+    camera, desk = AfarCamera(config, Inline(), lambda: tmp_path, theirs), AfarDesk(theirs)
+    assert received(ours) == ("want",)
+    assert not ours.poll()  # one at a time
+    camera.saw(stretched(0))
+    camera.begin(lambda: "")
+    fitting = CameraFitting(desk, config, camera, desk.offer)
+    fitting.keeps_last = False
+    assert desk.run is fitting
+    thread = threading.Thread(target=fitting.until_finished)
+    thread.start()
+
+    def until(wanted: Any) -> Any:
+        while True:
+            kind, *what = received(ours)
+            if kind == "fit" and wanted(what[0]):
+                return what[0]
+            if kind == "want":
+                camera.saw(stretched(3))
+
+    until(lambda fit: fit.aee and fit.aee < 1e-3)
+    until(lambda fit: fit.aee and fit.aee > 1e-3)
+    fitting.obey(RunFit(0))
+    assert until(lambda fit: fit.found).found.command.startswith(f"deformscope calibrate beta {tmp_path}")
+    files = sorted(tmp_path.iterdir())
+    ours.close()  # nobody reads on
+    fitting.obey(StopRun(0))
+    thread.join(PATIENCE_S)
+    assert not thread.is_alive()
+    assert sorted(tmp_path.iterdir()) == files  # only what was held is kept
+
+
+@pytest.mark.slow
+def test_a_fit_is_set_while_a_rig_is_recorded(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rig, file = rig_of(tmp_path, TIP, folder_camera(tmp_path)), tmp_path / "mine.rrd"
+    with started("record", str(rig), "--record", str(file), folder=tmp_path) as command:
+        with at_desk(command.page, "a") as one, one.beating():
+            one.until(lambda state: "open-fit" in state["commands"])
+            assert one.command("set-fit", number=1, settings={})[0] == "refused"
+            assert one.command("open-fit", parameter="beta", camera="tip")[0] == "refused"
+            assert one.command("open-fit", parameter="beta")[0] == "begun"
+            began = one.until(lambda state: state["fit"] and state["fit"]["aee"])
+            assert began["fit"]["camera"] == "side"
+            assert one.command("hold-picture")[0] == "begun"
+            one.until(lambda state: not state["fit"]["following"])
+            settings = one.state["fit"]["settings"] | {"beta": 0.37, "roi": [6, 5, 88, 105]}
+            assert one.command("set-fit", number=7, settings=settings)[0] == "begun"
+            fit = one.until(lambda state: state["fit"]["number"] == 7)["fit"]
+            assert one.command("run-fit")[0] == "begun"
+            found = one.until(lambda state: state["fit"]["found"])["fit"]["found"]
+            assert one.command("close-fit")[0] == "done"
+            closed = one.until(lambda state: state["fit"] is None)
+            assert closed["phase"] == "recording"
+            assert "set-fit" not in closed["commands"]
+            assert one.command("open-fit", parameter="beta")[0] == "done"  # as it was left
+            assert one.until(lambda state: state["fit"])["fit"]["found"] == found
+            assert one.command("open-fit", parameter="theta")[0] == "begun"
+            other = one.until(lambda state: state["fit"]["parameter"] == "theta" and state["fit"]["aee"])["fit"]
+            assert other["settings"]["roi"] == [6, 5, 88, 105]  # what was drawn stays
+            assert one.command("stop")[0] == "done"
+        command.ended()
+    assert command.status in WHOLE
+    assert f"as set on the page: {fit['command']}" in capsys.readouterr().err
+    came = typed(fit["command"], capsys)
+    at = came["settings"]["at"]
+    assert (at["value"], at["aee"], at["aee_free"]) == (0.37, fit["aee"], fit["aee_free"])
+    assert [came["value"], *came["interval"]] == [found["value"], found["low"], found["high"]]
+    recorded = OpenRecording(file)
+    assert any(note.text.endswith(fit["command"]) for note in recorded.notes())
+    indices = [item.index for item in recorded.items() if isinstance(item, ColorFrame)]
+    assert indices == list(range(indices[-1] + 1))
+    assert not [thread for thread in threading.enumerate() if thread.name == "deformscope-fit"]
