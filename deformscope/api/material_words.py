@@ -179,8 +179,8 @@ def _field_rows(found: FieldEstimate) -> Rows:
         ("beta", f"{found.beta.min():.3g} to {found.beta.max():.3g}"),
         ("Poisson's ratio", f"{found.poisson:.2g} (deviation {found.poisson_sd:.2g})"),
         *[
-            (f"left out: {name}", f"{error:.3g} times noise{'' if kept else ', ruled out'}")
-            for name, error, kept in zip(found.tried, found.held_out, found.plausible, strict=True)
+            (name, f"probability {likely:.2g}; what was left out: {error:.3g} times noise")
+            for name, likely, error in zip(found.tried, found.probability, found.held_out, strict=True)
         ],
         ("noise (a coordinate)", f"{_length(found.noise, found.unit, found.metres_per_unit)}"),
         (

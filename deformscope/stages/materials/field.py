@@ -5,9 +5,10 @@ force alone determines. The ratio is that of bilinear finite elements on the par
 Poisson's ratio fitted beside it: beta's energy has none, which makes its ratios of 1 - beta too small on foams that
 have one. A beta for each cell is fitted beside it, in the same places.
 
-How far a smooth field hangs together is chosen by blocks of particles left out, and so is whether a few materials with
-sharp borders predict these as well. An interval holds every description that what was left out does not rule out, so
-that a place of which the data say nothing keeps what it had before them.
+How far a smooth field hangs together is chosen by blocks of particles left out. Whether a few materials with borders
+describe it better is decided by evidence: with what density every number was predicted from those before it, less what
+a border of that length costs. An interval holds every description that this does not rule out, so that a place of
+which the data say nothing keeps what it had before them.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.spatial import cKDTree
-from scipy.special import expit
+from scipy.special import expit, logsumexp
 from scipy.stats import norm
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
@@ -41,7 +42,15 @@ from deformscope.stages.materials.field_fit import (
     posterior,
     smooth_mean,
 )
-from deformscope.stages.materials.field_levels import levels_of, neighbours, sharpened
+from deformscope.stages.materials.field_levels import (
+    BORDER,
+    border_cells,
+    border_length,
+    levels_of,
+    neighbours,
+    sharpened,
+    split,
+)
 
 REACHES = (1.5, 3.0, 6.0, 12.0, 24.0)
 """How far the smooth field may hang together [spacings]: the strength of the prior."""
@@ -49,18 +58,17 @@ REACHES = (1.5, 3.0, 6.0, 12.0, 24.0)
 FIRST_REACH, FIRST_NOISE, SMOOTH_ROUNDS = 6.0, 0.05, 3
 """Where the search begins (noise as a share of the largest displacement), and its rounds."""
 
-MATERIALS = (1, 2, 3)
+MATERIALS = (1, 2, 3, 4)
 """How many materials are tried."""
 
-BORDER_ROUNDS = 4
+BORDER_ROUNDS = 6
 """Rounds of fitting levels and moving borders."""
 
-NOT_WORSE, NEAR_BEST = 2.0, 1.0
-"""A description whose error of what was left out is larger by less than so many standard errors may be true.
-The simplest of those is taken. Where that is a few materials, intervals hold those within the second, else all."""
+BORDER_COST = 0.4
+"""What a border costs for each pair of cells that it parts, in natural logarithms of a probability."""
 
-GAIN = 8.0
-"""By which chi2 of what was left out has to differ in any case, for a description to be ruled out."""
+PLAUSIBLE = 0.05
+"""Probability of a description from which on intervals hold it."""
 
 EXPLAINABLE = 1e-12
 """Share of the largest displacement, squared, that there is at least to be explained."""
@@ -81,13 +89,15 @@ STRAIN_MOST = 0.15
 @dataclass(frozen=True, slots=True)
 class Description:
     """One way to describe the field. label: (C,) materials, -1 where it is smooth; root: of the covariance after the
-    data (C + 1, q); misfit: chi2 for each number"""
+    data (C + 1, q); weight: logarithm of its probability, but for what all share; misfit: chi2 for each number"""
 
     name: str
     label: IntArray
     prior: StiffnessPrior
     point: FieldPoint
     root: FloatArray
+    noise: NoiseModel
+    weight: float
     judged: LeftOutError
     misfit: float
 
@@ -109,16 +119,20 @@ class Description:
             np.maximum.at(high, one, ends[1][other])
         return p, low, high
 
-    def contrast(self, sds: float) -> tuple[float, tuple[float, float]]:
-        """Stiffest over softest, and its interval."""
-        p = self.point.at[:-1]
+    def contrast(self, edges: IntArray, sds: float) -> tuple[float, tuple[float, float]]:
+        """Stiffest over softest, and its interval: of materials by their cells away from borders."""
+        p, root = self.point.at[:-1], self.root[:-1]
         if self.label[0] >= 0:
-            each = np.unique(self.label, return_index=True)[1]
-            low, high = each[p[each].argmin()], each[::-1][p[each[::-1]].argmax()]
+            inner = np.ones(len(p), dtype=bool)
+            inner[border_cells(self.label, edges)] = False
+            members = [np.flatnonzero(self.label == k) for k in range(int(self.label.max()) + 1)]
+            members = [one[inner[one]] if inner[one].any() else one for one in members]
+            p, root = (np.array([rows[one].mean(axis=0) for one in members]) for rows in (p, root))
+            low, high = int(p.argmin()), len(p) - 1 - int(p[::-1].argmax())  # where all are alike: two of them
         else:
             low, high = (int(np.abs(p - end).argmin()) for end in np.quantile(p, [0.02, 0.98]))
         apart = float(p[high] - p[low])
-        sd = float(np.linalg.norm(self.root[high] - self.root[low])) * max(1.0, self.misfit) ** 0.5
+        sd = float(np.linalg.norm(root[high] - root[low])) * max(1.0, self.misfit) ** 0.5
         low_end, high_end = (float(np.exp(apart + sign * sds * sd)) for sign in (-1.0, 1.0))
         return float(np.exp(apart)), (max(low_end, 1.0), high_end)
 
@@ -141,21 +155,18 @@ def fit_field(
     found = [_described(fit, "smooth", fit.prior(reach), noise, point)]
     edges = neighbours(fit.place, fit.spacing)
     for count in MATERIALS:
-        one = _materials(fit, noise, found[0], edges, count)
-        if one is not None:
-            found.append(one)
+        one = _materials(fit, found, edges, count)
+        if one is None or (count > 2 and one.weight < found[-1].weight):
+            break
+        found.append(one)
         done(1 + count)
-    total = np.array([one.judged.total for one in found])
-    best = found[int(total.argmin())].judged
-    worse = [one.judged.worse_than(best) for one in found]
-    plausible = [gap <= max(NOT_WORSE * scatter, GAIN) for gap, scatter in worse]
-    chosen = next((one for one, kept in zip(found[1:], plausible[1:], strict=True) if kept), found[0])
+    weight = np.array([one.weight for one in found])
+    probability = np.exp(weight - logsumexp(weight))
+    plausible = probability >= PLAUSIBLE
+    chosen = found[int(weight.argmax())]
     value, _, _ = chosen.relative(edges, sds)
     held = [one for one, kept in zip(found, plausible, strict=True) if kept]
-    if chosen.label.max() > 0:
-        near = [one for one, (gap, scatter) in zip(found, worse, strict=True) if gap <= NEAR_BEST * scatter]
-        held = [chosen, *near]
-    elif chosen.label[0] >= 0:
+    if chosen.label.max() == 0:
         held += _hidden(fit, noise, chosen)
     ends = [one.relative(edges, sds)[1:] for one in held]
     interval = np.stack([np.min([low for low, _ in ends], axis=0), np.max([high for _, high in ends], axis=0)], axis=1)
@@ -169,14 +180,14 @@ def fit_field(
     verdicts = tuple(limited(one, reasons) for one in place_verdicts(np.exp(interval)))
     kind: FieldVerdict = "gradual" if chosen.label[0] < 0 else "materials" if chosen.label.max() > 0 else "uniform"
     determined = np.mean([one != "unidentified" for one in verdicts]) >= DETERMINED_LEAST
-    contrasts = [one.contrast(sds)[1] for one in held]
+    contrasts = [one.contrast(edges, sds)[1] for one in held]
     if kind == "uniform" and max(high for _, high in contrasts) > WEAK_FACTOR:
         determined = np.False_
     if not determined or any(one.allows == "unidentified" for one in reasons):
         kind = "unidentified"
     absolute, absolute_ends = _absolute(fit, chosen, value, interval, np.random.default_rng(seed), sds)
-    ratio, own = chosen.contrast(sds)
-    same = own if kind == "materials" else (min(low for low, _ in contrasts), max(high for _, high in contrasts))
+    ratio, _ = chosen.contrast(edges, sds)
+    same = min(low for low, _ in contrasts), max(high for _, high in contrasts)
     d = seen.rest.shape[1]
     off = np.linalg.norm((chosen.point.state.moved - fit.displacement)[seen.observed], axis=1)
     stiffest = 1.0 - beta
@@ -201,11 +212,11 @@ def fit_field(
         poisson_sd=float(np.linalg.norm(chosen.root[-1])),
         reach=reach,
         tried=tuple(one.name for one in found),
-        held_out=total / len(fit.target),
-        scatter=np.array([scatter for _, scatter in worse]) / len(fit.target),
-        plausible=tuple(plausible),
-        noise=noise.size * fit.spacing,
-        noise_reach=noise.reach,
+        held_out=np.array([one.judged.total for one in found]) / len(fit.target),
+        probability=probability,
+        plausible=tuple(plausible.tolist()),
+        noise=chosen.noise.size * fit.spacing,
+        noise_reach=chosen.noise.reach,
         aee=float(off.mean()) * fit.spacing,
         beta_aee=beta_aee,
         explained=explained,
@@ -219,75 +230,84 @@ def fit_field(
 
 
 def _smooth(fit: FieldFit) -> tuple[float, NoiseModel, FieldPoint]:
-    """How far the field hangs together, the noise, and the likeliest field."""
+    """How far the field hangs together, by blocks left out; the noise, and the likeliest field."""
+    best, found = -np.inf, None
     reach, noise, point = FIRST_REACH, NoiseModel(1.0, FIRST_NOISE * fit.size), None
     for _ in range(SMOOTH_ROUNDS):
         prior = fit.prior(reach)
         point = fit.fit(prior, noise, None if point is None else point.at)
-        noise = likeliest_noise(fit, prior, point)
+        noise, evidence = likeliest_noise(fit, prior, point)
+        if evidence > best:
+            best, found = evidence, (reach, noise, point)
         folds = Folds(fit, noise, point.state.response)
-        error = []
-        for one in REACHES:
-            judged = folds.judge(point, fit.target, partial(smooth_mean, fit.prior(one)))
-            error.append(judged.total)
-        reach = REACHES[int(np.argmin(error))]
-    return reach, noise, fit.fit(fit.prior(reach), noise, None if point is None else point.at)
+        left_out = [folds.judge(point, fit.target, partial(smooth_mean, fit.prior(one))).total for one in REACHES]
+        reach = REACHES[int(np.argmin(left_out))]
+    assert found is not None
+    return found
 
 
 def _described(
-    fit: FieldFit, name: str, prior: StiffnessPrior, noise: NoiseModel, point: FieldPoint, label: IntArray | None = None
-) -> Description:
-    """A smooth field, or materials whose borders do not move."""
-    folds = Folds(fit, noise, point.state.response)
-    judged = folds.judge(point, fit.target, partial(smooth_mean, prior))
-    return _finished(fit, name, prior, noise, point, judged, label)
-
-
-def _finished(
     fit: FieldFit,
     name: str,
     prior: StiffnessPrior,
     noise: NoiseModel,
     point: FieldPoint,
-    judged: LeftOutError,
-    label: IntArray | None,
+    label: IntArray | None = None,
+    cost: float = 0.0,
 ) -> Description:
+    """With the noise that is likeliest under it. label: (C,) materials; cost: of their borders"""
+    noise, _ = likeliest_noise(fit, prior, point, near=noise)
+    point = fit.fit(prior, noise, point.at)
+    _, evidence = likeliest_noise(fit, prior, point, near=noise)
+    judged = Folds(fit, noise, point.state.response).judge(point, fit.target, partial(smooth_mean, prior))
     root = fit.noise_root(noise.reach, point.state.response) * noise.size
     left = solve_triangular(root, fit.target - point.moved, lower=True)
-    smooth = np.full(len(fit.cells), -1) if label is None else label
+    label = np.full(len(fit.cells), -1) if label is None else label
     after = posterior(fit, prior, noise, point)
-    return Description(name, smooth, prior, point, after, judged, float(left @ left) / len(left))
+    misfit = float(left @ left) / len(left)
+    return Description(name, label, prior, point, after, noise, evidence - cost, judged, misfit)
 
 
-def _materials(
-    fit: FieldFit, noise: NoiseModel, smooth: Description, edges: IntArray, count: int
-) -> Description | None:
-    """So many materials: levels of the smooth field, whose borders are then moved; None where fewer are left."""
-    weight = 1.0 / np.maximum((smooth.root[:-1] ** 2).sum(axis=1), 1e-12)
-    label = levels_of(smooth.point.at[:-1], weight, count)
-    point = smooth.point
+def _materials(fit: FieldFit, found: list[Description], edges: IntArray, count: int) -> Description | None:
+    """So many materials, with the best of the borders that were found from several beginnings; None where there are
+    fewer. found: the smooth field, and fewer materials"""
+    smooth, noise = found[0], max(found, key=lambda one: one.weight).noise
+    p, weight = smooth.point.at[:-1], 1.0 / np.maximum((smooth.root[:-1] ** 2).sum(axis=1), 1e-12)
+    begun = [levels_of(p, weight, count)]
+    if count > 1:
+        begun += split(found[-1].label, p, weight)
+    least = fit.cells.shape[1]  # what is smaller is no more than a border that passes through cells
+    best, label, point = np.inf, None, smooth.point
+    for one in begun:
+        cost, moved, at = _bordered(fit, noise, one, edges)
+        if moved.max() + 1 == count and np.bincount(moved).min() >= least and cost < best:
+            best, label, point = cost, _softest_first(moved, at.at[:-1]), at
+    if label is None:
+        return None
+    border = border_cells(label, edges)
+    prior = fit.levels(label, border)
+    name = "one material" if count == 1 else f"{count} materials"
+    cost = BORDER_COST * border_length(label, edges)
+    return _described(fit, name, prior, noise, fit.fit(prior, noise, point.at), label, cost)
+
+
+def _bordered(
+    fit: FieldFit, noise: NoiseModel, label: IntArray, edges: IntArray
+) -> tuple[float, IntArray, FieldPoint]:
+    """chi2 and what borders add to it, labels (C,) and the fit, of the best borders that were met while moving them."""
+    tried: list[tuple[float, IntArray, FieldPoint]] = []
+    point = None
     for _ in range(BORDER_ROUNDS):
-        point = fit.fit(fit.levels(label), noise)
+        point = fit.fit(fit.levels(label), noise, None if point is None else point.at)
         root = fit.noise_root(noise.reach, point.state.response) * noise.size
+        left = solve_triangular(root, fit.target - point.moved, lower=True)
+        tried.append((float(left @ left) + BORDER * border_length(label, edges), label, point))
         y, w = (solve_triangular(root, rows, lower=True) for rows in (point.linear(fit.target), point.slope))
         moved = sharpened(label, fit.levels, edges, y, w)
-        if np.array_equal(moved, label):
+        if any(np.array_equal(moved, before) for _, before, _ in tried):
             break
         label = moved
-    if label.max() + 1 < count:
-        return None
-    label = _softest_first(label, point.at[:-1])
-    prior = fit.levels(label)
-    point = fit.fit(prior, noise)
-
-    def again(y: FloatArray, w: FloatArray) -> FloatArray:
-        """The same from some of the rows alone."""
-        own = levels_of(smooth_mean(smooth.prior, y, w)[:-1], weight, count)
-        return smooth_mean(fit.levels(sharpened(own, fit.levels, edges, y, w)), y, w)
-
-    judged = Folds(fit, noise, point.state.response).judge(point, fit.target, again)
-    name = "one material" if count == 1 else f"{count} materials"
-    return _finished(fit, name, prior, noise, point, judged, label)
+    return min(tried, key=lambda one: one[0])
 
 
 def _hidden(fit: FieldFit, noise: NoiseModel, one: Description) -> list[Description]:
@@ -319,7 +339,7 @@ def _betas(
     noise = NoiseModel(1.0, FIRST_NOISE * fit.size)
     point = fit.fit(prior, noise)
     for _ in range(2):
-        noise = likeliest_noise(fit, prior, point)
+        noise, _ = likeliest_noise(fit, prior, point)
         point = fit.fit(prior, noise, point.at)
     sd = np.sqrt((posterior(fit, prior, noise, point)[:-1] ** 2).sum(axis=1))
     odds = point.at[:-1]

@@ -37,8 +37,8 @@ class FieldEstimate:
     verdict: "uniform", "materials", "gradual"; "unidentified" where at most of the places the data do not tell
     reasons: to doubt it
     poisson, poisson_sd: Poisson's ratio; reach: of the smooth field [spacings]
-    held_out: (h,) error of what was left out, chi2 for each number, of each of `tried`; scatter: (h,) standard error of
-    each against the least; plausible: (h,) whether it is no worse than scatter, so that intervals hold it
+    held_out: (h,) error of what was left out, chi2 for each number, of each of `tried` (borders as they were found from
+    all); probability: (h,) of each by its evidence; plausible: (h,) whether intervals hold it
     noise, noise_reach: of a coordinate [unit], [spacings]; aee, beta_aee: average Euclidean error (Thesis eq. 3.18) of
     the elastic body and of the engine with its betas [unit]
     explained: share of the motion beyond a rigid one that the elastic body explains
@@ -65,7 +65,7 @@ class FieldEstimate:
     reach: float
     tried: tuple[str, ...]
     held_out: FloatArray
-    scatter: FloatArray
+    probability: FloatArray
     plausible: tuple[bool, ...]
     noise: float
     noise_reach: float
@@ -90,11 +90,12 @@ class FieldEstimate:
     def levels(self) -> list[dict[str, object]]:
         """Each material's stiffness over the softest one's, and its share of the cells."""
         found: list[dict[str, object]] = []
+        middle = [float(np.median(self.stiffness[self.material == k])) for k in range(self.materials)]
         for k in range(self.materials):
             some = self.material == k
             found.append(
                 {
-                    "stiffness_over_softest": float(np.median(self.stiffness[some]) / self.stiffness.min()),
+                    "stiffness_over_softest": middle[k] / min(middle),
                     "beta": float(np.median(self.beta[some])),
                     "share": float(some.mean()),
                 }
@@ -132,9 +133,9 @@ class FieldEstimate:
             "beta_ratio": self.beta_ratio,
             "poisson": {"value": self.poisson, "deviation": self.poisson_sd},
             "held_out": [
-                {"field": name, "chi2": float(error), "scatter": float(scatter), "plausible": bool(kept)}
-                for name, error, scatter, kept in zip(
-                    self.tried, self.held_out, self.scatter, self.plausible, strict=True
+                {"field": name, "chi2": float(error), "probability": float(likely), "plausible": bool(kept)}
+                for name, error, likely, kept in zip(
+                    self.tried, self.held_out, self.probability, self.plausible, strict=True
                 )
             ],
             "reach_spacings": self.reach,

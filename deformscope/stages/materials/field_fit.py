@@ -33,6 +33,9 @@ NOISE_REACHES = (0.0, 0.6, 1.0, 2.0, 3.0, 6.0)
 NOISE_ROUGH = 0.02
 """Share of the variance of errors that reach far which does not."""
 
+BORDER_SPREAD = 0.35
+"""Deviation of the log stiffness of a cell at a border from its material's: the border may pass through it."""
+
 SIZES = np.exp(np.linspace(np.log(1e-6), np.log(1.0), 57))
 """Deviations of an error that are tried, as shares of the deformation's largest displacement."""
 
@@ -112,9 +115,12 @@ class FieldFit:
         root = np.linalg.cholesky(covariance + 1e-9 * np.eye(len(covariance)))
         return self._with_common(root)
 
-    def levels(self, label: IntArray) -> StiffnessPrior:
-        """One number for each material. label: (C,) from 0"""
-        return self._with_common(2.0 * SPREAD * np.eye(int(label.max()) + 1)[label])
+    def levels(self, label: IntArray, border: IntArray | None = None) -> StiffnessPrior:
+        """One number for each material. label: (C,) from 0; border: cells that a border may pass through"""
+        root = 2.0 * SPREAD * np.eye(int(label.max()) + 1)[label]
+        if border is not None:
+            root = np.hstack([root, BORDER_SPREAD * np.eye(len(label))[:, border]])
+        return self._with_common(root)
 
     def _with_common(self, root: FloatArray) -> StiffnessPrior:
         count, own = root.shape
@@ -275,13 +281,21 @@ def _cells_of(seen: Observation) -> IntArray:
 # What is chosen ------------------------------------------------------------------------------------------------------
 
 
-def likeliest_noise(fit: FieldFit, prior: StiffnessPrior, point: FieldPoint) -> NoiseModel:
-    """Reach and size of errors that make what was seen most likely, whatever the field is (evidence)."""
+def likeliest_noise(
+    fit: FieldFit, prior: StiffnessPrior, point: FieldPoint, near: NoiseModel | None = None
+) -> tuple[NoiseModel, float]:
+    """Reach and size of errors that make what was seen most likely, whatever the field is, and the logarithm of that
+    likelihood (evidence): with what density every number was predicted from those before it.
+
+    near: where the reach is looked for; None = everywhere
+    """
+    at = 0 if near is None else NOISE_REACHES.index(near.reach)
+    reaches = NOISE_REACHES if near is None else NOISE_REACHES[max(at - 1, 0) : at + 2]
     wanted = point.linear(fit.target) - point.slope @ prior.mean
     stated = None if fit.seen.noise is None else float(np.median(fit.seen.noise)) / fit.spacing
     sizes = SIZES * fit.size
     best, found = -np.inf, NoiseModel(0.0, sizes[-1])
-    for reach in NOISE_REACHES:
+    for reach in reaches:
         root = fit.noise_root(reach, point.state.response)
         u, s, _ = np.linalg.svd(solve_triangular(root, point.slope @ prior.root, lower=True), full_matrices=False)
         y = solve_triangular(root, wanted, lower=True)
@@ -295,7 +309,7 @@ def likeliest_noise(fit: FieldFit, prior: StiffnessPrior, point: FieldPoint) -> 
         at = int(value.argmax())
         if value[at] > best:
             best, found = float(value[at]), NoiseModel(reach, float(sizes[at]))
-    return found
+    return found, best
 
 
 @dataclass(frozen=True, slots=True)
@@ -304,11 +318,6 @@ class LeftOutError:
 
     block: FloatArray
     total: float
-
-    def worse_than(self, other: LeftOutError) -> tuple[float, float]:
-        """By how much, and the standard error of that."""
-        gap = self.block - other.block
-        return float(gap.sum()), float(np.sqrt(len(gap)) * gap.std(ddof=1)) if len(gap) > 1 else np.inf
 
 
 class Folds:

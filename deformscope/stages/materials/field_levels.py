@@ -5,13 +5,18 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
 from deformscope.arrays import FloatArray, IntArray
-from deformscope.stages.materials.field_fit import StiffnessPrior, smooth_mean
+from deformscope.stages.materials.field_fit import StiffnessPrior
 
-BORDER, SHARPEN_ROUNDS = 4.0, 4
-"""What a border costs for each pair of cells that it parts, in units of chi2; rounds of sharpening it."""
+BORDER = 4.0
+"""What a border costs for each pair of cells that it parts while it is looked for, in units of chi2."""
+
+PATCHES, SWEEPS = (0, 1, 2, 4), 20
+"""How far around a cell at a border its material changes with it [cells]; sweeps at most."""
 
 
 def neighbours(place: FloatArray, spacing: float) -> IntArray:
@@ -19,45 +24,67 @@ def neighbours(place: FloatArray, spacing: float) -> IntArray:
     return np.asarray(cKDTree(place).query_pairs(1.2 * spacing, output_type="ndarray"), dtype=np.int64)
 
 
+def border_cells(label: IntArray, edges: IntArray) -> IntArray:
+    """Cells beside one of another material. label: (C,); edges: (e, 2)"""
+    return np.unique(edges[label[edges[:, 0]] != label[edges[:, 1]]])
+
+
+def border_length(label: IntArray, edges: IntArray) -> int:
+    """Pairs of neighbours (edges (e, 2)) of different labels (C,)."""
+    return int((label[edges[:, 0]] != label[edges[:, 1]]).sum())
+
+
 def sharpened(
     label: IntArray, prior_of: Callable[[IntArray], StiffnessPrior], edges: IntArray, y: FloatArray, w: FloatArray
 ) -> IntArray:
-    """(C,) labels after cells at borders changed to a neighbour's wherever that lowers chi2, and `BORDER` for each pair
-    of neighbours (edges (e, 2)) that differ.
+    """(C,) labels after cells at borders, alone and with all of their material around them, changed to a neighbour's
+    wherever that lowers chi2, and `BORDER` for each pair of neighbours (edges (e, 2)) that differ.
 
     prior_of: gives the levels of labels; y: (n,) wanted and w: (n, C + 1) derivatives, in units of the noise
     """
     label = label.copy()
-    beside: list[list[int]] = [[] for _ in label]
-    for one, other in edges:
-        beside[one].append(other)
-        beside[other].append(one)
-    size = np.einsum("nc,nc->c", w, w)
-    for _ in range(SHARPEN_ROUNDS):
-        at = smooth_mean(prior_of(label), y, w)
-        middle = np.array([at[:-1][label == k][0] if (label == k).any() else np.nan for k in range(label.max() + 1)])
-        left = y - w @ at
+    graph = coo_array((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(len(label), len(label))).tocsr()
+    hops = dijkstra(graph, directed=False, unweighted=True, limit=max(PATCHES))
+    gram, wanted = w.T @ w, w.T @ y
+    for _ in range(SWEEPS):
+        prior = prior_of(label)
+        inner = prior.root.T @ gram @ prior.root + np.eye(prior.root.shape[1])
+        at = prior.mean + prior.root @ np.linalg.solve(inner, prior.root.T @ (wanted - gram @ prior.mean))
+        middle = [float(at[:-1][label == k][0]) if (label == k).any() else np.nan for k in range(len(prior.root[0]) - 1)]
+        slope = wanted - gram @ at
         changed = False
-        for _ in range(2 * len(label)):
-            slope = left @ w
-            best, move = -1e-9, None
-            for cell in np.unique(edges[label[edges[:, 0]] != label[edges[:, 1]]]):
-                around = label[beside[cell]]
-                for k in np.unique(around[around != label[cell]]):
-                    step = middle[k] - middle[label[cell]]
-                    gain = -2.0 * step * slope[cell] + step**2 * size[cell]
-                    gain += BORDER * ((around != k).sum() - (around != label[cell]).sum())
+        for cell in border_cells(label, edges).tolist():
+            own, best, move = int(label[cell]), -1e-9, None
+            for k in np.setdiff1d(label[hops[cell] == 1.0], own).tolist():
+                step = middle[k] - middle[own]
+                for reach in PATCHES:
+                    some = np.flatnonzero((hops[cell] <= reach) & (label == own))
+                    outside = (hops[some] == 1.0) & ~np.isin(np.arange(len(label)), some)
+                    gain = step * (step * gram[np.ix_(some, some)].sum() - 2.0 * slope[some].sum())
+                    gain += BORDER * float((outside * ((label == own) * 1.0 - (label == k))).sum())
                     if gain < best:
-                        best, move = gain, (cell, k, step)
-            if move is None:
-                break
-            cell, k, step = move
-            left = left - step * w[:, cell]
-            label[cell] = k
-            changed = True
+                        best, move = gain, (some, k, step)
+            if move is not None:
+                some, k, step = move
+                slope -= step * gram[:, some].sum(axis=1)
+                label[some] = k
+                changed = True
         if not changed:
             break
     return np.asarray(np.unique(label, return_inverse=True)[1])
+
+
+def split(label: IntArray, value: FloatArray, weight: FloatArray) -> list[IntArray]:
+    """Labels (C,) with one of the materials divided by its log stiffness, each in turn."""
+    found = []
+    for k in range(int(label.max()) + 1):
+        some = np.flatnonzero(label == k)
+        half = levels_of(value[some], weight[some], 2)
+        if half.max() > 0:
+            new = label.copy()
+            new[some[half == 1]] = label.max() + 1
+            found.append(new)
+    return found
 
 
 def levels_of(value: FloatArray, weight: FloatArray, count: int) -> IntArray:
