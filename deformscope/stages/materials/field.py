@@ -103,31 +103,28 @@ class Description:
 
     def relative(self, edges: IntArray, sds: float) -> tuple[FloatArray, FloatArray, FloatArray]:
         """(C,) log stiffness over its mean, and the ends of its interval; a cell at a border may be of either side."""
-        p = self.point.at[:-1] - self.point.at[:-1].mean()
+        mean = self.point.at[:-1].mean()
         root = self.root[:-1] - self.root[:-1].mean(axis=0)
         variance = (root**2).sum(axis=1) * max(1.0, self.misfit)
-        if self.label[0] >= 0:
-            # each cell at a border may be of either side, which moves the mean of all
-            apart = np.unique(edges[self.label[edges[:, 0]] != self.label[edges[:, 1]]])
-            variance = variance + len(apart) * (0.5 * np.ptp(p) / len(p)) ** 2
-        reach = sds * np.sqrt(variance)
-        low, high = p - reach, p + reach
-        if self.label[0] >= 0:
-            one, other = np.concatenate([edges, edges[:, ::-1]]).T
-            ends = low.copy(), high.copy()
-            np.minimum.at(low, one, ends[0][other])
-            np.maximum.at(high, one, ends[1][other])
+        if self.label[0] < 0:
+            p, reach = self.point.at[:-1] - mean, sds * np.sqrt(variance)
+            return p, p - reach, p + reach
+        p = (self._pure(edges) @ self.point.at[:-1])[self.label] - mean
+        # each cell at a border may be of either side, which moves the mean of all
+        variance = variance + len(border_cells(self.label, edges)) * (0.5 * np.ptp(p) / len(p)) ** 2
+        low, high = p - sds * np.sqrt(variance), p + sds * np.sqrt(variance)
+        one, other = np.concatenate([edges, edges[:, ::-1]]).T
+        ends = low.copy(), high.copy()
+        np.minimum.at(low, one, ends[0][other])
+        np.maximum.at(high, one, ends[1][other])
         return p, low, high
 
     def contrast(self, edges: IntArray, sds: float) -> tuple[float, tuple[float, float]]:
-        """Stiffest over softest, and its interval: of materials by their cells away from borders."""
+        """Stiffest over softest, and its interval."""
         p, root = self.point.at[:-1], self.root[:-1]
         if self.label[0] >= 0:
-            inner = np.ones(len(p), dtype=bool)
-            inner[border_cells(self.label, edges)] = False
-            members = [np.flatnonzero(self.label == k) for k in range(int(self.label.max()) + 1)]
-            members = [one[inner[one]] if inner[one].any() else one for one in members]
-            p, root = (np.array([rows[one].mean(axis=0) for one in members]) for rows in (p, root))
+            pure = self._pure(edges)
+            p, root = pure @ p, pure @ root
             low, high = int(p.argmin()), len(p) - 1 - int(p[::-1].argmax())  # where all are alike: two of them
         else:
             low, high = (int(np.abs(p - end).argmin()) for end in np.quantile(p, [0.02, 0.98]))
@@ -135,6 +132,14 @@ class Description:
         sd = float(np.linalg.norm(root[high] - root[low])) * max(1.0, self.misfit) ** 0.5
         low_end, high_end = (float(np.exp(apart + sign * sds * sd)) for sign in (-1.0, 1.0))
         return float(np.exp(apart)), (max(low_end, 1.0), high_end)
+
+    def _pure(self, edges: IntArray) -> FloatArray:
+        """(k, C) means over each material's cells that no border passes through, or over all where there are none."""
+        member = (self.label == np.arange(self.label.max() + 1)[:, None]).astype(np.float64)
+        inner = member.copy()
+        inner[:, border_cells(self.label, edges)] = 0.0
+        chosen = np.where(inner.any(axis=1, keepdims=True), inner, member)
+        return np.asarray(chosen / chosen.sum(axis=1, keepdims=True))
 
 
 def fit_field(
@@ -291,9 +296,7 @@ def _materials(fit: FieldFit, found: list[Description], edges: IntArray, count: 
     return _described(fit, name, prior, noise, fit.fit(prior, noise, point.at), label, cost)
 
 
-def _bordered(
-    fit: FieldFit, noise: NoiseModel, label: IntArray, edges: IntArray
-) -> tuple[float, IntArray, FieldPoint]:
+def _bordered(fit: FieldFit, noise: NoiseModel, label: IntArray, edges: IntArray) -> tuple[float, IntArray, FieldPoint]:
     """chi2 and what borders add to it, labels (C,) and the fit, of the best borders that were met while moving them."""
     tried: list[tuple[float, IntArray, FieldPoint]] = []
     point = None
@@ -377,10 +380,10 @@ def _part_of_a_face(fit: FieldFit) -> list[Doubt]:
     if len(fit.held) == len(fit.seen.held):
         return []
     text = (
-        "a tool presses a part of a face: cells blur what happens around it, and little of the motion tells places "
-        "apart; hold and move whole faces (stretch or shear it)"
+        "a tool presses a part of a face: cells blur what happens around it, and what is beside each other below it "
+        "strains alike; hold and move whole faces (stretch or shear it)"
     )
-    return [Doubt("setting", text, "weak")]
+    return [Doubt("setting", text, "unidentified")]
 
 
 def _large_strain(fit: FieldFit) -> list[Doubt]:

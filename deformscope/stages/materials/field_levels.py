@@ -50,7 +50,9 @@ def sharpened(
         prior = prior_of(label)
         inner = prior.root.T @ gram @ prior.root + np.eye(prior.root.shape[1])
         at = prior.mean + prior.root @ np.linalg.solve(inner, prior.root.T @ (wanted - gram @ prior.mean))
-        middle = [float(at[:-1][label == k][0]) if (label == k).any() else np.nan for k in range(len(prior.root[0]) - 1)]
+        middle = [
+            float(at[:-1][label == k][0]) if (label == k).any() else np.nan for k in range(len(prior.root[0]) - 1)
+        ]
         slope = wanted - gram @ at
         changed = False
         for cell in border_cells(label, edges).tolist():
