@@ -158,8 +158,11 @@ def _field_rows(found: FieldEstimate) -> Rows:
     lowered = next((one.text for one in found.reasons if one.allows == "unidentified"), meaning)
     low, high = found.ratio_interval
     metres = 1.0 if found.unit == "m" else found.metres_per_unit
-    absolute = "positions alone tell stiffness against each other only: give a force"
-    if found.absolute is not None and metres is not None:
+    absolute = "positions alone tell stiffness against each other only: give a force (--force-n)"
+    if found.absolute is not None and metres is None:
+        absolute = "in N/m with the scale of the images (--px-per-cm)"
+    elif found.absolute is not None:
+        assert metres is not None
         soft, stiff = found.absolute.min() / metres, found.absolute.max() / metres
         absolute = (
             f"{soft:.4g} to {stiff:.4g} N/m (modulus times {'thickness' if found.place.shape[1] == 2 else 'spacing'})"
@@ -179,7 +182,7 @@ def _field_rows(found: FieldEstimate) -> Rows:
         ("beta", f"{found.beta.min():.3g} to {found.beta.max():.3g}"),
         ("Poisson's ratio", f"{found.poisson:.2g} (deviation {found.poisson_sd:.2g})"),
         *[
-            (name, f"probability {likely:.2g}; what was left out: {error:.3g} times noise")
+            (name, f"probability {likely:.2f} (what was left out: {error:.3g} times its noise)")
             for name, likely, error in zip(found.tried, found.probability, found.held_out, strict=True)
         ],
         ("noise (a coordinate)", f"{_length(found.noise, found.unit, found.metres_per_unit)}"),

@@ -85,7 +85,8 @@ class MaterialJob:
     """What decides a result beside the inputs; a recording keeps it.
 
     find: what of a material; noise: of a position [m of files, px of images]; particles: of images
-    frame: of images, that axes or a field are fitted to; at, released: see `UnloadingOptions`
+    frame: of images, that axes or a field are fitted to; force_n: on what was moved; at, released: see
+    `UnloadingOptions`
     """
 
     find: Literal["axes", "field", "yield", "viscous"]
@@ -97,6 +98,7 @@ class MaterialJob:
     cluster_size: int = 3
     turn_deg: float = 0.0
     frame: int | None = None
+    force_n: float | None = None
     beta: float | None = None
     creep: float | str = "none"
     maximum: float | None = None
@@ -198,7 +200,7 @@ def job_of(config: MaterialOptions) -> MaterialJob:
         shared |= {"cluster_size": config.cluster_size, "turn_deg": config.turn_deg, "frame": config.at}
         return MaterialJob("axes", **shared)
     if isinstance(config, FieldConfig):
-        return MaterialJob("field", **shared, frame=config.at)
+        return MaterialJob("field", **shared, frame=config.at, force_n=config.force_n)
     assert isinstance(config, YieldConfig | ViscousConfig)
     shared |= {"at": config.unloading.at, "released": config.unloading.released or ("contact",)}
     if isinstance(config, ViscousConfig):
@@ -281,7 +283,8 @@ def run_material_files(
 
 def _of_pairs(seen: Sequence[Observation], job: MaterialJob, progress: Progress | None) -> MaterialFound:
     if job.find == "field":
-        return field_of_pair(seen[0], job.level, job.seed, job.device, progress)
+        one = seen[0] if job.force_n is None else dataclasses.replace(seen[0], force_n=job.force_n)
+        return field_of_pair(one, job.level, job.seed, job.device, progress)
     return axes_of_pairs(seen, job.model(), job.directions(seen[0].rest.shape[1]), job.level, job.seed, progress)
 
 

@@ -355,10 +355,12 @@ class AxesConfig(MaterialOptions):
 @dataclass(frozen=True, slots=True)
 class FieldConfig(MaterialOptions):
     """Find how stiff each place of a thing is against the others from one deformation, by images or one pair file:
-    smooth or of a few materials, with a beta for each place; with a force in the pair file, stiffness in N/m."""
+    smooth or of a few materials, with a beta for each place; with a force, stiffness in N/m."""
 
     at: flags.SomeFlag = None
     """Of images: the frame that is fitted, counted from 0 after --stride; default: the last one."""
+    force_n: flags.PositiveFlag = None
+    """Size of the net force on the held particles that were moved, in that frame [N]; default: the pair file's."""
 
 
 @dataclass(frozen=True, slots=True)

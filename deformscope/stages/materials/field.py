@@ -70,6 +70,10 @@ BORDER_COST = 0.4
 PLAUSIBLE = 0.05
 """Probability of a description from which on intervals hold it."""
 
+CELLS_ERROR = 0.03
+"""Deviation of the log ratio of two materials that is the cells' own, as they are as coarse as the particles: of bodies
+without noise 0.96 to 1.02 of the true ratio was found."""
+
 EXPLAINABLE = 1e-12
 """Share of the largest displacement, squared, that there is at least to be explained."""
 
@@ -129,7 +133,7 @@ class Description:
         else:
             low, high = (int(np.abs(p - end).argmin()) for end in np.quantile(p, [0.02, 0.98]))
         apart = float(p[high] - p[low])
-        sd = float(np.linalg.norm(root[high] - root[low])) * max(1.0, self.misfit) ** 0.5
+        sd = float(np.hypot(np.linalg.norm(root[high] - root[low]) * max(1.0, self.misfit) ** 0.5, CELLS_ERROR))
         low_end, high_end = (float(np.exp(apart + sign * sds * sd)) for sign in (-1.0, 1.0))
         return float(np.exp(apart)), (max(low_end, 1.0), high_end)
 
