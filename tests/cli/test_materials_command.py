@@ -187,8 +187,9 @@ def test_axes_that_a_camera_saw_say_what_was_pressed_and_what_one_view_does_not_
 def test_field_maps_what_is_stiffer_and_is_computed_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     seen = elastic_pair((9, 6), lambda places: np.where(places[:, 0] < 0.04, 10e3, 30e3), noise_m=2e-5)
     pair, record, picture = (tmp_path / name for name in ("pair.npz", "r.rrd", "map.png"))
-    np.savez(pair, rest=seen.rest, deformed=seen.deformed, held=seen.held, noise_m=2e-5, force_n=seen.force_n)
+    np.savez(pair, rest=seen.rest, deformed=seen.deformed, held=seen.held, noise_m=2e-5)
     given = ["calibrate", "field", str(pair), "--record", str(record), "--picture", str(picture), "--viewer", "none"]
+    given += ["--force-n", str(seen.force_n)]
     result = run_json(given, capsys)
     assert result["verdict"] == "materials"
     assert result["ratio"]["interval"][0] < 3.0 < result["ratio"]["interval"][1]

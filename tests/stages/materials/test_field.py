@@ -6,13 +6,22 @@ import dataclasses
 
 import numpy as np
 import pytest
+from scipy.spatial.distance import cdist
+from scipy.stats import multivariate_normal
 
-from deformscope.arrays import FloatArray
+from deformscope.arrays import FloatArray, IntArray
 from deformscope.errors import InputError
 from deformscope.stages.fit.model import Observation
 from deformscope.stages.materials.field import fit_field
 from deformscope.stages.materials.field_estimate import FieldEstimate
-from deformscope.stages.materials.field_fit import in_whole_cells
+from deformscope.stages.materials.field_fit import (
+    FieldFit,
+    NoiseModel,
+    StiffnessPrior,
+    in_whole_cells,
+    likeliest_noise,
+)
+from deformscope.stages.materials.field_levels import border_cells, border_length, neighbours, sharpened
 from deformscope.studies.field_bodies import SPACING_M, elastic_pair
 from tests.cases import slow
 
@@ -79,6 +88,49 @@ def test_what_strains_alike_is_not_told_apart() -> None:
     assert estimate.materials < 2
     assert estimate.ratio_interval[1] > 4.0
     assert estimate.verdict == "unidentified"
+
+
+def test_a_tool_on_a_part_of_a_face_is_unidentified() -> None:
+    seen = elastic_pair(SMALL, halves)
+    part = np.delete(seen.held, [8, 9, 10])  # of the end that was moved
+    estimate = found(dataclasses.replace(seen, held=part, force_n=None))
+    assert estimate.verdict == "unidentified"
+    assert set(estimate.verdicts) == {"unidentified"}
+    assert "setting" in [one.code for one in estimate.reasons]
+
+
+def test_evidence_is_the_density_of_what_was_seen() -> None:
+    fit = FieldFit(elastic_pair((6, 5), halves), "elastic")
+    prior = fit.levels((fit.place[:, 0] > 0.03).astype(np.int64), np.array([2, 3]))
+    point = fit.fit(prior, NoiseModel(1.0, 0.02))
+    noise, evidence = likeliest_noise(fit, prior, point)
+    root = fit.noise_root(noise.reach, point.state.response) * noise.size
+    spread = point.slope @ prior.root
+    seen = multivariate_normal(point.slope @ prior.mean, root @ root.T + spread @ spread.T)
+    expected = seen.logpdf(point.linear(fit.target)) + 0.5 * len(fit.target) * np.log(2.0 * np.pi)
+    assert evidence == pytest.approx(expected, abs=1e-6)
+
+
+def test_borders_move_in_patches_where_single_cells_do_not() -> None:
+    """A patch of nine that was given to the wrong material: every single cell of it would cost more border."""
+    rng = np.random.default_rng(0)
+    place = np.stack(np.meshgrid(np.arange(12.0), np.arange(9.0), indexing="ij"), axis=-1).reshape(-1, 2)
+    true = (place[:, 0] > 5.5).astype(np.int64)
+    edges = neighbours(place, 1.0)
+    smoothed = np.exp(-0.5 * cdist(place, place) ** 2)  # what is seen is blurred over some cells
+    y = smoothed @ (np.log(4.0) * true - 0.5 * np.log(4.0)) + 0.5 * rng.standard_normal(len(true))
+
+    def levels(label: IntArray) -> StiffnessPrior:
+        root = np.zeros((len(label) + 1, label.max() + 2))
+        root[:-1, :-1], root[-1, -1] = 2.0 * np.eye(label.max() + 1)[label], 1.0
+        return StiffnessPrior(np.zeros(len(label) + 1), root)
+
+    wrong = true.copy()
+    wrong[(place[:, 0] > 5.5) & (place[:, 0] < 8.5) & (place[:, 1] > 2.5) & (place[:, 1] < 5.5)] = 0
+    found_label = sharpened(wrong, levels, edges, y, np.column_stack([smoothed, np.zeros(len(true))]))
+    assert np.array_equal(found_label, true)
+    assert border_length(found_label, edges) == 9
+    assert np.array_equal(np.unique(place[border_cells(found_label, edges), 0]), [5.0, 6.0])
 
 
 def test_particles_of_no_whole_cell_are_left_out() -> None:
