@@ -60,8 +60,9 @@ def test_two_materials_their_border_and_their_ratio() -> None:
     assert estimate.beta[stiff].max() < estimate.beta[~stiff].min()
     assert estimate.absolute is not None
     assert np.allclose(estimate.absolute, halves(estimate.place) * 0.002, rtol=0.1)
-    public = estimate.as_json()
-    assert len(public["places"]["at_m"]) == 70  # type: ignore[index,call-overload]
+    places = estimate.as_json()["places"]
+    assert isinstance(places, dict)
+    assert len(places["at_m"]) == 70
 
 
 @pytest.mark.parametrize("kind", ["rigid", slow("nothing"), slow("noise")])
