@@ -218,7 +218,7 @@ def fit_field(
         verdict=kind,
         reasons=ordered(reasons),
         poisson=fit.nu(chosen.point.at),
-        poisson_sd=float(np.linalg.norm(chosen.root[-1])),
+        poisson_sd=fit.nu_sd(chosen.point.at, float(np.linalg.norm(chosen.root[-1]))),
         reach=reach,
         tried=tuple(one.name for one in found),
         held_out=np.array([one.judged.total for one in found]) / len(fit.target),

@@ -48,8 +48,9 @@ NU, NU_SPREAD = 0.3, 0.15
 ODDS, ODDS_SPREAD = float(np.log(0.4)), 1.0
 """log((1 - beta) / beta) of the whole body before the data."""
 
-ROUNDS, SETTLED = 30, 1e-4
-"""Gauss-Newton's steps at most, and the change of a log stiffness that is none."""
+ROUNDS, SETTLED = 30, 1e-3
+"""Gauss-Newton's steps at most, and the change of chi2 to be had by another that is none: the parameters are then
+within a thirtieth of their deviation, also along directions that the data hardly determine."""
 
 MOST_STEP = 1.5
 """Of a log stiffness at once."""
@@ -136,15 +137,27 @@ class FieldFit:
         """The displacements of parameters (C + 1,), those that are judged (n,), and their derivatives (n, C + 1)."""
         state = self.model.state(self.log_stiffness(at), self.displacement, self.nu(at))
         slope = state.slope * (1.0 - expit(at[:-1])) if self.law == "beta" else state.slope
-        return state, state.moved.ravel()[self.rows], np.column_stack([slope, state.by_nu])[self.rows]
+        return state, state.moved.ravel()[self.rows], np.column_stack([slope, self._bend(at) * state.by_nu])[self.rows]
 
     def log_stiffness(self, at: FloatArray) -> FloatArray:
         """(C,) what the cells' energies are multiplied by: of a modulus 1, or 1 - beta."""
         return np.asarray(-np.logaddexp(0.0, -at[:-1]) if self.law == "beta" else at[:-1])
 
     def nu(self, at: FloatArray) -> float:
-        """Poisson's ratio."""
-        return float(np.clip(at[-1], 0.0, 0.9 if self.displacement.shape[1] == 2 else 0.49))
+        """Poisson's ratio: the last parameter, bent where it comes near its bounds (a ratio that is cut off there has
+        no derivative, and the fit does not settle)."""
+        return self._half * (1.0 + float(np.tanh(at[-1] / self._half - 1.0)))
+
+    def nu_sd(self, at: FloatArray, sd: float) -> float:
+        """Deviation of Poisson's ratio, of that of its parameter."""
+        return self._bend(at) * sd
+
+    @property
+    def _half(self) -> float:
+        return 0.45 if self.displacement.shape[1] == 2 else 0.245
+
+    def _bend(self, at: FloatArray) -> float:
+        return 1.0 - float(np.tanh(at[-1] / self._half - 1.0)) ** 2
 
     def noise_root(self, reach: float, response: FloatArray) -> FloatArray:
         """(n, n) Cholesky factor of the covariance of errors of size 1. response: (K d, n d) of the held positions"""
@@ -183,12 +196,13 @@ class FieldFit:
             else:
                 best = cost
                 whitened = solve_triangular(root, slope @ prior.root, lower=True)
-                step = np.linalg.solve(whitened.T @ whitened + np.eye(len(z)), whitened.T @ left - z)
-                change = float(np.abs(prior.root @ step)[:-1].max(initial=0.0))
-                if change < SETTLED:
+                downhill = whitened.T @ left - z
+                step = np.linalg.solve(whitened.T @ whitened + np.eye(len(z)), downhill)
+                if float(step @ downhill) < SETTLED:
                     converged = True
                     break
-                step *= min(1.0, MOST_STEP / change)
+                change = float(np.abs(prior.root @ step)[:-1].max(initial=0.0))
+                step *= min(1.0, MOST_STEP / max(change, 1e-12))
                 z = z + step
             at = prior.mean + prior.root @ z
             state, moved, slope = self.state(at)
