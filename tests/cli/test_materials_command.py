@@ -199,3 +199,22 @@ def test_field_maps_what_is_stiffer_and_is_computed_again(tmp_path: Path, capsys
     assert main(["replay", str(record)]) == 0
     assert "identical" in capsys.readouterr().err
     assert "one pair file" in failure(["calibrate", "field", str(pair), str(pair)], capsys)
+
+
+@pytest.mark.slow
+def test_field_of_images_of_three_materials(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    young = np.array([10e3, 60e3, 20e3])
+    shape, borders = (17, 13), np.array([0.06, 0.11])
+    seen = elastic_pair(shape, lambda places: young[np.searchsorted(borders, places[:, 0])], noise_m=1e-9)
+    rows = np.arange(17 * 13).reshape(shape).T.ravel()  # images have their rows first
+    rest, last = (4000.0 * points[rows] + 30.0 for points in (seen.rest, seen.deformed))
+    folder = tmp_path / "frames"
+    write_images(folder, speckle_images(rest, (13, 17), [rest + 0.5 * (last - rest), last]))
+    given = ["calibrate", "field", str(folder), "--roi", "30,30,640,480", "--grid", "13x17", "--held", "left,right"]
+    result = run_json([*given, "--px-per-cm", "40", "--force-n", str(seen.force_n), "--viewer", "none"], capsys)
+    assert result["verdict"] == "materials"
+    assert result["ratio"]["value"] == pytest.approx(6.0, rel=0.15)
+    x_m = np.array(result["places"]["at_px"])[:, 0] / 4000.0 - 0.0075
+    true = young[np.searchsorted(borders, x_m)]
+    sure = np.abs(x_m[:, None] - borders).min(axis=1) > 0.01
+    assert np.allclose(np.array(result["places"]["stiffness_n_per_m"])[sure], 0.002 * true[sure], rtol=0.15)

@@ -172,7 +172,8 @@ def fit_field(
     weight = np.array([one.weight for one in found])
     probability = np.exp(weight - logsumexp(weight))
     plausible = probability >= PLAUSIBLE
-    chosen = found[int(weight.argmax())]
+    uniform = found[1]
+    chosen = uniform if plausible[1] else found[int(weight.argmax())]  # that places differ has to be shown
     value, _, _ = chosen.relative(edges, sds)
     held = [one for one, kept in zip(found, plausible, strict=True) if kept]
     if chosen.label.max() == 0:
