@@ -24,6 +24,8 @@ FELT = 0.6
 """From this probability of a lump on, the next touch is to tell which it is."""
 FEWEST = 3
 """Touches before it stops."""
+AT_ONCE = 64
+"""Places that are weighed at once, with some 50 000 lumps each: no more memory than that takes."""
 LEAST_VARIANCE = 2e-5
 """Of a reading, however well it is known: 0.4 %."""
 
@@ -48,7 +50,8 @@ def plan_lump_touch(
     gain = np.full(len(places), np.nan)
     felt = posterior.state.exists >= FELT and len(posterior.touches) >= FEWEST
     if allowed.any():
-        gain[allowed] = (told if felt else shown)(posterior, places[allowed])
+        some = np.array_split(places[allowed], -(-int(allowed.sum()) // AT_ONCE))
+        gain[allowed] = np.concatenate([(told if felt else shown)(posterior, one) for one in some])
     stop = _stop(posterior, options, len(made), allowed)
     target, reason = None, f"stopped: {stop}"
     if allowed.any():

@@ -419,16 +419,13 @@ class LumpPosterior:
     def kriging(self, places_m: FloatArray) -> tuple[FloatArray, FloatArray]:
         """(p, t) weights that touches have for one at places (p, 2), and (p,) variance of what is left: of a scatter
         as it is known."""
-        scatter2 = self.scatter**2
-        every = np.vstack([self.places_m, places_m])
-        count = len(self.touches)
-        related = self.prior.error.related(every) if count else np.eye(len(every))
-        if not count:
+        scatter2, places = self.scatter**2, self.places_m
+        if not len(places):
             return np.zeros((len(places_m), 0)), np.full(len(places_m), scatter2)
-        beside = scatter2 * related[count:, :count] + LEVEL_SD**2
-        mixed = (
-            self.state.covariances[0] - SCATTERS[0] ** 2 * related[:count, :count] + scatter2 * related[:count, :count]
-        )
+        error = self.prior.error
+        beside = scatter2 * error.shared(places_m, places) + LEVEL_SD**2
+        related = error.related(places)
+        mixed = self.state.covariances[0] - SCATTERS[0] ** 2 * related + scatter2 * related
         weights = cho_solve(cho_factor(mixed), beside.T).T
         spare = scatter2 + LEVEL_SD**2 - (weights * beside).sum(axis=1)
         return weights, np.maximum(spare, LEAST_SD**2)

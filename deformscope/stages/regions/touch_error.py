@@ -74,9 +74,12 @@ class TouchErrorModel:
 
     def related(self, xy_m: FloatArray) -> FloatArray:
         """(t, t) correlation of the scatter of touches at places (t, 2) [m]."""
-        apart = ((xy_m[:, None] - xy_m) ** 2).sum(axis=-1)
-        shared = SCATTER_SHARED * np.exp(-0.5 * apart / SCATTER_LENGTH_M**2)
-        return np.asarray(shared + (1.0 - SCATTER_SHARED) * np.eye(len(xy_m)))
+        return np.asarray(self.shared(xy_m, xy_m) + (1.0 - SCATTER_SHARED) * np.eye(len(xy_m)))
+
+    def shared(self, first_m: FloatArray, second_m: FloatArray) -> FloatArray:
+        """(n, m) correlation of the part that touches at places (n, 2) and (m, 2) share [m]."""
+        apart = ((first_m[:, None] - second_m) ** 2).sum(axis=-1)
+        return np.asarray(SCATTER_SHARED * np.exp(-0.5 * apart / SCATTER_LENGTH_M**2))
 
     @property
     def touch_sd(self) -> float:
