@@ -254,7 +254,7 @@ class FieldCoverageConfig(RecordedOptions):
     kinds: Annotated[tuple[str, ...], arg(metavar="NAME...")] = ()
     """Bodies by name, as the table has them; default: all."""
     objects: flags.ManyFlag = 6
-    """Bodies of each kind, from seed SEED on; a plate takes some 3 s, a slab 15."""
+    """Bodies of each kind, from seed SEED on; a plate takes some 5 s, a slab 30."""
     jobs: flags.ManyFlag = 2
     """Processes that share the work."""
     output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
