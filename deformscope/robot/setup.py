@@ -14,7 +14,7 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from deformscope.arrays import IntArray
+from deformscope.arrays import FloatArray, IntArray
 from deformscope.errors import InputError
 from deformscope.rig.calibrated import CalibrationAge
 from deformscope.rig.driver_table import DRIVERS
@@ -27,7 +27,7 @@ from deformscope.robot.description import AS_CAPSULES, RobotDescription, describ
 from deformscope.robot.placement import Placement
 from deformscope.robot.robot import Robot, RobotStopped, Waits, Watch, sleep_until
 from deformscope.robot.supervisor import Limits
-from deformscope_drivers.arm.kinematics import FloatArray, transform
+from deformscope_drivers.arm.kinematics import transform
 from deformscope_drivers.arms import chain_of
 from deformscope_drivers.clock import Clock, monotonic_ns
 from deformscope_drivers.device import Device
@@ -40,7 +40,7 @@ CAMERA_HZ = 30.0
 """What depth cameras do (OpenNI2, RealSense), where the rig file asks for no other rate."""
 FEWEST_PERIODS = 1.5
 """Of a device's own period: a limit on its silence is at least so long, as a reading that comes late is no fault."""
-T_BASE_SURFACE: FloatArray = transform(np.eye(3), (-0.30, -0.55, 0.0))
+T_BASE_SURFACE = transform(np.eye(3), (-0.30, -0.55, 0.0))
 """(4, 4) surface frame to the arm's base frame [m], where none is given: the arm stands 0.15 m beyond the middle of the
 long edge at y = 0.4 m, and the far corners are 0.63 m from its axis."""
 
