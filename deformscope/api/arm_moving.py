@@ -115,7 +115,7 @@ def go(config: MovingOptions, above: tuple[float, float] | None, height_m: float
         speed_m_s = setup.workspace.travel_speed_m_s
         to_above(robot, goal_m, UPRIGHT, height_m=crossing_m, deepest_m=goal_m, speed_m_s=speed_m_s)
 
-    thickness_m = load_rig(config.rig, trusted=config.trust_rig).surface.thickness_m
+    thickness_m = load_rig(config.rig, trusted=config.trust_rig).surface.top_m
     return _moved(config, recorder, work, ("plan", "arm: reach"))
 
 

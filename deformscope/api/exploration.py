@@ -90,7 +90,11 @@ def exploration_rows(found: Mapping[str, Any]) -> Rows:
                 "loses {:.0%} ({:.0%} to {:.0%}) of a touch's energy; ".format(region["loss"], *region["loss_interval"])
                 + words
             )
-        rows.append((f"region {number}", f"{words} at {found['set_force_n']:g} N"))
+        rows.append((f"region {number}", f"{words} at {found['set_force_n']:g} N{_modulus_words(region)}"))
+    if (level_m := found["levelled_m"]) is not None:
+        rows.append(("stiffness", f"as on a level layer {100.0 * level_m:.2g} cm thick; as it was felt: each touch's"))
+    if found["thickness"]["known_by"] == "not known":
+        rows.append(("modulus", "not known: no thickness_m in [surface], and the camera sees no table beside the foam"))
     truth, touches = found["truth"], found["touches"]
     if truth is not None and truth["iou"] is not None:
         off = "" if truth["boundary_m"] is None else f", border {100 * truth['boundary_m']:.1f} cm off"
@@ -126,6 +130,13 @@ def exploration_rows(found: Mapping[str, Any]) -> Rows:
     if found["recording"] is not None:
         rows.append(("recording", str(found["recording"])))
     return rows
+
+
+def _modulus_words(region: Mapping[str, Any]) -> str:
+    if region["modulus_pa"] is None or region["rigid"]:
+        return ""
+    value, (low, high) = 1e-3 * region["modulus_pa"], (1e-3 * one for one in region["modulus_interval_pa"])
+    return f"; modulus {value:.3g} kPa ({low:.3g} to {high:.3g})"
 
 
 def missed_rows(missed: Mapping[str, Any], *, by_loss: bool = False) -> Rows:

@@ -58,13 +58,16 @@ JSON_UNITS = {
     "beta": "1",
     "depth_m": "m",
     "level_n_per_mm": "N/mm",
+    "levelled_m": "m",
     "log_stiffness": "natural logarithm of N/mm",
     "loss": "share of a touch's energy",
     "max_force_n": "N",
+    "modulus_interval_pa": "Pa",
     "modulus_pa": "Pa",
     "peak_force_n": "N",
     "radius_m": "m",
     "set_force_n": "N",
+    "sd_m": "m",
     "seconds": "s",
     "thickness_m": "m",
     "travel_m": "m",
@@ -131,6 +134,7 @@ def explore_on(config: ExploreConfig, report: Callable[[Explored], None]) -> Exp
         feel=config.feel,
         pace=config.pace,
         relief=config.relief,
+        border_m=config.border,
     )
     faults = [FaultAt.parse(text, options.budget) for text in config.fault]
     opening = setup_of(
@@ -405,6 +409,8 @@ def _found(
         "units": JSON_UNITS,
         "set_force_n": options.set_force_n,
         "stiffness": options.feel,
+        "thickness": _thickness(exploration, options),
+        "levelled_m": None if maps is None else maps.levelled_m,
         "verdict": None if maps is None else maps.verdict,
         "verdict_probability": None if maps is None else maps.probability,
         "touches": [_touch(exploration, one, ending.start_ns) for one in exploration.touches],
@@ -413,7 +419,7 @@ def _found(
             {
                 "log_stiffness": float(np.log(maps.level_n_per_mm[region])),
                 "interval": np.log(maps.level_interval_n_per_mm[region]),
-                "modulus_pa": None if maps.level_modulus_pa is None else float(maps.level_modulus_pa[region]),
+                **_modulus(maps, region),
                 "rigid": bool(maps.level_rigid[region]),
                 "loss": None if maps.level_loss is None else float(maps.level_loss[region]),
                 "loss_interval": None if maps.level_loss_interval is None else maps.level_loss_interval[region],
@@ -466,6 +472,21 @@ def _inclusions(lumps: LumpsFound) -> dict[str, Any]:
     }
 
 
+def _thickness(exploration: Exploration, options: ExploreOptions) -> dict[str, Any]:
+    """Of the layer that stands for the foam, and by what it is known."""
+    surface = exploration.surface
+    known_m = None if surface is None else surface.layer_m
+    by = "stated" if options.thickness_stated else "not known" if known_m is None else "seen over the table beside it"
+    return {"thickness_m": known_m, "sd_m": None if surface is None else surface.layer_sd_m, "known_by": by}
+
+
+def _modulus(maps: MapEstimate, region: int) -> dict[str, Any]:
+    if maps.level_modulus_pa is None or maps.level_modulus_interval_pa is None:
+        return {"modulus_pa": None, "modulus_interval_pa": None}
+    interval = None if maps.level_rigid[region] else maps.level_modulus_interval_pa[region]
+    return {"modulus_pa": float(maps.level_modulus_pa[region]), "modulus_interval_pa": interval}
+
+
 def _missed(missed: Missed | None) -> dict[str, Any] | None:
     if missed is None:
         return None
@@ -481,7 +502,7 @@ def _missed(missed: Missed | None) -> dict[str, Any] | None:
 
 def _touch(exploration: Exploration, one: TouchEstimate, start_ns: int) -> dict[str, Any]:
     number = one.number + 1
-    same = ("rigid", "thickness_m", "level_n_per_mm", "modulus_pa", "depth_m", "peak_force_n")
+    same = ("rigid", "thickness_m", "level_n_per_mm", "modulus_pa", "modulus_interval_pa", "depth_m", "peak_force_n")
     of_beta = ("beta", "beta_interval", "beta_verdict")
     return {
         "xy_m": one.xyz_m[:2],

@@ -247,7 +247,7 @@ def _middle(rig: Rig) -> FloatArray:
 
     T = T_BASE_SURFACE if rig.surface.T_arm_surface is None else np.array(rig.surface.T_arm_surface)
     width, height = rig.surface.size_m
-    return np.asarray(T @ [0.5 * width, 0.5 * height, rig.surface.thickness_m, 1.0])[:3]
+    return np.asarray(T @ [0.5 * width, 0.5 * height, rig.surface.top_m, 1.0])[:3]
 
 
 def camera_arrays(found: Arrays) -> MeasuredCamera:

@@ -102,7 +102,8 @@ def setup_of(
         options,
         set_force_n=rig.workspace.target_force_n if set_force_n is None else set_force_n,
         tip_radius_m=rig.tool.radius_m,
-        thickness_m=rig.surface.thickness_m,
+        thickness_m=rig.surface.top_m,
+        thickness_stated=rig.surface.thickness_m is not None,
         tangential=rig.touch.tangential,
     )
     settings = {"rig": rig.text, "rig_name": rig.name, "scene": rig.surface.scene}

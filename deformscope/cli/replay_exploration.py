@@ -18,7 +18,15 @@ if TYPE_CHECKING:
 
 TRUTH = ("truth_labels", "iou", "boundary_m", "truth_m")
 """Not computed again: it is no input."""
-LATER = ("speed_m_s",)
+LATER = (
+    "speed_m_s",
+    "modulus_interval_pa",
+    "level_modulus_pa",
+    "level_modulus_interval_pa",
+    "layer_m",
+    "layer_sd_m",
+    "levelled_m",
+)
 """Older recordings do not have these."""
 
 

@@ -247,6 +247,9 @@ class ExploreConfig(RecordedOptions):
     relief: Literal["seen", "stated"] = "seen"
     """Where the surface is uneven, compare touches by how thick and how curved the foam was seen to be at each (its
     table is at z = 0), so that they compare by modulus; or take it for level and as thick as stated."""
+    border: Annotated[float, arg(metavar="M")] = 0.02
+    """No touch is made so near the surface's edge [m], 0.01 at least. Below 0.02 every touch is corrected for how far
+    it is from where the foam ends, which is taken to be where the surface does."""
     first: flags.PlaceFlag = None
     """Where to touch first, in the surface frame [m]; default: where it says most."""
     dry_run: bool = False

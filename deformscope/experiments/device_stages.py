@@ -124,7 +124,7 @@ def for_rig(options: LiveOptions, rig: Rig) -> LiveOptions:
         T_surface_camera = np.linalg.inv(np.array(rig.surface.T_arm_surface)) @ np.array(camera.T_arm_camera)
         found |= {"focal_px": camera.focal_px, "center_px": camera.center_px, "distortion": camera.distortion}
         found |= {"T_surface_camera": _rows(T_surface_camera)}
-        found |= {"size_m": rig.surface.size_m, "thickness_m": rig.surface.thickness_m}
+        found |= {"size_m": rig.surface.size_m, "thickness_m": rig.surface.top_m}
     if "contact" in options.names:
         along = np.eye(4)
         along[2, 3] = tool.length_m

@@ -28,6 +28,7 @@ from deformscope.stages.map.exploration import (
     PlannedTouch,
     StageFailure,
     SteeringDecision,
+    SurfaceEstimate,
     TouchEstimate,
     TouchForecast,
 )
@@ -152,7 +153,8 @@ class AtOnce:
 class Exploration:
     """What was found so far, whatever ends it.
 
-    touches, maps, failures: results; maps is the newest; region_probability: of each number of regions, with `maps`
+    surface, touches, maps, failures: results; maps is the newest
+    region_probability: of each number of regions, with `maps`
     ended_ns, iou: of each touch, when it had ended on the robot's clock, and of the map after it (None without a truth)
     travel_m: over the surface, in straight lines from its corner (0, 0); stop_reason: in a word or two
     missed: by the touches so far, None before the first plan; lumps: the newest, None where none are sought
@@ -161,6 +163,7 @@ class Exploration:
     compute_s, slowest_s: spent computing, and on the slowest touch [s]
     """
 
+    surface: SurfaceEstimate | None = None
     touches: list[TouchEstimate] = field(default_factory=list)
     maps: MapEstimate | None = None
     ended_ns: list[int] = field(default_factory=list)
@@ -187,6 +190,8 @@ class Exploration:
                 before = self.touches[-1].xyz_m[:2] if self.touches else np.zeros(2)
                 self.travel_m += float(np.hypot(*(result.xyz_m[:2] - before)))
                 self.touches.append(result)
+            elif isinstance(result, SurfaceEstimate):
+                self.surface = result
             elif isinstance(result, MapEstimate):
                 self.maps, self.region_probability = result, computed.region_probability
             elif isinstance(result, LumpsFound):

@@ -47,9 +47,9 @@ from deformscope.stages.poke.contact import (
     ArmCompliance,
     ContactFit,
     fit_approach,
-    layer_modulus,
 )
 from deformscope.stages.poke.creep import REFERENCE_SPEED_M_S, CreepFit, fit_creep
+from deformscope.stages.poke.layer_seen import KnownLayer, LayerModulus, known_layer, modulus_of
 from deformscope.stages.poke.local_shape import LocalShape, ShapeShift, shape_of, shape_shift
 from deformscope.stages.regions.posterior import RegionMap, RegionPosterior, RegionPrior
 from deformscope.stages.regions.touch_error import LAW_SD, TouchErrorModel
@@ -71,9 +71,6 @@ VETO_M = 0.03
 """A veto leaves out what is so near."""
 SEEN_M = 0.01
 """A place counts as seen where a point of the surface was, so near."""
-UNEVEN = 0.05
-"""A surface whose heights differ by less than this share of the stated thickness, and on average from it by less than
-twice as much, counts as level: stiffness differs by some 2 % there, as much as the law is off anyway."""
 LEAST_THICKNESS = 0.1
 """Of the stated thickness: no foam is taken for thinner."""
 CURVED_OVER_M = 0.01
@@ -259,8 +256,9 @@ class ExplorationStages:
         x_cm, y_cm = (100.0 * value for value in grid.size_m)
         if not ((xy_m > 0.0) & (xy_m < grid.size_m)).all():
             return f"it is beside the surface, which has {x_cm:g} by {y_cm:g} cm"
-        if not ((xy_m > BORDER_M) & (xy_m < np.asarray(grid.size_m) - BORDER_M)).all():
-            return f"it is within {100 * BORDER_M:g} cm of the surface's edge"
+        border_m = self.explorer.options.border_m
+        if not ((xy_m > border_m) & (xy_m < np.asarray(grid.size_m) - border_m)).all():
+            return f"it is within {100 * border_m:g} cm of the surface's edge"
         seen_m = self.explorer.seen_m
         if not len(seen_m) or float(np.hypot(*(seen_m[:, :2] - xy_m).T).min()) > SEEN_M:
             return f"the camera has not seen the surface there: no point within {1e3 * SEEN_M:g} mm"
@@ -344,7 +342,7 @@ class Explorer:
         self.dents: list[SeenDent | None] = []
         self.thesis = ThesisField()
         self._heights: HeightMap | None = None
-        self._uneven = False
+        self._layer = KnownLayer(options.thickness_m if options.thickness_stated else None)
         self._failed_before = {(one.touch, one.stage): one for one in failed}
         self._touch = 0
         self._left_out: list[FloatArray] = []
@@ -367,10 +365,16 @@ class Explorer:
         self.world = fit_surface(looked.points_m, noise_m=looked.noise_m, within_m=((0.0, 0.0), size_m), outlier_sd=5.0)
         heights = self.world.on(self.grid)
         self._heights, self.seen_m = heights, looked.points_m
-        touched_m, even_m = heights.mean_m[off_the_border(self.grid)], UNEVEN * self.options.thickness_m
-        off_m = abs(float(touched_m.mean()) - self.options.thickness_m)
-        self._uneven = self.options.relief == "seen" and bool(np.ptp(touched_m) > even_m or off_m > 2.0 * even_m)
-        return SurfaceEstimate(looked.points_m, heights.mean_m, heights.deviation_m, self.grid.cell_m)
+        options = self.options
+        self._layer = layer = known_layer(
+            heights.mean_m[off_the_border(self.grid, options.border_m)],
+            looked.table,
+            stated_m=options.thickness_m if options.thickness_stated else None,
+            relief=options.relief == "seen",
+        )
+        return SurfaceEstimate(
+            looked.points_m, heights.mean_m, heights.deviation_m, self.grid.cell_m, layer.thickness_m, layer.sd_m
+        )
 
     def _plan(self, reachable: BoolArray | None) -> PlannedTouch:
         options = self.options
@@ -505,7 +509,9 @@ class Explorer:
             shift = None if fit.rigid or seen is None else self._shift(touched.xy_m, float(np.exp(seen.log_stiffness)))
             if seen is not None and shift is not None:
                 seen = _levelled(seen, shift)
-                contact = dataclasses.replace(contact, level_n_per_mm=float(np.exp(fit.log_stiffness + shift.log)))
+                log_level, log_sd = fit.log_stiffness + shift.log, float(np.hypot(fit.own_log_sd, shift.sd))
+                level, low, high = (float(np.exp(log_level + sds * log_sd)) for sds in (0.0, -Z_90, Z_90))
+                contact = dataclasses.replace(contact, level_n_per_mm=level, modulus=self._modulus(level, (low, high)))
             if seen is not None and self.options.feel == "loss":
                 self._felt.append(seen)
                 seen = self._stage("loss", lambda: loss_sample(touched.xy_m, creep, rigid=fit.rigid))
@@ -570,6 +576,7 @@ class Explorer:
             contacts_m=np.array([one.xyz_m[:2] for one in self.touches]),
             tip_radius_m=self.options.tip_radius_m,
             travel_m=self.travel_m,
+            levelled_m=self._layer.thickness_m if self._levels else None,
             truth_labels=truth,
             iou=None if truth is None else match_regions(called_labels(found), truth)[0],
             boundary_m=None if truth is None else boundary_distance(called_labels(found), truth, self.grid.cell_m),
@@ -578,11 +585,7 @@ class Explorer:
             maps = self._contoured(maps)
         elif self.options.feel == "loss":
             maps = by_loss(maps, self._felt)
-        if not self._uneven:
-            return maps
-        return dataclasses.replace(
-            maps, level_modulus_pa=np.array([self._modulus_pa(one) for one in maps.level_n_per_mm])
-        )
+        return self._with_moduli(maps)
 
     def _contoured(self, maps: MapEstimate) -> MapEstimate:
         """The maps with the thesis's regions, between isopleths of its field of beta, in place of those by stiffness,
@@ -618,32 +621,51 @@ class Explorer:
 
     # Within -----------------------------------------------------------------------------------------------------------
 
+    @property
+    def _levels(self) -> bool:
+        """Whether touches compare as on a level, wide layer: the foam is uneven, or an edge is near, or matters."""
+        options = self.options
+        return self._layer.uneven or options.border_m < BORDER_M or options.goal == "inclusions"
+
     def _shape(self, xy_m: FloatArray) -> LocalShape | None:
-        """Of the foam at a place (2,) [m] as it was seen; None where it counts as level, and, for regions, as wide."""
-        edge_m = float(np.min([xy_m, self.grid.size_m - xy_m]))
-        if not self._uneven:
-            return LocalShape(self.options.thickness_m, edge_m=edge_m) if self.options.goal == "inclusions" else None
+        """Of the foam at a place (2,) [m] as it was seen; None where it counts as level, and nothing asks how wide."""
+        layer, edge_m = self._layer, float(np.min([xy_m, self.grid.size_m - xy_m]))
+        if layer.thickness_m is None:
+            return None
+        if not layer.uneven:
+            return LocalShape(layer.thickness_m, edge_m=edge_m) if self._levels else None
         assert self.world is not None
         step = CURVED_OVER_M
         found = self.world.at(xy_m + step * np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]]))
-        return shape_of(found.mean, found.deviation, step, edge_m, LEAST_THICKNESS * self.options.thickness_m)
+        above_m = found.mean - layer.table_m
+        return shape_of(above_m, found.deviation, step, edge_m, LEAST_THICKNESS * self.options.thickness_m)
 
     def _shift(self, xy_m: FloatArray, n_per_mm: float) -> ShapeShift | None:
-        """What a level layer as thick as stated would add to a log stiffness [N/mm]; None where it is one."""
-        shape, options = self._shape(xy_m), self.options
-        if shape is None:
+        """What the level layer would add to a log stiffness [N/mm]; None where it is one."""
+        shape, options, thickness_m = self._shape(xy_m), self.options, self._layer.thickness_m
+        if shape is None or thickness_m is None:
             return None
         depth_m = 1e-3 * options.set_force_n / n_per_mm
-        return shape_shift(shape, depth_m, reference_m=options.thickness_m, radius_m=options.tip_radius_m)
+        return shape_shift(shape, depth_m, reference_m=thickness_m, radius_m=options.tip_radius_m)
 
-    def _modulus_pa(self, n_per_mm: float) -> float:
-        """Of a level layer as thick as stated, by its stiffness at the set force."""
+    def _modulus(self, n_per_mm: float, interval: tuple[float, float]) -> LayerModulus | None:
+        """Of the level layer, by its stiffness at the set force; None where its thickness is not known."""
         options = self.options
-        return layer_modulus(
-            1e-3 * options.set_force_n / n_per_mm,
-            options.set_force_n,
-            radius_m=options.tip_radius_m,
-            thickness_m=options.thickness_m,
+        return modulus_of(self._layer, n_per_mm, interval, force_n=options.set_force_n, radius_m=options.tip_radius_m)
+
+    def _with_moduli(self, maps: MapEstimate) -> MapEstimate:
+        """With the modulus of each level; without where the thickness is not known."""
+        if self._layer.thickness_m is None:
+            return maps
+        level, interval = maps.level_n_per_mm, maps.level_interval_n_per_mm
+        ends = np.where(maps.level_rigid[:, None] | ~np.isfinite(interval), level[:, None], interval)  # open above
+        found = [
+            self._modulus(float(one), (float(low), float(high))) for one, (low, high) in zip(level, ends, strict=True)
+        ]
+        return dataclasses.replace(
+            maps,
+            level_modulus_pa=np.array([one.pa for one in found if one is not None]),
+            level_modulus_interval_pa=np.reshape([one.interval_pa for one in found if one is not None], (-1, 2)),
         )
 
     def _stage(self, name: str, compute: Callable[[], StageResult]) -> StageResult | None:
@@ -673,9 +695,9 @@ class Explorer:
         modulus = None
         if not fit.rigid and fit.depth_m > 0.0:
             force = min(fit.at_force_n, fit.peak_force_n)
-            modulus = layer_modulus(
-                fit.dent_m(force), force, radius_m=options.tip_radius_m, thickness_m=options.thickness_m
-            )
+            stiffness, (low, high) = 1e-3 * force / fit.dent_m(force), fit.interval_n_per_mm
+            ends = stiffness * low / fit.stiffness_n_per_mm, stiffness * high / fit.stiffness_n_per_mm
+            modulus = modulus_of(self._layer, stiffness, ends, force_n=force, radius_m=options.tip_radius_m)
         return _Contact(fit, law, modulus, _speed_m_s(touched, fit))
 
     def _creep(self, touched: TouchMeasurement) -> CreepFit | None:
@@ -710,8 +732,8 @@ class Explorer:
             self.thesis = self.thesis.with_touch(beta.dented_m, beta.value)
             self.dents.append(beta.dent)
         level = None if contact is None else contact.level_n_per_mm
-        modulus_pa = None if contact is None else contact.modulus_pa if level is None else self._modulus_pa(level)
-        shape = self._stage("surface", lambda: self._shape(touched.xy_m)) if self._uneven else None
+        modulus = None if contact is None else contact.modulus
+        shape = self._stage("surface", lambda: self._shape(touched.xy_m))
         near = np.abs(touched.after_m[:, :2] - touched.xy_m).max(axis=1) < NEAR_M if len(touched.after_m) else []
         fit = None if contact is None else contact.fit
         return TouchEstimate(
@@ -725,7 +747,8 @@ class Explorer:
             stiffness_n_per_mm=nan if fit is None else fit.stiffness_n_per_mm,
             stiffness_interval=(nan, nan) if fit is None else fit.interval_n_per_mm,
             rigid=False if fit is None else fit.rigid,
-            modulus_pa=modulus_pa,
+            modulus_pa=None if modulus is None else modulus.pa,
+            modulus_interval_pa=None if modulus is None else modulus.interval_pa,
             depth_m=nan if fit is None else fit.dent_m(fit.peak_force_n),
             peak_force_n=float(_force_along(touched).max()) if fit is None else fit.peak_force_n,
             beta=beta.value,
@@ -756,12 +779,16 @@ class Explorer:
         gives_m = self._arm.compliance_m_per_n * fit.peak_force_n  # the arm says that it is that much deeper
         lowest = touched.position_m[deepest] - (radius - gives_m) * touched.normal
         ball = BallContact(lowest, radius, fit.dent_m(fit.peak_force_n), fit.peak_force_n)
+        thickness_m = self._layer.thickness_m
+        if options.beta_model != "thesis" and thickness_m is None:
+            return _Beta("not fitted: the foam's thickness is not known")
         if options.beta_model in ("thesis", "layers"):
-            thickness_m = options.thickness_m if options.beta_model == "layers" else None
-            swept = thesis_beta(self._dent(touched, ball), thickness_m=thickness_m)
+            below_m = thickness_m if options.beta_model == "layers" else None
+            swept = thesis_beta(self._dent(touched, ball), thickness_m=below_m)
             made = _Beta(f"thesis: {swept.note}", swept.beta, simulated_m=swept.simulated_m)
             return dataclasses.replace(made, dented_m=swept.dent.dented_m, dent=swept.dent)
-        found = fit_touch(self.world, touched.after_m, ball, thickness_m=options.thickness_m)
+        assert thickness_m is not None
+        found = fit_touch(self.world, touched.after_m, ball, thickness_m=thickness_m)
         estimate = found.estimate
         made = _Beta(estimate.verdict, estimate.value, estimate.interval, found.sd, found.simulated_m)
         dent = self._dent(touched, ball) if as_thesis else None
@@ -797,13 +824,13 @@ class Explorer:
 
 @dataclass(frozen=True, slots=True)
 class _Contact:
-    """fit; law_n: (n,) its force at each reading [N]; modulus_pa: of the layer, None where it is not known
+    """fit; law_n: (n,) its force at each reading [N]; modulus: of the layer, None where it is not known
     speed_m_s: at which the tip came down in it, None where that is not known
     level_n_per_mm: stiffness of a level layer as thick as stated, None where that is what was touched"""
 
     fit: ContactFit
     law_n: FloatArray
-    modulus_pa: float | None
+    modulus: LayerModulus | None
     speed_m_s: float | None
     level_n_per_mm: float | None = None
 

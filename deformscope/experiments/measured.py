@@ -14,7 +14,15 @@ import numpy.typing as npt
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.errors import InputError
-from deformscope.experiments.options import ABOVE_M, BORDER_M, EDGE_M, LOW_SHARE, VIEW_CELL_M, ExploreOptions
+from deformscope.experiments.options import (
+    ABOVE_M,
+    BORDER_M,
+    EDGE_M,
+    LOW_SHARE,
+    LOW_UNSTATED,
+    VIEW_CELL_M,
+    ExploreOptions,
+)
 from deformscope.rig.rig_file import Tool, Workspace
 from deformscope.robot.description import AS_CAPSULES, RobotDescription
 from deformscope.robot.placement import Placement, follow
@@ -24,6 +32,7 @@ from deformscope.robot.shape import arm_shape
 from deformscope.robot.touch import STILL_S, TouchPlan, centers_of, forces_at
 from deformscope.stages.map.measured import LookFrames, SurfaceMeasurement, TouchFrames, TouchMeasurement, WholeTouch
 from deformscope.stages.poke.contact import ArmCompliance
+from deformscope.stages.poke.layer_seen import BESIDE_M, WITHIN_M, TableSeen, table_beside
 from deformscope.stages.regions.touch_error import TouchErrorModel
 from deformscope.stages.regions.touches import MapGrid
 from deformscope.stages.see.cloud import Box, Intrinsics, Perceived, perceive
@@ -113,9 +122,9 @@ def highest_m(options: ExploreOptions) -> float:
     return options.thickness_m + ABOVE_M + options.standoff_m + options.tip_radius_m + options.lift_m
 
 
-def sample_box(size_m: tuple[float, float], thickness_m: float) -> Box:
+def sample_box(size_m: tuple[float, float], thickness_m: float, low_share: float = LOW_SHARE) -> Box:
     """What belongs to the sample's surface: its edges are left out, where the camera sees its sides."""
-    low = (EDGE_M, EDGE_M, LOW_SHARE * thickness_m)
+    low = (EDGE_M, EDGE_M, low_share * thickness_m)
     return Box(low, (size_m[0] - EDGE_M, size_m[1] - EDGE_M, thickness_m + ABOVE_M))
 
 
@@ -189,14 +198,29 @@ class SetupGeometry:
 
     def surface(self, looked: Looked, options: ExploreOptions) -> SurfaceMeasurement:
         """The surface before any touch, without the robot."""
-        used, box = looked.used, sample_box(self.size_m, options.thickness_m)
+        used, box = looked.used, self._box(options)
         pose = looked.data.arm[used.arm_ns]
         clouds = [
             self._perceived(looked.data.depth_m[int(when)], pose, used, box, VIEW_CELL_M) for when in used.depth_ns
         ]
         return SurfaceMeasurement(
-            np.concatenate([cloud.points_m for cloud in clouds]), np.concatenate([cloud.noise_m for cloud in clouds])
+            np.concatenate([cloud.points_m for cloud in clouds]),
+            np.concatenate([cloud.noise_m for cloud in clouds]),
+            None if options.thickness_stated else self._table(looked, box),
         )
+
+    def _box(self, options: ExploreOptions) -> Box:
+        share = LOW_SHARE if options.thickness_stated else LOW_UNSTATED
+        return sample_box(self.size_m, options.thickness_m, share)
+
+    def _table(self, looked: Looked, box: Box) -> TableSeen | None:
+        """What the surface lies on, as it is seen beside it."""
+        used = looked.used
+        low = (box.low_m[0] - BESIDE_M, box.low_m[1] - BESIDE_M, -WITHIN_M)
+        around = Box(low, (box.high_m[0] + BESIDE_M, box.high_m[1] + BESIDE_M, box.high_m[2]))
+        pose, depth_m = looked.data.arm[used.arm_ns], looked.data.depth_m
+        clouds = [self._perceived(depth_m[int(when)], pose, used, around, VIEW_CELL_M) for when in used.depth_ns]
+        return table_beside(np.concatenate([cloud.points_m for cloud in clouds]), self.size_m)
 
     def touch(self, touched: Touched) -> TouchMeasurement:
         """What arm and force sensor gave, without the dent."""
@@ -230,7 +254,7 @@ class SetupGeometry:
 
     def dent(self, touched: Touched, look: LookFrames, options: ExploreOptions) -> FloatArray:
         """(k, 3) points seen around a place while it was pressed, of all images [m]."""
-        used, box = touched.used, sample_box(self.size_m, options.thickness_m)
+        used, box = touched.used, self._box(options)
         low = (*np.maximum(box.low_m[:2], used.xy_m - DENT_M), box.low_m[2])
         high = (*np.minimum(box.high_m[:2], used.xy_m + DENT_M), box.high_m[2])
         seen = []
@@ -346,7 +370,7 @@ class SetupGeometry:
         """(rows, columns) cells that the tip can be led down to with the stick upright, as deep as a touch goes, all
         but a margin at the border; without a chain, all those."""
         if chain is None:
-            return off_the_border(grid)
+            return off_the_border(grid, options.border_m)
         rows, columns = grid.shape
         every = max(1, round(COARSE_M / grid.cell_m))
         row, column = np.arange(0, rows, every), np.arange(0, columns, every)
@@ -357,7 +381,7 @@ class SetupGeometry:
         plans = [self.plan(place, height_m, UPRIGHT, None, options) for place in places]
         good = self._lead(plans, chain, joints_deg).reshape(x.shape)
         inside = np.repeat(np.repeat(good, every, 0), every, 1)[:rows, :columns]
-        return np.asarray(inside & off_the_border(grid))
+        return np.asarray(inside & off_the_border(grid, options.border_m))
 
     def _lead(self, plans: Sequence[TouchPlan], chain: Chain, joints_deg: npt.ArrayLike) -> BoolArray:
         """(n,) whether the arm can be led straight down from above, as deep as a touch goes at most."""
@@ -366,7 +390,10 @@ class SetupGeometry:
         return np.asarray(follow(chain, self.placement, down_m, normals, start_deg=joints_deg).all(axis=-1))
 
 
-def off_the_border(grid: MapGrid) -> BoolArray:
-    """(rows, columns) all cells but a margin at the surface's edge."""
+def off_the_border(grid: MapGrid, border_m: float) -> BoolArray:
+    """(rows, columns) all cells but a margin at the surface's edge. A narrower one than usual begins with the cell
+    that reaches it: places that are considered lie on cells' corners."""
+    if border_m < BORDER_M:
+        border_m -= 0.501 * grid.cell_m
     places = grid.centres_m
-    return ((places > BORDER_M) & (places < np.asarray(grid.size_m) - BORDER_M)).all(axis=1).reshape(grid.shape)
+    return ((places > border_m) & (places < np.asarray(grid.size_m) - border_m)).all(axis=1).reshape(grid.shape)

@@ -15,8 +15,8 @@ Relief = Literal["stated", "seen"]
 MOST_HOLD_S = 60.0
 SECOND_FORCE_N, SECOND_SHARE = 5.0, 5.0 / 3.0
 SHALLOW_M = 0.002
-BORDER_M = 0.02
-"""No touch is made so near the surface's edge."""
+BORDER_M, LEAST_BORDER_M = 0.02, 0.01
+"""No touch is made so near the surface's edge, unless it is asked for; from where on an edge's law was measured."""
 VIEW_CELL_M = 0.004
 """Points of the surface before any touch are reduced to one in each cell of this size."""
 Goal = Literal["regions", "inclusions"]
@@ -27,9 +27,9 @@ PLAN_CELL_M = 0.02
 """Places that are considered for a touch are this far apart."""
 DRY_RUN_M = 0.1
 """A dry run is made so far above the surface: the tip stays 8 cm above it, a hand's breadth."""
-EDGE_M, ABOVE_M, LOW_SHARE = 0.005, 0.08, 0.5
+EDGE_M, ABOVE_M, LOW_SHARE, LOW_UNSTATED = 0.005, 0.08, 0.5, 0.2
 """What a camera sees counts as the surface so far from its edges, so far above its thickness, and down to this share of
-it."""
+it; or to the other one, where its thickness is not stated."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,6 +51,8 @@ class ExploreOptions:
     touch loses
     pace: "quick" = low and fast over what is known of the surface
     relief: the foam is level and as thick as stated, or, on a table at z = 0, as thick and as curved as it was seen
+    border_m: no touch is made so near the surface's edge; thickness_stated: else thickness_m says where to look for the
+    surface, and nothing more
     go_on: touch until the budget is spent, even where the plan says enough (for studies)
     """
 
@@ -75,6 +77,8 @@ class ExploreOptions:
     feel: Feel = "apparent"
     pace: Pace = "careful"
     relief: Relief = "stated"
+    border_m: float = BORDER_M
+    thickness_stated: bool = True
 
     def __post_init__(self) -> None:
         if self.budget < 1:
@@ -98,6 +102,10 @@ class ExploreOptions:
                 raise InputError(f"{name} above 0", f"{getattr(self, name):g}")
         if not 0.0 <= self.threshold < math.inf or self.seed < 0:
             raise InputError("a threshold and a seed of 0 or more", f"{self.threshold:g} and {self.seed}")
+        if not LEAST_BORDER_M <= self.border_m <= 0.1:
+            raise InputError(f"a border of {LEAST_BORDER_M:g} to 0.1 m", f"{self.border_m:g} m")
+        if self.border_m < BORDER_M and not self.thickness_stated:
+            raise InputError("a stated thickness, for touches near the edge", "none", "thickness_m in [surface]")
         if self.planner == "thesis" and self.beta_model == "none":
             raise InputError("a beta model for the thesis's planner", "none", "--beta-model thesis")
 

@@ -28,6 +28,7 @@ from deformscope.pictures.words import (
     level_words,
     loss_words,
     modulus_words,
+    stiffness_kind,
     stiffness_words,
     travel_words,
     verdict_words,
@@ -156,7 +157,7 @@ def draw_stiffness(axes: Any, maps: MapEstimate, *, path: bool = False) -> None:
     else:
         low, high = stiffness_range(maps.stiffness_n_per_mm)
         _draw_map(axes, maps.stiffness_n_per_mm, maps.cell_m, STIFFNESS, "[N/mm]", norm=LogNorm(low, high))
-        _title(axes, "Stiffness", "apparent, at the set force")
+        _title(axes, "Stiffness", f"{stiffness_kind(maps)}, at the set force")
     _draw_contacts(axes, maps.contacts_m, maps.tip_radius_m, path=path)
 
 

@@ -42,6 +42,11 @@ def modulus_words(maps: MapEstimate, region: int) -> str:
     return f"{maps.level_modulus_pa[region] / 1e3:.3g} kPa"
 
 
+def stiffness_kind(maps: MapEstimate) -> str:
+    """What the map's stiffness is."""
+    return "apparent" if maps.levelled_m is None else f"as on a level layer {100 * maps.levelled_m:.2g} cm thick"
+
+
 def travel_words(travel_m: float) -> str:
     """How far it was over the surface."""
     return f"travel {travel_m:.2f} m over the surface"

@@ -135,11 +135,16 @@ class Tool:
         check(known_to is None or 0 <= known_to <= 0.2, "force_gain_sd between 0 and 0.2", known_to)
 
 
+USUAL_THICKNESS_M = 0.05
+"""What a surface is looked for at, where its thickness is not stated."""
+
+
 @dataclass(frozen=True, slots=True)
 class SurfaceSection:
     """What is explored: something that lies on a table, whose corner is the origin of the surface frame.
 
-    size_m: along x and y; thickness_m: above the table, whose top is at z = 0
+    size_m: along x and y; thickness_m: above the table, whose top is at z = 0; None = as the camera sees it over the
+    table beside it, and where it sees none, not known: no modulus is then reported
     T_arm_surface: 4x4, surface frame to arm base [m]: x and y along the edges, z up
     scene: a simulated table (`deformscope explore --list-scenarios`), where arm, force sensor and camera are doubles
     hidden: where these doubles truly are is drawn from this number, and to be found by `deformscope calibrate`;
@@ -147,16 +152,22 @@ class SurfaceSection:
     """
 
     size_m: tuple[float, float] = (0.6, 0.4)
-    thickness_m: float = 0.05
+    thickness_m: float | None = None
     T_arm_surface: tuple[tuple[float, ...], ...] | None = None
     scene: str = ""
     hidden: int | None = None
 
     def __post_init__(self) -> None:
         check(all(0.05 <= side <= 2 for side in self.size_m), "size_m between 0.05 and 2", self.size_m)
-        check(0.005 <= self.thickness_m <= 0.5, "thickness_m between 0.005 and 0.5", self.thickness_m)
+        given = self.thickness_m
+        check(given is None or 0.005 <= given <= 0.5, "thickness_m between 0.005 and 0.5", given)
         if self.T_arm_surface is not None:
             check_transform("T_arm_surface", self.T_arm_surface)
+
+    @property
+    def top_m(self) -> float:
+        """Where the surface is looked for, above the table [m]."""
+        return USUAL_THICKNESS_M if self.thickness_m is None else self.thickness_m
 
 
 @dataclass(frozen=True, slots=True)

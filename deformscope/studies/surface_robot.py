@@ -137,7 +137,7 @@ class LabRobot:
 
     def reachable(self, grid: MapGrid) -> BoolArray:
         """All but a margin at the border."""
-        return off_the_border(grid)
+        return off_the_border(grid, self._options.border_m)
 
     def look(self) -> SurfaceMeasurement:
         """The surface at rest, without the robot."""

@@ -25,8 +25,10 @@ from deformscope.experiments.explore import (
     within_loop,
 )
 from deformscope.experiments.explorer import AsMeasured, ExplorationStages, Explorer, Touch
+from deformscope.experiments.measured import off_the_border
 from deformscope.experiments.options import PLAN_CELL_M, ExploreOptions
 from deformscope.lab.scenes import built_in
+from deformscope.lab.session_errors import LabErrors
 from deformscope.robot.setup import Truth
 from deformscope.rows import from_components, to_components
 from deformscope.session import Compute, Moment, Step, run
@@ -374,9 +376,24 @@ def test_before_the_first_touch_nobody_knows_what_the_way_leads_over() -> None:
     assert explorer.over_m(np.array([0.1, 0.1])) is None
 
 
+def test_narrower_border_lets_places_1_cm_from_each_edge_and_the_usual_one_stays() -> None:
+    grid = MapGrid((0.6, 0.4), 0.005)
+    usual, narrow = off_the_border(grid, 0.02), off_the_border(grid, 0.01)
+    assert usual.sum() == (120 - 8) * (80 - 8)
+    for place in ((0.01, 0.2), (0.59, 0.2), (0.3, 0.01), (0.3, 0.39)):
+        cell = tuple((np.array(place)[::-1] / grid.cell_m).astype(int))
+        assert narrow[cell]
+        assert not usual[cell]
+    assert not narrow[:, 0].any()
+
+
 def test_forces_that_are_too_large_are_refused() -> None:
     with pytest.raises(InputError, match="up to 5 N"):
         ExploreOptions(set_force_n=6.0)
+    with pytest.raises(InputError, match="a border"):
+        ExploreOptions(border_m=0.005)
+    with pytest.raises(InputError, match="a stated thickness"):
+        ExploreOptions(border_m=0.01, thickness_stated=False)
 
 
 @pytest.mark.parametrize(("set_n", "second_n"), [(3.0, 5.0), (1.0, 5.0 / 3.0), (4.0, 5.0), (5.0, 5.0)])
@@ -532,3 +549,28 @@ def test_a_level_surface_is_explored_the_same_whether_its_shape_is_looked_at_or_
     for before, now in zip(of(TouchEstimate, stated), of(TouchEstimate, seen), strict=True):
         assert before.stiffness_n_per_mm == now.stiffness_n_per_mm  # type: ignore[attr-defined]
         assert now.level_n_per_mm is None  # type: ignore[attr-defined]
+
+
+@pytest.mark.slow  # 160 touches
+def test_touches_1_cm_from_the_edge_make_no_regions(capsys: pytest.CaptureFixture[str]) -> None:
+    """Four at the edges and four inside, of one foam, with all errors of the laboratory. Prints how far apart the two
+    are, with the edge's law and without."""
+    ones, apart = [], []
+    for seed in range(20):
+        scene = built_in("homogeneous-60", seed)
+        at_m = np.random.default_rng(seed).uniform(0.1, 0.9, 4) * np.tile(scene.size_m[::-1], 2)[[0, 0, 1, 1]]
+        (width, depth), (a, b, c, d) = scene.size_m, at_m
+        edges_m = [(0.01, a), (width - 0.01, b), (c, 0.01), (d, depth - 0.01)]
+        places = [np.array(one) for one in (*edges_m, (0.15, 0.12), (0.45, 0.28), (0.3, 0.2), (0.15, 0.3))]
+        options = ExploreOptions(beta_model="none", relief="seen", border_m=0.01, seed=seed)
+        robot = LabRobot(scene, options, sees=False, errors=LabErrors())
+        explorer = Explorer(scene.size_m, options, robot.arm)
+        explorer.look(robot.look)
+        touches = [explorer.touch(robot.touch(explorer.approached(one, AsMeasured(scene.size_m)))) for one in places]
+        felt = np.log([one.stiffness_n_per_mm for one in touches])
+        level = np.log([one.level_n_per_mm or np.nan for one in touches])
+        apart.append([one[:4].mean() - one[4:].mean() for one in (level, felt)])
+        ones.append(explorer.region_map().region_count == 1)
+    with capsys.disabled():
+        print(f"one region in {sum(ones)} of 20; apart {np.mean(apart, axis=0)}, sd {np.std(apart, axis=0)}")
+    assert sum(ones) >= 19

@@ -12,6 +12,7 @@ from deformscope.pictures.words import (
     level_words,
     loss_words,
     modulus_words,
+    stiffness_kind,
     travel_words,
     verdict_words,
 )
@@ -47,6 +48,8 @@ def summary(maps: MapEstimate) -> str:
     ]
     if not maps.region_count:
         return "\n".join(lines)
+    if maps.levelled_m is not None:
+        lines += [f"stiffness {stiffness_kind(maps)}", ""]
     by_loss = maps.level_loss is not None
     lines += ["| region |" + " of a touch's energy it |" * by_loss + " stiffness [N/mm] | area [cm²] |"]
     lines += ["| --- |" + " --- |" * by_loss + " --- | --- |"]

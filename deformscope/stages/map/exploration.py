@@ -25,12 +25,16 @@ class SurfaceEstimate:
     """The surface as the camera saw it, and as the world Gaussian process has it (Thesis eq. 4.3, 4.4).
 
     points_m: (n, 3) filtered points; height_m, deviation_m: (rows, columns); cell_m: of the grid
+    layer_m, layer_sd_m: thickness that a level layer of this foam is taken for, and its deviation [m]: as stated, or as
+    seen over the table beside it; None = not known
     """
 
     points_m: FloatArray
     height_m: FloatArray
     deviation_m: FloatArray
     cell_m: float
+    layer_m: float | None = None
+    layer_sd_m: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +45,8 @@ class TouchEstimate:
     approach_m, approach_n: (n,) displacement of the tip along the normal since the first reading [m], force on it [N]
     fitted_n: (n,) the fitted force at each [N]; contact_m: where contact began, on the same axis
     stiffness_n_per_mm, stiffness_interval: apparent, at the set force; rigid: a lower bound
-    modulus_pa: corrected for the tip and the layer, None = not identified; depth_m, peak_force_n: of the dent
+    modulus_pa, modulus_interval_pa: corrected for the tip and the layer, None = rigid, or thickness not known
+    depth_m, peak_force_n: of the dent
     beta, beta_interval, beta_verdict: of the MSM fitted to the dent, None = not fitted
     observed_m: (k, 3) raw points around the dent; simulated_m: (p, 3) particles of the fitted model there
     speed_m_s: at which the tip came down in contact, None = not known: foam that creeps is the stiffer the faster
@@ -72,6 +77,7 @@ class TouchEstimate:
     creep: CreepFit | None = None
     thickness_m: float | None = None
     level_n_per_mm: float | None = None
+    modulus_interval_pa: tuple[float, float] | None = None
     speed_m_s: float | None = None
 
     @property
@@ -93,8 +99,9 @@ class MapEstimate:
     level_rigid: (region_count,) regions whose level is a lower bound, at which the interval begins; it is open above
     contacts_m: (n, 2) touches so far; tip_radius_m: of what touched
     travel_m: over the surface, in straight lines from its corner (0, 0), where planning begins, from touch to touch
-    level_modulus_pa: (region_count,) Young's modulus at each level, of the stated thickness; None where the shape of
-    the surface was not looked at
+    level_modulus_pa, level_modulus_interval_pa: (region_count,), (region_count, 2) Young's modulus at each level, with
+    its 90 %, a lower bound of what is rigid; None where the thickness is not known
+    levelled_m: all stiffness is as on a level layer so thick [m], None = apparent
     loss, loss_log_sd: (rows, columns) median share of a touch's energy that is lost, deviation of its logarithm;
     level_loss: (region_count,) of each region, level_loss_interval: (region_count, 2) of 90 %; all four None unless
     the regions are those of the loss, 0 the one that loses least: stiffness is then a field through the touches, the
@@ -123,6 +130,8 @@ class MapEstimate:
     iou: float | None = None
     boundary_m: float | None = None
     level_modulus_pa: FloatArray | None = None
+    level_modulus_interval_pa: FloatArray | None = None
+    levelled_m: float | None = None
     loss: FloatArray | None = None
     loss_log_sd: FloatArray | None = None
     level_loss: FloatArray | None = None

@@ -8,15 +8,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from deformscope.arrays import FloatArray, IntArray
+from deformscope.stages.poke.layer_seen import TableSeen
 
 
 @dataclass(frozen=True, slots=True)
 class SurfaceMeasurement:
     """What the camera saw. points_m: (n, 3) of the surface, robot and outliers taken away, surface frame [m]
-    noise_m: (n,) deviation of each height [m]"""
+    noise_m: (n,) deviation of each height [m]; table: beside it, None = not seen, or not looked for"""
 
     points_m: FloatArray
     noise_m: FloatArray
+    table: TableSeen | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,14 +6,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.special import ndtr
 
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
-from deformscope.lab.scenes import Piece, Scene
+from deformscope.lab.scenes import Piece, Scene, initial_modulus_pa
 from deformscope.lab.slab import RigidTip
 from deformscope.lab.slab_world import SlabWorld
 from deformscope.lab.touching import force_curve
 from deformscope.stages.poke.local_shape import LocalShape, shape_of, shape_shift
+from deformscope.stages.regions.posterior import RegionPrior
 
 RADIUS_M, FORCE_N, REFERENCE_M = 0.01, 3.0, 0.04
 STEP_M = 0.01
@@ -67,6 +69,47 @@ def test_touch_of_uneven_foam_compares_as_on_a_level_layer(
     off = np.log(level_m / felt_m)  # what it is stiffer by
     assert abs(off) >= felt_apart
     assert abs(off + shift.log) < max(0.02, 2.0 * shift.sd)
+
+
+@pytest.mark.slow  # 30 meshes
+def test_edge_is_corrected_from_1_cm_on(capsys: pytest.CaptureFixture[str]) -> None:
+    """Prints what is felt less than inside, before and after: the table of docs/exploring.md."""
+    away_m = (0.01, 0.015, 0.02, 0.03)
+    felt, left = [], []
+    for thickness_m in (0.02, 0.035, 0.05):
+        for modulus_pa in (37e3, 93e3):
+            slab = replace(_slab(thickness_m), pieces=(Piece("foam", modulus_pa),))
+            dents_m = [_dent_m(slab, np.array([one, 0.2])) for one in (0.3, *away_m)]
+            shapes = [LocalShape(thickness_m, edge_m=one) for one in away_m]
+            felt.append(np.log(dents_m[0] / np.array(dents_m[1:])))
+            shifts = [shape_shift(*one, reference_m=thickness_m) for one in zip(shapes, dents_m[1:], strict=True)]
+            left.append(felt[-1] + [one.log for one in shifts])
+    with capsys.disabled():
+        print()
+        for at_m, before, after in zip(away_m, np.transpose(felt), np.transpose(left), strict=True):
+            ranges = " ".join(f"{one.min():+.3f} to {one.max():+.3f}" for one in (before, after))
+            print(f"{1e3 * at_m:.0f} mm: {ranges}")
+    assert np.min(felt) < -0.1
+    assert np.abs(left).max() < 0.015
+
+
+@pytest.mark.slow  # 12 meshes
+def test_border_between_two_foams_is_felt_as_maps_take_it(capsys: pytest.CaptureFixture[str]) -> None:
+    """60 and 150 N, by the distance to their border: what is felt of the other, and what maps expect of it."""
+    away_m, border_m = (0.005, 0.01, 0.015, 0.02, 0.03), 0.3
+    soft, firm = (Piece("foam", initial_modulus_pa(one)) for one in (60.0, 150.0))
+    inside = [-np.log(_dent_m(replace(_slab(0.05), pieces=(one,)), np.array([0.3, 0.2]))) for one in (soft, firm)]
+    glued = replace(
+        _slab(0.05), pieces=(soft, firm), _label=lambda xy: (np.asarray(xy)[..., 0] > border_m).astype(np.int64)
+    )
+    for own, other, side in ((*inside, -1.0), (*inside[::-1], 1.0)):
+        places = [np.array([border_m + side * one, 0.2]) for one in away_m]
+        felt = np.array([-np.log(_dent_m(glued, place)) - own for place in places])
+        share = ndtr(-np.array(away_m) / RegionPrior().blur_m)
+        expected = np.log(1.0 - share + share * np.exp(other - own))
+        with capsys.disabled():
+            print(f"{'soft' if side < 0.0 else 'firm'}: felt {felt.round(3)}, expected {expected.round(3)}")
+        assert np.abs(felt - expected).max() < 0.04
 
 
 def test_level_layer_of_the_reference_thickness_is_left_as_it_is() -> None:

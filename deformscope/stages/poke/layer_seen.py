@@ -1,0 +1,101 @@
+"""How thick the foam is that is touched, and by what that is known: said, or seen from its top and the table beside it.
+
+table = table_beside(points_m, size_m=(0.6, 0.4))            # None where the camera sees none
+known_layer(heights_m, table, stated_m=None, relief=True)     # its thickness is None: it is not known
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from deformscope.arrays import FloatArray
+from deformscope.stages.poke.contact import Z_90, layer_modulus
+
+BESIDE_M, MARGIN_M = 0.10, 0.02
+"""The table counts from so far beside the surface on, where its sides are not seen any more, and until so far."""
+WITHIN_M = 0.02
+"""What is farther than that from z = 0 is not taken for the table."""
+FEWEST = 100
+"""Points of the table: 16 cm2, at one in each cell of 4 mm."""
+UNEVEN = 0.05
+"""A surface whose heights differ by less than this share of the stated thickness, and on average from it by less than
+twice as much, counts as level: stiffness differs by some 2 % there, as much as the law is off anyway."""
+
+
+@dataclass(frozen=True, slots=True)
+class TableSeen:
+    """height_m: of the table in the surface frame, as the camera saw it; sd_m: how far its points lie apart, tilt and
+    unevenness included [m]"""
+
+    height_m: float
+    sd_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class KnownLayer:
+    """thickness_m: of a level layer that stands for the foam [m], None = not known; sd_m: its deviation [m]
+    table_m: height of what the foam lies on; uneven: whether the surface's shape is looked at
+    """
+
+    thickness_m: float | None
+    sd_m: float = 0.0
+    table_m: float = 0.0
+    uneven: bool = False
+
+
+def table_beside(points_m: FloatArray, size_m: tuple[float, float]) -> TableSeen | None:
+    """The table, from points (n, 3) in the surface frame; None where too few of them are beside the surface."""
+    off = np.maximum(-points_m[:, :2], points_m[:, :2] - np.asarray(size_m)).max(axis=1)
+    height = points_m[(off > MARGIN_M) & (off < BESIDE_M) & (np.abs(points_m[:, 2]) < WITHIN_M), 2]
+    if len(height) < FEWEST:
+        return None
+    low, middle, high = np.quantile(height, (0.16, 0.5, 0.84))
+    return TableSeen(float(middle), 0.5 * float(high - low))
+
+
+def known_layer(height_m: FloatArray, table: TableSeen | None, *, stated_m: float | None, relief: bool) -> KnownLayer:
+    """What is known of foam whose surface is so high (n,) [m] where it may be touched.
+
+    stated_m: its thickness, where somebody said it: the foam then lies at z = 0; relief: whether its shape is looked at
+    """
+    mean_m, range_m = float(height_m.mean()), float(np.ptp(height_m))
+    if stated_m is not None:
+        even_m = UNEVEN * stated_m
+        return KnownLayer(stated_m, uneven=relief and (range_m > even_m or abs(mean_m - stated_m) > 2.0 * even_m))
+    thickness_m = 0.0 if table is None else mean_m - table.height_m
+    if table is None or thickness_m <= 2.0 * table.sd_m:
+        return KnownLayer(None)
+    return KnownLayer(thickness_m, table.sd_m, table.height_m, relief and range_m > UNEVEN * thickness_m)
+
+
+@dataclass(frozen=True, slots=True)
+class LayerModulus:
+    """pa: Young's modulus; interval_pa: of 90 %, for what the stiffness and the thickness may be, at a known Poisson's
+    ratio"""
+
+    pa: float
+    interval_pa: tuple[float, float]
+
+
+def modulus_of(
+    layer: KnownLayer,
+    n_per_mm: float,
+    interval_n_per_mm: tuple[float, float],
+    *,
+    force_n: float,
+    radius_m: float,
+) -> LayerModulus | None:
+    """Of foam of this stiffness at a force, felt by a ball on the layer; None where its thickness is not known."""
+    if layer.thickness_m is None:
+        return None
+
+    def pa(stiffness: float, thickness_m: float) -> float:
+        return layer_modulus(1e-3 * force_n / stiffness, force_n, radius_m=radius_m, thickness_m=thickness_m)
+
+    found = pa(n_per_mm, layer.thickness_m)
+    low, high = (float(np.log(pa(end, layer.thickness_m) / found)) for end in interval_n_per_mm)
+    thicker = float(np.log(pa(n_per_mm, layer.thickness_m + layer.sd_m) / found))
+    off = Z_90 * thicker
+    return LayerModulus(found, (found * float(np.exp(-np.hypot(low, off))), found * float(np.exp(np.hypot(high, off)))))
