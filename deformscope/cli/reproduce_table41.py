@@ -24,6 +24,7 @@ from deformscope.cli.common import (
 )
 from deformscope.config import Table41Config
 from deformscope.errors import InputError
+from deformscope.experiments.options import Pace
 from deformscope.lab.scenes import BUILT_IN, built_in
 from deformscope.pictures.figures import write_rows
 from deformscope.pictures.findings import Findings, dict_table
@@ -41,25 +42,28 @@ RUNS = "runs.jsonl"
 
 def run(config: Table41Config) -> None:
     """Explore every scene with every planner over the seeds; write and print the table."""
-    if config.closed_form and config.pace != "careful":
+    paces = _named(config.pace, get_args(Pace), "paces")
+    if config.closed_form and paces != ["careful"]:
         raise InputError("--pace with touches that are made", "--closed-form, which travels nowhere", "one of them")
     make_folder(config.out)
-    planners = _planners(config.planners)
+    # the thesis's planner is of `reproduce chapter4`
+    planners = _named(config.planners, [name for name in get_args(Planner) if name != "thesis"], "planners")
     jobs = [
         TableJob(
             scene,
             seed,
             planner,
             config.touches,
-            go_on=len(planners) > 1,
+            go_on=len(planners) * len(paces) > 1,
             closed_form=config.closed_form,
             clean=config.clean,
             relief=config.relief,
-            pace=config.pace,
+            pace=pace,
         )
         for seed in range(config.seeds)
         for scene in _scenes(config.scenes)
         for planner in planners
+        for pace in paces
     ]
     with recorder_of(config) as recorder:
         recorder.write(Step((_write(_explored(jobs, config), config),)))
@@ -89,9 +93,9 @@ def _run(job: TableJob) -> TableRun:
 
 def _write(runs: Sequence[TableRun], config: Table41Config) -> Findings:
     scenes = list(dict.fromkeys(one.job.scene for one in runs))
-    planners: list[str] = list(dict.fromkeys(one.job.planner for one in runs))
+    planners: list[str] = list(dict.fromkeys(one.job.way for one in runs))
     by = {
-        (scene, planner): [one for one in runs if (one.job.scene, one.job.planner) == (scene, planner)]
+        (scene, planner): [one for one in runs if (one.job.scene, one.job.way) == (scene, planner)]
         for scene in scenes
         for planner in planners
     }
@@ -120,7 +124,7 @@ def _write(runs: Sequence[TableRun], config: Table41Config) -> Findings:
 
 
 def _compared(by: dict[tuple[str, str], list[TableRun]], planners: Sequence[str]) -> list[dict[str, Any]]:
-    """The first planner beside each of the others, scene by scene and over all that have borders."""
+    """The first planner and pace beside each of the others, scene by scene and over all that have borders."""
     bordered = [scene for (scene, planner), runs in by.items() if planner == planners[0] and runs[0].region_count > 1]
     groups = {scene: [scene] for scene in bordered} | ({"all of these": bordered} if len(bordered) > 1 else {})
     rows = []
@@ -138,12 +142,11 @@ def _scenes(named: str) -> Sequence[str]:
     return list(dict.fromkeys(scenes))
 
 
-def _planners(named: str) -> Sequence[Any]:
-    planners = [name.strip() for name in named.split(",")]
-    known = [name for name in get_args(Planner) if name != "thesis"]  # that one is of `reproduce chapter4`
-    if unknown := [name for name in planners if name not in known]:
-        raise InputError(f"planners out of {', '.join(known)}", ", ".join(map(repr, unknown)))
-    return list(dict.fromkeys(planners))
+def _named(given: str, known: Sequence[str], what: str) -> list[Any]:
+    names = [name.strip() for name in given.split(",")]
+    if unknown := [name for name in names if name not in known]:
+        raise InputError(f"{what} out of {', '.join(known)}", ", ".join(map(repr, unknown)))
+    return list(dict.fromkeys(names))
 
 
 # In words ------------------------------------------------------------------------------------------------------------

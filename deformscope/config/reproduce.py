@@ -282,8 +282,9 @@ class Table41Config(RecordedOptions):
     """Keep nothing from the estimator: the arm is as its calibration says, the force exact, foam without scatter."""
     relief: Literal["seen", "stated"] = "seen"
     """Take the foam as thick and as curved as it is seen, or as level and as thick as stated (finite elements only)."""
-    pace: Literal["careful", "quick"] = "careful"
-    """As of `deformscope explore`: robot seconds are those of its plans, travelled and touched step by step."""
+    pace: Annotated[str, arg(metavar="NAME,NAME...")] = "careful"
+    """As of `deformscope explore`: careful, quick; robot seconds are those of its plans, travelled and touched step by
+    step. The first is compared with the others."""
     resume: bool = False
     """Take what an earlier command left in runs.jsonl, and go on from there; it must have been this version."""
     workers: flags.SomeFlag = None

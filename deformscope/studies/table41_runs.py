@@ -31,6 +31,11 @@ class TableJob:
     relief: Relief = "seen"
     pace: Pace = "careful"
 
+    @property
+    def way(self) -> str:
+        """Planner and pace, in words: what is compared."""
+        return self.planner if self.pace == "careful" else f"{self.planner} {self.pace}"
+
 
 @dataclass(frozen=True, slots=True)
 class MapAfter:

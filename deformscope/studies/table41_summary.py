@@ -99,7 +99,7 @@ def first_passage(run: TableRun, iou: float) -> tuple[dict[What, float], bool]:
 
 
 def compare(runs: Sequence[TableRun], against: Sequence[TableRun], iou: float) -> dict[str, Any]:
-    """One planner's effort for maps this good, beside another's on the same scenes and seeds.
+    """The effort of one planner and pace for maps this good, beside another's on the same scenes and seeds.
 
     reached: share of layouts in which it got there at all; touches, travel_m, robot_s: mean first passages, with their
     ratio, and 5 and 95 % of its bootstrap over layouts
@@ -108,8 +108,8 @@ def compare(runs: Sequence[TableRun], against: Sequence[TableRun], iou: float) -
     pairs = [(run, other[run.job.scene, run.job.seed]) for run in runs if (run.job.scene, run.job.seed) in other]
     passed = [[first_passage(one, iou) for one in pair] for pair in pairs]
     summary: dict[str, Any] = {
-        "planner": runs[0].job.planner,
-        "against": against[0].job.planner,
+        "planner": runs[0].job.way,
+        "against": against[0].job.way,
         "iou": iou,
         "layouts": len(pairs),
         "reached": _share(ours[1] for ours, _ in passed),
@@ -157,14 +157,14 @@ def curves(runs: Sequence[TableRun], path: Path) -> None:
     """One panel a scene: IoU of regions (of a gradient: error of the field) against touches, as the robot has them;
     median, and the middle half of the layouts."""
     scenes = list(dict.fromkeys(run.job.scene for run in runs))
-    planners = list(dict.fromkeys(run.job.planner for run in runs))
+    planners = list(dict.fromkeys(run.job.way for run in runs))
     columns = min(ACROSS, len(scenes))
     with figure(path, columns, -(-len(scenes) // columns)) as axes:
         for scene, one in zip(scenes, axes.flat, strict=False):
             mine = [run for run in runs if run.job.scene == scene]
             regions = mine[0].region_count > 0
             for planner, colour in zip(planners, COLOURS, strict=False):
-                _curve(one, [run for run in mine if run.job.planner == planner], regions, planner, colour)
+                _curve(one, [run for run in mine if run.job.way == planner], regions, planner, colour)
             one.axhline(GOOD_IOU if regions else FIELD_RMS, color="0.5", lw=0.8)
             one.set(title=scene, xlabel="touches", ylim=(0.0, 1.03) if regions else (0.0, None))
             one.set_ylabel("IoU of regions" if regions else "error of log stiffness, rms")

@@ -106,6 +106,12 @@ def test_first_passage_and_its_ratio() -> None:
     assert (reported["reached"], reported["reached_against"]) == (1.0, 1.0)
 
 
+def test_paces_are_compared_as_planners_are() -> None:
+    job = TableJob("two-60-150", 0, pace="quick")
+
+    assert (job.way, replace(job, pace="careful").way) == ("regions quick", "regions")
+
+
 def test_a_ratio_has_the_spread_of_its_layouts() -> None:
     slow = [run(seed, 0.1, "max-variance") for seed in range(6)]
     fast = [run(seed, 0.1 if seed % 2 else 0.5) for seed in range(6)]
