@@ -30,8 +30,8 @@ class ExplorationResult(LibraryResult):
     """What `explore` found.
 
     found: the JSON of `deformscope explore`; maps: its arrays by name, rows along y, columns along x, cells of
-    `cell_m`: `stiffness_n_per_mm`, `stiffness_log_sd`, `labels`, `label_probability`, `beta`... empty where no touch
-    gave a map; png: the maps drawn, empty without a map
+    `cell_m`: `stiffness_n_per_mm`, `stiffness_log_sd`, `loss` (with feel="loss"), `labels`, `label_probability`,
+    `beta`... empty where no touch gave a map; png: the maps drawn, empty without a map
     """
 
     found: Mapping[str, Any]
@@ -72,7 +72,9 @@ def verdict_of(found: Mapping[str, Any]) -> str:
     """The verdict with its probability; found: as in the JSON"""
     if found["verdict"] is None:
         return "none: no touch gave a map"
-    gradual = "gradual: no regions, the stiffness changes smoothly"
+    gradual = (
+        f"gradual: no regions, the {'energy loss' if found['stiffness'] == 'loss' else 'stiffness'} changes smoothly"
+    )
     kind = gradual if found["verdict"] == "gradual" else counted(found["region_count"], "region")
     return f"{kind} (probability {found['verdict_probability']:.2f})"
 
@@ -83,6 +85,11 @@ def exploration_rows(found: Mapping[str, Any]) -> Rows:
     for number, region in enumerate(found["regions"], start=1):
         value, (low, high) = math.exp(region["log_stiffness"]), map(math.exp, region["interval"])
         words = f"> {value:.3g} N/mm" if region["rigid"] else f"{value:.3g} N/mm ({low:.3g} to {high:.3g})"
+        if region["loss"] is not None:
+            words = (
+                "loses {:.0%} ({:.0%} to {:.0%}) of a touch's energy; ".format(region["loss"], *region["loss_interval"])
+                + words
+            )
         rows.append((f"region {number}", f"{words} at {found['set_force_n']:g} N"))
     truth, touches = found["truth"], found["touches"]
     if truth is not None and truth["iou"] is not None:
@@ -96,7 +103,8 @@ def exploration_rows(found: Mapping[str, Any]) -> Rows:
     if inclusions := found["inclusions"]:
         rows += [(name, words) for name, words in inclusions["words"]]
     if missed := found["missed"]:
-        rows += missed_rows({**missed, "lumps": []} if inclusions else missed)
+        by_loss = found["stiffness"] == "loss"
+        rows += missed_rows({**missed, "lumps": []} if inclusions else missed, by_loss=by_loss)
     true_n, reason = found["max_force_n"], found["stop_reason"]
     felt_n = max((one["peak_force_n"] for one in touches), default=0.0) if true_n is None else true_n
     ended = reason if reason.startswith("stopped") else f"stopped: {reason or 'before its plan said so'}"
@@ -120,14 +128,15 @@ def exploration_rows(found: Mapping[str, Any]) -> Rows:
     return rows
 
 
-def missed_rows(missed: Mapping[str, Any]) -> Rows:
-    """What may be there that no touch has met; missed: as in the JSON"""
+def missed_rows(missed: Mapping[str, Any], *, by_loss: bool = False) -> Rows:
+    """What may be there that no touch has met; missed: as in the JSON; by_loss: the map is that of the loss"""
     x, y = (100.0 * value for value in missed["untouched_at_m"])
     wide = 200.0 * missed["untouched_m"]
     rows = [("untouched", f"circles of up to {wide:.0f} cm across, the largest at ({x:.0f}, {y:.0f}) cm")]
     if lumps := missed["lumps"]:
         each = ", ".join(f"{200.0 * one['radius_m']:.3g} cm: {one['probability']:.2f}" for one in lumps)
-        stated = f"{missed['contrast']:g} times as stiff or soft; {missed['prior']:g} before any touch"
+        kind = "the energy loss, or as many times less" if by_loss else "as stiff or soft"
+        stated = f"{missed['contrast']:g} times {kind}; {missed['prior']:g} before any touch"
         rows.append(("lumps unseen", f"probability of one across {each} ({stated})"))
     return rows
 
@@ -143,6 +152,8 @@ def explore(
     smallest_lump_m: float | None = None,
     beta_model: Literal["volume", "thesis", "layers", "none"] | None = None,
     pace: Literal["careful", "quick"] = "careful",
+    hold_s: float = 0.0,
+    feel: Literal["apparent", "relaxed", "loss"] = "apparent",
     seed: int = 0,
     record: Path | str | None = None,
     viewer: ViewerChoice = "none",
@@ -157,7 +168,8 @@ def explore(
     goal: regions of one stiffness each, or inclusions: lumps below the surface; smallest_lump_m: radius of the smallest
     that must not be missed, default 0.02; set_force_n: at most 5 N
     smallest_inclusion_m: radius of the smallest lumps that are sought, default 0.06; pace: quick = low and fast over
-    what is known of the surface
+    what is known of the surface; hold_s: of each touch, from which it says how the foam creeps; feel: what is mapped:
+    stiffness at once, stiffness when all has relaxed, or the share of its energy that a touch loses
     record: a recording to make (.rrd); yes: let a real arm move, once the checks have passed, without asking
     verbose: print each touch as it goes on; with a rig file that, the table of checks and the question always appear
     Raises InputError for what cannot be used, and SystemExit where the exploration was stopped before its end.
@@ -174,6 +186,8 @@ def explore(
             smallest_inclusion=smallest_inclusion_m,
             beta_model=beta_model,
             pace=pace,
+            hold=hold_s,
+            feel=feel,
             yes=yes,
             trust_rig=trust_rig,
             output=OutputOptions(None, None if record is None else Path(record), viewer, overwrite, seed),

@@ -43,7 +43,9 @@ MAP_UNITS = {
     "cell_m": "m",
     "stiffness_n_per_mm": "N/mm",
     "stiffness_log_sd": "natural logarithm",
-    "labels": "region from 0, the softest; -1: no regions",
+    "loss": "share of a touch's energy",
+    "loss_log_sd": "natural logarithm",
+    "labels": "region from 0, the softest, or the one that loses least; -1: no regions",
     "label_probability": "1",
     "contacts_m": "m, (x, y)",
     "beta": "1",
@@ -57,6 +59,7 @@ JSON_UNITS = {
     "depth_m": "m",
     "level_n_per_mm": "N/mm",
     "log_stiffness": "natural logarithm of N/mm",
+    "loss": "share of a touch's energy",
     "max_force_n": "N",
     "modulus_pa": "Pa",
     "peak_force_n": "N",
@@ -208,8 +211,8 @@ def _run(
         ending.start_ns = source.start_ns
         truth = setup.truth is not None and setup.truth.labels is not None
         place = setup.size_m, setup.placement.T_base_surface
-        lumps = options.goal == "inclusions"
-        recorder.start_exploration(source.streams, source.start_ns, *place, truth=truth, lumps=lumps)
+        mapped, lumps = "energy loss" if options.feel == "loss" else "stiffness", options.goal == "inclusions"
+        recorder.start_exploration(source.streams, source.start_ns, *place, truth=truth, lumps=lumps, mapped=mapped)
         shown = None if recorder.page is None else ShownDevices(recorder.page.desk, source.streams)
         page = _steering(config, setup, options, recorder, asked, shown)
         watched = WatchedDevices(recorder, shown, show)
@@ -412,6 +415,8 @@ def _found(
                 "interval": np.log(maps.level_interval_n_per_mm[region]),
                 "modulus_pa": None if maps.level_modulus_pa is None else float(maps.level_modulus_pa[region]),
                 "rigid": bool(maps.level_rigid[region]),
+                "loss": None if maps.level_loss is None else float(maps.level_loss[region]),
+                "loss_interval": None if maps.level_loss_interval is None else maps.level_loss_interval[region],
             }
             for region in range(0 if maps is None else maps.region_count)
             if maps is not None

@@ -102,6 +102,9 @@ COMMANDS: dict[str, Command] = {
     "coverage field": _command(
         "how well stiffness of each place is determined", "FieldCoverageConfig", "coverage_field"
     ),
+    "coverage materials": _command(
+        "how often axes, yielding and recovery are held", "MaterialsCoverageConfig", "coverage_materials"
+    ),
     "coverage lumps": _command(
         "how many lumps in foam are found, and how many are missed", "LumpCoverageConfig", "coverage_lumps"
     ),

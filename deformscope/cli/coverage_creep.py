@@ -7,17 +7,17 @@ deformscope coverage creep --objects 400 --hold 4 --jobs 16 --json creep.json
 
 from __future__ import annotations
 
-import dataclasses
 from typing import get_args
 
 from deformscope.cli.common import examined, fit_progress, quiet_warp, recorder_of, show, write_json
-from deformscope.cli.coverage import rate_json
+from deformscope.cli.quantity_table import quantity_table, row_json
 from deformscope.config import CreepCoverageConfig
 from deformscope.pictures.findings import Findings
 from deformscope.pictures.report import Table
 from deformscope.session import Step
 from deformscope.stages.poke.creep import CreepVerdict
-from deformscope.studies.creep_touches import KINDS, CreepCase, CreepKind, CreepOutcome, CreepRow, creep_rows, try_creep
+from deformscope.studies.creep_touches import KINDS, QUANTITIES, CreepCase, CreepKind, CreepOutcome, try_creep
+from deformscope.studies.quantities import quantity_rows
 from deformscope.studies.seeds import reported
 
 VERDICTS: tuple[str, ...] = get_args(CreepVerdict)
@@ -34,14 +34,17 @@ def run(config: CreepCoverageConfig) -> None:
         with fit_progress() as note:
             tried = examined("touches", try_creep, cases, config.jobs, note)
         kinds = {kind: [one for one in tried if one.kind == kind] for kind in KINDS}
-        tables = [creep_table(f"{name} touches, held for {config.hold:g} s", some) for name, some in kinds.items()]
+        tables = [
+            quantity_table(quantity_rows(some, QUANTITIES), "touches", f"{name} touches, held for {config.hold:g} s")
+            for name, some in kinds.items()
+        ]
         found = Findings((*tables, verdict_table(kinds)))
         show(found)
         recorder.write(Step((found,)))
     write_json(
         {
             "hold_s": config.hold,
-            "rows": {name: [_row_json(row) for row in creep_rows(some)] for name, some in kinds.items()},
+            "rows": {name: [row_json(row) for row in quantity_rows(some, QUANTITIES)] for name, some in kinds.items()},
             "verdicts": {name: _verdicts(some) for name, some in kinds.items()},
         },
         config.output.json,
@@ -54,27 +57,6 @@ def verdict_table(kinds: dict[CreepKind, list[CreepOutcome]]) -> Table:
     return Table(lines, ("touches of", *VERDICTS), "what they were taken for")
 
 
-def creep_table(title: str, some: list[CreepOutcome]) -> Table:
-    """A line a quantity."""
-    lines = [
-        (
-            row.quantity,
-            row.held.cases,
-            f"{row.error:.1%}",
-            f"{row.near.rate:.2f}",
-            "{:.2f} ({:.2f} to {:.2f})".format(row.held.rate, *row.held.band),
-            f"{row.width:.0%}",
-        )
-        for row in creep_rows(some)
-    ]
-    names = ("quantity", "touches", "off (rms)", "within 10 %", "held (95 % band)", "width")
-    return Table(lines, names, f"90 % intervals, {title}")
-
-
 def _verdicts(some: list[CreepOutcome]) -> dict[str, int]:
     verdicts = [one.verdict for one in some]
     return {name: verdicts.count(name) for name in sorted(set(verdicts))}
-
-
-def _row_json(row: CreepRow) -> dict[str, object]:
-    return dataclasses.asdict(row) | {"near": rate_json(row.near), "held": rate_json(row.held)}

@@ -37,6 +37,7 @@ from deformscope.config.reproduce import (
     FoamsConfig,
     ForceCoverageConfig,
     LumpCoverageConfig,
+    MaterialsCoverageConfig,
     PokesConfig,
     RegionCoverageConfig,
     RemovalCoverageConfig,

@@ -208,6 +208,20 @@ class CreepCoverageConfig(RecordedOptions):
 
 
 @dataclass(frozen=True, slots=True)
+class MaterialsCoverageConfig(RecordedOptions):
+    """Count how often the intervals of `calibrate axes`, `yield` and `viscous` hold the truth: deformations and motions
+    of known materials, under noise that neighbours share."""
+
+    kinds: Annotated[tuple[Literal["axes", "yield", "viscous"], ...], arg(metavar="NAME...")] = ()
+    """Of axes, yield and viscous; default: all."""
+    objects: flags.ManyFlag = 12
+    """Motions of each kind, from seed SEED on; one to yield takes some 5 s, another less than one."""
+    jobs: flags.ManyFlag = 2
+    """Processes that share the work."""
+    output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
+
+
+@dataclass(frozen=True, slots=True)
 class LumpCoverageConfig(RecordedOptions):
     """Count how many lumps `explore --goal inclusions` finds within how many touches, how often it finds one where
     there is none, and whether what it says of missed ones is right: fields of 20 by 20 cm of finite elements, with a

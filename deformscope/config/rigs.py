@@ -237,8 +237,9 @@ class ExploreConfig(RecordedOptions):
     hold: Annotated[float, arg(metavar="S")] = 0.0
     """Hold the force of each touch for so long [s], and report how the foam creeps: stiffness at once and relaxed,
     relaxation time, energy that a touch loses. 8 s tell times of 0.2 to 5 s."""
-    feel: Literal["apparent", "relaxed"] = "apparent"
-    """Which stiffness is mapped: as each touch comes down, or, with --hold, when all has relaxed."""
+    feel: Literal["apparent", "relaxed", "loss"] = "apparent"
+    """What is mapped: stiffness as each touch comes down, or, with --hold, when all has relaxed; or, with --hold, the
+    share of its energy that a touch loses, stiffness beside it."""
     pace: Literal["careful", "quick"] = "careful"
     """quick: once a touch has met the surface where it was seen, the tip crosses it 2 cm above all that it passes, and
     slows down where the surface may be, in the last 5 to 15 mm; it travels at the rig file's travel_speed_m_s, in the

@@ -30,7 +30,8 @@ from deformscope.stages.map.exploration import (
     TouchEstimate,
     TouchForecast,
 )
-from deformscope.stages.map.field import BETA_PRIOR, fit_field
+from deformscope.stages.map.field import BETA_PRIOR, fit_field, levels_of
+from deformscope.stages.map.loss import by_loss, loss_sample
 from deformscope.stages.map.lump_plan import plan_lump_touch
 from deformscope.stages.map.lump_posterior import LumpPosterior, LumpPrior
 from deformscope.stages.map.map_score import boundary_distance, called_labels, match_regions
@@ -88,6 +89,10 @@ the level. A touch of 5 N then scatters by 0.4 % instead of 0.6 (finite elements
 SPEED_SD = 0.03
 """Of log stiffness for each e-fold of the approach speed, where a touch's creep could not be fitted: a third of a
 modulus that relaxes evenly over three decades of time changes a ball's stiffness so [assumed]."""
+CLOCK_SD_S = 0.002
+"""Of the force's times against the arm's [assumed: a millisecond or two are left by `calibrate time`]."""
+BEFORE_A_MAP = ("contact", "creep", "loss", "regions", "maps")
+"""Stages without which a touch gives no map."""
 MOST_FAILED = 3
 """After so many touches in a row that gave no map the exploration ends: whatever is wrong does not pass by itself."""
 
@@ -313,16 +318,20 @@ class Explorer:
         self.options = options
         self.grid = MapGrid(size_m, options.cell_m)
         self.world: HeightProcess | None = None
+        error = error or TouchErrorModel()
+        self._gain_sd = error.gain_sd
         self.posterior: RegionPosterior | LumpPosterior
         if options.goal == "inclusions":
             of_touches = options.inclusion_m, options.tip_radius_m, options.set_force_n
-            self.posterior = LumpPosterior(self.grid, LumpPrior(*of_touches, error or TouchErrorModel()))
+            self.posterior = LumpPosterior(self.grid, LumpPrior(*of_touches, error))
         else:
-            prior = RegionPrior(error=error or TouchErrorModel())
+            # the force that goes in and the one that comes back are off by the same gain
+            prior = RegionPrior(error=dataclasses.replace(error, gain_sd=0.0) if options.feel == "loss" else error)
             self.posterior = RegionPosterior.before_touches(self.grid, prior, seed=options.seed)
         self.touches: list[TouchEstimate] = []
         self.seen_m: FloatArray = np.zeros((0, 3))
         self._exponents: list[float] = []
+        self._felt: list[StiffnessSample] = []
         self.known: MapEstimate | None = None
         self.region_probability: dict[str, float] | None = None
         self.failures: list[StageFailure] = []
@@ -425,12 +434,16 @@ class Explorer:
 
     def forecast(self, touch: Touch) -> TouchForecast:
         """What a touch is expected to feel: the map's stiffness there, of the law that touches had so far."""
-        options, found = self.options, self.region_map()
+        options = self.options
         row, column = (touch.xy_m[::-1] / self.grid.cell_m).astype(int)
-        log_stiffness = float(found.field[row, column])
+        if options.feel == "loss" and self.known is not None:
+            field, field_sd = np.log(self.known.stiffness_n_per_mm), self.known.stiffness_log_sd
+        else:
+            field, field_sd = self.region_map().field, self.region_map().field_sd
+        log_stiffness = float(field[row, column])
         if (shift := self._shift(touch.xy_m, float(np.exp(log_stiffness)))) is not None:
             log_stiffness -= shift.log
-        log_sd = float(np.hypot(found.field_sd[row, column], self.posterior.prior.error.touch_sd))
+        log_sd = float(np.hypot(field_sd[row, column], self.posterior.prior.error.touch_sd))
         exponent = float(np.mean(self._exponents)) if self._exponents else EXPONENT["sphere"]
         forces = np.linspace(0.0, options.set_force_n, FORECAST_STEPS)
         share = (forces / options.set_force_n) ** (1.0 / exponent)
@@ -493,6 +506,9 @@ class Explorer:
             if seen is not None and shift is not None:
                 seen = _levelled(seen, shift)
                 contact = dataclasses.replace(contact, level_n_per_mm=float(np.exp(fit.log_stiffness + shift.log)))
+            if seen is not None and self.options.feel == "loss":
+                self._felt.append(seen)
+                seen = self._stage("loss", lambda: loss_sample(touched.xy_m, creep, rigid=fit.rigid))
             if seen is not None:
                 posterior = self._stage("regions", partial(_after, self.posterior, seen))
             if not fit.rigid:
@@ -520,8 +536,7 @@ class Explorer:
         """Why it makes no sense to touch on; empty where it does."""
         if self._without_map < MOST_FAILED:
             return ""
-        stages = ("contact", "creep", "regions", "maps")  # of creep where relaxed stiffness is mapped
-        last = next((one for one in reversed(self.failures) if one.stage in stages), None)
+        last = next((one for one in reversed(self.failures) if one.stage in BEFORE_A_MAP), None)
         why = "none was held for long enough" if last is None else f"the last for {last.stage}: {last.reason}"
         return f"{self._without_map} touches in a row gave no map, {why}"
 
@@ -558,9 +573,16 @@ class Explorer:
             truth_labels=truth,
             iou=None if truth is None else match_regions(called_labels(found), truth)[0],
             boundary_m=None if truth is None else boundary_distance(called_labels(found), truth, self.grid.cell_m),
-            level_modulus_pa=np.array([self._modulus_pa(one) for one in np.exp(found.level)]) if self._uneven else None,
         )
-        return maps if self.options.planner != "thesis" else self._contoured(maps)
+        if self.options.planner == "thesis":
+            maps = self._contoured(maps)
+        elif self.options.feel == "loss":
+            maps = by_loss(maps, self._felt)
+        if not self._uneven:
+            return maps
+        return dataclasses.replace(
+            maps, level_modulus_pa=np.array([self._modulus_pa(one) for one in maps.level_n_per_mm])
+        )
 
     def _contoured(self, maps: MapEstimate) -> MapEstimate:
         """The maps with the thesis's regions, between isopleths of its field of beta, in place of those by stiffness,
@@ -572,8 +594,7 @@ class Explorer:
         every = [cut.labels == label for label in range(int(cut.labels.max()) + 1)]
         every.sort(key=lambda cells: float(field[cells].mean()))
         labels = np.select(every, range(len(every)))
-        level = np.array([field[cells].mean() for cells in every])
-        sd = np.array([maps.stiffness_log_sd[cells].mean() for cells in every])
+        level, interval = levels_of(field, maps.stiffness_log_sd, labels, len(every))
         truth = maps.truth_labels
         return dataclasses.replace(
             maps,
@@ -583,8 +604,7 @@ class Explorer:
             verdict="regions",
             probability=self.region_map().probability.get(str(len(every)), 0.0),
             level_n_per_mm=np.exp(level),
-            level_modulus_pa=np.array([self._modulus_pa(one) for one in np.exp(level)]) if self._uneven else None,
-            level_interval_n_per_mm=np.exp(level[:, None] + Z_90 * sd[:, None] * [-1.0, 1.0]),
+            level_interval_n_per_mm=np.exp(interval),
             level_rigid=np.zeros(len(every), dtype=bool),
             iou=None if truth is None else match_regions(labels, truth)[0],
             boundary_m=None if truth is None else boundary_distance(labels, truth, maps.cell_m),
@@ -646,7 +666,7 @@ class Explorer:
             touched.normal,
             set_force_n=options.set_force_n,
             arm=self._arm,
-            gain_sd=self.posterior.prior.error.gain_sd,
+            gain_sd=self._gain_sd,
             exponent_sd=ONE_FOAM_EXPONENT_SD if options.goal == "inclusions" else EXPONENT_SD,
         )
         law = fitted_law(fit, self._arm, _along(touched))
@@ -672,6 +692,7 @@ class Explorer:
             set_force_n=self.options.set_force_n,
             arm=self._arm,
             radius_m=self.options.tip_radius_m,
+            clock_sd_s=CLOCK_SD_S,
         )
 
     def _estimate(self, touched: TouchMeasurement, contact: _Contact | None, creep: CreepFit | None) -> TouchEstimate:

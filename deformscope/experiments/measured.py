@@ -318,6 +318,7 @@ class SetupGeometry:
             tangential=options.tangential,
             dwell_s=max(options.hold_s, still_s),
             dwell_at_most_s=options.hold_s + DWELL_AT_MOST_S,
+            slow_back=options.hold_s > 0.0,
             **quick,
         )
         return plan.no_faster(self.workspace.contact_speed_m_s, self.workspace.travel_speed_m_s)

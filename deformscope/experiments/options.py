@@ -10,7 +10,7 @@ from deformscope.errors import InputError
 from deformscope.stages.map.plan import INCLUSION_M, Planner
 
 BetaModel = Literal["volume", "thesis", "layers", "none"]
-Feel = Literal["apparent", "relaxed"]
+Feel = Literal["apparent", "relaxed", "loss"]
 Relief = Literal["stated", "seen"]
 MOST_HOLD_S = 60.0
 SECOND_FORCE_N, SECOND_SHARE = 5.0, 5.0 / 3.0
@@ -47,7 +47,8 @@ class ExploreOptions:
     tangential: while it presses the tip is "held" on the surface's normal, or "free" to follow forces across it
     lift_m: all touches are made so far above the surface, where nothing is met: a dry run
     hold_s: how long each touch holds its force, for the foam's creep; 0 = no longer than to see the dent
-    feel: which stiffness is mapped: as the touch comes down, or when all has relaxed
+    feel: which stiffness is mapped: as the touch comes down, or when all has relaxed; or the share of its energy that a
+    touch loses
     pace: "quick" = low and fast over what is known of the surface
     relief: the foam is level and as thick as stated, or, on a table at z = 0, as thick and as curved as it was seen
     go_on: touch until the budget is spent, even where the plan says enough (for studies)
@@ -80,10 +81,15 @@ class ExploreOptions:
             raise InputError("a budget of one touch or more", f"{self.budget}")
         if not 0.0 <= self.hold_s <= MOST_HOLD_S:
             raise InputError(f"a hold of 0 to {MOST_HOLD_S:g} s", f"{self.hold_s:g} s")
-        if self.feel == "relaxed" and not self.hold_s:
-            raise InputError("a hold, from which the relaxed stiffness is measured", "none", "--hold 5")
+        if self.feel != "apparent" and not self.hold_s:
+            what = "relaxed stiffness" if self.feel == "relaxed" else "energy loss"
+            raise InputError(f"a hold, from which the {what} is measured", "none", "--hold 5")
+        if self.feel == "loss" and self.planner == "thesis":
+            raise InputError("a planner whose regions are not those of beta", "thesis", "--planner regions")
         if not 0.0 < self.set_force_n <= SECOND_FORCE_N:
             raise InputError(f"a set force above 0 and up to {SECOND_FORCE_N:g} N", f"{self.set_force_n:g} N")
+        if self.goal == "inclusions" and self.feel == "loss":
+            raise InputError("lumps that are felt by their stiffness", "--feel loss", "--goal regions")
         if self.goal == "inclusions" and self.planner != "regions":
             raise InputError("the goal's own planner", f"--planner {self.planner}", "leave --planner out")
         lengths = ("max_depth_m", "tip_radius_m", "thickness_m", "cell_m", "standoff_m", "inclusion_m")

@@ -237,7 +237,14 @@ class TouchingRobot:
         plans = [self.geometry.plan(corner, height_m, UPRIGHT, None, self._options) for corner in corners]
         self._robot.start()
         with self._stopping():
-            found = check(self._robot, plans, calibrated=calibrated, ages=self._setup.ages, lift_m=self._options.lift_m)
+            found = check(
+                self._robot,
+                plans,
+                calibrated=calibrated,
+                ages=self._setup.ages,
+                lift_m=self._options.lift_m,
+                described=self._setup.described,
+            )
         self._robot.rest()
         return found
 

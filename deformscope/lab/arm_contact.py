@@ -51,8 +51,13 @@ class ArmContact:
         clock: Clock,
         *,
         arm_stiffness_n_m: float = ARM_STIFFNESS_N_M,
+        goes_on: bool = False,
     ) -> None:
-        """arm_stiffness_n_m: of the arm against a push, which its joints' sensors do not see (inf = rigid)"""
+        """arm_stiffness_n_m: of the arm against a push, which its joints' sensors do not see (inf = rigid)
+
+        goes_on: between two looks at the world the force goes on as it went between the two before, rather than stay:
+        half a cycle less behind the place, which an energy lost in a touch would show
+        """
         self.force_n: FloatArray = np.zeros(3)
         self.max_force_n = 0.0
         self.finger_n: FloatArray = np.zeros(3)
@@ -62,6 +67,7 @@ class ArmContact:
         self._slope = -1.0
         self._direction = np.array([0.0, 0.0, 1.0])
         self._felt_n: FloatArray = np.zeros(3)
+        self._before_n, self._felt_ns, self._goes_on = self._felt_n, 0, goes_on
         self._hit: tuple[int, int, FloatArray] | None = None
 
     @property
@@ -73,6 +79,7 @@ class ArmContact:
         """Once in each of the arm's cycles: the contact at its new pose."""
         T = self._kinematic()
         self.force_n = self._contact(T[:3, 3])
+        self._before_n, self._felt_ns = self._felt_n, self._clock()
         self._felt_n = -T[:3, :3].T @ (self.force_n + self.finger_n)
         self.max_force_n = max(self.max_force_n, float(np.linalg.norm(self.force_n)))
         pushed = self._placement.to_base(self.force_n + self.finger_n)
@@ -84,11 +91,15 @@ class ArmContact:
 
     def load(self, time_s: float) -> FloatArray:
         """(3,) what a force sensor in the tip feels, in the tip's frame [N]."""
+        felt_n = self._felt_n
+        if self._goes_on and np.any(felt_n) and np.any(self._before_n):
+            since = np.clip((time_s * 1e9 - self._felt_ns) / ARM_CYCLE_NS, 0.0, 1.0)
+            felt_n = felt_n + since * (felt_n - self._before_n)
         if self._hit is not None:
             begin_ns, end_ns, force_n = self._hit
             if begin_ns <= time_s * 1e9 < end_ns:
-                return np.asarray(self._felt_n - self._kinematic()[:3, :3].T @ force_n)
-        return self._felt_n
+                return np.asarray(felt_n - self._kinematic()[:3, :3].T @ force_n)
+        return felt_n
 
     def hit(self, force_n: npt.ArrayLike, duration_s: float) -> None:
         """Something else pushes the tip from now on, force (3,) [N] in the surface frame."""

@@ -101,6 +101,7 @@ class SceneLab:
             ),
             start_deg=best_joints(J2N6S300, [self.placement.T_base_ee(place, UPRIGHT) for place in (parked, touching)]),
             seed=seed,
+            goes_on=isinstance(self._world, CreepingWorld),
         )
 
     @property

@@ -65,8 +65,9 @@ class TouchLab:
         force_config: OptoforceConfig | None = None,
         start_deg: npt.ArrayLike | None = None,
         seed: int = 0,
+        goes_on: bool = False,
     ) -> None:
-        """arm_stiffness_n_m: of the arm against a push, which its joints' sensors do not see (inf = rigid)
+        """arm_stiffness_n_m, goes_on: as of `ArmContact`
 
         as_felt: what the force sensor makes of a force on it (3,) [N] at a time [s]; default the same
 
@@ -89,7 +90,9 @@ class TouchLab:
             config = arm_config if arm_config is not None else JacoConfig(state_hz=100.0)
             arm = ArmInLab(Jaco(config, self.functions, clock=self.clock), double)
         self.arm, self.body = arm.arm, arm.body
-        self.contact = ArmContact(world, self.body, self.placement, self.clock, arm_stiffness_n_m=arm_stiffness_n_m)
+        self.contact = ArmContact(
+            world, self.body, self.placement, self.clock, arm_stiffness_n_m=arm_stiffness_n_m, goes_on=goes_on
+        )
         self._as_felt = as_felt
         sensors = Sensors(scene=self._load, sensitivity=OMD_20_SE_40N, seed=seed)
         self.sensor_double = OptoforceDouble(sensors)

@@ -26,6 +26,7 @@ from deformscope.pictures.words import (
     interval_words,
     iou_words,
     level_words,
+    loss_words,
     modulus_words,
     stiffness_words,
     travel_words,
@@ -37,7 +38,7 @@ RECORDED, OTHER = (0, 114, 178), (213, 94, 0)
 """Of what was recorded, and of what other settings make of it; distinct to colour-blind readers too."""
 REGIONS = ("#56b4e9", "#e69f00", "#009e73", "#cc79a7", "#f0e442", "#0072b2", "#d55e00", "#999999")
 """From the softest; distinct to colour-blind readers too (Okabe and Ito 2008)."""
-STIFFNESS, BETA, DEVIATION, GAIN, HEIGHT = "viridis", "plasma", "magma", "cividis", "viridis"
+STIFFNESS, BETA, DEVIATION, GAIN, HEIGHT, LOSS = "viridis", "plasma", "magma", "cividis", "viridis", "YlGnBu"
 """Colours of each quantity, everywhere the same."""
 TARGET = "#e8112d"
 EXCLUDED, STRIPES, STRIPE = "#a4a9b1", "#6f757e", 4
@@ -149,17 +150,21 @@ def result_png(maps: MapEstimate, title: str = "", lumps: LumpsFound | None = No
 def draw_stiffness(axes: Any, maps: MapEstimate, *, path: bool = False) -> None:
     from matplotlib.colors import LogNorm
 
-    low, high = stiffness_range(maps.stiffness_n_per_mm)
-    _draw_map(axes, maps.stiffness_n_per_mm, maps.cell_m, STIFFNESS, "[N/mm]", norm=LogNorm(low, high))
+    if maps.loss is not None:
+        _draw_map(axes, 100.0 * maps.loss, maps.cell_m, LOSS, "[%]", low=0.0, high=100.0 * loss_range(maps.loss))
+        _title(axes, "Energy loss", "share of a touch's energy, over way in, hold and way out")
+    else:
+        low, high = stiffness_range(maps.stiffness_n_per_mm)
+        _draw_map(axes, maps.stiffness_n_per_mm, maps.cell_m, STIFFNESS, "[N/mm]", norm=LogNorm(low, high))
+        _title(axes, "Stiffness", "apparent, at the set force")
     _draw_contacts(axes, maps.contacts_m, maps.tip_radius_m, path=path)
-    _title(axes, "Stiffness", "apparent, at the set force")
 
 
 def draw_stiffness_deviation(axes: Any, maps: MapEstimate) -> None:
-    percent = 100.0 * np.expm1(maps.stiffness_log_sd)
+    percent = 100.0 * np.expm1(maps.stiffness_log_sd if maps.loss_log_sd is None else maps.loss_log_sd)
     _draw_map(axes, percent, maps.cell_m, DEVIATION, "[%]", low=0.0, high=_round_up(percent))
     _draw_contacts(axes, maps.contacts_m, maps.tip_radius_m)
-    _title(axes, "Deviation of the stiffness", "one standard deviation upwards")
+    _title(axes, f"Deviation of the {maps.mapped}", "one standard deviation upwards")
 
 
 def draw_beta(axes: Any, maps: MapEstimate) -> None:
@@ -184,7 +189,7 @@ def draw_beta_deviation(axes: Any, maps: MapEstimate) -> None:
 
 def draw_regions(axes: Any, maps: MapEstimate) -> None:
     if not maps.region_count:
-        _title(axes, "No regions", f"the stiffness changes smoothly (probability {maps.probability:.2f})")
+        _title(axes, "No regions", f"the {maps.mapped} changes smoothly (probability {maps.probability:.2f})")
         _say(axes, "", maps.labels.shape, maps.cell_m)
         _draw_contacts(axes, maps.contacts_m, maps.tip_radius_m)
         return
@@ -440,6 +445,11 @@ def stiffness_range(stiffness: FloatArray) -> tuple[float, float]:
     return (first, last) if last > first else (first, min(end for end in ends if end > first))
 
 
+def loss_range(loss: FloatArray) -> float:
+    """The end of a scale from 0 that holds these shares."""
+    return min(_round_up(100.0 * loss) / 100.0, 1.0)
+
+
 def _round_up(values: FloatArray) -> float:
     return round_up(float(values[np.isfinite(values)].max(initial=0.0)), STEPS)
 
@@ -590,14 +600,15 @@ def _draw_excluded(axes: Any, excluded: BoolArray, cell_m: float) -> None:
 
 
 def _draw_keys(axes: Any, maps: MapEstimate) -> None:
-    """Each region's stiffness, in its place."""
+    """Each region's stiffness, and loss where it is mapped, in its place."""
     from matplotlib.patheffects import withStroke
 
     for label in range(maps.region_count):
         inside = maps.labels == label
         if inside.any():
             x, y = _middle(inside, maps.cell_m, maps.contacts_m)
-            words = f"{level_words(maps, label)}\nN/mm\n{modulus_words(maps, label)}".strip()
+            stiff = f"{level_words(maps, label)}\nN/mm\n{modulus_words(maps, label)}".strip()
+            words = "\n".join(one for one in (loss_words(maps, label).split(" (")[0], stiff) if one)
             axes.text(
                 x, y, words, ha="center", va="center", fontsize=11,
                 weight="bold", zorder=7, path_effects=[withStroke(linewidth=2.5, foreground="white")],

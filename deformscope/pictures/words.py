@@ -28,6 +28,13 @@ def level_words(maps: MapEstimate, region: int) -> str:
     return f"{'> ' * bool(maps.level_rigid[region])}{maps.level_n_per_mm[region]:.3g}"
 
 
+def loss_words(maps: MapEstimate, region: int) -> str:
+    """What a region loses of a touch's energy; empty where it was not mapped."""
+    if maps.level_loss is None or maps.level_loss_interval is None:
+        return ""
+    return "loses {:.0%} ({:.0%} to {:.0%})".format(maps.level_loss[region], *maps.level_loss_interval[region])
+
+
 def modulus_words(maps: MapEstimate, region: int) -> str:
     """A region's modulus; empty where it was not told apart from stiffness, or is a bound."""
     if maps.level_modulus_pa is None or maps.level_rigid[region]:

@@ -220,15 +220,17 @@ class Recorder:
         *,
         truth: bool,
         lumps: bool = False,
+        mapped: str = "stiffness",
     ) -> None:
         """From here on it is an exploration that is recorded, and its devices.
 
         size_m: of the surface; base_from_surface: (4, 4); truth: whether it is known; lumps: whether they are sought
+        mapped: as of `MapEstimate`
         """
         if self.active:
             from deformscope.log.exploration import exploration_blueprint, log_exploration_start
 
-            views = partial(exploration_blueprint, streams, size_m, truth=truth, lumps=lumps)
+            views = partial(exploration_blueprint, streams, size_m, truth=truth, lumps=lumps, mapped=mapped)
             self._start(streams, start_ns, views(), views(tabs=True) if self._viewer_kind == "page" else None)
             given = self._streams
             self._put(lambda: self._emit(lambda rec: log_exploration_start(rec, given, base_from_surface), 0), 0)

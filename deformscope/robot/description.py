@@ -84,6 +84,25 @@ class RobotDescription:
             found += [Capsule(a, b, cable.radius_m + margin_m) for a, b in pairwise(places)]
         return tuple(found)
 
+    def over_tip_m(self, placement: Placement, T_base_links: FloatArray) -> float:
+        """How far the lowest of gripper, mount, stick and cables is above the tip's lowest point, along the tool; inf
+        where none is described. T_base_links: (n + 1, 4, 4) in any pose: all this moves with the arm's end [m]"""
+        frames = np.concatenate([np.eye(4)[None], T_base_links])
+        T_tip = np.linalg.inv(T_base_links[-1] @ placement.T_ee_center) @ frames
+        ending = {-1, len(frames) - 2, len(frames) - 1}
+        along = [
+            (part.solid.vertices_m @ T_tip[part.frame][2, :3] + T_tip[part.frame][2, 3]).max()
+            for part in self.parts
+            if part.frame in ending
+        ]
+        along += [
+            T_tip[frame][2, :3] @ point_m + T_tip[frame][2, 3] + cable.radius_m
+            for cable in self.cables
+            for frame, point_m in zip(cable.frames, cable.points_m, strict=True)
+            if frame in ending
+        ]
+        return placement.center_offset_m - max(map(float, along), default=-np.inf)
+
     def as_json(self) -> dict[str, Any]:
         """For a recording's settings."""
         return {

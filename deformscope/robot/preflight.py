@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from deformscope.rig.calibrated import CalibrationAge
+from deformscope.robot.description import AS_CAPSULES, RobotDescription
 from deformscope.robot.placement import TURNED_RAD, best_joints, follow, towards
 from deformscope.robot.readings import ArmSample, ForceSample, RobotObservation
 from deformscope_drivers.arm.device import CALL_MS
@@ -38,6 +39,8 @@ LONGEST_CALL_MS = 4.5
 """Time of a call to the arm: each slot of 10 ms has a velocity to send and the joint angles to read."""
 CLOCK_PPM = 1000.0
 """Greatest drift between the clocks of device and host. Chosen."""
+HAND_M = 0.005
+"""Left between what is at the arm's end and a level surface where the tip has sunk in as far as it may [m]. Chosen."""
 FREE_M = 0.01
 """Least height of the tip over the surface at the begin [m]. Chosen."""
 WAY_STEPS, WRIST_M = 60, 0.045
@@ -59,6 +62,7 @@ HINTS = {
     "arm: control period": "end what keeps this computer busy",
     "arm: first way": "bring the tip over the surface by the joystick, the stick down",
     "arm: over the table": "bring elbow and wrist up by the joystick; or T_arm_surface in the rig file is wrong",
+    "hand": "a longer stick, cables tied higher up; or [shape] and [tool] in the rig file are wrong",
     "arm: box": "bring elbow and wrist in by the joystick; or arm_low_m and arm_high_m of [workspace]",
     "arm: clear of itself": "unfold the arm by the joystick",
     "arm: joint torques": "let nobody touch the arm; or a higher collision_nm in [workspace]",
@@ -124,12 +128,13 @@ def check(
     ages: Mapping[str, CalibrationAge] | None = None,
     rates_hz: Mapping[str, float] | None = None,
     lift_m: float = 0.0,
+    described: RobotDescription = AS_CAPSULES,
 ) -> Preflight:
     """Look at a robot that stands still for half a second, and at what it is to do.
 
     plans: the touches, or those at the corners of where it may touch; calibrated: what has to be, by name, and whether
     it is; ages: of what was measured, by name; rates_hz: of "arm", "force sensor", "camera" (default: as their
-    configurations say); lift_m: the plans are so far above the surface
+    configurations say); lift_m: the plans are so far above the surface; described: what hand and cables look like
     Raises RobotStopped when the supervisor finds something meanwhile; nothing moves.
     """
     robot.start()
@@ -150,6 +155,7 @@ def check(
                 Check(f"age: {name}", age.young, f"{age.at_most} days at most", f"{age.days} days")
                 for name, age in (ages or {}).items()
             ),
+            *_hand(robot, plans, described),
             *_plans(robot, plans, lift_m),
         )
     )
@@ -296,6 +302,17 @@ def _free(robot: Robot, plans: Sequence[TouchPlan], lift_m: float) -> Iterator[C
     height_m = float(robot.center_m[2]) - over_m + lift_m - max(float(plan.point_m[2]) for plan in plans)
     came = f"{height_m * 100:.1f} cm"
     yield Check("tip: in free air", height_m > FREE_M, f"{FREE_M * 100:g} cm or more above the surface", came)
+
+
+def _hand(robot: Robot, plans: Sequence[TouchPlan], described: RobotDescription) -> Iterator[Check]:
+    """That the tip meets the surface before gripper, mount and cables do: beside the deepest dent, on a level one."""
+    if robot.arm.by_hand or not plans:
+        return
+    over_m = described.over_tip_m(robot.placement, robot.arm.chain.forward(robot.pose.joints_deg))
+    if np.isfinite(over_m):
+        left_m = over_m - max(plan.max_depth_m for plan in plans)
+        wanted = f"{1e3 * HAND_M:g} mm or more above it beside the deepest dent"
+        yield Check("hand: above the surface", left_m >= HAND_M, wanted, f"{1e3 * left_m:.0f} mm")
 
 
 def _first_way(robot: Robot, goal_deg: FloatArray, height_m: float) -> Check:

@@ -72,6 +72,7 @@ class TouchPlan:
     contact_force_n: along the normal means contact; dwell_s: still for so long; dwell_at_most_s: dwell no longer
     tangential: "held" = the tip stays on the normal's line, "free" = it follows forces across
     passing_m: so near above the point the tip goes on, without coming to rest where it is sent
+    slow_back: until contact is lost it goes back as slowly as it came, for the energy that the foam gives back
     braking_per_s: share of the way left that it goes a second where it slows down in free air; None = slowly
     """
 
@@ -93,6 +94,7 @@ class TouchPlan:
     dwell_at_most_s: float = 3.0
     tangential: Literal["held", "free"] = "held"
     passing_m: float = 0.0
+    slow_back: bool = False
     braking_per_s: float | None = None
 
     def __post_init__(self) -> None:
@@ -254,7 +256,8 @@ class TouchStateMachine:
                 self._pause -= 1
                 return np.zeros(3) if self._pause >= 0 else self._away(time_s, center_m, plan.contact_speed_m_s)
             case Phase.RETREAT:
-                return self._away(time_s, center_m, plan.far_speed_m_s)
+                slow = plan.slow_back and self.depth_m(center_m) > 0.0
+                return self._away(time_s, center_m, plan.contact_speed_m_s if slow else plan.far_speed_m_s)
         return np.zeros(3)
 
     def end(self, time_s: float) -> None:

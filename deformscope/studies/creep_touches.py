@@ -9,7 +9,6 @@ has felt a part of what sticking would come to.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
@@ -24,7 +23,6 @@ from deformscope.lab.slab_world import SlabWorld
 from deformscope.lab.touching import HeldTouch, Sensing, force_curve, held_touch
 from deformscope.stages.poke.contact import ArmCompliance
 from deformscope.stages.poke.creep import CreepFit, CreepVerdict, fit_creep
-from deformscope.studies.coverage import Rate
 
 RELAXES, TIMES_S = (0.1, 0.4), (0.2, 5.0)
 HARDNESS_N, THICKNESS_M, POISSON = (40.0, 150.0), (0.035, 0.06), (0.05, 0.35)
@@ -42,7 +40,6 @@ KINDS: tuple[CreepKind, ...] = get_args(CreepKind)
 KEEPS, LEANS, SLIDES_AT = (0.15, 0.4), (0.2, 0.6), (0.2, 0.7)
 STUCK, ROUGH = 0.5, 2.0
 """Force across over along of a tip that sticks, for each lean; a friction that is never reached."""
-NEAR = 0.1
 UP = np.array([0.0, 0.0, 1.0])
 ARM = ArmCompliance(1.0 / ARM_STIFFNESS_N_M, ARM_DOUBT / ARM_STIFFNESS_N_M)
 
@@ -67,18 +64,6 @@ class CreepOutcome:
     low: tuple[float, ...]
     high: tuple[float, ...]
     verdict: CreepVerdict
-
-
-@dataclass(frozen=True, slots=True)
-class CreepRow:
-    """Of one quantity. error: rms share off; near: how many are within NEAR; held: in their intervals; width: median,
-    as a share of the truth"""
-
-    quantity: str
-    error: float
-    near: Rate
-    held: Rate
-    width: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -163,32 +148,6 @@ def true_loss(depth_m: FloatArray, force_n: FloatArray, held: int) -> float:
     work = 0.5 * (force_n[1:] + force_n[:-1]) * np.diff(depth_m)
     taken = float(work[: held - 1].sum())
     return 1.0 + float(work[held - 1 :].sum()) / taken
-
-
-def creep_rows(outcomes: Sequence[CreepOutcome]) -> tuple[CreepRow, ...]:
-    """A row for each quantity that has a truth."""
-    truth, value, low, high = (
-        np.array([getattr(one, name) for one in outcomes]) for name in ("truth", "value", "low", "high")
-    )
-    rows = []
-    for at, quantity in enumerate(QUANTITIES):
-        known = np.isfinite(truth[:, at]) & np.isfinite(value[:, at]) & (np.abs(truth[:, at]) > 1e-2)
-        if not known.any():
-            continue
-        true = truth[known, at]
-        off = value[known, at] / true - 1.0
-        count = int(known.sum())
-        held = int(((low[known, at] <= true) & (true <= high[known, at])).sum())
-        rows.append(
-            CreepRow(
-                quantity,
-                float(np.sqrt(np.mean(off**2))),
-                Rate(count, int((np.abs(off) < NEAR).sum())),
-                Rate(count, held),
-                float(np.median((high[known, at] - low[known, at]) / true)),
-            )
-        )
-    return tuple(rows)
 
 
 def _estimated(fit: CreepFit) -> tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]]:

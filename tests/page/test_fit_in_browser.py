@@ -157,9 +157,21 @@ def test_what_is_set_on_the_page_is_asked_for(setting: Setting, shown: Any) -> N
     last = setting.answer()
     assert (last.contact, set(last.held)) == ((10.0, 10.0, 30.0, 20.0), {"bottom", "contact"})
 
-    # keys
+    # keys; what was changed before a whole fit was asked for goes first, and does not end it
+    shown.focus("#fit-beta")
+    shown.keyboard.press("ArrowRight")
+    until(shown, lambda: len(setting.asked) == 7)
+    shown.keyboard.press("ArrowRight")
     shown.keyboard.press("f")
-    until(shown, lambda: isinstance(setting.commands[-1], RunFit))
+    shown.wait_for_timeout(50)
+    setting.answer()
+    until(shown, lambda: len(setting.asked) == 8)
+    assert not any(isinstance(one, RunFit) for one in setting.commands)
+    setting.answer()
+    until(shown, lambda: any(isinstance(one, RunFit) for one in setting.commands))
+    shown.evaluate("document.activeElement.blur()")
+    shown.keyboard.press("f")
+    until(shown, lambda: sum(isinstance(one, RunFit) for one in setting.commands) == 2)
     shown.keyboard.press(" ")
     until(shown, lambda: isinstance(setting.commands[-1], StopRun))
     assert wrong == []
@@ -270,6 +282,9 @@ def test_a_fit_is_opened_over_the_viewer_of_a_rig(setting: Setting, shown: Any) 
         assert shown.evaluate("document.elementFromPoint(600, 400).id") == "canvas"
         shown.keyboard.press("m")  # of what it was before
         until(shown, lambda: isinstance(beside.commands[-1], OpenFit) and beside.commands[-1].parameter == "theta")
+        until(shown, lambda: shown.is_visible("#fit"))
+        page.desk.enter("stopped", "it has ended")
+        until(shown, lambda: shown.is_hidden("#fit"))
     assert wrong == []
 
 

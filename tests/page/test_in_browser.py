@@ -211,6 +211,25 @@ def test_nothing_moves_while_values_and_reasons_change(page: PageServer, shown: 
     assert not shown.evaluate("document.documentElement.scrollWidth > innerWidth")
 
 
+def test_a_page_that_is_loaded_again_keeps_the_controls_and_a_copy_of_its_tab_has_none(
+    page: PageServer, shown: Any
+) -> None:
+    page.desk.attend(Obeyed())
+    fake_viewer(shown)
+    shown.context.route("**/re_viewer*", lambda route: route.fulfill(body=""))
+    shown.goto(page.address)
+    for _ in range(2):
+        until(shown, lambda: shown.is_visible("#holder") and shown.is_hidden("#take"))
+        shown.reload()
+    with shown.context.expect_page() as opened:
+        shown.evaluate("window.open(location.href)")  # with a copy of what the tab keeps
+    copy = opened.value
+    until(shown, lambda: copy.is_visible("#take"))
+    assert shown.is_hidden("#take")
+    assert shown.evaluate("sessionStorage.getItem('page')") != copy.evaluate("sessionStorage.getItem('page')")
+    copy.close()
+
+
 def test_a_batch_is_acknowledged_once_it_is_drawn(page: PageServer, shown: Any) -> None:
     fake_viewer(shown)
     page.pieces.add(b"views", lasting=True)

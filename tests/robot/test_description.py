@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import open3d as o3d
@@ -13,10 +15,12 @@ from deformscope.errors import InputError
 from deformscope.lab.robot_body import FOLDER, described_robot
 from deformscope.rig.rig_file import Tool, load_rig
 from deformscope.rig.shape_section import CableSection, ShapeSection
-from deformscope.robot.description import AS_CAPSULES, RobotDescription, describe
+from deformscope.robot.description import AS_CAPSULES, DescribedCable, RobotDescription, describe
 from deformscope.robot.placement import Placement
+from deformscope.robot.preflight import _hand
 from deformscope.robot.setup import RigParts
 from deformscope.robot.shape import arm_shape
+from deformscope.robot.touch import TouchPlan
 from deformscope.robot.urdf_shapes import read_urdf
 from deformscope_drivers.arm.kinematics import rotation_from_rpy, transform
 from deformscope_drivers.arms import CHAINS
@@ -234,3 +238,31 @@ def test_a_rig_file_describes_its_robot_beside_itself(folder: Path) -> None:
         rig_file.write_text(RIG.format(model="") + line, encoding="utf-8")
         with pytest.raises(InputError, match=message):
             load_rig(rig_file)
+
+
+def test_what_is_lowest_of_the_hand_is_known_above_the_tip_in_any_pose() -> None:
+    """A cable that hangs 3 cm before the tip's lowest point, and one that moves with the elbow."""
+    made = described_robot()
+    tip_m = PLACEMENT.T_ee_center[:3, 3] + PLACEMENT.center_offset_m * PLACEMENT.T_ee_center[:3, 2]
+    below = DescribedCable((-1, -1), np.array([tip_m, np.add(tip_m, (0.05, 0.0, 0.03))]), 0.002)
+    elbow = DescribedCable((3, 3), np.array([[0.0, 0.0, 5.0], [0.0, 0.0, -5.0]]), 0.002)
+    for pose_deg in (POSE_DEG, J2N6S300.home_deg):
+        links = J2N6S300.forward(pose_deg)
+        assert AS_CAPSULES.over_tip_m(PLACEMENT, links) == np.inf
+        assert RobotDescription(cables=(elbow,)).over_tip_m(PLACEMENT, links) == np.inf
+        assert RobotDescription(cables=(below, elbow)).over_tip_m(PLACEMENT, links) == pytest.approx(-0.032, abs=1e-9)
+        assert 0.015 < made.over_tip_m(PLACEMENT, links) < 0.05
+
+
+def test_a_hand_that_would_meet_the_surface_before_the_tip_is_refused() -> None:
+    """A stick's neck 2.4 cm before the tip leaves 9 mm beside a dent of 15 mm, and a cable 1.8 cm before it 3 mm."""
+    plan = TouchPlan(np.zeros(3), np.array([0.0, 0.0, 1.0]), max_depth_m=0.015)
+    arm = SimpleNamespace(by_hand=False, chain=J2N6S300)
+    robot: Any = SimpleNamespace(arm=arm, pose=SimpleNamespace(joints_deg=POSE_DEG), placement=PLACEMENT)
+    place_m = PLACEMENT.T_ee_center[:3, 3] + (PLACEMENT.center_offset_m - 0.02) * PLACEMENT.T_ee_center[:3, 2]
+    low = RobotDescription(cables=(DescribedCable((-1, -1), np.array([place_m, place_m + 0.01]), 0.002),))
+    assert [one.passed for one in _hand(robot, [plan], described_robot())] == [True]
+    (found,) = _hand(robot, [plan], low)
+    assert (found.passed, found.name) == (False, "hand: above the surface")
+    assert found.hint
+    assert list(_hand(robot, [plan], AS_CAPSULES)) == list(_hand(robot, [], low)) == []

@@ -14,7 +14,7 @@ from deformscope.lab.faults import Injected, inject
 from deformscope.robot.preflight import Check, _first_way, check
 from deformscope.robot.robot import RobotStopped, TipVelocity
 from deformscope.robot.supervisor import Fault
-from deformscope.robot.touch import Phase, TouchEnding, TouchPlan, TouchRecord, run_touch
+from deformscope.robot.touch import Phase, TouchEnding, TouchPlan, TouchRecord, TouchStateMachine, run_touch
 from deformscope.studies.fault_study import FaultScene, make_scene, run_fault, turned_aside_deg
 from tests.robot.quick_touch import quick_scene
 
@@ -117,6 +117,15 @@ def test_the_record_is_the_foams_own_law() -> None:
 
 
 @pytest.mark.slow  # two whole touches; replay proves the same
+def test_a_touch_whose_energy_is_asked_for_leaves_as_slowly_as_it_came() -> None:
+    plan = TouchPlan(np.zeros(3), np.array([0.0, 0.0, 1.0]), slow_back=True)
+    for slow_back, deep_m, speed_m_s in ((True, 0.004, 0.01), (True, -0.001, 0.03), (False, 0.004, 0.03)):
+        machine = TouchStateMachine(dataclasses.replace(plan, slow_back=slow_back), 0.01, 0.0)
+        machine.phase, machine.contact_m = Phase.RETREAT, np.array([0.0, 0.0, 0.01])
+        velocity = machine.step(0.0, machine.contact_m - [0.0, 0.0, deep_m], np.zeros(3))
+        assert velocity == pytest.approx([0.0, 0.0, speed_m_s])
+
+
 def test_the_same_seed_gives_the_same_touch() -> None:
     (_, one), (_, other) = touched(7, 40e3, "sphere", 5.0), touched(7, 40e3, "sphere", 5.0)
 

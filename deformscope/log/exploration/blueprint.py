@@ -27,8 +27,8 @@ BESIDE_TOUCHES: dict[Literal["stiffness", "beta"], str] = {
 }
 """What other settings give beside what was recorded (`deformscope.log.exploration.beside`)."""
 TITLES = {
-    "stiffness": "Stiffness field",
-    "stiffness_deviation": "Stiffness field: deviation",
+    "stiffness": "{} field",
+    "stiffness_deviation": "{} field: deviation",
     "beta": "Beta-field",
     "beta_deviation": "Beta-field: deviation",
     "regions": "Regions found",
@@ -44,15 +44,18 @@ def exploration_blueprint(
     lumps: bool = False,
     tabs: bool = False,
     beside: str = "",
+    mapped: str = "stiffness",
 ) -> rrb.Blueprint:
     """The views of an exploration with these devices.
 
     size_m: of the surface along x and y; truth: whether it is known: else the surface's height stands in its place
     lumps: whether lumps are sought: they stand in the place of beta
     tabs: most views behind others, for a page, which has panels at both sides and may have to draw without a GPU
-    beside: other settings, whose results are shown beside the recorded ones (`tabs` alone)
+    beside: other settings, whose results are shown beside the recorded ones (`tabs` alone); mapped: by what regions are
+    told apart
     """
-    maps = {name: _picture(path, title) for (name, title), path in zip(TITLES.items(), MAPS, strict=True)}
+    titles = {name: title.format(mapped.capitalize()) for name, title in TITLES.items()}
+    maps = {name: _picture(path, title) for (name, title), path in zip(titles.items(), MAPS, strict=True)}
     if lumps:
         maps |= {"beta": _picture(LUMPS, "Lumps"), "beta_deviation": _picture(MISSED, "What may be missed")}
     gain, force = _picture(GAIN, "Why the next touch goes there"), _picture(FORCE, "Force over depth")

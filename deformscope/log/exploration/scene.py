@@ -15,7 +15,7 @@ from deformscope.log.canvas import TEXT
 from deformscope.log.exploration.moment import ResultBatch
 from deformscope.log.rig.arm import shape_of
 from deformscope.log.rig.columns import Sink, root
-from deformscope.pictures.exploration import STIFFNESS, stiffness_range
+from deformscope.pictures.exploration import LOSS, STIFFNESS, loss_range, stiffness_range
 from deformscope.pictures.palette import ColorArray, Rgb
 from deformscope.stages.map.exploration import MapEstimate, PlannedTouch, SurfaceEstimate, TouchEstimate, TouchForecast
 
@@ -50,7 +50,7 @@ def log_base(rec: Sink, stream: Stream, base_from_surface: FloatArray) -> None:
 def log_surface(now: ResultBatch, surface: SurfaceEstimate, *, colored: bool) -> None:
     """The points that the camera saw, the brighter the lower, and the surface of the Gaussian process.
 
-    colored: by its height: as long as no map of its stiffness is known
+    colored: by its height: as long as no map is known
     """
     points = surface.points_m
     low, high = (np.quantile(points[:, 2], (0.01, 0.99))) if len(points) else (0.0, 1.0)
@@ -69,7 +69,11 @@ def log_surface(now: ResultBatch, surface: SurfaceEstimate, *, colored: bool) ->
 
 
 def log_stiffness(now: ResultBatch, maps: MapEstimate) -> None:
-    """The surface in the colours of the stiffness map; its shape stays as it was seen."""
+    """The surface in the colours of the map of stiffness, or of loss; its shape stays as it was seen."""
+    if maps.loss is not None:
+        share = maps.loss.ravel() / loss_range(maps.loss)
+        now.show(f"{SCENE}/surface", rr.Mesh3D.from_fields(vertex_colors=_colors(LOSS, share)))
+        return
     low, high = stiffness_range(maps.stiffness_n_per_mm)
     known = np.nan_to_num(maps.stiffness_n_per_mm.ravel(), nan=low, posinf=high, neginf=low).clip(low, high)
     share = np.log(known / low) / np.log(high / low)

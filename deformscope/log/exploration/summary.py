@@ -6,7 +6,15 @@ import numpy as np
 import rerun as rr
 
 from deformscope.log.exploration.moment import ResultBatch
-from deformscope.pictures.words import counted, iou_words, level_words, modulus_words, travel_words, verdict_words
+from deformscope.pictures.words import (
+    counted,
+    iou_words,
+    level_words,
+    loss_words,
+    modulus_words,
+    travel_words,
+    verdict_words,
+)
 from deformscope.stages.map.exploration import MapEstimate
 
 SUMMARY = "display/summary"
@@ -39,10 +47,13 @@ def summary(maps: MapEstimate) -> str:
     ]
     if not maps.region_count:
         return "\n".join(lines)
-    lines += ["| region | stiffness [N/mm] | area [cm²] |", "| --- | --- | --- |"]
+    by_loss = maps.level_loss is not None
+    lines += ["| region |" + " of a touch's energy it |" * by_loss + " stiffness [N/mm] | area [cm²] |"]
+    lines += ["| --- |" + " --- |" * by_loss + " --- | --- |"]
     for label in range(maps.region_count):
         area_cm2 = (maps.labels == label).sum() * (100 * maps.cell_m) ** 2
         modulus = modulus_words(maps, label)
         level = level_words(maps, label) + (f" ({modulus})" if modulus else "")
-        lines.append(f"| {label + 1} | {level} | {area_cm2:.0f} |")
+        lost = f" {loss_words(maps, label)} |" if by_loss else ""
+        lines.append(f"| {label + 1} |{lost} {level} | {area_cm2:.0f} |")
     return "\n".join(lines)

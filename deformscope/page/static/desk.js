@@ -3,6 +3,7 @@
 export const VERSION = 1;
 const AGAIN_MS = [200, 500, 1000, 2000];
 const ALIVE_EVERY_MS = 200;
+const UNLOADED_MS = 500; // so long a page that is loaded again may still hold its own name
 
 export class Desk {
   #link = new Worker("link.js");
@@ -12,12 +13,11 @@ export class Desk {
   #tries = 0;
 
   constructor(onState, onLost) {
-    this.page = sessionStorage.getItem("page") ?? Math.random().toString(36).slice(2, 12);
-    sessionStorage.setItem("page", this.page);
+    this.page = sessionStorage.getItem("page") ?? newName();
     this.onState = onState;
     this.onLost = onLost;
     this.#link.onmessage = ({ data }) => this.#came(data);
-    this.#connect();
+    this.#claim().then(() => this.#connect());
     const alive = () => this.#link.postMessage({ visible: document.visibilityState === "visible" });
     setInterval(alive, ALIVE_EVERY_MS);
     document.addEventListener("visibilitychange", alive);
@@ -33,6 +33,16 @@ export class Desk {
     const id = ++this.#id;
     this.#send({ kind, id, ...fields });
     return new Promise((resolve) => this.#waiting.set(id, resolve));
+  }
+
+  // A page keeps its name, and with it the controls, when it is loaded again; a copy of its tab, which has the name as
+  // well, takes another.
+  async #claim() {
+    if (!(await holdName(this.page))) {
+      this.page = newName();
+      await holdName(this.page);
+    }
+    sessionStorage.setItem("page", this.page);
   }
 
   #connect() {
@@ -68,6 +78,25 @@ export class Desk {
       }
     }
   }
+}
+
+function newName() {
+  return Math.random().toString(36).slice(2, 12);
+}
+
+// Whether no other page has the name; this one then holds it until it is gone.
+function holdName(name) {
+  return new Promise((resolve) => {
+    const held = () => {
+      resolve(true);
+      return new Promise(() => {});
+    };
+    if (navigator.locks) {
+      navigator.locks.request(name, { signal: AbortSignal.timeout(UNLOADED_MS) }, held).catch(() => resolve(false));
+    } else {
+      resolve(true);
+    }
+  });
 }
 
 export function address(path) {

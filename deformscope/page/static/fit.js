@@ -17,6 +17,7 @@ export function startFitting(desk, say, cover) {
   let settings = null; // as they are on the page, shown or not
   let changed_ms = null; // when a person changed what was not sent yet
   let flight = null; // what was sent and is not drawn yet
+  let running = false; // a whole fit is wanted of what was changed and is not drawn yet
   let number = Date.now(); // counts on over pages
   let shown = "";
   const drawing = () => `${fit.number} ${fit.pictures} ${fit.rest.length} ${fit.simulated.length}`;
@@ -37,6 +38,7 @@ export function startFitting(desk, say, cover) {
       return;
     }
     settings = { ...settings, ...changes };
+    running = false;
     changed_ms ??= performance.now();
     showControls();
     draw();
@@ -68,16 +70,19 @@ export function startFitting(desk, say, cover) {
     at("fit-waits").textContent = `slider to picture: p50 ${share(0.5)} ms, p95 ${share(0.95)} ms, ${rising.length} changes`;
     flight = null;
     send();
+    if (running && !flight) {
+      run();
+    }
   }
 
   // From the server ---------------------------------------------------------------------------------------------------
 
   function show(state, page) {
     if (!alone) {
-      showOver(state.fit);
+      showOver(state.phase === "stopped" ? null : state.fit); // then nothing else would show the viewer again
     }
     if (!state.fit) {
-      [mine, flight, changed_ms] = [false, null, null];
+      [mine, flight, changed_ms, running] = [false, null, null, false];
       return;
     }
     if (missing(state, page)) {
@@ -86,7 +91,7 @@ export function startFitting(desk, say, cover) {
     fit = state.fit;
     mine = state.controls === page && state.commands.includes("set-fit");
     if (!mine) {
-      [flight, changed_ms] = [null, null]; // another page goes on with it
+      [flight, changed_ms, running] = [null, null, false]; // another page goes on with it
     }
     const sent = flight?.number === fit.number ? flight : null;
     if (!flight && changed_ms === null) {
@@ -521,8 +526,10 @@ export function startFitting(desk, say, cover) {
     }
   }
 
+  // What was changed before it is not to end it.
   async function run() {
-    if (mine) {
+    running = flight !== null || changed_ms !== null;
+    if (mine && !running) {
       const reply = await desk.command("run-fit");
       if (reply.outcome === "refused") {
         say(`not fitted: ${reply.words}`);

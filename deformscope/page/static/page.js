@@ -15,7 +15,7 @@ const rows = new Map();
 const replies = [];
 
 const desk = new Desk(show, lost);
-const steering = startSteering(command, (kind, fields) => desk.command(kind, fields), desk.page);
+const steering = startSteering(command, desk);
 const fitting = startFitting(desk, (text) => note(text, true), cover);
 const words = (text) => (at("viewer-words").textContent = text);
 let viewer = null;

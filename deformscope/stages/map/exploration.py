@@ -95,6 +95,10 @@ class MapEstimate:
     travel_m: over the surface, in straight lines from its corner (0, 0), where planning begins, from touch to touch
     level_modulus_pa: (region_count,) Young's modulus at each level, of the stated thickness; None where the shape of
     the surface was not looked at
+    loss, loss_log_sd: (rows, columns) median share of a touch's energy that is lost, deviation of its logarithm;
+    level_loss: (region_count,) of each region, level_loss_interval: (region_count, 2) of 90 %; all four None unless
+    the regions are those of the loss, 0 the one that loses least: stiffness is then a field through the touches, the
+    levels its means, none of them a bound
     truth_labels: where it is known; iou, boundary_m: against it; boundary_m is None where one has no boundary
     """
 
@@ -119,6 +123,15 @@ class MapEstimate:
     iou: float | None = None
     boundary_m: float | None = None
     level_modulus_pa: FloatArray | None = None
+    loss: FloatArray | None = None
+    loss_log_sd: FloatArray | None = None
+    level_loss: FloatArray | None = None
+    level_loss_interval: FloatArray | None = None
+
+    @property
+    def mapped(self) -> str:
+        """By what the regions are told apart."""
+        return "stiffness" if self.loss is None else "energy loss"
 
 
 @dataclass(frozen=True, slots=True)
@@ -247,8 +260,8 @@ class SteeringDecision:
 class StageFailure:
     """A stage failed on one touch: the exploration goes on without what it would have given.
 
-    stage: surface, dent, contact, regions, beta, maps, beta field, lumps, plan or display; touch: from 1, 0 = before
-    the first
+    stage: surface, dent, contact, creep, loss, regions, beta, maps, beta field, lumps, plan or display
+    touch: from 1, 0 = before the first
     reason: in one line; trace: where it failed, for whoever mends it
     """
 

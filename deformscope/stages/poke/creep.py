@@ -136,11 +136,13 @@ def fit_creep(
     set_force_n: float = 3.0,
     arm: ArmCompliance | None = None,
     radius_m: float | None = None,
+    clock_sd_s: float = 0.0,
 ) -> CreepFit:
     """Fit the law to a touch that came down, held and, if it was recorded, went back.
 
     time_s (n,), position_m (n, 3), force_n (n, 3), normal (3,), set_force_n, arm: as in `contact.fit_approach`
     radius_m: of a ball, whose dents are not small beside it; None: the law is a power at all depths
+    clock_sd_s: deviation of the force's times against the place's, which the energy loss is sensitive to
     loading: how many samples lead up to the set force; held: how many were taken until the tip went back
 
     Raises InputError where the touch holds nothing to fit, as `fit_approach` does.
@@ -176,7 +178,7 @@ def fit_creep(
         float(np.sqrt(np.average((np.log(relaxed) - middle) ** 2, weights=weight))),
         *median_and_interval(share, weight),
         *median_and_interval(draws.mean_time_s[creeps], weight[creeps]),
-        *cycle_loss(z_m, force, held, arm, force_sd),
+        *cycle_loss(z_m, force, held, arm, force_sd, clock_sd_s / float(np.diff(time_s).mean())),
         float(time_s[held - 1] - time_s[loading - 1]),
         speed_m_s,
         verdict,
@@ -268,11 +270,17 @@ def _slip(
 
 
 def cycle_loss(
-    z_m: FloatArray, force_n: FloatArray, held: int, arm: ArmCompliance, force_sd_n: float
+    z_m: FloatArray,
+    force_n: FloatArray,
+    held: int,
+    arm: ArmCompliance,
+    force_sd_n: float,
+    clock_sd: float = 0.0,
 ) -> tuple[float | None, tuple[float, float] | None]:
     """Share of the energy of the way in and of the hold that the way out did not give back, and its 90 % interval.
 
-    z_m, force_n: (n,) of a whole touch along the normal, zero of the force taken off; held: samples until the way back.
+    z_m, force_n: (n,) of a whole touch along the normal, zero of the force taken off; held: samples until the way back;
+    clock_sd: deviation of the force's times against the place's, in samples.
     None where the force did not come back to nothing. What the arm itself stores is no work on the foam.
     """
     peak = float(force_n[:held].max())
@@ -292,7 +300,9 @@ def cycle_loss(
     # an arm that gives otherwise than calibrated stored and gave back another c F^2 / 2
     bent = arm.compliance_sd * 0.5 * peak**2 * loss
     noise = arm.position_sd_m * float(np.linalg.norm(by_place)), force_sd_n * float(np.linalg.norm(by_force))
-    sd = float(np.linalg.norm(np.array([*noise, bent]))) / taken
+    # forces that are late by a sample, all the way: a work of F dF/dt on the way in, and more on the way out
+    late = clock_sd * float((counts * way_m * np.gradient(force_n[: end + 1])[1:]).sum())
+    sd = float(np.linalg.norm(np.array([*noise, bent, late]))) / taken
     return loss, (loss - Z_90 * sd, loss + Z_90 * sd)
 
 

@@ -8,7 +8,7 @@ import pytest
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 from deformscope.stages.poke.contact import ArmCompliance
-from deformscope.stages.poke.creep import CreepFit, fit_creep
+from deformscope.stages.poke.creep import CreepFit, cycle_loss, fit_creep
 
 UP = np.array([0.0, 0.0, 1.0])
 RATE_HZ, LOAD_S, SET_N, DEPTH_M, EXPONENT = 100.0, 0.8, 3.0, 0.006, 1.5
@@ -144,3 +144,19 @@ def test_samples_that_do_not_fit_are_refused() -> None:
     time, z, force = cycle(np.zeros(0))
     with pytest.raises(InputError, match="loading < held"):
         fit_creep(time, -z[:, None] * UP, force[:, None] * UP, UP, loading=90, held=90)
+
+
+def test_the_doubt_about_an_energy_loss_holds_clocks_that_are_apart() -> None:
+    """By as much as forces shifted by the samples say themselves; without a memory nothing is lost."""
+    depth_m = np.concatenate([np.linspace(0.0, 0.006, 61), np.full(100, 0.006), np.linspace(0.006, -0.001, 71)])
+    force_n = SET_N * (depth_m.clip(0.0) / 0.006) ** EXPONENT
+    none = ArmCompliance(0.0, 0.0, 0.0)
+    exact, _ = cycle_loss(depth_m, force_n, 161, none, 1e-6)
+    late, _ = cycle_loss(depth_m, np.append(force_n[0], force_n[:-1]), 161, none, 1e-6)
+    loss, interval = cycle_loss(depth_m, force_n, 161, none, 1e-6, clock_sd=1.0)
+    assert exact == loss == pytest.approx(0.0, abs=2e-3)  # trapezia of a tenth of a millimetre
+    assert late is not None
+    assert loss is not None
+    assert interval is not None
+    assert late < -0.02
+    assert interval[1] - loss == pytest.approx(1.645 * abs(late - loss), rel=0.1)

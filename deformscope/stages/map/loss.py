@@ -1,0 +1,65 @@
+"""Maps by the share of its energy that a touch loses, in place of stiffness: foams that are equally stiff may differ.
+
+The share has a logarithm as stiffness has one, in which regions differ and touches are off by shares of it; from
+LEAST_LOSS down it counts as that, so that what loses nothing, something rigid among it, is one material. It is of the
+touch as it was made: its speed and how long it was held, which are the same for all touches of an exploration. The gain
+of the force does not enter, and neither does the shape of the surface, which moves what goes in and what comes back
+alike.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+
+from deformscope.arrays import FloatArray
+from deformscope.errors import InputError
+from deformscope.stages.map.exploration import MapEstimate
+from deformscope.stages.map.field import fit_field, levels_of
+from deformscope.stages.poke.contact import Z_90
+from deformscope.stages.poke.creep import CreepFit
+from deformscope.stages.regions.touches import MapGrid, StiffnessSample
+
+LEAST_LOSS = 0.02
+"""Of the energy: noise of force and place, and what sliding takes, make as much of a foam that loses nothing."""
+RIGID_LOSS_SD = 0.25
+"""Of the log of what something rigid loses, which was not measured [assumed]."""
+
+
+def loss_sample(xy_m: FloatArray, creep: CreepFit | None, *, rigid: bool) -> StiffnessSample:
+    """What a touch at a place (2,) [m] says of the loss there, its logarithm in place of that of stiffness.
+
+    Raises InputError where its way back does not say it.
+    """
+    if rigid:
+        return StiffnessSample(xy_m, float(np.log(LEAST_LOSS)), RIGID_LOSS_SD)
+    if creep is None or creep.loss is None or creep.loss_interval is None:
+        raise InputError("a touch whose force came back to nothing", "one without", "look at its creep")
+    low, high = creep.loss_interval
+    loss = max(creep.loss, LEAST_LOSS)
+    return StiffnessSample(xy_m, float(np.log(loss)), max((high - low) / (2.0 * Z_90 * loss), 1e-3))
+
+
+def by_loss(maps: MapEstimate, felt: Sequence[StiffnessSample]) -> MapEstimate:
+    """Maps of the log loss, named as what they are; and stiffness beside it, as a field through what was felt."""
+    rows, columns = maps.labels.shape
+    grid = MapGrid((columns * maps.cell_m, rows * maps.cell_m), maps.cell_m)
+    places, log_stiffness, sd = (
+        np.array([getattr(one, name) for one in felt]) for name in ("xy_m", "log_stiffness", "log_sd")
+    )
+    field = fit_field(places, log_stiffness, sd).on(grid)
+    level, interval = levels_of(field.mean, field.deviation, maps.labels, maps.region_count)
+    return dataclasses.replace(
+        maps,
+        loss=maps.stiffness_n_per_mm,
+        loss_log_sd=maps.stiffness_log_sd,
+        level_loss=maps.level_n_per_mm,
+        level_loss_interval=maps.level_interval_n_per_mm,
+        stiffness_n_per_mm=np.exp(field.mean),
+        stiffness_log_sd=field.deviation,
+        level_n_per_mm=np.exp(level),
+        level_interval_n_per_mm=np.exp(interval),
+        level_rigid=np.zeros(maps.region_count, dtype=bool),
+    )
