@@ -695,9 +695,11 @@ class Explorer:
         modulus = None
         if not fit.rigid and fit.depth_m > 0.0:
             force = min(fit.at_force_n, fit.peak_force_n)
-            stiffness, (low, high) = 1e-3 * force / fit.dent_m(force), fit.interval_n_per_mm
+            dent_m, (low, high) = fit.dent_m(force), fit.interval_n_per_mm
+            stiffness = 1e-3 * force / dent_m
             ends = stiffness * low / fit.stiffness_n_per_mm, stiffness * high / fit.stiffness_n_per_mm
-            modulus = modulus_of(self._layer, stiffness, ends, force_n=force, radius_m=options.tip_radius_m)
+            radius_m = options.tip_radius_m
+            modulus = modulus_of(self._layer, stiffness, ends, force_n=force, radius_m=radius_m, dent_m=dent_m)
         return _Contact(fit, law, modulus, _speed_m_s(touched, fit))
 
     def _creep(self, touched: TouchMeasurement) -> CreepFit | None:

@@ -86,15 +86,20 @@ def modulus_of(
     *,
     force_n: float,
     radius_m: float,
+    dent_m: float | None = None,
 ) -> LayerModulus | None:
-    """Of foam of this stiffness at a force, felt by a ball on the layer; None where its thickness is not known."""
+    """Of foam of this stiffness at a force, felt by a ball on the layer; None where its thickness is not known.
+
+    dent_m: the dent at that force, where it was what was measured: then its modulus is that to the last bit
+    """
     if layer.thickness_m is None:
         return None
 
     def pa(stiffness: float, thickness_m: float) -> float:
         return layer_modulus(1e-3 * force_n / stiffness, force_n, radius_m=radius_m, thickness_m=thickness_m)
 
-    found = pa(n_per_mm, layer.thickness_m)
+    dent_m = 1e-3 * force_n / n_per_mm if dent_m is None else dent_m
+    found = layer_modulus(dent_m, force_n, radius_m=radius_m, thickness_m=layer.thickness_m)
     low, high = (float(np.log(pa(end, layer.thickness_m) / found)) for end in interval_n_per_mm)
     thicker = float(np.log(pa(n_per_mm, layer.thickness_m + layer.sd_m) / found))
     off = Z_90 * thicker
