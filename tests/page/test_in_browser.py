@@ -219,12 +219,13 @@ def test_a_page_that_is_loaded_again_keeps_the_controls_and_a_copy_of_its_tab_ha
     shown.context.route("**/re_viewer*", lambda route: route.fulfill(body=""))
     shown.goto(page.address)
     for _ in range(2):
-        until(shown, lambda: shown.is_visible("#holder") and shown.is_hidden("#take"))
+        until(shown, lambda: "this page has the controls" in shown.inner_text("#holder"))
         shown.reload()
+    until(shown, lambda: "this page has the controls" in shown.inner_text("#holder"))
     with shown.context.expect_page() as opened:
         shown.evaluate("window.open(location.href)")  # with a copy of what the tab keeps
     copy = opened.value
-    until(shown, lambda: copy.is_visible("#take"))
+    until(shown, lambda: copy.is_visible("#take"))  # once it has a state, and so a name: the copied one or its own
     assert shown.is_hidden("#take")
     assert shown.evaluate("sessionStorage.getItem('page')") != copy.evaluate("sessionStorage.getItem('page')")
     copy.close()
