@@ -21,6 +21,8 @@ SPAWN = multiprocessing.get_context("spawn")
 """How they are made: what other threads hold does not survive a fork."""
 END_S = 5.0
 """A process ends by itself within this, or is ended."""
+NICE = 10
+"""What computes beside a robot leaves the processor to what moves it."""
 BLAS_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
@@ -73,6 +75,27 @@ def _begin(also: Callable[[], None] | None) -> None:
     follow_parent()
     if also is not None:
         also()
+
+
+@contextlib.contextmanager
+def computing(begin: Callable[..., None], *given: Any) -> Iterator[ProcessPoolExecutor]:
+    """One such process of low priority, which calls `begin(*given)` first; at the end of the context it is ended, and
+    what it computes then is given up."""
+    with starting():
+        executor = ProcessPoolExecutor(1, SPAWN, _begin_modestly, (begin, *given))
+        process_id = executor.submit(os.getpid)
+    try:
+        yield executor
+    finally:
+        executor.shutdown(wait=False, cancel_futures=True)
+        with contextlib.suppress(Exception):  # it may have ended
+            os.kill(process_id.result(0.0), signal.SIGKILL)
+
+
+def _begin_modestly(begin: Callable[..., None], *given: Any) -> None:
+    follow_parent()
+    os.nice(NICE)
+    begin(*given)
 
 
 @contextlib.contextmanager

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import time
 from collections.abc import Callable, Iterator
+from contextlib import nullcontext
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -208,6 +209,7 @@ def _run(
     from deformscope.experiments.beside import stages_beside
     from deformscope.experiments.explore import explore
     from deformscope.experiments.touching_robot import touching_robot
+    from deformscope.pictures.apart import drawing_apart
     from deformscope.recording.losses import losses_of
     from deformscope.session import finish, run
 
@@ -221,7 +223,11 @@ def _run(
         page = _steering(config, setup, options, recorder, asked, shown)
         watched = WatchedDevices(recorder, shown, show)
         watch = Watch(asked, show, *(() if page is None else (page.show,)))
-        with touching_robot(setup, source, options, watch) as robot, stages_beside(setup, options) as (beside, stage):
+        with (
+            touching_robot(setup, source, options, watch) as robot,
+            stages_beside(setup, options) as (beside, stage),
+            drawing_apart() if setup.runs_itself else nullcontext(),
+        ):
             try:
                 with watch.halts(robot):
                     if to_come is not None:

@@ -3,21 +3,16 @@
 from __future__ import annotations
 
 import contextlib
-import os
-import signal
 from collections.abc import Iterator
-from concurrent.futures import Executor, ProcessPoolExecutor
+from concurrent.futures import Executor
 
 from deformscope.experiments.explore import Stage, within_loop
 from deformscope.experiments.explorer import Computed, ExplorationStages, Explorer, FromFrames
 from deformscope.experiments.measured import SetupGeometry
 from deformscope.experiments.options import ExploreOptions
-from deformscope.processes import SPAWN, follow_parent, starting
+from deformscope.processes import computing
 from deformscope.robot.setup import Setup, Truth
 from deformscope.session import Compute, Inline
-
-NICE = 10
-"""The process that computes leaves the processor to what moves the robot."""
 
 _stages: ExplorationStages | None = None
 
@@ -39,22 +34,13 @@ def stages_beside(setup: Setup, options: ExploreOptions) -> Iterator[tuple[Execu
     if not setup.runs_itself:
         yield Inline(), within_loop(exploration_stages(*given))
         return
-    with starting():
-        executor = ProcessPoolExecutor(1, SPAWN, _begin, given)
-        process_id = executor.submit(os.getpid)
-    try:
+    with computing(_begin, *given) as executor:
         yield executor, lambda name, *inputs: Compute(_compute, (name, *inputs))
-    finally:
-        executor.shutdown(wait=False, cancel_futures=True)
-        with contextlib.suppress(Exception):  # it may have ended
-            os.kill(process_id.result(0.0), signal.SIGKILL)
 
 
 def _begin(geometry: SetupGeometry, options: ExploreOptions, truth: Truth | None) -> None:
     """In the process, first of all."""
     global _stages
-    follow_parent()
-    os.nice(NICE)
     _stages = exploration_stages(geometry, options, truth)
 
 

@@ -41,6 +41,8 @@ from deformscope.page.viewer_files import LOOPBACK, NAMES, ViewerFiles
 TYPES = {".html": "text/html", ".css": "text/css", ".js": "text/javascript", ".svg": "image/svg+xml"}
 RECORDING = "recording.rrd"
 MOST_PAGES = 8
+VIEWER_KEPT = "private, max-age=3600, immutable"
+"""A page that is loaded again has the viewer, 43 MB, and what the browser made of it."""
 STATE_EVERY_S = 0.1
 """A page gets the state at most so often."""
 HELLO_S = 10.0
@@ -161,7 +163,7 @@ class PageServer:
         except (OSError, InputError) as error:
             self.desk.remark(f"no viewer: {error}", bad=True)
             return PlainTextResponse("no viewer\n", 503)
-        headers = {"content-length": str(size)}
+        headers = {"content-length": str(size), "cache-control": VIEWER_KEPT}
         return StreamingResponse(self._viewer_files.parts(name), media_type=NAMES[name], headers=headers)
 
     # State and commands ----------------------------------------------------------------------------------------------

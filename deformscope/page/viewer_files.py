@@ -13,7 +13,7 @@ import threading
 import time
 import urllib.error
 import urllib.request
-from collections.abc import Iterator
+from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import BinaryIO
 
@@ -59,8 +59,8 @@ class ViewerFiles:
                 self._file = self._made()
             return self._places[name][1]
 
-    def parts(self, name: str) -> Iterator[bytes]:
-        """Of one of `NAMES`, after `size`."""
+    async def parts(self, name: str) -> AsyncIterator[bytes]:
+        """Of one of `NAMES`, after `size`. They are at hand in memory: a thread for each would take longer."""
         assert self._file is not None
         at, left = self._places[name]
         while left > 0:

@@ -56,16 +56,16 @@ def _batch_of(recorded: Sequence[tuple[int, object]], again: Sequence[object], n
     maps = {one.touches: one for one in again if isinstance(one, MapEstimate)}
     surface = next((one for _, one in recorded if isinstance(one, SurfaceEstimate)), None)
     for path in (BESIDE_REGIONS, *BESIDE_TOUCHES.values()):
-        ResultBatch(batch, 0).show_png(path, pictures.words_png("no touch yet"))
+        ResultBatch(batch, 0).show_png(path, pictures.words_png, "no touch yet")
     for session_ns, result in recorded:
         now = ResultBatch(batch, session_ns)
         if isinstance(result, TouchEstimate):
             before.append(result)
             now_known = [one for one in others if one.number <= result.number]
             for quantity, path in BESIDE_TOUCHES.items():
-                now.show_png(path, pictures.touches_beside_png(quantity, before, now_known, name))
+                now.show_png(path, pictures.touches_beside_png, quantity, before, now_known, name)
         elif isinstance(result, MapEstimate) and (other := maps.get(result.touches)) is not None:
-            now.show_png(BESIDE_REGIONS, pictures.regions_beside_png(result, other, name))
+            now.show_png(BESIDE_REGIONS, pictures.regions_beside_png, result, other, name)
             _log_edges(now, (result, other), name, surface)
     return batch
 

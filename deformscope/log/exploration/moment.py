@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
+from typing import Any, ParamSpec
 
 import numpy as np
 import rerun as rr
 
 from deformscope.log.rig.columns import Batch, moments, recorded
+from deformscope.pictures.apart import drawn
 from deformscope.rows import ENTITIES, Result, SqueezeResult
+
+P = ParamSpec("P")
 
 
 class ResultBatch:
@@ -30,8 +34,9 @@ class ResultBatch:
         """Every field of a result, without loss."""
         self._batch.send_columns(ENTITIES[type(result)], self._times, recorded([result]))
 
-    def show_png(self, path: str, png: bytes) -> None:
-        self.show(path, rr.EncodedImage(contents=png, media_type="image/png"))
+    def show_png(self, path: str, draw: Callable[P, bytes], *given: P.args, **named: P.kwargs) -> None:
+        """What `draw`, a function of a module, makes of what is given: a PNG."""
+        self.show(path, rr.EncodedImage(contents=drawn(draw, *given, **named), media_type="image/png"))
 
     def show_points(self, path: str, points: Any, colors: Any, radius: float, labels: list[str] | None = None) -> None:
         """points: (n, 3); colors: one, or (n, 3)"""

@@ -48,33 +48,33 @@ PHASES: dict[str, Rgb] = {
 def log_nothing_known(now: ResultBatch) -> None:
     """Words where there will be pictures."""
     for path, words in {**dict.fromkeys([*MAPS, FORCE, SECTION], "no touch yet"), GAIN: "no plan yet"}.items():
-        now.show_png(path, pictures.words_png(words))
+        now.show_png(path, pictures.words_png, words)
 
 
 def log_height(now: ResultBatch, surface: SurfaceEstimate) -> None:
-    now.show_png(HEIGHT, pictures.height_png(surface))
+    now.show_png(HEIGHT, pictures.height_png, surface)
 
 
 def log_maps(now: ResultBatch, maps: MapEstimate) -> None:
     for path, quantity in MAPS.items():
-        now.show_png(path, pictures.map_png(quantity, maps))
+        now.show_png(path, pictures.map_png, quantity, maps)
 
 
 def log_lumps(now: ResultBatch, lumps: LumpsFound) -> None:
-    now.show_png(LUMPS, pictures.lumps_png(lumps))
-    now.show_png(MISSED, pictures.missed_png(lumps))
+    now.show_png(LUMPS, pictures.lumps_png, lumps)
+    now.show_png(MISSED, pictures.missed_png, lumps)
     text = "\n\n".join(f"**{name}**: {words}" for name, words in lump_rows(lumps))
     title = f"# {found_words(lumps)} after {counted(len(lumps.contacts_m), 'touch')}"
     now.show(LUMPS_SUMMARY, rr.TextDocument(f"{title}\n\n{text}", media_type=rr.MediaType.MARKDOWN))
 
 
 def log_gain(now: ResultBatch, plan: PlannedTouch, cell_m: float, contacts_m: FloatArray | None) -> None:
-    now.show_png(GAIN, pictures.gain_png(plan, cell_m, contacts_m))
+    now.show_png(GAIN, pictures.gain_png, plan, cell_m, contacts_m)
 
 
 def log_curves(now: ResultBatch, touch: TouchEstimate) -> None:
-    now.show_png(FORCE, pictures.force_png(touch))
-    now.show_png(SECTION, pictures.section_png(touch))
+    now.show_png(FORCE, pictures.force_png, touch)
+    now.show_png(SECTION, pictures.section_png, touch)
 
 
 def log_phase_colors(rec: Sink) -> None:

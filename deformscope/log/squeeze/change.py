@@ -16,4 +16,4 @@ def log_change(now: ResultBatch, features: SqueezeFeatures) -> None:
         words = f"no visual feature: {features.reason or 'no camera'}"
         now.show(f"{CHANGE}/words", rr.TextLog(words, level="WARN"))
         return
-    now.show_png(CHANGE, depth_change_png(features.vision, features.patch_width_m, features.missing))
+    now.show_png(CHANGE, depth_change_png, features.vision, features.patch_width_m, features.missing)

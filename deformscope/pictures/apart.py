@@ -1,0 +1,43 @@
+"""Pictures drawn in a process of their own while a robot is held.
+
+Drawing asks for Python's lock for a tenth of a second a picture, and what moves the robot waits for that lock.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator
+from concurrent.futures import CancelledError, Executor
+from concurrent.futures.process import BrokenProcessPool
+from typing import ParamSpec
+
+from deformscope.pictures import exploration
+from deformscope.processes import computing
+
+P = ParamSpec("P")
+
+_process: Executor | None = None
+
+
+@contextlib.contextmanager
+def drawing_apart() -> Iterator[None]:
+    """Within it `drawn` draws in a process of low priority."""
+    global _process
+    with computing(_warm_up) as _process:
+        try:
+            yield
+        finally:
+            _process = None
+
+
+def drawn(draw: Callable[P, bytes], *given: P.args, **named: P.kwargs) -> bytes:
+    """What `draw`, a function of a module, gives; drawn here where no process is there for it, or it has ended."""
+    if (process := _process) is not None:
+        with contextlib.suppress(BrokenProcessPool, CancelledError, RuntimeError):
+            return process.submit(draw, *given, **named).result()
+    return draw(*given, **named)
+
+
+def _warm_up() -> None:
+    """Fonts are looked up with the first picture."""
+    exploration.words_png("warm")
