@@ -46,6 +46,8 @@ from deformscope.stages.materials.field_levels import (
     BORDER,
     border_cells,
     border_length,
+    cuts,
+    gain,
     levels_of,
     neighbours,
     sharpened,
@@ -163,12 +165,14 @@ def fit_field(
     done(1)
     found = [_described(fit, "smooth", fit.prior(reach), noise, point)]
     edges = neighbours(fit.place, fit.spacing)
+    others: list[Description] = []  # of as many materials, with other borders
     for count in MATERIALS:
-        one = _materials(fit, found, edges, count)
-        if one is None or (count > 2 and one.weight < found[-1].weight):
-            break
-        found.append(one)
+        some = _materials(fit, found, edges, count)
+        found += some[:1]
+        others += some[1:]
         done(1 + count)
+        if not some or (count > 2 and some[0].weight < found[-2].weight):
+            break
     weight = np.array([one.weight for one in found])
     probability = np.exp(weight - logsumexp(weight))
     plausible = probability >= PLAUSIBLE
@@ -176,6 +180,7 @@ def fit_field(
     chosen = uniform if plausible[1] else found[int(weight.argmax())]  # that places differ has to be shown
     value, _, _ = chosen.relative(edges, sds)
     held = [one for one, kept in zip(found, plausible, strict=True) if kept]
+    held += [one for one in others if one.weight > logsumexp(weight) + np.log(PLAUSIBLE)]
     if chosen.label.max() == 0:
         held += _hidden(fit, noise, chosen)
     ends = [one.relative(edges, sds)[1:] for one in held]
@@ -278,31 +283,51 @@ def _described(
     return Description(name, label, prior, point, after, noise, evidence - cost, judged, misfit)
 
 
-def _materials(fit: FieldFit, found: list[Description], edges: IntArray, count: int) -> Description | None:
-    """So many materials, with the best of the borders that were found from several beginnings; None where there are
-    fewer. found: the smooth field, and fewer materials"""
+def _materials(fit: FieldFit, found: list[Description], edges: IntArray, count: int) -> list[Description]:
+    """So many materials, with borders that were found from several beginnings, the likeliest first; none where there
+    are fewer. found: the smooth field, and fewer materials"""
     smooth, noise = found[0], max(found, key=lambda one: one.weight).noise
     p, weight = smooth.point.at[:-1], 1.0 / np.maximum((smooth.root[:-1] ** 2).sum(axis=1), 1e-12)
     begun = [levels_of(p, weight, count)]
     if count > 1:
-        begun += split(found[-1].label, p, weight)
-    least = fit.cells.shape[1]  # what is smaller is no more than a border that passes through cells
-    best, label, point = np.inf, None, smooth.point
+        begun += [*split(found[-1].label, p, weight), *_best_cuts(fit, noise, found[-1])]
+    described: list[Description] = []
     for one in begun:
-        cost, moved, at = _bordered(fit, noise, one, edges)
-        if moved.max() + 1 == count and np.bincount(moved).min() >= least and cost < best:
-            best, label, point = cost, _softest_first(moved, at.at[:-1]), at
-    if label is None:
-        return None
-    border = border_cells(label, edges)
-    prior = fit.levels(label, border)
+        described += _found_from(fit, noise, one, edges, count, described)
+    if described and count > 1:  # borders that the noise's first guess has misplaced
+        best = max(described, key=lambda one: one.weight)
+        described += _found_from(fit, best.noise, best.label, edges, count, described)
+    return sorted(described, key=lambda one: -one.weight)
+
+
+def _best_cuts(fit: FieldFit, noise: NoiseModel, one: Description) -> list[IntArray]:
+    """Labels (C,) of the best straight cut through one of the materials across each axis."""
+    root = fit.noise_root(noise.reach, one.point.state.response) * noise.size
+    y, w = (solve_triangular(root, rows, lower=True) for rows in (one.point.linear(fit.target), one.point.slope))
+    gram, wanted = w.T @ w, w.T @ y
+    axes = cuts(one.label, fit.place, fit.spacing)
+    return [max(some, key=lambda label: gain(fit.levels(label), gram, wanted)) for some in axes if some]
+
+
+def _found_from(
+    fit: FieldFit, noise: NoiseModel, label: IntArray, edges: IntArray, count: int, before: list[Description]
+) -> list[Description]:
+    """What moving borders (C,) comes to, if that are so many materials and not found before."""
+    least = fit.cells.shape[1]  # what is smaller is no more than a border that passes through cells
+    moved, point = _bordered(fit, noise, label, edges)
+    if moved.max() + 1 != count or np.bincount(moved).min() < least:
+        return []
+    label = _softest_first(moved, point.at[:-1])
+    if any(np.array_equal(label, one.label) for one in before):
+        return []
+    prior = fit.levels(label, border_cells(label, edges))
     name = "one material" if count == 1 else f"{count} materials"
     cost = BORDER_COST * border_length(label, edges)
-    return _described(fit, name, prior, noise, fit.fit(prior, noise, point.at), label, cost)
+    return [_described(fit, name, prior, noise, fit.fit(prior, noise, point.at), label, cost)]
 
 
-def _bordered(fit: FieldFit, noise: NoiseModel, label: IntArray, edges: IntArray) -> tuple[float, IntArray, FieldPoint]:
-    """chi2 and what borders add to it, labels (C,) and the fit, of the best borders that were met while moving them."""
+def _bordered(fit: FieldFit, noise: NoiseModel, label: IntArray, edges: IntArray) -> tuple[IntArray, FieldPoint]:
+    """Labels (C,) and the fit, of the borders of least chi2 and length that were met while moving them."""
     tried: list[tuple[float, IntArray, FieldPoint]] = []
     point = None
     for _ in range(BORDER_ROUNDS):
@@ -315,7 +340,7 @@ def _bordered(fit: FieldFit, noise: NoiseModel, label: IntArray, edges: IntArray
         if any(np.array_equal(moved, before) for _, before, _ in tried):
             break
         label = moved
-    return min(tried, key=lambda one: one[0])
+    return min(tried, key=lambda one: one[0])[1:]
 
 
 def _hidden(fit: FieldFit, noise: NoiseModel, one: Description) -> list[Description]:

@@ -27,7 +27,7 @@ from deformscope.stages.materials.cell_model import CellModel, CellState, Law, l
 SPREAD = float(np.log(3.0))
 """Deviation of a place's log stiffness before the data."""
 
-NOISE_REACHES = (0.0, 0.6, 1.0, 2.0, 3.0, 6.0)
+NOISE_REACHES = (0.0, 0.6, 1.0, 1.4, 2.0, 3.0, 6.0)
 """How far errors may reach [spacings], 0 = each particle by itself."""
 
 NOISE_ROUGH = 0.02
@@ -36,7 +36,7 @@ NOISE_ROUGH = 0.02
 BORDER_SPREAD = 0.35
 """Deviation of the log stiffness of a cell at a border from its material's: the border may pass through it."""
 
-SIZES = np.exp(np.linspace(np.log(1e-6), np.log(1.0), 57))
+SIZES = np.exp(np.linspace(np.log(1e-6), np.log(1.0), 401))
 """Deviations of an error that are tried, as shares of the deformation's largest displacement."""
 
 STATED_SPREAD = 1.0

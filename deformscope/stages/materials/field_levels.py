@@ -89,6 +89,28 @@ def split(label: IntArray, value: FloatArray, weight: FloatArray) -> list[IntArr
     return found
 
 
+def cuts(label: IntArray, place: FloatArray, spacing: float) -> list[list[IntArray]]:
+    """For each axis, labels (C,) with one of the materials cut in two across it, wherever it can be. place: (C, d)"""
+    found: list[list[IntArray]] = []
+    for along in place.T:
+        rows = np.unique(np.round(along / spacing, 3))
+        found.append([])
+        for half in (along > at * spacing for at in 0.5 * (rows[1:] + rows[:-1])):
+            for k in np.intersect1d(label[half], label[~half]):
+                found[-1].append(np.where((label == k) & half, label.max() + 1, label))
+    return found
+
+
+def gain(prior: StiffnessPrior, gram: FloatArray, wanted: FloatArray) -> float:
+    """By how much the parameters of a prior lower chi2, with what the prior holds against them.
+
+    gram: (C + 1, C + 1) and wanted: (C + 1,) of the derivatives, and of these with what is wanted
+    """
+    inner = prior.root.T @ gram @ prior.root + np.eye(prior.root.shape[1])
+    along = prior.root.T @ (wanted - gram @ prior.mean)
+    return float(along @ np.linalg.solve(inner, along))
+
+
 def levels_of(value: FloatArray, weight: FloatArray, count: int) -> IntArray:
     """(C,) which of `count` levels a log stiffness is nearest to: those of least weighted squares (k-means in one
     dimension, from quantiles)."""
