@@ -23,6 +23,7 @@ from deformscope.arrays import FloatArray
 from deformscope.lab.elasticity import dissected, stiffness_of
 from deformscope.lab.scenes import BuriedBall, Scene
 from deformscope.lab.slab_world import Contact, Patch, SlabWorld
+from deformscope.lab.yielding_world import YieldingWorld
 
 ELEMENT_M, AROUND, GROWTH = 0.005, 1.5, 1.5
 """Size of the elements around the ball, up to so many of its radii from its middle, and their growth beyond."""
@@ -34,7 +35,9 @@ SAMPLES = 4
 
 def slab_world(scene: Scene) -> SlabWorld:
     """A scene's foam, to be pressed anywhere."""
-    return SlabWorld(scene) if scene.buried is None else BuriedWorld(scene, scene.buried)
+    if scene.buried is not None:
+        return BuriedWorld(scene, scene.buried)
+    return YieldingWorld(scene) if any(piece.yields for piece in scene.pieces) else SlabWorld(scene)
 
 
 class BuriedWorld(SlabWorld):

@@ -8,6 +8,7 @@ half is computed.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -86,56 +87,36 @@ def press(
     return found
 
 
-class _Half:
-    """The right half of the block, meshed, with its boundary conditions."""
+class LargeStrain(ABC):
+    """Equilibrium of a body at large strain while something is pushed into it, by Newton's method.
 
-    def __init__(self, law: OgdenFoam, block: Block, clamp_m: float, element_m: float) -> None:
-        self.law = law
-        self.thickness = 2.0 * block.thickness_m  # both halves
-        x = _graded(0.5 * clamp_m, 0.5 * block.width_m, element_m)
-        y = np.linspace(0.0, block.height_m, max(2, round(block.height_m / element_m)) + 1)
-        element = ElementQuad2()
-        mesh = MeshQuad.init_tensor(x, y)
-        self.basis: Any = Basis(mesh, ElementVector(element), intorder=4)
-        self.scalar: Any = self.basis.with_element(element)
-        near = 1e-9 * block.height_m
-        place = self.basis.doflocs
-        axis = np.zeros(self.basis.N, dtype=int)
-        axis[1::2] = 1  # both displacements of a node stand beside each other
-        self.axis = axis
-        bottom = place[1] < near
-        self.clamped = (place[1] > block.height_m - near) & (place[0] < 0.5 * clamp_m + near)
-        middle = (place[0] < near) & (axis == 0)
-        self.bottom = bottom
-        self.prescribed: IntArray = np.flatnonzero(bottom | self.clamped | middle)
-        self.pushed: IntArray = np.flatnonzero(self.clamped & (axis == 1))
-        self.free: IntArray = self.basis.complement_dofs(self.prescribed)
+    prescribed, free: (n,) degrees of freedom that are held, and all others
+    """
+
+    prescribed: IntArray
+    free: IntArray
 
     def push(self, state: FloatArray, start: float, end: float) -> FloatArray:
-        """From one depth of the clamp to another, in one load step or in as many as it takes."""
+        """From one depth to another, in one load step or in as many as it takes."""
         reached, step = start, end - start
         while reached < end:
             step = min(step, end - reached)
-            following = self._newton(state, reached + step)
+            following = self._newton(state, reached, reached + step)
             if following is None:
                 step *= 0.5
                 if step < SHORTEST_STEP * (end - start):
                     raise InputError(
                         "a push that the finite elements can follow",
                         f"no equilibrium found beyond {1e3 * reached:.2f} mm, before {1e3 * end:.2f} mm",
-                        "a smaller depth, a wider clamp or a law without so flat a plateau",
+                        "a smaller depth, a wider clamp or tip, or a law without so flat a plateau",
                     )
                 continue
             state, reached = following, reached + step
         return state
 
-    def _newton(self, state: FloatArray, depth: float) -> FloatArray | None:
-        """Equilibrium with the clamp at `depth`, from a state nearby; None where it is not found."""
-        force, tangent = self._assemble(state)
-        step = np.zeros_like(state)
-        step[self.pushed] = -depth - state[self.pushed]
-        step = solve(*condense(tangent, -force, x=step, D=self.prescribed))
-        state = state + step
+    def _newton(self, state: FloatArray, reached: float, depth: float) -> FloatArray | None:
+        """Equilibrium at `depth`, from that of a depth nearby; None where it is not found."""
+        state = self._begin(state, reached, depth)
         if self._smallest_volume(state) <= 0.0:
             return None
         for _ in range(ITERATIONS):
@@ -163,6 +144,55 @@ class _Half:
                     return trial
             share *= 0.5
         return None
+
+    @abstractmethod
+    def _begin(self, state: FloatArray, reached: float, depth: float) -> FloatArray:
+        """Where the search begins for a depth [m], from the state (N,) of one nearby that was reached; held parts are
+        in their place."""
+
+    @abstractmethod
+    def _smallest_volume(self, state: FloatArray) -> float:
+        """Of what was 1 at rest; not above 0 where something is turned inside out."""
+
+    @abstractmethod
+    def _energy(self, state: FloatArray) -> float: ...
+
+    @abstractmethod
+    def _assemble(self, state: FloatArray) -> tuple[FloatArray, Any]:
+        """The energy's first and second derivatives, (N,) and (N, N)."""
+
+
+class _Half(LargeStrain):
+    """The right half of the block, meshed, with its boundary conditions."""
+
+    def __init__(self, law: OgdenFoam, block: Block, clamp_m: float, element_m: float) -> None:
+        self.law = law
+        self.thickness = 2.0 * block.thickness_m  # both halves
+        x = _graded(0.5 * clamp_m, 0.5 * block.width_m, element_m)
+        y = np.linspace(0.0, block.height_m, max(2, round(block.height_m / element_m)) + 1)
+        element = ElementQuad2()
+        mesh = MeshQuad.init_tensor(x, y)
+        self.basis: Any = Basis(mesh, ElementVector(element), intorder=4)
+        self.scalar: Any = self.basis.with_element(element)
+        near = 1e-9 * block.height_m
+        place = self.basis.doflocs
+        axis = np.zeros(self.basis.N, dtype=int)
+        axis[1::2] = 1  # both displacements of a node stand beside each other
+        self.axis = axis
+        bottom = place[1] < near
+        self.clamped = (place[1] > block.height_m - near) & (place[0] < 0.5 * clamp_m + near)
+        middle = (place[0] < near) & (axis == 0)
+        self.bottom = bottom
+        self.prescribed: IntArray = np.flatnonzero(bottom | self.clamped | middle)
+        self.pushed: IntArray = np.flatnonzero(self.clamped & (axis == 1))
+        self.free: IntArray = self.basis.complement_dofs(self.prescribed)
+
+    def _begin(self, state: FloatArray, reached: float, depth: float) -> FloatArray:
+        """The clamp moved, and the rest along with it as the tangent says."""
+        force, tangent = self._assemble(state)
+        step = np.zeros_like(state)
+        step[self.pushed] = -depth - state[self.pushed]
+        return np.asarray(state + solve(*condense(tangent, -force, x=step, D=self.prescribed)))
 
     def _gradient(self, state: FloatArray) -> FloatArray:
         """Deformation gradients (2, 2, elements, points)."""

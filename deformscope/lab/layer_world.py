@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from deformscope.errors import InputError
 from deformscope.lab.scenes import Scene
 from deformscope_drivers.arm.kinematics import FloatArray
 
@@ -31,6 +32,10 @@ class LayerWorld:
     """
 
     def __init__(self, scene: Scene, radius_m: float) -> None:
+        if any(piece.relaxes or piece.keeps or piece.yields for piece in scene.pieces):
+            raise InputError(
+                "foam that neither creeps nor yields, on the host's clock", scene.name, f"explore lab:{scene.name}"
+            )
         self.scene = scene
         self._radius_m = radius_m
         angle = np.pi * (3.0 - np.sqrt(5.0)) * np.arange(SPOTS)

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from deformscope.arrays import FloatArray
 from deformscope.capsule import Capsule
+from deformscope.errors import InputError
 from deformscope.lab.arm_contact import ARM_DOUBT, ARM_STIFFNESS_N_M
 from deformscope.lab.buried_world import slab_world
 from deformscope.lab.creeping_world import CreepingWorld, Relaxation
@@ -75,6 +76,8 @@ class SceneLab:
         self._world = slab_world(foam)
         if any(piece.relaxes or piece.keeps for piece in scene.pieces):
             self._world = CreepingWorld(foam, self._relaxation)
+            if any(piece.yields for piece in scene.pieces):
+                raise InputError("foams that yield, or that creep", scene.name, "two-60y20-150y20, two-60c30-150")
         self._tip = RigidTip(radius=tip_radius_m)
         self._contact: Contact | None = None
         view = DepthViewConfig(width=320, height=240, azimuth_deg=CAMERA_AZIMUTH_DEG)

@@ -10,6 +10,7 @@ from scipy.interpolate import PchipInterpolator
 
 from deformscope.arrays import BoolArray, FloatArray
 from deformscope.capsule import Capsule
+from deformscope.errors import InputError
 from deformscope.experiments.explorer import Touch
 from deformscope.experiments.measured import off_the_border, sample_box
 from deformscope.experiments.options import SHALLOW_M, VIEW_CELL_M, ExploreOptions
@@ -116,6 +117,8 @@ class LabRobot:
         self._clock = clock
         self._errors = (errors or LabErrors.none()).draw([options.seed, scene.seed])
         self.scene = self._errors.slab(scene)
+        if any(piece.yields for piece in scene.pieces):
+            raise InputError("foam that stays linear", scene.name, f"deformscope explore lab:{scene.name}")
         foam = self._errors.foam(scene)
         self.size_m = scene.size_m
         self.arm = ArmCompliance(1.0 / ARM_STIFFNESS_N_M, ARM_DOUBT / ARM_STIFFNESS_N_M)

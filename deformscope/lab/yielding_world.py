@@ -1,0 +1,73 @@
+"""A slab whose foam yields: `SlabWorld` whose forces are those of Ogden's foam at large strain.
+
+Foam that yields meets a light touch with its modulus, and a deep one with far less, as its cells' walls buckle. How
+much less is found once for a foam, a ball and a thickness, around the ball's axis (`axisymmetric_contact`), and held
+against the same ball on linear foam; at each depth a touch's force is that share of the linear one's. On foam of one
+kind, far from its edges, force over depth is therefore that of the large-strain solution.
+
+What is left out: beside a border or an edge, the share is that of the foam below the tip's middle on a level layer as
+thick as there; the dent beside the tip is that of linear foam pressed as deep, where one that yields is narrower.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from scipy.interpolate import PchipInterpolator
+
+from deformscope.arrays import FloatArray
+from deformscope.lab.axisymmetric_contact import press_ball
+from deformscope.lab.ogden import OgdenFoam
+from deformscope.lab.scenes import Piece, Scene
+from deformscope.lab.slab import RigidTip
+from deformscope.lab.slab_world import Contact, SlabWorld
+
+DEPTHS_M = (0.25e-3, 0.5e-3, 1e-3, 1.5e-3, 2e-3, 3e-3, 4e-3, 6e-3, 8e-3, 10e-3, 12e-3, 15e-3)
+"""At which the share is found: those that are less than half the layer; beyond, it stays."""
+THICKNESS_STEP_M = 0.005
+MODULUS_PA = 1e5
+"""Any: forces of both laws are in proportion to it."""
+
+
+class YieldingWorld(SlabWorld):
+    """A scene some of whose foams yield (`Piece.yields`)."""
+
+    def press(self, tip: RigidTip, center_m: FloatArray) -> Contact:
+        """As `SlabWorld.press`, of a ball."""
+        contact = super().press(tip, center_m)
+        label = int(self.scene.label(contact.center_m[:2]))
+        yields = self.scene.pieces[label].yields if label >= 0 else 0
+        if not yields or not len(contact.node) or tip.radius is None:
+            return contact
+        height_m = float(self.scene.foam_height_m(contact.center_m[:2]))
+        steps = max(1, round(height_m / THICKNESS_STEP_M))
+        share = _shares(yields, self.scene.poisson, tip.radius, steps)(contact.depth_m)
+        lost_n = (1.0 - float(share)) * float(contact.node_force_n.sum())
+        return replace(contact, force_n=contact.force_n - lost_n * contact.normal)
+
+
+def force_share(yields: int, poisson: float, radius_m: float, thickness_m: float, depth_m: FloatArray) -> FloatArray:
+    """(n,) force of foam that yields over that of linear foam of the same modulus, at depths (n,) [m] of a ball.
+
+    yields: Ogden's exponent: the plateau is near the modulus over this
+    """
+    linear = SlabWorld(Scene("level", 0, (Piece("", MODULUS_PA),), {}, thickness_m=thickness_m, poisson=poisson))
+    middle, tip = 0.5 * np.asarray(linear.scene.size_m), RigidTip(radius=radius_m)
+    stays_n = [
+        linear.press(tip, np.array([*middle, thickness_m + radius_m - depth])).normal_force_n for depth in depth_m
+    ]
+    law = OgdenFoam((0.5 * MODULUS_PA / (1.0 + poisson),), (float(yields),), poisson)
+    return np.asarray(press_ball(law, radius_m, thickness_m, list(depth_m)).force_n / np.array(stays_n))
+
+
+@functools.lru_cache(maxsize=64)
+def _shares(yields: int, poisson: float, radius_m: float, steps: int) -> Callable[[float], FloatArray]:
+    """The share over depth, 1 at none."""
+    thickness_m = steps * THICKNESS_STEP_M
+    depth_m = np.array([depth for depth in DEPTHS_M if depth < 0.5 * thickness_m])
+    share = force_share(yields, poisson, radius_m, thickness_m, depth_m)
+    over = PchipInterpolator([0.0, *depth_m], [1.0, *share])
+    return lambda depth: over(np.clip(depth, 0.0, depth_m[-1]))
