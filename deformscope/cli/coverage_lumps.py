@@ -16,7 +16,7 @@ from deformscope.lab.scenes import built_in
 from deformscope.pictures.findings import Findings
 from deformscope.pictures.report import Table
 from deformscope.session import Step
-from deformscope.studies.lump_search import LumpCase, LumpRow, details, lump_rows, seek
+from deformscope.studies.lump_search import FoamRow, LumpCase, LumpRow, details, foam_rows, lump_rows, seek
 from deformscope.studies.seeds import reported
 
 
@@ -36,11 +36,10 @@ def run(config: LumpCoverageConfig) -> None:
     with recorder_of(config) as recorder:
         with fit_progress() as note:
             outcomes = examined("fields", seek, cases, config.jobs, note)
-        rows, counted = lump_rows(outcomes), details(outcomes)
+        rows, foams, counted = lump_rows(outcomes), foam_rows(outcomes), details(outcomes)
         title = f"{len(seeds)} fields with a lump and {len(seeds)} without, seeds {seeds.start} to {seeds.stop - 1}"
-        found = Findings(
-            (_table(rows, title), Table(list(_words(counted).items()), caption="Of those that were found"))
-        )
+        tables = [_table(rows, title), *([_foam_table(foams)] if foams else [])]
+        found = Findings((*tables, Table(list(_words(counted).items()), caption="Of those that were found")))
         show(found)
         recorder.write(Step((found,)))
     write_json(
@@ -55,6 +54,15 @@ def run(config: LumpCoverageConfig) -> None:
                     "missed": rate_json(row.missed),
                 }
                 for row in rows
+            ],
+            "foams": [
+                {
+                    "scatter": row.scatter,
+                    "found": rate_json(row.found),
+                    "alarms": rate_json(row.alarms),
+                    "limit": row.limit,
+                }
+                for row in foams
             ],
             "details": counted,
             "searches": [dataclasses.asdict(one) for one in outcomes],
@@ -80,6 +88,20 @@ def _table(rows: list[LumpRow], title: str) -> Table:
         )
     names = ("touches", "found", "95 % band", "false alarms", "said to be missed", "missed, of all fields")
     return Table(lines, names, title)
+
+
+def _foam_table(rows: list[FoamRow]) -> Table:
+    lines = [
+        (
+            f"{100.0 * row.scatter[0]:g} to {100.0 * row.scatter[1]:g} %",
+            f"{row.found.hits} of {row.found.cases}",
+            f"{row.limit:.2f}",
+            f"{row.alarms.hits} of {row.alarms.cases}",
+        )
+        for row in rows
+    ]
+    names = ("foam scatters by", "found", "could be found at all", "false alarms")
+    return Table(lines, names, "By the scatter of the foam, after all touches")
 
 
 def _words(counted: dict[str, float]) -> dict[str, str]:

@@ -43,12 +43,14 @@ from deformscope.stages.map.touch_beta import BallContact, SeenDent, dent_of, fi
 from deformscope.stages.poke.contact import (
     EXPONENT,
     EXPONENT_SD,
+    LOADED,
     Z_90,
     ArmCompliance,
     ContactFit,
     fit_approach,
 )
 from deformscope.stages.poke.creep import REFERENCE_SPEED_M_S, CreepFit, fit_creep
+from deformscope.stages.poke.law_response import LEAST_SHARE
 from deformscope.stages.poke.layer_seen import KnownLayer, LayerModulus, known_layer, modulus_of
 from deformscope.stages.poke.local_shape import LocalShape, ShapeShift, shape_of, shape_shift
 from deformscope.stages.regions.posterior import RegionMap, RegionPosterior, RegionPrior
@@ -80,9 +82,8 @@ FORECAST_STEPS = 25
 COSTS = {"careful": (6.0, 0.1), "quick": (4.0, 0.15)}
 """What the planner takes a touch for [s], and the speed of the way to it [m/s], by pace. Chosen: near enough to
 what they take, and such that both paces weigh a touch and its way alike, and touch the same places."""
-ONE_FOAM_EXPONENT_SD = 0.02
-"""Of the contact's exponent where lumps are sought: touches of one foam share it, and what it is off by is a part of
-the level. A touch of 5 N then scatters by 0.4 % instead of 0.6 (finite elements with the sensors' noise)."""
+FREE_EXPONENT_SD = 0.3
+"""Of the contact's exponent where lumps are sought, which show in it: next to nothing is taken for granted."""
 SPEED_SD = 0.03
 """Of log stiffness for each e-fold of the approach speed, where a touch's creep could not be fitted: a third of a
 modulus that relaxes evenly over three decades of time changes a ball's stiffness so [assumed]."""
@@ -505,6 +506,13 @@ class Explorer:
         if contact is not None:
             fit = contact.fit
             sample = StiffnessSample(touched.xy_m, fit.log_stiffness, fit.own_log_sd, fit.rigid, fit.arm_log_sd)
+            if self.options.goal == "inclusions" and not fit.rigid:
+                sample = dataclasses.replace(
+                    sample,
+                    exponent=fit.exponent,
+                    exponent_sd=fit.exponent_sd,
+                    exponent_related=fit.exponent_related,
+                )
             seen = _as_mapped(sample, creep, self.options, contact.speed_m_s)
             shift = None if fit.rigid or seen is None else self._shift(touched.xy_m, float(np.exp(seen.log_stiffness)))
             if seen is not None and shift is not None:
@@ -680,7 +688,7 @@ class Explorer:
             return None
 
     def _contact(self, touched: TouchMeasurement) -> _Contact:
-        options = self.options
+        options, lumps = self.options, self.options.goal == "inclusions"
         fit = fit_approach(
             touched.time_s,
             touched.position_m,
@@ -689,7 +697,8 @@ class Explorer:
             set_force_n=options.set_force_n,
             arm=self._arm,
             gain_sd=self._gain_sd,
-            exponent_sd=ONE_FOAM_EXPONENT_SD if options.goal == "inclusions" else EXPONENT_SD,
+            exponent_sd=FREE_EXPONENT_SD if lumps else EXPONENT_SD,
+            least_share=LEAST_SHARE if lumps else LOADED,
         )
         law = fitted_law(fit, self._arm, _along(touched))
         modulus = None
@@ -858,9 +867,12 @@ def _after(posterior: RegionPosterior | LumpPosterior, touch: StiffnessSample) -
 
 
 def _levelled(seen: StiffnessSample, shift: ShapeShift) -> StiffnessSample:
-    """The same touch on a level layer as thick as stated."""
+    """The same touch on a level, wide layer as thick as stated."""
     return dataclasses.replace(
-        seen, log_stiffness=seen.log_stiffness + shift.log, log_sd=float(np.hypot(seen.log_sd, shift.sd))
+        seen,
+        log_stiffness=seen.log_stiffness + shift.log,
+        log_sd=float(np.hypot(seen.log_sd, shift.sd)),
+        exponent=None if seen.exponent is None else seen.exponent + shift.exponent,
     )
 
 

@@ -6,6 +6,7 @@ Touches are pressed into finite elements and estimated as the robot's are, witho
 
 from __future__ import annotations
 
+import itertools
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -24,9 +25,12 @@ from deformscope.session import run
 from deformscope.stages.map.exploration import LumpsFound, PlannedTouch
 from deformscope.stages.map.lump_posterior import DEEP_M
 from deformscope.studies.coverage import Rate
+from deformscope.studies.lump_limit import limit
 from deformscope.studies.surface_robot import LabRobot
 
 LOOKED_AT = (3, 5, 7, 10, 15, 20)
+FOAMS = (0.02, 0.04, 0.07, 0.1)
+"""Scatters of foam, between which lumps are counted apart."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,6 +61,7 @@ class LumpAfter:
 @dataclass(frozen=True, slots=True)
 class LumpOutcome:
     """What came of a search. truth: x, y, radius, depth of the lump [m], None where there is none; stop: why it ended
+    foam_sd: by which the foam truly scatters, in log stiffness; scatter: as it was found
     radius_m, interval_m: of the found lump nearest to the true one, within_m: as said of its middle; depth: its class
     xy_m: (t) places that were touched
     """
@@ -69,6 +74,7 @@ class LumpOutcome:
     interval_m: tuple[float, float] | None
     within_m: float | None
     depth: str
+    foam_sd: float
     scatter: float
     sized: tuple[tuple[float, float], ...]
     xy_m: tuple[tuple[float, float], ...]
@@ -111,7 +117,8 @@ def seek(case: LumpCase) -> LumpOutcome:
         if found.stop is not None:
             raise ExplorationStopped(found.stop, found.stop_ns)
     truth = tuple(map(float, scene.lumps_m[0])) if len(scene.lumps_m) else None
-    return _outcome(case, truth, heard, explorer, time.perf_counter() - began)  # type: ignore[arg-type]
+    foam_sd = robot.errors.scatter_sd
+    return _outcome(case, truth, foam_sd, heard, explorer, time.perf_counter() - began)  # type: ignore[arg-type]
 
 
 class _HeardLumps:
@@ -132,6 +139,7 @@ class _HeardLumps:
 def _outcome(
     case: LumpCase,
     truth: tuple[float, float, float, float] | None,
+    foam_sd: float,
     heard: _HeardLumps,
     explorer: Explorer,
     seconds: float,
@@ -155,6 +163,7 @@ def _outcome(
         None if low_high is None else (float(low_high[0]), float(low_high[1])),
         None if nearest is None else float(last.within_m[nearest]),
         "" if nearest is None else last.depth[nearest],
+        foam_sd,
         last.scatter,
         tuple(zip(last.size_m.tolist(), last.missed.tolist(), strict=True)),
         tuple((float(x), float(y)) for x, y in last.contacts_m),
@@ -198,6 +207,30 @@ def lump_rows(outcomes: Sequence[LumpOutcome]) -> list[LumpRow]:
                 Rate(len(outcomes), sum(there) - sum(hits)),
             )
         )
+    return rows
+
+
+@dataclass(frozen=True, slots=True)
+class FoamRow:
+    """Of foams that scatter by `scatter` (from, to). found, alarms: as of `LumpRow`, in the end; limit: share that
+    could be found at all (`lump_limit`)"""
+
+    scatter: tuple[float, float]
+    found: Rate
+    alarms: Rate
+    limit: float
+
+
+def foam_rows(outcomes: Sequence[LumpOutcome]) -> list[FoamRow]:
+    """By how much the foam scatters; none where it does not."""
+    rows = []
+    for low, high in itertools.pairwise(FOAMS):
+        some = [one for one in outcomes if low <= one.foam_sd < high]
+        there = [one for one in some if one.truth is not None]
+        if some:
+            found = Rate(len(there), sum(one.hit(one.case.touches) for one in there))
+            alarms = Rate(len(some), sum(one.alarms(one.case.touches) > 0 for one in some))
+            rows.append(FoamRow((low, high), found, alarms, limit(float(np.sqrt(low * high)))))
     return rows
 
 

@@ -97,8 +97,8 @@ class LabRobot:
     """A simulated table with foam, seen by a camera and touched by a ball on a stick.
 
     scene: as it truly is, without its scatter; arm: as its calibration says
-    truth: what the scene is; most_force_n: the largest true contact force so far; felt: `felt_log_stiffness` of each
-    touch
+    errors: of this session; truth: what the scene is; most_force_n: the largest true contact force so far
+    felt: `felt_log_stiffness` of each touch
     sees: whether the camera looks again while the ball presses, which only beta needs
     """
 
@@ -115,11 +115,11 @@ class LabRobot:
         """errors: what the session keeps from the estimator; default nothing; clock: counts the seconds of touches that
         have a plan"""
         self._clock = clock
-        self._errors = (errors or LabErrors.none()).draw([options.seed, scene.seed])
-        self.scene = self._errors.slab(scene)
+        self.errors = (errors or LabErrors.none()).draw([options.seed, scene.seed])
+        self.scene = self.errors.slab(scene)
         if any(piece.yields for piece in scene.pieces):
             raise InputError("foam that stays linear", scene.name, f"deformscope explore lab:{scene.name}")
-        foam = self._errors.foam(scene)
+        foam = self.errors.foam(scene)
         self.size_m = scene.size_m
         self.arm = ArmCompliance(1.0 / ARM_STIFFNESS_N_M, ARM_DOUBT / ARM_STIFFNESS_N_M)
         self.truth = Truth(scene.regions, scene.lumps_m)
@@ -127,10 +127,10 @@ class LabRobot:
         self.felt: list[float] = []
         self._options = options
         self._sensing = sensing or Sensing(
-            arm_n_per_m=self._errors.arm_n_per_m,
-            overshoot_m=self._errors.overshoot_m,
-            friction=self._errors.friction,
-            friction_rad=self._errors.friction_rad,
+            arm_n_per_m=self.errors.arm_n_per_m,
+            overshoot_m=self.errors.overshoot_m,
+            friction=self.errors.friction,
+            friction_rad=self.errors.friction_rad,
         )
         self._sees = sees
         self._world = slab_world(foam)
@@ -150,7 +150,7 @@ class LabRobot:
         """Come down along the normal that was seen, and look at the dent."""
         xy_m, normal = command.xy_m, command.normal
         options = self._options
-        gain = self._sensing.gain * self._errors.gain_at(len(self.felt) * TOUCH_S)
+        gain = self._sensing.gain * self.errors.gain_at(len(self.felt) * TOUCH_S)
         made = approach(
             self._world,
             self._tip,

@@ -14,7 +14,7 @@ from typing import cast
 import numpy as np
 from scipy.spatial import KDTree
 
-from deformscope.arrays import BoolArray, FloatArray
+from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.stages.map.exploration import Missed
 from deformscope.stages.map.lump_posterior import DEPTHS_M, EXISTS, TIMES, LumpPosterior
 from deformscope.stages.map.plan import ALLOWED, PlanOptions, StopReason, TouchChoice, exclusions
@@ -38,27 +38,35 @@ def plan_lump_touch(
     left_out_m: FloatArray | None = None,
     reachable: BoolArray | None = None,
 ) -> TouchChoice:
-    """Where to touch next; arguments as of `plan.plan_touch`."""
+    """Where to touch next, on cells half as wide as those of the map of gains; arguments as of `plan.plan_touch`."""
     grid = MapGrid(posterior.grid.size_m, options.cell_m)
     places = grid.centres_m
     made = posterior.places_m if left_out_m is None else np.concatenate([posterior.places_m, left_out_m])
     tip = tip_m if tip_m is not None else made[-1] if len(made) else np.zeros(2)
-    excluded = exclusions(places, made, posterior.grid, reachable, replace(options, apart_m=0.75 * options.cell_m))
-    allowed = excluded == ALLOWED
-    cost = options.touch_s + np.hypot(*(places - tip).T) / options.speed_m_s
-    missed = _missed(posterior, made)
-    gain = np.full(len(places), np.nan)
     felt = posterior.state.exists >= FELT and len(posterior.touches) >= FEWEST
-    if allowed.any():
-        some = np.array_split(places[allowed], -(-int(allowed.sum()) // AT_ONCE))
-        gain[allowed] = np.concatenate([(told if felt else shown)(posterior, one) for one in some])
+
+    def weighed(places: FloatArray, cell_m: float) -> tuple[IntArray, FloatArray, FloatArray]:
+        excluded = exclusions(places, made, posterior.grid, reachable, replace(options, apart_m=0.75 * cell_m))
+        allowed, gain = excluded == ALLOWED, np.full(len(places), np.nan)
+        if allowed.any():
+            some = np.array_split(places[allowed], -(-int(allowed.sum()) // AT_ONCE))
+            gain[allowed] = np.concatenate([(told if felt else shown)(posterior, one) for one in some])
+        return excluded, gain, options.touch_s + np.hypot(*(places - tip).T) / options.speed_m_s
+
+    missed = _missed(posterior, made)
+    excluded, gain, cost = weighed(places, options.cell_m)
+    allowed = excluded == ALLOWED
     stop = _stop(posterior, options, len(made), allowed)
     target, reason = None, f"stopped: {stop}"
     if allowed.any():
-        best = int(np.nanargmax(gain / cost))
-        target = places[best]
-        if stop is None:
-            reason = _why(posterior, felt, float(gain[best]), float(cost[best]))
+        target = places[int(np.nanargmax(gain / cost))]
+    if target is not None and stop is None:
+        finer = MapGrid(posterior.grid.size_m, 0.5 * options.cell_m)
+        near = np.abs(finer.centres_m - target).max(axis=1) < 0.8 * options.cell_m
+        around = np.vstack([target, finer.centres_m[near]])
+        _, worth, takes = weighed(around, finer.cell_m)
+        best = int(np.nanargmax(worth / takes))
+        target, reason = around[best], _why(posterior, felt, float(worth[best]), float(takes[best]))
     shape = grid.shape
     return TouchChoice(
         grid,
@@ -80,25 +88,26 @@ def shown(posterior: LumpPosterior, places_m: FloatArray) -> FloatArray:
     worst = radii[int(np.where(radii >= posterior.prior.smallest_m, posterior.missed, -1.0).argmax())]
     weight = np.where(posterior.guesses.radius_m == worst, posterior.state.posterior, 0.0)
     weight = posterior.missed_smallest * weight / max(float(weight.sum()), 1e-300)
-    apart, variance = _readings(posterior, places_m)
-    return cast(FloatArray, -np.expm1(-0.5 * apart**2 / variance[:, None]) @ weight)
+    apart2 = sum(one**2 for one in _readings(posterior, places_m))
+    return cast(FloatArray, -np.expm1(-0.5 * apart2) @ weight)
 
 
 def told(posterior: LumpPosterior, places_m: FloatArray) -> FloatArray:
     """(p,) about how many nats touches at places (p, 2) say about which lump there is, if any."""
     state = posterior.state
-    apart, variance = _readings(posterior, places_m)
     weight = state.exists * state.posterior
-    spread = apart**2 @ weight - (apart @ weight) ** 2
-    return cast(FloatArray, 0.5 * np.log1p(np.maximum(spread, 0.0) / variance))
+    spread = sum(one**2 @ weight - (one @ weight) ** 2 for one in _readings(posterior, places_m))
+    return cast(FloatArray, 0.5 * np.log1p(np.maximum(spread, 0.0)))
 
 
 def _readings(posterior: LumpPosterior, places_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(p, j) by how much each lump is expected to change a reading at places (p, 2), beyond what it changed of the
-    earlier ones, and (p,) the variance of a reading."""
+    """(p, j), (p, j) by how much each lump is expected to change stiffness and exponent of a touch at places (p, 2),
+    beyond what it changed of the earlier ones, in deviations of theirs."""
     weights, variance = posterior.kriging(places_m)
-    apart = posterior.guesses.shifts(places_m, posterior.contact_m) - weights @ posterior.felt
-    return apart, variance + LEAST_VARIANCE
+    felt, left = posterior.guesses.shifts(places_m, posterior.contact_m), posterior.state.left
+    apart = (felt.log - weights @ posterior.felt.log) / np.sqrt(variance + LEAST_VARIANCE)[:, None]
+    earlier = posterior.felt.exponent.mean(axis=0) if len(posterior.touches) else 0.0
+    return apart, (felt.exponent - earlier) / left.bent_sd
 
 
 def _stop(posterior: LumpPosterior, options: PlanOptions, made: int, allowed: BoolArray) -> StopReason | None:

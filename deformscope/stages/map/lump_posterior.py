@@ -1,10 +1,12 @@
 """What touches say of lumps below a surface that shows nothing: where they are, how large, and what may be missed.
 
-A touch's log stiffness is one level, plus what the lumps add to it (`stages.poke.lump_footprint`), plus scatter of an
-unknown deviation, which neighbours share (`stages.regions.touch_error`). A lump is one of a grid of hypotheses: its
-middle, its radius, its depth and its contrast, each as likely as another before any touch; the level is flat, the
-scatter summed over. Where the touches say that there is one, and where, it counts as found; the next is sought in what
-is left, with the doubt about the first.
+A touch's log stiffness is one level, plus what the lumps add to it (`stages.poke.lump_footprint`), plus what the foam
+varies by: a Gaussian field whose deviation, length and share of each touch's own are not known (`Background`). Its
+exponent tells more: what lies below is felt the more the wider the contact grows (`stages.poke.law_response`), while
+foam whose modulus varies from place to place has the same exponent everywhere. A lump is one of a grid of hypotheses:
+its middle, its radius, its depth and its contrast, each as likely as another before any touch; the level is flat, and
+backgrounds are summed over. Where the touches say that there is one, and where, it counts as found; the next is sought
+in what is left, with the doubt about the first.
 
 What is taken for granted, and stated with every result: before any touch a lump is as likely as not; lumps are balls
 4 times as stiff or as soft as the foam, or more, whose uppermost point is at most 2 cm deep, all of each within the
@@ -16,6 +18,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import groupby
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
@@ -25,6 +28,8 @@ from scipy.special import expit, logsumexp
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.errors import InputError
 from deformscope.stages.map.exploration import LumpsFound
+from deformscope.stages.poke.contact import EXPONENT
+from deformscope.stages.poke.law_response import CONTACTS, law_response
 from deformscope.stages.poke.lump_footprint import contact_radius, contrast_share, footprint, lump_shift
 from deformscope.stages.regions.posterior import RegionMap
 from deformscope.stages.regions.touch_error import LAW_SD, TouchErrorModel
@@ -37,13 +42,29 @@ DEPTHS_M = (0.005, 0.01, 0.015, 0.02)
 """Of the uppermost points."""
 DEEP_M = 0.0125
 """A lump is called deep where its uppermost point is farther down, shallow where it is not."""
-TIMES = (4.0, 10.0, 100.0)
+TIMES = (4.0, 20.0)
 """How many times as stiff, or as soft."""
 SCATTERS = (0.004, 0.008, 0.016, 0.032, 0.064, 0.12)
 """Deviations of log stiffness that are summed over, each as likely: from cast foam to 12 %."""
+LENGTHS_M = (0.025, 0.04, 0.065, 0.1)
+"""Over which foam varies, likewise: some centimetres. What varies over less than a lump does is one."""
+APART = (0.0, 0.03, 0.3)
+"""Shares of the scatter's variance that are each touch's own, likewise: from none, in foam that varies smoothly."""
 FOOTPRINT_DOUBT = 0.15
-"""Of what a lump does to a touch, as a share of it: the footprint is no better."""
+"""Of what a lump does to a touch, as a share of it, in all touches alike: the footprint is no better."""
 LEVEL_SD, LEAST_SD = 3.0, 0.002
+HERTZ = EXPONENT["sphere"]
+STIFFER, STIFFER_SD = 0.15, 0.1
+"""By how much the exponent of a ball is larger on foam whose log stiffness is larger by 1, where it sinks less, and the
+deviation of that."""
+BENT = 0.7
+"""What finite elements' exponents rise by over a lump, over what `law_response` says: their foam is a layer."""
+EXPONENT_LEAST_SD, EXPONENT_LEVEL_SD, EXPECTED_EXPONENT_SD, NOT_KNOWN = 0.01, 1.0, 0.025, 10.0
+"""Deviations of exponents: of a touch, however well it is fitted; of the foam's; of a touch before any was made; of one
+that was not fitted."""
+DRIFT_SD = 0.001
+"""Of log stiffness, from touch to touch, evenly, in the same direction: a force sensor's gain drifts by some 1 % in ten
+touches."""
 CENTRE_CELL_M, MOST_CENTRES = 0.01, 700
 ASIDE_M = np.append(np.arange(0.0, 0.08, 0.004), [0.08, 0.1, 0.12, 0.2, 2.0])
 """Distances at which the footprint is computed; between them it is interpolated."""
@@ -56,9 +77,41 @@ Z_90 = 1.6449
 
 
 @dataclass(frozen=True, slots=True)
+class Background:
+    """How foam without lumps varies: a Gaussian field of log stiffness.
+
+    scatter: its deviation; length_m: over which it changes (squared exponential); apart: share of its variance that is
+    each touch's own
+    """
+
+    scatter: float
+    length_m: float
+    apart: float
+
+    @property
+    def shape(self) -> tuple[float, float]:
+        """All but the scatter."""
+        return self.length_m, self.apart
+
+    def shared(self, first_m: FloatArray, second_m: FloatArray) -> FloatArray:
+        """(n, m) correlation of touches at places (n, 2) and (m, 2), but for what is each one's own."""
+        apart = cdist(first_m, second_m, "sqeuclidean")
+        return np.asarray((1.0 - self.apart) * np.exp(-0.5 * apart / self.length_m**2))
+
+    def related(self, places_m: FloatArray) -> FloatArray:
+        """(t, t) correlation of touches at places (t, 2)."""
+        return np.asarray(self.shared(places_m, places_m) + self.apart * np.eye(len(places_m)))
+
+
+BACKGROUNDS = tuple(
+    Background(scatter, length_m, apart) for length_m in LENGTHS_M for apart in APART for scatter in SCATTERS
+)
+
+
+@dataclass(frozen=True, slots=True)
 class LumpPrior:
     """smallest_m: radius of the lumps that must not be missed [m]; tip_radius_m, set_force_n: of touches;
-    error: of touches; what scatters is taken from `SCATTERS`"""
+    error: of touches; what scatters is taken from `BACKGROUNDS`"""
 
     smallest_m: float = 0.02
     tip_radius_m: float = 0.01
@@ -94,7 +147,8 @@ class LumpGuesses:
 
     @classmethod
     def on(cls, size_m: tuple[float, float], radii_m: Sequence[float]) -> LumpGuesses:
-        """On a surface: each radius as likely, and of each radius every place, depth and contrast."""
+        """On a surface: each radius as likely, and of each radius every place, depth and contrast; of a place one after
+        the other."""
         cell_m = max(CENTRE_CELL_M, float(np.sqrt(size_m[0] * size_m[1] / MOST_CENTRES)))
         stiff = np.array([contrast_share(one) for one in TIMES])
         kinds = np.stack(np.meshgrid(DEPTHS_M, np.concatenate([stiff, -stiff]), indexing="ij"), axis=-1).reshape(-1, 2)
@@ -115,19 +169,41 @@ class LumpGuesses:
     def __len__(self) -> int:
         return len(self.weight)
 
-    def shifts(self, places_m: FloatArray, contact_m: float) -> FloatArray:
-        """(p, j) what each adds to the log stiffness of touches at places (p, 2)."""
-        radii, of_radius = np.unique(self.radius_m, return_inverse=True)
-        depths, of_depth = np.unique(self.depth_m, return_inverse=True)
-        table = footprint(contact_m, radii, depths, ASIDE_M)
-        centres, of_centre = np.unique(self.centre_m, axis=0, return_inverse=True)
-        away = cdist(places_m, centres)
-        each = np.empty((len(radii), len(depths), *away.shape))
-        for r in range(len(radii)):
-            for d in range(len(depths)):
-                each[r, d] = np.interp(away, ASIDE_M, table[r, d])
-        at = each.transpose(2, 3, 0, 1)[:, of_centre.ravel(), of_radius, of_depth]
-        return lump_shift(self.share, at)
+    def shifts(self, places_m: FloatArray, contact_m: float) -> LumpShifts:
+        """What each does to touches at places (p, 2)."""
+        to_log, to_exponent = law_response()
+        log, exponent = (np.empty((len(places_m), len(self))) for _ in range(2))
+        for radius_m in np.unique(self.radius_m):
+            mine = np.flatnonzero(self.radius_m == radius_m)
+            centres = np.unique(self.centre_m[mine], axis=0, return_index=True)[1]
+            kinds = len(mine) // len(centres)
+            depth_m, share = self.depth_m[mine[:kinds]], self.share[mine[:kinds]]
+            depths, of_depth = np.unique(depth_m, return_inverse=True)
+            felt = np.stack(
+                [
+                    lump_shift(
+                        share[:, None], footprint(one * contact_m, np.array([radius_m]), depths, ASIDE_M)[0][of_depth]
+                    )
+                    for one in CONTACTS
+                ]
+            )
+            away = cdist(places_m, self.centre_m[mine[::kinds]]).clip(max=ASIDE_M[-1])
+            after = np.searchsorted(ASIDE_M, away, side="right").clip(1, len(ASIDE_M) - 1)
+            part = (away - ASIDE_M[after - 1]) / (ASIDE_M[after] - ASIDE_M[after - 1])
+            for out, weights in ((log, to_log), (exponent, to_exponent)):
+                table = np.tensordot(weights, felt, axes=1).T  # (aside, kind)
+                between = table[after - 1] * (1.0 - part[..., None]) + table[after] * part[..., None]
+                out[:, mine] = between.reshape(len(places_m), len(mine))
+        return LumpShifts(log, BENT * exponent)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LumpShifts:
+    """What lumps do to touches: log, exponent: (p, j) what each adds to the log stiffness of a touch, and to its
+    exponent beyond what that of any foam as stiff is"""
+
+    log: FloatArray
+    exponent: FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -156,45 +232,100 @@ class FoundLump:
         return "deep" if self.deep >= SURE_DEPTH else "shallow" if self.deep <= 1.0 - SURE_DEPTH else ""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class LeftOver:
+    """What the lumps that were found leave of t touches.
+
+    places_m: (t, 2); read: (t,) log stiffness, less what was found; noise: (t, t) its covariance, but for scatter and
+    level; bent: (t,) exponents, less what was found and what goes with stiffness; bent_noise: (t, t) its covariance,
+    but for the level
+    """
+
+    places_m: FloatArray
+    read: FloatArray
+    noise: FloatArray
+    bent: FloatArray
+    bent_noise: FloatArray
+
+    @classmethod
+    def of(cls, touches: Sequence[StiffnessSample]) -> LeftOver:
+        """Where no lump was found."""
+        bent = np.array([HERTZ if touch.exponent is None else touch.exponent for touch in touches])
+        bent_sd = np.array([NOT_KNOWN if touch.exponent is None else touch.exponent_sd for touch in touches])
+        # a stiffness as of the same exponent in every touch is off by nothing that its exponent is off by
+        goes_with = np.array([touch.exponent_related for touch in touches]) / bent_sd**2
+        read = np.array([touch.log_stiffness for touch in touches]) - goes_with * (bent - HERTZ)
+        # what the law is off by is alike in touches of one foam: it is a part of the level
+        own2 = np.array([touch.log_sd for touch in touches]) ** 2 - LAW_SD**2 - (goes_with * bent_sd) ** 2
+        order = np.arange(len(read)) - 0.5 * (len(read) - 1)
+        noise = np.diag(np.maximum(own2, LEAST_SD**2)) + DRIFT_SD**2 * np.outer(order, order)
+        about = read - (np.median(read) if len(read) else 0.0)
+        bent_noise = np.diag(np.hypot(bent_sd, EXPONENT_LEAST_SD) ** 2) + STIFFER_SD**2 * np.outer(about, about)
+        places = np.array([touch.xy_m for touch in touches]).reshape(-1, 2)
+        return cls(places, read, noise, bent - STIFFER * about, bent_noise)
+
+    def without(self, felt: LumpShifts, weight: FloatArray) -> LeftOver:
+        """Less a lump of the posterior (j,), with the doubt about it."""
+        parts = []
+        for read, noise, each in ((self.read, self.noise, felt.log), (self.bent, self.bent_noise, felt.exponent)):
+            mean = each @ weight
+            doubt = (each * weight) @ each.T + (FOOTPRINT_DOUBT**2 - 1.0) * np.outer(mean, mean)
+            parts += [read - mean, noise + doubt]
+        return LeftOver(self.places_m, *parts)
+
+    def exponents_whitened(self, lumps: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(t,), (t, j) the exponents, and what lumps (t, j) add to them, in independent deviations."""
+        root = np.linalg.cholesky(self.bent_noise + EXPONENT_LEVEL_SD**2)
+        whitened = solve_triangular(root, np.column_stack([self.bent, lumps]), lower=True)
+        return whitened[:, 0], whitened[:, 1:]
+
+    @property
+    def bent_sd(self) -> float:
+        """Of one more touch's exponent."""
+        return float(np.sqrt(np.median(np.diag(self.bent_noise)))) if len(self.read) else EXPECTED_EXPONENT_SD
+
+
 class LumpState:
     """What is known after the lumps that were found: whether there is one more.
 
     odds_log: (j,) logarithm of each guess's likelihood over that of none; open: (j,) guesses that stay apart from all
     that were found; posterior: (j,) of one more, its kinds and places, 1 in all; exists: that there is one more, of
     all radii
-    scatter: (s,) posterior of SCATTERS
+    backgrounds: (b,) posterior of `BACKGROUNDS`
     """
 
-    def __init__(
-        self,
-        guesses: LumpGuesses,
-        read: FloatArray,
-        own_sd: FloatArray,
-        felt: FloatArray,
-        related: FloatArray,
-        open_: BoolArray,
-    ) -> None:
-        """read: (t,) log stiffness, less what was found; own_sd: (t,); felt: (t, j) shifts of the guesses; related:
-        (t, t) correlation of the scatter"""
-        self.open = open_
+    def __init__(self, guesses: LumpGuesses, felt: LumpShifts, left: LeftOver, open_: BoolArray) -> None:
+        """felt: of the touches"""
+        self.left, self.open = left, open_
         self._guesses = guesses
-        self.covariances = [scatter**2 * related + np.diag(own_sd**2) + LEVEL_SD**2 for scatter in SCATTERS]
-        none, one = np.zeros(len(SCATTERS)), np.zeros((len(SCATTERS), len(guesses)))
-        for s, covariance in enumerate(self.covariances):
-            root = np.linalg.cholesky(covariance)
-            bare = solve_triangular(root, read, lower=True)
-            lumps = solve_triangular(root, felt, lower=True)
-            none[s] = -0.5 * float(bare @ bare) - float(np.log(np.diag(root)).sum())
-            one[s] = bare @ lumps - 0.5 * (lumps**2).sum(axis=0)
+        none, one = np.zeros(len(BACKGROUNDS)), np.zeros((len(BACKGROUNDS), len(guesses)))
+        bare, lumps = left.exponents_whitened(felt.exponent)
+        bent, bent_own = bare @ lumps, (lumps**2).sum(axis=0)
+        root = np.linalg.cholesky(left.noise + LEVEL_SD**2)
+        constant = float(np.log(np.diag(root)).sum())
+        for _, many in groupby(range(len(BACKGROUNDS)), key=lambda b: BACKGROUNDS[b].shape):
+            some = list(many)
+            # of one shape all scatters have the same axes, and what remains is as quick as a sum
+            half = solve_triangular(root, BACKGROUNDS[some[0]].related(left.places_m), lower=True)
+            spread, axes = np.linalg.eigh(solve_triangular(root, half.T, lower=True))
+            whitened = axes.T @ solve_triangular(root, np.column_stack([left.read, felt.log]), lower=True)
+            weight = 1.0 / (1.0 + np.outer([BACKGROUNDS[b].scatter ** 2 for b in some], np.maximum(spread, 0.0)))
+            bare, lumps = whitened[:, 0], whitened[:, 1:]
+            none[some] = 0.5 * (np.log(weight).sum(axis=1) - weight @ bare**2) - constant
+            one[some] = _doubted((weight * bare) @ lumps + bent, weight @ lumps**2 + bent_own)
         self.odds_log = logsumexp(one + none[:, None], axis=0) - logsumexp(none)
-        self.read = read
         weight = np.where(open_, guesses.weight, 0.0)
         self.posterior, log_odds = _normalised(weight, self.odds_log)
         self.exists = float(expit(log_odds + np.log(EXISTS / (1.0 - EXISTS))))
         joint = self.exists * _shares(one + none[:, None], self.posterior) + (1.0 - self.exists) * np.exp(
             none - logsumexp(none)
         )
-        self.scatter = joint / joint.sum()
+        self.backgrounds = joint / joint.sum()
+
+    @property
+    def background(self) -> Background:
+        """The most probable one."""
+        return BACKGROUNDS[int(self.backgrounds.argmax())]
 
     def missed(self, some: BoolArray) -> float:
         """Probability that there is one more of some of the guesses (j,), were these all that there can be."""
@@ -239,31 +370,22 @@ class LumpPosterior:
         return contact_radius(min(dent_m, self.prior.tip_radius_m), self.prior.tip_radius_m)
 
     @cached_property
-    def felt(self) -> FloatArray:
-        """(t, j) what each guess adds to the log stiffness of the touches."""
+    def felt(self) -> LumpShifts:
+        """What each guess does to the touches."""
         return self.guesses.shifts(self.places_m, self.contact_m)
 
     @cached_property
     def _search(self) -> tuple[tuple[FoundLump, ...], LumpState]:
-        guesses, places = self.guesses, self.places_m
-        read = np.array([touch.log_stiffness for touch in self.touches])
-        own = np.array([touch.log_sd for touch in self.touches])
-        # what the law is off by is alike in touches of one foam: it is a part of the level
-        own = np.sqrt(np.maximum(own**2 - LAW_SD**2, LEAST_SD**2))
-        if len(read):
-            own = np.hypot(own, FOOTPRINT_DOUBT * (read - np.median(read)))
-        felt, related = self.felt, self.prior.error.related(places)
+        guesses, felt, left = self.guesses, self.felt, LeftOver.of(self.touches)
         found: list[FoundLump] = []
         open_ = np.ones(len(guesses), dtype=bool)
         while True:
-            state = LumpState(guesses, read, own, felt, related, open_)
+            state = LumpState(guesses, felt, left, open_)
             one = self._found(state)
             if one is None or len(found) == MOST_FOUND:
                 return tuple(found), state
             found.append(one)
-            mean = felt @ one.posterior
-            read = read - mean
-            own = np.sqrt(own**2 + np.maximum(felt**2 @ one.posterior - mean**2, 0.0))
+            left = left.without(felt, one.posterior)
             open_ = open_ & (np.linalg.norm(guesses.centre_m - one.centre_m, axis=1) > guesses.radius_m + one.radius_m)
 
     @property
@@ -287,7 +409,7 @@ class LumpPosterior:
         order = np.argsort(away, kind="stable")
         within_m = float(away[order][np.searchsorted(np.cumsum(weight[order]), 0.9)])
         shares = np.array([weight[guesses.radius_m == one].sum() for one in self.radii_m])
-        above = guesses.shifts(centre[None], self.contact_m)[0]
+        above = guesses.shifts(centre[None], self.contact_m).log[0]
         return FoundLump(
             centre,
             max(within_m, 0.5 * CENTRE_CELL_M),
@@ -361,7 +483,7 @@ class LumpPosterior:
     @property
     def scatter(self) -> float:
         """Of the foam's log stiffness, a deviation."""
-        return float(np.sqrt(self.state.scatter @ np.square(SCATTERS)))
+        return float(np.sqrt(self.state.backgrounds @ [one.scatter**2 for one in BACKGROUNDS]))
 
     # As maps ----------------------------------------------------------------------------------------------------------
 
@@ -378,7 +500,7 @@ class LumpPosterior:
         level, sd = [float(field_log.mean())], [float(np.sqrt(variance.mean()))]
         labels, sure = np.zeros(len(cells), dtype=np.int64), 1.0 - self.covered.ravel()
         for number, one in enumerate(found, start=1):
-            felt = self.guesses.shifts(np.vstack([cells[::4], one.centre_m]), self.contact_m)
+            felt = self.guesses.shifts(np.vstack([cells[::4], one.centre_m]), self.contact_m).log
             mean = felt @ one.posterior
             doubt = np.maximum(felt**2 @ one.posterior - mean**2, 0.0) + (FOOTPRINT_DOUBT * mean) ** 2
             at = np.linalg.norm(cells - one.centre_m, axis=1)
@@ -414,21 +536,27 @@ class LumpPosterior:
     def _foam(self, places_m: FloatArray) -> tuple[FloatArray, FloatArray]:
         """(p,), (p,) mean and variance of the foam's log stiffness at places (p, 2), lumps left out."""
         weights, spare = self.kriging(places_m)
-        return weights @ self.state.read, spare
+        return weights @ self.state.left.read, spare
 
     def kriging(self, places_m: FloatArray) -> tuple[FloatArray, FloatArray]:
         """(p, t) weights that touches have for one at places (p, 2), and (p,) variance of what is left: of a scatter
         as it is known."""
-        scatter2, places = self.scatter**2, self.places_m
+        background, places = self.state.background, self.places_m
+        scatter2 = background.scatter**2
         if not len(places):
             return np.zeros((len(places_m), 0)), np.full(len(places_m), scatter2)
-        error = self.prior.error
-        beside = scatter2 * error.shared(places_m, places) + LEVEL_SD**2
-        related = error.related(places)
-        mixed = self.state.covariances[0] - SCATTERS[0] ** 2 * related + scatter2 * related
+        beside = scatter2 * background.shared(places_m, places) + LEVEL_SD**2
+        mixed = self.state.left.noise + scatter2 * background.related(places) + LEVEL_SD**2
         weights = cho_solve(cho_factor(mixed), beside.T).T
         spare = scatter2 + LEVEL_SD**2 - (weights * beside).sum(axis=1)
         return weights, np.maximum(spare, LEAST_SD**2)
+
+
+def _doubted(with_read: FloatArray, own: FloatArray) -> FloatArray:
+    """(s, j) log likelihood ratio of lumps to none, whose effect is off by a factor, of deviation FOOTPRINT_DOUBT
+    about 1. with_read, own: (s, j) products of their effects with the readings and with themselves, in deviations"""
+    sure = FOOTPRINT_DOUBT**-2
+    return np.asarray(0.5 * ((with_read + sure) ** 2 / (own + sure) - sure - np.log1p(own / sure)))
 
 
 def _spaced(low: float, high: float, cell: float) -> FloatArray:

@@ -63,7 +63,8 @@ class ContactFit:
     for one deviation of the arm's compliance, and the gain of the force
     at_force_n: the set force, also where the approach ended before it: the law says what it would have come to, so that
     all touches compare; depth_m: of the dent at `at_force_n`; contact_m: where contact began, on the axis of the
-    approach, which grows into the surface; exponent, exponent_sd: p; peak_force_n: along the normal, tare taken off
+    approach, which grows into the surface; exponent, exponent_sd: p, and exponent_related: covariance of what p and
+    log_stiffness are off by; peak_force_n: along the normal, tare taken off
     residual_m: scatter of the arm's position about the law; arm_sd_m: what is not known of the depth for the arm's sake
     samples: that were fitted
     """
@@ -81,6 +82,7 @@ class ContactFit:
     contact_m: float
     exponent: float
     exponent_sd: float
+    exponent_related: float
     peak_force_n: float
     residual_m: float
     arm_sd_m: float
@@ -102,6 +104,7 @@ def fit_approach(
     arm: ArmCompliance | None = None,
     force_sd_n: float | None = None,
     exponent_sd: float = EXPONENT_SD,
+    least_share: float = LOADED,
     gain_sd: float = 0.0,
 ) -> ContactFit:
     """Fit the law to an approach, from before contact to the peak of the force; what follows is left out.
@@ -111,6 +114,7 @@ def fit_approach(
     before, as by its depth, the fitted law goes on to it, and is less certain there
     arm: how the arm yields, from `calibrate_compliance`; default a stiff arm that scatters by 0.1 mm
     force_sd_n: noise of the force, default as it scatters before contact
+    exponent_sd: of the prior of p; least_share: of the set force, from which on samples are fitted
     gain_sd: of log stiffness, for the sake of the force sensor's gain
 
     The position is fitted as a function of the force, since the arm's scatter is what matters:
@@ -120,7 +124,7 @@ def fit_approach(
     depth_along, force = along_normal(time_s, position_m, force_n, normal)
     if set_force_n <= 0.0:
         raise InputError("a set force above 0 N", f"{set_force_n}")
-    force, noise, peak, loaded = since_contact(force, set_force_n, force_sd_n)
+    force, noise, peak, loaded = since_contact(force, set_force_n, force_sd_n, least_share)
     at_force = set_force_n
     z = depth_along[loaded] - arm.compliance_m_per_n * force[loaded]
     share = np.maximum(force[loaded], 0.0) / at_force
@@ -128,7 +132,7 @@ def fit_approach(
     prior, start_sd = EXPONENT[tip], max(arm.position_sd_m, 1e-6)
     z0, depth = _straight(share ** (1.0 / prior), z, np.ones_like(z))
     # how far the noise of the force moves a sample along the law
-    steep = depth / prior * np.maximum(share, LOADED) ** (1.0 / prior - 1.0) - arm.compliance_m_per_n * at_force
+    steep = depth / prior * np.maximum(share, least_share) ** (1.0 / prior - 1.0) - arm.compliance_m_per_n * at_force
     sample_sd = np.hypot(start_sd, steep * noise / at_force)
 
     def residuals(parameters: FloatArray) -> FloatArray:
@@ -157,7 +161,8 @@ def fit_approach(
         own_log_sd, arm_log_sd = log_sd, 0.0
     else:
         stiffness, rigid = 1e-3 * at_force / depth, False
-        beyond = exponent_sd * float(np.log(max(at_force / peak, 1.0))) / p**2  # the exponent there may be another
+        # the exponent beyond the peak may be another
+        beyond = min(exponent_sd, EXPONENT_SD) * float(np.log(max(at_force / peak, 1.0))) / p**2
         own_log_sd, arm_log_sd = float(np.linalg.norm([own_depth_sd / depth, LAW_SD, beyond])), bent_m / depth
         log_sd = float(np.linalg.norm([own_log_sd, arm_log_sd, gain_sd]))
         interval = (stiffness * float(np.exp(-Z_90 * log_sd)), stiffness * float(np.exp(Z_90 * log_sd)))
@@ -175,6 +180,7 @@ def fit_approach(
         z0,
         p,
         float(np.sqrt(cov[2, 2])),
+        -float(cov[1, 2]) / depth,
         peak,
         float(np.median(np.abs(scatter * sample_sd)) / 0.6745),
         arm_sd,
@@ -268,7 +274,7 @@ def along_normal(
 
 
 def since_contact(
-    force: FloatArray, set_force_n: float, force_sd_n: float | None
+    force: FloatArray, set_force_n: float, force_sd_n: float | None, least_share: float = LOADED
 ) -> tuple[FloatArray, float, float, BoolArray]:
     """Force (n,) without its offset, its noise, its peak, and the samples (n,) from contact to the peak.
 
@@ -289,7 +295,7 @@ def since_contact(
     if peak < 10.0 * noise:
         came, try_this = f"{peak:.2g} N along the normal", "press harder, or check the normal's sign"
         raise InputError(f"a force well above its noise of {noise:.2g} N", came, try_this)
-    least = max(LOADED * min(peak, set_force_n), 3.0 * noise)
+    least = max(least_share * min(peak, set_force_n), 3.0 * noise)
     below = np.flatnonzero(smooth[:peak_at] - offset < least)
     loaded = np.zeros(len(force), dtype=bool)
     loaded[below[-1] + 1 if len(below) else 0 : peak_at + 1] = True

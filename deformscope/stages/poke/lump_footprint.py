@@ -27,7 +27,7 @@ POISSON = 0.2
 """Of foam; 0 and 0.3 change a share by less than a tenth."""
 CALIBRATED = 1.1
 """The finite elements' effect over this one."""
-CONTACT_STEP = 0.1
+CONTACT_STEP = 0.02
 """Contacts are taken in steps of this in their logarithm."""
 NEAREST, FARTHEST, NODES = 0.1, 60.0, 70
 """Of the energy's grid, in contact radii, and its nodes each way."""

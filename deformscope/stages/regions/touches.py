@@ -18,6 +18,8 @@ class StiffnessSample:
     log_sd: its standard deviation, of what is this touch's own; rigid: the dent was below what the arm resolves:
     `log_stiffness` is a lower bound; arm_sd: by how much it would be higher were the arm stiffer by one deviation of
     its calibration, which all touches of a session share
+    exponent, exponent_sd: of the law of force over depth, where it was left free, and exponent_related: covariance of
+    what it and log_stiffness are off by; None where it was not
     """
 
     xy_m: FloatArray
@@ -25,6 +27,9 @@ class StiffnessSample:
     log_sd: float
     rigid: bool = False
     arm_sd: float = 0.0
+    exponent: float | None = None
+    exponent_sd: float = 0.0
+    exponent_related: float = 0.0
 
     def __post_init__(self) -> None:
         if np.shape(self.xy_m) != (2,) or not np.isfinite(self.xy_m).all():

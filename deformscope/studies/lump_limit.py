@@ -1,0 +1,69 @@
+"""How many lumps touches could tell from foam that scatters at all, were everything known of the foam but its draw.
+
+    limit(0.07)        # share of lumps as `lab:buried` draws them, within 30 touches, in foam that scatters by 7 %
+
+One that knows the scatter's deviation and length, the lump's size, depth and contrast, and where to look: 20 touches
+spread evenly and 10 around the lump, each where it adds most. What it then needs is that its readings are FOUND times
+as probable with the lump as without one or with one elsewhere. Nobody who has to seek it finds more.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+from scipy.special import ndtr
+
+from deformscope.arrays import FloatArray
+from deformscope.lab.scenes import BURIED_SIZE_M, built_in
+from deformscope.lab.session_errors import LabErrors
+from deformscope.stages.map.lump_posterior import FOUND, LEVEL_SD, LumpGuesses
+from deformscope.stages.poke.lump_footprint import contrast_share
+
+OWN_SD, EXPONENT_OWN_SD = 0.005, 0.024
+"""Of one touch of 5 N with the laboratory's sensors: log stiffness, and exponent."""
+CONTACT_M, TIMES = 0.0095, 10.0
+SPREAD, AROUND = (5, 4), 10
+REACH_M, CELL_M, BORDER_M = 0.04, 0.01, 0.02
+PLACES = 64
+"""Lumps of 2 cm radius side by side in the field: one is there, or in another place, or there is none."""
+
+
+def limit(scatter_sd: float, *, lumps: int = 100, seed: int = 0, exponent: bool = True) -> float:
+    """Share of lumps that could be found. seed: of the first of the scenes; exponent: whether touches tell theirs"""
+    need = float(np.log(PLACES * FOUND / (1.0 - FOUND)))
+    shares = []
+    for number in range(seed, seed + lumps):
+        x, y, radius_m, depth_m = built_in("buried", number).lumps_m[0]
+        one = LumpGuesses(*(np.array([part]) for part in ((x, y), radius_m, depth_m, contrast_share(TIMES), 1.0)))
+        apart = _deviations(one, scatter_sd, exponent)
+        shares.append(
+            float(ndtr((0.5 * apart**2 - need) / apart))
+        )  # log odds are normal: half their variance on average
+    return float(np.mean(shares))
+
+
+def _deviations(lump: LumpGuesses, scatter_sd: float, exponent: bool) -> float:
+    """By how many deviations the readings with a lump lie from those without."""
+    places = _lattice(*SPREAD)
+    every = _lattice(*(round((side - 2.0 * BORDER_M) / CELL_M) + 1 for side in BURIED_SIZE_M))
+    near = every[np.linalg.norm(every - lump.centre_m, axis=1) < REACH_M]
+    for _ in range(AROUND):
+        told = [_told(np.vstack([places, one]), lump, scatter_sd, exponent) for one in near]
+        places = np.vstack([places, near[int(np.argmax(told))]])
+    return float(np.sqrt(_told(places, lump, scatter_sd, exponent)))
+
+
+def _told(places_m: FloatArray, lump: LumpGuesses, scatter_sd: float, exponent: bool) -> float:
+    """Square of `_deviations` of touches at places (t, 2)."""
+    felt = lump.shifts(places_m, CONTACT_M)
+    apart2 = ((places_m[:, None] - places_m) ** 2).sum(axis=-1)
+    covariance = scatter_sd**2 * np.exp(-0.5 * apart2 / LabErrors().scatter_length_m ** 2) + LEVEL_SD**2
+    covariance += OWN_SD**2 * np.eye(len(places_m))
+    log = felt.log[:, 0]
+    told = float(log @ cho_solve(cho_factor(covariance), log))
+    return told + (float(np.var(felt.exponent)) * len(places_m) / EXPONENT_OWN_SD**2 if exponent else 0.0)
+
+
+def _lattice(columns: int, rows: int) -> FloatArray:
+    x, y = (np.linspace(BORDER_M, side - BORDER_M, n) for side, n in zip(BURIED_SIZE_M, (columns, rows), strict=True))
+    return np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
