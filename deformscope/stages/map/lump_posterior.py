@@ -54,12 +54,12 @@ FOOTPRINT_DOUBT = 0.15
 """Of what a lump does to a touch, as a share of it, in all touches alike: the footprint is no better."""
 LEVEL_SD, LEAST_SD = 3.0, 0.002
 HERTZ = EXPONENT["sphere"]
-STIFFER, STIFFER_SD = 0.15, 0.1
+STIFFER, STIFFER_SD = 0.16, 0.03
 """By how much the exponent of a ball is larger on foam whose log stiffness is larger by 1, where it sinks less, and the
 deviation of that."""
-BENT = 0.7
+BENT = 0.62
 """What finite elements' exponents rise by over a lump, over what `law_response` says: their foam is a layer."""
-EXPONENT_LEAST_SD, EXPONENT_LEVEL_SD, EXPECTED_EXPONENT_SD, NOT_KNOWN = 0.01, 1.0, 0.025, 10.0
+EXPONENT_LEAST_SD, EXPONENT_LEVEL_SD, EXPECTED_EXPONENT_SD, NOT_KNOWN = 0.005, 1.0, 0.025, 10.0
 """Deviations of exponents: of a touch, however well it is fitted; of the foam's; of a touch before any was made; of one
 that was not fitted."""
 DRIFT_SD = 0.001

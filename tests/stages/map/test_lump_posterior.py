@@ -12,7 +12,7 @@ from deformscope.errors import InputError
 from deformscope.lab.session_errors import LabErrors
 from deformscope.stages.map import lump_posterior
 from deformscope.stages.map.lump_plan import plan_lump_touch
-from deformscope.stages.map.lump_posterior import EXISTS, HERTZ, LumpGuesses, LumpPosterior, LumpPrior
+from deformscope.stages.map.lump_posterior import EXISTS, HERTZ, STIFFER, LumpGuesses, LumpPosterior, LumpPrior
 from deformscope.stages.map.plan import PlanOptions
 from deformscope.stages.poke.lump_footprint import contrast_share, footprint, lump_shift
 from deformscope.stages.regions.touches import MapGrid, StiffnessSample
@@ -119,7 +119,7 @@ def test_the_exponent_tells_a_lump_from_foam_as_stiff() -> None:
     sd, logs = float(np.hypot(NOISE, 0.02)), [felt(xy_m) for xy_m in at]
 
     def given(rises: FloatArray) -> LumpPosterior:
-        each = zip(at, logs, HERTZ + rises, strict=True)
+        each = zip(at, logs, HERTZ + STIFFER * (np.array(logs) - LEVEL) + rises, strict=True)
         samples = (StiffnessSample(xy_m, log, sd, exponent=bent, exponent_sd=0.024) for xy_m, log, bent in each)
         return LumpPosterior(GRID, PRIOR, tuple(samples))
 
