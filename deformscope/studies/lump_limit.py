@@ -28,7 +28,7 @@ PLACES = 64
 """Lumps of 2 cm radius side by side in the field: one is there, or in another place, or there is none."""
 
 
-def limit(scatter_sd: float, *, lumps: int = 100, seed: int = 0, exponent: bool = True) -> float:
+def limit(scatter_sd: float, *, lumps: int = 40, seed: int = 0, exponent: bool = True) -> float:
     """Share of lumps that could be found. seed: of the first of the scenes; exponent: whether touches tell theirs"""
     need = float(np.log(PLACES * FOUND / (1.0 - FOUND)))
     shares = []
