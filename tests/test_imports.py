@@ -41,7 +41,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "stages.map": ("arrays", "errors", "stages.msm", "stages.see", "stages.fit", "stages.regions", "stages.poke"),
     "stages.squeeze": ("arrays", "capsule", "errors", "stages.see"),
     "stages.setup": ("arrays", "errors"),
-    "pictures": ("arrays", "errors", "images", "plain", *STAGES),
+    "pictures": ("arrays", "errors", "images", "plain", "processes", *STAGES),
     "log": ("arrays", "frames", "images", "pictures", "plain", "rows", *STAGES),
     "rig": ("errors", "frames"),
     "robot": ("arrays", "capsule", "errors", "rig", "solid"),
