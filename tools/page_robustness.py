@@ -1,8 +1,8 @@
 """What the page does to a robot and to its recording: python tools/page_robustness.py [--seconds 600]
 
 Explores, or records, a rig of doubles on the host's clock while its page is absent, open, hidden, frozen (SIGSTOP),
-killed, and loaded again 50 times, in a browser at nice 19; before that for a part of the time without a page. Prints a
-table, and exits with 1 unless all hold:
+killed, and loaded again 50 times, in a browser at nice 19, as is what steers it; before that for a part of the time
+without a page. Prints a table, and exits with 1 unless all hold:
 
 - readings: each sample of the force sensor from the first to the last is in the file, by the double's own counter; of
   every device the file holds as many frames as its driver took, and counts no loss
@@ -11,6 +11,10 @@ table, and exits with 1 unless all hold:
 - memory of the command and of the browser, after the first and at the end of the time
 
 In six minutes: python tools/page_robustness.py --seconds 200 --without 60
+
+Where Linux shares processors out by sessions (autogroup), nice 19 counts within one alone. The command has a session of
+its own, therefore, and that of this program is at nice 19 meanwhile: with both in one, the kernel's own threads, which
+pass a serial port's bytes on, were held up for 0.1 s and more.
 
 A headless browser knows no hidden tab: it is made of what a page has of it, which is that it says so and gets no frames
 to draw. Needs playwright and chromium (CHROMIUM=path).
@@ -128,7 +132,7 @@ class Browser:
         modest = ["setpriv", "--bounding-set=-sys_nice"] if os.geteuid() == 0 else []  # root's would raise itself again
         self.process = subprocess.Popen(
             [*modest, "nice", "-n", "19", program, *FLAGS, f"--user-data-dir={folder}", "about:blank"],
-            process_group=0,  # of the same session: nice counts within one alone
+            process_group=0,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
         )
@@ -145,6 +149,22 @@ class Browser:
 
     def signal(self, number: signal.Signals) -> None:
         os.killpg(self.process.pid, number)
+
+
+@contextlib.contextmanager
+def modestly() -> Iterator[None]:
+    """What this thread begins runs at nice 19, as does this program's session."""
+    autogroup = Path("/proc/self/autogroup")
+    before = autogroup.read_text().split()[-1] if autogroup.exists() else ""
+    os.setpriority(os.PRIO_PROCESS, 0, 19)
+    if before:
+        autogroup.write_text("19")
+    try:
+        yield
+    finally:
+        if before:
+            with contextlib.suppress(OSError):  # set twice within 0.1 s, or a negative one, by others than root
+                autogroup.write_text(before)
 
 
 def until(happened: Any) -> None:
@@ -167,7 +187,7 @@ def running(what: str, folder: Path, name: str, viewer: str) -> Iterator[tuple[s
     command = [sys.executable, "-m", "deformscope", *words]
     paths = [str(ROOT), str(ROOT / "drivers"), *filter(None, [os.environ.get("PYTHONPATH")])]
     env = {**os.environ, "PYTHONPATH": os.pathsep.join(paths)}  # this checkout, whatever is installed
-    process = subprocess.Popen(command, cwd=folder, env=env, stderr=subprocess.PIPE, text=True, process_group=0)
+    process = subprocess.Popen(command, cwd=folder, env=env, stderr=subprocess.PIPE, text=True, start_new_session=True)
     lines: list[str] = []
     assert process.stderr is not None
     reader = threading.Thread(target=_read, args=(process.stderr, lines))
@@ -204,7 +224,7 @@ def with_a_page(what: str, folder: Path, seconds: float) -> tuple[Memory, list[t
     from playwright.sync_api import sync_playwright
 
     browsers: list[tuple[str, Memory]] = []
-    with running(what, folder, "page", "page") as (process, lines), sync_playwright() as playwright:
+    with running(what, folder, "page", "page") as (process, lines), modestly(), sync_playwright() as playwright:
         until(lambda: any("http://" in line for line in lines))
         address = next(word for line in lines for word in line.split() if word.startswith("http://"))
         memory = Memory(process.pid)

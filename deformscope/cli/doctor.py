@@ -67,6 +67,7 @@ def run(config: DoctorConfig) -> None:
     findings += _found("explore", lambda: _exploring(rig, measured))
     findings += _found("shape", lambda: _shape(rig))
     findings += _found("disk", lambda: [_disk(rig)])
+    findings += _found("real time", lambda: _real_time(rig))
     for entry in rig.devices:
         say(f"listening to {entry.name}")
         name = f"{entry.name} ({entry.driver.name}{', double' if entry.double else ''})"
@@ -190,6 +191,21 @@ def _disk(rig: Rig) -> Finding:
     free = shutil.disk_usage(folder).free
     verdict: Verdict = "ok" if free > FREE_BYTES_WANTED else "look"
     return Finding("disk", verdict, f"{free / 1e9:.1f} GB free for {rig.record.folder}")
+
+
+def _real_time(rig: Rig) -> list[Finding]:
+    """Whether a robot's threads may run before whatever else the machine computes."""
+    from deformscope_drivers.priority import SENDING, may_be_prompt
+
+    if not {"arm", "hand"} & {entry.driver.kind for entry in rig.devices}:
+        return []
+    if may_be_prompt():
+        return [Finding("real time", "ok", "what steers the robot and hears its devices runs before all else here")]
+    words = (
+        "not allowed to this user: a busy machine may stop the robot, since its devices are heard too late. Add "
+        f'"USER - rtprio {SENDING}" to /etc/security/limits.conf and log in again (Linux)'
+    )
+    return [Finding("real time", "look", words)]
 
 
 def _device(entry: RigDevice, name: str, seconds: float) -> list[Finding]:

@@ -18,6 +18,7 @@ from deformscope.robot.squeeze_supervisor import ADVICE, SqueezeFault
 from deformscope.session import Inline, Moment, Step
 from deformscope.stages.squeeze.events import BASELINE_FRAMES, EventRule, OnsetDetector, StillDetector
 from deformscope.stages.squeeze.trial import SqueezePhase, SqueezeStop
+from deformscope_drivers.priority import STEERING, be_prompt
 
 KEEP_EVERY = 5
 """Control periods of a simulated clock between two portions of the recording."""
@@ -132,7 +133,7 @@ class SqueezingHand:
     @contextlib.contextmanager
     def in_a_thread(self) -> Iterator[None]:
         """Carry commands out in a thread of their own: devices that run by themselves are recorded meanwhile."""
-        with ThreadPoolExecutor(1, "hand") as self._pool:
+        with ThreadPoolExecutor(1, "hand", be_prompt, (STEERING,)) as self._pool:
             yield
 
     def ask_to_stop(self, reason: str) -> None:

@@ -37,6 +37,7 @@ from deformscope.stages.regions.touches import MapGrid
 from deformscope_drivers.depth_camera.image import DepthImage, Intrinsics
 from deformscope_drivers.errors import DeviceError
 from deformscope_drivers.placed.config import PLACED
+from deformscope_drivers.priority import STEERING, be_prompt
 from deformscope_drivers.subscription import Subscription
 
 DENT_PICTURES = 10
@@ -192,6 +193,7 @@ class TouchingRobot:
         over = threading.Event()
 
         def work() -> None:
+            be_prompt(STEERING)
             failed = False
             while not over.is_set():
                 holding = self._made is not None and self._made.may_move and not failed

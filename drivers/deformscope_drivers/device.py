@@ -22,6 +22,7 @@ from deformscope_drivers.clock import Clock, ClockFit, Stamp, monotonic_ns
 from deformscope_drivers.errors import DeviceError, LinkLost, NoReply, NotConnected, Stale
 from deformscope_drivers.framing import FrameDecoder, Skipped
 from deformscope_drivers.health import Health, Identity, Link, LinkEvent, Tally
+from deformscope_drivers.priority import READING, be_prompt
 from deformscope_drivers.subscription import Subscription
 from deformscope_drivers.transport import Transport
 
@@ -85,10 +86,12 @@ class Device(ABC, Generic[MeasurementT]):
     same for this long mean a stuck sensor, None = they may; clock: the host's, or a simulated laboratory's
     late_ns: set before opening, how late the device is by calibration [ns]: the stamps in all queues are put back by it
     A subclass gives `_connect`, `_receive` and `_disconnect`, all run by the device's own thread; one whose readings
-    are large gives `queue_readings` too: how many wait for a slow reader where it does not say.
+    are large gives `queue_readings` too: how many wait for a slow reader where it does not say; one that a moving robot
+    waits for says that it is `prompt`.
     """
 
     queue_readings: ClassVar[int] = QUEUE_READINGS
+    prompt: ClassVar[bool] = False
 
     def __init__(
         self,
@@ -422,6 +425,8 @@ class Device(ABC, Generic[MeasurementT]):
 
     def _run(self, opened: Future[None]) -> None:
         """The device's thread: connect, read, seek a lost link, until it is closed."""
+        if self.prompt:
+            be_prompt(READING)
         failure: BaseException | None = None
         reason = ""
         try:
@@ -561,6 +566,8 @@ class StreamDevice(Device[MeasurementT]):
     that is no measurement gives none). `_ask` sends a command and waits for its reply.
     silence_s: a device that should send and sent nothing for this long is lost (a bus does not show it); None = it may
     """
+
+    prompt = True
 
     def __init__(
         self,

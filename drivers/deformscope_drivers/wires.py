@@ -16,6 +16,7 @@ from typing import Any, Self
 
 from deformscope_drivers.clock import monotonic_ns
 from deformscope_drivers.doubles import Double
+from deformscope_drivers.priority import SENDING, be_prompt
 from deformscope_drivers.transport import CAN_FRAME_BYTES, CHUNK_BYTES, open_bus
 
 LONGEST_WAIT_S = 0.1
@@ -84,6 +85,7 @@ class Wire(ABC):
         """Remove what outlives a cable that was pulled out."""
 
     def _work(self) -> None:
+        be_prompt(SENDING)
         while not self._stopping.is_set():
             now_ns = monotonic_ns()
             next_ns = self.double.next_ns(now_ns)

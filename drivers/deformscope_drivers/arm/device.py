@@ -47,6 +47,7 @@ class Arm(Device[StateT]):
     by_hand: a person places it: it has no joints that are known, and takes no velocities
     """
 
+    prompt = True
     by_hand: ClassVar[bool] = False
     config: Any
 

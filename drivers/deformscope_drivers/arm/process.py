@@ -18,6 +18,7 @@ from deformscope_drivers.arm.device import Arm
 from deformscope_drivers.clock import monotonic_ns
 from deformscope_drivers.errors import DeviceError
 from deformscope_drivers.health import Link
+from deformscope_drivers.priority import READING, STEERING, be_prompt
 
 HEALTH_S = 0.5
 CALLS = frozenset({"stop", "halt", "acknowledge_stop", "home"})
@@ -37,6 +38,7 @@ class Sender:
 
 def serve(connection: Connection) -> None:
     """Move an arm until the other end is closed."""
+    be_prompt(STEERING)
     send = Sender(connection)
     kind, config = connection.recv()
     arm: Arm[Any] = kind(config)
@@ -75,6 +77,7 @@ def _heed(message: tuple[Any, ...], arm: Arm[Any], send: Sender) -> None:
 
 def _report(arm: Arm[Any], send: Sender) -> None:
     """Pass the arm's states on, and its health now and then, until it is closed."""
+    be_prompt(READING)
     health_s = 0.0
     try:
         for state in arm.readings():
