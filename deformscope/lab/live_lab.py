@@ -42,6 +42,7 @@ from deformscope_drivers.device import Device
 from deformscope_drivers.errors import DeviceError
 from deformscope_drivers.optoforce.double import OMD_20_SE_40N, OptoforceDouble, Sensors
 from deformscope_drivers.optoforce.sensitivity import Sensitivity
+from deformscope_drivers.priority import SENDING, be_prompt
 from deformscope_drivers.wires import PtyWire
 
 PARKED_M = 0.18
@@ -201,6 +202,7 @@ class LiveLab:
 
     def _move(self) -> None:
         """The table gets where the arm is, and the arm what pushes it."""
+        be_prompt(SENDING)
         shared = self._shared
         while not shared.over:
             shared.put_links(self.arm.body.T_base_links)
@@ -247,6 +249,7 @@ def _feel(pipe: Connection, table: _Table, shared: _Shared, sensitivity: Sensiti
     double = OptoforceDouble(Sensors(scene=load, sensitivity=sensitivity, seed=table.seed))
     with PtyWire(double) as wire:
         pipe.send(wire.port)
+        be_prompt(SENDING)
         due = time.monotonic()
         while _goes_on(shared, due):
             contact.finger_n = np.array(shared.finger_n[:])

@@ -12,7 +12,7 @@ import pytest
 from deformscope.cli import main
 from deformscope.cli.common import EXIT_LOSSES
 from deformscope.lab import stand_in
-from deformscope_drivers import kuka
+from deformscope_drivers import kuka, priority
 from tests.cases import slow
 
 DEVICES = ("tip", "pads", "hand", "arm", "camera", "depth")
@@ -176,3 +176,16 @@ def test_what_a_device_remarks_of_itself_is_to_be_looked_at(
     assert fine["verdict"] == "ok"
     assert "Intel RealSense D435 837212070000 5.16.0.1" in fine["told"]
     assert (look["verdict"], look["told"].split(":")[0]) == ("look", "it is on USB 2.1")
+
+
+@pytest.mark.parametrize(("allowed", "verdict"), [(True, "ok"), (False, "look")])
+def test_whether_the_robots_threads_may_be_real_time_is_a_row(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, allowed: bool, verdict: str
+) -> None:
+    monkeypatch.setattr(priority, "may_be_prompt", lambda: allowed)
+    rig = tmp_path / "rig.toml"
+    rig.write_text('[devices.arm]\ndriver = "kuka"\ndouble = true\n', encoding="utf-8")
+    main(["doctor", str(rig), "--seconds", "0.1"])
+    told = capsys.readouterr().out
+    assert f"{verdict:<5} real time" in told
+    assert ("rtprio" in told) is not allowed
