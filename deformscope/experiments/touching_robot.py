@@ -55,7 +55,7 @@ KEEP_EVERY = 50
 """Control periods of a simulated clock between two portions of the recording: each costs bytes and seconds."""
 IDLE_S = 0.02
 """A robot that may not move yet looks so often whether there is a command."""
-SWITCH_S = 2e-4
+SWITCH_S = 5e-4
 """A thread that waits for Python's lock is let in after this. With Python's 5 ms a control period, which waits for it
 several times, comes late where threads beside it write and draw."""
 
