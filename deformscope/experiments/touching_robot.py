@@ -193,10 +193,12 @@ class TouchingRobot:
         over = threading.Event()
 
         def work() -> None:
-            be_prompt(STEERING)
-            failed = False
+            failed = prompt = False
             while not over.is_set():
                 holding = self._made is not None and self._made.may_move and not failed
+                if holding and not prompt:  # not before: finding what can be reached takes seconds of a processor
+                    be_prompt(STEERING)
+                    prompt = True
                 try:
                     command, future = commands.get(block=not holding, timeout=IDLE_S)
                 except queue.Empty:

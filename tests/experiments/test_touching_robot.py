@@ -4,6 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import os
+import threading
+import time
+from functools import partial
 
 import numpy as np
 import pytest
@@ -17,6 +21,7 @@ from deformscope.lab.ray_camera import FOAM
 from deformscope.lab.scene_lab import SceneLab
 from deformscope.lab.scenes import built_in
 from deformscope.rig.rig_file import Workspace
+from deformscope.robot.placement import Placement
 from deformscope.robot.setup import CameraView, Setup
 from deformscope.robot.shape import arm_shape
 from deformscope.robot.touch import STILL_S
@@ -24,6 +29,8 @@ from deformscope.stages.regions.touch_error import GAIN_SD
 from deformscope.studies.fault_study import FaultScene, make_scene
 from deformscope_drivers.depth_camera.image import Intrinsics
 from deformscope_drivers.jaco.chains import J2N6S300
+from deformscope_drivers.priority import STEERING, may_be_prompt
+from tests.patience import PATIENCE_S
 
 UP = np.array([0.0, 0.0, 1.0])
 
@@ -153,3 +160,29 @@ def test_a_lens_that_the_pictures_report_is_taken_where_it_has_no_distortion() -
         reported_lens(None)
     with pytest.raises(InputError, match=r"and distortion; got .* \[0.1, 0.0, 0.0, 0.0, 0.0\] .*calibrate camera"):
         reported_lens(Intrinsics(570.0, 571.0, 320.0, 240.0, (0.1, 0.0, 0.0, 0.0, 0.0)))
+
+
+@pytest.mark.skipif(not may_be_prompt(), reason="this user may not have real-time threads")
+def test_a_robot_that_may_move_is_steered_by_a_real_time_thread(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not before it may: what is computed until then would hold up everything else."""
+
+    class Standing:
+        may_move = False
+
+        def cycle(self) -> None:
+            seen.append(os.sched_getparam(0).sched_priority)
+            cycled.set()
+            time.sleep(0.01)
+
+    seen, cycled, standing = list[int](), threading.Event(), Standing()
+    placement, workspace = Placement(np.eye(4)), Workspace()
+    nothing_opens = lambda: pytest.fail("nothing opens")  # noqa: E731
+    made = Setup((0.6, 0.4), placement, workspace, CameraView(), nothing_opens, ("arm", "tip", "camera"))
+    robot = TouchingRobot(lambda watch: standing, made, ExploreOptions())  # type: ignore[arg-type,return-value]
+    monkeypatch.setattr(robot, "_made", standing)
+    monkeypatch.setattr(robot, "_do", lambda command: partial(int, os.sched_getparam(0).sched_priority))
+    with robot.in_a_thread():
+        assert robot.carry_out("look", lambda: None).result(PATIENCE_S) == 0
+        standing.may_move = True
+        assert cycled.wait(PATIENCE_S)
+    assert set(seen) == {STEERING}
