@@ -153,11 +153,11 @@ class Browser:
 
 @contextlib.contextmanager
 def modestly() -> Iterator[None]:
-    """What this thread begins runs at nice 19, as does this program's session."""
-    autogroup = Path("/proc/self/autogroup")
-    before = autogroup.read_text().split()[-1] if autogroup.exists() else ""
+    """What this thread begins runs at nice 19, as does this program's session; the thread itself stays there."""
+    autogroup, before = Path("/proc/self/autogroup"), ""
     os.setpriority(os.PRIO_PROCESS, 0, 19)
-    if before:
+    with contextlib.suppress(OSError, IndexError):  # sessions have no share of their own
+        before = autogroup.read_text().split()[-1]
         autogroup.write_text("19")
     try:
         yield

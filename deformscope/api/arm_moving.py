@@ -30,6 +30,7 @@ from deformscope.robot.travel import to_above
 from deformscope.session import BATCH_S, Inline, finish
 from deformscope.stages.map.exploration import ExplorationStop
 from deformscope.terminal import say, status_line
+from deformscope_drivers.priority import STEERING, be_prompt
 
 if TYPE_CHECKING:
     from deformscope.config import HomeConfig, MovingOptions, WhereConfig
@@ -197,6 +198,8 @@ def _carried_out(
             _ask("The arm will now move: keep the emergency stop in your hand. Type yes: ", asked)
         robot.start()
         robot.let_move(preflight)
+        if setup.runs_itself:  # in a thread of its own
+            be_prompt(STEERING)
         work(robot, setup)
     except RobotStopped as error:
         verdict = error.verdict

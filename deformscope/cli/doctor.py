@@ -6,6 +6,7 @@ deformscope doctor --example > rig.toml
 
 from __future__ import annotations
 
+import os
 import shutil
 import time
 from collections.abc import Callable
@@ -200,12 +201,13 @@ def _real_time(rig: Rig) -> list[Finding]:
     if not {"arm", "hand"} & {entry.driver.kind for entry in rig.devices}:
         return []
     if may_be_prompt():
-        return [Finding("real time", "ok", "what steers the robot and hears its devices runs before all else here")]
-    words = (
-        "not allowed to this user: a busy machine may stop the robot, since its devices are heard too late. Add "
-        f'"USER - rtprio {SENDING}" to /etc/security/limits.conf and log in again (Linux)'
-    )
-    return [Finding("real time", "look", words)]
+        told = "what steers the robot and hears its devices runs before all that is not real time"
+        return [Finding("real time", "ok", told)]
+    words = "a busy machine may stop the robot, since its devices are heard too late"
+    if not hasattr(os, "sched_setscheduler"):
+        return [Finding("real time", "look", f"not on this system: {words}")]
+    limits = f'Add "USER - rtprio {SENDING}" to /etc/security/limits.conf and log in again; a container may forbid it'
+    return [Finding("real time", "look", f"not allowed to this user: {words}. {limits}")]
 
 
 def _device(entry: RigDevice, name: str, seconds: float) -> list[Finding]:

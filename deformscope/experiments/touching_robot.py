@@ -142,6 +142,10 @@ class TouchingRobot:
             self._made.reason_to_stand = lambda: self.reason_to_stand()
         return self._made
 
+    @property
+    def _may_move(self) -> bool:
+        return self._made is not None and self._made.may_move
+
     # Commands ---------------------------------------------------------------------------------------------------------
 
     def carry_out(self, command: object, keep: Callable[[], object]) -> Future[Any]:
@@ -195,15 +199,17 @@ class TouchingRobot:
         def work() -> None:
             failed = prompt = False
             while not over.is_set():
-                holding = self._made is not None and self._made.may_move and not failed
-                if holding and not prompt:  # not before: finding what can be reached takes seconds of a processor
-                    be_prompt(STEERING)
+                holding = self._may_move and not failed
+                asked: tuple[object, Future[Any]] | None = None
+                with contextlib.suppress(queue.Empty):
+                    asked = commands.get(block=not holding, timeout=IDLE_S)
+                if self._may_move and not prompt:  # not before: what can be reached takes seconds to find
                     prompt = True
-                try:
-                    command, future = commands.get(block=not holding, timeout=IDLE_S)
-                except queue.Empty:
+                    be_prompt(STEERING)
+                if asked is None:
                     failed = failed or (holding and not self._held())
                     continue
+                command, future = asked
                 try:
                     answers.submit(_give, future, self._do(command))
                 except TouchHeld as error:

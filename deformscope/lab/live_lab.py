@@ -94,8 +94,9 @@ class _Shared:
 
     def put_links(self, T_base_links: FloatArray) -> None:
         """By its one writer."""
+        links = T_base_links.ravel().tolist()  # first: who reads waits for what comes between
         self._version.value += 1
-        self._links[:] = T_base_links.ravel().tolist()
+        self._links[:] = links
         self._version.value += 1
 
     @property
@@ -249,7 +250,6 @@ def _feel(pipe: Connection, table: _Table, shared: _Shared, sensitivity: Sensiti
     double = OptoforceDouble(Sensors(scene=load, sensitivity=sensitivity, seed=table.seed))
     with PtyWire(double) as wire:
         pipe.send(wire.port)
-        be_prompt(SENDING)
         due = time.monotonic()
         while _goes_on(shared, due):
             contact.finger_n = np.array(shared.finger_n[:])

@@ -13,9 +13,9 @@ them; of 1 to 99, below the system's own (interrupts have 50). Chosen."""
 
 def be_prompt(priority: int) -> bool:
     """Have the calling thread run as soon as it has something to do, whatever else the machine computes (SCHED_RR);
-    whether the system allows this user to. Elsewhere the thread stays as it is. What it begins is ordinary again.
+    whether the system allows this user to. Elsewhere the thread stays as it is. What it begins is ordinary, at nice 0.
 
-    It must mostly wait. Another thread of the same program that holds Python's lock still holds it up.
+    It should mostly wait. Another thread of the same program that holds Python's lock still holds it up.
     """
     with contextlib.suppress(AttributeError, OSError):  # no Linux; not allowed
         os.sched_setscheduler(0, os.SCHED_RR | os.SCHED_RESET_ON_FORK, os.sched_param(priority))

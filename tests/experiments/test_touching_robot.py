@@ -182,7 +182,8 @@ def test_a_robot_that_may_move_is_steered_by_a_real_time_thread(monkeypatch: pyt
     monkeypatch.setattr(robot, "_made", standing)
     monkeypatch.setattr(robot, "_do", lambda command: partial(int, os.sched_getparam(0).sched_priority))
     with robot.in_a_thread():
-        assert robot.carry_out("look", lambda: None).result(PATIENCE_S) == 0
+        assert robot.carry_out("check", lambda: None).result(PATIENCE_S) == 0
         standing.may_move = True
+        assert robot.carry_out("look", lambda: None).result(PATIENCE_S) == STEERING  # the very first one
         assert cycled.wait(PATIENCE_S)
     assert set(seen) == {STEERING}

@@ -38,7 +38,6 @@ class Sender:
 
 def serve(connection: Connection) -> None:
     """Move an arm until the other end is closed."""
-    be_prompt(STEERING)
     send = Sender(connection)
     kind, config = connection.recv()
     arm: Arm[Any] = kind(config)
@@ -47,6 +46,7 @@ def serve(connection: Connection) -> None:
     except DeviceError as error:
         send("failed", _name(error), str(error))
         return
+    be_prompt(STEERING)
     try:
         known = {"chain": arm.chain, "identity": arm.identity(), "urdf": arm.urdf, "homed": arm.homed}
         send("opened", known)
