@@ -201,8 +201,8 @@ def _real_time(rig: Rig) -> list[Finding]:
     if not {"arm", "hand"} & {entry.driver.kind for entry in rig.devices}:
         return []
     if may_be_prompt():
-        told = "what steers the robot and hears its devices runs before all that is not real time"
-        return [Finding("real time", "ok", told)]
+        words = "what steers the robot and hears its devices runs before all that is not real time"
+        return [Finding("real time", "ok", words)]
     words = "a busy machine may stop the robot, since its devices are heard too late"
     if not hasattr(os, "sched_setscheduler"):
         return [Finding("real time", "look", f"not on this system: {words}")]

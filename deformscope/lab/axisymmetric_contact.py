@@ -160,7 +160,7 @@ def _changes(basis: Any) -> tuple[FloatArray, FloatArray]:
 
 def _sums(basis: Any, shares: FloatArray, first: FloatArray, second: FloatArray, ring: FloatArray) -> tuple[Any, Any]:
     """(N,) and (N, N): the derivatives first (elements, points, k, 1) and second (..., k, k) by what `shares`
-    (elements, points, functions, k) tell of each degree of freedom, summed over the rings [N, N/m]."""
+    (elements, points, functions, k) give for each degree of freedom, summed over the rings [N, N/m]."""
     weight = (2.0 * np.pi * ring * basis.dx)[..., None, None]
     vector = (weight * (shares @ first)).sum(axis=1)[..., 0]
     matrix = (weight * (shares @ second @ np.swapaxes(shares, -1, -2))).sum(axis=1)

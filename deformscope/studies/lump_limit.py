@@ -1,4 +1,4 @@
-"""How many lumps touches could tell from foam that scatters at all, were everything known of the foam but its draw.
+"""How many lumps touches could distinguish from foam that scatters, were everything known of it but its draw.
 
     limit(0.07)        # share of lumps as `lab:buried` draws them, within 30 touches, in foam that scatters by 7 %
 
@@ -29,16 +29,15 @@ PLACES = 64
 
 
 def limit(scatter_sd: float, *, lumps: int = 40, seed: int = 0, exponent: bool = True) -> float:
-    """Share of lumps that could be found. seed: of the first of the scenes; exponent: whether touches tell theirs"""
+    """Share of lumps that could be found. seed: of the first of the scenes; exponent: it is measured too"""
     need = float(np.log(PLACES * FOUND / (1.0 - FOUND)))
     shares = []
     for number in range(seed, seed + lumps):
         x, y, radius_m, depth_m = built_in("buried", number).lumps_m[0]
         one = LumpGuesses(*(np.array([part]) for part in ((x, y), radius_m, depth_m, contrast_share(TIMES), 1.0)))
         apart = _deviations(one, scatter_sd, exponent)
-        shares.append(
-            float(ndtr((0.5 * apart**2 - need) / apart))
-        )  # log odds are normal: half their variance on average
+        # log odds are normal, and half their variance on average
+        shares.append(float(ndtr((0.5 * apart**2 - need) / apart)))
     return float(np.mean(shares))
 
 
@@ -48,20 +47,22 @@ def _deviations(lump: LumpGuesses, scatter_sd: float, exponent: bool) -> float:
     every = _lattice(*(round((side - 2.0 * BORDER_M) / CELL_M) + 1 for side in BURIED_SIZE_M))
     near = every[np.linalg.norm(every - lump.centre_m, axis=1) < REACH_M]
     for _ in range(AROUND):
-        told = [_told(np.vstack([places, one]), lump, scatter_sd, exponent) for one in near]
-        places = np.vstack([places, near[int(np.argmax(told))]])
-    return float(np.sqrt(_told(places, lump, scatter_sd, exponent)))
+        separations2 = [_separation2(np.vstack([places, one]), lump, scatter_sd, exponent) for one in near]
+        places = np.vstack([places, near[int(np.argmax(separations2))]])
+    return float(np.sqrt(_separation2(places, lump, scatter_sd, exponent)))
 
 
-def _told(places_m: FloatArray, lump: LumpGuesses, scatter_sd: float, exponent: bool) -> float:
+def _separation2(places_m: FloatArray, lump: LumpGuesses, scatter_sd: float, exponent: bool) -> float:
     """Square of `_deviations` of touches at places (t, 2)."""
     felt = lump.shifts(places_m, CONTACT_M)
     apart2 = ((places_m[:, None] - places_m) ** 2).sum(axis=-1)
     covariance = scatter_sd**2 * np.exp(-0.5 * apart2 / LabErrors().scatter_length_m ** 2) + LEVEL_SD**2
     covariance += OWN_SD**2 * np.eye(len(places_m))
     log = felt.log[:, 0]
-    told = float(log @ cho_solve(cho_factor(covariance), log))
-    return told + (float(np.var(felt.exponent)) * len(places_m) / EXPONENT_OWN_SD**2 if exponent else 0.0)
+    separation2 = float(log @ cho_solve(cho_factor(covariance), log))
+    if exponent:
+        separation2 += float(np.var(felt.exponent)) * len(places_m) / EXPONENT_OWN_SD**2
+    return separation2
 
 
 def _lattice(columns: int, rows: int) -> FloatArray:

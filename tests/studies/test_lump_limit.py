@@ -1,4 +1,4 @@
-"""How many lumps could be told from foam that scatters at all."""
+"""How many lumps could be distinguished from foam that scatters at all."""
 
 from __future__ import annotations
 

@@ -2,7 +2,7 @@
 
 A touch's log stiffness is one level, plus what the lumps add to it (`stages.poke.lump_footprint`), plus what the foam
 varies by: a Gaussian field whose deviation, length and share of each touch's own are not known (`Background`). Its
-exponent tells more: what lies below is felt the more the wider the contact grows (`stages.poke.law_response`), while
+exponent shows more: what lies below is felt the more the wider the contact grows (`stages.poke.law_response`), while
 foam whose modulus varies from place to place has the same exponent everywhere. A lump is one of a grid of hypotheses:
 its middle, its radius, its depth and its contrast, each as likely as another before any touch; the level is flat, and
 backgrounds are summed over. Where the touches say that there is one, and where, it counts as found; the next is sought
