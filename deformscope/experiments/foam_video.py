@@ -143,7 +143,8 @@ def hold_what_is_seen(
 
 def observe(grid: ParticleGrid, last: Tracked, held: IntArray, particles: ParticleOptions) -> Observation:
     """The last pose as an observation [px]."""
-    noise = last.noise_px if particles.noise_px is None else np.full(len(grid.rest_px), particles.noise_px)
+    given = particles.noise_px is not None
+    noise = np.full(len(grid.rest_px), particles.noise_px) if given else last.noise_px
     return Observation(
         rest=np.asarray(grid.rest_px, dtype=np.float64),
         deformed=np.asarray(last.position_px, dtype=np.float64),
@@ -155,6 +156,7 @@ def observe(grid: ParticleGrid, last: Tracked, held: IntArray, particles: Partic
         unit="px",
         metres_per_unit=None if particles.px_per_cm is None else 0.01 / particles.px_per_cm,
         held_measured=True,
+        noise_source="given" if given else "flow",
     )
 
 

@@ -15,7 +15,7 @@ from deformscope.experiments.foam_video import ParticleOptions, last_pose, track
 from deformscope.experiments.whole_motion import TrackedMotion
 from deformscope.session import Experiment, Step
 from deformscope.stages.fit.doubts import little_explained
-from deformscope.stages.fit.estimate import Comparison, Doubt
+from deformscope.stages.fit.estimate import Comparison, Doubt, NoiseSource
 from deformscope.stages.fit.model import Model, Observation
 from deformscope.stages.fit.motion import Motion
 from deformscope.stages.fit.search import Progress
@@ -169,7 +169,8 @@ def camera_motion(
         raise InputError(f"held particles of {','.join(stays)} that can be followed", "all of them lost at a frame")
     scale = None if particles.px_per_cm is None else 0.01 / particles.px_per_cm
     duration = _durations(np.asarray(tracked.times))
-    return Motion(rest, position, held, duration, grid.shape, grid.cell, noise, "px", scale), cycle
+    origin: NoiseSource = "flow" if particles.noise_px is None else "given"
+    return Motion(rest, position, held, duration, grid.shape, grid.cell, noise, "px", scale, origin), cycle
 
 
 def some_frames(motion: Motion, rows: IntArray, end_s: FloatArray) -> Motion:

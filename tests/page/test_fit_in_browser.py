@@ -100,7 +100,12 @@ def test_what_is_set_on_the_page_is_asked_for(setting: Setting, shown: Any) -> N
     shown.on("console", lambda message: wrong.append(message.text) if message.type == "error" else None)
     shown.on("pageerror", lambda error: wrong.append(str(error)))
     shown.goto(setting.page.address)
-    until(shown, lambda: shown.inner_text("#fit-error").startswith("average error 1.250 px"))
+    until(
+        shown,
+        lambda: shown.inner_text("#fit-error").startswith(
+            "average error 1.000 px (all particles; free ones alone 1.250 px)"
+        ),
+    )
     red = """() => document.getElementById("fit-canvas").getContext("2d").getImageData(0, 0, 980, 660).data
       .some((value, i, all) => i % 4 === 0 && value > 200 && all[i + 1] < 80 && all[i + 3] > 200)"""
     until(shown, lambda: shown.evaluate(red))  # simulated particles
@@ -187,15 +192,13 @@ def test_a_camera_is_followed_and_held(setting: Setting, shown: Any) -> None:
         more = ("take-rest", "hold-picture") if changes["following"] else ("follow-camera",)
         page.desk.show(
             commands=(*commands, *more),
-            fit=msgspec.structs.replace(
-                setting.state, camera="side", pictures=names, aee_free=float(number), **changes
-            ),
+            fit=msgspec.structs.replace(setting.state, camera="side", pictures=names, aee=float(number), **changes),
         )
 
     show(1, following=True, command="", values=(0.0, 0.5, 0.99), errors=(2.0, None, 1.5))
     shown.goto(page.address)
     until(shown, lambda: shown.inner_text("#fit-error").startswith("average error 1.000 px"))
-    assert shown.inner_text("#fit-least") == "least of 3 tried: 1.500 px at beta 0.99"
+    assert shown.inner_text("#fit-least") == "least of 3 tried: 1.500 px (all particles) at beta 0.99"
     assert "hold the picture (h)" in shown.inner_text("#fit-command")
     assert shown.is_disabled("#fit-copy")
     assert shown.is_hidden("[data-kind=follow-camera]")
@@ -253,7 +256,12 @@ def test_a_fit_is_opened_over_the_viewer_of_a_rig(setting: Setting, shown: Any) 
         until(shown, lambda: "viewer" in shown.inner_text("#lag"))
         assert shown.is_hidden("#fit")
         shown.keyboard.press("m")
-        until(shown, lambda: shown.inner_text("#fit-error").startswith("average error 1.250 px"))
+        until(
+            shown,
+            lambda: shown.inner_text("#fit-error").startswith(
+                "average error 1.000 px (all particles; free ones alone 1.250 px)"
+            ),
+        )
         assert shown.evaluate("document.elementFromPoint(600, 400).id") == "fit-canvas"
         assert shown.is_visible("[aria-label=devices]")  # they go on, and are seen
         assert shown.is_hidden("[data-kind=start-recording]")

@@ -217,8 +217,8 @@ export function startFitting(desk, say, cover) {
 
   function showNumbers() {
     const length = (value) => (value === null ? "–" : fit.unit === "px" ? `${value.toFixed(3)} px` : `${(1000 * value).toFixed(3)} mm`);
-    at("fit-error").textContent = `average error ${length(fit.aee_free)} (free particles)`;
-    at("fit-error").title = `${fit.aee_free} ${fit.unit} free, ${fit.aee} ${fit.unit} all`;
+    at("fit-error").textContent = `average error ${length(fit.aee)} (all particles; free ones alone ${length(fit.aee_free)})`;
+    at("fit-error").title = `${fit.aee} ${fit.unit} all, ${fit.aee_free} ${fit.unit} free`;
     at("fit-problem").textContent = fit.problem || fit.busy;
     at("fit-problem").className = fit.problem ? "numbers bad" : "numbers";
     at("fit-command").textContent = fit.command || "hold the picture (h): what is shown gets its command line";
@@ -235,7 +235,7 @@ export function startFitting(desk, say, cover) {
     at("fit-found").title = found ? `${found.value}` : "";
     const least = Math.min(...fit.errors.filter((error) => error !== null));
     const lowest = fit.values[fit.errors.indexOf(least)];
-    at("fit-least").textContent = lowest === undefined ? "" : `least of ${fit.values.length} tried: ${length(least)} at ${fit.parameter} ${lowest.toFixed(2)}`;
+    at("fit-least").textContent = lowest === undefined ? "" : `least of ${fit.values.length} tried: ${length(least)} (all particles) at ${fit.parameter} ${lowest.toFixed(2)}`;
     showCurve();
   }
 

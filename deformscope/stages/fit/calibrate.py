@@ -22,6 +22,7 @@ from deformscope.stages.fit.doubts import (
     implausible_lengths,
     known_of,
     mirrored,
+    noise_source,
     of_stiffness,
     ordered,
     residual_ratio,
@@ -39,7 +40,7 @@ from deformscope.stages.fit.estimate import (
     relative_verdict,
     verdict,
 )
-from deformscope.stages.fit.force import stiffness_interval
+from deformscope.stages.fit.force import contact_stiffness, stiffness_interval
 from deformscope.stages.fit.inference import Inference, Inferred
 from deformscope.stages.fit.misheld import HELD_GAIN, correct_held, held_off
 from deformscope.stages.fit.model import FitOptions, Model, Observation
@@ -127,7 +128,7 @@ def calibrate(
     value = float(fit.tried.parameter[best])
     ends = inferred.posterior.shortest(options.level, value)
     used["noise"] = inferred.noise
-    used["noise_source"] = "residuals" if seen[0].noise is None else "given"
+    used["noise_source"] = noise_source(seen)
     comparisons = tuple(
         Comparison(s.rest, s.deformed, p[best], s.observed, s.held, s.unit)
         for s, p in zip(seen, fit.tried.positions, strict=True)
@@ -141,7 +142,10 @@ def calibrate(
     identified = identifiability(seen, comparisons, inferred)
     ratio = residual_ratio(seen, [c.simulated for c in comparisons], inference.floor)
     noise = ratio, inferred.noise
-    numbers = found_in_numbers(model.parameter, value, ends, bounds, identified, converged=converged, noise=noise)
+    source = noise_source(seen)
+    numbers = found_in_numbers(
+        model.parameter, value, ends, bounds, identified, converged=converged, noise=noise, source=source
+    )
     shown = [*shape_doubts(seen), *(_in_residuals(judged, best, inference) if pace is None and converged else ())]
     shown += either if "two-materials" not in (one.code for one in shown) else []
     here = [setting(seen, model, identified.misfit, inferred.noise)] if model.parameter == "theta" else []
@@ -164,6 +168,7 @@ def calibrate(
         converged=converged,
         settings={**used, **(settings or {})},
         stiffness=k,
+        contact_stiffness=None if one_motion else contact_stiffness(seen, options.level),
         metres_per_unit=seen[0].metres_per_unit,
         posterior=inferred.posterior,
         identifiability=identified,

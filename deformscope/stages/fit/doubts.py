@@ -20,7 +20,15 @@ import numpy as np
 
 from deformscope.arrays import BoolArray, FloatArray
 from deformscope.stages.fit.distance import rigid_positions
-from deformscope.stages.fit.estimate import EXPLAINED_LEAST, EXPLAINED_LOW, Doubt, DoubtCode, Identifiability, Verdict
+from deformscope.stages.fit.estimate import (
+    EXPLAINED_LEAST,
+    EXPLAINED_LOW,
+    Doubt,
+    DoubtCode,
+    Identifiability,
+    NoiseSource,
+    Verdict,
+)
 from deformscope.stages.fit.model import Model, Observation
 from deformscope.stages.fit.plausible import LARGE_M, size_of
 
@@ -63,11 +71,12 @@ def found_in_numbers(
     *,
     converged: bool,
     noise: tuple[float | None, float | None] = (None, None),
+    source: NoiseSource = "given",
 ) -> list[Doubt]:
     """What the numbers of a fit within its bounds show.
 
     noise: size of the residuals in units of the noise that was stated, if it was; and the noise that they show [unit],
-    where it is known apart from a misfit
+    where it is known apart from a misfit; source: of the stated noise
     """
     ratio, shown = noise
     left_is_noise = shown is not None and identifiability.misfit < shown if ratio is None else ratio < LIKE_NOISE
@@ -75,7 +84,7 @@ def found_in_numbers(
         *not_converged(converged),
         *little_explained(identifiability.explained, left_is_noise=left_is_noise),
         *value_at_end(name, value, ends, bounds),
-        *noise_contradicted(ratio),
+        *noise_contradicted(ratio, source),
     ]
 
 
@@ -146,15 +155,23 @@ NORMAL_MEDIAN = 0.6745
 """Median of the absolute value of a standard normal number."""
 
 
-def noise_contradicted(ratio: float | None) -> Iterator[Doubt]:
-    """ratio: size of the residuals against the noise that was stated; None where none was"""
+NOISE_WORDS: dict[NoiseSource, str] = {"given": "the given noise", "flow": "the noise estimated from the optical flow"}
+
+
+def noise_source(seen: Sequence[Observation]) -> NoiseSource:
+    """Where the noise of all observations is known from."""
+    return "residuals" if any(one.noise is None for one in seen) else seen[0].noise_source
+
+
+def noise_contradicted(ratio: float | None, source: NoiseSource) -> Iterator[Doubt]:
+    """ratio: size of the residuals against the noise from `source`; None where it is not known"""
     if ratio is None or 1.0 / NOISE_NAMED < ratio < NOISE_NAMED:
         return
     if ratio > 1.0:
-        text = f"what is left is {ratio:.3g} times the noise that was stated: it is larger, or the model misfits"
+        text = f"the residuals are {ratio:.3g} times {NOISE_WORDS[source]}: the noise is larger, or the model misfits"
         yield Doubt("noise-contradicted", text, "weak" if ratio > NOISE_LOWERS else None)
     elif ratio > 0.0:
-        text = f"the noise that was stated is {1.0 / ratio:.3g} times what is left: it is smaller, or smoothed away"
+        text = f"{NOISE_WORDS[source]} is {1.0 / ratio:.3g} times the residuals: it is smaller, or was smoothed away"
         yield Doubt("noise-contradicted", text)
 
 

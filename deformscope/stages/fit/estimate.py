@@ -14,6 +14,8 @@ from deformscope.arrays import BoolArray, FloatArray, IntArray
 Parameter = Literal["beta", "theta"]
 Verdict = Literal["identified", "weak", "at-bound", "unidentified"]
 LengthUnit = Literal["m", "px"]
+NoiseSource = Literal["given", "flow", "residuals"]
+"""Where the noise of positions is known from: a person or a file, the optical flow, or only what a fit left."""
 
 IDENTIFIED_WIDTH, WEAK_WIDTH = 0.2, 0.7
 """An interval narrower than the first is identified, narrower than the second weak."""
@@ -198,6 +200,7 @@ class Estimate:
     bounds: the range that was searched
     verdict: on the parameter; stiffness_verdict: on stiffness, which position alone does not identify
     stiffness: the energy's stiffness k and its interval over `interval` [N/m], where a force was given
+    contact_stiffness: force over the distance that the contact moved, and its interval [N/mm], where both are known
     metres_per_unit: the scale of the lengths; None where pixels have no known size
     posterior, identifiability: what the interval and the verdict rest on
     reasons: to doubt the parameter, those that lower its verdict first
@@ -222,6 +225,7 @@ class Estimate:
     converged: bool
     settings: dict[str, object]
     stiffness: tuple[float, tuple[float, float]] | None = None
+    contact_stiffness: tuple[float, tuple[float, float]] | None = None
     metres_per_unit: float | None = 1.0
     posterior: Posterior | None = None
     identifiability: Identifiability | None = None
@@ -257,10 +261,16 @@ class Estimate:
 
     def stiffness_text(self) -> str:
         """What can be said of stiffness, in plain words."""
-        if self.stiffness is None:
-            return "position alone does not identify stiffness here: give a force"
-        value, (low, high) = self.stiffness
-        return f"{self.stiffness_verdict}: {value:.4g} N/m ({low:.4g} to {high:.4g})"
+        texts = []
+        if self.contact_stiffness is not None:
+            value, (low, high) = self.contact_stiffness
+            texts.append(f"{value:.3g} N/mm at the contact ({low:.3g} to {high:.3g})")
+        if self.stiffness is not None:
+            value, (low, high) = self.stiffness
+            texts.append(
+                f"the model's constant k is {self.stiffness_verdict}: {value:.4g} N/m ({low:.4g} to {high:.4g})"
+            )
+        return "; ".join(texts) or "position alone does not identify stiffness here: give a force"
 
     def as_json(self) -> dict[str, object]:
         """The public form of an estimate. Lengths are in metres where the scale is known, and in pixels too where
@@ -319,6 +329,9 @@ class Estimate:
             found["selection_text"] = self.selection_text
         if self.stiffness is not None:
             found["stiffness_n_per_m"] = {"value": self.stiffness[0], "interval": list(self.stiffness[1])}
+        if self.contact_stiffness is not None:
+            value, ends = self.contact_stiffness
+            found["contact_stiffness_n_per_mm"] = {"value": value, "interval": list(ends)}
         return found
 
 

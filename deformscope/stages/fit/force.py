@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.stats import norm
 
 from deformscope.arrays import FloatArray
 from deformscope.stages.fit.estimate import Posterior
@@ -26,6 +27,44 @@ class Stiffness:
 
     value: FloatArray
     deviation: FloatArray
+
+
+def contact_stiffness(seen: Sequence[Observation], level: float) -> tuple[float, tuple[float, float]] | None:
+    """Secant stiffness at the contact [N/mm], of all observations with a force; None where there is none.
+
+    It is the force divided by the distance that the contact moved, the mean over its particles, with the noise of both.
+    """
+    force, depth, force_sd, depth_sd = [], [], [], []
+    for s in seen:
+        if s.force_n is None or s.metres_per_unit is None or not len(s.touched):
+            continue
+        moved = float(np.linalg.norm((s.deformed - s.rest)[s.touched].mean(axis=0))) * s.metres_per_unit
+        noise = 0.0 if s.noise is None else float(np.sqrt(np.mean(s.noise[s.touched] ** 2) / len(s.touched)))
+        force.append(s.force_n)
+        depth.append(moved)
+        force_sd.append(FORCE_SHARE * s.force_n if s.force_noise_n is None else s.force_noise_n)
+        depth_sd.append(noise * s.metres_per_unit)
+    return secant(*(np.array(one) for one in (force, depth, force_sd, depth_sd)), level)
+
+
+def secant(
+    force: FloatArray, depth: FloatArray, force_sd: FloatArray, depth_sd: FloatArray, level: float
+) -> tuple[float, tuple[float, float]] | None:
+    """Force over depth [N/mm] with its interval at `level`; None without a force and a depth above 0.
+
+    force, force_sd: (n,) [N]; depth, depth_sd: (n,) [m]. The mean is weighted by 1 / variance; where the ratios scatter
+    more than their noise, the interval grows as much (Birge's ratio).
+    """
+    known = (force > 0.0) & (depth > 0.0)
+    if not known.any():
+        return None
+    each = 1e-3 * force[known] / depth[known]
+    relative = np.maximum(np.hypot(force_sd[known] / force[known], depth_sd[known] / depth[known]), CERTAIN)
+    weight = (relative * each) ** -2
+    value = float(weight @ each / weight.sum())
+    birge = float(weight @ (each - value) ** 2) / max(len(each) - 1, 1)
+    half = float(norm.ppf(0.5 + 0.5 * level) * np.sqrt(max(birge, 1.0) / weight.sum()))
+    return value, (max(value - half, 0.0), value + half)
 
 
 def stiffness(

@@ -19,7 +19,15 @@ from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 from deformscope.stages.fit.calibrate import TURNED, check_observations, check_range, identifiability, shape_doubts
 from deformscope.stages.fit.distance import distances, nearest_error
-from deformscope.stages.fit.doubts import found_in_numbers, of_stiffness, ordered, residual_ratio, setting, swapped_axes
+from deformscope.stages.fit.doubts import (
+    found_in_numbers,
+    noise_source,
+    of_stiffness,
+    ordered,
+    residual_ratio,
+    setting,
+    swapped_axes,
+)
 from deformscope.stages.fit.estimate import (
     Comparison,
     Curve,
@@ -30,7 +38,7 @@ from deformscope.stages.fit.estimate import (
     relative_verdict,
     verdict,
 )
-from deformscope.stages.fit.force import stiffness_interval
+from deformscope.stages.fit.force import contact_stiffness, stiffness_interval
 from deformscope.stages.fit.inference import Inferred, white_noise
 from deformscope.stages.fit.model import Model, Observation
 from deformscope.stages.fit.noise import few
@@ -328,7 +336,10 @@ class _Joint:
         simulated = [c.simulated for c in comparisons]
         ratio = residual_ratio(self.seen, simulated, max(part.measured.floor for part in self.parts))
         noise = ratio, inferred.noise
-        numbers = found_in_numbers(name, value, ends, bounds, identified, converged=self.converged, noise=noise)
+        source = noise_source(self.seen)
+        numbers = found_in_numbers(
+            name, value, ends, bounds, identified, converged=self.converged, noise=noise, source=source
+        )
         here = [setting(self.seen, options.model, identified.misfit, inferred.noise)] if name == "theta" else []
         reasons = ordered([*numbers, *doubts, *here])
         free = np.concatenate(
@@ -357,6 +368,7 @@ class _Joint:
                 **left_out_json(self.left_out),
             },
             stiffness=k,
+            contact_stiffness=contact_stiffness(self.seen, options.level),
             metres_per_unit=self.seen[0].metres_per_unit,
             posterior=inferred.posterior,
             identifiability=identified,

@@ -9,7 +9,7 @@ import numpy as np
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.errors import InputError
-from deformscope.stages.fit.estimate import LengthUnit, Parameter
+from deformscope.stages.fit.estimate import LengthUnit, NoiseSource, Parameter
 from deformscope.stages.msm import clusters
 from deformscope.stages.msm.poke import Tip
 from deformscope.stages.msm.reference import Basis, Volume
@@ -33,7 +33,7 @@ class Observation:
 
     rest, deformed: (K, d), d = 2 or 3 [unit]; held: (n,) indices whose deformed position is prescribed
     observed: (K,) particles that were seen in `deformed`
-    noise: (K,) standard deviation per coordinate, None if unknown
+    noise: (K,) standard deviation per coordinate, None if unknown; noise_source: where it is known from
     shape, cell: the lattice that the particles stand on (last axis fastest, may have holes), None if they stand on none
     metres_per_unit: size of the unit, None for pixels of unknown size
     force_n: net force [N] on the held particles `contact`, None if it was not measured; force_noise_n: its standard
@@ -60,6 +60,7 @@ class Observation:
     force_noise_n: float | None = None
     tip_at: FloatArray | None = None
     loose: IntArray | None = None
+    noise_source: NoiseSource = "given"
 
     def __post_init__(self) -> None:
         count, d = self.rest.shape

@@ -8,7 +8,7 @@ import numpy as np
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.errors import InputError
-from deformscope.stages.fit.estimate import LengthUnit
+from deformscope.stages.fit.estimate import LengthUnit, NoiseSource
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,7 +19,7 @@ class Motion:
     held: (T, K) particles whose position is prescribed in a frame
     duration: (T,) [s] from each frame to the next (the last: as long as the one before); None: not known
     shape, cell: the lattice that the particles stand on, None if they stand on none
-    noise: standard deviation of a coordinate; None: from the residuals
+    noise: standard deviation of a coordinate; None: from the residuals; noise_source: where it is known from
     unit, metres_per_unit: of positions; None: not known
     """
 
@@ -32,6 +32,7 @@ class Motion:
     noise: float | None = None
     unit: LengthUnit = "m"
     metres_per_unit: float | None = 1.0
+    noise_source: NoiseSource = "given"
 
     def __post_init__(self) -> None:
         if self.position.ndim != 3 or self.position.shape[1:] != self.rest.shape or not len(self.position):

@@ -12,7 +12,7 @@ from deformscope.arrays import BoolArray, FloatArray
 from deformscope.errors import InputError
 from deformscope.stages.fit import least_squares
 from deformscope.stages.fit.calibrate import BETA_LIMIT, Model, Observation, explained, shape_doubts
-from deformscope.stages.fit.doubts import found_in_numbers, ordered, residual_ratio, swapped_axes
+from deformscope.stages.fit.doubts import found_in_numbers, noise_source, ordered, residual_ratio, swapped_axes
 from deformscope.stages.fit.estimate import Doubt, Identifiability, verdict
 from deformscope.stages.fit.least_squares import Noise
 from deformscope.stages.fit.noise import independent, shared_over
@@ -119,7 +119,7 @@ def fit_axes(
             "precision": model.precision,
             "device": model.device,
             "seed": seed,
-            "noise_source": "residuals" if any(s.noise is None for s in seen) else "given",
+            "noise_source": noise_source(seen),
         },
         strain=strain,
         strain_sd=strain_sd,
@@ -221,7 +221,9 @@ class _AxisFit:
         found = []
         for at, (low, high), one in zip(best.at, ends, identifiability, strict=True):
             beta, own = float(-np.expm1(-at)), (float(low), float(high))
-            numbers = found_in_numbers("beta", beta, own, limits, one, converged=converged, noise=(ratio, None))
+            numbers = found_in_numbers(
+                "beta", beta, own, limits, one, converged=converged, noise=(ratio, None), source=noise_source(self.seen)
+            )
             found.append(ordered([*numbers, *common]))
         return tuple(found)
 

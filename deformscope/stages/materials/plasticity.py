@@ -176,7 +176,7 @@ def fit_yield(motion: Motion, options: YieldOptions | None = None, progress: Pro
             "maximum": options.maximum,
             "frames": len(motion.position),
             "noise": own,
-            "noise_source": "residuals" if motion.noise is None else "given",
+            "noise_source": "residuals" if motion.noise is None else motion.noise_source,
             "seed": options.seed,
             "device": options.device,
         },
@@ -493,7 +493,7 @@ class _YieldFit:
             *not_converged(converged),
             *little_explained(explained, left_is_noise=ratio is not None and ratio < LIKE_NOISE),
             *value_at_end("yield strain", value, (ends[0], high), (0.0, np.inf)),
-            *noise_contradicted(ratio),
+            *noise_contradicted(ratio, self.motion.noise_source),
             *shape_doubts(frames),
         ]
         if converged:
@@ -511,6 +511,7 @@ class _YieldFit:
             self.frames[row],
             seen,
             noise=noise,
+            noise_source=motion.noise_source,
             shape=motion.shape,
             cell=motion.cell,
             unit=motion.unit,

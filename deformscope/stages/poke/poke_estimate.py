@@ -23,6 +23,7 @@ from deformscope.stages.fit.estimate import (
     relative_verdict,
     verdict,
 )
+from deformscope.stages.fit.force import FORCE_SHARE, secant
 from deformscope.stages.fit.noise import independent
 from deformscope.stages.fit.search import beta_of
 from deformscope.stages.msm.poke import Law, Tip
@@ -211,6 +212,7 @@ def conclude(
             **settings,
         },
         stiffness=k,
+        contact_stiffness=_contact_stiffness(fit, level),
         metres_per_unit=1.0,
         posterior=posterior,
         identifiability=identified,
@@ -329,6 +331,13 @@ def _stiffness(
     wide = 1.645 * float(np.hypot(scatter, max(misfit, LEAST_MISFIT)))
     low, high = min(1.0, float(ratio.min())), max(1.0, float(ratio.max()))
     return value, (value * low * float(np.exp(-wide)), value * high * float(np.exp(wide)))
+
+
+def _contact_stiffness(fit: PokesFit, level: float) -> tuple[float, tuple[float, float]] | None:
+    """Force over the depth of the pokes, and its interval [N/mm]."""
+    force = np.array([poke.force or 0.0 for poke in fit.pokes])
+    depth = np.array([poke.depth for poke in fit.pokes])
+    return secant(force, depth, FORCE_SHARE * force, np.zeros(len(force)), level)
 
 
 def _comparison(one: PosedPoke, law: Law) -> Comparison:

@@ -17,6 +17,7 @@ from deformscope.stages.fit.doubts import (
     little_explained,
     mirrored,
     noise_contradicted,
+    noise_source,
     of_stiffness,
     ordered,
     residual_ratio,
@@ -135,7 +136,17 @@ def test_a_value_on_the_end_of_its_interval_says_where_the_likelihood_is() -> No
     ("ratio", "allows"), [(None, ()), (1.4, ()), (0.4, ()), (5.0, (None,)), (20.0, ("weak",)), (0.05, (None,))]
 )
 def test_noise_that_is_contradicted_is_named(ratio: float | None, allows: tuple[Verdict | None, ...]) -> None:
-    assert tuple(one.allows for one in noise_contradicted(ratio)) == allows
+    assert tuple(one.allows for one in noise_contradicted(ratio, "given")) == allows
+
+
+def test_a_contradicted_noise_is_named_by_its_source() -> None:
+    """Nobody stated the noise of particles that optical flow followed."""
+    (given,), (flow,) = noise_contradicted(46.7, "given"), noise_contradicted(46.7, "flow")
+    assert "46.7 times the given noise" in given.text
+    assert "46.7 times the noise estimated from the optical flow" in flow.text
+    seen = seen_sheet(0.6)
+    assert noise_source([seen]) == "given"
+    assert noise_source([seen, dataclasses.replace(seen, noise=None)]) == "residuals"
 
 
 def test_outliers_do_not_contradict_the_noise() -> None:
