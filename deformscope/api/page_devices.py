@@ -60,7 +60,7 @@ class ShownDevices:
 
         stream, drift, drifted = self._streams.get(name), self._drifts.get(name), None
         if drift is not None and drift.line:
-            drifted = DriftState(drift.lasted_s, drift.unit, tuple(map(float, drift.now)), drift.line)
+            drifted = DriftState(drift.lasted_s, drift.unit, tuple(map(float, drift.now)), drift.line, drift.loaded)
         elif stream is not None and stream.kind == "wrench":
             drifted = DriftState(0.0, "", (), ())  # its place is there from the beginning
         return DeviceState(

@@ -231,12 +231,14 @@ class DriftState(msgspec.Struct, frozen=True):
     """Of a force sensor since its tare, while nothing touches it. lasted_s: since then [s]; unit: N or counts
 
     now: by axis; line: its length at equal distances in time, from the tare to now; empty before it is known
+    loaded: the force changes faster than any drift, so something touches it; `now` and `line` are of before
     """
 
     lasted_s: float
     unit: str
     now: tuple[float, ...]
     line: tuple[float, ...]
+    loaded: bool = False
 
 
 class DeviceState(msgspec.Struct, frozen=True):

@@ -115,6 +115,8 @@ def test_what_is_set_on_the_page_is_asked_for(setting: Setting, shown: Any) -> N
     until(shown, lambda: shown.evaluate(red))
     assert shown.inner_text("#fit-command") == "deformscope calibrate beta x"
     assert shown.inner_text("#stop").startswith("Finish")
+    red = shown.evaluate("getComputedStyle(document.querySelector('#confirm .stop')).backgroundColor")
+    assert shown.evaluate("getComputedStyle(document.getElementById('stop')).backgroundColor") != red
 
     # a slider that moves on while what it asked for first is not shown: the newest, once that is
     shown.focus("#fit-beta")
@@ -248,7 +250,7 @@ def test_a_fit_is_opened_over_the_viewer_of_a_rig(setting: Setting, shown: Any) 
     with PageServer("bench") as page:
         for name in setting.state.pictures:
             page.offer(name, PIXEL, "image/png")
-        page.desk.enter("live", commands=("stop", "start-recording"))
+        page.desk.enter("live", commands=("stop", "stop-recording", "write-note"))
         beside = SettingBeside(page, setting.state)
         page.pieces.add(b"views", lasting=True)
         shown.goto(page.address)
@@ -277,7 +279,7 @@ def test_a_fit_is_opened_over_the_viewer_of_a_rig(setting: Setting, shown: Any) 
         shown.keyboard.press("ArrowRight")
         until(shown, lambda: isinstance(beside.commands[-1], SetFit))
         shown.keyboard.press("n")  # what is written into a field is seen
-        until(shown, lambda: "m shows that" in shown.text_content("#remarks"))
+        until(shown, lambda: "m shows the viewer" in shown.text_content("#remarks"))
         shown.select_option("#fit-cameras", "top")
         until(shown, lambda: isinstance(beside.commands[-1], OpenFit))
         assert beside.commands[-1] == OpenFit(beside.commands[-1].id, "beta", "top")

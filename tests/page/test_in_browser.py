@@ -207,8 +207,25 @@ def test_nothing_moves_while_values_and_reasons_change(page: PageServer, shown: 
         until(shown, lambda: "saturated" in shown.inner_text("#devices"))
         assert shown.evaluate(PLACES) == before
     assert shown.get_attribute(".device .why", "title") == reason
-    assert shown.evaluate("document.querySelector('.device .why').scrollWidth > 200")  # what is cut off is said so
+    whole = "(({ scrollHeight, clientHeight }) => scrollHeight <= clientHeight)(document.querySelector('.why span'))"
+    assert not shown.evaluate(whole)
+    shown.hover(".device .why")
+    assert shown.evaluate(whole)  # over the device below
+    assert shown.evaluate(PLACES) == before
     assert not shown.evaluate("document.documentElement.scrollWidth > innerWidth")
+
+
+def test_keys_that_have_no_place_here(page: PageServer, shown: Any) -> None:
+    """Without a recording `n` names what is lacking, and the list of keys has those of this page alone."""
+    fake_viewer(shown)
+    page.desk.enter("live", commands=("stop", "start-recording", "tare"), devices=DEVICES)
+    shown.goto(page.address)
+    until(shown, lambda: shown.inner_text("#devices").startswith("tip"))
+    shown.keyboard.press("n")
+    until(shown, lambda: "nothing is being recorded; r starts a recording" in shown.text_content("#remarks"))
+    shown.keyboard.press("?")
+    listed = "[...document.querySelectorAll('#help dt')].filter(one => one.offsetHeight).map(one => one.innerText)"
+    assert shown.evaluate(listed) == ["space", "r", "t", "Esc", "?"]
 
 
 def test_a_page_that_is_loaded_again_keeps_the_controls_and_a_copy_of_its_tab_has_none(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -43,6 +45,21 @@ def test_the_line_of_hours_is_short_and_whole() -> None:
             drift.add([WrenchFrame(Stamp(frame.stamp.host_ns + at * 2 * 10**9), at, frame.counts, load)])
     assert POINTS / 2 <= len(drift.line) <= POINTS + 1
     np.testing.assert_allclose(np.diff(drift.line), drift.line[1], rtol=1e-6)
+
+
+def test_a_press_is_no_drift() -> None:
+    """A sensor that is pressed with 4 N for 20 s drifts no more than before, and goes on when it is let go."""
+    drift = TareDrift()
+    drift.add(frames(10.0, 0.01))
+    for frame in frames(20.0, 0.01, start=1000):
+        drift.add([dataclasses.replace(frame, force_n=frame.force_n + np.array([0.0, 0.0, 4.0]))])
+    assert drift.loaded
+    assert max(drift.line) < 0.2
+    seconds = len(drift.line)
+    drift.add(frames(10.0, 0.01, start=3000))
+    assert not drift.loaded
+    assert len(drift.line) > seconds
+    np.testing.assert_allclose(drift.now, [0.0, 0.0, 0.38], atol=0.05)
 
 
 def test_without_a_sensitivity_it_is_in_counts() -> None:

@@ -19,8 +19,9 @@ WINDOW_S = 10.0
 FLOOR = [88, 94, 104]
 LEGEND = rrb.PlotLegend(corner=rrb.Corner2D.LeftTop)
 PICTURES_A_ROW, PLOTS_A_ROW, FEW = 4, 3, 2
-ON_A_PAGE = 2
-"""Pictures in a row between the panels of a page: their titles are whole at 1280 pixels."""
+ON_A_PAGE, ROWS_ON_A_PAGE = (2, 3), 3
+"""Views in a row between the panels of a page: 2, or 3 where 2 would take more than 3 rows. A plot less than 220 pixels
+high may have no label at its axis but 0: the viewer labels powers of ten alone, 20 pixels apart or more."""
 
 
 def rig_blueprint(streams: Sequence[Stream], *, health: bool = True) -> rrb.Blueprint:
@@ -33,12 +34,12 @@ def rig_views(streams: Sequence[Stream], *, with_health: bool = True) -> rrb.Con
     pictures = [view for stream in streams for view in _pictures(stream)]
     plots = [view for stream in streams for view in _plots(stream)]
     health = [_health(streams)] if streams and with_health else []
-    a_row = PICTURES_A_ROW if with_health else ON_A_PAGE
-    if pictures and not plots and not health:
-        return rrb.Vertical(_rows(pictures, a_row))
     if 1 <= len(pictures) <= FEW and len(plots) <= FEW:
         return _beside(pictures, plots, health)
-    return _stacked(pictures, plots, health, len(streams), a_row)
+    if not with_health and (pictures or plots):
+        views = [*pictures, *plots]
+        return rrb.Vertical(_rows(views, ON_A_PAGE[len(views) > ON_A_PAGE[0] * ROWS_ON_A_PAGE]))
+    return _stacked(pictures, plots, health, len(streams))
 
 
 def blueprint_of(
@@ -60,7 +61,7 @@ def _beside(pictures: Sequence[rrb.View], plots: Sequence[rrb.View], health: Seq
 
 
 def _stacked(
-    pictures: Sequence[rrb.View], plots: Sequence[rrb.View], health: Sequence[rrb.Container], devices: int, a_row: int
+    pictures: Sequence[rrb.View], plots: Sequence[rrb.View], health: Sequence[rrb.Container], devices: int
 ) -> rrb.Container:
     """Pictures in rows above, plots and health side by side below them; without pictures health is below the plots."""
     health_share = min(max(3.0, 0.73 * devices), 6.0)  # room for a row and a lane each
@@ -68,10 +69,10 @@ def _stacked(
     laid = [_rows(plots, PLOTS_A_ROW)] if plots else []
     if not pictures:
         return rrb.Vertical(*laid, *health, row_shares=[plots_share] * len(laid) + [health_share] * len(health))
-    above, numbers = _rows(pictures, a_row), [*laid, *health]
+    above, numbers = _rows(pictures, PICTURES_A_ROW), [*laid, *health]
     shares = [min(len(plots), PLOTS_A_ROW) + 1.0, 2.5] if laid else [1.0]
     below = rrb.Horizontal(*numbers, column_shares=shares[: len(numbers)])
-    return rrb.Vertical(above, below, row_shares=[4.0 * _row_count(pictures, a_row), plots_share])
+    return rrb.Vertical(above, below, row_shares=[4.0 * _row_count(pictures, PICTURES_A_ROW), plots_share])
 
 
 def _row_count(views: Sequence[rrb.View], most: int) -> int:

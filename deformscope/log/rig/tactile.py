@@ -25,8 +25,8 @@ from deformscope.log.rig.columns import (
 )
 from deformscope.pictures.palette import BACKGROUND, JOINTS, colors, round_up
 
-FINGER_GAP, PART_GAP = 5, 4
-"""Texels between the pads of two fingers, and between those of one: labels stand there."""
+FINGER_GAP, PART_GAP = 8, 4
+"""Texels between the pads of two fingers, and between those of one: room for labels."""
 LEFT, RIGHT, ABOVE, BELOW = 8.0, 4.0, 4.0, 9.0
 """Texels around all."""
 OVER, BESIDE = 3.2, 4.5
@@ -215,10 +215,10 @@ def _log_pictures(
     picture = np.full((len(frames), hand.rows * hand.columns, 3), BACKGROUND, np.uint8)
     picture[:, hand.places()] = colors(share.ravel()).reshape(*share.shape, 3)
     batch.send_columns(f"{path}/picture", times, rr.Image.columns(buffer=list(picture.reshape(len(picture), -1))))
-    _send_labels(batch, f"{path}/peak", times, [[f"{peak:.2f} kPa" for peak in row] for row in peaks_kpa])
+    _send_labels(batch, f"{path}/peak", times, [[f"{peak:.2f}" for peak in row] for row in peaks_kpa])
     if is_news(shown, device, end_kpa, frames[0].stamp.host_ns):
         since = moments([frames[0].stamp.host_ns], start_ns)
-        _send_labels(batch, f"{path}/scale", since, [[f"{end_kpa * at**2:.3g} kPa" for at in (0.0, 0.5, 1.0)]])
+        _send_labels(batch, f"{path}/scale", since, [[f"{end_kpa * at**2:.3g}" for at in (0.0, 0.5, 1.0)]])
 
 
 def _send_labels(batch: Batch, path: str, times: Sequence[rr.TimeColumn], labels: Sequence[Sequence[str]]) -> None:

@@ -31,6 +31,7 @@ if (document.body.dataset.fit === undefined) {
     .catch((error) => words(`no viewer: ${error}`));
 } else {
   at("stop").firstChild.textContent = "Finish ";
+  at("stop").className = "go"; // it moves nothing: red is for what stops a robot
 }
 
 function show(next) {
@@ -97,6 +98,7 @@ function showDevices(devices) {
       const head = made("p", "head");
       head.append(made("b"), made("small"), made("span", "state"));
       row.append(head, made("table"), made("p", "drift numbers"), made("p", "why"));
+      row.querySelector(".why").append(made("span"));
       for (const pair of [["rate", "jitter"], ["age", "lost"], ["", "dropped"]]) {
         const line = row.querySelector("table").insertRow();
         for (const what of pair) {
@@ -124,8 +126,8 @@ function showDevices(devices) {
       device.reconnects && `${device.reconnects} reconnects`,
       device.reason,
     ];
-    const why = row.querySelector(".why"); // its line is always there: nothing moves when it is filled
-    why.textContent = why.title = more.filter(Boolean).join(", ");
+    const why = row.querySelector(".why"); // its lines are always there: nothing moves when they are filled
+    why.firstChild.textContent = why.title = more.filter(Boolean).join(", ");
   }
 }
 
@@ -143,7 +145,7 @@ function showDrift(place, drift) {
     place.title = "drift since the tare, or the beginning, while nothing touches it; the line: its length, largest at the top";
   }
   place.firstChild.textContent = place.firstChild.title = !drift.line.length ? "drift: not known yet" :
-    `drift ≤ ${most.toFixed(digits)} ${drift.unit} in ${minutes(drift.lasted_s / 60)}\nnow ${drift.now.map((value) => value.toFixed(digits)).join(", ")}`;
+    `drift ≤ ${most.toFixed(digits)} ${drift.unit} in ${minutes(drift.lasted_s / 60)}\n${drift.loaded ? "touched now" : `now ${drift.now.map((value) => value.toFixed(digits)).join(", ")}`}`;
   place.querySelector("polyline").setAttribute("points", points.join(" "));
 }
 
@@ -282,19 +284,24 @@ window.addEventListener("focusin", ({ target, relatedTarget }) => {
   }
 });
 
-function write(field) {
+function write(kind, field) {
+  if (!state?.commands.includes(kind)) {
+    const recorded = !state?.commands.includes("start-recording");
+    note(`${kind}: ${recorded ? "not possible now" : "nothing is being recorded; r starts a recording"}`, true);
+    return;
+  }
   at(field).focus();
   if (document.activeElement !== at(field)) {
-    note("its field is beside the viewer: m shows that", false);
+    note("its field is next to the viewer: m shows the viewer", false);
   }
 }
 
 const KEYS = {
   r: () => command(state?.recording ? "stop-recording" : "start-recording"),
   k: () => command("keep-recent"),
-  n: () => write("note-text"),
-  e: () => (state?.episode ? command("end-episode") : write("episode-label")),
-  d: () => write("discard-reason"),
+  n: () => write("write-note", "note-text"),
+  e: () => (state?.episode ? command("end-episode") : write("begin-episode", "episode-label")),
+  d: () => write("discard", "discard-reason"),
   m: () => command(...fitting.other()),
   t: () => state?.tares.forEach((device) => command("tare", { device })),
   ",": () => state?.playback && playback.step(false),

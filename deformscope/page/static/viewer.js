@@ -8,6 +8,7 @@ const AGAIN_MS = 1000;
 const SLACK_NS = 0.5e9; // it need not show the very newest before it gets more
 const IDLE_MS = 5000;
 const LONGEST_MS = 10_000;
+const LOG_TIMELINES = ["log_time", "log_tick"]; // what the viewer shows before the views of the recording are there
 const time = { at_ns: 0, following: true }; // of the viewer; it follows until somebody stops it
 
 // While something lies over it, it gets nothing more, as on a page that is hidden.
@@ -25,6 +26,7 @@ export function cover(covered) {
 // onWords: what to say in the viewer's place, empty once it shows something
 // onBatch: after each batch that was drawn, and without one where nothing follows it
 export async function startViewer(canvas, onWords, onBatch, onEvent = () => {}) {
+  const recording = document.body.dataset.recording; // of a page that plays one
   await wasm_bindgen({ module_or_path: fetch("re_viewer_bg.wasm") });
   const handle = new wasm_bindgen.WebHandle({
     url: null,
@@ -42,6 +44,11 @@ export async function startViewer(canvas, onWords, onBatch, onEvent = () => {}) 
       } else if (event.type === "pause" || event.type === "timeline_change") {
         time.following = false;
       }
+      if (recording && event.type === "timeline_change" && !LOG_TIMELINES.includes(event.timeline)) {
+        onWords("");
+      } else if (recording && event.type === "recording_open") {
+        setTimeout(onWords, LONGEST_MS, ""); // a recording without views of its own
+      }
       onEvent(event);
     },
   });
@@ -49,10 +56,8 @@ export async function startViewer(canvas, onWords, onBatch, onEvent = () => {}) 
   for (const panel of ["top", "blueprint", "selection"]) {
     handle.override_panel_state(panel, "hidden"); // also before the views are there, which hide them
   }
-  const recording = document.body.dataset.recording; // of a page that plays one
   if (recording) {
     handle.add_receiver(new URL(recording, location.href).href);
-    onWords("");
   } else {
     handle.open_channel(CHANNEL, "deformscope");
     let covered = true; // until there are data: what the viewer shows of its own before their views nobody needs
