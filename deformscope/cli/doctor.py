@@ -75,12 +75,17 @@ def run(config: DoctorConfig) -> None:
         findings += _found(name, partial(_device, entry, name, config.seconds))
     width = max(len(finding.what) for finding in findings)
     print("\n".join(f"{f.verdict:<5} {f.what:<{width}}  {f.told}" for f in findings), flush=True)
-    if steps:
-        print(_list_of(steps, following), flush=True)
+    failed = [finding.what for finding in findings if finding.verdict == "FAIL"]
     command = following.command if following is not None else None
+    if failed:  # no step can be done with what does not work
+        command = f"deformscope doctor {config.rig}"
+    if steps:
+        after = f"repair {failed[0]} (its line above says how), then " if failed else ""
+        print(_list_of(steps, after + (command or "")), flush=True)
     write_json({"rig": config.rig, "findings": findings, "first_day": steps, "next": command}, config.json)
-    if failed := [finding.what for finding in findings if finding.verdict == "FAIL"]:
-        raise Unfit("a rig that works", f"trouble with {', '.join(failed)}", "what stands behind FAIL", config.rig)
+    if failed:
+        hint = f"repair {failed[0]} first: its line says how"
+        raise Unfit("a rig that works", f"trouble with {', '.join(failed)}", hint, config.rig)
 
 
 def _nothing_yet(name: str) -> FirstDayStep | None:
@@ -89,11 +94,11 @@ def _nothing_yet(name: str) -> FirstDayStep | None:
     return begin(name) if path.is_file() and not path.read_text(encoding="utf-8", errors="replace").strip() else None
 
 
-def _list_of(steps: tuple[FirstDayStep, ...], following: FirstDayStep | None) -> str:
-    """The way to an exploration, step by step, and the command that comes next."""
+def _list_of(steps: tuple[FirstDayStep, ...], following: str) -> str:
+    """The way to an exploration, step by step, and what comes next."""
     width = max(len(step.what) for step in steps)
     lines = ["", *(f"{step.state:<8} {step.what:<{width}}  {step.words}{_minutes(step)}" for step in steps)]
-    return "\n".join([*lines, *([f"next: {following.command}"] if following is not None else [])])
+    return "\n".join([*lines, *([f"next: {following}"] if following else [])])
 
 
 def _minutes(step: FirstDayStep) -> str:

@@ -73,6 +73,12 @@ def test_devices_that_fail_are_rows_among_the_others(
     assert all("| try: " in told for verdict, told in found.values() if verdict == "FAIL")
     assert status == 2
 
+    assert main(["doctor", str(path), "--seconds", "0.1"]) == 2
+    printed = capsys.readouterr()
+    last = printed.out.splitlines()[-1]
+    assert last == f"next: repair tip (optoforce) (its line above says how), then deformscope doctor {path}"
+    assert "repair tip (optoforce) first" in printed.err
+
 
 def test_whatever_a_device_raises_is_a_row(
     example: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
