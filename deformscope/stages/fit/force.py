@@ -44,7 +44,7 @@ def contact_stiffness(seen: Sequence[Observation], level: float) -> tuple[float,
         depth.append(moved)
         force_sd.append(FORCE_SHARE * s.force_n if s.force_noise_n is None else s.force_noise_n)
         depth_sd.append(noise * s.metres_per_unit)
-    return secant(*(np.array(one) for one in (force, depth, force_sd, depth_sd)), level)
+    return secant(np.array(force), np.array(depth), np.array(force_sd), np.array(depth_sd), level)
 
 
 def secant(
