@@ -579,7 +579,7 @@ def test_the_file_never_waits_for_the_viewer(
 ) -> None:
     stuck = threading.Event()
     unregistered, unblocked = list[bool](), list[bool]()
-    monkeypatch.setattr(recorder, "start_viewer", lambda: Viewer(0, "rerun+http://127.0.0.1:1/proxy"))
+    monkeypatch.setattr(recorder, "start_viewer", lambda: Viewer(0, 0))
     monkeypatch.setattr(recorder, "live_stream", lambda *given: unblocked.append(stuck.wait(PATIENCE_S)))
     monkeypatch.setattr(recorder, "LIVE_TIMEOUT_S", 0.3)
     monkeypatch.setattr(recorder, "leave_streams_alone", lambda: unregistered.append(True))
