@@ -34,6 +34,8 @@ HEADERS = {
 MOST_STRANGERS = 64
 REQUEST_S = 1.0
 """A connection that has not asked for what it may have by then is closed."""
+READ_ROUNDS = 4
+"""Rounds of the event loop after which a new connection has been read, and may be closed in favour of later ones."""
 
 
 class Guard:
@@ -52,7 +54,12 @@ class Guard:
         """A new connection. client: its other end"""
         self._strangers[client] = transport
         asyncio.get_running_loop().call_later(REQUEST_S, self._end, client, transport)
-        if len(self._strangers) > MOST_STRANGERS:
+        self._end_oldest(READ_ROUNDS)
+
+    def _end_oldest(self, rounds: int) -> None:
+        if rounds > 0:
+            asyncio.get_running_loop().call_soon(self._end_oldest, rounds - 1)
+        elif len(self._strangers) > MOST_STRANGERS:
             self._end(*next(iter(self._strangers.items())))
 
     def _end(self, client: tuple[str, int] | None, transport: asyncio.Transport) -> None:
