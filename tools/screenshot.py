@@ -11,20 +11,22 @@ import argparse
 import contextlib
 import os
 import signal
-import socket
 import subprocess
 import sys
+import tempfile
+import threading
 import time
 from collections.abc import Iterator
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+from deformscope.page.viewer_files import viewer_environment, viewer_executable
+from deformscope.recording.live import Viewer, wait_for_viewer
 
 if TYPE_CHECKING:
     from rerun.experimental import ViewerClient
 
 LAVAPIPE = Path("/usr/share/vulkan/icd.d/lvp_icd.x86_64.json")
-START_TIMEOUT_S = 30.0
 LOAD_TIMEOUT_S = 30.0
 NOTICES_S = 5.0
 
@@ -52,30 +54,26 @@ def main() -> int:
 
 @contextlib.contextmanager
 def headless_viewer(size: str = "1920x1080") -> Iterator[ViewerClient]:
-    """A viewer without a window, on loopback alone; ended at exit. Raises RuntimeError where it cannot start."""
+    """A viewer without a window, on loopback alone; ended at exit. Raises ConnectionError where it cannot start."""
     from rerun.experimental import ViewerClient
 
-    package = find_spec("rerun_cli")
-    if package is None or package.origin is None:
-        raise RuntimeError("rerun-sdk has no viewer")
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
-    command = [str(Path(package.origin).parent / "rerun"), "--headless", "--bind", "127.0.0.1", "--port", str(port)]
+    command = [str(viewer_executable()), "--headless", "--bind", "127.0.0.1", "--port", "0"]
     command += ["--window-size", size, "--memory-limit", "2GB", "--hide-welcome-screen"]
-    environment = {**os.environ, "RERUN_APP_ONLY": "true", "RUST_LOG": "warn"}
+    environment = viewer_environment() | {"RUST_LOG": "warn,re_grpc_server=info"}
     if "VK_ICD_FILENAMES" not in environment and LAVAPIPE.exists():
         environment["VK_ICD_FILENAMES"] = str(LAVAPIPE)
-    process = subprocess.Popen(
-        command, env=environment, start_new_session=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
-    )
-    try:
-        _wait_for_port(process, port)
-        yield ViewerClient.connect(f"rerun+http://127.0.0.1:{port}/proxy")
-    finally:
-        with contextlib.suppress(ProcessLookupError):
-            os.killpg(process.pid, signal.SIGKILL)
-        process.wait(10)
+    with tempfile.TemporaryFile() as messages:
+        process = subprocess.Popen(
+            command, env=environment, start_new_session=True, stdout=subprocess.DEVNULL, stderr=messages
+        )
+        try:
+            viewer = Viewer(process.pid, messages.fileno())
+            wait_for_viewer(viewer, threading.Event())
+            yield ViewerClient.connect(viewer.url)
+        finally:
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGKILL)
+            process.wait(10)
 
 
 def shoot(
@@ -127,17 +125,6 @@ def last_frame(recording: Path) -> int:
         if "frame" in chunk.timeline_names and not chunk.is_static:
             last = max([last, *chunk.to_record_batch().column("frame").to_pylist()])
     return last
-
-
-def _wait_for_port(process: subprocess.Popen[bytes], port: int) -> None:
-    deadline = time.monotonic() + START_TIMEOUT_S
-    while time.monotonic() < deadline:
-        if process.poll() is not None:
-            raise RuntimeError(f"the headless viewer ended with status {process.returncode}: is there Vulkan?")
-        with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", port), timeout=0.5):
-            return
-        time.sleep(0.1)
-    raise RuntimeError("the headless viewer did not start")
 
 
 if __name__ == "__main__":

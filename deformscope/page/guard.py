@@ -31,17 +31,41 @@ HEADERS = {
     "x-content-type-options": "nosniff",
     "cache-control": "no-store",
 }
-MOST_CONNECTIONS = 64
-REQUEST_S = 10.0
-"""A connection that has not asked for anything by then is closed."""
+MOST_STRANGERS = 64
+REQUEST_S = 1.0
+"""A connection that has not asked for what it may have by then is closed."""
+READ_ROUNDS = 4
+"""Rounds of the event loop after which a new connection has been read, and may be closed in favour of later ones."""
 
 
 class Guard:
-    """Passes on what may ask, with a path below the token; answers all else with 403, and a wrong method with 405."""
+    """Passes on what may ask, with a path below the token; answers all else with 403, and a wrong method with 405.
+
+    Connections that have not asked for what they may are strangers: closed after `REQUEST_S`, and the oldest earlier
+    where there are more than `MOST_STRANGERS`. So they take no connection from a page.
+    """
 
     def __init__(self, app: ASGIApp, token: str) -> None:
         self._app = app
         self._token = token.encode()
+        self._strangers: dict[tuple[str, int] | None, asyncio.Transport] = {}
+
+    def add_stranger(self, client: tuple[str, int] | None, transport: asyncio.Transport) -> None:
+        """A new connection. client: its other end"""
+        self._strangers[client] = transport
+        asyncio.get_running_loop().call_later(REQUEST_S, self._end, client, transport)
+        self._end_oldest(READ_ROUNDS)
+
+    def _end_oldest(self, rounds: int) -> None:
+        if rounds > 0:
+            asyncio.get_running_loop().call_soon(self._end_oldest, rounds - 1)
+        elif len(self._strangers) > MOST_STRANGERS:
+            self._end(*next(iter(self._strangers.items())))
+
+    def _end(self, client: tuple[str, int] | None, transport: asyncio.Transport) -> None:
+        if self._strangers.get(client) is transport:
+            del self._strangers[client]
+            transport.abort()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] not in ("http", "websocket"):
@@ -61,13 +85,14 @@ class Guard:
             await send(message)
 
         if status == 200:
+            self._strangers.pop(scope["client"], None)
             path = "/" + rest[0]
             inner = {**scope, "path": path, "raw_path": path.encode(), "root_path": ""}
             await self._app(inner, receive, send_with_headers)
         elif scope["type"] == "websocket":
             await WebSocketClose(1008)(scope, receive, send)  # before it is accepted: HTTP 403
         else:
-            await PlainTextResponse("refused\n", status)(scope, receive, send_with_headers)
+            await PlainTextResponse("refused\n", status, {"connection": "close"})(scope, receive, send_with_headers)
 
 
 def _from_the_page(headers: Headers, *, websocket: bool) -> bool:
@@ -89,21 +114,13 @@ def _from_the_page(headers: Headers, *, websocket: bool) -> bool:
     return origins[0].lower() == f"http://{host}" if origins else not websocket
 
 
-class BoundedProtocol(H11Protocol):
-    """HTTP of at most so many connections, none of which may wait for ever before it asks for something."""
+class GuardedProtocol(H11Protocol):
+    """HTTP whose connections are known to a guard from their beginning."""
+
+    def __init__(self, guard: Guard, **options: Any) -> None:
+        super().__init__(**options)
+        self._guard = guard
 
     def connection_made(self, transport: Any) -> None:
-        self._refused = len(self.connections) >= MOST_CONNECTIONS
-        if self._refused:
-            transport.abort()
-            return
         super().connection_made(transport)
-        asyncio.get_running_loop().call_later(REQUEST_S, self._give_up)
-
-    def connection_lost(self, exc: Exception | None) -> None:
-        if not self._refused:
-            super().connection_lost(exc)
-
-    def _give_up(self) -> None:
-        if self.cycle is None and self.transport.get_protocol() is self:
-            self.transport.abort()
+        self._guard.add_stranger(self.client, transport)

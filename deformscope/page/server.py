@@ -19,6 +19,7 @@ import threading
 import time
 from collections.abc import AsyncIterator, Callable, Coroutine, Iterator
 from contextlib import asynccontextmanager, contextmanager, suppress
+from functools import partial
 from importlib import resources
 from pathlib import Path
 from typing import Any, TypeVar
@@ -33,7 +34,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from deformscope.errors import InputError
 from deformscope.page.desk import Desk
-from deformscope.page.guard import BoundedProtocol, Guard
+from deformscope.page.guard import Guard, GuardedProtocol
 from deformscope.page.messages import LONGEST_MESSAGE, VERSION, Beat, Drawn, Hello, PageCommand, PieceBatch
 from deformscope.page.pieces import PageReader, Pieces
 from deformscope.page.viewer_files import LOOPBACK, NAMES, ViewerFiles
@@ -96,9 +97,10 @@ class PageServer:
         """Listen, and return once the page can be asked for. It is served until `close`, or the end of the process."""
         listening = socket.create_server((LOOPBACK, 0))
         self.address = f"http://{LOOPBACK}:{listening.getsockname()[1]}/{self._token}/"
+        guard = self._app()
         config = uvicorn.Config(
-            self._app(),
-            http=BoundedProtocol,
+            guard,
+            http=partial(GuardedProtocol, guard),  # type: ignore[arg-type]  # it asks for a class, and calls it
             ws="websockets-sansio",
             ws_max_size=LONGEST_MESSAGE,
             ws_per_message_deflate=False,

@@ -1,18 +1,13 @@
-"""The web viewer of the installed rerun: its program and its script, which no file of the wheel holds by itself."""
+"""rerun's programs in the installed wheel: its viewer for windows, and the web viewer for pages that it holds."""
 
 from __future__ import annotations
 
-import contextlib
 import importlib.util
+import mmap
 import os
-import socket
-import subprocess
+import re
 import sys
-import tempfile
 import threading
-import time
-import urllib.error
-import urllib.request
 from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import BinaryIO
@@ -21,15 +16,25 @@ from deformscope.errors import InputError
 
 NAMES = {"re_viewer.js": "text/javascript", "re_viewer_bg.wasm": "application/wasm"}
 LOOPBACK = "127.0.0.1"
-START_S = 30.0
 PART_BYTES = 256 << 10
+NOT_PASSED_ON = {"FORCE_RERUN_ANALYTICS", "NO_PROXY", "no_proxy"}
+SILENT = {
+    "CI": "true",  # rerun collects no usage data there
+    "TELEMETRY_ENABLED": "false",
+    "ALL_PROXY": f"http://{LOOPBACK}:0",  # nowhere: its window asks GitHub for a newer version, and has no other switch
+    "RERUN_APP_ONLY": "true",
+}
+_SCRIPT = re.compile(rb"let wasm_bindgen = .*?\n\}\)\(\{ __proto__: null \}\);\n", re.DOTALL)
+_MODULE = b"\0asm\1\0\0\0"
+_SECTION = re.compile(rb"[\0-\x0d]([\x80-\xff]{0,4}[\0-\x7f])")
+_EXECUTABLES = {"win32": "rerun.exe", "darwin": "Rerun.app/Contents/MacOS/Rerun"}
 
 
 def viewer_executable() -> Path:
     """The viewer of the installed wheel: never another version from the search path."""
     package = importlib.util.find_spec("rerun_cli")
     folder = Path(package.origin or "").parent if package is not None else Path()
-    found = folder / ("rerun.exe" if sys.platform == "win32" else "rerun")
+    found = folder / _EXECUTABLES.get(sys.platform, "rerun")
     if not found.exists():
         raise InputError(
             "the viewer that comes with rerun-sdk", "none", "pip install --force-reinstall rerun-sdk", found
@@ -37,15 +42,17 @@ def viewer_executable() -> Path:
     return found
 
 
-def free_port() -> int:
-    """A port on loopback that nobody listens on at present."""
-    with socket.socket() as probe:
-        probe.bind((LOOPBACK, 0))
-        return int(probe.getsockname()[1])
+def viewer_environment() -> dict[str, str]:
+    """Of every process of rerun's: with it, none sends or asks anything beyond this machine."""
+    return {name: value for name, value in os.environ.items() if name not in NOT_PASSED_ON} | SILENT
 
 
 class ViewerFiles:
-    """Both files, in a temporary one without a name: 43 MB that no memory holds. Made when the first is asked for."""
+    """Both files of the web viewer, 43 MB that no memory holds. Found when the first is asked for.
+
+    They are read from the executable itself. rerun would also serve them, but on a port that another user of this
+    machine may take first, to give files of his own.
+    """
 
     def __init__(self) -> None:
         self._file: BinaryIO | None = None
@@ -53,10 +60,11 @@ class ViewerFiles:
         self._lock = threading.Lock()
 
     def size(self, name: str) -> int:
-        """Bytes of one of `NAMES`; takes a second the first time. Raises OSError or InputError where there is none."""
+        """Bytes of one of `NAMES`. Raises OSError or InputError where there is none."""
         with self._lock:
             if self._file is None:
-                self._file = self._made()
+                self._places = _find_files(viewer_executable())
+                self._file = viewer_executable().open("rb")
             return self._places[name][1]
 
     async def parts(self, name: str) -> AsyncIterator[bytes]:
@@ -75,41 +83,21 @@ class ViewerFiles:
                 self._file.close()
                 self._file = None
 
-    def _made(self) -> BinaryIO:
-        """rerun's own server of its web viewer gives them; it has no recording, and lives a second."""
-        file = tempfile.TemporaryFile()  # noqa: SIM115  # it lasts as long as this object
-        port = free_port()
-        command = [str(viewer_executable()), "--bind", LOOPBACK, "--port", str(free_port())]
-        serving = subprocess.Popen(
-            [*command, "--serve-web", "--web-viewer-port", str(port)],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-            env={**os.environ, "RERUN_APP_ONLY": "true", "RUST_LOG": "off"},
-        )
-        try:
-            for name in NAMES:
-                at = file.tell()
-                _copy(f"http://{LOOPBACK}:{port}/{name}", file, serving)
-                self._places[name] = at, file.tell() - at
-        except BaseException:
-            file.close()
-            raise
-        finally:
-            serving.kill()
-            serving.wait()
-        file.flush()
-        return file
+
+def _find_files(executable: Path) -> dict[str, tuple[int, int]]:
+    """Start and length of each of `NAMES` in it [bytes]. Raises InputError."""
+    with executable.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
+        script, module = _SCRIPT.search(content), content.find(_MODULE)
+        end = _end_of_module(content, module)
+        if script is None or module < 0 or end > len(content):
+            advice = "pip install --force-reinstall rerun-sdk"
+            raise InputError("a rerun that holds its web viewer", "none", advice, executable)
+    return dict(zip(NAMES, [(script.start(), script.end() - script.start()), (module, end - module)], strict=True))
 
 
-def _copy(address: str, file: BinaryIO, serving: subprocess.Popen[bytes]) -> None:
-    opener = urllib.request.build_opener(urllib.request.ProxyHandler({}))  # no proxy for loopback
-    deadline = time.monotonic() + START_S
-    while True:
-        with contextlib.suppress(urllib.error.URLError), opener.open(address, timeout=START_S) as answer:
-            while part := answer.read(PART_BYTES):
-                file.write(part)
-            return
-        if serving.poll() is not None or time.monotonic() > deadline:
-            raise ConnectionError("rerun did not give its web viewer")
-        time.sleep(0.02)
+def _end_of_module(content: mmap.mmap, start: int) -> int:
+    """Where a WebAssembly module ends: sections follow its first bytes, each behind its number and length (LEB128)."""
+    at = start + len(_MODULE)
+    while header := _SECTION.match(content, at):
+        at = header.end() + sum((byte & 0x7F) << 7 * place for place, byte in enumerate(header[1]))
+    return at

@@ -56,9 +56,9 @@ def read_facts(path: Path) -> Facts:
 
 def run_rrd(*arguments: str | Path) -> str:
     """Run `rerun rrd ...` of the installed wheel; what it refuses, in a line; empty where it is done."""
-    from deformscope.page.viewer_files import viewer_executable
+    from deformscope.page.viewer_files import viewer_environment, viewer_executable
 
-    done = _run([str(viewer_executable()), "rrd", *map(str, arguments)])
+    done = _run([str(viewer_executable()), "rrd", *map(str, arguments)], viewer_environment())
     if isinstance(done, str):
         return done
     if done.returncode == 0:
@@ -68,10 +68,10 @@ def run_rrd(*arguments: str | Path) -> str:
     return " ".join(reason[0].split())[:300] if reason else "rerun refuses it without a word"
 
 
-def _run(command: list[str]) -> subprocess.CompletedProcess[str] | str:
+def _run(command: list[str], environment: dict[str, str] | None = None) -> subprocess.CompletedProcess[str] | str:
     """To its end, or what kept it from that."""
     try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT_S, check=False)
+        done = subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT_S, check=False, env=environment)
     except subprocess.TimeoutExpired:
         return f"it was not read within {TIMEOUT_S:g} s"
     if done.returncode < 0:

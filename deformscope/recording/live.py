@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import logging
 import os
+import re
 import socket
 import subprocess
 import sys
@@ -19,7 +20,7 @@ from typing import TYPE_CHECKING, ClassVar, Generic, Literal, Protocol, TypeVar
 
 from deformscope.errors import InputError
 from deformscope.page.pieces import Pieces
-from deformscope.page.viewer_files import LOOPBACK, free_port, viewer_executable
+from deformscope.page.viewer_files import LOOPBACK, viewer_environment, viewer_executable
 
 if TYPE_CHECKING:
     from deformscope.log.live_stream import LiveStream
@@ -57,15 +58,27 @@ _logger = logging.getLogger(__name__)
 class Viewer:
     """A window that was started.
 
-    pid: its process; url: where recordings stream to
-    messages: descriptor of a file that holds what it wrote to its standard error, None where that is not kept
+    pid: its process; messages: descriptor of a file that holds what it wrote to its standard error
     """
 
     pid: int
-    url: str
-    messages: int | None = None
+    messages: int
 
     where: ClassVar[str] = "viewer: a window of its own; it stays when this command has ended"
+
+    @property
+    def said(self) -> str:
+        """The beginning of it."""
+        return os.pread(self.messages, 10_000, 0).decode(errors="replace")
+
+    @property
+    def url(self) -> str:
+        """Where recordings stream to, empty before it listens.
+
+        It chooses the port, and says which: on one that is chosen for it another user could listen first.
+        """
+        found = re.search(rf"rerun\+http://{LOOPBACK}:\d+/proxy", self.said)
+        return found[0] if found else ""
 
 
 def start_viewer() -> Viewer:
@@ -75,11 +88,9 @@ def start_viewer() -> Viewer:
     """
     if sys.platform.startswith("linux") and not _has_display():
         raise InputError("a display for the viewer's window", "none (DISPLAY is unset)", "--viewer page or none")
-    port = free_port()
-    command = [str(viewer_executable()), "--bind", LOOPBACK, "--port", str(port)]
+    command = [str(viewer_executable()), "--bind", LOOPBACK, "--port", "0"]
     command += ["--memory-limit", VIEWER_MEMORY, "--server-memory-limit", BACKLOG_MEMORY]
     command += ["--hide-welcome-screen", "--expect-data-soon", *window_options()]
-    quiet = {"RERUN_APP_ONLY": "true", "RUST_LOG": "error"}
     messages, path = tempfile.mkstemp()
     with contextlib.suppress(OSError):  # its descriptor is enough
         Path(path).unlink()
@@ -89,10 +100,10 @@ def start_viewer() -> Viewer:
         stdout=subprocess.DEVNULL,
         stderr=messages,
         start_new_session=True,  # Ctrl-C ends the measurement and leaves its picture
-        env={**os.environ, **quiet},
+        env=viewer_environment() | {"RUST_LOG": "error,re_grpc_server=info"},  # its port, and why it ended
     )
     process.returncode = 0  # `_ended` alone asks for it: subprocess would warn of a window that outlives this process
-    return Viewer(process.pid, f"rerun+http://{LOOPBACK}:{port}/proxy", messages)
+    return Viewer(process.pid, messages)
 
 
 def window_options() -> list[str]:
@@ -115,6 +126,9 @@ def live_stream(
     wait_for_viewer(viewer, give_up)
     rec = rr.RecordingStream(application, recording_id=recording_id)
     rec.set_sinks(rr.GrpcSink(viewer.url))
+    with contextlib.suppress(RuntimeError):  # not within the time, or never: the next line knows
+        rec.flush(timeout_sec=FLUSH_TIMEOUT_S)
+    check_running(viewer)  # so that nobody else can have taken its port before this was connected to it
     rec.send_property("session", rr.AnyValues(True, **properties))
     return LiveStream(rec, check)
 
@@ -141,11 +155,11 @@ def page_stream(
 
 
 def wait_for_viewer(viewer: Viewer, give_up: threading.Event) -> None:
-    """Return once it accepts connections; raise where it ends or stays away."""
+    """Return once it listens; raise where it ends or stays away."""
     deadline = time.monotonic() + START_TIMEOUT_S
     while time.monotonic() < deadline and not give_up.is_set():
         check_running(viewer)
-        with contextlib.suppress(OSError), socket.create_connection((LOOPBACK, _port(viewer)), timeout=0.5):
+        if viewer.url:
             return
         time.sleep(0.05)
     raise ConnectionError(f"the viewer did not listen within {START_TIMEOUT_S:g} s")
@@ -155,10 +169,7 @@ def check_running(viewer: Viewer) -> None:
     """Raise ConnectionError, with the last that the viewer said, where its process has ended."""
     if not _ended(viewer.pid):
         return
-    words = ""
-    if viewer.messages is not None:
-        os.lseek(viewer.messages, 0, os.SEEK_SET)
-        words = " ".join(os.read(viewer.messages, 10_000).decode(errors="replace").split())[-300:]
+    words = " ".join(viewer.said.split())[-300:]
     raise ConnectionError(f"the viewer has ended{': ' if words else ''}{words}")
 
 

@@ -195,7 +195,7 @@ def test_a_severed_stream_is_no_slow_one() -> None:
 def shown(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """What a recorder sends to its viewer goes into this file."""
     path = tmp_path / "shown.rrd"
-    monkeypatch.setattr(recorder, "start_viewer", lambda: Viewer(0, ""))
+    monkeypatch.setattr(recorder, "start_viewer", lambda: Viewer(0, 0))
     monkeypatch.setattr(recorder, "live_stream", lambda *given: LiveStream(to_file(path), lambda timeout_s: None))
     return path
 

@@ -6,9 +6,7 @@ import dataclasses
 import itertools
 import logging
 import random
-import subprocess
 from collections.abc import Collection, Iterator, Sequence
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +33,7 @@ from deformscope.log.rig import Shown, log_items, log_streams, prepare_items, ri
 from deformscope.log.rig.health import table, word
 from deformscope.log.rig.tactile import Hand
 from deformscope.pictures.palette import BACKGROUND, colors
+from deformscope.recording.facts import run_rrd
 from deformscope.recording.items import read_items, read_streams
 from deformscope.rows import FORMAT
 from deformscope_drivers.clock import Stamp
@@ -171,10 +170,7 @@ def test_a_compacted_recording_is_the_same(tmp_path: Path, caplog: pytest.LogCap
     pieces: list[Item] = [RawBytes(rig.ns(0.2), bytes([piece]), False, "fingertip") for piece in range(50)]
     expected = rig.items(1.2, SMALL) + pieces
     record(tmp_path / "run.rrd", list(rig.batches(expected)), rig.STREAMS, {"front"})
-    package = find_spec("rerun_cli")
-    assert package is not None
-    command = [Path(package.origin or "").parent / "rerun", "rrd", "optimize", tmp_path / "run.rrd"]
-    subprocess.run([*command, "-o", tmp_path / "small.rrd"], check=True, capture_output=True)
+    assert run_rrd("optimize", tmp_path / "run.rrd", "-o", tmp_path / "small.rrd") == ""
     assert (tmp_path / "small.rrd").stat().st_size < 0.8 * (tmp_path / "run.rrd").stat().st_size
     with caplog.at_level(logging.WARNING):
         assert_same(back(tmp_path / "small.rrd"), back(tmp_path / "run.rrd"))

@@ -30,6 +30,7 @@ from deformscope.recording import live
 from deformscope.recording.live import LiveFeed, Viewer, check_answers, start_viewer, wait_for_viewer
 from deformscope.recording.reader import Replay
 from deformscope.recording.recorder import Recorder
+from tests.second_user import taking_ports
 
 ROOT = Path(__file__).resolve().parents[2]
 PATIENCE_S = 60.0
@@ -203,7 +204,9 @@ def server(answer: bytes | None) -> Iterator[Viewer]:
 
         if answer is not None:
             threading.Thread(target=serve, daemon=True).start()
-        yield Viewer(0, f"rerun+http://127.0.0.1:{listening.getsockname()[1]}/proxy")
+        said = os.memfd_create("said")
+        os.write(said, f"rerun+http://127.0.0.1:{listening.getsockname()[1]}/proxy".encode())
+        yield Viewer(0, said)
 
 
 def test_whether_a_viewer_answers() -> None:
@@ -311,6 +314,54 @@ def test_a_command_prints_the_address(
     )
     assert running_pages() == []
     assert isinstance(json.loads(out), dict)
+
+
+def listeners(pid: int) -> set[int]:
+    """Ports on which a process listens for TCP."""
+    own = {str(handle.readlink()) for handle in Path(f"/proc/{pid}/fd").iterdir()}
+    lines = [line.split() for line in Path("/proc/net/tcp").read_text().splitlines()[1:]]
+    return {int(line[1].split(":")[1], 16) for line in lines if line[3] == "0A" and f"socket:[{line[9]}]" in own}
+
+
+def test_another_user_gets_no_data_for_a_window(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("DISPLAY", ":0")
+    monkeypatch.setattr(live, "window_options", lambda: ["--serve-grpc"])  # a window without a window
+    with taking_ports() as taken:
+        for _ in range(10):
+            viewer = start_viewer()
+            try:
+                wait_for_viewer(viewer, threading.Event())
+                assert int(viewer.url.split(":")[-1].split("/")[0]) in listeners(viewer.pid)
+            finally:
+                os.kill(viewer.pid, signal.SIGKILL)
+                os.waitpid(viewer.pid, 0)
+        assert taken() == []
+
+
+def test_no_data_follows_for_a_window_that_ended_as_it_opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its port is free again, and whoever takes it then is connected to."""
+    ended, got, taking = tmp_path / "ended", list[bytes](), list[socket.socket]()
+    os.mkfifo(ended)
+
+    def take() -> None:
+        taking.append(foreign.accept()[0])
+        ended.write_text("\n")
+        while part := taking[0].recv(100_000):
+            got.append(part)
+
+    with socket.create_server(("127.0.0.1", 0)) as foreign:
+        script = f"echo rerun+http://127.0.0.1:{foreign.getsockname()[1]}/proxy >&2; read line < {ended}"
+        monkeypatch.setattr(live, "viewer_executable", lambda: program(tmp_path, script))
+        monkeypatch.setenv("DISPLAY", ":0")
+        thread = threading.Thread(target=take)
+        thread.start()
+        with pytest.raises(ConnectionError, match="ended"):
+            live.live_stream("application", "recording", start_viewer(), {"secret": "zebra"}, threading.Event())
+        with taking[0]:
+            taking[0].shutdown(socket.SHUT_RDWR)
+            thread.join()
+    assert b"PRI * HTTP" in b"".join(got)
+    assert b"zebra" not in b"".join(got)
 
 
 # A real viewer -------------------------------------------------------------------------------------------------------

@@ -25,7 +25,7 @@ from deformscope.errors import InputError
 from deformscope.frames import ColorFrame, DepthFrame, HandFrame, InputFile, Item, RawBytes, host_ns
 from deformscope.images import encode_png
 from deformscope.page.server import end_pages
-from deformscope.page.viewer_files import viewer_executable
+from deformscope.page.viewer_files import viewer_environment, viewer_executable
 from deformscope.recording import recorder
 from deformscope.recording import rrd_file as recording_file
 from deformscope.recording.items import read_items
@@ -54,7 +54,9 @@ def strict() -> Iterator[None]:
 
 def rrd(*arguments: object) -> subprocess.CompletedProcess[str]:
     command = [str(viewer_executable()), "rrd", *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
+    return subprocess.run(
+        command, capture_output=True, text=True, timeout=PATIENCE_S, check=False, env=viewer_environment()
+    )
 
 
 def record(path: Path, count: int = 4, **options: object) -> recorder.RecordingSummary:
@@ -579,7 +581,7 @@ def test_the_file_never_waits_for_the_viewer(
 ) -> None:
     stuck = threading.Event()
     unregistered, unblocked = list[bool](), list[bool]()
-    monkeypatch.setattr(recorder, "start_viewer", lambda: Viewer(0, "rerun+http://127.0.0.1:1/proxy"))
+    monkeypatch.setattr(recorder, "start_viewer", lambda: Viewer(0, 0))
     monkeypatch.setattr(recorder, "live_stream", lambda *given: unblocked.append(stuck.wait(PATIENCE_S)))
     monkeypatch.setattr(recorder, "LIVE_TIMEOUT_S", 0.3)
     monkeypatch.setattr(recorder, "leave_streams_alone", lambda: unregistered.append(True))
