@@ -9,9 +9,11 @@ from pathlib import Path
 from typing import BinaryIO
 
 from deformscope.errors import InputError
+from deformscope.recording.facts import is_recoverable
+from deformscope.recording.lateness import RecordingError, check_room
 from deformscope.recording.ledger import Losses, ledger_path, write_ledger
 from deformscope.recording.lock import create_locked, is_being_written, one_at_a_time
-from deformscope.recording.rrd_file import RecordingError, check_room, merged_path, sync
+from deformscope.recording.rrd_file import merged_path, sync
 
 SUFFIX = ".rrd"
 
@@ -31,7 +33,7 @@ class RecordingTarget:
         """Make the unfinished file; refuses what cannot work before any work is done."""
         self.part, self._lock = _reserve(self.path, self._overwrite)
         try:
-            check_room(self.path, "another disk")
+            check_room(self.path)
         except BaseException:
             self.give_up()
             raise
@@ -67,7 +69,10 @@ class RecordingTarget:
         if not worth_it:
             self.part.unlink(missing_ok=True)
             return None
-        _logger.warning("what was recorded before the error is kept: %s", self.part)
+        if is_recoverable(self.part):
+            _logger.warning("what was recorded before the error is kept: deformscope recover %s", self.part)
+        else:
+            _logger.warning("nothing can be recovered of what was recorded before the error: %s", self.part)
         return self.part
 
 
