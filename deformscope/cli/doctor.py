@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Literal
 
 from deformscope.api.first_day import FirstDayStep, begin, first_day, next_step
 from deformscope.api.rigs import member_of
-from deformscope.cli.common import say, write_json
+from deformscope.cli.common import say, show, write_json
 from deformscope.config import DoctorConfig
 from deformscope.errors import InputError
 
@@ -74,9 +74,9 @@ def run(config: DoctorConfig) -> None:
         name = f"{entry.name} ({entry.driver.name}{', double' if entry.double else ''})"
         findings += _found(name, partial(_device, entry, name, config.seconds))
     width = max(len(finding.what) for finding in findings)
-    print("\n".join(f"{f.verdict:<5} {f.what:<{width}}  {f.told}" for f in findings), flush=True)
+    show("\n".join(f"{f.verdict:<5} {f.what:<{width}}  {f.told}" for f in findings))
     if steps:
-        print(_list_of(steps, following), flush=True)
+        show(_list_of(steps, following))
     command = following.command if following is not None else None
     write_json({"rig": config.rig, "findings": findings, "first_day": steps, "next": command}, config.json)
     if failed := [finding.what for finding in findings if finding.verdict == "FAIL"]:

@@ -19,7 +19,8 @@ from deformscope.recording.ledger import ledger_path, read_counts, write_ledger
 from deformscope.recording.lock import is_being_written
 from deformscope.recording.losses import in_words
 from deformscope.recording.reader import RRD_MAGIC
-from deformscope.recording.rrd_file import merged_path, write_outcome
+from deformscope.recording.rrd_file import write_outcome
+from deformscope.recording.target import remove_strays
 
 
 def run(config: RecoverConfig) -> None:
@@ -41,7 +42,7 @@ def run(config: RecoverConfig) -> None:
             os.fsync(file.fileno())
         _refuse_existing(out)
         whole.replace(out)
-    merged_path(path).unlink(missing_ok=True)  # what its run could not bring to an end either
+    remove_strays(path.parent)
     write_ledger(out, facts.counts, facts.losses)
     _report(config, path, out, facts, damage)
 

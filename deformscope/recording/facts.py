@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from deformscope.errors import InputError
+from deformscope.recording.utf8_path import utf8_path
 
 TIMEOUT_S = 600.0
 MEMORY, BEGIN_BYTES = Path("/dev/shm"), 32 << 20
@@ -78,7 +79,8 @@ def run_rrd(*arguments: str | Path) -> str:
     """Run `rerun rrd ...` of the installed wheel; what it refuses, in a line; empty where it is done."""
     from deformscope.page.viewer_files import viewer_executable
 
-    done = _run([str(viewer_executable()), "rrd", *map(str, arguments)])
+    words = (str(utf8_path(one)) if isinstance(one, Path) else one for one in arguments)
+    done = _run([str(viewer_executable()), "rrd", *words])
     if isinstance(done, str):
         return done
     if done.returncode == 0:

@@ -20,8 +20,10 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
+from deformscope.errors import printable
 from deformscope.recording import lateness
 from deformscope.recording.lateness import OTHER_DISK, RecordingError, check_room, writes_are_held_up
+from deformscope.recording.utf8_path import utf8_path
 
 if TYPE_CHECKING:
     import rerun as rr
@@ -83,7 +85,7 @@ class RecordingFile:
         self._looks = self._beats = self._unflushed = 0
         self.write_properties("session", properties)
         if name:
-            self._log(lambda rec: rec.send_recording_name(name))
+            self._log(lambda rec: rec.send_recording_name(printable(name)))
         try:
             self.flush()
         except RecordingError:
@@ -260,7 +262,7 @@ def _has_footer(path: Path) -> bool:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            RrdReader(path).store()
+            RrdReader(utf8_path(path)).store()
     except Exception:  # the reader raises what it likes
         return False
     return True

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import os
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import BinaryIO
 
@@ -76,6 +77,14 @@ class RecordingTarget:
         return self.part
 
 
+def remove_strays(folder: Path) -> None:
+    """Of runs that were killed: the file of large portions, of no use without its end. What they recorded stays."""
+    for stray in folder.glob(f"*{merged_path(Path(f'.part*{SUFFIX}'))}"):
+        if not is_being_written(stray.with_suffix("")):
+            with suppress(OSError):  # in a folder that is only read
+                stray.unlink(missing_ok=True)
+
+
 def _followed(target: Path) -> Path:
     """Where a link leads: it stays a link, to the new recording, as with every other output."""
     if not target.is_symlink():
@@ -97,6 +106,7 @@ def _reserve(target: Path, overwrite: bool) -> tuple[Path, BinaryIO]:
     if not target.parent.is_dir():
         raise InputError("a folder to record into", "none", f"mkdir -p {target.parent}", target)
     with one_at_a_time(target.parent):
+        remove_strays(target.parent)
         for number in range(1, 1000):
             part = target.with_name(f"{target.stem}.part{'' if number == 1 else f'-{number}'}{SUFFIX}")
             try:
@@ -105,7 +115,6 @@ def _reserve(target: Path, overwrite: bool) -> tuple[Path, BinaryIO]:
                 if is_being_written(part):
                     came = f"one that another run is recording to ({part.name})"
                     raise InputError("a recording of its own", came, "another name", target) from None
-                merged_path(part).unlink(missing_ok=True)  # of a run that was killed: of no use without its end
             except OSError as error:
                 came = (error.strerror or str(error)).lower()
                 raise InputError("a folder that can be written to", came, "another folder", target.parent) from error

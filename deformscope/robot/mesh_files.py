@@ -71,18 +71,25 @@ def _mesh(arrays: BinaryIO, path: Path, ending: str) -> Mesh:
     except (EOFError, OSError, ValueError) as error:
         came = f"one at which the reader ended ({ending})"
         raise InputError("a mesh file that is whole", came, "export it again", path) from error
-    if not len(triangles) or not 0 <= triangles.min() <= triangles.max() < len(vertices):
-        raise InputError("a mesh with triangles of its vertices", "none, or others", "export it again", path)
-    if not np.abs(vertices).max() <= FARTHEST:  # nor where one is no number
-        raise InputError(f"vertices within {FARTHEST:g} of the origin", "others", "export it again", path)
+    if refused := _refusal(vertices, triangles):
+        raise InputError(refused, "none, or others", "export it again", path)
     return vertices, triangles
+
+
+def _refusal(vertices: npt.NDArray[np.float64], triangles: npt.NDArray[np.int32]) -> str:
+    """What was expected instead; empty where it is a mesh."""
+    if not len(triangles) or not 0 <= triangles.min() <= triangles.max() < len(vertices):
+        return "a mesh with triangles of its vertices"
+    if not np.abs(vertices).max() <= FARTHEST:  # nor where one is no number
+        return f"a mesh with vertices within {FARTHEST:g} of the origin"
+    return ""
 
 
 def _write(path: str, out: BinaryIO, *, coarse: bool) -> None:
     import open3d as o3d
 
-    mesh = o3d.io.read_triangle_mesh(path)
-    if coarse and np.isfinite(np.asarray(mesh.vertices)).all():
+    mesh = o3d.io.read_triangle_mesh(Path(path))
+    if coarse and not _refusal(np.asarray(mesh.vertices), np.asarray(mesh.triangles)):
         mesh.merge_close_vertices(1e-7)
         if len(mesh.triangles) > TRIANGLES:
             mesh = mesh.simplify_quadric_decimation(TRIANGLES)

@@ -161,7 +161,7 @@ def _meshes(robot: ET.Element, path: Path) -> dict[str, Solid]:
     """The mesh files of what is shown, read together, by the names that the URDF has for them."""
     found = [mesh for link in robot.findall("link") for part in _shown(link) for mesh in part.findall("geometry/mesh")]
     files = {mesh.attrib["filename"]: _mesh_file(mesh.attrib["filename"], path) for mesh in found}
-    solids = [Solid(vertices, triangles) for vertices, triangles in read_meshes(list(files.values()))]
+    solids = [Solid(vertices, triangles.astype(np.uint32)) for vertices, triangles in read_meshes(list(files.values()))]
     return dict(zip(files, solids, strict=True))
 
 

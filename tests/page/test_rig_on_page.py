@@ -259,7 +259,7 @@ def test_the_page_goes_on_where_its_file_cannot(rig: Path, tmp_path: Path, monke
         one.until(lambda state: state["recorded_bytes"] > 0)
         full.set()
         before = received(one.until(lambda state: "start-recording" in state["commands"]))
-        assert any(remark["bad"] and "0 MiB free" in remark["text"] for remark in one.state["remarks"])
+        assert any(remark["bad"] and "0 MiB free" in remark["words"] for remark in one.state["remarks"])
         full.clear()
         one.until(lambda state: received(state) > before)
         assert one.command("start-recording")[0] == "begun"

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import struct
 from pathlib import Path
 
 import numpy as np
@@ -14,15 +16,40 @@ from deformscope.rig.squeeze_sections import ContainerSection
 from deformscope.robot import mesh_files
 from deformscope.robot.mesh_files import MESH_ENDINGS, Mesh, read_meshes
 
-MUTATIONS = 60
+MUTATIONS = 40
 """Of each kind of file."""
 
 
 def written(path: Path) -> Path:
-    """A cube of 10."""
+    """A cube of 10; as `.glb`, which Open3D does not read as it writes it, a triangle."""
+    if path.suffix == ".glb":
+        path.write_bytes(glb())
+        return path
     cube = o3d.geometry.TriangleMesh.create_box(10.0, 10.0, 10.0).compute_triangle_normals()
     assert o3d.io.write_triangle_mesh(path, cube)
     return path
+
+
+def glb() -> bytes:
+    """A triangle of 10, as glTF 2.0 has it in one file."""
+    body = np.array([0, 0, 0, 10, 0, 0, 0, 10, 0], "<f4").tobytes() + np.array([0, 1, 2], "<u4").tobytes()
+    views = [{"buffer": 0, "byteOffset": 0, "byteLength": 36}, {"buffer": 0, "byteOffset": 36, "byteLength": 12}]
+    points = {"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3", "min": [0, 0, 0], "max": [10, 10, 0]}
+    corners = {"bufferView": 1, "componentType": 5125, "count": 3, "type": "SCALAR"}
+    scene = {
+        "asset": {"version": "2.0"},
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0}],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1}]}],
+        "accessors": [points, corners],
+        "bufferViews": views,
+        "buffers": [{"byteLength": len(body)}],
+    }
+    head = json.dumps(scene).encode()
+    head += b" " * (-len(head) % 4)
+    chunks = [struct.pack("<II", len(data), kind) + data for data, kind in ((head, 0x4E4F534A), (body, 0x004E4942))]
+    return struct.pack("<III", 0x46546C67, 2, 12 + sum(map(len, chunks))) + b"".join(chunks)
 
 
 def mutated(content: bytes, random: np.random.Generator) -> bytes:
@@ -60,18 +87,45 @@ def test_a_mesh_is_read_as_open3d_reads_it(tmp_path: Path, ending: str) -> None:
     np.testing.assert_array_equal(vertices, np.asarray(there.vertices))
     np.testing.assert_array_equal(triangles, np.asarray(there.triangles))
     ((vertices, triangles),) = read_meshes([path])
-    assert (len(vertices), len(triangles)) == (8, 12)
+    assert (len(vertices), len(triangles)) == ((3, 1) if ending == ".glb" else (8, 12))
 
 
-def test_a_file_that_ends_the_reader_ends_no_more_and_is_named(tmp_path: Path) -> None:
-    """A list of vertex indices in whose place there is one number: Open3D's reader of PLY dies at it."""
-    good = written(tmp_path / "good.ply")
-    content = good.read_bytes()
-    assert b"property list uchar uint vertex_indices" in content
-    bad = tmp_path / "bad.ply"
-    bad.write_bytes(content.replace(b"property list uchar uint vertex_indices", b"property uint vertex_indices"))
-    with pytest.raises(InputError, match=r"a mesh.*export it again \| .*bad\.ply"):
+ONE_TRIANGLE = """ply
+format ascii 1.0
+element vertex 3
+property float x
+property float y
+property float z
+element face 1
+property list uchar int vertex_indices
+end_header
+0 0 0
+1 0 0
+0 1 0
+"""
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("bad.ply", ONE_TRIANGLE + "7 0 1 2 0 1 2 99999999\n"),
+        ("bad.off", "OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n4 0 1 2 99999999\n"),
+    ],
+)
+def test_a_file_that_ends_the_reader_ends_no_more_and_is_named(tmp_path: Path, name: str, text: str) -> None:
+    """A polygon of a vertex that is not there, which Open3D cuts into triangles."""
+    good, bad = written(tmp_path / "good.ply"), tmp_path / name
+    bad.write_text(text, encoding="ascii")
+    with pytest.raises(InputError, match=rf"the reader ended \(SIGSEGV\) \| try: export it again \| .*{name}"):
         read_meshes([good, bad])
+
+
+@pytest.mark.parametrize("coarse", [True, False])
+def test_a_triangle_of_a_vertex_that_is_not_there_is_refused(tmp_path: Path, coarse: bool) -> None:
+    path = tmp_path / "bad.ply"
+    path.write_text(ONE_TRIANGLE + "3 0 1 99999999\n", encoding="ascii")
+    with pytest.raises(InputError, match="triangles of its vertices"):
+        read_meshes([path], coarse=coarse)
 
 
 @pytest.mark.slow
