@@ -2,6 +2,16 @@
 
 from __future__ import annotations
 
+import re
+
+_UNPRINTABLE = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
+
+
+def printable(text: str) -> str:
+    """Text of files, devices and paths for a terminal or a page: what controls one, reverses its direction, or is not
+    UTF-8 becomes an escape, as in Python's `repr`; line breaks and tabs stay."""
+    return _UNPRINTABLE.sub(lambda found: found[0].encode("unicode_escape").decode(), text)
+
 
 class InputError(Exception):
     """Something a user gave cannot be used.
@@ -15,13 +25,13 @@ class InputError(Exception):
             parts.append(f"try: {try_this}")
         if str(where):
             parts.append(str(where))
-        super().__init__(" | ".join(parts))
+        super().__init__(printable(" | ".join(parts)))
 
     @classmethod
     def about(cls, error: Exception, where: object) -> InputError:
         """The same error, with the file that it is about."""
         made = cls.__new__(cls)
-        Exception.__init__(made, f"{error} | {where}" if str(where) else str(error))
+        Exception.__init__(made, printable(f"{error} | {where}" if str(where) else str(error)))
         return made
 
     def __reduce__(self) -> tuple[object, ...]:

@@ -6,10 +6,12 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
+from deformscope.errors import printable
+
 
 def say(remark: str) -> None:
     """One line of progress or a remark; never folded."""
-    print(remark, file=sys.stderr, flush=True)
+    print(printable(remark), file=sys.stderr, flush=True)
 
 
 @contextmanager
@@ -21,7 +23,7 @@ def status_line() -> Iterator[Callable[[str], None]]:
     def show(text: str) -> None:
         nonlocal shown
         if sys.stderr.isatty() and (text or shown):
-            print(f"\r\x1b[K{text}", end="", file=sys.stderr, flush=True)
+            print(f"\r\x1b[K{printable(text)}", end="", file=sys.stderr, flush=True)
             shown = bool(text)
 
     try:

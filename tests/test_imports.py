@@ -64,7 +64,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "bench": ("arrays", "errors", "plain", *STAGES),
     "config": ("bench", "errors"),
     "file_io": ("errors",),
-    "terminal": (),
+    "terminal": ("errors",),
     # What the commands compute, with doubles from the laboratory where they are asked for.
     "api": (
         *("arrays", "config", "errors", "experiments", "file_io", "files", "frames", "images", "lab", "log"),

@@ -29,10 +29,12 @@ from deformscope.page.messages import (
     TareDevice,
     WriteNote,
 )
+from deformscope.recording.lateness import RecordingError
 from deformscope.recording.losses import since
 from deformscope.recording.recent import RecentItems, end_with_recent, write_recent
 from deformscope.recording.recorder import Recorder, RecordingSummary
 from deformscope.rig.source import RigSource
+from deformscope.terminal import say
 from deformscope_drivers.clock import monotonic_ns
 
 ROOM = 2.0
@@ -157,7 +159,10 @@ class PageRecorder:
                     self._recent.add(items)
                 items = [*items, *self._taken_notes()]
             if self._take is not None:
-                self._write_to(self._take, items)
+                try:
+                    self._write_to(self._take, items)
+                except RecordingError as error:
+                    self._lose_file(self._take, error)
         if isinstance(items, Sequence) and self._shown is not None:
             self._fit.saw(items)
             self._shown.saw(items)
@@ -186,6 +191,19 @@ class PageRecorder:
                 before = take.before
                 items = [since(item, before) if isinstance(item, HealthReport) else item for item in items]
         take.recorder.write(items)
+
+    def _lose_file(self, take: _FileTake, error: RecordingError) -> None:
+        """It is ended with what it has, and what is watched goes on without one."""
+        self._take, self._episode, self._failure = None, "", error
+        self.desk.remark(f"the recording has ended: {error}", bad=True)
+        say(f"deformscope: the recording has ended, the page goes on: {error}")
+
+        def end() -> None:
+            take.recorder.__exit__(type(error), error, None)
+            self.summaries.append(take.recorder.summary())
+
+        self._beside("file", end)
+        self._enter()
 
     def _show_file(self) -> None:
         """How much is held and recorded, and how long that can go on."""

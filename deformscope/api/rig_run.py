@@ -28,7 +28,7 @@ from deformscope.frames import HealthReport, Item, Stream
 from deformscope.pictures.report import Table
 from deformscope.plain import plain
 from deformscope.recording.losses import in_words, losses_of, lost_by, since
-from deformscope.recording.recent import LastRecorder, RecentItems
+from deformscope.recording.recent import LastRecorder, RecentItems, WatchedRecorder
 from deformscope.recording.recorder import Recorder, RecordingSummary
 from deformscope.rig.rig_file import Rig, load_rig
 from deformscope.rig.source import RigSource
@@ -119,7 +119,7 @@ def _recorder(
     fit: FitBeside,
     *,
     at_end: bool,
-) -> Recorder | LastRecorder | PageRecorder:
+) -> Recorder | WatchedRecorder | PageRecorder:
     """Of one file from the beginning to the end, or of what was recent then; on a page, of as many as it asks for."""
 
     def make(file: Path | None, viewer: ViewerChoice, *, at_once: bool = False) -> Recorder:
@@ -134,6 +134,8 @@ def _recorder(
         return PageRecorder(make, first, next_file, asked, recent, fit=fit, at_end=last)
     if at_end and recent is not None:
         return LastRecorder(make(None, output.viewer), make(output.record, "none", at_once=True), recent)
+    if output.viewer == "native" and output.record is not None:
+        return WatchedRecorder(make(None, "native"), make(output.record, "none"))
     return make(output.record, output.viewer)
 
 

@@ -13,17 +13,21 @@ import contextlib
 import difflib
 import importlib
 import io
+import logging
 import os
 import re
 import select
+import signal
 import sys
+import threading
 import traceback
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from types import FrameType
 from typing import TYPE_CHECKING, Any
 
 from deformscope import __version__
-from deformscope.errors import InputError
+from deformscope.errors import InputError, printable
 
 if TYPE_CHECKING:
     from deformscope.config import CommandOptions
@@ -184,15 +188,47 @@ def main(args: Sequence[str] | None = None) -> int:
     0 done; 1 unexpected; 2 refused, in one line; 3 done with losses, which are named (`common.EXIT_LOSSES`);
     128 + its number: ended by a signal
     """
-    status = _status(list(sys.argv[1:] if args is None else args))
-    if "deformscope.page.server" in sys.modules and status < EXIT_SIGNALLED:
-        from deformscope.cli.common import keep_page
+    if logging.lastResort is not None:
+        logging.lastResort.setFormatter(_Printable())
+    with _ended_by_signals() as signals:
+        status = _status(list(sys.argv[1:] if args is None else args), signals)
+        if "deformscope.page.server" in sys.modules and status < EXIT_SIGNALLED:
+            from deformscope.cli.common import keep_page
 
-        keep_page()
-    return status
+            keep_page()
+    return EXIT_SIGNALLED + signals[0] if signals else status
 
 
-def _status(args: list[str]) -> int:
+class _Printable(logging.Formatter):
+    """Of the library's remarks, for a terminal."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        return printable(super().format(record))
+
+
+@contextlib.contextmanager
+def _ended_by_signals() -> Iterator[list[int]]:
+    """A request to end, and a terminal that is closed, interrupt like Ctrl-C, once; yields which did. What is ignored,
+    as by nohup, stays so; a command that moves or records something attends to them itself."""
+    came: list[int] = []
+
+    def end(number: int, frame: FrameType | None) -> None:
+        came.append(number)
+        signal.signal(number, signal.SIG_DFL)  # the next one ends it at once
+        raise KeyboardInterrupt
+
+    main_thread = threading.current_thread() is threading.main_thread()
+    numbers = [number for number in (signal.SIGTERM, signal.SIGHUP) if signal.getsignal(number) == signal.SIG_DFL]
+    try:
+        for number in numbers if main_thread else ():
+            signal.signal(number, end)
+        yield came
+    finally:
+        for number in numbers if main_thread else ():
+            signal.signal(number, signal.SIG_DFL)
+
+
+def _status(args: list[str], signals: Sequence[int]) -> int:
     # Libraries that complain on stderr by themselves would bury the one line that says what to do.
     os.environ.setdefault("OPENCV_LOG_LEVEL", "ERROR")
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
@@ -202,7 +238,8 @@ def _status(args: list[str]) -> int:
         sys.stdout.flush()
         return status
     except KeyboardInterrupt:
-        print("deformscope: interrupted", file=sys.stderr)
+        how = f"ended by {signal.Signals(signals[0]).name}" if signals else "interrupted"
+        print(f"deformscope: {how}", file=sys.stderr)
         return EXIT_INTERRUPTED
     except BrokenPipeError as error:
         return _pipe_closed(error)
@@ -317,7 +354,7 @@ def _plain_terminal() -> Iterator[None]:
     columns = os.environ.get("COLUMNS")
     os.environ["COLUMNS"] = "4000"
     try:
-        with contextlib.redirect_stdout(io.TextIOWrapper(io.BytesIO(), encoding="utf-8")):
+        with contextlib.redirect_stdout(io.TextIOWrapper(io.BytesIO(), "utf-8", "backslashreplace")):
             yield
     finally:
         if columns is None:
@@ -395,7 +432,7 @@ def _check_files(options: CommandOptions) -> None:
 def _fail(message: str, status: int) -> int:
     if os.environ.get(TRACEBACK):
         traceback.print_exc()
-    print(f"deformscope: error: {' '.join(message.split())[:2000]}", file=sys.stderr)
+    print(f"deformscope: error: {printable(' '.join(message.split())[:2000])}", file=sys.stderr)
     return status
 
 

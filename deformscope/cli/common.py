@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TextIO, TypeVar, cast
 
 from deformscope.api.result import open_recorder
-from deformscope.errors import InputError
+from deformscope.errors import InputError, printable
 from deformscope.file_io import make_folder as make_folder
 from deformscope.file_io import read_file as read_file
 from deformscope.file_io import replacing as replacing
@@ -75,7 +75,7 @@ def console() -> Console:
 def show(*found: object) -> None:
     """Print results as their tables, on stdout; on stderr where `--json -` has taken stdout."""
     for one in found:
-        print(one, flush=True)
+        print(printable(str(one)), flush=True)
 
 
 def show_table(title: str, rows: Sequence[tuple[str, str]]) -> None:
@@ -122,6 +122,7 @@ def fit_progress() -> Iterator[Progress]:
 
         def note(what: str, done: int, total: int) -> None:
             nonlocal said
+            what = printable(what)
             if what not in tasks:
                 for earlier in tasks.values():
                     bars.update(earlier, visible=False)

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Literal
 
 from deformscope.api.first_day import FirstDayStep, begin, first_day, next_step
 from deformscope.api.rigs import member_of
-from deformscope.cli.common import say, write_json
+from deformscope.cli.common import say, show, write_json
 from deformscope.config import DoctorConfig
 from deformscope.errors import InputError
 
@@ -74,14 +74,14 @@ def run(config: DoctorConfig) -> None:
         name = f"{entry.name} ({entry.driver.name}{', double' if entry.double else ''})"
         findings += _found(name, partial(_device, entry, name, config.seconds))
     width = max(len(finding.what) for finding in findings)
-    print("\n".join(f"{f.verdict:<5} {f.what:<{width}}  {f.told}" for f in findings), flush=True)
+    show("\n".join(f"{f.verdict:<5} {f.what:<{width}}  {f.told}" for f in findings))
     failed = [finding.what for finding in findings if finding.verdict == "FAIL"]
     command = following.command if following is not None else None
     if failed:  # no step can be done with what does not work
         command = f"deformscope doctor {config.rig}"
     if steps:
         after = f"repair {failed[0]} (its line above says how), then " if failed else ""
-        print(_list_of(steps, after + (command or "")), flush=True)
+        show(_list_of(steps, after + (command or "")))
     write_json({"rig": config.rig, "findings": findings, "first_day": steps, "next": command}, config.json)
     if failed:
         hint = f"repair {failed[0]} first: its line says how"

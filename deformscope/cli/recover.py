@@ -14,12 +14,13 @@ from pathlib import Path
 from deformscope.cli.common import show_table, write_json
 from deformscope.config import RecoverConfig
 from deformscope.errors import InputError
-from deformscope.recording.facts import Facts, read_facts, run_rrd
+from deformscope.recording.facts import Facts, read_facts, run_rrd, salvage
 from deformscope.recording.ledger import ledger_path, read_counts, write_ledger
 from deformscope.recording.lock import is_being_written
 from deformscope.recording.losses import in_words
 from deformscope.recording.reader import RRD_MAGIC
-from deformscope.recording.rrd_file import merged_path, write_outcome
+from deformscope.recording.rrd_file import write_outcome
+from deformscope.recording.target import remove_strays
 
 
 def run(config: RecoverConfig) -> None:
@@ -31,9 +32,7 @@ def run(config: RecoverConfig) -> None:
     with tempfile.TemporaryDirectory(prefix=f".{out.stem}.", suffix=".part", dir=out.parent) as scratch:
         readable, ending, whole = (Path(scratch) / name for name in ("readable.rrd", "ending.rrd", "whole.rrd"))
         # Not `optimize`, which tears rows apart: what belongs to one frame would lie in several portions.
-        damage = run_rrd("merge", path, "-o", readable)
-        refused = damage and run_rrd("merge", "--continue-on-error", path, "-o", readable)
-        facts = Facts(damage=refused) if refused else read_facts(readable)
+        facts, damage = salvage(path, readable)
         if facts.damage or not facts.counts:
             raise InputError("a recording of which something can be read", facts.damage or "none of it", where=path)
         _write_ending(ending, facts, path)
@@ -43,7 +42,7 @@ def run(config: RecoverConfig) -> None:
             os.fsync(file.fileno())
         _refuse_existing(out)
         whole.replace(out)
-    merged_path(path).unlink(missing_ok=True)  # what its run could not bring to an end either
+    remove_strays(path.parent)
     write_ledger(out, facts.counts, facts.losses)
     _report(config, path, out, facts, damage)
 

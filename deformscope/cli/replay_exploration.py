@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_type_hints
 
-from deformscope.cli.common import Different, check_same, console, show_table, write_json
+from deformscope.cli.common import Different, check_same, console, say, show_table, write_json
 from deformscope.config import ReplayConfig
 from deformscope.errors import InputError
 
@@ -93,7 +93,7 @@ def replay_exploration(recording: Replay, config: ReplayConfig, page: PageServer
     for before, now in zip(recorded, again, strict=False):
         check_same(before, now, path, (*TRUTH, *(name for name in LATER if getattr(before, name, None) is None)))
     for one in failed:
-        console().print(f"failed when it was recorded: {failed_words(one)}", markup=False)
+        say(f"failed when it was recorded: {failed_words(one)}")
     start = "measurements" if measured else "depth images, forces and states of the arm"
     console().print(f"replay: {len(recorded)} results from {start}, identical to the recorded numbers")
     write_json({"results": len(recorded), "identical": True, "failures": failed}, config.output.json)

@@ -8,7 +8,7 @@ import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from deformscope.cli.common import Different, check_same, console, write_json
+from deformscope.cli.common import Different, check_same, console, say, write_json
 from deformscope.errors import InputError
 
 if TYPE_CHECKING:
@@ -53,7 +53,7 @@ def replay_squeeze(recording: Replay, config: ReplayConfig) -> None:
     if again.failure and not stops:
         raise Different("the recorded features", again.failure, where=path)
     for stop in stops:
-        console().print(f"stopped when it was recorded: {stop.kind}: {stop.reason}", markup=False)
+        say(f"stopped when it was recorded: {stop.kind}: {stop.reason}")
     counted = ", ".join(kind.__name__ for kind in kinds)
     console().print(f"replay: {compared} results from raw frames ({counted}), identical to the recorded numbers")
     write_json({"results": compared, "identical": True, "stopped": stops}, config.output.json)

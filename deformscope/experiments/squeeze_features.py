@@ -18,6 +18,7 @@ from deformscope.errors import InputError
 from deformscope.experiments.squeeze_frames import SqueezeFrames, frame_ns
 from deformscope.frames import DepthFrame, HandFrame
 from deformscope.rig.squeeze_sections import ContainerSection, HandSection
+from deformscope.robot.mesh_files import read_meshes
 from deformscope.robot.setup import CameraView
 from deformscope.robot.squeeze_plan import PAD_ALONG_M
 from deformscope.robot.squeeze_setup import SqueezeSetup
@@ -209,12 +210,8 @@ def container_model(section: ContainerSection) -> ContainerModel:
         return ContainerModel.box(size)
     if section.shape == "cylinder":
         return ContainerModel.cylinder(size[0] / 2, size[2])
-    import open3d as o3d
-
-    mesh = o3d.io.read_triangle_mesh(Path(section.mesh))
-    if not len(mesh.triangles):
-        raise InputError("a mesh of triangles in [container] mesh", "none", where=section.mesh)
-    return ContainerModel.mesh(np.asarray(mesh.vertices), np.asarray(mesh.triangles))
+    ((vertices_m, triangles),) = read_meshes([Path(section.mesh)], coarse=False)
+    return ContainerModel.mesh(vertices_m, triangles.astype(np.int64))
 
 
 class _Seen:

@@ -12,6 +12,7 @@ from __future__ import annotations
 import asyncio
 import atexit
 import itertools
+import json
 import logging
 import secrets
 import socket
@@ -190,7 +191,7 @@ class PageServer:
         with _news(self.desk.watch) as changed:
             while True:
                 changed.clear()
-                await websocket.send_text(msgspec.json.encode(self.desk.state).decode())
+                await websocket.send_text(_encoded(self.desk.state))
                 await asyncio.sleep(STATE_EVERY_S)
                 await changed.wait()
 
@@ -201,7 +202,7 @@ class PageServer:
                 self.desk.beat(page, visible=command.visible)
                 continue
             reply = self.desk.command(page, command)
-            await websocket.send_text(msgspec.json.encode(reply).decode())
+            await websocket.send_text(_encoded(reply))
 
     # Data ------------------------------------------------------------------------------------------------------------
 
@@ -228,7 +229,7 @@ class PageServer:
                 for piece in batch:
                     await websocket.send_bytes(piece.data)
                 mark = PieceBatch(count, reader.last, batch[-1].until_ns, reader.behind_s, reader.skipped)
-                await websocket.send_text(msgspec.json.encode(mark).decode())
+                await websocket.send_text(_encoded(mark))
                 while await drawn.get() != count:
                     pass
                 changed.clear()
@@ -255,6 +256,13 @@ def end_pages() -> None:
     """Serve no page any longer."""
     for page in running_pages():
         page.close()
+
+
+def _encoded(message: msgspec.Struct) -> str:
+    try:
+        return msgspec.json.encode(message).decode()
+    except UnicodeEncodeError:  # a path that is not UTF-8: what is not becomes an escape
+        return json.dumps(msgspec.to_builtins(message))
 
 
 async def _only_websocket(request: Request) -> Response:

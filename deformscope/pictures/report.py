@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import base64
+import html
 from collections.abc import Sequence
 from dataclasses import dataclass
-from html import escape
+
+from deformscope.errors import printable
 
 STYLE = """
 :root { color-scheme: light; }
@@ -73,6 +75,11 @@ class Section:
 
     title: str
     parts: Sequence[Part]
+
+
+def escape(text: str, quote: bool = True) -> str:
+    """As HTML, whatever it was made of."""
+    return html.escape(printable(text), quote)
 
 
 def html_report(title: str, sections: Sequence[Section]) -> str:

@@ -12,14 +12,17 @@ import re
 import signal
 import subprocess
 import sys
+import tempfile
 from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from deformscope.errors import InputError
+from deformscope.recording.utf8_path import utf8_path
 
 TIMEOUT_S = 600.0
+MEMORY, BEGIN_BYTES = Path("/dev/shm"), 32 << 20
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,6 +45,24 @@ class Facts:
     discarded: list[dict[str, Any]] = field(default_factory=list)
 
 
+def salvage(path: Path, readable: Path) -> tuple[Facts, str]:
+    """Write what can be read of a recording as another; what that holds, and where reading ended before the end of the
+    file, empty = nowhere."""
+    damage = run_rrd("merge", path, "-o", readable)
+    refused = damage and run_rrd("merge", "--continue-on-error", path, "-o", readable)
+    return Facts(damage=refused) if refused else read_facts(readable), damage
+
+
+def is_recoverable(path: Path) -> bool:
+    """Whether `deformscope recover` gets something out of an unfinished recording, by its begin. Its own disk may be
+    full: the copy is made in memory where that is possible."""
+    with tempfile.TemporaryDirectory(dir=MEMORY if MEMORY.is_dir() else None) as scratch:
+        begin, readable = (Path(scratch) / name for name in ("begin.rrd", "readable.rrd"))
+        with path.open("rb") as file:
+            begin.write_bytes(file.read(BEGIN_BYTES))
+        return bool(salvage(begin, readable)[0].counts)
+
+
 def read_facts(path: Path) -> Facts:
     """Read them in a child process; whatever happens to it becomes `damage`."""
     done = _run([sys.executable, "-m", __name__, str(path)])
@@ -58,7 +79,8 @@ def run_rrd(*arguments: str | Path) -> str:
     """Run `rerun rrd ...` of the installed wheel; what it refuses, in a line; empty where it is done."""
     from deformscope.page.viewer_files import viewer_environment, viewer_executable
 
-    done = _run([str(viewer_executable()), "rrd", *map(str, arguments)], viewer_environment())
+    words = (str(utf8_path(one)) if isinstance(one, Path) else one for one in arguments)
+    done = _run([str(viewer_executable()), "rrd", *words], viewer_environment())
     if isinstance(done, str):
         return done
     if done.returncode == 0:

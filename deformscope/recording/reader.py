@@ -18,6 +18,7 @@ from deformscope.errors import InputError
 from deformscope.frames import ColorFrame, DepthFrame, InputFile, SessionNote
 from deformscope.images import decode_image
 from deformscope.recording.ledger import check_ledger
+from deformscope.recording.utf8_path import utf8_path
 from deformscope.rows import FORMAT, READABLE
 
 if TYPE_CHECKING:
@@ -214,7 +215,7 @@ class Replay:
         with warnings.catch_warnings():
             # A run that was killed leaves no footer; all that it recorded can be read all the same.
             warnings.filterwarnings("ignore", "RRD file has no footer")
-            return RrdReader(self.path)
+            return RrdReader(utf8_path(self.path))
 
     def chunks(self, *contents: str) -> Iterator[Chunk]:
         """The portions of these entities, in any order."""

@@ -6,15 +6,21 @@ from that look on: neither readings nor losses of an earlier time are in it.
 
 from __future__ import annotations
 
+import logging
+import threading
 from collections import deque
 from collections.abc import Collection, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import Self
 
 from deformscope.frames import HealthReport, Item, Stream, host_ns
+from deformscope.recording.lateness import RecordingError
 from deformscope.recording.losses import since
 from deformscope.recording.portions import item_size
 from deformscope.recording.recorder import Recorder, RecordingSummary
+
+_logger = logging.getLogger(__name__)
 
 MOST_BYTES = 256 << 20
 """Unless more is asked for: pictures are held as they came, some 30 MB a second of each camera."""
@@ -78,23 +84,78 @@ class RecentItems:
         return self._stretches[0].look, [list(batch) for stretch in self._stretches for batch in stretch.batches]
 
 
-class LastRecorder:
-    """A session's recorder that records the last seconds before its end, and shows all of it.
+class WatchedRecorder:
+    """A session's recorder whose view goes on where its file cannot; the file's error is raised in the end.
 
-    watch: shows it; kept: records, and may wait: all of it comes at once
+    watch: shows it; kept: records
     """
 
-    def __init__(self, watch: Recorder, kept: Recorder, recent: RecentItems) -> None:
-        self._watch, self._kept, self._recent = watch, kept, recent
-        self._streams: tuple[Stream, ...] = ()
-        self._lossless: Collection[str] = ()
+    def __init__(self, watch: Recorder, kept: Recorder) -> None:
+        self._watch, self._kept = watch, kept
+        self._failure: RecordingError | None = None
+        self._ending: threading.Thread | None = None
 
-    def __enter__(self) -> LastRecorder:
+    def __enter__(self) -> Self:
         with ExitStack() as stack:
             stack.enter_context(self._kept)  # its name is taken before anything is opened
             self._watch.__enter__()
             stack.pop_all()
         return self
+
+    def __exit__(self, kind: type[BaseException] | None, *raised: object) -> None:
+        try:
+            if self._ending is not None:
+                self._ending.join()
+            self._kept.__exit__(kind)  # nothing where it has ended
+        finally:
+            self._watch.__exit__(kind, *raised)
+        if kind is None and self._failure is not None:
+            raise self._failure
+
+    def start_rig(
+        self,
+        streams: Sequence[Stream],
+        start_ns: int,
+        lossless: Collection[str] = (),
+        stages: Sequence[tuple[str, str]] = (),
+    ) -> None:
+        """As `Recorder.start_rig`."""
+        for one in (self._watch, self._kept):
+            one.start_rig(streams, start_ns, lossless, stages)
+
+    def write(self, items: object) -> None:
+        """As `Recorder.write`."""
+        self._watch.write(items)
+        if self._failure is None:
+            try:
+                self._kept.write(items)
+            except RecordingError as error:
+                self._failure = error
+                _logger.warning("the recording has ended, the view goes on: %s", error)
+                self._ending = threading.Thread(target=self._kept.__exit__, args=(type(error),))
+                self._ending.start()
+
+    def stopped_because(self, reason: str) -> None:
+        """As `Recorder.stopped_because`."""
+        for one in (self._watch, self._kept):
+            one.stopped_because(reason)
+
+    def summary(self) -> RecordingSummary:
+        """Of what was kept, and of what the view lacks."""
+        return replace(self._kept.summary(), dropped=self._watch.summary().dropped)
+
+
+class LastRecorder(WatchedRecorder):
+    """A session's recorder that records the last seconds before its end, and shows all of it.
+
+    kept: may wait: all of it comes at once
+    """
+
+    def __init__(self, watch: Recorder, kept: Recorder, recent: RecentItems) -> None:
+        super().__init__(watch, kept)
+        self._recent = recent
+        self._streams: tuple[Stream, ...] = ()
+        self._lossless: Collection[str] = ()
 
     def __exit__(self, kind: type[BaseException] | None, *raised: object) -> None:
         try:
@@ -123,10 +184,6 @@ class LastRecorder:
         """As `Recorder.stopped_because`."""
         self._watch.stopped_because(reason)
         self._kept.stopped_because(f"{reason}; of it the last {self._recent.held_s:.1f} s")
-
-    def summary(self) -> RecordingSummary:
-        """Of what was kept."""
-        return self._kept.summary()
 
 
 def write_recent(

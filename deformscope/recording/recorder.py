@@ -25,10 +25,11 @@ import numpy as np
 from deformscope.arrays import FloatArray
 from deformscope.frames import ColorFrame, DepthFrame, Frame, HealthReport, InputFile, Item, StageResult, Stream
 from deformscope.recording import provenance
+from deformscope.recording.lateness import Lateness, RecordingError
 from deformscope.recording.live import LiveFeed, ViewerKind, live_stream, page_stream, start_viewer
 from deformscope.recording.losses import losses_of
 from deformscope.recording.portions import Portions, RisingTimes, arrays_size, counted_as, item_size
-from deformscope.recording.rrd_file import RecordingError, RecordingFile, leave_streams_alone
+from deformscope.recording.rrd_file import RecordingFile, leave_streams_alone
 from deformscope.recording.target import RecordingTarget
 from deformscope.recording.writer import Writer
 from deformscope.session import Moment, Step
@@ -59,6 +60,8 @@ APPLICATIONS: dict[RecordingLayout, str] = {
 """rerun's application of each layout: a viewer keeps one set of views an application, and these differ."""
 BACKLOG_JOBS, BACKLOG_BYTES = 1 << 20, 512 << 20
 """What may wait to be written of devices, which go on by themselves."""
+LATE = 8
+"""The recording is late when a share of 1 in so many of it waits."""
 AHEAD_JOBS, AHEAD_BYTES = 16, 64 << 20
 """The same of what can itself wait for its recording."""
 TICK_S = 0.1
@@ -132,6 +135,7 @@ class Recorder:
         self._lossless: frozenset[str] = frozenset()
         # what the writer's thread alone touches, until it has ended
         self._writer: Writer | None = None
+        self._lateness: Lateness | None = None
         self._file: RecordingFile | None = None
         self._feed: LiveFeed[LiveStream] | None = None
         self._page: PageServer | None = None
@@ -528,7 +532,6 @@ class Recorder:
                 self._target.part,
                 properties,
                 name="" if self._deterministic else self._target.path.stem,
-                hint=lambda: self._kept_hint,
                 deterministic=self._deterministic,
             )
         if self._real_time:
@@ -536,6 +539,7 @@ class Recorder:
         else:
             self._writer = Writer(self._tick, TICK_S, AHEAD_JOBS, AHEAD_BYTES)
         self._writer.start()
+        self._lateness = Lateness(BACKLOG_BYTES // LATE, self._writer.thread_id)
 
     def _opened_view(self, recording_id: str, properties: Mapping[str, object]) -> LiveFeed[LiveStream]:
         """A window, or a page, and what feeds it."""
@@ -559,13 +563,14 @@ class Recorder:
 
     def _put(self, job: Callable[[], None], size: int) -> None:
         """Have the writer's thread do it, in order. From any thread."""
-        if self._writer is None:
+        if self._writer is None or self._lateness is None:
             raise ValueError("nothing can be written before the recorder's context, or after it")
+        self._lateness.look(self._writer.waiting_bytes)
         self._writer.put(job, size)
 
     def _too_slow(self, waiting_bytes: int) -> Exception:
-        came = f"one that is {waiting_bytes >> 20} MiB behind"
-        return RecordingError("a disk that keeps up", came, self._kept_hint, self._target and self._target.part)
+        assert self._lateness is not None
+        return self._lateness.error(waiting_bytes, Path() if self._target is None else self._target.part)
 
     def _close(self, *, complete: bool) -> None:
         """End the file and the live view, each within its time; give the file its name where all went well."""
@@ -574,9 +579,9 @@ class Recorder:
         path = None
         if self._file is not None and self._target is not None:
             if not self._file.broken:
-                self._file.write_properties("outcome", self._outcome(dropped, whole=complete and failure is None))
+                self._file.write_properties("outcome", self._outcome(dropped, failure, whole=complete))
                 try:
-                    self._file.flush()
+                    self._file.flush_last()
                 except RecordingError as error:
                     failure = error
             whole = self._file.close()
@@ -590,11 +595,11 @@ class Recorder:
         if complete and failure is not None:
             raise failure
 
-    def _outcome(self, dropped: int, *, whole: bool) -> dict[str, object]:
+    def _outcome(self, dropped: int, failure: Exception | None, *, whole: bool) -> dict[str, object]:
         found: dict[str, object] = {"frames": self._frames, "steps": self._steps}
-        found |= {"live_dropped": dropped, "complete": whole}
-        if self._stopped:
-            found["stopped"] = self._stopped
+        found |= {"live_dropped": dropped, "complete": whole and failure is None}
+        if self._stopped or failure is not None:
+            found["stopped"] = self._stopped or str(failure).split(" | ")[0]
         if self._counts:
             found |= {"counts": json.dumps(self._counts), "losses": json.dumps(self._losses)}
         return found
@@ -618,10 +623,6 @@ class Recorder:
         if self._page is not None and self._page.desk.state.phase != "stopped":
             self._page.desk.enter("stopped", self._stopped or "its command has ended")
         return self._feed.dropped
-
-    @property
-    def _kept_hint(self) -> str:
-        return "another disk; what was recorded is kept" if self._holds_something else "another disk"
 
     @property
     def _holds_something(self) -> bool:

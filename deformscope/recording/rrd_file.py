@@ -20,7 +20,10 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
-from deformscope.errors import InputError
+from deformscope.errors import printable
+from deformscope.recording import lateness
+from deformscope.recording.lateness import OTHER_DISK, RecordingError, check_room, writes_are_held_up
+from deformscope.recording.utf8_path import utf8_path
 
 if TYPE_CHECKING:
     import rerun as rr
@@ -28,9 +31,12 @@ if TYPE_CHECKING:
     from deformscope.log.merged import Merged
     from deformscope.log.rig import Batch
 
-FREE_BYTES = 64 << 20
 BEAT_S = 1.0
 BEAT_FRAMES = 32
+BEAT_BYTES = 16 << 20
+"""Given since the last flush: what rerun has yet to write is not missing on the disk when its room is looked at."""
+FULL_BYTES = 1 << 20
+"""With less room than this a file cannot even be ended."""
 BEATS_MERGED = 30
 """Beats from one flush of the merged file to the next: each ends the portions that rerun is gathering."""
 FLUSH_TIMEOUT_S = 20.0
@@ -40,29 +46,18 @@ NEVER = 10**9
 _logger = logging.getLogger(__name__)
 
 
-class RecordingError(InputError):
-    """The recording cannot go on: the disk is full, gone or too slow."""
-
-
 def merged_path(part: Path) -> Path:
     """Of the file with the large portions, beside the other."""
     return part.with_name(part.name + ".merged")
-
-
-def check_room(path: Path, hint: str) -> None:
-    """Raise RecordingError where the disk has too little room for a file there. hint: what to try then"""
-    free = shutil.disk_usage(path.parent).free
-    if free < FREE_BYTES:
-        raise RecordingError(f"{FREE_BYTES >> 20} MiB free on the disk", f"{free >> 20} MiB free", hint, path)
 
 
 class RecordingFile:
     """Written by one thread at a time.
 
     part: an empty file to record into; properties: of the whole; name: of the recording in a viewer
-    hint: what to try where the disk fails
     deterministic: what is written, and in which portions, depends on nothing but what is recorded
-    Raises RecordingError once the disk does not take any more; `broken` then, and nothing but `close` is left.
+    Raises RecordingError once the disk has too little room, with enough left to end the file, or takes no more;
+    `broken` then, and nothing but `close` is left.
     """
 
     def __init__(
@@ -73,14 +68,12 @@ class RecordingFile:
         properties: Mapping[str, object],
         *,
         name: str = "",
-        hint: Callable[[], str] = lambda: "another disk",
         deterministic: bool = False,
     ) -> None:
         from deformscope.log.merged import Merged
 
         self.path = part
         self.broken = False
-        self._hint = hint
         self._deterministic = deterministic
         self._stream = _stream(application, recording_id, part, deterministic, footer=False)
         self._merged_path = merged_path(part)
@@ -89,10 +82,10 @@ class RecordingFile:
         )
         self._merged: Merged = Merged()
         self._beat_at = 0.0
-        self._looks = self._beats = 0
+        self._looks = self._beats = self._unflushed = 0
         self.write_properties("session", properties)
         if name:
-            self._log(lambda rec: rec.send_recording_name(name))
+            self._log(lambda rec: rec.send_recording_name(printable(name)))
         try:
             self.flush()
         except RecordingError:
@@ -110,12 +103,12 @@ class RecordingFile:
 
         self.beat()
         batch.send(self._stream)
-        if self._merged_stream is None:
-            return
         for _, part in batch.parts:
             if isinstance(part, Chunk):
-                self._merged_stream.send_chunks(list(self._merged.add(part)))
-            else:
+                self._unflushed += part.to_record_batch().nbytes
+                if self._merged_stream is not None:
+                    self._merged_stream.send_chunks(list(self._merged.add(part)))
+            elif self._merged_stream is not None:
                 part(self._merged_stream)
 
     def write_properties(self, name: str, values: Mapping[str, object]) -> None:
@@ -132,20 +125,25 @@ class RecordingFile:
             self._looks += 1
             due = self._looks % BEAT_FRAMES == 0
         else:
-            due = time.monotonic() - self._beat_at > BEAT_S
+            due = time.monotonic() - self._beat_at > BEAT_S or self._unflushed > BEAT_BYTES
         if due:
             self.flush()
 
     def flush(self) -> None:
-        """Have the disk take what was written."""
+        """Have the disk take what was written, where it has room for more."""
         self._look_at_disk()
+        self.flush_last()
+
+    def flush_last(self) -> None:
+        """Have the disk take what was written: the room that is left is for this."""
         try:
             self._stream.flush(timeout_sec=FLUSH_TIMEOUT_S)
         except Exception as error:
             self.broken = True
-            came = "a disk that is full, gone or too slow"
-            raise RecordingError("a disk that takes the recording", came, self._hint(), self.path) from error
+            check_room(self.path)
+            raise RecordingError("a disk that takes the recording", _refusal(error), OTHER_DISK, self.path) from error
         self._beats += 1
+        self._unflushed = 0
         if self._merged_stream is not None and self._beats % BEATS_MERGED == 0:
             self._flush_merged(self._merged_stream)
         self._beat_at = time.monotonic()
@@ -179,10 +177,10 @@ class RecordingFile:
 
     def _look_at_disk(self) -> None:
         try:
-            check_room(self.path, self._hint())
+            check_room(self.path)
         except RecordingError as error:
-            if self._merged_stream is None or self._merged_path.stat().st_size < FREE_BYTES:
-                self.broken = True
+            if self._merged_stream is None or self._merged_path.stat().st_size < lateness.FREE_BYTES:
+                self.broken = shutil.disk_usage(self.path.parent).free < FULL_BYTES
                 raise
             self._do_without_merged(self._merged_stream, str(error))  # and more room for the other
 
@@ -198,6 +196,14 @@ class RecordingFile:
             leave_streams_alone()
         self._merged_path.unlink(missing_ok=True)
         _say_that_it_stays_small(reason)
+
+
+def _refusal(error: Exception) -> str:
+    """What a disk with room does that a flush fails on. error: of the flush"""
+    if "shut down" in str(error):
+        return "one that refuses it: its quota is full, or it is gone"
+    waits = "that takes nothing" if writes_are_held_up() else "or a processor that is so busy that nothing is taken"
+    return f"one {waits} for {FLUSH_TIMEOUT_S:g} s"
 
 
 def _say_that_it_stays_small(reason: str) -> None:
@@ -256,7 +262,7 @@ def _has_footer(path: Path) -> bool:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            RrdReader(path).store()
+            RrdReader(utf8_path(path)).store()
     except Exception:  # the reader raises what it likes
         return False
     return True

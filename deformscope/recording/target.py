@@ -5,13 +5,16 @@ from __future__ import annotations
 import logging
 import os
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import BinaryIO
 
 from deformscope.errors import InputError
+from deformscope.recording.facts import is_recoverable
+from deformscope.recording.lateness import RecordingError, check_room
 from deformscope.recording.ledger import Losses, ledger_path, write_ledger
 from deformscope.recording.lock import create_locked, is_being_written, one_at_a_time
-from deformscope.recording.rrd_file import RecordingError, check_room, merged_path, sync
+from deformscope.recording.rrd_file import merged_path, sync
 
 SUFFIX = ".rrd"
 
@@ -31,7 +34,7 @@ class RecordingTarget:
         """Make the unfinished file; refuses what cannot work before any work is done."""
         self.part, self._lock = _reserve(self.path, self._overwrite)
         try:
-            check_room(self.path, "another disk")
+            check_room(self.path)
         except BaseException:
             self.give_up()
             raise
@@ -67,8 +70,19 @@ class RecordingTarget:
         if not worth_it:
             self.part.unlink(missing_ok=True)
             return None
-        _logger.warning("what was recorded before the error is kept: %s", self.part)
+        if is_recoverable(self.part):
+            _logger.warning("what was recorded before the error is kept: deformscope recover %s", self.part)
+        else:
+            _logger.warning("nothing can be recovered of what was recorded before the error: %s", self.part)
         return self.part
+
+
+def remove_strays(folder: Path) -> None:
+    """Of runs that were killed: the file of large portions, of no use without its end. What they recorded stays."""
+    for stray in folder.glob(f"*{merged_path(Path(f'.part*{SUFFIX}'))}"):
+        if not is_being_written(stray.with_suffix("")):
+            with suppress(OSError):  # in a folder that is only read
+                stray.unlink(missing_ok=True)
 
 
 def _followed(target: Path) -> Path:
@@ -92,6 +106,7 @@ def _reserve(target: Path, overwrite: bool) -> tuple[Path, BinaryIO]:
     if not target.parent.is_dir():
         raise InputError("a folder to record into", "none", f"mkdir -p {target.parent}", target)
     with one_at_a_time(target.parent):
+        remove_strays(target.parent)
         for number in range(1, 1000):
             part = target.with_name(f"{target.stem}.part{'' if number == 1 else f'-{number}'}{SUFFIX}")
             try:
@@ -100,7 +115,6 @@ def _reserve(target: Path, overwrite: bool) -> tuple[Path, BinaryIO]:
                 if is_being_written(part):
                     came = f"one that another run is recording to ({part.name})"
                     raise InputError("a recording of its own", came, "another name", target) from None
-                merged_path(part).unlink(missing_ok=True)  # of a run that was killed: of no use without its end
             except OSError as error:
                 came = (error.strerror or str(error)).lower()
                 raise InputError("a folder that can be written to", came, "another folder", target.parent) from error

@@ -66,6 +66,11 @@ class Writer:
             self._changed.wait_for(lambda: self._done == self._given or self.failure is not None, timeout_s)
 
     @property
+    def thread_id(self) -> int | None:
+        """The system's number of the thread; None before it began."""
+        return self._thread.native_id
+
+    @property
     def waiting_bytes(self) -> int:
         """What the jobs that wait keep alive."""
         return self._bytes

@@ -15,22 +15,17 @@ from typing import Any
 import numpy as np
 
 from deformscope.errors import InputError
+from deformscope.robot.mesh_files import read_meshes
 from deformscope.solid import Solid
 from deformscope_drivers.arm.kinematics import FloatArray, rotation_from_rpy, transform
 
 MOVABLE = ("revolute", "continuous", "prismatic")
 FILE_BYTES = 2_000_000
 """Of a URDF at most. Chosen: the largest of vendors' have a tenth."""
-MESH_BYTES = 50_000_000
-"""Of a mesh file at most. Chosen."""
-TRIANGLES = 2000
-"""Of one mesh: finer ones are made coarser, as they are recorded with every session. Chosen: an arm's link is then off
-by less than 1 mm."""
 LONGEST_M = 1000.0
 """Side of a box, radius or length, or factor of a mesh: files in millimetres stay below it. Chosen."""
 SIDES = 24
 """Of the prisms that stand for cylinders: less than 1 % of their radius inside of them. Chosen."""
-MESH_ENDINGS = (".stl", ".obj", ".ply", ".off", ".glb")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,7 +88,8 @@ def read_urdf(path: Path) -> UrdfShapes:
         robot = ET.fromstring(content)
         if robot.tag != "robot":
             raise InputError("a URDF: <robot> with links and joints", f"<{robot.tag}>", where=path)
-        solids = {link.attrib["name"]: _link_solids(link, path) for link in robot.findall("link")}
+        meshes = _meshes(robot, path)
+        solids = {link.attrib["name"]: _link_solids(link, meshes) for link in robot.findall("link")}
         joints = [_joint(one) for one in robot.findall("joint")]
     except OSError as error:
         raise InputError("a URDF that can be read", (error.strerror or "no file").lower(), where=path) from error
@@ -156,19 +152,31 @@ def _lengths(words: str, count: int) -> tuple[float, ...]:
     return found
 
 
-def _link_solids(link: ET.Element, path: Path) -> tuple[Solid, ...]:
+def _shown(link: ET.Element) -> list[ET.Element]:
     """What is drawn of a link, or where it has none what collides."""
+    return link.findall("visual") or link.findall("collision")
+
+
+def _meshes(robot: ET.Element, path: Path) -> dict[str, Solid]:
+    """The mesh files of what is shown, read together, by the names that the URDF has for them."""
+    found = [mesh for link in robot.findall("link") for part in _shown(link) for mesh in part.findall("geometry/mesh")]
+    files = {mesh.attrib["filename"]: _mesh_file(mesh.attrib["filename"], path) for mesh in found}
+    solids = [Solid(vertices, triangles.astype(np.uint32)) for vertices, triangles in read_meshes(list(files.values()))]
+    return dict(zip(files, solids, strict=True))
+
+
+def _link_solids(link: ET.Element, meshes: Mapping[str, Solid]) -> tuple[Solid, ...]:
     found = []
-    for part in link.findall("visual") or link.findall("collision"):
+    for part in _shown(link):
         geometry = part.find("geometry")
         kind = None if geometry is None else next(iter(geometry), None)
         if kind is None:
             raise ValueError(f"link {link.attrib['name']} without geometry")
-        found.append(_solid(kind, path).moved(_origin(part)))
+        found.append(_solid(kind, meshes).moved(_origin(part)))
     return tuple(found)
 
 
-def _solid(kind: ET.Element, path: Path) -> Solid:
+def _solid(kind: ET.Element, meshes: Mapping[str, Solid]) -> Solid:
     import open3d as o3d
 
     make: Any = o3d.geometry.TriangleMesh  # its stubs know paths and booleans where it takes strings and numbers
@@ -184,7 +192,7 @@ def _solid(kind: ET.Element, path: Path) -> Solid:
         case "mesh":
             scale = _numbers(kind.get("scale", "1 1 1"), 3)
             _lengths(" ".join(str(abs(one)) for one in scale), 3)
-            found = read_mesh(_mesh_file(kind.attrib["filename"], path))
+            found = meshes[kind.attrib["filename"]]
             return Solid(found.vertices_m * scale, found.triangles)
     raise ValueError(f"expected box, cylinder, sphere or mesh; got <{kind.tag}>")
 
@@ -202,22 +210,3 @@ def _mesh_file(name: str, path: Path) -> Path:
     if not where.is_relative_to(package):
         raise InputError(f"meshes below {package}", name, "copy them there", path)
     return where
-
-
-def read_mesh(path: Path) -> Solid:
-    """The triangles of a mesh file [m], made coarser where there are many; raises InputError."""
-    import open3d as o3d
-
-    if path.suffix.lower() not in MESH_ENDINGS:
-        raise InputError(f"a mesh file: {', '.join(MESH_ENDINGS)}", path.suffix or "no ending", "convert it", path)
-    if not path.is_file() or path.stat().st_size > MESH_BYTES:
-        came = "a larger one" if path.is_file() else "no file"
-        raise InputError(f"a mesh file of up to {MESH_BYTES // 1_000_000} MB", came, where=path)
-    with o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
-        mesh = o3d.io.read_triangle_mesh(path)
-    mesh.merge_close_vertices(1e-7)
-    if len(mesh.triangles) > TRIANGLES:
-        mesh = mesh.simplify_quadric_decimation(TRIANGLES)
-    if not len(mesh.triangles) or not np.isfinite(np.asarray(mesh.vertices)).all():
-        raise InputError("a mesh with triangles", "none, or what is no number", where=path)
-    return _of_open3d(mesh)

@@ -15,7 +15,7 @@ import pytest
 from deformscope.cli import main
 from deformscope.errors import InputError
 from deformscope.recording.items import read_results
-from deformscope.recording.recorder import RecordingError
+from deformscope.recording.lateness import RecordingError
 from deformscope.stages.map.exploration import StageFailure
 from tests.cases import slow_but
 from tests.cli.fake_bench import FakeBench, FakeRobot, use_fake_bench

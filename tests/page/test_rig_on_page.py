@@ -16,9 +16,9 @@ from deformscope.api.recordings import OpenRecording
 from deformscope.cli import main
 from deformscope.frames import HealthReport, WrenchFrame
 from deformscope.page.server import PageServer, running_pages
+from deformscope.recording.lateness import RecordingError
 from deformscope.recording.losses import lost_by, since
 from deformscope.recording.recorder import Recorder
-from deformscope.recording.rrd_file import RecordingError
 from deformscope_drivers.health import Health, Link
 from tests.cases import slow_but
 from tests.page.pages import at_desk
@@ -241,3 +241,30 @@ def test_what_cannot_be_held_is_refused(rig: Path, capsys: pytest.CaptureFixture
     assert main(["live", str(rig), "--keep-last", "5", "--viewer", "none"]) == 2
     assert "--keep-last with --viewer page" in capsys.readouterr().err
     assert main(["record", str(rig), "--keep-last", "5", "--stage", "contact"]) == 2
+
+
+def test_the_page_goes_on_where_its_file_cannot(rig: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """And another file can be begun, as on a disk where room was made."""
+    full, write = threading.Event(), Recorder.write
+
+    def written(self: Recorder, items: object) -> None:
+        if full.is_set() and self.summary().path is not None:
+            raise RecordingError("64 MiB free on the disk", "0 MiB free")
+        write(self, items)
+
+    monkeypatch.setattr(Recorder, "write", written)
+    with started("live", str(rig), folder=tmp_path) as command, at_desk(command.page, "a") as one:
+        one.until(lambda state: "start-recording" in state["commands"])
+        assert one.command("start-recording")[0] == "begun"
+        one.until(lambda state: state["recorded_bytes"] > 0)
+        full.set()
+        before = received(one.until(lambda state: "start-recording" in state["commands"]))
+        assert any(remark["bad"] and "0 MiB free" in remark["words"] for remark in one.state["remarks"])
+        full.clear()
+        one.until(lambda state: received(state) > before)
+        assert one.command("start-recording")[0] == "begun"
+        one.until(lambda state: state["phase"] == "recording")
+        one.command("stop")
+        command._thread.join(PATIENCE_S)
+    assert command.status == 2
+    assert [len(list(tmp_path.rglob(f"*{ending}"))) for ending in (".part.rrd", ".rrd.ledger")] == [1, 1]

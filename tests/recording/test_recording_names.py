@@ -17,10 +17,10 @@ from deformscope.cli import main
 from deformscope.errors import InputError
 from deformscope.file_io import new_recording
 from deformscope.frames import InputFile
+from deformscope.recording.lateness import FREE_BYTES, RecordingError
 from deformscope.recording.ledger import check_ledger
 from deformscope.recording.lock import is_being_written
-from deformscope.recording.recorder import Recorder, RecordingError
-from deformscope.recording.rrd_file import FREE_BYTES
+from deformscope.recording.recorder import Recorder
 
 USAGE = namedtuple("USAGE", "total used free")
 

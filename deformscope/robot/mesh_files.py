@@ -1,0 +1,109 @@
+"""Triangle meshes from files, read by Open3D in a process of its own: damaged bytes can end its readers.
+
+python -m deformscope.robot.mesh_files whole|coarse FILE...    two arrays of each file (`numpy.save`) on stdout
+"""
+
+from __future__ import annotations
+
+import io
+import os
+import resource
+import signal
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+import numpy.typing as npt
+
+from deformscope.errors import InputError
+
+Mesh = tuple[npt.NDArray[np.float64], npt.NDArray[np.int32]]
+
+MESH_BYTES = 50_000_000
+"""Of a mesh file at most. Chosen."""
+TRIANGLES = 2000
+"""Of one mesh: finer ones are made coarser, as they are recorded with every session. Chosen: an arm's link is then off
+by less than 1 mm."""
+MESH_ENDINGS = (".stl", ".obj", ".ply", ".off", ".glb")
+FARTHEST = 1e6
+"""Of a vertex from the origin along an axis, in the file's unit: a kilometre in millimetres. Chosen."""
+TIMEOUT_S, MEMORY_BYTES = 120.0, 8 << 30
+"""Of the process that reads: more than any file of the allowed size takes. Chosen."""
+
+
+def read_meshes(paths: Sequence[Path], *, coarse: bool = True) -> list[Mesh]:
+    """Vertices (n, 3), in the file's unit, and triangles (m, 3) of each mesh file. Raises InputError, which names it.
+
+    coarse: vertices at one place become one, and at most TRIANGLES are left; else all is as in the file
+    """
+    for path in paths:
+        _check(path)
+    if not paths:
+        return []
+    command = [sys.executable, "-m", __name__, "coarse" if coarse else "whole", *map(str, paths)]
+    done = None
+    try:
+        done = subprocess.run(
+            command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, timeout=TIMEOUT_S, check=False
+        )
+        arrays = io.BytesIO(done.stdout)
+        ending = signal.Signals(-done.returncode).name if done.returncode < 0 else f"status {done.returncode}"
+    except subprocess.TimeoutExpired as error:
+        arrays, ending = io.BytesIO(error.stdout or b""), f"{TIMEOUT_S:g} s"
+    return [_mesh(arrays, path, ending) for path in paths]
+
+
+def _check(path: Path) -> None:
+    if path.suffix.lower() not in MESH_ENDINGS:
+        raise InputError(f"a mesh file: {', '.join(MESH_ENDINGS)}", path.suffix or "no ending", "convert it", path)
+    if not path.is_file() or path.stat().st_size > MESH_BYTES:
+        came = "a larger one" if path.is_file() else "no file"
+        raise InputError(f"a mesh file of up to {MESH_BYTES // 1_000_000} MB", came, where=path)
+
+
+def _mesh(arrays: BinaryIO, path: Path, ending: str) -> Mesh:
+    """The next one of the arrays. ending: of the process that wrote them"""
+    try:
+        vertices, triangles = (np.load(arrays, allow_pickle=False) for _ in range(2))
+    except (EOFError, OSError, ValueError) as error:
+        came = f"one at which the reader ended ({ending})"
+        raise InputError("a mesh file that is whole", came, "export it again", path) from error
+    if refused := _refusal(vertices, triangles):
+        raise InputError(refused, "none, or others", "export it again", path)
+    return vertices, triangles
+
+
+def _refusal(vertices: npt.NDArray[np.float64], triangles: npt.NDArray[np.int32]) -> str:
+    """What was expected instead; empty where it is a mesh."""
+    if not len(triangles) or not 0 <= triangles.min() <= triangles.max() < len(vertices):
+        return "a mesh with triangles of its vertices"
+    if not np.abs(vertices).max() <= FARTHEST:  # nor where one is no number
+        return f"a mesh with vertices within {FARTHEST:g} of the origin"
+    return ""
+
+
+def _write(path: str, out: BinaryIO, *, coarse: bool) -> None:
+    import open3d as o3d
+
+    mesh = o3d.io.read_triangle_mesh(Path(path))
+    if coarse and not _refusal(np.asarray(mesh.vertices), np.asarray(mesh.triangles)):
+        mesh.merge_close_vertices(1e-7)
+        if len(mesh.triangles) > TRIANGLES:
+            mesh = mesh.simplify_quadric_decimation(TRIANGLES)
+    arrays = io.BytesIO()  # `numpy.save` cannot write to a pipe
+    for array in (mesh.vertices, mesh.triangles):
+        np.save(arrays, np.asarray(array))
+    out.write(arrays.getvalue())
+    out.flush()
+
+
+if __name__ == "__main__":
+    resource.setrlimit(resource.RLIMIT_DATA, (MEMORY_BYTES, MEMORY_BYTES))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    with os.fdopen(os.dup(1), "wb") as stdout:
+        os.dup2(2, 1)  # Open3D prints its warnings there
+        for file in sys.argv[2:]:
+            _write(file, stdout, coarse=sys.argv[1] == "coarse")
