@@ -55,6 +55,7 @@ from deformscope.stages.msm.solver import pick_device
 from deformscope.stages.poke.fitted import FittedModel, from_pair
 from deformscope.stages.poke.poke_estimate import PokesFound
 from deformscope.stages.see.particles import clean_mask, outlined
+from deformscope.terminal import shown_progress
 from deformscope_drivers.clock import Stamp
 
 PairArrays: TypeAlias = Mapping[str, Any]
@@ -185,7 +186,8 @@ class CalibrationOptions(TypedDict, total=False):
     at: a value of the parameter whose error is reported as well
     noise_px, noise_m: deviation of a measured position; volume: how theta conserves it
     record: a recording to make (.rrd); viewer: default none
-    progress: called with what is done, how much of it, and of how much
+    progress: called with what is done, how much of it, and of how much; default: shown on stderr where that is a
+    terminal or a notebook; True: always, False: never
     """
 
     roi: Rectangle
@@ -213,7 +215,7 @@ class CalibrationOptions(TypedDict, total=False):
     record: Path | str
     viewer: ViewerChoice
     overwrite: bool
-    progress: Progress
+    progress: Progress | bool | None
 
 
 def calibrate_beta(
@@ -276,7 +278,8 @@ def _calibrate(
         own[name] = group(**{key: given.pop(key) for key in mine})
     if unknown := given.keys() - {field.name for field in dataclasses.fields(kind)}:
         raise TypeError(f"unexpected options: {', '.join(sorted(unknown))}")
-    return calibrate(kind(_names(source), **own, **given), _arrays(source), progress=progress)[0]
+    with shown_progress(progress) as note:
+        return calibrate(kind(_names(source), **own, **given), _arrays(source), progress=note)[0]
 
 
 def _arrays(source: object) -> Sequence[Any]:
