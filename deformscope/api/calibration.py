@@ -33,9 +33,9 @@ from deformscope.experiments.foam_video import ParticleOptions, foam_video
 from deformscope.experiments.pair_files import pair_files
 from deformscope.experiments.poke_files import LayersOptions, poke_files
 from deformscope.experiments.whole_motion import MotionOptions, whole_motion
-from deformscope.file_io import read_file
+from deformscope.file_io import SAMPLE_SCHEME, ending_of, read_file, sample_path
 from deformscope.files.pairs import parse_pair
-from deformscope.files.sources import DEFAULT_FPS, Source, open_source, sample_path
+from deformscope.files.sources import DEFAULT_FPS, Source, open_source
 from deformscope.frames import ColorFrame, InputFile
 from deformscope.images import encode_png, read_image
 from deformscope.pictures.evidence import Result, results_png
@@ -305,7 +305,7 @@ def _is_pair(given: object) -> bool:
 def _together(source: object) -> bool:
     """Whether several pairs share one value: a script that wants one of each calls again."""
     names = _names(source)
-    pairs = names[0].endswith(".npz") if names and not _arrays(source) else _is_pair(next(iter(_arrays(source)), None))
+    pairs = ending_of(names[0]) == ".npz" if names and not _arrays(source) else _is_pair(next(iter(_arrays(source)), None))
     return len(names) > 1 and pairs
 
 
@@ -327,7 +327,7 @@ def calibrate(
         raise InputError("--viewer page with a rig, whose camera is followed there", output.viewer, again, sources[0])
     fit = fit_options(config)
     layers, motion = _layers(config), _motion(config)
-    pairs = [source for source in sources if Path(source).suffix.lower() == ".npz"]
+    pairs = [source for source in sources if ending_of(source) == ".npz"]
     if pairs and len(pairs) != len(sources):
         other = next(source for source in sources if source not in pairs)
         raise InputError("either pair files or images", "both", "name them in two commands", other)
@@ -379,8 +379,8 @@ def fit_options(config: BetaConfig | ThetaConfig) -> FitOptions:
 def images_of(config: BetaConfig | ThetaConfig) -> ImageOptions:
     """How the images become particles: what was asked for, or what suits a sample."""
     sources = config.sources
-    if len(sources) == 1 and sources[0].startswith("sample:"):
-        return for_sample(sources[0].removeprefix("sample:"), config.images)
+    if len(sources) == 1 and sources[0].startswith(SAMPLE_SCHEME):
+        return for_sample(sources[0].removeprefix(SAMPLE_SCHEME), config.images)
     return config.images
 
 
@@ -435,7 +435,7 @@ def sample_images(name: str) -> ImageOptions:
 
     folder = sample_path(name)
     given = tomllib.loads((folder / "sample.toml").read_text(encoding="utf-8"))
-    names = ("roi", "grid", "spacing_px", "held", "fps")
+    names = ("roi", "grid", "spacing_px", "held", "contact", "fps")
     known: dict[str, Any] = {
         name: tuple(given[name]) if isinstance(given[name], list) else given[name] for name in names if name in given
     }

@@ -16,6 +16,7 @@ from deformscope.api.result import LibraryResult, python_names
 from deformscope.config import ClassifyConfig, OutputOptions
 from deformscope.files.classifier_file import load_classifier as _load
 from deformscope.files.classifier_file import save_classifier
+from deformscope.file_io import resolve
 from deformscope.files.squeeze_dataset import SqueezeDataset
 from deformscope.files.table_file import read_table, table_of_arrays
 from deformscope.pictures import classification as pictures
@@ -303,7 +304,7 @@ def table_from(
     if isinstance(source, LabelledTable):
         table = source
     elif isinstance(source, str | Path):
-        path = Path(source)
+        path = resolve(source)
         table = SqueezeDataset(path).table() if path.is_dir() else read_table(path)
     else:
         table = table_of_arrays({name: np.asarray(values) for name, values in source.items()})

@@ -10,11 +10,10 @@ import numpy as np
 import pytest
 
 from deformscope.errors import InputError
+from deformscope.file_io import sample_names, sample_path
 from deformscope.files.sources import (
     images_in,
     open_source,
-    sample_names,
-    sample_path,
 )
 from deformscope.frames import ColorFrame
 from deformscope.images import encode_png, read_image
