@@ -12,7 +12,6 @@ from typing import BinaryIO
 
 from deformscope.errors import InputError
 
-
 SAMPLE_SCHEME = "sample:"
 
 

@@ -305,7 +305,9 @@ def _is_pair(given: object) -> bool:
 def _together(source: object) -> bool:
     """Whether several pairs share one value: a script that wants one of each calls again."""
     names = _names(source)
-    pairs = ending_of(names[0]) == ".npz" if names and not _arrays(source) else _is_pair(next(iter(_arrays(source)), None))
+    pairs = (
+        ending_of(names[0]) == ".npz" if names and not _arrays(source) else _is_pair(next(iter(_arrays(source)), None))
+    )
     return len(names) > 1 and pairs
 
 

@@ -14,9 +14,9 @@ import numpy as np
 from deformscope import __version__
 from deformscope.api.result import LibraryResult, python_names
 from deformscope.config import ClassifyConfig, OutputOptions
+from deformscope.file_io import resolve
 from deformscope.files.classifier_file import load_classifier as _load
 from deformscope.files.classifier_file import save_classifier
-from deformscope.file_io import resolve
 from deformscope.files.squeeze_dataset import SqueezeDataset
 from deformscope.files.table_file import read_table, table_of_arrays
 from deformscope.pictures import classification as pictures
