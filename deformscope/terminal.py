@@ -52,11 +52,11 @@ def said_to(progress: Say | bool | None) -> Iterator[None]:
 def status_line() -> Iterator[Callable[[str], None]]:
     """A line that the next one replaces, gone at the end; nothing where stderr is no terminal. Yields what shows one:
     an empty one before anything else is said."""
-    shown = False
+    shown, wanted = False, _listener.get() is None  # the robot's thread, which shows it, has no listener of its own
 
     def show(text: str) -> None:
         nonlocal shown
-        if _listener.get() is None and sys.stderr.isatty() and (text or shown):
+        if wanted and sys.stderr.isatty() and (text or shown):
             print(f"\r\x1b[K{text}", end="", file=sys.stderr, flush=True)
             shown = bool(text)
 

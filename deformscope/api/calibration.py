@@ -304,11 +304,8 @@ def _is_pair(given: object) -> bool:
 
 def _together(source: object) -> bool:
     """Whether several pairs share one value: a script that wants one of each calls again."""
-    names = _names(source)
-    pairs = (
-        ending_of(names[0]) == ".npz" if names and not _arrays(source) else _is_pair(next(iter(_arrays(source)), None))
-    )
-    return len(names) > 1 and pairs
+    names, given = _names(source), _arrays(source)
+    return len(names) > 1 and (_is_pair(given[0]) if given else ending_of(names[0]) == ".npz")
 
 
 # For scripts and commands --------------------------------------------------------------------------------------------

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import sys
 import threading
@@ -107,26 +108,28 @@ def test_nothing_is_written_where_nobody_watches(call: Call, capfd: pytest.Captu
     assert capfd.readouterr() == ("", "")
 
 
-def test_progress_is_shown_where_it_is_watched(
-    call: Call, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(terminal, "is_watched", lambda: True)
-    monkeypatch.setenv("FORCE_COLOR", "1")  # rich then draws its bars as on a terminal
+class Terminal(io.StringIO):
+    """What a process writes to a terminal, from all of its threads."""
+
+    def isatty(self) -> bool:
+        return True
+
+
+def test_progress_is_shown_at_a_terminal(call: Call, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "stderr", Terminal())
     call()
-    out, err = capfd.readouterr()
 
-    assert out == ""
-    assert err
+    assert sys.stderr.getvalue()  # type: ignore[attr-defined]
 
 
-def test_progress_is_off_where_it_is_not_wanted(
-    call: Call, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("progress", [False, lambda *said: None])
+def test_nothing_is_written_to_a_terminal_where_it_is_not_wanted(
+    call: Call, progress: object, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(terminal, "is_watched", lambda: True)
-    monkeypatch.setenv("FORCE_COLOR", "1")
-    call(progress=False)
+    monkeypatch.setattr(sys, "stderr", Terminal())
+    call(progress=progress)
 
-    assert capfd.readouterr() == ("", "")
+    assert sys.stderr.getvalue() == ""  # type: ignore[attr-defined]
 
 
 def test_a_notebook_is_watched(monkeypatch: pytest.MonkeyPatch) -> None:
