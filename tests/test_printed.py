@@ -26,7 +26,8 @@ LONG = ("make demo", "deformscope explore")
 ILLUSTRATIONS = {"docs/architecture.md": 2, "docs/page.md": 1, "drivers/README.md": 1}
 """Blocks fenced as ```text, which nothing prints: drawings (that of the layers has its own
 test), a line of udev's, an address."""
-NOT_RUN = ("make test",)
+TYPED = [(kind, body) for kind, body in printed.FENCE.findall(README.read_text("utf-8")) if "make " not in body]
+"""Blocks of the README, but for `make demo`, whose print is compared, and `make test`, which is this."""
 WITHOUT_DEVICES = ("deformscope doctor rig.toml",)
 """Ends with the exit status of a rig that does not work, as none of its devices is plugged in here."""
 QUICK = (
@@ -42,13 +43,13 @@ def fences(page: Path) -> list[tuple[str, str]]:
 
 def commands(page: Path) -> list[str]:
     """The lines that a page wants typed, in their order."""
-    lines = [
-        line.removeprefix(printed.PROMPT)
-        for kind, body in fences(page)
-        for line in body.splitlines()
-        if kind in ("", "sh") or (kind == "console" and line.startswith(printed.PROMPT))
-    ]
-    return [line for line in lines if line.startswith(("deformscope", "make"))]
+    return [line for fence in fences(page) for line in lines_of(*fence)]
+
+
+def lines_of(kind: str, body: str) -> list[str]:
+    """The commands of ours in a block."""
+    lines = body.splitlines() if kind in ("", "sh", "console") else []
+    return [line.removeprefix(printed.PROMPT) for line in lines if line.startswith(("deformscope ", "make ", "$ "))]
 
 
 OURS = [(page, line) for page in printed.PAGES for line in commands(page) if line.startswith("deformscope ")]
@@ -102,13 +103,13 @@ def test_the_readme_names_no_file_that_is_not_there() -> None:
 
 @pytest.fixture
 def shell(tmp_path: Path) -> Any:
-    """Types a line in a folder where `deformscope` is this one, and `make demo` what the Makefile makes of it."""
+    """Types a line in a folder where `deformscope` is this one."""
     programs, folder = tmp_path / "bin", tmp_path / "clone"
     programs.mkdir()
     folder.mkdir()
-    for name in ("deformscope", "make"):
-        (programs / name).write_text(f'#!/bin/sh\nexec {shlex.quote(sys.executable)} -m deformscope "$@"\n')
-        (programs / name).chmod(0o755)
+    ours = programs / "deformscope"
+    ours.write_text(f'#!/bin/sh\nexec {shlex.quote(sys.executable)} -m deformscope "$@"\n')
+    ours.chmod(0o755)
     paths = {"PATH": f"{programs}:{os.environ['PATH']}", "PYTHONPATH": f"{ROOT}:{ROOT / 'drivers'}"}
     env = {name: value for name, value in os.environ.items() if name not in ("DISPLAY", "WAYLAND_DISPLAY")} | paths
 
@@ -131,14 +132,16 @@ def test_a_quick_line_of_the_readme_runs(line: str, shell: Any) -> None:
 
 
 @pytest.mark.slow
-def test_the_readme_typed_line_by_line(shell: Any) -> None:
-    lines = [line for line in commands(README) if not line.startswith(NOT_RUN)]
-    assert len(lines) > 12
+@pytest.mark.parametrize(("kind", "body"), TYPED, ids=[body.split("\n")[0] for _, body in TYPED])
+def test_the_readme_typed_block_by_block(kind: str, body: str, shell: Any) -> None:
+    """Line by line, each block in a folder of its own."""
+    lines = lines_of(kind, body)
+    if kind == "python":
+        (shell.folder / "script.py").write_text(body)
+        lines = [f"{shlex.quote(sys.executable)} script.py"]
+    assert lines
     for line in lines:
         assert_done(line, shell.type(line))
-    (script,) = (body for kind, body in fences(README) if kind == "python")
-    (shell.folder / "script.py").write_text(script)
-    assert_done("the Python", shell.type(f"{shlex.quote(sys.executable)} script.py"))
 
 
 # The comparison ------------------------------------------------------------------------------------------------------
