@@ -6,16 +6,47 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import datetime
+from importlib import resources
 from pathlib import Path
 from typing import BinaryIO
 
 from deformscope.errors import InputError
 
+SAMPLE_SCHEME = "sample:"
+
+
+def resolve(path: str | Path) -> Path:
+    """`sample:NAME` becomes the sample's file, or the folder of its images; anything else stays what it is."""
+    text = str(path)
+    if not text.startswith(SAMPLE_SCHEME):
+        return Path(path).expanduser()
+    folder = sample_path(text.removeprefix(SAMPLE_SCHEME))
+    return next(folder.glob(f"{folder.name}.*"), folder)
+
+
+def ending_of(path: str | Path) -> str:
+    """The suffix of a file that a user named, in small letters."""
+    return resolve(path).suffix.lower()
+
+
+def sample_names() -> list[str]:
+    """The samples that came with the installation."""
+    root = resources.files("deformscope") / "samples"
+    return sorted(entry.name for entry in root.iterdir() if entry.is_dir() and not entry.name.startswith("_"))
+
+
+def sample_path(name: str) -> Path:
+    """The folder of the sample `name`."""
+    names = sample_names()
+    if name not in names:
+        raise InputError("a sample's name", f"{name!r}", "one of " + ", ".join(names))
+    return Path(str(resources.files("deformscope") / "samples" / name))
+
 
 def read_file(path: str | Path, what: str) -> bytes:
     """The bytes of a file that a user named. what: it should be. Raises InputError where it cannot be read."""
     try:
-        return Path(path).read_bytes()
+        return resolve(path).read_bytes()
     except OSError as error:
         raise InputError(what, (error.strerror or str(error)).lower(), where=path) from error
 

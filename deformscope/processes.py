@@ -10,7 +10,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from multiprocessing.connection import Connection
+from multiprocessing.connection import Connection, wait
 from types import ModuleType
 from typing import Any, TypeVar
 
@@ -51,7 +51,8 @@ def starting() -> Iterator[None]:
 def in_processes(
     function: Callable[[T], R], items: Sequence[T], workers: int | None = None, begin: Callable[[], None] | None = None
 ) -> Iterator[tuple[int, R]]:
-    """(index, result) of each item as it is ready; `function` is one of a module.
+    """(index, result) of each item as it is ready; `function` is one of a module. Where the caller breaks off, by a
+    Ctrl-C or an error, what is computed then is given up.
 
     workers: processes, default the cores that this process may use; with one, all happens here
     begin: of a module too, called first in each process
@@ -61,18 +62,20 @@ def in_processes(
     if count <= 1:
         yield from enumerate(map(function, items))
         return
-    with ProcessPoolExecutor(count, SPAWN, _begin, (begin,)) as pool:
-        with starting():
-            futures = {pool.submit(function, item): index for index, item in enumerate(items)}
+    ours, theirs = SPAWN.Pipe()
+    with ProcessPoolExecutor(count, SPAWN, _begin, (theirs, begin)) as pool:
         try:
+            with starting():
+                futures = {pool.submit(function, item): index for index, item in enumerate(items)}
             for future in as_completed(futures):
                 yield futures[future], future.result()
-        finally:
-            pool.shutdown(wait=False, cancel_futures=True)
+        except BaseException:
+            ours.close()  # which ends the processes, in the middle of an item
+            raise
 
 
-def _begin(also: Callable[[], None] | None) -> None:
-    follow_parent()
+def _begin(pipe: Connection, also: Callable[[], None] | None) -> None:
+    follow_parent(pipe)
     if also is not None:
         also()
 
@@ -124,16 +127,16 @@ def _followed(target: Callable[..., None], *arguments: Any) -> None:
     target(*arguments)
 
 
-def follow_parent() -> None:
-    """In such a process, first of all: it ends with its parent, however that ends, and leaves signals to it. A Ctrl-C
-    at a terminal reaches all of them."""
+def follow_parent(*pipes: Connection) -> None:
+    """In such a process, first of all: it ends with its parent, however that ends, or with the other end of a pipe, and
+    leaves signals to its parent. A Ctrl-C at a terminal reaches all of them."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
-    threading.Thread(target=_end_with_parent, name="parent", daemon=True).start()
+    threading.Thread(target=_end_with, args=pipes, name="parent", daemon=True).start()
 
 
-def _end_with_parent() -> None:
+def _end_with(*pipes: Connection) -> None:
     parent = multiprocessing.parent_process()
     if parent is not None:
-        parent.join()
+        wait([parent.sentinel, *pipes])
         os._exit(1)

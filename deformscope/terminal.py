@@ -3,26 +3,62 @@
 from __future__ import annotations
 
 import sys
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from contextvars import ContextVar
+from typing import TYPE_CHECKING
 
 from deformscope.errors import printable
+
+if TYPE_CHECKING:
+    from rich.progress import TaskID
+
+Say = Callable[[str], None]
+Progress = Callable[[str, int, int], None]
+"""Called with what is done, how much of it, and of how much (0 = not known)."""
+
+SAY_EVERY_S = 20.0
+"""Seconds between lines about long work where no bar can be shown."""
+
+_listener: ContextVar[Say | None] = ContextVar("listener", default=None)
+"""Who gets remarks instead of stderr. It belongs to the call that set it: other threads have their own."""
 
 
 def say(remark: str) -> None:
     """One line of progress or a remark; never folded."""
-    print(printable(remark), file=sys.stderr, flush=True)
+    if (listener := _listener.get()) is not None:
+        listener(remark)
+    else:
+        print(printable(remark), file=sys.stderr, flush=True)
+
+
+def is_watched() -> bool:
+    """Whether somebody reads stderr as it comes: at a terminal, or in a notebook."""
+    return sys.stderr.isatty() or type(sys.stderr).__module__.startswith("ipykernel")
+
+
+@contextmanager
+def said_to(progress: Say | bool | None) -> Iterator[None]:
+    """What a call of the library says within: to this function; True: to stderr; None: there where it is watched;
+    False: to nobody."""
+    shown = is_watched() if progress is None else progress
+    token = _listener.set(shown if callable(shown) else None if shown else lambda remark: None)
+    try:
+        yield
+    finally:
+        _listener.reset(token)
 
 
 @contextmanager
 def status_line() -> Iterator[Callable[[str], None]]:
     """A line that the next one replaces, gone at the end; nothing where stderr is no terminal. Yields what shows one:
     an empty one before anything else is said."""
-    shown = False
+    shown, wanted = False, _listener.get() is None  # the robot's thread, which shows it, has no listener of its own
 
     def show(text: str) -> None:
         nonlocal shown
-        if sys.stderr.isatty() and (text or shown):
+        if wanted and sys.stderr.isatty() and (text or shown):
             print(f"\r\x1b[K{printable(text)}", end="", file=sys.stderr, flush=True)
             shown = bool(text)
 
@@ -30,3 +66,42 @@ def status_line() -> Iterator[Callable[[str], None]]:
         yield show
     finally:
         show("")
+
+
+@contextmanager
+def shown_progress(progress: Progress | bool | None) -> Iterator[Progress | None]:
+    """How a call of the library reports long work: by this function; otherwise as `said_to` takes it."""
+    if callable(progress):
+        yield progress
+    elif is_watched() if progress is None else progress:
+        with fit_progress() as note:
+            yield note
+    else:
+        yield None
+
+
+@contextmanager
+def fit_progress() -> Iterator[Progress]:
+    """A bar on stderr that names what the work is at; where stderr is no terminal, a line now and then."""
+    from rich.console import Console
+    from rich.progress import Progress as Bars
+
+    where = Console(stderr=True, highlight=False)
+    said = time.monotonic()
+    with Bars(console=where, transient=True, disable=not where.is_terminal) as bars:
+        tasks: dict[str, TaskID] = {}
+
+        def note(what: str, done: int, total: int) -> None:
+            nonlocal said
+            what = printable(what)
+            if what not in tasks:
+                for earlier in tasks.values():
+                    bars.update(earlier, visible=False)
+                tasks[what] = bars.add_task(what, total=total or None)
+                said = time.monotonic()
+            bars.update(tasks[what], completed=done, total=total)
+            if not where.is_terminal and time.monotonic() - said > SAY_EVERY_S:
+                said = time.monotonic()
+                where.print(f"{what}: {done} of {total or 'an unknown number'}", markup=False)
+
+        yield note

@@ -51,8 +51,8 @@ def test_links_lead_somewhere(page: Path) -> None:
 def test_commands_exist(page: Path) -> None:
     groups = {name.split()[0] for name in COMMANDS if " " in name}
     for kind, block in BLOCK.findall(page.read_text(encoding="utf-8")):
-        for line in block.splitlines() if not kind else ():
-            words = line.split()
+        for line in block.splitlines() if kind in ("", "console") else ():
+            words = line.removeprefix("$ ").split()
             if words[:1] == ["deformscope"]:
                 name = " ".join(words[1 : 3 if words[1] in groups else 2])
                 assert name in COMMANDS, f"{page_name(page)}: {line}"

@@ -62,7 +62,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
     ),
     # A GPU machine that has numpy, scipy and warp alone runs it.
     "bench": ("arrays", "errors", "plain", *STAGES),
-    "config": ("bench", "errors"),
+    "config": ("bench", "errors", "file_io"),
     "file_io": ("errors",),
     "terminal": ("errors",),
     # What the commands compute, with doubles from the laboratory where they are asked for.

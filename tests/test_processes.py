@@ -6,12 +6,13 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 import pytest
 
-from deformscope.processes import BLAS_THREADS, SPAWN, follow_parent, starting
+from deformscope.processes import BLAS_THREADS, SPAWN, follow_parent, in_processes, starting
 from tests.patience import PATIENCE_S
 
 WITHOUT_GUARD = """
@@ -73,3 +74,60 @@ def test_a_ctrl_c_does_not_end_them_while_they_begin() -> None:
     assert begun.result(PATIENCE_S)
     assert not blocked()
     pool.shutdown()
+
+
+def process_or_hour(item: str) -> int:
+    """The process's id, or an hour's work."""
+    if item == "an hour":
+        time.sleep(3600.0)
+    return os.getpid()
+
+
+@pytest.mark.parametrize("how", ["Ctrl-C", "no further item is wanted"])
+def test_what_is_computed_is_given_up_where_the_caller_breaks_off(how: str) -> None:
+    coming = in_processes(process_or_hour, ["the process"] * 8 + ["an hour"] * 8, workers=2)
+    seen = {next(coming)[1] for _ in range(8)}
+
+    if how == "Ctrl-C":
+        with pytest.raises(KeyboardInterrupt):
+            coming.throw(KeyboardInterrupt)  # type: ignore[attr-defined]
+    else:
+        coming.close()  # type: ignore[attr-defined]
+
+    assert not any(Path(f"/proc/{one}").exists() for one in seen)
+
+
+INTERRUPTED = """
+import threading, time
+import numpy as np
+from deformscope.stages.squeeze import evaluation
+from deformscope.stages.squeeze.table import LabelledTable
+
+def an_hour(*given, **named):
+    print("a split is computed", flush=True)
+    time.sleep(3600.0)
+
+evaluation.run_split = an_hour
+label = np.repeat(["empty", "rice"], 12)
+table = LabelledTable(label, None, {"tactile": np.random.default_rng(0).normal(size=(24, 3))})
+evaluation.evaluate(table, evaluation.EvaluationOptions(splits=4, workers=2))
+"""
+
+
+def test_a_ctrl_c_waits_for_no_split_of_a_classification(tmp_path: Path) -> None:
+    script = tmp_path / "script.py"
+    script.write_text(INTERRUPTED)
+    paths = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    with subprocess.Popen(
+        [sys.executable, script], stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=paths
+    ) as running:
+        assert running.stdout is not None
+        began = running.stdout.readline()
+        running.send_signal(signal.SIGINT)
+        try:
+            _, errors = running.communicate(timeout=PATIENCE_S)
+        finally:
+            running.kill()
+
+    assert began.startswith(b"a split is computed")
+    assert b"KeyboardInterrupt" in errors

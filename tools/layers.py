@@ -12,7 +12,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "architecture.md"
-BEGIN, END = "<!-- layers -->\n```\n", "```\n<!-- end of layers -->"
+BEGIN, END = "<!-- layers -->\n```text\n", "```\n<!-- end of layers -->"
 WIDTH = 118
 
 

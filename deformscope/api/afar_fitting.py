@@ -34,7 +34,7 @@ def fit_a_camera(config: BetaConfig | ThetaConfig, next_folder: Callable[[], Pat
     quiet_warp()
     desk, over = AfarDesk(pipe), threading.Event()
     try:
-        with StageProcesses(("flow",), quiet_warp, finish=True) as processes:
+        with StageProcesses(("flow",), quiet_warp) as processes:
             camera = AfarCamera(config, processes["flow"], next_folder, pipe)
             threading.Thread(target=_heed, args=(pipe, camera, desk, over), daemon=True).start()
             camera.begin(lambda: "the fit was ended" if over.is_set() else "")

@@ -33,9 +33,9 @@ from deformscope.experiments.foam_video import ParticleOptions, foam_video
 from deformscope.experiments.pair_files import pair_files
 from deformscope.experiments.poke_files import LayersOptions, poke_files
 from deformscope.experiments.whole_motion import MotionOptions, whole_motion
-from deformscope.file_io import read_file
+from deformscope.file_io import SAMPLE_SCHEME, ending_of, read_file, sample_path
 from deformscope.files.pairs import parse_pair
-from deformscope.files.sources import DEFAULT_FPS, Source, open_source, sample_path
+from deformscope.files.sources import DEFAULT_FPS, Source, open_source
 from deformscope.frames import ColorFrame, InputFile
 from deformscope.images import encode_png, read_image
 from deformscope.pictures.evidence import Result, results_png
@@ -55,6 +55,7 @@ from deformscope.stages.msm.solver import pick_device
 from deformscope.stages.poke.fitted import FittedModel, from_pair
 from deformscope.stages.poke.poke_estimate import PokesFound
 from deformscope.stages.see.particles import clean_mask, outlined
+from deformscope.terminal import shown_progress
 from deformscope_drivers.clock import Stamp
 
 PairArrays: TypeAlias = Mapping[str, Any]
@@ -185,7 +186,8 @@ class CalibrationOptions(TypedDict, total=False):
     at: a value of the parameter whose error is reported as well
     noise_px, noise_m: deviation of a measured position; volume: how theta conserves it
     record: a recording to make (.rrd); viewer: default none
-    progress: called with what is done, how much of it, and of how much
+    progress: called with what is done, how much of it, and of how much; default: shown on stderr where that is a
+    terminal or a notebook; True: always, False: never
     """
 
     roi: Rectangle
@@ -213,7 +215,7 @@ class CalibrationOptions(TypedDict, total=False):
     record: Path | str
     viewer: ViewerChoice
     overwrite: bool
-    progress: Progress
+    progress: Progress | bool | None
 
 
 def calibrate_beta(
@@ -276,7 +278,8 @@ def _calibrate(
         own[name] = group(**{key: given.pop(key) for key in mine})
     if unknown := given.keys() - {field.name for field in dataclasses.fields(kind)}:
         raise TypeError(f"unexpected options: {', '.join(sorted(unknown))}")
-    return calibrate(kind(_names(source), **own, **given), _arrays(source), progress=progress)[0]
+    with shown_progress(progress) as note:
+        return calibrate(kind(_names(source), **own, **given), _arrays(source), progress=note)[0]
 
 
 def _arrays(source: object) -> Sequence[Any]:
@@ -301,9 +304,8 @@ def _is_pair(given: object) -> bool:
 
 def _together(source: object) -> bool:
     """Whether several pairs share one value: a script that wants one of each calls again."""
-    names = _names(source)
-    pairs = names[0].endswith(".npz") if names and not _arrays(source) else _is_pair(next(iter(_arrays(source)), None))
-    return len(names) > 1 and pairs
+    names, given = _names(source), _arrays(source)
+    return len(names) > 1 and (_is_pair(given[0]) if given else ending_of(names[0]) == ".npz")
 
 
 # For scripts and commands --------------------------------------------------------------------------------------------
@@ -324,7 +326,7 @@ def calibrate(
         raise InputError("--viewer page with a rig, whose camera is followed there", output.viewer, again, sources[0])
     fit = fit_options(config)
     layers, motion = _layers(config), _motion(config)
-    pairs = [source for source in sources if Path(source).suffix.lower() == ".npz"]
+    pairs = [source for source in sources if ending_of(source) == ".npz"]
     if pairs and len(pairs) != len(sources):
         other = next(source for source in sources if source not in pairs)
         raise InputError("either pair files or images", "both", "name them in two commands", other)
@@ -376,8 +378,8 @@ def fit_options(config: BetaConfig | ThetaConfig) -> FitOptions:
 def images_of(config: BetaConfig | ThetaConfig) -> ImageOptions:
     """How the images become particles: what was asked for, or what suits a sample."""
     sources = config.sources
-    if len(sources) == 1 and sources[0].startswith("sample:"):
-        return for_sample(sources[0].removeprefix("sample:"), config.images)
+    if len(sources) == 1 and sources[0].startswith(SAMPLE_SCHEME):
+        return for_sample(sources[0].removeprefix(SAMPLE_SCHEME), config.images)
     return config.images
 
 
@@ -432,7 +434,7 @@ def sample_images(name: str) -> ImageOptions:
 
     folder = sample_path(name)
     given = tomllib.loads((folder / "sample.toml").read_text(encoding="utf-8"))
-    names = ("roi", "grid", "spacing_px", "held", "fps")
+    names = ("roi", "grid", "spacing_px", "held", "contact", "fps")
     known: dict[str, Any] = {
         name: tuple(given[name]) if isinstance(given[name], list) else given[name] for name in names if name in given
     }

@@ -14,6 +14,7 @@ import numpy as np
 from deformscope import __version__
 from deformscope.api.result import LibraryResult, python_names
 from deformscope.config import ClassifyConfig, OutputOptions
+from deformscope.file_io import resolve
 from deformscope.files.classifier_file import load_classifier as _load
 from deformscope.files.classifier_file import save_classifier
 from deformscope.files.squeeze_dataset import SqueezeDataset
@@ -26,6 +27,7 @@ from deformscope.stages.squeeze.model import ContentModel, fit_model
 from deformscope.stages.squeeze.scores import ClassificationScore
 from deformscope.stages.squeeze.table import LabelledTable, refuse_duplicates, without_duplicates
 from deformscope.stages.squeeze.trial_run import joined_name
+from deformscope.terminal import shown_progress
 
 QUICK_SPLITS = 30
 """With --quick."""
@@ -302,7 +304,7 @@ def table_from(
     if isinstance(source, LabelledTable):
         table = source
     elif isinstance(source, str | Path):
-        path = Path(source)
+        path = resolve(source)
         table = SqueezeDataset(path).table() if path.is_dir() else read_table(path)
     else:
         table = table_of_arrays({name: np.asarray(values) for name, values in source.items()})
@@ -326,7 +328,7 @@ def classify(
     duplicates: Literal["refuse", "drop"] = "refuse",
     level: float = 0.9,
     seed: int = 0,
-    progress: Progress | None = None,
+    progress: Progress | bool | None = None,
 ) -> ClassificationResult:
     """How well the content is known from each modality, and from all of them fused.
 
@@ -334,7 +336,8 @@ def classify(
     merge: classes that become one; transfer: (trained, tested) patterns of kinds or groups of containers
     splits: 70/30, random, stratified and by group; costly_splits: of boosting and the Gaussian process, 0 = without
     curve_splits: of the learning curve and the steps of a squeeze; duplicates: what happens to equal trials
-    progress: called with what is done, how much of it, and of how much
+    progress: called with what is done, how much of it, and of how much; default: shown on stderr where that is a
+    terminal or a notebook; True: always, False: never
     Raises InputError for what cannot be used.
     """
     with python_names():
@@ -348,7 +351,8 @@ def classify(
         )
         found = table_from(table, modalities=modalities, merge=merge, duplicates=duplicates)
         name = str(table) if isinstance(table, str | Path) else ""
-        return classify_table(found, name, options_of(config, tuple(transfer)), progress)
+        with shown_progress(progress) as note:
+            return classify_table(found, name, options_of(config, tuple(transfer)), note)
 
 
 def options_of(config: ClassifyConfig, transfer: tuple[tuple[str, str], ...]) -> EvaluationOptions:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import io
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -21,6 +19,7 @@ from deformscope.pictures.report import Figure, Table
 from deformscope.pictures.words import counted, failed_words, travel_words
 from deformscope.recording.losses import named
 from deformscope.stages.map.exploration import StageFailure
+from deformscope.terminal import Say, said_to
 
 Planner = Literal["regions", "integrated-variance", "max-variance", "random-above", "thesis"]
 
@@ -171,7 +170,7 @@ def explore(
     overwrite: bool = False,
     yes: bool = False,
     trust_rig: bool = False,
-    verbose: bool = False,
+    progress: Say | bool | None = None,
 ) -> ExplorationResult:
     """Map how soft a surface is: look, touch where it says most about the map, map, and again.
 
@@ -182,7 +181,8 @@ def explore(
     what is known of the surface; hold_s: of each touch, from which it says how the foam creeps; feel: what is mapped:
     stiffness at once, stiffness when all has relaxed, or the share of its energy that a touch loses
     record: a recording to make (.rrd); yes: let a real arm move, once the checks have passed, without asking
-    verbose: print each touch as it goes on; with a rig file that, the table of checks and the question always appear
+    progress: called with each line about checks and touches; default: they are printed on stderr where that is a
+    terminal or a notebook; True: always, False: never; those of a rig file always, unless there is a function
     Raises InputError for what cannot be used, and SystemExit where the exploration was stopped before its end.
     """
     simulated = str(rig).startswith("lab:")
@@ -203,16 +203,14 @@ def explore(
             trust_rig=trust_rig,
             output=OutputOptions(None, None if record is None else Path(record), viewer, overwrite, seed),
         )
-        return _explored(config, quiet=simulated and not verbose)
+        with said_to(progress if simulated or callable(progress) else True):
+            return _explored(config)
 
 
-def _explored(config: ExploreConfig, *, quiet: bool) -> ExplorationResult:
+def _explored(config: ExploreConfig) -> ExplorationResult:
     from deformscope.api.exploration_run import explore_on, map_arrays
 
-    with contextlib.ExitStack() as silence:
-        if quiet:
-            silence.enter_context(contextlib.redirect_stderr(io.StringIO()))
-        explored = explore_on(config, lambda explored: None)
+    explored = explore_on(config, lambda explored: None)
     if explored is None:
         raise InputError("an exploration", "none: it ended before the arm could move")
     if (maps := explored.maps) is None:

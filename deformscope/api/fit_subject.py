@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Mapping
-from pathlib import Path
 from typing import Literal, Protocol
 
 import numpy as np
@@ -15,7 +14,7 @@ from deformscope.config import BetaConfig, ThetaConfig
 from deformscope.errors import InputError
 from deformscope.experiments.foam_video import last_pose
 from deformscope.experiments.kept_motion import KeptMotion
-from deformscope.file_io import read_file
+from deformscope.file_io import ending_of, read_file
 from deformscope.files.pairs import parse_pair
 from deformscope.images import encode_jpeg
 from deformscope.stages.fit.model import Observation
@@ -112,14 +111,14 @@ def subject_of(config: BetaConfig | ThetaConfig, note: Callable[[str], None]) ->
     """What a command's options name. Raises InputError for what cannot be set on a page."""
     if (reason := not_on_a_page(config)) is not None:
         raise InputError("images, or one pair file, to be set on a page", reason, "leave out --adjust")
-    if Path(config.sources[0]).suffix.lower() == ".npz":
+    if ending_of(config.sources[0]) == ".npz":
         return PairSubject(config)
     return ImagesSubject(config, note)
 
 
 def not_on_a_page(config: BetaConfig | ThetaConfig) -> str | None:
     """What keeps a fit from being set on a page; None = nothing."""
-    pairs = [source for source in config.sources if Path(source).suffix.lower() == ".npz"]
+    pairs = [source for source in config.sources if ending_of(source) == ".npz"]
     if pairs and len(config.sources) > 1:
         return f"{len(config.sources)} files"
     if isinstance(config, BetaConfig) and (config.layers.thickness_m is not None or config.motion.whole_motion):

@@ -41,7 +41,7 @@ from deformscope.experiments.material_motion import (
     yield_of_motion,
 )
 from deformscope.experiments.whole_motion import TrackedMotion
-from deformscope.file_io import read_file
+from deformscope.file_io import SAMPLE_SCHEME, ending_of, read_file
 from deformscope.files.motions import parse_motion
 from deformscope.files.pairs import parse_pair
 from deformscope.files.sources import Source
@@ -170,8 +170,8 @@ def calibrate_material(
     if config.fit.noise_m is not None:
         raise InputError("--noise-px for images", "--noise-m", "give the noise in pixels")
     images = config.images
-    if len(sources) == 1 and sources[0].startswith("sample:"):
-        images = for_sample(sources[0].removeprefix("sample:"), images)
+    if len(sources) == 1 and sources[0].startswith(SAMPLE_SCHEME):
+        images = for_sample(sources[0].removeprefix(SAMPLE_SCHEME), images)
     timed = isinstance(config, ViscousConfig) or (isinstance(config, YieldConfig) and config.creep != "none")
     stamped = images.fps is not None or (len(sources) == 1 and not Path(sources[0]).is_dir())
     if timed and not stamped:
@@ -316,7 +316,7 @@ def _finder(
 def _raw_files(job: MaterialJob, sources: Sequence[str]) -> list[tuple[str, bytes]]:
     """Pair or motion files, or those that a recording keeps; none where the source has images."""
     name, words = RAW_FILES[job.find]
-    if Path(sources[0]).suffix.lower() == ".npz":
+    if ending_of(sources[0]) == ".npz":
         return [(one, read_file(one, words)) for one in sources]
     if len(sources) == 1 and Path(sources[0]).suffix.lower() == ".rrd":
         recording = Replay(Path(sources[0]))

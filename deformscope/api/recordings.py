@@ -17,6 +17,7 @@ from deformscope.plain import plain
 from deformscope.recording.discards import Discard, discards_of
 from deformscope.recording.items import read_estimates, read_items, read_results
 from deformscope.recording.reader import Replay
+from deformscope.terminal import Say, said_to
 
 
 class OpenRecording(LibraryResult):
@@ -128,10 +129,12 @@ def record(
     viewer: ViewerChoice = "none",
     overwrite: bool = False,
     trust_rig: bool = False,
+    progress: Say | bool | None = None,
 ) -> RecordResult:
     """Record all devices of a rig for some seconds, with every byte of their wires and what was lost.
 
     rig: a rig file (.toml) or `lab:NAME`; file: an `.rrd`, default `runs/NAME-<stamp>.rrd`
+    progress: called with each line about devices, links and rates; default: as of `explore`
     Raises InputError for what cannot be used.
     """
     with python_names():
@@ -139,5 +142,5 @@ def record(
         config = RecordConfig(str(rig), seconds, label, trust_rig, output=output)
     from deformscope.api.rig_run import run_rig
 
-    with python_names():
+    with python_names(), said_to(progress):
         return run_rig(config, "none", always_record=True).result

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
-import io
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -18,6 +16,7 @@ from deformscope.config import OutputOptions, SqueezeConfig
 from deformscope.files.squeeze_dataset import SqueezeDataset, TrialEntry
 from deformscope.pictures.report import Figure, Table
 from deformscope.stages.squeeze.table import LabelledTable
+from deformscope.terminal import Say, said_to
 
 # One squeeze ---------------------------------------------------------------------------------------------------------
 
@@ -126,12 +125,14 @@ def squeeze(
     overwrite: bool = False,
     yes: bool = False,
     trust_rig: bool = False,
+    progress: Say | bool | None = None,
 ) -> SqueezeResult:
     """Squeeze a container once, and take its features; with `model`, name its content.
 
     rig: a rig file (.toml), or `lab:containers`; content, container: what is squeezed, in the laboratory drawn where
     they are empty; dataset: a data set to add the trial to, with its recording unless keep = "features"
     model: a saved classifier; yes: let a real hand close without asking; with a rig file the question appears
+    progress: as of `explore`
     Raises InputError for what cannot be used, and where the squeeze did not come to its steady state (a data set keeps
     it as discarded, with the reason); KeyboardInterrupt where Ctrl-C ended it.
     """
@@ -150,19 +151,17 @@ def squeeze(
             trust_rig=trust_rig,
             output=OutputOptions(None, None if record is None else Path(record), viewer, overwrite, seed),
         )
-        return _squeezed(config, quiet=str(rig).startswith("lab:"))
+        with said_to(progress if str(rig).startswith("lab:") or callable(progress) else True):
+            return _squeezed(config)
 
 
-def _squeezed(config: SqueezeConfig, *, quiet: bool) -> SqueezeResult:
+def _squeezed(config: SqueezeConfig) -> SqueezeResult:
     from deformscope.pictures.depth_change import depth_change_png
 
-    with contextlib.ExitStack() as silence:
-        if quiet:
-            silence.enter_context(contextlib.redirect_stderr(io.StringIO()))
-        squeezed = squeeze_on(config, lambda result: None)
-        if squeezed.interrupted:
-            raise KeyboardInterrupt
-        leave(squeezed)
+    squeezed = squeeze_on(config, lambda result: None)
+    if squeezed.interrupted:
+        raise KeyboardInterrupt
+    leave(squeezed)
     computed = squeezed.features
     assert computed is not None  # else it was stopped
     change = computed.features

@@ -22,12 +22,12 @@ from deformscope.pictures.report import Figure, Table
 from deformscope.plain import plain
 from deformscope.processes import in_processes
 from deformscope.stages.msm.quiet import quiet_warp as quiet_warp
+from deformscope.terminal import fit_progress as fit_progress
 from deformscope.terminal import say as say
 from deformscope.terminal import status_line as status_line
 
 if TYPE_CHECKING:
     from rich.console import Console
-    from rich.progress import TaskID
 
     from deformscope.config import RecordedOptions
     from deformscope.recording.recorder import Recorder, RecordingLayout
@@ -38,9 +38,6 @@ R = TypeVar("R")
 
 EXIT_LOSSES = 3
 """The exit status of a command whose result is whole, but of which something was lost; it names what."""
-SAY_EVERY_S = 20.0
-"""Seconds between lines about long work where no bar can be shown."""
-
 PAGE_LOOK_S = 0.2
 """Seconds between looks at whether a page's server still runs."""
 
@@ -108,32 +105,6 @@ def settings_of(config: RecordedOptions) -> dict[str, object]:
     """All flags of a command, as its recording keeps them."""
     command = type(config).__name__.removesuffix("Config").lower()
     return {"command": command, **cast("dict[str, object]", plain(config))}
-
-
-@contextmanager
-def fit_progress() -> Iterator[Progress]:
-    """A bar on stderr that names what the work is at; where stderr is no terminal, a line now and then."""
-    from rich.progress import Progress as Bars
-
-    where = console()
-    said = time.monotonic()
-    with Bars(console=where, transient=True, disable=not where.is_terminal) as bars:
-        tasks: dict[str, TaskID] = {}
-
-        def note(what: str, done: int, total: int) -> None:
-            nonlocal said
-            what = printable(what)
-            if what not in tasks:
-                for earlier in tasks.values():
-                    bars.update(earlier, visible=False)
-                tasks[what] = bars.add_task(what, total=total or None)
-                said = time.monotonic()
-            bars.update(tasks[what], completed=done, total=total)
-            if not where.is_terminal and time.monotonic() - said > SAY_EVERY_S:
-                said = time.monotonic()
-                where.print(f"{what}: {done} of {total or 'an unknown number'}", markup=False)
-
-        yield note
 
 
 def examined(what: str, function: Callable[[T], R], items: Sequence[T], workers: int | None, note: Progress) -> list[R]:

@@ -12,6 +12,7 @@ from deformscope.config import flags
 from deformscope.config.images import ImageOptions
 from deformscope.config.options import Flags, OutputOptions, RecordedOptions, ViewOptions, either
 from deformscope.errors import InputError
+from deformscope.file_io import ending_of
 
 AlphaFlag = Annotated[float, flags.Rule(lambda alpha: 0 < alpha <= 1, "an {flag} above 0 and at most 1")]
 
@@ -220,7 +221,7 @@ class BothConfig(RecordedOptions):
     output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
 
     def check(self) -> None:
-        if other := next((source for source in self.sources if Path(source).suffix.lower() != ".npz"), None):
+        if other := next((source for source in self.sources if ending_of(source) != ".npz"), None):
             raise InputError("pair files (.npz)", repr(other), "calibrate beta or theta for images")
 
 
@@ -328,7 +329,7 @@ class MaterialOptions(RecordedOptions):
     output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions, kw_only=True)
 
     def check(self) -> None:
-        files = [source for source in self.sources if Path(source).suffix.lower() == ".npz"]
+        files = [source for source in self.sources if ending_of(source) == ".npz"]
         if files and len(files) != len(self.sources):
             other = next(source for source in self.sources if source not in files)
             raise InputError("either .npz files or images", "both", "name them in two commands", other)

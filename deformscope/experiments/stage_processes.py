@@ -33,11 +33,9 @@ class StageProcesses:
     3.6 s after its frame from a thread, 0.6 s from a process.
     """
 
-    def __init__(self, names: Sequence[StageName], start_engine: Callable[[], None], *, finish: bool = False) -> None:
-        """start_engine: starts what simulates, in the process of a stage that does; finish: in the end, wait for what
-        is computed then, as a process must that is itself one of another"""
-        self._names, self._finish = names, finish
-        self._start_engine = start_engine
+    def __init__(self, names: Sequence[StageName], start_engine: Callable[[], None]) -> None:
+        """start_engine: starts what simulates, in the process of a stage that does"""
+        self._names, self._start_engine = names, start_engine
         self.beside: dict[str, StageProcess] = {}
 
     def __enter__(self) -> Mapping[str, Beside]:
@@ -48,7 +46,7 @@ class StageProcesses:
 
     def __exit__(self, kind: type[BaseException] | None, *raised: object) -> None:
         for process in self.beside.values():
-            process.close(finish=self._finish)
+            process.close()
 
 
 class StageProcess:
@@ -61,7 +59,8 @@ class StageProcess:
 
     def _start(self) -> None:
         with starting():
-            self._pool = ProcessPoolExecutor(1, mp_context=SPAWN, initializer=follow_parent)
+            self._end, theirs = SPAWN.Pipe()
+            self._pool = ProcessPoolExecutor(1, SPAWN, follow_parent, (theirs,))
             self._warm = self._pool.submit(warm_up, self._name, self._start_engine)
 
     def wait(self) -> None:
@@ -76,9 +75,10 @@ class StageProcess:
             self._start()
             return self._pool.submit(function, *arguments)
 
-    def close(self, *, finish: bool = False) -> None:
-        """End it after what it computes now. finish: wait for that"""
-        self._pool.shutdown(wait=finish, cancel_futures=True)
+    def close(self) -> None:
+        """End it, and give up what it computes now."""
+        self._end.close()
+        self._pool.shutdown(cancel_futures=True)
 
 
 def warm_up(name: StageName, start_engine: Callable[[], None]) -> None:

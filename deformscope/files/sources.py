@@ -7,13 +7,13 @@ import itertools
 import math
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from importlib import resources
 from pathlib import Path
 
 import cv2
 
 from deformscope.arrays import ImageArray
 from deformscope.errors import InputError
+from deformscope.file_io import ending_of, resolve
 from deformscope.files.video_check import VideoCheck
 from deformscope.frames import ColorFrame
 from deformscope.images import read_image, to_rgb
@@ -26,7 +26,6 @@ IMAGE_SUFFIXES = frozenset(
     {".avif", ".bmp", ".dib", ".gif", ".jp2", ".jpe", ".jpeg", ".jpg", ".pbm"}
     | {".pgm", ".png", ".pnm", ".ppm", ".ras", ".sr", ".tif", ".tiff", ".webp"}
 )
-SAMPLE_SCHEME = "sample:"
 RECORDING_SUFFIX = ".rrd"
 
 
@@ -112,7 +111,7 @@ def open_source(
         raise InputError("a positive frame rate", str(fps))
     if not paths:
         raise InputError("a source of frames", "none", "a video, a folder of frames, or image files")
-    if camera is not None and (len(paths) > 1 or Path(paths[0]).suffix.lower() != RECORDING_SUFFIX):
+    if camera is not None and (len(paths) > 1 or ending_of(paths[0]) != RECORDING_SUFFIX):
         raise InputError("a recording (.rrd) with --camera", str(paths[0]), "leave out --camera")
     if len(paths) > 1:
         return _images([_image_path(path) for path in paths], f"{len(paths)} images", stride, fps, mask)
@@ -127,28 +126,6 @@ def open_source(
     if path.suffix.lower() in IMAGE_SUFFIXES:
         raise InputError("at least two frames", "one image", "name all images in order, or their folder", path)
     return _video(path, stride, fps)
-
-
-def resolve(path: str | Path) -> Path:
-    """`sample:NAME` becomes the sample's folder; anything else stays what it is."""
-    text = str(path)
-    if text.startswith(SAMPLE_SCHEME):
-        return sample_path(text.removeprefix(SAMPLE_SCHEME))
-    return Path(path).expanduser()
-
-
-def sample_names() -> list[str]:
-    """The samples that came with the installation."""
-    root = resources.files("deformscope") / "samples"
-    return sorted(entry.name for entry in root.iterdir() if entry.is_dir() and not entry.name.startswith("_"))
-
-
-def sample_path(name: str) -> Path:
-    """The folder of the sample `name`."""
-    names = sample_names()
-    if name not in names:
-        raise InputError("a sample's name", f"{name!r}", "one of " + ", ".join(names))
-    return Path(str(resources.files("deformscope") / "samples" / name))
 
 
 def images_in(folder: Path) -> list[Path]:

@@ -102,17 +102,19 @@ class Replay:
         return sum(self.color_counts.values())
 
     def camera(self, name: str | None = None) -> str:
-        """The camera of this name; without a name, the only one that was recorded."""
+        """The camera of this name; without a name, the only one that was recorded, or the only one that is no depth
+        camera."""
         known = list(self.color_counts)
         if not known:
             raise InputError("a recording with images of a camera", "one without", where=self.path)
-        if name is None and len(known) > 1:
+        own = [device for device, what in self.image_counts if what == "image"]
+        if name is None and len(own or known) > 1:
             came = f"a recording of several: {', '.join(known)}"
             raise InputError("one camera", came, f"--camera {known[0]}", self.path)
         if name is not None and name not in known:
             came = f"{name!r}, of which no colour images were recorded"
             raise InputError("a camera of the recording", came, f"--camera {' or '.join(known)}", self.path)
-        return known[0] if name is None else name
+        return (own or known)[0] if name is None else name
 
     @property
     def mask(self) -> ImageArray | None:

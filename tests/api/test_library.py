@@ -87,7 +87,8 @@ def test_several_pairs_share_one_value(arrays: dict[str, np.ndarray]) -> None:
 
 
 def test_images_as_arrays_give_what_their_files_give(tmp_path: Path) -> None:
-    from deformscope.files.sources import open_source, sample_path
+    from deformscope.file_io import sample_path
+    from deformscope.files.sources import open_source
     from deformscope.images import encode_png
 
     with open_source(["sample:tension"]) as source:

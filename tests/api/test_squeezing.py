@@ -11,27 +11,15 @@ import numpy as np
 import pytest
 
 import deformscope as ds
-from deformscope.api.setups import SqueezeOpening
 from deformscope.cli import main
 from deformscope.files.classifier_file import save_classifier
-from deformscope.robot.squeeze_plan import draw_grasp
-from tests.experiments.toy_squeeze import ToySqueeze
+from tests.experiments.toy_squeeze import ToySqueeze, use_toy_squeeze
 
 
 @pytest.fixture(autouse=True)
 def toy(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     """What is squeezed is a toy; its content is a stiffness."""
-    changes: dict[str, Any] = {}
-
-    def opening(name: str, content: str, container: str, session: str, seed: int, *, trusted: bool) -> SqueezeOpening:
-        stiffness = (400.0 if content == "rice" else 100.0) + 17.0 * seed
-        lab = ToySqueeze(stiffness_pa_deg=stiffness, gives_deg=2.0 + 0.1 * (seed % 7))
-        grasp = draw_grasp(lab.container, lab.squeeze, seed)
-        setup = dataclasses.replace(lab.setup, grasp=grasp, **changes)
-        return SqueezeOpening(setup, {"lab": "toy"}, content or "rice", container or "box-01")
-
-    monkeypatch.setattr("deformscope.api.squeeze_run.squeeze_setup_of", opening)
-    return changes
+    return use_toy_squeeze(monkeypatch)
 
 
 def test_a_squeeze_gives_the_json_of_the_command_and_its_features(

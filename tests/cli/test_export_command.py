@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 import json
 from collections.abc import Sequence
@@ -52,8 +53,10 @@ def test_beta_of_a_cameras_recorded_images_is_that_of_the_exported_ones(
     capfd.readouterr()
     recorded, exported = beta(capfd, path, "--camera", "front"), beta(capfd, tmp_path / "front")
     assert recorded == exported
-    assert main(["calibrate", "beta", str(path)]) == 2
-    assert "got a recording of several: above, front" in capfd.readouterr().err
+    assert beta(capfd, path) | {"settings": 0} == recorded | {"settings": 0}  # the only one that is no depth camera
+    two = rig_recording(tmp_path / "two.rrd", [*frames, *(dataclasses.replace(one, device="side") for one in frames)])
+    assert main(["calibrate", "beta", str(two)]) == 2
+    assert "got a recording of several: front, side" in capfd.readouterr().err
     assert main(["calibrate", "beta", str(path), "--camera", "left"]) == 2
     assert "'left'" in capfd.readouterr().err
     assert main(["calibrate", "beta", str(tmp_path / "front"), "--camera", "front"]) == 2

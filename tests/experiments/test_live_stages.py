@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import os
+import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
 from pathlib import Path
@@ -460,6 +462,15 @@ def test_a_process_computes_and_is_replaced_when_it_has_died() -> None:
         with pytest.raises(Exception, match="terminated abruptly"):
             worker.submit(os_exit).result(60)
         assert worker.submit(math.sqrt, 16.0).result(60) == 4.0
+
+
+def test_what_a_process_computes_in_the_end_is_given_up() -> None:
+    with StageProcesses(["tactile"], int_nothing) as beside:
+        worker = beside["tactile"]
+        process = worker.submit(os.getpid).result(60)
+        worker.submit(time.sleep, 3600.0)
+
+    assert not Path(f"/proc/{process}").exists()
 
 
 def int_nothing() -> None:

@@ -3,11 +3,15 @@ Pressures grow with the angle beyond contact, until an obstacle holds the finger
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import pytest
 
+from deformscope.api.setups import SqueezeOpening
 from deformscope.rig.driver_table import DRIVERS
 from deformscope.rig.rig_file import ContainerSection, HandSection, SqueezeSection
 from deformscope.rig.source import RigMember, RigSource
@@ -154,3 +158,18 @@ def closing(lab: ToySqueeze) -> bool:
 def limits(lab: ToySqueeze) -> tuple[float, ...]:
     """The limits of the motor currents as the hand has them, (7,) [A]."""
     return tuple(axis.move_current_a for axis in lab.hand_double.motion.axes)
+
+
+def use_toy_squeeze(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
+    """What is squeezed is a toy; its content is a stiffness. Returns what of the setup is changed."""
+    changes: dict[str, Any] = {}
+
+    def opening(name: str, content: str, container: str, session: str, seed: int, *, trusted: bool) -> SqueezeOpening:
+        stiffness = (400.0 if content == "rice" else 100.0) + 17.0 * seed
+        lab = ToySqueeze(stiffness_pa_deg=stiffness, gives_deg=2.0 + 0.1 * (seed % 7))
+        grasp = draw_grasp(lab.container, lab.squeeze, seed)
+        setup = dataclasses.replace(lab.setup, grasp=grasp, **changes)
+        return SqueezeOpening(setup, {"lab": "toy"}, content or "rice", container or "box-01")
+
+    monkeypatch.setattr("deformscope.api.squeeze_run.squeeze_setup_of", opening)
+    return changes

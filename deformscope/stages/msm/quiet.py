@@ -4,20 +4,27 @@ from __future__ import annotations
 
 import os
 import sys
-from pathlib import Path
+import tempfile
+import threading
+
+GREETING = b"Warp CUDA warning"
+"""How the line begins by which it complains of a missing GPU driver, below Python: that is no fault here."""
+_one_at_a_time = threading.Lock()
 
 
 def quiet_warp() -> None:
-    """Start warp without its greeting; below Python it complains of a missing GPU driver, which is no fault here."""
+    """Start warp without its greeting; what other threads write to stderr meanwhile comes a moment later."""
     import warp as wp
 
     wp.config.log_level = wp.LOG_WARNING
-    sys.stderr.flush()
-    kept = os.dup(2)
-    try:
-        with Path(os.devnull).open("wb") as nothing:
-            os.dup2(nothing.fileno(), 2)
+    with _one_at_a_time, tempfile.TemporaryFile() as meanwhile:
+        sys.stderr.flush()
+        kept = os.dup(2)
+        os.dup2(meanwhile.fileno(), 2)
+        try:
             wp.init()
-    finally:
-        os.dup2(kept, 2)
-        os.close(kept)
+        finally:
+            os.dup2(kept, 2)
+            meanwhile.seek(0)
+            os.write(kept, b"".join(line for line in meanwhile if not line.startswith(GREETING)))
+            os.close(kept)

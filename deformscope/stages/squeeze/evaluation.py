@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
+from multiprocessing.pool import ThreadPool
 
 import numpy as np
 
@@ -239,8 +239,8 @@ class _Runner:
             )
 
         found: dict[Key, list[Answers]] = {}
-        with ThreadPoolExecutor(self.options.workers) as pool:
-            for done, outcomes in enumerate(pool.map(one, splits)):
+        with ThreadPool(self.options.workers) as pool:  # its threads keep no program alive that is interrupted
+            for done, outcomes in enumerate(pool.imap(one, splits)):
                 self.progress(what, done, len(splits))
                 for key, outcome in outcomes.items():
                     found.setdefault(key, []).append(outcome)

@@ -61,7 +61,8 @@ class LabelledTable:
                 if np.isnan(values).all():
                     raise InputError(f"numbers in {name}", "none at all", "leave it out")
         if len(self.classes) < 2:
-            raise InputError("at least two different labels", ", ".join(map(repr, self.classes)) or "none")
+            came = ", ".join(map(repr, self.classes)) or "none"
+            raise InputError("at least two different labels", came, "trials of other contents, as sample:squeezes has")
 
     def __len__(self) -> int:
         return len(self.label)

@@ -1,0 +1,128 @@
+"""Makes the samples of the laboratory that ship (`sample:pair`, `sample:poke`, `sample:video`, `sample:squeezes`) anew.
+
+python tools/samples.py [NAME...]
+"""
+
+from __future__ import annotations
+
+import io
+import sys
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from deformscope.file_io import replacing
+from deformscope.lab.finite_strain import Block, PressedBlock, press
+from deformscope.lab.foam import FOAMS
+from deformscope.lab.slab import RigidTip, Slab
+from deformscope.lab.slab import press as press_slab
+from deformscope.lab.speckle import View, film
+
+FOLDER = Path(__file__).resolve().parents[1] / "deformscope" / "samples"
+FOAM = FOAMS[2]
+BLOCK = Block(width_m=0.25, height_m=0.07, thickness_m=0.10)
+CLAMP_M, DEEPEST_M, POSES = 0.03, 0.02, 5
+NOISE_M = 1e-4
+SPACING_M = 0.02
+SQUEEZES = 100
+SMALL = ("tactile", "vision_small", "physical")
+"""Of the modalities of a squeeze those of up to 121 numbers."""
+
+
+def pushed() -> list[PressedBlock]:
+    """The block of foam at each depth of the clamp."""
+    depths = np.linspace(0.0, DEEPEST_M, POSES + 1)[1:]
+    return press(FOAM.law(), BLOCK, CLAMP_M, depths.tolist())
+
+
+def pair() -> bytes:
+    """The foam's particles before and after the push, seen with noise, and the force."""
+    last = pushed()[-1]
+    columns, rows = np.linspace(-0.07, 0.07, 15), np.linspace(0.0, BLOCK.height_m, 8)
+    rest = np.stack(np.meshgrid(rows, columns, indexing="ij")[::-1], axis=-1).reshape(-1, 2)
+    contact = np.flatnonzero((rest[:, 1] == BLOCK.height_m) & (np.abs(rest[:, 0]) <= 0.5 * CLAMP_M))
+    held = np.union1d(np.flatnonzero(rest[:, 1] == 0.0), contact)
+    noise = np.random.default_rng(0).normal(0.0, NOISE_M, rest.shape)
+    noise[held] = 0.0
+    deformed = rest + last.at(rest) + noise
+    return arrays(
+        rest=rest, deformed=deformed, held=held, contact=contact, force_n=last.force_n, noise_m=NOISE_M, shape=(8, 15)
+    )
+
+
+def poke() -> bytes:
+    """The surface of a slab of foam, 40 kPa and 5 cm thick, before and while a flat tip presses it, and the force."""
+    slab = Slab((0.4, 0.3, 0.05), 40e3, 0.3)
+    at, side, force_n = (0.12, 0.12), 0.03, 6.0
+    rest = slab.grid(SPACING_M)
+    dent = press_slab(slab, at, RigidTip((0.5 * side, 0.5 * side)), rest, force=force_n)
+    contact = np.flatnonzero(dent.touched)
+    noise = np.random.default_rng(0).normal(0.0, NOISE_M, rest.shape)
+    noise[contact] = 0.0
+    pressed = {"held": contact, "contact": contact, "force_n": force_n, "noise_m": NOISE_M}
+    tip = {"tip": "flat", "tip_size_m": (side, side), "tip_at_m": (*at, slab.size[2])}
+    return arrays(rest=rest, deformed=rest + dent.displaced + noise, **pressed, **tip)
+
+
+def video() -> bytes:
+    """What a camera sees of the push."""
+    view = View(width=810, height=430, middle_px=405.0, top_px=50.0, px_per_m=5000.0)
+    images = list(film(pushed(), BLOCK, CLAMP_M, view).images())
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "video.mp4"
+        writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), 3.0, (view.width, view.height))
+        for image in images:
+            writer.write(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR))
+        writer.release()
+        return path.read_bytes()
+
+
+def squeezes() -> bytes:
+    """A table of simulated squeezes of boxes with five contents."""
+    from deformscope.processes import in_processes
+    from deformscope.stages.squeeze.table import LabelledTable
+    from deformscope.studies.containers import run_squeeze, squeeze_jobs
+
+    jobs = squeeze_jobs(Path(), SQUEEZES, cylinders=0, whole=0, seed=0)
+    rows = [row for _, row in sorted(in_processes(run_squeeze, jobs)) if row.entry.discarded is None]
+    label, group, trial = (
+        np.array([getattr(row.entry, name) for row in rows]) for name in ("content", "container", "trial")
+    )
+    widths = {name: next(len(row.features[name]) for row in rows if name in row.features) for name in SMALL}
+    found = {
+        name: np.stack([row.features.get(name, np.full(width, np.nan)) for row in rows]).astype(np.float32)
+        for name, width in widths.items()
+    }
+    LabelledTable(label, group, found)  # raises where they do not fit together
+    return arrays(label=label, group=group, trial=trial, **found)
+
+
+def arrays(**named: object) -> bytes:
+    file = io.BytesIO()
+    np.savez_compressed(file, allow_pickle=False, **{name: np.asarray(one) for name, one in named.items()})
+    return file.getvalue()
+
+
+MAKE: dict[str, tuple[str, Callable[[], bytes]]] = {
+    "pair": (".npz", pair),
+    "poke": (".npz", poke),
+    "video": (".mp4", video),
+    "squeezes": (".npz", squeezes),
+}
+
+
+def main() -> None:
+    for name in sys.argv[1:] or MAKE:
+        suffix, make = MAKE[name]
+        path = FOLDER / name / f"{name}{suffix}"
+        path.parent.mkdir(exist_ok=True)
+        with replacing(path) as file:
+            file.write(make())
+        print(f"{path}: {path.stat().st_size / 1e3:.0f} kB")
+
+
+if __name__ == "__main__":
+    main()
