@@ -128,7 +128,7 @@ def calibrate(
     value = float(fit.tried.parameter[best])
     ends = inferred.posterior.shortest(options.level, value)
     used["noise"] = inferred.noise
-    used["noise_source"] = noise_source(seen)
+    source = used["noise_source"] = noise_source(seen)
     comparisons = tuple(
         Comparison(s.rest, s.deformed, p[best], s.observed, s.held, s.unit)
         for s, p in zip(seen, fit.tried.positions, strict=True)
@@ -141,11 +141,8 @@ def calibrate(
     converged = inferred.converged and bool(fit.tried.converged[supported].all())
     identified = identifiability(seen, comparisons, inferred)
     ratio = residual_ratio(seen, [c.simulated for c in comparisons], inference.floor)
-    noise = ratio, inferred.noise
-    source = noise_source(seen)
-    numbers = found_in_numbers(
-        model.parameter, value, ends, bounds, identified, converged=converged, noise=noise, source=source
-    )
+    noise = ratio, inferred.noise, source
+    numbers = found_in_numbers(model.parameter, value, ends, bounds, identified, converged=converged, noise=noise)
     shown = [*shape_doubts(seen), *(_in_residuals(judged, best, inference) if pace is None and converged else ())]
     shown += either if "two-materials" not in (one.code for one in shown) else []
     here = [setting(seen, model, identified.misfit, inferred.noise)] if model.parameter == "theta" else []

@@ -70,15 +70,14 @@ def found_in_numbers(
     identifiability: Identifiability,
     *,
     converged: bool,
-    noise: tuple[float | None, float | None] = (None, None),
-    source: NoiseSource = "given",
+    noise: tuple[float | None, float | None, NoiseSource] = (None, None, "residuals"),
 ) -> list[Doubt]:
     """What the numbers of a fit within its bounds show.
 
-    noise: size of the residuals in units of the noise that was stated, if it was; and the noise that they show [unit],
-    where it is known apart from a misfit; source: of the stated noise
+    noise: size of the residuals in units of the noise that is known, if it is; the noise that they show [unit], where
+    it is known apart from a misfit; and where the known noise is from
     """
-    ratio, shown = noise
+    ratio, shown, source = noise
     left_is_noise = shown is not None and identifiability.misfit < shown if ratio is None else ratio < LIKE_NOISE
     return [
         *not_converged(converged),

@@ -335,11 +335,8 @@ class _Joint:
         identified = identifiability(self.seen, comparisons, inferred)
         simulated = [c.simulated for c in comparisons]
         ratio = residual_ratio(self.seen, simulated, max(part.measured.floor for part in self.parts))
-        noise = ratio, inferred.noise
-        source = noise_source(self.seen)
-        numbers = found_in_numbers(
-            name, value, ends, bounds, identified, converged=self.converged, noise=noise, source=source
-        )
+        noise = ratio, inferred.noise, noise_source(self.seen)
+        numbers = found_in_numbers(name, value, ends, bounds, identified, converged=self.converged, noise=noise)
         here = [setting(self.seen, options.model, identified.misfit, inferred.noise)] if name == "theta" else []
         reasons = ordered([*numbers, *doubts, *here])
         free = np.concatenate(

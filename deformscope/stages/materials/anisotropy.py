@@ -221,9 +221,8 @@ class _AxisFit:
         found = []
         for at, (low, high), one in zip(best.at, ends, identifiability, strict=True):
             beta, own = float(-np.expm1(-at)), (float(low), float(high))
-            numbers = found_in_numbers(
-                "beta", beta, own, limits, one, converged=converged, noise=(ratio, None), source=noise_source(self.seen)
-            )
+            noise = ratio, None, noise_source(self.seen)
+            numbers = found_in_numbers("beta", beta, own, limits, one, converged=converged, noise=noise)
             found.append(ordered([*numbers, *common]))
         return tuple(found)
 
