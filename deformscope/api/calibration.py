@@ -67,8 +67,9 @@ FLOW_S_PER_PX = 3e-6
 """Flow both ways between two frames takes about so long on two cores [s/px]: 0.9 s at 640x480."""
 FOLLOWED_S, FEWEST_FRAMES = 45.0, 16
 """Frames of a long sequence are followed for so long, but no fewer than these; the fit takes the rest of a minute."""
-LAYERS_S, MOST_PARTICLES = 2.7e-4, 8000
-"""A fit of layers takes about so long for each particle to the power 4 / 3 [s], and has so many by default."""
+LAYERS_S, MOST_PARTICLES = 9e-5, 8000
+"""A fit of layers takes about so long for each cluster size and particle to the power 4 / 3 [s], and has so many
+particles by default."""
 FLAT_SURFACE = "note: a flat surface by itself hardly feels beta; --thickness-m fits the material below it"
 
 
@@ -607,12 +608,11 @@ def calibrate_pair_bytes(
     if layers is None and any(one.rest.shape[1] == 3 and rank(one.rest) == 2 for one in seen):
         note(FLAT_SURFACE)
 
-    def said(particles: int, spacing_m: float, finest_m: float) -> None:
-        if (seconds := LAYERS_S * particles ** (4 / 3)) > 10.0:
-            words = (
-                f"a lattice of {particles} particles, {1e3 * spacing_m:.2g} mm apart, takes about {_minutes(seconds)}"
-            )
-            finer = f"; with --fine, {1e3 * finest_m:.2g} mm" if spacing_m > finest_m else ""
+    def say_before(particles: int, spacing_m: float, finest_m: float) -> None:
+        sizes = 3 if layers is None or layers.cluster_size is None else 1
+        if (seconds := LAYERS_S * sizes * particles ** (4 / 3)) > 10.0:
+            words = f"{particles} particles, {1e3 * spacing_m:.2g} mm apart: the fit takes about {_minutes(seconds)}"
+            finer = f"; --fine sets them {1e3 * finest_m:.2g} mm apart" if spacing_m > finest_m else ""
             note(f"{words} on two cores{finer}")
 
     names = [name for name, _ in raws]
@@ -624,9 +624,8 @@ def calibrate_pair_bytes(
         found: list[Calibration] = []
         if layers is not None:
             provenance = {"deformscope": __version__, "sources": names, "layers": settings["layers"]}
-            pokes = run(
-                (), poke_files(seen, fit, layers, provenance=provenance, progress=progress, note=said), recorder
-            )
+            experiment = poke_files(seen, fit, layers, provenance=provenance, progress=progress, note=say_before)
+            pokes = run((), experiment, recorder)
         else:
             found = run((), pair_files(seen, fit, joint=joint, progress=progress), recorder)
 

@@ -52,11 +52,10 @@ def poke_files(
                 "pokes of one surface", f"one at ({poke.at[0]:.3g}, {poke.at[1]:.3g}) m, beside the first file's points"
             )
         check_poke(surface.points, surface.thickness, poke.depth, poke.tip.width)
-    spacing, used = layers.spacing_m, dict[str, object]()
-    if spacing is None and layers.most_particles is not None:
-        spacing, finest, count = spacing_for(surface, pokes, layers.most_particles)
-        used = {"finest_spacing_m": finest} if spacing > finest else {}
-        note(count, spacing, finest)
+    most = np.inf if layers.most_particles is None or layers.spacing_m is not None else layers.most_particles
+    spacing, finest, count = spacing_for(surface, pokes, layers.spacing_m, most)
+    used = {"finest_spacing_m": finest} if spacing > finest else {}
+    note(count, spacing, finest)
     found = fit_pokes(
         surface,
         pokes,

@@ -164,11 +164,12 @@ def default_spacing(surface: MeasuredSurface, tip: Tip) -> float:
     return max(tip.width / CELLS_ACROSS_TIP, surface.thickness / 30.0)
 
 
-def spacing_for(surface: MeasuredSurface, pokes: Sequence[SeenPoke], most: int) -> tuple[float, float, int]:
-    """The spacing of the lattice [m] for which all that shapes are fitted to have so many particles at most, two cells
-    across the tip at least; the default one; how many particles there are."""
-    tip = min((poke.tip for poke in pokes), key=lambda one: one.width)
-    finest = default_spacing(surface, tip)
+def spacing_for(
+    surface: MeasuredSurface, pokes: Sequence[SeenPoke], wished: float | None, most: float
+) -> tuple[float, float, int]:
+    """The spacing of the lattice [m] for which all that shapes are fitted to has so many particles at most, twice the
+    finest at most; the finest: what is wished, or the default; how many particles there are."""
+    finest = wished or default_spacing(surface, min((poke.tip for poke in pokes), key=lambda one: one.width))
     for cells in range(CELLS_ACROSS_TIP, 1, -1):
         spacing = finest * CELLS_ACROSS_TIP / cells
         scenes = [scene_below(surface, pokes[i].at, pokes[i].tip, spacing, FIRST_SIZES[0])[0] for i in _spread(pokes)]
