@@ -67,7 +67,7 @@ FLOW_S_PER_PX = 3e-6
 """Flow both ways between two frames takes about so long on two cores [s/px]: 0.9 s at 640x480."""
 FOLLOWED_S, FEWEST_FRAMES = 45.0, 16
 """Frames of a long sequence are followed for so long, but no fewer than these; the fit takes the rest of a minute."""
-LAYERS_S, MOST_PARTICLES = 9e-5, 8000
+LAYERS_S, MOST_PARTICLES = 9e-5, 11_000
 """A fit of layers takes about so long for each cluster size and particle to the power 4 / 3 [s], and has so many
 particles by default."""
 FLAT_SURFACE = "note: a flat surface by itself hardly feels beta; --thickness-m fits the material below it"
