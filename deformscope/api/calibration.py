@@ -379,13 +379,13 @@ def _minutes(seconds: float) -> str:
     return f"{max(seconds, 10.0):.0f} s" if seconds < 90.0 else f"{seconds / 60.0:.0f} min"
 
 
-def _thinned(source: Source, particles: ParticleOptions, fine: bool, note: Note) -> ParticleOptions:
+def _thinned(source: Source, particles: ParticleOptions, every: bool, note: Note) -> ParticleOptions:
     """A long sequence is followed in as many frames as take about a minute, unless all are asked for; what takes long
     says so before it begins."""
     each_s, count = FLOW_S_PER_PX * float(np.prod(source.size)), source.count or 0
     if count <= (most := max(FEWEST_FRAMES, round(FOLLOWED_S / each_s))):
         return particles
-    if fine:
+    if every:
         note(f"{count} frames are followed, which takes about {_minutes(count * each_s)} on two cores")
         return particles
     source.thin(most)
@@ -502,8 +502,8 @@ def calibrate_images(
     opened = _given_images(given, images) if given else opened_images(sources, images)
     with opened as source:
         mask = mask_of(sources, images, source.size)
-        if motion is None and images.stride == 1:
-            particles = _thinned(source, particles, fine, note)
+        every = fine or motion is not None or images.stride != 1
+        particles = _thinned(source, particles, every, note)
         return run_images(source, mask, fit, particles, settings, output, motion, progress)
 
 

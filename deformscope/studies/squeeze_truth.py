@@ -279,12 +279,11 @@ def truth_rows(every: Sequence[Numbers]) -> list[tuple[str, str]]:
     words = f"{np.mean(depth <= noise):.1%} within the noise of a pixel ({np.nanmean(noise):.2f} mm): root mean square "
     words += f"{np.nanmean(depth):.2f} mm, largest {np.nanmax(depth):.2f}; mean {np.nanmean(mean):+.2f} mm"
     rows.append(("change of depth", words))
-    off, known = (int(np.nansum(numbers_of(squeezed, name))) for name in ("depth_off", "depth_known"))
-    worst, made_up, missing = (
-        numbers_of(squeezed, name) for name in ("depth_worst", "depth_filled_worst", "depth_missing")
+    far, known, worst, filled_worst, missing = (
+        numbers_of(squeezed, f"depth_{name}") for name in ("off", "known", "worst", "filled_worst", "missing")
     )
-    words = f"{off} of {known} values; largest measured {np.nanmax(worst):.1f}, filled in {np.nanmax(made_up):.1f}; "
-    words += f"{np.nanmean(missing):.0%} missing"
+    words = f"{np.nansum(far):.0f} of {np.nansum(known):.0f} values; largest measured {np.nanmax(worst):.1f}, "
+    words += f"filled in {np.nanmax(filled_worst):.1f}; {np.nanmean(missing):.0%} missing"
     rows.append((f"off by {OFF:g} times the stated noise", words))
     names = {"": "tracks", "wrong_": "tracks, model 15 % too large", "hidden_": "tracks, lower half hidden"}
     for start, name in names.items():

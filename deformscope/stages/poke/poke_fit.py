@@ -170,13 +170,14 @@ def spacing_for(
     """The spacing of the lattice [m] for which all that shapes are fitted to has so many particles at most, twice the
     finest at most; the finest: what is wished, or the default; how many particles there are."""
     finest = wished or default_spacing(surface, min((poke.tip for poke in pokes), key=lambda one: one.width))
-    for cells in range(CELLS_ACROSS_TIP, 1, -1):
-        spacing = finest * CELLS_ACROSS_TIP / cells
-        scenes = [scene_below(surface, pokes[i].at, pokes[i].tip, spacing, FIRST_SIZES[0])[0] for i in _spread(pokes)]
-        count = sum(len(one.rest) for one in scenes)
-        if count <= most:
-            break
-    return spacing, finest, count
+
+    def count(spacing: float) -> int:
+        chosen = (pokes[place] for place in _spread(pokes))
+        return sum(len(scene_below(surface, one.at, one.tip, spacing, FIRST_SIZES[0])[0].rest) for one in chosen)
+
+    spacings = [finest * CELLS_ACROSS_TIP / cells for cells in range(CELLS_ACROSS_TIP, 1, -1)]
+    spacing = next((one for one in spacings if count(one) <= most), spacings[-1])
+    return spacing, finest, count(spacing)
 
 
 class PosedPoke:
