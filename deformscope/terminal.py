@@ -89,6 +89,7 @@ def fit_progress() -> Iterator[Progress]:
     where = Console(stderr=True, highlight=False)
     said = time.monotonic()
     with Bars(console=where, transient=True, disable=not where.is_terminal) as bars:
+        began: dict[str, tuple[float, int]] = {}
         tasks: dict[str, TaskID] = {}
 
         def note(what: str, done: int, total: int) -> None:
@@ -99,9 +100,13 @@ def fit_progress() -> Iterator[Progress]:
                     bars.update(earlier, visible=False)
                 tasks[what] = bars.add_task(what, total=total or None)
                 said = time.monotonic()
+                began[what] = said, done
             bars.update(tasks[what], completed=done, total=total)
             if not where.is_terminal and time.monotonic() - said > SAY_EVERY_S:
                 said = time.monotonic()
-                where.print(f"{what}: {done} of {total or 'an unknown number'}", markup=False)
+                (since, first), left = began[what], ""
+                if total and done > first:
+                    left = f", some {(said - since) / (done - first) * (total - done):.0f} s left"
+                where.print(f"{what}: {done} of {total or 'an unknown number'}{left}", markup=False)
 
         yield note

@@ -64,6 +64,13 @@ CalibrationSource: TypeAlias = str | Path | PairArrays | Sequence[str] | Sequenc
 """A video, a folder of frames, a recording, `sample:NAME` or a pair file; image files or images (H, W[, 3]) in their
 order; or a pair as arrays."""
 
+FLOW_S_PER_PX = 3e-6
+"""Flow both ways between two frames takes about so long on two cores [s/px]: 0.9 s at 640x480."""
+FOLLOWED_S, FEWEST_FRAMES = 45.0, 16
+"""Frames of a long sequence are followed for so long, but no fewer than these; the fit takes the rest of a minute."""
+LAYERS_S, MOST_PARTICLES = 9e-5, 11_000
+"""A fit of layers takes about so long for each cluster size and particle to the power 4 / 3 [s], and has so many
+particles by default."""
 FLAT_SURFACE = "note: a flat surface by itself hardly feels beta; --thickness-m fits the material below it"
 
 
@@ -184,7 +191,8 @@ class CalibrationOptions(TypedDict, total=False):
     grid: rows and columns of particles; held: parts whose motion is prescribed
     mode: how a cluster may deform; candidates: values that a sweep tries; level: of the interval
     at: a value of the parameter whose error is reported as well
-    noise_px, noise_m: deviation of a measured position; volume: how theta conserves it
+    noise_px, noise_m: deviation of a measured position; fine: every frame of a long sequence and the finest lattice
+    below a surface, not what takes about a minute; volume: how theta conserves it
     record: a recording to make (.rrd); viewer: default none
     progress: called with what is done, how much of it, and of how much; default: shown on stderr where that is a
     terminal or a notebook; True: always, False: never
@@ -209,6 +217,7 @@ class CalibrationOptions(TypedDict, total=False):
     at: float
     noise_px: float
     noise_m: float
+    fine: bool
     volume: Literal["scale", "project"]
     device: Literal["auto", "cpu", "cuda"]
     seed: int
@@ -365,7 +374,28 @@ def calibrate(
     if motion is not None and {"alpha", "dt"} & set(motion.select) and not rated:
         raise InputError("--fps with --select alpha or dt", "images that do not say their rate", "--fps 30")
     particles = particle_options(images, search.noise_px)
-    return [calibrate_images(sources, fit, particles, images, output, motion, given, progress)]  # type: ignore[arg-type]
+    return [calibrate_images(sources, fit, particles, images, output, motion, given, progress, note, search.fine)]  # type: ignore[arg-type]
+
+
+def _minutes(seconds: float) -> str:
+    return f"{max(seconds, 10.0):.0f} s" if seconds < 90.0 else f"{seconds / 60.0:.0f} min"
+
+
+def _thinned(source: Source, particles: ParticleOptions, every: bool, note: Note) -> ParticleOptions:
+    """A long sequence is followed in as many frames as take about a minute, unless all are asked for; what takes long
+    says so before it begins."""
+    each_s, count = FLOW_S_PER_PX * float(np.prod(source.size)), source.count or 0
+    if count <= (most := max(FEWEST_FRAMES, round(FOLLOWED_S / each_s))):
+        return particles
+    if every:
+        note(f"{count} frames are followed, which takes about {_minutes(count * each_s)} on two cores")
+        return particles
+    source.thin(most)
+    note(
+        f"{most} of {count} frames are followed, evenly spread, in about {_minutes(most * each_s)} on two cores; "
+        f"--fine follows all of them, in about {_minutes(count * each_s)}"
+    )
+    return dataclasses.replace(particles, frames_of=count)
 
 
 def fit_options(config: BetaConfig | ThetaConfig) -> FitOptions:
@@ -409,7 +439,8 @@ def _motion(config: BetaConfig | ThetaConfig) -> MotionOptions | None:
 def _layers(config: BetaConfig | ThetaConfig) -> LayersOptions | None:
     if not isinstance(config, BetaConfig) or config.layers.thickness_m is None:
         return None
-    return LayersOptions(config.layers.thickness_m, config.layers.spacing_m, config.cluster_size, config.theta)
+    flags, most = config.layers, None if config.search.fine else MOST_PARTICLES
+    return LayersOptions(config.layers.thickness_m, flags.spacing_m, config.cluster_size, config.theta, most)
 
 
 def _pair_bytes(pair: PairArrays) -> bytes:
@@ -461,8 +492,11 @@ def calibrate_images(
     motion: MotionOptions | None = None,
     given: Sequence[ImageArray] = (),
     progress: Progress | None = None,
+    note: Note = log_note,
+    fine: bool = False,
 ) -> CalibrationResult:
-    """Fit a sequence of files, or of the images given, and record it where asked. motion: all frames are fitted"""
+    """Fit a sequence of files, or of the images given, and record it where asked. motion: all frames are fitted; fine:
+    all are followed, also where that takes long"""
     masked = images.mask is not None or images.outline is not None
     settings = {"sources": list(sources), "stride": images.stride, "fps": images.fps, "mask": masked}
     settings |= {"camera": images.camera} if images.camera is not None else {}
@@ -470,6 +504,8 @@ def calibrate_images(
     opened = _given_images(given, images) if given else opened_images(sources, images)
     with opened as source:
         mask = mask_of(sources, images, source.size)
+        every = fine or motion is not None or images.stride != 1
+        particles = _thinned(source, particles, every, note)
         return run_images(source, mask, fit, particles, settings, output, motion, progress)
 
 
@@ -573,6 +609,14 @@ def calibrate_pair_bytes(
         note(remark)
     if layers is None and any(one.rest.shape[1] == 3 and rank(one.rest) == 2 for one in seen):
         note(FLAT_SURFACE)
+
+    def say_before(particles: int, spacing_m: float, finest_m: float) -> None:
+        sizes = 3 if layers is None or layers.cluster_size is None else 1
+        if (seconds := LAYERS_S * sizes * particles ** (4 / 3)) > 10.0:
+            words = f"{particles} particles, {1e3 * spacing_m:.2g} mm apart: the fit takes about {_minutes(seconds)}"
+            finer = f"; --fine sets them {1e3 * finest_m:.2g} mm apart" if spacing_m > finest_m else ""
+            note(f"{words} on two cores{finer}")
+
     names = [name for name, _ in raws]
     settings: dict[str, Any] = {"sources": names, "noise_m": noise_m, "joint": joint, "fit": dataclasses.asdict(fit)}
     if layers is not None:
@@ -582,7 +626,8 @@ def calibrate_pair_bytes(
         found: list[Calibration] = []
         if layers is not None:
             provenance = {"deformscope": __version__, "sources": names, "layers": settings["layers"]}
-            pokes = run((), poke_files(seen, fit, layers, provenance=provenance, progress=progress), recorder)
+            experiment = poke_files(seen, fit, layers, provenance=provenance, progress=progress, note=say_before)
+            pokes = run((), experiment, recorder)
         else:
             found = run((), pair_files(seen, fit, joint=joint, progress=progress), recorder)
 

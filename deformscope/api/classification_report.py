@@ -127,17 +127,17 @@ def _sections(
 PROTOCOL_WORDS = (
     "Scaling, principal components, classifiers, calibration and fusion are learned inside the training side of each "
     "split (70 %). Random splits are the thesis's; splits by group leave whole containers or sessions out, which is "
-    "what a new container asks for. Intervals allow for trials that splits share (Nadeau and Bengio 2003) and are no "
-    "narrower than Wilson's for the number of trials, or groups. knn and qda use the components that hold 80 % of the "
-    "variance; knn-raw, qda-raw and linear all of them. pooled weighs all of these, calibrated on training trials left "
-    "out."
+    "what a new container asks for. Intervals are Wilson's for as many trials as are independent: fewer since splits "
+    "share them (Nadeau and Bengio 2003), and where trials of a group may err together. knn and qda use the components "
+    "that hold 80 % of the variance; knn-raw, qda-raw and linear all of them. pooled weighs all of these, calibrated "
+    "on training trials left out."
 )
 CONFUSION_WORDS = (
     "Each row adds up to 100 % and holds what the trials of one content were named, with Wilson's interval below where "
     "classes are few."
 )
 TRANSFER_WORDS = (
-    "All trials of one kind train, all of the other test; the intervals are Wilson's for the groups tested."
+    "All trials of one kind train, all of the other test; trials of a group count as fewer in the intervals."
 )
 CALIBRATION_WORDS = (
     "Of the answers of a probability of 80 %, 80 % should be right. The band holds a perfectly calibrated classifier, "

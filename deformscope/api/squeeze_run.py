@@ -352,6 +352,7 @@ def _found(
         result["features"] = {name: len(values) for name, values in computed.modalities.items()}
         result["physical"] = dict(zip(PHYSICAL, features.physical.tolist(), strict=True))
         result |= {"vision_missing": features.missing, "vision_reason": features.reason}
+        result["vision_noise_m"] = features.noise_m
         result["patch_width_m"] = features.patch_width_m
     if posterior is not None:
         result |= {"named": posterior.content, "named_by": posterior.modality}

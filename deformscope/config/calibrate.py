@@ -33,6 +33,9 @@ class SearchOptions(Flags):
     """Standard deviation of a measured position [m]; default: what the pair file says."""
     joint: bool = False
     """Fit one value to all pairs together."""
+    fine: bool = False
+    """Follow every frame of a long sequence, and take the finest lattice below a surface. Default: what takes about a
+    minute on two cores, which is stated; short sequences and small lattices are the same either way."""
     volume: Literal["scale", "project"] = "scale"
     """How theta conserves volume: as Thesis eq. 3.17, or by a projection that stays stable in overlapping clusters."""
     device: flags.Device = "auto"

@@ -26,7 +26,8 @@ FRAMES_AT_ONCE = 256
 
 @dataclass(frozen=True, slots=True)
 class ParticleOptions:
-    """How an image becomes particles. roi, contact: x, y, width, height [px]; grid: rows, columns."""
+    """How an image becomes particles. roi, contact: x, y, width, height [px]; grid: rows, columns. frames_of: how many
+    the sequence has, of which some are followed; None = all are"""
 
     roi: tuple[float, float, float, float] | None = None
     grid: tuple[int, int] | None = None
@@ -36,6 +37,7 @@ class ParticleOptions:
     flow: FlowMethod = "dis"
     px_per_cm: float | None = None
     noise_px: float | None = None
+    frames_of: int | None = None
 
     @property
     def roi_rect(self) -> Rect | None:
@@ -74,6 +76,7 @@ def last_pose(
     seen = observe(grid, history[-1], held, particles)
     used: dict[str, object] = {
         "frames": len(history),
+        **({} if particles.frames_of is None else {"frames_of": particles.frames_of}),
         "particles": len(grid.rest_px),
         "lost": int(np.count_nonzero(~history[-1].seen)),
         "held": len(seen.held),

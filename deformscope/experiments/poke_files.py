@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,18 +14,20 @@ from deformscope.stages.fit.plausible import check_poke
 from deformscope.stages.fit.search import Progress
 from deformscope.stages.poke.layers import MeasuredSurface
 from deformscope.stages.poke.poke_estimate import PokesFound, conclude
-from deformscope.stages.poke.poke_fit import fit_pokes, seen_poke
+from deformscope.stages.poke.poke_fit import fit_pokes, seen_poke, spacing_for
 
 
 @dataclass(frozen=True, slots=True)
 class LayersOptions:
     """The material below the surface: its thickness [m], and what is to be found unless it is given: spacing of the
-    lattice [m], cluster size, theta."""
+    lattice [m], cluster size, theta. most_particles: of the lattice, whose default spacing is coarser where it would
+    have more; None = any number"""
 
     thickness_m: float
     spacing_m: float | None = None
     cluster_size: int | None = None
     theta: float | None = None
+    most_particles: int | None = None
 
 
 def poke_files(
@@ -35,8 +37,12 @@ def poke_files(
     *,
     provenance: Mapping[str, object],
     progress: Progress | None = None,
+    note: Callable[[int, float, float], None] = lambda particles, spacing_m, finest_m: None,
 ) -> Experiment[PokesFound]:
-    """Fit all pokes of one surface together. Each poke is one place on the `frame` timeline."""
+    """Fit all pokes of one surface together. Each poke is one place on the `frame` timeline.
+
+    note: called before the fit with the lattice's particles, its spacing, and the one it has without `most_particles`
+    """
     yield Step()
     surface = MeasuredSurface(seen[0].rest, layers.thickness_m)
     pokes = [seen_poke(one) for one in seen]
@@ -46,17 +52,23 @@ def poke_files(
                 "pokes of one surface", f"one at ({poke.at[0]:.3g}, {poke.at[1]:.3g}) m, beside the first file's points"
             )
         check_poke(surface.points, surface.thickness, poke.depth, poke.tip.width)
+    most = np.inf if layers.most_particles is None or layers.spacing_m is not None else layers.most_particles
+    spacing, finest, count = spacing_for(surface, pokes, layers.spacing_m, most)
+    used = {"finest_spacing_m": finest} if spacing > finest else {}
+    note(count, spacing, finest)
     found = fit_pokes(
         surface,
         pokes,
-        spacing=layers.spacing_m,
+        spacing=spacing,
         cluster_sizes=None if layers.cluster_size is None else [layers.cluster_size],
         beta_range=fit.bounds,
         theta=layers.theta,
         device=fit.model.device,
         progress=progress,
     )
-    concluded = conclude(found, level=fit.level, settings={"pairs": len(seen)}, provenance=provenance)
+    if progress is not None:
+        progress("interval", 0, 1)
+    concluded = conclude(found, level=fit.level, settings={"pairs": len(seen), **used}, provenance=provenance)
     for index, comparison in enumerate(concluded.comparisons):
         yield Step((comparison,), frame=int(np.asarray(found.shaped)[index]))
     yield Step((concluded.estimate,), frame=len(seen) - 1)

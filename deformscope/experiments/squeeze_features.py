@@ -27,7 +27,7 @@ from deformscope.stages.see.cloud import Intrinsics
 from deformscope.stages.squeeze.container import ContainerModel, ModelRenderer
 from deformscope.stages.squeeze.events import SqueezeEvents
 from deformscope.stages.squeeze.outline import outline_px
-from deformscope.stages.squeeze.patch import DepthChange, around, depth_change, filled, hand_pixels
+from deformscope.stages.squeeze.patch import DepthChange, around, depth_change, filled, hand_pixels, median_of
 from deformscope.stages.squeeze.physical import physical_features
 from deformscope.stages.squeeze.tactile import series_of, tactile_feature
 from deformscope.stages.squeeze.track import PoseEstimate, locate, track
@@ -132,7 +132,7 @@ class TrialFeatures:
 
     @property
     def modalities(self) -> dict[str, FloatArray]:
-        """As classifiers take them: in the depth change, a missing pixel has the value of the nearest measured one."""
+        """As classifiers take them: missing pixels of the depth change as in `patch.filled`."""
         found = {"tactile": self.features.tactile, "physical": self.features.physical}
         if self.features.vision is not None and self.features.vision_small is not None:
             found["vision"] = filled(self.features.vision).ravel()
@@ -237,6 +237,11 @@ class _Seen:
         at = max(int(np.searchsorted(self._hand_ns, when_ns, side="right")) - 1, 0)
         return np.asarray(self._hands[at].position_deg, np.float64)
 
+    def closed_m(self, since_ns: int, when_ns: int) -> float:
+        """By how much the fingertips have come closer between two times."""
+        before, now = (gap_m(self.angles(one), self._fingers) for one in (since_ns, when_ns))
+        return max(before - now, 0.0)
+
     def links(self, when_ns: int) -> list[Capsule]:
         """Fingers and palm, camera frame."""
         angles, found = self.angles(when_ns), []
@@ -259,13 +264,7 @@ class _Seen:
         """(H, W) of images taken together [m], nan where nothing was seen in any of them."""
         depths = np.stack([depth_m(one.depth.astype(np.uint16, copy=False), one.unit_m) for one in images])
         depths = np.where(depths > 0.0, depths, np.nan).astype(np.float64)
-        if len(depths) == 1:
-            return np.asarray(depths[0])
-        ranked = np.sort(depths, axis=0)  # nan last
-        count = np.isfinite(ranked).sum(axis=0)
-        low, high = np.maximum((count - 1) // 2, 0), np.maximum(count // 2, 0)
-        pick = [np.take_along_axis(ranked, np.minimum(at, len(depths) - 1)[None], axis=0)[0] for at in (low, high)]
-        return np.where(count > 0, 0.5 * (pick[0] + pick[1]), np.nan)
+        return median_of(depths)
 
     def excluded(self, depth: FloatArray, when_ns: int, dent: bool) -> BoolArray:
         """(H, W) pixels of the hand, and of the dent of the nearer finger."""
@@ -318,8 +317,14 @@ def _with_vision(
         return TrialFeatures(events, features, tuple(tracked), tuple(poses), _small_series(small, events))
 
     def changed(depth: FloatArray, when_ns: int, pose: PoseEstimate) -> DepthChange:
-        covered = hand_pixels(depth, seen.camera, seen.links(when_ns))
-        change = depth_change(renderer, pose.T_camera_container, depth, seen.fingertip(when_ns), excluded=covered)
+        change = depth_change(
+            renderer,
+            pose.T_camera_container,
+            depth,
+            seen.fingertip(when_ns),
+            excluded=hand_pixels(depth, seen.camera, seen.links(when_ns)),
+            closed_m=seen.closed_m(events.first_interval_ns[0], when_ns),
+        )
         small.append((when_ns, filled(change.small_m).ravel()))
         return change
 
@@ -361,6 +366,7 @@ def _seen_features(features: SqueezeFeatures, change: DepthChange) -> SqueezeFea
         vision=change.change_m,
         vision_small=change.small_m,
         missing=change.missing,
+        noise_m=change.noise_m,
         patch_px=change.center_px,
         patch_width_m=change.width_m,
     )

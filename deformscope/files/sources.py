@@ -7,9 +7,11 @@ import itertools
 import math
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
+import numpy as np
 
 from deformscope.arrays import ImageArray
 from deformscope.errors import InputError
@@ -71,6 +73,17 @@ class Source:
             yield self._ahead.pop(0)
         if self._frames is not None:
             yield from self._frames
+
+    def thin(self, most: int) -> None:
+        """Give so many frames at most, evenly spread, the last one among them; two at least. Once it was entered."""
+        if self.count is None or self.count <= most or self._frames is None:
+            return
+        kept = np.unique(np.linspace(0, self.count - 1, max(most, 2)).round().astype(int)).tolist()
+        every = itertools.chain(self._ahead, self._frames)
+        chosen = (frame for place, frame in enumerate(every) if place in kept)
+        self.count = len(kept)
+        self._frames = (replace(frame, index=index) for index, frame in enumerate(chosen))
+        self._ahead = [next(self._frames)]
 
     @property
     def size(self) -> tuple[int, int]:

@@ -31,7 +31,7 @@ def depth_change_png(change_m: FloatArray, width_m: float, missing: float) -> by
         (length, _), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 0.45, 1)
         place = round(share_x * (width - length)), 15
         cv2.putText(words, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.45, INK, 1, cv2.LINE_AA)
-    about = f"{100 * width_m:.1f} cm wide; grey: finger, or not measured ({100 * missing:.0f} %)"
+    about = f"{100 * width_m:.1f} cm wide; grey: finger, outline, or not measured ({100 * missing:.0f} %)"
     cv2.putText(words, about, (4, 36), cv2.FONT_HERSHEY_SIMPLEX, 0.45, INK, 1, cv2.LINE_AA)
     gap = np.full((6, width, 3), BACKGROUND, np.uint8)
     return encode_png(np.concatenate([picture, gap, bar, words]))

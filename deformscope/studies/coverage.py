@@ -22,6 +22,7 @@ from deformscope.pictures.figures import canvas, png_of
 from deformscope.stages.fit.calibrate import Calibration, FitOptions, Model, Observation, calibrate
 from deformscope.stages.fit.estimate import DoubtCode, Estimate, Verdict
 from deformscope.stages.msm.clusters import held_mask
+from deformscope.stages.squeeze.intervals import wilson
 
 BOUNDS = (0.0, 0.99)
 SPACING_M = 0.01
@@ -276,12 +277,7 @@ class Rate:
 
     @property
     def band(self) -> tuple[float, float]:
-        if not self.cases:
-            return 0.0, 1.0
-        z, n, p = 1.96, self.cases, self.rate
-        middle = (p + z**2 / (2 * n)) / (1 + z**2 / n)
-        half = z * np.sqrt(p * (1 - p) / n + z**2 / (4 * n**2)) / (1 + z**2 / n)
-        return float(middle - half), float(middle + half)
+        return wilson(self.rate, self.cases, 0.95)
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,10 +18,11 @@ from deformscope.experiments.squeeze_trial import row_of
 from deformscope.files.squeeze_dataset import TrialRow
 from deformscope.lab.container_setup import ContainerLab
 from deformscope.stages.see.cloud import Intrinsics
-from deformscope.stages.squeeze.container import ModelRenderer
+from deformscope.stages.squeeze.container import ContainerModel, ModelRenderer
 from deformscope.stages.squeeze.events import SqueezeEvents
-from deformscope.stages.squeeze.patch import SIDE_PX
+from deformscope.stages.squeeze.patch import SIDE_PX, filled
 from deformscope.stages.squeeze.track import PoseEstimate
+from deformscope.stages.squeeze.trial import SqueezeFeatures
 from deformscope.studies.containers import SqueezedTrial, SqueezeJob, squeeze_trial
 
 T = TypeVar("T")
@@ -31,6 +32,8 @@ LOST_SHARE = 0.1
 LOST_RUN = 5
 PERIODS, SHIFT_M, TURN_DEG = 2.0, 0.002, 1.0
 """An event, and a pose in the directions that are observed, may be off by so much."""
+OFF = 5.0
+"""A change of depth may be off by so many deviations of its stated noise."""
 LARGER = 1.15
 NEAR_MM = 500
 NAN = float("nan")
@@ -80,7 +83,9 @@ def squeeze_errors(job: SqueezeJob) -> tuple[TrialRow, Numbers]:
     first, steady: events less truth in sample periods of their device; the same with frames lost; held: 1 where the
     interval holds the truth. tracked, refused, used_off: images tracked, of these refused, and not refused but off
     shift_mm, turn_deg: largest of those not refused. depth_rms_mm, depth_mean_mm: measured change of depth less the
-    true one over the patch; noise_mm: of one pixel of the camera. wrong_..., hidden_...: as tracked, refused, used_off,
+    true one over the patch; noise_mm, depth_stated_mm: of one pixel of the camera, simulated and stated
+    depth_off: of depth_known values, measured or filled in, those off by more than OFF times the stated noise;
+    depth_worst, depth_filled_worst: largest, in that noise. wrong_..., hidden_...: as tracked, refused, used_off,
     where the model is 15 % larger than the container, and where something hides its lower half
     """
     simulated = SimulatedSqueeze()
@@ -206,22 +211,45 @@ def _depth_errors(trial: SqueezedTrial, found: TrialFeatures, simulated: Simulat
         return {"no_vision": features.reason}
     images = trial.frames.during(trial.frames.depth)
     at = simulated.at(next(frame_ns(one) for one in images if frame_ns(one) >= found.events.steady_ns))
-    now = simulated.T_hand_container[at]
-    hand = min(trial.frames.hands, key=lambda one: abs(frame_ns(one) - simulated.when_ns[at]))
-    exact = view.render(simulated.inward_m[at], now, np.asarray(hand.position_deg, np.float64)).depth_m
+    T_camera_container = np.linalg.inv(view.T_world_camera) @ simulated.T_hand_container[at]
     seen = view.intrinsics
     camera = Intrinsics((seen.fx_px, seen.fy_px), (seen.cx_px, seen.cy_px))
     offset = np.arange(SIDE_PX) - SIDE_PX // 2
     column, row = np.meshgrid(offset + int(features.patch_px[0]), offset + int(features.patch_px[1]))
-    model = ModelRenderer(container_model(trial.geometry.container), camera)
-    rigid = model.render(np.linalg.inv(view.T_world_camera) @ now, np.stack([column, row], axis=-1)).depth_m
-    error = features.vision - (exact[row, column] - rigid)
-    known = np.isfinite(error)
-    noise_m = view.config.noise_m + view.config.noise_per_m * float(np.median(exact[row, column][known])) ** 2
+    pixels = np.stack([column, row], axis=-1)
+    wall, rigid = (
+        ModelRenderer(model, camera).render(T_camera_container, pixels).depth_m
+        for model in (
+            ContainerModel(*view.mesh(simulated.inward_m[at])),
+            container_model(trial.geometry.container),
+        )
+    )
+    numbers = depth_errors(features, wall - rigid)
+    noise_m = view.config.noise_m + view.config.noise_per_m * float(np.nanmedian(wall)) ** 2
+    return numbers | {"noise_mm": 1e3 * noise_m}
+
+
+def depth_errors(features: SqueezeFeatures, change_m: FloatArray) -> Numbers:
+    """Of the measured values, and of all with those that were filled in, which have no noise of their own.
+
+    change_m: (61, 61) of the simulated wall, also behind the finger; NaN beside the container: a measured value there
+    is off
+    """
+    assert features.vision is not None
+    assert features.noise_m is not None
+    measured, known = np.isfinite(features.vision), np.isfinite(change_m)
+    error = np.where(known, filled(features.vision) - change_m, np.inf)
+    off = np.abs(error) / features.noise_m
+    both = measured & known
     return {
-        "depth_rms_mm": 1e3 * float(np.sqrt(np.mean(error[known] ** 2))),
-        "depth_mean_mm": 1e3 * float(error[known].mean()),
-        "noise_mm": 1e3 * noise_m,
+        "depth_rms_mm": 1e3 * float(np.sqrt(np.mean(error[both] ** 2))),
+        "depth_mean_mm": 1e3 * float(error[both].mean()),
+        "depth_stated_mm": 1e3 * features.noise_m,
+        "depth_missing": features.missing,
+        "depth_known": int((measured | known).sum()),
+        "depth_off": int((off > OFF)[measured | known].sum()),
+        "depth_worst": float(off[measured].max()),
+        "depth_filled_worst": float(off[known & ~measured].max(initial=0.0)),
     }
 
 
@@ -251,6 +279,12 @@ def truth_rows(every: Sequence[Numbers]) -> list[tuple[str, str]]:
     words = f"{np.mean(depth <= noise):.1%} within the noise of a pixel ({np.nanmean(noise):.2f} mm): root mean square "
     words += f"{np.nanmean(depth):.2f} mm, largest {np.nanmax(depth):.2f}; mean {np.nanmean(mean):+.2f} mm"
     rows.append(("change of depth", words))
+    far, known, worst, filled_worst, missing = (
+        numbers_of(squeezed, f"depth_{name}") for name in ("off", "known", "worst", "filled_worst", "missing")
+    )
+    words = f"{np.nansum(far):.0f} of {np.nansum(known):.0f} values; largest measured {np.nanmax(worst):.1f}, "
+    words += f"filled in {np.nanmax(filled_worst):.1f}; {np.nanmean(missing):.0%} missing"
+    rows.append((f"off by {OFF:g} times the stated noise", words))
     names = {"": "tracks", "wrong_": "tracks, model 15 % too large", "hidden_": "tracks, lower half hidden"}
     for start, name in names.items():
         tracked, refused, used = (

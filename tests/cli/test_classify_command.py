@@ -73,6 +73,7 @@ def test_the_json_is_the_public_list(folder: Path) -> None:
         confusion = np.array(one["confusion"])
         assert confusion.shape == (4, 4)
         assert one["interval"][0] <= one["accuracy"] <= one["interval"][1]
+        assert 1.0 < one["independent_trials"] < sum(one["tested_trials"])
         assert one["chance"] == pytest.approx(0.25, abs=0.02)
         if one["protocol"] == "stratified":
             assert np.trace(confusion) / confusion.sum() == pytest.approx(one["accuracy"], abs=0.01)

@@ -63,6 +63,8 @@ def test_a_recorded_squeeze_replays_to_the_last_bit(
     assert found["limits_restored"]
     assert found["features"] == {"tactile": 72, "physical": 13, "vision": 3721, "vision_small": 121}
     assert found["vision_reason"] == ""
+    assert 0.2 < found["vision_missing"] < 0.8
+    assert 0.001 < found["vision_noise_m"] < 0.004
     low, high = found["events"]["first_interval_s"]
     assert low <= found["truth"]["first_s"] <= high
     assert main(["verify", str(file)]) == 0

@@ -9,7 +9,7 @@ from deformscope.stages.squeeze.evaluation import Evaluation, EvaluationOptions,
 from deformscope.stages.squeeze.table import LabelledTable
 from deformscope.studies.container_findings import HARDNESS, findings_beside
 
-FEW = EvaluationOptions(splits=8, costly_splits=0, curve_splits=0, protocols=("stratified",))
+FEW = EvaluationOptions(splits=16, costly_splits=0, curve_splits=0, protocols=("stratified",))
 
 
 def evaluated(*, blind: bool = False) -> tuple[Evaluation, Evaluation]:
@@ -17,7 +17,7 @@ def evaluated(*, blind: bool = False) -> tuple[Evaluation, Evaluation]:
     random = np.random.default_rng(3)
     label = np.repeat(HARDNESS, 30)
     place = np.repeat(np.arange(5.0), 30)
-    touch = np.column_stack([2.2 * place, *random.normal(size=(3, 150))]) + random.normal(size=(150, 4))
+    touch = np.column_stack([3.0 * place, *random.normal(size=(3, 150))]) + random.normal(size=(150, 4))
     vision = random.normal(size=(150, 40))
     vision[label == "water"] += 0.0 if blind else 4.0
     table = LabelledTable(label, None, {"tactile": touch, "vision": vision, "vision_small": vision[:, :2]})

@@ -10,8 +10,17 @@ import pytest
 from deformscope.processes import in_processes
 from deformscope.stages.squeeze.events import SqueezeEvents
 from deformscope.stages.squeeze.track import PoseEstimate
+from deformscope.stages.squeeze.trial import SqueezeFeatures
 from deformscope.studies.containers import SqueezeJob, squeeze_jobs
-from deformscope.studies.squeeze_truth import Numbers, event_errors, numbers_of, pose_error, squeeze_errors, truth_rows
+from deformscope.studies.squeeze_truth import (
+    Numbers,
+    depth_errors,
+    event_errors,
+    numbers_of,
+    pose_error,
+    squeeze_errors,
+    truth_rows,
+)
 from deformscope.studies.squeeze_truth_figure import truth_png
 
 MS = 1_000_000
@@ -60,8 +69,27 @@ def test_a_squeeze_is_found_as_it_was(rice: Numbers) -> None:
     assert float(rice["turn_deg"]) < 1.0
     assert float(rice["depth_rms_mm"]) < float(rice["noise_mm"])
     assert abs(float(rice["depth_mean_mm"])) < 0.4
+    assert rice["depth_off"] == 0
+    assert max(float(rice["depth_worst"]), float(rice["depth_filled_worst"])) < 5.0
+    assert float(rice["depth_known"]) > 3000
     assert (rice["refused"], rice["used_off"], rice["hidden_used_off"], rice["wrong_used_off"]) == (0, 0, 0, 0)
     assert rice["wrong_refused"] == rice["wrong_tracked"]
+
+
+def test_values_off_by_more_than_five_deviations_are_counted_and_those_beside_the_container_too() -> None:
+    true = np.zeros((61, 61))
+    true[:, :10] = np.nan
+    vision = np.zeros((61, 61))
+    vision[:, :10] = vision[20:30, 20:30] = np.nan
+    vision[0, 0], vision[1, 40], vision[2, 40] = 0.001, 0.011, 0.009
+    features = SqueezeFeatures(*[np.zeros(1)] * 4, vision=vision, missing=0.2, noise_m=0.002)
+
+    found = depth_errors(features, true)
+
+    assert (found["depth_off"], found["depth_known"]) == (2, 61 * 51 + 1)
+    assert found["depth_worst"] == np.inf
+    vision[0, 0] = np.nan
+    assert depth_errors(features, true)["depth_worst"] == pytest.approx(5.5)
 
 
 def test_many_are_summed_up_and_drawn(rice: Numbers) -> None:
@@ -70,6 +98,7 @@ def test_many_are_summed_up_and_drawn(rice: Numbers) -> None:
 
     assert rows["squeezes"] == "3, 1 of them stopped before their time"
     assert rows["first contact, all frames"].startswith("50.0% within 2 sample periods")
+    assert rows["off by 5 times the stated noise"].startswith("0 of ")
     assert rows["pose"].startswith("50.0% within 2 mm and 1 deg")
     assert truth_png([rice, late]).startswith(b"\x89PNG")
 
@@ -85,6 +114,7 @@ def test_of_a_hundred_squeezes_nearly_all_are_found_as_they_were() -> None:
     assert numbers_of(every, "shift_mm").max() <= 2.0
     assert numbers_of(every, "turn_deg").max() <= 1.0
     assert (numbers_of(every, "depth_rms_mm") <= numbers_of(every, "noise_mm")).all()
+    assert numbers_of(every, "depth_off").sum() == 0
     for start in ("", "hidden_"):
         assert numbers_of(every, f"{start}used_off").sum() == 0
     assert numbers_of(every, "wrong_refused").sum() >= 0.95 * numbers_of(every, "wrong_tracked").sum()

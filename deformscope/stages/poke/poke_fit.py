@@ -52,6 +52,8 @@ BETA_RANGE = (0.0, 0.99)
 FARTHEST = np.array([-np.log1p(-BETA_RANGE[1]), 1.0])
 """The largest -log(1 - beta) and theta."""
 
+MOST_LAWS = 15
+"""Laws that are tried for each cluster size, and one more where a step is refused."""
 SLOPE_STEP = 0.03
 """Step of -log(1 - beta) and of theta over which the fit takes slopes: well above what contact is solved to."""
 
@@ -162,6 +164,22 @@ def default_spacing(surface: MeasuredSurface, tip: Tip) -> float:
     return max(tip.width / CELLS_ACROSS_TIP, surface.thickness / 30.0)
 
 
+def spacing_for(
+    surface: MeasuredSurface, pokes: Sequence[SeenPoke], wished: float | None, most: float
+) -> tuple[float, float, int]:
+    """The spacing of the lattice [m] for which all that shapes are fitted to has so many particles at most, twice the
+    finest at most; the finest: what is wished, or the default; how many particles there are."""
+    finest = wished or default_spacing(surface, min((poke.tip for poke in pokes), key=lambda one: one.width))
+
+    def count(spacing: float) -> int:
+        chosen = (pokes[place] for place in _spread(pokes))
+        return sum(len(scene_below(surface, one.at, one.tip, spacing, FIRST_SIZES[0])[0].rest) for one in chosen)
+
+    spacings = [finest * CELLS_ACROSS_TIP / cells for cells in range(CELLS_ACROSS_TIP, 1, -1)]
+    spacing = next((one for one in spacings if count(one) <= most), spacings[-1])
+    return spacing, finest, count(spacing)
+
+
 class PosedPoke:
     """A measured poke on its lattice: what is held where, and where the surface was seen."""
 
@@ -249,10 +267,11 @@ def fit_shape(
     beta_range: tuple[float, float] = BETA_RANGE,
     theta: float | None = None,
     start: tuple[float, float] = (0.3, 0.5),
+    tick: Callable[[int], None] = lambda laws: None,
 ) -> tuple[Law, bool]:
     """The law of least squared error over pokes with beta in its range, and whether all its states converged.
 
-    theta: kept where given
+    theta: kept where given; tick: called with how many laws were tried, MOST_LAWS at most
 
     All pokes count the same, however many points were seen of each. Slopes are differences, since what slips moves with
     the law; a law and its neighbours settle at once, side by side.
@@ -275,6 +294,7 @@ def fit_shape(
             ]
             value = np.concatenate(every, axis=1)
             good = all(bool(state.converged[0]) for state in states)
+            tick(len(seen))
             seen[key] = value[0], ((value[1:] - value[0]) / steps[:, None]).T, good
         return seen[key]
 
@@ -285,7 +305,13 @@ def fit_shape(
     inside = np.minimum(1e-3, 0.1 * (high - low))
     first = np.clip(np.array([-np.log1p(-start[0]), start[1]])[:free], low + inside, high - inside)
     found = least_squares(
-        lambda x: around(x)[0], first, lambda x: around(x)[1], bounds=(low, high), xtol=1e-3, ftol=1e-4, max_nfev=15
+        lambda x: around(x)[0],
+        first,
+        lambda x: around(x)[1],
+        bounds=(low, high),
+        xtol=1e-3,
+        ftol=1e-4,
+        max_nfev=MOST_LAWS,
     )
     return law(found.x), around(found.x)[2]
 
@@ -401,11 +427,16 @@ def fit_pokes(
     tried: dict[int, ShapeFit] = {}
     posed: dict[int, list[PosedPoke]] = {}
     waiting = list(cluster_sizes or FIRST_SIZES)
+    steps = MOST_LAWS * (len(waiting) if cluster_sizes else SIZES[1] - FIRST_SIZES[0] + 1)
     settled: dict[int, PokedBody] = {}  # of each poke under the size before: where to start from
     while waiting:
         size = waiting.pop(0)
-        if progress is not None:
-            progress("cluster sizes", len(tried), len(tried) + 1 + len(waiting))
+
+        def tick(laws: int, before: int = MOST_LAWS * len(tried)) -> None:
+            if progress is not None:
+                progress("laws tried, at most", before + min(laws, MOST_LAWS), steps)
+
+        tick(0)
 
         def pose(place: int, size: int = size) -> PosedPoke:
             made = PosedPoke(surface, pokes[place], fine, size, precision, device)
@@ -413,7 +444,7 @@ def fit_pokes(
             return made
 
         posed[size] = [pose(int(i)) for i in shaped]
-        tried[size] = _fit_size(pose, posed[size], shaped, len(pokes), fine, beta_range, theta, settled)
+        tried[size] = _fit_size(pose, posed[size], shaped, len(pokes), fine, beta_range, theta, settled, tick)
         for other in [one for one in posed if tried[one].score > min(each.score for each in tried.values())]:
             del posed[other]
         if not waiting and cluster_sizes is None:
@@ -436,9 +467,10 @@ def _fit_size(
     beta_range: tuple[float, float],
     theta: float | None,
     settled: dict[int, PokedBody],
+    tick: Callable[[int], None],
 ) -> ShapeFit:
-    """settled: takes in the state of every poke."""
-    law, good = fit_shape(posed, beta_range=beta_range, theta=theta)
+    """settled: takes in the state of every poke; tick: as `fit_shape` takes it"""
+    law, good = fit_shape(posed, beta_range=beta_range, theta=theta, tick=tick)
     own = dict(zip(shaped.tolist(), posed, strict=True))
     reaction, error, left = np.empty(count), [], []
     for place in range(count):

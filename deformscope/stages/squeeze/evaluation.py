@@ -19,8 +19,15 @@ from deformscope.errors import InputError
 from deformscope.stages.squeeze import groupings
 from deformscope.stages.squeeze.classifiers import NAMES
 from deformscope.stages.squeeze.groupings import Grouping, Normality
-from deformscope.stages.squeeze.intervals import Estimated, difference, holm, over_splits
-from deformscope.stages.squeeze.scores import ClassificationScore, accuracy_of, recalls, score_of, split_ratio
+from deformscope.stages.squeeze.intervals import Estimated, difference, holm, over_splits, share_of
+from deformscope.stages.squeeze.scores import (
+    ClassificationScore,
+    accuracy_of,
+    recalls,
+    score_of,
+    split_ratio,
+    worth_of,
+)
 from deformscope.stages.squeeze.splits import PROTOCOLS, Protocol, Split, draw, splitting_notes
 from deformscope.stages.squeeze.table import LabelledTable, absent, refuse_duplicates
 from deformscope.stages.squeeze.trial_run import COSTLY, Answers, Key, Method, joined_name, run_split
@@ -391,7 +398,7 @@ def _time_steps(
             stopped = stops.setdefault(name, _Stops.of(splits))
             stopped.note(splits, answers)
             points.setdefault(name, []).append(
-                stopped.point(step * table.step_s, table, options.level, splits, answers)
+                stopped.point(step * table.step_s, table, protocol, options.level, splits, answers)
             )
     return {name: tuple(found) for name, found in points.items()}
 
@@ -416,6 +423,7 @@ class _Stops:
         self,
         time_s: float,
         table: LabelledTable,
+        protocol: Protocol,
         level: float,
         splits: Sequence[Split],
         answers: Sequence[Answers],
@@ -425,7 +433,7 @@ class _Stops:
         accuracy = np.array([accuracy_of(one, table.target) for one in answers])
         return TimePoint(
             time_s,
-            over_splits(accuracy, split_ratio(splits), level, len(table)),
+            share_of(accuracy, worth_of(table, protocol, splits, answers), level),
             float((named >= 0).mean()),
             float(right.mean()) if right.size else float("nan"),
         )

@@ -10,9 +10,9 @@ from scipy import stats
 
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.errors import InputError
-from deformscope.stages.squeeze.intervals import Estimated, Interval, share_among_new, wilson
+from deformscope.stages.squeeze.intervals import Estimated, Interval, share_among_new, trials_worth, wilson
 from deformscope.stages.squeeze.model import ContentModel
-from deformscope.stages.squeeze.scores import ClassificationScore, independent, reliability_of
+from deformscope.stages.squeeze.scores import ClassificationScore, balanced_worth, cluster_sizes, reliability_of
 from deformscope.stages.squeeze.table import LabelledTable
 from deformscope.stages.squeeze.trial_run import joined_name
 
@@ -79,10 +79,8 @@ def check_model(model: ContentModel, table: LabelledTable, *, level: float = 0.9
     bins = int((within & filled).sum()), int(filled.sum())
     promised, expected = _promised(model), None
     if promised is not None:
-        right = posterior.argmax(axis=1) == [model.labels.index(one) for one in table.label[rows]]
-        units = independent(right.astype(np.float64), None if table.group is None else table.group[rows])
         stated = model.promised.get("level", level)
-        expected = share_among_new(promised, units, level, float(stated) if isinstance(stated, float) else level)
+        expected = share_among_new(promised, score.worth, level, float(stated) if isinstance(stated, float) else level)
     return ModelCheck(model.labels, score, alone, promised, expected, bins, _calibrated(posterior, score, seed))
 
 
@@ -112,7 +110,7 @@ def _score(
     trials = confusion.sum(axis=1)
     seen = trials > 0
     recall = np.diagonal(confusion)[seen] / trials[seen]
-    units = independent(right.astype(np.float64), None if table.group is None else table.group[rows])
+    worth = trials_worth(cluster_sizes(table.group, rows))
     reliability = reliability_of(sure, right, 1.0, level)
     filled = reliability.count > 0
     error = np.abs(reliability.sure - reliability.right)[filled] @ reliability.count[filled] / len(rows)
@@ -124,11 +122,12 @@ def _score(
         method="late-fusion" if len(names) > 1 else "pooled",
         protocol="new",
         fusion="late" if len(names) > 1 else "none",
-        accuracy=Estimated(accuracy, wilson(accuracy, units, level)),
-        balanced=Estimated(balanced, wilson(balanced, units, level)),
+        accuracy=Estimated(accuracy, wilson(accuracy, worth, level)),
+        balanced=Estimated(balanced, wilson(balanced, balanced_worth(worth, trials), level)),
         chance=float(trials.max() / len(rows)),
         confusion=confusion,
         trials=trials,
+        worth=worth,
         calibration_error=float(error),
         overconfidence=Estimated(over, (over - half, over + half)),
         log_loss=float(-np.log(posterior[np.arange(len(rows)), target]).mean()),

@@ -7,21 +7,36 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
-from scipy.ndimage import distance_transform_edt
+from numpy.lib.stride_tricks import sliding_window_view
+from scipy.ndimage import binary_dilation, maximum_filter, minimum_filter
+from scipy.sparse import csc_array, diags_array, kronsum
+from scipy.sparse.linalg import spsolve
 
 from deformscope.arrays import BoolArray, FloatArray
 from deformscope.capsule import Capsule
 from deformscope.errors import InputError
-from deformscope.stages.see.cloud import Intrinsics
+from deformscope.stages.see.cloud import Intrinsics, axial_noise_m
 from deformscope.stages.see.robot import beside_capsules
-from deformscope.stages.squeeze.container import ModelRenderer
+from deformscope.stages.squeeze.bulge import BULGE_M
+from deformscope.stages.squeeze.container import ModelRenderer, ModelView
+from deformscope.stages.squeeze.track import FLATTEST, JUMP_M
 
 SIDE_PX = 61
 SMALL = 11
-LARGEST_M = 0.04
-"""A pixel whose depth differs by more from the model is not the container's wall."""
+CLOSED_M = 0.03
+"""The fingertips come closer by no more after the first contact: `over_squeeze_m` in [squeeze]."""
+SURE = 5.0
+"""Deviations of noise, and of how far walls stand out of the model, beyond which a pixel is not the wall."""
+OUTLINE_PX = 2
+"""Within so many pixels of an outline, of the model or of the hand, a camera may see either side, or what is between
+them: outlines are seen within 1.5 px (`track.EDGE_NOISE_PX`)."""
+LOCAL_PX = 5
+"""Side of the window whose median a pixel is compared with."""
+LEAST_SEEN = 0.1
+"""Of the patch: the rest would be made up of less. Chosen."""
 HAND_MARGIN_M = 0.008
 """Around the capsules that stand for the fingers: their covers, and edges that the camera frays."""
 
@@ -32,7 +47,8 @@ class DepthChange:
 
     change_m: (61, 61) [m], NaN where nothing was measured; small_m: (11, 11) means of its blocks without those pixels
     center_px: (2,) column and row of its middle; width_m: how wide it is on the container's surface [m]
-    missing: share of pixels without a measurement; filled_m, small_filled_m: as features, without NaN
+    missing: share of pixels without a measurement of the wall; noise_m: deviation of a measured pixel, root mean square
+    filled_m, small_filled_m: as features, without NaN
     """
 
     change_m: FloatArray
@@ -40,15 +56,16 @@ class DepthChange:
     center_px: FloatArray
     width_m: float
     missing: float
+    noise_m: float
 
     @property
     def filled_m(self) -> FloatArray:
-        """(3721,) row by row; a missing pixel has the value of the nearest measured one."""
+        """(3721,) row by row; missing pixels as in `filled`."""
         return filled(self.change_m).ravel()
 
     @property
     def small_filled_m(self) -> FloatArray:
-        """(121,) row by row; a block without a measurement has the value of the nearest one that has."""
+        """(121,) row by row; blocks without a measurement as in `filled`."""
         return filled(self.small_m).ravel()
 
 
@@ -59,12 +76,16 @@ def depth_change(
     fingertip_m: FloatArray,
     *,
     excluded: BoolArray | None = None,
+    closed_m: float = CLOSED_M,
     side_px: int = SIDE_PX,
 ) -> DepthChange:
     """The patch around a fingertip (3,) [m], camera frame, in a depth image (H, W) [m]; 0 and NaN saw nothing.
 
-    excluded: (H, W) pixels of the hand. Parts of the patch beside the image or beside the container are missing.
-    Raises InputError where the fingertip is behind the camera or nothing of the patch was measured.
+    excluded: (H, W) pixels of the hand; closed_m: by how much the fingers have closed since they touched the container
+    Missing is what is beside the image or the container, within OUTLINE_PX of an outline, seen too flat, farther from
+    the model than a wall can be, or far from the pixels around it: a wall is pressed in by `closed_m` at most, and
+    stands out by `SURE` times `BULGE_M` at most.
+    Raises InputError where the fingertip is behind the camera or less than LEAST_SEEN of the patch was measured.
     """
     if side_px % 2 == 0:
         raise InputError("an odd number of pixels, so that the patch has a middle", str(side_px))
@@ -73,25 +94,59 @@ def depth_change(
         raise InputError("a fingertip before the camera", f"{tip[2]:.3f} m along its axis", "check T_camera_hand")
     camera = renderer.camera
     center = np.rint(tip[:2] / tip[2] * camera.focal_px + camera.centre_px)
-    offset = np.arange(side_px) - side_px // 2
+    offset = np.arange(-OUTLINE_PX, side_px + OUTLINE_PX) - side_px // 2
     column, row = np.meshgrid(offset + int(center[0]), offset + int(center[1]))
     high, wide = depth_m.shape
     within = (column >= 0) & (column < wide) & (row >= 0) & (row < high)
     at = np.clip(row, 0, high - 1), np.clip(column, 0, wide - 1)
-    model = renderer.render(T_camera_container, np.stack([column, row], axis=-1)).depth_m
-    data = np.asarray(depth_m, dtype=np.float64)[at]
+    pixels = np.stack([column, row], axis=-1)
+    view = renderer.render(T_camera_container, pixels)
+    wall, cosine = _wall(view, renderer.rays(pixels), None if excluded is None else excluded[at])
+    inner = (slice(OUTLINE_PX, -OUTLINE_PX),) * 2
+    model, cosine = view.depth_m[inner], cosine[inner]
+    noise = axial_noise_m(model, np.arccos(cosine))
+    data = np.asarray(depth_m, dtype=np.float64)[at][inner]
     with np.errstate(invalid="ignore"):
-        change = data - model
-        seen = within & (data > 0.0) & (np.abs(change) < LARGEST_M)
-    if excluded is not None:
-        seen &= ~excluded[at]
-    if not seen.any():
-        raise InputError("the container around the fingertip", "no pixel of it", "check T_camera_hand and the camera")
-    change = np.where(seen, change, np.nan)
-    on = float(np.nanmedian(np.where(seen, model, np.nan)))
-    return DepthChange(
-        change, _block_means(change), center, side_px * on / float(np.mean(camera.focal_px)), float(np.mean(~seen))
+        change = np.where((within & wall)[inner] & (data > 0.0), data - model, np.nan)
+        inward = change * cosine
+        change[(inward > closed_m + BULGE_M + SURE * noise) | (inward < -SURE * (BULGE_M + noise))] = np.nan
+        change[np.abs(change - _local_median(change)) > SURE * noise] = np.nan
+    seen = np.isfinite(change)
+    if seen.mean() < LEAST_SEEN:
+        least = f"{LEAST_SEEN:.0%} of the container around the fingertip measured"
+        raise InputError(least, f"{seen.mean():.1%}", "check T_camera_hand and the camera")
+    width_m = side_px * float(np.median(model[seen])) / float(np.mean(camera.focal_px))
+    deviation = float(np.sqrt(np.mean(noise[seen] ** 2)))
+    return DepthChange(change, _block_means(change), center, width_m, float(np.mean(~seen)), deviation)
+
+
+def _wall(view: ModelView, ray: FloatArray, hand: BoolArray | None) -> tuple[BoolArray, FloatArray]:
+    """Pixels (n, n) that see the wall whole, away from outlines, and the cosine of ray (n, n, 3) and wall."""
+    known = np.isfinite(view.depth_m)
+    normal = np.where(known[..., None], view.outward, 1.0) @ view.rotation.T
+    cosine = np.clip(np.abs(np.einsum("ijk,ijk->ij", normal, ray)) / np.linalg.norm(ray, axis=-1), 0.0, 1.0)
+    far, near = (np.where(known, view.depth_m, beyond) for beyond in (-np.inf, np.inf))
+    edge = ~known | (maximum_filter(far, 3) - minimum_filter(near, 3) > JUMP_M)
+    if hand is not None:
+        edge |= hand
+    around = np.ones((2 * OUTLINE_PX + 1,) * 2, bool)
+    return ~binary_dilation(edge, around) & (cosine > FLATTEST), cosine
+
+
+def median_of(values: FloatArray) -> FloatArray:
+    """(...) medians of (k, ...) over the first axis without NaN; NaN where there is nothing else."""
+    ranked = np.sort(values, axis=0)  # NaN last
+    count = np.isfinite(ranked).sum(axis=0)
+    low, high = (
+        np.take_along_axis(ranked, np.maximum(at, 0)[None], axis=0)[0] for at in ((count - 1) // 2, count // 2)
     )
+    return np.where(count > 0, 0.5 * (low + high), np.nan)
+
+
+def _local_median(change: FloatArray) -> FloatArray:
+    """Of the window around each pixel."""
+    windows = sliding_window_view(np.pad(change, LOCAL_PX // 2, constant_values=np.nan), (LOCAL_PX, LOCAL_PX))
+    return median_of(np.moveaxis(windows.reshape(*change.shape, -1), -1, 0))
 
 
 def hand_pixels(
@@ -140,6 +195,20 @@ def _block_means(change: FloatArray) -> FloatArray:
 
 
 def filled(values: FloatArray) -> FloatArray:
-    """The same, a missing value (NaN) that of the nearest measured one; at least one has to be measured."""
-    nearest = distance_transform_edt(~np.isfinite(values), return_distances=False, return_indices=True)
-    return np.asarray(values[tuple(nearest)])
+    """The same (n, m), missing values (NaN) as a membrane has them that is held at the measured ones, of which there is
+    one at least: within their range, and each the mean of its neighbours (Laplace's equation)."""
+    found, known = values.ravel().copy(), np.isfinite(values).ravel()
+    if not known.all():
+        membrane = _membrane(*values.shape)[~known]
+        found[~known] = spsolve(membrane[:, ~known], -membrane[:, known] @ found[known])
+    return found.reshape(values.shape)
+
+
+@cache
+def _membrane(rows: int, columns: int) -> csc_array:
+    """The Laplacian of a grid with free edges, last axis fastest."""
+    across, down = (
+        diags_array([-np.ones(n - 1), np.r_[1.0, np.full(n - 2, 2.0), 1.0], -np.ones(n - 1)], offsets=[-1, 0, 1])
+        for n in (columns, rows)
+    )
+    return csc_array(kronsum(across, down))

@@ -10,7 +10,7 @@ import numpy as np
 from scipy import stats
 
 from deformscope.arrays import FloatArray, IntArray
-from deformscope.stages.squeeze.intervals import Estimated, Interval, over_splits, wilson
+from deformscope.stages.squeeze.intervals import Estimated, Interval, over_splits, share_of, trials_worth, wilson
 from deformscope.stages.squeeze.splits import Protocol, Split
 from deformscope.stages.squeeze.table import LabelledTable, TextArray
 from deformscope.stages.squeeze.trial_run import Answers, Key, Method
@@ -39,8 +39,9 @@ class ClassificationScore:
 
     fusion: none, early (columns joined) or late (posteriors pooled); chance: the no-information rate, of always naming
     the most frequent of the classes that are tested; confusion: (C, C) answers over all splits, row = truth
-    trials: (C,) different trials of each class that were tested; calibration_error: mean distance of posterior and
-    share right, over the bins; overconfidence: mean posterior less share right; log_loss: mean
+    trials: (C,) different trials of each class that were tested; worth: how many independent trials these are
+    calibration_error: mean distance of posterior and share right, over the bins; overconfidence: mean posterior less
+    share right; log_loss: mean
     components: mean number in use; pair: trained and tested kinds, of a transfer; split_accuracy: (J,)
     """
 
@@ -53,6 +54,7 @@ class ClassificationScore:
     chance: float
     confusion: IntArray
     trials: IntArray
+    worth: float
     calibration_error: float
     overconfidence: Estimated
     log_loss: float
@@ -73,8 +75,9 @@ class ClassificationScore:
         return np.where(total > 0, self.confusion / np.maximum(total, 1), np.nan)
 
     def share_interval(self, truth: int, answer: int) -> Interval:
-        """Wilson's interval of an entry of `shares`, from `trials`: splits test the same ones again."""
-        return wilson(float(self.shares[truth, answer]), float(self.trials[truth]), self.level)
+        """Wilson's interval of an entry of `shares`, its trials worth as much as all are on average."""
+        count = self.worth * float(self.trials[truth]) / max(int(self.trials.sum()), 1)
+        return wilson(float(self.shares[truth, answer]), count, self.level)
 
 
 def accuracy_of(outcome: Answers, target: IntArray) -> float:
@@ -95,19 +98,28 @@ def split_ratio(splits: Sequence[Split]) -> float:
     return float(np.mean([len(one.test) / len(one.train) for one in splits]))
 
 
-def independent(share: FloatArray, group: TextArray | None) -> float:
-    """How many independent trials (n,) trials are worth whose answers are right in such a share of the splits: fewer
-    where the trials of a group, (n,), err together, down to the number of groups, which it is where all answers are
-    right (the design effect of Kish 1965, 5.4)."""
-    if group is None:
-        return float(len(share))
-    _, index, size = np.unique(group, return_inverse=True, return_counts=True)
-    mean = share.mean()
-    between = float((size * (np.bincount(index.reshape(-1), share) / size - mean) ** 2).sum() / max(len(size) - 1, 1))
-    single = mean * (1.0 - mean)
-    largest = len(share) / len(size)
-    effect = largest if single <= 0.0 or len(size) < 2 else min(max(between / single, 1.0), largest)
-    return float(len(share) / effect)
+def worth_of(
+    table: LabelledTable, protocol: Protocol | Literal["transfer"], splits: Sequence[Split], outcomes: Sequence[Answers]
+) -> float:
+    """How many independent trials the answers are worth; the trials of a group are one cluster where groups are left
+    out."""
+    tested = np.unique(np.concatenate([one.rows for one in outcomes]))
+    group = table.group if protocol in ("group", "transfer") else None
+    if protocol == "transfer":
+        return trials_worth(cluster_sizes(group, tested))
+    share = float(np.mean([len(one.rows) for one in outcomes])) / max(len(tested), 1)
+    return trials_worth(cluster_sizes(group, tested), share, len(splits), split_ratio(splits))
+
+
+def cluster_sizes(group: TextArray | None, rows: IntArray) -> IntArray:
+    """How many of these trials are in each group; each is one where there are no groups."""
+    return np.ones(len(rows), np.int64) if group is None else np.unique(group[rows], return_counts=True)[1]
+
+
+def balanced_worth(worth: float, trials: IntArray) -> float:
+    """Of the mean of the classes' shares, which their (C,) numbers of trials weigh unequally."""
+    share = trials[trials > 0] / max(int(trials.sum()), 1)
+    return float(worth * len(share) ** 2 / (1.0 / share).sum()) if len(share) else 0.0
 
 
 def score_of(
@@ -127,14 +139,10 @@ def score_of(
     confusion = np.zeros((classes, classes), dtype=np.int64)
     for one in outcomes:
         np.add.at(confusion, (target[one.rows], one.answer), 1)
-    by_group = protocol in ("group", "transfer") and table.group is not None
-    ratio = split_ratio(splits)
     with np.errstate(invalid="ignore"):
         balanced = np.array([np.mean(row[np.isfinite(row)]) if np.isfinite(row).any() else np.nan for row in recall])
-    rows = np.concatenate([one.rows for one in outcomes])
     right = np.concatenate([one.answer == target[one.rows] for one in outcomes])
-    share = np.bincount(rows, right, len(table))[tested] / np.bincount(rows, minlength=len(table))[tested]
-    units = independent(share, table.group[tested] if by_group and table.group is not None else None)
+    worth = worth_of(table, protocol, splits, outcomes)
     sure = np.concatenate([one.sure for one in outcomes])
     log_truth = np.concatenate([one.log_truth for one in outcomes])
     over = np.array(
@@ -153,13 +161,14 @@ def score_of(
         method=method,
         protocol=protocol,
         fusion="late" if method == "late-fusion" else "none" if modality in table.modalities else "early",
-        accuracy=over_splits(accuracy, ratio, level, units),
-        balanced=over_splits(balanced, ratio, level, units),
+        accuracy=share_of(accuracy, worth, level),
+        balanced=share_of(balanced, balanced_worth(worth, trials), level),
         chance=float(frequent.max() / max(int(frequent.sum()), 1)),
         confusion=confusion,
         trials=trials,
+        worth=worth,
         calibration_error=float(error),
-        overconfidence=over_splits(over, ratio, level),
+        overconfidence=over_splits(over, split_ratio(splits), level),
         log_loss=float(-log_truth.mean()) if len(log_truth) else float("nan"),
         reliability=reliability,
         components=float(np.mean([one.components for one in outcomes])),

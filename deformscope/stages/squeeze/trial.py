@@ -60,7 +60,8 @@ class SqueezeFeatures:
 
     tactile: (72,) cells at F_steady [counts]
     vision: (61, 61) depth change data minus model at F_steady [m], NaN where nothing was measured; vision_small: (11,
-    11) means of its blocks; None where there is none. missing: share of NaN in vision; reason: why there is none
+    11) means of its blocks; None where there is none. missing: share of NaN in vision; noise_m: deviation of one of its
+    pixels; reason: why there is none
     patch_px: (2,) column and row of its middle; patch_width_m: on the container's surface
     physical: (n,) in the order of `physical.PHYSICAL`, NaN where it could not be measured
     series_s: (k,) times since F_first, every 0.1 s [s]; series: (k, 72) tactile cells then
@@ -76,6 +77,7 @@ class SqueezeFeatures:
     patch_px: FloatArray | None = None
     patch_width_m: float = 0.0
     reason: str = ""
+    noise_m: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

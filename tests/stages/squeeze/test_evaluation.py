@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -17,10 +18,10 @@ from deformscope.errors import InputError
 from deformscope.stages.squeeze.classifiers import NAMES
 from deformscope.stages.squeeze.evaluation import EvaluationOptions, evaluate
 from deformscope.stages.squeeze.intervals import difference
-from deformscope.stages.squeeze.scores import independent, reliability_of, split_ratio
+from deformscope.stages.squeeze.scores import reliability_of, score_of, split_ratio
 from deformscope.stages.squeeze.splits import Split, draw
 from deformscope.stages.squeeze.table import LabelledTable
-from deformscope.stages.squeeze.trial_run import COSTLY, run_split
+from deformscope.stages.squeeze.trial_run import COSTLY, Answers, run_split
 from tests.stages.squeeze.trials import blobs, noise, two_modalities
 
 FAST = EvaluationOptions(splits=12, costly_splits=0, curve_splits=0, protocols=("stratified",))
@@ -291,14 +292,34 @@ def test_clusters_of_clear_clouds_are_the_classes_and_their_components_normal() 
     assert found.normality["touch"].normal_pooled[0] < found.normality["touch"].normal_pooled[1]
 
 
-def test_trials_that_err_with_their_group_are_worth_fewer() -> None:
-    rng = np.random.default_rng(0)
-    group = np.repeat(np.arange(20).astype(str), 10)
-
-    assert independent(np.ones(200), None) == 200
-    assert independent(np.repeat(rng.random(20) < 0.5, 10).astype(float), group) == pytest.approx(20, abs=2)
-    assert independent((rng.random(200) < 0.5).astype(float), group) > 100
-    assert independent(np.ones(200), group) == 20
+@pytest.mark.parametrize("protocol", ["random", "stratified", "group", "transfer"])
+@pytest.mark.parametrize("together", [False, True])
+def test_one_error_more_never_raises_an_end_of_an_interval(
+    protocol: Literal["random", "stratified", "group", "transfer"], together: bool
+) -> None:
+    """From all right to all wrong, trial by trial or group by group: accuracy, balanced accuracy, each class."""
+    table = blobs(classes=2, each=24, groups=3)
+    splits = [Split(np.arange(24), np.arange(24, 48))] if protocol == "transfer" else draw(protocol, table, 20, 0)
+    tested = np.unique(np.concatenate([one.test for one in splits]))
+    order = tested if together else np.random.default_rng(3).permutation(tested)
+    if together:
+        order = tested[np.argsort(table.group[tested], kind="stable")]  # type: ignore[index]
+    ends = []
+    for wrong in range(len(order) + 1):
+        answer = np.where(np.isin(np.arange(48), order[:wrong]), 1 - table.target, table.target)
+        answers = [
+            Answers(one.test, answer[one.test], np.full(len(one.test), 0.9), np.zeros(len(one.test)), 1.0)
+            for one in splits
+        ]
+        score = score_of(table, ("touch", "knn"), protocol, splits, answers, 0.9)
+        seen = np.flatnonzero(score.trials)
+        ends.append(
+            [*score.accuracy.interval, *score.balanced.interval, *(score.share_interval(at, at) for at in seen)]
+        )
+    found = np.array([np.hstack(one) for one in ends])
+    assert (np.diff(found, axis=0) < 1e-12).all()
+    assert found[1, 0] > found[0, 0] - 0.1  # one error less says little else
+    assert found[0, 1] == 1.0
 
 
 def test_a_calibrated_classifier_is_inside_its_band_and_an_overconfident_one_is_not() -> None:

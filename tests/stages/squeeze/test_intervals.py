@@ -6,13 +6,17 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from deformscope.arrays import FloatArray, IntArray
 from deformscope.stages.squeeze.intervals import (
+    GROUP_CORRELATION,
     Estimated,
     difference,
     holm,
     lilliefors,
     over_splits,
     share_among_new,
+    share_of,
+    trials_worth,
     wilson,
 )
 
@@ -35,10 +39,64 @@ def test_splits_that_share_trials_widen_the_interval() -> None:
 
 
 def test_perfect_splits_are_no_surer_than_their_trials() -> None:
-    found = over_splits(np.ones(200), 3 / 7, 0.9, trials=50)
+    found = share_of(np.ones(200), trials_worth(np.ones(50, int), 0.3, 200, 3 / 7), 0.9)
 
-    assert found.interval == pytest.approx((wilson(1.0, 50, 0.9)[0], 1.0))
-    assert found.interval[0] < 0.96
+    assert found.interval == pytest.approx((wilson(1.0, 50 * 0.3 / (1 / 200 + 3 / 7), 0.9)[0], 1.0))
+    assert found.interval[0] < wilson(1.0, 50, 0.9)[0] < 0.96
+
+
+def test_trials_are_worth_fewer_by_design_alone() -> None:
+    assert trials_worth(np.ones(200, int)) == 200  # each tested once, by one classifier
+    assert trials_worth(np.full(20, 10)) == pytest.approx(200 / (1 + 9 * GROUP_CORRELATION))
+    assert 20 < trials_worth(np.full(20, 10)) < 200
+    # Splits that share their trials: about as many as train (Nadeau and Bengio 2003), whatever the number of splits.
+    assert trials_worth(np.ones(100, int), 0.3, 10_000, 3 / 7) == pytest.approx(70, abs=0.1)
+    assert trials_worth(np.ones(100, int), 0.3, 2, 3 / 7) < 35
+    assert trials_worth(np.r_[190, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1]) < trials_worth(np.full(10, 20))
+
+
+@pytest.mark.parametrize("size", [np.ones(48, int), np.full(6, 8), np.array([40, 5, 3])])
+@pytest.mark.parametrize("level", [0.5, 0.9, 0.99])
+def test_the_more_is_right_the_higher_are_both_ends(size: IntArray, level: float) -> None:
+    total = int(size.sum())
+    for worth in (trials_worth(size), trials_worth(size, 0.3, 200, 3 / 7)):
+        ends = np.array([share_of(np.array([k / total]), worth, level).interval for k in range(total + 1)])
+        assert (np.diff(ends, axis=0) > -1e-12).all()
+        assert (np.diff(ends[1:-1], axis=0) > 0.0).all()
+        np.testing.assert_allclose(ends, 1.0 - ends[::-1, ::-1], atol=1e-12)  # wrong ones count as right ones do
+        assert (ends[0, 0], ends[-1, 1]) == pytest.approx((0.0, 1.0))
+
+
+@pytest.mark.parametrize("apart", [0.0, 1.0, 3.0])
+def test_new_groups_are_known_as_well_as_the_interval_says(apart: float) -> None:
+    """Two classes whose means differ from group to group: the interval of 90 % holds what new groups give, also where
+    these differ by more than trials of one group."""
+    rng = np.random.default_rng(7)
+    held = 0
+    for _ in range(60):
+        group, target, x = _grouped(rng, 10, apart)
+        _, new_target, new = _grouped(rng, 150, apart)
+        seen, true = [], []
+        for split in range(20):
+            test = np.isin(group, rng.permutation(10)[:3])
+            means = np.stack([x[~test & (target == one)].mean(axis=0) for one in (0, 1)])
+            seen.append(float((_nearest(means, x[test]) == target[test]).mean()))
+            if split % 5 == 0:
+                true.append(float((_nearest(means, new) == new_target).mean()))
+        low, high = share_of(np.array(seen), trials_worth(np.full(10, 20), 0.3, 20, 3 / 7), 0.9).interval
+        held += low <= np.mean(true) <= high
+    assert held >= 48  # 90 % less 2.6 binomial deviations
+
+
+def _grouped(rng: np.random.Generator, groups: int, apart: float) -> tuple[IntArray, IntArray, FloatArray]:
+    group, target = np.repeat(np.arange(groups), 20), np.tile([0, 1], 10 * groups)
+    mean = rng.normal(size=(groups, 2, 5)) * apart
+    mean[:, 1, 0] += 2.5 + apart
+    return group, target, mean[group, target] + rng.normal(size=(len(group), 5))
+
+
+def _nearest(means: FloatArray, x: FloatArray) -> IntArray:
+    return np.asarray(((x[:, None] - means) ** 2).sum(axis=-1).argmin(axis=1))
 
 
 def test_the_corrected_comparison_is_the_t_test_of_nadeau_and_bengio() -> None:

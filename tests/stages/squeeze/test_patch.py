@@ -9,34 +9,90 @@ from deformscope.capsule import Capsule
 from deformscope.errors import InputError
 from deformscope.stages.see.cloud import Intrinsics
 from deformscope.stages.see.robot import beside_capsules
-from deformscope.stages.squeeze.container import ModelRenderer
-from deformscope.stages.squeeze.patch import depth_change, hand_pixels
+from deformscope.stages.squeeze.container import ContainerModel, ModelRenderer
+from deformscope.stages.squeeze.patch import depth_change, filled, hand_pixels
 from tests.stages.squeeze.views import BOX, CAMERA, CYLINDER, NOISE, PIXELS, SHAPE, looking, squeezed
 
 REST = looking(0.95, 10.0, 90.0)
 
 
-def test_a_known_dent_is_measured_within_the_noise() -> None:
-    seen = squeezed(BOX, REST, REST, np.random.default_rng(1))
-    renderer = ModelRenderer(BOX, CAMERA)
+@pytest.mark.parametrize(("model", "seed"), [(BOX, 1), (BOX, 2), (CYLINDER, 3), (CYLINDER, 4)])
+@pytest.mark.parametrize("frayed", [0.0, 0.5])
+def test_a_known_dent_is_measured_within_the_noise(model: ContainerModel, seed: int, frayed: float) -> None:
+    seen = squeezed(model, REST, REST, np.random.default_rng(seed), frayed=frayed)
+    renderer = ModelRenderer(model, CAMERA)
     tip = renderer.rays(seen.tip_px) * 0.9
 
-    change = depth_change(renderer, REST, seen.depth_m, tip, excluded=seen.finger)
+    change = depth_change(renderer, REST, seen.depth_m, tip, excluded=seen.finger, closed_m=0.02)
 
     left, top = (seen.tip_px - 30).astype(int)
-    true = seen.dent_m[top : top + 61, left : left + 61]
+    patch = slice(top, top + 61), slice(left, left + 61)
+    wall = np.isfinite(renderer.render(REST, PIXELS[patch]).depth_m)
+    true = seen.dent_m[patch]
     measured = np.isfinite(change.change_m)
     off = (change.change_m - true)[measured]
+    assert not (measured & ~wall).any()
+    assert change.noise_m == pytest.approx(NOISE, rel=0.1)
     assert abs(off.mean()) < 3.0 * NOISE / np.sqrt(off.size)
     assert np.sqrt((off**2).mean()) < 1.5 * NOISE
-    assert np.nanmax(change.small_m) == pytest.approx(0.009, abs=0.0015)  # farther than the model: positive
-    assert change.width_m == pytest.approx(61 * 0.91 / 570.0, rel=0.02)
-    assert change.missing == pytest.approx(1.0 - measured.mean())
-    assert 0.1 < change.missing < 0.3  # the finger above, and gaps
-    assert change.filled_m.shape == (3721,)
-    assert np.isfinite(change.filled_m).all()
-    assert change.small_filled_m.shape == (121,)
+    assert np.abs(off).max() < 5.0 * change.noise_m
+    assert np.abs(change.filled_m.reshape(61, 61) - true)[wall].max() < 5.0 * change.noise_m  # also behind the finger
+    assert np.abs(change.filled_m).max() < 0.01 + 5.0 * change.noise_m  # beside the container, where nothing is true
+    edge = np.rint(np.linspace(0, 61, 12)).astype(int)
+    total, count = (
+        np.add.reduceat(np.add.reduceat(one, edge[:-1], axis=0), edge[:-1], axis=1)
+        for one in (np.where(measured, true, 0.0), measured.astype(float))
+    )
+    blocks = count > 0.0
+    np.testing.assert_array_equal(np.isfinite(change.small_m), blocks)
+    assert (np.abs(change.small_m * count - total)[blocks] < 5.0 * change.noise_m * np.sqrt(count)[blocks]).all()
+    assert np.nanmax(change.small_m[count > 15]) == pytest.approx(0.009, abs=0.0015)  # farther: positive
     assert np.isfinite(change.small_filled_m).all()
+    assert change.width_m == pytest.approx(61 * 0.91 / 570.0, rel=0.03)
+    assert change.missing == pytest.approx(1.0 - measured.mean())
+    assert 0.1 < change.missing < 0.5  # the finger above, outlines, gaps, and what is beside the cylinder
+
+
+def test_what_no_dent_can_be_is_missing_and_does_not_spread() -> None:
+    """A pixel, a row of them and a hole, all far behind the model, next to what the finger hides."""
+    model = ModelRenderer(BOX, CAMERA).render(REST, PIXELS).depth_m
+    hand = np.zeros(SHAPE, dtype=bool)
+    hand[200:240, 310:330] = True
+    wrong = np.zeros(SHAPE, dtype=bool)
+    wrong[240 + 2, 320] = wrong[215, 332] = wrong[250, 300:310] = wrong[255:263, 320:328] = True
+    for behind_m in (0.039, 0.025, -0.03):
+        depth = np.where(wrong, model + behind_m, model + 0.002)
+
+        found = depth_change(
+            ModelRenderer(BOX, CAMERA), REST, depth, np.array([0.0, 0.0, 0.9]), excluded=hand, closed_m=0.01
+        )
+
+        assert not np.isfinite(found.change_m[wrong[210:271, 290:351]]).any()
+        np.testing.assert_allclose(found.filled_m, 0.002, atol=1e-6)
+        np.testing.assert_allclose(found.small_filled_m, 0.002, atol=1e-6)
+
+
+def test_a_wall_is_pressed_in_no_farther_than_the_fingers_closed() -> None:
+    model = ModelRenderer(BOX, CAMERA).render(REST, PIXELS).depth_m
+    tip = np.array([0.0, 0.0, 0.9])
+    for pressed_m, closed_m, seen in ((0.02, 0.02, True), (0.02, 0.0, False), (-0.01, 0.0, True), (-0.04, 0.04, False)):
+        depth = model + pressed_m
+        if seen:
+            found = depth_change(ModelRenderer(BOX, CAMERA), REST, depth, tip, closed_m=closed_m)
+            np.testing.assert_allclose(found.filled_m, pressed_m, atol=1e-6)
+        else:
+            with pytest.raises(InputError, match="10% of the container"):
+                depth_change(ModelRenderer(BOX, CAMERA), REST, depth, tip, closed_m=closed_m)
+
+
+def test_missing_values_are_within_those_around_them() -> None:
+    values = np.add.outer(np.arange(7.0), 2.0 * np.arange(5.0))
+    hollow = values.copy()
+    hollow[2:5, 1:4] = np.nan
+    np.testing.assert_allclose(filled(hollow), values)
+    alone = np.full((4, 6), np.nan)
+    alone[1, 2] = 3.0
+    np.testing.assert_allclose(filled(alone), 3.0)
 
 
 def test_blocks_are_means_of_what_was_measured() -> None:
@@ -66,7 +122,7 @@ def test_words_of_what_is_wrong() -> None:
     renderer = ModelRenderer(CYLINDER, CAMERA)
     with pytest.raises(InputError, match="a fingertip before the camera"):
         depth_change(renderer, REST, np.ones(SHAPE), np.array([0.0, 0.0, -1.0]))
-    with pytest.raises(InputError, match="no pixel of it"):
+    with pytest.raises(InputError, match="10% of the container"):
         depth_change(renderer, REST, np.zeros(SHAPE), np.array([0.0, 0.0, 0.9]))
     with pytest.raises(InputError, match="an odd number"):
         depth_change(renderer, REST, np.ones(SHAPE), np.array([0.0, 0.0, 0.9]), side_px=60)

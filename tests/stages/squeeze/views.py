@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.ndimage import maximum_filter, minimum_filter
 from scipy.spatial.transform import Rotation
 
 from deformscope.arrays import BoolArray, FloatArray
@@ -51,10 +52,16 @@ class Squeezed:
 
 
 def squeezed(
-    model: ContainerModel, rest: FloatArray, pose: FloatArray, random: np.random.Generator, dent_m: float = 0.01
+    model: ContainerModel,
+    rest: FloatArray,
+    pose: FloatArray,
+    random: np.random.Generator,
+    dent_m: float = 0.01,
+    frayed: float = 0.0,
 ) -> Squeezed:
     """A finger that comes from above dents the container at the middle of what is seen of it; noise, steps of 1 mm and
-    2 % of gaps. The table is where the container's foot was at rest."""
+    2 % of gaps. The table is where the container's foot was at rest. frayed: share of the pixels at jumps of depth
+    that report what is on the other side, or something between both"""
     renderer = ModelRenderer(model, CAMERA)
     view, ray = renderer.render(pose, PIXELS), renderer.rays(PIXELS)
     on = np.isfinite(view.depth_m)
@@ -69,6 +76,9 @@ def squeezed(
     dent = np.where(on, dent_m * np.exp(-0.5 * (away / 0.02) ** 2), 0.0)
     finger = (np.abs(COLUMN - middle[1]) < 8) & (middle[0] > ROW)
     depth = np.where(finger, float(np.nanmin(view.depth_m)) - 0.04, depth + dent)
+    far, near = (pick(depth, 3, mode="nearest") for pick in (maximum_filter, minimum_filter))
+    edge = (far - near > 0.01) & (random.random(SHAPE) < frayed)
+    depth = np.where(edge, near + (far - near) * np.clip(random.uniform(-0.5, 1.5, SHAPE), 0.0, 1.0), depth)
     facing = np.abs(np.einsum("hwi,hwi->hw", view.outward @ view.rotation.T, ray)) / np.linalg.norm(ray, axis=-1)
     steep = np.where(on, np.arccos(np.clip(facing, 0.0, 1.0)), 0.0)
     depth = np.round(depth + random.normal(size=SHAPE) * axial_noise_m(np.nan_to_num(depth, nan=1.0), steep), 3)
