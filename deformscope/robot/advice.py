@@ -8,7 +8,7 @@ from deformscope.robot.touch import TouchEnding
 _SENSOR = "the force sensor's cable and supply: deformscope doctor RIG listens to it"
 _ARM = "the arm's cable, supply and joystick's red light; move it away by the joystick"
 _BUSY = "and how busy this computer is: what reads it may come too late"
-_HOME = "whether the arm was homed since it was switched on: hold its joystick's home button until it stands still"
+_HOME = "whether the arm was homed since it was switched on: deformscope arm home RIG"
 _CAMERA = "the camera's cable, and that no other program uses it"
 _STANDS = "where arm and surface stand to one another, and the pose that the arm begins in"
 _PLACE = "workspace, rig file and what lies on the table"

@@ -107,7 +107,7 @@ class ArmBeside(Arm[ArmState]):
         super().acknowledge_stop()
 
     def home(self, timeout_s: float = 60.0) -> ArmState:
-        """As of the arm there; it is stopped too where this process is stopped, or dies, while the arm is on its way."""
+        """As of the arm there, which is also stopped where this process is stopped, or dies, meanwhile."""
         try:
             state: ArmState = self.ask("home", timeout_s, timeout_s=timeout_s + ANSWER_S)
         except BaseException:
