@@ -20,7 +20,7 @@ from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 from deformscope.experiments.options import ExploreOptions
 from deformscope.rig.rig_file import load_rig
-from deformscope.robot.advice import advice
+from deformscope.robot.advice import where_it_stands
 from deformscope.robot.jogging import HELP, LEAVE, Jog
 from deformscope.robot.placement import Placement
 from deformscope.robot.preflight import Preflight, check
@@ -210,7 +210,8 @@ def _carried_out(
         work(robot, setup)
     except RobotStopped as error:
         verdict = error.verdict
-        return ExplorationStop(str(verdict.fault), verdict.reason, advice(verdict.fault), str(verdict.action), 0)
+        what_to_do = where_it_stands(verdict.fault, robot)
+        return ExplorationStop(str(verdict.fault), verdict.reason, what_to_do, str(verdict.action), 0)
     return None
 
 
