@@ -438,7 +438,7 @@ class Explorer:
 
     def approach(self, xy_m: FloatArray, geometry: Geometry) -> Touch | None:
         """The touch of a place (2,) [m]; None where it could not be planned."""
-        return self._stage("plan", lambda: self.approached(xy_m, geometry), NotThere)
+        return self._stage("plan", lambda: self.approached(xy_m, geometry))
 
     def approached(self, xy_m: FloatArray, geometry: Geometry) -> Touch:
         """The touch of a place (2,) [m]. Raises InputError where it cannot be made."""
@@ -688,16 +688,15 @@ class Explorer:
             level_modulus_interval_pa=np.reshape([one.interval_pa for one in found if one is not None], (-1, 2)),
         )
 
-    def _stage(
-        self, name: str, compute: Callable[[], StageResult], raised: type[Exception] | tuple[()] = ()
-    ) -> StageResult | None:
-        """What a stage computes; None where it fails, which `failures` then says. raised: errors that are raised on"""
+    def _stage(self, name: str, compute: Callable[[], StageResult]) -> StageResult | None:
+        """What a stage computes; None where it fails, which `failures` then says. Raises NotThere for a place without a
+        way."""
         if (failed := self._failed_before.get((self._touch, name))) is not None:
             self.failures.append(failed)
             return None
         try:
             return compute()
-        except raised:
+        except NotThere:
             raise
         except Exception as error:  # whatever it is, the arm is over a table and the touches made are worth something
             self.failures.append(StageFailure.of(name, self._touch, error))

@@ -123,28 +123,24 @@ def to_above(
         clearance=robot.clearance,
         meanwhile=robot.keep_up,
     )
-    here, high_m, joints_deg = (
-        robot.placement.T_surface_center(robot.pose.T_base_ee),
-        float(way.over_m[2]),
-        way.joints_deg,
-    )
-    if way.up and here[2, 3] < high_m:
-        move_tip(robot, way.up_m, -here[:3, 2], speed_m_s, passing=joints_deg is None, braking_per_s=braking_per_s)
-    if joints_deg is not None:
-        move_joints(robot, joints_deg)
-    elif high_m > float(center_m[2]) + REACHED_M:
+    straight = way.joints_deg is None
+    if way.up_m is not None:
+        stick = -robot.placement.T_surface_center(robot.pose.T_base_ee)[:3, 2]
+        move_tip(robot, way.up_m, stick, speed_m_s, passing=straight, braking_per_s=braking_per_s)
+    if way.joints_deg is not None:
+        move_joints(robot, way.joints_deg)
+    elif way.over_m[2] > float(center_m[2]) + REACHED_M:
         move_tip(robot, way.over_m, normal, speed_m_s, passing=True, braking_per_s=braking_per_s)
     move_tip(robot, center_m, normal, speed_m_s, near_m=max(REACHED_M, passing_m), braking_per_s=braking_per_s)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Way:
-    """How `to_above` goes. up_m, over_m: (3,) above where it was and above the place [m, surface frame]; up: it goes up
-    first; joints_deg: (n,) turned to joint by joint from there, None = straight across"""
+class TravelWay:
+    """How `to_above` goes. up_m: (3,) above where it was, None = it does not go up first; over_m: (3,) above the place
+    [m, surface frame]; joints_deg: (n,) turned to joint by joint from there, None = straight across"""
 
-    up_m: FloatArray
+    up_m: FloatArray | None
     over_m: FloatArray
-    up: bool
     joints_deg: FloatArray | None
 
 
@@ -160,7 +156,7 @@ def find_way(
     deepest_m: FloatArray,
     clearance: ArmClearance | None = None,
     meanwhile: Callable[[], None] = lambda: None,
-) -> Way:
+) -> TravelWay:
     """The way of `to_above`, from joint angles (n,): all of it within what the supervisor allows. Raises NotThere where
     there is none."""
     T_base_ee = chain.end_effector(np.asarray(start_deg))
@@ -186,25 +182,20 @@ def find_way(
         stick[2] > 0.5
         and float(np.linalg.norm(pose_error(T_base_ee, placement.T_base_ee(here[:3, 3], stick))[3:])) < TURNED_RAD
     )  # it was led there by touches: joint by joint it would only turn through more of the air
+    up_m = up if here[2, 3] < high_m else None
     if up_free and followed.all() and (not turned or as_touches):
-        return Way(up, over, True, None)
+        return TravelWay(up_m, over, None)
     joints_deg = best_joints(chain, [placement.T_base_ee(place_m, normal) for place_m in (over, center_m, deepest_m)])
     if joints_deg is None or not (turned or up_free):
         raise _no_way((up, over, center_m, deepest_m)[int(followed.argmin())], NEAR_LIMITS)
-    first = turned and not as_touches
-    lowest = min(float(here[2, 3]), high_m) if first else high_m
-    raised = start_deg if first or here[2, 3] >= high_m else _above(chain, placement, up, stick, start_deg)
-    if why := _forbidden(chain, placement, limits, clearance, raised, joints_deg, lowest - SAG_M):
+    lowest_m, turn_deg = high_m, np.asarray(start_deg, dtype=float)
+    if turned and not as_touches:  # the first time, from wherever it was left
+        lowest_m, up_m = min(float(here[2, 3]), high_m), None
+    elif up_m is not None:
+        turn_deg = chain.inverse_near(placement.T_base_ee(up_m, stick)[None], turn_deg[None])[0][0]
+    if why := _forbidden(chain, placement, limits, clearance, turn_deg, joints_deg, lowest_m - SAG_M):
         raise _no_way(over, why)
-    return Way(up, over, not first, joints_deg)
-
-
-def _above(
-    chain: Chain, placement: Placement, up_m: FloatArray, stick: FloatArray, start_deg: npt.ArrayLike
-) -> FloatArray:
-    """(n,) joint angles with the tip's centre moved straight to up_m (3,)."""
-    found, _ = chain.inverse_near(placement.T_base_ee(up_m, stick)[None], np.asarray(start_deg, float)[None])
-    return np.asarray(found[0])
+    return TravelWay(up_m, over, joints_deg)
 
 
 def _in_box(placement: Placement, limits: Limits, centers_m: FloatArray) -> BoolArray:

@@ -18,7 +18,7 @@ from deformscope.robot.readings import RobotObservation
 from deformscope.robot.setup import T_BASE_SURFACE
 from deformscope.robot.supervisor import Limits, SafetyVerdict
 from deformscope.robot.touch import Phase, TouchPlan, run_touch
-from deformscope.robot.travel import PASSED_M, REACHED_M, NotThere, Way, find_way, to_above
+from deformscope.robot.travel import PASSED_M, REACHED_M, NotThere, TravelWay, find_way, to_above
 from deformscope.studies.fault_study import FaultScene, make_scene
 from deformscope_drivers.jaco.chains import J2N6S300
 from tests.robot.quick_touch import quick_scene
@@ -134,10 +134,10 @@ def _start_deg(center_m: np.ndarray, normal: np.ndarray) -> np.ndarray | None:
     return np.asarray(found[0]) if reached[0] else None
 
 
-def _track_m(start_deg: np.ndarray, way: Way, center_m: np.ndarray, deepest_m: np.ndarray) -> np.ndarray:
+def _track_m(start_deg: np.ndarray, way: TravelWay, center_m: np.ndarray, deepest_m: np.ndarray) -> np.ndarray:
     """(n, 3) tip's centres of a way in the base frame, down as far as the touch may go and back."""
     here_m = PLACEMENT.T_surface_center(J2N6S300.end_effector(start_deg))[:3, 3]
-    legs = [here_m, *([way.up_m] if way.up else []), way.over_m, center_m, deepest_m, center_m]
+    legs = [here_m, *([] if way.up_m is None else [way.up_m]), way.over_m, center_m, deepest_m, center_m]
     straight = [a + share * (b - a) for a, b in itertools.pairwise(legs) for share in np.linspace(0.0, 1.0, 20)]
     places = [PLACEMENT.point_in_base_m(place) for place in straight]
     if way.joints_deg is not None:
