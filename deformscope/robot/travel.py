@@ -165,9 +165,6 @@ def find_way(
     high_m = max(height_m, float(center_m[2]))
     over = np.array([center_m[0], center_m[1], high_m])
     up = np.array([here[0, 3], here[1, 3], high_m + PASSED_M])
-    outside = ~_in_box(placement, limits, np.array([over, center_m, deepest_m]))
-    if outside.any():
-        raise _no_way((over, center_m, deepest_m)[int(outside.argmax())], "outside the box of [workspace]")
     followed = follow(
         chain,
         placement,
@@ -183,11 +180,15 @@ def find_way(
         and float(np.linalg.norm(pose_error(T_base_ee, placement.T_base_ee(here[:3, 3], stick))[3:])) < TURNED_RAD
     )  # it was led there by touches: joint by joint it would only turn through more of the air
     up_m = up if here[2, 3] < high_m else None
-    if up_free and followed.all() and (not turned or as_touches):
+    straight, places = up_free and followed.all() and (not turned or as_touches), (over, center_m, deepest_m)
+    joints_deg = None if straight else best_joints(chain, [placement.T_base_ee(one, normal) for one in places])
+    if not straight and (joints_deg is None or not (turned or up_free)):
+        raise _no_way((up, *places)[int(followed.argmin())], NEAR_LIMITS)
+    outside = ~_in_box(placement, limits, np.array(places))
+    if outside.any():
+        raise _no_way(places[int(outside.argmax())], "outside the box of [workspace]")
+    if joints_deg is None:
         return TravelWay(up_m, over, None)
-    joints_deg = best_joints(chain, [placement.T_base_ee(place_m, normal) for place_m in (over, center_m, deepest_m)])
-    if joints_deg is None or not (turned or up_free):
-        raise _no_way((up, over, center_m, deepest_m)[int(followed.argmin())], NEAR_LIMITS)
     lowest_m, turn_deg = high_m, np.asarray(start_deg, dtype=float)
     if turned and not as_touches:  # the first time, from wherever it was left
         lowest_m, up_m = min(float(here[2, 3]), high_m), None
