@@ -178,10 +178,12 @@ def find_way(
     as_touches = (
         stick[2] > 0.5
         and float(np.linalg.norm(pose_error(T_base_ee, placement.T_base_ee(here[:3, 3], stick))[3:])) < TURNED_RAD
-    )  # it was led there by touches: joint by joint it would only turn through more of the air
+    )  # as touches leave it
     up_m = up if here[2, 3] < high_m else None
     straight, places = up_free and followed.all() and (not turned or as_touches), (over, center_m, deepest_m)
-    joints_deg = None if straight else best_joints(chain, [placement.T_base_ee(one, normal) for one in places])
+    joints_deg = None
+    if turned or not straight:
+        joints_deg = best_joints(chain, [placement.T_base_ee(one, normal) for one in places])
     if not straight and (joints_deg is None or not (turned or up_free)):
         raise _no_way((up, *places)[int(followed.argmin())], NEAR_LIMITS)
     outside = ~_in_box(placement, limits, np.array(places))
@@ -189,14 +191,14 @@ def find_way(
         raise _no_way(places[int(outside.argmax())], "outside the box of [workspace]")
     if joints_deg is None:
         return TravelWay(up_m, over, None)
-    lowest_m, turn_deg = high_m, np.asarray(start_deg, dtype=float)
-    if turned and not as_touches:  # the first time, from wherever it was left
-        lowest_m, up_m = min(float(here[2, 3]), high_m), None
-    elif up_m is not None:
+    first = bool(turned and not as_touches)  # from wherever it was left
+    lowest_m, turn_deg = min(float(here[2, 3]), high_m) if first else high_m, np.asarray(start_deg, dtype=float)
+    if up_m is not None and not first:
         turn_deg = chain.inverse_near(placement.T_base_ee(up_m, stick)[None], turn_deg[None])[0][0]
-    if why := _forbidden(chain, placement, limits, clearance, turn_deg, joints_deg, lowest_m - SAG_M):
+    why = _forbidden(chain, placement, limits, clearance, turn_deg, joints_deg, lowest_m - SAG_M)
+    if why and not straight:
         raise _no_way(over, why)
-    return TravelWay(up_m, over, joints_deg)
+    return TravelWay(None if first else up_m, over, None if why else joints_deg)
 
 
 def _in_box(placement: Placement, limits: Limits, centers_m: FloatArray) -> BoolArray:
