@@ -7,20 +7,20 @@ import os
 import select
 import sys
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from deformscope.api.moving import Watch, ask_yes, leave
+from deformscope.api.moving import POLL_S, Watch, ask_yes, leave, signal_word
 from deformscope.api.rigs import Interruption, member_of, until_interrupted
 from deformscope.api.setups import setup_of, table_of
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 from deformscope.experiments.options import ExploreOptions
 from deformscope.rig.rig_file import load_rig
-from deformscope.robot.advice import advice
+from deformscope.robot.advice import where_it_stands
 from deformscope.robot.jogging import HELP, LEAVE, Jog
 from deformscope.robot.placement import Placement
 from deformscope.robot.preflight import Preflight, check
@@ -79,14 +79,21 @@ def where(config: WhereConfig) -> WhereArm:
 
 
 def home(config: HomeConfig) -> None:
-    """Send the arm home. Raises InputError for an arm that has no home."""
-    with _arm_of(config.rig, trusted=config.trust_rig) as (arm, _):
-        if not hasattr(arm, "home"):
-            raise InputError("an arm that goes home by itself", type(arm).__name__, "bring it there by hand")
+    """Send the arm home; whoever ends the command stops it. Raises InputError for an arm that has no home."""
+    with until_interrupted() as asked, _arm_of(config.rig, trusted=config.trust_rig) as (arm, _):
+        if not arm.goes_home:
+            raise InputError("an arm with a home pose of its own", arm.name, "bring it there by hand")
         if not config.yes:
-            with until_interrupted() as asked:
-                _ask("The arm will now go home by itself, on its own path: is the way free? Type yes: ", asked)
-        arm.home()
+            _ask("The arm will now go home by itself, on its own path: is the way free? Type yes: ", asked)
+        say("the arm goes home: Ctrl-C stops it")
+        with ThreadPoolExecutor(1, "home") as beside:
+            going = beside.submit(arm.home)
+            while not wait([going], POLL_S).done:
+                if asked.is_set() and not arm.stopped_because:
+                    arm.halt(signal_word(asked.signal_number))
+        if asked.is_set():
+            leave(None, 0, asked.signal_number, None)
+        going.result()
 
 
 @contextlib.contextmanager
@@ -203,7 +210,8 @@ def _carried_out(
         work(robot, setup)
     except RobotStopped as error:
         verdict = error.verdict
-        return ExplorationStop(str(verdict.fault), verdict.reason, advice(verdict.fault), str(verdict.action), 0)
+        what_to_do = where_it_stands(verdict.fault, robot)
+        return ExplorationStop(str(verdict.fault), verdict.reason, what_to_do, str(verdict.action), 0)
     return None
 
 

@@ -177,7 +177,8 @@ def leave(
     touches = f"after {touched} touch{'es' * (touched != 1)}"
     if stop is None or stop.kind == Fault.ASKED:
         kept = "" if recording is None else f"; the recording is whole: {recording}"
-        say(f"deformscope: ended {by or f'by {signal_word(signal_number)}'} {touches}; {stands}{kept}")
+        presses = f"; see to {stop.advice}" if stop is not None and stop.advice else ""
+        say(f"deformscope: ended {by or f'by {signal_word(signal_number)}'} {touches}; {stands}{presses}{kept}")
         raise SystemExit(128 + (signal_number or signal.SIGINT))
     hint = f"see to {stop.advice}, then explore again" if stop.advice else "explore again"
     came = f"{stop.kind} ({stop.reason.split(' | ')[0]}) {touches}; {stands}"

@@ -30,6 +30,7 @@ FREE_BYTES_WANTED = 5 << 30
 FIRST_READING_S = 10.0
 """A camera, or a double on a busy machine, may take seconds to begin."""
 TRY = "deformscope devices lists what is plugged in; double = true runs a simulated one in its place"
+NOT_HOMED = "it was not homed since it was switched on, and refuses to move | try: deformscope arm home RIG"
 Verdict = Literal["ok", "look", "FAIL"]
 
 
@@ -217,13 +218,16 @@ def _real_time(rig: Rig) -> list[Finding]:
 
 def _device(entry: RigDevice, name: str, seconds: float) -> list[Finding]:
     """Open one device and listen to it."""
+    from deformscope_drivers.arm import Arm
+
     with member_of(entry) as member, member.device as device:
         who_is = device.identity()
         device.next(max(seconds, FIRST_READING_S))
         time.sleep(seconds)
-        health, remarks = device.health(), device.remarks()
+        health, remarks, homed = device.health(), device.remarks(), not isinstance(device, Arm) or device.homed
     who = " ".join(part for part in (who_is.model, who_is.serial, who_is.firmware) if part)
-    findings = [Finding(name, "ok", f"{health.rate_hz:.4g} readings a second{', ' + who if who else ''}")]
+    told = f"{health.rate_hz:.4g} readings a second{', ' + who if who else ''}"
+    findings = [Finding(name, "ok", told) if homed else Finding(name, "FAIL", f"{told}; {NOT_HOMED}")]
     return findings + [Finding(name, "look", doubt) for doubt in (*_doubts(health), *remarks)]
 
 

@@ -21,6 +21,7 @@ from deformscope.experiments.measured import Looked, SetupGeometry, Touched, off
 from deformscope.experiments.options import BORDER_M, PLAN_CELL_M, ExploreOptions
 from deformscope.robot.setup import Truth
 from deformscope.robot.touch import TouchPlan
+from deformscope.robot.travel import NotThere
 from deformscope.stages.map.exploration import (
     LumpsFound,
     MapEstimate,
@@ -91,6 +92,8 @@ CLOCK_SD_S = 0.002
 """Of the force's times against the arm's [assumed: a millisecond or two are left by `calibrate time`]."""
 BEFORE_A_MAP = ("contact", "creep", "loss", "regions", "maps")
 """Stages without which a touch gives no map."""
+WAY = "way"
+"""Stage of a failure that left a place out: there is no way to it within the workspace."""
 MOST_FAILED = 3
 """After so many touches in a row that gave no map the exploration ends: whatever is wrong does not pass by itself."""
 
@@ -211,6 +214,7 @@ class ExplorationStages:
         self.explorer, self.geometry = explorer, geometry
         self._reachable: BoolArray | None = None
         self._vetoed: list[FloatArray] = []
+        self._no_way: list[FloatArray] = []
         self._reported = 0
 
     def look(self, looked: Any) -> Computed:
@@ -224,13 +228,20 @@ class ExplorationStages:
         began = time.perf_counter()
         explorer = self.explorer
         plan, touch = None, None
-        if not explorer.given_up:
+        while not explorer.given_up:
             allowed = self._reached()
-            for xy_m in self._vetoed:
+            for xy_m in (*self._vetoed, *self._no_way):
                 allowed = allowed & ~_near(explorer.grid, xy_m)
             plan = explorer.next(allowed)
-        if plan is not None and plan.target_m is not None:
-            touch = explorer.approach(plan.target_m, self.geometry)
+            if plan is None or plan.target_m is None:
+                break
+            try:
+                touch = explorer.approach(plan.target_m, self.geometry)
+                break
+            except NotThere as error:  # left out, until the arm has moved
+                self._no_way.append(plan.target_m)
+                where = f"({100 * plan.target_m[0]:.0f}, {100 * plan.target_m[1]:.0f}) cm is left out: "
+                explorer.failures.append(StageFailure(WAY, len(explorer.touches), f"{where}{error}", ""))
         return self._computed(_made(plan), began, touch)
 
     def veto(self, xy_m: FloatArray) -> Computed:
@@ -275,6 +286,7 @@ class ExplorationStages:
         """What a touch says, and the maps after it."""
         began = time.perf_counter()
         made = self.geometry.touch(touched)
+        self._no_way.clear()  # from here there may be one
         estimate = self.explorer.touch(made, lambda: self.geometry.dent(touched))
         return self._computed((estimate, *_made(self.explorer.maps()), *_made(self.explorer.lumps())), began)
 
@@ -677,12 +689,15 @@ class Explorer:
         )
 
     def _stage(self, name: str, compute: Callable[[], StageResult]) -> StageResult | None:
-        """What a stage computes; None where it fails, which `failures` then says."""
+        """What a stage computes; None where it fails, which `failures` then says. Raises NotThere for a place without a
+        way."""
         if (failed := self._failed_before.get((self._touch, name))) is not None:
             self.failures.append(failed)
             return None
         try:
             return compute()
+        except NotThere:
+            raise
         except Exception as error:  # whatever it is, the arm is over a table and the touches made are worth something
             self.failures.append(StageFailure.of(name, self._touch, error))
             return None

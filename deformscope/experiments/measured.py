@@ -24,12 +24,15 @@ from deformscope.experiments.options import (
     ExploreOptions,
 )
 from deformscope.rig.rig_file import Tool, Workspace
+from deformscope.robot.clearance import ArmClearance
 from deformscope.robot.description import AS_CAPSULES, RobotDescription
 from deformscope.robot.placement import Placement, follow
 from deformscope.robot.readings import ArmSample
 from deformscope.robot.setup import CameraView, Setup
 from deformscope.robot.shape import arm_shape
+from deformscope.robot.supervisor import Limits
 from deformscope.robot.touch import STILL_S, TouchPlan, centers_of, forces_at
+from deformscope.robot.travel import NotThere, find_way
 from deformscope.stages.map.measured import LookFrames, SurfaceMeasurement, TouchFrames, TouchMeasurement, WholeTouch
 from deformscope.stages.poke.contact import ArmCompliance
 from deformscope.stages.poke.layer_seen import BESIDE_M, WITHIN_M, TableSeen, table_beside
@@ -359,10 +362,32 @@ class SetupGeometry:
         known_m: float | None = None,
     ) -> TouchPlan:
         """The same along the normal, or upright where the arm cannot be led along it: joint limits and singularities
-        depend on the tilt. Whoever places a stick without a chain holds it upright."""
-        plan = self.plan(xy_m, height_m, normal, over_m, options, known_m)
-        along = chain is not None and self._lead([plan], chain, joints_deg).all()
-        return plan if along else self.plan(xy_m, height_m, UPRIGHT, over_m, options, known_m)
+        depend on the tilt. Whoever places a stick without a chain holds it upright. Raises NotThere where no way leads
+        there within the workspace."""
+        along = self.plan(xy_m, height_m, normal, over_m, options, known_m)
+        upright = self.plan(xy_m, height_m, UPRIGHT, over_m, options, known_m)
+        if chain is None:
+            return upright
+        if self._lead([along], chain, joints_deg).all():
+            with contextlib.suppress(NotThere):
+                return self._with_a_way(along, chain, joints_deg)
+        return self._with_a_way(upright, chain, joints_deg)
+
+    def _with_a_way(self, plan: TouchPlan, chain: Chain, joints_deg: npt.ArrayLike) -> TouchPlan:
+        """The plan. Raises NotThere where the arm cannot travel to its place."""
+        crossing_m, above_m, deepest_m = plan.places_m(self.placement.center_offset_m)
+        find_way(
+            chain,
+            self.placement,
+            Limits.of(self.workspace),
+            joints_deg,
+            above_m,
+            plan.normal,
+            height_m=float(crossing_m[2]),
+            deepest_m=deepest_m,
+            clearance=ArmClearance(self.placement, chain.forward(chain.home_deg)),
+        )
+        return plan
 
     def reachable(
         self, grid: MapGrid, options: ExploreOptions, chain: Chain | None, joints_deg: npt.ArrayLike

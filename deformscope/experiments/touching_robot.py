@@ -22,7 +22,7 @@ from deformscope.experiments.explorer import Touch
 from deformscope.experiments.measured import UPRIGHT, FrameData, Looked, SetupGeometry, Touched
 from deformscope.experiments.options import ExploreOptions
 from deformscope.rig.source import RigSource
-from deformscope.robot.advice import advice
+from deformscope.robot.advice import where_it_stands
 from deformscope.robot.by_hand import touch_by_hand
 from deformscope.robot.preflight import Preflight, check
 from deformscope.robot.readings import ArmSample
@@ -430,8 +430,9 @@ class TouchingRobot:
         """The arm stands."""
         self._robot.halt(f"{cause}: {reason}")
         self._phase = self._pressed_m = None
-        stop = ExplorationStop(str(cause), reason, advice(cause), str(action), self._touches)
-        return ExplorationStopped(stop, self._setup.clock() if time_ns is None else time_ns)
+        time_ns = self._setup.clock() if time_ns is None else time_ns
+        stop = ExplorationStop(str(cause), reason, where_it_stands(cause, self._robot), str(action), self._touches)
+        return ExplorationStopped(stop, time_ns)
 
     def _new_pictures(self) -> list[DepthImage]:
         with contextlib.suppress(DeviceError):  # what becomes of a lost camera, the supervisor decides

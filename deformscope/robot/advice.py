@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from deformscope.robot.supervisor import Fault
 from deformscope.robot.touch import TouchEnding
+
+if TYPE_CHECKING:
+    from deformscope.robot.robot import Robot
+
+SETTLE_S = 0.1
+"""After a halt, until the force that stays is read."""
 
 _SENSOR = "the force sensor's cable and supply: deformscope doctor RIG listens to it"
 _ARM = "the arm's cable, supply and joystick's red light; move it away by the joystick"
 _BUSY = "and how busy this computer is: what reads it may come too late"
-_HOME = "whether the arm was homed since it was switched on: hold its joystick's home button until it stands still"
+_HOME = "whether the arm was homed since it was switched on: deformscope arm home RIG"
 _CAMERA = "the camera's cable, and that no other program uses it"
 _STANDS = "where arm and surface stand to one another, and the pose that the arm begins in"
 _PLACE = "workspace, rig file and what lies on the table"
@@ -45,6 +53,25 @@ ADVICE: dict[Fault | TouchEnding, str] = {
     TouchEnding.NOT_REACHED: _PLACE,
 }
 """What to look at, by the supervisor's fault or the touch's ending."""
+
+
+PRESSES_N = 0.6
+"""From this force on the tip counts as pressing [N]: less may be a sensor's drift, as `touch.TARE_DRIFT_N`."""
+_LIFT = "lift it off the way it came, by the arm's joystick or smartPAD, or by hand where you hold the stick"
+
+
+def where_it_stands(cause: Fault | TouchEnding, robot: Robot) -> str:
+    """As `advice`, of a robot that was halted: what is in contact comes first."""
+    robot.stand_by(SETTLE_S)
+    pressed_n = robot.pressed_n
+    words = advice(cause)
+    if pressed_n is None:
+        press = f"the tip, which may be pressing (its force is not known): {_LIFT}"
+    elif pressed_n > PRESSES_N:
+        press = f"the tip, which still presses with {pressed_n:.1f} N: {_LIFT}"
+    else:
+        return words
+    return f"{press}; {words}" if words else press
 
 
 def advice(cause: Fault | TouchEnding) -> str:

@@ -54,7 +54,7 @@ FRESH_S = {"arm": 0.05, "force sensor": 0.02, "camera": 0.1}
 HINTS = {
     "arm: fresh": "the arm's cable and supply; state_hz in the rig file",
     "arm: rate": "the arm's cable, and how busy this computer is; or a lower state_hz in the rig file",
-    "arm: homed": "after switching it on, hold the home button of the arm's joystick until the arm stands still",
+    "arm: homed": "after switching it on, deformscope arm home RIG; or hold its joystick's home button until it stands",
     "arm: link": "the arm's cable into a port of the computer itself: no hub, no virtual machine; less load on it",
     "arm: still": "wait until the arm stands, and let go of its joystick",
     "arm: FIFO": "end the other program that commands the arm",

@@ -21,7 +21,7 @@ from deformscope.robot.motion import CommandedRotation, JointMotion, rates_for_t
 from deformscope.robot.placement import Placement
 from deformscope.robot.preflight import Preflight
 from deformscope.robot.readings import PERIOD_NS, ArmSample, CameraSample, ForceSample, RobotObservation
-from deformscope.robot.supervisor import Action, Fault, Limits, SafetyVerdict, Supervisor
+from deformscope.robot.supervisor import FORCE_FAULTS, Action, Fault, Limits, SafetyVerdict, Supervisor
 from deformscope_drivers.arm import Arm, ArmState, JointVelocity
 from deformscope_drivers.arm.kinematics import Chain, FloatArray, cross
 from deformscope_drivers.clock import Clock, monotonic_ns
@@ -125,6 +125,7 @@ class Robot:
         self.commanded: list[tuple[int, float]] = []
         self.seen = RobotObservation(clock())
         self._pose: ArmSample | None = None
+        self._force: ForceSample | None = None
         self._speed_m_s = 0.0
         self._angular_rad_s: FloatArray = np.zeros(3)
         self._follows = self.moving = False
@@ -162,6 +163,14 @@ class Robot:
     def center_m(self) -> FloatArray:
         """(3,) where the tip's centre is in the surface frame [m]."""
         return self.placement.T_surface_center(self.pose.T_base_ee)[:3, 3]
+
+    @property
+    def pressed_n(self) -> float | None:
+        """The newest force on the tip, its size [N]; None where none is known, of a sensor that is silent or stuck."""
+        sample = self._force
+        age_ns = np.inf if sample is None else self._clock() - sample.time_ns
+        silent = self.supervisor.verdict.fault in FORCE_FAULTS or age_ns > 1e9 * self.supervisor.limits.force_silent_s
+        return None if silent or sample is None else float(np.linalg.norm(sample.force_n))
 
     def force_on_tip_n(self, sample: ForceSample, pose: ArmSample | None = None) -> FloatArray:
         """(3,) what the world does to the tip, in the surface frame [N]."""
@@ -389,9 +398,12 @@ class Robot:
         arms = tuple(map(ArmSample.of, states))
         if arms:
             self._pose = arms[-1]
+        samples = tuple(ForceSample.of(reading, self.tare_n) for reading in forces)
+        if samples:
+            self._force = samples[-1]
         return RobotObservation(
             self._clock(),
-            tuple(ForceSample.of(reading, self.tare_n) for reading in forces),
+            samples,
             arms,
             tuple(CameraSample(picture.stamp.host_ns, fingerprint(picture.depth)) for picture in pictures),
             damaged_frames(self.force),

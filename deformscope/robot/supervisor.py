@@ -65,6 +65,12 @@ class Fault(StrEnum):
     ASKED = "a person asked"
 
 
+FORCE_FAULTS = frozenset(
+    {Fault.FORCE_SILENT, Fault.FORCE_FROZEN, Fault.FORCE_INVALID, Fault.FORCE_UNUSABLE, Fault.CHECKSUMS}
+)
+"""After these the force on the tip is not known."""
+
+
 @dataclass(frozen=True, slots=True)
 class Limits:
     """What the robot must keep to. The times are set so that a fault is noticed within 50 ms (force), 100 ms (arm) and

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from deformscope.arrays import BoolArray
 from deformscope.errors import InputError
-from deformscope.robot.placement import TURNED_RAD, best_joints, follow, towards
+from deformscope.robot.clearance import ArmClearance
+from deformscope.robot.placement import TURNED_RAD, Placement, best_joints, follow, towards
 from deformscope.robot.robot import JointRates, Robot, TipVelocity
-from deformscope.robot.supervisor import Action
-from deformscope_drivers.arm.kinematics import FloatArray, pose_error
+from deformscope.robot.supervisor import Action, Limits
+from deformscope_drivers.arm.kinematics import Chain, FloatArray, pose_error
 
 ANGULAR_RAD_S = 0.3
 """Greatest turn of the end while travelling. Chosen."""
@@ -108,57 +111,139 @@ def to_above(
     surface frame]; passing_m: so near the place is near enough; braking_per_s: as of `TouchPlan`.
     Raises NotThere where neither is possible: before it moves, or high above where it was.
     """
-    here = robot.placement.T_surface_center(robot.pose.T_base_ee)
-    goal = robot.placement.T_base_ee(center_m, normal)
-    high_m = max(height_m, float(center_m[2]))
-    over = np.array([center_m[0], center_m[1], high_m])
-    up = np.array([here[0, 3], here[1, 3], high_m + PASSED_M])
-    places = [robot.placement.T_base_ee(place_m, normal) for place_m in (over, center_m, deepest_m)]
-    if np.linalg.norm(pose_error(robot.pose.T_base_ee, goal)[3:]) > TURNED_RAD:
-        joints_deg = best_joints(robot.arm.chain, places)
-        if joints_deg is None:
-            where = f"the tip at {np.round(over, 4)} m"
-            raise NotThere(where, "no joint angles for it", "a place that the arm reaches")
-        move_joints(robot, joints_deg)
-    else:
-        straight = _followed(robot, np.array([here[:3, 3], up, over, center_m, deepest_m]), normal)
-        joints_deg = None if straight.all() else best_joints(robot.arm.chain, places)
-        if not straight.all() and (joints_deg is None or not straight[0]):
-            raise _no_way((up, over, center_m, deepest_m)[int(straight.argmin())])
-        if here[2, 3] < high_m:
-            move_tip(robot, up, -here[:3, 2], speed_m_s, passing=joints_deg is None, braking_per_s=braking_per_s)
-        if joints_deg is not None:
-            if lowest_m(robot, joints_deg) < high_m - SAG_M:
-                raise _no_way(over)
-            move_joints(robot, joints_deg)
-        elif high_m > float(center_m[2]) + REACHED_M:
-            move_tip(robot, over, normal, speed_m_s, passing=True, braking_per_s=braking_per_s)
+    way = find_way(
+        robot.arm.chain,
+        robot.placement,
+        robot.supervisor.limits,
+        robot.pose.joints_deg,
+        center_m,
+        normal,
+        height_m=height_m,
+        deepest_m=deepest_m,
+        clearance=robot.clearance,
+        meanwhile=robot.keep_up,
+    )
+    straight = way.joints_deg is None
+    if way.up_m is not None:
+        stick = -robot.placement.T_surface_center(robot.pose.T_base_ee)[:3, 2]
+        move_tip(robot, way.up_m, stick, speed_m_s, passing=straight, braking_per_s=braking_per_s)
+    if way.joints_deg is not None:
+        move_joints(robot, way.joints_deg)
+    elif way.over_m[2] > float(center_m[2]) + REACHED_M:
+        move_tip(robot, way.over_m, normal, speed_m_s, passing=True, braking_per_s=braking_per_s)
     move_tip(robot, center_m, normal, speed_m_s, near_m=max(REACHED_M, passing_m), braking_per_s=braking_per_s)
 
 
-def lowest_m(robot: Robot, joints_deg: npt.ArrayLike) -> float:
-    """Least z of the tip's centre [m, surface frame] while all joints turn evenly to angles (n,)."""
-    turn = towards(robot.pose.joints_deg, joints_deg, ~np.isfinite(robot.arm.chain.upper_deg))
-    share = np.linspace(0.0, 1.0, 1 + math.ceil(float(np.max(np.abs(turn)))))[:, None]
-    poses = robot.arm.chain.forward(np.asarray(robot.pose.joints_deg) + share * turn)[:, -1]
-    return float(robot.placement.T_surface_center(poses)[:, 2, 3].min())
+@dataclass(frozen=True, slots=True, eq=False)
+class TravelWay:
+    """How `to_above` goes. up_m: (3,) above where it was, None = it does not go up first; over_m: (3,) above the place
+    [m, surface frame]; joints_deg: (n,) turned to joint by joint from there, None = straight across"""
+
+    up_m: FloatArray | None
+    over_m: FloatArray
+    joints_deg: FloatArray | None
 
 
-def _followed(robot: Robot, centers_m: FloatArray, normal: FloatArray) -> BoolArray:
-    """(n - 1,) whether the arm can follow a straight way from place to place (n, 3) [m, surface frame] as it stands."""
-    here, there = -robot.placement.T_surface_center(robot.pose.T_base_ee)[:3, 2], normal
-    return follow(
-        robot.arm.chain,
-        robot.placement,
-        centers_m[1:],
-        np.array([here, here, *[there] * (len(centers_m) - 2)])[1:],
-        start_deg=robot.pose.joints_deg,
-        meanwhile=robot.keep_up,
+def find_way(
+    chain: Chain,
+    placement: Placement,
+    limits: Limits,
+    start_deg: npt.ArrayLike,
+    center_m: FloatArray,
+    normal: FloatArray,
+    *,
+    height_m: float,
+    deepest_m: FloatArray,
+    clearance: ArmClearance | None = None,
+    meanwhile: Callable[[], None] = lambda: None,
+) -> TravelWay:
+    """The way of `to_above`, from joint angles (n,): all of it within what the supervisor allows. Raises NotThere where
+    there is none."""
+    T_base_ee = chain.end_effector(np.asarray(start_deg))
+    here, goal = placement.T_surface_center(T_base_ee), placement.T_base_ee(center_m, normal)
+    stick = -here[:3, 2]
+    high_m = max(height_m, float(center_m[2]))
+    over = np.array([center_m[0], center_m[1], high_m])
+    up = np.array([here[0, 3], here[1, 3], high_m + PASSED_M])
+    followed = follow(
+        chain,
+        placement,
+        np.array([up, over, center_m, deepest_m]),
+        np.array([stick, normal, normal, normal]),
+        start_deg=start_deg,
+        meanwhile=meanwhile,
     )
+    up_free = bool(followed[0] and _in_box(placement, limits, up[None])[0])
+    turned = np.linalg.norm(pose_error(T_base_ee, goal)[3:]) > TURNED_RAD
+    as_touches = (
+        stick[2] > 0.5
+        and float(np.linalg.norm(pose_error(T_base_ee, placement.T_base_ee(here[:3, 3], stick))[3:])) < TURNED_RAD
+    )  # as touches leave it
+    up_m = up if here[2, 3] < high_m else None
+    straight, places = up_free and followed.all() and (not turned or as_touches), (over, center_m, deepest_m)
+    joints_deg = None
+    if turned or not straight:
+        joints_deg = best_joints(chain, [placement.T_base_ee(one, normal) for one in places])
+    if not straight and (joints_deg is None or not (turned or up_free)):
+        raise _no_way((up, *places)[int(followed.argmin())], NEAR_LIMITS)
+    outside = ~_in_box(placement, limits, np.array(places))
+    if outside.any():
+        raise _no_way(places[int(outside.argmax())], "outside the box of [workspace]")
+    if joints_deg is None:
+        return TravelWay(up_m, over, None)
+    first = bool(turned and not as_touches)  # from wherever it was left
+    lowest_m, turn_deg = min(float(here[2, 3]), high_m) if first else high_m, np.asarray(start_deg, dtype=float)
+    if up_m is not None and not first:
+        turn_deg = chain.inverse_near(placement.T_base_ee(up_m, stick)[None], turn_deg[None])[0][0]
+    why = _forbidden(chain, placement, limits, clearance, turn_deg, joints_deg, lowest_m - SAG_M)
+    if why and not straight:
+        raise _no_way(over, why)
+    return TravelWay(None if first else up_m, over, None if why else joints_deg)
 
 
-def _no_way(to_m: FloatArray) -> NotThere:
-    came = f"a way to {np.round(to_m, 3)} m that leads near a joint's limit or a singularity"
+def _in_box(placement: Placement, limits: Limits, centers_m: FloatArray) -> BoolArray:
+    """(n,) whether the tip's centre may be at places (n, 3) [m, surface frame], moving at half the greatest speed."""
+    if limits.low_m is None or limits.high_m is None:
+        return np.ones(len(centers_m), dtype=bool)
+    base_m = np.array([placement.point_in_base_m(place_m) for place_m in centers_m])
+    margin_m = limits.look_ahead_s * 0.5 * limits.speed_m_s
+    inside = (base_m >= np.array(limits.low_m) + margin_m) & (base_m <= np.array(limits.high_m) - margin_m)
+    return np.asarray(inside.all(axis=1))
+
+
+def _forbidden(
+    chain: Chain,
+    placement: Placement,
+    limits: Limits,
+    clearance: ArmClearance | None,
+    start_deg: npt.ArrayLike,
+    joints_deg: FloatArray,
+    lowest_m: float,
+) -> str:
+    """Why the joints must not turn evenly from angles (n,) to others; empty where they may."""
+    turn = towards(np.asarray(start_deg).tolist(), joints_deg, ~np.isfinite(chain.upper_deg))
+    share = np.linspace(0.0, 1.0, 1 + math.ceil(float(np.max(np.abs(turn)))))[:, None]
+    frames = chain.forward(np.asarray(start_deg) + share * turn)
+    centers_m = placement.T_surface_center(frames[:, -1])[:, :3, 3]
+    inside = _in_box(placement, limits, centers_m)
+    if not inside[int(inside.argmax()) :].all() or not inside[-1]:  # it may come in from outside
+        return "whose way leaves the box of [workspace]"
+    if centers_m[:, 2].min() < lowest_m:
+        return "whose way sinks to the surface"
+    if clearance is not None:
+        table_m = min(map(clearance.over_table_m, frames))
+        itself_m = min(map(clearance.to_itself_m, frames))
+        box_m = min(clearance.in_box_m(one, limits.arm_box) for one in frames)
+        if table_m < limits.table_m or itself_m < limits.itself_m or box_m < 0:
+            return "on whose way the arm comes near the table or itself, or leaves its own box"
+    return ""
+
+
+NEAR_LIMITS = "a way to which leads near a joint's limit or a singularity"
+
+
+def _no_way(to_m: FloatArray, why: str) -> NotThere:
+    came = f"a place at {np.round(to_m, 3)} m, {why}"
     return NotThere("a way that the arm can follow", came, "another place, or move arm or surface")
 
 

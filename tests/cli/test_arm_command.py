@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
+import os
+import signal
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -12,8 +16,13 @@ import pytest
 from deformscope.api import arm_moving
 from deformscope.cli import main
 from deformscope.config import JogConfig
+from deformscope.lab import stand_in
 from deformscope.recording.recorder import Recorder
+from deformscope_drivers.arm.beside import ArmBeside
+from deformscope_drivers.jaco.chains import J2N6S300
+from deformscope_drivers.jaco.config import JacoConfig
 from tests.cli.rig_on_a_simulated_clock import use_a_simulated_clock
+from tests.drivers.arm.test_homing import Unhomed, moves_home, until
 
 RIG = """
 [devices.arm]
@@ -103,3 +112,58 @@ def test_where_it_is_and_home(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert "to its limit" in capsys.readouterr().out
     assert main(["arm", "home", str(path)]) == 2
     assert "--yes" in capsys.readouterr().err
+
+
+@pytest.fixture
+def unhomed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[str, Path]:
+    """A rig whose Jaco, in its own process, was just switched on; and the file of the calls to its library."""
+    calls = tmp_path / "calls"
+    calls.touch()
+
+    @contextlib.contextmanager
+    def opened(config: object) -> Iterator[ArmBeside]:
+        yield ArmBeside(Unhomed, JacoConfig(library=str(calls)))
+
+    monkeypatch.setitem(stand_in._IN_PROCESS, "jaco", opened)
+    path = tmp_path / "rig.toml"
+    path.write_text('[devices.arm]\ndriver = "jaco"\ndouble = true\n')
+    return str(path), calls
+
+
+def test_an_arm_that_was_not_homed_is_not_ok_and_is_homed(
+    unhomed: tuple[str, Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Through its own process: what `doctor` and `arm where` advise works."""
+    rig, _ = unhomed
+    assert main(["doctor", rig, "--seconds", "0.1"]) == 2
+    row = next(line for line in capsys.readouterr().out.splitlines() if "arm (jaco" in line)
+    assert row.startswith("FAIL")
+    assert "deformscope arm home" in row
+    assert main(["arm", "where", rig]) == 0
+    assert "no: deformscope arm home" in capsys.readouterr().out
+    assert main(["arm", "home", rig, "--yes"]) == 0
+    assert "the arm is at home" in capsys.readouterr().err
+
+
+def test_ctrl_c_stops_an_arm_on_its_way_home(unhomed: tuple[str, Path], capsys: pytest.CaptureFixture[str]) -> None:
+    rig, calls = unhomed
+
+    def interrupt() -> None:
+        until(lambda: moves_home(calls) == 1)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    asker = threading.Thread(target=interrupt)
+    asker.start()
+    assert main(["arm", "home", rig, "--yes"]) == 128 + signal.SIGINT
+    asker.join()
+    assert "the arm stands" in capsys.readouterr().err
+    lines = calls.read_text().splitlines()
+    assert lines[-1].startswith(("StopControlAPI", "EraseAllTrajectories"))
+    assert float(lines[-1].split()[2]) - J2N6S300.home_deg[0] > 1.0, "it was home by then"
+
+
+def test_an_arm_without_a_home_is_not_sent_there(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "rig.toml"
+    path.write_text('[devices.arm]\ndriver = "kuka"\nmodel = "kr6r900sixx"\ndouble = true\n')
+    assert main(["arm", "home", str(path), "--yes"]) == 2
+    assert "by hand" in capsys.readouterr().err

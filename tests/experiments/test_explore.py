@@ -30,6 +30,7 @@ from deformscope.experiments.options import PLAN_CELL_M, ExploreOptions
 from deformscope.lab.scenes import built_in
 from deformscope.lab.session_errors import LabErrors
 from deformscope.robot.setup import Truth
+from deformscope.robot.travel import NotThere
 from deformscope.rows import from_components, to_components
 from deformscope.session import Compute, Moment, Step, run
 from deformscope.stages.map.exploration import (
@@ -37,6 +38,7 @@ from deformscope.stages.map.exploration import (
     MapEstimate,
     PhaseStart,
     PlannedTouch,
+    StageFailure,
     SteeringDecision,
     SurfaceEstimate,
     TouchEstimate,
@@ -269,6 +271,27 @@ def test_what_was_recorded_gives_the_same_results_to_the_last_bit(two: Explored)
     again = [one for _, results in made for one in results if isinstance(one, kinds)]
     assert len(first) == 1 + 5 + 4 + 4
     assert all(same(a, b) for a, b in zip(first, again, strict=True))
+
+
+def test_a_place_without_a_way_is_left_out_before_it_is_tried(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With the reason, and the touches go elsewhere; from another place there may be a way."""
+    approach = AsMeasured.approach
+    tried: list[tuple[float, bool]] = []
+
+    def no_way_at_first(self: AsMeasured, xy_m: np.ndarray, *others: object) -> Touch:
+        refused = len(tried) < 2
+        tried.append((float(xy_m[0]), refused))
+        if refused:
+            raise NotThere("a way that the arm can follow", "one out of the box", "another place")
+        return approach(self, xy_m, *others)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(AsMeasured, "approach", no_way_at_first)
+    _, results = explored("two-60-150", budget=1)
+    left_out = [one for one in of(StageFailure, results) if isinstance(one, StageFailure)]
+    assert [(one.stage, one.touch) for one in left_out] == [("way", 0), ("way", 0)]
+    assert all("left out: expected a way" in one.reason and "out of the box" in one.reason for one in left_out)
+    assert len(of(TouchEstimate, results)) == 1
+    assert len({x_m for x_m, _ in tried}) > 1, "the same place again"
 
 
 def test_a_recording_that_ends_early_ends_it_in_order(two: Explored) -> None:

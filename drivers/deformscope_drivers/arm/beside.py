@@ -8,10 +8,12 @@ other process halts the arm, gives it back and ends too.
 from __future__ import annotations
 
 import contextlib
+import itertools
 import subprocess
 import sys
 import threading
 from collections.abc import Iterable, Iterator
+from concurrent.futures import Future, wait
 from multiprocessing.connection import Connection, Pipe
 from pathlib import Path
 from typing import Any
@@ -25,10 +27,12 @@ from deformscope_drivers.arm.state import ArmState
 from deformscope_drivers.clock import monotonic_ns
 from deformscope_drivers.device import RECONNECT, Reconnect
 from deformscope_drivers.errors import DeviceError, LinkLost, NoReply, NotConnected
-from deformscope_drivers.health import Identity
+from deformscope_drivers.health import Identity, Link
 
 OPEN_S, ANSWER_S, END_S = 90.0, 6.0, 5.0
 """An arm may be sought for long, and a vendor's library may wait 5 s for a packet."""
+WAITING_S = 0.1
+"""Who waits for an answer says so this often: the other process halts an arm on its way home once nobody does."""
 
 
 class ArmBeside(Arm[ArmState]):
@@ -45,8 +49,10 @@ class ArmBeside(Arm[ArmState]):
         self._known: dict[str, Any] = {}
         self._health: dict[str, float] = {}
         self._homed = False
-        self._questions = 0
-        self._answers: dict[int, Any] = {}
+        self._refused: DeviceError | None = None
+        self.goes_home = kind.goes_home
+        self._questions = itertools.count()
+        self._answers: dict[int, Future[Any]] = {}
 
     @property
     def chain(self) -> Chain:
@@ -74,6 +80,10 @@ class ArmBeside(Arm[ArmState]):
         return known
 
     def set_velocity(self, velocity: Velocity, valid_for_s: float | None = None) -> None:
+        """As of the arm there; why it refused a velocity is raised with the next one."""
+        refused, self._refused = self._refused, None
+        if refused is not None:
+            raise refused
         super().set_velocity(velocity, valid_for_s)
         with self._commanded:
             streamed = self._streamed
@@ -93,11 +103,46 @@ class ArmBeside(Arm[ArmState]):
 
     def acknowledge_stop(self) -> None:
         self.ask("acknowledge_stop")
+        self._refused = None
         super().acknowledge_stop()
 
+    def home(self, timeout_s: float = 60.0) -> ArmState:
+        """As of the arm there, which is also stopped where this process is stopped, or dies, meanwhile."""
+        try:
+            state: ArmState = self.ask("home", timeout_s, timeout_s=timeout_s + ANSWER_S)
+        except BaseException:
+            with contextlib.suppress(DeviceError):
+                self.stop()
+            raise
+        return state
+
     def ask(self, name: str, *arguments: Any, timeout_s: float = ANSWER_S) -> Any:
-        """Have a method of the arm called there, and give what it returns; raises what it raises."""
-        return self._do(lambda: self._ask_there(name, arguments, timeout_s), timeout_s + 1.0)
+        """Have a method of the arm called there, and give what it returns; raises what it raises. Threads do not wait
+        for one another's answers."""
+        self._require_open()
+        if self._link is not Link.CONNECTED:
+            raise LinkLost("a device that is connected", self._reason or self._link, where=self.name)
+        number, until_ns = next(self._questions), self._clock() + round(timeout_s * 1e9)
+        answer = self._answers[number] = Future()
+        try:
+            self._send("call", number, name, arguments)
+            while not answer.done():
+                if (left_s := (until_ns - self._clock()) / 1e9) <= 0:
+                    raise NoReply(f"{name} done within {timeout_s:g} s", "nothing", where=self.name)
+                self._await(answer, min(left_s, WAITING_S))
+        finally:
+            del self._answers[number]
+        return answer.result()
+
+    def _await(self, answer: Future[Any], timeout_s: float) -> None:
+        """Wait for an answer, and say that somebody does."""
+        if threading.current_thread() is self._thread:  # which takes the answers
+            for state in self._receive(timeout_s):
+                self._publish(state)
+        else:
+            wait([answer], timeout_s)
+        if not answer.done():
+            self._send("waiting")
 
     # Run by the device's own thread ----------------------------------------------------------------------------------
 
@@ -119,6 +164,9 @@ class ArmBeside(Arm[ArmState]):
             moving, self._streamed = self._streamed is not None, None
             if moving and not self._closing.is_set():
                 self._stopped = self._stopped or "the process that moves the arm was lost"
+        for answer in list(self._answers.values()):
+            if not answer.done():
+                answer.set_exception(LinkLost("a process that moves the arm", "one that has ended", where=self.name))
         connection, self._connection = self._connection, None
         process, self._process = self._process, None
         if connection is not None:
@@ -140,24 +188,6 @@ class ArmBeside(Arm[ArmState]):
                 self._heed(connection.recv(), found)
         return found
 
-    def _ask_there(self, name: str, arguments: tuple[Any, ...], timeout_s: float) -> Any:
-        self._questions += 1
-        number, until_ns = self._questions, self._clock() + round(timeout_s * 1e9)
-        self._send("call", number, name, arguments)
-        found: list[ArmState] = []
-        while number not in self._answers:
-            if (left_s := (until_ns - self._clock()) / 1e9) <= 0:
-                raise NoReply(f"{name} done within {timeout_s:g} s", "nothing", where=self.name)
-            with self._lost():
-                if self._opened().poll(left_s):
-                    self._heed(self._opened().recv(), found)
-        for state in found:
-            self._publish(state)
-        failed, *answer = self._answers.pop(number)
-        if failed:
-            raise _error_of(*answer)
-        return answer[0]
-
     def _heed(self, message: tuple[Any, ...], found: list[ArmState]) -> None:
         match message:
             case ("state", state, homed, stopped):
@@ -166,10 +196,15 @@ class ArmBeside(Arm[ArmState]):
                     with self._commanded:
                         self._streamed, self._stopped = None, stopped
                 found.append(state)
+            case ("refused", name, words):
+                self._refused = _error_of(name, words)
             case ("health", extra):
                 self._health = extra
-            case ("answer", number, *answer):
-                self._answers[number] = answer
+            case ("answer", number, failed, *said) if number in self._answers:  # else nobody waits any more
+                if failed:
+                    self._answers[number].set_exception(_error_of(*said))
+                else:
+                    self._answers[number].set_result(said[0])
             case ("lost", words):
                 raise LinkLost("an arm that is connected", words, where=self.name)
 

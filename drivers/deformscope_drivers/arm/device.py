@@ -14,7 +14,7 @@ from typing import Any, ClassVar, Self, TypeVar
 
 from deformscope_drivers.arm import commands
 from deformscope_drivers.arm.commands import SpeedLimits, Velocity
-from deformscope_drivers.arm.errors import MotionStopped
+from deformscope_drivers.arm.errors import MotionStopped, NotMovedByCommands
 from deformscope_drivers.arm.kinematics import Chain, FloatArray
 from deformscope_drivers.arm.state import ArmState
 from deformscope_drivers.clock import Clock, monotonic_ns
@@ -45,10 +45,12 @@ class Arm(Device[StateT]):
 
     config: with `state_hz` and, for an arm that takes velocities, what `SpeedLimits` has
     by_hand: a person places it: it has no joints that are known, and takes no velocities
+    goes_home: whether it has a home pose of its own, to which `home` sends it
     """
 
     prompt = True
     by_hand: ClassVar[bool] = False
+    goes_home: bool = False
     config: Any
 
     def __init__(self, name: str, *, reconnect: Reconnect | None = RECONNECT, clock: Clock = monotonic_ns) -> None:
@@ -129,6 +131,11 @@ class Arm(Device[StateT]):
     @abstractmethod
     def halt(self, reason: str) -> None:
         """Stop at once, and refuse the commands of all threads until `acknowledge_stop`. Raises as `stop` does."""
+
+    def home(self, timeout_s: float = 60.0) -> ArmState:
+        """Send the arm to its own home pose and wait until it is there; its state then. Raises NotMovedByCommands where
+        `goes_home` is False, MotionStopped where it was stopped on its way; on any exception the arm is stopped."""
+        raise NotMovedByCommands("an arm with a home of its own", "one without", "bring it there by hand", self.name)
 
     @property
     def stopped_because(self) -> str:

@@ -1,7 +1,8 @@
 """The process that moves an arm, started by `ArmBeside`: `python -m deformscope_drivers.arm.process FD`.
 
 It gets the driver's class and configuration first, then velocities with the moments at which they expire and calls;
-when the other end is closed, whatever ended it, it halts the arm, closes it and ends.
+when the other end is closed, whatever ended it, it halts the arm, closes it and ends. A call that takes long runs in a
+thread of its own, so that a halt and the end of the program come first.
 """
 
 from __future__ import annotations
@@ -23,6 +24,10 @@ from deformscope_drivers.priority import READING, STEERING, be_prompt
 HEALTH_S = 0.5
 CALLS = frozenset({"stop", "halt", "acknowledge_stop", "home"})
 """What may be called; velocities have a message of their own."""
+LONG = frozenset({"home"})
+"""Of these, what takes seconds."""
+UNATTENDED_S = 1.0
+"""During a long call whoever waits for it says so every 0.1 s (`beside.WAITING_S`); after this nobody does."""
 
 
 class Sender:
@@ -51,8 +56,12 @@ def serve(connection: Connection) -> None:
         known = {"chain": arm.chain, "identity": arm.identity(), "urdf": arm.urdf, "homed": arm.homed}
         send("opened", known)
         threading.Thread(target=_report, args=(arm, send), name="states", daemon=True).start()
+        long: threading.Thread | None = None
         while True:
-            _heed(connection.recv(), arm, send)
+            if long is not None and not connection.poll(UNATTENDED_S) and long.is_alive():
+                with contextlib.suppress(DeviceError):
+                    arm.halt("the program that moves it does not answer")
+            long = _heed(connection.recv(), arm, send) or long
     except (EOFError, OSError):
         with contextlib.suppress(DeviceError):
             arm.halt("the program that moved it has ended")
@@ -61,18 +70,30 @@ def serve(connection: Connection) -> None:
             arm.close()
 
 
-def _heed(message: tuple[Any, ...], arm: Arm[Any], send: Sender) -> None:
+def _heed(message: tuple[Any, ...], arm: Arm[Any], send: Sender) -> threading.Thread | None:
+    """Carry a message out; the thread that does so, where that takes long."""
     match message:
         case ("velocity", velocity, expires_ns):
             left_s = (expires_ns - monotonic_ns()) / 1e9
             if left_s > 0:
-                with contextlib.suppress(DeviceError):  # why it stands goes out with its next state
+                try:
                     arm.set_velocity(velocity, left_s)
+                except DeviceError as error:
+                    send("refused", _name(error), str(error))
+        case ("call", number, name, arguments) if name in LONG:
+            thread = threading.Thread(target=_answer, args=(arm, send, number, name, arguments), name=name, daemon=True)
+            thread.start()
+            return thread
         case ("call", number, name, arguments) if name in CALLS:
-            try:
-                send("answer", number, False, getattr(arm, name)(*arguments))
-            except DeviceError as error:
-                send("answer", number, True, _name(error), str(error))
+            _answer(arm, send, number, name, arguments)
+    return None
+
+
+def _answer(arm: Arm[Any], send: Sender, number: int, name: str, arguments: tuple[Any, ...]) -> None:
+    try:
+        send("answer", number, False, getattr(arm, name)(*arguments))
+    except DeviceError as error:
+        send("answer", number, True, _name(error), str(error))
 
 
 def _report(arm: Arm[Any], send: Sender) -> None:

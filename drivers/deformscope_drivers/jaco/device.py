@@ -16,6 +16,7 @@ points, that is 20 ms of motion; but a `move_to` in progress is one point, and g
 from __future__ import annotations
 
 import atexit
+import contextlib
 import time
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
@@ -24,7 +25,7 @@ from typing import Any, Literal, Self
 from deformscope_drivers.arm.beside import ArmBeside
 from deformscope_drivers.arm.commands import JointVelocity, Velocity, by_joints, finite, linear_velocity_of
 from deformscope_drivers.arm.device import CALL_MS, Arm
-from deformscope_drivers.arm.errors import NotStopped
+from deformscope_drivers.arm.errors import MotionStopped, NotStopped
 from deformscope_drivers.arm.kinematics import Chain
 from deformscope_drivers.clock import Clock, monotonic_ns
 from deformscope_drivers.device import RECONNECT, Reconnect
@@ -60,6 +61,8 @@ STATE_AGE_S = 0.5
 STILL_DEG_S, STILL_S = 1.0, 0.5
 REACHED_M, REACHED_RAD, REACHED_DEG, REACHED_FINGER = 2e-3, 0.02, 0.5, 70.0
 CANDLE_DEG, CANDLE_WITHIN_DEG = 180.0, 3.0
+HOME_PAUSE_S = 1.0
+"""Between stopping the control and starting it again before `MoveHome`, as kinova-ros does (`KinovaComm::homeArm`)."""
 
 
 def open_jaco(config: JacoConfig) -> Arm[Any]:
@@ -72,6 +75,8 @@ class Jaco(Arm[JacoState]):
 
     One thread calls the vendor's library, which is not made for several.
     """
+
+    goes_home = True
 
     def __init__(
         self,
@@ -349,13 +354,14 @@ class Jaco(Arm[JacoState]):
     def home(self, timeout_s: float = 60.0) -> JacoState:
         """Send the arm to its own home pose, on its own path and at its own speed; wait until it is still, and says
         that it is at home. To be done once after each time it was switched on, by this or its joystick's home button.
+        Its control is stopped and started again first, as the vendor's driver does.
         """
         self._require_moves()
-        moving_ns = self._clock()
+        moving_ns: int | None = None
 
         def there(state: JacoState) -> bool:
             nonlocal moving_ns
-            if not _still(state):
+            if moving_ns is None or not _still(state):
                 moving_ns = state.stamp.host_ns
             return state.homed and state.stamp.host_ns - moving_ns >= STILL_S * 1e9
 
@@ -387,20 +393,33 @@ class Jaco(Arm[JacoState]):
             if control is not None:
                 call(self._functions, control)
             if point is None:
-                call(self._functions, "MoveHome")
+                call(self._functions, "StopControlAPI")
             else:
                 call(self._functions, "SendAdvanceTrajectory", point)
 
+        def require_under_way() -> None:
+            self._require_moves()
+            if self._position_until_ns is None:
+                raise MotionStopped(f"an arm on its way: {where_to}", "stop()", "send it again", self.name)
+
+        def move_home() -> None:
+            require_under_way()
+            call(self._functions, "MoveHome")
+
         try:
             self._do(set_out, COMMAND_TIMEOUT_S)
-            while (left_s := (until_ns - self._clock()) / 1e9) > 0:
+            if point is None:
                 try:
+                    self._pass_time(HOME_PAUSE_S)
+                finally:
+                    self._do(lambda: call(self._functions, "StartControlAPI"), COMMAND_TIMEOUT_S)
+                self._do(move_home, COMMAND_TIMEOUT_S)
+            while (left_s := (until_ns - self._clock()) / 1e9) > 0:
+                state = None
+                with contextlib.suppress(Stale):
                     state = self.next(min(left_s, STATE_AGE_S))
-                except Stale:
-                    self._require_moves()
-                    continue
-                self._require_moves()
-                if there(state):
+                require_under_way()
+                if state is not None and there(state):
                     return state
             came = f"an arm that is not there after {timeout_s:g} s"
             raise NotReached(where_to, came, "a longer timeout_s", self.name)
@@ -524,7 +543,7 @@ class Jaco(Arm[JacoState]):
             raise NotHomed(
                 "an arm that was homed since it was switched on",
                 "one that was not",
-                "hold its joystick's home button until it stands still; or arm.home()",
+                "hold its joystick's home button until it stands still; or deformscope arm home RIG; or arm.home()",
                 self.name,
             )
 
