@@ -18,7 +18,10 @@ if TYPE_CHECKING:
 
 TRUTH = ("truth_labels", "iou", "boundary_m", "truth_m")
 """Not computed again: it is no input."""
+WORDS = ("reason",)
+"""Of a plan, in which each version words numbers that are compared themselves."""
 LATER = (
+    "isopleths",
     "speed_m_s",
     "modulus_interval_pa",
     "level_modulus_pa",
@@ -91,7 +94,9 @@ def replay_exploration(recording: Replay, config: ReplayConfig, page: PageServer
     if len(recorded) > len(again) or (len(recorded) < len(again) and not recording.outcome.get("stopped")):
         raise Different(f"{len(recorded)} results as recorded", str(len(again)), where=path)
     for before, now in zip(recorded, again, strict=False):
-        check_same(before, now, path, (*TRUTH, *(name for name in LATER if getattr(before, name, None) is None)))
+        check_same(
+            before, now, path, (*TRUTH, *WORDS, *(name for name in LATER if getattr(before, name, None) is None))
+        )
     for one in failed:
         console().print(f"failed when it was recorded: {failed_words(one)}", markup=False)
     start = "measurements" if measured else "depth images, forces and states of the arm"
@@ -129,7 +134,7 @@ def _show_beside(
     recorded: list[Any], again: list[Any], changes: dict[str, Any], config: ReplayConfig, page: PageServer | None
 ) -> None:
     """What comes of other settings, beside what was recorded; the robot touched where the recorded ones sent it."""
-    from deformscope.pictures.words import interval_words, stiffness_words, verdict_words
+    from deformscope.pictures.words import claim_words, interval_words, stiffness_words, verdict_words
     from deformscope.stages.map.exploration import MapEstimate, TouchEstimate
 
     def rows(results: list[Any]) -> dict[str, str]:
@@ -139,7 +144,7 @@ def _show_beside(
                 beta = "no beta" if one.beta is None else f"beta {one.beta:.2f}"
                 found[f"touch {one.number + 1}"] = f"{stiffness_words(one)} ({interval_words(one)}), {beta}"
             elif isinstance(one, MapEstimate):
-                found["map"] = f"{verdict_words(one)} (probability {one.probability:.2f})"
+                found["map"] = f"{verdict_words(one)} ({claim_words(one.claimed)})"
         return found
 
     before, now = rows(recorded), rows(again)

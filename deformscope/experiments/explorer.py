@@ -617,6 +617,7 @@ class Explorer:
             level_n_per_mm=np.exp(level),
             level_interval_n_per_mm=np.exp(interval),
             level_rigid=np.zeros(len(every), dtype=bool),
+            isopleths=self.thesis.isopleths,
             iou=None if truth is None else match_regions(labels, truth)[0],
             boundary_m=None if truth is None else boundary_distance(labels, truth, maps.cell_m),
         )
