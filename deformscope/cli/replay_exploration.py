@@ -16,12 +16,11 @@ if TYPE_CHECKING:
     from deformscope.page.server import PageServer
     from deformscope.recording.reader import Replay
 
-TRUTH = ("truth_labels", "iou", "boundary_m", "truth_m")
-"""Not computed again: it is no input."""
-WORDS = ("reason",)
-"""Of a plan, in which each version words numbers that are compared themselves."""
+TRUTH = ("truth_labels", "iou", "boundary_m", "truth_m", "reason")
+"""Not computed again: the truth is no input, and a plan's reason words numbers that are compared themselves."""
 LATER = (
     "isopleths",
+    "gain_unit",
     "speed_m_s",
     "modulus_interval_pa",
     "level_modulus_pa",
@@ -94,9 +93,7 @@ def replay_exploration(recording: Replay, config: ReplayConfig, page: PageServer
     if len(recorded) > len(again) or (len(recorded) < len(again) and not recording.outcome.get("stopped")):
         raise Different(f"{len(recorded)} results as recorded", str(len(again)), where=path)
     for before, now in zip(recorded, again, strict=False):
-        check_same(
-            before, now, path, (*TRUTH, *WORDS, *(name for name in LATER if getattr(before, name, None) is None))
-        )
+        check_same(before, now, path, (*TRUTH, *(name for name in LATER if getattr(before, name, None) is None)))
     for one in failed:
         console().print(f"failed when it was recorded: {failed_words(one)}", markup=False)
     start = "measurements" if measured else "depth images, forces and states of the arm"

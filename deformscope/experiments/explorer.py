@@ -414,7 +414,14 @@ class Explorer:
         target = None if enough else plan.target_m
         self.stop_reason = plan.stop or ""
         return PlannedTouch(
-            target, plan.gain, plan.cost_s, plan.excluded != ALLOWED, plan.reason, plan.stop or "", plan.missed
+            target,
+            plan.gain,
+            plan.cost_s,
+            plan.excluded != ALLOWED,
+            plan.reason,
+            plan.stop or "",
+            plan.missed,
+            plan.unit,
         )
 
     def _first_m(self, xy_m: FloatArray, reachable: BoolArray | None) -> FloatArray:

@@ -247,7 +247,8 @@ def draw_missed(axes: Any, lumps: LumpsFound) -> None:
 def draw_gain(axes: Any, plan: PlannedTouch, cell_m: float, contacts_m: FloatArray | None = None) -> None:
     if plan.gain is not None:
         open_gain = np.where(plan.excluded, np.nan, plan.gain)
-        _draw_map(axes, open_gain, cell_m, GAIN, "gain", low=0.0, high=_round_up(open_gain))
+        unit = "[-]" if plan.gain_unit is None else f"[{plan.gain_unit.replace('label', 'share of the map corrected')}]"
+        _draw_map(axes, open_gain, cell_m, GAIN, f"gain {unit}", low=0.0, high=_round_up(open_gain))
     else:
         _say(axes, "no gain computed", plan.excluded.shape, cell_m)
     _draw_excluded(axes, plan.excluded, cell_m)

@@ -224,7 +224,8 @@ class PlannedTouch:
     """Where the next touch goes, and why.
 
     target_m: (2,), None = no further touch; excluded: cells that may not be touched
-    gain, cost_s: (rows, columns) expected gain and time [s], None where no planner computed one
+    gain, cost_s: (rows, columns) expected gain and time [s], None where no planner computed one; gain_unit: of gain, as
+    `plan.TouchChoice` has it
     reason: in words; stop_reason: why none follows; missed: by the touches so far, None where it was not computed
     """
 
@@ -235,6 +236,7 @@ class PlannedTouch:
     reason: str
     stop_reason: str = ""
     missed: Missed | None = None
+    gain_unit: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
