@@ -105,7 +105,7 @@ def exploration_rows(found: Mapping[str, Any]) -> Rows:
         at = f"at {found['set_force_n']:g} N"
         words = f"{value:.3g} N/mm ({low:.3g} to {high:.3g}) {at}{_modulus_words(region)}"
         if region["rigid"]:
-            words = f"> {value:.3g} N/mm: hardly dented, so that only this bound is known"
+            words = f"> {value:.3g} N/mm (a lower bound: hardly dented)"
         if region["loss"] is not None:
             words = (
                 "loses {:.0%} ({:.0%} to {:.0%}) of a touch's energy; ".format(region["loss"], *region["loss_interval"])
@@ -119,9 +119,9 @@ def exploration_rows(found: Mapping[str, Any]) -> Rows:
         rows.append(("modulus", "not known: no thickness_m in [surface], and the camera sees no table beside the foam"))
     truth, touches = found["truth"], found["touches"]
     if truth is not None and truth["iou"] is not None:
-        off = "" if truth["boundary_m"] is None else f", their border is {100 * truth['boundary_m']:.1f} cm off"
+        off = "" if truth["boundary_m"] is None else f", border {100 * truth['boundary_m']:.1f} cm off"
         true = counted(truth["region_count"], "region")
-        rows.append(("truth", f"{true}; IoU of the map's regions with the true ones {truth['iou']:.3f}{off}"))
+        rows.append(("truth", f"{true}; IoU of the map's with them {truth['iou']:.3f}{off}"))
     elif truth is not None and not truth["region_count"]:
         rows.append(("truth", "no regions: the stiffness changes smoothly"))
     if any(one["beta"] is not None for one in touches):

@@ -57,8 +57,8 @@ def test_every_number_has_its_meaning() -> None:
     rows = dict(exploration_rows(found_with()))
     assert rows["verdict"] == "2 regions (probability 0.60, 3 regions 0.31)"
     assert rows["region 1"] == "0.5 N/mm (0.45 to 0.55) at 3 N; modulus 50 kPa (40 to 60)"
-    assert rows["region 2"] == "> 8.57 N/mm: hardly dented, so that only this bound is known"
-    assert rows["truth"] == "3 regions; IoU of the map's regions with the true ones 0.513, their border is 4.6 cm off"
+    assert rows["region 2"] == "> 8.57 N/mm (a lower bound: hardly dented)"
+    assert rows["truth"] == "3 regions; IoU of the map's with them 0.513, border 4.6 cm off"
     assert rows["ended"] == "all touches that were allowed are made"
     assert rows["contact force"] == (
         "set to 3 N (5 N where that dents less than 2 mm); "

@@ -375,12 +375,12 @@ def test_terminal_json_panel_and_map_file_give_the_same_numbers(
     assert found["region_count"] == len(found["regions"]) == last.region_count == 2
     for number, region in enumerate(found["regions"], start=1):
         level = f"{np.exp(region['log_stiffness']):.3g}"
-        assert f"region {number}               {level} N/mm (" in shown
+        assert re.search(rf"^  region {number} +{level} N/mm \(", shown, re.MULTILINE)
         modulus = f"{region['modulus_pa'] / 1e3:.3g} kPa"
         assert f"; modulus {modulus} (" in shown
         assert f"| {number} | {level} ({modulus}) |" in panel
     probability = f"(probability {found['verdict_probability']:.2f})"
-    assert f"2 regions {probability}" in shown
+    assert f"2 regions {probability[:-1]}" in shown  # a rival may follow
     assert probability in panel
     with np.load(arrays, allow_pickle=False) as file:
         assert set(np.unique(file["labels"])) == {0, 1}
