@@ -78,7 +78,10 @@ def _write(foams: Sequence[FoamDent], explored: Sequence[Scenario], config: Chap
         for foam in foams
         for one in foam.betas
     ]
-    rows = [_row(name, [one for one in explored if one.scene == name]) for name in dict.fromkeys(_names(explored))]
+    rows = [
+        _row(name, [one for one in explored if one.scene == name])
+        for name in dict.fromkeys(one.scene for one in explored)
+    ]
     write_rows(out / "figure45.csv", betas)
     write_rows(out / "table41.csv", [{name: _cell(value) for name, value in row.items()} for row in rows])
     draw_betas(foams, out / "figure45.png")
@@ -108,10 +111,6 @@ def _write(foams: Sequence[FoamDent], explored: Sequence[Scenario], config: Chap
         }
     )
     return Findings((*found.tables, dict_table(betas, "Figure 4.5")), drawn)
-
-
-def _names(explored: Sequence[Scenario]) -> list[str]:
-    return [one.scene for one in explored]
 
 
 def _row(name: str, mine: Sequence[Scenario]) -> dict[str, Any]:
