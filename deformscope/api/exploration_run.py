@@ -63,6 +63,8 @@ JSON_UNITS = {
     "log_stiffness": "natural logarithm of N/mm",
     "loss": "share of a touch's energy",
     "max_force_n": "N",
+    "measured_max_force_n": "N",
+    "more_force_n": "N",
     "modulus_interval_pa": "Pa",
     "modulus_pa": "Pa",
     "peak_force_n": "N",
@@ -85,6 +87,7 @@ class ExplorationEnd:
     error: that ended it, other than a stop; start_ns: of the session, on the robot's clock
     arm_stopped: whether the arm could be stopped; began_s: when it could first move, 0 = never [s]
     session_s: by the robot's clock [s]; gaps_s: (n,) from each look of its supervisor to the next [s]
+    largest_force_n: that the sensor measured in a touch [N]
     losses: of each device that lost something (`deformscope.recording.losses`)
     """
 
@@ -94,6 +97,7 @@ class ExplorationEnd:
     began_s: float = 0.0
     session_s: float = 0.0
     gaps_s: FloatArray | None = None
+    largest_force_n: float = 0.0
     losses: dict[str, dict[str, float]] = field(default_factory=dict)
 
 
@@ -235,10 +239,11 @@ def _run(
                     permit = _permitted(robot, setup, options, asked, ending, yes=config.yes, page=page)
                     if page is not None:
                         robot.reason_to_stand = page.reason_to_stand
-                    experiment = _said(explore(setup.clock, stage, found, permit, page), show, page)
+                    experiment = _said(explore(setup.clock, stage, found, permit, page), show, options.budget, page)
                     run(source, experiment, watched, robot, beside)
             finally:
                 ending.arm_stopped, ending.gaps_s = watch.arm_stopped, robot.gaps_s
+                ending.largest_force_n = robot.largest_force_n
                 ending.session_s = (setup.clock() - source.start_ns) / 1e9
         ending.losses = losses_of(finish(source, watched))
     for name, reason in source.failures.items():
@@ -298,14 +303,17 @@ def _say_on_page(recorder: Recorder, found: dict[str, Any]) -> None:
     for name, words in reversed([row for row in rows if row[0].startswith(("region", "truth"))]):
         recorder.page.desk.remark(f"{name}: {words}")
     known = dict(rows)
-    recorder.page.desk.enter("stopped", f"{known['verdict']}; touches: {known['touches']}")
+    recorder.page.desk.enter("stopped", f"{known['verdict']}; touches: {known['touches']}; {known['ended']}")
 
 
 def _said(
-    experiment: RigExperiment[None], show: Callable[[str], None], page: PageSteering | None = None
+    experiment: RigExperiment[None], show: Callable[[str], None], budget: int, page: PageSteering | None = None
 ) -> RigExperiment[None]:
-    """The same experiment; what it finds is printed, and shown on the page, as it comes."""
+    """The same experiment; what it finds is printed, and shown on the page, as it comes. budget: touches at most"""
+    from deformscope.stages.map.exploration import TouchEstimate
+
     given: Any = None
+    made, began_s = 0, 0.0
     answer: Callable[[Any], Step] = experiment.send
     while True:
         try:
@@ -314,9 +322,16 @@ def _said(
             return
         if page is not None:
             page.saw(step.results)
-            for line in (line for result in step.results if _for_page(result) for line in _remarks(result)):
-                page.desk.remark(line)
-        if lines := [line for result in step.results for line in _remarks(result)]:
+        lines = []
+        for result in step.results:
+            began_s = began_s or time.perf_counter()  # what is found first is the surface
+            made += isinstance(result, TouchEstimate)
+            remarks = list(_remarks(result, made, budget, time.perf_counter() - began_s))
+            lines += remarks
+            if page is not None and _for_page(result):
+                for line in remarks:
+                    page.desk.remark(line)
+        if lines:
             show("")
             for line in lines:
                 say(line)
@@ -333,10 +348,13 @@ def _for_page(result: object) -> bool:
     return isinstance(result, TouchEstimate | MapEstimate | LumpsFound | StageFailure)
 
 
-def _remarks(result: object) -> Iterator[str]:
+def _remarks(result: object, made: int, budget: int, spent_s: float) -> Iterator[str]:
+    """What is printed of a result. made: touches so far, of `budget` at most; spent_s: on them [s]"""
     from deformscope.pictures.words import (
+        claim_words,
         creep_words,
         dent_words,
+        ended_words,
         failed_words,
         found_words,
         interval_words,
@@ -355,8 +373,11 @@ def _remarks(result: object) -> Iterator[str]:
     )
 
     if isinstance(result, PlannedTouch):
-        where = "" if result.target_m is None else f"next touch at {_cm(result.target_m)} cm: "
-        yield where + result.reason
+        if result.target_m is None or result.stop_reason:
+            yield f"no further touch: {ended_words(result.stop_reason) if result.stop_reason else result.reason}"
+        else:
+            left = f"; some {spent_s / made * (budget - made):.0f} s to go for all {budget}" if made else ""
+            yield f"touch {made + 1} of at most {budget}, at {_cm(result.target_m)} cm: {result.reason}{left}"
     elif isinstance(result, TouchForecast):
         low, high = result.stiffness_interval
         expected = f"{result.stiffness_n_per_mm:.2g} N/mm expected ({low:.2g} to {high:.2g})"
@@ -366,7 +387,7 @@ def _remarks(result: object) -> Iterator[str]:
     elif isinstance(result, TouchEstimate):
         between = interval_words(result)
         yield (
-            f"touch {result.number + 1} at {_cm(result.xyz_m[:2])} cm: {stiffness_words(result)}"
+            f"  measured at {_cm(result.xyz_m[:2])} cm: {stiffness_words(result)}"
             + (f" ({between})" if between else "")
             + f", dent {dent_words(result)}"
         )
@@ -374,10 +395,12 @@ def _remarks(result: object) -> Iterator[str]:
             at = "" if result.speed_m_s is None else f", felt at {1e3 * result.speed_m_s:.2g} mm/s"
             yield f"  creep{at}: {creep_words(result.creep)}"
     elif isinstance(result, MapEstimate):
-        yield "  map: " + ", ".join(one for one in (verdict_words(result), iou_words(result)) if one)
+        truth = f", {iou_words(result)} with the truth" if iou_words(result) else ""
+        yield f"  map so far: {verdict_words(result)} ({claim_words(result.claimed)}){truth}"
     elif isinstance(result, LumpsFound):
         smallest = f"{100.0 * result.smallest_m:g} cm radius or more"
-        yield f"  {found_words(result)}; one of {smallest} is missed with {result.missed_smallest:.1%}"
+        missed = f"is missed with a probability of {result.missed_smallest:.1%}"
+        yield f"  {found_words(result)}; one of {smallest} {missed}"
     elif isinstance(result, StageFailure):
         yield f"deformscope: {failed_words(result)}"
 
@@ -396,6 +419,8 @@ def _found(
     faults: FaultsToCome | None,
 ) -> dict[str, Any]:
     """The JSON of design 5."""
+    from deformscope.experiments.measured import SetupGeometry
+
     exploration.failures += recorder.not_shown
     if ending.error is not None:
         exploration.stop_reason = f"error: {' '.join(str(ending.error).split()) or type(ending.error).__name__}"
@@ -414,11 +439,13 @@ def _found(
         "version": __version__,
         "units": JSON_UNITS,
         "set_force_n": options.set_force_n,
+        "more_force_n": SetupGeometry.of(setup).more_force_n(options),
         "stiffness": options.feel,
         "thickness": _thickness(exploration, options),
         "levelled_m": None if maps is None else maps.levelled_m,
         "verdict": None if maps is None else maps.verdict,
-        "verdict_probability": None if maps is None else maps.probability,
+        "verdict_probability": None if maps is None else maps.claimed,
+        "regions_by": None if maps is None else maps.mapped,
         "touches": [_touch(exploration, one, ending.start_ns) for one in exploration.touches],
         "region_count": None if maps is None else maps.region_count,
         "regions": [
@@ -437,6 +464,7 @@ def _found(
         "truth": truth,
         "travel_m": exploration.travel_m,
         "max_force_n": setup.max_force_n,
+        "measured_max_force_n": ending.largest_force_n,
         "seconds": {
             "compute": exploration.compute_s,
             "slowest": exploration.slowest_s,

@@ -84,12 +84,13 @@ def _squeeze_rows(found: Mapping[str, Any]) -> Rows:
         took_s = events["steady_s"] - events["first_s"]
         change = f"none: {found['vision_reason']}"
         if "vision" in found["features"]:
-            change = f"{1e2 * found['patch_width_m']:.1f} cm wide, {100 * found['vision_missing']:.0f} % missing, "
+            wide_cm, missing = 1e2 * found["patch_width_m"], found["vision_missing"]
+            change = f"seen on {wide_cm:.1f} cm of width, {missing:.0%} of it without depth, "
             change += f"noise of a pixel {1e3 * found['vision_noise_m']:.1f} mm"
         rows += [
-            ("first contact", f"at {events['first_s']:.2f} s, known to {1e3 * (first[1] - first[0]):.0f} ms"),
-            ("steady state", f"{took_s:.2f} s later, known to {1e3 * (steady[1] - steady[0]):.0f} ms"),
-            ("force of a finger", f"{physical['force_n']:.2f} N, {physical['stiffness_n_per_m']:.0f} N/m"),
+            ("first contact", f"{events['first_s']:.2f} s after the start, to {1e3 * (first[1] - first[0]):.0f} ms"),
+            ("steady state", f"{took_s:.2f} s after first contact, to {1e3 * (steady[1] - steady[0]):.0f} ms"),
+            ("force of a finger", f"{physical['force_n']:.2f} N; stiffness {physical['stiffness_n_per_m']:.0f} N/m"),
             ("depth change", change),
         ]
     if "named" in found:

@@ -16,9 +16,11 @@ if TYPE_CHECKING:
     from deformscope.page.server import PageServer
     from deformscope.recording.reader import Replay
 
-TRUTH = ("truth_labels", "iou", "boundary_m", "truth_m")
-"""Not computed again: it is no input."""
+TRUTH = ("truth_labels", "iou", "boundary_m", "truth_m", "reason")
+"""Not computed again: the truth is no input, and a plan's reason words numbers that are compared themselves."""
 LATER = (
+    "isopleths",
+    "gain_unit",
     "speed_m_s",
     "modulus_interval_pa",
     "level_modulus_pa",
@@ -129,7 +131,7 @@ def _show_beside(
     recorded: list[Any], again: list[Any], changes: dict[str, Any], config: ReplayConfig, page: PageServer | None
 ) -> None:
     """What comes of other settings, beside what was recorded; the robot touched where the recorded ones sent it."""
-    from deformscope.pictures.words import interval_words, stiffness_words, verdict_words
+    from deformscope.pictures.words import claim_words, interval_words, stiffness_words, verdict_words
     from deformscope.stages.map.exploration import MapEstimate, TouchEstimate
 
     def rows(results: list[Any]) -> dict[str, str]:
@@ -139,7 +141,7 @@ def _show_beside(
                 beta = "no beta" if one.beta is None else f"beta {one.beta:.2f}"
                 found[f"touch {one.number + 1}"] = f"{stiffness_words(one)} ({interval_words(one)}), {beta}"
             elif isinstance(one, MapEstimate):
-                found["map"] = f"{verdict_words(one)} (probability {one.probability:.2f})"
+                found["map"] = f"{verdict_words(one)} ({claim_words(one.claimed)})"
         return found
 
     before, now = rows(recorded), rows(again)

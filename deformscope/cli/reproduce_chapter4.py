@@ -30,10 +30,10 @@ from deformscope.session import Step
 from deformscope.studies.chapter4 import (
     HARDNESSES_N,
     SCENARIOS,
-    WHY,
     FoamDent,
     Scenario,
     explore_scenario,
+    in_words,
     press_foam,
 )
 from deformscope.studies.chapter4_figures import draw_betas, draw_dents, draw_fields
@@ -78,14 +78,18 @@ def _write(foams: Sequence[FoamDent], explored: Sequence[Scenario], config: Chap
         for foam in foams
         for one in foam.betas
     ]
-    rows = [_row(name, [one for one in explored if one.scene == name]) for name in dict.fromkeys(_names(explored))]
+    rows = [
+        _row(name, [one for one in explored if one.scene == name])
+        for name in dict.fromkeys(one.scene for one in explored)
+    ]
     write_rows(out / "figure45.csv", betas)
     write_rows(out / "table41.csv", [{name: _cell(value) for name, value in row.items()} for row in rows])
     draw_betas(foams, out / "figure45.png")
     draw_dents(foams, out / "figure46.png")
     draw_fields([one for one in explored if one.seed == 0], out / "figure47.png")
     runs = [_run(one) for one in explored]
-    summary = {"betas": betas, "table": rows, "why": list(WHY), "explorations": runs}
+    why = in_words(foams, explored)
+    summary = {"betas": betas, "table": rows, "why": why, "explorations": runs}
     write_json(summary, str(out / "chapter4.json"))
     write_json(summary, config.output.json)
     found = Findings(
@@ -94,7 +98,7 @@ def _write(foams: Sequence[FoamDent], explored: Sequence[Scenario], config: Chap
                 [(row["scene"], _words(row)) for row in rows],
                 caption="Table 4.1 at Th = 0.06, the thesis's in brackets",
             ),
-            Table([(line,) for line in WHY], caption="In words"),
+            Table([(line,) for line in why], caption="In words"),
         )
     )
     show(found)
@@ -107,10 +111,6 @@ def _write(foams: Sequence[FoamDent], explored: Sequence[Scenario], config: Chap
         }
     )
     return Findings((*found.tables, dict_table(betas, "Figure 4.5")), drawn)
-
-
-def _names(explored: Sequence[Scenario]) -> list[str]:
-    return [one.scene for one in explored]
 
 
 def _row(name: str, mine: Sequence[Scenario]) -> dict[str, Any]:

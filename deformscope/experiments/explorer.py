@@ -426,7 +426,14 @@ class Explorer:
         target = None if enough else plan.target_m
         self.stop_reason = plan.stop or ""
         return PlannedTouch(
-            target, plan.gain, plan.cost_s, plan.excluded != ALLOWED, plan.reason, plan.stop or "", plan.missed
+            target,
+            plan.gain,
+            plan.cost_s,
+            plan.excluded != ALLOWED,
+            plan.reason,
+            plan.stop or "",
+            plan.missed,
+            plan.unit,
         )
 
     def _first_m(self, xy_m: FloatArray, reachable: BoolArray | None) -> FloatArray:
@@ -629,6 +636,7 @@ class Explorer:
             level_n_per_mm=np.exp(level),
             level_interval_n_per_mm=np.exp(interval),
             level_rigid=np.zeros(len(every), dtype=bool),
+            isopleths=self.thesis.isopleths,
             iou=None if truth is None else match_regions(labels, truth)[0],
             boundary_m=None if truth is None else boundary_distance(labels, truth, maps.cell_m),
         )

@@ -107,6 +107,7 @@ class TouchingRobot:
     on_phase: called with each phase of a touch as it begins, and the touch's number from 1
     reason_to_stand: asked in each control period of a motion: a reason to stand still and end it, empty = none
     stopped: fails with what stops the robot while it carries nothing out
+    largest_force_n: magnitude that the sensor measured in any touch so far, its tare taken off [N]
     """
 
     def __init__(
@@ -120,6 +121,7 @@ class TouchingRobot:
         self.on_phase: Callable[[Phase, int], None] = lambda phase, touch: None
         self.reason_to_stand: Callable[[], str] = lambda: ""
         self.stopped: Future[None] = Future()
+        self.largest_force_n = 0.0
         self.geometry = SetupGeometry.of(setup)
         self._make, self._on_cycle = make, on_cycle
         self._made: Robot | None = None
@@ -316,6 +318,7 @@ class TouchingRobot:
                 else touch_by_hand(robot, plan, person, still, self._begin)
             )
         self._phase = None
+        self.largest_force_n = max(self.largest_force_n, record.peak_force_n)
         verdict = robot.supervisor.verdict
         if verdict.action is not Action.GO_ON:
             raise self._stop(verdict.fault, verdict.reason, verdict.action, verdict.time_ns)

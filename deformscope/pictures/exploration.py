@@ -20,8 +20,10 @@ from deformscope.images import encode_png
 from deformscope.pictures.figures import canvas, png_of
 from deformscope.pictures.palette import OBSERVED, SIMULATED, hexadecimal, round_up
 from deformscope.pictures.words import (
+    claim_words,
     counted,
     dent_words,
+    ended_words,
     found_words,
     interval_words,
     iou_words,
@@ -199,7 +201,7 @@ def draw_regions(axes: Any, maps: MapEstimate) -> None:
     _draw_outline(axes, maps.labels, maps.cell_m, "black")
     _draw_contacts(axes, maps.contacts_m, maps.tip_radius_m)
     _draw_keys(axes, maps)
-    title = f"{verdict_words(maps)} found (probability {maps.probability:.2f})"
+    title = f"{verdict_words(maps)} found ({claim_words(maps.claimed)})"
     _title(axes, title, "the paler, the less sure")
 
 
@@ -245,7 +247,8 @@ def draw_missed(axes: Any, lumps: LumpsFound) -> None:
 def draw_gain(axes: Any, plan: PlannedTouch, cell_m: float, contacts_m: FloatArray | None = None) -> None:
     if plan.gain is not None:
         open_gain = np.where(plan.excluded, np.nan, plan.gain)
-        _draw_map(axes, open_gain, cell_m, GAIN, "gain", low=0.0, high=_round_up(open_gain))
+        unit = "[-]" if plan.gain_unit is None else f"[{plan.gain_unit.replace('label', 'share of the map corrected')}]"
+        _draw_map(axes, open_gain, cell_m, GAIN, f"gain {unit}", low=0.0, high=_round_up(open_gain))
     else:
         _say(axes, "no gain computed", plan.excluded.shape, cell_m)
     _draw_excluded(axes, plan.excluded, cell_m)
@@ -259,7 +262,7 @@ def draw_gain(axes: Any, plan: PlannedTouch, cell_m: float, contacts_m: FloatArr
         axes.plot(*at, "+", color=TARGET, ms=20, mew=2.8, zorder=8)
         _title(axes, f"Next touch at ({at[0]:.1f}, {at[1]:.1f}) cm", plan.reason)
     else:
-        _title(axes, "No further touch", plan.stop_reason or plan.reason)
+        _title(axes, "No further touch", ended_words(plan.stop_reason) if plan.stop_reason else plan.reason)
 
 
 def draw_height(axes: Any, surface: SurfaceEstimate) -> None:
@@ -370,7 +373,7 @@ def draw_regions_beside(axes: Any, recorded: MapEstimate, other: MapEstimate, na
     handles = []
     for maps, color, width, whose in beside:
         _draw_outline(axes, maps.labels, maps.cell_m, hexadecimal(color), width)
-        words = f"{whose}: {verdict_words(maps)} ({maps.probability:.2f})"
+        words = f"{whose}: {verdict_words(maps)} ({claim_words(maps.claimed)})"
         handles.append(Line2D([], [], color=hexadecimal(color), lw=width, label=words))
     _draw_contacts(axes, recorded.contacts_m, recorded.tip_radius_m)
     matched = _matched(other.labels, recorded.labels) if recorded.region_count and other.region_count else other.labels

@@ -20,7 +20,28 @@ def counted(number: int, word: str) -> str:
 
 def verdict_words(maps: MapEstimate) -> str:
     """How many regions there are, if any."""
-    return "gradual: no regions" if maps.verdict == "gradual" else counted(maps.region_count, "region")
+    between = "" if maps.isopleths is None else " between isopleths of beta"
+    return "gradual: no regions" if maps.verdict == "gradual" else counted(maps.region_count, "region") + between
+
+
+def claim_words(probability: float | None) -> str:
+    """How sure a verdict is; None: it comes from a rule that has no probability."""
+    return "the thesis's rule gives no probability" if probability is None else f"probability {probability:.2f}"
+
+
+ENDED = {
+    "budget": "all touches that were allowed are made",
+    "nothing above the threshold": "the map's variance is below the threshold everywhere",
+    "little left to learn": "one more touch would hardly change the map",
+    "nowhere to go": "no place is left that may be touched",
+    "no lump missed": "it is unlikely that a lump of the size sought was missed",
+}
+"""Why a plan makes no further touch, by its stop reason (`stages.map.plan.StopReason`)."""
+
+
+def ended_words(stop_reason: str) -> str:
+    """Why no further touch was made; reasons that are no plan's are in words already."""
+    return ENDED.get(stop_reason, stop_reason or "before its plan was carried out")
 
 
 def level_words(maps: MapEstimate, region: int) -> str:

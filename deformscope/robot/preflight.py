@@ -368,4 +368,4 @@ def _plans(robot: Robot, plans: Sequence[TouchPlan], lift_m: float) -> Iterator[
         led = follow(robot.arm.chain, placement, centers_m, normals, start_deg=start_deg)
         far = int(np.count_nonzero(~led))
     wanted = "every way, away from joint limits and singularities"
-    yield Check("arm: reach", far == 0, wanted, f"{far} of {len(route)} not")
+    yield Check("arm: reach", far == 0, wanted, f"{len(route) - far} of {len(route)}")

@@ -7,6 +7,7 @@ into finite elements and seen by the laboratory's camera, without wires.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, get_args
@@ -28,6 +29,7 @@ from deformscope.stages.map.gaussian_process import Believed
 from deformscope.stages.map.map_score import match_regions
 from deformscope.stages.map.thesis_field import ThesisField, contoured
 from deformscope.stages.map.touch_beta import (
+    BOUNDS,
     THESIS_CELL_M,
     THESIS_SIDE_M,
     BallContact,
@@ -37,6 +39,7 @@ from deformscope.stages.map.touch_beta import (
     thesis_beta,
 )
 from deformscope.stages.regions.touches import MapGrid
+from deformscope.studies.foams import order_words
 from deformscope.studies.surface_robot import LabRobot
 
 HARDNESSES_N = (30, 60, 110, 150, 300)
@@ -228,16 +231,39 @@ def _exact(world: SlabWorld, at: FloatArray, middle_m: float, radius_m: float) -
 
 # In words ------------------------------------------------------------------------------------------------------------
 
-WHY = (
-    "Why n differs: the variance of a Gaussian process depends on where beta was found, never on what it is, so n is "
-    "that of the kernel's width, the size of the dents and the places drawn. The thesis prints no width; ours was made "
-    "such that one foam takes 3. What is rigid is not dented: there the field learns from the tip's footprint alone.",
-    "Why regions differ: a single layer of particles is all bending and dents wider than foam on a table, so its beta "
-    "is the same for every foam, and what is rigid, where nothing moves, gets the first of the sweep. With layers "
-    "below, beta of what is rigid stands apart, and rigid pieces are found; foams of 60, 110 and 150 N differ by less "
-    "than one of them does from touch to touch: linear foam that is pushed by a given depth deforms the same whatever "
-    "its modulus.",
-    "What makes a trend: the ball's patch grows with the dent while one particle is held, so by the exact surface beta "
-    "falls with firmness, as in the thesis. A Gaussian process through noisy points widens shallow dents, which hides "
-    "or turns that trend; with the whole patch held, as it was, no firmer foam has a lower beta either.",
-)
+SAME = 0.02
+"""Betas of foams that differ by no more count as the same: two steps of the sweep (Algorithm 3)."""
+
+
+def in_words(foams: Sequence[FoamDent], explored: Sequence[Scenario]) -> list[str]:
+    """What figure 4.5 and the explorations show, each sentence from their numbers."""
+    as_many = sum(len(one.contacts_m) == SCENARIOS[one.scene][0] for one in explored)
+    made = f"As many touches as in the thesis in {as_many} of {len(explored)} explorations."
+    return [*_trends(foams), made, *(_field_words(name, explored) for name in explored[0].fields)]
+
+
+def _trends(foams: Sequence[FoamDent]) -> list[str]:
+    """How beta changes with hardness, by how the model is held."""
+    if len(foams) < 2:
+        return [f"Figure 4.5 has {len(foams)} foam: how beta changes with hardness takes two."]
+    betas: dict[Hold, list[FloatArray]] = {}
+    for same in zip(*(one.betas for one in sorted(foams, key=lambda one: one.hardness_n)), strict=True):
+        betas.setdefault(same[0].hold, []).append(np.array([one.beta for one in same]))
+    words = []
+    for hold, sizes in betas.items():
+        changes = Counter(order_words(one, SAME) for one in sizes).most_common()
+        said = ", ".join(f"{change} at {count} of {len(sizes)} cluster sizes" for change, count in changes)
+        words.append(f"By {hold}, beta is {np.min(sizes):.2f} to {np.max(sizes):.2f}; it {said}.")
+    return words
+
+
+def _field_words(name: str, explored: Sequence[Scenario]) -> str:
+    """Of one way to model the dents: how many regions it finds, and between which betas."""
+    fields = [(one.fields[name], int(one.truth.max()) + 1) for one in explored]
+    right = sum(found.regions == count for found, count in fields)
+    betas = [beta for found, _ in fields for beta in found.touches]
+    words = f"With {name}, {right} of {len(fields)} explorations have as many regions as there are"
+    words += f"; beta is {min(betas):.2f} to {max(betas):.2f}"
+    if max(betas) <= BOUNDS[0] or min(betas) >= BOUNDS[1]:
+        words += ", the end of the sweep for all touches: no isopleth divides them"
+    return f"{words}."

@@ -232,17 +232,22 @@ def trend(results: Sequence[FoamResult], source: Source, held: Held, cluster_siz
     value = np.array([one.value for one in found])
     low, high = max(one.interval[0] for one in found), min(one.interval[1] for one in found)
     correlation = rank_correlation(np.array([result.foam.hardness for result in ordered]), value)
-    steps = np.diff(value)
     if low <= high:
         summary = f"no trend: any beta from {low:.2f} to {high:.2f} fits all"
-    elif (steps < 0.0).all():
-        summary = "falls with firmness"
-    elif (steps > 0.0).all():
-        summary = "rises with firmness"
     else:
-        summary = "differs, but not in the order of firmness"
+        summary = order_words(value)
     common = (low, high) if low <= high else None
     return Trend(source, held, cluster_size, float(value[0] - value[-1]), correlation, common, summary)
+
+
+def order_words(value: FloatArray, same: float = 0.0) -> str:
+    """How values (n,) of foams change, the softest first; same: that they may differ by and count as one."""
+    steps = np.diff(value)
+    if np.ptp(value) <= same:
+        return "is the same for all"
+    if (steps < 0.0).all():
+        return "falls with firmness"
+    return "rises with firmness" if (steps > 0.0).all() else "differs, but not in the order of firmness"
 
 
 def rank_correlation(a: FloatArray, b: FloatArray) -> float | None:

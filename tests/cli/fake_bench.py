@@ -40,6 +40,7 @@ class FakeRobot:
     forces_words = "3 N"
     doing = ""
     gaps_s = np.full(9, 0.01)
+    largest_force_n = 3.1
 
     def __init__(self, bench: FakeBench, on_cycle: Callable[[], None]) -> None:
         self._bench, self._on_cycle = bench, on_cycle

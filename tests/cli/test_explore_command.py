@@ -82,6 +82,18 @@ def test_a_simulated_table_is_explored(explored: Explored) -> None:
     assert "lumps unseen" in explored.out
     assert found["truth"]["region_count"] == 2
     assert 2.9 < found["max_force_n"] < 8.0
+    assert (found["set_force_n"], found["more_force_n"]) == (3.0, 5.0)
+    assert (
+        max(one["peak_force_n"] for one in found["touches"])
+        <= found["measured_max_force_n"]
+        < 1.1 * found["max_force_n"]
+    )
+    assert f"measured {found['measured_max_force_n']:.2f} N, true {found['max_force_n']:.2f} N" in explored.out
+    assert [f"touch {number + 1} of at most {explored.touches}, at" in explored.err for number in range(2)] == [
+        True,
+        explored.touches > 1,
+    ]
+    assert "no further touch: all touches that were allowed are made" in explored.err
     assert found["seconds"]["session"] > 10.0
     if explored.touches == 2:
         assert 0.5 < found["truth"]["iou"] <= 1.0
@@ -414,8 +426,8 @@ def test_a_full_disk_halts_the_arm_first(
     assert "MiB free on the disk" in last
     assert Phase.PRESS not in began
     assert stopped == ["what watches it failed: RecordingError"]
-    assert "  touches                0, " in shown.out  # what is known, and that the arm stands
-    assert "  arm                    stands" in shown.out
+    assert re.search(r"^  touches +0, ", shown.out, re.MULTILINE)  # what is known, and that the arm is at rest
+    assert re.search(r"^  arm +at rest$", shown.out, re.MULTILINE)
     assert list(tmp_path.glob("*.part.rrd"))
 
 

@@ -7,6 +7,7 @@ import rerun as rr
 
 from deformscope.log.exploration.moment import ResultBatch
 from deformscope.pictures.words import (
+    claim_words,
     counted,
     iou_words,
     level_words,
@@ -39,7 +40,7 @@ def summary(maps: MapEstimate) -> str:
     verdict = verdict_words(maps)
     scored = f"; **{iou_words(maps)}** with the truth" if maps.iou is not None else ""
     lines = [
-        f"# {verdict[0].upper()}{verdict[1:]} (probability {maps.probability:.2f})",
+        f"# {verdict[0].upper()}{verdict[1:]} ({claim_words(maps.claimed)})",
         "",
         f"after **{counted(maps.touches, 'touch')}**, {travel_words(maps.travel_m)}",
         "",

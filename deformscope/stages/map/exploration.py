@@ -106,6 +106,8 @@ class MapEstimate:
     level_loss: (region_count,) of each region, level_loss_interval: (region_count, 2) of 90 %; all four None unless
     the regions are those of the loss, 0 the one that loses least: stiffness is then a field through the touches, the
     levels its means, none of them a bound
+    isopleths: (k,) levels of beta between which the regions lie, by the thesis's rule, which has no probability:
+    `probability` is then that of as many regions by stiffness; None = the regions are of stiffness, or of the loss
     truth_labels: where it is known; iou, boundary_m: against it; boundary_m is None where one has no boundary
     """
 
@@ -136,11 +138,19 @@ class MapEstimate:
     loss_log_sd: FloatArray | None = None
     level_loss: FloatArray | None = None
     level_loss_interval: FloatArray | None = None
+    isopleths: FloatArray | None = None
 
     @property
     def mapped(self) -> str:
         """By what the regions are told apart."""
+        if self.isopleths is not None:
+            return "beta"
         return "stiffness" if self.loss is None else "energy loss"
+
+    @property
+    def claimed(self) -> float | None:
+        """Probability of the verdict and the number of regions; None where they come from a rule that has none."""
+        return self.probability if self.isopleths is None else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -214,7 +224,8 @@ class PlannedTouch:
     """Where the next touch goes, and why.
 
     target_m: (2,), None = no further touch; excluded: cells that may not be touched
-    gain, cost_s: (rows, columns) expected gain and time [s], None where no planner computed one
+    gain, cost_s: (rows, columns) expected gain and time [s], None where no planner computed one; gain_unit: of gain, as
+    `plan.TouchChoice` has it
     reason: in words; stop_reason: why none follows; missed: by the touches so far, None where it was not computed
     """
 
@@ -225,6 +236,7 @@ class PlannedTouch:
     reason: str
     stop_reason: str = ""
     missed: Missed | None = None
+    gain_unit: str | None = None
 
 
 @dataclass(frozen=True, slots=True)

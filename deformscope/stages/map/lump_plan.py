@@ -133,8 +133,8 @@ def _missed(posterior: LumpPosterior, made_m: FloatArray) -> Missed:
 def _why(posterior: LumpPosterior, felt: bool, gain: float, cost_s: float) -> str:
     """Why here, in words."""
     smallest = f"a lump of {100 * posterior.prior.smallest_m:g} cm radius or more"
-    unseen = f"{smallest} is missed with {posterior.missed_smallest:.0%}"
+    unseen = f"{smallest} is missed with a probability of {posterior.missed_smallest:.0%}"
     if felt:
-        there = f"one more is there with {posterior.state.exists:.0%}"
-        return f"tells which lump it is ({gain:.2g} nat for {cost_s:.0f} s); {there}"
-    return f"may show a lump with {gain:.1%} for {cost_s:.0f} s; {unseen}"
+        there = f"probability that there is one more: {posterior.state.exists:.0%}"
+        return f"shows best where a lump lies (by {gain:.2g} nat), takes {cost_s:.0f} s; {there}"
+    return f"shows a lump with a probability of {gain:.1%}, takes {cost_s:.0f} s; {unseen}"

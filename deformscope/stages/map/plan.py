@@ -173,7 +173,7 @@ def plan_touch(
         best = int(np.nanargmax(np.where(allowed, score, -np.inf)))
         target = again.at_m[best]
         if stop is None:
-            reason = _why(posterior, options, unit, float(gain[best]), float(np.nanmax(gain)), float(cost[best]))
+            reason = _why(posterior, options, unit, float(gain[best]), float(cost[best]))
             reason = "the same place again: " * bool(again.share[best] > 0.0) + reason
     shape = grid.shape
     return TouchChoice(
@@ -374,15 +374,16 @@ def _stop(
     return None
 
 
-def _why(posterior: RegionPosterior, options: PlanOptions, unit: str, gain: float, most: float, cost_s: float) -> str:
+def _why(posterior: RegionPosterior, options: PlanOptions, unit: str, gain: float, cost_s: float) -> str:
     """Why here, in words."""
     if options.planner in ("random-above", "thesis"):
-        return f"any place above the threshold: variance {gain:.3g}"
+        return f"drawn at random from the places whose variance is above the threshold; here it is {gain:.3g}"
     if options.planner == "max-variance":
-        return f"the least known place: variance {gain:.3g}"
+        return f"the place where the map is least certain: variance of log stiffness {gain:.3g}"
     if unit == "mean variance":
-        return f"fills the space: the mean variance drops by {gain:.2g} for {cost_s:.0f} s"
+        return f"spreads the touches over the surface, where the map is least certain; takes {cost_s:.0f} s"
     if posterior.probability["1"] > 0.5:
-        return f"one material so far: may show lumps, adds {gain:.1%} to the labels for {cost_s:.0f} s"
-    shares = ", ".join(f"{name}: {share:.0%}" for name, share in posterior.probability.items() if share >= 0.05)
-    return f"adds {gain:.1%} to the labels (at most {most:.1%}) for {cost_s:.0f} s; regions {shares}"
+        found = "one material so far: looks for a spot of another"
+        return f"{found}; expected to correct {gain:.1%} of the map, takes {cost_s:.0f} s"
+    shares = ", ".join(f"{name} ({share:.0%})" for name, share in posterior.probability.items() if share >= 0.05)
+    return f"expected to correct {gain:.1%} of the map, takes {cost_s:.0f} s; regions so far: {shares}"
