@@ -29,7 +29,7 @@ from deformscope_drivers.arm.kinematics import (
 )
 from deformscope_drivers.arm.state import ArmState
 from deformscope_drivers.clock import Clock, Stamp, monotonic_ns
-from deformscope_drivers.device import RECONNECT, Reconnect
+from deformscope_drivers.device import RECONNECT, ROUND_S, Reconnect
 from deformscope_drivers.errors import DeviceError, LinkLost, NotConnected, ProtocolViolation, SettingsRefused
 from deformscope_drivers.health import Identity
 from deformscope_drivers.kuka.chains import CHAINS
@@ -45,8 +45,8 @@ POSE_MM, POSE_DEG = 5.0, 2.0
 CYCLES_SEEN = 5
 ZEROS_AT_CLOSE = 3
 """Answers of zeros before the port is closed: the controller may miss two of them."""
-REST_S = 0.25
-"""Within which the zeros of a stop have to be out; a controller asks every 4 or 12 ms."""
+REST_ANSWERS = 50
+"""Of these, so many in a row have to be in time as an arm is stopped. Not a time: this process may be held up."""
 PROBE_DEG, PROBE_LEFT_OUT, PROBE_SETTLES_S = 0.01, 2, 0.5
 """At opening: a correction of every axis, how many answers are then left out, and when the axes have settled. A
 correction that is held moves an axis by three times as much. Chosen: ten times what AIPos shows at rest."""
@@ -99,25 +99,26 @@ class Kuka(Arm[ArmState]):
 
     def stop(self) -> None:
         self._forget()
-        self._do(lambda: self._rest(1), SILENCE_S)
+        self._do(lambda: self._rest(1), 2 * SILENCE_S)
 
     def halt(self, reason: str) -> None:
         self._forget(reason or "by command")
-        self._do(lambda: self._rest(1), SILENCE_S)
+        self._do(lambda: self._rest(1), 2 * SILENCE_S)
 
     def _rest(self, zeros: int) -> None:
-        """Answer until so many zeros in a row are out that the controller did not count as late. Raises NotStopped."""
-        until_ns = self._clock() + round(REST_S * 1e9)
+        """Answer with zeros until so many in a row are out that the controller did not count as late. Raises
+        NotStopped, or LinkLost where it asks no more."""
         self._resting = True
         try:
-            while self._zeros < zeros:
-                if (left_s := (until_ns - self._clock()) / 1e9) <= 0:
-                    came = f"{self._zeros} within {REST_S:g} s"
-                    raise NotStopped(f"{zeros} answers of zeros to the controller", came, self.stop_by_hand, self.name)
-                for state in self._receive(left_s):
+            for _ in range(REST_ANSWERS):
+                if self._zeros >= zeros:
+                    return
+                for state in self._receive(ROUND_S):
                     self._publish(state)
         finally:
             self._resting = False
+        came = f"{REST_ANSWERS}, of which the last came too late"
+        raise NotStopped(f"{zeros} answers of zeros in time", came, self.stop_by_hand, self.name)
 
     def _forget(self, stopped_because: str = "") -> None:
         with self._commanded:
@@ -150,7 +151,7 @@ class Kuka(Arm[ArmState]):
         """The next message of a controller that is being opened, answered by corrections (6,), or left unanswered."""
         until_ns = self._clock() + round(within_s * 1e9)
         while (left_s := (until_ns - self._clock()) / 1e9) > 0 and not self._closing.is_set():
-            if data := self._transport.read(min(left_s, 0.05)):
+            if data := self._transport.read(min(left_s, ROUND_S)):
                 message = decode_rob(data)
                 self._note(message)
                 if corrections_deg is not None:
@@ -178,6 +179,7 @@ class Kuka(Arm[ArmState]):
                 )
             if np.all(moved_deg > 0.5 * PROBE_DEG):
                 return
+            self._settled_deg()
         raise SettingsRefused(
             f"axes that are {PROBE_DEG:g} deg further after one answer that says so",
             f"{_by_axis(moved_deg)} in {PROBES} tries",
@@ -196,12 +198,16 @@ class Kuka(Arm[ArmState]):
         self._hear(PROBE_DEG * signs)
         for _ in range(PROBE_LEFT_OUT):
             self._hear(None)
-        for _ in range(round(PROBE_SETTLES_S / self.config.cycle_s)):
-            settled = self._hear(self._zero)
-        moved_deg: FloatArray = signs * (np.array(settled.joints_deg) - joints_deg)
+        moved_deg: FloatArray = signs * (self._settled_deg() - joints_deg)
         if np.all(moved_deg < 1.5 * PROBE_DEG):
             self._hear(-PROBE_DEG * signs)  # back
         return moved_deg
+
+    def _settled_deg(self) -> FloatArray:
+        """(6,) where the axes are once zeros have let them settle [deg]."""
+        for _ in range(round(PROBE_SETTLES_S / self.config.cycle_s)):
+            settled = self._hear(self._zero)
+        return np.array(settled.joints_deg)
 
     def _check(self, message: RobMessage, step_ms: int) -> None:
         """That the controller runs at the cycle that corrections are made for, and is the arm of this model."""
