@@ -83,6 +83,14 @@ class KukaDouble:
         with self._lock:
             return self._joints_deg.copy()
 
+    def joints_at(self, now_ns: int) -> FloatArray:
+        """(6,) where the axes are within a cycle [deg]; `joints_deg` is where they were as it began."""
+        with self._lock:
+            self._live(now_ns)
+            began_ns = (now_ns if self._next_ns is None else self._next_ns) - self._cycle_ns
+            share = np.clip((now_ns - began_ns) / self._cycle_ns, 0.0, 1.0)
+            return self._joints_deg + share * self._rates_deg_s * self._cycle_ns / 1e9
+
     @property
     def T_base_links(self) -> FloatArray:
         """(7, 4, 4) of the axes and the flange [m]."""
