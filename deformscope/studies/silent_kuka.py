@@ -49,7 +49,8 @@ SILENCES = tuple(product((0, 1), Silence))
 @dataclass(frozen=True, slots=True)
 class SilentRun:
     """refused: opening refused the controller; moved_m: of the flange, after the answers were ended or, where it was
-    refused, at most while it was opened; moved_later: it moved on after RSI must have ended"""
+    refused, at most while it was opened; moved_later: it moved on after RSI must have ended; error: why it could not be
+    tried, as of a machine too busy to answer"""
 
     seed: int
     holdon: int
@@ -58,6 +59,7 @@ class SilentRun:
     refused: bool
     moved_m: float
     moved_later: bool
+    error: str = ""
 
     @property
     def kind(self) -> str:
@@ -67,7 +69,9 @@ class SilentRun:
     @property
     def in_time(self) -> bool:
         """Refused where the controller holds corrections; else it stands within FARTHEST_M."""
-        return self.refused == bool(self.holdon) and self.moved_m <= FARTHEST_M and not self.moved_later
+        return (
+            not self.error and self.refused == bool(self.holdon) and self.moved_m <= FARTHEST_M and not self.moved_later
+        )
 
 
 class _Cable(KukaDouble):
@@ -93,7 +97,7 @@ def run_silent(seed: int) -> SilentRun:
     port = free_port()
     arm = ArmBeside(Kuka, KukaConfig(address=LOOPBACK, port=port, cycle_s=cycle_s), reconnect=None)
     with UdpWire(double, port):
-        before_m, refused = _place_m(double), False
+        before_m, refused, error = _place_m(double), False, ""
         try:
             arm.open()
             arm.set_velocity(RATES, 30.0)
@@ -102,6 +106,8 @@ def run_silent(seed: int) -> SilentRun:
             _end(arm, double, silence)
         except SettingsRefused:
             refused = True
+        except DeviceError as other:
+            error = str(other)
         time.sleep(AFTER_S)
         after_m = _place_m(double)
         time.sleep(AFTER_S / 5)
@@ -110,7 +116,8 @@ def run_silent(seed: int) -> SilentRun:
         os.kill(arm.process_id, signal.SIGKILL)  # one that was stopped would not end
     with contextlib.suppress(DeviceError):
         arm.close()
-    return SilentRun(seed, holdon, silence, cycle_s, refused, float(np.linalg.norm(after_m - before_m)), later)
+    moved_m = float(np.linalg.norm(after_m - before_m))
+    return SilentRun(seed, holdon, silence, cycle_s, refused, moved_m, later, error)
 
 
 def _place_m(double: KukaDouble) -> FloatArray:
