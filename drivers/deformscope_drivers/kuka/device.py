@@ -167,6 +167,7 @@ class Kuka(Arm[ArmState]):
 
     def _check_missing(self) -> None:
         """That one answer moves the axes once, and that they stand while answers are missing."""
+        moved_deg = self._zero
         for _ in range(PROBES):
             moved_deg = self._probe_deg()
             if np.any(moved_deg > 1.5 * PROBE_DEG):
@@ -206,8 +207,8 @@ class Kuka(Arm[ArmState]):
     def _settled_deg(self) -> FloatArray:
         """(6,) where the axes are once zeros have let them settle [deg]."""
         for _ in range(round(PROBE_SETTLES_S / self.config.cycle_s)):
-            settled = self._hear(self._zero)
-        return np.array(settled.joints_deg)
+            self._hear(self._zero)
+        return np.array(self._hear(self._zero).joints_deg)
 
     def _check(self, message: RobMessage, step_ms: int) -> None:
         """That the controller runs at the cycle that corrections are made for, and is the arm of this model."""

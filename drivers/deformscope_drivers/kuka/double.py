@@ -89,7 +89,7 @@ class KukaDouble:
             self._live(now_ns)
             began_ns = (now_ns if self._next_ns is None else self._next_ns) - self._cycle_ns
             share = np.clip((now_ns - began_ns) / self._cycle_ns, 0.0, 1.0)
-            return self._joints_deg + share * self._rates_deg_s * self._cycle_ns / 1e9
+            return np.asarray(self._joints_deg + share * self._rates_deg_s * self._cycle_ns / 1e9)
 
     @property
     def T_base_links(self) -> FloatArray:
