@@ -83,13 +83,26 @@ class ArmBeside(Arm[ArmState]):
     def stop(self) -> None:
         with self._commanded:
             self._streamed = None
+        self._send_at_once("stop")
         self.ask("stop")
 
     def halt(self, reason: str) -> None:
         with self._commanded:
             self._streamed = None
             self._stopped = self._stopped or reason or "by command"
+        self._send_at_once("halt", self._stopped)
         self.ask("halt", self._stopped)
+
+    def close(self) -> None:
+        with contextlib.suppress(DeviceError):
+            self._send_at_once("halt", "it is being closed")
+        super().close()
+
+    def _send_at_once(self, name: str, *arguments: Any) -> None:
+        """Have a method of the arm called there, from any thread and without an answer: the device's thread, which asks
+        for one, may wait for the arm's next state first, a cycle in which the arm would go on."""
+        self._require_open()
+        self._send("call", 0, name, arguments)
 
     def acknowledge_stop(self) -> None:
         self.ask("acknowledge_stop")
