@@ -93,7 +93,13 @@ def run_silent(seed: int) -> SilentRun:
     random = np.random.default_rng([seed, 0x5C])
     cycle_s = float(random.choice([0.004, 0.012]))
     lag_s, acceleration_deg_s2 = random.uniform(*LAGS_S), random.uniform(*ACCELERATIONS_DEG_S2)
-    double = _Cable(holdon=holdon, cycle_s=cycle_s, lag_s=lag_s, acceleration_deg_s2=acceleration_deg_s2)
+    double = _Cable(
+        again_s=0.1,  # RSI may end before the arm's process is there to answer
+        holdon=holdon,
+        cycle_s=cycle_s,
+        lag_s=lag_s,
+        acceleration_deg_s2=acceleration_deg_s2,
+    )
     port = free_port()
     arm = ArmBeside(Kuka, KukaConfig(address=LOOPBACK, port=port, cycle_s=cycle_s), reconnect=None)
     with UdpWire(double, port):
