@@ -136,6 +136,7 @@ COMMANDS: dict[str, Command] = {
     "dataset merge": _command("take over the trials of other data sets", "MergeConfig", "dataset", "merge"),
     "dataset repair": _command("take in recordings that the index lacks", "RepairConfig", "dataset", "repair"),
     "arm where": _command("where the arm is: joints, end and tip", "WhereConfig", "arm", "where"),
+    "arm files": _command("write the files for a KUKA's controller", "FilesConfig", "arm", "files"),
     "arm home": _command("send the arm to its home pose", "HomeConfig", "arm", "home"),
     "arm go": _command("bring the tip over a place of the surface", "GoConfig", "arm", "go"),
     "arm jog": _command("move the tip by keys, in small steps", "JogConfig", "arm", "jog"),

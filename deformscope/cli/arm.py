@@ -1,6 +1,7 @@
-"""`deformscope arm where|home|go|jog`: where an arm is, and moving it without exploring.
+"""`deformscope arm where|files|home|go|jog`: where an arm is, and moving it without exploring.
 
 deformscope arm where rig.toml
+deformscope arm files rig.toml --out controller
 deformscope arm home rig.toml
 deformscope arm go rig.toml --above 0.30,0.20 --height 0.1
 deformscope arm jog rig.toml
@@ -12,7 +13,12 @@ import numpy as np
 
 from deformscope.api import arm_moving
 from deformscope.cli.common import recorder_of, say, show_table, write_json
-from deformscope.config import GoConfig, HomeConfig, JogConfig, WhereConfig
+from deformscope.config import FilesConfig, GoConfig, HomeConfig, JogConfig, WhereConfig
+from deformscope.errors import InputError
+from deformscope.rig.rig_file import load_rig
+from deformscope.robot.setup import only_device
+from deformscope_drivers.kuka.config import KukaConfig
+from deformscope_drivers.kuka.controller import controller_files
 
 
 def where(config: WhereConfig) -> None:
@@ -32,6 +38,18 @@ def where(config: WhereConfig) -> None:
         rows.append(("", _mm(found.tip_surface_m) + " in the surface frame"))
     show_table(config.rig, rows)
     write_json(found, config.json)
+
+
+def files(config: FilesConfig) -> None:
+    """Write the files for a KUKA's controller."""
+    entry = only_device(load_rig(config.rig, trusted=config.trust_rig), "arm", "to set up")
+    if not isinstance(entry.config, KukaConfig):
+        raise InputError('an arm with driver = "kuka"', f"[devices.{entry.name}] of another driver")
+    config.out.mkdir(parents=True, exist_ok=True)
+    for name, text in controller_files(entry.config).items():
+        (config.out / name).write_text(text, "utf-8")
+        say(f"wrote {config.out / name}")
+    say("no controller was asked about them: read docs/arms.md, and try them in T1 first")
 
 
 def home(config: HomeConfig) -> None:

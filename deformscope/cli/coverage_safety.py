@@ -2,6 +2,7 @@
 
 deformscope coverage safety --faults 1000 --layouts 200 --jobs 8 --json safety.json
 deformscope coverage safety --faults 100 --layouts 0
+deformscope coverage safety --arm kuka --faults 500 --layouts 0
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ from deformscope.studies.driven_faults import (
 from deformscope.studies.fault_study import ALLOWED_S, ENDED_WITHIN_S, TURNED_DEG, UNSEEN_M, FaultRun
 from deformscope.studies.layouts import LayoutRun, run_layout, shares_by_distance
 from deformscope.studies.seeds import reported
+from deformscope.studies.silent_kuka import FARTHEST_M, SilentRun, run_silent
 
 
 def run(config: SafetyCoverageConfig) -> None:
@@ -38,26 +40,35 @@ def run(config: SafetyCoverageConfig) -> None:
     started, seed = time.monotonic(), config.output.seed
     with recorder_of(config) as recorder:
         with fit_progress() as note:
-            faults = examined(
-                "faults", run_any, reported(config.faults, seed) if config.faults else (), config.jobs, note
-            )
+            seeds = reported(config.faults, seed) if config.faults else ()
+            faults: list[AnyRun] = []
+            silences: list[SilentRun] = []
+            if config.arm == "kuka":
+                silences = examined("faults", run_silent, seeds, config.jobs, note)
+            else:
+                faults = examined("faults", run_any, seeds, config.jobs, note)
             layouts = examined(
                 "layouts", run_layout, reported(config.layouts, seed) if config.layouts else (), config.jobs, note
             )
         tables = [fault_table(faults)] if faults else []
+        tables += [silence_table(silences)] if silences else []
         if layouts:
             tables += [layout_table(layouts), slowing_table(layouts)]
         seconds = time.monotonic() - started
         found = Findings((*tables, Table([("all", f"{seconds:.0f} s")], caption="Time")))
         show(found)
         recorder.write(Step((found,)))
-    late = [run for run in faults if not run.in_time]
+    kinds: dict[str, list[AnyRun | SilentRun]] = {} if silences else {kind: [] for kind in KINDS}
+    for run in (*faults, *silences):
+        kinds.setdefault(run.kind if isinstance(run, SilentRun) else kind_of(run), []).append(run)
+    late = [run for run in (*faults, *silences) if not run.in_time]
     write_json(
         {
-            "faults": len(faults),
-            "in_time": len(faults) - len(late),
+            "arm": config.arm,
+            "faults": config.faults,
+            "in_time": config.faults - len(late),
             "late": late,
-            "kinds": {kind: [run for run in faults if kind_of(run) == kind] for kind in KINDS},
+            "kinds": kinds,
             "layouts": layouts,
             "least_margin_deg": min((run.margin_deg for run in layouts), default=None),
             "seconds": seconds,
@@ -80,6 +91,17 @@ def fault_table(runs: Sequence[AnyRun]) -> Table:
     )
     names += ("stands after [ms]: median, max", "tip [mm]: median, max", "joint [deg], max", "left, least")
     return Table([*lines, _fault_line("all", runs)], names, "Injected faults")
+
+
+def silence_table(runs: Sequence[SilentRun]) -> Table:
+    """A line for each HOLDON and what ended the answers: how many were refused, how far the flange moved."""
+    lines = []
+    for kind in sorted({run.kind for run in runs}):
+        of_kind = [run for run in runs if run.kind == kind]
+        right, refused = sum(run.in_time for run in of_kind), sum(run.refused for run in of_kind)
+        lines.append((kind, len(of_kind), right, refused, _range([1e3 * run.moved_m for run in of_kind], 2)))
+    names = ("answers end by", "runs", "in time", "refused at opening", "flange moved [mm]: median, max")
+    return Table(lines, names, f"A KUKA at 8 deg/s whose answers end; limit {1e3 * FARTHEST_M:g} mm")
 
 
 def _fault_line(name: str, runs: Sequence[AnyRun]) -> tuple[object, ...]:

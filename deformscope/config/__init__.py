@@ -7,7 +7,7 @@ together the dataclass's `check` (`InputError`). Nothing heavy is imported here:
 
 from __future__ import annotations
 
-from deformscope.config.arm import GoConfig, HomeConfig, JogConfig, MovingOptions, WhereConfig
+from deformscope.config.arm import FilesConfig, GoConfig, HomeConfig, JogConfig, MovingOptions, WhereConfig
 from deformscope.config.calibrate import (
     AxesConfig,
     BetaConfig,

@@ -1,8 +1,9 @@
-"""Moving an arm by itself or by keys: `deformscope arm where`, `home`, `go` and `jog`."""
+"""Moving an arm by itself or by keys: `deformscope arm where`, `files`, `home`, `go` and `jog`."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Annotated
 
 from tyro.conf import OmitArgPrefixes
@@ -20,6 +21,18 @@ class WhereConfig(CommandOptions):
     trust_rig: flags.TrustFlag = False
     json: flags.JsonFlag = None
     """Write it as JSON; with -, stdout is the JSON alone."""
+
+
+@dataclass(frozen=True, slots=True)
+class FilesConfig(CommandOptions):
+    """Write the files that set up a KUKA's controller for a rig: program, signals, and what goes over the network, with
+    the rig file's address, port, cycle and speed limit. Nothing is opened, nothing moves."""
+
+    rig: flags.RigFlag
+    """A rig file (.toml)."""
+    out: flags.Folder = Path("controller")
+    """Folder for the files; those of the same name are replaced."""
+    trust_rig: flags.TrustFlag = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -133,6 +133,9 @@ class SafetyCoverageConfig(RecordedOptions):
     """Count whether a simulated arm stands in time when things go wrong, of all kinds in turn, how long and how far it
     takes to stand, and how far it stays from joint limits and singularities on random layouts of arm and table."""
 
+    arm: Literal["jaco", "kuka"] = "jaco"
+    """Whose faults: jaco = all kinds, or kuka = answers that end while the arm moves, of controllers with HOLDON 0 and
+    1; 500 faults are 50 of each."""
     faults: Annotated[int, flags.least(0)] = 1000
     """Faults; each takes some 2 s of a core. 0 = none."""
     layouts: Annotated[int, flags.least(0)] = 200

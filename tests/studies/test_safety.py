@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from deformscope.studies import layouts
 from deformscope.studies.driven_faults import KINDS, Driven, run_any, run_driven, run_killed
 from deformscope.studies.fault_study import ACCELERATION_DEG_S2, FaultRun
 from deformscope.studies.layouts import run_layout, walk_to_singularity_deg
+from deformscope.studies.silent_kuka import SILENCES, Silence, SilentRun, run_silent
 from deformscope_drivers.jaco import JacoDouble
 from deformscope_drivers.jaco.structures import AngularInfo, PositionType, TrajectoryPoint
 from deformscope_drivers.kuka.chains import CHAINS
@@ -71,6 +73,36 @@ def test_faults_of_all_kinds_end_in_time() -> None:
     runs = [run_any(seed) for seed in range(3 * len(KINDS))]
     assert [run for run in runs if not run.in_time] == []
     assert max(run.max_force_n for run in runs if isinstance(run, FaultRun)) < 8.0
+
+
+@pytest.mark.parametrize("seed", range(20_000, 20_010))
+@pytest.mark.slow  # two processes on the host's clock; 500 are `deformscope coverage safety --arm kuka`
+def test_a_kuka_whose_answers_end_stands_or_was_refused(seed: int) -> None:
+    run = run_silent(seed)
+    holdon, silence = SILENCES[seed % len(SILENCES)]
+    assert (run.holdon, run.silence) == (holdon, silence)
+    assert run.refused == bool(holdon)
+    assert not run.moved_later
+    if holdon or silence not in (Silence.CLOSE, Silence.HALT):  # those wait for this machine besides
+        assert run.in_time, run
+
+
+def test_a_kuka_that_goes_on_is_not_in_time() -> None:
+    refused = SilentRun(0, 1, Silence.CABLE, 0.012, refused=True, moved_m=5e-4, moved_later=False)
+    assert refused.in_time
+    for wrong in ({"refused": False}, {"holdon": 0}, {"moved_m": 2.1e-3}, {"moved_later": True}):
+        assert not dataclasses.replace(refused, **wrong).in_time
+    assert dataclasses.replace(refused, holdon=0, refused=False).in_time
+
+
+def test_the_command_counts_a_kuka_whose_answers_end(tmp_path: Path) -> None:
+    found = tmp_path / "safety.json"
+    flags = ["--arm", "kuka", "--faults", "1", "--layouts", "0", "--jobs", "1", "--seed", "5"]
+    assert main(["coverage", "safety", *flags, "--json", str(found), "--viewer", "none"]) == 0
+    told = json.loads(found.read_text())
+    assert told["in_time"] == told["faults"] == 1
+    (run,) = told["kinds"]["HOLDON 1: cable pulled"]
+    assert run["refused"]
 
 
 @pytest.mark.slow

@@ -101,6 +101,13 @@ class ArmBeside(Arm[ArmState]):
             self._stopped = self._stopped or reason or "by command"
         self.ask("halt", self._stopped)
 
+    def close(self) -> None:
+        """As of the arm there, which is halted at once: its next state, for which this device's thread may wait, would be
+        a cycle later."""
+        with contextlib.suppress(DeviceError):
+            self._send("call", 0, "halt", ("it is being closed",))
+        super().close()
+
     def acknowledge_stop(self) -> None:
         self.ask("acknowledge_stop")
         self._refused = None

@@ -6,6 +6,7 @@ rest then is its driver's matter, which the contract tests look at (`tests/drive
 
 from __future__ import annotations
 
+import atexit
 import threading
 from abc import abstractmethod
 from dataclasses import dataclass
@@ -14,12 +15,12 @@ from typing import Any, ClassVar, Self, TypeVar
 
 from deformscope_drivers.arm import commands
 from deformscope_drivers.arm.commands import SpeedLimits, Velocity
-from deformscope_drivers.arm.errors import MotionStopped, NotMovedByCommands
+from deformscope_drivers.arm.errors import MotionStopped, NotMovedByCommands, NotStopped
 from deformscope_drivers.arm.kinematics import Chain, FloatArray
 from deformscope_drivers.arm.state import ArmState
 from deformscope_drivers.clock import Clock, monotonic_ns
 from deformscope_drivers.device import RECONNECT, Device, Reconnect
-from deformscope_drivers.errors import LinkLost, OutOfLimits
+from deformscope_drivers.errors import DeviceError, LinkLost, OutOfLimits
 from deformscope_drivers.health import Link
 
 LONGEST_S = 60.0
@@ -46,11 +47,13 @@ class Arm(Device[StateT]):
     config: with `state_hz` and, for an arm that takes velocities, what `SpeedLimits` has
     by_hand: a person places it: it has no joints that are known, and takes no velocities
     goes_home: whether it has a home pose of its own, to which `home` sends it
+    stop_by_hand: how a person stops it where its driver could not
     """
 
     prompt = True
     by_hand: ClassVar[bool] = False
     goes_home: bool = False
+    stop_by_hand: ClassVar[str] = "the emergency stop"
     config: Any
 
     def __init__(self, name: str, *, reconnect: Reconnect | None = RECONNECT, clock: Clock = monotonic_ns) -> None:
@@ -58,11 +61,23 @@ class Arm(Device[StateT]):
         self._commanded = threading.Lock()
         self._streamed: Streamed | None = None
         self._stopped = ""
+        self._not_stopped: DeviceError | None = None
 
     def open(self, *, own_thread: bool = True) -> Self:
         if not self.is_open:
-            self._stopped = ""
-        return super().open(own_thread=own_thread)
+            self._stopped, self._not_stopped = "", None
+        super().open(own_thread=own_thread)
+        atexit.register(self.close)  # a program that ends without closing must not leave the arm moving
+        return self
+
+    def close(self) -> None:
+        """Stop the arm, and close the link. Closing twice is nothing. Raises NotStopped where it was moving and could
+        not be stopped."""
+        super().close()
+        atexit.unregister(self.close)  # not before: one that hangs is to be tried again at the end
+        error, self._not_stopped = self._not_stopped, None
+        if error is not None:
+            raise NotStopped("an arm that was stopped at closing", str(error), self.stop_by_hand, self.name)
 
     # What is known of it ---------------------------------------------------------------------------------------------
 

@@ -15,7 +15,6 @@ points, that is 20 ms of motion; but a `move_to` in progress is one point, and g
 
 from __future__ import annotations
 
-import atexit
 import contextlib
 import time
 from collections.abc import Callable, Iterable, Sequence
@@ -25,11 +24,11 @@ from typing import Any, Literal, Self
 from deformscope_drivers.arm.beside import ArmBeside
 from deformscope_drivers.arm.commands import JointVelocity, Velocity, by_joints, finite, linear_velocity_of
 from deformscope_drivers.arm.device import CALL_MS, Arm
-from deformscope_drivers.arm.errors import MotionStopped, NotStopped
+from deformscope_drivers.arm.errors import MotionStopped
 from deformscope_drivers.arm.kinematics import Chain
 from deformscope_drivers.clock import Clock, monotonic_ns
 from deformscope_drivers.device import RECONNECT, Reconnect
-from deformscope_drivers.errors import DeviceError, LinkLost, NotConnected, OutOfLimits, Stale
+from deformscope_drivers.errors import LinkLost, NotConnected, OutOfLimits, Stale
 from deformscope_drivers.health import Identity, Link
 from deformscope_drivers.jaco import commands
 from deformscope_drivers.jaco.commands import JointTarget, Target
@@ -77,6 +76,7 @@ class Jaco(Arm[JacoState]):
     """
 
     goes_home = True
+    stop_by_hand = "the emergency stop, or the arm's own joystick"
 
     def __init__(
         self,
@@ -99,7 +99,6 @@ class Jaco(Arm[JacoState]):
         self._state: JacoState | None = None
         self._crowded = False
         self._configured_ns = 0
-        self._not_erased: DeviceError | None = None
         self._sent = self._expired = self._left_out = self._refused_in_a_row = 0
 
     # Lifecycle -------------------------------------------------------------------------------------------------------
@@ -109,22 +108,7 @@ class Jaco(Arm[JacoState]):
         if not self.is_open:
             self._pacer = SlotPacer(PERIOD_NS)
             self._sent = self._expired = self._left_out = 0
-        super().open(own_thread=own_thread)
-        atexit.register(self.close)  # a program that ends without closing must not leave the arm moving
-        return self
-
-    def close(self) -> None:
-        """Erase the arm's trajectories, give control back, close the library. Closing twice is nothing.
-
-        Raises NotStopped where the arm was moving and could not be stopped.
-        """
-        super().close()
-        atexit.unregister(self.close)  # not before: one that hangs is to be tried again at the end
-        if (error := self._not_erased) is not None:
-            self._not_erased = None
-            raise NotStopped(
-                "trajectories erased at closing", str(error), "the emergency stop, or the arm's own joystick", self.name
-            )
+        return super().open(own_thread=own_thread)
 
     @property
     def chain(self) -> Chain:
@@ -147,7 +131,7 @@ class Jaco(Arm[JacoState]):
 
     def _connect(self) -> None:
         self._arm = bring_up(self._functions, self.config, self._pause)
-        self._not_erased = None  # bringing it up has erased what was left
+        self._not_stopped = None  # bringing it up has erased what was left
         check_pose(self._functions, self.chain)
         self._reader = StateReader(self._functions, self.chain, self.config.state_hz, self._clock)
         self._state = self._reader.whole()
@@ -165,7 +149,7 @@ class Jaco(Arm[JacoState]):
                 self._stopped = self._stopped or "the link to the arm was lost while it moved"
         not_erased = let_go(self._functions)
         if moving:
-            self._not_erased = not_erased
+            self._not_stopped = not_erased
 
     def _wake(self) -> None:
         self._waiting.wake()

@@ -1,8 +1,9 @@
 """A KUKA through RSI: each of the controller's cycles is answered at once, with the correction for that cycle.
 
-Corrections are relative: an answer of zeros, or none, lets the arm stand, so nothing waits in it that would have to be
-erased. A velocity becomes velocity times cycle, clamped to the axes' speeds, for as long as its sender vouches for it,
-and zero after. The controller decides the moments; what comes late it counts, and ends RSI after a hundred in a row.
+Corrections are relative: an answer of zeros lets the arm stand, so nothing waits in it that would have to be erased.
+A velocity becomes velocity times cycle, clamped to the axes' speeds, for as long as its sender vouches for it, and zero
+after. A missing answer lets the arm stand only where the controller is set up so (HOLDON="0"): opening tries it, with a
+correction of PROBE_DEG after which answers are left out, and refuses any other controller.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ import numpy as np
 from deformscope_drivers.arm.beside import ArmBeside
 from deformscope_drivers.arm.commands import by_joints
 from deformscope_drivers.arm.device import Arm
+from deformscope_drivers.arm.errors import NotStopped
 from deformscope_drivers.arm.kinematics import (
     Chain,
     FloatArray,
@@ -27,12 +29,12 @@ from deformscope_drivers.arm.kinematics import (
 )
 from deformscope_drivers.arm.state import ArmState
 from deformscope_drivers.clock import Clock, Stamp, monotonic_ns
-from deformscope_drivers.device import RECONNECT, Reconnect
-from deformscope_drivers.errors import LinkLost, NotConnected, ProtocolViolation, SettingsRefused
+from deformscope_drivers.device import RECONNECT, ROUND_S, Reconnect
+from deformscope_drivers.errors import DeviceError, LinkLost, NotConnected, ProtocolViolation, SettingsRefused
 from deformscope_drivers.health import Identity
 from deformscope_drivers.kuka.chains import CHAINS
 from deformscope_drivers.kuka.config import KukaConfig
-from deformscope_drivers.kuka.messages import RobMessage, SenMessage, decode_rob, encode_sen
+from deformscope_drivers.kuka.messages import AXES, RobMessage, SenMessage, decode_rob, encode_sen
 from deformscope_drivers.kuka.port import UdpPort
 from deformscope_drivers.transport import Transport
 
@@ -41,9 +43,19 @@ SILENCE_S = 0.5
 RATES_OVER_NS = 40_000_000
 POSE_MM, POSE_DEG = 5.0, 2.0
 CYCLES_SEEN = 5
+ZEROS_AT_CLOSE = 3
+"""Answers of zeros before the port is closed: the controller may miss two of them."""
+REST_ANSWERS = 50
+"""Of these, so many in a row have to be in time as an arm is stopped. Not a time: this process may be held up."""
+PROBE_DEG, PROBE_LEFT_OUT, PROBE_SETTLES_S = 0.01, 2, 0.5
+"""At opening: a correction of every axis, how many answers are then left out, and when the axes have settled. A
+correction that is held moves an axis by three times as much. Chosen: ten times what AIPos shows at rest."""
+PROBES = 5
+"""Tries, where an axis did not move: the answer may have come too late, or the program may not be there yet."""
 START = (
     "start the RSI program on the smartPAD (RSI_ON(#RELATIVE), RSI_MOVECORR), IP_NUMBER and PORT being this computer's"
 )
+FILES = "`deformscope arm files RIG` writes the files"
 
 
 def open_kuka(config: KukaConfig) -> Arm[Any]:
@@ -70,6 +82,8 @@ class Kuka(Arm[ArmState]):
         self._chain = CHAINS[self.config.model]
         self._ipoc = self._heard_ns = 0
         self._expired = self._late = self._clamped = 0
+        self._zeros = self._late_before = 0
+        self._resting = False
         self._track: deque[tuple[int, tuple[float, ...]]] = deque()
 
     @property
@@ -85,14 +99,26 @@ class Kuka(Arm[ArmState]):
 
     def stop(self) -> None:
         self._forget()
-        self._do(self._noop, SILENCE_S)
+        self._do(lambda: self._rest(1), 2 * SILENCE_S)
 
     def halt(self, reason: str) -> None:
         self._forget(reason or "by command")
-        self._do(self._noop, SILENCE_S)
+        self._do(lambda: self._rest(1), 2 * SILENCE_S)
 
-    def _noop(self) -> None:
-        """The device's thread has come round: what it sends from now on is zero."""
+    def _rest(self, zeros: int) -> None:
+        """Answer with zeros until so many in a row are out that the controller did not count as late. Raises
+        NotStopped, or LinkLost where it asks no more."""
+        self._resting = True
+        try:
+            for _ in range(REST_ANSWERS):
+                if self._zeros >= zeros:
+                    return
+                for state in self._receive(ROUND_S):
+                    self._publish(state)
+        finally:
+            self._resting = False
+        came = f"{REST_ANSWERS}, of which the last came too late"
+        raise NotStopped(f"{zeros} answers of zeros in time", came, self.stop_by_hand, self.name)
 
     def _forget(self, stopped_because: str = "") -> None:
         with self._commanded:
@@ -105,24 +131,84 @@ class Kuka(Arm[ArmState]):
         """Answer with zeros until the controller is known to be as it should."""
         self._transport.open()
         self._track.clear()
-        self._ipoc = 0
-        until_ns = self._clock() + round(self.config.wait_s * 1e9)
+        self._ipoc = self._zeros = self._late_before = 0
+        message = self._hear(self._zero, self.config.wait_s)
         steps_ms: list[int] = []
-        message: RobMessage | None = None
-        while message is None or len(steps_ms) < CYCLES_SEEN:
-            left_s = (until_ns - self._clock()) / 1e9
-            if left_s <= 0 or self._closing.is_set():
-                raise NotConnected("a controller that sends", f"none in {self.config.wait_s:g} s", START, self.name)
-            if not (data := self._transport.read(min(left_s, 0.05))):
-                continue
-            message = decode_rob(data)
-            self._answer(message.ipoc, np.zeros(self._chain.joint_count))
-            if self._ipoc:
-                steps_ms.append(message.ipoc - self._ipoc)
-            self._ipoc = message.ipoc
+        while len(steps_ms) < CYCLES_SEEN:
+            before = message.ipoc
+            message = self._hear(self._zero)
+            steps_ms.append(message.ipoc - before)
         self._check(message, min(steps_ms))
-        self._heard_ns = self._clock()
+        self._check_missing()
+        self._not_stopped = None
         self._expect(self.config.state_hz)
+
+    @property
+    def _zero(self) -> FloatArray:
+        return np.zeros(self._chain.joint_count)
+
+    def _hear(self, corrections_deg: FloatArray | None, within_s: float = SILENCE_S) -> RobMessage:
+        """The next message of a controller that is being opened, answered by corrections (6,), or left unanswered."""
+        until_ns = self._clock() + round(within_s * 1e9)
+        while (left_s := (until_ns - self._clock()) / 1e9) > 0 and not self._closing.is_set():
+            if data := self._transport.read(min(left_s, ROUND_S)):
+                message = decode_rob(data)
+                self._note(message)
+                if corrections_deg is not None:
+                    self._answer(message.ipoc, corrections_deg)
+                return message
+        raise NotConnected("a controller that sends", f"none in {within_s:g} s", START, self.name)
+
+    def _note(self, message: RobMessage) -> None:
+        """Take note of a message's number, and whether the last answer is said to have come too late."""
+        if message.late > self._late_before:
+            self._zeros = 0
+        self._ipoc, self._late_before, self._heard_ns = message.ipoc, message.late, self._clock()
+
+    def _check_missing(self) -> None:
+        """That one answer moves the axes once, and that they stand while answers are missing."""
+        moved_deg = self._zero
+        for _ in range(PROBES):
+            moved_deg = self._probe_deg()
+            if np.any(moved_deg > 1.5 * PROBE_DEG):
+                raise SettingsRefused(
+                    f"axes that move by {PROBE_DEG:g} deg for one answer, and stand while answers are missing",
+                    f"{_by_axis(moved_deg)} after one answer and {PROBE_LEFT_OUT} that were left out: the last "
+                    "correction is repeated, and the arm would go on when this program or the cable fails",
+                    f'HOLDON="0" for AK.A1 to AK.A6 in the file that ConfigFile of the ETHERNET object names; {FILES}',
+                    self.name,
+                )
+            if np.all(moved_deg > 0.5 * PROBE_DEG):
+                return
+            self._settled_deg()
+        raise SettingsRefused(
+            f"axes that are {PROBE_DEG:g} deg further after one answer that says so",
+            f"{_by_axis(moved_deg)} in {PROBES} tries",
+            f"RSI_ON(#RELATIVE) in place of #ABSOLUTE; AK.A1 to AK.A6 wired to AXISCORR; Precision 4 of the ETHERNET "
+            f"object; RSI_MOVECORR() running with the drives on; {FILES}",
+            self.name,
+        )
+
+    def _probe_deg(self) -> FloatArray:
+        """(6,) by how much each axis moves for one correction of PROBE_DEG after which answers are left out [deg]."""
+        joints_deg = np.array(self._hear(self._zero).joints_deg)
+        up = self._chain.jacobian(joints_deg)[2] >= 0  # the flange rather rises than goes down
+        at_end = self._chain.to_limits_deg(joints_deg) < 1.0
+        inwards = joints_deg < 0.5 * (self._chain.lower_deg + self._chain.upper_deg)
+        signs = np.where(np.where(at_end, inwards, up), 1.0, -1.0)
+        self._hear(PROBE_DEG * signs)
+        for _ in range(PROBE_LEFT_OUT):
+            self._hear(None)
+        moved_deg: FloatArray = signs * (self._settled_deg() - joints_deg)
+        if np.all(moved_deg < 1.5 * PROBE_DEG):
+            self._hear(-PROBE_DEG * signs)  # back
+        return moved_deg
+
+    def _settled_deg(self) -> FloatArray:
+        """(6,) where the axes are once zeros have let them settle [deg]."""
+        for _ in range(round(PROBE_SETTLES_S / self.config.cycle_s)):
+            self._hear(self._zero)
+        return np.array(self._hear(self._zero).joints_deg)
 
     def _check(self, message: RobMessage, step_ms: int) -> None:
         """That the controller runs at the cycle that corrections are made for, and is the arm of this model."""
@@ -146,10 +232,17 @@ class Kuka(Arm[ArmState]):
 
     def _disconnect(self) -> None:
         with self._commanded:
-            moving, self._streamed = self._streamed is not None, None
+            moving, self._streamed = self._streamed is not None or not self._zeros, None
             if moving and not self._closing.is_set():
                 self._stopped = self._stopped or "the link to the arm was lost while it moved"
-        self._transport.close()
+        try:
+            if self._ipoc:
+                self._rest(ZEROS_AT_CLOSE)
+        except DeviceError as error:
+            self._not_stopped = error if moving else self._not_stopped
+        finally:
+            self._ipoc = 0
+            self._transport.close()
 
     def _wake(self) -> None:
         self._transport.wake()
@@ -167,11 +260,11 @@ class Kuka(Arm[ArmState]):
         except ProtocolViolation as error:
             self._count_refused(str(error).split(" | ")[0][:60])
             return ()
-        self._answer(message.ipoc, self._correction_deg(message.joints_deg, now_ns))
         lost = round((message.ipoc - self._ipoc) / (1e3 * self.config.cycle_s)) - 1
+        self._note(message)
+        self._answer(message.ipoc, self._correction_deg(message.joints_deg, now_ns))
         if 0 < lost < 10_000:
             self._count_lost(lost)
-        self._ipoc, self._heard_ns = message.ipoc, now_ns
         self._late += message.late > 0
         return (self._state(message, now_ns),)
 
@@ -182,8 +275,8 @@ class Kuka(Arm[ArmState]):
             if streamed is not None and now_ns > streamed.expires_ns:
                 self._streamed = streamed = None
                 self._expired += 1
-        zero = np.zeros(self._chain.joint_count)
-        if streamed is None:
+        zero = self._zero
+        if streamed is None or self._resting:
             return zero
         rates = by_joints(streamed.velocity, self._chain, self.config, joints_deg)
         if isinstance(rates, str):
@@ -204,6 +297,7 @@ class Kuka(Arm[ArmState]):
         corrections = tuple(float(value) for value in corrections_deg)
         data = encode_sen(SenMessage(corrections, ipoc, self.config.sen_type))
         self._transport.write(data)
+        self._zeros = 0 if any(corrections) else self._zeros + 1
         self._record_raw(data, self._clock(), sent=True)
 
     def _state(self, message: RobMessage, now_ns: int) -> ArmState:
@@ -230,3 +324,7 @@ class Kuka(Arm[ArmState]):
             "corrections_clamped": self._clamped,
             "answers_late": self._late,
         }
+
+
+def _by_axis(moved_deg: FloatArray) -> str:
+    return ", ".join(f"{axis} {moved:+.3f}" for axis, moved in zip(AXES, moved_deg, strict=True)) + " deg"

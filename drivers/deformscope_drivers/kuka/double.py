@@ -1,12 +1,15 @@
 """A KUKA controller with its arm, simulated: RSI's datagrams in each cycle, and what it makes of the answers.
 
 As a controller does, it takes an answer only within its own cycle and with its own IPOC, counts those that are missing,
-and ends RSI after too many, or where a correction would turn an axis faster or further than it can. Corrections are
-relative (RSI_ON(#RELATIVE)): each adds to where the axes are sent. It is pure (`deformscope_drivers.doubles.Double`).
+and ends RSI after too many, or where a correction would turn an axis faster or further than it can. A missing answer is
+a correction of zero, or the last one again (HOLDON). Relative corrections add up, absolute ones count from where RSI
+began. What HOLDON and both modes do is from kuka_experimental (ros_rsi_ethernet.xml, pull request 119); no controller
+was asked. It is pure (`deformscope_drivers.doubles.Double`).
 """
 
 from __future__ import annotations
 
+import math
 import threading
 from collections import deque
 
@@ -37,19 +40,35 @@ class KukaDouble:
         cycle_s: float = 0.012,
         T_base_tool_offset_m: float = 0.0,
         again_s: float | None = None,
+        holdon: int | tuple[int, ...] = 0,
+        absolute: bool = False,
+        timeout: int = MOST_MISSED,
+        lag_s: float = 0.0,
+        acceleration_deg_s2: float = math.inf,
     ) -> None:
         """start_deg: (6,) where the axes are (default: upright, flange down); T_base_tool_offset_m: a $TOOL that is set
         in the controller reaches so far beyond the flange [m]; again_s: somebody starts its program again so long after
-        RSI has ended, None = nobody does"""
+        RSI has ended, None = nobody does
+
+        holdon: HOLDON of the corrections, of all or (6,): 1 repeats the last one where an answer is missing; absolute:
+        RSI_ON(#ABSOLUTE); timeout: missing answers in a row after which RSI ends, and the axes brake
+        lag_s: time constant with which the axes follow what they are sent, beside one cycle; acceleration_deg_s2: of
+        every axis at most
+        """
         self.chain = CHAINS[model]
         self.missed = self.corrections = 0
         self.ended = ""
         self.running = True
         self._start_deg: FloatArray = np.array(self.chain.home_deg if start_deg is None else start_deg, dtype=float)
         self._joints_deg, self._setpoint_deg = self._start_deg.copy(), self._start_deg.copy()
+        self._begin_deg = self._start_deg
         self._cycle_ns = round(cycle_s * 1e9)
         self._offset_m = T_base_tool_offset_m
         self._again_ns = None if again_s is None else round(again_s * 1e9)
+        self._holdon = np.broadcast_to(holdon, self._start_deg.shape).astype(bool)
+        self._absolute, self._timeout = absolute, timeout
+        self._lag_s, self._acceleration_deg_s2 = lag_s, acceleration_deg_s2
+        self._held_deg, self._rates_deg_s = np.zeros_like(self._start_deg), np.zeros_like(self._start_deg)
         self._ipoc = FIRST_IPOC
         self._answer: FloatArray | None = None
         self._next_ns: int | None = None  # its program is started as somebody first listens
@@ -63,6 +82,14 @@ class KukaDouble:
         """(6,) where the axes are [deg]."""
         with self._lock:
             return self._joints_deg.copy()
+
+    def joints_at(self, now_ns: int) -> FloatArray:
+        """(6,) where the axes are within a cycle [deg]; `joints_deg` is where they were as it began."""
+        with self._lock:
+            self._live(now_ns)
+            began_ns = (now_ns if self._next_ns is None else self._next_ns) - self._cycle_ns
+            share = np.clip((now_ns - began_ns) / self._cycle_ns, 0.0, 1.0)
+            return np.asarray(self._joints_deg + share * self._rates_deg_s * self._cycle_ns / 1e9)
 
     @property
     def T_base_links(self) -> FloatArray:
@@ -86,7 +113,8 @@ class KukaDouble:
 
     def _start(self, now_ns: int) -> None:
         self.missed, self.ended, self._answer = 0, "", None
-        self._setpoint_deg = self._joints_deg.copy()
+        self._begin_deg, self._setpoint_deg = self._joints_deg.copy(), self._joints_deg.copy()
+        self._held_deg = np.zeros_like(self._held_deg)
         self._waiting.clear()
         self._next_ns = now_ns
 
@@ -111,7 +139,12 @@ class KukaDouble:
                 return now_ns
             if self.ended and self._again_ns is not None and self._next_ns is not None:
                 return self._next_ns + self._again_ns
-            return self._next_ns if self.running and not self.ended else None
+            return self._next_ns if self.running and self._moves else None
+
+    @property
+    def _moves(self) -> bool:
+        """RSI runs, or the axes still brake after its end."""
+        return not self.ended or bool(np.any(self._rates_deg_s))
 
     def _live(self, now_ns: int) -> None:
         """Live through the cycles that have passed."""
@@ -119,30 +152,48 @@ class KukaDouble:
             self._next_ns = now_ns
         if self.ended and self._again_ns is not None and now_ns >= self._next_ns + self._again_ns:
             self._start(now_ns)
-        while not self.ended and self.running and self._next_ns <= now_ns:
-            self._cycle()
+        while self.running and self._moves and self._next_ns <= now_ns:
+            self._follow(self._joints_deg if self.ended else self._setpoint_deg)
+            if not self.ended:
+                self._cycle()
             self._next_ns += self._cycle_ns
+
+    def _follow(self, target_deg: FloatArray) -> None:
+        """Move the axes through one cycle: all the way, or as lag and acceleration let them."""
+        cycle_s = self._cycle_ns / 1e9
+        gap_deg = target_deg - self._joints_deg
+        most_deg_s = self._acceleration_deg_s2 * cycle_s
+        wanted_deg_s = gap_deg / (cycle_s + self._lag_s)
+        change_deg_s = np.clip(wanted_deg_s - self._rates_deg_s, -most_deg_s, most_deg_s)
+        self._rates_deg_s = self._rates_deg_s + change_deg_s
+        arrives = np.abs(self._rates_deg_s * cycle_s - gap_deg) < 1e-9
+        self._joints_deg = np.where(arrives, target_deg, self._joints_deg + self._rates_deg_s * cycle_s)
+
+    def _taken_deg(self) -> FloatArray:
+        """(6,) the correction of this cycle: the answer's, or what HOLDON makes of a missing one."""
+        answer, self._answer = self._answer, None
+        if answer is None:
+            self.missed += 1
+            return np.where(self._holdon, self._held_deg, 0.0)
+        self.missed = 0
+        self.corrections += bool(np.any(answer))
+        self._held_deg = answer
+        return answer
 
     def _cycle(self) -> None:
         """The end of one cycle, and the begin of the next."""
-        answer, self._answer = self._answer, None
-        self._joints_deg = self._setpoint_deg.copy()  # the axes follow within a cycle
-        if answer is None:
-            self.missed += 1
-            if self.missed > MOST_MISSED:
-                self.ended = f"{self.missed} answers in a row did not come in time"
-                return
-        else:
-            self.missed = 0
-            self.corrections += bool(np.any(answer))
-            self._setpoint_deg = self._setpoint_deg + answer
-            if np.any(np.abs(answer) > self.chain.velocity_deg_s * self._cycle_ns / 1e9):
-                self.ended = f"a correction by {np.abs(answer).max():.3f} deg in a cycle"
-            elif not self.chain.within_limits(self._setpoint_deg):
-                self.ended = f"axes at {np.round(self._setpoint_deg, 2).tolist()} deg"
-            if self.ended:
-                self._setpoint_deg = self._joints_deg.copy()
-                return
+        taken_deg = self._taken_deg()
+        before_deg = self._setpoint_deg
+        self._setpoint_deg = (self._begin_deg if self._absolute else before_deg) + taken_deg
+        step_deg = np.abs(self._setpoint_deg - before_deg)
+        if self.missed > self._timeout:
+            self.ended = f"{self.missed} answers in a row did not come in time"
+        elif np.any(step_deg > self.chain.velocity_deg_s * self._cycle_ns / 1e9):
+            self.ended = f"a correction by {step_deg.max():.3f} deg in a cycle"
+        elif not self.chain.within_limits(self._setpoint_deg):
+            self.ended = f"axes at {np.round(self._setpoint_deg, 2).tolist()} deg"
+        if self.ended:
+            return
         self._ipoc += round(self._cycle_ns / 1e6)
         pose = self.chain.forward(self._joints_deg)[-1]
         place_mm = 1e3 * (pose[:3, 3] + self._offset_m * pose[:3, 2])
