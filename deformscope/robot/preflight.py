@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from deformscope.rig.calibrated import CalibrationAge
 from deformscope.robot.description import AS_CAPSULES, RobotDescription
+from deformscope.robot.force_alone import ForceAlone
 from deformscope.robot.placement import TURNED_RAD, best_joints, follow, towards
 from deformscope.robot.readings import ArmSample, ForceSample, RobotObservation
 from deformscope_drivers.arm.device import CALL_MS
@@ -109,6 +110,10 @@ class Preflight:
     def passed(self) -> bool:
         """All of them."""
         return bool(self.checks) and all(check.passed for check in self.checks)
+
+    def and_(self, check: Check) -> Preflight:
+        """With another one."""
+        return Preflight((*self.checks, check))
 
     def table(self) -> str:
         """The checks as lines of text, one each; below them what to do about those that have not passed."""
@@ -302,6 +307,11 @@ def _free(robot: Robot, plans: Sequence[TouchPlan], lift_m: float) -> Iterator[C
     height_m = float(robot.center_m[2]) - over_m + lift_m - max(float(plan.point_m[2]) for plan in plans)
     came = f"{height_m * 100:.1f} cm"
     yield Check("tip: in free air", height_m > FREE_M, f"{FREE_M * 100:g} cm or more above the surface", came)
+    if robot.force_alone:
+        alone = ForceAlone.of(robot)
+        yield Check(
+            "tip: force at contact", alone.contact_n <= alone.hard_n, f"{alone.hard_n:g} N or less", alone.words
+        )
 
 
 def _hand(robot: Robot, plans: Sequence[TouchPlan], described: RobotDescription) -> Iterator[Check]:

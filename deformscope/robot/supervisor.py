@@ -16,7 +16,7 @@ import numpy as np
 
 from deformscope.errors import InputError
 from deformscope.rig.rig_file import Workspace
-from deformscope.robot.collision import CollisionWatch
+from deformscope.robot.collision import CollisionWatch, CurrentWatch
 from deformscope.robot.readings import ArmSample, CameraSample, ForceSample, RobotObservation
 from deformscope_drivers.arm.kinematics import Chain, FloatArray, rotation_vector
 
@@ -194,12 +194,18 @@ class Supervisor:
         self._verdict = _GO_ON
         self._refused = 0
         self._torques = False  # whether the arm has reported any
+        self._currents = CurrentWatch()
         self.start(now_ns)
 
     @property
     def verdict(self) -> SafetyVerdict:
         """The last one, or the one that holds."""
         return self._verdict
+
+    @property
+    def sees_torques(self) -> bool:
+        """Whether the arm has reported joint torques that a collision is seen by."""
+        return self._torques
 
     def acknowledge(self, now_ns: int) -> None:
         """Somebody has seen to it: judge anew from now on."""
@@ -238,6 +244,7 @@ class Supervisor:
         self._clear_m = -math.inf, -math.inf, -math.inf  # the first is compared with nothing
         if self._collisions is not None:
             self._collisions.start()
+        self._currents.start()
         self._commanded_ns = now_ns
         self._camera_needed = False
         self._camera_ns = now_ns
@@ -349,6 +356,9 @@ class Supervisor:
 
     def _collision(self, sample: ArmSample) -> list[tuple[Action, Fault, str]]:
         limit_nm, torques_nm = self.limits.collision_nm, sample.torques_nm
+        if sample.currents and limit_nm > 0:
+            why = self._currents.look(sample.currents, sample.joints_deg, self._tip_n, sample.time_ns)
+            return [(Action.STOP, Fault.COLLISION, why)] if why else []
         if self._collisions is None or limit_nm == 0 or not (torques_nm or self._torques):
             return []
         self._torques = True

@@ -16,6 +16,7 @@ import numpy.typing as npt
 from deformscope_drivers.arm.kinematics import FloatArray, euler_xyz_from_rotation
 from deformscope_drivers.errors import ProtocolViolation
 from deformscope_drivers.kuka.chains import CHAINS
+from deformscope_drivers.kuka.currents import motor_currents
 from deformscope_drivers.kuka.messages import RobMessage, decode_sen, encode_rob
 
 MOST_MISSED = 100
@@ -27,7 +28,7 @@ FIRST_IPOC = 4_208_163_634
 
 class KukaDouble:
     """Attributes that a simulation reads: missed: answers in a row that did not come; ended: why RSI ended, empty while
-    it runs; corrections: answers that were taken"""
+    it runs; corrections: answers that were taken; and sets: sends_currents: those of its motors (DEF_MACur)"""
 
     def __init__(
         self,
@@ -45,6 +46,9 @@ class KukaDouble:
         self.missed = self.corrections = 0
         self.ended = ""
         self.running = True
+        self.sends_currents = False
+        self._wrench: npt.ArrayLike = np.zeros(6)
+        self._random = np.random.default_rng(0xCA)
         self._start_deg: FloatArray = np.array(self.chain.home_deg if start_deg is None else start_deg, dtype=float)
         self._joints_deg, self._setpoint_deg = self._start_deg.copy(), self._start_deg.copy()
         self._cycle_ns = round(cycle_s * 1e9)
@@ -75,7 +79,9 @@ class KukaDouble:
         return np.asarray(self.T_base_links[-1])
 
     def push(self, wrench: npt.ArrayLike) -> None:
-        """It does not yield, as far as its axes show."""
+        """It does not yield, as far as its axes show; its motors' currents do. wrench: (6,) on the flange, in the base
+        frame [N, Nm]"""
+        self._wrench = np.array(wrench, dtype=float)
 
     # The wire --------------------------------------------------------------------------------------------------------
 
@@ -126,6 +132,7 @@ class KukaDouble:
     def _cycle(self) -> None:
         """The end of one cycle, and the begin of the next."""
         answer, self._answer = self._answer, None
+        before_deg = self._joints_deg
         self._joints_deg = self._setpoint_deg.copy()  # the axes follow within a cycle
         if answer is None:
             self.missed += 1
@@ -147,7 +154,11 @@ class KukaDouble:
         pose = self.chain.forward(self._joints_deg)[-1]
         place_mm = 1e3 * (pose[:3, 3] + self._offset_m * pose[:3, 2])
         c, b, a = -np.degrees(euler_xyz_from_rotation(pose[:3, :3].T))  # Rz(A) Ry(B) Rx(C)
+        joints_deg, currents = self._joints_deg, tuple[float, ...]()
+        if self.sends_currents:
+            rates_deg_s = (joints_deg - before_deg) / (1e-9 * self._cycle_ns)
+            currents = tuple(motor_currents(self.chain, joints_deg, rates_deg_s, self._wrench, self._random))
         said = RobMessage(
-            tuple(self._joints_deg), self._ipoc, (*place_mm, a, b, c), tuple(self._start_deg), self.missed
+            tuple(joints_deg), self._ipoc, (*place_mm, a, b, c), tuple(self._start_deg), self.missed, currents
         )
         self._waiting.append(encode_rob(said))
