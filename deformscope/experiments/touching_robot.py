@@ -24,6 +24,7 @@ from deformscope.experiments.options import ExploreOptions
 from deformscope.rig.source import RigSource
 from deformscope.robot.advice import advice
 from deformscope.robot.by_hand import touch_by_hand
+from deformscope.robot.finger import press_by_finger
 from deformscope.robot.preflight import Preflight, check
 from deformscope.robot.readings import ArmSample
 from deformscope.robot.robot import Robot, RobotStopped, Watch
@@ -65,11 +66,13 @@ class CheckFirst:
     """A command: look at everything before anything moves; its answer is a `Preflight`.
 
     calibrated: what has to be, by name, and whether it is; places_m: (n, 2) that will be touched, None = any that can
-    be reached
+    be reached; ask_finger: says to a person that they have to press the tip, where nothing else guards the arm; None =
+    they have
     """
 
     calibrated: Mapping[str, bool] = field(default_factory=dict)
     places_m: FloatArray | None = None
+    ask_finger: Callable[[str], None] | None = None
 
 
 @contextlib.contextmanager
@@ -169,7 +172,7 @@ class TouchingRobot:
             case Look():
                 answer = self.look()
             case CheckFirst():
-                answer = self.preflight(command.calibrated, command.places_m)
+                answer = self.preflight(command.calibrated, command.places_m, command.ask_finger)
             case Wait():
                 self._robot.stand_by(command.seconds)
             case _:
@@ -239,7 +242,12 @@ class TouchingRobot:
 
     # Before it moves --------------------------------------------------------------------------------------------------
 
-    def preflight(self, calibrated: Mapping[str, bool], places_m: FloatArray | None = None) -> Preflight:
+    def preflight(
+        self,
+        calibrated: Mapping[str, bool],
+        places_m: FloatArray | None = None,
+        ask_finger: Callable[[str], None] | None = None,
+    ) -> Preflight:
         """See `CheckFirst`. Raises InputError where nothing can be reached."""
         self._robot.rest()  # finding what can be reached takes longer than queues hold
         corners = self._corners() if places_m is None else list(places_m)
@@ -255,6 +263,8 @@ class TouchingRobot:
                 lift_m=self._options.lift_m,
                 described=self._setup.described,
             )
+            if ask_finger is not None and found.passed and self._robot.force_alone:
+                found = found.and_(press_by_finger(self._robot, self._setup.press, ask_finger))
         self._robot.rest()
         return found
 

@@ -37,6 +37,7 @@ def press_by_finger(
     Nothing moves. What presses harder than the soft stop is forgotten. Raises RobotStopped above the hard stop.
     """
     robot.start()
+    say = say if press is None else lambda words: None
     say(FINGER)
     rest_n = np.mean([_felt_n(robot) for _ in range(HELD_PERIODS)], axis=0)
     soft_n = robot.supervisor.limits.soft_force_n

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -46,6 +46,8 @@ FREE_M = 0.01
 """Least height of the tip over the surface at the begin [m]. Chosen."""
 WAY_STEPS, WRIST_M = 60, 0.045
 """Poses checked on the first route; radius taken for the wrist [m], as `shape.LINK_RADIUS_M`. Chosen."""
+FORCE_TURNED = "[tool] R_tip_force"
+"""Of what is calibrated, what an arm needs that nothing guards but its force sensor."""
 COLLISION_NOISE = 6.0
 """A collision's limit is so many deviations of the torques' noise at least."""
 FRESH_S = {"arm": 0.05, "force sensor": 0.02, "camera": 0.1}
@@ -69,6 +71,11 @@ HINTS = {
     "arm: joint torques": "let nobody touch the arm; or a higher collision_nm in [workspace]",
     "arm: joints": "turn the joint away from the end of its range by the joystick",
     "arm: reach": "move arm or surface, turn the tool, or bring the arm over the surface by its joystick",
+    "force sensor: finger": "press again as asked; then `sensitivity` and R_tip_force in the rig file (deformscope "
+    "calibrate force RIG), the force sensor's plug and cable",
+    "tip: force at contact": "rate_hz = 1000 and filter_hz = 150 of the force sensor, a faster cycle of the arm, or a "
+    "stick that yields more, and its compliance_m_per_n by deformscope calibrate arm RIG",
+    "calibration: [tool] R_tip_force": "deformscope calibrate force RIG",
     "force sensor: tare": "let nothing touch the tip, and start again",
     "force sensor: noise": "stop what shakes table or tip; filter_hz in the rig file; no noise at all is no sensor",
     "force sensor: alive": "rate_hz = 1000 and filter_hz = 150 in the rig file; else the sensor's plug",
@@ -155,6 +162,7 @@ def check(
             *(
                 Check(f"calibration: {name}", there, "present", "present" if there else "missing")
                 for name, there in calibrated.items()
+                if name != FORCE_TURNED or robot.force_alone
             ),
             *(
                 Check(f"age: {name}", age.young, f"{age.at_most} days at most", f"{age.days} days")
@@ -209,14 +217,18 @@ def _force(robot: Robot, seen: Sequence[RobotObservation]) -> Iterator[Check]:
     known = bool(np.all((noise_n > 0) & (noise_n < NOISE_N)))
     came = f"{noise_n.min() * 1e3:.1f} to {noise_n.max() * 1e3:.1f} mN"
     yield Check("force sensor: noise", known, f"above 0 and below {NOISE_N * 1e3:g} mN", came)
-    longest_s, limit_s = _longest_repeat_s(samples), robot.supervisor.limits.force_frozen_s
+    longest_s = _longest_repeat_s(samples, lambda sample: sample.pattern)
+    limit_s = robot.supervisor.limits.force_frozen_s
+    robot.supervisor.axes_same_s = np.array(
+        [_longest_repeat_s(samples, lambda sample, axis=axis: sample.sensor_n[axis]) for axis in range(3)]
+    )
     wanted = f"no equal readings for {500 * limit_s:.0f} ms"
     yield Check("force sensor: alive", longest_s < 0.5 * limit_s, wanted, f"{longest_s * 1e3:.0f} ms at most")
 
 
-def _longest_repeat_s(samples: Sequence[ForceSample]) -> float:
+def _longest_repeat_s(samples: Sequence[ForceSample], what: Callable[[ForceSample], object]) -> float:
     longest_ns = 0
-    for _, group in itertools.groupby(samples, key=lambda sample: sample.pattern):
+    for _, group in itertools.groupby(samples, key=what):
         times_ns = [sample.time_ns for sample in group]
         longest_ns = max(longest_ns, times_ns[-1] - times_ns[0])
     return longest_ns / 1e9

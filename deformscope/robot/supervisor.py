@@ -161,6 +161,9 @@ APPROACH_DEG_S = 0.5
 LATE_NS = 20_000_000
 """A judgement so long after the last one came late: the host was busy, and those who read the devices perhaps too. No
 silence is held against a device then, once and not twice in a row."""
+SAME_SHARE = 5.0
+"""So many times longer than in the half second of the checks an axis of the force sensor may give the same: it is stuck.
+Ten minutes of noise of 1 to 5 counts, by filters of 15 to 500 Hz, have no repeat as long. Chosen."""
 TIP_DECAY = 0.995
 """Share of a force on the tip that explains joint torques still a reading of 1 ms later: torques are read by turns, up
 to 0.2 s after (`reading.TURN_NS`)."""
@@ -186,6 +189,9 @@ class Supervisor:
         chain: whose joints have limits; None = none
         clearance: of the chain from table and itself; None = it is not watched
         placed: a person places the arm, which then is at once where they say: it has no speed, and turns as it should
+
+        axes_same_s, to be set: (3,) longest time for which each axis of the force sensor gave the same in the checks;
+        None = not known, and only all of them together are looked at
         """
         self.limits = limits
         self._T_ee_center = np.eye(4) if T_ee_center is None else T_ee_center
@@ -195,6 +201,7 @@ class Supervisor:
         self._refused = 0
         self._torques = False  # whether the arm has reported any
         self._currents = CurrentWatch()
+        self.axes_same_s: FloatArray | None = None
         self.start(now_ns)
 
     @property
@@ -233,6 +240,7 @@ class Supervisor:
         self._force_ns = self._arm_ns = now_ns
         self._pattern: object = None
         self._pattern_ns = now_ns
+        self._axes_n, self._axes_ns = np.full(3, np.nan), np.full(3, now_ns)
         self._tip_n = 0.0
         self._unusable: deque[int] = deque()
         self._refusals: deque[int] = deque()
@@ -293,6 +301,8 @@ class Supervisor:
             self._force_ns = sample.time_ns
             if sample.pattern is None or sample.pattern != self._pattern:
                 self._pattern, self._pattern_ns = sample.pattern, sample.time_ns
+            self._axes_ns[sample.sensor_n != self._axes_n] = sample.time_ns
+            self._axes_n = sample.sensor_n
             magnitude_n = math.hypot(*sample.force_n)
             if not math.isfinite(magnitude_n):
                 found.append((Action.STOP, Fault.FORCE_INVALID, f"a force of {sample.force_n.tolist()} N"))
@@ -309,6 +319,11 @@ class Supervisor:
             found.append((Action.STOP, Fault.FORCE_SILENT, f"no force for {age_s * 1e3:.0f} ms"))
         elif (same_s := (self._force_ns - self._pattern_ns) / 1e9) > limits.force_frozen_s:
             found.append((Action.STOP, Fault.FORCE_FROZEN, f"the same force for {same_s * 1e3:.0f} ms"))
+        elif self.axes_same_s is not None:
+            axes_s = (self._force_ns - self._axes_ns) / 1e9
+            stuck = np.flatnonzero(axes_s > np.maximum(limits.force_frozen_s, SAME_SHARE * self.axes_same_s))
+            why = (f"the same force along {'xyz'[axis]} for {axes_s[axis] * 1e3:.0f} ms" for axis in stuck[:1])
+            found += [(Action.STOP, Fault.FORCE_FROZEN, reason) for reason in why]
         if _count_since(self._unusable, now_ns - round(limits.window_s * 1e9)) >= limits.unusable:
             found.append((Action.STOP, Fault.FORCE_UNUSABLE, f"{len(self._unusable)} readings that are not usable"))
         return found

@@ -48,6 +48,7 @@ class SensorFault(StrEnum):
     REVERSED = "its sign is reversed"
     EXCHANGED = "its axes are exchanged"
     FROZEN = "it freezes after the tare"
+    STUCK = "its axis along the stick freezes after the tare"
     HIGHER = "the surface is 45 mm higher than the camera saw"
     DIES = "it feels nothing any more after the tare"
 
@@ -123,7 +124,9 @@ def run_rigid(
     def phase_began(phase: Phase, time_ns: int) -> None:
         if phase is Phase.APPROACH and fault is SensorFault.FROZEN:
             lab.wire.frozen = True
-        if phase is Phase.APPROACH and fault is SensorFault.DIES:
+        elif phase is Phase.APPROACH and fault is SensorFault.STUCK:
+            lab.wire.frozen, lab.wire.stuck = True, (2,)
+        elif phase is Phase.APPROACH and fault is SensorFault.DIES:
             state["fault"] = SensorFault.DEAD
 
     with lab:
