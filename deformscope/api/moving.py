@@ -94,8 +94,8 @@ def permitted(
     places_m: FloatArray | None = None,
     page: PageSteering | None = None,
 ) -> RigExperiment[None]:
-    """Within an experiment: look at everything, print the table of checks, and ask before a real arm moves; to press the
-    tip first, where nothing but the force there guards it.
+    """Within an experiment: look at everything, print the table of checks, and ask before a real arm moves; before that
+    for a finger on the tip, where nothing but the force there guards it.
 
     calibrated: what has to be, by name, and whether it is; yes: do not ask
     places_m: (n, 2) that will be touched, None = any that can be reached; page: where the question can be answered too

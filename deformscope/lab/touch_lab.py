@@ -180,6 +180,10 @@ class TouchLab:
         load = self.contact.load(time_s)
         return load if self._as_felt is None else np.asarray(self._as_felt(load, time_s), np.float64)
 
+    def push_tip(self, force_n: FloatArray) -> None:
+        """From now on a finger pushes the tip, (3,) [N] in the surface frame."""
+        self.contact.finger_n = force_n
+
     # Faults ----------------------------------------------------------------------------------------------------------
 
     def schedule(self, moment_ns: int, action: Callable[[], None]) -> None:

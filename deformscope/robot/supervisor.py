@@ -162,8 +162,8 @@ LATE_NS = 20_000_000
 """A judgement so long after the last one came late: the host was busy, and those who read the devices perhaps too. No
 silence is held against a device then, once and not twice in a row."""
 SAME_SHARE = 5.0
-"""So many times longer than in the half second of the checks an axis of the force sensor may give the same: it is stuck.
-Ten minutes of noise of 1 to 5 counts, by filters of 15 to 500 Hz, have no repeat as long. Chosen."""
+"""An axis of the force sensor that gives the same for so many times longer than in the half second of the checks is
+stuck. Chosen: ten minutes of noise of 1 to 5 counts, filtered at 50 Hz and more, have no repeat as long."""
 TIP_DECAY = 0.995
 """Share of a force on the tip that explains joint torques still a reading of 1 ms later: torques are read by turns, up
 to 0.2 s after (`reading.TURN_NS`)."""

@@ -1,10 +1,8 @@
-"""A rigid surface under an arm whose force sensor is wrong: refused before contact, or how hard it was pressed.
-
-An arm without joint torques (a KUKA) has nothing but that sensor; one with them (a Jaco) notices the contact anyway.
-"""
+"""A rigid surface under an arm whose force sensor is wrong: refused before contact, or how hard it was pressed."""
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
@@ -29,11 +27,8 @@ from deformscope_drivers.jaco import JacoConfig, JacoDouble
 from deformscope_drivers.kuka import KukaConfig, KukaDouble
 from deformscope_drivers.memory import SimulatedClock
 
-STIFFNESSES_N_M = (5e3, 2e4, 1e5)
-"""Of arm, sensor and stick in series."""
-RIGID_PA = 1e9
-TOP_M, HIGHER_M = 0.08, 0.045
-BOX_M = (-2.0, -2.0, -2.0), (2.0, 2.0, 2.0)
+RIGID_PA, TOP_M, HIGHER_M = 1e9, 0.08, 0.045
+UP = np.array([0.0, 0.0, 1.0])
 T_BASE_SURFACE = transform(rotation_from_rpy(0.0, 0.0, np.pi / 2), (0.75, -0.3, 0.0))
 
 
@@ -53,24 +48,33 @@ class SensorFault(StrEnum):
     DIES = "it feels nothing any more after the tare"
 
 
-_FELT: dict[SensorFault, Callable[[FloatArray], FloatArray]] = {
-    SensorFault.DEAD: lambda force_n: 0.0 * force_n,
-    SensorFault.SMALL: lambda force_n: 1e-3 * force_n,
-    SensorFault.SCALE: lambda force_n: 0.2 * force_n,  # a sensor of 40 N, read as one of 8 N would be
-    SensorFault.SATURATED: lambda force_n: np.clip(force_n, -2.0, 2.0),
-    SensorFault.REVERSED: lambda force_n: -force_n,
-    SensorFault.EXCHANGED: lambda force_n: np.roll(force_n, 1),
+FELT: dict[SensorFault, Callable[[FloatArray], FloatArray]] = {
+    SensorFault.DEAD: lambda load_n: 0.0 * load_n,
+    SensorFault.SMALL: lambda load_n: 1e-3 * load_n,
+    SensorFault.SCALE: lambda load_n: 0.2 * load_n,
+    SensorFault.SATURATED: lambda load_n: np.clip(load_n, -2.0, 2.0),
+    SensorFault.REVERSED: lambda load_n: -load_n,
+    SensorFault.EXCHANGED: lambda load_n: np.roll(load_n, 1),
 }
-"""(3,) [N] what it makes of a load (3,)."""
+"""(3,) what it makes of a load (3,) [N]."""
+ARMS = ("kuka", "kuka with motor currents", "jaco")
+STIFFNESSES_N_M = (5e3, 2e4, 1e5)
+"""Of arm, sensor and stick in series."""
+CASES = tuple(
+    (arm, fault, n_m)
+    for arm, fault, n_m in itertools.product(ARMS, SensorFault, STIFFNESSES_N_M)
+    if arm != "jaco" or n_m < 1e5  # which is an arm of 5 N/mm
+)
 
 
 @dataclass(frozen=True, slots=True)
 class RigidRun:
-    """stiffness_n_m: in series; refused: the checks that kept the arm from moving; ended: how the touch did, and why
-    max_force_n: greatest true force; unavoidable_n: that the arm cannot avoid, as the checks say
+    """arm: of ARMS; stiffness_n_m: in series; refused: by which checks, and why; ended: how the touch did
+    max_force_n: greatest true force; unavoidable_n: where the sensor fails unseen on its way down, as the checks say
     """
 
     seed: int
+    arm: str
     fault: SensorFault
     stiffness_n_m: float
     refused: str
@@ -84,74 +88,50 @@ class RigidRun:
         return self.max_force_n <= max(Limits().hard_force_n, self.unavoidable_n)
 
 
-def run_rigid(
-    seed: int, fault: SensorFault, stiffness_n_m: float, *, driver: str = "kuka", currents: bool = False
-) -> RigidRun:
-    """One session with one touch. driver: of the arm; currents: its controller sends those of its motors"""
-    random = np.random.default_rng([seed, 0x61])
-    tool = Tool(R_tip_force=tuple(map(tuple, np.eye(3).tolist())))
-    placement = Placement(T_BASE_SURFACE, tool)
+def run_rigid(seed: int) -> RigidRun:
+    """One session with one touch: all cases in turn, at places that the seed draws."""
+    (kind, fault, stiffness_n_m), random = CASES[seed % len(CASES)], np.random.default_rng([seed, 0x61])
+    placement, clock = Placement(T_BASE_SURFACE, Tool()), SimulatedClock(1_000_000_000)
     point_m = np.array([*random.uniform((0.2, 0.1), (0.4, 0.25)), TOP_M])
-    plan = TouchPlan(point_m, np.array([0.0, 0.0, 1.0]), travel_height_m=TOP_M + 0.1)
-    clock = SimulatedClock(1_000_000_000)
-    config = KukaConfig() if driver == "kuka" else JacoConfig(state_hz=100.0)
-    arm = arm_in_lab(driver, config, placement, [np.array([*point_m[:2], TOP_M + 0.12]), point_m], clock, seed)
+    plan = TouchPlan(point_m, UP, travel_height_m=TOP_M + 0.1)
+    driver, config = ("jaco", JacoConfig(state_hz=100.0)) if kind == "jaco" else ("kuka", KukaConfig())
+    arm = arm_in_lab(driver, config, placement, [point_m + 0.12 * UP, point_m], clock, seed)
     if isinstance(arm.body, JacoDouble):
         arm.body.accelerate(ACCELERATION_DEG_S2)
         arm.body.blur_torques(TORQUE_NOISE_NM, GRAVITY_LEFT)
-    if isinstance(arm.body, KukaDouble):
-        arm.body.sends_currents = currents
-    top_m = TOP_M + HIGHER_M * (fault is SensorFault.HIGHER)
-    state = {"fault": fault}
-
-    def felt(force_n: FloatArray, time_s: float) -> FloatArray:
-        return _FELT.get(state["fault"], lambda load_n: load_n)(force_n)
-
+    elif isinstance(arm.body, KukaDouble):
+        arm.body.sends_currents = kind != "kuka"
+    wrong = {"felt": FELT.get(fault, np.array)}
     lab = TouchLab(
-        SpringyFoam(RIGID_PA, (0.0, 0.0, top_m), (0.0, 0.0, 1.0), tool),
+        SpringyFoam(RIGID_PA, (TOP_M + HIGHER_M * (fault is SensorFault.HIGHER)) * UP, UP, placement.tool),
         clock,
-        tool=tool,
         T_base_surface=T_BASE_SURFACE,
         arm_stiffness_n_m=stiffness_n_m,
-        as_felt=felt,
+        as_felt=lambda load_n, time_s: wrong["felt"](load_n),
         arm=arm,
         seed=seed,
     )
 
-    def press(force_n: FloatArray) -> None:
-        lab.contact.finger_n = force_n
-
-    def phase_began(phase: Phase, time_ns: int) -> None:
-        if phase is Phase.APPROACH and fault is SensorFault.FROZEN:
-            lab.wire.frozen = True
-        elif phase is Phase.APPROACH and fault is SensorFault.STUCK:
-            lab.wire.frozen, lab.wire.stuck = True, (2,)
-        elif phase is Phase.APPROACH and fault is SensorFault.DIES:
-            state["fault"] = SensorFault.DEAD
+    def strike(phase: Phase, time_ns: int) -> None:
+        if phase is Phase.APPROACH:
+            lab.wire.frozen = fault in (SensorFault.FROZEN, SensorFault.STUCK)
+            lab.wire.stuck = (2,) if fault is SensorFault.STUCK else (0, 1, 2)
+            wrong["felt"] = FELT[SensorFault.DEAD] if fault is SensorFault.DIES else wrong["felt"]
 
     with lab:
-        limits = Limits(low_m=BOX_M[0], high_m=BOX_M[1])
-        robot = Robot(
-            lab.arm,
-            lab.force,
-            placement,
-            limits,
-            clock=clock,
-            wait_until=lab.wait_until,
-            compliance_m_per_n=1.0 / stiffness_n_m,
-        )
-        refused, ended, unavoidable_n = "", "", 0.0
+        limits = Limits(low_m=(-2.0, -2.0, -2.0), high_m=(2.0, 2.0, 2.0))
+        robot = Robot(lab.arm, lab.force, placement, limits, clock=clock, wait_until=lab.wait_until)
+        robot.compliance_m_per_n = 1.0 / stiffness_n_m
+        preflight, ended = check(robot, [plan], calibrated={}), ""
         try:
-            preflight = check(robot, [plan], calibrated={})
-            if preflight.passed and robot.force_alone:
-                preflight = preflight.and_(press_by_finger(robot, press))
-            refused = ", ".join(f"{one.name}: {one.came}" for one in preflight.checks if not one.passed)
-            if not refused:
+            if robot.force_alone:
+                preflight = preflight.and_(press_by_finger(robot, lab.push_tip))
+            if preflight.passed:
                 robot.let_move(preflight)
-                record = run_touch(robot, plan, on_phase=phase_began)
-                ended = f"{record.ending} {record.fault} {record.reason}"
+                record = run_touch(robot, plan, on_phase=strike)
+                ended = f"{record.ending}: {record.reason}"
         except RobotStopped as stopped:
-            refused = f"{stopped.verdict.fault}: {stopped.verdict.reason}"
-        if robot.force_alone:
-            unavoidable_n = ForceAlone.of(robot).unfelt_n * (fault is SensorFault.DIES)
-        return RigidRun(seed, fault, stiffness_n_m, refused, ended, lab.contact.max_force_n, unavoidable_n)
+            ended = str(stopped)
+        refused = "; ".join(f"{one.name}: {one.came}" for one in preflight.checks if not one.passed)
+        unfelt_n = ForceAlone.of(robot).unfelt_n * (fault is SensorFault.DIES and robot.force_alone)
+        return RigidRun(seed, kind, fault, stiffness_n_m, refused, ended, lab.contact.max_force_n, unfelt_n)
