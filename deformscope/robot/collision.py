@@ -25,7 +25,7 @@ IN_A_ROW = 2
 LEARNS_S, LOOKS_S = 0.8, 0.1
 """What currents were for so long says what they are to be in the time after it. Chosen."""
 LEAST_READINGS = 20
-STEADY_DEG, STEADY_SHARE = 1e-3, 0.02
+STEADY_DEG, STEADY_SHARE = 5e-4, 0.02
 """Joints go on as they went within so much, and so much of a second's way: else friction and inertia change too."""
 CURRENT_NOISE = 7.0
 """Deviations of their noise by which currents are off in a collision. Chosen."""
@@ -117,7 +117,7 @@ class CurrentWatch:
         if np.any(np.abs(off[:, count:]) > STEADY_DEG + STEADY_SHARE * np.abs(slopes[count:])):
             self._beyond = 0
             return ""
-        looked = off[learnt:, :count].mean(axis=0)
+        looked = np.median(off[learnt:, :count], axis=0)  # of joints that begin to turn, most have not yet
         ahead = (time_s[learnt:].mean() - middle_s) ** 2 / spread + 1.0 / learnt + 1.0 / (len(time_s) - learnt)
         limits = CURRENT_NOISE * math.sqrt(ahead) * off[:learnt, :count].std(axis=0, ddof=2)
         worst = int(np.argmax(np.abs(looked) - limits))

@@ -46,6 +46,10 @@ FREE_M = 0.01
 """Least height of the tip over the surface at the begin [m]. Chosen."""
 WAY_STEPS, WRIST_M = 60, 0.045
 """Poses checked on the first route; radius taken for the wrist [m], as `shape.LINK_RADIUS_M`. Chosen."""
+SAME_SHARE, COARSE_S = 8.0, 0.08
+"""An axis of the force sensor is stuck that gives the same for so many times longer than in these checks, and two
+readings; not where it did so for longer [s]: its noise is below a count. Chosen: in ten minutes of noise of 1 to 5
+counts nothing repeats for so long, but at 100 Hz."""
 FORCE_TURNED = "[tool] R_tip_force"
 """Of what is calibrated, what an arm needs that nothing guards but its force sensor."""
 COLLISION_NOISE = 6.0
@@ -219,9 +223,9 @@ def _force(robot: Robot, seen: Sequence[RobotObservation]) -> Iterator[Check]:
     yield Check("force sensor: noise", known, f"above 0 and below {NOISE_N * 1e3:g} mN", came)
     longest_s = _longest_repeat_s(samples, lambda sample: sample.pattern)
     limit_s = robot.supervisor.limits.force_frozen_s
-    robot.supervisor.axes_same_s = np.array(
-        [_longest_repeat_s(samples, lambda sample, axis=axis: sample.sensor_n[axis]) for axis in range(3)]
-    )
+    axes_s = np.array([_longest_repeat_s(samples, lambda one, axis=axis: one.sensor_n[axis]) for axis in range(3)])
+    same_s = SAME_SHARE * (axes_s + 2.0 / robot.force.config.rate_hz)
+    robot.supervisor.axes_frozen_s = np.where(axes_s < COARSE_S, same_s, np.inf)
     wanted = f"no equal readings for {500 * limit_s:.0f} ms"
     yield Check("force sensor: alive", longest_s < 0.5 * limit_s, wanted, f"{longest_s * 1e3:.0f} ms at most")
 

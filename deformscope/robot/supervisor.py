@@ -161,9 +161,6 @@ APPROACH_DEG_S = 0.5
 LATE_NS = 20_000_000
 """A judgement so long after the last one came late: the host was busy, and those who read the devices perhaps too. No
 silence is held against a device then, once and not twice in a row."""
-SAME_SHARE = 5.0
-"""An axis of the force sensor that gives the same for so many times longer than in the half second of the checks is
-stuck. Chosen: ten minutes of noise of 1 to 5 counts, filtered at 50 Hz and more, have no repeat as long."""
 TIP_DECAY = 0.995
 """Share of a force on the tip that explains joint torques still a reading of 1 ms later: torques are read by turns, up
 to 0.2 s after (`reading.TURN_NS`)."""
@@ -190,8 +187,8 @@ class Supervisor:
         clearance: of the chain from table and itself; None = it is not watched
         placed: a person places the arm, which then is at once where they say: it has no speed, and turns as it should
 
-        axes_same_s, to be set: (3,) longest time for which each axis of the force sensor gave the same in the checks;
-        None = not known, and only all of them together are looked at
+        axes_frozen_s, to be set: (3,) as `Limits.force_frozen_s`, of each axis of the force sensor; None = not known,
+        and only all of them together are looked at
         """
         self.limits = limits
         self._T_ee_center = np.eye(4) if T_ee_center is None else T_ee_center
@@ -201,7 +198,7 @@ class Supervisor:
         self._refused = 0
         self._torques = False  # whether the arm has reported any
         self._currents = CurrentWatch()
-        self.axes_same_s: FloatArray | None = None
+        self.axes_frozen_s: FloatArray | None = None
         self.start(now_ns)
 
     @property
@@ -319,9 +316,9 @@ class Supervisor:
             found.append((Action.STOP, Fault.FORCE_SILENT, f"no force for {age_s * 1e3:.0f} ms"))
         elif (same_s := (self._force_ns - self._pattern_ns) / 1e9) > limits.force_frozen_s:
             found.append((Action.STOP, Fault.FORCE_FROZEN, f"the same force for {same_s * 1e3:.0f} ms"))
-        elif self.axes_same_s is not None:
+        elif self.axes_frozen_s is not None:
             axes_s = (self._force_ns - self._axes_ns) / 1e9
-            stuck = np.flatnonzero(axes_s > np.maximum(limits.force_frozen_s, SAME_SHARE * self.axes_same_s))
+            stuck = np.flatnonzero(axes_s > np.maximum(limits.force_frozen_s, self.axes_frozen_s))
             why = (f"the same force along {'xyz'[axis]} for {axes_s[axis] * 1e3:.0f} ms" for axis in stuck[:1])
             found += [(Action.STOP, Fault.FORCE_FROZEN, reason) for reason in why]
         if _count_since(self._unusable, now_ns - round(limits.window_s * 1e9)) >= limits.unusable:
