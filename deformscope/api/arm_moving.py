@@ -194,7 +194,7 @@ def _carried_out(
         found = check(robot, [], calibrated=setup.calibrated, ages=setup.ages)
         preflight = Preflight(tuple(one for one in found.checks if not one.name.startswith(leave_out)))
         if preflight.passed and robot.force_alone and "calibration" not in leave_out:
-            preflight = preflight.and_(press_by_finger(robot, setup.press, say))
+            preflight = Preflight((*preflight.checks, press_by_finger(robot, setup.press, say)))
         say(preflight.table())
         if preflight.passed and not setup.simulated and not config.yes:
             robot.rest()

@@ -139,15 +139,16 @@ def rigid_table(runs: Sequence[RigidRun]) -> Table:
     lines = []
     for arm, fault in dict.fromkeys((run.arm, run.fault) for run in runs):
         some = [run for run in runs if (run.arm, run.fault) == (arm, fault)]
-        cells = []
-        for stiffness_n_m in STIFFNESSES_N_M:
-            here = [run for run in some if run.stiffness_n_m == stiffness_n_m]
-            most_n = max((run.max_force_n for run in here), default=0.0)
-            refused = bool(here) and all(run.refused for run in here)
-            cells.append("refused" if refused else f"{most_n:.1f} N" if here else "")
+        cells = [_greatest([run for run in some if run.stiffness_n_m == n_m]) for n_m in STIFFNESSES_N_M]
         lines.append((arm, fault, *cells, f"{sum(run.in_time for run in some)} of {len(some)}"))
     names = ("arm", "what is wrong", *(f"{n_m / 1e3:g} N/mm" for n_m in STIFFNESSES_N_M), "in time")
     return Table(lines, names, "A rigid surface, and a force sensor that is wrong")
+
+
+def _greatest(runs: Sequence[RigidRun]) -> str:
+    if runs and all(run.refused for run in runs):
+        return "refused"
+    return f"{max(run.max_force_n for run in runs):.1f} N" if runs else ""
 
 
 def layout_table(runs: Sequence[LayoutRun]) -> Table:

@@ -172,7 +172,7 @@ class TouchingRobot:
             case Look():
                 answer = self.look()
             case CheckFirst():
-                answer = self.preflight(command.calibrated, command.places_m, command.ask_finger)
+                answer = self.preflight(command)
             case Wait():
                 self._robot.stand_by(command.seconds)
             case _:
@@ -242,15 +242,10 @@ class TouchingRobot:
 
     # Before it moves --------------------------------------------------------------------------------------------------
 
-    def preflight(
-        self,
-        calibrated: Mapping[str, bool],
-        places_m: FloatArray | None = None,
-        ask_finger: Callable[[str], None] | None = None,
-    ) -> Preflight:
+    def preflight(self, asked: CheckFirst) -> Preflight:
         """See `CheckFirst`. Raises InputError where nothing can be reached."""
         self._robot.rest()  # finding what can be reached takes longer than queues hold
-        corners = self._corners() if places_m is None else list(places_m)
+        corners = self._corners() if asked.places_m is None else list(asked.places_m)
         height_m = self._options.thickness_m
         plans = [self.geometry.plan(corner, height_m, UPRIGHT, None, self._options) for corner in corners]
         self._robot.start()
@@ -258,13 +253,13 @@ class TouchingRobot:
             found = check(
                 self._robot,
                 plans,
-                calibrated=calibrated,
+                calibrated=asked.calibrated,
                 ages=self._setup.ages,
                 lift_m=self._options.lift_m,
                 described=self._setup.described,
             )
-            if ask_finger is not None and found.passed and self._robot.force_alone:
-                found = found.and_(press_by_finger(self._robot, self._setup.press, ask_finger))
+            if asked.ask_finger is not None and found.passed and self._robot.force_alone:
+                found = Preflight((*found.checks, press_by_finger(self._robot, self._setup.press, asked.ask_finger)))
         self._robot.rest()
         return found
 

@@ -25,6 +25,7 @@ IN_A_ROW = 2
 LEARNS_S, LOOKS_S = 0.8, 0.1
 """What currents were for so long says what they are to be in the time after it. Chosen."""
 LEAST_READINGS = 20
+"""Of that time, fewer say nothing. Chosen."""
 STEADY_DEG, STEADY_SHARE = 5e-4, 0.02
 """Joints go on as they went within so much, and so much of a second's way: else friction and inertia change too."""
 CURRENT_NOISE = 7.0
@@ -119,7 +120,9 @@ class CurrentWatch:
             return ""
         looked = np.median(off[learnt:, :count], axis=0)  # of joints that begin to turn, most have not yet
         ahead = (time_s[learnt:].mean() - middle_s) ** 2 / spread + 1.0 / learnt + 1.0 / (len(time_s) - learnt)
-        limits = CURRENT_NOISE * math.sqrt(ahead) * off[:learnt, :count].std(axis=0, ddof=2)
+        steps = np.abs(np.diff(values[:learnt, :count], axis=0))
+        finest = np.where(steps > 0.0, steps, np.inf).min(axis=0)  # no limit where nothing changes: nothing is sent
+        limits = CURRENT_NOISE * math.sqrt(ahead) * off[:learnt, :count].std(axis=0, ddof=2) + finest
         worst = int(np.argmax(np.abs(looked) - limits))
         self._beyond = self._beyond + 1 if abs(looked[worst]) > limits[worst] else 0
         if self._beyond < IN_A_ROW:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -122,10 +122,6 @@ class Preflight:
         """All of them."""
         return bool(self.checks) and all(check.passed for check in self.checks)
 
-    def and_(self, check: Check) -> Preflight:
-        """With another one."""
-        return Preflight((*self.checks, check))
-
     def table(self) -> str:
         """The checks as lines of text, one each; below them what to do about those that have not passed."""
         rows = [("", "check", "wanted", "came")]
@@ -221,19 +217,21 @@ def _force(robot: Robot, seen: Sequence[RobotObservation]) -> Iterator[Check]:
     known = bool(np.all((noise_n > 0) & (noise_n < NOISE_N)))
     came = f"{noise_n.min() * 1e3:.1f} to {noise_n.max() * 1e3:.1f} mN"
     yield Check("force sensor: noise", known, f"above 0 and below {NOISE_N * 1e3:g} mN", came)
-    longest_s = _longest_repeat_s(samples, lambda sample: sample.pattern)
+    longest_s = _longest_repeat_s(samples, [one.pattern for one in samples])
     limit_s = robot.supervisor.limits.force_frozen_s
-    axes_s = np.array([_longest_repeat_s(samples, lambda one, axis=axis: one.sensor_n[axis]) for axis in range(3)])
+    axes = np.array([one.sensor_n for one in samples]).T.tolist()
+    axes_s = np.array([_longest_repeat_s(samples, values) for values in axes])
     same_s = SAME_SHARE * (axes_s + 2.0 / robot.force.config.rate_hz)
     robot.supervisor.axes_frozen_s = np.where(axes_s < COARSE_S, same_s, np.inf)
     wanted = f"no equal readings for {500 * limit_s:.0f} ms"
     yield Check("force sensor: alive", longest_s < 0.5 * limit_s, wanted, f"{longest_s * 1e3:.0f} ms at most")
 
 
-def _longest_repeat_s(samples: Sequence[ForceSample], what: Callable[[ForceSample], object]) -> float:
+def _longest_repeat_s(samples: Sequence[ForceSample], values: Sequence[Hashable]) -> float:
+    """values: (n,) of the samples"""
     longest_ns = 0
-    for _, group in itertools.groupby(samples, key=what):
-        times_ns = [sample.time_ns for sample in group]
+    for _, group in itertools.groupby(zip(values, samples, strict=True), key=lambda one: one[0]):
+        times_ns = [sample.time_ns for _, sample in group]
         longest_ns = max(longest_ns, times_ns[-1] - times_ns[0])
     return longest_ns / 1e9
 
@@ -324,10 +322,8 @@ def _free(robot: Robot, plans: Sequence[TouchPlan], lift_m: float) -> Iterator[C
     came = f"{height_m * 100:.1f} cm"
     yield Check("tip: in free air", height_m > FREE_M, f"{FREE_M * 100:g} cm or more above the surface", came)
     if robot.force_alone:
-        alone = ForceAlone.of(robot)
-        yield Check(
-            "tip: force at contact", alone.contact_n <= alone.hard_n, f"{alone.hard_n:g} N or less", alone.words
-        )
+        way = ForceAlone.of(robot)
+        yield Check("tip: force at contact", way.contact_n <= way.hard_n, f"{way.hard_n:g} N or less", way.words)
 
 
 def _hand(robot: Robot, plans: Sequence[TouchPlan], described: RobotDescription) -> Iterator[Check]:

@@ -197,7 +197,7 @@ class Supervisor:
         self._verdict = _GO_ON
         self._refused = 0
         self._torques = False  # whether the arm has reported any
-        self._currents = CurrentWatch()
+        self._currents, self._motors = CurrentWatch(), False
         self.axes_frozen_s: FloatArray | None = None
         self.start(now_ns)
 
@@ -319,8 +319,10 @@ class Supervisor:
         elif self.axes_frozen_s is not None:
             axes_s = (self._force_ns - self._axes_ns) / 1e9
             stuck = np.flatnonzero(axes_s > np.maximum(limits.force_frozen_s, self.axes_frozen_s))
-            why = (f"the same force along {'xyz'[axis]} for {axes_s[axis] * 1e3:.0f} ms" for axis in stuck[:1])
-            found += [(Action.STOP, Fault.FORCE_FROZEN, reason) for reason in why]
+            found += [
+                (Action.STOP, Fault.FORCE_FROZEN, f"the same force along {'xyz'[axis]} for {axes_s[axis] * 1e3:.0f} ms")
+                for axis in stuck
+            ]
         if _count_since(self._unusable, now_ns - round(limits.window_s * 1e9)) >= limits.unusable:
             found.append((Action.STOP, Fault.FORCE_UNUSABLE, f"{len(self._unusable)} readings that are not usable"))
         return found
@@ -368,7 +370,10 @@ class Supervisor:
 
     def _collision(self, sample: ArmSample) -> list[tuple[Action, Fault, str]]:
         limit_nm, torques_nm = self.limits.collision_nm, sample.torques_nm
-        if sample.currents and limit_nm > 0:
+        if limit_nm > 0 and (sample.currents or self._motors):
+            self._motors = True
+            if not sample.currents:
+                return [(Action.STOP, Fault.TORQUES, "no motor currents any more, where collisions are seen by them")]
             why = self._currents.look(sample.currents, sample.joints_deg, self._tip_n, sample.time_ns)
             return [(Action.STOP, Fault.COLLISION, why)] if why else []
         if self._collisions is None or limit_nm == 0 or not (torques_nm or self._torques):

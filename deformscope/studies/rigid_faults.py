@@ -17,7 +17,7 @@ from deformscope.rig.rig_file import Tool
 from deformscope.robot.finger import press_by_finger
 from deformscope.robot.force_alone import ForceAlone
 from deformscope.robot.placement import Placement
-from deformscope.robot.preflight import check
+from deformscope.robot.preflight import Preflight, check
 from deformscope.robot.robot import Robot, RobotStopped
 from deformscope.robot.supervisor import Limits
 from deformscope.robot.touch import Phase, TouchPlan, run_touch
@@ -125,7 +125,7 @@ def run_rigid(seed: int) -> RigidRun:
         preflight, ended = check(robot, [plan], calibrated={}), ""
         try:
             if robot.force_alone:
-                preflight = preflight.and_(press_by_finger(robot, lab.push_tip))
+                preflight = Preflight((*preflight.checks, press_by_finger(robot, lab.push_tip)))
             if preflight.passed:
                 robot.let_move(preflight)
                 record = run_touch(robot, plan, on_phase=strike)

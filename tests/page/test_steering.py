@@ -27,6 +27,7 @@ from deformscope.page.messages import (
     TouchPicked,
     VetoTouch,
 )
+from deformscope.robot.finger import FINGER
 from deformscope.robot.robot import MotionHeld, RobotStopped, TipVelocity
 from deformscope.robot.supervisor import Action, Fault
 from deformscope.robot.touch import TouchEnding, TouchRecord, run_touch
@@ -91,6 +92,16 @@ def planned(x_m: float = 0.15) -> PlannedTouch:
 
 
 # Before it moves -----------------------------------------------------------------------------------------------------
+
+
+def test_the_page_asks_for_a_finger_on_the_tip_before_the_arm_may_move() -> None:
+    steered = Steered(begun=False)
+    steered.steering.wait_for_finger(FINGER)
+    state = steered.desk.state
+    assert (state.phase, state.reason, state.commands) == ("idle", FINGER, ("stop",))
+    assert "5 N" in state.reason
+    assert steered.say(StopRun)[0] == "done"
+    assert steered.ended.is_set()
 
 
 def test_a_real_arm_begins_once_somebody_confirms_it_on_the_page(monkeypatch: pytest.MonkeyPatch) -> None:

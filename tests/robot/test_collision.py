@@ -194,3 +194,11 @@ def test_an_arm_stops_by_its_motors_currents_and_not_where_collisions_are_not_lo
             verdict = supervisor.judge(seen)
         assert verdict.fault is fault
         assert not supervisor.sees_torques
+
+
+def test_motor_currents_that_come_no_more_stop_an_arm() -> None:
+    supervisor = Supervisor(Limits(), 0, chain=KR6R900)
+    for number, currents, fault in ((1, (0.1,) * 6, Fault.NONE), (2, (), Fault.TORQUES)):
+        arm = ArmSample(number * PERIOD_NS, np.eye(4), (0.0, -90.0, 90.0, 0.0, 45.0, 0.0), currents=currents)
+        forces = (ForceSample(number * PERIOD_NS, np.zeros(3), number),)
+        assert supervisor.judge(RobotObservation(number * PERIOD_NS, forces, (arm,))).fault is fault
