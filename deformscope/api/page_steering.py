@@ -85,10 +85,6 @@ class PageSteering:
 
     # Before it moves -------------------------------------------------------------------------------------------------
 
-    def wait_for_finger(self, words: str) -> None:
-        """Ask on the page as well for a finger on the tip, or say how it was felt."""
-        self.desk.enter("idle", words, commands=("stop",))
-
     def wait_for_permission(self, touches: str) -> None:
         """Ask on the page as well whether the arm may move. touches: how many, and of what force"""
         self._what = f"{self._arm} goes on by itself: {touches}"

@@ -24,7 +24,7 @@ from deformscope.experiments.options import ExploreOptions
 from deformscope.rig.source import RigSource
 from deformscope.robot.advice import advice
 from deformscope.robot.by_hand import touch_by_hand
-from deformscope.robot.finger import press_by_finger
+from deformscope.robot.finger import WAITS, press_by_finger
 from deformscope.robot.preflight import Preflight, check
 from deformscope.robot.readings import ArmSample
 from deformscope.robot.robot import Robot, RobotStopped, Watch
@@ -132,6 +132,7 @@ class TouchingRobot:
         self._dwelling = contextlib.ExitStack()
         self._touches = self._begun = 0
         self._phase: Phase | None = None
+        self._waits = ""
         self._pressed_m: FloatArray | None = None
         self._reports: list[Step] = []
         self._keep: Callable[[], object] | None = None
@@ -259,7 +260,9 @@ class TouchingRobot:
                 described=self._setup.described,
             )
             if asked.ask_finger is not None and found.passed and self._robot.force_alone:
+                self._waits = WAITS
                 found = Preflight((*found.checks, press_by_finger(self._robot, self._setup.press, asked.ask_finger)))
+                self._waits = ""
         self._robot.rest()
         return found
 
@@ -383,9 +386,9 @@ class TouchingRobot:
 
     @property
     def doing(self) -> str:
-        """The present action, in words; empty between touches."""
+        """The present action, or what it waits for, in words; empty between touches."""
         if self._phase is None:
-            return ""
+            return self._waits
         words = f"touch {self._touches + 1}: {self._phase}"
         if self._pressed_m is not None:
             depth_m = float(self._pressed_m[2] - self._robot.center_m[2])

@@ -220,7 +220,7 @@ class SpoiledWire(MemoryTransport):
         super().__init__(double, clock, "simulated force sensor")
         self.spoiled = 0.0
         self.frozen = False
-        self.stuck = (0, 1, 2)
+        self.stuck: tuple[int, ...] = (0, 1, 2)
         self._decoder = Decoder()
         self._held: Reading | None = None
         self._random = np.random.default_rng([seed, 0x51])

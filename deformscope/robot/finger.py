@@ -26,6 +26,7 @@ FINGER = (
     f"Press the tip straight up from below with a finger, with about {PRESS_N:g} N (what shows 500 g on a kitchen "
     "scale), and hold it for a second: nothing but its force sensor guards this arm, which has no joint torques."
 )
+WAITS = f"waits for a finger that presses the tip from below, with {PRESS_N:g} N"
 
 
 def press_by_finger(
