@@ -46,9 +46,6 @@ class KukaDouble:
         self.missed = self.corrections = 0
         self.ended = ""
         self.running = True
-        self.sends_currents = False
-        self._wrench: npt.ArrayLike = np.zeros(6)
-        self._random = np.random.default_rng(0xCA)
         self._start_deg: FloatArray = np.array(self.chain.home_deg if start_deg is None else start_deg, dtype=float)
         self._joints_deg, self._setpoint_deg = self._start_deg.copy(), self._start_deg.copy()
         self._cycle_ns = round(cycle_s * 1e9)
@@ -59,6 +56,9 @@ class KukaDouble:
         self._next_ns: int | None = None  # its program is started as somebody first listens
         self._waiting: deque[bytes] = deque(maxlen=WAITING)
         self._lock = threading.Lock()
+        self.sends_currents = False
+        self._said_deg, self._wrench = self._start_deg, np.zeros(6)
+        self._random = np.random.default_rng(0xCA)
 
     # For who runs the simulation -------------------------------------------------------------------------------------
 
@@ -132,7 +132,6 @@ class KukaDouble:
     def _cycle(self) -> None:
         """The end of one cycle, and the begin of the next."""
         answer, self._answer = self._answer, None
-        before_deg = self._joints_deg
         self._joints_deg = self._setpoint_deg.copy()  # the axes follow within a cycle
         if answer is None:
             self.missed += 1
@@ -156,9 +155,10 @@ class KukaDouble:
         c, b, a = -np.degrees(euler_xyz_from_rotation(pose[:3, :3].T))  # Rz(A) Ry(B) Rx(C)
         joints_deg, currents = self._joints_deg, tuple[float, ...]()
         if self.sends_currents:
-            rates_deg_s = (joints_deg - before_deg) / (1e-9 * self._cycle_ns)
+            rates_deg_s = (joints_deg - self._said_deg) / (1e-9 * self._cycle_ns)
             currents = tuple(motor_currents(self.chain, joints_deg, rates_deg_s, self._wrench, self._random))
         said = RobMessage(
             tuple(joints_deg), self._ipoc, (*place_mm, a, b, c), tuple(self._start_deg), self.missed, currents
         )
+        self._said_deg = joints_deg
         self._waiting.append(encode_rob(said))
