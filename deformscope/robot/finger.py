@@ -37,16 +37,16 @@ def press_by_finger(
     press: in a laboratory, has a finger press with (3,) [N, surface frame]; None = a person, who is asked by `say`
     Nothing moves. What presses harder than the soft stop is forgotten. Raises RobotStopped above the hard stop.
     """
+    patience_s = PATIENCE_S if press is None else 4e-2 * HELD_PERIODS
+    say, press = (say, lambda force_n: None) if press is None else (lambda words: None, press)
     robot.start()
-    say = say if press is None else lambda words: None
     say(FINGER)
     rest_n = np.mean([_felt_n(robot) for _ in range(HELD_PERIODS)], axis=0)
     soft_n = robot.supervisor.limits.soft_force_n
     right, came, held, pushes = False, "nothing", list[FloatArray](), 0
     try:
-        if press is not None:
-            press(np.array([0.0, 0.0, PRESS_N]))
-        for _ in range(round(100 * PATIENCE_S) if press is None else 4 * HELD_PERIODS):
+        press(np.array([0.0, 0.0, PRESS_N]))
+        for _ in range(round(100 * patience_s)):
             force_n = _felt_n(robot) - rest_n
             held = [*held, force_n] if np.linalg.norm(force_n) > BEGUN_N else []
             if not held and (right or pushes == PUSHES):  # the finger is gone
@@ -55,11 +55,9 @@ def press_by_finger(
                 right, came = _judged(np.median(held[HELD_PERIODS // 2 :], axis=0), soft_n)
                 pushes += 1
                 say(f"Felt as {came}: let go{'' if right or pushes == PUSHES else ', and press once more'}.")
-                if press is not None:
-                    press(np.zeros(3))
+                press(np.zeros(3))
     finally:
-        if press is not None:
-            press(np.zeros(3))
+        press(np.zeros(3))
         robot.supervisor.acknowledge(robot.seen.now_ns)
     wanted = f"a finger's {LEAST_N:g} to {soft_n:g} N from below"
     return Check("force sensor: finger", right, wanted, came)

@@ -14,6 +14,7 @@ from deformscope.cli import main
 from deformscope.config import JogConfig
 from deformscope.recording.recorder import Recorder
 from tests.cli.rig_on_a_simulated_clock import use_a_simulated_clock
+from tests.cli.test_explore_arms import RIGS
 
 RIG = """
 [devices.arm]
@@ -88,6 +89,14 @@ def test_go_brings_the_tip_over_a_place(rig: Path, tmp_path: Path) -> None:
 
     assert main(["arm", "go", str(rig), "--above", "0.2,0.15", "--height", "0.12", "--json", str(found)]) == 0
     assert json.loads(found.read_text())["center_m"] == pytest.approx([0.2, 0.15, 0.05 + 0.12 + 0.01], abs=3e-3)
+
+
+def test_go_by_an_arm_without_joint_torques_begins_with_a_finger_on_its_tip(
+    rig: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rig.write_text(RIGS["kuka"])
+    assert main(["arm", "go", str(rig), "--above", "0.3,0.2", "--height", "0.12"]) == 0
+    assert "ok  force sensor: finger" in capsys.readouterr().err
 
 
 def test_where_it_is_and_home(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
