@@ -133,5 +133,8 @@ def run_rigid(seed: int) -> RigidRun:
         except RobotStopped as stopped:
             ended = str(stopped)
         refused = "; ".join(f"{one.name}: {one.came}" for one in preflight.checks if not one.passed)
+        refused = refused or (
+            "" if robot.may_move else ended
+        )  # its currents may feel the finger that its sensor does not
         unfelt_n = ForceAlone.of(robot).unfelt_n * (fault is SensorFault.DIES and robot.force_alone)
         return RigidRun(seed, kind, fault, stiffness_n_m, refused, ended, lab.contact.max_force_n, unfelt_n)
