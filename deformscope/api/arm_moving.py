@@ -21,6 +21,7 @@ from deformscope.errors import InputError
 from deformscope.experiments.options import ExploreOptions
 from deformscope.rig.rig_file import load_rig
 from deformscope.robot.advice import where_it_stands
+from deformscope.robot.finger import press_by_finger
 from deformscope.robot.jogging import HELP, LEAVE, Jog
 from deformscope.robot.placement import Placement
 from deformscope.robot.preflight import Preflight, check
@@ -199,6 +200,8 @@ def _carried_out(
     try:
         found = check(robot, [], calibrated=setup.calibrated, ages=setup.ages)
         preflight = Preflight(tuple(one for one in found.checks if not one.name.startswith(leave_out)))
+        if preflight.passed and robot.force_alone and "calibration" not in leave_out:
+            preflight = Preflight((*preflight.checks, press_by_finger(robot, setup.press, say)))
         say(preflight.table())
         if preflight.passed and not setup.simulated and not config.yes:
             robot.rest()

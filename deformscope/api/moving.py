@@ -94,7 +94,8 @@ def permitted(
     places_m: FloatArray | None = None,
     page: PageSteering | None = None,
 ) -> RigExperiment[None]:
-    """Within an experiment: look at everything, print the table of checks, and ask before a real arm moves.
+    """Within an experiment: look at everything, print the table of checks, and ask before a real arm moves; before that
+    for a finger on the tip, where nothing but the force there guards it.
 
     calibrated: what has to be, by name, and whether it is; yes: do not ask
     places_m: (n, 2) that will be touched, None = any that can be reached; page: where the question can be answered too
@@ -104,7 +105,12 @@ def permitted(
     from deformscope.experiments.touching_robot import CheckFirst
     from deformscope.session import ask
 
-    preflight = yield from ask(CheckFirst(calibrated, places_m))
+    def ask_finger(words: str) -> None:
+        say(words)
+        if page is not None:
+            page.desk.remark(words)
+
+    preflight = yield from ask(CheckFirst(calibrated, places_m, ask_finger))
     say(preflight.table())
     if not setup.simulated and preflight.passed:
         touches = f"up to {options.budget} touches of {robot.forces_words}"

@@ -1,7 +1,7 @@
 """`deformscope coverage safety`: whether the arm stands in time, and stays away from limits and singularities.
 
-deformscope coverage safety --faults 1000 --layouts 200 --jobs 8 --json safety.json
-deformscope coverage safety --faults 100 --layouts 0
+deformscope coverage safety --faults 1000 --layouts 200 --rigid 88 --jobs 8 --json safety.json
+deformscope coverage safety --faults 100 --layouts 0 --rigid 0
 deformscope coverage safety --arm kuka --faults 500 --layouts 0
 """
 
@@ -30,6 +30,7 @@ from deformscope.studies.driven_faults import (
 )
 from deformscope.studies.fault_study import ALLOWED_S, ENDED_WITHIN_S, TURNED_DEG, UNSEEN_M, FaultRun
 from deformscope.studies.layouts import LayoutRun, run_layout, shares_by_distance
+from deformscope.studies.rigid_faults import STIFFNESSES_N_M, RigidRun, run_rigid
 from deformscope.studies.seeds import reported
 from deformscope.studies.silent_kuka import FARTHEST_M, SilentRun, run_silent
 
@@ -50,8 +51,12 @@ def run(config: SafetyCoverageConfig) -> None:
             layouts = examined(
                 "layouts", run_layout, reported(config.layouts, seed) if config.layouts else (), config.jobs, note
             )
+            rigid = examined(
+                "rigid surfaces", run_rigid, reported(config.rigid, seed) if config.rigid else (), config.jobs, note
+            )
         tables = [fault_table(faults)] if faults else []
         tables += [silence_table(silences)] if silences else []
+        tables += [rigid_table(rigid)] if rigid else []
         if layouts:
             tables += [layout_table(layouts), slowing_table(layouts)]
         seconds = time.monotonic() - started
@@ -69,6 +74,7 @@ def run(config: SafetyCoverageConfig) -> None:
             "in_time": config.faults - len(late),
             "late": late,
             "kinds": kinds,
+            "rigid": rigid,
             "layouts": layouts,
             "least_margin_deg": min((run.margin_deg for run in layouts), default=None),
             "seconds": seconds,
@@ -148,6 +154,23 @@ def _until_noticed(runs: Sequence[FaultRun]) -> str:
 
 def _range(values: Sequence[float], digits: int) -> str:
     return f"{np.median(values):.{digits}f}, {max(values):.{digits}f}" if values else ""
+
+
+def rigid_table(runs: Sequence[RigidRun]) -> Table:
+    """A line for each arm and what was wrong: the greatest force by stiffness in series, and how many were in time."""
+    lines = []
+    for arm, fault in dict.fromkeys((run.arm, run.fault) for run in runs):
+        some = [run for run in runs if (run.arm, run.fault) == (arm, fault)]
+        cells = [_greatest([run for run in some if run.stiffness_n_m == n_m]) for n_m in STIFFNESSES_N_M]
+        lines.append((arm, fault, *cells, f"{sum(run.in_time for run in some)} of {len(some)}"))
+    names = ("arm", "what is wrong", *(f"{n_m / 1e3:g} N/mm" for n_m in STIFFNESSES_N_M), "in time")
+    return Table(lines, names, "A rigid surface, and a force sensor that is wrong")
+
+
+def _greatest(runs: Sequence[RigidRun]) -> str:
+    if runs and all(run.refused for run in runs):
+        return "refused"
+    return f"{max(run.max_force_n for run in runs):.1f} N" if runs else ""
 
 
 def layout_table(runs: Sequence[LayoutRun]) -> Table:

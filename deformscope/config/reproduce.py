@@ -140,6 +140,8 @@ class SafetyCoverageConfig(RecordedOptions):
     """Faults; each takes some 2 s of a core. 0 = none."""
     layouts: Annotated[int, flags.least(0)] = 200
     """Layouts; each takes some 5 s of a core. 0 = none."""
+    rigid: Annotated[int, flags.least(0)] = 88
+    """Touches of a rigid surface by a force sensor that is wrong; each takes some 4 s of a core. 0 = none."""
     jobs: flags.ManyFlag = 2
     """Processes that share the work."""
     output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)

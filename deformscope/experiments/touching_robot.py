@@ -24,6 +24,7 @@ from deformscope.experiments.options import ExploreOptions
 from deformscope.rig.source import RigSource
 from deformscope.robot.advice import where_it_stands
 from deformscope.robot.by_hand import touch_by_hand
+from deformscope.robot.finger import WAITS, press_by_finger
 from deformscope.robot.preflight import Preflight, check
 from deformscope.robot.readings import ArmSample
 from deformscope.robot.robot import Robot, RobotStopped, Watch
@@ -65,11 +66,13 @@ class CheckFirst:
     """A command: look at everything before anything moves; its answer is a `Preflight`.
 
     calibrated: what has to be, by name, and whether it is; places_m: (n, 2) that will be touched, None = any that can
-    be reached
+    be reached; ask_finger: says to a person that they have to press the tip, where nothing else guards the arm; None =
+    they have
     """
 
     calibrated: Mapping[str, bool] = field(default_factory=dict)
     places_m: FloatArray | None = None
+    ask_finger: Callable[[str], None] | None = None
 
 
 @contextlib.contextmanager
@@ -131,6 +134,7 @@ class TouchingRobot:
         self._dwelling = contextlib.ExitStack()
         self._touches = self._begun = 0
         self._phase: Phase | None = None
+        self._waits = ""
         self._pressed_m: FloatArray | None = None
         self._reports: list[Step] = []
         self._keep: Callable[[], object] | None = None
@@ -171,7 +175,7 @@ class TouchingRobot:
             case Look():
                 answer = self.look()
             case CheckFirst():
-                answer = self.preflight(command.calibrated, command.places_m)
+                answer = self.preflight(command)
             case Wait():
                 self._robot.stand_by(command.seconds)
             case _:
@@ -241,10 +245,10 @@ class TouchingRobot:
 
     # Before it moves --------------------------------------------------------------------------------------------------
 
-    def preflight(self, calibrated: Mapping[str, bool], places_m: FloatArray | None = None) -> Preflight:
+    def preflight(self, asked: CheckFirst) -> Preflight:
         """See `CheckFirst`. Raises InputError where nothing can be reached."""
         self._robot.rest()  # finding what can be reached takes longer than queues hold
-        corners = self._corners() if places_m is None else list(places_m)
+        corners = self._corners() if asked.places_m is None else list(asked.places_m)
         height_m = self._options.thickness_m
         plans = [self.geometry.plan(corner, height_m, UPRIGHT, None, self._options) for corner in corners]
         self._robot.start()
@@ -252,11 +256,15 @@ class TouchingRobot:
             found = check(
                 self._robot,
                 plans,
-                calibrated=calibrated,
+                calibrated=asked.calibrated,
                 ages=self._setup.ages,
                 lift_m=self._options.lift_m,
                 described=self._setup.described,
             )
+            if asked.ask_finger is not None and found.passed and self._robot.force_alone:
+                self._waits = WAITS
+                found = Preflight((*found.checks, press_by_finger(self._robot, self._setup.press, asked.ask_finger)))
+                self._waits = ""
         self._robot.rest()
         return found
 
@@ -381,9 +389,9 @@ class TouchingRobot:
 
     @property
     def doing(self) -> str:
-        """The present action, in words; empty between touches."""
+        """The present action, or what it waits for, in words; empty between touches."""
         if self._phase is None:
-            return ""
+            return self._waits
         words = f"touch {self._touches + 1}: {self._phase}"
         if self._pressed_m is not None:
             depth_m = float(self._pressed_m[2] - self._robot.center_m[2])

@@ -107,6 +107,7 @@ def _kuka(config: Any, placement: Placement, places_m: Sequence[FloatArray], clo
     chain = KUKA[config.model]
     begin_deg = start_deg(chain, placement, places_m)
     double = KukaDouble(chain.name, start_deg=begin_deg, cycle_s=config.cycle_s, again_s=0.5)
+    double.sends_currents = True
     if isinstance(clock, SimulatedClock):
         return ArmInLab(Kuka(config, MemoryTransport(double, clock, "simulated KUKA"), clock=clock), double)
     port = free_port()

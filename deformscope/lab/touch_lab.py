@@ -180,6 +180,10 @@ class TouchLab:
         load = self.contact.load(time_s)
         return load if self._as_felt is None else np.asarray(self._as_felt(load, time_s), np.float64)
 
+    def push_tip(self, force_n: FloatArray) -> None:
+        """From now on a finger pushes the tip, (3,) [N] in the surface frame."""
+        self.contact.finger_n = force_n
+
     # Faults ----------------------------------------------------------------------------------------------------------
 
     def schedule(self, moment_ns: int, action: Callable[[], None]) -> None:
@@ -209,13 +213,14 @@ class SpoiledWire(MemoryTransport):
     """A wire from the force sensor that can be spoiled: a share of its bytes, or everything repeated or held back.
 
     spoiled: chance of a byte to be turned into another; frozen: the same counts again and again, in frames that are
-    whole (their counter goes on)
+    whole (their counter goes on), of all axes or of those that are `stuck`
     """
 
     def __init__(self, double: OptoforceDouble, clock: SimulatedClock, seed: int = 0) -> None:
         super().__init__(double, clock, "simulated force sensor")
         self.spoiled = 0.0
         self.frozen = False
+        self.stuck: tuple[int, ...] = (0, 1, 2)
         self._decoder = Decoder()
         self._held: Reading | None = None
         self._random = np.random.default_rng([seed, 0x51])
@@ -236,10 +241,14 @@ class SpoiledWire(MemoryTransport):
         return data
 
     def _again(self, reading: Reading) -> Reading:
-        """A reading with the counts of the first that froze."""
+        """A reading with the counts of the first that froze, in the axes that are stuck."""
         if self._held is None:
             self._held = reading
-        return dataclasses.replace(reading, counts=self._held.counts)
+        held = [
+            tuple(old if axis in self.stuck else new for axis, (old, new) in enumerate(zip(*rows, strict=True)))
+            for rows in zip(self._held.counts, reading.counts, strict=True)
+        ]
+        return dataclasses.replace(reading, counts=tuple(held))
 
 
 class Spoiled:

@@ -7,6 +7,9 @@ then neither the sign that a vendor gives its torques matters, nor the axes of t
 
 from __future__ import annotations
 
+import math
+from collections import deque
+
 import numpy as np
 
 from deformscope_drivers.arm.kinematics import Chain, FloatArray, cross
@@ -18,6 +21,15 @@ PRESSED_N = 0.5
 """While more than this is on the tip the mean stays as it is: what the tip explains is no drift."""
 IN_A_ROW = 2
 """Readings that differ, all beyond the limit, are a collision: one alone may be an outlier."""
+
+LEARNS_S, LOOKS_S = 0.8, 0.1
+"""What currents were for so long says what they are to be in the time after it. Chosen."""
+LEAST_READINGS = 20
+"""Of that time, fewer say nothing. Chosen."""
+STEADY_DEG, STEADY_SHARE = 5e-4, 0.02
+"""Joints go on as they went within so much, and so much of a second's way: else friction and inertia change too."""
+CURRENT_NOISE = 7.0
+"""Deviations of their noise by which currents are off in a collision. Chosen."""
 
 
 class CollisionWatch:
@@ -69,3 +81,50 @@ class CollisionWatch:
         center_m = (links[-1] @ self._T_ee_center)[:3, 3]
         arms = cross(links[:-1, :3, 2], center_m - links[:-1, :3, 3])
         return np.asarray(np.linalg.norm(arms, axis=1))
+
+
+class CurrentWatch:
+    """Whether something stops an arm that its force sensor does not feel, by its motors' currents, in whatever unit.
+
+    They hold gravity, friction, and what the gears make of a turn, all of which go on as they went for as long as the
+    joints do: so each joint's current is compared with the line through its last second, while nothing is felt.
+    """
+
+    def __init__(self) -> None:
+        self.start()
+
+    def start(self) -> None:
+        """Nothing is known of the currents."""
+        self._seen: deque[tuple[float, FloatArray]] = deque()
+        self._beyond = 0
+
+    def look(self, currents: tuple[float, ...], joints_deg: tuple[float, ...], tip_n: float, now_ns: int) -> str:
+        """As `CollisionWatch.look`."""
+        if tip_n > PRESSED_N:
+            self.start()
+            return ""
+        self._seen.append((now_ns / 1e9, np.array([*currents, *joints_deg])))
+        while self._seen[0][0] < now_ns / 1e9 - LEARNS_S - LOOKS_S:
+            self._seen.popleft()
+        time_s = np.array([one for one, _ in self._seen]) - now_ns / 1e9
+        learnt = int(np.searchsorted(time_s, -LOOKS_S))
+        if learnt < LEAST_READINGS or learnt == len(time_s):
+            return ""
+        values, count = np.array([one for _, one in self._seen]), len(currents)
+        middle_s = time_s[:learnt].mean()
+        spread = np.sum((time_s[:learnt] - middle_s) ** 2)
+        slopes = (time_s[:learnt] - middle_s) @ values[:learnt] / spread
+        off = values - values[:learnt].mean(axis=0) - np.outer(time_s - middle_s, slopes)
+        if np.any(np.abs(off[:, count:]) > STEADY_DEG + STEADY_SHARE * np.abs(slopes[count:])):
+            self._beyond = 0
+            return ""
+        looked = np.median(off[learnt:, :count], axis=0)  # of joints that begin to turn, most have not yet
+        ahead = (time_s[learnt:].mean() - middle_s) ** 2 / spread + 1.0 / learnt + 1.0 / (len(time_s) - learnt)
+        steps = np.abs(np.diff(values[:learnt, :count], axis=0))
+        finest = np.where(steps > 0.0, steps, np.inf).min(axis=0)  # no limit where nothing changes: nothing is sent
+        limits = CURRENT_NOISE * math.sqrt(ahead) * off[:learnt, :count].std(axis=0, ddof=2) + finest
+        worst = int(np.argmax(np.abs(looked) - limits))
+        self._beyond = self._beyond + 1 if abs(looked[worst]) > limits[worst] else 0
+        if self._beyond < IN_A_ROW:
+            return ""
+        return f"the motor of joint {worst + 1} has {looked[worst]:+.2g} of current, limit {limits[worst]:.2g}"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from deformscope.rig.calibrated import CalibrationAge
 from deformscope.robot.description import AS_CAPSULES, RobotDescription
+from deformscope.robot.force_alone import ForceAlone
 from deformscope.robot.placement import TURNED_RAD, best_joints, follow, towards
 from deformscope.robot.readings import ArmSample, ForceSample, RobotObservation
 from deformscope_drivers.arm.device import CALL_MS
@@ -45,6 +46,12 @@ FREE_M = 0.01
 """Least height of the tip over the surface at the begin [m]. Chosen."""
 WAY_STEPS, WRIST_M = 60, 0.045
 """Poses checked on the first route; radius taken for the wrist [m], as `shape.LINK_RADIUS_M`. Chosen."""
+SAME_SHARE, COARSE_S = 8.0, 0.08
+"""An axis of the force sensor is stuck that gives the same for so many times longer than in these checks, and two
+readings; not where it did so for longer [s]: its noise is below a count. Chosen: in ten minutes of noise of 1 to 5
+counts nothing repeats for so long, but at 100 Hz."""
+FORCE_TURNED = "[tool] R_tip_force"
+"""Of what is calibrated, what an arm needs that nothing guards but its force sensor."""
 COLLISION_NOISE = 6.0
 """A collision's limit is so many deviations of the torques' noise at least."""
 FRESH_S = {"arm": 0.05, "force sensor": 0.02, "camera": 0.1}
@@ -68,6 +75,11 @@ HINTS = {
     "arm: joint torques": "let nobody touch the arm; or a higher collision_nm in [workspace]",
     "arm: joints": "turn the joint away from the end of its range by the joystick",
     "arm: reach": "move arm or surface, turn the tool, or bring the arm over the surface by its joystick",
+    "force sensor: finger": "press again as asked; then `sensitivity` and R_tip_force in the rig file (deformscope "
+    "calibrate force RIG), the force sensor's plug and cable",
+    "tip: force at contact": "rate_hz = 1000 and filter_hz = 150 of the force sensor, a faster cycle of the arm, or a "
+    "stick that yields more, and its compliance_m_per_n by deformscope calibrate arm RIG",
+    "calibration: [tool] R_tip_force": "deformscope calibrate force RIG",
     "force sensor: tare": "let nothing touch the tip, and start again",
     "force sensor: noise": "stop what shakes table or tip; filter_hz in the rig file; no noise at all is no sensor",
     "force sensor: alive": "rate_hz = 1000 and filter_hz = 150 in the rig file; else the sensor's plug",
@@ -150,6 +162,7 @@ def check(
             *(
                 Check(f"calibration: {name}", there, "present", "present" if there else "missing")
                 for name, there in calibrated.items()
+                if name != FORCE_TURNED or robot.force_alone
             ),
             *(
                 Check(f"age: {name}", age.young, f"{age.at_most} days at most", f"{age.days} days")
@@ -204,15 +217,21 @@ def _force(robot: Robot, seen: Sequence[RobotObservation]) -> Iterator[Check]:
     known = bool(np.all((noise_n > 0) & (noise_n < NOISE_N)))
     came = f"{noise_n.min() * 1e3:.1f} to {noise_n.max() * 1e3:.1f} mN"
     yield Check("force sensor: noise", known, f"above 0 and below {NOISE_N * 1e3:g} mN", came)
-    longest_s, limit_s = _longest_repeat_s(samples), robot.supervisor.limits.force_frozen_s
+    longest_s = _longest_repeat_s(samples, [one.pattern for one in samples])
+    limit_s = robot.supervisor.limits.force_frozen_s
+    axes = np.array([one.sensor_n for one in samples]).T.tolist()
+    axes_s = np.array([_longest_repeat_s(samples, values) for values in axes])
+    same_s = SAME_SHARE * (axes_s + 2.0 / robot.force.config.rate_hz)
+    robot.supervisor.axes_frozen_s = np.where(axes_s < COARSE_S, same_s, np.inf)
     wanted = f"no equal readings for {500 * limit_s:.0f} ms"
     yield Check("force sensor: alive", longest_s < 0.5 * limit_s, wanted, f"{longest_s * 1e3:.0f} ms at most")
 
 
-def _longest_repeat_s(samples: Sequence[ForceSample]) -> float:
+def _longest_repeat_s(samples: Sequence[ForceSample], values: Sequence[Hashable]) -> float:
+    """values: (n,) of the samples"""
     longest_ns = 0
-    for _, group in itertools.groupby(samples, key=lambda sample: sample.pattern):
-        times_ns = [sample.time_ns for sample in group]
+    for _, group in itertools.groupby(zip(values, samples, strict=True), key=lambda one: one[0]):
+        times_ns = [sample.time_ns for _, sample in group]
         longest_ns = max(longest_ns, times_ns[-1] - times_ns[0])
     return longest_ns / 1e9
 
@@ -302,6 +321,9 @@ def _free(robot: Robot, plans: Sequence[TouchPlan], lift_m: float) -> Iterator[C
     height_m = float(robot.center_m[2]) - over_m + lift_m - max(float(plan.point_m[2]) for plan in plans)
     came = f"{height_m * 100:.1f} cm"
     yield Check("tip: in free air", height_m > FREE_M, f"{FREE_M * 100:g} cm or more above the surface", came)
+    if robot.force_alone:
+        way = ForceAlone.of(robot)
+        yield Check("tip: force at contact", way.contact_n <= way.hard_n, f"{way.hard_n:g} N or less", way.words)
 
 
 def _hand(robot: Robot, plans: Sequence[TouchPlan], described: RobotDescription) -> Iterator[Check]:

@@ -16,10 +16,12 @@ class ForceControl:
     RIGID_N_M, SOFT_N_M = 6000.0, 150.0
     LEAST_WAY_M = 1e-4
 
-    def __init__(self, fastest_m_s: float) -> None:
+    def __init__(self, fastest_m_s: float, rigid_n_m: float = RIGID_N_M) -> None:
+        """rigid_n_m: taken before it is known"""
         self._fastest_m_s = fastest_m_s
         self._seen: deque[tuple[float, float]] = deque(maxlen=16)
-        self.stiffness_n_m = self.RIGID_N_M
+        self.stiffness_n_m = rigid_n_m
+        self._most_n_m = max(10 * self.RIGID_N_M, rigid_n_m)
 
     def see(self, depth_m: float, force_n: float) -> None:
         """One period's depth and force along the normal."""
@@ -31,7 +33,7 @@ class ForceControl:
                 if (way_m := depth_m - then_m) > self.LEAST_WAY_M:
                     slopes.append((force_n - then_n) / way_m)
         if slopes:
-            self.stiffness_n_m = min(max(*slopes, self.SOFT_N_M), 10 * self.RIGID_N_M)
+            self.stiffness_n_m = min(max(*slopes, self.SOFT_N_M), self._most_n_m)
 
     def velocity_m_s(self, set_n: float, force_n: float) -> float:
         """Downwards, along -normal."""

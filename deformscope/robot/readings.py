@@ -44,6 +44,7 @@ class ForceSample:
 class ArmSample:
     """time_ns: arrival; T_base_ee: (4, 4) the arm's end; joints_deg: (n,); fifo_count: points that wait in the arm
     torques_nm: (n,) of the joints without those of gravity, as read at times of their own; empty where not known
+    currents: (n,) of their motors, in units of the arm's own; empty where not known
     """
 
     time_ns: int
@@ -51,13 +52,14 @@ class ArmSample:
     joints_deg: tuple[float, ...]
     fifo_count: int = 0
     torques_nm: tuple[float, ...] = ()
+    currents: tuple[float, ...] = ()
 
     @classmethod
     def of(cls, state: ArmState) -> ArmSample:
         """The same, of the driver's state; a state that is not finite becomes a pose that is not."""
         finite = all(map(np.isfinite, (*state.position_m, *state.theta_rad)))
         pose = state.T_base_end_effector if finite else np.full((4, 4), np.nan)
-        return cls(state.stamp.host_ns, pose, state.joints_deg, state.fifo_count, state.torques_nm)
+        return cls(state.stamp.host_ns, pose, state.joints_deg, state.fifo_count, state.torques_nm, state.currents)
 
 
 @dataclass(frozen=True, slots=True)

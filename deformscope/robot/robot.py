@@ -108,9 +108,15 @@ class Robot:
         clock: Clock = monotonic_ns,
         wait_until: Waits = sleep_until,
         watch: Watch | None = None,
+        compliance_m_per_n: float = 0.0,
+        doubt_m: float = 0.0,
     ) -> None:
         """watch: called with what was seen and judged in each period, for a recording; when it fails, the arm is halted
-        first"""
+        first
+
+        compliance_m_per_n: of arm and stick under a push, 0 = not known; doubt_m: of the camera, where the surface is
+        """
+        self.compliance_m_per_n, self.doubt_m = compliance_m_per_n, doubt_m
         self.arm, self.force, self.camera = arm, force, camera
         self.placement = placement
         self._clock, self._wait_until, self.watch = clock, wait_until, watch
@@ -146,6 +152,11 @@ class Robot:
     def chain(self) -> Chain | None:
         """The arm's joints; None where a person places it."""
         return None if self.arm.by_hand else self.arm.chain
+
+    @property
+    def force_alone(self) -> bool:
+        """Whether nothing but the force at its tip guards it: it has shown no joint torques that are looked at."""
+        return not (self.arm.by_hand or self.supervisor.sees_torques)
 
     @property
     def arm_seen(self) -> bool:

@@ -25,6 +25,7 @@ from deformscope.robot.advice import advice
 from deformscope.robot.by_hand import Person
 from deformscope.robot.description import AS_CAPSULES, RobotDescription, describe
 from deformscope.robot.placement import Placement
+from deformscope.robot.preflight import FORCE_TURNED
 from deformscope.robot.robot import Robot, RobotStopped, Waits, Watch, sleep_until
 from deformscope.robot.supervisor import Limits
 from deformscope_drivers.arm.kinematics import transform
@@ -83,6 +84,7 @@ class Setup:
     true_force_n: the largest true contact force so far [N], None where only the sensor can say
     person: who places the arm, None = it moves by itself
     described: what the robot looks like
+    press: has a simulated finger press the tip with (3,) [N, surface frame]; None = a person does
     """
 
     size_m: tuple[float, float]
@@ -104,6 +106,7 @@ class Setup:
     clock: Clock = monotonic_ns
     wait_until: Waits = sleep_until
     described: RobotDescription = AS_CAPSULES
+    press: Callable[[FloatArray], None] | None = None
 
     @property
     def max_force_n(self) -> float | None:
@@ -130,6 +133,8 @@ class Setup:
             clock=self.clock,
             wait_until=self.wait_until,
             watch=watch,
+            compliance_m_per_n=max(0.0, self.compliance_m_per_n - 2.0 * self.compliance_sd),
+            doubt_m=self.camera.doubt_m,
         )
         try:
             while not robot.arm_seen:
@@ -177,6 +182,8 @@ class SimulatedTable(SimulatedDevices, Protocol):
 
     @property
     def person(self) -> Person | None: ...
+
+    def push_tip(self, force_n: FloatArray) -> None: ...
 
 
 @contextmanager
@@ -276,6 +283,7 @@ def rig_setup(
             "[surface] T_arm_surface": as_written or rig.surface.T_arm_surface is not None,
             "[camera] T_arm_camera": as_written or camera.T_arm_camera is not None,
             "[tool] compliance_m_per_n": simulated or tool.compliance_m_per_n is not None,
+            FORCE_TURNED: as_written or tool.R_tip_force is not None,
         },
         described=parts.described,
         ages=rig.calibrated.ages(),
@@ -286,6 +294,7 @@ def rig_setup(
         person=person if table is None else table.person,
         clock=monotonic_ns if table is None else table.clock,
         wait_until=sleep_until if table is None else table.wait_until,
+        press=None if table is None else table.push_tip,
     )
 
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from deformscope.errors import InputError
 from deformscope.rig.rig_file import Workspace
-from deformscope.robot.collision import CollisionWatch
+from deformscope.robot.collision import CollisionWatch, CurrentWatch
 from deformscope.robot.readings import ArmSample, CameraSample, ForceSample, RobotObservation
 from deformscope_drivers.arm.kinematics import Chain, FloatArray, rotation_vector
 
@@ -192,6 +192,9 @@ class Supervisor:
         chain: whose joints have limits; None = none
         clearance: of the chain from table and itself; None = it is not watched
         placed: a person places the arm, which then is at once where they say: it has no speed, and turns as it should
+
+        axes_frozen_s, to be set: (3,) as `Limits.force_frozen_s`, of each axis of the force sensor; None = not known,
+        and only all of them together are looked at
         """
         self.limits = limits
         self._T_ee_center = np.eye(4) if T_ee_center is None else T_ee_center
@@ -200,12 +203,19 @@ class Supervisor:
         self._verdict = _GO_ON
         self._refused = 0
         self._torques = False  # whether the arm has reported any
+        self._currents, self._motors = CurrentWatch(), False
+        self.axes_frozen_s: FloatArray | None = None
         self.start(now_ns)
 
     @property
     def verdict(self) -> SafetyVerdict:
         """The last one, or the one that holds."""
         return self._verdict
+
+    @property
+    def sees_torques(self) -> bool:
+        """Whether the arm has reported joint torques that a collision is seen by."""
+        return self._torques
 
     def acknowledge(self, now_ns: int) -> None:
         """Somebody has seen to it: judge anew from now on."""
@@ -233,6 +243,7 @@ class Supervisor:
         self._force_ns = self._arm_ns = now_ns
         self._pattern: object = None
         self._pattern_ns = now_ns
+        self._axes_n, self._axes_ns = np.full(3, np.nan), np.full(3, now_ns)
         self._tip_n = 0.0
         self._unusable: deque[int] = deque()
         self._refusals: deque[int] = deque()
@@ -244,6 +255,7 @@ class Supervisor:
         self._clear_m = -math.inf, -math.inf, -math.inf  # the first is compared with nothing
         if self._collisions is not None:
             self._collisions.start()
+        self._currents.start()
         self._commanded_ns = now_ns
         self._camera_needed = False
         self._camera_ns = now_ns
@@ -292,6 +304,8 @@ class Supervisor:
             self._force_ns = sample.time_ns
             if sample.pattern is None or sample.pattern != self._pattern:
                 self._pattern, self._pattern_ns = sample.pattern, sample.time_ns
+            self._axes_ns[sample.sensor_n != self._axes_n] = sample.time_ns
+            self._axes_n = sample.sensor_n
             magnitude_n = math.hypot(*sample.force_n)
             if not math.isfinite(magnitude_n):
                 found.append((Action.STOP, Fault.FORCE_INVALID, f"a force of {sample.force_n.tolist()} N"))
@@ -308,6 +322,13 @@ class Supervisor:
             found.append((Action.STOP, Fault.FORCE_SILENT, f"no force for {age_s * 1e3:.0f} ms"))
         elif (same_s := (self._force_ns - self._pattern_ns) / 1e9) > limits.force_frozen_s:
             found.append((Action.STOP, Fault.FORCE_FROZEN, f"the same force for {same_s * 1e3:.0f} ms"))
+        elif self.axes_frozen_s is not None:
+            axes_s = (self._force_ns - self._axes_ns) / 1e9
+            stuck = np.flatnonzero(axes_s > np.maximum(limits.force_frozen_s, self.axes_frozen_s))
+            found += [
+                (Action.STOP, Fault.FORCE_FROZEN, f"the same force along {'xyz'[axis]} for {axes_s[axis] * 1e3:.0f} ms")
+                for axis in stuck
+            ]
         if _count_since(self._unusable, now_ns - round(limits.window_s * 1e9)) >= limits.unusable:
             found.append((Action.STOP, Fault.FORCE_UNUSABLE, f"{len(self._unusable)} readings that are not usable"))
         return found
@@ -355,6 +376,12 @@ class Supervisor:
 
     def _collision(self, sample: ArmSample) -> list[tuple[Action, Fault, str]]:
         limit_nm, torques_nm = self.limits.collision_nm, sample.torques_nm
+        if limit_nm > 0 and (sample.currents or self._motors):
+            self._motors = True
+            if not sample.currents:
+                return [(Action.STOP, Fault.TORQUES, "no motor currents any more, where collisions are seen by them")]
+            why = self._currents.look(sample.currents, sample.joints_deg, self._tip_n, sample.time_ns)
+            return [(Action.STOP, Fault.COLLISION, why)] if why else []
         if self._collisions is None or limit_nm == 0 or not (torques_nm or self._torques):
             return []
         self._torques = True

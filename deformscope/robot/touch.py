@@ -19,6 +19,7 @@ import numpy.typing as npt
 
 from deformscope.arrays import IntArray
 from deformscope.errors import InputError
+from deformscope.robot.force_alone import ForceAlone
 from deformscope.robot.placement import Placement
 from deformscope.robot.pressing import ForceControl
 from deformscope.robot.readings import ArmSample, ForceSample, RobotObservation
@@ -74,6 +75,7 @@ class TouchPlan:
     passing_m: so near above the point the tip goes on, without coming to rest where it is sent
     slow_back: until contact is lost it goes back as slowly as it came, for the energy that the foam gives back
     braking_per_s: share of the way left that it goes a second where it slows down in free air; None = slowly
+    rigid_n_m: stiffness that a contact is taken to have before it is known
     """
 
     point_m: FloatArray
@@ -96,6 +98,7 @@ class TouchPlan:
     passing_m: float = 0.0
     slow_back: bool = False
     braking_per_s: float | None = None
+    rigid_n_m: float = ForceControl.RIGID_N_M
 
     def __post_init__(self) -> None:
         point, normal = np.asarray(self.point_m, float), np.asarray(self.normal, float)
@@ -217,7 +220,7 @@ class TouchStateMachine:
         self._touching_m = plan.point_m + center_offset_m * plan.normal
         self._since_s = start_s
         self._hits = 0
-        self._control = ForceControl(plan.contact_speed_m_s)
+        self._control = ForceControl(plan.contact_speed_m_s, plan.rigid_n_m)
         self._recent: deque[tuple[float, float, float]] = deque()
         self._pause = 0
 
@@ -430,6 +433,7 @@ class TouchRun:
     """A touch under way: what it has seen."""
 
     def __init__(self, robot: Robot, plan: TouchPlan, on_phase: Callable[[Phase, int], None]) -> None:
+        plan = ForceAlone.of(robot).slowed(plan) if robot.force_alone else plan
         self._robot, self._plan, self._on_phase = robot, plan, on_phase
         self._told: Phase | None = None
         if robot.supervisor.verdict.action is not Action.GO_ON:

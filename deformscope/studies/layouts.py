@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from deformscope.errors import InputError
+from deformscope.lab.arm_contact import ARM_STIFFNESS_N_M
 from deformscope.lab.arms import arm_in_lab
 from deformscope.lab.springy_foam import SpringyFoam
 from deformscope.lab.touch_lab import TouchLab
@@ -96,6 +97,7 @@ def run_layout(seed: int) -> LayoutRun:
     with lab:
         limits = Limits(low_m=(-2.0, -2.0, -2.0), high_m=(2.0, 2.0, 2.0))
         robot = Robot(lab.arm, lab.force, placement, limits, clock=clock, wait_until=lab.wait_until)
+        robot.compliance_m_per_n = 1.0 / ARM_STIFFNESS_N_M
         try:
             preflight = check(robot, plans[:1], calibrated={})
         except RobotStopped as stopped:

@@ -15,6 +15,7 @@ DeviceError
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Self
 
 
@@ -35,6 +36,10 @@ class DeviceError(Exception):
         error = cls.__new__(cls)
         Exception.__init__(error, words)
         return error
+
+    def __reduce__(self) -> tuple[Callable[[str], Self], tuple[str], dict[str, object]]:
+        """Its words and attributes: a process of a pool hands its errors over so."""
+        return self.in_words, (str(self),), self.__dict__
 
 
 class NotConnected(DeviceError):

@@ -22,6 +22,7 @@ from deformscope_drivers.arm.beside import ArmBeside
 from deformscope_drivers.jaco.chains import J2N6S300
 from deformscope_drivers.jaco.config import JacoConfig
 from tests.cli.rig_on_a_simulated_clock import use_a_simulated_clock
+from tests.cli.test_explore_arms import RIGS
 from tests.drivers.arm.test_homing import Unhomed, moves_home, until
 
 RIG = """
@@ -90,6 +91,14 @@ def test_a_jog_is_stopped_by_the_supervisor_at_the_box(rig: Path) -> None:
 
     with pytest.raises(Exception, match="workspace left"):
         jogged(rig, [(5 + 3 * count, "r") for count in range(200)])
+
+
+def test_go_by_an_arm_without_joint_torques_begins_with_a_finger_on_its_tip(
+    rig: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rig.write_text(RIGS["kuka"])
+    assert main(["arm", "go", str(rig), "--above", "0.3,0.2", "--height", "0.12"]) == 0
+    assert "ok  force sensor: finger" in capsys.readouterr().err
 
 
 def test_go_brings_the_tip_over_a_place(rig: Path, tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,8 @@ import pytest
 from deformscope.cli import main
 from deformscope.lab.arms import SimulatedPerson
 from deformscope.recording.items import read_items
+from deformscope.robot import finger
+from deformscope.robot.preflight import FORCE_TURNED
 from deformscope_drivers import kuka
 from tests.cases import slow
 from tests.cli.quick_scene import use_quick_scene
@@ -88,6 +91,8 @@ def test_another_arm_explores_records_and_replays(
 
     shown = capsys.readouterr()
     assert ("keep the emergency stop in your hand" in shown.out + shown.err) == (kind == "kuka")
+    assert ("ok  force sensor: finger" in shown.err) == (kind == "kuka")  # nothing else guards it
+    assert "Press the tip" not in shown.err  # it was the laboratory's own
     assert {item.device for item in read_items(record) if hasattr(item, "device")} == {"arm", "tip", "depth"}
     (touch,) = found["touches"]
     if first_m is not None:
@@ -163,7 +168,7 @@ def test_a_dry_run_makes_the_motion_of_the_first_touch_in_the_air(
     assert found["fault"] is None
     assert found["max_force_n"] == 0.0
     assert found["arm_stands"]
-    assert "dry run: the first touch, 10 cm above (35, 15) cm, met nothing; the tip stayed 8." in said
+    assert "dry run: the first touch, 10 cm above (35, 15) cm, met nothing; the tip stayed 9." in said
     assert main(["verify", str(record)]) == 0, capsys.readouterr().err
 
 
@@ -181,3 +186,53 @@ def test_what_makes_no_sense_is_refused(
     rig.write_text(RIGS[kind])
     assert main(["explore", str(rig), *more]) == 2
     assert words in capsys.readouterr().err
+
+
+# The finger on the tip -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("presses", [True, False])
+def test_a_person_is_asked_to_press_the_tip_of_an_arm_without_joint_torques(
+    presses: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    use_a_simulated_clock(monkeypatch)
+    use_quick_scene(monkeypatch)
+    count_as_real(monkeypatch, press=None)
+    monkeypatch.setattr(finger, "PATIENCE_S", 8.0)
+    felt_n = finger._felt_n
+    periods = itertools.count()
+    push_n = np.array([0.0, 0.0, 5.0])
+    monkeypatch.setattr(
+        finger, "_felt_n", lambda robot: felt_n(robot) + push_n * (presses and 100 < next(periods) < 200)
+    )
+    rig = tmp_path / "kuka.toml"
+    rig.write_text(RIGS["kuka"])
+
+    status = main(["explore", str(rig), "--touches", "1", "--yes", "--dry-run", "--first", "0.35,0.15"])
+
+    said = capsys.readouterr().err
+    assert said.count("Press the tip straight up from below with a finger") == 1
+    if presses:
+        assert status == 0, said
+        assert "Felt as 5.0 N, 0 deg from straight up: let go." in said
+        assert "ok  force sensor: finger" in said
+    else:
+        assert status == 2
+        assert "NO  force sensor: finger" in said
+        assert "deformscope calibrate force RIG" in said
+        assert "force sensor: finger: nothing" in said
+
+
+def test_an_arm_without_joint_torques_wants_calibrate_force(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    use_a_simulated_clock(monkeypatch)
+    use_quick_scene(monkeypatch)
+    count_as_real(monkeypatch, calibrated={FORCE_TURNED: False})
+    rig = tmp_path / "kuka.toml"
+    rig.write_text(RIGS["kuka"])
+    assert main(["explore", str(rig), "--touches", "1", "--yes"]) == 2
+    said = capsys.readouterr().err
+    assert "NO  calibration: [tool] R_tip_force" in said
+    assert "calibration: [tool] R_tip_force: deformscope calibrate force RIG" in said
+    assert "force sensor: finger" not in said  # first things first

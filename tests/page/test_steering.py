@@ -14,6 +14,7 @@ from deformscope.api import moving
 from deformscope.api.page_steering import PageSteering, curve_of, felt_beside, is_surface
 from deformscope.api.rigs import Interruption
 from deformscope.experiments.explore import ExplorationStopped
+from deformscope.experiments.touching_robot import CheckFirst
 from deformscope.page.desk import CONFIRM_S, Desk
 from deformscope.page.messages import (
     ConfirmMove,
@@ -27,6 +28,7 @@ from deformscope.page.messages import (
     TouchPicked,
     VetoTouch,
 )
+from deformscope.robot.finger import FINGER
 from deformscope.robot.robot import MotionHeld, RobotStopped, TipVelocity
 from deformscope.robot.supervisor import Action, Fault
 from deformscope.robot.touch import TouchEnding, TouchRecord, run_touch
@@ -91,6 +93,16 @@ def planned(x_m: float = 0.15) -> PlannedTouch:
 
 
 # Before it moves -----------------------------------------------------------------------------------------------------
+
+
+def test_the_page_asks_for_a_finger_on_the_tip_before_the_arm_may_move() -> None:
+    steered = Steered(begun=False)
+    nothing = SimpleNamespace()
+    first = next(moving.permitted(nothing, nothing, nothing, {}, steered.ended, yes=True, page=steered.steering))  # type: ignore[arg-type]
+    assert isinstance(first.command, CheckFirst)
+    assert first.command.ask_finger is not None
+    first.command.ask_finger(FINGER)
+    assert [remark.words for remark in steered.desk.state.remarks] == [FINGER]
 
 
 def test_a_real_arm_begins_once_somebody_confirms_it_on_the_page(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,13 +6,15 @@ import numpy as np
 import pytest
 
 from deformscope.robot.advice import advice
-from deformscope.robot.collision import CollisionWatch
+from deformscope.robot.collision import CollisionWatch, CurrentWatch
 from deformscope.robot.preflight import check
 from deformscope.robot.readings import ArmSample, ForceSample, RobotObservation
 from deformscope.robot.robot import RobotStopped
 from deformscope.robot.supervisor import Fault, Limits, Supervisor
 from deformscope_drivers.arm.kinematics import FloatArray, jacobian_of
 from deformscope_drivers.jaco.chains import J2N6S300
+from deformscope_drivers.kuka.chains import KR6R900
+from deformscope_drivers.kuka.currents import COULOMB_NM, UNIT_NM, motor_currents
 from tests.robot.quick_touch import quick_scene
 
 JOINTS_DEG = tuple(J2N6S300.home_deg)
@@ -133,3 +135,70 @@ def test_torques_that_are_lost_stop_an_arm_that_had_them(
     assert supervisor.judge(torqued(2 * PERIOD_NS, then_nm)).fault is fault
     supervisor.acknowledge(2 * PERIOD_NS)  # and not once alone
     assert supervisor.judge(torqued(3 * PERIOD_NS, then_nm)).fault is fault
+
+
+# By motor currents ---------------------------------------------------------------------------------------------------
+
+
+def watched(rates_deg_s: FloatArray, wrenches: FloatArray, tip_n: float, seed: int, unit: float = 1.0) -> list[int]:
+    """In which cycles of 12 ms a KUKA that turns at (k, 6), (k, 6) on its flange, is said to have met something."""
+    random, watch, found = np.random.default_rng(seed), CurrentWatch(), []
+    joints_deg = np.array([10.0, -70.0, 100.0, 5.0, 50.0, 0.0])
+    for number, (rates, wrench) in enumerate(zip(rates_deg_s, wrenches, strict=True)):
+        joints_deg = joints_deg + 0.012 * rates
+        said = np.round(unit * motor_currents(KR6R900, joints_deg, rates, wrench, random), 4)
+        arrived_ns = round(1e9 * (0.012 * number + random.uniform(0.0, 2e-3)))
+        if watch.look(tuple(said), tuple(np.round(joints_deg, 4)), tip_n, arrived_ns):
+            found.append(number)
+    return found
+
+
+RATES_DEG_S = np.array([0.5, 1.0, -0.8, 0.1, -0.3, 0.0])
+
+
+@pytest.mark.parametrize("unit", [1.0, 0.01, -30.0])  # whatever a controller counts currents in
+@pytest.mark.parametrize("speed", [0.0, 0.1, 1.0, 4.0])
+def test_a_force_that_grows_shows_in_the_motors_currents_before_the_hard_stop(speed: float, unit: float) -> None:
+    cycles = 200
+    ramp_n = np.clip(100.0 * 0.012 * (np.arange(cycles) - 120), 0.0, None)  # 100 N/s
+    wrenches = np.outer(ramp_n, (0.0, 0.0, 1.0, 0.0, 0.0, 0.0))
+    first = watched(np.tile(speed * RATES_DEG_S, (cycles, 1)), wrenches, 0.0, 2, unit)[0]
+    assert first > 120
+    assert ramp_n[first] < 15.0
+    assert watched(np.tile(speed * RATES_DEG_S, (cycles, 1)), wrenches, 1.0, 2, unit) == []  # the force sensor feels it
+
+
+def test_motion_in_free_air_is_no_collision() -> None:
+    """Starts, stops, turns and slow drifts: gravity, friction, ripple and noise change the currents all the while."""
+    random, cycles = np.random.default_rng(8), 20_000  # four minutes
+    rates_deg_s, rate = np.zeros((cycles, 6)), np.zeros(6)
+    wanted = rate
+    for number in range(cycles):
+        if random.random() < 0.01:
+            speed = random.choice([0.0, 0.05, 0.5, 5.0])
+            wanted = speed * random.uniform(-1.0, 1.0, 6)
+        rate = rate + np.clip(wanted - rate, -2.0, 2.0)
+        rates_deg_s[number] = rate
+    assert watched(rates_deg_s, np.zeros((cycles, 6)), 0.0, 3) == []
+    assert (COULOMB_NM / UNIT_NM).max() > 5.0  # friction alone is more than what a contact makes
+
+
+def test_an_arm_stops_by_its_motors_currents_and_not_where_collisions_are_not_looked_at() -> None:
+    for collision_nm, fault in ((4.0, Fault.COLLISION), (0.0, Fault.NONE)):
+        supervisor, random = Supervisor(Limits(collision_nm=collision_nm), 0, chain=KR6R900), np.random.default_rng(1)
+        for number in range(1, 160):
+            now_ns = number * PERIOD_NS
+            currents = tuple(random.normal(0.0, 0.3, 6) + 2.0 * max(0, number - 120))
+            arm = ArmSample(now_ns, np.eye(4), (0.0, -90.0, 90.0, 0.0, 45.0, 0.0), currents=currents)
+            seen = RobotObservation(now_ns, (ForceSample(now_ns, np.zeros(3), now_ns),), (arm,))
+            verdict = supervisor.judge(seen)
+        assert verdict.fault is fault
+        assert not supervisor.sees_torques
+
+
+def test_motor_currents_that_come_no_more_stop_an_arm() -> None:
+    supervisor = Supervisor(Limits(), 0, chain=KR6R900)
+    for number, currents, fault in ((1, (0.1,) * 6, Fault.NONE), (2, (), Fault.TORQUES)):
+        arm = ArmSample(number * PERIOD_NS, np.eye(4), (0.0, -90.0, 90.0, 0.0, 45.0, 0.0), currents=currents)
+        forces = (ForceSample(number * PERIOD_NS, np.zeros(3), number),)
+        assert supervisor.judge(RobotObservation(number * PERIOD_NS, forces, (arm,))).fault is fault

@@ -117,9 +117,12 @@ def test_layouts_keep_five_degrees_or_are_refused() -> None:
 def test_the_command_counts_faults_and_layouts(drawn: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(layouts, "TOUCHES", 1)
     found = tmp_path / "safety.json"
-    flags = ["--faults", "1", "--layouts", str(drawn), "--jobs", "1", "--seed", "12", "--json", str(found)]
-    assert main(["coverage", "safety", *flags, "--viewer", "none"]) == 0
+    flags = ["--faults", "1", "--layouts", str(drawn), "--rigid", "1", "--jobs", "1", "--seed", "12"]
+    assert main(["coverage", "safety", *flags, "--json", str(found), "--viewer", "none"]) == 0
     told = json.loads(found.read_text())
     assert told["in_time"] == told["faults"] == 1
     assert told["kinds"][Injected.ARM_LATE][0]["noticed"]
     assert len(told["layouts"]) == drawn
+    (touch,) = told["rigid"]
+    assert touch["refused"].startswith("force sensor: finger")
+    assert touch["max_force_n"] == 0.0

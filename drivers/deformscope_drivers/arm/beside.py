@@ -102,8 +102,7 @@ class ArmBeside(Arm[ArmState]):
         self.ask("halt", self._stopped)
 
     def close(self) -> None:
-        """As of the arm there, which is halted at once: its next state, for which this device's thread may wait, would be
-        a cycle later."""
+        """As of the arm there. It is halted at once: this device's thread may wait for its next state first."""
         with contextlib.suppress(DeviceError):
             self._send("call", 0, "halt", ("it is being closed",))
         super().close()

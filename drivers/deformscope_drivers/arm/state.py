@@ -23,6 +23,7 @@ class ArmState:
     wrench: (6,) force [N] and torque [Nm] at the end effector as the arm estimates them, in the base frame; nan = not
     known
     fingers: of a gripper, as its driver says; fifo_count: points that wait in the arm
+    currents: (n,) of the joints' motors, in the units of the arm's controller, empty where not known
     """
 
     stamp: Stamp
@@ -34,6 +35,7 @@ class ArmState:
     wrench: tuple[float, float, float, float, float, float] = UNKNOWN
     fingers: tuple[float, ...] = ()
     fifo_count: int = 0
+    currents: tuple[float, ...] = ()
 
     @property
     def T_base_end_effector(self) -> FloatArray:

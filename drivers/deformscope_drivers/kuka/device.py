@@ -316,6 +316,7 @@ class Kuka(Arm[ArmState]):
             rates_deg_s=tuple((a - b) / span_s for a, b in zip(message.joints_deg, before_deg, strict=True)),
             position_m=(x, y, z),
             theta_rad=(theta_x, theta_y, theta_z),
+            currents=message.currents,
         )
 
     def _extra_health(self) -> dict[str, float]:

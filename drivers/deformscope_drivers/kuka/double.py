@@ -19,6 +19,7 @@ import numpy.typing as npt
 from deformscope_drivers.arm.kinematics import FloatArray, euler_xyz_from_rotation
 from deformscope_drivers.errors import ProtocolViolation
 from deformscope_drivers.kuka.chains import CHAINS
+from deformscope_drivers.kuka.currents import motor_currents
 from deformscope_drivers.kuka.messages import RobMessage, decode_sen, encode_rob
 
 MOST_MISSED = 100
@@ -30,7 +31,7 @@ FIRST_IPOC = 4_208_163_634
 
 class KukaDouble:
     """Attributes that a simulation reads: missed: answers in a row that did not come; ended: why RSI ended, empty while
-    it runs; corrections: answers that were taken"""
+    it runs; corrections: answers that were taken; and sets: sends_currents: those of its motors (DEF_MACur)"""
 
     def __init__(
         self,
@@ -74,6 +75,9 @@ class KukaDouble:
         self._next_ns: int | None = None  # its program is started as somebody first listens
         self._waiting: deque[bytes] = deque(maxlen=WAITING)
         self._lock = threading.Lock()
+        self.sends_currents = False
+        self._said_deg, self._wrench = self._start_deg, np.zeros(6)
+        self._random = np.random.default_rng(0xCA)
 
     # For who runs the simulation -------------------------------------------------------------------------------------
 
@@ -102,7 +106,9 @@ class KukaDouble:
         return np.asarray(self.T_base_links[-1])
 
     def push(self, wrench: npt.ArrayLike) -> None:
-        """It does not yield, as far as its axes show."""
+        """It does not yield, as far as its axes show; its motors' currents do. wrench: (6,) on the flange, in the base
+        frame [N, Nm]"""
+        self._wrench = np.array(wrench, dtype=float)
 
     # The wire --------------------------------------------------------------------------------------------------------
 
@@ -198,7 +204,12 @@ class KukaDouble:
         pose = self.chain.forward(self._joints_deg)[-1]
         place_mm = 1e3 * (pose[:3, 3] + self._offset_m * pose[:3, 2])
         c, b, a = -np.degrees(euler_xyz_from_rotation(pose[:3, :3].T))  # Rz(A) Ry(B) Rx(C)
+        joints_deg, currents = self._joints_deg, tuple[float, ...]()
+        if self.sends_currents:
+            rates_deg_s = (joints_deg - self._said_deg) / (1e-9 * self._cycle_ns)
+            currents = tuple(motor_currents(self.chain, joints_deg, rates_deg_s, self._wrench, self._random))
         said = RobMessage(
-            tuple(self._joints_deg), self._ipoc, (*place_mm, a, b, c), tuple(self._start_deg), self.missed
+            tuple(joints_deg), self._ipoc, (*place_mm, a, b, c), tuple(self._start_deg), self.missed, currents
         )
+        self._said_deg = joints_deg
         self._waiting.append(encode_rob(said))

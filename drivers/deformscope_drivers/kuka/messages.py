@@ -25,13 +25,15 @@ POSE = ("X", "Y", "Z", "A", "B", "C")
 class RobMessage:
     """joints_deg: (6,) where the axes are (AIPos); pose: (6,) X, Y, Z [mm] and A, B, C [deg] of the tool in the base
     that the controller is set to (RIst), None where it is not sent; setpoint_deg: (6,) ASPos; late: answers that came
-    too late since the last one in time (Delay); ipoc: of this cycle [ms]"""
+    too late since the last one in time (Delay); ipoc: of this cycle [ms]; currents: (6,) of the motors (MACur), in the
+    controller's own units, empty where they are not sent"""
 
     joints_deg: tuple[float, ...]
     ipoc: int
     pose: tuple[float, ...] | None = None
     setpoint_deg: tuple[float, ...] | None = None
     late: int = 0
+    currents: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,19 +55,22 @@ def decode_rob(data: bytes) -> RobMessage:
         _values(root, "RIst", POSE) if root.find("RIst") is not None else None,
         _values(root, "ASPos", AXES) if root.find("ASPos") is not None else None,
         0 if delay is None else _whole(delay.get("D", ""), "Delay D"),
+        _values(root, "MACur", AXES) if root.find("MACur") is not None else (),
     )
 
 
 def encode_rob(message: RobMessage) -> bytes:
-    """As a controller sends it, with what kuka_experimental's ros_rsi_ethernet.xml has it send."""
+    """As a controller sends it, with what kuka_experimental's ros_rsi_ethernet.xml has it send; MACur besides, where
+    there are currents (DEF_MACur)."""
     parts = ['<Rob Type="KUKA">']
     for tag, names, values in (
         ("RIst", POSE, message.pose),
         ("RSol", POSE, message.pose),
         ("AIPos", AXES, message.joints_deg),
         ("ASPos", AXES, message.setpoint_deg),
+        ("MACur", AXES, message.currents),
     ):
-        if values is not None:
+        if values:
             parts.append(_element(tag, names, [f"{value:.4f}" for value in values], "/>"))
     parts.append(f'<Delay D="{message.late}"/><IPOC>{message.ipoc}</IPOC></Rob>')
     return "".join(parts).encode("ascii")

@@ -13,6 +13,7 @@ from deformscope_drivers.arm.kinematics import FloatArray
 from deformscope_drivers.errors import DeviceError, LinkLost, NotConnected, SettingsRefused
 from deformscope_drivers.health import Link
 from deformscope_drivers.kuka import Kuka, KukaConfig, KukaDouble
+from deformscope_drivers.kuka.currents import UNIT_NM
 from deformscope_drivers.kuka.messages import SenMessage, decode_sen
 from deformscope_drivers.memory import MemoryTransport, SimulatedClock
 from tests.drivers.arm.test_contract import polled
@@ -187,3 +188,26 @@ def test_what_is_no_message_is_counted_and_answered_by_nothing(bench: Bench) -> 
 def test_a_configuration_that_makes_no_sense_is_refused(wrong: dict[str, object]) -> None:
     with pytest.raises((ValueError, DeviceError)):
         KukaConfig(**wrong)  # type: ignore[arg-type]
+
+
+def test_motor_currents_are_published_and_hold_gravity_friction_and_load(bench: Bench) -> None:
+    def currents(seconds: float = 1.0) -> FloatArray:
+        """Means (6,) of what the driver publishes for a while."""
+        with bench.arm.readings() as queue:
+            bench.advance(seconds)
+            return np.array([state.currents for state in queue.take()]).mean(axis=0)
+
+    assert currents().size == 0  # without DEF_MACur there are none
+    bench.double.sends_currents = True
+    free = currents()
+    bench.double.push((0.0, 0.0, 30.0, 0.0, 0.0, 0.0))
+    pushed = currents()
+    bench.double.push(np.zeros(6))
+    bench.arm.set_velocity(JointVelocity((0.0, 2.0, 0.0, 0.0, 0.0, 0.0)), 2.0)
+    turning = currents()
+
+    out_m = bench.double.T_base_end_effector[0, 3]
+    assert abs(free[1]) > 10.0  # the forearm's weight, beyond the shoulder
+    shoulder_m = out_m - 0.025
+    assert abs(pushed[1] - free[1]) * UNIT_NM[1] == pytest.approx(30.0 * shoulder_m, abs=1.0)
+    assert abs(turning[1] - free[1]) * UNIT_NM[1] == pytest.approx(15.0, abs=3.0)  # friction, at 30 times its turn

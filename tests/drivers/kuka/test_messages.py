@@ -63,9 +63,21 @@ def test_what_the_double_sends_is_read_back() -> None:
     assert decode_rob(sent) == message
 
 
+CURRENTS = b'<MACur A1="0.5" A2="-12.25" A3="3.0" A4="0.0" A5="0.1" A6="-0.2"/>'
+
+
+def test_motor_currents_are_read_where_they_are_sent() -> None:
+    message = decode_rob(SHORT.replace(b"<IPOC>", CURRENTS + b"<IPOC>"))
+    assert message.currents == (0.5, -12.25, 3.0, 0.0, 0.1, -0.2)
+    assert decode_rob(SHORT).currents == ()
+    assert decode_rob(encode_rob(message)).currents == message.currents
+
+
 @pytest.mark.parametrize(
     "data",
     [
+        SHORT.replace(b"<IPOC>", CURRENTS.replace(b"3.0", b"nan") + b"<IPOC>"),
+        SHORT.replace(b"<IPOC>", CURRENTS.replace(b"A6", b"A7") + b"<IPOC>"),
         b"",
         b"\xff\x00",
         b"<Rob>",

@@ -1,0 +1,77 @@
+"""A finger that presses the tip before anything moves, where nothing but the force there guards the arm."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from deformscope.robot.preflight import Check
+from deformscope.robot.robot import Robot
+from deformscope_drivers.arm.kinematics import FloatArray
+
+PRESS_N, LEAST_N = 5.0, 2.5
+"""What a person is asked to press with, and the least that counts, up to the soft stop: half of it to 1.6 times. A
+person who goes by a kitchen scale is within a third. Chosen."""
+ASTRAY_DEG = 30.0
+"""Greatest angle of that push to straight up. Chosen."""
+BEGUN_N = 0.3
+"""A push that is felt."""
+HELD_PERIODS = 40
+"""Control periods for which a push is held: 0.4 s. Chosen."""
+PATIENCE_S, PUSHES = 60.0, 3
+"""For a person to press, and how many pushes are looked at. Chosen."""
+FINGER = (
+    f"Press the tip straight up from below with a finger, with about {PRESS_N:g} N (what shows 500 g on a kitchen "
+    "scale), and hold it for a second: nothing but its force sensor guards this arm, which has no joint torques."
+)
+WAITS = f"waits for a finger that presses the tip from below, with {PRESS_N:g} N"
+
+
+def press_by_finger(
+    robot: Robot, press: Callable[[FloatArray], None] | None = None, say: Callable[[str], None] = lambda words: None
+) -> Check:
+    """Whether a finger that presses the tip from below is felt: about as hard, and where from.
+
+    press: in a laboratory, has a finger press with (3,) [N, surface frame]; None = a person, who is asked by `say`
+    Nothing moves. What presses harder than the soft stop is forgotten. Raises RobotStopped above the hard stop.
+    """
+    patience_s = PATIENCE_S if press is None else 4e-2 * HELD_PERIODS
+    say, press = (say, lambda force_n: None) if press is None else (lambda words: None, press)
+    robot.start()
+    say(FINGER)
+    rest_n = np.mean([_felt_n(robot) for _ in range(HELD_PERIODS)], axis=0)
+    soft_n = robot.supervisor.limits.soft_force_n
+    right, came, held, pushes = False, "nothing", list[FloatArray](), 0
+    try:
+        press(np.array([0.0, 0.0, PRESS_N]))
+        for _ in range(round(100 * patience_s)):
+            force_n = _felt_n(robot) - rest_n
+            held = [*held, force_n] if np.linalg.norm(force_n) > BEGUN_N else []
+            if not held and (right or pushes == PUSHES):  # the finger is gone
+                break
+            if len(held) == HELD_PERIODS:
+                right, came = _judged(np.median(held[HELD_PERIODS // 2 :], axis=0), soft_n)
+                pushes += 1
+                say(f"Felt as {came}: let go{'' if right or pushes == PUSHES else ', and press once more'}.")
+                press(np.zeros(3))
+    finally:
+        press(np.zeros(3))
+        robot.supervisor.acknowledge(robot.seen.now_ns)
+    wanted = f"a finger's {LEAST_N:g} to {soft_n:g} N from below"
+    return Check("force sensor: finger", right, wanted, came)
+
+
+def _felt_n(robot: Robot) -> FloatArray:
+    """(3,) mean force on the tip in the next control period, surface frame [N]."""
+    forces_n = [robot.force_on_tip_n(sample) for sample in robot.cycle().forces]
+    return np.asarray(np.mean(forces_n, axis=0)) if forces_n else np.zeros(3)
+
+
+def _judged(force_n: FloatArray, soft_n: float) -> tuple[bool, str]:
+    """Whether a push (3,) was as asked for, and in words."""
+    size_n = float(np.linalg.norm(force_n))
+    astray_deg = math.degrees(math.acos(np.clip(force_n[2] / size_n, -1.0, 1.0)))
+    right = LEAST_N <= size_n <= soft_n and astray_deg <= ASTRAY_DEG
+    return right, f"{size_n:.1f} N, {astray_deg:.0f} deg from straight up"

@@ -1,0 +1,86 @@
+"""An arm that nothing guards but the force at its tip: how fast it may meet something, and how far it may miss it.
+
+An arm with joint torques notices a contact that its force sensor does not show; this one presses on. It comes down no
+faster than it can be stopped: while the force is filtered, read and judged, and until the arm stands, the force grows
+by stiffness times speed times that time.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from deformscope.robot.readings import PERIOD_NS
+
+if TYPE_CHECKING:
+    from deformscope.robot.robot import Robot
+    from deformscope.robot.touch import TouchPlan
+
+STIFFEST_N_M = 1e5
+"""Taken where the compliance is not known, or smaller: of an industrial arm with a short stick. Chosen."""
+ARM_CYCLES = 3.0
+"""Cycles of the arm from a command to its rest: one until it is taken, two to follow. Chosen."""
+SLOWEST_M_S = 1e-3
+"""The tip comes down no more slowly than this: 3 cm take half a minute. Chosen."""
+CONTACT_SHARE, SURPRISE_SHARE = 1 / 3, 0.6
+"""Share of the hard stop that a contact may reach where it is expected, and higher up. Chosen."""
+MISS_M = 0.005
+"""So far below the seen surface, beyond the camera's doubt, the tip is sent where it has met nothing. Chosen."""
+
+
+@dataclass(frozen=True, slots=True)
+class ForceAlone:
+    """stiffness_n_m: of tip, sensor, stick and arm in series; late_s: from a force until the arm stands
+    hard_n: the hard stop; doubt_m: of the camera, where the surface is; currents: those of its motors are watched
+    """
+
+    stiffness_n_m: float
+    late_s: float
+    hard_n: float
+    doubt_m: float
+    currents: bool
+
+    @classmethod
+    def of(cls, robot: Robot) -> ForceAlone:
+        """As the robot's sensor, arm and limits say."""
+        force, limits = robot.force.config, robot.supervisor.limits
+        filtered_s = 1.0 / (2.0 * math.pi * force.filter_hz) if force.filter_hz else 0.0
+        late_s = filtered_s + 1.0 / force.rate_hz + PERIOD_NS / 1e9 + ARM_CYCLES / robot.arm.state_hz
+        stiffness_n_m = 1.0 / max(robot.compliance_m_per_n, 1.0 / STIFFEST_N_M)
+        currents = bool(robot.pose.currents) and limits.collision_nm > 0
+        return cls(stiffness_n_m, late_s, limits.hard_force_n, robot.doubt_m, currents)
+
+    def slowed(self, plan: TouchPlan) -> TouchPlan:
+        """The same touch, no faster and no farther down than such an arm may go."""
+        slower = plan.no_faster(self._speed_m_s(CONTACT_SHARE), plan.travel_speed_m_s)
+        return dataclasses.replace(
+            slower,
+            far_speed_m_s=min(plan.far_speed_m_s, self._speed_m_s(SURPRISE_SHARE)),
+            miss_m=min(plan.miss_m, self.doubt_m + MISS_M),
+            rigid_n_m=max(plan.rigid_n_m, self.stiffness_n_m),
+        )
+
+    @property
+    def contact_n(self) -> float:
+        """The greatest force of a contact, where none is expected."""
+        return self.stiffness_n_m * self.late_s * self._speed_m_s(SURPRISE_SHARE)
+
+    @property
+    def unfelt_n(self) -> float:
+        """What the arm presses with at most where the sensor fails on its way down, and nothing else shows it."""
+        return self.stiffness_n_m * (self.doubt_m + MISS_M) + self.contact_n
+
+    @property
+    def words(self) -> str:
+        """Both, and why they are no less."""
+        else_n = ", unless its motors' currents show it" if self.currents else ""
+        return (
+            f"{self.contact_n:.1f} N, by {self.stiffness_n_m / 1e3:.3g} N/mm and {1e3 * self.late_s:.0f} ms until the "
+            f"arm stands; {self.unfelt_n:.0f} N where the sensor fails on the way down{else_n}"
+        )
+
+    def _speed_m_s(self, share: float) -> float:
+        """At which a contact reaches this share of the hard stop until the arm stands; slower makes no touch."""
+        return max(SLOWEST_M_S, share * self.hard_n / (self.stiffness_n_m * self.late_s))

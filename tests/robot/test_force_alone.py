@@ -1,0 +1,167 @@
+"""An arm that nothing guards but the force at its tip: slower, not far below the surface, and a finger first."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import itertools
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from deformscope.lab.arms import arm_in_lab
+from deformscope.lab.springy_foam import SpringyFoam
+from deformscope.lab.touch_lab import TouchLab
+from deformscope.rig.rig_file import Tool
+from deformscope.robot import finger
+from deformscope.robot.finger import press_by_finger
+from deformscope.robot.force_alone import MISS_M, ForceAlone
+from deformscope.robot.placement import Placement
+from deformscope.robot.preflight import FORCE_TURNED, check
+from deformscope.robot.readings import ForceSample, RobotObservation
+from deformscope.robot.robot import Robot, RobotStopped
+from deformscope.robot.supervisor import Fault, Limits, Supervisor
+from deformscope.robot.touch import TouchPlan
+from deformscope.studies.rigid_faults import T_BASE_SURFACE, TOP_M, UP
+from deformscope_drivers.kuka import KukaConfig
+from deformscope_drivers.memory import SimulatedClock
+from tests.robot.quick_touch import quick_scene
+
+POINT_M = np.array([0.3, 0.2, TOP_M])
+
+
+class Bench:
+    """A KUKA over foam."""
+
+    def __init__(self, limits: Limits) -> None:
+        self.clock = SimulatedClock(1_000_000_000)
+        placement = Placement(T_BASE_SURFACE, Tool())
+        arm = arm_in_lab("kuka", KukaConfig(), placement, [POINT_M + 0.12 * UP, POINT_M], self.clock)
+        foam = SpringyFoam(60e3, POINT_M, UP, placement.tool)
+        self.lab = TouchLab(foam, self.clock, T_base_surface=T_BASE_SURFACE, arm=arm)
+        self.lab.open()
+        self.robot = Robot(
+            self.lab.arm, self.lab.force, placement, limits, clock=self.clock, wait_until=self.lab.wait_until
+        )
+        self.plan = TouchPlan(POINT_M, UP, travel_height_m=TOP_M + 0.1)
+
+
+@pytest.fixture
+def bench() -> Iterator[Bench]:
+    made = Bench(Limits(low_m=(-2.0,) * 3, high_m=(2.0,) * 3))
+    with contextlib.closing(made.lab):
+        made.robot.cycle()
+        yield made
+
+
+@pytest.mark.parametrize(
+    ("pushes_n", "right"),
+    [
+        ([(0, 0, 5)], True),
+        ([(1, -1, 3)], True),
+        ([(0, 0, 0)], False),  # nobody presses
+        ([(0, 0, 1.5)] * 3, False),  # too little
+        ([(0, 0, 11)] * 3, False),  # too much
+        ([(0, 0, -5)] * 3, False),  # from above: a sign is wrong
+        ([(5, 0, 0)] * 3, False),  # from the side: axes are
+        ([(4, 0, 4)] * 3, False),
+        ([(0, 0, 1), (0, 0, 5)], True),  # the second time
+        ([(0, 0, 1)] * 3 + [(0, 0, 5)], False),  # no more than three
+    ],
+)
+def test_a_finger_is_felt_from_below_and_about_as_hard_as_asked_for(
+    pushes_n: list[tuple[float, float, float]], right: bool, bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(finger, "PATIENCE_S", 8.0)
+    said: list[str] = []
+    for number, push_n in enumerate(pushes_n):
+        begins_ns = bench.clock() + round(1e9 * (1.0 + 1.5 * number))
+        bench.lab.schedule(begins_ns, lambda push_n=push_n: bench.lab.push_tip(np.array(push_n, float)))
+        bench.lab.schedule(begins_ns + 1_000_000_000, lambda: bench.lab.push_tip(np.zeros(3)))
+
+    found = press_by_finger(bench.robot, say=said.append)
+
+    assert found.passed == right, found
+    assert bool(found.hint) != right
+    assert "Press the tip straight up from below" in said[0]
+    assert len(said) == 1 + min(len([push for push in pushes_n if any(push)]), 3)
+    assert bench.robot.supervisor.verdict.fault is Fault.NONE  # what was pressed too hard is no fault of a touch
+    assert np.linalg.norm(bench.robot.cycle().forces[-1].force_n) < 0.3  # and the finger is gone
+
+
+def test_a_finger_above_the_hard_stop_ends_it(bench: Bench) -> None:
+    with pytest.raises(RobotStopped):
+        press_by_finger(bench.robot, lambda force_n: bench.lab.push_tip(4.0 * force_n))
+    assert not np.any(bench.lab.contact.finger_n)
+
+
+def test_calibrate_force_and_the_force_at_contact_are_looked_at_where_nothing_else_guards_the_arm(bench: Bench) -> None:
+    found = {one.name: one for one in check(bench.robot, [bench.plan], calibrated={FORCE_TURNED: False}).checks}
+    missing = found[f"calibration: {FORCE_TURNED}"]
+    assert not missing.passed
+    assert missing.hint == "deformscope calibrate force RIG"
+    contact = found["tip: force at contact"]
+    assert contact.passed
+    assert contact.came.startswith("9.0 N, by 100 N/mm and 48 ms until the arm stands; 509 N where the sensor fails")
+
+    scene = quick_scene(12)
+    guarded = check(scene.robot, [scene.plan], calibrated={FORCE_TURNED: False})
+    scene.lab.close()
+    assert guarded.passed, guarded.table()
+    assert not scene.robot.force_alone
+
+
+def test_an_arm_too_stiff_to_be_stopped_in_time_is_refused_with_the_reason(bench: Bench) -> None:
+    limits = bench.robot.supervisor.limits
+    bench.robot.supervisor.limits = dataclasses.replace(limits, hard_force_n=4.0, soft_force_n=3.5)
+    row, soft = (
+        next(one for one in check(bench.robot, [bench.plan], calibrated={}).checks if "contact" in one.name)
+        for bench.robot.compliance_m_per_n in (0.0, 2e-4)
+    )
+    assert not row.passed
+    assert row.came.startswith("4.8 N, by 100 N/mm and 48 ms")
+    assert "filter_hz = 150" in row.hint
+    assert soft.passed
+
+
+@pytest.mark.parametrize("stiffness_n_m", [1e3, 5e3, 2e4, 1e5])
+@pytest.mark.parametrize("late_s", [0.02, 0.05])
+def test_speeds_keep_a_contact_below_their_share_of_the_hard_stop(stiffness_n_m: float, late_s: float) -> None:
+    plan = TouchPlan(POINT_M, UP)
+    slowed = ForceAlone(stiffness_n_m, late_s, 15.0, 0.003, False).slowed(plan)
+    assert slowed.contact_speed_m_s * stiffness_n_m * late_s <= 5.0 + 1e-9
+    assert slowed.far_speed_m_s * stiffness_n_m * late_s <= 9.0 + 1e-9
+    assert slowed.contact_speed_m_s <= plan.contact_speed_m_s
+    assert slowed.far_speed_m_s <= plan.far_speed_m_s
+    assert slowed.miss_m == 0.003 + MISS_M
+    assert slowed.rigid_n_m >= stiffness_n_m
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2, None])
+def test_one_axis_that_sticks_stops(axis: int | None) -> None:
+    random, supervisor = np.random.default_rng(4), Supervisor(Limits(arm_silent_s=9.0), 0)
+    supervisor.axes_frozen_s = np.array([0.02, 0.02, 0.06])
+    limit_s = 0.03 if axis in (0, 1) else 0.06
+    for period in itertools.count(1):
+        forces = []
+        for ms in range(10 * period - 9, 10 * period + 1):
+            sensor_n = np.round(random.normal(0.0, 3.0, 3)) / 400
+            sensor_n[[] if axis is None else axis] = 0.005
+            forces.append(ForceSample(ms * 1_000_000, sensor_n, ms, sensor_n=sensor_n))
+        verdict = supervisor.judge(RobotObservation(10_000_000 * period, tuple(forces)))
+        if verdict.fault is not Fault.NONE or period == 100:
+            break
+    if axis is None:
+        assert verdict.fault is Fault.NONE
+    else:
+        assert verdict.fault is Fault.FORCE_FROZEN
+        assert f"along {'xyz'[axis]}" in verdict.reason
+        assert limit_s < verdict.time_ns / 1e9 <= limit_s + 0.02
+
+
+def test_the_checks_learn_how_long_an_axis_may_repeat(bench: Bench) -> None:
+    check(bench.robot, [bench.plan], calibrated={})
+    limits_s = bench.robot.supervisor.axes_frozen_s
+    assert limits_s is not None
+    assert ((limits_s > 0.0) & (limits_s < 0.05)).all()
