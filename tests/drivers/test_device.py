@@ -12,15 +12,15 @@ from dataclasses import dataclass
 import pytest
 
 from deformscope_drivers.clock import Stamp
-from deformscope_drivers.contract import Bench, DeviceContract, open_things, wait_until
 from deformscope_drivers.device import Device, EndOfReadings, Reconnect
 from deformscope_drivers.errors import Busy, DeviceError, LinkLost, NoReply, NotConnected, Stale
-from deformscope_drivers.faults import Faults, FaultyDouble
 from deformscope_drivers.health import Link
 from deformscope_drivers.memory import MemoryTransport, SimulatedClock
 from deformscope_drivers.transport import CanTransport, SerialTransport, parse_bus, serial_or_can
 from deformscope_drivers.wires import CanWire, PtyWire, TcpWire
 from tests.drivers.buses import udp_bus
+from tests.drivers.contract import Bench, DeviceContract, open_things, wait_until
+from tests.drivers.faults import Faults, FaultyDouble
 from tests.drivers.toy import PERIOD_NS, Toy, ToyDouble
 
 QUICK = Reconnect(0.01, 0.1)

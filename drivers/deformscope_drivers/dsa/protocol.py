@@ -5,8 +5,8 @@ No port, no clock, no thread. A packet is, in both directions,
     AA AA AA | id | payload length, 2 bytes | payload | CRC, 2 bytes
 
 without CRC where the payload is empty. The CRC covers all from id to payload (`deformscope_drivers.weiss_crc`); it lets
-some pairs of flipped bits pass (`deformscope_drivers.dsa.flips` counts them), so a packet must also have a known id,
-the length of its id, texels of 12 bits, and as many of them as the sensor has cells.
+some pairs of flipped bits pass (counted in `tests/drivers/dsa/flips.py`), so a packet must also have a known id, the
+length of its id, texels of 12 bits, and as many of them as the sensor has cells.
 Source: SDHLibrary-CPP, sdh/dsa.h and dsa.cpp (protocols.md 1a).
 """
 

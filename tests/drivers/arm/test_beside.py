@@ -19,13 +19,13 @@ import pytest
 from deformscope_drivers.arm import JointVelocity, MotionStopped
 from deformscope_drivers.arm.beside import ArmBeside
 from deformscope_drivers.clock import monotonic_ns
-from deformscope_drivers.contract import Bench, DeviceContract
 from deformscope_drivers.errors import LinkLost, NotConnected, SettingsRefused
 from deformscope_drivers.health import Link
 from deformscope_drivers.kuka import Kuka, KukaConfig, KukaDouble, UdpWire
 from deformscope_drivers.kuka.messages import decode_sen
 from deformscope_drivers.kuka.port import free_port
 from deformscope_drivers.wires import LOOPBACK
+from tests.drivers.contract import Bench, DeviceContract
 from tests.patience import PATIENCE_S
 
 LONG_S = 60.0

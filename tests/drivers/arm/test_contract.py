@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from deformscope_drivers.arm import Arm, MotionStopped
-from deformscope_drivers.contract import Bench, DeviceContract
 from deformscope_drivers.errors import OutOfLimits
 from deformscope_drivers.jaco import Jaco, JacoConfig, JacoDouble
 from deformscope_drivers.jaco.chains import CHAINS as JACO
@@ -17,6 +16,7 @@ from deformscope_drivers.kuka import Kuka, KukaConfig, KukaDouble
 from deformscope_drivers.memory import MemoryTransport, SimulatedClock
 from deformscope_drivers.placed import PlacedArm, PlacedArmConfig
 from tests.drivers.arm.contract import ArmBench, ArmContract
+from tests.drivers.contract import Bench, DeviceContract
 
 START = PlacedArmConfig(start_m=(0.3, 0.2, 0.3))
 

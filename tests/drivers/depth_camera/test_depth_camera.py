@@ -12,12 +12,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deformscope_drivers.contract import Bench, DeviceContract, nothing_left_since, open_things, wait_until
 from deformscope_drivers.depth_camera import DepthCamera, DepthCameraConfig, Intrinsics
 from deformscope_drivers.device import Reconnect
 from deformscope_drivers.errors import DeviceError, LibraryMissing, LinkLost, NotConnected, SettingsRefused
 from deformscope_drivers.health import Link
 from deformscope_drivers.openni.library import load
+from tests.drivers.contract import Bench, DeviceContract, nothing_left_since, open_things, wait_until
 from tests.drivers.openni.oni_file import write_oni
 
 QUICK = Reconnect(0.01, 0.1)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from deformscope_drivers.contract import Bench, DeviceContract, wait_until
 from deformscope_drivers.depth_camera import (
     DepthImage,
     Intrinsics,
@@ -17,6 +16,7 @@ from deformscope_drivers.device import Reconnect
 from deformscope_drivers.errors import LinkLost, Stale
 from deformscope_drivers.health import Link
 from deformscope_drivers.memory import SimulatedClock
+from tests.drivers.contract import Bench, DeviceContract, wait_until
 
 QUICK = Reconnect(0.01, 0.1)
 EXACT = SyntheticDepthConfig(noise_per_m=0.0)

@@ -9,7 +9,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from deformscope_drivers.contract import Bench, DeviceContract, wait_until
 from deformscope_drivers.device import Reconnect
 from deformscope_drivers.dsa import Dsa, DsaConfig, DsaDouble
 from deformscope_drivers.dsa.double import BOOT_S
@@ -28,9 +27,10 @@ from deformscope_drivers.errors import (
     SettingsRefused,
     Stale,
 )
-from deformscope_drivers.faults import Faults, FaultyDouble
 from deformscope_drivers.memory import MemoryTransport, SimulatedClock
 from deformscope_drivers.wires import PtyWire, TcpWire
+from tests.drivers.contract import Bench, DeviceContract, wait_until
+from tests.drivers.faults import Faults, FaultyDouble
 
 S = 1_000_000_000
 QUICK = Reconnect(0.01, 0.1)

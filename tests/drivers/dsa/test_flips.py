@@ -7,12 +7,12 @@ import itertools
 import numpy as np
 import pytest
 
-from deformscope_drivers.dsa.flips import LEFT, Subject, count_pairs, flipped, passing_pairs, syndromes, typical
 from deformscope_drivers.dsa.messages import Reading
 from deformscope_drivers.dsa.protocol import Decoder, encode
 from deformscope_drivers.framing import Skipped
 from deformscope_drivers.weiss_crc import crc16
 from tests.cases import slow_but
+from tests.drivers.dsa.flips import LEFT, Subject, count_pairs, flipped, passing_pairs, syndromes, typical
 from tests.drivers.dsa.packets import ACK, ANSWERS, FRAME, STOP
 
 SUBJECTS = {subject.name: subject for subject in typical()}

@@ -22,7 +22,6 @@ from scipy.spatial.transform import Rotation
 
 from deformscope_drivers.arm.commands import Velocity
 from deformscope_drivers.arm.kinematics import FloatArray
-from deformscope_drivers.contract import Bench, DeviceContract, wait_until
 from deformscope_drivers.device import Reconnect
 from deformscope_drivers.errors import LinkLost, NotConnected, OutOfLimits, SettingsRefused
 from deformscope_drivers.health import Link
@@ -56,6 +55,7 @@ from deformscope_drivers.jaco.structures import (
     cartesian_values,
 )
 from deformscope_drivers.memory import SimulatedClock
+from tests.drivers.contract import Bench, DeviceContract, wait_until
 from tests.drivers.jaco.benches import CBench, build
 
 QUICK = Reconnect(0.01, 0.05)

@@ -10,10 +10,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from deformscope_drivers.contract import Bench, DeviceContract, nothing_left_since, open_things, wait_until
 from deformscope_drivers.device import Reconnect
 from deformscope_drivers.errors import CommandRefused, DeviceError, NoReply, SettingsRefused
-from deformscope_drivers.faults import Faults, FaultyDouble
 from deformscope_drivers.health import Identity, Link
 from deformscope_drivers.memory import MemoryTransport, SimulatedClock
 from deformscope_drivers.optoforce import (
@@ -30,6 +28,8 @@ from deformscope_drivers.optoforce.protocol import Configure, Filter, Reading, S
 from deformscope_drivers.wires import CanWire, PtyWire, Wire
 from tests.cases import slow_but
 from tests.drivers.buses import udp_bus
+from tests.drivers.contract import Bench, DeviceContract, nothing_left_since, open_things, wait_until
+from tests.drivers.faults import Faults, FaultyDouble
 from tests.patience import PATIENCE_S
 
 QUICK = Reconnect(0.01, 0.1)

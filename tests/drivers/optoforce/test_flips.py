@@ -9,10 +9,10 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from deformscope_drivers.optoforce import flips
-from deformscope_drivers.optoforce.flips import DamageCount, table
 from deformscope_drivers.optoforce.plausibility import doubts
 from deformscope_drivers.optoforce.protocol import Decoder, Kind, Reading, Skipped, Status, encode
+from tests.drivers.optoforce import flips
+from tests.drivers.optoforce.flips import DamageCount, table
 from tests.drivers.optoforce.packets import FROM_DAQ
 
 EXAMPLES = [bytes.fromhex(text) for text, _ in FROM_DAQ[1:4]]

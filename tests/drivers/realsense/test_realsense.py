@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deformscope_drivers.contract import Bench, DeviceContract, wait_until
 from deformscope_drivers.depth_camera import Realsense, RealsenseConfig
 from deformscope_drivers.device import Reconnect
 from deformscope_drivers.errors import Busy, DeviceError, LibraryMissing, LinkLost, NotConnected, SettingsRefused, Stale
@@ -19,6 +18,7 @@ from deformscope_drivers.realsense import camera as reading
 from deformscope_drivers.realsense import double
 from deformscope_drivers.realsense.camera import RealsenseCamera, RealsenseSettings
 from deformscope_drivers.realsense.double import CAMERAS_FILE, CLOCK_ROUND_US, DoubleCamera, plug
+from tests.drivers.contract import Bench, DeviceContract, wait_until
 
 QUICK = Reconnect(0.01, 0.1)
 DOUBLE = "deformscope_drivers.realsense.double"

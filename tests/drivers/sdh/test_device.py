@@ -10,7 +10,6 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from deformscope_drivers.contract import PATIENCE_S, Bench, DeviceContract, wait_until
 from deformscope_drivers.device import Reconnect
 from deformscope_drivers.doubles import Double
 from deformscope_drivers.errors import (
@@ -23,7 +22,6 @@ from deformscope_drivers.errors import (
     ProtocolViolation,
     SettingsRefused,
 )
-from deformscope_drivers.faults import Faults, FaultyDouble
 from deformscope_drivers.health import Link
 from deformscope_drivers.memory import MemoryTransport, SimulatedClock
 from deformscope_drivers.sdh import (
@@ -41,6 +39,8 @@ from deformscope_drivers.sdh import (
 from deformscope_drivers.sdh.codes import ERRORS
 from deformscope_drivers.wires import CanWire, PtyWire, TcpWire
 from tests.drivers.buses import udp_bus
+from tests.drivers.contract import PATIENCE_S, Bench, DeviceContract, wait_until
+from tests.drivers.faults import Faults, FaultyDouble
 
 QUICK = Reconnect(0.01, 0.1)
 POSE = [0.0, -20.0, 20.0, -20.0, 20.0, -20.0, 20.0]

@@ -8,11 +8,11 @@ import cv2
 import numpy as np
 import pytest
 
-from deformscope_drivers.contract import Bench, DeviceContract, wait_until
 from deformscope_drivers.errors import NotConnected
 from deformscope_drivers.health import Link
 from deformscope_drivers.memory import SimulatedClock
 from deformscope_drivers.webcam import ColorImage, ImageFolder, VideoFile
+from tests.drivers.contract import Bench, DeviceContract, wait_until
 
 COUNT = 12
 

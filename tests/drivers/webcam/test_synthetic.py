@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from deformscope_drivers.contract import Bench, DeviceContract
 from deformscope_drivers.device import Reconnect
 from deformscope_drivers.memory import SimulatedClock
 from deformscope_drivers.webcam import SyntheticCamera, SyntheticCameraConfig
+from tests.drivers.contract import Bench, DeviceContract
 
 QUICK = Reconnect(0.01, 0.1)
 

@@ -11,12 +11,12 @@ import cv2
 import numpy as np
 import pytest
 
-from deformscope_drivers.contract import Bench, DeviceContract, wait_until
 from deformscope_drivers.device import Reconnect
 from deformscope_drivers.errors import LinkLost, NotConnected, SettingsRefused, Stale
 from deformscope_drivers.health import Link
 from deformscope_drivers.webcam import Webcam, WebcamConfig
 from deformscope_drivers.webcam.capture import OpencvCapture, Setting, open_v4l2
+from tests.drivers.contract import Bench, DeviceContract, wait_until
 from tests.drivers.webcam.fake_capture import FakeCamera
 
 QUICK = Reconnect(0.01, 0.1)

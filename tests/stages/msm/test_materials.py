@@ -9,12 +9,12 @@ pytest.importorskip("warp")
 
 from deformscope.arrays import FloatArray
 from deformscope.stages.msm import clusters, reference
-from deformscope.stages.msm import reference_material as spec
 from deformscope.stages.msm.materials import AxisBeta, axis_weights
 from deformscope.stages.msm.reference import Rest
 from deformscope.stages.msm.solver import Msm, Precision
 from tests.cases import slow, slow_but
 from tests.stages.bodies import Pushed, lattice, pushed
+from tests.stages.msm import reference_material as spec
 
 GOAL_TOLERANCE: dict[Precision, float] = {"float64": 1e-11, "float32": 2e-5}
 """Goals against the reference, in particle spacings."""

@@ -9,14 +9,14 @@ pytest.importorskip("warp")
 
 from deformscope.arrays import FloatArray
 from deformscope.stages.msm import clusters, reference
-from deformscope.stages.msm import reference_material as spec
 from deformscope.stages.msm.materials import AxisBeta, Plasticity
 from deformscope.stages.msm.plastic import PlasticMsm
 from deformscope.stages.msm.reference import Basis, Volume
-from deformscope.stages.msm.reference_material import Yielding
 from deformscope.stages.msm.solver import Msm
 from tests.cases import slow
 from tests.stages.bodies import SPACING_M, Pushed, lattice, pushed
+from tests.stages.msm import reference_material as spec
+from tests.stages.msm.reference_material import Yielding
 
 
 def _turn(rng: np.random.Generator, dim: int) -> FloatArray:

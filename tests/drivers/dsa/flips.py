@@ -1,6 +1,6 @@
 """How many pairs of flipped bits the DSACON32m's checksum lets pass, and how many are left after the other checks.
 
-    python -m deformscope_drivers.dsa.flips
+    python -m tests.drivers.dsa.flips
 
 prints the table of drivers/README.md. The checksum is affine: flipping bit i of a packet changes it by a pattern that
 depends on i and on the packet's length alone, the bit's syndrome. A pair of flips passes exactly if both have the same

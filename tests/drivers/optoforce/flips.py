@@ -1,8 +1,8 @@
 """Counts the damage that OptoForce's byte sum lets pass, exactly, and what the checks behind it catch.
 
-    python -m deformscope_drivers.optoforce.flips                       # one reading, as sent by a sensor at rest
-    python -m deformscope_drivers.optoforce.flips --file capture.bin    # the mean over readings of a raw stream
-    python -m deformscope_drivers.optoforce.flips --file capture.bin --readings 20 --nominal-counts 16037
+    python -m tests.drivers.optoforce.flips                       # one reading, as sent by a sensor at rest
+    python -m tests.drivers.optoforce.flips --file capture.bin    # the mean over readings of a raw stream
+    python -m tests.drivers.optoforce.flips --file capture.bin --readings 20 --nominal-counts 16037
 
 Every damage of a kind is done to a 16-byte packet within a stream, and the damaged stream is decoded.
 """
@@ -174,7 +174,7 @@ AT_REST = protocol.Reading(protocol.Kind.THREE_AXIS, 0x2D6A, protocol.Status(0),
 
 def main() -> None:
     parser = argparse.ArgumentParser(
-        prog="python -m deformscope_drivers.optoforce.flips", description="damage that the byte sum lets pass"
+        prog="python -m tests.drivers.optoforce.flips", description="damage that the byte sum lets pass"
     )
     parser.add_argument("--file", type=Path, help="a raw stream of a 3-axis sensor (default: one reading at rest)")
     parser.add_argument("--readings", type=int, default=20, help="of how many of its readings to take the mean")
