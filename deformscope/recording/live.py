@@ -111,6 +111,9 @@ def window_options() -> list[str]:
     return []
 
 
+_abandoned: list[object] = []
+
+
 def live_stream(
     application: str, recording_id: str, viewer: Viewer, properties: Mapping[str, object], give_up: threading.Event
 ) -> LiveStream:
@@ -128,7 +131,11 @@ def live_stream(
     rec.set_sinks(rr.GrpcSink(viewer.url))
     with contextlib.suppress(RuntimeError):  # not within the time, or never: the next line knows
         rec.flush(timeout_sec=FLUSH_TIMEOUT_S)
-    check_running(viewer)  # so that nobody else can have taken its port before this was connected to it
+    try:
+        check_running(viewer)  # so that nobody else can have taken its port before this was connected to it
+    except ConnectionError:
+        _abandoned.append(rec)  # to let go of it would wait for whoever listens there now
+        raise
     rec.send_property("session", rr.AnyValues(True, **properties))
     return LiveStream(rec, check)
 

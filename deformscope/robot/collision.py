@@ -100,6 +100,8 @@ class CurrentWatch:
 
     def look(self, currents: tuple[float, ...], joints_deg: tuple[float, ...], tip_n: float, now_ns: int) -> str:
         """As `CollisionWatch.look`."""
+        if not all(map(math.isfinite, currents)):
+            return "a motor's current is no number"
         if tip_n > PRESSED_N:
             self.start()
             return ""

@@ -9,6 +9,7 @@ import numpy as np
 
 from deformscope.robot.preflight import Check
 from deformscope.robot.robot import Robot
+from deformscope.robot.supervisor import Fault
 from deformscope_drivers.arm.kinematics import FloatArray
 
 PRESS_N, LEAST_N = 5.0, 2.5
@@ -58,7 +59,8 @@ def press_by_finger(
                 press(np.zeros(3))
     finally:
         press(np.zeros(3))
-        robot.supervisor.acknowledge(robot.seen.now_ns)
+        if robot.supervisor.verdict.fault is not Fault.ASKED:  # a person's Stop holds
+            robot.supervisor.acknowledge(robot.seen.now_ns)
     wanted = f"a finger's {LEAST_N:g} to {soft_n:g} N from below"
     return Check("force sensor: finger", right, wanted, came)
 

@@ -66,11 +66,11 @@ def test_drift_is_what_the_sensor_feels_while_nothing_touches_it() -> None:
     watched.feel(1.0, 2)
     watched.begin("travel")
     watched.feel(1.0, 1)  # may have been felt before the way began
-    watched.feel(0.2, 4)
+    watched.feel(0.02, 4)
     drift = watched.drift()
     assert drift is not None
-    assert drift.now == pytest.approx((0.0, 0.0, 0.2))
-    assert max(drift.line) == pytest.approx(0.2)
+    assert drift.now == pytest.approx((0.0, 0.0, 0.02))
+    assert max(drift.line) == pytest.approx(0.02)
 
 
 def test_alarms_and_links_are_said_on_the_page_and_alarms_at_the_terminal(capsys: pytest.CaptureFixture[str]) -> None:

@@ -51,7 +51,7 @@ class ArmBeside(Arm[ArmState]):
         self._homed = False
         self._refused: DeviceError | None = None
         self.goes_home = kind.goes_home
-        self._questions = itertools.count()
+        self._questions = itertools.count(1)
         self._answers: dict[int, Future[Any]] = {}
 
     @property
@@ -92,7 +92,7 @@ class ArmBeside(Arm[ArmState]):
 
     def stop(self) -> None:
         with self._commanded:
-            self._streamed = None
+            self._streamed = self._refused = None
         self.ask("stop")
 
     def halt(self, reason: str) -> None:
@@ -206,11 +206,14 @@ class ArmBeside(Arm[ArmState]):
                 self._refused = _error_of(name, words)
             case ("health", extra):
                 self._health = extra
-            case ("answer", number, failed, *said) if number in self._answers:  # else nobody waits any more
+            case ("answer", number, failed, *said):
+                answer = self._answers.get(number)
+                if answer is None or answer.done():  # nobody waits any more
+                    return
                 if failed:
-                    self._answers[number].set_exception(_error_of(*said))
+                    answer.set_exception(_error_of(*said))
                 else:
-                    self._answers[number].set_result(said[0])
+                    answer.set_result(said[0])
             case ("lost", words):
                 raise LinkLost("an arm that is connected", words, where=self.name)
 

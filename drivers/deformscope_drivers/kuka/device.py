@@ -201,7 +201,7 @@ class Kuka(Arm[ArmState]):
             self._hear(None)
         moved_deg: FloatArray = signs * (self._settled_deg() - joints_deg)
         if np.all(moved_deg < 1.5 * PROBE_DEG):
-            self._hear(-PROBE_DEG * signs)  # back
+            self._hear(-PROBE_DEG * np.where(moved_deg > 0.5 * PROBE_DEG, signs, 0.0))  # back, what has moved
         return moved_deg
 
     def _settled_deg(self) -> FloatArray:
