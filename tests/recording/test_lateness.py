@@ -41,7 +41,7 @@ def recording(path: Path) -> Recorder:
 
 
 def fall_behind(made: Recorder | WatchedRecorder, items: list[Item]) -> None:
-    """Write until it raises: on a fast machine, once through gives a few large portions that do not fill what may wait."""
+    """Write until it raises: on a fast machine, once through gives a few large portions that fill little."""
     until_s = time.monotonic() + PATIENCE_S
     while time.monotonic() < until_s:
         for batch in rig.batches(items):
