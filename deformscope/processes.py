@@ -8,9 +8,11 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor
+from concurrent.futures import wait as wait_for
 from multiprocessing.connection import Connection, wait
+from multiprocessing.pool import ThreadPool
 from types import ModuleType
 from typing import Any, TypeVar
 
@@ -23,6 +25,9 @@ END_S = 5.0
 """A process ends by itself within this, or is ended."""
 NICE = 10
 """What computes beside a robot leaves the processor to what moves it."""
+RENEW_S = 0.5
+"""Long waits of the main thread are renewed so often: a signal that arrives just before a wait begins does not end it,
+and its handler runs only once the wait is over."""
 BLAS_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
@@ -67,11 +72,28 @@ def in_processes(
         try:
             with starting():
                 futures = {pool.submit(function, item): index for index, item in enumerate(items)}
-            for future in as_completed(futures):
-                yield futures[future], future.result()
+            left = set(futures)
+            while left:
+                ready, left = wait_for(left, RENEW_S, FIRST_COMPLETED)
+                for future in ready:
+                    yield futures[future], future.result()
         except BaseException:
             ours.close()  # which ends the processes, in the middle of an item
             raise
+
+
+def in_threads(function: Callable[[T], R], items: Iterable[T], workers: int) -> Iterator[R]:
+    """Results of each item in their order, from so many threads, which keep no program alive that is interrupted."""
+    with ThreadPool(workers) as pool:
+        coming = pool.imap(function, items)
+        while True:
+            try:
+                result = coming.next(RENEW_S)
+            except multiprocessing.TimeoutError:
+                continue
+            except StopIteration:
+                return
+            yield result
 
 
 def _begin(pipe: Connection, also: Callable[[], None] | None) -> None:

@@ -39,7 +39,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "stages.poke": ("arrays", "errors", "stages.msm", "stages.fit", "stages.regions"),
     "stages.materials": ("arrays", "errors", "stages.msm", "stages.fit"),
     "stages.map": ("arrays", "errors", "stages.msm", "stages.see", "stages.fit", "stages.regions", "stages.poke"),
-    "stages.squeeze": ("arrays", "capsule", "errors", "stages.see"),
+    "stages.squeeze": ("arrays", "capsule", "errors", "processes", "stages.see"),
     "stages.setup": ("arrays", "errors"),
     "pictures": ("arrays", "errors", "images", "plain", "processes", *STAGES),
     "log": ("arrays", "frames", "images", "pictures", "plain", "rows", *STAGES),

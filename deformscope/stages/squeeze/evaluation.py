@@ -10,12 +10,12 @@ import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
-from multiprocessing.pool import ThreadPool
 
 import numpy as np
 
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.errors import InputError
+from deformscope.processes import in_threads
 from deformscope.stages.squeeze import groupings
 from deformscope.stages.squeeze.classifiers import NAMES
 from deformscope.stages.squeeze.groupings import Grouping, Normality
@@ -246,11 +246,10 @@ class _Runner:
             )
 
         found: dict[Key, list[Answers]] = {}
-        with ThreadPool(self.options.workers) as pool:  # its threads keep no program alive that is interrupted
-            for done, outcomes in enumerate(pool.imap(one, splits)):
-                self.progress(what, done, len(splits))
-                for key, outcome in outcomes.items():
-                    found.setdefault(key, []).append(outcome)
+        for done, outcomes in enumerate(in_threads(one, splits, self.options.workers)):
+            self.progress(what, done, len(splits))
+            for key, outcome in outcomes.items():
+                found.setdefault(key, []).append(outcome)
         # A modality that a training side lacked altogether has fewer splits than others: it is not evaluated.
         return {key: outcomes for key, outcomes in found.items() if len(outcomes) == len(splits)}
 
