@@ -91,16 +91,19 @@ CASES: Mapping[str, Case] = {
         "lab:two-60-150 --touches 4 --seed 3",
         "verify e.rrd --json v.json",
         "replay e.rrd --json r.json",
-        f"replay e.rrd --set smallest-inclusion=0.05 --json s.json --record s.rrd {QUIET}",
+        f"replay e.rrd --set threshold=0.1 --json s.json --record s.rrd {QUIET}",
     ),
     "explore-clean": _explore("lab:disc --touches 3 --seed 1 --clean --beta-model none"),
     "explore-loss": _explore("lab:two-60-150 --touches 3 --seed 2 --hold 2 --feel loss --beta-model none"),
-    "explore-relaxed": _explore("lab:two-60c-150c --touches 3 --seed 2 --hold 2 --feel relaxed --beta-model none"),
+    "explore-relaxed": _explore("lab:two-60c30-150c30 --touches 3 --seed 2 --hold 2 --feel relaxed --beta-model none"),
     "explore-inclusions": _explore("lab:buried --goal inclusions --touches 4 --seed 1", "replay e.rrd --json r.json"),
     "explore-thesis": _explore("lab:two-60-150 --planner thesis --touches 3 --seed 1"),
     "explore-quick": _explore("lab:egg-crate --pace quick --touches 3 --seed 1 --border 0.01 --beta-model none"),
     "explore-gripper": _explore("lab:two-60-150 --robot gripper --camera realsense --touches 2 --beta-model none"),
-    "explore-fault": _explore("lab:two-60-150 --touches 3 --fault force-silent@2 --beta-model none"),
+    "explore-fault": _of(
+        "explore lab:two-60-150 --touches 3 --fault force-silent@2 --beta-model none --json e.json --record e.rrd",
+        refused=True,
+    ),
     "squeeze": _of(
         f"squeeze lab:containers --content rice --container box-01 --seed 4 {QUIET} --json s.json --record s.rrd",
         "verify s.rrd --json v.json",
@@ -171,8 +174,10 @@ MASKED_TEXT = (
     (re.compile(r"\b\d+(\.\d+)? (s|ms|min|MB|MiB|KiB|kB)\b"), "TIME"),
     (re.compile(r"\b[0-9a-f]{7,64}\b"), "HASH"),
 )
-MASKED_COLUMNS = re.compile(r"log_time|log_tick|chunk|row_id|RowId|properties|seconds|compute|lateness|late_|host_ns")
-"""Of recordings: rerun's own clock, and what was measured of this machine."""
+MASKED_COLUMNS = re.compile(
+    r"display|depth_range|log_time|log_tick|chunk|row_id|RowId|properties|seconds|compute|lateness|late_|host_ns"
+)
+"""Of recordings: rerun's own clock, what was measured of this machine, and pictures that are thinned by its clock."""
 
 
 def main() -> int:
@@ -305,6 +310,14 @@ def _file(base: Path, head: Path, on_clock: bool) -> list[str]:
             return _picture(base, head)
         case ".rrd":
             return list(_recording(base, head, on_clock))
+        case ".jsonl":
+            rows = [[json.loads(line) for line in path.read_text().splitlines()] for path in (base, head)]
+            return list(_json(*rows, "", on_clock))
+        case ".parquet":
+            import pyarrow.parquet
+
+            tables = [pyarrow.parquet.read_table(path).to_pydict() for path in (base, head)]
+            return list(_json(*tables, "", on_clock))
         case ".ledger" | "":
             return []
         case _:
@@ -339,7 +352,7 @@ def _masked(text: str) -> str:
 def _text(base: str, head: str, on_clock: bool) -> list[str]:
     lines = [[_masked(line) for line in one.splitlines() if not MASKED_ROWS.match(line)] for one in (base, head)]
     if on_clock:
-        lines = [[re.split(r"\s{2,}|\d", line.strip())[0] for line in one] for one in lines]
+        lines = [sorted(re.split(r"\s{2,}|\d", line.strip())[0] for line in one) for one in lines]
     changed = difflib.unified_diff(*lines, lineterm="", n=0)
     return [line[:300] for line in changed if line[:1] in "+-" and line[:3] not in ("+++", "---")]
 
