@@ -31,6 +31,7 @@ from deformscope.robot.travel import to_above
 from deformscope.session import BATCH_S, Inline, finish
 from deformscope.stages.map.exploration import ExplorationStop
 from deformscope.terminal import say, status_line
+from deformscope_drivers.errors import DeviceError
 from deformscope_drivers.priority import STEERING, be_prompt
 
 if TYPE_CHECKING:
@@ -99,19 +100,22 @@ def home(config: HomeConfig) -> None:
 
 @contextlib.contextmanager
 def _arm_of(name: str, *, trusted: bool) -> Iterator[tuple[Any, Placement | None]]:
-    """The arm of a rig alone, open, and where the surface is, if that is known."""
+    """The arm of a rig alone, open, and where the surface is, if that is known. Raises InputError for its errors."""
     rig = load_rig(name, trusted=trusted)
     entry = only_device(rig, "arm", "to move")
     given = rig.surface.T_arm_surface
     placement = None if given is None else Placement(np.array(given, np.float64), rig.tool)
-    if rig.surface.scene:
-        parts = RigParts.of(rig)
-        table, _ = table_of(parts)
-        with open_rig(rig, member_of, table, parts.devices) as source:
-            yield source.device(entry.name), placement
-        return
-    with member_of(entry) as member, member.device as arm:
-        yield arm, placement
+    try:
+        if rig.surface.scene:
+            parts = RigParts.of(rig)
+            table, _ = table_of(parts)
+            with open_rig(rig, member_of, table, parts.devices) as source:
+                yield source.device(entry.name), placement
+        else:
+            with member_of(entry) as member, member.device as arm:
+                yield arm, placement
+    except DeviceError as error:
+        raise InputError.about(error, f"device {entry.name}") from error
 
 
 def go(config: MovingOptions, above: tuple[float, float] | None, height_m: float, recorder: Recorder) -> FloatArray:

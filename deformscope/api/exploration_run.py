@@ -395,7 +395,7 @@ def _remarks(result: object, made: int, budget: int, spent_s: float) -> Iterator
             at = "" if result.speed_m_s is None else f", felt at {1e3 * result.speed_m_s:.2g} mm/s"
             yield f"  creep{at}: {creep_words(result.creep)}"
     elif isinstance(result, MapEstimate):
-        truth = f", {iou_words(result)} with the truth" if iou_words(result) else ""
+        truth = f", {iou_words(result)}" if iou_words(result) else ""
         yield f"  map so far: {verdict_words(result)} ({claim_words(result.claimed)}){truth}"
     elif isinstance(result, LumpsFound):
         smallest = f"{100.0 * result.smallest_m:g} cm radius or more"

@@ -6,7 +6,7 @@ import contextlib
 import math
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
 
 from deformscope_drivers.jaco.structures import TrajectoryPoint
@@ -22,8 +22,9 @@ SWINGS = ((12.0, 9.0), (8.0, 7.0), (-9.0, 6.0), (6.0, 5.0), (-8.0, 4.0), (14.0, 
 
 
 @contextlib.contextmanager
-def moved_by_hand(arm: JacoDouble) -> Iterator[None]:
-    """Swing the arm's joints to and fro until the end of the context, as a joystick would: one point every 10 ms."""
+def moved_by_hand(arm: JacoDouble) -> Iterator[Callable[[], None]]:
+    """Swing the arm's joints to and fro until the end of the context, as a joystick would: one point every 10 ms.
+    Yields what ends it before."""
     ended = threading.Event()
 
     def move() -> None:
@@ -37,11 +38,15 @@ def moved_by_hand(arm: JacoDouble) -> Iterator[None]:
 
     mover = threading.Thread(target=move, name="operator", daemon=True)
     mover.start()
-    try:
-        yield
-    finally:
+
+    def let_go() -> None:
         ended.set()
         mover.join()
+
+    try:
+        yield let_go
+    finally:
+        let_go()
 
 
 def _point(time_s: float) -> TrajectoryPoint:

@@ -131,11 +131,19 @@ def _sdh(config: Any) -> Double:
 @contextlib.contextmanager
 def _jaco(config: Any) -> Iterator[Device[Any]]:
     from deformscope.lab.operator import moved_by_hand
-    from deformscope_drivers.jaco import Jaco, JacoDouble
+    from deformscope_drivers.jaco import Jaco, JacoDouble, JacoState
 
     arm = JacoDouble(config.model or "j2n6s300")
-    with moved_by_hand(arm):
-        yield Jaco(config, arm)
+    with moved_by_hand(arm) as let_go:
+
+        class Led(Jaco):
+            """Whoever leads it lets go of it before it goes home."""
+
+            def home(self, timeout_s: float = 60.0) -> JacoState:
+                let_go()
+                return super().home(timeout_s)
+
+        yield Led(config, arm)
 
 
 @contextlib.contextmanager

@@ -74,8 +74,8 @@ def travel_words(travel_m: float) -> str:
 
 
 def iou_words(maps: MapEstimate) -> str:
-    """How good the map is; empty where the truth is not known."""
-    return "" if maps.iou is None else f"IoU {maps.iou:.3f}"
+    """How good the map is, and against what; empty where the truth is not known."""
+    return "" if maps.iou is None else f"IoU {maps.iou:.3f} with the truth"
 
 
 def stiffness_words(touch: TouchEstimate) -> str:

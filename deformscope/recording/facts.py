@@ -1,7 +1,7 @@
 """What a recording holds and how it ended, and `rerun rrd`, each in a process of its own: damaged bytes can end
 rerun's reader.
 
-python -m deformscope.recording.facts run.rrd    one line of JSON: the fields of `Facts`
+python -m deformscope.recording.facts run.rrd [brief]    one line of JSON: the fields of `Facts`
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from deformscope.errors import InputError
+from deformscope.recording.rrd_file import has_footer
 from deformscope.recording.utf8_path import utf8_path
 
 TIMEOUT_S = 600.0
@@ -54,8 +55,10 @@ def salvage(path: Path, readable: Path) -> tuple[Facts, str]:
 
 
 def is_recoverable(path: Path) -> bool:
-    """Whether `deformscope recover` gets something out of an unfinished recording, by its begin. Its own disk may be
-    full: the copy is made in memory where that is possible."""
+    """Whether `deformscope recover` gets anything out of an unfinished recording: by its begin, where it has no footer.
+    Its own disk may be full: the copy is made in memory where that is possible."""
+    if has_footer(path):  # the format, which nothing is read without, may stand at its end
+        return bool(read_facts(path, brief=True).counts)
     with tempfile.TemporaryDirectory(dir=MEMORY if MEMORY.is_dir() else None) as scratch:
         begin, readable = (Path(scratch) / name for name in ("begin.rrd", "readable.rrd"))
         with path.open("rb") as file:
@@ -63,9 +66,9 @@ def is_recoverable(path: Path) -> bool:
         return bool(salvage(begin, readable)[0].counts)
 
 
-def read_facts(path: Path) -> Facts:
-    """Read them in a child process; whatever happens to it becomes `damage`."""
-    done = _run([sys.executable, "-m", __name__, str(path)])
+def read_facts(path: Path, *, brief: bool = False) -> Facts:
+    """Read them in a child process; whatever happens to it becomes `damage`. brief: no more than that there are some"""
+    done = _run([sys.executable, "-m", __name__, str(path), *(["brief"] if brief else [])])
     if isinstance(done, str):
         return Facts(damage=done)
     try:
@@ -101,8 +104,8 @@ def _run(command: list[str], environment: dict[str, str] | None = None) -> subpr
     return done
 
 
-def gather_facts(path: Path) -> Facts:
-    """Read them here."""
+def gather_facts(path: Path, *, brief: bool = False) -> Facts:
+    """Read them here. brief: as of `read_facts`"""
     from deformscope.frames import SessionNote
     from deformscope.recording.discards import discards_of
     from deformscope.recording.items import read_items
@@ -122,6 +125,8 @@ def gather_facts(path: Path) -> Facts:
             if (counted := _counted(chunk.entity_path, batch.schema.names)) is not None:
                 counts[counted] += batch.num_rows
                 counts["frames"] += batch.num_rows if counted.endswith("/frames") else 0
+                if brief:
+                    return Facts(counts=dict(counts))
         facts["outcome"] = replay.outcome
         facts["losses"] = _losses(path, replay.outcome)
         notes = read_items(path, trust=True, kinds=(SessionNote,))
@@ -158,4 +163,4 @@ def _losses(path: Path, outcome: dict[str, Any]) -> dict[str, dict[str, float]]:
 
 
 if __name__ == "__main__":
-    print(json.dumps(dataclasses.asdict(gather_facts(Path(sys.argv[1]))), default=str))
+    print(json.dumps(dataclasses.asdict(gather_facts(Path(sys.argv[1]), brief=len(sys.argv) > 2)), default=str))

@@ -159,7 +159,7 @@ class RecordingFile:
         merged, self._merged_stream = self._merged_stream, None
         timeout_s = 2.0 if self.broken else CLOSE_TIMEOUT_S
         ended = merged is None or within(merged.disconnect, timeout_s)
-        whole = merged is not None and ended and not self.broken and _has_footer(self._merged_path)
+        whole = merged is not None and ended and not self.broken and has_footer(self._merged_path)
         if not within(self._stream.disconnect, timeout_s):
             ended, self.broken = False, not whole
         if not ended:
@@ -255,7 +255,7 @@ def write_outcome(path: Path, application: str, recording_id: str, outcome: Mapp
     rec.disconnect()
 
 
-def _has_footer(path: Path) -> bool:
+def has_footer(path: Path) -> bool:
     """Whether a file was written to its end."""
     from rerun.chunk import RrdReader
 

@@ -17,6 +17,7 @@ import pytest
 
 import deformscope as ds
 from deformscope import terminal
+from deformscope.stages.msm import quiet
 from deformscope.stages.msm.quiet import GREETING, quiet_warp
 from tests.cli.fake_bench import use_fake_bench
 from tests.experiments.toy_squeeze import use_toy_squeeze
@@ -142,12 +143,16 @@ def test_a_notebook_is_watched(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_only_the_greeting_of_warp_is_left_out(
     capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """It is written below Python, where one thread's stderr is every thread's."""
+    """It is written below Python, where one thread's stderr is every thread's: at warp's start, and never again."""
     warp = pytest.importorskip("warp")
+    monkeypatch.setattr(quiet, "_started", False)
     monkeypatch.setattr(warp, "init", lambda: os.write(2, b"before\n" + GREETING + b": no driver\nafter\n"))
     quiet_warp()
 
     assert capfd.readouterr().err == "before\nafter\n"
+    with monkeypatch.context() as patched:
+        patched.setattr(os, "dup2", lambda *descriptors: pytest.fail("stderr was redirected again"))
+        quiet_warp()
 
 
 def test_the_library_redirects_no_stream_of_the_process() -> None:

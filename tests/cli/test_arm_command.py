@@ -123,6 +123,26 @@ def test_where_it_is_and_home(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert "--yes" in capsys.readouterr().err
 
 
+def test_the_double_of_a_bench_goes_home(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Whoever leads it there lets go of it: it came home in no time at all."""
+    path = tmp_path / "rig.toml"
+    path.write_text('[devices.arm]\ndriver = "jaco"\ndouble = true\n')
+    assert main(["arm", "home", str(path), "--yes"]) == 0
+    assert "the arm is at home" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("words", [["where"], ["home", "--yes"]])
+def test_what_is_wrong_with_an_arm_is_refused_in_a_line(
+    words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "rig.toml"
+    path.write_text('[devices.arm]\ndriver = "jaco"\nown_process = false\n')
+    assert main(["arm", words[0], str(path), *words[1:]]) == 2
+    err = capsys.readouterr().err
+    assert err.splitlines()[-1].startswith("deformscope: error: expected the vendor's library")
+    assert err.splitlines()[-1].endswith("| device arm")
+
+
 @pytest.fixture
 def unhomed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[str, Path]:
     """A rig whose Jaco, in its own process, was just switched on; and the file of the calls to its library."""

@@ -307,7 +307,7 @@ def test_a_summary_tells_regions_or_that_there_are_none() -> None:
     maps = synthetic.maps(8)
     told = summary(maps)
     assert told.startswith("# 2 regions (probability 0.93)")
-    assert f"**IoU {maps.iou:.3f}**" in told
+    assert f"**IoU {maps.iou:.3f} with the truth**" in told
     assert told.count("\n| ") == 4
     areas = [int(line.split("|")[3]) for line in told.splitlines()[-2:]]
     assert sum(areas) == pytest.approx(60 * 40, abs=1)

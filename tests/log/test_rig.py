@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 import pytest
 import rerun as rr
+import rerun.blueprint as rrb
 from rerun.chunk import Chunk, RrdReader
 
 from deformscope.errors import InputError
@@ -30,6 +31,7 @@ from deformscope.frames import (
 )
 from deformscope.images import encode_jpeg, encode_png
 from deformscope.log.rig import Shown, log_items, log_streams, prepare_items, rig_blueprint
+from deformscope.log.rig.blueprint import rig_views
 from deformscope.log.rig.health import table, word
 from deformscope.log.rig.tactile import Hand
 from deformscope.pictures.palette import BACKGROUND, colors
@@ -298,8 +300,8 @@ def test_a_hand_is_drawn_as_it_is_held() -> None:
     for finger in ("finger_0", "thumb", "finger_2"):
         assert corners[f"{finger}_distal"][0] + 13 < corners[f"{finger}_proximal"][0]
         assert corners[f"{finger}_distal"][1] == corners[f"{finger}_proximal"][1]
-    assert corners["finger_0_distal"][1] + 6 < corners["thumb_distal"][1]
-    assert corners["thumb_distal"][1] + 6 < corners["finger_2_distal"][1]
+    assert corners["finger_0_distal"][1] + 6 + 8 <= corners["thumb_distal"][1]  # room for a pad's pressure or its name
+    assert corners["thumb_distal"][1] + 6 + 8 <= corners["finger_2_distal"][1]
     names = {name: (x, y) for x, y, name in hand.names()}
     assert set(names) == {"finger_0", "thumb", "finger_2", "distal", "proximal"}
     assert names["distal"][1] < names["proximal"][1]
@@ -398,6 +400,16 @@ def test_views_of_any_devices(count: int) -> None:
         rig_blueprint(streams)
         rig_blueprint(streams, health=False)
     rig_blueprint([dataclasses.replace(stream, device=f"{stream.device} {n}") for stream in rig.STREAMS for n in "ab"])
+
+
+@pytest.mark.parametrize(("count", "most"), [(3, 2), (6, 2), (7, 3)])
+def test_views_on_a_page_are_high_enough_for_a_label_at_their_axes(count: int, most: int) -> None:
+    """Three rows at most, of two views each as long as these are enough: of lower plots the axis has nothing but 0."""
+    (rows,) = rig_views([Stream(f"camera {n}", "color", "webcam") for n in range(count)], with_health=False).contents
+    assert isinstance(rows, rrb.Container)
+    shown = [len(row.contents) if isinstance(row, rrb.Container) else 1 for row in rows.contents]
+    assert (sum(shown), max(shown)) == (count, most)
+    assert len(shown) <= 3
 
 
 def test_pads_of_other_hands() -> None:

@@ -110,7 +110,10 @@ def test_chapters_steps_and_playing_move_the_viewers_time(shown: Any, tmp_path: 
         until(shown, lambda: shown.evaluate("window.received") == page.address + "recording.rrd")
         until(shown, lambda: shown.inner_text("#moment") == "9.00 of 9.00 s")
         shown.evaluate("window.asked = []")
+        shown.evaluate("window.handle.tell({ type: 'timeline_change', timeline: 'log_time' })")  # rerun's own views
+        assert shown.inner_text("#viewer-words") != ""  # they are covered
         shown.evaluate("window.handle.tell({ type: 'timeline_change' })")  # of the recording's views, which follow
+        until(shown, lambda: shown.inner_text("#viewer-words") == "")
         until(shown, lambda: moment() == list(cursor(9 * S)))
         shown.evaluate("window.handle.tell({ type: 'time_update', time: 3e9 })")  # somebody has moved it in the viewer
         until(shown, lambda: shown.inner_text("#moment") == "3.00 of 9.00 s")

@@ -27,7 +27,7 @@ from deformscope.frames import ColorFrame, DepthFrame, HandFrame, InputFile, Ite
 from deformscope.images import encode_png
 from deformscope.page.server import end_pages
 from deformscope.page.viewer_files import viewer_environment, viewer_executable
-from deformscope.recording import lateness, recorder
+from deformscope.recording import facts, lateness, recorder
 from deformscope.recording import rrd_file as recording_file
 from deformscope.recording.items import read_items
 from deformscope.recording.lateness import RecordingError
@@ -288,6 +288,23 @@ def test_full_disk_ends_the_run(tmp_path: Path) -> None:
     assert not (tmp_path / "run.rrd").exists()
 
 
+def test_what_was_ended_is_called_kept_however_long_it_is(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """The file of large portions has its format at its end: 37 MB were called lost, which `recover` read."""
+    monkeypatch.setattr(facts, "BEGIN_BYTES", 1 << 12)
+    with pytest.raises(RecordingError, match="MiB free"), Recorder(tmp_path / "run.rrd") as made:
+        for frame in synthetic.frames(3):
+            made.write(frame)
+        wait_for_looks(made)
+        monkeypatch.setattr(lateness, "FREE_BYTES", 1 << 60)
+        monkeypatch.setattr(recording_file, "BEAT_S", 0.0)
+        for frame in synthetic.frames(3):
+            made.write(frame)
+    assert f"is kept: deformscope recover {tmp_path / 'run.part.rrd'}" in caplog.text
+    assert main(["recover", str(tmp_path / "run.part.rrd")]) == 0
+
+
 def test_little_free_space_ends_the_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(recording_file, "BEAT_S", 0.0)
     with pytest.raises(RecordingError, match="MiB free"), Recorder(tmp_path / "run.rrd") as made:
@@ -470,7 +487,7 @@ def test_without_the_file_of_large_portions_the_recording_is_the_other(
         full = merged.exists  # until the other file has gone
         monkeypatch.setattr(shutil, "disk_usage", lambda path: usage._replace(free=999 if full() else 1001))
     elif trouble == "does not end":
-        monkeypatch.setattr(recording_file, "_has_footer", lambda path: False)
+        monkeypatch.setattr(recording_file, "has_footer", lambda path: False)
     else:
         monkeypatch.setattr(recording_file, "BEATS_MERGED", 1)
     with Recorder(tmp_path / "run.rrd", "none", {"seed": 3}, layout="rig") as made:

@@ -97,7 +97,7 @@ def test_a_kuka_that_goes_on_is_not_in_time() -> None:
 
 def test_the_command_counts_a_kuka_whose_answers_end(tmp_path: Path) -> None:
     found = tmp_path / "safety.json"
-    flags = ["--arm", "kuka", "--faults", "1", "--layouts", "0", "--jobs", "1", "--seed", "5"]
+    flags = ["--arm", "kuka", "--faults", "1", "--layouts", "0", "--rigid", "0", "--jobs", "1", "--seed", "5"]
     assert main(["coverage", "safety", *flags, "--json", str(found), "--viewer", "none"]) == 0
     told = json.loads(found.read_text())
     assert told["in_time"] == told["faults"] == 1

@@ -38,7 +38,7 @@ def _show(now: ResultBatch, text: str) -> None:
 def summary(maps: MapEstimate) -> str:
     """Markdown: the verdict first, then the regions and the numbers."""
     verdict = verdict_words(maps)
-    scored = f"; **{iou_words(maps)}** with the truth" if maps.iou is not None else ""
+    scored = f"; **{iou_words(maps)}**" if maps.iou is not None else ""
     lines = [
         f"# {verdict[0].upper()}{verdict[1:]} ({claim_words(maps.claimed)})",
         "",

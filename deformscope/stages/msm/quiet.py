@@ -6,18 +6,28 @@ import os
 import sys
 import tempfile
 import threading
+from types import ModuleType
 
 GREETING = b"Warp CUDA warning"
 """How the line begins by which it complains of a missing GPU driver, below Python: that is no fault here."""
 _one_at_a_time = threading.Lock()
+_started = False
 
 
 def quiet_warp() -> None:
-    """Start warp without its greeting; what other threads write to stderr meanwhile comes a moment later."""
+    """Start warp without its greeting, once: what other threads write to stderr meanwhile comes a moment later."""
+    global _started
     import warp as wp
 
     wp.config.log_level = wp.LOG_WARNING
-    with _one_at_a_time, tempfile.TemporaryFile() as meanwhile:
+    with _one_at_a_time:
+        if not _started:
+            _start(wp)
+            _started = True
+
+
+def _start(wp: ModuleType) -> None:
+    with tempfile.TemporaryFile() as meanwhile:
         sys.stderr.flush()
         kept = os.dup(2)
         os.dup2(meanwhile.fileno(), 2)

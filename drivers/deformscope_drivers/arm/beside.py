@@ -103,9 +103,19 @@ class ArmBeside(Arm[ArmState]):
 
     def close(self) -> None:
         """As of the arm there. It is halted at once: this device's thread may wait for its next state first."""
-        with contextlib.suppress(DeviceError):
-            self._send("call", 0, "halt", ("it is being closed",))
-        super().close()
+        words = "it is being closed"
+        with self._commanded:
+            moving = self._streamed is not None
+        try:
+            if moving:
+                self.ask("halt", words)
+            else:
+                with contextlib.suppress(DeviceError):
+                    self._send("call", 0, "halt", (words,))
+        except DeviceError as error:
+            self._not_stopped = error
+        finally:
+            super().close()
 
     def acknowledge_stop(self) -> None:
         self.ask("acknowledge_stop")

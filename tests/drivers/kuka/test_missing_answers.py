@@ -3,6 +3,7 @@ port is closed."""
 
 from __future__ import annotations
 
+import contextlib
 import os
 import subprocess
 import sys
@@ -303,6 +304,34 @@ def test_on_the_hosts_clock_the_last_three_answers_are_zeros(beside: bool, halts
         while not double.ends_with_zeros() and time.monotonic() < limit:
             time.sleep(0.01)
         assert double.ends_with_zeros()
+
+
+class Unplugged(Keeping):
+    """Neither asks nor takes anything once its cable is `out`."""
+
+    out = False
+
+    def receive(self, data: bytes, now_ns: int) -> None:
+        if not self.out:
+            super().receive(data, now_ns)
+
+    def due(self, now_ns: int) -> bytes:
+        sent = super().due(now_ns)
+        return b"" if self.out else sent
+
+
+@pytest.mark.parametrize("moving", [True, False])
+def test_a_cable_that_is_out_is_told_by_an_arm_in_its_own_process_too(moving: bool) -> None:
+    double, port = Unplugged(), free_port()
+    with UdpWire(double, port):
+        arm = ArmBeside(Kuka, KukaConfig(address=LOOPBACK, port=port, wait_s=PATIENCE_S)).open()
+        if moving:
+            arm.set_velocity(RATES, 30.0)
+            assert double.moved.wait(PATIENCE_S)
+        double.out = True
+        with pytest.raises(NotStopped, match="emergency stop") if moving else contextlib.nullcontext():
+            arm.close()
+        assert not arm.is_open
 
 
 FORGETS = """
