@@ -24,6 +24,7 @@ STAGES = tuple(
 )
 LAYERS: dict[str, tuple[str, ...]] = {
     "arrays": (),
+    "bench_cases": (),
     "errors": (),
     "plain": (),
     "processes": (),
@@ -57,18 +58,30 @@ LAYERS: dict[str, tuple[str, ...]] = {
         *("rows", "session", *STAGES),
     ),
     "studies": (
-        *("arrays", "capsule", "errors", "experiments", "files", "frames", "lab", "pictures", "plain", "recording"),
+        *(
+            "api",
+            "arrays",
+            "capsule",
+            "errors",
+            "experiments",
+            "files",
+            "frames",
+            "lab",
+            "pictures",
+            "plain",
+            "recording",
+        ),
         *("rig", "robot", "session", *STAGES),
     ),
     # A GPU machine that has numpy, scipy and warp alone runs it.
-    "bench": ("arrays", "errors", "plain", *STAGES),
-    "config": ("bench", "errors", "file_io"),
+    "bench": ("arrays", "bench_cases", "errors", "plain", *STAGES),
+    "config": ("bench_cases", "errors", "file_io"),
     "file_io": ("errors",),
     "terminal": ("errors",),
     # What the commands compute, with doubles from the laboratory where they are asked for.
     "api": (
         *("arrays", "config", "errors", "experiments", "file_io", "files", "frames", "images", "lab", "log"),
-        *("page", "pictures", "plain", "processes", "recording", "rig", "robot", "session", "studies", "terminal"),
+        *("page", "pictures", "plain", "processes", "recording", "rig", "robot", "session", "terminal"),
         *STAGES,
     ),
 }

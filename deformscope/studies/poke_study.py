@@ -11,15 +11,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from deformscope.api.poke_comparison import compare
 from deformscope.lab.slab import RigidTip, Slab, press
 from deformscope.stages.fit.model import Observation
 from deformscope.stages.fit.search import Progress
 from deformscope.stages.msm.poke import Tip
+from deformscope.stages.poke.comparison import PokeComparison
 from deformscope.stages.poke.layers import MeasuredSurface
 from deformscope.stages.poke.poke_estimate import PokesFound, conclude
 from deformscope.stages.poke.poke_fit import fit_pokes, seen_poke
 from deformscope.studies.poke_slabs import PokedSlab, draw_slab
-from deformscope.studies.prediction import PokeComparison, compare
 
 GRID = 0.01
 """Spacing of the surface points that are seen [m]."""

@@ -20,6 +20,7 @@ import msgspec
 import numpy as np
 
 from deformscope.arrays import FloatArray
+from deformscope.stages.poke.comparison import Score, predict_seen
 from deformscope.stages.poke.fitted import FittedModel, Prediction
 from deformscope.stages.poke.layers import MeasuredSurface
 from deformscope.stages.poke.poke_estimate import model_of
@@ -29,7 +30,6 @@ from deformscope.stages.regions.posterior import SurfaceKind
 from deformscope.studies.coverage import Rate
 from deformscope.studies.poke_slabs import KINDS, POKE_GROUPS, PokedSlab, PokeGroup, SlabKind, Split, draw_slab
 from deformscope.studies.poke_study import GRID, OTHER_TIPS, TIP, Press, observe, plan_of
-from deformscope.studies.prediction import Score, predict_seen
 
 TIPS = (TIP, *OTHER_TIPS)
 """Of unseen pokes, in turn [m]."""

@@ -8,12 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from deformscope.pictures.figures import canvas, png_of
+from deformscope.stages.poke.comparison import PokeComparison
 from deformscope.stages.poke.fitted import Prediction
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-    from deformscope.studies.prediction import PokeComparison
 
 SIMULATED, MEASURED, TIP = "#d92b2b", "#1f5fd0", "#555555"
 ACROSS = 3
