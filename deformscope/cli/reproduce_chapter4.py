@@ -26,8 +26,7 @@ from deformscope.pictures.figures import write_rows
 from deformscope.pictures.findings import Findings, dict_table
 from deformscope.pictures.report import Table
 from deformscope.processes import in_processes
-from deformscope.session import Step
-from deformscope.studies.chapter4 import (
+from deformscope.reproduce.chapter4 import (
     HARDNESSES_N,
     SCENARIOS,
     FoamDent,
@@ -36,7 +35,8 @@ from deformscope.studies.chapter4 import (
     in_words,
     press_foam,
 )
-from deformscope.studies.chapter4_figures import draw_betas, draw_dents, draw_fields
+from deformscope.reproduce.chapter4_figures import draw_betas, draw_dents, draw_fields
+from deformscope.session import Step
 
 Job = TypeVar("Job")
 Found = TypeVar("Found")

@@ -27,10 +27,9 @@ from deformscope.config import CubesConfig
 from deformscope.pictures.figures import write_rows
 from deformscope.pictures.findings import Findings, dict_table
 from deformscope.pictures.report import Table
-from deformscope.session import Step
-from deformscope.studies import cubes as study
-from deformscope.studies import cubes_figures as figures
-from deformscope.studies.cubes import (
+from deformscope.reproduce import cubes as study
+from deformscope.reproduce import cubes_figures as figures
+from deformscope.reproduce.cubes import (
     Cube,
     ElementTime,
     Found,
@@ -43,7 +42,8 @@ from deformscope.studies.cubes import (
     rises,
     thesis_cubes,
 )
-from deformscope.studies.cubes_figures import depth_name, sem_rows, time_rows
+from deformscope.reproduce.cubes_figures import depth_name, sem_rows, time_rows
+from deformscope.session import Step
 
 
 def run(config: CubesConfig) -> None:

@@ -14,8 +14,8 @@ from deformscope.pictures.dents import dents_png
 from deformscope.pictures.figures import write_rows
 from deformscope.pictures.findings import Findings
 from deformscope.pictures.report import Figure, Table
+from deformscope.reproduce.poke_study import Studied, plans, rows, study
 from deformscope.session import Step
-from deformscope.studies.poke_study import Studied, plans, rows, study
 
 
 def run(config: PokesConfig) -> None:

@@ -15,7 +15,7 @@ from deformscope.config import SqueezesConfig
 
 if TYPE_CHECKING:
     from deformscope.files.squeeze_dataset import TrialRow
-    from deformscope.studies.squeeze_truth import Numbers
+    from deformscope.reproduce.squeeze_truth import Numbers
 
 KEPT_TOGETHER = 20
 """Trials that are written together."""
@@ -25,9 +25,9 @@ def run(config: SqueezesConfig) -> None:
     """Squeeze what is not there yet, compare, draw."""
     from deformscope.pictures.findings import Findings
     from deformscope.pictures.report import Figure, Table
+    from deformscope.reproduce.squeeze_truth import truth_rows
+    from deformscope.reproduce.squeeze_truth_figure import truth_png
     from deformscope.session import Step
-    from deformscope.studies.squeeze_truth import truth_rows
-    from deformscope.studies.squeeze_truth_figure import truth_png
 
     make_folder(config.out)
     with recorder_of(config) as recorder:
@@ -49,8 +49,8 @@ def _squeezed(config: SqueezesConfig) -> list[Numbers]:
     from deformscope.files.squeeze_dataset import SqueezeDataset
     from deformscope.lab.container_setup import container_lab
     from deformscope.processes import in_processes
-    from deformscope.studies.containers import squeeze_jobs
-    from deformscope.studies.squeeze_truth import squeeze_errors
+    from deformscope.reproduce.containers import squeeze_jobs
+    from deformscope.reproduce.squeeze_truth import squeeze_errors
 
     folder = config.out / "squeezes"
     jobs = squeeze_jobs(folder, config.trials, config.cylinders, 0, config.output.seed, new=True)

@@ -30,12 +30,12 @@ from deformscope.pictures.figures import write_rows
 from deformscope.pictures.findings import Findings, dict_table
 from deformscope.pictures.report import Table
 from deformscope.processes import in_processes
+from deformscope.reproduce.closed_form_table import run_closed_form
+from deformscope.reproduce.table41 import run_table
+from deformscope.reproduce.table41_runs import TableJob, TableRun, add_run, read_runs
+from deformscope.reproduce.table41_summary import LOOKED_AT, PASSED_IOU, compare, curves, summarise
 from deformscope.session import Step
 from deformscope.stages.map.plan import Planner
-from deformscope.studies.closed_form_table import run_closed_form
-from deformscope.studies.table41 import run_table
-from deformscope.studies.table41_runs import TableJob, TableRun, add_run, read_runs
-from deformscope.studies.table41_summary import LOOKED_AT, PASSED_IOU, compare, curves, summarise
 
 RUNS = "runs.jsonl"
 

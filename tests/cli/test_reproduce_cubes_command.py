@@ -13,7 +13,7 @@ pytest.importorskip("tyro")
 pytest.importorskip("warp")
 
 from deformscope.cli import EXIT_INPUT, main
-from deformscope.studies import cubes
+from deformscope.reproduce import cubes
 from tests.cli.recorded import assert_shows
 
 TOP = {

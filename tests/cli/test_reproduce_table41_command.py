@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 
 from deformscope.cli import main
+from deformscope.reproduce.table41_runs import MapAfter, TableJob, TableRun, add_run
 from deformscope.stages.map.map_score import MapScore
 from deformscope.stages.map.plan import Planner
-from deformscope.studies.table41_runs import MapAfter, TableJob, TableRun, add_run
 
 ONE = ["reproduce", "table41", "--workers", "1"]
 

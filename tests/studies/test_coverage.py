@@ -8,8 +8,8 @@ import pytest
 pytest.importorskip("warp")
 
 from deformscope.stages.msm import clusters, reference
-from deformscope.studies import coverage
-from deformscope.studies.coverage import (
+from studies import coverage
+from studies.random_bodies import (
     CONDITIONS,
     NOTHING,
     Case,
@@ -20,7 +20,7 @@ from deformscope.studies.coverage import (
     rank_counts,
     ranks_png,
 )
-from deformscope.studies.unseen_pokes import FoamBody, PokeCase, try_unseen_poke
+from studies.unseen_pokes import FoamBody, PokeCase, try_unseen_poke
 from tests.cases import slow_but
 
 FAST = 12

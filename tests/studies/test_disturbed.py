@@ -6,9 +6,9 @@ import pytest
 
 pytest.importorskip("warp")
 
-from deformscope.studies.coverage import Outcome
-from deformscope.studies.disturbed import DisturbedCase, DisturbedOutcome, disturbed_rows, try_disturbed
-from deformscope.studies.theta_settings import SIDES, try_setting
+from studies.disturbed import DisturbedCase, DisturbedOutcome, disturbed_rows, try_disturbed
+from studies.random_bodies import Outcome
+from studies.theta_settings import SIDES, try_setting
 
 
 def test_wrong_tracks_are_counted_against_those_left_out() -> None:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from deformscope.studies import lump_search
-from deformscope.studies.lump_search import LumpAfter, LumpCase, LumpOutcome, foam_rows, lump_rows
+from studies import lump_search
+from studies.lump_search import LumpAfter, LumpCase, LumpOutcome, foam_rows, lump_rows
 
 LUMP = (0.1, 0.1, 0.02, 0.012)
 

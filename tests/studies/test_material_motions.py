@@ -10,7 +10,7 @@ import pytest
 pytest.importorskip("warp")
 
 from deformscope.cli import main
-from deformscope.studies.material_motions import (
+from studies.material_motions import (
     HELD_S,
     PARAMETERS,
     RAMP_S,
@@ -19,7 +19,7 @@ from deformscope.studies.material_motions import (
     recovering,
     try_motion,
 )
-from deformscope.studies.quantities import quantity_rows
+from studies.quantities import quantity_rows
 from tests.cases import slow
 
 

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from deformscope.lab.slab import RigidTip, press
+from deformscope.reproduce.poke_slabs import BORDER, KINDS, SIZE, draw_slab
+from deformscope.reproduce.poke_study import Press, observe, plan_of
 from deformscope.stages.poke import stiffness_field
-from deformscope.studies.poke_slabs import BORDER, KINDS, SIZE, draw_slab
-from deformscope.studies.poke_study import Press, observe, plan_of
-from deformscope.studies.predicted_forces import (
+from studies.predicted_forces import (
     ForceCase,
     Slab24,
     TriedSlab,

@@ -10,7 +10,7 @@ from scipy.stats import binom
 
 from deformscope.lab.session_errors import LabErrors
 from deformscope.stages.regions.posterior import RegionPrior
-from deformscope.studies.region_coverage import (
+from studies.region_coverage import (
     REGION_CONDITIONS,
     RegionCase,
     RegionCondition,

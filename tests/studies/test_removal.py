@@ -7,7 +7,7 @@ import pytest
 
 from deformscope.lab.ray_camera import FOAM, ROBOT
 from deformscope.robot.description import Removal
-from deformscope.studies.removal import (
+from studies.robot_pictures import (
     DOUBT_M,
     RemovalCount,
     RemovalScene,

@@ -12,15 +12,15 @@ import pytest
 
 from deformscope.cli import main
 from deformscope.lab.faults import Injected
-from deformscope.studies import layouts
-from deformscope.studies.driven_faults import KINDS, Driven, run_any, run_driven, run_killed
-from deformscope.studies.fault_study import ACCELERATION_DEG_S2, FaultRun
-from deformscope.studies.layouts import run_layout, walk_to_singularity_deg
-from deformscope.studies.silent_kuka import SILENCES, Silence, SilentRun, run_silent
 from deformscope_drivers.jaco import JacoDouble
 from deformscope_drivers.jaco.structures import AngularInfo, PositionType, TrajectoryPoint
 from deformscope_drivers.kuka.chains import CHAINS
 from deformscope_drivers.memory import SimulatedClock
+from studies import layouts
+from studies.driven_faults import KINDS, Driven, run_any, run_driven, run_killed
+from studies.fault_study import ACCELERATION_DEG_S2, FaultRun
+from studies.layouts import run_layout, walk_to_singularity_deg
+from studies.silent_kuka import SILENCES, Silence, SilentRun, run_silent
 
 
 @pytest.mark.parametrize("driven", [*list(Driven)[:3], pytest.param(Driven.SINGULAR, marks=pytest.mark.slow)])

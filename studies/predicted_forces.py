@@ -1,0 +1,272 @@
+"""Random slabs, half of whose 24 pokes are fitted: do the intervals of the force hold at the other half?
+
+Two ways. In full: finite elements press the slab, a shape-matching model is fitted to what the surface did, and
+predicts other places, tips and forces; some minutes a slab, however many scatters. Fast: what finite elements were
+found to do with a border (`PokedSlab.apparent`) stands for both, and the field of stiffness alone is tried, by the
+thousand.
+
+Either under scatter of the force from poke to poke that the model is not given; a seed has one pattern of it on slabs
+of all kinds.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from deformscope.arrays import FloatArray
+from deformscope.reproduce.poke_slabs import KINDS, POKE_GROUPS, PokedSlab, PokeGroup, SlabKind, Split, draw_slab
+from deformscope.reproduce.poke_study import GRID, OTHER_TIPS, TIP, Press, observe, plan_of
+from deformscope.stages.poke.comparison import Score, predict_seen
+from deformscope.stages.poke.fitted import FittedModel, Prediction
+from deformscope.stages.poke.layers import MeasuredSurface
+from deformscope.stages.poke.poke_estimate import model_of
+from deformscope.stages.poke.poke_fit import SeenPoke, fit_pokes, seen_poke
+from deformscope.stages.poke.stiffness_field import fit_field
+from deformscope.stages.regions.posterior import SurfaceKind
+from studies.random_bodies import Rate
+
+TIPS = (TIP, *OTHER_TIPS)
+"""Of unseen pokes, in turn [m]."""
+
+ELEMENT = 0.5
+"""Size of the finite elements at the tip, as a share of its half width: forces are then 2 % above those of elements a
+third of it, whatever the tip, in a quarter of the time."""
+
+WRONG = 0.2
+"""A force that is off by more is counted."""
+
+
+@dataclass(frozen=True, slots=True)
+class ForceCase:
+    """A slab to try. scatter: deviation of the force's logarithm from poke to poke; full: with finite
+    elements; split: which half is fitted"""
+
+    kind: SlabKind
+    seed: int
+    scatter: float = 0.0
+    full: bool = False
+    level: float = 0.9
+    split: Split = "alternate"
+
+
+@dataclass(frozen=True, slots=True)
+class UnseenForce:
+    """An unseen poke.
+
+    place [m]; inside: its signed distance to the border [m], None without one; same_tip: as fitted; force: true [N], of
+    the fast way up to a factor; error: of the predicted one, relative; low, high: ends of the interval over the true
+    force; held: it holds that; width: of it over the predicted force; surface_error: share of the depth, None of the
+    fast way
+    own_nearest: of the fitted pokes, the nearest is on the same side of the border
+    """
+
+    group: PokeGroup
+    place: tuple[float, float]
+    inside: float | None
+    same_tip: bool
+    force: float
+    error: float
+    low: float
+    high: float
+    held: bool
+    width: float
+    surface_error: float | None
+    own_nearest: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class TriedSlab:
+    """field: what the model takes the surface for; pokes: the unseen ones"""
+
+    case: ForceCase
+    field: SurfaceKind
+    pokes: tuple[UnseenForce, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class ForceRow:
+    """A line of the tables: pokes of one group on slabs of one kind, or of all. error: root mean square, relative;
+    own_error: of those alone whose nearest fitted poke is on the same side of the border, None where there are none;
+    wrong: of the pokes, those off by more than a fifth; surface_error: root mean square share of the depth, None of the
+    fast way"""
+
+    slab: str
+    group: PokeGroup
+    scatter: float
+    full: bool
+    error: float
+    own_error: float | None
+    wrong: int
+    held: Rate
+    width: float
+    surface_error: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class Slab24:
+    """Work: one slab under several scatters. cases: of one kind, seed and split; kept_in: folder of a file for each
+    slab, read where it is there"""
+
+    cases: tuple[ForceCase, ...]
+    kept_in: Path | None = None
+
+
+def slab_works(
+    kinds: Sequence[SlabKind],
+    seeds: Sequence[int],
+    scatters: Sequence[float],
+    full: bool,
+    level: float = 0.9,
+    split: Split = "alternate",
+    kept_in: Path | None = None,
+) -> list[Slab24]:
+    """Every slab under every scatter, seed by seed."""
+    return [
+        Slab24(tuple(ForceCase(kind, seed, one, full, level, split) for one in scatters), kept_in)
+        for seed in seeds
+        for kind in kinds
+    ]
+
+
+def try_slab(work: Slab24) -> tuple[TriedSlab, ...]:
+    """Draw the slab, fit half of its pokes and predict the others, under each scatter."""
+    first = work.cases[0]
+    if work.kept_in is None:
+        return _try(work.cases)
+    ways = "full" if first.full else "fast"
+    path = work.kept_in / f"{first.kind.replace(' ', '-')}-{first.seed}-{first.split}-{ways}.json"
+    if path.exists():
+        found = msgspec.json.decode(path.read_bytes(), type=tuple[TriedSlab, ...])
+        if tuple(one.case for one in found) == work.cases:
+            return found
+    tried = _try(work.cases)
+    half = path.with_suffix(".part")
+    half.write_bytes(msgspec.json.encode(tried))
+    half.replace(path)
+    return tried
+
+
+def _try(cases: Sequence[ForceCase]) -> tuple[TriedSlab, ...]:
+    drawn = draw_slab(cases[0].kind, cases[0].seed, cases[0].split)
+    pressed = _press(drawn) if cases[0].full else None
+    tried = []
+    for case in cases:
+        factor = np.exp(case.scatter * np.random.default_rng([case.seed, 29]).normal(size=len(drawn.places)))
+        tried.append(_fast(case, drawn, factor) if pressed is None else _in_full(case, drawn, factor, pressed))
+    return tuple(tried)
+
+
+def _fast(case: ForceCase, drawn: PokedSlab, factor: FloatArray) -> TriedSlab:
+    stiffness = factor * drawn.apparent(drawn.places)
+    field = fit_field(drawn.places[drawn.fitted], stiffness[drawn.fitted], TIP[0])
+    unseen = np.flatnonzero(~drawn.fitted)
+    value, ends = field.at(drawn.places[unseen]), field.interval(drawn.places[unseen], case.level)
+    pokes = [
+        _judged(drawn, int(i), float(stiffness[i]), float(value[row]), (float(ends[row, 0]), float(ends[row, 1])))
+        for row, i in enumerate(unseen)
+    ]
+    return TriedSlab(case, field.kind, tuple(pokes))
+
+
+@dataclass(frozen=True, slots=True)
+class _Pressed:
+    """What does not depend on the scatter of forces: a fitted model, and unseen pokes with what it predicts."""
+
+    model: FittedModel
+    unseen: tuple[tuple[Press, SeenPoke, Prediction, Score], ...]
+
+
+def _press(drawn: PokedSlab) -> _Pressed:
+    plan = plan_of(drawn, TIPS)
+
+    def measured(press: Press) -> SeenPoke:
+        return seen_poke(observe(plan.slab, press, ELEMENT))
+
+    surface = MeasuredSurface(plan.slab.grid(GRID), plan.slab.size[2])
+    model = model_of(fit_pokes(surface, [measured(press) for press in plan.fitted]), {})
+    unseen = []
+    for press in plan.unseen:
+        poke = measured(press)
+        found, _, score = predict_seen(model, poke)
+        unseen.append((press, poke, found, score))
+    return _Pressed(model, tuple(unseen))
+
+
+def _in_full(case: ForceCase, drawn: PokedSlab, factor: FloatArray, pressed: _Pressed) -> TriedSlab:
+    """Forces that are off by these factors (24,) change the stiffness alone that pokes meet."""
+    model = dataclasses.replace(pressed.model, stiffness=pressed.model.stiffness * factor[drawn.fitted])
+    assert model.between is not None
+    pokes = []
+    for (press, poke, found, score), i in zip(pressed.unseen, np.flatnonzero(~drawn.fitted), strict=True):
+        assert poke.force is not None
+        assert found.force is not None
+        assert found.stiffness is not None
+        assert found.layers is not None
+        met = model.stiffness_at(found.poke, found.layers.spacing, found.force_deviation)
+        assert met is not None
+        reaction = found.force / found.stiffness
+        low, high = (reaction * end for end in met.interval)
+        judged = _judged(drawn, int(i), poke.force * float(factor[i]), reaction * met.value, (low, high))
+        pokes.append(dataclasses.replace(judged, same_tip=press.sides == TIP, surface_error=score.surface_error))
+    return TriedSlab(case, model.between.kind, tuple(pokes))
+
+
+def _judged(drawn: PokedSlab, which: int, force: float, predicted: float, ends: tuple[float, float]) -> UnseenForce:
+    x, y = (float(value) for value in drawn.places[which])
+    fitted = drawn.places[drawn.fitted]
+    nearest = fitted[np.argmin(np.linalg.norm(fitted - drawn.places[which], axis=1))]
+    inside = float(drawn.inside(drawn.places[which]))
+    return UnseenForce(
+        group=drawn.group(drawn.places[which]),
+        place=(x, y),
+        inside=inside if np.isfinite(inside) else None,
+        same_tip=True,
+        force=force,
+        error=predicted / force - 1.0,
+        low=ends[0] / force,
+        high=ends[1] / force,
+        held=ends[0] <= force <= ends[1],
+        width=(ends[1] - ends[0]) / predicted,
+        surface_error=None,
+        own_nearest=drawn.kind == "gradual" or bool((drawn.inside(nearest) > 0.0) == (inside > 0.0)),
+    )
+
+
+def force_rows(tried: Sequence[TriedSlab]) -> list[ForceRow]:
+    """All slabs together, then each kind by itself."""
+    rows = []
+    for scatter in dict.fromkeys(one.case.scatter for one in tried):
+        for kind in (None, *KINDS):
+            chosen = [one for one in tried if one.case.scatter == scatter and kind in (None, one.case.kind)]
+            for group in POKE_GROUPS:
+                pokes = [poke for one in chosen for poke in one.pokes if poke.group == group]
+                if pokes:
+                    rows.append(_row(kind or "all", group, scatter, chosen[0].case.full, pokes))
+    return rows
+
+
+def _row(slab: str, group: PokeGroup, scatter: float, full: bool, pokes: Sequence[UnseenForce]) -> ForceRow:
+    error = np.array([poke.error for poke in pokes])
+    surface = [poke.surface_error for poke in pokes if poke.surface_error is not None]
+    return ForceRow(
+        slab=slab,
+        group=group,
+        scatter=scatter,
+        full=full,
+        error=float(np.sqrt(np.mean(error**2))),
+        own_error=_rms(error[[poke.own_nearest for poke in pokes]]),
+        wrong=int(np.count_nonzero(np.abs(error) > WRONG)),
+        held=Rate(len(pokes), sum(poke.held for poke in pokes)),
+        width=float(np.median([poke.width for poke in pokes])),
+        surface_error=_rms(np.array(surface)),
+    )
+
+
+def _rms(error: FloatArray) -> float | None:
+    return float(np.sqrt(np.mean(error**2))) if len(error) else None
