@@ -2,35 +2,211 @@
 
 python -m studies beta --jobs 8 --json coverage-beta.json
 python -m studies beta --only "outliers,lost tracks" --objects 100
+
+Do the intervals hold where the data are not as assumed? Random bodies of known beta or theta whose observed
+positions carry errors that neighbours share over several cells, outliers, lost tracks, or a held particle that is off.
+
+Bodies, sizes of noise and truths are those of `studies.random_bodies`; a third of the bodies is in space.
 """
 
 from __future__ import annotations
 
-import dataclasses
-import time
-from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import Annotated
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Annotated, get_args
 
-from tyro.conf import OmitArgPrefixes, arg
+import numpy as np
+from tyro.conf import arg
 
-from deformscope.cli.common import examined, fit_progress, quiet_warp, recorder_of, show, write_json
-from deformscope.cli.study import Study
+from deformscope.arrays import BoolArray, FloatArray
+from deformscope.cli.study import Report, Study, StudyOptions, Trials
 from deformscope.config import flags
-from deformscope.config.options import OutputOptions, RecordedOptions
 from deformscope.errors import InputError
-from deformscope.pictures.findings import Findings
 from deformscope.pictures.report import Table
-from deformscope.session import Step
-from deformscope.stages.fit.estimate import Parameter
-from studies.coverage import rate_json
-from studies.disturbed import DISTURBED, DisturbedCase, DisturbedRow, disturbed_rows, try_disturbed
-from studies.random_bodies import Rate
-from studies.theta_settings import SETTINGS, try_setting
+from deformscope.stages.fit.calibrate import FitOptions, Model, Observation
+from deformscope.stages.fit.estimate import DoubtCode, Parameter, Verdict
+from studies.quantities import (
+    Quantity,
+    Rate,
+    Row,
+    band,
+    by,
+    counts,
+    number,
+    rows,
+    share,
+    table,
+)
+from studies.random_bodies import (
+    BOUNDS,
+    CANDIDATES,
+    SPACING_M,
+    Outcome,
+    RandomBody,
+    fitted,
+    random_body,
+    random_dim,
+    random_noise,
+    random_sigma,
+)
+
+FRAMES = 5
+"""Frames of a whole motion, pushed on evenly."""
+
+OUTLIERS = (0.1, 1.0)
+"""Distances of a wrong track from where its particle is, even between these [spacings]."""
+
+LOST = (0.0, 0.8)
+"""Share of its motion up to which a lost track follows its particle, even between these."""
+
+THETA_BETA = 0.9
+"""beta of the bodies whose theta is looked for."""
 
 
 @dataclass(frozen=True, slots=True)
-class DisturbedCoverageConfig(RecordedOptions):
+class Disturbance:
+    """How observed positions err.
+
+    cells: over how many spacings neighbours share errors (0: not at all), 0.7 to 1.3 times it, exponential, Matern or
+    Gaussian; white: share of the variance that they do not; held_noise: held positions have it too
+    wrong, lost: share of the free particles whose track is wrong or lost; off: distance of one held particle from where
+    it is said to be [spacings]; frames: of a motion, None for its end alone; frames_share: all have the same errors
+    """
+
+    cells: float = 0.0
+    white: float = 0.0
+    held_noise: bool = True
+    wrong: float = 0.0
+    lost: float = 0.0
+    off: float = 0.0
+    frames: int | None = None
+    frames_share: bool = False
+
+
+DISTURBED: dict[str, Disturbance] = {
+    "white": Disturbance(),
+    "shared over 1 cell": Disturbance(cells=1.0),
+    "shared over 2 cells": Disturbance(cells=2.0),
+    "shared over 3 cells": Disturbance(cells=3.0),
+    "shared over 6 cells": Disturbance(cells=6.0),
+    "half white, half over 2 cells": Disturbance(cells=2.0, white=0.5),
+    "half white, half over 6 cells": Disturbance(cells=6.0, white=0.5),
+    "white, held exact": Disturbance(held_noise=False),
+    "10 % outliers": Disturbance(wrong=0.1),
+    "30 % outliers": Disturbance(wrong=0.3),
+    "30 % lost tracks": Disturbance(lost=0.3),
+    "over 2 cells, 10 % outliers": Disturbance(cells=2.0, wrong=0.1),
+    "a held particle off by .3 cell": Disturbance(off=0.3),
+    "motion, errors of each frame's own": Disturbance(frames=FRAMES),
+    "motion, errors that frames share, over 2 cells": Disturbance(cells=2.0, frames=FRAMES, frames_share=True),
+    "motion, 10 % outliers": Disturbance(wrong=0.1, frames=FRAMES),
+}
+"""By name."""
+
+
+@dataclass(frozen=True, slots=True)
+class DisturbedCase:
+    """One random object: its name in `DISTURBED`, which parameter is fitted, its number and the seed."""
+
+    name: str
+    number: int
+    seed: int
+    parameter: Parameter = "beta"
+    level: float = 0.9
+
+
+@dataclass(frozen=True, slots=True)
+class DisturbedOutcome:
+    """What came of one object. disturbed, found: particles whose track was made wrong or lost or whose held position
+    is off, and those that were left out; both: how many are in both"""
+
+    outcome: Outcome
+    disturbed: int = 0
+    found: int = 0
+    both: int = 0
+
+
+def try_disturbed(case: DisturbedCase) -> DisturbedOutcome:
+    """One random object through the calibration."""
+    what = DISTURBED[case.name]
+    rng = np.random.default_rng([case.seed, 16, list(DISTURBED).index(case.name), case.number])
+    body = random_body(rng, random_dim(case.number))
+    bounds = BOUNDS if case.parameter == "beta" else (0.0, 1.0)
+    truth = float(rng.uniform(*bounds))
+    model = _model(case.parameter, body)
+    errors = _Errors(what, body, random_sigma(rng), rng)
+    frames = what.frames or 1
+    seen = [errors.observe(model, truth, (frame + 1) / frames) for frame in range(frames)]
+    options = FitOptions(model, bounds, candidates=CANDIDATES, level=case.level)
+    outcome, found = fitted(case.name, truth, seen, options, one_motion=what.frames is not None)
+    left_out = np.zeros(len(body.rest), dtype=bool)
+    for one in found.left_out:
+        left_out[np.concatenate([one.lost, one.wrong, one.held])] = True
+    counts = (int(np.count_nonzero(one)) for one in (errors.bad, left_out, errors.bad & left_out))
+    return DisturbedOutcome(outcome, *counts)
+
+
+def _model(parameter: Parameter, body: RandomBody) -> Model:
+    if parameter == "beta":
+        return Model(cluster_size=body.cluster_size)
+    return Model(parameter="theta", cluster_size=body.cluster_size, beta=THETA_BETA, volume="project")
+
+
+class _Errors:
+    """The errors of one object, drawn once. bad: (K,) particles whose track is wrong or lost, or whose held
+    position is off"""
+
+    def __init__(self, what: Disturbance, body: RandomBody, sigma: float, rng: np.random.Generator) -> None:
+        self.what, self.body, self.sigma, self.rng = what, body, sigma, rng
+        count, d = body.rest.shape
+        self.free: BoolArray = np.ones(count, dtype=bool)
+        self.free[body.held] = False
+        self.same = self._noise()
+        draw = rng.random(count)
+        self.wrong: BoolArray = self.free & (draw < what.wrong)
+        self.lost: BoolArray = self.free & (what.wrong <= draw) & (draw < what.wrong + what.lost)
+        self.bad = self.wrong | self.lost
+        self.jump = SPACING_M * rng.uniform(*OUTLIERS, (count, 1)) * _directions(rng, count, d)
+        self.until = rng.uniform(*LOST, (count, 1))
+        self.off = np.zeros((count, d))
+        misheld = rng.choice(body.held)
+        self.off[misheld] = SPACING_M * what.off * _directions(rng, 1, d)[0]
+        self.bad[misheld] = what.off > 0.0
+
+    def _noise(self) -> FloatArray:
+        what, rng, rest = self.what, self.rng, self.body.rest
+        noise = np.sqrt(what.white if what.cells else 1.0) * rng.standard_normal(rest.shape)
+        if what.cells:
+            noise += np.sqrt(1.0 - what.white) * random_noise(rng, rest / what.cells, correlated=True)
+        if not what.held_noise:
+            noise[self.body.held] = 0.0
+        return np.asarray(self.sigma * noise)
+
+    def observe(self, model: Model, truth: float, share: float) -> Observation:
+        """What is seen when a share of the motion is done."""
+        body = self.body
+        start = body.rest[body.held]
+        held = start + share * (body.held_position - start)
+        beta, theta = (truth, 0.0) if model.parameter == "beta" else (model.beta, truth)
+        simulated = model.body(body.observe(body.rest)).relax(held, beta, theta, volume=model.volume).position[0]
+        noise = self.same if self.what.frames_share or self.what.frames is None else self._noise()
+        seen = simulated + noise + self.off
+        seen[self.wrong] += self.jump[self.wrong]
+        stays = self.lost & (share > self.until[:, 0])
+        seen[stays] -= ((1.0 - self.until / share) * (simulated - body.rest))[stays]
+        return body.observe(seen, self.sigma)
+
+
+def _directions(rng: np.random.Generator, count: int, d: int) -> FloatArray:
+    drawn = rng.standard_normal((count, d))
+    return np.asarray(drawn / np.linalg.norm(drawn, axis=1, keepdims=True))
+
+
+# The study -----------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class DisturbedCoverageConfig(StudyOptions):
     """Count how often the intervals hold the truth where data are not as assumed: errors that neighbours share over 1
     to 6 cells, with and without white noise, outliers, lost tracks, a held particle that is off, whole motions."""
 
@@ -40,49 +216,74 @@ class DisturbedCoverageConfig(RecordedOptions):
     """These kinds alone, such as "30 % outliers,30 % lost tracks"; parts of their names do."""
     level: flags.LevelFlag = 0.9
     """Confidence level of the intervals."""
-    jobs: flags.ManyFlag = 2
-    """Processes that share the work."""
-    output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
 
 
-def beta(config: DisturbedCoverageConfig) -> None:
-    """Of beta."""
-    _run(config, "beta")
+def _fits(some: Sequence[DisturbedOutcome]) -> list[Outcome]:
+    return [one.outcome for one in some]
 
 
-def theta(config: DisturbedCoverageConfig) -> None:
-    """Of theta."""
-    _run(config, "theta")
+def _covered(some: Sequence[DisturbedOutcome], dim: int | None = None) -> Rate:
+    """Truths within their intervals, in the plane or in space."""
+    return Rate.of(one.covered for one in _fits(some) if dim in (None, one.dim))
 
 
-def _run(config: DisturbedCoverageConfig, parameter: Parameter) -> None:
-    quiet_warp()
-    started, seed, level = time.monotonic(), config.output.seed, config.level
-    settings = SETTINGS if parameter == "theta" else ()
-    names = names_of(config.only, (*DISTURBED, *settings))
-    cases = [DisturbedCase(name, number, seed, parameter, level) for name in names for number in range(config.objects)]
-    disturbed, at_settings = ([one for one in cases if (one.name in settings) is kind] for kind in (False, True))
-    with recorder_of(config) as recorder:
-        with fit_progress() as note:
-            rows = disturbed_rows(examined("random objects", try_disturbed, disturbed, config.jobs, note))
-            others = disturbed_rows(examined("cubes at two settings", try_setting, at_settings, config.jobs, note))
-        tables = [disturbed_table(f"{level:.0%} intervals for {parameter}", rows)] if rows else []
-        if others:
-            tables.append(settings_table(f"{level:.0%} intervals that hold the theta found at another setting", others))
-        found = Findings(tuple(tables))
-        show(found)
-        recorder.write(Step((found,)))
-    write_json(
-        {
-            "parameter": parameter,
-            "level": level,
-            "seed": seed,
-            "disturbances": [row_json(row) | {"errors": dataclasses.asdict(DISTURBED[row.name])} for row in rows],
-            **({"settings": [row_json(row) for row in others]} if settings else {}),
-            "seconds": time.monotonic() - started,
-        },
-        config.output.json,
-    )
+def _called(verdict: Verdict) -> Callable[[Sequence[DisturbedOutcome]], Rate]:
+    return lambda some: Rate.of(one.verdict == verdict for one in _fits(some))
+
+
+def _alarms(some: Sequence[DisturbedOutcome]) -> Rate:
+    """Of particles that are not disturbed, those left out."""
+    others = sum(one.outcome.particles - one.disturbed for one in some)
+    return Rate(others, sum(one.found - one.both for one in some))
+
+
+def _reasons(some: Sequence[DisturbedOutcome]) -> dict[DoubtCode, Rate]:
+    """How often each reason to doubt the value was named."""
+    named = {code: Rate.of(code in one.codes for one in _fits(some)) for code in get_args(DoubtCode)}
+    return {code: rate for code, rate in named.items() if rate.hits}
+
+
+def reasons_text(reasons: Mapping[DoubtCode, Rate]) -> str:
+    """How often each was named."""
+    return ", ".join(f"{code} {rate.rate:.2f}" for code, rate in reasons.items())
+
+
+QUANTITIES: tuple[Quantity[DisturbedOutcome], ...] = (
+    Quantity("condition", lambda some: some[0].outcome.condition, {"errors": str}),
+    Quantity("covered", _covered, {"cases": lambda rate: rate.cases, "held": share(3), "95 % band": band(3)}),
+    Quantity("covered_2d", lambda some: _covered(some, 2), {"2D": share(2)}),
+    Quantity("covered_3d", lambda some: _covered(some, 3), {"3D": share(2)}),
+    Quantity(
+        "width", lambda some: float(np.median([np.ptp(one.interval) for one in _fits(some)])), {"width": number(3)}
+    ),
+    Quantity(
+        "rms",
+        lambda some: float(np.sqrt(np.mean([(one.value - one.beta) ** 2 for one in _fits(some)]))),
+        {"rms difference": number(3)},
+    ),
+    Quantity("identified", _called("identified"), {"identified": share(2)}),
+    Quantity("unidentified", _called("unidentified"), {"unidentified": share(2)}),
+    Quantity(
+        "wrong",
+        lambda some: Rate.of(not one.covered for one in _fits(some) if one.verdict == "identified"),
+        {"identified without the truth": lambda rate: rate.hits},
+    ),
+    Quantity(
+        "caught",
+        lambda some: Rate(sum(one.disturbed for one in some), sum(one.both for one in some)),
+        {"wrong ones left out": share(2)},
+    ),
+    Quantity("alarms", _alarms, {"right ones left out": lambda rate: f"{rate.rate:.4f}"}),
+    Quantity("verdicts", lambda some: counts(one.verdict for one in _fits(some))),
+    Quantity("reasons", _reasons, {"reasons": reasons_text}),
+    Quantity("fit_seconds", lambda some: float(np.median([one.seconds for one in _fits(some)]))),
+)
+COLUMNS = {name: name for one in QUANTITIES for name in one.columns if name != "rms difference"}
+
+
+def disturbed_rows(tried: Sequence[DisturbedOutcome]) -> list[Row]:
+    """All quantities, of each disturbance."""
+    return rows(by(tried, lambda one: one.outcome.condition).values(), QUANTITIES)
 
 
 def names_of(only: str, every: Sequence[str]) -> list[str]:
@@ -94,72 +295,35 @@ def names_of(only: str, every: Sequence[str]) -> list[str]:
     return names
 
 
-def row_json(row: DisturbedRow) -> dict[str, object]:
-    rates = ("covered", "identified", "unidentified", "wrong", "caught", "alarms")
-    return {
-        "condition": row.name,
-        **{name: rate_json(getattr(row, name)) for name in rates},
-        "covered_2d": rate_json(row.by_dim[2]),
-        "covered_3d": rate_json(row.by_dim[3]),
-        "width": row.width,
-        "rms": row.rms,
-        "verdicts": row.verdicts,
-        "reasons": {code: rate_json(rate) for code, rate in row.reasons.items()},
-        "fit_seconds": row.seconds,
+def cases(options: DisturbedCoverageConfig, names: Sequence[str], parameter: Parameter) -> list[DisturbedCase]:
+    """So many objects of each of these names."""
+    numbers, seed = range(options.objects), options.output.seed
+    return [DisturbedCase(name, number, seed, parameter, options.level) for name in names for number in numbers]
+
+
+def summary(
+    options: DisturbedCoverageConfig, parameter: Parameter, seconds: float, tried: Sequence[DisturbedOutcome]
+) -> tuple[list[Table], dict[str, object]]:
+    """The table of what was disturbed, if anything, and what the JSON has."""
+    lines = disturbed_rows(tried)
+    tables = [table(lines, QUANTITIES, f"{options.level:.0%} intervals for {parameter}", COLUMNS)] if lines else []
+    return tables, {
+        "parameter": parameter,
+        "level": options.level,
+        "seed": options.output.seed,
+        "disturbances": [row | {"errors": DISTURBED[row["condition"]]} for row in lines],
+        "seconds": seconds,
     }
 
 
-def disturbed_table(title: str, rows: Sequence[DisturbedRow]) -> Table:
-    """A line for each disturbance."""
-    lines = [
-        (
-            *_held(row),
-            *(_rate(row.by_dim[dim]) for dim in (2, 3)),
-            f"{row.width:.3f}",
-            _rate(row.identified),
-            _rate(row.unidentified),
-            row.wrong.hits,
-            _rate(row.caught),
-            f"{row.alarms.rate:.4f}",
-            reasons_text(row),
-        )
-        for row in rows
-    ]
-    names: tuple[str, ...] = ("errors", "cases", "held", "95 % band", "2D", "3D", "width", "identified", "unidentified")
-    names += ("identified without the truth", "wrong ones left out", "right ones left out", "reasons")
-    return Table(lines, names, title)
+def trials(options: DisturbedCoverageConfig) -> list[Trials[DisturbedCase, DisturbedOutcome]]:
+    """Objects of the kinds of errors that are asked for."""
+    return [Trials("random objects", try_disturbed, cases(options, names_of(options.only, tuple(DISTURBED)), "beta"))]
 
 
-def settings_table(title: str, rows: Sequence[DisturbedRow]) -> Table:
-    """A line for each way in which two fits of a cube differ."""
-    lines = [
-        (
-            *_held(row),
-            f"{row.width:.3f}",
-            f"{row.rms:.3f}",
-            _rate(row.identified),
-            row.wrong.hits,
-            reasons_text(row),
-        )
-        for row in rows
-    ]
-    names = ("the other fit has", "cases", "held", "95 % band", "width", "rms difference", "identified")
-    return Table(lines, (*names, "identified without the other", "reasons"), title)
+def report(options: DisturbedCoverageConfig, seconds: float, tried: Sequence[DisturbedOutcome]) -> Report:
+    """A line of each kind of errors."""
+    return Report(*summary(options, "beta", seconds, tried))
 
 
-def reasons_text(row: DisturbedRow) -> str:
-    """How often each reason was named."""
-    return ", ".join(f"{code} {rate.rate:.2f}" for code, rate in row.reasons.items())
-
-
-def _held(row: DisturbedRow) -> tuple[object, ...]:
-    """Name, cases, and how often the intervals held."""
-    held = row.covered
-    return row.name, held.cases, f"{held.rate:.3f}", "{:.3f} to {:.3f}".format(*held.band)
-
-
-def _rate(rate: Rate) -> str:
-    return f"{rate.rate:.2f}" if rate.cases else ""
-
-
-STUDY = Study(DisturbedCoverageConfig, beta)
+STUDY = Study(DisturbedCoverageConfig, trials, report)

@@ -6,41 +6,33 @@ python -m studies coverage --objects 1000 --jobs 2 --out runs/coverage --json co
 
 from __future__ import annotations
 
-import time
+import dataclasses
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
 from typing import Annotated, Any
 
-from tyro.conf import OmitArgPrefixes
-
 from deformscope.cli.common import (
-    examined,
-    fit_progress,
     make_folder,
-    quiet_warp,
-    recorder_of,
-    show,
-    write_file,
-    write_json,
 )
-from deformscope.cli.study import Study
+from deformscope.cli.study import Report, Study, StudyOptions, Trials
 from deformscope.config import flags
-from deformscope.config.options import OutputOptions, RecordedOptions
 from deformscope.errors import InputError
-from deformscope.pictures.findings import Findings
 from deformscope.pictures.report import Figure, Table
-from deformscope.session import Step
 from deformscope.stages.fit.estimate import Verdict
-from studies.doubt_rates import CODES, EXPECTED, DoubtRow, doubt_plan, doubt_rows, try_doubts
+from studies.doubt_rates import CODES, EXPECTED, Doubted, DoubtRow, doubt_plan, doubt_rows, try_doubts
+from studies.quantities import (
+    Rate,
+    band,
+)
 from studies.random_bodies import (
     GROUPS,
     NOTHING,
     PART_APART,
     QUICK_OBJECTS,
     CoverageRow,
-    Rate,
+    Outcome,
     coverage_rows,
     plan,
     rank_counts,
@@ -52,7 +44,7 @@ from studies.unseen_pokes import PokeCase, UnseenPrediction, try_unseen_poke
 
 
 @dataclass(frozen=True, slots=True)
-class CoverageConfig(RecordedOptions):
+class CoverageConfig(StudyOptions):
     """Count how often the intervals hold the truth: random objects under each kind of noise, data without information,
     and unseen pokes of finite element bodies."""
 
@@ -63,59 +55,60 @@ class CoverageConfig(RecordedOptions):
     """15 objects each: what it looks like, in a minute."""
     level: flags.LevelFlag = 0.9
     """Confidence level of the intervals."""
-    jobs: flags.ManyFlag = 2
-    """Processes that share the work."""
     out: Annotated[Path | None, flags.one_word("DIR", Path), flags.unset] = None
     """Folder for the rank histogram (coverage.png); made where there is none."""
-    output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
 
     def check(self) -> None:
         if self.out is not None and self.out.exists() and not self.out.is_dir():
             raise InputError("a folder after --out", "a file", where=self.out)
 
 
-def run(config: CoverageConfig) -> None:
-    """Try all objects, print the tables, draw the ranks."""
-    if config.out is not None:
-        make_folder(config.out)
-    quiet_warp()
-    started, seed, level = time.monotonic(), config.output.seed, config.level
-    cases, nothing = plan(config.objects, seed, level, quick=config.quick)
-    bodies = -(-(QUICK_OBJECTS if config.quick else config.objects) // PART_APART)
-    pokes = [PokeCase(number, seed, level) for number in range(bodies)]
-    with recorder_of(config) as recorder:
-        with fit_progress() as note:
-            outcomes = examined("random objects", try_object, cases, config.jobs, note)
-            verdicts = examined("data without information", try_nothing, nothing, config.jobs, note)
-            doubted = examined("reasons to doubt", try_doubts, doubt_plan(bodies, seed), config.jobs, note)
-            predictions = examined("unseen pokes", try_unseen_poke, pokes, config.jobs, note)
-        rows = coverage_rows(outcomes)
-        said = {
-            kind: [verdict for case, verdict in zip(nothing, verdicts, strict=True) if case.kind == kind]
-            for kind in NOTHING
-        }
-        unidentified = {kind: Rate(len(some), some.count("unidentified")) for kind, some in said.items()}
-        ranks = rank_counts([one for one, case in zip(outcomes, cases, strict=True) if case.truth == "prior"])
-        groups, doubts = prediction_groups(predictions), doubt_rows(doubted)
-        fit_s = {f"{dim}D": median([one.seconds for one in outcomes if one.dim == dim]) for dim in (2, 3)}
-        seconds, png = time.monotonic() - started, ranks_png(ranks)
-        picture = None if config.out is None else config.out / "coverage.png"
-        took = [(f"a fit in {dim}", f"{one:.2g} s") for dim, one in fit_s.items()] + [("all", f"{seconds:.0f} s")]
-        found = Findings(
-            (
-                coverage_table(f"{level:.0%} intervals for beta: how many hold the truth", rows),
-                _nothing_table(said, unidentified),
-                doubts_table(doubts),
-                _pokes_table(f"{level:.0%}", groups),
-                Table(took + ([] if picture is None else [("ranks", str(picture))]), caption="Time"),
-            ),
-            (Figure(png, "Ranks of the truths in their posteriors: level where the intervals are right"),),
-        )
-        show(found)
-        recorder.write(Step((found,)))
-    write_file(picture, png)
+def trials(options: CoverageConfig) -> list[Trials[Any, Any]]:
+    """Random objects, data without information, reasons to doubt, and unseen pokes."""
+    seed, level = options.output.seed, options.level
+    if options.out is not None:
+        make_folder(options.out)
+    cases, nothing = plan(options.objects, seed, level, quick=options.quick)
+    bodies = -(-(QUICK_OBJECTS if options.quick else options.objects) // PART_APART)
+    return [
+        Trials("random objects", try_object, cases),
+        Trials("data without information", try_nothing, nothing),
+        Trials("reasons to doubt", try_doubts, doubt_plan(bodies, seed)),
+        Trials("unseen pokes", try_unseen_poke, [PokeCase(number, seed, level) for number in range(bodies)]),
+    ]
+
+
+def report(
+    options: CoverageConfig,
+    seconds: float,
+    outcomes: Sequence[Outcome],
+    verdicts: Sequence[Verdict],
+    doubted: Sequence[Doubted],
+    predictions: Sequence[UnseenPrediction],
+) -> Report:
+    """Tables, and the ranks as a picture."""
+    level, seed = options.level, options.output.seed
+    cases, nothing = plan(options.objects, seed, level, quick=options.quick)
+    lines = coverage_rows(outcomes)
+    said = {
+        kind: [verdict for case, verdict in zip(nothing, verdicts, strict=True) if case.kind == kind]
+        for kind in NOTHING
+    }
+    unidentified = {kind: Rate(len(some), some.count("unidentified")) for kind, some in said.items()}
+    ranks = rank_counts([one for one, case in zip(outcomes, cases, strict=True) if case.truth == "prior"])
+    groups, doubts = prediction_groups(predictions), doubt_rows(doubted)
+    fit_s = {f"{dim}D": median([one.seconds for one in outcomes if one.dim == dim]) for dim in (2, 3)}
+    png, picture = ranks_png(ranks), None if options.out is None else options.out / "coverage.png"
+    took = [(f"a fit in {dim}", f"{one:.2g} s") for dim, one in fit_s.items()] + [("all", f"{seconds:.0f} s")]
     lengths = {"width_m": "width", "error_m": "error", "motion_m": "motion"}
-    write_json(
+    return Report(
+        (
+            coverage_table(f"{level:.0%} intervals for beta: how many hold the truth", lines),
+            _nothing_table(said, unidentified),
+            doubts_table(doubts),
+            _pokes_table(f"{level:.0%}", groups),
+            Table(took + ([] if picture is None else [("ranks", str(picture))]), caption="Time"),
+        ),
         {
             "level": level,
             "seed": seed,
@@ -123,26 +116,17 @@ def run(config: CoverageConfig) -> None:
                 {
                     "condition": row.condition,
                     "group": row.group,
-                    **rate_json(row.covered),
+                    **dataclasses.asdict(row.covered),
                     "width": row.width,
                     "confident_wrong": row.confident_wrong.hits,
                 }
-                for row in rows
+                for row in lines
             ],
             "ranks": ranks,
-            "no_information": [{"kind": kind, **rate_json(rate)} for kind, rate in unidentified.items()],
-            "reasons": [
-                {
-                    "data": row.data,
-                    "expected": EXPECTED.get(row.data),
-                    "named": {code: rate_json(rate) for code, rate in row.named.items()},
-                    "identified": rate_json(row.identified),
-                    "identified_wrong": rate_json(row.identified_wrong),
-                }
-                for row in doubts
-            ],
+            "no_information": [{"kind": kind, **dataclasses.asdict(rate)} for kind, rate in unidentified.items()],
+            "reasons": [{"expected": EXPECTED.get(row.data)} | dataclasses.asdict(row) for row in doubts],
             "unseen_pokes": [
-                {"group": name, "pokes": len(some), **rate_json(pooled(some))}
+                {"group": name, "pokes": len(some), **dataclasses.asdict(pooled(some))}
                 | {key: middle(some, length) for key, length in lengths.items()}
                 for name, some in groups.items()
             ],
@@ -150,12 +134,9 @@ def run(config: CoverageConfig) -> None:
             "seconds": seconds,
             "picture": picture,
         },
-        config.output.json,
+        (Figure(png, "Ranks of the truths in their posteriors: level where the intervals are right"),),
+        {picture: png},
     )
-
-
-def rate_json(rate: Rate) -> dict[str, Any]:
-    return {"cases": rate.cases, "hits": rate.hits, "rate": rate.rate, "band": list(rate.band)}
 
 
 def prediction_groups(predictions: Sequence[UnseenPrediction]) -> dict[str, list[UnseenPrediction]]:
@@ -182,7 +163,7 @@ def _nothing_table(said: Mapping[Any, list[Verdict]], unidentified: Mapping[Any,
     rows = []
     for kind, rate in unidentified.items():
         others = ", ".join(f"{said[kind].count(one)} {one}" for one in sorted(set(said[kind]) - {"unidentified"}))
-        rows.append((kind, rate.cases, f"{rate.rate:.3f}", _band(rate), others))
+        rows.append((kind, rate.cases, f"{rate.rate:.3f}", band(3)(rate), others))
     names = ("data", "cases", "unidentified", "95 % band", "other verdicts")
     return Table(rows, names, "Data without information: how many verdicts are unidentified")
 
@@ -223,14 +204,9 @@ def coverage_table(title: str, rows: Sequence[CoverageRow]) -> Table:
         every = mine["all"]
         wrong = sum(row.confident_wrong.hits for name, row in mine.items() if name == "all" or name.startswith("beta"))
         held = (f"{mine[name].covered.rate:.3f}" if name in mine else "" for name in groups)
-        whole = (every.covered.cases, f"{every.covered.rate:.3f}", _band(every.covered), f"{every.width:.3f}")
+        whole = (every.covered.cases, f"{every.covered.rate:.3f}", band(3)(every.covered), f"{every.width:.3f}")
         lines.append((condition, *whole, *held, wrong))
     return Table(lines, ("noise", "cases", "held", "95 % band", "width", *groups, "confidently wrong"), title)
 
 
-def _band(rate: Rate) -> str:
-    low, high = rate.band
-    return f"{low:.3f} to {high:.3f}"
-
-
-STUDY = Study(CoverageConfig, run)
+STUDY = Study(CoverageConfig, trials, report)

@@ -16,12 +16,12 @@ import numpy as np
 from deformscope.arrays import BoolArray, FloatArray
 from deformscope.stages.fit.calibrate import FitOptions, Model, Observation, calibrate
 from deformscope.stages.fit.estimate import DoubtCode, Verdict
+from studies.quantities import Rate
 from studies.random_bodies import (
     BOUNDS,
     CANDIDATES,
     SPACING_M,
     RandomBody,
-    Rate,
     random_body,
     random_dim,
     random_noise,

@@ -22,7 +22,7 @@ from deformscope.pictures.figures import canvas, png_of
 from deformscope.stages.fit.calibrate import Calibration, FitOptions, Model, Observation, calibrate
 from deformscope.stages.fit.estimate import DoubtCode, Estimate, Verdict
 from deformscope.stages.msm.clusters import held_mask
-from deformscope.stages.squeeze.intervals import wilson
+from studies.quantities import Rate
 
 BOUNDS = (0.0, 0.99)
 SPACING_M = 0.01
@@ -262,22 +262,6 @@ def _turned(rest: FloatArray, rng: np.random.Generator) -> FloatArray:
 
 
 # Figures of many -----------------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, slots=True)
-class Rate:
-    """How many of some cases did something, with the Wilson band of its rate at 95 %."""
-
-    cases: int
-    hits: int
-
-    @property
-    def rate(self) -> float:
-        return self.hits / self.cases if self.cases else float("nan")
-
-    @property
-    def band(self) -> tuple[float, float]:
-        return wilson(self.rate, self.cases, 0.95)
 
 
 @dataclass(frozen=True, slots=True)

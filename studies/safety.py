@@ -7,23 +7,17 @@ python -m studies safety --arm kuka --faults 500 --layouts 0
 
 from __future__ import annotations
 
-import time
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import Annotated, Literal
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
 
 import numpy as np
-from tyro.conf import OmitArgPrefixes
 
-from deformscope.cli.common import examined, fit_progress, quiet_warp, recorder_of, show, write_json
-from deformscope.cli.study import Study
+from deformscope.cli.study import Report, Study, StudyOptions, Trials
 from deformscope.config import flags
-from deformscope.config.options import OutputOptions, RecordedOptions
 from deformscope.lab.faults import Injected
-from deformscope.pictures.findings import Findings
 from deformscope.pictures.report import Table
-from deformscope.session import Step
 from studies.driven_faults import (
     KILLED_WITHIN_S,
     KINDS,
@@ -41,7 +35,7 @@ from studies.silent_kuka import FARTHEST_M, SilentRun, run_silent
 
 
 @dataclass(frozen=True, slots=True)
-class SafetyCoverageConfig(RecordedOptions):
+class SafetyCoverageConfig(StudyOptions):
     """Count whether a simulated arm stands in time when things go wrong, of all kinds in turn, how long and how far it
     takes to stand, and how far it stays from joint limits and singularities on random layouts of arm and table."""
 
@@ -54,48 +48,45 @@ class SafetyCoverageConfig(RecordedOptions):
     """Layouts; each takes some 5 s of a core. 0 = none."""
     rigid: Annotated[int, flags.least(0)] = 88
     """Touches of a rigid surface by a force sensor that is wrong; each takes some 4 s of a core. 0 = none."""
-    jobs: flags.ManyFlag = 2
-    """Processes that share the work."""
-    output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
 
 
-def run(config: SafetyCoverageConfig) -> None:
-    """Let all of it go wrong, and print the tables."""
-    quiet_warp()
-    started, seed = time.monotonic(), config.output.seed
-    with recorder_of(config) as recorder:
-        with fit_progress() as note:
-            seeds = reported(config.faults, seed) if config.faults else ()
-            faults: list[AnyRun] = []
-            silences: list[SilentRun] = []
-            if config.arm == "kuka":
-                silences = examined("faults", run_silent, seeds, config.jobs, note)
-            else:
-                faults = examined("faults", run_any, seeds, config.jobs, note)
-            layouts = examined(
-                "layouts", run_layout, reported(config.layouts, seed) if config.layouts else (), config.jobs, note
-            )
-            rigid = examined(
-                "rigid surfaces", run_rigid, reported(config.rigid, seed) if config.rigid else (), config.jobs, note
-            )
-        tables = [fault_table(faults)] if faults else []
-        tables += [silence_table(silences)] if silences else []
-        tables += [rigid_table(rigid)] if rigid else []
-        if layouts:
-            tables += [layout_table(layouts), slowing_table(layouts)]
-        seconds = time.monotonic() - started
-        found = Findings((*tables, Table([("all", f"{seconds:.0f} s")], caption="Time")))
-        show(found)
-        recorder.write(Step((found,)))
+def trials(options: SafetyCoverageConfig) -> list[Trials[int, Any]]:
+    """Faults, layouts and rigid surfaces; those that are not asked for have no cases."""
+
+    def seeds(count: int) -> Sequence[int]:
+        return reported(count, options.output.seed) if count else ()
+
+    return [
+        Trials("faults", run_silent if options.arm == "kuka" else run_any, seeds(options.faults)),
+        Trials("layouts", run_layout, seeds(options.layouts)),
+        Trials("rigid surfaces", run_rigid, seeds(options.rigid)),
+    ]
+
+
+def report(
+    options: SafetyCoverageConfig,
+    seconds: float,
+    runs: Sequence[AnyRun | SilentRun],
+    layouts: Sequence[LayoutRun],
+    rigid: Sequence[RigidRun],
+) -> Report:
+    """A table of each that there was."""
+    silences = [run for run in runs if isinstance(run, SilentRun)]
+    faults = [run for run in runs if not isinstance(run, SilentRun)]
+    tables = [fault_table(faults)] if faults else []
+    tables += [silence_table(silences)] if silences else []
+    tables += [rigid_table(rigid)] if rigid else []
+    tables += [layout_table(layouts), slowing_table(layouts)] if layouts else []
     kinds: dict[str, list[AnyRun | SilentRun]] = {} if silences else {kind: [] for kind in KINDS}
-    for run in (*faults, *silences):
+    for run in runs:
         kinds.setdefault(run.kind if isinstance(run, SilentRun) else kind_of(run), []).append(run)
-    late = [run for run in (*faults, *silences) if not run.in_time]
-    write_json(
+    late = [run for run in runs if not run.in_time]
+    return Report(
+        [*tables, Table([("all", f"{seconds:.0f} s")], caption="Time")],
         {
-            "arm": config.arm,
-            "faults": config.faults,
-            "in_time": config.faults - len(late),
+            "arm": options.arm,
+            "faults": options.faults,
+            "in_time": options.faults - len(late),
             "late": late,
             "kinds": kinds,
             "rigid": rigid,
@@ -103,7 +94,6 @@ def run(config: SafetyCoverageConfig) -> None:
             "least_margin_deg": min((run.margin_deg for run in layouts), default=None),
             "seconds": seconds,
         },
-        config.output.json,
     )
 
 
@@ -222,4 +212,4 @@ def slowing_table(runs: Sequence[LayoutRun]) -> Table:
     return Table(rows, ("to a singularity", "looks", "share sent, mean"), "Slowing before singularities")
 
 
-STUDY = Study(SafetyCoverageConfig, run)
+STUDY = Study(SafetyCoverageConfig, trials, report)

@@ -74,10 +74,10 @@ def run(config: ContainersConfig) -> None:
 
 def _squeeze(dataset: SqueezeDataset, jobs: list[SqueezeJob], config: ContainersConfig) -> None:
     """The trials that the folder lacks; kept as they are done, so that the command goes on where it was cut off."""
+    from deformscope.cli.study import Trials, tried
     from deformscope.experiments.squeeze_trial import feature_settings
-    from deformscope.files.squeeze_dataset import SqueezeDataset, TrialRow
+    from deformscope.files.squeeze_dataset import SqueezeDataset
     from deformscope.lab.container_setup import container_lab
-    from deformscope.processes import in_processes
     from deformscope.reproduce.containers import run_squeeze
 
     known = {one.trial for one in dataset.entries()} if dataset.exists else set()
@@ -85,18 +85,12 @@ def _squeeze(dataset: SqueezeDataset, jobs: list[SqueezeJob], config: Containers
     if not left:
         return
     writing = SqueezeDataset(dataset.folder, feature_settings(container_lab().setup))
-    waiting: list[TrialRow] = []
-    try:
-        with fit_progress() as note:
-            for count, (_, row) in enumerate(in_processes(run_squeeze, left, config.workers), start=1):
-                waiting.append(row)
-                if len(waiting) >= KEPT_TOGETHER:
-                    writing.add(waiting)
-                    waiting = []
-                note("squeezing", count, len(left))
-    finally:
-        if waiting:
-            writing.add(waiting)
+    tried(
+        Trials("squeezing", run_squeeze, left),
+        config.workers,
+        keep=lambda new: writing.add([row for _, row in new]),
+        together=KEPT_TOGETHER,
+    )
 
 
 def _evaluated(table: LabelledTable, config: ContainersConfig, name: str) -> ClassificationResult:

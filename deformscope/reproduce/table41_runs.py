@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -85,10 +85,10 @@ class TableRun:
 # Runs in a file, a line each, so that none is lost where the rest is cut off ------------------------------------------
 
 
-def add_run(path: Path, run: TableRun) -> None:
-    """Add a run to a file."""
+def add_runs(path: Path, runs: Iterable[TableRun]) -> None:
+    """Add runs to a file."""
     with path.open("a", encoding="utf-8") as file:
-        file.write(json.dumps(plain(run), allow_nan=False) + "\n")
+        file.writelines(json.dumps(plain(run), allow_nan=False) + "\n" for run in runs)
 
 
 def read_runs(path: Path) -> Iterator[TableRun]:

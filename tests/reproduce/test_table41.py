@@ -13,7 +13,7 @@ from deformscope.experiments.options import ExploreOptions
 from deformscope.lab.scenes import built_in
 from deformscope.reproduce.surface_robot import true_map
 from deformscope.reproduce.table41 import run_table
-from deformscope.reproduce.table41_runs import MapAfter, TableJob, TableRun, add_run, read_runs
+from deformscope.reproduce.table41_runs import MapAfter, TableJob, TableRun, add_runs, read_runs
 from deformscope.reproduce.table41_summary import compare, curves, first_passage, summarise
 from deformscope.stages.map.map_score import MapScore
 from deformscope.stages.poke.contact import layer_modulus
@@ -71,8 +71,8 @@ def test_a_row_of_the_table_and_its_file(tmp_path: Path) -> None:
     assert all(abs(one.log_stiffness - one.felt_log_stiffness) < 0.1 for one in soft)
 
     path = tmp_path / "runs.jsonl"
-    add_run(path, found)
-    add_run(path, run(0, 0.1))
+    add_runs(path, [found])
+    add_runs(path, [run(0, 0.1)])
     with path.open("a") as file:
         file.write('{"job": {"scene": "di')  # cut off in the middle of a line
     assert list(read_runs(path)) == [found, run(0, 0.1)]

@@ -6,18 +6,18 @@ import pytest
 
 pytest.importorskip("warp")
 
-from studies.disturbed import DisturbedCase, DisturbedOutcome, disturbed_rows, try_disturbed
+from studies.beta import DisturbedCase, DisturbedOutcome, disturbed_rows, try_disturbed
 from studies.random_bodies import Outcome
-from studies.theta_settings import SIDES, try_setting
+from studies.theta import SIDES, try_setting
 
 
 def test_wrong_tracks_are_counted_against_those_left_out() -> None:
     found = [try_disturbed(DisturbedCase("10 % outliers", number, seed=1000)) for number in range(4)]
     (row,) = disturbed_rows(found)
-    assert row.caught.cases > 0
-    assert row.caught.rate >= 0.5
-    assert row.alarms.hits <= 1
-    assert sum(one.disturbed for one in found) == row.caught.cases
+    assert row["caught"].cases > 0
+    assert row["caught"].rate >= 0.5
+    assert row["alarms"].hits <= 1
+    assert sum(one.disturbed for one in found) == row["caught"].cases
 
 
 def test_a_held_particle_that_is_off_is_counted() -> None:
@@ -41,8 +41,8 @@ def test_rows_count_truths_and_verdicts() -> None:
         )
 
     (row,) = disturbed_rows([outcome(0.4, 0.6, 2), outcome(0.6, 0.7, 3)])
-    assert (row.covered.hits, row.by_dim[2].hits, row.by_dim[3].hits) == (1, 1, 0)
-    assert (row.wrong.cases, row.wrong.hits) == (2, 1)
-    assert (row.caught.cases, row.caught.hits) == (4, 2)
-    assert (row.reasons["setting"].cases, row.reasons["setting"].hits) == (2, 2)
-    assert (row.alarms.cases, row.alarms.hits) == (36, 4)
+    assert (row["covered"].hits, row["covered_2d"].hits, row["covered_3d"].hits) == (1, 1, 0)
+    assert (row["wrong"].cases, row["wrong"].hits) == (2, 1)
+    assert (row["caught"].cases, row["caught"].hits) == (4, 2)
+    assert (row["reasons"]["setting"].cases, row["reasons"]["setting"].hits) == (2, 2)
+    assert (row["alarms"].cases, row["alarms"].hits) == (36, 4)

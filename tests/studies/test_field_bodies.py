@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 
-from studies.field_bodies import FieldOutcome, field_rows
+from studies.field import FieldOutcome, field_rows
 
 
 def test_a_row_counts_what_was_right_and_how_near() -> None:

@@ -9,8 +9,8 @@ import pytest
 
 pytest.importorskip("warp")
 
-from deformscope.cli import main
-from studies.material_motions import (
+from studies.__main__ import main
+from studies.materials import (
     HELD_S,
     PARAMETERS,
     RAMP_S,
@@ -19,7 +19,7 @@ from studies.material_motions import (
     recovering,
     try_motion,
 )
-from studies.quantities import quantity_rows
+from studies.quantities import interval_rows
 from tests.cases import slow
 
 
@@ -49,11 +49,11 @@ def test_a_known_material_is_found_and_its_intervals_are_about_it(kind: MotionKi
 
 
 def test_rows_count_what_intervals_hold(capsys: pytest.CaptureFixture[str]) -> None:
-    main(["coverage", "materials", "--kinds", "viscous", "--objects", "3", "--jobs", "1", "--json", "-"])
+    main(["materials", "--kinds", "viscous", "--objects", "3", "--jobs", "1", "--json", "-"])
     found = json.loads(capsys.readouterr().out)
     tried = [try_motion(("viscous", seed)) for seed in range(3)]
-    rows = quantity_rows(tried, PARAMETERS["viscous"])
-    assert [row["quantity"] for row in found["viscous"]["rows"]] == [row.quantity for row in rows]
+    rows = interval_rows(tried, PARAMETERS["viscous"])
+    assert [row["quantity"] for row in found["viscous"]["rows"]] == [row["quantity"] for row in rows]
     held = sum(one.low[0] <= one.truth[0] <= one.high[0] for one in tried)
     assert found["viscous"]["rows"][0]["held"]["hits"] == held
     assert found["viscous"]["rows"][0]["error"] == pytest.approx(

@@ -1,4 +1,4 @@
-"""Random slabs and the forces predicted on them: what `deformscope coverage force` counts."""
+"""Random slabs and the forces predicted on them: what `python -m studies force` counts."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from deformscope.lab.slab import RigidTip, press
 from deformscope.reproduce.poke_slabs import BORDER, KINDS, SIZE, draw_slab
 from deformscope.reproduce.poke_study import Press, observe, plan_of
 from deformscope.stages.poke import stiffness_field
-from studies.predicted_forces import (
+from studies.force import (
     ForceCase,
     Slab24,
     TriedSlab,
@@ -93,7 +93,7 @@ def test_rows_pool_pokes_by_slab_and_group() -> None:
         TriedSlab(ForceCase("halves", 1, 0.1), "materials", (poke(0.0, True),)),
     ]
     rows = force_rows(tried)
-    assert [(row.slab, row.group, row.scatter) for row in rows] == [
+    assert [(row["slab"], row["group"], row["scatter"]) for row in rows] == [
         ("all", "in one material", 0.0),
         ("all", "on the inclusion", 0.0),
         ("halves", "in one material", 0.0),
@@ -101,12 +101,12 @@ def test_rows_pool_pokes_by_slab_and_group() -> None:
         ("all", "in one material", 0.1),
         ("halves", "in one material", 0.1),
     ]
-    assert rows[0].error == pytest.approx(np.sqrt(0.05))
-    assert rows[0].own_error == pytest.approx(0.1)
-    assert (rows[0].wrong, rows[0].held.hits, rows[0].held.cases) == (1, 1, 2)
-    assert rows[0].width == pytest.approx(0.2)
-    assert rows[0].surface_error == pytest.approx(0.04)
-    assert rows[2].surface_error == pytest.approx(0.04)
+    assert rows[0]["error"] == pytest.approx(np.sqrt(0.05))
+    assert rows[0]["own_error"] == pytest.approx(0.1)
+    assert (rows[0]["wrong"], rows[0]["held"].hits, rows[0]["held"].cases) == (1, 1, 2)
+    assert rows[0]["width"] == pytest.approx(0.2)
+    assert rows[0]["surface_error"] == pytest.approx(0.04)
+    assert rows[2]["surface_error"] == pytest.approx(0.04)
 
 
 def test_works_are_every_slab_under_every_scatter_and_are_kept_as_they_come(tmp_path: Path) -> None:

@@ -10,7 +10,9 @@ from scipy.stats import binom
 
 from deformscope.lab.session_errors import LabErrors
 from deformscope.stages.regions.posterior import RegionPrior
-from studies.region_coverage import (
+from studies.quantities import rows
+from studies.regions import (
+    QUANTITIES,
     REGION_CONDITIONS,
     RegionCase,
     RegionCondition,
@@ -18,7 +20,6 @@ from studies.region_coverage import (
     clopper_pearson,
     explore_known,
     known_surface,
-    region_rows,
     reliability,
     scattered,
 )
@@ -49,9 +50,10 @@ def test_bins_hold_as_many_each_and_their_band_is_the_binomial_s() -> None:
 def test_a_row_counts_levels_where_the_number_is_right() -> None:
     right = replace(NOTHING, levels=2, levels_covered=1, true_count=2, count=2, wrong=0.1, wrong_claimed=0.2)
     off = replace(NOTHING, count=3, levels=0, levels_covered=0, width=np.nan)
-    (row,) = region_rows([right, off])
-    assert (row.objects, row.right, row.levels, row.covered) == (2, 1, 2, 1)
-    assert (row.wrong, row.wrong_claimed) == (0.1, 0.2)
+    (row,) = rows([[right, off]], QUANTITIES)
+    assert (row["objects"], row["number_right"].hits) == (2, 1)
+    assert (row["levels"].cases, row["levels"].hits) == (2, 1)
+    assert (row["wrong_share"], row["wrong_share_claimed"]) == (0.1, 0.2)
 
 
 def test_touches_have_the_errors_of_their_session() -> None:
