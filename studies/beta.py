@@ -19,12 +19,13 @@ import numpy as np
 from tyro.conf import arg
 
 from deformscope.arrays import BoolArray, FloatArray
-from deformscope.cli.study import Report, Study, StudyOptions, Trials
+from deformscope.cli.study import Study, StudyOptions, StudyReport, Trials
 from deformscope.config import flags
 from deformscope.errors import InputError
 from deformscope.pictures.report import Table
 from deformscope.stages.fit.calibrate import FitOptions, Model, Observation
 from deformscope.stages.fit.estimate import DoubtCode, Parameter, Verdict
+from studies.field_bodies import SPACING_M
 from studies.quantities import (
     Quantity,
     Rate,
@@ -40,7 +41,6 @@ from studies.quantities import (
 from studies.random_bodies import (
     BOUNDS,
     CANDIDATES,
-    SPACING_M,
     Outcome,
     RandomBody,
     fitted,
@@ -321,9 +321,9 @@ def trials(options: DisturbedCoverageConfig) -> list[Trials[DisturbedCase, Distu
     return [Trials("random objects", try_disturbed, cases(options, names_of(options.only, tuple(DISTURBED)), "beta"))]
 
 
-def report(options: DisturbedCoverageConfig, seconds: float, tried: Sequence[DisturbedOutcome]) -> Report:
+def report(options: DisturbedCoverageConfig, seconds: float, tried: Sequence[DisturbedOutcome]) -> StudyReport:
     """A line of each kind of errors."""
-    return Report(*summary(options, "beta", seconds, tried))
+    return StudyReport(*summary(options, "beta", seconds, tried))
 
 
 STUDY = Study(DisturbedCoverageConfig, trials, report)

@@ -16,14 +16,15 @@ from typing import Annotated, Any
 from deformscope.cli.common import (
     make_folder,
 )
-from deformscope.cli.study import Report, Study, StudyOptions, Trials
+from deformscope.cli.study import Study, StudyOptions, StudyReport, Trials
 from deformscope.config import flags
 from deformscope.errors import InputError
 from deformscope.pictures.report import Figure, Table
 from deformscope.stages.fit.estimate import Verdict
-from studies.doubt_rates import CODES, EXPECTED, Doubted, DoubtRow, doubt_plan, doubt_rows, try_doubts
+from studies.doubt_rates import CODES, EXPECTED, Doubted, doubt_plan, doubt_rows, try_doubts
 from studies.quantities import (
     Rate,
+    Row,
     band,
 )
 from studies.random_bodies import (
@@ -85,7 +86,7 @@ def report(
     verdicts: Sequence[Verdict],
     doubted: Sequence[Doubted],
     predictions: Sequence[UnseenPrediction],
-) -> Report:
+) -> StudyReport:
     """Tables, and the ranks as a picture."""
     level, seed = options.level, options.output.seed
     cases, nothing = plan(options.objects, seed, level, quick=options.quick)
@@ -101,7 +102,7 @@ def report(
     png, picture = ranks_png(ranks), None if options.out is None else options.out / "coverage.png"
     took = [(f"a fit in {dim}", f"{one:.2g} s") for dim, one in fit_s.items()] + [("all", f"{seconds:.0f} s")]
     lengths = {"width_m": "width", "error_m": "error", "motion_m": "motion"}
-    return Report(
+    return StudyReport(
         (
             coverage_table(f"{level:.0%} intervals for beta: how many hold the truth", lines),
             _nothing_table(said, unidentified),
@@ -124,7 +125,7 @@ def report(
             ],
             "ranks": ranks,
             "no_information": [{"kind": kind, **dataclasses.asdict(rate)} for kind, rate in unidentified.items()],
-            "reasons": [{"expected": EXPECTED.get(row.data)} | dataclasses.asdict(row) for row in doubts],
+            "reasons": doubts,
             "unseen_pokes": [
                 {"group": name, "pokes": len(some), **dataclasses.asdict(pooled(some))}
                 | {key: middle(some, length) for key, length in lengths.items()}
@@ -168,17 +169,17 @@ def _nothing_table(said: Mapping[Any, list[Verdict]], unidentified: Mapping[Any,
     return Table(rows, names, "Data without information: how many verdicts are unidentified")
 
 
-def doubts_table(rows: Sequence[DoubtRow]) -> Table:
+def doubts_table(rows: Sequence[Row]) -> Table:
     """How often each reason was named, a line for each kind of data, the reason that is true of them marked."""
-    codes = [code for code in CODES if any(code in row.named for row in rows)]
+    codes = [code for code in CODES if any(code in row["named"] for row in rows)]
     lines = []
     for row in rows:
         cells = []
         for code in codes:
-            share = f"{row.named[code].rate:.2f}" if code in row.named else ""
-            cells.append(f"{share or '0'} <- true" if EXPECTED.get(row.data) == code else share)
-        wrong = f"{row.identified_wrong.hits}"
-        lines.append((row.data, row.identified.cases, *cells, f"{row.identified.rate:.2f}", wrong))
+            share = f"{row['named'][code].rate:.2f}" if code in row["named"] else ""
+            cells.append(f"{share or '0'} <- true" if EXPECTED.get(row["data"]) == code else share)
+        wrong = f"{row['identified_wrong'].hits}"
+        lines.append((row["data"], row["identified"].cases, *cells, f"{row['identified'].rate:.2f}", wrong))
     names = ("data", "cases", *codes, "identified", "of these without the truth")
     return Table(lines, names, "Reasons to doubt beta: how often each is named")
 

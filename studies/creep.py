@@ -22,7 +22,7 @@ import numpy as np
 from tyro.conf import arg
 
 from deformscope.arrays import FloatArray
-from deformscope.cli.study import Report, Study, StudyOptions, Trials
+from deformscope.cli.study import Study, StudyOptions, StudyReport, Trials
 from deformscope.config import flags
 from deformscope.errors import InputError
 from deformscope.lab.arm_contact import ARM_DOUBT, ARM_STIFFNESS_N_M
@@ -33,8 +33,9 @@ from deformscope.lab.slab_world import SlabWorld
 from deformscope.lab.touching import HeldTouch, Sensing, force_curve, held_touch
 from deformscope.pictures.report import Table
 from deformscope.stages.poke.contact import ArmCompliance
-from deformscope.stages.poke.creep import CreepFit, CreepVerdict, fit_creep
+from deformscope.stages.poke.creep import CreepVerdict, fit_creep
 from studies.quantities import (
+    KnownEstimate,
     by,
     counts,
     interval_rows,
@@ -71,35 +72,8 @@ class CreepCase:
     kind: CreepKind = "viscous"
 
 
-@dataclass(frozen=True, slots=True)
-class CreepOutcome:
-    """truth: (6,) of QUANTITIES (nan: there is none); value, low, high: (6,) as estimated; slid_m: how far it slid"""
-
-    kind: CreepKind
-    slid_m: float
-    truth: tuple[float, ...]
-    value: tuple[float, ...]
-    low: tuple[float, ...]
-    high: tuple[float, ...]
-    verdict: CreepVerdict
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class CreepTouch:
-    """A touch as it was made: as recorded, truth: (6,) of QUANTITIES (nan: there is none)"""
-
-    case: CreepCase
-    made: HeldTouch
-    truth: tuple[float, ...]
-
-
-def try_creep(case: CreepCase) -> CreepOutcome:
-    """Touch one foam, and fit."""
-    return judged(touched(case))
-
-
-def touched(case: CreepCase) -> CreepTouch:
-    """Touch one foam."""
+def touched(case: CreepCase) -> tuple[HeldTouch, tuple[float, ...]]:
+    """One foam's touch as it was made, and the truth (6,) of QUANTITIES (nan: there is none)."""
     random = np.random.default_rng([case.seed, KINDS.index(case.kind), 19])
     hardness = float(np.exp(random.uniform(*np.log(HARDNESS_N))))
     piece = Piece("foam", initial_modulus_pa(hardness))
@@ -141,12 +115,12 @@ def touched(case: CreepCase) -> CreepTouch:
     )
     mean_s = float(np.dot(relaxation.shares, relaxation.times_s) / relaxation.share) if relaxation.share else np.nan
     loss = true_loss(made.true_depth_m, made.true_force_n, made.held)
-    return CreepTouch(case, made, (at_once, relaxed, relaxation.share, mean_s, loss, relaxation.keeps))
+    return made, (at_once, relaxed, relaxation.share, mean_s, loss, relaxation.keeps)
 
 
-def judged(touch: CreepTouch) -> CreepOutcome:
-    """What the fit says of a touch."""
-    made = touch.made
+def try_creep(case: CreepCase) -> KnownEstimate:
+    """Touch one foam, and fit."""
+    made, truth = touched(case)
     fit = fit_creep(
         made.time_s,
         made.position_m,
@@ -158,20 +132,8 @@ def judged(touch: CreepTouch) -> CreepOutcome:
         arm=ARM,
         radius_m=TIP_M,
     )
-    return CreepOutcome(touch.case.kind, made.slid_m, touch.truth, *_estimated(fit), verdict=fit.verdict)
-
-
-def true_loss(depth_m: FloatArray, force_n: FloatArray, held: int) -> float:
-    """Share of the work (n,) steps that the way back did not give again."""
-    work = 0.5 * (force_n[1:] + force_n[:-1]) * np.diff(depth_m)
-    taken = float(work[: held - 1].sum())
-    return 1.0 + float(work[held - 1 :].sum()) / taken
-
-
-def _estimated(fit: CreepFit) -> tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]]:
-    """Values, and the ends of their intervals, as QUANTITIES."""
     nothing = (np.nan, np.nan)
-    pairs = (
+    estimates = (
         (fit.instant_n_per_mm, fit.instant_interval),
         (fit.relaxed_n_per_mm, fit.relaxed_interval),
         (fit.share, fit.share_interval),
@@ -179,7 +141,14 @@ def _estimated(fit: CreepFit) -> tuple[tuple[float, ...], tuple[float, ...], tup
         (np.nan if fit.loss is None else fit.loss, fit.loss_interval or nothing),
         (np.nan if fit.kept is None else fit.kept, fit.kept_interval or nothing),
     )
-    return tuple(one for one, _ in pairs), tuple(ends[0] for _, ends in pairs), tuple(ends[1] for _, ends in pairs)
+    return KnownEstimate.of(case.kind, fit.verdict, truth, estimates)
+
+
+def true_loss(depth_m: FloatArray, force_n: FloatArray, held: int) -> float:
+    """Share of the work (n,) steps that the way back did not give again."""
+    work = 0.5 * (force_n[1:] + force_n[:-1]) * np.diff(depth_m)
+    taken = float(work[: held - 1].sum())
+    return 1.0 + float(work[held - 1 :].sum()) / taken
 
 
 # The study -----------------------------------------------------------------------------------------------------------
@@ -200,7 +169,7 @@ class CreepCoverageConfig(StudyOptions):
             raise InputError("0.5 to 60 s after --hold", f"{self.hold:g}")
 
 
-def trials(options: CreepCoverageConfig) -> list[Trials[CreepCase, CreepOutcome]]:
+def trials(options: CreepCoverageConfig) -> list[Trials[CreepCase, KnownEstimate]]:
     """All foams, and a quarter as many of each other kind."""
     seeds = reported(options.objects, options.output.seed)
     few = seeds[: max(1, len(seeds) // 4)]
@@ -209,7 +178,7 @@ def trials(options: CreepCoverageConfig) -> list[Trials[CreepCase, CreepOutcome]
     return [Trials("touches", try_creep, cases)]
 
 
-def report(options: CreepCoverageConfig, seconds: float, tried: Sequence[CreepOutcome]) -> Report:
+def report(options: CreepCoverageConfig, seconds: float, tried: Sequence[KnownEstimate]) -> StudyReport:
     """A table of each kind, and what they were taken for."""
     kinds = by(tried, lambda one: one.kind)
     lines = {kind: interval_rows(some, QUANTITIES) for kind, some in kinds.items()}
@@ -220,7 +189,7 @@ def report(options: CreepCoverageConfig, seconds: float, tried: Sequence[CreepOu
     names = get_args(CreepVerdict)
     taken = [(kind, *(some.get(name, 0) for name in names)) for kind, some in verdicts.items()]
     tables.append(Table(taken, ("touches of", *names), "what they were taken for"))
-    return Report(tables, {"hold_s": options.hold, "rows": lines, "verdicts": verdicts})
+    return StudyReport(tables, {"hold_s": options.hold, "rows": lines, "verdicts": verdicts})
 
 
 STUDY = Study(CreepCoverageConfig, trials, report)

@@ -7,7 +7,7 @@ is true of, are those of `studies.unseen_pokes` with an even modulus.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, get_args
 
@@ -16,11 +16,11 @@ import numpy as np
 from deformscope.arrays import BoolArray, FloatArray
 from deformscope.stages.fit.calibrate import FitOptions, Model, Observation, calibrate
 from deformscope.stages.fit.estimate import DoubtCode, Verdict
-from studies.quantities import Rate
+from studies.field_bodies import SPACING_M
+from studies.quantities import Quantity, Rate, Row, by, rows
 from studies.random_bodies import (
     BOUNDS,
     CANDIDATES,
-    SPACING_M,
     RandomBody,
     random_body,
     random_dim,
@@ -153,34 +153,31 @@ def _two_betas(body: RandomBody, data: Data, rng: np.random.Generator) -> tuple[
     return np.asarray(state.position[0]), (FIRM, SOFT)
 
 
-@dataclass(frozen=True, slots=True)
-class DoubtRow:
-    """A line of the table: how often each reason was named, how often the verdict is identified, and how often it is
-    although the interval leaves out what is true."""
-
-    data: Data
-    named: dict[DoubtCode, Rate]
-    identified: Rate
-    identified_wrong: Rate
-
-
 CODES: tuple[DoubtCode, ...] = get_args(DoubtCode)
 
 
-def doubt_rows(outcomes: Sequence[Doubted]) -> list[DoubtRow]:
-    """The table, a line for each kind of data."""
-    rows = []
-    for data in dict.fromkeys(one.data for one in outcomes):
-        mine = [one for one in outcomes if one.data == data]
+def _named(some: Sequence[Doubted]) -> dict[DoubtCode, Rate]:
+    """How often each reason was named."""
+    rates = {code: Rate.of(code in one.codes for one in some) for code in CODES}
+    return {code: rate for code, rate in rates.items() if rate.hits}
 
-        def rate(holds: Callable[[Doubted], bool], some: Sequence[Doubted] = mine) -> Rate:
-            return Rate(len(some), sum(map(holds, some)))
 
-        named = {code: rate(lambda one, code=code: code in one.codes) for code in CODES}  # type: ignore[misc]
-        sure = rate(lambda one: one.verdict == "identified")
-        wrong = rate(lambda one: one.verdict == "identified" and bool(one.truths) and not one.held)
-        rows.append(DoubtRow(data, {code: r for code, r in named.items() if r.hits}, sure, wrong))
-    return rows
+QUANTITIES: tuple[Quantity[Doubted], ...] = (
+    Quantity("data", lambda some: some[0].data),
+    Quantity("expected", lambda some: EXPECTED.get(some[0].data)),
+    Quantity("named", _named),
+    Quantity("identified", lambda some: Rate.of(one.verdict == "identified" for one in some)),
+    # although the interval leaves out what is true
+    Quantity(
+        "identified_wrong",
+        lambda some: Rate.of(one.verdict == "identified" and bool(one.truths) and not one.held for one in some),
+    ),
+)
+
+
+def doubt_rows(tried: Sequence[Doubted]) -> list[Row]:
+    """All quantities, of each kind of data."""
+    return rows(by(tried, lambda one: one.data).values(), QUANTITIES)
 
 
 def doubt_plan(count: int, seed: int) -> list[DoubtCase]:

@@ -17,7 +17,7 @@ from scipy.spatial.distance import cdist
 from tyro.conf import arg
 
 from deformscope.arrays import FloatArray
-from deformscope.cli.study import Report, Study, StudyOptions, Trials
+from deformscope.cli.study import Study, StudyOptions, StudyReport, Trials
 from deformscope.config import flags
 from deformscope.errors import InputError
 from deformscope.pictures.report import Table
@@ -180,11 +180,11 @@ def field_rows(tried: Sequence[FieldOutcome]) -> list[tuple[str, ...]]:
     return [tuple(of(some) for of in QUANTITIES.values()) for some in by(tried, lambda one: one.kind).values()]
 
 
-def report(options: FieldCoverageConfig, seconds: float, tried: Sequence[FieldOutcome]) -> Report:
+def report(options: FieldCoverageConfig, seconds: float, tried: Sequence[FieldOutcome]) -> StudyReport:
     """A line of each kind."""
     seeds = reported(options.objects, options.output.seed)
     caption = f"Fields of stiffness, seeds {seeds.start} to {seeds.stop - 1}; ratio, border: where the verdict is right"
-    return Report([Table(field_rows(tried), tuple(QUANTITIES), caption)], tried)
+    return StudyReport([Table(field_rows(tried), tuple(QUANTITIES), caption)], tried)
 
 
 STUDY = Study(FieldCoverageConfig, trials, report)

@@ -48,13 +48,11 @@ def elastic_pair(
         held[low & box.plane(2, 0.0), 2] = True
     moved[high, 0 if way == "stretch" else 1] = strain * ends[0]
     solved = box.hold(held).solve(moved)
-    rest = np.stack(np.meshgrid(*[np.arange(n) * SPACING_M for n in shape], indexing="ij"), axis=-1).reshape(-1, d)
+    rest = lattice(shape)
     inside = rest if d == 3 else np.column_stack([rest, np.full(len(rest), 0.1 * SPACING_M)])
     u = box.sample(solved.displacement, inside)[:, :d]
     force = float(np.linalg.norm(solved.force[high].sum(axis=0)))
-    gap = np.sqrt(3.0) * cdist(rest, rest) / (reach * SPACING_M)
-    root = np.linalg.cholesky((1.0 + gap) * np.exp(-gap) + 1e-9 * np.eye(len(rest)))
-    errors = noise_m * root @ np.random.default_rng(seed).standard_normal(rest.shape)
+    errors = noise_m * shared_noise(rest, reach) @ np.random.default_rng(seed).standard_normal(rest.shape)
     ends_held: IntArray = np.flatnonzero((rest[:, 0] < 1e-9) | (rest[:, 0] > ends[0] - 1e-9))
     return Observation(
         rest,
@@ -65,3 +63,16 @@ def elastic_pair(
         cell=np.arange(len(rest)),
         force_n=force,
     )
+
+
+def lattice(shape: tuple[int, ...]) -> FloatArray:
+    """(K, d) places of particles [m]."""
+    axes = [np.arange(n) * SPACING_M for n in shape]
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(shape))
+
+
+def shared_noise(rest: FloatArray, reach: float) -> FloatArray:
+    """(K, K) root of the covariance of noise of unit variance that neighbours share (Matern 3/2) over so many
+    spacings."""
+    gap = np.sqrt(3.0) * cdist(rest, rest) / (reach * SPACING_M)
+    return np.linalg.cholesky((1.0 + gap) * np.exp(-gap) + 1e-9 * np.eye(len(rest)))

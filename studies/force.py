@@ -1,7 +1,7 @@
 """`python -m studies force`: how often the intervals of a predicted force hold the true one, on random slabs.
 
 python -m studies force
-python -m studies force --full --kinds halves "stiff disc" --slabs 8 --jobs 16 --out forces --json force.json
+python -m studies force --full --kinds halves "stiff disc" --slabs 8 --jobs 16 --resume forces.jsonl --json force.json
 
 Random slabs, half of whose 24 pokes are fitted: do the intervals of the force hold at the other half?
 
@@ -19,16 +19,13 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import msgspec
 import numpy as np
 from tyro.conf import arg
 
 from deformscope.arrays import FloatArray
-from deformscope.cli.common import make_folder
-from deformscope.cli.study import Report, Study, StudyOptions, Trials
+from deformscope.cli.study import Study, StudyOptions, StudyReport, Trials
 from deformscope.config import flags
 from deformscope.errors import InputError
 from deformscope.reproduce.poke_slabs import KINDS, POKE_GROUPS, PokedSlab, PokeGroup, SlabKind, Split, draw_slab
@@ -110,51 +107,26 @@ class TriedSlab:
     pokes: tuple[UnseenForce, ...]
 
 
-@dataclass(frozen=True, slots=True)
-class Slab24:
-    """Work: one slab under several scatters. cases: of one kind, seed and split; kept_in: folder of a file for each
-    slab, read where it is there"""
-
-    cases: tuple[ForceCase, ...]
-    kept_in: Path | None = None
+SlabCases = tuple[ForceCase, ...]
+"""One slab under several scatters."""
 
 
-def slab_works(
+def slab_cases(
     kinds: Sequence[SlabKind],
     seeds: Sequence[int],
     scatters: Sequence[float],
     full: bool,
     level: float = 0.9,
     split: Split = "alternate",
-    kept_in: Path | None = None,
-) -> list[Slab24]:
+) -> list[SlabCases]:
     """Every slab under every scatter, seed by seed."""
     return [
-        Slab24(tuple(ForceCase(kind, seed, one, full, level, split) for one in scatters), kept_in)
-        for seed in seeds
-        for kind in kinds
+        tuple(ForceCase(kind, seed, one, full, level, split) for one in scatters) for seed in seeds for kind in kinds
     ]
 
 
-def try_slab(work: Slab24) -> tuple[TriedSlab, ...]:
+def try_slab(cases: SlabCases) -> tuple[TriedSlab, ...]:
     """Draw the slab, fit half of its pokes and predict the others, under each scatter."""
-    first = work.cases[0]
-    if work.kept_in is None:
-        return _try(work.cases)
-    ways = "full" if first.full else "fast"
-    path = work.kept_in / f"{first.kind.replace(' ', '-')}-{first.seed}-{first.split}-{ways}.json"
-    if path.exists():
-        found = msgspec.json.decode(path.read_bytes(), type=tuple[TriedSlab, ...])
-        if tuple(one.case for one in found) == work.cases:
-            return found
-    tried = _try(work.cases)
-    half = path.with_suffix(".part")
-    half.write_bytes(msgspec.json.encode(tried))
-    half.replace(path)
-    return tried
-
-
-def _try(cases: Sequence[ForceCase]) -> tuple[TriedSlab, ...]:
     drawn = draw_slab(cases[0].kind, cases[0].seed, cases[0].split)
     pressed = _press(drawn) if cases[0].full else None
     tried = []
@@ -257,8 +229,6 @@ class ForceCoverageConfig(StudyOptions):
     full: bool = False
     """Press the slabs with finite elements and fit shape-matching models to what their surfaces do: some minutes a
     slab."""
-    out: Annotated[Path | None, flags.one_word("DIR", Path), flags.unset] = None
-    """Folder of a file for each slab, written as it comes; a slab whose file is there is not tried again."""
     split: Literal["alternate", "random"] = "alternate"
     """Which half is fitted: every other poke, as on a chess board, or any half."""
     level: flags.LevelFlag = 0.9
@@ -321,17 +291,14 @@ def force_rows(tried: Sequence[TriedSlab]) -> list[Row]:
     return rows(groups, QUANTITIES)
 
 
-def trials(options: ForceCoverageConfig) -> list[Trials[Slab24, tuple[TriedSlab, ...]]]:
+def trials(options: ForceCoverageConfig) -> list[Trials[SlabCases, tuple[TriedSlab, ...]]]:
     """Every slab, under every scatter."""
     seeds = reported(options.slabs, options.output.seed)
-    if options.out is not None:
-        make_folder(options.out)
-    kinds, level, split = options.kinds or KINDS, options.level, options.split
-    works = slab_works(kinds, seeds, options.scatter, options.full, level, split, options.out)
-    return [Trials("random slabs", try_slab, works)]
+    cases = slab_cases(options.kinds or KINDS, seeds, options.scatter, options.full, options.level, options.split)
+    return [Trials("random slabs", try_slab, cases)]
 
 
-def report(options: ForceCoverageConfig, seconds: float, tried: Sequence[tuple[TriedSlab, ...]]) -> Report:
+def report(options: ForceCoverageConfig, seconds: float, tried: Sequence[tuple[TriedSlab, ...]]) -> StudyReport:
     """A table for each scatter."""
     slabs = [one for some in tried for one in some]
     lines = force_rows(slabs)
@@ -345,7 +312,7 @@ def report(options: ForceCoverageConfig, seconds: float, tried: Sequence[tuple[T
         )
         for scatter in options.scatter
     ]
-    return Report(
+    return StudyReport(
         tables,
         {"level": options.level, "full": options.full, "split": options.split, "rows": lines, "slabs": slabs},
     )

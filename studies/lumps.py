@@ -22,16 +22,14 @@ from threadpoolctl import threadpool_limits
 from tyro.conf import arg
 
 from deformscope.arrays import FloatArray
-from deformscope.cli.study import Report, Study, StudyOptions, Trials
+from deformscope.cli.study import Study, StudyOptions, StudyReport, Trials
 from deformscope.config import flags
-from deformscope.experiments.explore import AtOnce, Exploration, ExplorationStopped, explore, within_loop
-from deformscope.experiments.explorer import AsMeasured, ExplorationStages, Explorer
+from deformscope.experiments.explorer import AsMeasured, Explorer
 from deformscope.experiments.options import ExploreOptions
 from deformscope.lab.scenes import built_in
 from deformscope.lab.session_errors import LabErrors
 from deformscope.pictures.report import Table
-from deformscope.reproduce.surface_robot import LabRobot
-from deformscope.session import run
+from deformscope.reproduce.surface_robot import LabRobot, explore_at_once
 from deformscope.stages.map.exploration import LumpsFound, PlannedTouch
 from deformscope.stages.map.lump_posterior import DEEP_M
 from studies.lump_limit import limit
@@ -131,11 +129,8 @@ def seek(case: LumpCase) -> LumpOutcome:
         )
         robot = LabRobot(scene, options, sees=False, errors=LabErrors.none() if case.clean else LabErrors())
         explorer = Explorer(scene.size_m, options, robot.arm, robot.truth)
-        found, heard = Exploration(), _HeardLumps()
-        stages = ExplorationStages(explorer, AsMeasured(scene.size_m, robot.reachable))
-        run([], explore(lambda: 0, within_loop(stages), found), heard, AtOnce(robot))
-        if found.stop is not None:
-            raise ExplorationStopped(found.stop, found.stop_ns)
+        heard = _HeardLumps()
+        explore_at_once(robot, explorer, AsMeasured(scene.size_m, robot.reachable), heard)
     truth = tuple(map(float, scene.lumps_m[0])) if len(scene.lumps_m) else None
     foam_sd = robot.errors.scatter_sd
     return _outcome(case, truth, foam_sd, heard, explorer, time.perf_counter() - began)  # type: ignore[arg-type]
@@ -330,7 +325,7 @@ def foam_rows(outcomes: Sequence[LumpOutcome]) -> list[Row]:
     return rows([some for ends, some in groups.items() if ends is not None], FOAM_QUANTITIES)
 
 
-def report(options: LumpCoverageConfig, seconds: float, outcomes: Sequence[LumpOutcome]) -> Report:
+def report(options: LumpCoverageConfig, seconds: float, outcomes: Sequence[LumpOutcome]) -> StudyReport:
     """After some numbers of touches, by the foam's scatter, and what is said of those that were found."""
     seeds = reported(options.objects, options.output.seed)
     lines, foams, found = lump_rows(outcomes), foam_rows(outcomes), details(outcomes)
@@ -340,7 +335,7 @@ def report(options: LumpCoverageConfig, seconds: float, outcomes: Sequence[LumpO
         tables.append(table(foams, FOAM_QUANTITIES, "By the scatter of the foam, after all touches"))
     tables.append(Table(list(_words(found).items()), caption="Of those that were found"))
     ends = [seeds.start, seeds.stop - 1]
-    return Report(tables, {"seeds": ends, "rows": lines, "foams": foams, "details": found, "searches": outcomes})
+    return StudyReport(tables, {"seeds": ends, "rows": lines, "foams": foams, "details": found, "searches": outcomes})
 
 
 def _words(counted: dict[str, float]) -> dict[str, str]:

@@ -25,7 +25,7 @@ from scipy.spatial.distance import cdist
 from tyro.conf import arg
 
 from deformscope.arrays import FloatArray, IntArray
-from deformscope.cli.study import Report, Study, StudyOptions, Trials
+from deformscope.cli.study import Study, StudyOptions, StudyReport, Trials
 from deformscope.config import flags
 from deformscope.experiments.material_motion import recovery_of_motion
 from deformscope.lab.elasticity import ElasticBox
@@ -39,8 +39,9 @@ from deformscope.stages.msm import clusters
 from deformscope.stages.msm.materials import AxisBeta, Plasticity
 from deformscope.stages.msm.plastic import PlasticMsm
 from deformscope.stages.msm.solver import Msm
-from studies.field_bodies import NOISE_REACH, NOISE_SHARES, SPACING_M
+from studies.field_bodies import NOISE_REACH, NOISE_SHARES, SPACING_M, lattice, shared_noise
 from studies.quantities import (
+    KnownEstimate,
     by,
     counts,
     interval_rows,
@@ -66,29 +67,16 @@ FINE = 40
 """Steps between two frames."""
 
 
-@dataclass(frozen=True, slots=True)
-class MotionOutcome:
-    """truth, value, low, high: (p,) of PARAMETERS; high is infinite where the data leave it open"""
-
-    kind: MotionKind
-    seed: int
-    verdict: str
-    truth: tuple[float, ...]
-    value: tuple[float, ...]
-    low: tuple[float, ...]
-    high: tuple[float, ...]
-
-
-def try_motion(case: tuple[MotionKind, int]) -> MotionOutcome:
+def try_motion(case: tuple[MotionKind, int]) -> KnownEstimate:
     """Make the motion of a kind and a seed, and fit it."""
     kind, seed = case
     return {"axes": _axes, "yield": _yield, "viscous": _viscous}[kind](seed)
 
 
-def _axes(seed: int) -> MotionOutcome:
+def _axes(seed: int) -> KnownEstimate:
     random = np.random.default_rng([seed, MOTION_KINDS.index("axes")])
     beta = random.uniform(*BETAS, 2)
-    rest = _lattice(PLATE)
+    rest = lattice(PLATE)
     low, high = _ends(rest)
     held = np.concatenate([low, random.choice(high, 2, replace=False)])
     moved = rest[held]
@@ -99,21 +87,15 @@ def _axes(seed: int) -> MotionOutcome:
     deformed[held] = moved
     seen = dataclasses.replace(still, deformed=deformed + _NeighbourNoise(rest, random).drawn(random))
     found = fit_axes([seen], Model(), level=LEVEL, seed=seed)
-    return MotionOutcome(
-        "axes",
-        seed,
-        ", ".join(found.verdict),
-        tuple(beta.tolist()),
-        tuple(found.value.tolist()),
-        tuple(found.interval[:, 0].tolist()),
-        tuple(found.interval[:, 1].tolist()),
-    )
+    ends = [(low, high) for low, high in found.interval.tolist()]
+    estimates = zip(found.value.tolist(), ends, strict=True)
+    return KnownEstimate.of("axes", ", ".join(found.verdict), beta.tolist(), estimates)
 
 
-def _yield(seed: int) -> MotionOutcome:
+def _yield(seed: int) -> KnownEstimate:
     random = np.random.default_rng([seed, MOTION_KINDS.index("yield")])
     truth = float(random.uniform(*YIELDS)), float(random.uniform(*BLOCK_BETAS))
-    rest = _lattice(BLOCK)
+    rest = lattice(BLOCK)
     low, top = _ends(rest)
     pressing = np.concatenate([low, _tip(rest, top)])
     body = PlasticMsm(Msm(rest, clusters.lattice(rest, BLOCK, np.arange(len(rest)), 3), pressing), Plasticity(truth[0]))
@@ -132,23 +114,15 @@ def _yield(seed: int) -> MotionOutcome:
         Motion(rest, motion, held, None, BLOCK, np.arange(len(rest))), YieldOptions(level=LEVEL, seed=seed)
     )
     both = (found.yield_strain, found.beta)
-    return MotionOutcome(
-        "yield",
-        seed,
-        found.verdict,
-        truth,
-        tuple(one.value for one in both),
-        tuple(one.interval[0] for one in both),
-        tuple(np.inf if one.interval[1] is None else one.interval[1] for one in both),
-    )
+    return KnownEstimate.of("yield", found.verdict, truth, [(one.value, one.interval) for one in both])
 
 
-def _viscous(seed: int) -> MotionOutcome:
+def _viscous(seed: int) -> KnownEstimate:
     random = np.random.default_rng([seed, MOTION_KINDS.index("viscous")])
     share, kept = float(random.uniform(*RELAXES)), float(random.choice(KEEPS))
     fastest, slowest = np.log(TIMES_S)
     relax_s = float(np.exp(random.uniform(fastest, slowest)))
-    rest = _lattice(PAD)
+    rest = lattice(PAD)
     low, top = _ends(rest)
     tip = _tip(rest, top)
     box = ElasticBox(*(np.arange(n) * SPACING_M for n in PAD), young=40e3, poisson=0.2)
@@ -171,15 +145,8 @@ def _viscous(seed: int) -> MotionOutcome:
     found = recovery_of_motion(motion, LEVEL, seed).estimate
     assert isinstance(found, RecoveryEstimate)
     every = (found.share, found.time_s, found.set)
-    return MotionOutcome(
-        "viscous",
-        seed,
-        found.verdict,
-        (share, relax_s, kept),
-        tuple(one.value for one in every),
-        tuple(one.interval[0] for one in every),
-        tuple(one.interval[1] for one in every),
-    )
+    estimates = [(one.value, one.interval) for one in every]
+    return KnownEstimate.of("viscous", found.verdict, (share, relax_s, kept), estimates)
 
 
 def recovering(time_s: FloatArray, share: float, relax_s: float, kept: float) -> FloatArray:
@@ -206,18 +173,11 @@ class _NeighbourNoise:
 
     def __init__(self, rest: FloatArray, random: np.random.Generator) -> None:
         reach, size = (float(np.exp(random.uniform(*np.log(ends)))) for ends in (NOISE_REACH, NOISE_SHARES))
-        gap = np.sqrt(3.0) * cdist(rest, rest) / (reach * SPACING_M)
-        root = np.linalg.cholesky((1.0 + gap) * np.exp(-gap) + 1e-9 * np.eye(len(rest)))
-        self._root, self._d = size * SPACING_M * root, rest.shape[1]
+        self._root, self._d = size * SPACING_M * shared_noise(rest, reach), rest.shape[1]
 
     def drawn(self, random: np.random.Generator) -> FloatArray:
         """(K, d)"""
         return np.asarray(self._root @ random.standard_normal((len(self._root), self._d)))
-
-
-def _lattice(shape: tuple[int, ...]) -> FloatArray:
-    axes = [np.arange(n) * SPACING_M for n in shape]
-    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(shape))
 
 
 def _ends(rest: FloatArray) -> tuple[IntArray, IntArray]:
@@ -246,13 +206,13 @@ class MaterialsCoverageConfig(StudyOptions):
     """Motions of each kind, from seed SEED on; one to yield takes some 5 s, another less than one."""
 
 
-def trials(options: MaterialsCoverageConfig) -> list[Trials[tuple[MotionKind, int], MotionOutcome]]:
+def trials(options: MaterialsCoverageConfig) -> list[Trials[tuple[MotionKind, int], KnownEstimate]]:
     """So many motions of each kind."""
     seeds = reported(options.objects, options.output.seed)
     return [Trials("motions", try_motion, [(kind, seed) for kind in options.kinds or MOTION_KINDS for seed in seeds])]
 
 
-def report(options: MaterialsCoverageConfig, seconds: float, tried: Sequence[MotionOutcome]) -> Report:
+def report(options: MaterialsCoverageConfig, seconds: float, tried: Sequence[KnownEstimate]) -> StudyReport:
     """A table of each kind, and the verdicts."""
     kinds = by(tried, lambda one: one.kind)
     lines = {kind: interval_rows(some, PARAMETERS[kind]) for kind, some in kinds.items()}
@@ -260,7 +220,7 @@ def report(options: MaterialsCoverageConfig, seconds: float, tried: Sequence[Mot
     tables = [interval_table(some, "motions", f"calibrate {kind}") for kind, some in lines.items()]
     taken = [(kind, "; ".join(f"{name}: {count}" for name, count in some.items())) for kind, some in verdicts.items()]
     tables.append(Table(taken, ("motions of", "verdicts"), "what they were taken for"))
-    return Report(tables, {kind: {"rows": lines[kind], "verdicts": verdicts[kind]} for kind in kinds})
+    return StudyReport(tables, {kind: {"rows": lines[kind], "verdicts": verdicts[kind]} for kind in kinds})
 
 
 STUDY = Study(MaterialsCoverageConfig, trials, report)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
@@ -109,23 +109,33 @@ LEAST_TRUTH = 1e-2
 """A truth below this has no errors that are shares of it."""
 
 
-class WithIntervals(Protocol):
-    """An outcome. truth, value, low, high: (q,) of its quantities, nan where there is none"""
+@dataclass(frozen=True, slots=True)
+class KnownEstimate:
+    """What was estimated of one object. kind: of object; truth, value, low, high: (q,) of its quantities, nan where
+    there is none, infinite where the data leave it open"""
 
-    @property
-    def truth(self) -> tuple[float, ...]: ...
+    kind: str
+    verdict: str
+    truth: tuple[float, ...]
+    value: tuple[float, ...]
+    low: tuple[float, ...]
+    high: tuple[float, ...]
 
-    @property
-    def value(self) -> tuple[float, ...]: ...
+    @classmethod
+    def of(
+        cls,
+        kind: str,
+        verdict: str,
+        truth: Sequence[float],
+        estimates: Iterable[tuple[float, tuple[float, float | None]]],
+    ) -> KnownEstimate:
+        """estimates: each quantity's value and interval, without an upper end where the data leave it open"""
+        value, interval = zip(*estimates, strict=True)
+        high = (np.inf if ends[1] is None else ends[1] for ends in interval)
+        return cls(kind, verdict, tuple(truth), tuple(value), tuple(ends[0] for ends in interval), tuple(high))
 
-    @property
-    def low(self) -> tuple[float, ...]: ...
 
-    @property
-    def high(self) -> tuple[float, ...]: ...
-
-
-def interval_rows(outcomes: Sequence[WithIntervals], names: Sequence[str]) -> list[Row]:
+def interval_rows(outcomes: Sequence[KnownEstimate], names: Sequence[str]) -> list[Row]:
     """Of each quantity that has a truth. error: rms share off; near: how many are within NEAR; held: in their
     intervals; width: median, as a share of the truth"""
     truth, value, low, high = (

@@ -22,10 +22,10 @@ from deformscope.pictures.figures import canvas, png_of
 from deformscope.stages.fit.calibrate import Calibration, FitOptions, Model, Observation, calibrate
 from deformscope.stages.fit.estimate import DoubtCode, Estimate, Verdict
 from deformscope.stages.msm.clusters import held_mask
+from studies.field_bodies import SPACING_M, lattice
 from studies.quantities import Rate
 
 BOUNDS = (0.0, 0.99)
-SPACING_M = 0.01
 CANDIDATES = 40
 NOISE_SHARES = (0.005, 0.05)
 """Sizes of the noise, even in their logarithm between these [spacings]."""
@@ -151,7 +151,7 @@ def random_body(rng: np.random.Generator, dim: int) -> RandomBody:
     """4 to 8 by 4 to 12 particles in the plane, 3 to 5 a side in space; one to some of the far side moved by about a
     spacing; clusters of 2 to 5 a side."""
     shape = (int(rng.integers(4, 9)), int(rng.integers(4, 13))) if dim == 2 else tuple(map(int, rng.integers(3, 6, 3)))
-    rest = np.stack(np.meshgrid(*(np.arange(n) * SPACING_M for n in shape), indexing="ij"), axis=-1).reshape(-1, dim)
+    rest = lattice(shape)
     near = np.flatnonzero(rest[:, 0] <= 0.0)
     far = np.flatnonzero(rest[:, 0] >= rest[:, 0].max() - 1e-9)
     middle = rest[rng.choice(far)]

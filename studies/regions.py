@@ -29,7 +29,7 @@ from threadpoolctl import threadpool_limits
 from tyro.conf import arg
 
 from deformscope.arrays import FloatArray, IntArray
-from deformscope.cli.study import Report, Study, StudyOptions, Trials
+from deformscope.cli.study import Study, StudyOptions, StudyReport, Trials
 from deformscope.config import flags
 from deformscope.errors import InputError
 from deformscope.lab.arm_contact import ARM_STIFFNESS_N_M
@@ -438,7 +438,7 @@ def trials(options: RegionCoverageConfig) -> list[Trials[RegionCase, RegionOutco
     return [Trials("explorations", explore_known, cases)]
 
 
-def report(options: RegionCoverageConfig, seconds: float, tried: Sequence[RegionOutcome]) -> Report:
+def report(options: RegionCoverageConfig, seconds: float, tried: Sequence[RegionOutcome]) -> StudyReport:
     """A line of each condition, and bins of what was claimed."""
     conditions, seeds = _conditions(options), reported(options.objects, options.output.seed)
     groups = by(tried, lambda one: one.condition)
@@ -461,7 +461,7 @@ def report(options: RegionCoverageConfig, seconds: float, tried: Sequence[Region
         "explorations": [one for outcomes in some for one in outcomes],
         "seconds": seconds,
     }
-    return Report(tables, found)
+    return StudyReport(tables, found)
 
 
 def _bins_table(conditions: Sequence[RegionCondition], bins: Sequence[Sequence[ReliabilityBin]]) -> Table:

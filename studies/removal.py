@@ -23,7 +23,7 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from deformscope.arrays import BoolArray, FloatArray
-from deformscope.cli.study import Report, Study, StudyOptions, Trials
+from deformscope.cli.study import Study, StudyOptions, StudyReport, Trials
 from deformscope.config import flags
 from deformscope.experiments.measured import DENT_M, SetupGeometry, sample_box
 from deformscope.lab.depth_view import DepthView
@@ -377,12 +377,12 @@ def trials(options: RemovalCoverageConfig) -> list[Trials[int, list[RemovalCount
     return [Trials("robots", try_removals, reported(options.layouts, options.output.seed))]
 
 
-def report(options: RemovalCoverageConfig, seconds: float, tried: Sequence[list[RemovalCount]]) -> Report:
+def report(options: RemovalCoverageConfig, seconds: float, tried: Sequence[list[RemovalCount]]) -> StudyReport:
     """A table for each box, and the time."""
     lines = removal_rows([one for some in tried for one in some])
     tables = [*(_removal_table(where, lines) for where in TITLES), _time_table(lines)]
     png = removal_png(options.output.seed)
-    return Report(
+    return StudyReport(
         tables,
         {"layouts": options.layouts, "doubt_m": DOUBT_M, "rows": lines},
         (Figure(png, "Taken for the robot, by how it is taken out"),),

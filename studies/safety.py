@@ -14,7 +14,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 
-from deformscope.cli.study import Report, Study, StudyOptions, Trials
+from deformscope.cli.study import Study, StudyOptions, StudyReport, Trials
 from deformscope.config import flags
 from deformscope.lab.faults import Injected
 from deformscope.pictures.report import Table
@@ -69,7 +69,7 @@ def report(
     runs: Sequence[AnyRun | SilentRun],
     layouts: Sequence[LayoutRun],
     rigid: Sequence[RigidRun],
-) -> Report:
+) -> StudyReport:
     """A table of each that there was."""
     silences = [run for run in runs if isinstance(run, SilentRun)]
     faults = [run for run in runs if not isinstance(run, SilentRun)]
@@ -81,7 +81,7 @@ def report(
     for run in runs:
         kinds.setdefault(run.kind if isinstance(run, SilentRun) else kind_of(run), []).append(run)
     late = [run for run in runs if not run.in_time]
-    return Report(
+    return StudyReport(
         [*tables, Table([("all", f"{seconds:.0f} s")], caption="Time")],
         {
             "arm": options.arm,

@@ -17,7 +17,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from deformscope.cli.study import Report, Study, Trials
+from deformscope.cli.study import Study, StudyReport, Trials
 from deformscope.reproduce.cubes import DEPTHS_M, thesis_cubes
 from deformscope.stages.fit.calibrate import FitOptions, Model
 from studies.beta import (
@@ -98,14 +98,14 @@ def report(
     seconds: float,
     disturbed: Sequence[DisturbedOutcome],
     settings: Sequence[DisturbedOutcome],
-) -> Report:
+) -> StudyReport:
     """A line of each kind of errors, and one for each way in which two fits of a cube differ."""
     tables, found = summary(options, "theta", seconds, disturbed)
     lines = disturbed_rows(settings)
     if lines:
         title = f"{options.level:.0%} intervals that hold the theta found at another setting"
         tables.append(table(lines, QUANTITIES, title, COLUMNS))
-    return Report(tables, found | {"settings": lines})
+    return StudyReport(tables, found | {"settings": lines})
 
 
 STUDY = Study(DisturbedCoverageConfig, trials, report)

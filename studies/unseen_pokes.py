@@ -16,7 +16,8 @@ from deformscope.arrays import FloatArray, IntArray
 from deformscope.lab.elasticity import ElasticBox
 from deformscope.stages.fit.calibrate import FitOptions, Model, Observation, calibrate
 from deformscope.stages.poke.predictive import predict
-from studies.random_bodies import CANDIDATES, SPACING_M, random_dim
+from studies.field_bodies import SPACING_M, lattice
+from studies.random_bodies import CANDIDATES, random_dim
 
 NOISE_M = 1e-4
 
@@ -54,7 +55,7 @@ class FoamBody:
         sides = ((5, 9), (6, 12)) if dim == 2 else ((4, 7),) * 3
         self.shape = tuple(int(rng.integers(low, high)) for low, high in sides)
         axes = [np.arange(n) * SPACING_M for n in self.shape]
-        self.rest = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, dim)
+        self.rest = lattice(self.shape)
         if dim == 2:  # elements of half a spacing, and as thick
             axes = [np.linspace(0.0, axis[-1], 2 * len(axis) - 1) for axis in axes]
             axes.append(np.array([0.0, 0.5 * SPACING_M]))

@@ -3,7 +3,7 @@
 def trials(options: CreepOptions) -> list[Trials]:
     return [Trials("touches", try_creep, [CreepCase(seed) for seed in range(options.objects)])]
 
-STUDY = Study(CreepOptions, trials, report)      # report(options, seconds, outcomes) -> Report
+STUDY = Study(CreepOptions, trials, report)      # report(options, seconds, outcomes) -> StudyReport
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class Trials(Generic[CaseT, OutcomeT]):
 
 
 @dataclass(frozen=True, slots=True)
-class Report:
+class StudyReport:
     """What is said of all outcomes. tables, figures: as they are shown and recorded; files: content by path, None is
     not written"""
 
@@ -72,7 +72,7 @@ class Study:
 
     options: type[Any]
     trials: Callable[[Any], Sequence[Trials[Any, Any]]]
-    report: Callable[..., Report]
+    report: Callable[..., StudyReport]
 
 
 def run(study: Study, options: StudyOptions) -> None:
@@ -145,7 +145,10 @@ def _resumed(trials: Trials[Any, Any], options: StudyOptions) -> list[Any]:
     known = {}
     for index, case in enumerate(trials.cases):
         if (one := kept.get((trials.of, json.dumps(_plain(case))))) is not None:
-            known[index] = _outcome(trials.try_one, *one)
+            try:
+                known[index] = _outcome(trials.try_one, *one)
+            except msgspec.ValidationError as error:
+                raise InputError("outcomes of this version", str(error), "leave --resume out", path) from error
 
     def keep(new: Sequence[tuple[Any, Any]]) -> None:
         with path.open("a", encoding="utf-8") as file:

@@ -18,15 +18,13 @@ from threadpoolctl import threadpool_limits
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.errors import InputError
-from deformscope.experiments.explore import AtOnce, Exploration, explore, within_loop
-from deformscope.experiments.explorer import AsMeasured, ExplorationStages, Explorer, Touch
+from deformscope.experiments.explorer import AsMeasured, Explorer, Touch
 from deformscope.experiments.options import ExploreOptions
 from deformscope.lab.scenes import built_in
 from deformscope.lab.slab import RigidTip
 from deformscope.lab.slab_world import SlabWorld
 from deformscope.reproduce.foams import order_words
-from deformscope.reproduce.surface_robot import LabRobot
-from deformscope.session import run
+from deformscope.reproduce.surface_robot import LabRobot, explore_at_once
 from deformscope.stages.map.gaussian_process import Believed
 from deformscope.stages.map.map_score import match_regions
 from deformscope.stages.map.thesis_field import ThesisField, contoured
@@ -173,9 +171,8 @@ def explore_scenario(job: tuple[str, int]) -> Scenario:
             planner="thesis", beta_model="layers", budget=MOST_TOUCHES, seed=seed, thickness_m=scene.thickness_m
         )
         robot = LabRobot(scene, options)
-        explorer, found = Explorer(scene.size_m, options, robot.arm, robot.truth), Exploration()
-        stages = ExplorationStages(explorer, AsMeasured(scene.size_m, robot.reachable))
-        run([], explore(lambda: 0, within_loop(stages), found), _Nowhere(), AtOnce(robot))
+        explorer = Explorer(scene.size_m, options, robot.arm, robot.truth)
+        explore_at_once(robot, explorer, AsMeasured(scene.size_m, robot.reachable), _Nowhere())
         layers = explorer.thesis
         counts = np.cumsum(layers.dented)
         single = ThesisField()

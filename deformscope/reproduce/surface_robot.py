@@ -11,7 +11,8 @@ from scipy.interpolate import PchipInterpolator
 from deformscope.arrays import BoolArray, FloatArray
 from deformscope.capsule import Capsule
 from deformscope.errors import InputError
-from deformscope.experiments.explorer import Touch
+from deformscope.experiments.explore import AtOnce, Exploration, ExplorationStopped, explore, within_loop
+from deformscope.experiments.explorer import AsMeasured, ExplorationStages, Explorer, Touch
 from deformscope.experiments.measured import off_the_border, sample_box
 from deformscope.experiments.options import SHALLOW_M, VIEW_CELL_M, ExploreOptions
 from deformscope.lab.arm_contact import ARM_DOUBT, ARM_STIFFNESS_N_M
@@ -25,6 +26,7 @@ from deformscope.lab.touching import Approach, Sensing, approach, force_curve
 from deformscope.reproduce.touch_clock import TouchClock
 from deformscope.rig.rig_file import Tool
 from deformscope.robot.setup import Truth
+from deformscope.session import SessionRecorder, run
 from deformscope.stages.map.map_score import TrueMap
 from deformscope.stages.map.measured import SurfaceMeasurement, TouchMeasurement
 from deformscope.stages.poke.contact import ArmCompliance
@@ -188,3 +190,16 @@ class LabRobot:
             depth_m, camera, self._view.surface_from_camera, box, robot=PosedRobot(robot, margin_m=0.01), cell_m=cell
         )
         return SurfaceMeasurement(found.points_m, found.noise_m)
+
+
+def explore_at_once(
+    robot: LabRobot, explorer: Explorer, plans: AsMeasured, recorder: SessionRecorder, found: Exploration | None = None
+) -> None:
+    """Explore with a robot that gives measurements at once. Raises ExplorationStopped.
+
+    plans: what an approach is; recorder: is given every stage's results; found: what is filled with touches
+    """
+    found = Exploration() if found is None else found
+    run([], explore(lambda: 0, within_loop(ExplorationStages(explorer, plans)), found), recorder, AtOnce(robot))
+    if found.stop is not None:
+        raise ExplorationStopped(found.stop, found.stop_ns)

@@ -10,20 +10,19 @@ import time
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from deformscope.experiments.explore import AtOnce, Exploration, ExplorationStopped, explore, within_loop
-from deformscope.experiments.explorer import ExplorationStages, Explorer
+from deformscope.experiments.explore import Exploration
+from deformscope.experiments.explorer import Explorer
 from deformscope.experiments.measured import SetupGeometry, highest_m
 from deformscope.experiments.options import TRAVEL_M_S, ExploreOptions
 from deformscope.lab.arm_contact import ARM_DOUBT, ARM_STIFFNESS_N_M
 from deformscope.lab.scenes import Scene, built_in
 from deformscope.lab.session_errors import LabErrors
-from deformscope.reproduce.surface_robot import LabRobot, true_map
+from deformscope.reproduce.surface_robot import LabRobot, explore_at_once, true_map
 from deformscope.reproduce.table41_runs import MapAfter, TableJob, TableRun
 from deformscope.reproduce.touch_clock import PlannedTouches, TouchClock
 from deformscope.rig.rig_file import Tool, Workspace
 from deformscope.robot.placement import Placement
 from deformscope.robot.setup import CameraView
-from deformscope.session import run
 from deformscope.stages.map.exploration import PlannedTouch, TouchEstimate
 from deformscope.stages.map.map_score import TrueMap, score_map
 
@@ -52,10 +51,7 @@ def run_table(job: TableJob) -> TableRun:
         truth = true_map(robot.scene, options)
         found = Exploration()
         scores = _Scores(found, explorer, robot, truth, clock)
-        stages = ExplorationStages(explorer, PlannedTouches(setup, options, robot.reachable))
-        run([], explore(lambda: 0, within_loop(stages), found), scores, AtOnce(robot))
-        if found.stop is not None:
-            raise ExplorationStopped(found.stop, found.stop_ns)
+        explore_at_once(robot, explorer, PlannedTouches(setup, options, robot.reachable), scores, found)
     after, stop_after = tuple(scores.after), scores.stop_after
     return TableRun(job, scene.region_count, after, robot.most_force_n, stop_after, time.perf_counter() - began)
 

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import re
 from pathlib import Path
+from types import UnionType
+from typing import get_args, get_type_hints
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -106,6 +110,17 @@ def test_every_study_has_a_line_and_help(capsys: pytest.CaptureFixture[str]) -> 
         assert f"python -m studies {name}" in capsys.readouterr().out
     assert main(["creeps"]) == 2
     assert "try: python -m studies creep" in capsys.readouterr().err
+
+
+def test_every_outcome_can_be_kept_and_read_again() -> None:
+    """msgspec refuses a type that it cannot read."""
+    for name in summaries():
+        study = importlib.import_module(f"studies.{name}").STUDY
+        for trials in study.trials(study.options()):
+            assert len(trials.cases) > 0
+            returned = get_type_hints(trials.try_one)["return"]
+            for kind in get_args(returned) if isinstance(returned, UnionType) else (returned,):
+                msgspec.inspect.type_info(kind)
 
 
 def test_the_command_that_was_names_the_studies(capsys: pytest.CaptureFixture[str]) -> None:

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from pathlib import Path
 
-import msgspec
 import numpy as np
 import pytest
 
@@ -15,11 +13,10 @@ from deformscope.reproduce.poke_study import Press, observe, plan_of
 from deformscope.stages.poke import stiffness_field
 from studies.force import (
     ForceCase,
-    Slab24,
     TriedSlab,
     UnseenForce,
     force_rows,
-    slab_works,
+    slab_cases,
     try_slab,
 )
 
@@ -71,7 +68,7 @@ def test_what_a_poke_meets_beside_a_border_is_that_of_finite_elements(aside: flo
 
 
 def test_a_fast_slab_is_fitted_and_its_other_half_predicted() -> None:
-    (found,) = try_slab(Slab24((ForceCase("halves", 1003, scatter=0.03),)))
+    (found,) = try_slab((ForceCase("halves", 1003, scatter=0.03),))
     assert found.field == "materials"
     assert len(found.pokes) == 12
     sure = [poke for poke in found.pokes if poke.inside is not None and abs(poke.inside) > 0.06]
@@ -109,21 +106,10 @@ def test_rows_pool_pokes_by_slab_and_group() -> None:
     assert rows[2]["surface_error"] == pytest.approx(0.04)
 
 
-def test_works_are_every_slab_under_every_scatter_and_are_kept_as_they_come(tmp_path: Path) -> None:
-    works = slab_works(("halves", "one material"), range(1000, 1002), (0.0, 0.1), False, kept_in=tmp_path)
-    assert [work.cases[0].kind for work in works] == ["halves", "one material"] * 2
-    assert [(case.seed, case.scatter) for case in works[3].cases] == [(1001, 0.0), (1001, 0.1)]
-    kept = TriedSlab(works[0].cases[0], "materials", (poke(0.3, False),))
-    (tmp_path / "halves-1000-alternate-fast.json").write_bytes(msgspec.json.encode([kept]))
-    one = dataclasses.replace(works[0], cases=works[0].cases[:1])
-    assert try_slab(one) == (kept,)
-    other = dataclasses.replace(one, cases=(dataclasses.replace(one.cases[0], kind="one material"),))
-    tried = try_slab(other)
-    assert try_slab(other) == tried
-    assert [path.name for path in sorted(tmp_path.iterdir())] == [
-        "halves-1000-alternate-fast.json",
-        "one-material-1000-alternate-fast.json",
-    ]
+def test_cases_are_every_slab_under_every_scatter() -> None:
+    slabs = slab_cases(("halves", "one material"), range(1000, 1002), (0.0, 0.1), False)
+    assert [cases[0].kind for cases in slabs] == ["halves", "one material"] * 2
+    assert [(case.seed, case.scatter) for case in slabs[3]] == [(1001, 0.0), (1001, 0.1)]
 
 
 def test_a_plan_has_the_slabs_own_places() -> None:

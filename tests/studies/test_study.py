@@ -15,7 +15,7 @@ pytest.importorskip("warp")
 pytest.importorskip("tyro")
 
 from deformscope.cli import with_flags
-from deformscope.cli.study import Report, Study, StudyOptions, Trials, run, tried
+from deformscope.cli.study import Study, StudyOptions, StudyReport, Trials, run, tried
 from deformscope.errors import InputError
 from deformscope.pictures.report import Table
 from studies.quantities import Quantity, Rate, by, number, rows, share, table
@@ -49,8 +49,8 @@ def square(number: int) -> Square | Odd:
     return Square(number, math.nan if number == 0 else np.float64(number) ** 2, (-math.inf, 0.1 * number))
 
 
-def report(options: StudyOptions, seconds: float, found: Sequence[Square | Odd]) -> Report:
-    return Report([Table([(one.number,) for one in found], ("number",), "Squares")], {"found": found})
+def report(options: StudyOptions, seconds: float, found: Sequence[Square | Odd]) -> StudyReport:
+    return StudyReport([Table([(one.number,) for one in found], ("number",), "Squares")], {"found": found})
 
 
 def study(numbers: Sequence[int]) -> Study:
