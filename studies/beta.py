@@ -26,18 +26,7 @@ from deformscope.pictures.report import Table
 from deformscope.stages.fit.calibrate import FitOptions, Model, Observation
 from deformscope.stages.fit.estimate import DoubtCode, Parameter, Verdict
 from studies.field_bodies import SPACING_M
-from studies.quantities import (
-    Quantity,
-    Rate,
-    Row,
-    band,
-    by,
-    counts,
-    number,
-    rows,
-    share,
-    table,
-)
+from studies.quantities import Quantity, Rate, Row, band, by, counts, number, rows, share, table
 from studies.random_bodies import (
     BOUNDS,
     CANDIDATES,
@@ -248,7 +237,7 @@ def reasons_text(reasons: Mapping[DoubtCode, Rate]) -> str:
     return ", ".join(f"{code} {rate.rate:.2f}" for code, rate in reasons.items())
 
 
-QUANTITIES: tuple[Quantity[DisturbedOutcome], ...] = (
+QUANTITIES: tuple[Quantity[Sequence[DisturbedOutcome]], ...] = (
     Quantity("condition", lambda some: some[0].outcome.condition, {"errors": str}),
     Quantity("covered", _covered, {"cases": lambda rate: rate.cases, "held": share(3), "95 % band": band(3)}),
     Quantity("covered_2d", lambda some: _covered(some, 2), {"2D": share(2)}),

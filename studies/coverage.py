@@ -13,20 +13,14 @@ from pathlib import Path
 from statistics import median
 from typing import Annotated, Any
 
-from deformscope.cli.common import (
-    make_folder,
-)
+from deformscope.cli.common import make_folder
 from deformscope.cli.study import Study, StudyOptions, StudyReport, Trials
 from deformscope.config import flags
 from deformscope.errors import InputError
 from deformscope.pictures.report import Figure, Table
 from deformscope.stages.fit.estimate import Verdict
 from studies.doubt_rates import CODES, EXPECTED, Doubted, doubt_plan, doubt_rows, try_doubts
-from studies.quantities import (
-    Rate,
-    Row,
-    band,
-)
+from studies.quantities import Rate, Row, band
 from studies.random_bodies import (
     GROUPS,
     NOTHING,

@@ -34,13 +34,7 @@ from deformscope.lab.touching import HeldTouch, Sensing, force_curve, held_touch
 from deformscope.pictures.report import Table
 from deformscope.stages.poke.contact import ArmCompliance
 from deformscope.stages.poke.creep import CreepVerdict, fit_creep
-from studies.quantities import (
-    KnownEstimate,
-    by,
-    counts,
-    interval_rows,
-    interval_table,
-)
+from studies.quantities import KnownEstimate, by, counts, interval_rows, interval_table
 from studies.seeds import reported
 
 RELAXES, TIMES_S = (0.1, 0.4), (0.2, 5.0)

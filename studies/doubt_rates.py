@@ -18,15 +18,7 @@ from deformscope.stages.fit.calibrate import FitOptions, Model, Observation, cal
 from deformscope.stages.fit.estimate import DoubtCode, Verdict
 from studies.field_bodies import SPACING_M
 from studies.quantities import Quantity, Rate, Row, by, rows
-from studies.random_bodies import (
-    BOUNDS,
-    CANDIDATES,
-    RandomBody,
-    random_body,
-    random_dim,
-    random_noise,
-    random_sigma,
-)
+from studies.random_bodies import BOUNDS, CANDIDATES, RandomBody, random_body, random_dim, random_noise, random_sigma
 from studies.unseen_pokes import FoamBody, observe_foam
 
 Data = Literal[
@@ -162,7 +154,7 @@ def _named(some: Sequence[Doubted]) -> dict[DoubtCode, Rate]:
     return {code: rate for code, rate in rates.items() if rate.hits}
 
 
-QUANTITIES: tuple[Quantity[Doubted], ...] = (
+QUANTITIES: tuple[Quantity[Sequence[Doubted]], ...] = (
     Quantity("data", lambda some: some[0].data),
     Quantity("expected", lambda some: EXPECTED.get(some[0].data)),
     Quantity("named", _named),

@@ -23,11 +23,7 @@ from deformscope.errors import InputError
 from deformscope.pictures.report import Table
 from deformscope.stages.materials.field import fit_field
 from studies.field_bodies import NOISE_REACH, NOISE_SHARES, SPACING_M, Way, Young, elastic_pair
-from studies.quantities import (
-    Rate,
-    by,
-    of_cases,
-)
+from studies.quantities import Rate, by, of_cases
 from studies.seeds import reported
 
 PLATE, SLAB = (17, 13), (11, 6, 4)

@@ -19,7 +19,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from tyro.conf import arg
@@ -37,16 +37,7 @@ from deformscope.stages.poke.poke_estimate import model_of
 from deformscope.stages.poke.poke_fit import SeenPoke, fit_pokes, seen_poke
 from deformscope.stages.poke.stiffness_field import fit_field
 from deformscope.stages.regions.posterior import SurfaceKind
-from studies.quantities import (
-    Quantity,
-    Rate,
-    Row,
-    band,
-    by,
-    percent,
-    rows,
-    table,
-)
+from studies.quantities import Quantity, Rate, Row, band, by, percent, rows, table
 from studies.seeds import reported
 
 TIPS = (TIP, *OTHER_TIPS)
@@ -242,7 +233,7 @@ class ForceCoverageConfig(StudyOptions):
 Pokes = tuple[str, Sequence[TriedSlab], Sequence[UnseenForce]]
 """Of one group: on slabs of which kind, or of all, these slabs, and the pokes."""
 
-QUANTITIES: tuple[Quantity[Any], ...] = (
+QUANTITIES: tuple[Quantity[Pokes], ...] = (
     Quantity("slab", lambda some: some[0], {"slab": str}),
     Quantity("group", lambda some: some[2][0].group, {"unseen pokes": str}),
     Quantity("scatter", lambda some: some[1][0].case.scatter),

@@ -33,17 +33,7 @@ from deformscope.reproduce.surface_robot import LabRobot, explore_at_once
 from deformscope.stages.map.exploration import LumpsFound, PlannedTouch
 from deformscope.stages.map.lump_posterior import DEEP_M
 from studies.lump_limit import limit
-from studies.quantities import (
-    Quantity,
-    Rate,
-    Row,
-    band,
-    by,
-    number,
-    of_cases,
-    rows,
-    table,
-)
+from studies.quantities import Quantity, Rate, Row, band, by, number, of_cases, rows, table
 from studies.seeds import reported
 
 LOOKED_AT = (3, 5, 7, 10, 15, 20)
@@ -274,7 +264,7 @@ def alarm_rate(outcomes: Sequence[LumpOutcome], touches: int) -> Rate:
 AfterTouches = tuple[int, Sequence[LumpOutcome]]
 """Searches with so many touches at most."""
 
-QUANTITIES: tuple[Quantity[Any], ...] = (
+QUANTITIES: tuple[Quantity[AfterTouches], ...] = (
     Quantity("touches", lambda after: after[0], {"touches": int}),
     Quantity("found", lambda after: found_rate(after[1], after[0]), {"found": of_cases, "95 % band": band(2)}),
     Quantity("alarms", lambda after: alarm_rate(after[1], after[0]), {"false alarms": of_cases}),
@@ -298,7 +288,7 @@ def lump_rows(outcomes: Sequence[LumpOutcome]) -> list[Row]:
     return rows([(touches, outcomes) for touches in (*(n for n in LOOKED_AT if n < most), most)], QUANTITIES)
 
 
-FOAM_QUANTITIES: tuple[Quantity[LumpOutcome], ...] = (
+FOAM_QUANTITIES: tuple[Quantity[Sequence[LumpOutcome]], ...] = (
     Quantity(
         "scatter",
         lambda some: foam_of(some[0]),

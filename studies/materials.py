@@ -40,13 +40,7 @@ from deformscope.stages.msm.materials import AxisBeta, Plasticity
 from deformscope.stages.msm.plastic import PlasticMsm
 from deformscope.stages.msm.solver import Msm
 from studies.field_bodies import NOISE_REACH, NOISE_SHARES, SPACING_M, lattice, shared_noise
-from studies.quantities import (
-    KnownEstimate,
-    by,
-    counts,
-    interval_rows,
-    interval_table,
-)
+from studies.quantities import KnownEstimate, by, counts, interval_rows, interval_table
 from studies.seeds import reported
 
 MotionKind = Literal["axes", "yield", "viscous"]

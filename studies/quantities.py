@@ -13,6 +13,7 @@ from deformscope.stages.squeeze.intervals import wilson
 
 OutcomeT = TypeVar("OutcomeT")
 KeyT = TypeVar("KeyT")
+GroupT = TypeVar("GroupT")
 Row = dict[str, Any]
 """Values by the keys of their quantities, as the JSON has them."""
 
@@ -39,12 +40,12 @@ class Rate:
 
 
 @dataclass(frozen=True, slots=True)
-class Quantity(Generic[OutcomeT]):
-    """One value of some outcomes. key: in the JSON; of: computes it; columns: how it is written in the table, by
-    heading"""
+class Quantity(Generic[GroupT]):
+    """One value of a group, mostly of some outcomes. key: in the JSON; of: computes it; columns: how it is written in
+    the table, by heading"""
 
     key: str
-    of: Callable[[Sequence[OutcomeT]], Any]
+    of: Callable[[GroupT], Any]
     columns: Mapping[str, Callable[[Any], object]] = field(default_factory=dict)
 
 
@@ -56,7 +57,7 @@ def by(outcomes: Iterable[OutcomeT], key: Callable[[OutcomeT], KeyT]) -> dict[Ke
     return groups
 
 
-def rows(groups: Iterable[Sequence[OutcomeT]], quantities: Sequence[Quantity[OutcomeT]]) -> list[Row]:
+def rows(groups: Iterable[GroupT], quantities: Sequence[Quantity[GroupT]]) -> list[Row]:
     """All quantities of each group."""
     return [{one.key: one.of(some) for one in quantities} for some in groups]
 

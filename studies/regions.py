@@ -5,9 +5,6 @@ python -m studies regions --objects 50 --scatter 0.08 --only "scatter 8 %"
 
 Do a map's probabilities and intervals hold? Explorations of known surfaces, touched in closed form.
 
-    outcomes = [explore_known(RegionCase(condition, seed)) for seed in reported(300)]
-    region_row("stated prior", outcomes), reliability(outcomes)
-
 A touch is the stiffness under its contact plus its errors (`LabErrors`, `touch_error`): no arm, no finite
 elements, so that hundreds of explorations take minutes. Posterior, planner and stop rule are those of `explore`. Truths
 come from the estimator's own prior (simulation-based calibration, Talts et al. 2018), and from scenes and errors that
@@ -49,16 +46,7 @@ from deformscope.stages.regions.posterior import (
 )
 from deformscope.stages.regions.touch_error import LAW_SD, SCATTER_LENGTH_M, SCATTER_SHARED
 from deformscope.stages.regions.touches import MapGrid, StiffnessSample
-from studies.quantities import (
-    Quantity,
-    Rate,
-    band,
-    by,
-    number,
-    rows,
-    share,
-    table,
-)
+from studies.quantities import Quantity, Rate, band, by, number, rows, share, table
 from studies.seeds import reported
 
 SCENES = (
@@ -396,7 +384,7 @@ def _or_nan(figure: Callable[[list[float]], np.floating], values: Sequence[float
     return float(figure(known)) if known else float("nan")
 
 
-QUANTITIES: tuple[Quantity[RegionOutcome], ...] = (
+QUANTITIES: tuple[Quantity[Sequence[RegionOutcome]], ...] = (
     Quantity("condition", lambda some: some[0].condition, {"truths": str}),
     Quantity("objects", len, {"explored": int}),
     Quantity(

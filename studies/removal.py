@@ -3,7 +3,7 @@
 python -m studies removal
 python -m studies removal --layouts 4 --picture removal.png --json removal.json
 
-How well the robot is taken out of the camera's picture: which points of foam stay, and which of the robot do.
+Which points of foam stay, and which of the robot do.
 
 A laboratory's robot with gripper, stick and cable (`lab.robot_body`) is seen before foam, above it and as it presses;
 the estimator knows it as its rig file describes it, and the camera's place with an error.
@@ -44,12 +44,7 @@ from deformscope.stages.see.robot import beside_robot, measured
 from deformscope_drivers.arm.kinematics import transform
 from deformscope_drivers.depth_camera import SENSORS
 from deformscope_drivers.jaco.chains import J2N6S300
-from studies.quantities import (
-    Quantity,
-    Row,
-    by,
-    rows,
-)
+from studies.quantities import Quantity, Row, by, rows
 from studies.seeds import reported
 
 Sensor = Literal["plain", "primesense", "realsense"]
@@ -351,7 +346,7 @@ def _of_pictures(
     return lambda some: float(which([getattr(one, part) / max(getattr(one, whole), 1) for one in some]))
 
 
-QUANTITIES: tuple[Quantity[RemovalCount], ...] = (
+QUANTITIES: tuple[Quantity[Sequence[RemovalCount]], ...] = (
     Quantity("sensor", lambda some: some[0].sensor),
     Quantity("about", lambda some: some[0].about),
     Quantity("where", lambda some: some[0].where),

@@ -18,15 +18,7 @@ from deformscope.cli.study import Study, StudyOptions, StudyReport, Trials
 from deformscope.config import flags
 from deformscope.lab.faults import Injected
 from deformscope.pictures.report import Table
-from studies.driven_faults import (
-    KILLED_WITHIN_S,
-    KINDS,
-    AnyRun,
-    DrivenRun,
-    KilledRun,
-    kind_of,
-    run_any,
-)
+from studies.driven_faults import KILLED_WITHIN_S, KINDS, AnyRun, DrivenRun, KilledRun, kind_of, run_any
 from studies.fault_study import ALLOWED_S, ENDED_WITHIN_S, TURNED_DEG, UNSEEN_M, FaultRun
 from studies.layouts import LayoutRun, run_layout, shares_by_distance
 from studies.rigid_faults import STIFFNESSES_N_M, RigidRun, run_rigid

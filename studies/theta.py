@@ -32,9 +32,7 @@ from studies.beta import (
     summary,
     try_disturbed,
 )
-from studies.quantities import (
-    table,
-)
+from studies.quantities import table
 from studies.random_bodies import CANDIDATES, fitted
 
 Setting = Literal["another depth", "another resolution", "another depth and resolution"]

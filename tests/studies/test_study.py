@@ -100,7 +100,7 @@ def test_new_outcomes_are_kept_together_and_what_is_left_too() -> None:
 
 
 def test_a_quantity_is_declared_once_for_the_table_and_the_json() -> None:
-    quantities: tuple[Quantity[int], ...] = (
+    quantities: tuple[Quantity[Sequence[int]], ...] = (
         Quantity("last", lambda some: some[0] % 10, {"ends in": int}),
         Quantity("mean", lambda some: float(np.mean(some)), {"mean": number(1)}),
         Quantity("large", lambda some: Rate.of(one > 10 for one in some), {"large": share(2), "of": lambda r: r.cases}),
