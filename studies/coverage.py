@@ -7,11 +7,13 @@ python -m studies coverage --objects 1000 --jobs 2 --out runs/coverage --json co
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
 from typing import Annotated, Any
+
+import numpy as np
 
 from deformscope.cli.common import make_folder
 from deformscope.cli.study import Study, StudyOptions, StudyReport, Trials
@@ -20,15 +22,13 @@ from deformscope.errors import InputError
 from deformscope.pictures.report import Figure, Table
 from deformscope.stages.fit.estimate import Verdict
 from studies.doubt_rates import CODES, EXPECTED, Doubted, doubt_plan, doubt_rows, try_doubts
-from studies.quantities import Rate, Row, band
+from studies.quantities import Quantity, Rate, Row, band, by, counts, number, rows, share, table
 from studies.random_bodies import (
-    GROUPS,
-    NOTHING,
+    NEAR_ONE,
     PART_APART,
     QUICK_OBJECTS,
-    CoverageRow,
+    NothingCase,
     Outcome,
-    coverage_rows,
     plan,
     rank_counts,
     ranks_png,
@@ -85,46 +85,29 @@ def report(
     level, seed = options.level, options.output.seed
     cases, nothing = plan(options.objects, seed, level, quick=options.quick)
     lines = coverage_rows(outcomes)
-    said = {
-        kind: [verdict for case, verdict in zip(nothing, verdicts, strict=True) if case.kind == kind]
-        for kind in NOTHING
-    }
-    unidentified = {kind: Rate(len(some), some.count("unidentified")) for kind, some in said.items()}
+    nothing_lines = rows(by(zip(nothing, verdicts, strict=True), lambda pair: pair[0].kind).values(), NO_INFORMATION)
     ranks = rank_counts([one for one, case in zip(outcomes, cases, strict=True) if case.truth == "prior"])
-    groups, doubts = prediction_groups(predictions), doubt_rows(doubted)
+    pokes, doubts = rows(prediction_groups(predictions), POKES), doubt_rows(doubted)
     fit_s = {f"{dim}D": median([one.seconds for one in outcomes if one.dim == dim]) for dim in (2, 3)}
     png, picture = ranks_png(ranks), None if options.out is None else options.out / "coverage.png"
     took = [(f"a fit in {dim}", f"{one:.2g} s") for dim, one in fit_s.items()] + [("all", f"{seconds:.0f} s")]
-    lengths = {"width_m": "width", "error_m": "error", "motion_m": "motion"}
+    within = f"coordinates of an unseen poke within their {level:.0%} predictive intervals"
     return StudyReport(
         (
             coverage_table(f"{level:.0%} intervals for beta: how many hold the truth", lines),
-            _nothing_table(said, unidentified),
+            table(nothing_lines, NO_INFORMATION, "Data without information: how many verdicts are unidentified"),
             doubts_table(doubts),
-            _pokes_table(f"{level:.0%}", groups),
+            table(pokes, POKES, f"Finite element bodies: {within}"),
             Table(took + ([] if picture is None else [("ranks", str(picture))]), caption="Time"),
         ),
         {
             "level": level,
             "seed": seed,
-            "coverage": [
-                {
-                    "condition": row.condition,
-                    "group": row.group,
-                    **dataclasses.asdict(row.covered),
-                    "width": row.width,
-                    "confident_wrong": row.confident_wrong.hits,
-                }
-                for row in lines
-            ],
+            "coverage": _flat(lines, "covered"),
             "ranks": ranks,
-            "no_information": [{"kind": kind, **dataclasses.asdict(rate)} for kind, rate in unidentified.items()],
+            "no_information": _flat(nothing_lines, "unidentified", "others"),
             "reasons": doubts,
-            "unseen_pokes": [
-                {"group": name, "pokes": len(some), **dataclasses.asdict(pooled(some))}
-                | {key: middle(some, length) for key, length in lengths.items()}
-                for name, some in groups.items()
-            ],
+            "unseen_pokes": _flat(pokes, "covered"),
             "fit_seconds": fit_s,
             "seconds": seconds,
             "picture": picture,
@@ -134,72 +117,132 @@ def report(
     )
 
 
-def prediction_groups(predictions: Sequence[UnseenPrediction]) -> dict[str, list[UnseenPrediction]]:
-    """All, and by dimension and cluster size."""
-    groups = {"all": list(predictions)}
-    groups |= {f"{dim}D": [one for one in predictions if one.dim == dim] for dim in (2, 3)}
-    groups |= {f"clusters of {s}": [one for one in predictions if one.cluster_size == s] for s in (2, 3, 4)}
-    return {name: some for name, some in groups.items() if some}
+# What is counted of them ---------------------------------------------------------------------------------------------
 
 
-def pooled(some: Sequence[UnseenPrediction]) -> Rate:
-    return Rate(sum(one.coordinates for one in some), sum(one.covered for one in some))
+def _between(one: Outcome) -> bool:
+    return 0.0 < one.beta <= NEAR_ONE
 
 
-def middle(some: Sequence[UnseenPrediction], length: str) -> float:
+GROUPS: dict[str, Callable[[Outcome], bool]] = {
+    "all": _between,
+    "2D": lambda one: _between(one) and one.dim == 2,
+    "3D": lambda one: _between(one) and one.dim == 3,
+    "2 a side": lambda one: _between(one) and one.cluster_size == 2,
+    "3 a side": lambda one: _between(one) and one.cluster_size == 3,
+    "4 a side": lambda one: _between(one) and one.cluster_size == 4,
+    "5 a side": lambda one: _between(one) and one.cluster_size == 5,
+    "beta = 0": lambda one: one.beta == 0.0,
+    f"beta > {NEAR_ONE}": lambda one: one.beta > NEAR_ONE,
+}
+"""Parts of the objects: all truths in between, by dimension and by cluster size; apart those where the range ends."""
+
+Group = tuple[str, Sequence[Outcome]]
+
+COVERAGE: tuple[Quantity[Group], ...] = (
+    Quantity("condition", lambda group: group[1][0].condition),
+    Quantity("group", lambda group: group[0]),
+    Quantity("covered", lambda group: Rate.of(one.covered for one in group[1])),
+    Quantity("width", lambda group: float(np.median([one.interval[1] - one.interval[0] for one in group[1]]))),
+    Quantity("confident_wrong", lambda group: sum(one.confident_wrong for one in group[1])),
+)
+
+
+def coverage_rows(outcomes: Sequence[Outcome]) -> list[Row]:
+    """Of each condition, the `GROUPS` that have objects."""
+    groups = [
+        (name, [one for one in mine if belongs(one)])
+        for mine in by(outcomes, lambda one: one.condition).values()
+        for name, belongs in GROUPS.items()
+    ]
+    return rows([group for group in groups if group[1]], COVERAGE)
+
+
+NO_INFORMATION: tuple[Quantity[Sequence[tuple[NothingCase, Verdict]]], ...] = (
+    Quantity("kind", lambda some: some[0][0].kind, {"data": str}),
+    Quantity(
+        "unidentified",
+        lambda some: Rate.of(verdict == "unidentified" for _, verdict in some),
+        {"cases": lambda rate: rate.cases, "unidentified": share(3), "95 % band": band(3)},
+    ),
+    Quantity(
+        "others",
+        lambda some: counts(verdict for _, verdict in some if verdict != "unidentified"),
+        {"other verdicts": lambda others: ", ".join(f"{count} {name}" for name, count in others.items())},
+    ),
+)
+
+
+def _length(name: str) -> Callable[[tuple[str, Sequence[UnseenPrediction]]], float]:
     """The median of a length [m]."""
-    return float(median(getattr(one, length) for one in some))
+    return lambda group: float(median(getattr(one, name) for one in group[1]))
 
 
-# In tables -----------------------------------------------------------------------------------------------------------
+def _mm(length_m: float) -> str:
+    return f"{1e3 * length_m:.2f}"
 
 
-def _nothing_table(said: Mapping[Any, list[Verdict]], unidentified: Mapping[Any, Rate]) -> Table:
-    rows = []
-    for kind, rate in unidentified.items():
-        others = ", ".join(f"{said[kind].count(one)} {one}" for one in sorted(set(said[kind]) - {"unidentified"}))
-        rows.append((kind, rate.cases, f"{rate.rate:.3f}", band(3)(rate), others))
-    names = ("data", "cases", "unidentified", "95 % band", "other verdicts")
-    return Table(rows, names, "Data without information: how many verdicts are unidentified")
+POKES: tuple[Quantity[tuple[str, Sequence[UnseenPrediction]]], ...] = (
+    Quantity("group", lambda group: group[0], {"bodies": str}),
+    Quantity("pokes", lambda group: len(group[1]), {"pokes": int}),
+    Quantity(
+        "covered",
+        lambda group: Rate(sum(one.coordinates for one in group[1]), sum(one.covered for one in group[1])),
+        {"coordinates": lambda rate: rate.cases, "within": share(3)},
+    ),
+    Quantity("width_m", _length("width"), {"width [mm]": _mm}),
+    Quantity("error_m", _length("error"), {"error [mm]": _mm}),
+    Quantity("motion_m", _length("motion"), {"motion [mm]": _mm}),
+)
 
 
-def doubts_table(rows: Sequence[Row]) -> Table:
+def prediction_groups(predictions: Sequence[UnseenPrediction]) -> list[tuple[str, Sequence[UnseenPrediction]]]:
+    """All, and by dimension and cluster size."""
+    groups = [("all", list(predictions))]
+    groups += [(f"{dim}D", [one for one in predictions if one.dim == dim]) for dim in (2, 3)]
+    groups += [(f"clusters of {size}", [one for one in predictions if one.cluster_size == size]) for size in (2, 3, 4)]
+    return [group for group in groups if group[1]]
+
+
+def _flat(lines: Sequence[Row], rate: str, left_out: str = "") -> list[Row]:
+    """With the parts of this rate among the others, as the JSON has them."""
+    return [
+        {key: value for key, value in row.items() if key not in (rate, left_out)} | dataclasses.asdict(row[rate])
+        for row in lines
+    ]
+
+
+def doubts_table(doubts: Sequence[Row]) -> Table:
     """How often each reason was named, a line for each kind of data, the reason that is true of them marked."""
-    codes = [code for code in CODES if any(code in row["named"] for row in rows)]
+    codes = [code for code in CODES if any(code in row["named"] for row in doubts)]
     lines = []
-    for row in rows:
+    for row in doubts:
         cells = []
         for code in codes:
-            share = f"{row['named'][code].rate:.2f}" if code in row["named"] else ""
-            cells.append(f"{share or '0'} <- true" if EXPECTED.get(row["data"]) == code else share)
+            named = f"{row['named'][code].rate:.2f}" if code in row["named"] else ""
+            cells.append(f"{named or '0'} <- true" if EXPECTED.get(row["data"]) == code else named)
         wrong = f"{row['identified_wrong'].hits}"
         lines.append((row["data"], row["identified"].cases, *cells, f"{row['identified'].rate:.2f}", wrong))
     names = ("data", "cases", *codes, "identified", "of these without the truth")
     return Table(lines, names, "Reasons to doubt beta: how often each is named")
 
 
-def _pokes_table(level: str, groups: Mapping[str, list[UnseenPrediction]]) -> Table:
-    rows = []
-    for name, some in groups.items():
-        rate = pooled(some)
-        lengths = (f"{1e3 * middle(some, one):.2f}" for one in ("width", "error", "motion"))
-        rows.append((name, len(some), rate.cases, f"{rate.rate:.3f}", *lengths))
-    names = ("bodies", "pokes", "coordinates", "within", "width [mm]", "error [mm]", "motion [mm]")
-    caption = f"Finite element bodies: coordinates of an unseen poke within their {level} predictive intervals"
-    return Table(rows, names, caption)
-
-
-def coverage_table(title: str, rows: Sequence[CoverageRow]) -> Table:
+def coverage_table(title: str, parts: Sequence[Row]) -> Table:
     """A line a condition: all truths in between, parts of them, and apart those where the range ends."""
-    present = {row.group for row in rows}
+    present = {row["group"] for row in parts}
     groups = [group for group in GROUPS if group in present][1:]
     lines = []
-    for condition in dict.fromkeys(row.condition for row in rows):
-        mine = {row.group: row for row in rows if row.condition == condition}
+    for condition in dict.fromkeys(row["condition"] for row in parts):
+        mine = {row["group"]: row for row in parts if row["condition"] == condition}
         every = mine["all"]
-        wrong = sum(row.confident_wrong.hits for name, row in mine.items() if name == "all" or name.startswith("beta"))
-        held = (f"{mine[name].covered.rate:.3f}" if name in mine else "" for name in groups)
-        whole = (every.covered.cases, f"{every.covered.rate:.3f}", band(3)(every.covered), f"{every.width:.3f}")
+        wrong = sum(row["confident_wrong"] for name, row in mine.items() if name == "all" or name.startswith("beta"))
+        held = (share(3)(mine[name]["covered"]) if name in mine else "" for name in groups)
+        whole = (
+            every["covered"].cases,
+            share(3)(every["covered"]),
+            band(3)(every["covered"]),
+            number(3)(every["width"]),
+        )
         lines.append((condition, *whole, *held, wrong))
     return Table(lines, ("noise", "cases", "held", "95 % band", "width", *groups, "confidently wrong"), title)
 

@@ -45,7 +45,7 @@ from studies.seeds import reported
 
 MotionKind = Literal["axes", "yield", "viscous"]
 MOTION_KINDS: tuple[MotionKind, ...] = get_args(MotionKind)
-PARAMETERS: dict[MotionKind, tuple[str, ...]] = {
+PARAMETERS: dict[str, tuple[str, ...]] = {
     "axes": ("beta along x", "beta along y"),
     "yield": ("yield strain", "beta"),
     "viscous": ("share that relaxes", "mean relaxation time", "share that stays"),

@@ -9,7 +9,7 @@ the truths in their posteriors are even if these are right (simulation-based cal
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -23,7 +23,6 @@ from deformscope.stages.fit.calibrate import Calibration, FitOptions, Model, Obs
 from deformscope.stages.fit.estimate import DoubtCode, Estimate, Verdict
 from deformscope.stages.msm.clusters import held_mask
 from studies.field_bodies import SPACING_M, lattice
-from studies.quantities import Rate
 
 BOUNDS = (0.0, 0.99)
 CANDIDATES = 40
@@ -259,54 +258,6 @@ def _turned(rest: FloatArray, rng: np.random.Generator) -> FloatArray:
     matrix *= np.sign(np.diag(matrix))
     middle = rest.mean(axis=0)
     return np.asarray((rest - middle) @ matrix.T + middle + rng.normal(0.0, 2.0 * SPACING_M, rest.shape[1]))
-
-
-# Figures of many -----------------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, slots=True)
-class CoverageRow:
-    """A line of the coverage table. group: the part of the objects that it counts, such as those in clusters of so many
-    particles a side; width: median of the intervals"""
-
-    condition: str
-    group: str
-    covered: Rate
-    width: float
-    confident_wrong: Rate
-
-
-def _between(one: Outcome) -> bool:
-    return 0.0 < one.beta <= NEAR_ONE
-
-
-GROUPS: dict[str, Callable[[Outcome], bool]] = {
-    "all": _between,
-    "2D": lambda one: _between(one) and one.dim == 2,
-    "3D": lambda one: _between(one) and one.dim == 3,
-    "2 a side": lambda one: _between(one) and one.cluster_size == 2,
-    "3 a side": lambda one: _between(one) and one.cluster_size == 3,
-    "4 a side": lambda one: _between(one) and one.cluster_size == 4,
-    "5 a side": lambda one: _between(one) and one.cluster_size == 5,
-    "beta = 0": lambda one: one.beta == 0.0,
-    f"beta > {NEAR_ONE}": lambda one: one.beta > NEAR_ONE,
-}
-"""Parts of the objects: all truths in between, by dimension and by cluster size; apart those where the range ends."""
-
-
-def coverage_rows(outcomes: Sequence[Outcome]) -> list[CoverageRow]:
-    """The coverage table, of each condition the `GROUPS` that have objects."""
-    rows: list[CoverageRow] = []
-    for name in dict.fromkeys(outcome.condition for outcome in outcomes):
-        mine = [outcome for outcome in outcomes if outcome.condition == name]
-        for group, belongs in GROUPS.items():
-            if some := [one for one in mine if belongs(one)]:
-                width = float(np.median([one.interval[1] - one.interval[0] for one in some]))
-                covered = Rate(len(some), sum(one.covered for one in some))
-                rows.append(
-                    CoverageRow(name, group, covered, width, Rate(len(some), sum(one.confident_wrong for one in some)))
-                )
-    return rows
 
 
 # All of it -----------------------------------------------------------------------------------------------------------

@@ -9,6 +9,7 @@ pytest.importorskip("warp")
 
 from deformscope.stages.msm import clusters, reference
 from studies import random_bodies
+from studies.coverage import coverage_rows
 from studies.quantities import Rate
 from studies.random_bodies import (
     CONDITIONS,
@@ -84,12 +85,12 @@ def test_the_table_counts_ends_of_the_range_apart() -> None:
         return Outcome("a", dim, 3, 20, beta, low, (low, high), 0.5, "identified", 0.1)
 
     between = [outcome(0.5, 0.4, 0.6), outcome(0.5, 0.6, 0.7), outcome(0.5, 0.7, 0.8, 3)]
-    rows = random_bodies.coverage_rows([*between, outcome(0.0, 0.0, 0.1), outcome(0.98, 0.9, 0.99)])
-    found = {row.group: row for row in rows}
-    assert (found["all"].covered.cases, found["all"].covered.hits) == (3, 1)
-    assert found["all"].confident_wrong.hits == 1
-    assert found["3D"].covered.cases == 1
-    assert found["beta = 0"].covered.rate == found["beta > 0.97"].covered.rate == 1.0
+    rows = coverage_rows([*between, outcome(0.0, 0.0, 0.1), outcome(0.98, 0.9, 0.99)])
+    found = {row["group"]: row for row in rows}
+    assert (found["all"]["covered"].cases, found["all"]["covered"].hits) == (3, 1)
+    assert found["all"]["confident_wrong"] == 1
+    assert found["3D"]["covered"].cases == 1
+    assert found["beta = 0"]["covered"].rate == found["beta > 0.97"]["covered"].rate == 1.0
 
 
 def test_ranks_are_counted_and_drawn() -> None:
