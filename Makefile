@@ -72,7 +72,7 @@ test: setup
 	@$(MAKE) --no-print-directory -j 2 lint unit
 
 unit: setup
-	@$(PY) -m compileall -q deformscope drivers
+	@$(PY) -m compileall -q deformscope drivers studies
 	$(PARALLEL) -m '$(STEPS)'
 
 # What a processor needs for the kernels that OpenBLAS has for a core type.
@@ -112,4 +112,4 @@ format: setup
 
 clean:
 	rm -rf $(VENV) dist build .mypy_cache .ruff_cache .pytest_cache .hypothesis
-	find deformscope drivers tests -name __pycache__ -type d -prune -exec rm -rf {} +
+	find deformscope drivers studies tests -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -83,8 +83,8 @@ def video() -> bytes:
 def squeezes() -> bytes:
     """A table of simulated squeezes of boxes with five contents."""
     from deformscope.processes import in_processes
+    from deformscope.reproduce.containers import run_squeeze, squeeze_jobs
     from deformscope.stages.squeeze.table import LabelledTable
-    from deformscope.studies.containers import run_squeeze, squeeze_jobs
 
     jobs = squeeze_jobs(Path(), SQUEEZES, cylinders=0, whole=0, seed=0)
     rows = [row for _, row in sorted(in_processes(run_squeeze, jobs)) if row.entry.discarded is None]

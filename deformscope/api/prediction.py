@@ -16,15 +16,15 @@ from deformscope.arrays import FloatArray
 from deformscope.config.flags import PokeText, TipName
 from deformscope.errors import InputError
 from deformscope.files.model_file import load_model
+from deformscope.pictures.dents import dents_png
 from deformscope.pictures.findings import ColoredBody, Findings
 from deformscope.pictures.report import Figure, Table
 from deformscope.stages.msm.poke import Poke, Tip
 from deformscope.stages.msm.quiet import quiet_warp
 from deformscope.stages.msm.solver import pick_device
 from deformscope.stages.poke import fitted
+from deformscope.stages.poke.comparison import PokeComparison, PooledPokes
 from deformscope.stages.poke.fitted import FittedModel, Prediction
-from deformscope.studies.dents_figure import dents_png
-from deformscope.studies.prediction import PokeComparison, PooledPokes
 
 ModelSource: TypeAlias = FittedModel | CalibrationResult | Path | str
 

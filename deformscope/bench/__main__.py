@@ -11,7 +11,7 @@ import json
 import sys
 from pathlib import Path
 
-from deformscope.bench.timing import CASES
+from deformscope.bench_cases import CASES
 from deformscope.plain import plain
 
 

@@ -6,7 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from deformscope.bench.bodies import BenchBody
-from deformscope.bench.timing import CASES, Case, Timing, clock
+from deformscope.bench.timing import Timing, clock
+from deformscope.bench_cases import CASES, Case
 from deformscope.stages.msm.solver import Msm, Precision
 
 SIZES = (216, 512, 1331, 50_653, 195_112, 1_000_000)

@@ -13,7 +13,8 @@ from deformscope.bench.starting import cold
 from deformscope.bench.statics import gradient, relax, sweep, theta
 from deformscope.bench.steps import candidates_at_once, steps
 from deformscope.bench.surface import surface
-from deformscope.bench.timing import Case, TimingRow
+from deformscope.bench.timing import TimingRow
+from deformscope.bench_cases import Case
 from deformscope.errors import InputError
 
 FORMAT = 1

@@ -7,11 +7,8 @@ import statistics
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Literal, get_args
 
-Case = Literal["step", "memory", "relax", "sweep", "theta", "gradient", "fit", "surface", "cold"]
-
-CASES: tuple[Case, ...] = get_args(Case)
+from deformscope.bench_cases import Case
 
 OURS = "deformscope"
 

@@ -21,7 +21,7 @@ import signal
 import sys
 import threading
 import traceback
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from types import FrameType
 from typing import TYPE_CHECKING, Any
@@ -96,35 +96,6 @@ COMMANDS: dict[str, Command] = {
     "reproduce squeezes": _command(
         "new squeezes beside what was simulated: events, poses, depth", "SqueezesConfig", "reproduce_squeezes"
     ),
-    "coverage beta": _command(
-        "beta where errors are shared, tracks wrong or lost", "DisturbedCoverageConfig", "coverage_disturbed", "beta"
-    ),
-    "coverage theta": _command("theta, as `coverage beta`", "DisturbedCoverageConfig", "coverage_disturbed", "theta"),
-    "coverage force": _command(
-        "how often the intervals of a predicted force hold it", "ForceCoverageConfig", "coverage_force"
-    ),
-    "coverage field": _command(
-        "how well stiffness of each place is determined", "FieldCoverageConfig", "coverage_field"
-    ),
-    "coverage materials": _command(
-        "how often axes, yielding and recovery are held", "MaterialsCoverageConfig", "coverage_materials"
-    ),
-    "coverage lumps": _command(
-        "how many lumps in foam are found, and how many are missed", "LumpCoverageConfig", "coverage_lumps"
-    ),
-    "coverage creep": _command(
-        "how far off a creeping foam's stiffness and loss are", "CreepCoverageConfig", "coverage_creep"
-    ),
-    "coverage": _command("how often the intervals hold the truth", "CoverageConfig", "coverage"),
-    "coverage regions": _command(
-        "how often a map's levels and number of regions are right", "RegionCoverageConfig", "coverage_regions"
-    ),
-    "coverage safety": _command(
-        "whether an arm stands in time when things go wrong", "SafetyCoverageConfig", "coverage_safety"
-    ),
-    "coverage removal": _command(
-        "how well the robot is taken out of the camera's picture", "RemovalCoverageConfig", "coverage_removal"
-    ),
     "explore": _command("map how soft a surface is, by touching it", "ExploreConfig", "explore"),
     "classify": _command(
         "what is in a container, from squeezing it: how well it is known", "ClassifyConfig", "classify"
@@ -189,10 +160,15 @@ def main(args: Sequence[str] | None = None) -> int:
     0 done; 1 unexpected; 2 refused, in one line; 3 done with losses, which are named (`common.EXIT_LOSSES`);
     128 + its number: ended by a signal
     """
+    return guarded(_dispatch, list(sys.argv[1:] if args is None else args))
+
+
+def guarded(dispatch: Callable[[list[str]], int], args: list[str]) -> int:
+    """The exit status of a dispatcher of command lines, as `main` has it."""
     if logging.lastResort is not None:
         logging.lastResort.setFormatter(_Printable())
     with _ended_by_signals() as signals:
-        status = _status(list(sys.argv[1:] if args is None else args), signals)
+        status = _status(dispatch, args, signals)
         if "deformscope.page.server" in sys.modules and status < EXIT_SIGNALLED:
             from deformscope.cli.common import keep_page
 
@@ -229,13 +205,13 @@ def _ended_by_signals() -> Iterator[list[int]]:
             signal.signal(number, signal.SIG_DFL)
 
 
-def _status(args: list[str], signals: Sequence[int]) -> int:
+def _status(dispatch: Callable[[list[str]], int], args: list[str], signals: Sequence[int]) -> int:
     # Libraries that complain on stderr by themselves would bury the one line that says what to do.
     os.environ.setdefault("OPENCV_LOG_LEVEL", "ERROR")
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
     os.environ.setdefault("RUST_LOG", "off")  # rerun reads it as it is imported; recorder and viewer report for it
     try:
-        status = _dispatch(args)
+        status = dispatch(args)
         sys.stdout.flush()
         return status
     except KeyboardInterrupt:
@@ -269,12 +245,22 @@ def _dispatch(args: list[str]) -> int:
     command = COMMANDS[name]
     from deformscope import config
 
-    options: CommandOptions = parse(getattr(config, command.config), rest, f"deformscope {name}")
+    return with_flags(
+        getattr(config, command.config),
+        lambda options: getattr(importlib.import_module(command.module), command.function)(options),
+        rest,
+        f"deformscope {name}",
+    )
+
+
+def with_flags(kind: type, run: Callable[[Any], object], args: Sequence[str], prog: str) -> int:
+    """Read a command's flags into its options, check its files, and run it. prog: the command as it is typed"""
+    options: CommandOptions = parse(kind, args, prog)
     _check_files(options)
     from deformscope.cli.common import json_alone
 
     with json_alone(options.json_target()):
-        status = getattr(importlib.import_module(command.module), command.function)(options)
+        status = run(options)
     return status if isinstance(status, int) else 0
 
 
@@ -285,6 +271,13 @@ def _find(args: list[str]) -> tuple[str, list[str]]:
         return both, args[2:]
     if first in COMMANDS:
         return first, args[1:]
+    if first == "coverage":
+        study = next((word for word in args[1:2] if not word.startswith("-")), first)
+        raise InputError(
+            "a command of an installed deformscope",
+            "one that validates it",
+            f"python -m studies {study}, in a checkout",
+        )
     groups = {name.split()[0] for name in COMMANDS if " " in name}
     if first not in groups:
         known = sorted({name.split()[0] for name in COMMANDS})

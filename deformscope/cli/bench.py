@@ -16,7 +16,8 @@ from rich.table import Table
 
 from deformscope.bench.plan import BenchPlan, default_sizes
 from deformscope.bench.report import check, measure, report
-from deformscope.bench.timing import CASES, TimingRow
+from deformscope.bench.timing import TimingRow
+from deformscope.bench_cases import CASES
 from deformscope.cli.common import console, quiet_warp, write_json
 from deformscope.config import BenchConfig
 from deformscope.stages.msm.solver import pick_device

@@ -23,12 +23,13 @@ from deformscope.experiments.explorer import FromFrames
 from deformscope.experiments.options import ExploreOptions
 from deformscope.experiments.touching_robot import TouchingRobot, touching_robot
 from deformscope.log.findings import RigFindings
+from deformscope.pictures.compliance import compliance_png
 from deformscope.pictures.findings import Findings
 from deformscope.pictures.report import Figure, Table
 from deformscope.session import RigExperiment, Step, finish
 from deformscope.session import run as run_session
 from deformscope.stages.map.exploration import ExplorationStop
-from deformscope.studies.arm_figure import compliance_png
+from deformscope.stages.poke.contact import ArmCompliance
 
 
 def run(config: ArmConfig) -> None:
@@ -96,5 +97,10 @@ def _findings(found: ArmGive, where: str) -> Findings:
         rows.insert(1, ("tip", dent))
     if found.compliance_sd > SURE_SD * found.compliance_m_per_n:
         rows.append(("note", "the touches differ: more of them, or is it not rigid, or not firmly held?"))
-    figure = Figure(compliance_png(found), "Compliance of the arm at each touch")
+    figure = Figure(
+        compliance_png(
+            [one.found for one in found.touches], ArmCompliance(found.compliance_m_per_n, found.compliance_sd)
+        ),
+        "Compliance of the arm at each touch",
+    )
     return Findings((Table(rows, caption=where),), (figure,))

@@ -6,11 +6,11 @@ import json
 import os
 import sys
 import time
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from pathlib import Path
-from typing import TYPE_CHECKING, TextIO, TypeVar, cast
+from typing import TYPE_CHECKING, TextIO, cast
 
 from deformscope.api.result import open_recorder
 from deformscope.errors import InputError, printable
@@ -20,7 +20,6 @@ from deformscope.file_io import replacing as replacing
 from deformscope.pictures.findings import table_text
 from deformscope.pictures.report import Figure, Table
 from deformscope.plain import plain
-from deformscope.processes import in_processes
 from deformscope.stages.msm.quiet import quiet_warp as quiet_warp
 from deformscope.terminal import fit_progress as fit_progress
 from deformscope.terminal import say as say
@@ -31,10 +30,6 @@ if TYPE_CHECKING:
 
     from deformscope.config import RecordedOptions
     from deformscope.recording.recorder import Recorder, RecordingLayout
-    from deformscope.stages.fit.search import Progress
-
-T = TypeVar("T")
-R = TypeVar("R")
 
 EXIT_LOSSES = 3
 """The exit status of a command whose result is whole, but of which something was lost; it names what."""
@@ -105,19 +100,6 @@ def settings_of(config: RecordedOptions) -> dict[str, object]:
     """All flags of a command, as its recording keeps them."""
     command = type(config).__name__.removesuffix("Config").lower()
     return {"command": command, **cast("dict[str, object]", plain(config))}
-
-
-def examined(what: str, function: Callable[[T], R], items: Sequence[T], workers: int | None, note: Progress) -> list[R]:
-    """The result of each item, computed in several processes, each on one core; progress is noted under this name."""
-    from threadpoolctl import threadpool_limits
-
-    note(what, 0, len(items))
-    found: dict[int, R] = {}
-    with threadpool_limits(1):
-        for index, one in in_processes(function, items, workers, quiet_warp):
-            found[index] = one
-            note(what, len(found), len(items))
-    return [found[index] for index in range(len(items))]
 
 
 def keep_page() -> None:

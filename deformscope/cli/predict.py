@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from deformscope.api.poke_comparison import compare
 from deformscope.api.prediction import (
     PredictionResult,
     arrays_of,
@@ -35,13 +36,13 @@ from deformscope.errors import InputError
 from deformscope.files.arrays_file import numbers, read_arrays
 from deformscope.files.model_file import load_model
 from deformscope.files.pairs import parse_pair
+from deformscope.pictures.dents import dents_png
 from deformscope.pictures.findings import Findings
 from deformscope.pictures.report import Figure, Table
 from deformscope.session import Step
 from deformscope.stages.msm.solver import pick_device
+from deformscope.stages.poke.comparison import together
 from deformscope.stages.poke.fitted import predict
-from deformscope.studies.dents_figure import dents_png
-from deformscope.studies.prediction import compare, together
 
 
 def run(config: PredictConfig) -> None:

@@ -6,13 +6,12 @@ deformscope reproduce chapter4 --quick --out figures --json -
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import Any, TypeVar
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
 from deformscope.cli.common import (
-    fit_progress,
     make_folder,
     pictures_of,
     quiet_warp,
@@ -21,13 +20,12 @@ from deformscope.cli.common import (
     show,
     write_json,
 )
+from deformscope.cli.study import Trials, tried
 from deformscope.config import Chapter4Config
 from deformscope.pictures.figures import write_rows
 from deformscope.pictures.findings import Findings, dict_table
 from deformscope.pictures.report import Table
-from deformscope.processes import in_processes
-from deformscope.session import Step
-from deformscope.studies.chapter4 import (
+from deformscope.reproduce.chapter4 import (
     HARDNESSES_N,
     SCENARIOS,
     FoamDent,
@@ -36,10 +34,8 @@ from deformscope.studies.chapter4 import (
     in_words,
     press_foam,
 )
-from deformscope.studies.chapter4_figures import draw_betas, draw_dents, draw_fields
-
-Job = TypeVar("Job")
-Found = TypeVar("Found")
+from deformscope.reproduce.chapter4_figures import draw_betas, draw_dents, draw_fields
+from deformscope.session import Step
 
 
 def run(config: Chapter4Config) -> None:
@@ -50,18 +46,9 @@ def run(config: Chapter4Config) -> None:
     scenes = list(SCENARIOS)[:1] if config.quick else list(SCENARIOS)
     jobs = [(scene, seed) for seed in range(1 if config.quick else config.seeds) for scene in scenes]
     with recorder_of(config) as recorder:
-        foams = _every(press_foam, hardnesses, config.workers, "foams")
-        explored = _every(explore_scenario, jobs, config.workers, "exploring")
+        foams = tried(Trials("foams", press_foam, hardnesses), config.workers)
+        explored = tried(Trials("exploring", explore_scenario, jobs), config.workers)
         recorder.write(Step((_write(foams, explored, config),)))
-
-
-def _every(function: Callable[[Job], Found], jobs: Sequence[Job], workers: int | None, what: str) -> list[Found]:
-    found: dict[int, Found] = {}
-    with fit_progress() as note:
-        for count, (index, one) in enumerate(in_processes(function, jobs, workers, quiet_warp), start=1):
-            found[index] = one
-            note(what, count, len(jobs))
-    return [found[index] for index in range(len(jobs))]
 
 
 def _write(foams: Sequence[FoamDent], explored: Sequence[Scenario], config: Chapter4Config) -> Findings:

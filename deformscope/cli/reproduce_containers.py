@@ -24,9 +24,9 @@ from deformscope.config import ContainersConfig
 if TYPE_CHECKING:
     from deformscope.api.classification import ClassificationResult
     from deformscope.files.squeeze_dataset import SqueezeDataset
+    from deformscope.reproduce.container_findings import FindingBeside
+    from deformscope.reproduce.containers import SqueezeJob
     from deformscope.stages.squeeze.table import LabelledTable
-    from deformscope.studies.container_findings import FindingBeside
-    from deformscope.studies.containers import SqueezeJob
 
 KEPT_TOGETHER = 40
 """Trials that are written together: each writing takes seconds."""
@@ -42,9 +42,9 @@ BESIDE_WORDS = (
 def run(config: ContainersConfig) -> None:
     """Squeeze what is not there yet, evaluate, draw the figures, and put the thesis's statements beside ours."""
     from deformscope.files.squeeze_dataset import SqueezeDataset
+    from deformscope.reproduce.container_findings import findings_beside
+    from deformscope.reproduce.containers import squeeze_jobs
     from deformscope.session import Step
-    from deformscope.studies.container_findings import findings_beside
-    from deformscope.studies.containers import squeeze_jobs
 
     make_folder(config.out)
     folder = config.out / "squeezes"
@@ -74,29 +74,23 @@ def run(config: ContainersConfig) -> None:
 
 def _squeeze(dataset: SqueezeDataset, jobs: list[SqueezeJob], config: ContainersConfig) -> None:
     """The trials that the folder lacks; kept as they are done, so that the command goes on where it was cut off."""
+    from deformscope.cli.study import Trials, tried
     from deformscope.experiments.squeeze_trial import feature_settings
-    from deformscope.files.squeeze_dataset import SqueezeDataset, TrialRow
+    from deformscope.files.squeeze_dataset import SqueezeDataset
     from deformscope.lab.container_setup import container_lab
-    from deformscope.processes import in_processes
-    from deformscope.studies.containers import run_squeeze
+    from deformscope.reproduce.containers import run_squeeze
 
     known = {one.trial for one in dataset.entries()} if dataset.exists else set()
     left = [job for job in jobs if job.trial not in known]
     if not left:
         return
     writing = SqueezeDataset(dataset.folder, feature_settings(container_lab().setup))
-    waiting: list[TrialRow] = []
-    try:
-        with fit_progress() as note:
-            for count, (_, row) in enumerate(in_processes(run_squeeze, left, config.workers), start=1):
-                waiting.append(row)
-                if len(waiting) >= KEPT_TOGETHER:
-                    writing.add(waiting)
-                    waiting = []
-                note("squeezing", count, len(left))
-    finally:
-        if waiting:
-            writing.add(waiting)
+    tried(
+        Trials("squeezing", run_squeeze, left),
+        config.workers,
+        keep=lambda new: writing.add([row for _, row in new]),
+        together=KEPT_TOGETHER,
+    )
 
 
 def _evaluated(table: LabelledTable, config: ContainersConfig, name: str) -> ClassificationResult:

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 from deformscope.cli.common import (
-    examined,
     fit_progress,
     make_folder,
     pictures_of,
@@ -23,14 +22,14 @@ from deformscope.cli.common import (
     show,
     write_json,
 )
+from deformscope.cli.study import Trials, tried
 from deformscope.config import CubesConfig
 from deformscope.pictures.figures import write_rows
 from deformscope.pictures.findings import Findings, dict_table
 from deformscope.pictures.report import Table
-from deformscope.session import Step
-from deformscope.studies import cubes as study
-from deformscope.studies import cubes_figures as figures
-from deformscope.studies.cubes import (
+from deformscope.reproduce import cubes as study
+from deformscope.reproduce import cubes_figures as figures
+from deformscope.reproduce.cubes import (
     Cube,
     ElementTime,
     Found,
@@ -43,7 +42,8 @@ from deformscope.studies.cubes import (
     rises,
     thesis_cubes,
 )
-from deformscope.studies.cubes_figures import depth_name, sem_rows, time_rows
+from deformscope.reproduce.cubes_figures import depth_name, sem_rows, time_rows
+from deformscope.session import Step
 
 
 def run(config: CubesConfig) -> None:
@@ -87,8 +87,7 @@ def _examine(cubes: Sequence[Cube], options: Options, workers: int | None) -> li
     jobs = [(cube, options, one) for cube, one in zip(cubes, compared(cubes, options), strict=True)]
     # the long ones first, so that none is left alone at the end
     order = sorted(range(len(jobs)), key=lambda place: -len(cubes[place].seen.rest))
-    with fit_progress() as note:
-        found = examined("cubes", _one, [jobs[place] for place in order], workers, note)
+    found = tried(Trials("cubes", _one, [jobs[place] for place in order]), workers)
     return [one for _, one in sorted(zip(order, found, strict=True), key=lambda pair: pair[0])]
 
 

@@ -32,9 +32,8 @@ from deformscope.lab.foam import Foam
 from deformscope.pictures.figures import write_rows
 from deformscope.pictures.findings import Findings
 from deformscope.pictures.report import Table
-from deformscope.session import Step
-from deformscope.studies import foams_figures as figures
-from deformscope.studies.foams import (
+from deformscope.reproduce import foams_figures as figures
+from deformscope.reproduce.foams import (
     HELD,
     SOURCES,
     Control,
@@ -46,6 +45,7 @@ from deformscope.studies.foams import (
     measure,
     trend,
 )
+from deformscope.session import Step
 
 HELD_WORDS = {"one": "one particle held", "clamp": "clamp held"}
 

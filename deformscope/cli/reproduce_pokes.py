@@ -10,12 +10,12 @@ import numpy as np
 
 from deformscope.cli.common import fit_progress, make_folder, quiet_warp, recorder_of, say, show, write_file, write_json
 from deformscope.config import PokesConfig
+from deformscope.pictures.dents import dents_png
 from deformscope.pictures.figures import write_rows
 from deformscope.pictures.findings import Findings
 from deformscope.pictures.report import Figure, Table
+from deformscope.reproduce.poke_study import Studied, plans, rows, study
 from deformscope.session import Step
-from deformscope.studies.dents_figure import dents_png
-from deformscope.studies.poke_study import Studied, plans, rows, study
 
 
 def run(config: PokesConfig) -> None:

@@ -7,15 +7,17 @@ deformscope classify runs/squeezes/squeezes --model runs/containers/five/content
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from deformscope.cli.common import fit_progress, make_folder, recorder_of, say, show, write_file, write_json
+from deformscope.cli.common import make_folder, recorder_of, say, show, write_file, write_json
 from deformscope.config import SqueezesConfig
 
 if TYPE_CHECKING:
     from deformscope.files.squeeze_dataset import TrialRow
-    from deformscope.studies.squeeze_truth import Numbers
+    from deformscope.reproduce.containers import SqueezeJob
+    from deformscope.reproduce.squeeze_truth import Numbers
 
 KEPT_TOGETHER = 20
 """Trials that are written together."""
@@ -25,9 +27,9 @@ def run(config: SqueezesConfig) -> None:
     """Squeeze what is not there yet, compare, draw."""
     from deformscope.pictures.findings import Findings
     from deformscope.pictures.report import Figure, Table
+    from deformscope.reproduce.squeeze_truth import truth_rows
+    from deformscope.reproduce.squeeze_truth_figure import truth_png
     from deformscope.session import Step
-    from deformscope.studies.squeeze_truth import truth_rows
-    from deformscope.studies.squeeze_truth_figure import truth_png
 
     make_folder(config.out)
     with recorder_of(config) as recorder:
@@ -45,12 +47,12 @@ def run(config: SqueezesConfig) -> None:
 
 def _squeezed(config: SqueezesConfig) -> list[Numbers]:
     """Of all trials; those that the folder lacks are squeezed."""
+    from deformscope.cli.study import Trials, tried
     from deformscope.experiments.squeeze_trial import feature_settings
     from deformscope.files.squeeze_dataset import SqueezeDataset
     from deformscope.lab.container_setup import container_lab
-    from deformscope.processes import in_processes
-    from deformscope.studies.containers import squeeze_jobs
-    from deformscope.studies.squeeze_truth import squeeze_errors
+    from deformscope.reproduce.containers import squeeze_jobs
+    from deformscope.reproduce.squeeze_truth import squeeze_errors
 
     folder = config.out / "squeezes"
     jobs = squeeze_jobs(folder, config.trials, config.cylinders, 0, config.output.seed, new=True)
@@ -58,26 +60,15 @@ def _squeezed(config: SqueezesConfig) -> list[Numbers]:
     notes = config.out / "squeezes.jsonl"
     known = _known(notes, {one.trial for one in dataset.entries()} if dataset.exists else set())
     left = [job for job in jobs if job.trial not in known]
-    waiting: list[tuple[TrialRow, Numbers]] = []
 
-    def keep() -> None:
+    def keep(new: Sequence[tuple[SqueezeJob, tuple[TrialRow, Numbers]]]) -> None:
         """Errors first: a trial of the data set has its errors."""
         with notes.open("a", encoding="utf-8") as file:
-            file.writelines(json.dumps(numbers) + "\n" for _, numbers in waiting)
-        dataset.add([row for row, _ in waiting])
-        known.update({str(numbers["trial"]): numbers for _, numbers in waiting})
-        waiting.clear()
+            file.writelines(json.dumps(numbers) + "\n" for _, (_, numbers) in new)
+        dataset.add([row for _, (row, _) in new])
+        known.update({str(numbers["trial"]): numbers for _, (_, numbers) in new})
 
-    try:
-        with fit_progress() as note:
-            for count, (_, one) in enumerate(in_processes(squeeze_errors, left, config.workers), start=1):
-                waiting.append(one)
-                if len(waiting) >= KEPT_TOGETHER:
-                    keep()
-                note("squeezing", count, len(left))
-    finally:
-        if waiting:
-            keep()
+    tried(Trials("squeezing", squeeze_errors, left), config.workers, keep=keep, together=KEPT_TOGETHER)
     return [known[job.trial] for job in jobs]
 
 

@@ -13,15 +13,14 @@ from statistics import median
 from typing import Any, get_args
 
 from deformscope.cli.common import (
-    fit_progress,
     make_folder,
     pictures_of,
-    quiet_warp,
     recorder_of,
     show,
     write_file,
     write_json,
 )
+from deformscope.cli.study import Trials, tried
 from deformscope.config import Table41Config
 from deformscope.errors import InputError
 from deformscope.experiments.options import Pace
@@ -29,13 +28,12 @@ from deformscope.lab.scenes import BUILT_IN, built_in
 from deformscope.pictures.figures import write_rows
 from deformscope.pictures.findings import Findings, dict_table
 from deformscope.pictures.report import Table
-from deformscope.processes import in_processes
+from deformscope.reproduce.closed_form_table import run_closed_form
+from deformscope.reproduce.table41 import run_table
+from deformscope.reproduce.table41_runs import TableJob, TableRun, add_runs, read_runs
+from deformscope.reproduce.table41_summary import LOOKED_AT, PASSED_IOU, compare, curves, summarise
 from deformscope.session import Step
 from deformscope.stages.map.plan import Planner
-from deformscope.studies.closed_form_table import run_closed_form
-from deformscope.studies.table41 import run_table
-from deformscope.studies.table41_runs import TableJob, TableRun, add_run, read_runs
-from deformscope.studies.table41_summary import LOOKED_AT, PASSED_IOU, compare, curves, summarise
 
 RUNS = "runs.jsonl"
 
@@ -72,19 +70,13 @@ def run(config: Table41Config) -> None:
 def _explored(jobs: Sequence[TableJob], config: Table41Config) -> list[TableRun]:
     """The run of each job; kept in the folder as they are done, and taken from there with --resume."""
     path = config.out / RUNS
-    known = {}
-    if config.resume and path.exists():
-        known = {one.job: one for one in read_runs(path) if one.job in jobs}
+    runs = {one.job: one for one in read_runs(path)} if config.resume and path.exists() else {}
+    known = {index: runs[job] for index, job in enumerate(jobs) if job in runs}
     write_file(path, b"")
-    for one in known.values():
-        add_run(path, one)
-    left = [job for job in jobs if job not in known]
-    with fit_progress() as note:
-        for count, (index, found) in enumerate(in_processes(_run, left, config.workers, quiet_warp), start=1):
-            known[left[index]] = found
-            add_run(path, found)
-            note("exploring", count, len(left))
-    return [known[job] for job in jobs]
+    add_runs(path, known.values())
+    return tried(
+        Trials("exploring", _run, jobs), config.workers, known, lambda new: add_runs(path, [one for _, one in new])
+    )
 
 
 def _run(job: TableJob) -> TableRun:

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal, TypeVar, cast, get_args
 from tyro.conf import Positional, arg
 from tyro.constructors import PrimitiveConstructorSpec
 
-from deformscope.bench.timing import CASES, Case
+from deformscope.bench_cases import CASES, Case
 from deformscope.errors import InputError
 
 T = TypeVar("T")

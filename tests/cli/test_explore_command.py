@@ -35,8 +35,8 @@ from deformscope.robot.supervisor import SafetyVerdict, Supervisor
 from deformscope.robot.touch import Phase
 from deformscope.stages.map.exploration import ExplorationStop, PhaseStart
 from deformscope.stages.map.measured import LookFrames, TouchFrames
-from deformscope.studies.fault_study import ALLOWED_S, AS_IT_MOVES, turned_aside_deg
 from deformscope_drivers.clock import Stamp
+from studies.fault_study import ALLOWED_S, AS_IT_MOVES, turned_aside_deg
 from tests.cli.quick_scene import use_quick_scene
 from tests.patience import PATIENCE_S
 

@@ -15,7 +15,7 @@ pytest.importorskip("warp")
 from deformscope.cli import main
 from deformscope.stages.msm.materials import AxisBeta
 from deformscope.stages.msm.solver import Msm
-from deformscope.studies.field_bodies import elastic_pair
+from studies.field_bodies import elastic_pair
 from tests.cli.recorded import assert_shows
 from tests.experiments.speckle_video import BORDER_PX, speckle_images, write_images
 from tests.stages.bodies import pushed

@@ -13,7 +13,7 @@ pytest.importorskip("tyro")
 pytest.importorskip("warp")
 
 from deformscope.cli import EXIT_INPUT, main
-from deformscope.studies import cubes
+from deformscope.reproduce import cubes
 from tests.cli.recorded import assert_shows
 
 TOP = {
@@ -36,7 +36,7 @@ def pairs(tmp_path: Path) -> list[str]:
     return paths
 
 
-@pytest.mark.slow  # kernels of quadratic clusters as lists; studies/test_cubes proves the numbers
+@pytest.mark.slow  # kernels of quadratic clusters as lists; reproduce/test_cubes proves the numbers
 def test_pairs_give_figures_tables_and_json(
     pairs: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

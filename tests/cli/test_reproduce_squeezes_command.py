@@ -9,7 +9,7 @@ import pytest
 
 from deformscope.cli import main
 from deformscope.files.squeeze_dataset import SqueezeDataset
-from deformscope.studies import squeeze_truth
+from deformscope.reproduce import squeeze_truth
 
 
 def test_errors_a_data_set_and_a_figure_are_left_and_taken_up_again(

@@ -29,6 +29,7 @@ from deformscope.experiments.measured import off_the_border
 from deformscope.experiments.options import PLAN_CELL_M, ExploreOptions
 from deformscope.lab.scenes import built_in
 from deformscope.lab.session_errors import LabErrors
+from deformscope.reproduce.surface_robot import LabRobot
 from deformscope.robot.setup import Truth
 from deformscope.robot.travel import NotThere
 from deformscope.rows import from_components, to_components
@@ -47,7 +48,6 @@ from deformscope.stages.map.exploration import (
 from deformscope.stages.map.measured import SurfaceMeasurement, TouchMeasurement
 from deformscope.stages.poke.contact import ArmCompliance
 from deformscope.stages.regions.touches import MapGrid
-from deformscope.studies.surface_robot import LabRobot
 
 
 class Results:

@@ -13,13 +13,13 @@ from deformscope.experiments.options import ExploreOptions
 from deformscope.lab.depth_view import DepthView
 from deformscope.lab.ray_camera import FOAM
 from deformscope.lab.scenes import Scene, built_in
+from deformscope.reproduce.surface_robot import LabRobot
 from deformscope.rig.rig_file import Tool, Workspace
 from deformscope.robot.placement import Placement
 from deformscope.robot.readings import ArmSample
 from deformscope.robot.setup import CameraView
 from deformscope.stages.map.measured import LookFrames, SurfaceMeasurement
 from deformscope.stages.poke.contact import ArmCompliance
-from deformscope.studies.surface_robot import LabRobot
 
 UNSTATED = ExploreOptions(beta_model="none", relief="seen", thickness_stated=False, seed=1000)
 AWAY = np.eye(4)

@@ -33,7 +33,7 @@ from deformscope.robot.robot import MotionHeld, RobotStopped, TipVelocity
 from deformscope.robot.supervisor import Action, Fault
 from deformscope.robot.touch import TouchEnding, TouchRecord, run_touch
 from deformscope.stages.map.exploration import PlannedTouch, TouchForecast
-from deformscope.studies.fault_study import FaultScene, make_scene
+from studies.fault_study import FaultScene, make_scene
 from tests.log.synthetic_exploration import touch
 
 PRESSES = 20

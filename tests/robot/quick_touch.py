@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 
-from deformscope.studies.fault_study import FaultScene, make_scene
+from studies.fault_study import FaultScene, make_scene
 
 
 def quick_scene(seed: int, *, modulus_pa: float = 60e3, tip: str = "sphere", tilt_deg: float = 0.0) -> FaultScene:

@@ -23,9 +23,9 @@ from deformscope.robot.readings import ForceSample, RobotObservation
 from deformscope.robot.robot import Robot, RobotStopped
 from deformscope.robot.supervisor import Fault, Limits, Supervisor
 from deformscope.robot.touch import TouchPlan
-from deformscope.studies.rigid_faults import T_BASE_SURFACE, TOP_M, UP
 from deformscope_drivers.kuka import KukaConfig
 from deformscope_drivers.memory import SimulatedClock
+from studies.rigid_faults import T_BASE_SURFACE, TOP_M, UP
 from tests.robot.quick_touch import quick_scene
 
 POINT_M = np.array([0.3, 0.2, TOP_M])

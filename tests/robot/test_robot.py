@@ -15,7 +15,7 @@ from deformscope.robot.readings import RobotObservation
 from deformscope.robot.robot import RobotStopped, TipVelocity
 from deformscope.robot.supervisor import Action, Fault, Limits, SafetyVerdict
 from deformscope.robot.travel import step
-from deformscope.studies.fault_study import FaultScene, make_scene
+from studies.fault_study import FaultScene, make_scene
 
 UP = TipVelocity(np.array([0.0, 0.0, 0.02]))
 

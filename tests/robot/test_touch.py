@@ -15,7 +15,7 @@ from deformscope.robot.preflight import Check, _first_way, check
 from deformscope.robot.robot import RobotStopped, TipVelocity
 from deformscope.robot.supervisor import Fault
 from deformscope.robot.touch import Phase, TouchEnding, TouchPlan, TouchRecord, TouchStateMachine, run_touch
-from deformscope.studies.fault_study import FaultScene, make_scene, run_fault, turned_aside_deg
+from studies.fault_study import FaultScene, make_scene, run_fault, turned_aside_deg
 from tests.robot.quick_touch import quick_scene
 
 SOFT_N = 8.0

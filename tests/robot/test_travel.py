@@ -19,8 +19,8 @@ from deformscope.robot.setup import T_BASE_SURFACE
 from deformscope.robot.supervisor import Limits, SafetyVerdict
 from deformscope.robot.touch import Phase, TouchPlan, run_touch
 from deformscope.robot.travel import PASSED_M, REACHED_M, NotThere, TravelWay, find_way, to_above
-from deformscope.studies.fault_study import FaultScene, make_scene
 from deformscope_drivers.jaco.chains import J2N6S300
+from studies.fault_study import FaultScene, make_scene
 from tests.robot.quick_touch import quick_scene
 
 STANDOFF_M = 0.05

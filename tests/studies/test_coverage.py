@@ -8,19 +8,20 @@ import pytest
 pytest.importorskip("warp")
 
 from deformscope.stages.msm import clusters, reference
-from deformscope.studies import coverage
-from deformscope.studies.coverage import (
+from studies import random_bodies
+from studies.coverage import coverage_rows
+from studies.quantities import Rate
+from studies.random_bodies import (
     CONDITIONS,
     NOTHING,
     Case,
     NothingCase,
     Outcome,
-    Rate,
     random_body,
     rank_counts,
     ranks_png,
 )
-from deformscope.studies.unseen_pokes import FoamBody, PokeCase, try_unseen_poke
+from studies.unseen_pokes import FoamBody, PokeCase, try_unseen_poke
 from tests.cases import slow_but
 
 FAST = 12
@@ -34,7 +35,7 @@ def rate_of(outcomes: list[Outcome]) -> Rate:
 @pytest.mark.parametrize("condition", slow_but([EXACT], range(len(CONDITIONS))), ids=[one.name for one in CONDITIONS])
 def test_intervals_hold_truths_at_their_level(condition: int) -> None:
     """Within 3 binomial deviations of 90 %, on few objects; thousands by `deformscope coverage`."""
-    outcomes = [coverage.try_object(Case(condition, "prior", number, seed=5)) for number in range(FAST)]
+    outcomes = [random_bodies.try_object(Case(condition, "prior", number, seed=5)) for number in range(FAST)]
     assert rate_of(outcomes).rate >= 0.9 - 3.0 * np.sqrt(0.9 * 0.1 / FAST)
     assert sum(one.confident_wrong for one in outcomes) == 0
     assert all(one.interval[0] <= one.value <= one.interval[1] for one in outcomes)
@@ -43,7 +44,7 @@ def test_intervals_hold_truths_at_their_level(condition: int) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("condition", range(len(CONDITIONS)), ids=[one.name for one in CONDITIONS])
 def test_coverage_of_many_is_close_to_the_level(condition: int) -> None:
-    outcomes = [coverage.try_object(Case(condition, "prior", number, seed=6)) for number in range(400)]
+    outcomes = [random_bodies.try_object(Case(condition, "prior", number, seed=6)) for number in range(400)]
     found = rate_of(outcomes)
     assert 0.87 - 2.0 * 0.015 <= found.rate <= 0.93 + 2.0 * 0.015
     assert sum(one.confident_wrong for one in outcomes) <= 4
@@ -58,15 +59,15 @@ def test_the_truths_are_static_states_of_the_reference() -> None:
 
 
 @pytest.mark.parametrize("kind", slow_but(["noise alone"], NOTHING))
-def test_data_without_information_are_called_unidentified(kind: coverage.Nothing) -> None:
-    verdicts = [coverage.try_nothing(NothingCase(kind, number, seed=5)) for number in range(8)]
+def test_data_without_information_are_called_unidentified(kind: random_bodies.Nothing) -> None:
+    verdicts = [random_bodies.try_nothing(NothingCase(kind, number, seed=5)) for number in range(8)]
     assert verdicts.count("unidentified") >= 7
 
 
 def test_correlated_noise_has_unit_variance_and_a_reach_of_about_a_cell() -> None:
     rng = np.random.default_rng(2)
     rest = np.stack(np.meshgrid(np.arange(8) * 0.01, np.arange(8) * 0.01, indexing="ij"), -1).reshape(-1, 2)
-    draws = np.stack([coverage.random_noise(rng, rest, correlated=True) for _ in range(400)])
+    draws = np.stack([random_bodies.random_noise(rng, rest, correlated=True) for _ in range(400)])
     assert draws.var() == pytest.approx(1.0, rel=0.1)
     beside = np.mean(draws[:, 27] * draws[:, 28])
     beyond = np.mean(draws[:, 27] * draws[:, 31])
@@ -84,12 +85,12 @@ def test_the_table_counts_ends_of_the_range_apart() -> None:
         return Outcome("a", dim, 3, 20, beta, low, (low, high), 0.5, "identified", 0.1)
 
     between = [outcome(0.5, 0.4, 0.6), outcome(0.5, 0.6, 0.7), outcome(0.5, 0.7, 0.8, 3)]
-    rows = coverage.coverage_rows([*between, outcome(0.0, 0.0, 0.1), outcome(0.98, 0.9, 0.99)])
-    found = {row.group: row for row in rows}
-    assert (found["all"].covered.cases, found["all"].covered.hits) == (3, 1)
-    assert found["all"].confident_wrong.hits == 1
-    assert found["3D"].covered.cases == 1
-    assert found["beta = 0"].covered.rate == found["beta > 0.97"].covered.rate == 1.0
+    rows = coverage_rows([*between, outcome(0.0, 0.0, 0.1), outcome(0.98, 0.9, 0.99)])
+    found = {row["group"]: row for row in rows}
+    assert (found["all"]["covered"].cases, found["all"]["covered"].hits) == (3, 1)
+    assert found["all"]["confident_wrong"] == 1
+    assert found["3D"]["covered"].cases == 1
+    assert found["beta = 0"]["covered"].rate == found["beta > 0.97"]["covered"].rate == 1.0
 
 
 def test_ranks_are_counted_and_drawn() -> None:

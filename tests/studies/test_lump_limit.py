@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from deformscope.studies.lump_limit import limit
+from studies.lump_limit import limit
 
 SEED = 1000
 

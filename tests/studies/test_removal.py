@@ -7,7 +7,7 @@ import pytest
 
 from deformscope.lab.ray_camera import FOAM, ROBOT
 from deformscope.robot.description import Removal
-from deformscope.studies.removal import (
+from studies.removal import (
     DOUBT_M,
     RemovalCount,
     RemovalScene,
@@ -60,7 +60,7 @@ def test_rows_pool_pictures() -> None:
         RemovalCount("plain", "nothing", "sample", "mesh", 300, 300, 8, 10, 0, 0.3),
     ]
     (row,) = removal_rows(some)
-    assert (row.pictures, row.robot_points, row.seconds) == (2, 20, 0.2)
-    assert (row.foam_kept, row.foam_kept_worst) == (399 / 400, 0.99)
-    assert row.foam_outliers == 0.03
-    assert (row.robot_left, row.robot_left_worst) == (1 / 20, 0.1)
+    assert (row["pictures"], row["robot_points"], row["seconds"]) == (2, 20, 0.2)
+    assert (row["foam_kept"], row["foam_kept_worst"]) == (399 / 400, 0.99)
+    assert row["foam_outliers"] == 0.03
+    assert (row["robot_left"], row["robot_left_worst"]) == (1 / 20, 0.1)

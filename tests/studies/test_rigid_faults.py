@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from deformscope.robot.supervisor import Limits
-from deformscope.studies.rigid_faults import CASES, FELT, STIFFNESSES_N_M, RigidRun, SensorFault, run_rigid
+from studies.rigid_faults import CASES, FELT, STIFFNESSES_N_M, RigidRun, SensorFault, run_rigid
 
 KUKA, CURRENTS, JACO = "kuka", "kuka with motor currents", "jaco"
 JACO_MOST_N = 16.0

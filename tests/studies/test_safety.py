@@ -1,5 +1,5 @@
 """Arms that are driven to where they must not go stand in time; layouts keep their margins: a few, the others are
-`deformscope coverage safety`."""
+`python -m studies safety`."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deformscope.cli import main
 from deformscope.lab.faults import Injected
-from deformscope.studies import layouts
-from deformscope.studies.driven_faults import KINDS, Driven, run_any, run_driven, run_killed
-from deformscope.studies.fault_study import ACCELERATION_DEG_S2, FaultRun
-from deformscope.studies.layouts import run_layout, walk_to_singularity_deg
-from deformscope.studies.silent_kuka import SILENCES, Silence, SilentRun, run_silent
 from deformscope_drivers.jaco import JacoDouble
 from deformscope_drivers.jaco.structures import AngularInfo, PositionType, TrajectoryPoint
 from deformscope_drivers.kuka.chains import CHAINS
 from deformscope_drivers.memory import SimulatedClock
+from studies import layouts
+from studies.__main__ import main
+from studies.driven_faults import KINDS, Driven, run_any, run_driven, run_killed
+from studies.fault_study import ACCELERATION_DEG_S2, FaultRun
+from studies.layouts import run_layout, walk_to_singularity_deg
+from studies.silent_kuka import SILENCES, Silence, SilentRun, run_silent
 
 
 @pytest.mark.parametrize("driven", [*list(Driven)[:3], pytest.param(Driven.SINGULAR, marks=pytest.mark.slow)])
@@ -68,7 +68,7 @@ def test_a_walk_finds_the_singular_wrist_of_a_kuka() -> None:
     assert walk_to_singularity_deg(chain, joints_deg, -towards) == float("inf")
 
 
-@pytest.mark.slow  # three of each kind; a thousand are `deformscope coverage safety`
+@pytest.mark.slow  # three of each kind; a thousand are `python -m studies safety`
 def test_faults_of_all_kinds_end_in_time() -> None:
     runs = [run_any(seed) for seed in range(3 * len(KINDS))]
     assert [run for run in runs if not run.in_time] == []
@@ -98,7 +98,7 @@ def test_a_kuka_that_goes_on_is_not_in_time() -> None:
 def test_the_command_counts_a_kuka_whose_answers_end(tmp_path: Path) -> None:
     found = tmp_path / "safety.json"
     flags = ["--arm", "kuka", "--faults", "1", "--layouts", "0", "--rigid", "0", "--jobs", "1", "--seed", "5"]
-    assert main(["coverage", "safety", *flags, "--json", str(found), "--viewer", "none"]) == 0
+    assert main(["safety", *flags, "--json", str(found), "--viewer", "none"]) == 0
     told = json.loads(found.read_text())
     assert told["in_time"] == told["faults"] == 1
     (run,) = told["kinds"]["HOLDON 1: cable pulled"]
@@ -118,7 +118,7 @@ def test_the_command_counts_faults_and_layouts(drawn: int, tmp_path: Path, monke
     monkeypatch.setattr(layouts, "TOUCHES", 1)
     found = tmp_path / "safety.json"
     flags = ["--faults", "1", "--layouts", str(drawn), "--rigid", "1", "--jobs", "1", "--seed", "12"]
-    assert main(["coverage", "safety", *flags, "--json", str(found), "--viewer", "none"]) == 0
+    assert main(["safety", *flags, "--json", str(found), "--viewer", "none"]) == 0
     told = json.loads(found.read_text())
     assert told["in_time"] == told["faults"] == 1
     assert told["kinds"][Injected.ARM_LATE][0]["noticed"]

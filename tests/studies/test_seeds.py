@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from deformscope.errors import InputError
-from deformscope.studies.seeds import REPORTED, TUNING, reported
+from studies.seeds import REPORTED, TUNING, reported
 
 
 def test_no_seed_is_in_both() -> None:

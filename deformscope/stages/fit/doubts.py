@@ -52,7 +52,7 @@ MIRRORED = 0.25
 SWAPPED, SWAPPED_SHARE = 0.5, 0.75
 """With columns put right, the squared residuals are at most this share of what they are without, and the share of the
 motion beyond a rigid one that is left at most that share: what fits neither way is another thing. Chosen on tuning
-seeds (`deformscope.studies.seeds`): the squares of 750 bodies whose columns are right came to no less than 0.6, of 150
+seeds (`studies.seeds`): the squares of 750 bodies whose columns are right came to no less than 0.6, of 150
 whose columns are swapped 95 % came to 0.45 at most."""
 
 NEGLIGIBLE = 1e-3

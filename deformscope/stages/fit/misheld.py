@@ -25,7 +25,7 @@ from deformscope.stages.fit.search import Search
 
 HELD_GAIN = 20.0
 """Twice the log likelihood that a held particle's displacement must gain. Compared with 15 and 30 on tuning seeds
-(`deformscope.studies.seeds`), 240 bodies a kind of error: intervals held 0.92, 0.90 and 0.87 at 15, 20 and 30 where one
+(`studies.seeds`), 240 bodies a kind of error: intervals held 0.92, 0.90 and 0.87 at 15, 20 and 30 where one
 of them was off by 0.3 spacings (0.84 without), and none was moved for noise, white or shared over 2 or 6 spacings."""
 
 LEAST = 0.05

@@ -24,7 +24,7 @@ from deformscope.stages.fit.model import Observation
 
 FALSE_ALARMS = 0.05
 """Share of right ones among those that are left out of white noise, and chance that clean noise loses one, were its
-scale known. Compared with 0.01 and 0.2 on tuning seeds (`deformscope.studies.seeds`), 240 bodies: of lost tracks 58, 64
+scale known. Compared with 0.01 and 0.2 on tuning seeds (`studies.seeds`), 240 bodies: of lost tracks 58, 64
 and 69 % were found at 0.01, 0.05 and 0.2, and 0.01, 0.07 and 0.4 % of the others left out."""
 
 SCALE_MARGIN = 1.25

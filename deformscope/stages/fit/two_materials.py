@@ -42,7 +42,7 @@ APART, LEFT = 0.05, 0.8
 """By how much the two betas must differ at least, and what share of the error (root mean square) they leave at most.
 
 These and `GAIN`, the least of 6 to 18 that few bodies of one material meet, were chosen on tuning seeds
-(`deformscope.studies.seeds`), 100 bodies a kind: together they are met by no body of one beta with noise that is
+(`studies.seeds`), 100 bodies a kind: together they are met by no body of one beta with noise that is
 independent or shared over a cell, by 2 % with noise shared over three, by 3 % of finite element bodies of one modulus,
 by 71 % of bodies whose halves have betas of 0.2 and 0.8, and by 60 % of those with a lump."""
 

@@ -26,7 +26,7 @@ from deformscope.stages.regions.touches import MapGrid
 SIGMA_E, SIGMA_W_M, SIGMA_N = 1.0, 0.6, 0.05
 """Of the kernel (eq. 4.5) and of the noise. The thesis prints none of them ("empirically estimated based on a set of
 experiments"). With this sigma_e, Th = 0.06 is a share of the variance before any touch. sigma_w was chosen on tuning
-seeds (`deformscope.studies.seeds`) such that 60 x 40 cm of one foam take the 3 touches of its table 4.1, where a touch
+seeds (`studies.seeds`) such that 60 x 40 cm of one foam take the 3 touches of its table 4.1, where a touch
 dents a circle of 2.3 cm; they take 4 to 6 at 0.5 m, 5 to 7 at 0.4 m."""
 
 FIRST_SHARE = (0.25, 0.5)

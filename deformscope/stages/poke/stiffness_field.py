@@ -53,7 +53,7 @@ than a tenth, so that a 90 % interval holds that poke for certain."""
 
 TILT = 0.25
 """The expected value of |f - F| / F^TILT is least at the median of what the true F may be, each weighed by 1 / F^TILT.
-Chosen on tuning seeds (`deformscope.studies.seeds`): where either of two materials is possible, the stiffer is expected
+Chosen on tuning seeds (`studies.seeds`): where either of two materials is possible, the stiffer is expected
 only if it is the likelier by the fourth root of their ratio; called wrongly, it is off by far more than the softer
 one."""
 

@@ -33,7 +33,7 @@ ALIKE_M = 0.004
 """Where points are off by more after all, in the mean, they are of something else."""
 ALIGNED_M = 0.003
 """What is then left of an error of the camera's place, at the tip: 2.4 mm at most of 108 pictures of `studies.removal`,
-0.6 mm as the median (seeds 1000 to 1005: `deformscope.studies.seeds`)."""
+0.6 mm as the median (seeds 1000 to 1005: `studies.seeds`)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

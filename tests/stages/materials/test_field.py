@@ -23,7 +23,7 @@ from deformscope.stages.materials.field_fit import (
     likeliest_noise,
 )
 from deformscope.stages.materials.field_levels import border_cells, border_length, cuts, gain, neighbours, sharpened
-from deformscope.studies.field_bodies import SPACING_M, elastic_pair
+from studies.field_bodies import SPACING_M, elastic_pair
 from tests.cases import slow
 
 pytest.importorskip("skfem")

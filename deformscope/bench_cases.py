@@ -1,0 +1,9 @@
+"""The parts of `deformscope bench`: its flags read them without numpy, it runs them without tyro."""
+
+from __future__ import annotations
+
+from typing import Literal, get_args
+
+Case = Literal["step", "memory", "relax", "sweep", "theta", "gradient", "fit", "surface", "cold"]
+
+CASES: tuple[Case, ...] = get_args(Case)

@@ -1,0 +1,1 @@
+"""The experiments of the thesis, in the laboratory: what `deformscope reproduce` computes."""

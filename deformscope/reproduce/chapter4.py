@@ -1,0 +1,266 @@
+"""Thesis chapter 4 in the laboratory: beta of foams by how a touch is held, and explorations by its own rules.
+
+Figure 4.5: one touch of 3 N at the same place of each foam, its beta by several ways to hold the model and sizes of its
+clusters. Figures 4.6, 4.7 and table 4.1: the dents, and the fields of beta of the six scenarios. Touches are pressed
+into finite elements and seen by the laboratory's camera, without wires.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+from scipy.interpolate import LinearNDInterpolator
+from threadpoolctl import threadpool_limits
+
+from deformscope.arrays import BoolArray, FloatArray, IntArray
+from deformscope.errors import InputError
+from deformscope.experiments.explorer import AsMeasured, Explorer, Touch
+from deformscope.experiments.options import ExploreOptions
+from deformscope.lab.scenes import built_in
+from deformscope.lab.slab import RigidTip
+from deformscope.lab.slab_world import SlabWorld
+from deformscope.reproduce.foams import order_words
+from deformscope.reproduce.surface_robot import LabRobot, explore_at_once
+from deformscope.stages.map.gaussian_process import Believed
+from deformscope.stages.map.map_score import match_regions
+from deformscope.stages.map.thesis_field import ThesisField, contoured
+from deformscope.stages.map.touch_beta import (
+    BOUNDS,
+    THESIS_CELL_M,
+    THESIS_SIDE_M,
+    BallContact,
+    SeenDent,
+    dent_of,
+    fit_touch,
+    thesis_beta,
+)
+from deformscope.stages.regions.touches import MapGrid
+
+HARDNESSES_N = (30, 60, 110, 150, 300)
+"""Of figure 4.5: the thesis's 60, 110 and 150 N, one softer and one firmer."""
+
+Hold = Literal[
+    "single layer, one particle",
+    "layers, one particle",
+    "layers, one particle, exact surface",
+    "layers, whole patch, raw points",
+]
+HOLDS: tuple[Hold, ...] = get_args(Hold)
+"""What the model is made of and held by, and what it is compared with; else the thesis's Gaussian process surface."""
+
+CLUSTER_SIZES: tuple[int | None, ...] = (2, 3, 4, 5, None)
+"""Particles a side; None: no clusters, one that deforms quadratically (Thesis figure 4.5 (b), note 5)."""
+
+SCENARIOS: dict[str, tuple[int, int]] = {
+    "homogeneous-60": (3, 1),
+    "homogeneous-110": (3, 1),
+    "two-60-150": (4, 2),
+    "two-110-150": (4, 2),
+    "two-150-rigid": (4, 2),
+    "three-60-110-rigid": (4, 3),
+}
+"""Of table 4.1: the thesis's number of interactions at Th = 0.06, and of regions."""
+
+MOST_TOUCHES = 10
+AROUND_M = 2.0 * THESIS_SIDE_M
+"""Material points of the exact dent lie this far across, 2.5 mm apart."""
+
+
+@dataclass(frozen=True, slots=True)
+class HeldBeta:
+    """beta of one dent. cluster_size: None = no clusters; error_m: mean distance from simulated to observed points at
+    it (eq. 4.6), None where it is fitted by squares"""
+
+    hold: Hold
+    cluster_size: int | None
+    beta: float
+    error_m: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class FoamDent:
+    """One touch of a foam. dent: as the thesis's process sees it; betas: of every hold and cluster size"""
+
+    hardness_n: float
+    depth_m: float
+    dent: SeenDent
+    betas: tuple[HeldBeta, ...]
+
+
+def press_foam(hardness_n: int, cluster_sizes: Sequence[int | None] = CLUSTER_SIZES) -> FoamDent:
+    """Touch a foam in its middle, and fit beta in every way."""
+    with threadpool_limits(1):
+        scene = built_in(f"homogeneous-{hardness_n}", 0)
+        options = ExploreOptions(planner="thesis", beta_model="thesis", thickness_m=scene.thickness_m)
+        robot = LabRobot(scene, options)
+        explorer = Explorer(scene.size_m, options, robot.arm, robot.truth)
+        explorer.look(robot.look)
+        at = 0.5 * np.asarray(scene.size_m)
+        touched = robot.touch(Touch(at, *explorer.aim(at), None))
+        found = explorer.touch(touched)
+        dent = explorer.dents[0] if explorer.dents else None
+        assert explorer.world is not None
+        if dent is None:
+            raise InputError("a foam that 3 N dent", f"{hardness_n} N", "a softer one")
+        radius, thickness = options.tip_radius_m, scene.thickness_m
+        level = thickness - found.depth_m
+        ball = BallContact(np.append(at, level), radius, found.depth_m, found.peak_force_n)
+        world = SlabWorld(robot.scene)
+        exact = _exact(world, at, level + radius, radius)
+        betas: list[HeldBeta] = []
+        for size in cluster_sizes:
+            for hold, seen, below in (
+                (HOLDS[0], dent, None),
+                (HOLDS[1], dent, thickness),
+                (HOLDS[2], exact, thickness),
+            ):
+                swept = thesis_beta(seen, thickness_m=below, cluster_size=size)
+                betas.append(HeldBeta(hold, size, swept.beta, swept.error_m))
+            if size is not None:
+                ours = fit_touch(explorer.world, touched.after_m, ball, thickness_m=thickness, cluster_size=size)
+                betas.append(HeldBeta(HOLDS[3], size, ours.estimate.value, None))
+    return FoamDent(hardness_n, found.depth_m, dent, tuple(betas))
+
+
+@dataclass(frozen=True, slots=True)
+class Scenario:
+    """One exploration by the thesis's rules.
+
+    contacts_m: (n, 2) touches in their order; rigid: (n,); stop_reason: why none follows
+    truth: (rows, columns) labels; hardness: of each label, in words
+    variance: (rows, columns) of the field, the same whatever beta is; fields: of each beta model
+    """
+
+    scene: str
+    seed: int
+    contacts_m: FloatArray
+    rigid: BoolArray
+    stop_reason: str
+    truth: IntArray
+    hardness: tuple[str, ...]
+    cell_m: float
+    variance: FloatArray
+    fields: dict[str, BetaField]
+
+
+@dataclass(frozen=True, slots=True)
+class BetaField:
+    """touches: beta of each; mean: (rows, columns); isopleths: (k,); labels: (rows, columns); iou: against the truth"""
+
+    touches: tuple[float, ...]
+    mean: FloatArray
+    isopleths: FloatArray
+    labels: IntArray
+    regions: int
+    iou: float
+
+
+def explore_scenario(job: tuple[str, int]) -> Scenario:
+    """Explore a scene from a seed until its variance is below Th; the field by layers, and that of a single layer from
+    the same dents: where is touched does not depend on beta."""
+    name, seed = job
+    with threadpool_limits(1):
+        scene = built_in(name, seed)
+        if (truth := scene.regions) is None:
+            raise InputError("a scene with regions", name, "two-60-150")
+        options = ExploreOptions(
+            planner="thesis", beta_model="layers", budget=MOST_TOUCHES, seed=seed, thickness_m=scene.thickness_m
+        )
+        robot = LabRobot(scene, options)
+        explorer = Explorer(scene.size_m, options, robot.arm, robot.truth)
+        explore_at_once(robot, explorer, AsMeasured(scene.size_m, robot.reachable), _Nowhere())
+        layers = explorer.thesis
+        counts = np.cumsum(layers.dented)
+        single = ThesisField()
+        for dent, places_m in zip(explorer.dents, np.split(layers.places_m, counts[:-1]), strict=True):
+            single = single.with_touch(places_m, 0.0 if dent is None else thesis_beta(dent).beta)
+    fields = {"layers": _field(layers, truth), "single layer": _field(single, truth)}
+    return Scenario(
+        scene=name,
+        seed=seed,
+        contacts_m=np.array([one.xyz_m[:2] for one in explorer.touches]),
+        rigid=np.array([one.rigid for one in explorer.touches], dtype=bool),
+        stop_reason=explorer.stop_reason,
+        truth=truth,
+        hardness=tuple(piece.name for piece in scene.pieces),
+        cell_m=explorer.grid.cell_m,
+        variance=layers.on(explorer.grid).deviation ** 2,
+        fields=fields,
+    )
+
+
+class _Nowhere:
+    """A session's recorder that keeps nothing."""
+
+    def write(self, items: object) -> None: ...
+
+
+def _field(found: ThesisField, truth: IntArray) -> BetaField:
+    grid = MapGrid((truth.shape[1] * MapGrid().cell_m, truth.shape[0] * MapGrid().cell_m))
+    on = found.on(grid)
+    labels = contoured(on, found.isopleths).labels
+    iou = match_regions(labels, truth)[0]
+    return BetaField(found.touches, on.mean, found.isopleths, labels, int(labels.max()) + 1, iou)
+
+
+class _Heights:
+    """A surface of points (n, 3), linear between them."""
+
+    def __init__(self, points_m: FloatArray) -> None:
+        self._between = LinearNDInterpolator(points_m[:, :2], points_m[:, 2])
+
+    def at(self, places_m: FloatArray) -> Believed:
+        return Believed(np.asarray(self._between(places_m)), np.zeros(len(places_m)))
+
+
+def _exact(world: SlabWorld, at: FloatArray, middle_m: float, radius_m: float) -> SeenDent:
+    """The dent of a ball whose middle is held at a height, as it is: every point of the surface where it went."""
+    aside = MapGrid((AROUND_M, AROUND_M), 0.25 * THESIS_CELL_M).centres_m - 0.5 * AROUND_M
+    rest = np.column_stack([at + aside, np.full(len(aside), world.scene.thickness_m)])
+    contact = world.press(RigidTip(radius=radius_m), np.append(at, middle_m))
+    moved = rest + world.displaced_m(contact, rest[:, :2])
+    return dent_of(_Heights(rest), _Heights(moved), at)
+
+
+# In words ------------------------------------------------------------------------------------------------------------
+
+SAME = 0.02
+"""Betas of foams that differ by no more count as the same: two steps of the sweep (Algorithm 3)."""
+
+
+def in_words(foams: Sequence[FoamDent], explored: Sequence[Scenario]) -> list[str]:
+    """What figure 4.5 and the explorations show, each sentence from their numbers."""
+    as_many = sum(len(one.contacts_m) == SCENARIOS[one.scene][0] for one in explored)
+    made = f"As many touches as in the thesis in {as_many} of {len(explored)} explorations."
+    return [*_trends(foams), made, *(_field_words(name, explored) for name in explored[0].fields)]
+
+
+def _trends(foams: Sequence[FoamDent]) -> list[str]:
+    """How beta changes with hardness, by how the model is held."""
+    if len(foams) < 2:
+        return [f"Figure 4.5 has {len(foams)} foam: how beta changes with hardness takes two."]
+    betas: dict[Hold, list[FloatArray]] = {}
+    for same in zip(*(one.betas for one in sorted(foams, key=lambda one: one.hardness_n)), strict=True):
+        betas.setdefault(same[0].hold, []).append(np.array([one.beta for one in same]))
+    words = []
+    for hold, sizes in betas.items():
+        changes = Counter(order_words(one, SAME) for one in sizes).most_common()
+        said = ", ".join(f"{change} at {count} of {len(sizes)} cluster sizes" for change, count in changes)
+        words.append(f"By {hold}, beta is {np.min(sizes):.2f} to {np.max(sizes):.2f}; it {said}.")
+    return words
+
+
+def _field_words(name: str, explored: Sequence[Scenario]) -> str:
+    """Of one way to model the dents: how many regions it finds, and between which betas."""
+    fields = [(one.fields[name], int(one.truth.max()) + 1) for one in explored]
+    right = sum(found.regions == count for found, count in fields)
+    betas = [beta for found, _ in fields for beta in found.touches]
+    words = f"With {name}, {right} of {len(fields)} explorations have as many regions as there are"
+    words += f"; beta is {min(betas):.2f} to {max(betas):.2f}"
+    if max(betas) <= BOUNDS[0] or min(betas) >= BOUNDS[1]:
+        words += ", the end of the sweep for all touches: no isopleth divides them"
+    return f"{words}."

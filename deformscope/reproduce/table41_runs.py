@@ -1,0 +1,110 @@
+"""Explorations of table 4.1: what is asked, what came of it, and their file."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from deformscope.errors import InputError
+from deformscope.experiments.options import Pace, Relief
+from deformscope.plain import plain
+from deformscope.stages.map.map_score import MapScore
+from deformscope.stages.map.plan import Planner
+
+
+@dataclass(frozen=True, slots=True)
+class TableJob:
+    """One exploration. go_on: to the last touch, also after the plan has said enough, so that planners compare
+    closed_form: touches are what a contact feels in closed form, instead of finite elements; clean: the laboratory
+    keeps nothing from the estimator; relief, pace: as in `ExploreOptions`
+    """
+
+    scene: str
+    seed: int
+    planner: Planner = "regions"
+    touches: int = 8
+    go_on: bool = False
+    closed_form: bool = False
+    clean: bool = False
+    relief: Relief = "seen"
+    pace: Pace = "careful"
+
+    @property
+    def way(self) -> str:
+        """Planner and pace, in words: what is compared."""
+        return self.planner if self.pace == "careful" else f"{self.planner} {self.pace}"
+
+
+@dataclass(frozen=True, slots=True)
+class MapAfter:
+    """The map after some touches.
+
+    travel_m: of the tip over the surface, from its corner; robot_s: that the touches took (`touch_clock`; in closed
+    form: as the planner reckons); compute_s: from this touch to the next target
+    log_stiffness, log_sd, rigid: what the last touch measured [N/mm], at `xy_m`; felt_log_stiffness: what it would have
+    measured without noise; touch_covered: whether its 90 % interval holds that, None where it is rigid
+    unseen: probability that lumps of the size that is sought are there unseen, None where it was not computed
+    """
+
+    touches: int
+    travel_m: float
+    robot_s: float
+    compute_s: float
+    xy_m: tuple[float, float]
+    log_stiffness: float
+    log_sd: float
+    rigid: bool
+    felt_log_stiffness: float
+    touch_covered: bool | None
+    score: MapScore
+    probability: dict[str, float]
+    unseen: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class TableRun:
+    """What one exploration gave. region_count: the true one, 0 where there are no regions; stop_after: touches after
+    which the plan said enough, None where it never did; max_force_n: largest true contact force; seconds: that all of
+    it took to compute and simulate"""
+
+    job: TableJob
+    region_count: int
+    after: tuple[MapAfter, ...]
+    max_force_n: float
+    stop_after: int | None
+    seconds: float
+
+    def at(self, touches: int) -> MapAfter:
+        """The map that the robot has with so many touches at most: it stops where the plan says enough."""
+        last = len(self.after) if self.stop_after is None else self.stop_after
+        return self.after[min(touches, last) - 1]
+
+
+# Runs in a file, a line each, so that none is lost where the rest is cut off ------------------------------------------
+
+
+def add_runs(path: Path, runs: Iterable[TableRun]) -> None:
+    """Add runs to a file."""
+    with path.open("a", encoding="utf-8") as file:
+        file.writelines(json.dumps(plain(run), allow_nan=False) + "\n" for run in runs)
+
+
+def read_runs(path: Path) -> Iterator[TableRun]:
+    """The runs in a file. Raises InputError where it holds anything else; a last line that was cut off is left out."""
+    with path.open(encoding="utf-8") as file:
+        for number, line in enumerate(file, start=1):
+            if not line.endswith("\n"):
+                return
+            try:
+                read = json.loads(line)
+                after = [
+                    MapAfter(**{**one, "xy_m": tuple(one["xy_m"]), "score": MapScore(**one["score"])})
+                    for one in read["after"]
+                ]
+                yield TableRun(**{**read, "job": TableJob(**read["job"]), "after": tuple(after)})
+            except (ValueError, TypeError, KeyError) as error:
+                raise InputError(
+                    "runs of this version", str(error), "leave --resume out", f"{path}:{number}"
+                ) from error

@@ -1,0 +1,89 @@
+"""How well pokes that were not fitted are predicted: displacements and force of each, against what was measured."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from deformscope.arrays import FloatArray, IntArray
+from deformscope.stages.msm.poke import Poke
+from deformscope.stages.poke.fitted import FittedModel, Prediction, predict
+from deformscope.stages.poke.poke_fit import SeenPoke
+
+NEAR_M = 0.03
+"""The surface within this distance of the tip's edge is judged [m]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Score:
+    """How one method did on one poke. surface_error: root mean square distance near the tip, as a share of the depth;
+    force: predicted [N] and force_error, relative; None where the method has none or none was measured"""
+
+    method: str
+    surface_error: float
+    force: float | None
+    force_error: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class PokeComparison:
+    """A measured poke, what the model predicts, and how every method did."""
+
+    poke: SeenPoke
+    prediction: Prediction
+    predicted: FloatArray
+    scores: tuple[Score, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class PooledPokes:
+    """How the model did on several measured pokes. surface_error, force_error: root mean square, of the depth and of
+    the measured force; forces: pokes whose force was measured and predicted; held: of these, how many 90 % intervals
+    hold it; width: median of the intervals' widths, of the predicted force; None without forces"""
+
+    pokes: int
+    surface_error: float
+    forces: int
+    force_error: float | None
+    held: int
+    width: float | None
+
+
+def together(compared: Sequence[PokeComparison]) -> PooledPokes:
+    """All of them, at least one."""
+    surface = [one.scores[0].surface_error for one in compared]
+    off, held, width = [], 0, []
+    for one in compared:
+        found, measured = one.prediction, one.poke.force
+        if measured is None or found.force is None or found.force_interval is None:
+            continue
+        low, high = found.force_interval
+        off.append(found.force / measured - 1.0)
+        held += low <= measured <= high
+        width.append((high - low) / found.force)
+    rms, median = (float(np.sqrt(np.mean(np.square(off)))), float(np.median(width))) if off else (None, None)
+    return PooledPokes(len(compared), float(np.sqrt(np.mean(np.square(surface)))), len(off), rms, held, median)
+
+
+def predict_seen(model: FittedModel, poke: SeenPoke, *, device: str = "cpu") -> tuple[Prediction, FloatArray, Score]:
+    """A measured poke predicted from its place, tip and depth: displacement (n, 3) of its points [m] too, and how well
+    that did."""
+    prediction = predict(model, Poke(poke.at, poke.tip, depth=poke.depth), device=device)
+    moved = prediction.at(poke.points) - poke.points
+    return prediction, moved, score_of("MSM", poke, moved, prediction.force)
+
+
+def _near(poke: SeenPoke) -> IntArray:
+    half = 0.5 * np.asarray(poke.tip.size if len(poke.tip.size) == 2 else poke.tip.size * 2)
+    away = np.maximum(np.abs(poke.points[:, :2] - poke.at[:2]) - half, 0.0)
+    return np.flatnonzero(np.linalg.norm(away, axis=1) <= NEAR_M + 1e-9)
+
+
+def score_of(method: str, poke: SeenPoke, moved: FloatArray, force: float | None) -> Score:
+    """How displacements (n, 3) of the points, and a force, do on a measured poke."""
+    near = _near(poke)
+    error = float(np.sqrt(np.mean(np.sum((moved - poke.moved)[near] ** 2, axis=1)))) / poke.depth
+    off = None if force is None or poke.force is None else force / poke.force - 1.0
+    return Score(method, error, force, off)

@@ -1,1 +1,0 @@
-"""What proves the experiments: on bodies of known truth, over seeds."""

@@ -1,0 +1,50 @@
+"""`python -m studies NAME [flags]`: finds the study asked for in this folder and runs it."""
+
+from __future__ import annotations
+
+import ast
+import difflib
+import importlib
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from deformscope.cli import guarded, with_flags
+from deformscope.cli.study import Study, run
+from deformscope.errors import InputError
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run one command line, as `deformscope.cli.main` does."""
+    return guarded(_dispatch, list(sys.argv[1:] if args is None else args))
+
+
+def summaries() -> dict[str, str]:
+    """Of each study by its name: the first sentence of its file. None is imported for it."""
+    found = {}
+    for path in sorted(Path(__file__).parent.glob("*.py")):
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        targets = [target for one in tree.body if isinstance(one, ast.Assign) for target in one.targets]
+        if any(isinstance(one, ast.Name) and one.id == "STUDY" for one in targets):
+            said = (ast.get_docstring(tree) or "").split("\n\n")[0]
+            found[path.stem] = " ".join(said.split()).partition(": ")[2].rstrip(".")
+    return found
+
+
+def _dispatch(args: list[str]) -> int:
+    known = summaries()
+    if not args or args[0] in ("-h", "--help"):
+        print("usage: python -m studies NAME [flags]\n")
+        print("\n".join(f"  {name:<10} {said}" for name, said in known.items()))
+        print("\npython -m studies NAME --help   its flags")
+        return 0
+    name, *rest = args
+    if name not in known:
+        nearest = next(iter(difflib.get_close_matches(name, known, n=1)), "--help")
+        raise InputError(f"a study out of {', '.join(known)}", repr(name), f"python -m studies {nearest}")
+    study: Study = importlib.import_module(f"studies.{name}").STUDY
+    return with_flags(study.options, lambda options: run(study, options), rest, f"python -m studies {name}")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,318 @@
+"""`python -m studies beta`: beta where errors are shared, tracks wrong or lost.
+
+python -m studies beta --jobs 8 --json coverage-beta.json
+python -m studies beta --only "outliers,lost tracks" --objects 100
+
+Do the intervals hold where the data are not as assumed? Random bodies of known beta or theta whose observed
+positions carry errors that neighbours share over several cells, outliers, lost tracks, or a held particle that is off.
+
+Bodies, sizes of noise and truths are those of `studies.random_bodies`; a third of the bodies is in space.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Annotated, get_args
+
+import numpy as np
+from tyro.conf import arg
+
+from deformscope.arrays import BoolArray, FloatArray
+from deformscope.cli.study import Study, StudyOptions, StudyReport, Trials
+from deformscope.config import flags
+from deformscope.errors import InputError
+from deformscope.pictures.report import Table
+from deformscope.stages.fit.calibrate import FitOptions, Model, Observation
+from deformscope.stages.fit.estimate import DoubtCode, Parameter, Verdict
+from studies.field_bodies import SPACING_M
+from studies.quantities import Quantity, Rate, Row, band, by, counts, number, rows, share, table
+from studies.random_bodies import (
+    BOUNDS,
+    CANDIDATES,
+    Outcome,
+    RandomBody,
+    fitted,
+    random_body,
+    random_dim,
+    random_noise,
+    random_sigma,
+)
+
+FRAMES = 5
+"""Frames of a whole motion, pushed on evenly."""
+
+OUTLIERS = (0.1, 1.0)
+"""Distances of a wrong track from where its particle is, even between these [spacings]."""
+
+LOST = (0.0, 0.8)
+"""Share of its motion up to which a lost track follows its particle, even between these."""
+
+THETA_BETA = 0.9
+"""beta of the bodies whose theta is looked for."""
+
+
+@dataclass(frozen=True, slots=True)
+class Disturbance:
+    """How observed positions err.
+
+    cells: over how many spacings neighbours share errors (0: not at all), 0.7 to 1.3 times it, exponential, Matern or
+    Gaussian; white: share of the variance that they do not; held_noise: held positions have it too
+    wrong, lost: share of the free particles whose track is wrong or lost; off: distance of one held particle from where
+    it is said to be [spacings]; frames: of a motion, None for its end alone; frames_share: all have the same errors
+    """
+
+    cells: float = 0.0
+    white: float = 0.0
+    held_noise: bool = True
+    wrong: float = 0.0
+    lost: float = 0.0
+    off: float = 0.0
+    frames: int | None = None
+    frames_share: bool = False
+
+
+DISTURBED: dict[str, Disturbance] = {
+    "white": Disturbance(),
+    "shared over 1 cell": Disturbance(cells=1.0),
+    "shared over 2 cells": Disturbance(cells=2.0),
+    "shared over 3 cells": Disturbance(cells=3.0),
+    "shared over 6 cells": Disturbance(cells=6.0),
+    "half white, half over 2 cells": Disturbance(cells=2.0, white=0.5),
+    "half white, half over 6 cells": Disturbance(cells=6.0, white=0.5),
+    "white, held exact": Disturbance(held_noise=False),
+    "10 % outliers": Disturbance(wrong=0.1),
+    "30 % outliers": Disturbance(wrong=0.3),
+    "30 % lost tracks": Disturbance(lost=0.3),
+    "over 2 cells, 10 % outliers": Disturbance(cells=2.0, wrong=0.1),
+    "a held particle off by .3 cell": Disturbance(off=0.3),
+    "motion, errors of each frame's own": Disturbance(frames=FRAMES),
+    "motion, errors that frames share, over 2 cells": Disturbance(cells=2.0, frames=FRAMES, frames_share=True),
+    "motion, 10 % outliers": Disturbance(wrong=0.1, frames=FRAMES),
+}
+"""By name."""
+
+
+@dataclass(frozen=True, slots=True)
+class DisturbedCase:
+    """One random object: its name in `DISTURBED`, which parameter is fitted, its number and the seed."""
+
+    name: str
+    number: int
+    seed: int
+    parameter: Parameter = "beta"
+    level: float = 0.9
+
+
+@dataclass(frozen=True, slots=True)
+class DisturbedOutcome:
+    """What came of one object. disturbed, found: particles whose track was made wrong or lost or whose held position
+    is off, and those that were left out; both: how many are in both"""
+
+    outcome: Outcome
+    disturbed: int = 0
+    found: int = 0
+    both: int = 0
+
+
+def try_disturbed(case: DisturbedCase) -> DisturbedOutcome:
+    """One random object through the calibration."""
+    what = DISTURBED[case.name]
+    rng = np.random.default_rng([case.seed, 16, list(DISTURBED).index(case.name), case.number])
+    body = random_body(rng, random_dim(case.number))
+    bounds = BOUNDS if case.parameter == "beta" else (0.0, 1.0)
+    truth = float(rng.uniform(*bounds))
+    model = _model(case.parameter, body)
+    errors = _Errors(what, body, random_sigma(rng), rng)
+    frames = what.frames or 1
+    seen = [errors.observe(model, truth, (frame + 1) / frames) for frame in range(frames)]
+    options = FitOptions(model, bounds, candidates=CANDIDATES, level=case.level)
+    outcome, found = fitted(case.name, truth, seen, options, one_motion=what.frames is not None)
+    left_out = np.zeros(len(body.rest), dtype=bool)
+    for one in found.left_out:
+        left_out[np.concatenate([one.lost, one.wrong, one.held])] = True
+    counts = (int(np.count_nonzero(one)) for one in (errors.bad, left_out, errors.bad & left_out))
+    return DisturbedOutcome(outcome, *counts)
+
+
+def _model(parameter: Parameter, body: RandomBody) -> Model:
+    if parameter == "beta":
+        return Model(cluster_size=body.cluster_size)
+    return Model(parameter="theta", cluster_size=body.cluster_size, beta=THETA_BETA, volume="project")
+
+
+class _Errors:
+    """The errors of one object, drawn once. bad: (K,) particles whose track is wrong or lost, or whose held
+    position is off"""
+
+    def __init__(self, what: Disturbance, body: RandomBody, sigma: float, rng: np.random.Generator) -> None:
+        self.what, self.body, self.sigma, self.rng = what, body, sigma, rng
+        count, d = body.rest.shape
+        self.free: BoolArray = np.ones(count, dtype=bool)
+        self.free[body.held] = False
+        self.same = self._noise()
+        draw = rng.random(count)
+        self.wrong: BoolArray = self.free & (draw < what.wrong)
+        self.lost: BoolArray = self.free & (what.wrong <= draw) & (draw < what.wrong + what.lost)
+        self.bad = self.wrong | self.lost
+        self.jump = SPACING_M * rng.uniform(*OUTLIERS, (count, 1)) * _directions(rng, count, d)
+        self.until = rng.uniform(*LOST, (count, 1))
+        self.off = np.zeros((count, d))
+        misheld = rng.choice(body.held)
+        self.off[misheld] = SPACING_M * what.off * _directions(rng, 1, d)[0]
+        self.bad[misheld] = what.off > 0.0
+
+    def _noise(self) -> FloatArray:
+        what, rng, rest = self.what, self.rng, self.body.rest
+        noise = np.sqrt(what.white if what.cells else 1.0) * rng.standard_normal(rest.shape)
+        if what.cells:
+            noise += np.sqrt(1.0 - what.white) * random_noise(rng, rest / what.cells, correlated=True)
+        if not what.held_noise:
+            noise[self.body.held] = 0.0
+        return np.asarray(self.sigma * noise)
+
+    def observe(self, model: Model, truth: float, share: float) -> Observation:
+        """What is seen when a share of the motion is done."""
+        body = self.body
+        start = body.rest[body.held]
+        held = start + share * (body.held_position - start)
+        beta, theta = (truth, 0.0) if model.parameter == "beta" else (model.beta, truth)
+        simulated = model.body(body.observe(body.rest)).relax(held, beta, theta, volume=model.volume).position[0]
+        noise = self.same if self.what.frames_share or self.what.frames is None else self._noise()
+        seen = simulated + noise + self.off
+        seen[self.wrong] += self.jump[self.wrong]
+        stays = self.lost & (share > self.until[:, 0])
+        seen[stays] -= ((1.0 - self.until / share) * (simulated - body.rest))[stays]
+        return body.observe(seen, self.sigma)
+
+
+def _directions(rng: np.random.Generator, count: int, d: int) -> FloatArray:
+    drawn = rng.standard_normal((count, d))
+    return np.asarray(drawn / np.linalg.norm(drawn, axis=1, keepdims=True))
+
+
+# The study -----------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class DisturbedCoverageConfig(StudyOptions):
+    """Count how often the intervals hold the truth where data are not as assumed: errors that neighbours share over 1
+    to 6 cells, with and without white noise, outliers, lost tracks, a held particle that is off, whole motions."""
+
+    objects: Annotated[int, flags.least(3)] = 400
+    """Random objects for each kind of error, a third of them in space; each takes some .3 s of a core."""
+    only: Annotated[str, arg(metavar="NAME,NAME...")] = ""
+    """These kinds alone, such as "30 % outliers,30 % lost tracks"; parts of their names do."""
+    level: flags.LevelFlag = 0.9
+    """Confidence level of the intervals."""
+
+
+def _fits(some: Sequence[DisturbedOutcome]) -> list[Outcome]:
+    return [one.outcome for one in some]
+
+
+def _covered(some: Sequence[DisturbedOutcome], dim: int | None = None) -> Rate:
+    """Truths within their intervals, in the plane or in space."""
+    return Rate.of(one.covered for one in _fits(some) if dim in (None, one.dim))
+
+
+def _called(verdict: Verdict) -> Callable[[Sequence[DisturbedOutcome]], Rate]:
+    return lambda some: Rate.of(one.verdict == verdict for one in _fits(some))
+
+
+def _alarms(some: Sequence[DisturbedOutcome]) -> Rate:
+    """Of particles that are not disturbed, those left out."""
+    others = sum(one.outcome.particles - one.disturbed for one in some)
+    return Rate(others, sum(one.found - one.both for one in some))
+
+
+def _reasons(some: Sequence[DisturbedOutcome]) -> dict[DoubtCode, Rate]:
+    """How often each reason to doubt the value was named."""
+    named = {code: Rate.of(code in one.codes for one in _fits(some)) for code in get_args(DoubtCode)}
+    return {code: rate for code, rate in named.items() if rate.hits}
+
+
+def reasons_text(reasons: Mapping[DoubtCode, Rate]) -> str:
+    """How often each was named."""
+    return ", ".join(f"{code} {rate.rate:.2f}" for code, rate in reasons.items())
+
+
+QUANTITIES: tuple[Quantity[Sequence[DisturbedOutcome]], ...] = (
+    Quantity("condition", lambda some: some[0].outcome.condition, {"errors": str}),
+    Quantity("covered", _covered, {"cases": lambda rate: rate.cases, "held": share(3), "95 % band": band(3)}),
+    Quantity("covered_2d", lambda some: _covered(some, 2), {"2D": share(2)}),
+    Quantity("covered_3d", lambda some: _covered(some, 3), {"3D": share(2)}),
+    Quantity(
+        "width", lambda some: float(np.median([np.ptp(one.interval) for one in _fits(some)])), {"width": number(3)}
+    ),
+    Quantity(
+        "rms",
+        lambda some: float(np.sqrt(np.mean([(one.value - one.beta) ** 2 for one in _fits(some)]))),
+        {"rms difference": number(3)},
+    ),
+    Quantity("identified", _called("identified"), {"identified": share(2)}),
+    Quantity("unidentified", _called("unidentified"), {"unidentified": share(2)}),
+    Quantity(
+        "wrong",
+        lambda some: Rate.of(not one.covered for one in _fits(some) if one.verdict == "identified"),
+        {"identified without the truth": lambda rate: rate.hits},
+    ),
+    Quantity(
+        "caught",
+        lambda some: Rate(sum(one.disturbed for one in some), sum(one.both for one in some)),
+        {"wrong ones left out": share(2)},
+    ),
+    Quantity("alarms", _alarms, {"right ones left out": lambda rate: f"{rate.rate:.4f}"}),
+    Quantity("verdicts", lambda some: counts(one.verdict for one in _fits(some))),
+    Quantity("reasons", _reasons, {"reasons": reasons_text}),
+    Quantity("fit_seconds", lambda some: float(np.median([one.seconds for one in _fits(some)]))),
+)
+COLUMNS = {name: name for one in QUANTITIES for name in one.columns if name != "rms difference"}
+
+
+def disturbed_rows(tried: Sequence[DisturbedOutcome]) -> list[Row]:
+    """All quantities, of each disturbance."""
+    return rows(by(tried, lambda one: one.outcome.condition).values(), QUANTITIES)
+
+
+def names_of(only: str, every: Sequence[str]) -> list[str]:
+    """Those whose names contain one of some parts, parted by commas; all for none."""
+    parts = [part.strip() for part in only.split(",") if part.strip()]
+    names = [name for name in every if not parts or any(part in name for part in parts)]
+    if not names:
+        raise InputError(f"parts of {'; '.join(every)}", only)
+    return names
+
+
+def cases(options: DisturbedCoverageConfig, names: Sequence[str], parameter: Parameter) -> list[DisturbedCase]:
+    """So many objects of each of these names."""
+    numbers, seed = range(options.objects), options.output.seed
+    return [DisturbedCase(name, number, seed, parameter, options.level) for name in names for number in numbers]
+
+
+def summary(
+    options: DisturbedCoverageConfig, parameter: Parameter, seconds: float, tried: Sequence[DisturbedOutcome]
+) -> tuple[list[Table], dict[str, object]]:
+    """The table of what was disturbed, if anything, and what the JSON has."""
+    lines = disturbed_rows(tried)
+    tables = [table(lines, QUANTITIES, f"{options.level:.0%} intervals for {parameter}", COLUMNS)] if lines else []
+    return tables, {
+        "parameter": parameter,
+        "level": options.level,
+        "seed": options.output.seed,
+        "disturbances": [row | {"errors": DISTURBED[row["condition"]]} for row in lines],
+        "seconds": seconds,
+    }
+
+
+def trials(options: DisturbedCoverageConfig) -> list[Trials[DisturbedCase, DisturbedOutcome]]:
+    """Objects of the kinds of errors that are asked for."""
+    return [Trials("random objects", try_disturbed, cases(options, names_of(options.only, tuple(DISTURBED)), "beta"))]
+
+
+def report(options: DisturbedCoverageConfig, seconds: float, tried: Sequence[DisturbedOutcome]) -> StudyReport:
+    """A line of each kind of errors."""
+    return StudyReport(*summary(options, "beta", seconds, tried))
+
+
+STUDY = Study(DisturbedCoverageConfig, trials, report)

@@ -1,0 +1,177 @@
+"""How often a calibration names each reason to doubt it: on data that are what the model takes them for, where that is
+a false alarm, and on data that are wrong in a known way.
+
+Bodies, noise and fits are those of `studies.random_bodies`; finite element bodies of one material, which no beta
+is true of, are those of `studies.unseen_pokes` with an even modulus.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+
+from deformscope.arrays import BoolArray, FloatArray
+from deformscope.stages.fit.calibrate import FitOptions, Model, Observation, calibrate
+from deformscope.stages.fit.estimate import DoubtCode, Verdict
+from studies.field_bodies import SPACING_M
+from studies.quantities import Quantity, Rate, Row, by, rows
+from studies.random_bodies import BOUNDS, CANDIDATES, RandomBody, random_body, random_dim, random_noise, random_sigma
+from studies.unseen_pokes import FoamBody, observe_foam
+
+Data = Literal[
+    "independent noise",
+    "noise not stated",
+    "noise over a cell, held noisy",
+    "noise over three cells, held noisy",
+    "finite elements, one material",
+    "two betas, halves",
+    "two betas, a lump",
+    "x and y swapped",
+    "one sign turned",
+    "positions mirrored",
+    "noise stated 15 times too small",
+]
+EXPECTED: dict[Data, DoubtCode] = {
+    "two betas, halves": "two-materials",
+    "two betas, a lump": "two-materials",
+    "x and y swapped": "axes-swapped",
+    "one sign turned": "axes-swapped",
+    "positions mirrored": "axes-swapped",
+    "noise stated 15 times too small": "noise-contradicted",
+}
+"""What is wrong with the data, where something is; elsewhere such a reason is a false alarm."""
+
+TWO: tuple[Data, ...] = ("two betas, halves", "two betas, a lump")
+
+SOFT, FIRM = 0.8, 0.2
+"""The betas of two materials."""
+
+LUMP = 0.3
+"""Share of the clusters that a lump holds."""
+
+
+@dataclass(frozen=True, slots=True)
+class DoubtCase:
+    """One random object: what is done to its data, its number and the seed."""
+
+    data: Data
+    number: int
+    seed: int
+
+
+@dataclass(frozen=True, slots=True)
+class Doubted:
+    """What was said of one object. codes: of the reasons; truths: all betas that are in it; none of finite elements"""
+
+    data: Data
+    codes: tuple[DoubtCode, ...]
+    verdict: Verdict
+    truths: tuple[float, ...]
+    interval: tuple[float, float]
+
+    @property
+    def held(self) -> bool:
+        """Whether the interval holds all that is true of the body."""
+        return bool(self.truths) and all(self.interval[0] <= one <= self.interval[1] for one in self.truths)
+
+
+def try_doubts(case: DoubtCase) -> Doubted:
+    """One random object through the calibration."""
+    rng = np.random.default_rng([case.seed, 55, get_args(Data).index(case.data), case.number])
+    dim = random_dim(case.number)
+    truths: tuple[float, ...] = ()
+    if case.data == "finite elements, one material":
+        foam = FoamBody(rng, dim, even=True)
+        size = int(rng.integers(2, 5))
+        seen = observe_foam(foam, *foam.poke(rng), rng)
+    else:
+        body = random_body(rng, dim)
+        while case.data in TWO and np.ptp(_middles(body), axis=0).max() < 0.5 * SPACING_M:
+            body = random_body(rng, dim)  # one that has two halves
+        size = body.cluster_size
+        seen, truths = _seen(body, case.data, rng)
+    found = calibrate([seen], FitOptions(Model(cluster_size=size), BOUNDS, candidates=CANDIDATES)).estimate
+    codes = tuple(dict.fromkeys(one.code for one in found.reasons))
+    return Doubted(case.data, codes, found.verdict, truths, found.interval)
+
+
+def _seen(body: RandomBody, data: Data, rng: np.random.Generator) -> tuple[Observation, tuple[float, ...]]:
+    """What is handed to the calibration, and the betas that are true of it."""
+    truths: tuple[float, ...] = (float(rng.uniform(*BOUNDS)),)
+    if data in TWO:
+        deformed, truths = _two_betas(body, data, rng)
+    else:
+        deformed = body.deform(truths[0])
+    cells = {"noise over a cell, held noisy": 1.0, "noise over three cells, held noisy": 3.0}.get(data)
+    sigma = random_sigma(rng)
+    noise = sigma * random_noise(rng, body.rest / (cells or 1.0), correlated=cells is not None)
+    if cells is None:
+        noise[body.held] = 0.0
+    deformed = deformed + noise
+    moved, dim = deformed - body.rest, body.rest.shape[1]
+    turn = np.eye(dim)
+    if data == "x and y swapped":
+        turn[[0, 1]] = turn[[1, 0]]
+    elif data == "one sign turned":
+        turn[1, 1] = -1.0
+    deformed = body.rest + moved @ turn.T
+    if data == "positions mirrored":
+        deformed[:, [0, 1]] = deformed[:, [1, 0]]
+    stated = {"noise not stated": None, "noise stated 15 times too small": sigma / 15.0}.get(data, sigma)
+    return body.observe(deformed, stated), truths
+
+
+def _middles(body: RandomBody) -> FloatArray:
+    """(C, d) where the clusters are [m]."""
+    grouped = Model(cluster_size=body.cluster_size).grouping(body.observe(body.rest))
+    return np.array([body.rest[row].mean(axis=0) for row in grouped])
+
+
+def _two_betas(body: RandomBody, data: Data, rng: np.random.Generator) -> tuple[FloatArray, tuple[float, float]]:
+    """The static state of a body of which one half, or a lump, has another beta."""
+    middles = _middles(body)
+    if data == "two betas, halves":
+        apart = np.flatnonzero(np.ptp(middles, axis=0) > 0.5 * SPACING_M)
+        along = middles[:, rng.choice(apart)]
+        first: BoolArray = along < 0.5 * (along.min() + along.max()) + 1e-9
+    else:
+        away = np.linalg.norm(middles - middles[rng.integers(len(middles))], axis=1)
+        first = away <= np.quantile(away, LUMP)
+    beta = np.where(first == (rng.random() < 0.5), SOFT, FIRM)
+    state = Model(cluster_size=body.cluster_size).body(body.observe(body.rest)).relax(body.held_position, beta[None])
+    return np.asarray(state.position[0]), (FIRM, SOFT)
+
+
+CODES: tuple[DoubtCode, ...] = get_args(DoubtCode)
+
+
+def _named(some: Sequence[Doubted]) -> dict[DoubtCode, Rate]:
+    """How often each reason was named."""
+    rates = {code: Rate.of(code in one.codes for one in some) for code in CODES}
+    return {code: rate for code, rate in rates.items() if rate.hits}
+
+
+QUANTITIES: tuple[Quantity[Sequence[Doubted]], ...] = (
+    Quantity("data", lambda some: some[0].data),
+    Quantity("expected", lambda some: EXPECTED.get(some[0].data)),
+    Quantity("named", _named),
+    Quantity("identified", lambda some: Rate.of(one.verdict == "identified" for one in some)),
+    # although the interval leaves out what is true
+    Quantity(
+        "identified_wrong",
+        lambda some: Rate.of(one.verdict == "identified" and bool(one.truths) and not one.held for one in some),
+    ),
+)
+
+
+def doubt_rows(tried: Sequence[Doubted]) -> list[Row]:
+    """All quantities, of each kind of data."""
+    return rows(by(tried, lambda one: one.data).values(), QUANTITIES)
+
+
+def doubt_plan(count: int, seed: int) -> list[DoubtCase]:
+    """So many objects of each kind of data."""
+    return [DoubtCase(data, number, seed) for data in get_args(Data) for number in range(count)]

@@ -1,0 +1,468 @@
+"""`python -m studies regions`: how often a map's levels and its number of regions are right, on known surfaces.
+
+python -m studies regions --objects 300 --jobs 8 --json -
+python -m studies regions --objects 50 --scatter 0.08 --only "scatter 8 %"
+
+Do a map's probabilities and intervals hold? Explorations of known surfaces, touched in closed form.
+
+A touch is the stiffness under its contact plus its errors (`LabErrors`, `touch_error`): no arm, no finite
+elements, so that hundreds of explorations take minutes. Posterior, planner and stop rule are those of `explore`. Truths
+come from the estimator's own prior (simulation-based calibration, Talts et al. 2018), and from scenes and errors that
+violate it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import zlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Annotated, Literal
+
+import numpy as np
+from scipy.stats import beta as beta_distribution
+from threadpoolctl import threadpool_limits
+from tyro.conf import arg
+
+from deformscope.arrays import FloatArray, IntArray
+from deformscope.cli.study import Study, StudyOptions, StudyReport, Trials
+from deformscope.config import flags
+from deformscope.errors import InputError
+from deformscope.lab.arm_contact import ARM_STIFFNESS_N_M
+from deformscope.lab.scenes import built_in
+from deformscope.lab.session_errors import LabErrors, SessionErrors
+from deformscope.pictures.report import Table
+from deformscope.reproduce.closed_form_table import FIT_SD, LOG_N_PER_MM_60
+from deformscope.stages.map.map_score import TrueMap, match_regions
+from deformscope.stages.map.plan import FieldKernel, PlanOptions, plan_touch
+from deformscope.stages.regions.partitions import draw
+from deformscope.stages.regions.posterior import (
+    SLOPES_PER_M,
+    SMOOTH_LENGTHS_M,
+    SMOOTH_SDS,
+    RegionPosterior,
+    RegionPrior,
+)
+from deformscope.stages.regions.touch_error import LAW_SD, SCATTER_LENGTH_M, SCATTER_SHARED
+from deformscope.stages.regions.touches import MapGrid, StiffnessSample
+from studies.quantities import Quantity, Rate, band, by, number, rows, share, table
+from studies.seeds import reported
+
+SCENES = (
+    *("homogeneous-60", "homogeneous-110", "two-60-150", "two-110-150", "three-60-110-200", "disc", "gradient"),
+    *("wavy", "corner", "strip", "patches"),
+)
+"""Layouts of the laboratory, each as often; homogeneous ones as often as two regions, roughly."""
+
+TOUCHES = 8
+"""As `explore` makes by default."""
+CELL_M = 0.01
+BLUR_M = (0.006, 0.009)
+"""What a contact feels; the estimator assumes 0.0075."""
+BINS = 5
+FIXED = 1.0
+
+Truth = Literal["prior", "scenes"]
+
+
+@dataclass(frozen=True, slots=True)
+class RegionCondition:
+    """Where truths come from, and what the session keeps from the estimator.
+
+    errors: None draws scatter, gain and arm from the estimator's own prior; gain_at, arm_at: fixed at so many of their
+    deviations, the sign by the seed, instead of drawn
+    """
+
+    name: str
+    truth: Truth
+    errors: LabErrors | None
+    gain_at: float | None = None
+    arm_at: float | None = None
+
+
+def scattered(share: float) -> RegionCondition:
+    """The laboratory with all its errors, and foam that scatters by this share."""
+    return RegionCondition(f"scatter {100.0 * share:g} %", "scenes", LabErrors(scatter=(share, share)))
+
+
+REGION_CONDITIONS = (
+    RegionCondition("stated prior", "prior", None),
+    *(scattered(share) for share in (0.03, 0.06, 0.10)),
+    RegionCondition("gain off by 3 %", "scenes", LabErrors(), gain_at=FIXED),
+    RegionCondition("arm off by a deviation", "scenes", LabErrors(), arm_at=FIXED),
+    RegionCondition("scatter over 12 cm", "scenes", LabErrors(scatter_length_m=0.12)),
+    RegionCondition("clean", "scenes", LabErrors.none()),
+)
+"""The first is the stated prior; then the laboratory with all its errors, one of them at a value of its own; the last
+two violate the model on either side: a scatter that neighbours share, and none."""
+
+
+@dataclass(frozen=True, slots=True)
+class RegionCase:
+    """One exploration: the condition, the seed, and touches at most."""
+
+    condition: RegionCondition
+    seed: int
+    touches: int = TOUCHES
+
+
+@dataclass(frozen=True, slots=True)
+class RegionOutcome:
+    """What came of one exploration.
+
+    true_count: of regions, 0 where stiffness is gradual; count: as reported; claimed: probability of that
+    levels, levels_covered: of the true regions, where their number is right, and those in their 90 % intervals;
+    level_z: (levels,) what is reported less the truth, in reported deviations;
+    width: mean of the intervals of log stiffness; wrong_claimed, wrong: share of the surface with a wrong label, where
+    the number is right and above 1; scatter: as learned; touches: made
+    """
+
+    condition: str
+    seed: int
+    true_count: int
+    count: int
+    claimed: float
+    probability: dict[str, float]
+    levels: int
+    levels_covered: int
+    level_z: tuple[float, ...]
+    width: float
+    wrong_claimed: float
+    wrong: float
+    scatter_true: float
+    scatter: float
+    touches: int
+
+    @property
+    def right(self) -> bool:
+        return self.count == self.true_count
+
+
+@dataclass(frozen=True)
+class KnownSurface:
+    """A surface and the session it is touched in.
+
+    true: labels and levels; places_m: (p, 2) that can be touched; felt: (p,) log stiffness [N/mm] that a contact feels
+    there, scatter in it; gain: log of the force's; arm: deviations by which its compliance is off; own_sd: of each
+    touch alone
+    """
+
+    true: TrueMap
+    places_m: FloatArray
+    felt: FloatArray
+    gain: float
+    arm: float
+    scatter_sd: float
+    seed: int
+
+    @cached_property
+    def _random(self) -> np.random.Generator:
+        return np.random.default_rng([self.seed, 77])
+
+    def touch(self, xy_m: FloatArray, arm_doubt: float) -> StiffnessSample:
+        """A touch at the nearest place (2,) [m]. arm_doubt: deviation of the compliance that its calibration states, as
+        a share of it"""
+        felt = float(self.felt[np.argmin(((self.places_m - xy_m) ** 2).sum(axis=1))])
+        own_sd = float(np.hypot(LAW_SD, FIT_SD))
+        bent = arm_doubt * 1e3 * np.exp(felt) / ARM_STIFFNESS_N_M  # k dC, for a deviation
+        value = felt + self.gain + self.arm * bent + own_sd * float(self._random.standard_normal())
+        return StiffnessSample(xy_m, float(value), own_sd, arm_sd=float(bent))
+
+
+def known_surface(condition: RegionCondition, seed: int, prior: RegionPrior) -> KnownSurface:
+    """What is explored: the same for each seed."""
+    stream = zlib.crc32(condition.name.encode())  # sessions of two conditions have nothing in common
+    rng = np.random.default_rng([seed, stream])
+    grid, places_m = MapGrid(cell_m=CELL_M), MapGrid(cell_m=PlanOptions().cell_m).centres_m
+    error = prior.error
+    if condition.errors is None:
+        scatter_sd = error.scatter_median * float(np.exp(error.scatter_spread * rng.standard_normal()))
+        errors = replace(LabErrors(), scatter=(scatter_sd, scatter_sd), scatter_length_m=SCATTER_LENGTH_M)
+        gain, arm = error.gain_sd * float(rng.standard_normal()), float(rng.standard_normal())
+    else:
+        errors = condition.errors
+        sign = 1.0 if rng.random() < 0.5 else -1.0
+        gain = errors.gain * (float(rng.standard_normal()) if condition.gain_at is None else sign * condition.gain_at)
+        arm = float(rng.standard_normal()) if condition.arm_at is None else sign * condition.arm_at
+        arm = arm if errors.arm > 0.0 else 0.0
+    session = errors.draw([seed, stream])
+    if condition.truth == "prior":
+        true, felt = _from_prior(rng, prior, grid, places_m)
+    else:
+        true, felt = _from_scene(SCENES[seed % len(SCENES)], seed, grid, places_m, float(rng.uniform(*BLUR_M)))
+    field = session.scatter(places_m)
+    if condition.errors is None:  # as `touch_error` has it: neighbours share a part
+        own = session.scatter_sd * rng.standard_normal(len(places_m))
+        field = np.sqrt(SCATTER_SHARED) * field + np.sqrt(1.0 - SCATTER_SHARED) * own
+    felt = felt + field
+    return KnownSurface(true, places_m, felt, gain, arm, session.scatter_sd, seed)
+
+
+def _from_prior(
+    rng: np.random.Generator, prior: RegionPrior, grid: MapGrid, places_m: FloatArray
+) -> tuple[TrueMap, FloatArray]:
+    """A map of the prior, and what a contact feels at places (p, 2): off where it feels two regions."""
+    count = int(rng.choice(4, p=[prior.one, prior.two, prior.three, prior.gradual])) + 1
+    if count == 4:
+        return _smooth(rng, prior, grid, places_m)
+    level = prior.level_sd * rng.standard_normal(count)
+    while count > 1 and np.diff(np.sort(level)).min() < prior.least_contrast:
+        level = prior.level_sd * rng.standard_normal(count)
+    level += LOG_N_PER_MM_60
+    if count == 1:
+        return _true(np.zeros(grid.shape, dtype=np.int64), level), np.full(len(places_m), level[0])
+    maps = draw(rng, count, grid.size_m, 1)
+    labels = maps.labels(grid.centres_m)[0].reshape(grid.shape).astype(np.int64)
+    shares = maps.shares(places_m, prior.blur_m)[0]
+    mixed = 2.0 * (1.0 - (shares**2).sum(axis=-1))
+    off = prior.mixed_share * float(np.ptp(level)) * mixed * rng.standard_normal(len(places_m))
+    return _true(labels, level), np.log(shares @ np.exp(level)) + off
+
+
+def _smooth(
+    rng: np.random.Generator, prior: RegionPrior, grid: MapGrid, places_m: FloatArray
+) -> tuple[TrueMap, FloatArray]:
+    """A plane, or a smooth random field, as the rival hypothesis has them."""
+    kernels = [(slope, 0.0, 1.0) for slope in SLOPES_PER_M]
+    kernels += [(0.0, sd, length) for sd in SMOOTH_SDS for length in SMOOTH_LENGTHS_M]
+    slope, sd, length = kernels[rng.integers(len(kernels))]
+    across = slope * rng.standard_normal(2)
+    waves = replace(LabErrors.none(), scatter=(sd, sd), scatter_length_m=length) if sd else LabErrors.none()
+    bend: SessionErrors = waves.draw(int(rng.integers(1 << 30)))
+    level = LOG_N_PER_MM_60 + prior.level_sd * float(rng.standard_normal())
+    middle = 0.5 * np.asarray(grid.size_m)
+
+    def field(xy_m: FloatArray) -> FloatArray:
+        return np.asarray(level + (xy_m - middle) @ across + bend.scatter(xy_m))
+
+    log_stiffness = field(grid.centres_m).reshape(grid.shape)
+    return TrueMap(None, np.zeros(0), np.zeros(0, dtype=bool), log_stiffness), field(places_m)
+
+
+def _from_scene(name: str, seed: int, grid: MapGrid, places_m: FloatArray, blur_m: float) -> tuple[TrueMap, FloatArray]:
+    """A layout of the laboratory; a contact feels the mean stiffness over a Gaussian of `blur_m`."""
+    scene = built_in(name, seed)
+    node, weight = np.polynomial.hermite_e.hermegauss(7)
+    around = np.stack(np.meshgrid(node, node), axis=-1).reshape(-1, 2) * blur_m
+    share = np.outer(weight, weight).ravel() / weight.sum() ** 2
+    reference = built_in("homogeneous-60").pieces[0].modulus_pa
+
+    def field(xy_m: FloatArray) -> FloatArray:
+        return np.asarray(LOG_N_PER_MM_60 + 2.0 / 3.0 * np.log(scene.modulus_pa(xy_m) / reference))
+
+    felt = np.log(np.exp(field(places_m[:, None] + around)) @ share)
+    if not scene.pieces:
+        return TrueMap(None, np.zeros(0), np.zeros(0, dtype=bool), field(grid.centres_m).reshape(grid.shape)), felt
+    moduli = np.array([piece.modulus_pa for piece in scene.pieces])
+    level = LOG_N_PER_MM_60 + 2.0 / 3.0 * np.log(moduli / reference)
+    return _true(scene.label(grid.centres_m).reshape(grid.shape), level), felt
+
+
+def _true(labels: IntArray, level: FloatArray) -> TrueMap:
+    return TrueMap(labels, level, np.zeros(len(level), dtype=bool), level[labels])
+
+
+def explore_known(case: RegionCase) -> RegionOutcome:
+    """One exploration, until the plan says enough."""
+    condition, prior = case.condition, RegionPrior()
+    surface = known_surface(condition, case.seed, prior)
+    doubt = LabErrors().arm if condition.errors is None else condition.errors.arm or LabErrors().arm
+    options = PlanOptions(budget=case.touches)
+    posterior = RegionPosterior.before_touches(MapGrid(cell_m=CELL_M), prior, seed=case.seed)
+    with threadpool_limits(1):
+        while True:
+            plan = plan_touch(posterior, FieldKernel(), options, seed=case.seed)
+            if plan.stop is not None or plan.target_m is None:
+                break
+            posterior = posterior.with_touch(surface.touch(plan.target_m, doubt))
+        shown = posterior.region_map()
+    truth = surface.true
+    right = shown.region_count == truth.region_count
+    levels = covered = 0
+    width = wrong = np.nan
+    z: tuple[float, ...] = ()
+    if right and truth.labels is not None:
+        _, pairs = match_regions(shown.labels, truth.labels)
+        inside = [
+            shown.level_interval[one, 0] <= truth.level[true] <= shown.level_interval[one, 1] for one, true in pairs
+        ]
+        levels, covered = truth.region_count, int(np.sum(inside))
+        z = tuple(float((shown.level[one] - truth.level[true]) / shown.level_sd[one]) for one, true in pairs)
+        width = float(np.mean(np.diff(shown.level_interval, axis=1)))
+        as_true = np.full(truth.region_count, -1)
+        for one, true in pairs:
+            as_true[one] = true
+        wrong = float((as_true[shown.labels] != truth.labels).mean()) if truth.region_count > 1 else np.nan
+    return RegionOutcome(
+        condition=condition.name,
+        seed=case.seed,
+        true_count=truth.region_count,
+        count=shown.region_count,
+        claimed=shown.probability[str(shown.region_count or "gradual")],
+        probability=dict(shown.probability),
+        levels=levels,
+        levels_covered=covered,
+        level_z=z,
+        width=width,
+        wrong_claimed=shown.wrong_share if np.isfinite(wrong) else np.nan,
+        wrong=wrong,
+        scatter_true=surface.scatter_sd,
+        scatter=shown.scatter,
+        touches=len(posterior.touches),
+    )
+
+
+# Figures of many -----------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class ReliabilityBin:
+    """Explorations whose claims are next to each other. claimed: mean probability of the number of regions; right: of
+    them; band: 90 % binomial interval of the frequency (Clopper and Pearson 1934)"""
+
+    cases: int
+    claimed: float
+    right: int
+    band: tuple[float, float]
+
+    @property
+    def holds(self) -> bool:
+        return self.band[0] <= self.claimed <= self.band[1]
+
+
+def reliability(outcomes: Sequence[RegionOutcome], bins: int = BINS) -> list[ReliabilityBin]:
+    """Claims against frequency, in bins of as many explorations each."""
+    ordered = sorted(outcomes, key=lambda one: (one.claimed, one.seed))
+    found = []
+    for part in np.array_split(np.arange(len(ordered)), bins):
+        some = [ordered[i] for i in part]
+        if some:
+            right = sum(one.right for one in some)
+            found.append(
+                ReliabilityBin(
+                    len(some), float(np.mean([one.claimed for one in some])), right, clopper_pearson(right, len(some))
+                )
+            )
+    return found
+
+
+def clopper_pearson(hits: int, cases: int, level: float = 0.9) -> tuple[float, float]:
+    """The binomial interval that is never too short."""
+    tail = 0.5 * (1.0 - level)
+    low = 0.0 if hits == 0 else float(beta_distribution.ppf(tail, hits, cases - hits + 1))
+    high = 1.0 if hits == cases else float(beta_distribution.ppf(1.0 - tail, hits + 1, cases - hits))
+    return low, high
+
+
+# The study -----------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class RegionCoverageConfig(StudyOptions):
+    """Count how often a map's levels lie in their intervals, and its number of regions is right: surfaces of known
+    truth, drawn from the stated prior and from violations of it, touched in closed form and explored as `explore`
+    does."""
+
+    objects: Annotated[int, flags.least(5)] = 300
+    """Explorations of each condition; each takes some 5 s of a core."""
+    scatter: Annotated[float | None, arg(metavar="SHARE")] = None
+    """One more condition: foam whose log stiffness scatters by this, such as 0.08."""
+    only: Annotated[str, arg(metavar="NAME,NAME...")] = ""
+    """These conditions alone, such as "stated prior,scatter 6 %"."""
+    touches: flags.ManyFlag = 8
+    """Touches of each exploration at most."""
+
+    def check(self) -> None:
+        if self.scatter is not None and not 0.0 < self.scatter < 1.0:
+            raise InputError("a share above 0 and below 1 after --scatter", f"{self.scatter:g}", "0.08")
+
+
+def _or_nan(figure: Callable[[list[float]], np.floating], values: Sequence[float]) -> float:
+    """Of those that are known."""
+    known = [one for one in values if np.isfinite(one)]
+    return float(figure(known)) if known else float("nan")
+
+
+QUANTITIES: tuple[Quantity[Sequence[RegionOutcome]], ...] = (
+    Quantity("condition", lambda some: some[0].condition, {"truths": str}),
+    Quantity("objects", len, {"explored": int}),
+    Quantity(
+        "levels",
+        lambda some: Rate(sum(one.levels for one in some), sum(one.levels_covered for one in some)),
+        {"levels": lambda rate: rate.cases, "held": lambda rate: f"{rate.rate:.3f}", "95 % band": band(3)},
+    ),
+    Quantity("level_width", lambda some: _or_nan(np.median, [one.width for one in some]), {"width": number(3)}),
+    Quantity("number_right", lambda some: Rate.of(one.right for one in some), {"number right": share(2)}),
+    Quantity("number_claimed", lambda some: float(np.mean([one.claimed for one in some])), {"claimed": number(2)}),
+    # of the surface with a wrong label, where the number is right and above 1
+    Quantity("wrong_share", lambda some: _or_nan(np.mean, [one.wrong for one in some]), {"wrong share": number(3)}),
+    Quantity(
+        "wrong_share_claimed",
+        lambda some: _or_nan(np.mean, [one.wrong_claimed for one in some]),
+        {"claimed share": number(3)},
+    ),
+    Quantity("scatter_learned", lambda some: float(np.median([one.scatter for one in some]))),
+    Quantity("touches", lambda some: float(np.mean([one.touches for one in some])), {"touches": number(1)}),
+)
+
+
+def _conditions(options: RegionCoverageConfig) -> list[RegionCondition]:
+    every = list(REGION_CONDITIONS)
+    if options.scatter is not None and scattered(options.scatter) not in every:
+        every.append(scattered(options.scatter))
+    named = [name.strip() for name in options.only.split(",") if name.strip()]
+    known = [one.name for one in every]
+    if unknown := [name for name in named if name not in known]:
+        raise InputError(f"conditions out of {', '.join(known)}", ", ".join(map(repr, unknown)), "leave --only out")
+    return [one for one in every if one.name in named] if named else every
+
+
+def trials(options: RegionCoverageConfig) -> list[Trials[RegionCase, RegionOutcome]]:
+    """Every condition, seed by seed."""
+    conditions = _conditions(options)
+    seeds = reported(options.objects, options.output.seed)
+    cases = [RegionCase(condition, seed, options.touches) for seed in seeds for condition in conditions]
+    return [Trials("explorations", explore_known, cases)]
+
+
+def report(options: RegionCoverageConfig, seconds: float, tried: Sequence[RegionOutcome]) -> StudyReport:
+    """A line of each condition, and bins of what was claimed."""
+    conditions, seeds = _conditions(options), reported(options.objects, options.output.seed)
+    groups = by(tried, lambda one: one.condition)
+    some = [groups[condition.name] for condition in conditions]
+    lines, bins = rows(some, QUANTITIES), [reliability(one) for one in some]
+    title = "Levels in 90 % intervals where the number is right, and that number"
+    tables = [table(lines, QUANTITIES, title), _bins_table(conditions, bins)]
+    tables.append(Table([("all", f"{seconds:.0f} s")], caption="Time"))
+    found = {
+        "seeds": [seeds.start, seeds.stop - 1],
+        "touches": options.touches,
+        "conditions": [
+            row
+            | {
+                "truth": condition.truth,
+                "reliability": [dataclasses.asdict(one) | {"holds": one.holds} for one in claims],
+            }
+            for condition, row, claims in zip(conditions, lines, bins, strict=True)
+        ],
+        "explorations": [one for outcomes in some for one in outcomes],
+        "seconds": seconds,
+    }
+    return StudyReport(tables, found)
+
+
+def _bins_table(conditions: Sequence[RegionCondition], bins: Sequence[Sequence[ReliabilityBin]]) -> Table:
+    lines = [
+        (
+            *(condition.name, one.cases, f"{one.claimed:.3f}", f"{one.right / one.cases:.3f}"),
+            *(f"{one.band[0]:.3f} to {one.band[1]:.3f}", "yes" if one.holds else "no"),
+        )
+        for condition, some in zip(conditions, bins, strict=True)
+        for one in some
+    ]
+    names = ("truths", "explored", "claimed", "right", "90 % band", "holds the claim")
+    return Table(lines, names, "Probability of the number of regions, in bins of as many explorations")
+
+
+STUDY = Study(RegionCoverageConfig, trials, report)

@@ -1,0 +1,140 @@
+"""A rigid surface under an arm whose force sensor is wrong: refused before contact, or how hard it was pressed."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from deformscope.arrays import FloatArray
+from deformscope.lab.arms import arm_in_lab
+from deformscope.lab.springy_foam import SpringyFoam
+from deformscope.lab.touch_lab import TouchLab
+from deformscope.rig.rig_file import Tool
+from deformscope.robot.finger import press_by_finger
+from deformscope.robot.force_alone import ForceAlone
+from deformscope.robot.placement import Placement
+from deformscope.robot.preflight import Preflight, check
+from deformscope.robot.robot import Robot, RobotStopped
+from deformscope.robot.supervisor import Limits
+from deformscope.robot.touch import Phase, TouchPlan, run_touch
+from deformscope_drivers.arm.kinematics import rotation_from_rpy, transform
+from deformscope_drivers.jaco import JacoConfig, JacoDouble
+from deformscope_drivers.kuka import KukaConfig, KukaDouble
+from deformscope_drivers.memory import SimulatedClock
+from studies.fault_study import ACCELERATION_DEG_S2, GRAVITY_LEFT, TORQUE_NOISE_NM
+
+RIGID_PA, TOP_M, HIGHER_M = 1e9, 0.08, 0.045
+UP = np.array([0.0, 0.0, 1.0])
+T_BASE_SURFACE = transform(rotation_from_rpy(0.0, 0.0, np.pi / 2), (0.75, -0.3, 0.0))
+
+
+class SensorFault(StrEnum):
+    """What is wrong with the force sensor, or with what the camera saw."""
+
+    RIGHT = "nothing is wrong"
+    DEAD = "the sensor feels nothing"
+    SMALL = "its forces are 1000 times too small"
+    SCALE = "it has the scale of another model"
+    SATURATED = "it saturates at 2 N"
+    REVERSED = "its sign is reversed"
+    EXCHANGED = "its axes are exchanged"
+    FROZEN = "it freezes after the tare"
+    STUCK = "its axis along the stick freezes after the tare"
+    HIGHER = "the surface is 45 mm higher than the camera saw"
+    DIES = "it feels nothing any more after the tare"
+
+
+FELT: dict[SensorFault, Callable[[FloatArray], FloatArray]] = {
+    SensorFault.DEAD: lambda load_n: 0.0 * load_n,
+    SensorFault.SMALL: lambda load_n: 1e-3 * load_n,
+    SensorFault.SCALE: lambda load_n: 0.2 * load_n,
+    SensorFault.SATURATED: lambda load_n: np.clip(load_n, -2.0, 2.0),
+    SensorFault.REVERSED: lambda load_n: -load_n,
+    SensorFault.EXCHANGED: lambda load_n: np.roll(load_n, 1),
+}
+"""(3,) what it makes of a load (3,) [N]."""
+ARMS = ("kuka", "kuka with motor currents", "jaco")
+STIFFNESSES_N_M = (5e3, 2e4, 1e5)
+"""Of arm, sensor and stick in series."""
+CASES = tuple(
+    (arm, fault, n_m)
+    for arm, fault, n_m in itertools.product(ARMS, SensorFault, STIFFNESSES_N_M)
+    if arm != "jaco" or n_m < 1e5  # which is an arm of 5 N/mm
+)
+
+
+@dataclass(frozen=True, slots=True)
+class RigidRun:
+    """arm: of ARMS; stiffness_n_m: in series; refused: by which checks, and why; ended: how the touch did
+    max_force_n: greatest true force; unavoidable_n: where the sensor fails unseen on its way down, as the checks say
+    """
+
+    seed: int
+    arm: str
+    fault: SensorFault
+    stiffness_n_m: float
+    refused: str
+    ended: str
+    max_force_n: float
+    unavoidable_n: float
+
+    @property
+    def in_time(self) -> bool:
+        """Nothing was touched, or with no more than the hard stop, or than what could not be avoided."""
+        return self.max_force_n <= max(Limits().hard_force_n, self.unavoidable_n)
+
+
+def run_rigid(seed: int) -> RigidRun:
+    """One session with one touch: all cases in turn, at places that the seed draws."""
+    (kind, fault, stiffness_n_m), random = CASES[seed % len(CASES)], np.random.default_rng([seed, 0x61])
+    placement, clock = Placement(T_BASE_SURFACE, Tool()), SimulatedClock(1_000_000_000)
+    point_m = np.array([*random.uniform((0.2, 0.1), (0.4, 0.25)), TOP_M])
+    plan = TouchPlan(point_m, UP, travel_height_m=TOP_M + 0.1)
+    driver, config = ("jaco", JacoConfig(state_hz=100.0)) if kind == "jaco" else ("kuka", KukaConfig())
+    arm = arm_in_lab(driver, config, placement, [point_m + 0.12 * UP, point_m], clock, seed)
+    if isinstance(arm.body, JacoDouble):
+        arm.body.accelerate(ACCELERATION_DEG_S2)
+        arm.body.blur_torques(TORQUE_NOISE_NM, GRAVITY_LEFT)
+    elif isinstance(arm.body, KukaDouble):
+        arm.body.sends_currents = kind != "kuka"
+    wrong = {"felt": FELT.get(fault, np.array)}
+    lab = TouchLab(
+        SpringyFoam(RIGID_PA, (TOP_M + HIGHER_M * (fault is SensorFault.HIGHER)) * UP, UP, placement.tool),
+        clock,
+        T_base_surface=T_BASE_SURFACE,
+        arm_stiffness_n_m=stiffness_n_m,
+        as_felt=lambda load_n, time_s: wrong["felt"](load_n),
+        arm=arm,
+        seed=seed,
+    )
+
+    def strike(phase: Phase, time_ns: int) -> None:
+        if phase is Phase.APPROACH:
+            lab.wire.frozen = fault in (SensorFault.FROZEN, SensorFault.STUCK)
+            lab.wire.stuck = (2,) if fault is SensorFault.STUCK else (0, 1, 2)
+            wrong["felt"] = FELT[SensorFault.DEAD] if fault is SensorFault.DIES else wrong["felt"]
+
+    with lab:
+        limits = Limits(low_m=(-2.0, -2.0, -2.0), high_m=(2.0, 2.0, 2.0))
+        robot = Robot(lab.arm, lab.force, placement, limits, clock=clock, wait_until=lab.wait_until)
+        robot.compliance_m_per_n = 1.0 / stiffness_n_m
+        preflight, ended = check(robot, [plan], calibrated={}), ""
+        try:
+            if robot.force_alone:
+                preflight = Preflight((*preflight.checks, press_by_finger(robot, lab.push_tip)))
+            if preflight.passed:
+                robot.let_move(preflight)
+                record = run_touch(robot, plan, on_phase=strike)
+                ended = f"{record.ending}: {record.reason}"
+        except RobotStopped as stopped:
+            ended = str(stopped)
+        refused = "; ".join(f"{one.name}: {one.came}" for one in preflight.checks if not one.passed)
+        refused = refused or (
+            "" if robot.may_move else ended
+        )  # its currents may feel the finger that its sensor does not
+        unfelt_n = ForceAlone.of(robot).unfelt_n * (fault is SensorFault.DIES and robot.force_alone)
+        return RigidRun(seed, kind, fault, stiffness_n_m, refused, ended, lab.contact.max_force_n, unfelt_n)

@@ -1,0 +1,95 @@
+"""What is counted of maps of known surfaces."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import binom
+
+from deformscope.lab.session_errors import LabErrors
+from deformscope.stages.regions.posterior import RegionPrior
+from studies.quantities import rows
+from studies.regions import (
+    QUANTITIES,
+    REGION_CONDITIONS,
+    RegionCase,
+    RegionCondition,
+    RegionOutcome,
+    clopper_pearson,
+    explore_known,
+    known_surface,
+    reliability,
+    scattered,
+)
+
+NOTHING = RegionOutcome("one", 0, 1, 1, 0.5, {}, 1, 1, (0.0,), 0.1, np.nan, np.nan, 0.05, 0.05, 12)
+
+
+def test_bins_hold_as_many_each_and_their_band_is_the_binomial_s() -> None:
+    rng = np.random.default_rng(0)
+    claims = rng.uniform(0.3, 1.0, 500)
+    honest = [
+        replace(NOTHING, seed=i, claimed=float(p), count=1 if rng.random() < p else 2) for i, p in enumerate(claims)
+    ]
+    bins = reliability(honest)
+    assert [one.cases for one in bins] == [100] * 5
+    assert all(one.holds for one in bins)
+    assert sum(one.right for one in bins) == sum(one.right for one in honest)
+    bold = reliability([replace(one, claimed=min(one.claimed + 0.2, 1.0)) for one in honest])
+    assert not all(one.holds for one in bold)
+
+    low, high = clopper_pearson(7, 20)
+    assert binom.sf(6, 20, low) == pytest.approx(0.05)
+    assert binom.cdf(7, 20, high) == pytest.approx(0.05)
+    assert clopper_pearson(0, 20)[0] == 0.0
+    assert clopper_pearson(20, 20)[1] == 1.0
+
+
+def test_a_row_counts_levels_where_the_number_is_right() -> None:
+    right = replace(NOTHING, levels=2, levels_covered=1, true_count=2, count=2, wrong=0.1, wrong_claimed=0.2)
+    off = replace(NOTHING, count=3, levels=0, levels_covered=0, width=np.nan)
+    (row,) = rows([[right, off]], QUANTITIES)
+    assert (row["objects"], row["number_right"].hits) == (2, 1)
+    assert (row["levels"].cases, row["levels"].hits) == (2, 1)
+    assert (row["wrong_share"], row["wrong_share_claimed"]) == (0.1, 0.2)
+
+
+def test_touches_have_the_errors_of_their_session() -> None:
+    """A surface touched often at one place: its gain, its arm and its own noise, and what is stated of them."""
+    gain_off = next(one for one in REGION_CONDITIONS if one.gain_at is not None)
+    surface = known_surface(gain_off, 0, RegionPrior())
+    assert abs(surface.gain) == pytest.approx(0.03)
+    place = surface.places_m[77]
+    made = [surface.touch(place, 0.1) for _ in range(400)]
+    values = np.array([one.log_stiffness for one in made])
+    assert values.mean() == pytest.approx(surface.felt[77] + surface.gain + surface.arm * made[0].arm_sd, abs=0.005)
+    assert values.std() == pytest.approx(made[0].log_sd, rel=0.1)
+    n_per_m = 1e3 * np.exp(surface.felt[77])
+    assert made[0].arm_sd == pytest.approx(0.1 * n_per_m / 5000.0)
+
+
+def test_scatter_and_blur_are_in_what_a_contact_feels() -> None:
+    clean = RegionCondition("clean", "scenes", LabErrors.none())
+    one, other = (known_surface(condition, 2, RegionPrior()) for condition in (clean, scattered(0.08)))
+    difference = other.felt - one.felt
+    assert difference.std() == pytest.approx(0.08, rel=0.25)
+    low, high = np.sort(one.true.level)
+    assert low - 1e-9 <= one.felt.min() < low + 0.02
+    assert high - 0.02 < one.felt.max() <= high + 1e-9
+    assert ((one.felt > low + 0.05) & (one.felt < high - 0.05)).any()
+
+
+def test_truths_of_the_prior_are_as_often_of_each_kind() -> None:
+    prior = RegionPrior()
+    counts = [known_surface(REGION_CONDITIONS[0], seed, prior).true.region_count for seed in range(200)]
+    for count, share in ((1, prior.one), (2, prior.two), (3, prior.three), (0, prior.gradual)):
+        assert counts.count(count) / 200 == pytest.approx(share, abs=0.1)
+
+
+def test_an_exploration_of_a_known_surface_is_scored() -> None:
+    found = explore_known(RegionCase(scattered(0.03), 0, touches=5))
+    assert (found.true_count, found.count, found.touches) == (1, 1, 5)
+    assert found.levels == 1
+    assert found.claimed == found.probability["1"]
