@@ -25,8 +25,7 @@ if TYPE_CHECKING:
     from deformscope.errors import InputError
     from deformscope.stages.msm.solver import Msm
     from deformscope.stages.see.flow import dense_flow
-
-__version__ = "0.1.0"
+    from deformscope.version import __version__
 
 _NAMES = {
     "api.calibration": ("CalibrationResult", "calibrate_beta", "calibrate_theta"),
@@ -38,6 +37,7 @@ _NAMES = {
     "errors": ("InputError",),
     "stages.msm.solver": ("Msm",),
     "stages.see.flow": ("dense_flow",),
+    "version": ("__version__",),
 }
 _HOMES = {name: module for module, names in _NAMES.items() for name in names}
 """The module of each name, imported when the name is first asked for."""
@@ -53,6 +53,7 @@ __all__ = [
     "PredictionResult",
     "RecordResult",
     "SqueezeResult",
+    "__version__",
     "calibrate_beta",
     "calibrate_theta",
     "classify",

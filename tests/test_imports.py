@@ -27,6 +27,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "errors": (),
     "plain": (),
     "processes": (),
+    "version": (),
     "capsule": ("arrays",),
     "solid": ("arrays",),
     "images": ("arrays", "errors"),
@@ -54,14 +55,14 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "files": ("arrays", "errors", "file_io", "frames", "images", "recording", *STAGES),
     "experiments": (
         *("arrays", "capsule", "errors", "files", "frames", "images", "processes", "recording", "rig", "robot"),
-        *("rows", "session", *STAGES),
+        *("rows", "session", "version", *STAGES),
     ),
     "studies": (
         *("arrays", "capsule", "errors", "experiments", "files", "frames", "lab", "pictures", "plain", "recording"),
         *("rig", "robot", "session", *STAGES),
     ),
     # A GPU machine that has numpy, scipy and warp alone runs it.
-    "bench": ("arrays", "errors", "plain", *STAGES),
+    "bench": ("arrays", "errors", "plain", "version", *STAGES),
     "config": ("bench", "errors", "file_io"),
     "file_io": ("errors",),
     "terminal": ("errors",),
@@ -69,7 +70,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "api": (
         *("arrays", "config", "errors", "experiments", "file_io", "files", "frames", "images", "lab", "log"),
         *("page", "pictures", "plain", "processes", "recording", "rig", "robot", "session", "studies", "terminal"),
-        *STAGES,
+        *("version", *STAGES),
     ),
 }
 """What each folder may import of the others, also inside functions and for type checking. Nothing imports `cli`."""
