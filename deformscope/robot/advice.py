@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
+from deformscope.robot.robot import Robot
 from deformscope.robot.supervisor import Fault
 from deformscope.robot.touch import TouchEnding
-
-if TYPE_CHECKING:
-    from deformscope.robot.robot import Robot
 
 SETTLE_S = 0.1
 """After a halt, until the force that stays is read."""

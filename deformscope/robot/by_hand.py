@@ -13,9 +13,9 @@ from typing import Protocol
 
 import numpy as np
 
+from deformscope.robot.latch import Action
 from deformscope.robot.readings import RobotObservation
 from deformscope.robot.robot import Robot, RobotStopped
-from deformscope.robot.supervisor import Action
 from deformscope.robot.touch import (
     STILL_FORCE,
     Phase,

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from deformscope.robot.preflight import Check
+from deformscope.robot.checks import Check
 from deformscope.robot.robot import Robot
 from deformscope.robot.supervisor import Fault
 from deformscope_drivers.arm.kinematics import FloatArray

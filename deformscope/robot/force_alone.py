@@ -7,16 +7,11 @@ by stiffness times speed times that time.
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from deformscope.robot.readings import PERIOD_NS
-
-if TYPE_CHECKING:
-    from deformscope.robot.robot import Robot
-    from deformscope.robot.touch import TouchPlan
+from deformscope.robot.robot import Robot
 
 STIFFEST_N_M = 1e5
 """Taken where the compliance is not known, or smaller: of an industrial arm with a short stick. Chosen."""
@@ -52,20 +47,14 @@ class ForceAlone:
         currents = bool(robot.pose.currents) and limits.collision_nm > 0
         return cls(stiffness_n_m, late_s, limits.hard_force_n, robot.doubt_m, currents)
 
-    def slowed(self, plan: TouchPlan) -> TouchPlan:
-        """The same touch, no faster and no farther down than such an arm may go."""
-        slower = plan.no_faster(self._speed_m_s(CONTACT_SHARE), plan.travel_speed_m_s)
-        return dataclasses.replace(
-            slower,
-            far_speed_m_s=min(plan.far_speed_m_s, self._speed_m_s(SURPRISE_SHARE)),
-            miss_m=min(plan.miss_m, self.doubt_m + MISS_M),
-            rigid_n_m=max(plan.rigid_n_m, self.stiffness_n_m),
-        )
+    def speed_m_s(self, share: float) -> float:
+        """At which a contact reaches this share of the hard stop until the arm stands; slower makes no touch."""
+        return max(SLOWEST_M_S, share * self.hard_n / (self.stiffness_n_m * self.late_s))
 
     @property
     def contact_n(self) -> float:
         """The greatest force of a contact, where none is expected."""
-        return self.stiffness_n_m * self.late_s * self._speed_m_s(SURPRISE_SHARE)
+        return self.stiffness_n_m * self.late_s * self.speed_m_s(SURPRISE_SHARE)
 
     @property
     def unfelt_n(self) -> float:
@@ -80,7 +69,3 @@ class ForceAlone:
             f"{self.contact_n:.1f} N, by {self.stiffness_n_m / 1e3:.3g} N/mm and {1e3 * self.late_s:.0f} ms until the "
             f"arm stands; {self.unfelt_n:.0f} N where the sensor fails on the way down{else_n}"
         )
-
-    def _speed_m_s(self, share: float) -> float:
-        """At which a contact reaches this share of the hard stop until the arm stands; slower makes no touch."""
-        return max(SLOWEST_M_S, share * self.hard_n / (self.stiffness_n_m * self.late_s))

@@ -15,6 +15,7 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from deformscope.robot.supervisor import Fault
+from deformscope_drivers.arm.commands import DAMPED_BELOW, NEGLIGIBLE_DEG_S, OFF_COURSE
 from deformscope_drivers.arm.kinematics import (
     Chain,
     FloatArray,
@@ -31,21 +32,15 @@ SLOW_DEG = 10.0
 Tournassoud 1987)."""
 LEAST_SHARE = 0.05
 """A joint's margin that leaves less of a velocity than this is in its way."""
-NEGLIGIBLE_DEG_S = 0.01
-"""A velocity whose joints all turn slower than this is none. Chosen."""
-DAMPED_BELOW = 0.03
-"""Smallest singular value of the Jacobian [m/rad; rad/rad] that is inverted in full. With 20 deg/s of the joints (the
-driver's standard limit) the arm's end then makes at least 0.03 * 0.35 rad/s = 10 mm/s, the speed of a touch, in every
-direction; below it the weakest direction is slower than any touch, and damped."""
 SINGULAR_DEG, SINGULAR_SHARE = 15.0, 1.0 / 3.0
 """Where the fastest joint would come to a singularity within so much, as the smallest singular value falls, all slow
 down in proportion, to this share at least: what leads through it is not stuck, and a way ends in time
 (`travel.SLACK`)."""
 AHEAD_DEG: FloatArray = np.array([0.0, 1.0, 3.0, 6.0, 9.0, 12.0, 15.0])
 """So far on the smallest singular value is looked at: it may fall faster later than it does now. Chosen."""
-OFF_COURSE, OFF_COURSE_M_S = 0.1, 1e-3
-"""The damping may lose or turn away this share of a velocity, or this much of it: a straight way may lead through a
-singularity where it needs nothing of the weak direction, and corrections at rest are slow."""
+OFF_COURSE_M_S = 1e-3
+"""Or this much of a velocity may be lost or turned away, whatever share (`OFF_COURSE`) it is: corrections at rest are
+slow, and a motion so slow leads the tip less than 0.01 mm astray in a control period."""
 AWAY_DEG, AWAY_DEG_S = 40.0, 15.0
 """What a seventh joint leaves free turns joints away from limits that are nearer than this, wanted the faster the
 nearer (the null space gives a part of it); not towards the middle of their ranges, where elbow and wrist are stretched

@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from deformscope.errors import InputError
 from deformscope.rig.rig_file import Tool
-from deformscope.robot.motion import DAMPED_BELOW, OFF_COURSE
+from deformscope_drivers.arm.commands import DAMPED_BELOW, OFF_COURSE
 from deformscope_drivers.arm.kinematics import (
     Chain,
     FloatArray,
@@ -187,7 +187,7 @@ def follow(
 
     start_deg: (m,) joint angles from which the first place is sought, each other one from the one before: in the
     configuration that the arm is in. The ways are looked at every WAY_M: joints keep PLAN_MARGIN_DEG, and where
-    a singularity is near, its damping keeps the arm on its way (`motion.OFF_COURSE`).
+    a singularity is near, its damping keeps the arm on its way (`commands.OFF_COURSE`).
     meanwhile: called every few milliseconds
     """
     directions = np.broadcast_to(np.asarray(normals, dtype=float), np.shape(centers_m))

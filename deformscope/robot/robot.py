@@ -16,12 +16,13 @@ from typing import Any, Protocol
 import numpy as np
 
 from deformscope.errors import InputError
+from deformscope.robot.checks import Preflight
 from deformscope.robot.clearance import ArmClearance
+from deformscope.robot.latch import Action
 from deformscope.robot.motion import CommandedRotation, JointMotion, rates_for_twist, within_limits
 from deformscope.robot.placement import Placement
-from deformscope.robot.preflight import Preflight
 from deformscope.robot.readings import PERIOD_NS, ArmSample, CameraSample, ForceSample, RobotObservation
-from deformscope.robot.supervisor import FORCE_FAULTS, Action, Fault, Limits, SafetyVerdict, Supervisor
+from deformscope.robot.supervisor import FORCE_FAULTS, Fault, Limits, SafetyVerdict, Supervisor
 from deformscope_drivers.arm import Arm, ArmState, JointVelocity
 from deformscope_drivers.arm.kinematics import Chain, FloatArray, cross
 from deformscope_drivers.clock import Clock, monotonic_ns
@@ -218,8 +219,7 @@ class Robot:
         )
         self._judged_ns.append(self.seen.now_ns)
         if self._refusal is not None:  # unless a fault was seen that is the reason of it
-            fault, reason = self._refusal
-            verdict = self.supervisor.refused(reason, self._clock(), fault)
+            verdict = self.supervisor.stop(*self._refusal, self._clock())
         self._report_to_watch(verdict)
         verdict = self.supervisor.verdict  # whoever watches may have asked to stop
         if verdict.action is Action.STOP:
@@ -241,7 +241,7 @@ class Robot:
 
     def ask_to_stop(self, reason: str) -> None:
         """A person wants the robot to stop: within this control period, or in the next one."""
-        self.supervisor.ask_to_stop(reason, self._clock())
+        self.supervisor.stop(Fault.ASKED, reason, self._clock())
 
     def stand_by(self, duration_s: float) -> None:
         """Stand still and let time pass, stopped or not: for a recording that shows what came after. The verdict stays
@@ -345,6 +345,7 @@ class Robot:
         self.commanded.append((self._clock(), self._speed_m_s))
 
     def _refuse(self, fault: Fault, reason: str) -> None:
+        """fault: REFUSED = by the arm's driver; JOINT_LIMIT, SINGULAR = before it was sent"""
         self._refusal = fault, reason
         self.halt(f"{fault}: {reason}")
 

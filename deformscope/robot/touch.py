@@ -19,12 +19,13 @@ import numpy.typing as npt
 
 from deformscope.arrays import IntArray
 from deformscope.errors import InputError
-from deformscope.robot.force_alone import ForceAlone
+from deformscope.robot.force_alone import CONTACT_SHARE, MISS_M, SURPRISE_SHARE, ForceAlone
+from deformscope.robot.latch import Action
 from deformscope.robot.placement import Placement
 from deformscope.robot.pressing import ForceControl
 from deformscope.robot.readings import ArmSample, ForceSample, RobotObservation
 from deformscope.robot.robot import MotionHeld, Robot, RobotStopped, TipVelocity
-from deformscope.robot.supervisor import Action, Fault
+from deformscope.robot.supervisor import Fault
 from deformscope.robot.travel import GAIN_PER_S, NotThere, to_above
 from deformscope_drivers.arm.kinematics import FloatArray
 
@@ -125,6 +126,16 @@ class TouchPlan:
             contact_speed_m_s=min(self.contact_speed_m_s, contact_speed_m_s),
             far_speed_m_s=min(self.far_speed_m_s, travel_speed_m_s),
             travel_speed_m_s=min(self.travel_speed_m_s, travel_speed_m_s),
+        )
+
+    def slowed_for(self, alone: ForceAlone) -> TouchPlan:
+        """The same touch, no faster and no farther down than an arm may go that only its force sensor guards."""
+        slower = self.no_faster(alone.speed_m_s(CONTACT_SHARE), self.travel_speed_m_s)
+        return dataclasses.replace(
+            slower,
+            far_speed_m_s=min(self.far_speed_m_s, alone.speed_m_s(SURPRISE_SHARE)),
+            miss_m=min(self.miss_m, alone.doubt_m + MISS_M),
+            rigid_n_m=max(self.rigid_n_m, alone.stiffness_n_m),
         )
 
     def places_m(self, center_offset_m: float) -> FloatArray:
@@ -433,7 +444,7 @@ class TouchRun:
     """A touch under way: what it has seen."""
 
     def __init__(self, robot: Robot, plan: TouchPlan, on_phase: Callable[[Phase, int], None]) -> None:
-        plan = ForceAlone.of(robot).slowed(plan) if robot.force_alone else plan
+        plan = plan.slowed_for(ForceAlone.of(robot)) if robot.force_alone else plan
         self._robot, self._plan, self._on_phase = robot, plan, on_phase
         self._told: Phase | None = None
         if robot.supervisor.verdict.action is not Action.GO_ON:

@@ -12,9 +12,10 @@ import numpy.typing as npt
 from deformscope.arrays import BoolArray
 from deformscope.errors import InputError
 from deformscope.robot.clearance import ArmClearance
+from deformscope.robot.latch import Action
 from deformscope.robot.placement import TURNED_RAD, Placement, best_joints, follow, towards
 from deformscope.robot.robot import JointRates, Robot, TipVelocity
-from deformscope.robot.supervisor import Action, Limits
+from deformscope.robot.supervisor import Limits
 from deformscope_drivers.arm.kinematics import Chain, FloatArray, pose_error
 
 ANGULAR_RAD_S = 0.3
