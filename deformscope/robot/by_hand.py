@@ -30,14 +30,19 @@ from deformscope_drivers.arm.kinematics import FloatArray
 from deformscope_drivers.placed import PlacedArm
 
 FREE_STEP_M, BEGIN_M = 1e-3, 4e-3
-"""Steps before contact; so far above the surface, as it is believed to be, they begin. Chosen: the camera sees a
-surface within 2 mm, and 1 mm on something rigid is 5 N of a tip that yields by 0.2 mm/N, below the soft stop."""
+"""Steps before contact; so far above the surface, as it was seen, they begin: the camera sees a surface within 2 mm,
+and 1 mm on something rigid is 5 N of a tip that yields by 0.2 mm/N, below the soft stop. Larger steps may reach it at
+once; smaller ones ask a person more often."""
 STEPS = 7
-"""From contact to the set force in about so many steps: the law has three unknowns. Chosen."""
+"""From contact to the set force in about so many steps: the law that is fitted has three unknowns, and four more points
+show its noise. More ask a person for more places."""
 SETTLE_PERIODS, HOLD_PERIODS = 20, 30
-"""Control periods after somebody has said that it stands, before and while it is looked at. Chosen: a hand lets go."""
+"""Control periods after a person has said that the stick stands, before and while it is looked at: 0.2 s in which a
+hand lets go, and the mean of 0.3 s. Shorter, the hand's force is measured too; longer, a touch in a dozen steps takes
+longer."""
 BESIDE_M = 0.03
-"""A height further from what was asked for is a slip. Chosen."""
+"""A height further from what was asked for is a slip, as of cm for mm, and is asked again: corrections are of a few
+millimetres. Larger believes slips; smaller refuses true heights where a stick was put down roughly."""
 AGAIN = "a height in mm, as the scale shows it, or nothing where it is as asked for: "
 
 

@@ -17,8 +17,9 @@ from deformscope_drivers.arm.kinematics import FloatArray
 ArmBox = tuple[tuple[float, float, float], tuple[float, float, float]]
 """Low and high corner [m]."""
 APART_M = 0.15
-"""Parts of an arm that are joined by less of it than this cannot meet: their joint is between them. Chosen: longer than
-a wrist's links, shorter than a forearm."""
+"""Parts of an arm that are joined by less of it than this cannot meet: their joint is between them. Longer than a
+wrist's links, shorter than a forearm: smaller, neighbours would always count as touching; larger, a wrist folded onto
+its forearm would not be seen."""
 FROM_ELBOW = 2
 """Links from the base that the table may be near to: pedestal and shoulder stand on it."""
 

@@ -30,9 +30,12 @@ from deformscope_drivers.arm.kinematics import Chain, FloatArray
 
 Removal = Literal["capsules", "hull", "mesh"]
 SAME_M, SAME_RAD = 1e-3, 5e-3
-"""How far a URDF's links may be off those of the arm's chain. Chosen: rounded lengths and angles, no other model."""
+"""How far a URDF's links may move off those of the arm's chain from one pose to another [m, rad]: what rounded lengths
+and angles come to. Another model, or joints in another order, are off by centimetres; a larger limit would let a
+similar model pass, and its parts stand so far beside the arm."""
 TRIED_DEG = (0.0, 17.0, -23.0)
-"""The joints are turned so far from home to compare a URDF with the arm's chain. Chosen."""
+"""The joints are turned so far from home to compare a URDF with the arm's chain, each joint by a tenth more of it than
+the one before, so that joints that are exchanged, or turn the other way, put some link elsewhere."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

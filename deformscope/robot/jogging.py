@@ -13,13 +13,15 @@ import numpy as np
 from deformscope.robot.robot import TipVelocity
 
 SPEED_M_S = 0.02
-"""Of the tip's centre. Chosen: what `explore` approaches with."""
+"""Of the tip's centre: the most that is allowed near contact, since by keys the tip may meet something anywhere.
+Faster, it goes further after the last key (GRACE_S); slower, a step of 10 mm takes more than half a second."""
 STEPS_M = {"1": 0.001, "2": 0.005, "3": 0.01}
 """Of a press, by the key that chooses it."""
 TURN_PER_M = 6.0
 """A press turns by so much for each metre that it would move [rad/m]: 5 mm and 1.7 degrees."""
 GRACE_S = 0.15
-"""After the last repeat of a key. Chosen: four repeats of a terminal, and 3 mm of motion."""
+"""After the last repeat of a key the motion goes on for so long: four repeats of a terminal, and 3 mm of motion.
+Shorter, it stutters over a slow line; longer, the arm goes on further once the key is let go."""
 REPEATS_S = 0.8
 """The same key again so soon after the last is a key that is held: terminals wait up to 0.6 s before they repeat."""
 LEAVE = "q"

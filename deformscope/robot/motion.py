@@ -37,7 +37,8 @@ SINGULAR_DEG, SINGULAR_SHARE = 15.0, 1.0 / 3.0
 down in proportion, to this share at least: what leads through it is not stuck, and a way ends in time
 (`travel.SLACK`)."""
 AHEAD_DEG: FloatArray = np.array([0.0, 1.0, 3.0, 6.0, 9.0, 12.0, 15.0])
-"""So far on the smallest singular value is looked at: it may fall faster later than it does now. Chosen."""
+"""So far on the smallest singular value is looked at, up to SINGULAR_DEG: it may fall faster later than it does now.
+Between fewer of them a fall is noticed late; each more is a forward kinematics in every control period."""
 OFF_COURSE_M_S = 1e-3
 """Or this much of a velocity may be lost or turned away, whatever share (`OFF_COURSE`) it is: corrections at rest are
 slow, and a motion so slow leads the tip less than 0.01 mm astray in a control period."""

@@ -16,6 +16,7 @@ from deformscope.robot.force_alone import ForceAlone
 from deformscope.robot.placement import TURNED_RAD, best_joints, follow, towards
 from deformscope.robot.readings import ArmSample, ForceSample, RobotObservation
 from deformscope.robot.robot import Robot
+from deformscope.robot.shape import LINK_RADIUS_M
 from deformscope.robot.touch import TouchPlan
 from deformscope_drivers.arm.device import CALL_MS
 from deformscope_drivers.arm.kinematics import FloatArray, pose_error
@@ -23,37 +24,51 @@ from deformscope_drivers.device import Device
 from deformscope_drivers.health import Link
 
 LOOK_PERIODS = 50
-"""Control periods that are observed: half a second. Chosen."""
+"""Control periods that are observed: half a second, with 15 pictures at 30 Hz and 500 forces at 1 kHz. Fewer make rates
+and noise uncertain; more make every start wait."""
 RATE_SHARE = 0.8
-"""Share of the configured rate that must arrive. Chosen."""
+"""Share of the configured rate that must arrive: three of fifteen pictures may be late or lost. Below it the supervisor
+would stop the arm for silence now and then; above, a busy computer is refused that would do."""
 ZERO_N = 0.6
-"""Greatest load in free air [N]. Chosen."""
+"""Greatest load in free air [N]: what a sensor may have drifted since it was zeroed (no figure of it is published).
+Larger, a tip that presses something would be zeroed there; smaller, a sensor that has warmed up is refused."""
 NOISE_N = 0.05
-"""Greatest deviation of a reading in free air [N]. Chosen."""
+"""Greatest deviation of a reading in free air [N]: half of what counts as contact (`TouchPlan.contact_force_n`).
+Larger, noise would be taken for contact; smaller refuses sensors that would do."""
 STILL_DEG = 0.05
-"""Greatest motion of a joint that counts as at rest [deg]. Chosen."""
+"""Greatest motion of a joint that counts as at rest [deg]: 0.4 mm of a tip half a metre away. Smaller, the resolution
+of the reported joints counts as motion; larger, an arm that somebody moves slowly is zeroed."""
 LATE_MS = 20.0
-"""Lateness of the control cycle: two periods of 10 ms, within which the supervisor is to act. Chosen."""
+"""Lateness of the control cycle: two periods of 10 ms, within which the supervisor is to act. Larger, forces grow for
+longer before the arm is stopped; smaller, a computer with other work is refused."""
 LONGEST_CALL_MS = 4.5
 """Time of a call to the arm: each slot of 10 ms has a velocity to send and the joint angles to read."""
 CLOCK_PPM = 1000.0
-"""Greatest drift between the clocks of device and host. Chosen."""
+"""Greatest drift between the clocks of device and host: quartz clocks differ by a tenth of it. Beyond, ticks were lost
+or the device's rate is another one than configured, and its times are wrong by 0.6 s in ten minutes."""
 HAND_M = 0.005
-"""Left between what is at the arm's end and a level surface where the tip has sunk in as far as it may [m]. Chosen."""
+"""Left between what is at the arm's end and a level surface where the tip has sunk in as far as it may [m]: for a
+surface that is not level, and a description that is millimetres off. Larger refuses short sticks; smaller lets a
+gripper or cable touch the surface beside the dent."""
 FREE_M = 0.01
-"""Least height of the tip over the surface at the begin [m]. Chosen."""
-WAY_STEPS, WRIST_M = 60, 0.045
-"""Poses checked on the first route; radius taken for the wrist [m], as `shape.LINK_RADIUS_M`. Chosen."""
+"""Least height of the tip over the surface at the begin [m]: several times what camera and arm are in doubt of where it
+is, so that the force there is that of free air. Larger only has the arm lifted further."""
+WAY_STEPS = 60
+"""Poses checked on the first way: half a turn of a joint is looked at every 3 deg, 3 cm of a tip half a metre away.
+Fewer may miss where it sinks; more take longer."""
 SAME_SHARE, COARSE_S = 8.0, 0.08
 """An axis of the force sensor is stuck that gives the same for so many times longer than in these checks, and two
-readings; not where it did so for longer [s]: its noise is below a count. Chosen: in ten minutes of noise of 1 to 5
-counts nothing repeats for so long, but at 100 Hz."""
+readings; not where it did so for longer [s]: its noise is below a count. In ten minutes of noise of 1 to 5 counts
+nothing repeats for so long, but at 100 Hz; a smaller share stops well sensors, a larger one notices a stuck axis
+later."""
 FORCE_TURNED = "[tool] R_tip_force"
 """Of what is calibrated, what an arm needs that nothing guards but its force sensor."""
 COLLISION_NOISE = 6.0
 """A collision's limit is so many deviations of the torques' noise at least."""
 FRESH_S = {"arm": 0.05, "force sensor": 0.02, "camera": 0.1}
-"""Greatest age of a reading by device [s], or two of its periods where these are longer. Chosen."""
+"""Greatest age of a reading by device [s], or two of its periods where these are longer: within what the supervisor
+calls silent (`Limits`), and three periods of a camera at 30 Hz. Larger, a device passes that is stopped for silence at
+once; smaller, a busy computer is refused."""
 
 
 def check(
@@ -270,7 +285,7 @@ def _first_way(robot: Robot, goal_deg: FloatArray, height_m: float) -> Check:
     for share in np.linspace(0.0, 1.0, WAY_STEPS):
         frames = chain.forward(here_deg + share * turn_deg)
         tip_m = placement.T_surface_center(frames[-1])[2, 3] - placement.center_offset_m
-        wrist_m = [(np.linalg.inv(placement.T_base_surface) @ frame)[2, 3] - WRIST_M for frame in frames[-3:]]
+        wrist_m = [(np.linalg.inv(placement.T_base_surface) @ frame)[2, 3] - LINK_RADIUS_M for frame in frames[-3:]]
         lowest_m = min(lowest_m, float(tip_m), *map(float, wrist_m))
     came = f"{(lowest_m - height_m) * 100:.1f} cm above it at the lowest"
     return Check("arm: first way", lowest_m > height_m, "wrist and tip above the surface all along", came)

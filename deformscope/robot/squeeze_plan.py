@@ -18,8 +18,9 @@ BASE_DEG = 90.0
 PAD_M = 0.011
 """From the axis of a distal link to its pad's surface: half of a link some 22 mm thick. Assumed, not measured."""
 OPENING_DEG = 12.0
-"""The proximal axes begin so far before the contact that the container's width gives: the fingertips then stand some
-3 cm away. Chosen."""
+"""The proximal axes begin so far before the contact that the container's width gives: the fingertips then stand some 3
+cm away. With less, a hand that stands beside its place touches before it closes; with more, closing at a squeeze's low
+speed (6 deg/s as standard, 2 s for this) takes longer."""
 CLOSING_AXES = (1, 5)
 """The proximal axes of fingers 0 and 2 (Schunk's order of axes)."""
 PAD_ALONG_M = 0.6 * DISTAL_LINK_M

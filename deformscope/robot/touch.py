@@ -195,21 +195,31 @@ class TouchRecord:
 
 
 HELD_GAIN_PER_S = 3.0
-"""Share of a distance that is made up in a second. Chosen."""
+"""Share of a distance that is made up in a second, across the normal and towards the greatest depth: a factor e in 1/3
+s. Larger overshoots where an arm follows late (share times delay must stay far below 1, and is 0.03 for a control
+period); smaller leaves the tip beside the normal's line for longer."""
 FREE_M_S_N = 0.004
-"""Speed of yielding to a tangential force [m/s/N]. Chosen."""
+"""Speed of yielding to a tangential force [m/s/N], where the plan has it free: 2.5 N give ACROSS_M_S. Larger swings
+where an arm follows late; smaller leaves the force across for longer."""
 ACROSS_M_S = 0.01
-"""Greatest tangential speed in contact [m/s]: half of the 20 mm/s that are allowed near contact. Chosen."""
+"""Greatest tangential speed in contact [m/s]: half of the 20 mm/s that are allowed near contact, so that with 10 mm/s
+along the normal the tip stays within them (14 mm/s)."""
 STILL_S = 0.3
-"""Time over which force and place must hold [s]. Chosen."""
+"""Time over which force and place must hold [s], and over whose last their means are taken. Shorter, a dent that still
+creeps counts as still; longer, every touch takes longer: its dwell is 0.5 s of 13.4 s (`docs/exploring.md`)."""
 STILL_FORCE, STILL_FORCE_N, STILL_M = 0.03, 0.03, 1.5e-4
-"""What may vary meanwhile: share of the set force, force [N], place [m]. Chosen."""
+"""What may vary meanwhile: share of the set force, force [N], place [m]. 3 % of 3 N is nearly twice the noise of a
+reading that the preflight lets pass (`preflight.NOISE_N`). Smaller, noise alone keeps a touch until it may dwell no
+longer; larger, creep counts as still, and as depth."""
 PAUSE_PERIODS = 3
-"""Control periods at rest before the tip backs away from a force that is too high. Chosen."""
+"""Control periods at rest before the tip backs away from a force that is too high: an arm needs one to take a command
+and two to stand (`force_alone.ARM_CYCLES`). More press for longer; fewer turn round an arm that still moves on."""
 NEAR_M = 2e-4
 """So near the greatest depth it counts as reached: the speed falls towards it."""
 PRESS_AT_MOST_S = 8.0
-"""After which a press ends without its force [s]. Chosen."""
+"""After which a press ends without its force [s]: the greatest depth of 15 mm takes 1.5 s at 10 mm/s, the rest is for a
+force that is approached slowly in what is soft. Shorter ends touches of soft things; longer goes on where the force is
+never reached."""
 AVERAGED_NS = 3_000_000
 """Forces within so much of an arm's state are averaged for it: both ways alike, so that nothing lags."""
 
@@ -606,11 +616,14 @@ def forces_at(states_ns: Sequence[int], stamps: IntArray, forces_n: npt.ArrayLik
 
 
 TARE_PERIODS = 30
-"""Control periods that a tare takes: 0.3 s. Chosen."""
+"""Control periods that a tare takes: 0.3 s, 300 readings at 1 kHz, whose mean has 1/17 of a reading's noise at best. It
+is part of every touch (0.35 s of 13.4 s, `docs/exploring.md`); shorter zeroes noise."""
 TARE_STILL_N = 0.05
-"""Variation in free air above which there is no tare [N], as `preflight.NOISE_N`. Chosen."""
+"""Variation in free air above which there is no tare [N], as `preflight.NOISE_N`: larger would zero a load that still
+changes, smaller refuses a sensor that has passed the preflight."""
 TARE_DRIFT_N = 0.6
-"""Change since the last tare that passes for drift [N], as `preflight.ZERO_N`. Chosen."""
+"""Change since the last tare that passes for drift [N], as `preflight.ZERO_N`: larger would zero a tip that touches,
+smaller stops where a sensor warms up."""
 
 
 def take_tare(robot: Robot) -> FloatArray:
