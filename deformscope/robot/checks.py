@@ -44,7 +44,7 @@ HINTS = {
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """name: what was looked at; passed; wanted, came: in words; hint: what to do where it has not passed"""
+    """A condition for moving. name: what was looked at; wanted, came: what was expected and what was found, in words"""
 
     name: str
     passed: bool
@@ -59,13 +59,13 @@ class Check:
 
 @dataclass(frozen=True, slots=True)
 class Preflight:
-    """The checks, in the order in which they were made."""
+    """The table of checks, in the order in which they were made."""
 
     checks: tuple[Check, ...]
 
     @property
     def passed(self) -> bool:
-        """All of them."""
+        """Whether there are checks, and all have passed."""
         return bool(self.checks) and all(check.passed for check in self.checks)
 
     def table(self) -> str:

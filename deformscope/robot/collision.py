@@ -38,7 +38,8 @@ harder."""
 
 
 class CollisionWatch:
-    """Looks at one state after the other; `start` before the first and after each pause."""
+    """Detects a collision by joint torques, one state after the other; `start` before the first and after each
+    pause."""
 
     def __init__(self, chain: Chain, T_ee_center: FloatArray) -> None:
         """T_ee_center: (4, 4) the tip's centre in the frame of the arm's end [m]"""
@@ -46,7 +47,7 @@ class CollisionWatch:
         self.start()
 
     def start(self) -> None:
-        """Nothing is known of the torques."""
+        """Forget the mean torques: the next reading begins a new one."""
         self._mean_nm: FloatArray | None = None
         self._mean_ns = self._beyond = 0
         self._before: tuple[float, ...] = ()
@@ -99,12 +100,15 @@ class CurrentWatch:
         self.start()
 
     def start(self) -> None:
-        """Nothing is known of the currents."""
+        """Forget the currents: nothing is detected until LEAST_READINGS new ones have come."""
         self._seen: deque[tuple[float, FloatArray]] = deque()
         self._beyond = 0
 
     def look(self, currents: tuple[float, ...], joints_deg: tuple[float, ...], tip_n: float, now_ns: int) -> str:
-        """As `CollisionWatch.look`."""
+        """Why this is a collision, with which joint; empty where it is none.
+
+        currents: (n,) of the motors, any unit; joints_deg: (n,); tip_n: as of `CollisionWatch.look` [N]; now_ns: when
+        """
         if not all(map(math.isfinite, currents)):
             return "a motor's current is no number"
         if tip_n > PRESSED_N:

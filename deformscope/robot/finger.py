@@ -37,10 +37,10 @@ WAITS = f"waits for a finger that presses the tip from below, with {PRESS_N:g} N
 def press_by_finger(
     robot: Robot, press: Callable[[FloatArray], None] | None = None, say: Callable[[str], None] = lambda words: None
 ) -> Check:
-    """Whether a finger that presses the tip from below is felt: about as hard, and where from.
+    """Whether the force sensor measures a push from below as it was asked for, in size and direction; nothing moves.
 
     press: in a laboratory, has a finger press with (3,) [N, surface frame]; None = a person, who is asked by `say`
-    Nothing moves. What presses harder than the soft stop is forgotten. Raises RobotStopped above the hard stop.
+    A force above the soft stop is acknowledged at the end. Raises RobotStopped above the hard stop.
     """
     patience_s = PATIENCE_S if press is None else 4e-2 * HELD_PERIODS
     say, press = (say, lambda force_n: None) if press is None else (lambda words: None, press)
@@ -76,7 +76,7 @@ def _felt_n(robot: Robot) -> FloatArray:
 
 
 def _judged(force_n: FloatArray, soft_n: float) -> tuple[bool, str]:
-    """Whether a push (3,) was as asked for, and in words."""
+    """Whether a push (3,) [N, surface frame] has the size and direction asked for, and both in words."""
     size_n = float(np.linalg.norm(force_n))
     astray_deg = math.degrees(math.acos(np.clip(force_n[2] / size_n, -1.0, 1.0)))
     right = LEAST_N <= size_n <= soft_n and astray_deg <= ASTRAY_DEG

@@ -34,8 +34,10 @@ surface that was seen too high."""
 
 @dataclass(frozen=True, slots=True)
 class ForceAlone:
-    """stiffness_n_m: of tip, sensor, stick and arm in series; late_s: from a force until the arm stands
-    hard_n: the hard stop; doubt_m: of the camera, where the surface is; currents: those of its motors are watched
+    """What bounds the force of an arm that has no joint torques to show a contact.
+
+    stiffness_n_m: of tip, sensor, stick and arm in series; late_s: from a force until the arm stands
+    hard_n: the hard stop; doubt_m: uncertainty of the seen surface; currents: those of the motors are watched
     """
 
     stiffness_n_m: float
@@ -46,7 +48,7 @@ class ForceAlone:
 
     @classmethod
     def of(cls, robot: Robot) -> ForceAlone:
-        """As the robot's sensor, arm and limits say."""
+        """From the sensor's filter and rate, the arm's cycle and compliance, and the supervisor's limits."""
         force, limits = robot.force.config, robot.supervisor.limits
         filtered_s = 1.0 / (2.0 * math.pi * force.filter_hz) if force.filter_hz else 0.0
         late_s = filtered_s + 1.0 / force.rate_hz + PERIOD_NS / 1e9 + ARM_CYCLES / robot.arm.state_hz
@@ -55,22 +57,23 @@ class ForceAlone:
         return cls(stiffness_n_m, late_s, limits.hard_force_n, robot.doubt_m, currents)
 
     def speed_m_s(self, share: float) -> float:
-        """At which a contact reaches this share of the hard stop until the arm stands; slower makes no touch."""
+        """The speed [m/s] at which a contact comes to this share of the hard stop until the arm stands; SLOWEST_M_S at
+        least."""
         return max(SLOWEST_M_S, share * self.hard_n / (self.stiffness_n_m * self.late_s))
 
     @property
     def contact_n(self) -> float:
-        """The greatest force of a contact, where none is expected."""
+        """The greatest force of a contact above the place where one is expected [N]."""
         return self.stiffness_n_m * self.late_s * self.speed_m_s(SURPRISE_SHARE)
 
     @property
     def unfelt_n(self) -> float:
-        """What the arm presses with at most where the sensor fails on its way down, and nothing else shows it."""
+        """The greatest force [N] where the sensor fails on the way down, and no motor current shows the contact."""
         return self.stiffness_n_m * (self.doubt_m + MISS_M) + self.contact_n
 
     @property
     def words(self) -> str:
-        """Both, and why they are no less."""
+        """Both forces, with the stiffness and delay that they follow from."""
         else_n = ", unless its motors' currents show it" if self.currents else ""
         return (
             f"{self.contact_n:.1f} N, by {self.stiffness_n_m / 1e3:.3g} N/mm and {1e3 * self.late_s:.0f} ms until the "

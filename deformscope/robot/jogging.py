@@ -49,7 +49,7 @@ HELP = (
 
 @dataclass(slots=True)
 class Jog:
-    """What the keys ask for now. step_m: of a press"""
+    """The motion that the keys ask for. step_m: way of the tip's centre for one press [m]"""
 
     step_m: float = STEPS_M["2"]
     _key: str = ""
@@ -57,7 +57,7 @@ class Jog:
     _until_ns: int = 0
 
     def press(self, key: str, now_ns: int) -> None:
-        """A key, or a repeat of it, at a time of the robot's clock [ns]. Unknown keys stop."""
+        """A key, or its repeat, at a time of the robot's clock [ns]. A key without a meaning stops the motion."""
         if key in STEPS_M:
             self.step_m = STEPS_M[key]
         again = key == self._key and now_ns - self._pressed_ns < REPEATS_S * 1e9
@@ -70,7 +70,7 @@ class Jog:
             self._until_ns = now_ns + round(self.step_m / SPEED_M_S * 1e9)
 
     def command(self, now_ns: int) -> TipVelocity | None:
-        """What to send in this control period; None = stand still."""
+        """The velocity for the control period that begins at now_ns; None = stand still."""
         if now_ns >= self._until_ns or self._key not in MOVES:
             return None
         axis, way = MOVES[self._key]

@@ -68,7 +68,7 @@ def _check(path: Path) -> None:
 
 
 def _mesh(arrays: BinaryIO, path: Path, ending: str) -> Mesh:
-    """The next one of the arrays. ending: of the process that wrote them"""
+    """The next mesh of the arrays: vertices (n, 3) and triangles (m, 3). ending: of the process that wrote them"""
     try:
         vertices, triangles = (np.load(arrays, allow_pickle=False) for _ in range(2))
     except (EOFError, OSError, ValueError) as error:
@@ -80,7 +80,7 @@ def _mesh(arrays: BinaryIO, path: Path, ending: str) -> Mesh:
 
 
 def _refusal(vertices: npt.NDArray[np.float64], triangles: npt.NDArray[np.int32]) -> str:
-    """What was expected instead; empty where it is a mesh."""
+    """Why an array is no mesh: what was expected; empty where it is one."""
     if not len(triangles) or not 0 <= triangles.min() <= triangles.max() < len(vertices):
         return "a mesh with triangles of its vertices"
     if not np.abs(vertices).max() <= FARTHEST:  # nor where one is no number

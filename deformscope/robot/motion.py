@@ -57,8 +57,8 @@ of the difference in a second: points that the arm has left out do not add up.""
 class JointMotion:
     """Joint rates for a velocity, and whether they may be sent.
 
-    rates_deg_s: (n,); share: of the velocity that is left where a joint would be too fast or near its limit
-    fault, reason: why nothing may be sent; NONE where it may
+    rates_deg_s: (n,) [deg/s]; share: of the velocity that is left where a joint would be too fast or is near its limit
+    fault, reason: why they must not be sent; NONE where they may
     """
 
     rates_deg_s: FloatArray
@@ -109,7 +109,11 @@ def to_singularity_deg(chain: Chain, joints_deg: FloatArray, jacobian: FloatArra
 def within_limits(
     chain: Chain, joints_deg: npt.ArrayLike, rates_deg_s: FloatArray, limits_deg_s: FloatArray, margin_deg: float
 ) -> JointMotion:
-    """Joint rates (n,) [deg/s], all slowed alike until none is too fast, or too fast so near the end of its range."""
+    """Joint rates (n,) [deg/s], all slowed by one factor so that none is above its limit, which falls to 0 near the end
+    of a joint's range.
+
+    joints_deg: (n,); limits_deg_s: (n,); margin_deg: from the end of a range, where the rate is 0
+    """
     joints = np.asarray(joints_deg, dtype=float)
     way_deg = np.where(rates_deg_s > 0, chain.upper_deg - joints, joints - chain.lower_deg)
     near = np.clip((way_deg - margin_deg) / SLOW_DEG, 0.0, 1.0)
@@ -138,10 +142,10 @@ class CommandedRotation:
         self.rotation: FloatArray | None = None
 
     def advance(self, angular_rad_s: FloatArray, seconds: float, measured: FloatArray | None, *, follows: bool) -> None:
-        """Turn on by what was commanded (3,), base frame [rad/s].
+        """Turn the commanded rotation by the angular velocity (3,) that was sent [rad/s, base frame], over `seconds`.
 
-        measured: (3, 3) newest, None = nothing new; where there is no rotation yet it is taken for the commanded one
-        follows: whoever commands steers by the measured rotation, so that only what is faster than that is an error
+        measured: (3, 3) newest of the arm's end, None = nothing new; without a commanded rotation yet it becomes that
+        follows: whoever commands steers by the measured rotation: the commanded one slowly follows it (FOLLOW_PER_S)
         """
         if self.rotation is None:
             self.rotation = measured

@@ -217,9 +217,10 @@ def _led(
     steered: npt.NDArray[np.bool_],
     meanwhile: Callable[[], None],
 ) -> tuple[npt.NDArray[np.bool_], FloatArray]:
-    """Which of k ways of places with their normals (n, 6) can be followed (k,), and joint angles (k, m) at the end.
+    """Which of k ways can be followed (k,) bool, and the joint angles (k, m) [deg] at their ends.
 
-    joints_deg: (k, m) where they begin; steered: (k,) the arm comes to each place from the one before
+    ways: of places with their normals (n, 6) [m, surface frame]; joints_deg: (k, m) where they begin; steered: (k,) the
+    arm comes to each place from the one before
     """
     good, joints_deg = np.ones(len(ways), dtype=bool), joints_deg.copy()
     for step in range(max(map(len, ways))):
@@ -253,7 +254,7 @@ def _longest_m(chain: Chain) -> float:
 
 
 def _reach(least: Sequence[float | None]) -> Reach:
-    """Of the smallest singular values, None where a place is not reached."""
+    """`Reach` from the smallest singular value of each place, None where it is not reached."""
     reached = np.array([one is not None for one in least], dtype=bool)
     return Reach(reached, np.array([one or 0.0 for one in least]))
 

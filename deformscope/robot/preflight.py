@@ -167,7 +167,7 @@ def _force(robot: Robot, seen: Sequence[RobotObservation]) -> Iterator[Check]:
 
 
 def _longest_repeat_s(samples: Sequence[ForceSample], values: Sequence[Hashable]) -> float:
-    """values: (n,) of the samples"""
+    """The longest time [s] over which samples one after the other have the same of the values (n,)."""
     longest_ns = 0
     for _, group in itertools.groupby(zip(values, samples, strict=True), key=lambda one: one[0]):
         times_ns = [sample.time_ns for _, sample in group]
@@ -219,7 +219,7 @@ def _joints(robot: Robot, states: Sequence[ArmSample]) -> Iterator[Check]:
 
 
 def _torques(robot: Robot, states: Sequence[ArmSample]) -> Iterator[Check]:
-    """That collisions stand out of the noise of an arm that reports torques."""
+    """That the torques' noise at rest is small against the limit of a collision, where the arm reports torques."""
     limit_nm = robot.supervisor.limits.collision_nm
     torques_nm = [state.torques_nm for state in states if state.torques_nm]
     if limit_nm == 0 or not torques_nm:
@@ -253,7 +253,7 @@ def _pictures(seen: Sequence[RobotObservation]) -> Iterator[Check]:
 
 
 def _free(robot: Robot, plans: Sequence[TouchPlan], lift_m: float) -> Iterator[Check]:
-    """That nothing touches the tip: what presses when the force sensor is zeroed is zero from then on."""
+    """That the tip is above the surface: a force that acts while the sensor is zeroed would be taken for zero."""
     if not plans:
         return
     over_m = robot.placement.center_offset_m
@@ -266,7 +266,7 @@ def _free(robot: Robot, plans: Sequence[TouchPlan], lift_m: float) -> Iterator[C
 
 
 def _hand(robot: Robot, plans: Sequence[TouchPlan], described: RobotDescription) -> Iterator[Check]:
-    """That the tip meets the surface before gripper, mount and cables do: beside the deepest dent, on a level one."""
+    """That gripper, mount and cables stay above a level surface while the tip is at its greatest depth."""
     if robot.arm.by_hand or not plans:
         return
     over_m = described.over_tip_m(robot.placement, robot.arm.chain.forward(robot.pose.joints_deg))
@@ -277,7 +277,11 @@ def _hand(robot: Robot, plans: Sequence[TouchPlan], described: RobotDescription)
 
 
 def _first_way(robot: Robot, goal_deg: FloatArray, height_m: float) -> Check:
-    """The way joint by joint to the first touch, which nobody steers: over the surface all along, wrist and tip."""
+    """That wrist and tip stay above the surface on the first way, which turns the joints evenly from here to angles
+    (n,) [deg].
+
+    height_m: z of the surface [m, surface frame]
+    """
     chain, placement = robot.arm.chain, robot.placement
     here_deg = np.asarray(robot.pose.joints_deg)
     turn_deg = towards(here_deg.tolist(), goal_deg, ~np.isfinite(chain.upper_deg))

@@ -102,11 +102,11 @@ class SqueezeSupervisor(LatchingSupervisor[SqueezeFault]):
         self._hand_ns = self._tactile_ns = now_ns
 
     def in_contact(self) -> None:
-        """The fingertips come closer from here on: what they may is counted."""
+        """The fingertips are in contact: how much closer they come from here on is limited (`over_squeeze_m`)."""
         self._contact_gap_m = self._gap_m
 
     def judge(self, seen: SqueezeObservation) -> SqueezeVerdict:
-        """Whether it may go on."""
+        """The verdict on what came in the last control period."""
         self._begin(seen.now_ns)
         tactile = self._tactile(seen) if self._closing else []
         lost = [one for one in seen.lost if self._closing or one[0] is SqueezeFault.HAND_LOST]
@@ -145,6 +145,6 @@ class SqueezeSupervisor(LatchingSupervisor[SqueezeFault]):
 
 
 def gap_m(position_deg: FloatArray, fingers: tuple[int, int]) -> float:
-    """Between the two fingertips along the axis of closing [m]. position_deg: (7,)"""
+    """Distance between the two fingertips along the axis of closing [m]. position_deg: (7,) of the axes"""
     tips = fingertips(np.asarray(position_deg, np.float64))
     return float(tips[fingers[0], 0] - tips[fingers[1], 0])

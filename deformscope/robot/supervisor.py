@@ -119,7 +119,7 @@ class Limits:
 
     @classmethod
     def of(cls, workspace: Workspace, camera_hz: float = 30.0) -> Limits:
-        """As a rig file says."""
+        """From a rig file's [workspace]. camera_hz: rate of the camera's images"""
         standard, silent_s, frozen_s = cls(), workspace.camera_silent_s, workspace.arm_frozen_s
         return cls(
             soft_force_n=workspace.soft_stop_n,
@@ -390,7 +390,8 @@ class Supervisor(LatchingSupervisor[Fault]):
         ]
 
     def _clear(self, sample: ArmSample, before: ArmSample, span_s: float) -> list[Alarm[Fault]]:
-        """Elbow and wrist on their way into the table or out of the arm's box, and the arm into itself, ahead."""
+        """Whether elbow and wrist near the table or the edge of the arm's box, or the arm nears itself: below a limit
+        `look_ahead_s` from now, and nearer than at the last call."""
         if self._chain is None or self._clearance is None or sample.joints_deg == before.joints_deg:
             return []
         joints_deg = np.array(sample.joints_deg)

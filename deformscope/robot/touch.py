@@ -120,7 +120,7 @@ class TouchPlan:
             raise InputError("0 < slow_within_m <= standoff_m", f"{self.slow_within_m}, {self.standoff_m}")
 
     def no_faster(self, contact_speed_m_s: float, travel_speed_m_s: float) -> TouchPlan:
-        """The same touch within speeds [m/s], where it is slow and elsewhere."""
+        """The same touch at most at these speeds [m/s]: near the surface and in contact, and elsewhere."""
         return dataclasses.replace(
             self,
             contact_speed_m_s=min(self.contact_speed_m_s, contact_speed_m_s),
@@ -148,7 +148,7 @@ class TouchPlan:
 
 @dataclass(frozen=True, slots=True)
 class PhaseSpan:
-    """A phase, from when to when [s]."""
+    """A phase with its begin and end on the robot's clock [s]."""
 
     phase: Phase
     start_s: float
@@ -251,11 +251,12 @@ class TouchStateMachine:
         return self.phase in (Phase.PRESS, Phase.DWELL, Phase.PRESS_MORE, Phase.DWELL_MORE)
 
     def depth_m(self, center_m: FloatArray) -> float:
-        """Below the first contact, along the normal; 0 before it."""
+        """Depth of the tip's centre (3,) [m, surface frame] below the first contact, along the normal [m]; 0 before
+        contact."""
         return 0.0 if self.contact_m is None else float((self.contact_m - center_m) @ self.plan.normal)
 
     def back_off(self, time_s: float) -> None:
-        """The force is too high: stand, then away."""
+        """The force is too high: stand for PAUSE_PERIODS, then retreat. time_s: now"""
         if self.phase not in (Phase.BACK_OFF, Phase.DONE):
             self.ending = TouchEnding.SOFT_STOP
             self._pause = PAUSE_PERIODS
@@ -285,7 +286,7 @@ class TouchStateMachine:
         return np.zeros(3)
 
     def end(self, time_s: float) -> None:
-        """Over, wherever it was."""
+        """End the touch in whatever phase it is. time_s: now"""
         if self.phase is not Phase.DONE:
             self._enter(Phase.DONE, time_s)
 
@@ -350,7 +351,7 @@ class TouchStateMachine:
         return self._down(self._set_n(), along_n, depth_m)
 
     def _down(self, set_n: float, along_n: float, depth_m: float) -> FloatArray:
-        """Force control along the normal, which the greatest depth ends."""
+        """(3,) velocity [m/s] of the force control along the normal, which falls to 0 at the greatest depth."""
         speed = self._control.velocity_m_s(set_n, along_n)
         left_m = self.plan.max_depth_m - depth_m
         speed = min(speed, max(left_m, 0.0) * HELD_GAIN_PER_S)
@@ -366,7 +367,8 @@ class TouchStateMachine:
         return min(speed_m_s, max((plan.braking_per_s or HELD_GAIN_PER_S) * left_m, 2e-3)) * plan.normal
 
     def _across(self, center_m: FloatArray, force_n: FloatArray) -> FloatArray:
-        """Velocity across the normal: back to its line, or with the force."""
+        """(3,) velocity across the normal [m/s]: back to the normal's line, or along the tangential force where the
+        plan leaves it free."""
         normal = self.plan.normal
         if self.plan.tangential == "free" and self.pressing:
             wanted = FREE_M_S_N * (force_n - (force_n @ normal) * normal)
@@ -386,7 +388,8 @@ class TouchStateMachine:
             self._recent.popleft()
 
     def _still(self, set_n: float) -> bool:
-        """Dent and force as they were for a while; at the greatest depth the force may be any."""
+        """Whether depth and force have stayed constant for STILL_S, and at the set force unless the greatest depth was
+        reached."""
         times, depths_m, forces_n = zip(*self._recent, strict=True)
         if times[-1] - times[0] < STILL_S - 2 * PERIOD_S:
             return False
@@ -418,7 +421,7 @@ def run_touch(
 
 
 def carried_out(run: TouchRun, robot: Robot, still_seen: Callable[[], bool]) -> TouchRecord:
-    """As `run_touch`."""
+    """Travel, take the tare and touch; arguments, result and errors as of `run_touch`."""
     try:
         run.travel()
         run.tare()
@@ -447,11 +450,11 @@ class TouchProgress(Protocol):
     spans: list[PhaseSpan]
 
     def end(self, time_s: float) -> None:
-        """Over, wherever it was."""
+        """End the touch in whatever phase it is. time_s: now"""
 
 
 class TouchRun:
-    """A touch under way: what it has seen."""
+    """A touch that is being carried out, with the states and readings that its record is made of."""
 
     def __init__(self, robot: Robot, plan: TouchPlan, on_phase: Callable[[Phase, int], None]) -> None:
         plan = plan.slowed_for(ForceAlone.of(robot)) if robot.force_alone else plan
@@ -520,13 +523,13 @@ class TouchRun:
         self._ending = machine.ending
 
     def _tell(self, phase: Phase) -> None:
-        """Each phase once, as it begins; that all is done is no phase."""
+        """Call `on_phase` when a phase begins; not for DONE."""
         if phase not in (self._told, Phase.DONE):
             self._told = phase
             self._on_phase(phase, self._robot.seen.now_ns)
 
     def _follow(self, before: Phase, machine: TouchStateMachine) -> None:
-        """When the loading ended (the last one where there are two), when the dwell, and how deep it was then."""
+        """Note when the (last) loading ended, when the dwell ended, and the depth then."""
         if before in (Phase.PRESS, Phase.PRESS_MORE) and machine.phase is not before:
             self._loading_s = self._now_s()
         if machine.pressing:
@@ -535,7 +538,8 @@ class TouchRun:
             self._end_s = self._now_s()
 
     def _see(self, seen: RobotObservation) -> FloatArray:
-        """Keep what came; the mean force of this period, in the surface frame (the last one where none came)."""
+        """Keep the states and readings of a period; (3,) its mean force on the tip [N, surface frame], or the last one
+        where none came."""
         robot = self._robot
         self._arms += seen.arms
         good = [sample for sample in seen.forces if sample.usable]

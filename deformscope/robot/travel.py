@@ -45,7 +45,7 @@ SLACK = 3.0
 
 
 class NotThere(InputError):
-    """The arm did not come to where it was sent."""
+    """The arm cannot come, or did not come, to where it was sent."""
 
 
 def move_tip(
@@ -257,7 +257,7 @@ def _no_way(to_m: FloatArray, why: str) -> NotThere:
 
 
 def step(robot: Robot, command: TipVelocity | JointRates) -> None:
-    """One period on the way; a robot that has to back off is not to travel on."""
+    """Send one velocity. Raises InputError, standing, where the supervisor wants the robot to back off."""
     if robot.supervisor.verdict.action is Action.GO_ON:  # it may have changed while a way was checked
         robot.cycle(command)
     verdict = robot.supervisor.verdict
@@ -267,11 +267,14 @@ def step(robot: Robot, command: TipVelocity | JointRates) -> None:
 
 
 def _error(robot: Robot, goal: FloatArray) -> FloatArray:
+    """(6,) translation [m] and rotation vector [rad] from the tip's pose to a goal (4, 4), both in the surface
+    frame."""
     return pose_error(robot.placement.T_surface_center(robot.pose.T_base_ee), goal)
 
 
 def capped(error: FloatArray, fastest: float, braking_per_s: float | None = None) -> FloatArray:
-    """A velocity that ends softly; braking_per_s: as of `TouchPlan`"""
+    """A velocity (3,) towards an error (3,): in proportion to it, at most `fastest`. braking_per_s: as of
+    `TouchPlan`"""
     wanted = (braking_per_s or GAIN_PER_S) * error
     size = float(np.linalg.norm(wanted))
     return wanted if size <= fastest else wanted * (fastest / size)

@@ -67,7 +67,7 @@ class UrdfShapes:
 
     @property
     def movable(self) -> tuple[UrdfJoint, ...]:
-        """Those that turn or slide, nearest to the root first."""
+        """The joints that turn or slide, nearest to the root first."""
         return tuple(joint for joint in self.joints if joint.kind in MOVABLE)
 
     def poses(self, values: Mapping[str, float]) -> dict[str, FloatArray]:
@@ -103,7 +103,7 @@ def read_urdf(path: Path) -> UrdfShapes:
 
 
 def _in_order(joints: list[UrdfJoint], links: list[str], path: Path) -> tuple[str, tuple[UrdfJoint, ...]]:
-    """The root, and joints level after level."""
+    """The root link, and the joints with parents before children."""
     children = {joint.child for joint in joints}
     roots = [name for name in links if name not in children]
     if len(roots) != 1 or len(children) != len(joints):
@@ -156,7 +156,7 @@ def _lengths(words: str, count: int) -> tuple[float, ...]:
 
 
 def _shown(link: ET.Element) -> list[ET.Element]:
-    """What is drawn of a link, or where it has none what collides."""
+    """The visual shapes of a link, or its collision shapes where it has none."""
     return link.findall("visual") or link.findall("collision")
 
 
