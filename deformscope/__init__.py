@@ -20,24 +20,28 @@ if TYPE_CHECKING:
     from deformscope.api.classification import ClassificationResult, classify, load_classifier
     from deformscope.api.exploration import ExplorationResult, explore
     from deformscope.api.prediction import PredictionResult, predict
-    from deformscope.api.recordings import OpenRecording, RecordResult, open_recording, record
-    from deformscope.api.squeezing import OpenDataset, SqueezeResult, open_dataset, squeeze
+    from deformscope.api.recordings import OpenRecording, RecordResult, open_recording
+    from deformscope.api.rig_run import record
+    from deformscope.api.squeeze_result import SqueezeResult
+    from deformscope.api.squeezing import OpenDataset, open_dataset, squeeze
     from deformscope.errors import InputError
     from deformscope.stages.msm.solver import Msm
     from deformscope.stages.see.flow import dense_flow
-
-__version__ = "0.1.0"
+    from deformscope.version import __version__
 
 _NAMES = {
     "api.calibration": ("CalibrationResult", "calibrate_beta", "calibrate_theta"),
     "api.classification": ("ClassificationResult", "classify", "load_classifier"),
     "api.exploration": ("ExplorationResult", "explore"),
     "api.prediction": ("PredictionResult", "predict"),
-    "api.recordings": ("OpenRecording", "RecordResult", "open_recording", "record"),
-    "api.squeezing": ("OpenDataset", "SqueezeResult", "open_dataset", "squeeze"),
+    "api.recordings": ("OpenRecording", "RecordResult", "open_recording"),
+    "api.rig_run": ("record",),
+    "api.squeeze_result": ("SqueezeResult",),
+    "api.squeezing": ("OpenDataset", "open_dataset", "squeeze"),
     "errors": ("InputError",),
     "stages.msm.solver": ("Msm",),
     "stages.see.flow": ("dense_flow",),
+    "version": ("__version__",),
 }
 _HOMES = {name: module for module, names in _NAMES.items() for name in names}
 """The module of each name, imported when the name is first asked for."""
@@ -53,6 +57,7 @@ __all__ = [
     "PredictionResult",
     "RecordResult",
     "SqueezeResult",
+    "__version__",
     "calibrate_beta",
     "calibrate_theta",
     "classify",

@@ -20,9 +20,9 @@ from deformscope.lab.faults import Injected
 from deformscope.lab.springy_foam import SpringyFoam
 from deformscope.lab.touch_lab import TouchLab
 from deformscope.rig.rig_file import Tool
+from deformscope.robot.checks import Check, Preflight
 from deformscope.robot.clearance import ArmClearance
 from deformscope.robot.placement import Placement, best_joints
-from deformscope.robot.preflight import Check, Preflight
 from deformscope.robot.robot import Command, JointRates, Robot, RobotStopped, TipVelocity
 from deformscope.robot.setup import T_BASE_SURFACE
 from deformscope.robot.supervisor import Fault, Limits

@@ -17,12 +17,13 @@ from deformscope.lab.faults import ARM, CAMERA, FORCE, Injected, inject
 from deformscope.lab.springy_foam import SpringyFoam
 from deformscope.lab.touch_lab import TouchLab
 from deformscope.rig.rig_file import Tool
+from deformscope.robot.latch import Action
 from deformscope.robot.placement import Placement, best_joints, follow, reach
 from deformscope.robot.preflight import check
 from deformscope.robot.readings import PERIOD_NS, RobotObservation
 from deformscope.robot.robot import Robot
 from deformscope.robot.setup import T_BASE_SURFACE
-from deformscope.robot.supervisor import Action, Fault, Limits, SafetyVerdict
+from deformscope.robot.supervisor import Fault, Limits, SafetyVerdict
 from deformscope.robot.touch import TouchPlan, run_touch
 from deformscope_drivers.arm.errors import NotStopped
 from deformscope_drivers.arm.kinematics import FloatArray, rotation_vector

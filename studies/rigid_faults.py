@@ -14,10 +14,11 @@ from deformscope.lab.arms import arm_in_lab
 from deformscope.lab.springy_foam import SpringyFoam
 from deformscope.lab.touch_lab import TouchLab
 from deformscope.rig.rig_file import Tool
+from deformscope.robot.checks import Preflight
 from deformscope.robot.finger import press_by_finger
 from deformscope.robot.force_alone import ForceAlone
 from deformscope.robot.placement import Placement
-from deformscope.robot.preflight import Preflight, check
+from deformscope.robot.preflight import check
 from deformscope.robot.robot import Robot, RobotStopped
 from deformscope.robot.supervisor import Limits
 from deformscope.robot.touch import Phase, TouchPlan, run_touch

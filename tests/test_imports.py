@@ -7,6 +7,7 @@ import os
 import subprocess
 import sys
 import tomllib
+from collections.abc import Iterable, Mapping
 from functools import cache
 from graphlib import TopologicalSorter
 from pathlib import Path
@@ -32,6 +33,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "errors": (),
     "plain": (),
     "processes": (),
+    "version": (),
     "capsule": ("arrays",),
     "solid": ("arrays",),
     "images": ("arrays", "errors"),
@@ -59,7 +61,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "files": ("arrays", "errors", "file_io", "frames", "images", "recording", *STAGES),
     "experiments": (
         *("arrays", "capsule", "errors", "files", "frames", "images", "processes", "recording", "rig", "robot"),
-        *("rows", "session", *STAGES),
+        *("rows", "session", "version", *STAGES),
     ),
     "reproduce": (
         *(
@@ -78,7 +80,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
         *("rig", "robot", "session", *STAGES),
     ),
     # A GPU machine that has numpy, scipy and warp alone runs it.
-    "bench": ("arrays", "bench_cases", "errors", "plain", *STAGES),
+    "bench": ("arrays", "bench_cases", "errors", "plain", "version", *STAGES),
     "config": ("bench_cases", "errors", "file_io"),
     "file_io": ("errors",),
     "terminal": ("errors",),
@@ -86,7 +88,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "api": (
         *("arrays", "config", "errors", "experiments", "file_io", "files", "frames", "images", "lab", "log"),
         *("page", "pictures", "plain", "processes", "recording", "rig", "robot", "session", "terminal"),
-        *STAGES,
+        *("version", *STAGES),
     ),
 }
 """What each folder may import of the others, also inside functions and for type checking. Nothing imports `cli`."""
@@ -137,6 +139,50 @@ def imported(path: Path) -> frozenset[str]:
     return frozenset(names)
 
 
+@cache
+def module_graph() -> dict[str, frozenset[str]]:
+    """The modules of ours that each one imports, typing included; a name of a package is one of its `__init__`."""
+    known, graph = modules(), {}
+    for name, path in known.items():
+        targets: set[str] = set()
+        for node in ast.walk(parsed(path)):
+            if isinstance(node, ast.Import):
+                targets.update(alias.name for alias in node.names)
+            elif isinstance(node, ast.ImportFrom) and node.module is not None:
+                full = [f"{node.module}.{alias.name}" for alias in node.names]
+                targets.update(one if one in known else node.module for one in full)
+        graph[name] = frozenset(targets & known.keys() - {name})
+    return graph
+
+
+def circles(graph: Mapping[str, Iterable[str]]) -> list[tuple[str, ...]]:
+    """The strongly connected components of more than one node, in order."""
+    reached = {name: _reached(name, graph) for name in graph}
+    found = {tuple(sorted(other for other in far if name in reached[other])) for name, far in reached.items()}
+    return sorted(found - {()})
+
+
+def _reached(name: str, graph: Mapping[str, Iterable[str]]) -> set[str]:
+    found: set[str] = set()
+    left = [name]
+    while left:
+        for one in graph[left.pop()]:
+            if one not in found:
+                found.add(one)
+                left.append(one)
+    return found
+
+
+def layer_imports() -> dict[str, set[str]]:
+    """What the files of each layer import of other layers: the picture of `tools/layers.py`."""
+    graph: dict[str, set[str]] = {name: set() for name in (*LAYERS, "cli")}
+    for name, targets in module_graph().items():
+        if within(name, "deformscope") and (mine := layer_of(name)) in graph:
+            ours = {layer_of(one) for one in targets if within(one, "deformscope")}
+            graph[mine] |= ours & graph.keys() - {mine}
+    return graph
+
+
 def within(name: str, package: str) -> bool:
     return name == package or name.startswith(f"{package}.")
 
@@ -159,6 +205,15 @@ def test_each_folder_imports_what_it_may() -> None:
                 wrong.append(f"{name} imports {target}")
 
     assert wrong == []
+
+
+def test_circles_are_found() -> None:
+    assert circles({"a": "b", "b": "cd", "c": "a", "d": "e", "e": "d", "f": "a"}) == [("a", "b", "c"), ("d", "e")]
+
+
+def test_no_files_import_each_other() -> None:
+    """Typing included: each file can be understood with those alone that it imports."""
+    assert circles(module_graph()) == []
 
 
 def test_there_are_no_cycles() -> None:

@@ -1,4 +1,4 @@
-"""The picture of the layers, out of the whitelist of imports: python tools/layers.py [--write]
+"""The picture of the layers, out of the imports of every file: python tools/layers.py [--write]
 
 Prints it, or puts it into docs/architecture.md. `tests/test_docs.py` holds the page to what this prints.
 """
@@ -29,12 +29,12 @@ def main() -> int:
 
 
 def drawing() -> str:
-    """A row for each level: what stands in it imports only what the whitelist allows of the rows below it."""
+    """A row for each level: what stands in it imports only what stands in rows below it."""
     sys.path.insert(0, str(ROOT))
-    from tests.test_imports import LAYERS
     from tests.test_imports import STAGES as stages
+    from tests.test_imports import layer_imports
 
-    layers = LAYERS | {"cli": tuple(LAYERS)}
+    layers = layer_imports()
     levels: dict[int, list[str]] = {}
     for name in layers:
         levels.setdefault(_level(name, layers), []).append(name)
@@ -43,24 +43,25 @@ def drawing() -> str:
         names = "   ".join(f"[ {name} ]" for name in sorted(levels[level]))
         rows.append(names.center(WIDTH).rstrip())
     return (
-        "\n\n".join(rows) + "\n\n" + "\n".join(_imports(name, LAYERS[name], stages) for name in sorted(LAYERS)) + "\n"
+        "\n\n".join(rows) + "\n\n" + "\n".join(_imports(name, layers[name], stages) for name in sorted(layers)) + "\n"
     )
 
 
-def _imports(name: str, imports: tuple[str, ...], stages: tuple[str, ...]) -> str:
-    """What a layer imports; all stages in one word."""
-    short = ["stages", *set(imports).difference(stages)] if set(stages) <= set(imports) else imports
+def _imports(name: str, imports: set[str], stages: tuple[str, ...]) -> str:
+    """What a layer imports; more than two stages in one word, but for a stage itself."""
+    many = name not in stages and len(imports.intersection(stages)) > 2
+    short = ["stages", *imports.difference(stages)] if many else imports
     listed = ", ".join(sorted(short)) or "nothing of ours"
     return textwrap.fill(listed, WIDTH, initial_indent=f"{name:<16} <- ", subsequent_indent=" " * 20)
 
 
-def _level(name: str, layers: dict[str, tuple[str, ...]]) -> int:
+def _level(name: str, layers: dict[str, set[str]]) -> int:
     """How many layers stand below it; layers that import each other stand in one row."""
     below = [one for one in _below(name, layers) if name not in _below(one, layers)]
     return 1 + max((_level(one, layers) for one in below), default=-1)
 
 
-def _below(name: str, layers: dict[str, tuple[str, ...]]) -> set[str]:
+def _below(name: str, layers: dict[str, set[str]]) -> set[str]:
     """Everything that a layer imports, directly or by others."""
     found: set[str] = set()
     left = [name]

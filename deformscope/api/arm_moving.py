@@ -21,10 +21,11 @@ from deformscope.errors import InputError
 from deformscope.experiments.options import ExploreOptions
 from deformscope.rig.rig_file import load_rig
 from deformscope.robot.advice import where_it_stands
+from deformscope.robot.checks import Preflight
 from deformscope.robot.finger import press_by_finger
 from deformscope.robot.jogging import HELP, LEAVE, Jog
 from deformscope.robot.placement import Placement
-from deformscope.robot.preflight import Preflight, check
+from deformscope.robot.preflight import check
 from deformscope.robot.robot import Robot, RobotStopped
 from deformscope.robot.setup import RigParts, Setup, only_device, open_rig
 from deformscope.robot.travel import to_above

@@ -14,7 +14,6 @@ from typing import Any, Literal, TypeAlias, TypedDict, Unpack
 
 import numpy as np
 
-from deformscope import __version__
 from deformscope.api.result import (
     LibraryResult,
     Note,
@@ -56,6 +55,7 @@ from deformscope.stages.poke.fitted import FittedModel, from_pair
 from deformscope.stages.poke.poke_estimate import PokesFound
 from deformscope.stages.see.particles import clean_mask, outlined
 from deformscope.terminal import shown_progress
+from deformscope.version import __version__
 from deformscope_drivers.clock import Stamp
 
 PairArrays: TypeAlias = Mapping[str, Any]

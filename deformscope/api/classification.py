@@ -11,7 +11,6 @@ from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
-from deformscope import __version__
 from deformscope.api.result import LibraryResult, python_names
 from deformscope.config import ClassifyConfig, OutputOptions
 from deformscope.file_io import resolve
@@ -28,6 +27,7 @@ from deformscope.stages.squeeze.scores import ClassificationScore
 from deformscope.stages.squeeze.table import LabelledTable, refuse_duplicates, without_duplicates
 from deformscope.stages.squeeze.trial_run import joined_name
 from deformscope.terminal import shown_progress
+from deformscope.version import __version__
 
 QUICK_SPLITS = 30
 """With --quick."""

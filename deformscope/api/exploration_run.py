@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from deformscope import __version__
 from deformscope.api.moving import Watch, leave, permitted
 from deformscope.api.result import open_recorder
 from deformscope.api.rigs import until_interrupted
@@ -19,6 +18,7 @@ from deformscope.api.setups import LAB, setup_of
 from deformscope.errors import InputError
 from deformscope.stages.msm.quiet import quiet_warp
 from deformscope.terminal import say, status_line
+from deformscope.version import __version__
 
 if TYPE_CHECKING:
     from deformscope.api.page_devices import ShownDevices

@@ -1,24 +1,16 @@
-"""What was found of a material, as a table, a picture and a page."""
+"""What was found of a material, as a table and a picture."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
-from deformscope.api.calibration_report import provenance_sections
 from deformscope.experiments.material_motion import MaterialEstimate, MaterialFound
-from deformscope.pictures.findings import cell_text
 from deformscope.pictures.material_figures import axes_png, field_png, length_scale, recovery_png, yield_png
-from deformscope.pictures.report import Figure, ReportVerdict, Section, Table, html_report
+from deformscope.pictures.report import Figure, Table
 from deformscope.pictures.words import reason_rows
-from deformscope.plain import plain
 from deformscope.stages.fit.estimate import LengthUnit, explained_text
 from deformscope.stages.materials.axis_estimate import ACROSS_VIEW, AxisEstimate
 from deformscope.stages.materials.field_estimate import FieldEstimate
 from deformscope.stages.materials.recovery_estimate import Number, RecoveryEstimate
 from deformscope.stages.materials.yield_estimate import Parameter, YieldEstimate
-
-if TYPE_CHECKING:
-    from deformscope.api.materials import MaterialResult
 
 CONVERGED = {True: "yes", False: "NO: do not rely on the values"}
 
@@ -48,22 +40,6 @@ def material_figure(found: MaterialFound) -> Figure:
         caption = "Error over the yield strain; distance from observed to simulated in each frame"
         return Figure(yield_png(estimate, found.motion), caption)
     return Figure(recovery_png(estimate), "How far it was pressed over time, and the recovery after the release")
-
-
-def material_page(result: MaterialResult) -> str:
-    """All that was found, with the picture, settings and provenance, as one HTML page."""
-    (table,) = result.tables()
-    verdict = next(str(row[1]) for row in table.rows if row[0] in ("verdict", "anisotropy"))
-    settings = [
-        (name, cell_text(plain(value))) for name, value in result.estimate.settings.items() if value is not None
-    ]
-    sections = [
-        Section("", [ReportVerdict(verdict, ())]),
-        Section("Numbers and evidence", [table, *result.figures()]),
-        Section("Settings", [Table(settings, caption="Of the fit")]),
-        *provenance_sections(seed=result.seed, settings=result.settings),
-    ]
-    return html_report(table.caption, sections)
 
 
 def _length(value: float, unit: LengthUnit, metres_per_unit: float | None) -> str:

@@ -20,6 +20,7 @@ from deformscope.api.calibration import (
     particle_options,
     size_notes,
 )
+from deformscope.api.calibration_report import provenance_sections
 from deformscope.api.material_words import material_figure, material_table
 from deformscope.api.result import LibraryResult, Note, log_note, open_recorder, recording_rows
 from deformscope.arrays import ImageArray
@@ -47,7 +48,9 @@ from deformscope.files.pairs import parse_pair
 from deformscope.files.sources import Source
 from deformscope.frames import ColorFrame, InputFile, WrenchFrame
 from deformscope.images import encode_png
-from deformscope.pictures.report import Figure, Table
+from deformscope.pictures.findings import cell_text
+from deformscope.pictures.report import Figure, ReportVerdict, Section, Table, html_report
+from deformscope.plain import plain
 from deformscope.recording.items import read_found, read_rows
 from deformscope.recording.reader import Replay
 from deformscope.recording.recorder import RecordingSummary
@@ -155,6 +158,22 @@ class MaterialResult(LibraryResult):
 
     def figures(self) -> tuple[Figure, ...]:
         return (material_figure(self.found),)
+
+
+def material_page(result: MaterialResult) -> str:
+    """All that was found, with the picture, settings and provenance, as one HTML page."""
+    (table,) = result.tables()
+    verdict = next(str(row[1]) for row in table.rows if row[0] in ("verdict", "anisotropy"))
+    settings = [
+        (name, cell_text(plain(value))) for name, value in result.estimate.settings.items() if value is not None
+    ]
+    sections = [
+        Section("", [ReportVerdict(verdict, ())]),
+        Section("Numbers and evidence", [table, *result.figures()]),
+        Section("Settings", [Table(settings, caption="Of the fit")]),
+        *provenance_sections(seed=result.seed, settings=result.settings),
+    ]
+    return html_report(table.caption, sections)
 
 
 def calibrate_material(

@@ -13,7 +13,7 @@ from typing import Any
 from deformscope.api.moving import Watch
 from deformscope.api.page_devices import ShownDevices
 from deformscope.api.rigs import Interruption
-from deformscope.api.squeezing import squeeze_table
+from deformscope.api.squeeze_result import squeeze_table
 from deformscope.page.desk import Desk
 from deformscope.page.messages import Outcome, PageCommand, Phase, StartSqueezing, StopRun
 

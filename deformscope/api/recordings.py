@@ -1,4 +1,4 @@
-"""Recordings, from a script: make one of a rig, and open one."""
+"""Recordings, from a script: what one is, and what making one left."""
 
 from __future__ import annotations
 
@@ -8,8 +8,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, cast
 
-from deformscope.api.result import LibraryResult, ViewerChoice, python_names
-from deformscope.config import OutputOptions, RecordConfig
+from deformscope.api.result import LibraryResult
 from deformscope.frames import ColorFrame, Item, SessionNote
 from deformscope.pictures.findings import cell_text
 from deformscope.pictures.report import Table
@@ -17,7 +16,6 @@ from deformscope.plain import plain
 from deformscope.recording.discards import Discard, discards_of
 from deformscope.recording.items import read_estimates, read_items, read_results
 from deformscope.recording.reader import Replay
-from deformscope.terminal import Say, said_to
 
 
 class OpenRecording(LibraryResult):
@@ -118,29 +116,3 @@ class RecordResult(LibraryResult):
 def open_recording(path: Path | str) -> OpenRecording:
     """Open a recording of ours. Raises InputError where it is none, or no longer what was recorded."""
     return OpenRecording(Path(path))
-
-
-def record(
-    rig: str | Path,
-    file: Path | str | None = None,
-    *,
-    seconds: float,
-    label: str = "",
-    viewer: ViewerChoice = "none",
-    overwrite: bool = False,
-    trust_rig: bool = False,
-    progress: Say | bool | None = None,
-) -> RecordResult:
-    """Record all devices of a rig for some seconds, with every byte of their wires and what was lost.
-
-    rig: a rig file (.toml) or `lab:NAME`; file: an `.rrd`, default `runs/NAME-<stamp>.rrd`
-    progress: called with each line about devices, links and rates; default: as of `explore`
-    Raises InputError for what cannot be used.
-    """
-    with python_names():
-        output = OutputOptions(None, None if file is None else Path(file), viewer, overwrite)
-        config = RecordConfig(str(rig), seconds, label, trust_rig, output=output)
-    from deformscope.api.rig_run import run_rig
-
-    with python_names(), said_to(progress):
-        return run_rig(config, "none", always_record=True).result

@@ -17,9 +17,9 @@ from deformscope.api.moving import signal_word
 from deformscope.api.page_devices import remark_of
 from deformscope.api.page_run import PageRecorder
 from deformscope.api.recordings import RecordResult
-from deformscope.api.result import ViewerChoice, open_recorder
+from deformscope.api.result import ViewerChoice, open_recorder, python_names
 from deformscope.api.rigs import Interruption, members_of, until_interrupted
-from deformscope.config import OutputOptions, RigRunOptions
+from deformscope.config import OutputOptions, RecordConfig, RigRunOptions
 from deformscope.config.images import ImageOptions
 from deformscope.config.rigs import StageOptions
 from deformscope.experiments.live_stages import StageCounts, live_stages
@@ -35,7 +35,7 @@ from deformscope.rig.source import RigSource
 from deformscope.session import finish
 from deformscope.session import run as run_session
 from deformscope.stages.msm.quiet import quiet_warp
-from deformscope.terminal import say
+from deformscope.terminal import Say, said_to, say
 from deformscope_drivers.health import Health
 
 if TYPE_CHECKING:
@@ -272,3 +272,27 @@ def _variant(rig: Rig, stages: Sequence[str]) -> str:
     """The same for rigs with the same devices and stages, which have the same views."""
     devices = repr([*((entry.name, entry.driver.name) for entry in rig.devices), *stages])
     return hashlib.sha256(devices.encode()).hexdigest()[:8]
+
+
+def record(
+    rig: str | Path,
+    file: Path | str | None = None,
+    *,
+    seconds: float,
+    label: str = "",
+    viewer: ViewerChoice = "none",
+    overwrite: bool = False,
+    trust_rig: bool = False,
+    progress: Say | bool | None = None,
+) -> RecordResult:
+    """Record all devices of a rig for some seconds, with every byte of their wires and what was lost.
+
+    rig: a rig file (.toml) or `lab:NAME`; file: an `.rrd`, default `runs/NAME-<stamp>.rrd`
+    progress: called with each line about devices, links and rates; default: as of `explore`
+    Raises InputError for what cannot be used.
+    """
+    with python_names():
+        output = OutputOptions(None, None if file is None else Path(file), viewer, overwrite)
+        config = RecordConfig(str(rig), seconds, label, trust_rig, output=output)
+    with python_names(), said_to(progress):
+        return run_rig(config, "none", always_record=True).result

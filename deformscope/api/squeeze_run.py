@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import datetime
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +13,7 @@ from deformscope.api.moving import Watch, ask_line, ask_yes
 from deformscope.api.result import open_recorder
 from deformscope.api.rigs import until_interrupted
 from deformscope.api.setups import LAB, squeeze_setup_of
+from deformscope.api.squeeze_result import hand_words
 from deformscope.errors import InputError
 from deformscope.terminal import say, status_line
 
@@ -369,10 +370,3 @@ def leave(squeezed: SqueezeOutcome) -> None:
     came = f"{stop.kind} ({stop.reason.split(' | ')[0]}); the hand {hand_words(squeezed.found)}"
     hint = f"see to {stop.advice}, then squeeze again" if stop.advice else "squeeze again"
     raise InputError("a squeeze that comes to its steady state", came, hint, squeezed.found["recording"] or "")
-
-
-def hand_words(found: Mapping[str, Any]) -> str:
-    """Whether the hand stands, and may be used again as it was. found: `hand_stands`, `limits_restored`"""
-    if not found["hand_stands"]:
-        return "COULD NOT BE STOPPED: it may still press; switch it off"
-    return "stands" if found["limits_restored"] else "stands; ITS CURRENT LIMITS ARE NOT AS THEY WERE: switch it off"

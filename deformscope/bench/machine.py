@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import warp as wp
 
-from deformscope import __version__
+from deformscope.version import __version__
 
 
 def machine(device: str) -> dict[str, object]:

@@ -26,8 +26,8 @@ from dataclasses import dataclass
 from types import FrameType
 from typing import TYPE_CHECKING, Any
 
-from deformscope import __version__
 from deformscope.errors import InputError, printable
+from deformscope.version import __version__
 
 if TYPE_CHECKING:
     from deformscope.config import CommandOptions

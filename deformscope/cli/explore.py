@@ -13,10 +13,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from deformscope import __version__
 from deformscope.cli.common import EXIT_LOSSES, say, show_table, write_file, write_json
 from deformscope.config import ExploreConfig
 from deformscope.errors import InputError
+from deformscope.version import __version__
 
 if TYPE_CHECKING:
     from deformscope.api.exploration_run import Explored

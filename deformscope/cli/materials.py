@@ -17,8 +17,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from deformscope.api.calibration import pair_recorder, size_notes
-from deformscope.api.material_words import material_page
-from deformscope.api.materials import calibrate_material
+from deformscope.api.materials import calibrate_material, material_page
 from deformscope.cli.common import (
     EXIT_LOSSES,
     fit_progress,

@@ -6,13 +6,13 @@ import dataclasses
 import datetime
 from typing import Any
 
-from deformscope import __version__
 from deformscope.experiments.squeeze_features import SqueezeGeometry, TrialFeatures
 from deformscope.experiments.squeezing_hand import rule_of
 from deformscope.files.squeeze_dataset import TrialEntry, TrialRow
 from deformscope.robot.squeeze_setup import SqueezeSetup
 from deformscope.stages.squeeze.patch import SIDE_PX
 from deformscope.stages.squeeze.physical import PHYSICAL
+from deformscope.version import __version__
 
 
 def feature_settings(setup: SqueezeSetup) -> dict[str, Any]:

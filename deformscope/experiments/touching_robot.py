@@ -24,12 +24,14 @@ from deformscope.experiments.options import ExploreOptions
 from deformscope.rig.source import RigSource
 from deformscope.robot.advice import where_it_stands
 from deformscope.robot.by_hand import touch_by_hand
+from deformscope.robot.checks import Preflight
 from deformscope.robot.finger import WAITS, press_by_finger
-from deformscope.robot.preflight import Preflight, check
+from deformscope.robot.latch import Action
+from deformscope.robot.preflight import check
 from deformscope.robot.readings import ArmSample
 from deformscope.robot.robot import Robot, RobotStopped, Watch
 from deformscope.robot.setup import Setup
-from deformscope.robot.supervisor import Action, Fault
+from deformscope.robot.supervisor import Fault
 from deformscope.robot.touch import Phase, PhaseSpan, TouchEnding, TouchPlan, TouchRecord, run_touch
 from deformscope.session import Inline, Moment, Step
 from deformscope.stages.map.exploration import ExplorationStop, PhaseStart

@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
+from deformscope.robot.robot import Robot
 from deformscope.robot.supervisor import Fault
 from deformscope.robot.touch import TouchEnding
-
-if TYPE_CHECKING:
-    from deformscope.robot.robot import Robot
 
 SETTLE_S = 0.1
 """After a halt, until the force that stays is read."""
@@ -61,7 +57,8 @@ _LIFT = "lift it off the way it came, by the arm's joystick or smartPAD, or by h
 
 
 def where_it_stands(cause: Fault | TouchEnding, robot: Robot) -> str:
-    """As `advice`, of a robot that was halted: what is in contact comes first."""
+    """What to see to (as `advice`) after the robot was halted; where the tip still presses, or its force is not known,
+    that comes first."""
     robot.stand_by(SETTLE_S)
     pressed_n = robot.pressed_n
     words = advice(cause)
@@ -75,5 +72,6 @@ def where_it_stands(cause: Fault | TouchEnding, robot: Robot) -> str:
 
 
 def advice(cause: Fault | TouchEnding) -> str:
-    """What to look at; empty where there is nothing to see to."""
+    """What a person should look at, by the supervisor's fault or the touch's ending; empty where there is nothing to
+    see to."""
     return ADVICE.get(cause, "the robot and what lies around it")

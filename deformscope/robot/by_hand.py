@@ -13,9 +13,9 @@ from typing import Protocol
 
 import numpy as np
 
+from deformscope.robot.latch import Action
 from deformscope.robot.readings import RobotObservation
 from deformscope.robot.robot import Robot, RobotStopped
-from deformscope.robot.supervisor import Action
 from deformscope.robot.touch import (
     STILL_FORCE,
     Phase,
@@ -30,33 +30,42 @@ from deformscope_drivers.arm.kinematics import FloatArray
 from deformscope_drivers.placed import PlacedArm
 
 FREE_STEP_M, BEGIN_M = 1e-3, 4e-3
-"""Steps before contact; so far above the surface, as it is believed to be, they begin. Chosen: the camera sees a
-surface within 2 mm, and 1 mm on something rigid is 5 N of a tip that yields by 0.2 mm/N, below the soft stop."""
+"""Steps before contact; so far above the surface, as it was seen, they begin: the camera sees a surface within 2 mm,
+and 1 mm on something rigid is 5 N of a tip that yields by 0.2 mm/N, below the soft stop. Larger steps may reach it at
+once; smaller ones ask a person more often."""
 STEPS = 7
-"""From contact to the set force in about so many steps: the law has three unknowns. Chosen."""
+"""From contact to the set force in about so many steps: the law that is fitted has three unknowns, and four more points
+show its noise. More ask a person for more places."""
 SETTLE_PERIODS, HOLD_PERIODS = 20, 30
-"""Control periods after somebody has said that it stands, before and while it is looked at. Chosen: a hand lets go."""
+"""Control periods after a person has said that the stick stands, before and while it is looked at: 0.2 s in which a
+hand lets go, and the mean of 0.3 s. Shorter, the hand's force is measured too; longer, a touch in a dozen steps takes
+longer."""
 BESIDE_M = 0.03
-"""A height further from what was asked for is a slip. Chosen."""
+"""A height further from what was asked for is a slip, as of cm for mm, and is asked again: corrections are of a few
+millimetres. Larger believes slips; smaller refuses true heights where a stick was put down roughly."""
 AGAIN = "a height in mm, as the scale shows it, or nothing where it is as asked for: "
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlaceRequest:
-    """What a person is asked to do. words: for them; T_base_ee: (4, 4) where the arm's end is then [m]"""
+    """A request to a person to place the stick.
+
+    words: the text for them; T_base_ee: (4, 4) pose of the arm's end in the base frame once it is placed [m]
+    """
 
     words: str
     T_base_ee: FloatArray
 
 
 class Person(Protocol):
-    """Who places the stick."""
+    """The person who places the stick, at a terminal, on the page or simulated."""
 
     def ask(self, request: PlaceRequest) -> None:
-        """Ask for something, and return at once."""
+        """Show a request, and return at once."""
 
     def answered(self) -> str | None:
-        """What they have said since; empty = it is as asked for, None = nothing yet."""
+        """The answer to the last request: empty = placed as requested, a text = the height read instead; None = no
+        answer yet."""
 
 
 def touch_by_hand(
@@ -66,12 +75,12 @@ def touch_by_hand(
     still_seen: Callable[[], bool] = lambda: True,
     on_phase: Callable[[Phase, int], None] = lambda phase, time_ns: None,
 ) -> TouchRecord:
-    """As `touch.run_touch`, the arm a `PlacedArm`."""
+    """A touch by an arm that a person places (`PlacedArm`); arguments and result as of `touch.run_touch`."""
     return carried_out(PlacedRun(robot, plan, on_phase, person), robot, still_seen)
 
 
 class _Steps:
-    """How far it has come (`touch.TouchProgress`)."""
+    """Contact, ending and phases of a touch in steps (`touch.TouchProgress`)."""
 
     def __init__(self, start_s: float) -> None:
         self.contact_m: FloatArray | None = None
@@ -89,7 +98,7 @@ class _Steps:
 
 
 class PlacedRun(TouchRun):
-    """A touch in steps."""
+    """A touch in steps that a person places one after the other."""
 
     def __init__(self, robot: Robot, plan: TouchPlan, on_phase: Callable[[Phase, int], None], person: Person) -> None:
         super().__init__(robot, plan, on_phase)
@@ -105,7 +114,8 @@ class PlacedRun(TouchRun):
         self._spans.append(PhaseSpan(Phase.TRAVEL, began, self._now_s()))
 
     def touch(self, still_seen: Callable[[], bool]) -> None:
-        """Down step by step, to the force that was set or as deep as it may; there the dent is looked at; and up."""
+        """Lower the tip step by step to the set force or the greatest depth, dwell there in view of the camera, and
+        lift it."""
         plan, robot = self._plan, self._robot
         self._machine = steps = _Steps(self._now_s())
         self._tell(Phase.APPROACH)
@@ -139,7 +149,10 @@ class PlacedRun(TouchRun):
         self._ending = steps.ending
 
     def _step_m(self, set_n: float, along_n: float, stiffness_n_m: float) -> float:
-        """How much further down next: by equal steps of the force, from what the last one said of the stiffness."""
+        """How much further down the next step goes [m]: a STEPS-th of the set force by the stiffness of the last step.
+
+        set_n, along_n: force wanted and measured along the normal [N]; stiffness_n_m: of the last step [N/m]
+        """
         arm = self._robot.arm
         assert isinstance(arm, PlacedArm)
         finest_m = arm.config.resolution_m
@@ -149,7 +162,8 @@ class PlacedRun(TouchRun):
         return float(np.clip(np.round(wanted_m / finest_m), 1, max(1, round(FREE_STEP_M / finest_m))) * finest_m)
 
     def _dwell(self, steps: _Steps, depth_m: float, still_seen: Callable[[], bool]) -> None:
-        """Pressed still, in view of the camera."""
+        """Keep the tip where it is for the plan's `dwell_s`, while the camera looks. depth_m: of the tip below the
+        contact [m]"""
         self._depth_m, self._loading_s = depth_m, self._now_s()
         self._enter(steps, Phase.DWELL if steps.phase is Phase.PRESS else Phase.DWELL_MORE)
         self._robot.camera_needed = True
@@ -162,7 +176,7 @@ class PlacedRun(TouchRun):
         self._tell(phase)
 
     def _held(self, periods: int, still_seen: Callable[[], bool] = lambda: True) -> float:
-        """Look for some periods, and keep what came; the mean force along the normal [N]."""
+        """Mean force along the normal over some control periods [N], whose readings are kept for the record."""
         along_n = []
         for _ in range(periods):
             along_n.append(float(self._see(self._cycle()) @ self._plan.normal))
@@ -199,8 +213,8 @@ class PlacedRun(TouchRun):
 
 
 def height_m_of(answer: str, asked_m: float) -> float | None:
-    """What a person has said, in m above the table: nothing = as asked for. None where it is no height, or one beside
-    all reason."""
+    """The height above the table [m] that an answer in mm gives; an empty answer = as requested. None where it is no
+    number, or more than BESIDE_M from the request."""
     if not answer:
         return asked_m
     with contextlib.suppress(ValueError):

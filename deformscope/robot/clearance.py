@@ -17,17 +17,19 @@ from deformscope_drivers.arm.kinematics import FloatArray
 ArmBox = tuple[tuple[float, float, float], tuple[float, float, float]]
 """Low and high corner [m]."""
 APART_M = 0.15
-"""Parts of an arm that are joined by less of it than this cannot meet: their joint is between them. Chosen: longer than
-a wrist's links, shorter than a forearm."""
+"""Parts of an arm that are joined by less of it than this cannot meet: their joint is between them. Longer than a
+wrist's links, shorter than a forearm: smaller, neighbours would always count as touching; larger, a wrist folded onto
+its forearm would not be seen."""
 FROM_ELBOW = 2
 """Links from the base that the table may be near to: pedestal and shoulder stand on it."""
 
 
 class ArmClearance:
-    """What is known of an arm's shape once its chain is: which of its parts could meet."""
+    """Distances of an arm's links and stick from the table, from each other and from a box, for given link poses."""
 
     def __init__(self, placement: Placement, T_base_links: FloatArray) -> None:
-        """T_base_links: (n + 1, 4, 4) of any pose [m]"""
+        """T_base_links: (n + 1, 4, 4) of the joints and, last, the arm's end, in any pose, for the lengths of the links
+        [m]"""
         self._placement = placement
         points = self._points_m(T_base_links)
         lengths = np.linalg.norm(np.diff(points, axis=0), axis=1)
@@ -45,7 +47,7 @@ class ArmClearance:
         return np.asarray((self._placement.T_surface_base @ frames)[:, :3, 3])
 
     def over_table_m(self, T_base_links: FloatArray) -> float:
-        """Of the lowest of elbow and wrist, without the stick [m]."""
+        """Height of the lowest point of elbow and wrist, without the stick, above the surface's z = 0 [m]."""
         points = self._points_m(T_base_links)[:-1]
         return float(points[FROM_ELBOW + 1 :, 2].min() - LINK_RADIUS_M)
 
@@ -61,7 +63,7 @@ class ArmClearance:
         return float((inside - radius_m).min())
 
     def to_itself_m(self, T_base_links: FloatArray) -> float:
-        """Between the nearest two parts that could meet; below 0 they touch; inf where none could [m]."""
+        """Distance between the nearest two parts that could meet [m]; below 0 they overlap; inf where none could."""
         if not len(self._pairs):
             return float("inf")
         points = self._points_m(T_base_links)

@@ -30,14 +30,18 @@ from deformscope_drivers.arm.kinematics import Chain, FloatArray
 
 Removal = Literal["capsules", "hull", "mesh"]
 SAME_M, SAME_RAD = 1e-3, 5e-3
-"""How far a URDF's links may be off those of the arm's chain. Chosen: rounded lengths and angles, no other model."""
+"""How far a URDF's links may move off those of the arm's chain from one pose to another [m, rad]: what rounded lengths
+and angles come to. Another model, or joints in another order, are off by centimetres; a larger limit would let a
+similar model pass, and its parts stand so far beside the arm."""
 TRIED_DEG = (0.0, 17.0, -23.0)
-"""The joints are turned so far from home to compare a URDF with the arm's chain. Chosen."""
+"""The joints are turned so far from home to compare a URDF with the arm's chain, each joint by a tenth more of it than
+the one before, so that joints that are exchanged, or turn the other way, put some link elsewhere."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DescribedPart:
-    """A part of the robot. frame: that it moves with; solid: in it"""
+    """A rigid part of the robot. frame: of the arm, that it moves with (0 its base, i the link behind joint i, -1 its
+    end); solid: its triangles in that frame [m]"""
 
     frame: int
     solid: Solid
@@ -45,8 +49,8 @@ class DescribedPart:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DescribedCable:
-    """A cable. frames: that each of its points moves with; points_m: (n, 3) in these; radius_m: around the lines from
-    one to the next"""
+    """A cable. frames: of the arm, that each of its points moves with; points_m: (n, 3), each in its frame; radius_m:
+    of the capsules from one point to the next"""
 
     frames: tuple[int, ...]
     points_m: FloatArray
@@ -55,10 +59,11 @@ class DescribedCable:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RobotDescription:
-    """removal: how the robot is taken away: capsules around the lines between joints, or parts as solids, the convex
-    hull of each link or all that is drawn of it
-    parts: solids; whole: the arm's own links are among them; margin_m: taken away around them beside what the camera's
-    place is in doubt
+    """What of the robot is removed from the depth image, and how.
+
+    removal: as capsules around the lines between joints, as the convex hull of each link, or as all of its triangles
+    parts: solids; whole: they include the arm's own links; margin_m: removed around them, in addition to the
+    uncertainty of the camera's pose
     """
 
     removal: Removal = "capsules"
@@ -68,14 +73,14 @@ class RobotDescription:
     margin_m: float = 0.0
 
     def solids(self, placement: Placement, T_base_links: FloatArray) -> tuple[PosedSolid, ...]:
-        """Where the parts are, surface frame. T_base_links: (k, 4, 4) of the arm's joints and, last, of its end"""
+        """The parts in the surface frame. T_base_links: (k, 4, 4) of the arm's joints and, last, of its end [m]"""
         frames = _surface_frames(placement, T_base_links)
         return tuple(PosedSolid(frames[part.frame], part.solid) for part in self.parts)
 
     def cable_capsules(
         self, placement: Placement, T_base_links: FloatArray, margin_m: float = 0.0
     ) -> tuple[Capsule, ...]:
-        """Where the cables are, surface frame."""
+        """The cables in the surface frame [m]. T_base_links: as of `solids`; margin_m: added to their radii"""
         frames = _surface_frames(placement, T_base_links)
         found: list[Capsule] = []
         for cable in self.cables:
@@ -192,7 +197,11 @@ def _cable(number: int, section: ShapeSection, chain: Chain | None) -> Described
 
 
 def _closed(urdf: UrdfShapes, own: int, share: float) -> dict[str, float]:
-    """Values of the joints behind the arm's own, which nothing reports."""
+    """Values of the joints behind the arm's own (a gripper's), which no device reports: the same share of each range
+    [rad or m].
+
+    own: how many joints are the arm's; share: 0 = lower limit, 1 = upper limit
+    """
     return {joint.name: joint.lower + share * (joint.upper - joint.lower) for joint in urdf.movable[own:]}
 
 
@@ -229,7 +238,8 @@ def _arm_parts(path: Path, chain: Chain, share: float, removal: Removal) -> list
 
 
 def _solids(drawn: Sequence[Solid], T: FloatArray, removal: Removal) -> list[Solid]:
-    """What is taken away of a link: all that is drawn of it, or its convex hull (Thesis 4.4). T: of its frame"""
+    """The solids of a link in its arm frame: all that is drawn of it, or its convex hull (Thesis 4.4). T: (4, 4) of the
+    link in that frame [m]"""
     moved = [one.moved(T) for one in drawn]
     return [_hull(moved)] if removal == "hull" and moved else moved
 

@@ -7,22 +7,26 @@ from collections.abc import Callable
 
 import numpy as np
 
-from deformscope.robot.preflight import Check
+from deformscope.robot.checks import Check
 from deformscope.robot.robot import Robot
 from deformscope.robot.supervisor import Fault
 from deformscope_drivers.arm.kinematics import FloatArray
 
 PRESS_N, LEAST_N = 5.0, 2.5
-"""What a person is asked to press with, and the least that counts, up to the soft stop: half of it to 1.6 times. A
-person who goes by a kitchen scale is within a third. Chosen."""
+"""What a person is asked to press with, and the least that counts, up to the soft stop [N]: half of it to 1.6 times,
+since a person who goes by a kitchen scale is within a third. A sensor whose scale is wrong by two or more is told from
+a right one by it; a wider band lets it pass, a narrower one refuses people who press right."""
 ASTRAY_DEG = 30.0
-"""Greatest angle of that push to straight up. Chosen."""
+"""Greatest angle of that push to straight up. Axes that are exchanged or reversed show it at 90 or 180 deg, and no
+person presses exactly upright: a larger limit tells the former less surely, a smaller one refuses the latter."""
 BEGUN_N = 0.3
-"""A push that is felt."""
+"""Above this [N] a push has begun: six deviations of the noisiest sensor that passes (`preflight.NOISE_N`)."""
 HELD_PERIODS = 40
-"""Control periods for which a push is held: 0.4 s. Chosen."""
+"""Control periods for which a push is held, 0.4 s: the median of the second half counts, once the finger has come to
+its force. Of a shorter one a knock would do; for a longer one people let go too early."""
 PATIENCE_S, PUSHES = 60.0, 3
-"""For a person to press, and how many pushes are looked at. Chosen."""
+"""For a person to press [s], and how many pushes are looked at, before the check fails and the arm stays where it is.
+More only wait for longer."""
 FINGER = (
     f"Press the tip straight up from below with a finger, with about {PRESS_N:g} N (what shows 500 g on a kitchen "
     "scale), and hold it for a second: nothing but its force sensor guards this arm, which has no joint torques."
@@ -33,10 +37,10 @@ WAITS = f"waits for a finger that presses the tip from below, with {PRESS_N:g} N
 def press_by_finger(
     robot: Robot, press: Callable[[FloatArray], None] | None = None, say: Callable[[str], None] = lambda words: None
 ) -> Check:
-    """Whether a finger that presses the tip from below is felt: about as hard, and where from.
+    """Whether the force sensor measures a push from below as it was asked for, in size and direction; nothing moves.
 
     press: in a laboratory, has a finger press with (3,) [N, surface frame]; None = a person, who is asked by `say`
-    Nothing moves. What presses harder than the soft stop is forgotten. Raises RobotStopped above the hard stop.
+    A force above the soft stop is acknowledged at the end. Raises RobotStopped above the hard stop.
     """
     patience_s = PATIENCE_S if press is None else 4e-2 * HELD_PERIODS
     say, press = (say, lambda force_n: None) if press is None else (lambda words: None, press)
@@ -72,7 +76,7 @@ def _felt_n(robot: Robot) -> FloatArray:
 
 
 def _judged(force_n: FloatArray, soft_n: float) -> tuple[bool, str]:
-    """Whether a push (3,) was as asked for, and in words."""
+    """Whether a push (3,) [N, surface frame] has the size and direction asked for, and both in words."""
     size_n = float(np.linalg.norm(force_n))
     astray_deg = math.degrees(math.acos(np.clip(force_n[2] / size_n, -1.0, 1.0)))
     right = LEAST_N <= size_n <= soft_n and astray_deg <= ASTRAY_DEG

@@ -7,33 +7,37 @@ by stiffness times speed times that time.
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from deformscope.robot.readings import PERIOD_NS
-
-if TYPE_CHECKING:
-    from deformscope.robot.robot import Robot
-    from deformscope.robot.touch import TouchPlan
+from deformscope.robot.robot import Robot
 
 STIFFEST_N_M = 1e5
-"""Taken where the compliance is not known, or smaller: of an industrial arm with a short stick. Chosen."""
+"""Taken where the compliance is not known, or smaller [N/m]: an industrial arm with a short stick. Stiffer makes every
+touch slower; softer lets the force of a stiffer arm grow beyond what its speed is chosen for."""
 ARM_CYCLES = 3.0
-"""Cycles of the arm from a command to its rest: one until it is taken, two to follow. Chosen."""
+"""Cycles of the arm from a command to its rest: one until it is taken, two to follow. A double whose axes lag by
+another 60 ms stayed below the hard stop with it (14.1 N at 20 N/mm, `docs/arms.md`); more makes every touch slower."""
 SLOWEST_M_S = 1e-3
-"""The tip comes down no more slowly than this: 3 cm take half a minute. Chosen."""
+"""The tip comes down no more slowly than this: 3 cm take half a minute. Where it would have to, the preflight refuses
+(`tip: force at contact`); slower makes a touch that nobody waits for."""
 CONTACT_SHARE, SURPRISE_SHARE = 1 / 3, 0.6
-"""Share of the hard stop that a contact may reach where it is expected, and higher up. Chosen."""
+"""Share of the hard stop that a contact may reach where it is expected, and higher up. Larger leaves less for a delay
+that is longer than reckoned; smaller makes every touch slower. Measured with them: 14.1 N of 15 N where a surface was
+45 mm too high and axes lagged by another 60 ms (`docs/arms.md`)."""
 MISS_M = 0.005
-"""So far below the seen surface, beyond the camera's doubt, the tip is sent where it has met nothing. Chosen."""
+"""So far below the seen surface, beyond the camera's doubt, the tip is sent where it has met nothing [m]. An arm whose
+sensor dies on the way presses with its stiffness times this (509 N at 100 N/mm, `docs/arms.md`); smaller misses a
+surface that was seen too high."""
 
 
 @dataclass(frozen=True, slots=True)
 class ForceAlone:
-    """stiffness_n_m: of tip, sensor, stick and arm in series; late_s: from a force until the arm stands
-    hard_n: the hard stop; doubt_m: of the camera, where the surface is; currents: those of its motors are watched
+    """What bounds the force of an arm that has no joint torques to show a contact.
+
+    stiffness_n_m: of tip, sensor, stick and arm in series; late_s: from a force until the arm stands
+    hard_n: the hard stop; doubt_m: uncertainty of the seen surface; currents: those of the motors are watched
     """
 
     stiffness_n_m: float
@@ -44,7 +48,7 @@ class ForceAlone:
 
     @classmethod
     def of(cls, robot: Robot) -> ForceAlone:
-        """As the robot's sensor, arm and limits say."""
+        """From the sensor's filter and rate, the arm's cycle and compliance, and the supervisor's limits."""
         force, limits = robot.force.config, robot.supervisor.limits
         filtered_s = 1.0 / (2.0 * math.pi * force.filter_hz) if force.filter_hz else 0.0
         late_s = filtered_s + 1.0 / force.rate_hz + PERIOD_NS / 1e9 + ARM_CYCLES / robot.arm.state_hz
@@ -52,35 +56,26 @@ class ForceAlone:
         currents = bool(robot.pose.currents) and limits.collision_nm > 0
         return cls(stiffness_n_m, late_s, limits.hard_force_n, robot.doubt_m, currents)
 
-    def slowed(self, plan: TouchPlan) -> TouchPlan:
-        """The same touch, no faster and no farther down than such an arm may go."""
-        slower = plan.no_faster(self._speed_m_s(CONTACT_SHARE), plan.travel_speed_m_s)
-        return dataclasses.replace(
-            slower,
-            far_speed_m_s=min(plan.far_speed_m_s, self._speed_m_s(SURPRISE_SHARE)),
-            miss_m=min(plan.miss_m, self.doubt_m + MISS_M),
-            rigid_n_m=max(plan.rigid_n_m, self.stiffness_n_m),
-        )
+    def speed_m_s(self, share: float) -> float:
+        """The speed [m/s] at which a contact comes to this share of the hard stop until the arm stands; SLOWEST_M_S at
+        least."""
+        return max(SLOWEST_M_S, share * self.hard_n / (self.stiffness_n_m * self.late_s))
 
     @property
     def contact_n(self) -> float:
-        """The greatest force of a contact, where none is expected."""
-        return self.stiffness_n_m * self.late_s * self._speed_m_s(SURPRISE_SHARE)
+        """The greatest force of a contact above the place where one is expected [N]."""
+        return self.stiffness_n_m * self.late_s * self.speed_m_s(SURPRISE_SHARE)
 
     @property
     def unfelt_n(self) -> float:
-        """What the arm presses with at most where the sensor fails on its way down, and nothing else shows it."""
+        """The greatest force [N] where the sensor fails on the way down, and no motor current shows the contact."""
         return self.stiffness_n_m * (self.doubt_m + MISS_M) + self.contact_n
 
     @property
     def words(self) -> str:
-        """Both, and why they are no less."""
+        """Both forces, with the stiffness and delay that they follow from."""
         else_n = ", unless its motors' currents show it" if self.currents else ""
         return (
             f"{self.contact_n:.1f} N, by {self.stiffness_n_m / 1e3:.3g} N/mm and {1e3 * self.late_s:.0f} ms until the "
             f"arm stands; {self.unfelt_n:.0f} N where the sensor fails on the way down{else_n}"
         )
-
-    def _speed_m_s(self, share: float) -> float:
-        """At which a contact reaches this share of the hard stop until the arm stands; slower makes no touch."""
-        return max(SLOWEST_M_S, share * self.hard_n / (self.stiffness_n_m * self.late_s))

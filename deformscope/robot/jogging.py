@@ -13,13 +13,15 @@ import numpy as np
 from deformscope.robot.robot import TipVelocity
 
 SPEED_M_S = 0.02
-"""Of the tip's centre. Chosen: what `explore` approaches with."""
+"""Of the tip's centre: the most that is allowed near contact, since by keys the tip may meet something anywhere.
+Faster, it goes further after the last key (GRACE_S); slower, a step of 10 mm takes more than half a second."""
 STEPS_M = {"1": 0.001, "2": 0.005, "3": 0.01}
 """Of a press, by the key that chooses it."""
 TURN_PER_M = 6.0
 """A press turns by so much for each metre that it would move [rad/m]: 5 mm and 1.7 degrees."""
 GRACE_S = 0.15
-"""After the last repeat of a key. Chosen: four repeats of a terminal, and 3 mm of motion."""
+"""After the last repeat of a key the motion goes on for so long: four repeats of a terminal, and 3 mm of motion.
+Shorter, it stutters over a slow line; longer, the arm goes on further once the key is let go."""
 REPEATS_S = 0.8
 """The same key again so soon after the last is a key that is held: terminals wait up to 0.6 s before they repeat."""
 LEAVE = "q"
@@ -47,7 +49,7 @@ HELP = (
 
 @dataclass(slots=True)
 class Jog:
-    """What the keys ask for now. step_m: of a press"""
+    """The motion that the keys ask for. step_m: way of the tip's centre for one press [m]"""
 
     step_m: float = STEPS_M["2"]
     _key: str = ""
@@ -55,7 +57,7 @@ class Jog:
     _until_ns: int = 0
 
     def press(self, key: str, now_ns: int) -> None:
-        """A key, or a repeat of it, at a time of the robot's clock [ns]. Unknown keys stop."""
+        """A key, or its repeat, at a time of the robot's clock [ns]. A key without a meaning stops the motion."""
         if key in STEPS_M:
             self.step_m = STEPS_M[key]
         again = key == self._key and now_ns - self._pressed_ns < REPEATS_S * 1e9
@@ -68,7 +70,7 @@ class Jog:
             self._until_ns = now_ns + round(self.step_m / SPEED_M_S * 1e9)
 
     def command(self, now_ns: int) -> TipVelocity | None:
-        """What to send in this control period; None = stand still."""
+        """The velocity for the control period that begins at now_ns; None = stand still."""
         if now_ns >= self._until_ns or self._key not in MOVES:
             return None
         axis, way = MOVES[self._key]

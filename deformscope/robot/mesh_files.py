@@ -23,15 +23,18 @@ from deformscope.errors import InputError
 Mesh = tuple[npt.NDArray[np.float64], npt.NDArray[np.int32]]
 
 MESH_BYTES = 50_000_000
-"""Of a mesh file at most. Chosen."""
+"""Of a mesh file at most: a million triangles of a binary STL (50 bytes each). Larger files are refused before they are
+read, which bounds the time and memory that a file from anywhere takes."""
 TRIANGLES = 2000
-"""Of one mesh: finer ones are made coarser, as they are recorded with every session. Chosen: an arm's link is then off
-by less than 1 mm."""
+"""Of one mesh: finer ones are made coarser, as they are recorded with every session. An arm's link is then off by less
+than 1 mm; fewer are further off, more make every recording larger."""
 MESH_ENDINGS = (".stl", ".obj", ".ply", ".off", ".glb")
 FARTHEST = 1e6
-"""Of a vertex from the origin along an axis, in the file's unit: a kilometre in millimetres. Chosen."""
+"""Of a vertex from the origin along an axis, in the file's unit: a kilometre in millimetres. No robot reaches it: a
+file beyond is damaged."""
 TIMEOUT_S, MEMORY_BYTES = 120.0, 8 << 30
-"""Of the process that reads: more than any file of the allowed size takes. Chosen."""
+"""Of the process that reads: more than any file of the allowed size takes. A hostile file ends it there, and not the
+machine's memory or a person's patience."""
 
 
 def read_meshes(paths: Sequence[Path], *, coarse: bool = True) -> list[Mesh]:
@@ -65,7 +68,7 @@ def _check(path: Path) -> None:
 
 
 def _mesh(arrays: BinaryIO, path: Path, ending: str) -> Mesh:
-    """The next one of the arrays. ending: of the process that wrote them"""
+    """The next mesh of the arrays: vertices (n, 3) and triangles (m, 3). ending: of the process that wrote them"""
     try:
         vertices, triangles = (np.load(arrays, allow_pickle=False) for _ in range(2))
     except (EOFError, OSError, ValueError) as error:
@@ -77,7 +80,7 @@ def _mesh(arrays: BinaryIO, path: Path, ending: str) -> Mesh:
 
 
 def _refusal(vertices: npt.NDArray[np.float64], triangles: npt.NDArray[np.int32]) -> str:
-    """What was expected instead; empty where it is a mesh."""
+    """Why an array is no mesh: what was expected; empty where it is one."""
     if not len(triangles) or not 0 <= triangles.min() <= triangles.max() < len(vertices):
         return "a mesh with triangles of its vertices"
     if not np.abs(vertices).max() <= FARTHEST:  # nor where one is no number

@@ -15,6 +15,7 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from deformscope.robot.supervisor import Fault
+from deformscope_drivers.arm.commands import DAMPED_BELOW, NEGLIGIBLE_DEG_S, OFF_COURSE
 from deformscope_drivers.arm.kinematics import (
     Chain,
     FloatArray,
@@ -31,21 +32,16 @@ SLOW_DEG = 10.0
 Tournassoud 1987)."""
 LEAST_SHARE = 0.05
 """A joint's margin that leaves less of a velocity than this is in its way."""
-NEGLIGIBLE_DEG_S = 0.01
-"""A velocity whose joints all turn slower than this is none. Chosen."""
-DAMPED_BELOW = 0.03
-"""Smallest singular value of the Jacobian [m/rad; rad/rad] that is inverted in full. With 20 deg/s of the joints (the
-driver's standard limit) the arm's end then makes at least 0.03 * 0.35 rad/s = 10 mm/s, the speed of a touch, in every
-direction; below it the weakest direction is slower than any touch, and damped."""
 SINGULAR_DEG, SINGULAR_SHARE = 15.0, 1.0 / 3.0
 """Where the fastest joint would come to a singularity within so much, as the smallest singular value falls, all slow
 down in proportion, to this share at least: what leads through it is not stuck, and a way ends in time
 (`travel.SLACK`)."""
 AHEAD_DEG: FloatArray = np.array([0.0, 1.0, 3.0, 6.0, 9.0, 12.0, 15.0])
-"""So far on the smallest singular value is looked at: it may fall faster later than it does now. Chosen."""
-OFF_COURSE, OFF_COURSE_M_S = 0.1, 1e-3
-"""The damping may lose or turn away this share of a velocity, or this much of it: a straight way may lead through a
-singularity where it needs nothing of the weak direction, and corrections at rest are slow."""
+"""So far on the smallest singular value is looked at, up to SINGULAR_DEG: it may fall faster later than it does now.
+Between fewer of them a fall is noticed late; each more is a forward kinematics in every control period."""
+OFF_COURSE_M_S = 1e-3
+"""Or this much of a velocity may be lost or turned away, whatever share (`OFF_COURSE`) it is: corrections at rest are
+slow, and a motion so slow leads the tip less than 0.01 mm astray in a control period."""
 AWAY_DEG, AWAY_DEG_S = 40.0, 15.0
 """What a seventh joint leaves free turns joints away from limits that are nearer than this, wanted the faster the
 nearer (the null space gives a part of it); not towards the middle of their ranges, where elbow and wrist are stretched
@@ -61,8 +57,8 @@ of the difference in a second: points that the arm has left out do not add up.""
 class JointMotion:
     """Joint rates for a velocity, and whether they may be sent.
 
-    rates_deg_s: (n,); share: of the velocity that is left where a joint would be too fast or near its limit
-    fault, reason: why nothing may be sent; NONE where it may
+    rates_deg_s: (n,) [deg/s]; share: of the velocity that is left where a joint would be too fast or is near its limit
+    fault, reason: why they must not be sent; NONE where they may
     """
 
     rates_deg_s: FloatArray
@@ -113,7 +109,11 @@ def to_singularity_deg(chain: Chain, joints_deg: FloatArray, jacobian: FloatArra
 def within_limits(
     chain: Chain, joints_deg: npt.ArrayLike, rates_deg_s: FloatArray, limits_deg_s: FloatArray, margin_deg: float
 ) -> JointMotion:
-    """Joint rates (n,) [deg/s], all slowed alike until none is too fast, or too fast so near the end of its range."""
+    """Joint rates (n,) [deg/s], all slowed by one factor so that none is above its limit, which falls to 0 near the end
+    of a joint's range.
+
+    joints_deg: (n,); limits_deg_s: (n,); margin_deg: from the end of a range, where the rate is 0
+    """
     joints = np.asarray(joints_deg, dtype=float)
     way_deg = np.where(rates_deg_s > 0, chain.upper_deg - joints, joints - chain.lower_deg)
     near = np.clip((way_deg - margin_deg) / SLOW_DEG, 0.0, 1.0)
@@ -142,10 +142,10 @@ class CommandedRotation:
         self.rotation: FloatArray | None = None
 
     def advance(self, angular_rad_s: FloatArray, seconds: float, measured: FloatArray | None, *, follows: bool) -> None:
-        """Turn on by what was commanded (3,), base frame [rad/s].
+        """Turn the commanded rotation by the angular velocity (3,) that was sent [rad/s, base frame], over `seconds`.
 
-        measured: (3, 3) newest, None = nothing new; where there is no rotation yet it is taken for the commanded one
-        follows: whoever commands steers by the measured rotation, so that only what is faster than that is an error
+        measured: (3, 3) newest of the arm's end, None = nothing new; without a commanded rotation yet it becomes that
+        follows: whoever commands steers by the measured rotation: the commanded one slowly follows it (FOLLOW_PER_S)
         """
         if self.rotation is None:
             self.rotation = measured

@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from deformscope.errors import InputError
 from deformscope.rig.rig_file import Tool
-from deformscope.robot.motion import DAMPED_BELOW, OFF_COURSE
+from deformscope_drivers.arm.commands import DAMPED_BELOW, OFF_COURSE
 from deformscope_drivers.arm.kinematics import (
     Chain,
     FloatArray,
@@ -42,9 +42,11 @@ TOLERANCES: dict[str, Any] = {
     "rotation_tolerance_rad": 1e-3,
     "margin_deg": PLAN_MARGIN_DEG,
 }
-"""Of planned poses. Chosen: a tenth of what a touch needs."""
+"""Of planned poses: a third of what counts as reached (`travel.REACHED_M`, `travel.REACHED_RAD`). Larger, the joint
+angles planned with are not those that the arm comes to; smaller costs iterations."""
 WAY_M = 0.01
-"""Distance between the places of a route that are checked [m]. Chosen."""
+"""Distance between the places of a route that are checked [m]: at half a metre from a joint it is a turn of 1 deg.
+Larger may step over a limit or a singularity between two; smaller takes longer in proportion."""
 
 
 @dataclass(frozen=True)
@@ -187,7 +189,7 @@ def follow(
 
     start_deg: (m,) joint angles from which the first place is sought, each other one from the one before: in the
     configuration that the arm is in. The ways are looked at every WAY_M: joints keep PLAN_MARGIN_DEG, and where
-    a singularity is near, its damping keeps the arm on its way (`motion.OFF_COURSE`).
+    a singularity is near, its damping keeps the arm on its way (`commands.OFF_COURSE`).
     meanwhile: called every few milliseconds
     """
     directions = np.broadcast_to(np.asarray(normals, dtype=float), np.shape(centers_m))
@@ -215,9 +217,10 @@ def _led(
     steered: npt.NDArray[np.bool_],
     meanwhile: Callable[[], None],
 ) -> tuple[npt.NDArray[np.bool_], FloatArray]:
-    """Which of k ways of places with their normals (n, 6) can be followed (k,), and joint angles (k, m) at the end.
+    """Which of k ways can be followed (k,) bool, and the joint angles (k, m) [deg] at their ends.
 
-    joints_deg: (k, m) where they begin; steered: (k,) the arm comes to each place from the one before
+    ways: of places with their normals (n, 6) [m, surface frame]; joints_deg: (k, m) where they begin; steered: (k,) the
+    arm comes to each place from the one before
     """
     good, joints_deg = np.ones(len(ways), dtype=bool), joints_deg.copy()
     for step in range(max(map(len, ways))):
@@ -251,7 +254,7 @@ def _longest_m(chain: Chain) -> float:
 
 
 def _reach(least: Sequence[float | None]) -> Reach:
-    """Of the smallest singular values, None where a place is not reached."""
+    """`Reach` from the smallest singular value of each place, None where it is not reached."""
     reached = np.array([one is not None for one in least], dtype=bool)
     return Reach(reached, np.array([one or 0.0 for one in least]))
 

@@ -4,132 +4,71 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Hashable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from deformscope.rig.calibrated import CalibrationAge
+from deformscope.robot.checks import Check, Preflight
 from deformscope.robot.description import AS_CAPSULES, RobotDescription
 from deformscope.robot.force_alone import ForceAlone
 from deformscope.robot.placement import TURNED_RAD, best_joints, follow, towards
 from deformscope.robot.readings import ArmSample, ForceSample, RobotObservation
+from deformscope.robot.robot import Robot
+from deformscope.robot.shape import LINK_RADIUS_M
+from deformscope.robot.touch import TouchPlan
 from deformscope_drivers.arm.device import CALL_MS
 from deformscope_drivers.arm.kinematics import FloatArray, pose_error
 from deformscope_drivers.device import Device
 from deformscope_drivers.health import Link
 
-if TYPE_CHECKING:
-    from deformscope.robot.robot import Robot
-    from deformscope.robot.touch import TouchPlan
-
 LOOK_PERIODS = 50
-"""Control periods that are observed: half a second. Chosen."""
+"""Control periods that are observed: half a second, with 15 pictures at 30 Hz and 500 forces at 1 kHz. Fewer make rates
+and noise uncertain; more make every start wait."""
 RATE_SHARE = 0.8
-"""Share of the configured rate that must arrive. Chosen."""
+"""Share of the configured rate that must arrive: three of fifteen pictures may be late or lost. Below it the supervisor
+would stop the arm for silence now and then; above, a busy computer is refused that would do."""
 ZERO_N = 0.6
-"""Greatest load in free air [N]. Chosen."""
+"""Greatest load in free air [N]: what a sensor may have drifted since it was zeroed (no figure of it is published).
+Larger, a tip that presses something would be zeroed there; smaller, a sensor that has warmed up is refused."""
 NOISE_N = 0.05
-"""Greatest deviation of a reading in free air [N]. Chosen."""
+"""Greatest deviation of a reading in free air [N]: half of what counts as contact (`TouchPlan.contact_force_n`).
+Larger, noise would be taken for contact; smaller refuses sensors that would do."""
 STILL_DEG = 0.05
-"""Greatest motion of a joint that counts as at rest [deg]. Chosen."""
+"""Greatest motion of a joint that counts as at rest [deg]: 0.4 mm of a tip half a metre away. Smaller, the resolution
+of the reported joints counts as motion; larger, an arm that somebody moves slowly is zeroed."""
 LATE_MS = 20.0
-"""Lateness of the control cycle: two periods of 10 ms, within which the supervisor is to act. Chosen."""
+"""Lateness of the control cycle: two periods of 10 ms, within which the supervisor is to act. Larger, forces grow for
+longer before the arm is stopped; smaller, a computer with other work is refused."""
 LONGEST_CALL_MS = 4.5
 """Time of a call to the arm: each slot of 10 ms has a velocity to send and the joint angles to read."""
 CLOCK_PPM = 1000.0
-"""Greatest drift between the clocks of device and host. Chosen."""
+"""Greatest drift between the clocks of device and host: quartz clocks differ by a tenth of it. Beyond, ticks were lost
+or the device's rate is another one than configured, and its times are wrong by 0.6 s in ten minutes."""
 HAND_M = 0.005
-"""Left between what is at the arm's end and a level surface where the tip has sunk in as far as it may [m]. Chosen."""
+"""Left between what is at the arm's end and a level surface where the tip has sunk in as far as it may [m]: for a
+surface that is not level, and a description that is millimetres off. Larger refuses short sticks; smaller lets a
+gripper or cable touch the surface beside the dent."""
 FREE_M = 0.01
-"""Least height of the tip over the surface at the begin [m]. Chosen."""
-WAY_STEPS, WRIST_M = 60, 0.045
-"""Poses checked on the first route; radius taken for the wrist [m], as `shape.LINK_RADIUS_M`. Chosen."""
+"""Least height of the tip over the surface at the begin [m]: several times what camera and arm are in doubt of where it
+is, so that the force there is that of free air. Larger only has the arm lifted further."""
+WAY_STEPS = 60
+"""Poses checked on the first way: half a turn of a joint is looked at every 3 deg, 3 cm of a tip half a metre away.
+Fewer may miss where it sinks; more take longer."""
 SAME_SHARE, COARSE_S = 8.0, 0.08
 """An axis of the force sensor is stuck that gives the same for so many times longer than in these checks, and two
-readings; not where it did so for longer [s]: its noise is below a count. Chosen: in ten minutes of noise of 1 to 5
-counts nothing repeats for so long, but at 100 Hz."""
+readings; not where it did so for longer [s]: its noise is below a count. In ten minutes of noise of 1 to 5 counts
+nothing repeats for so long, but at 100 Hz; a smaller share stops well sensors, a larger one notices a stuck axis
+later."""
 FORCE_TURNED = "[tool] R_tip_force"
 """Of what is calibrated, what an arm needs that nothing guards but its force sensor."""
 COLLISION_NOISE = 6.0
 """A collision's limit is so many deviations of the torques' noise at least."""
 FRESH_S = {"arm": 0.05, "force sensor": 0.02, "camera": 0.1}
-"""Greatest age of a reading by device [s], or two of its periods where these are longer. Chosen."""
-
-
-HINTS = {
-    "arm: fresh": "the arm's cable and supply; state_hz in the rig file",
-    "arm: rate": "the arm's cable, and how busy this computer is; or a lower state_hz in the rig file",
-    "arm: homed": "after switching it on, deformscope arm home RIG; or hold its joystick's home button until it stands",
-    "arm: link": "the arm's cable into a port of the computer itself: no hub, no virtual machine; less load on it",
-    "arm: still": "wait until the arm stands, and let go of its joystick",
-    "arm: FIFO": "end the other program that commands the arm",
-    "arm: accepts": "the reason, then start again",
-    "arm: control period": "end what keeps this computer busy",
-    "arm: first way": "bring the tip over the surface by the joystick, the stick down",
-    "arm: over the table": "bring elbow and wrist up by the joystick; or T_arm_surface in the rig file is wrong",
-    "hand": "a longer stick, cables tied higher up; or [shape] and [tool] in the rig file are wrong",
-    "arm: box": "bring elbow and wrist in by the joystick; or arm_low_m and arm_high_m of [workspace]",
-    "arm: clear of itself": "unfold the arm by the joystick",
-    "arm: joint torques": "let nobody touch the arm; or a higher collision_nm in [workspace]",
-    "arm: joints": "turn the joint away from the end of its range by the joystick",
-    "arm: reach": "move arm or surface, turn the tool, or bring the arm over the surface by its joystick",
-    "force sensor: finger": "press again as asked; then `sensitivity` and R_tip_force in the rig file (deformscope "
-    "calibrate force RIG), the force sensor's plug and cable",
-    "tip: force at contact": "rate_hz = 1000 and filter_hz = 150 of the force sensor, a faster cycle of the arm, or a "
-    "stick that yields more, and its compliance_m_per_n by deformscope calibrate arm RIG",
-    "calibration: [tool] R_tip_force": "deformscope calibrate force RIG",
-    "force sensor: tare": "let nothing touch the tip, and start again",
-    "force sensor: noise": "stop what shakes table or tip; filter_hz in the rig file; no noise at all is no sensor",
-    "force sensor: alive": "rate_hz = 1000 and filter_hz = 150 in the rig file; else the sensor's plug",
-    "force sensor": "the force sensor's plug and cable; rate_hz in the rig file; deformscope doctor RIG",
-    "camera: alive": "plug the camera out and in, and close other programs that use it",
-    "camera": "the camera's cable and port (USB 3), other programs that use it; fps in the rig file",
-    "calibration": "measure it and write it into the rig file; deformscope doctor --example shows how",
-    "age": "deformscope calibrate, with the name of the row, measures it again",
-    "tip: in free air": "lift the tip by the joystick; or T_arm_surface in the rig file is wrong",
-    "plan: force": "a smaller target_force_n, or a higher soft_stop_n, in the rig file",
-    "workspace: box": "low_m and high_m of [workspace] in the rig file",
-    "workspace: plan": "low_m and high_m of [workspace]: from 3.5 cm below the surface to 20 cm above the table",
-}
-"""What to do about a check that has not passed, by how its name begins; the first that fits."""
-
-
-@dataclass(frozen=True, slots=True)
-class Check:
-    """name: what was looked at; passed; wanted, came: in words; hint: what to do where it has not passed"""
-
-    name: str
-    passed: bool
-    wanted: str
-    came: str
-
-    @property
-    def hint(self) -> str:
-        """What to do about it; empty where it has passed."""
-        return "" if self.passed else next((hint for name, hint in HINTS.items() if self.name.startswith(name)), "")
-
-
-@dataclass(frozen=True, slots=True)
-class Preflight:
-    """The checks, in the order in which they were made."""
-
-    checks: tuple[Check, ...]
-
-    @property
-    def passed(self) -> bool:
-        """All of them."""
-        return bool(self.checks) and all(check.passed for check in self.checks)
-
-    def table(self) -> str:
-        """The checks as lines of text, one each; below them what to do about those that have not passed."""
-        rows = [("", "check", "wanted", "came")]
-        rows += [("ok" if one.passed else "NO", one.name, one.wanted, one.came) for one in self.checks]
-        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-        lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
-        hints = dict.fromkeys(f"{one.name}: {one.hint}" for one in self.checks if one.hint)
-        return "\n".join([*lines, *hints])
+"""Greatest age of a reading by device [s], or two of its periods where these are longer: within what the supervisor
+calls silent (`Limits`), and three periods of a camera at 30 Hz. Larger, a device passes that is stopped for silence at
+once; smaller, a busy computer is refused."""
 
 
 def check(
@@ -228,7 +167,7 @@ def _force(robot: Robot, seen: Sequence[RobotObservation]) -> Iterator[Check]:
 
 
 def _longest_repeat_s(samples: Sequence[ForceSample], values: Sequence[Hashable]) -> float:
-    """values: (n,) of the samples"""
+    """The longest time [s] over which samples one after the other have the same of the values (n,)."""
     longest_ns = 0
     for _, group in itertools.groupby(zip(values, samples, strict=True), key=lambda one: one[0]):
         times_ns = [sample.time_ns for _, sample in group]
@@ -280,7 +219,7 @@ def _joints(robot: Robot, states: Sequence[ArmSample]) -> Iterator[Check]:
 
 
 def _torques(robot: Robot, states: Sequence[ArmSample]) -> Iterator[Check]:
-    """That collisions stand out of the noise of an arm that reports torques."""
+    """That the torques' noise at rest is small against the limit of a collision, where the arm reports torques."""
     limit_nm = robot.supervisor.limits.collision_nm
     torques_nm = [state.torques_nm for state in states if state.torques_nm]
     if limit_nm == 0 or not torques_nm:
@@ -314,7 +253,7 @@ def _pictures(seen: Sequence[RobotObservation]) -> Iterator[Check]:
 
 
 def _free(robot: Robot, plans: Sequence[TouchPlan], lift_m: float) -> Iterator[Check]:
-    """That nothing touches the tip: what presses when the force sensor is zeroed is zero from then on."""
+    """That the tip is above the surface: a force that acts while the sensor is zeroed would be taken for zero."""
     if not plans:
         return
     over_m = robot.placement.center_offset_m
@@ -327,7 +266,7 @@ def _free(robot: Robot, plans: Sequence[TouchPlan], lift_m: float) -> Iterator[C
 
 
 def _hand(robot: Robot, plans: Sequence[TouchPlan], described: RobotDescription) -> Iterator[Check]:
-    """That the tip meets the surface before gripper, mount and cables do: beside the deepest dent, on a level one."""
+    """That gripper, mount and cables stay above a level surface while the tip is at its greatest depth."""
     if robot.arm.by_hand or not plans:
         return
     over_m = described.over_tip_m(robot.placement, robot.arm.chain.forward(robot.pose.joints_deg))
@@ -338,7 +277,11 @@ def _hand(robot: Robot, plans: Sequence[TouchPlan], described: RobotDescription)
 
 
 def _first_way(robot: Robot, goal_deg: FloatArray, height_m: float) -> Check:
-    """The way joint by joint to the first touch, which nobody steers: over the surface all along, wrist and tip."""
+    """That wrist and tip stay above the surface on the first way, which turns the joints evenly from here to angles
+    (n,) [deg].
+
+    height_m: z of the surface [m, surface frame]
+    """
     chain, placement = robot.arm.chain, robot.placement
     here_deg = np.asarray(robot.pose.joints_deg)
     turn_deg = towards(here_deg.tolist(), goal_deg, ~np.isfinite(chain.upper_deg))
@@ -346,7 +289,7 @@ def _first_way(robot: Robot, goal_deg: FloatArray, height_m: float) -> Check:
     for share in np.linspace(0.0, 1.0, WAY_STEPS):
         frames = chain.forward(here_deg + share * turn_deg)
         tip_m = placement.T_surface_center(frames[-1])[2, 3] - placement.center_offset_m
-        wrist_m = [(np.linalg.inv(placement.T_base_surface) @ frame)[2, 3] - WRIST_M for frame in frames[-3:]]
+        wrist_m = [(np.linalg.inv(placement.T_base_surface) @ frame)[2, 3] - LINK_RADIUS_M for frame in frames[-3:]]
         lowest_m = min(lowest_m, float(tip_m), *map(float, wrist_m))
     came = f"{(lowest_m - height_m) * 100:.1f} cm above it at the lowest"
     return Check("arm: first way", lowest_m > height_m, "wrist and tip above the surface all along", came)

@@ -6,10 +6,10 @@ from collections import deque
 
 
 class ForceControl:
-    """The force along the normal becomes a velocity: `v = (set - force) / (stiffness * tau)`.
+    """The force along the normal becomes a velocity: `v = (set - force) / (stiffness * tau)`, admittance control.
 
-    The stiffness is that of the contact as it was last met, from force over way; before it is known, that of a rigid
-    contact behind a compliant arm is taken, with which nothing overshoots.
+    The stiffness is the slope of force over depth of the last periods; before contact it is that of a rigid contact
+    behind a compliant arm, with which the force does not overshoot.
     """
 
     TAU_S = 0.12
@@ -17,14 +17,14 @@ class ForceControl:
     LEAST_WAY_M = 1e-4
 
     def __init__(self, fastest_m_s: float, rigid_n_m: float = RIGID_N_M) -> None:
-        """rigid_n_m: taken before it is known"""
+        """fastest_m_s: bound of the velocity; rigid_n_m: stiffness taken before one is measured [N/m]"""
         self._fastest_m_s = fastest_m_s
         self._seen: deque[tuple[float, float]] = deque(maxlen=16)
         self.stiffness_n_m = rigid_n_m
         self._most_n_m = max(10 * self.RIGID_N_M, rigid_n_m)
 
     def see(self, depth_m: float, force_n: float) -> None:
-        """One period's depth and force along the normal."""
+        """Update the stiffness with one period's depth [m] and force along the normal [N]."""
         self._seen.append((depth_m, force_n))
         slopes = []
         for back in (4, 15):
@@ -36,6 +36,6 @@ class ForceControl:
             self.stiffness_n_m = min(max(*slopes, self.SOFT_N_M), self._most_n_m)
 
     def velocity_m_s(self, set_n: float, force_n: float) -> float:
-        """Downwards, along -normal."""
+        """Velocity along -normal, positive into the surface [m/s]. set_n, force_n: wanted and measured [N]"""
         asked = (set_n - force_n) / (self.stiffness_n_m * self.TAU_S)
         return min(max(asked, -self._fastest_m_s), self._fastest_m_s)

@@ -20,9 +20,12 @@ PERIOD_NS = 10_000_000
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ForceSample:
-    """time_ns: arrival; force_n: (3,) what the tip does to the world, in the tip's frame, positive z = compression,
-    tare taken off; pattern: the bits as sent, the same for a frozen sensor; usable: sensor and wire are well
-    ticks: the sensor's own count, -1 = none; sensor_n: (3,) before the tare was taken off
+    """A reading of the force sensor.
+
+    time_ns: arrival; force_n: (3,) force of the tip on the world in the tip's frame, positive z = compression, tare
+    taken off [N]; sensor_n: (3,) before that
+    pattern: the bits as sent, which a frozen sensor repeats; usable: sensor and wire report no error; ticks: the
+    sensor's own count, -1 = none
     """
 
     time_ns: int
@@ -34,7 +37,7 @@ class ForceSample:
 
     @classmethod
     def of(cls, reading: ForceMeasurement, tare_n: FloatArray) -> ForceSample:
-        """The first channel of a reading."""
+        """From the first channel of a driver's reading. tare_n: (3,) taken off [N]"""
         sensor_n, stamp = reading.force_n[0], reading.stamp
         ticks = -1 if stamp.device_ticks is None else stamp.device_ticks
         return cls(stamp.host_ns, sensor_n - tare_n, reading.counts, reading.usable, ticks, sensor_n)
@@ -42,9 +45,12 @@ class ForceSample:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ArmSample:
-    """time_ns: arrival; T_base_ee: (4, 4) the arm's end; joints_deg: (n,); fifo_count: points that wait in the arm
-    torques_nm: (n,) of the joints without those of gravity, as read at times of their own; empty where not known
-    currents: (n,) of their motors, in units of the arm's own; empty where not known
+    """A state of the arm.
+
+    time_ns: arrival; T_base_ee: (4, 4) pose of the arm's end in the base frame [m]; joints_deg: (n,); fifo_count:
+    points that wait in the arm
+    torques_nm: (n,) of the joints without gravity's, read at times of their own; currents: (n,) of the motors in the
+    arm's own unit; either is empty where the arm reports none
     """
 
     time_ns: int
@@ -56,7 +62,7 @@ class ArmSample:
 
     @classmethod
     def of(cls, state: ArmState) -> ArmSample:
-        """The same, of the driver's state; a state that is not finite becomes a pose that is not."""
+        """From the driver's state; where that is not finite, the pose is nan."""
         finite = all(map(np.isfinite, (*state.position_m, *state.theta_rad)))
         pose = state.T_base_end_effector if finite else np.full((4, 4), np.nan)
         return cls(state.stamp.host_ns, pose, state.joints_deg, state.fifo_count, state.torques_nm, state.currents)
@@ -64,7 +70,7 @@ class ArmSample:
 
 @dataclass(frozen=True, slots=True)
 class CameraSample:
-    """time_ns: arrival of a picture; pattern: the same for the same picture"""
+    """An image's arrival. time_ns: when; pattern: a fingerprint, the same for the same image"""
 
     time_ns: int
     pattern: Hashable

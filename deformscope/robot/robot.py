@@ -16,12 +16,13 @@ from typing import Any, Protocol
 import numpy as np
 
 from deformscope.errors import InputError
+from deformscope.robot.checks import Preflight
 from deformscope.robot.clearance import ArmClearance
+from deformscope.robot.latch import Action
 from deformscope.robot.motion import CommandedRotation, JointMotion, rates_for_twist, within_limits
 from deformscope.robot.placement import Placement
-from deformscope.robot.preflight import Preflight
 from deformscope.robot.readings import PERIOD_NS, ArmSample, CameraSample, ForceSample, RobotObservation
-from deformscope.robot.supervisor import FORCE_FAULTS, Action, Fault, Limits, SafetyVerdict, Supervisor
+from deformscope.robot.supervisor import FORCE_FAULTS, Fault, Limits, SafetyVerdict, Supervisor
 from deformscope_drivers.arm import Arm, ArmState, JointVelocity
 from deformscope_drivers.arm.kinematics import Chain, FloatArray, cross
 from deformscope_drivers.clock import Clock, monotonic_ns
@@ -50,15 +51,15 @@ class RobotStopped(Exception):
 
 
 class MotionHeld(Exception):
-    """The robot stands, and was to move: not for a fault, and it may be sent on at any time."""
+    """The robot was to move and stands, without a fault: it may be commanded again at any time."""
 
 
 @dataclass(frozen=True, slots=True)
 class TipVelocity:
-    """linear_m_s: (3,) of the tip's centre; angular_rad_s: (3,); both in the surface frame, turned about its axes
+    """A velocity of the tip, surface frame. linear_m_s: (3,) of its centre; angular_rad_s: (3,) about its centre
 
-    angular_rad_s None = the orientation is held as it was commanded last: the robot brings it back itself. Given, it is
-    carried out as it is, by whoever steers by the orientation they see.
+    angular_rad_s None = the robot holds the orientation as it was commanded last. Given, it is sent as it is: whoever
+    commands then closes the loop over the measured orientation.
     """
 
     linear_m_s: FloatArray
@@ -155,7 +156,8 @@ class Robot:
 
     @property
     def force_alone(self) -> bool:
-        """Whether nothing but the force at its tip guards it: it has shown no joint torques that are looked at."""
+        """Whether only the force at the tip shows a contact: the arm has reported no joint torques that a collision is
+        seen by."""
         return not (self.arm.by_hand or self.supervisor.sees_torques)
 
     @property
@@ -177,14 +179,14 @@ class Robot:
 
     @property
     def pressed_n(self) -> float | None:
-        """The newest force on the tip, its size [N]; None where none is known, of a sensor that is silent or stuck."""
+        """Magnitude of the newest force on the tip [N]; None where the sensor is silent, frozen or not usable."""
         sample = self._force
         age_ns = np.inf if sample is None else self._clock() - sample.time_ns
         silent = self.supervisor.verdict.fault in FORCE_FAULTS or age_ns > 1e9 * self.supervisor.limits.force_silent_s
         return None if silent or sample is None else float(np.linalg.norm(sample.force_n))
 
     def force_on_tip_n(self, sample: ForceSample, pose: ArmSample | None = None) -> FloatArray:
-        """(3,) what the world does to the tip, in the surface frame [N]."""
+        """(3,) force of the world on the tip, surface frame [N]. pose: of the arm at that time, None = the newest"""
         return self.placement.force_on_tip_n(sample.force_n, (pose or self.pose).T_base_ee)
 
     # The control period ----------------------------------------------------------------------------------------------
@@ -218,8 +220,7 @@ class Robot:
         )
         self._judged_ns.append(self.seen.now_ns)
         if self._refusal is not None:  # unless a fault was seen that is the reason of it
-            fault, reason = self._refusal
-            verdict = self.supervisor.refused(reason, self._clock(), fault)
+            verdict = self.supervisor.stop(*self._refusal, self._clock())
         self._report_to_watch(verdict)
         verdict = self.supervisor.verdict  # whoever watches may have asked to stop
         if verdict.action is Action.STOP:
@@ -241,7 +242,7 @@ class Robot:
 
     def ask_to_stop(self, reason: str) -> None:
         """A person wants the robot to stop: within this control period, or in the next one."""
-        self.supervisor.ask_to_stop(reason, self._clock())
+        self.supervisor.stop(Fault.ASKED, reason, self._clock())
 
     def stand_by(self, duration_s: float) -> None:
         """Stand still and let time pass, stopped or not: for a recording that shows what came after. The verdict stays
@@ -278,7 +279,7 @@ class Robot:
 
     @property
     def gaps_s(self) -> FloatArray:
-        """(n,) from each look of the supervisor to the next since the robot may move [s]."""
+        """(n,) times from one judgement of the supervisor to the next since the robot may move [s]."""
         return np.diff(1e-9 * np.array(self._judged_ns, dtype=np.float64))
 
     def resume(self) -> None:
@@ -291,14 +292,14 @@ class Robot:
         self.supervisor.acknowledge(self._clock())
 
     def start(self) -> None:
-        """After a pause in which nobody looked: forget what waits, count ages from now on."""
+        """After a pause without control periods: drop what waits in the queues; ages count from now on."""
         self._listen()
         self._begin_anew()
         self.supervisor.start(self._clock())
 
     def rest(self) -> None:
-        """Nobody looks until `start`, while something is computed or a person asked: what comes meanwhile is kept from
-        queues that would overflow, and count a loss where there is none."""
+        """Close the devices' queues until `start`, while something is computed or a person asked: they would overflow,
+        and count losses."""
         for queue in (self._forces, self._states, self._pictures):
             if queue is not None:
                 queue.close()
@@ -306,7 +307,7 @@ class Robot:
     # Within ----------------------------------------------------------------------------------------------------------
 
     def _report_to_watch(self, verdict: SafetyVerdict) -> None:
-        """Nobody goes on whose recording has failed, or who cannot be watched for another reason."""
+        """Call `watch`; where it fails, as when a recording cannot be written, halt the arm and raise its error."""
         if self.watch is None:
             return
         try:
@@ -316,12 +317,12 @@ class Robot:
             raise
 
     def _begin_anew(self) -> None:
-        """Nobody looked for a while: the orientation of the arm as it is seen next is what was commanded."""
+        """The next measured rotation of the arm's end becomes the commanded one; no period is overdue."""
         self._next_ns = self._turned_ns = self._clock()
         self.rotation = CommandedRotation()
 
     def _turn_on(self) -> None:
-        """The commanded rotation, on by the time that has passed: no longer than a velocity lasts."""
+        """Advance the commanded rotation by the time since the last call, at most as long as a velocity is valid."""
         now_ns = self._clock()
         seconds = min(now_ns - self._turned_ns, VALID_PERIODS * PERIOD_NS) / 1e9
         self._turned_ns = now_ns
@@ -345,6 +346,8 @@ class Robot:
         self.commanded.append((self._clock(), self._speed_m_s))
 
     def _refuse(self, fault: Fault, reason: str) -> None:
+        """Halt the arm for a command that is not carried out. fault: REFUSED = by the arm's driver; JOINT_LIMIT,
+        SINGULAR = before it was sent"""
         self._refusal = fault, reason
         self.halt(f"{fault}: {reason}")
 
@@ -394,7 +397,7 @@ class Robot:
             self._angular_rad_s, self._follows = share * angular, True
 
     def _sent(self, motion: JointMotion) -> bool:
-        """Whether joint rates have gone out, or were such that nothing may."""
+        """Send joint rates; False, and the arm is halted, where they must not be sent."""
         if motion.fault is not Fault.NONE:
             self._refuse(motion.fault, motion.reason)
             return False
@@ -426,7 +429,7 @@ class Robot:
         )
 
     def _listen(self) -> None:
-        """From now on, with empty queues; a device that has ended for good gives none, and its link says so."""
+        """Open new, empty queues of the devices; one that has ended for good gives none, and its link says so."""
         self.rest()
         with contextlib.suppress(DeviceError):
             self._forces = self.force.readings()
@@ -437,7 +440,7 @@ class Robot:
 
 
 def taken(queue: Any) -> list[Any]:
-    """What waits; nothing of a device that has failed, whose link says so."""
+    """The items that wait in a device's queue; none of a device that has failed, whose link says so."""
     try:
         return list(queue.take())
     except DeviceError:
@@ -445,11 +448,12 @@ def taken(queue: Any) -> list[Any]:
 
 
 def _share(vector: FloatArray, most: float) -> float:
-    """By which a vector (3,) is to be multiplied to be no longer than it may."""
+    """The factor that brings a vector (3,) to a length; above 1 where it is shorter."""
     return most / max(float(np.linalg.norm(vector)), 1e-12)
 
 
 def damaged_frames(force: Optoforce) -> int:
-    """Stretches of bytes that fit no frame, or frames refused if those are more, since the sensor was opened."""
+    """Damaged frames since the force sensor was opened: the larger of stretches of bytes that fit no frame and frames
+    refused."""
     health = force.health()
     return max(health.resyncs, sum(health.refused.values()))

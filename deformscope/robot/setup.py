@@ -110,7 +110,7 @@ class Setup:
 
     @property
     def max_force_n(self) -> float | None:
-        """The largest true contact force so far [N]; None where only the sensor can say."""
+        """The largest true contact force so far [N]; None with real devices, where only the sensor measures it."""
         return None if self.true_force_n is None else self.true_force_n()
 
     def robot(self, source: RigSource, watch: Watch | None = None) -> Robot:
@@ -299,7 +299,7 @@ def rig_setup(
 
 
 def _check_rates(rig: Rig, devices: tuple[RigDevice, ...]) -> None:
-    """Each device reports more often than the limit on its silence asks."""
+    """Raises InputError where a device's period is longer than the limit on its silence allows."""
     workspace = rig.workspace
     for entry, key, silent_s in zip(
         devices,
@@ -314,7 +314,8 @@ def _check_rates(rig: Rig, devices: tuple[RigDevice, ...]) -> None:
 
 
 def _check_offsets(rig: Rig, devices: tuple[RigDevice, ...]) -> None:
-    """None is later than it may be silent: the supervisor knows a reading by when it was measured."""
+    """Raises InputError where a device's time offset exceeds the limit on its silence: ages count from the time of
+    measurement."""
     limits = Limits.of(rig.workspace, camera_hz=float(devices[2].config.fps or CAMERA_HZ))
     camera_s = limits.camera_periods * limits.camera_period_s
     for entry, silent_s in zip(devices, (limits.arm_silent_s, limits.force_silent_s, camera_s), strict=True):

@@ -12,7 +12,9 @@ from deformscope.robot.placement import Placement
 from deformscope_drivers.arm.kinematics import FloatArray
 
 LINK_RADIUS_M = 0.045
-"""Radius of the capsules that stand for the arm's links [m]. Chosen."""
+"""Radius of the capsules that stand for the arm's links [m], that of the arm in the simulated laboratory. Larger, more
+of the surface beside the arm is left out of the camera's picture, and the arm is kept further from table and itself;
+smaller, parts of a thicker arm are taken for surface and may touch."""
 
 
 def arm_shape(

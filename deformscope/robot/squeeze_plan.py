@@ -18,8 +18,9 @@ BASE_DEG = 90.0
 PAD_M = 0.011
 """From the axis of a distal link to its pad's surface: half of a link some 22 mm thick. Assumed, not measured."""
 OPENING_DEG = 12.0
-"""The proximal axes begin so far before the contact that the container's width gives: the fingertips then stand some
-3 cm away. Chosen."""
+"""The proximal axes begin so far before the contact that the container's width gives: the fingertips then stand some 3
+cm away. With less, a hand that stands beside its place touches before it closes; with more, closing at a squeeze's low
+speed (6 deg/s as standard, 2 s for this) takes longer."""
 CLOSING_AXES = (1, 5)
 """The proximal axes of fingers 0 and 2 (Schunk's order of axes)."""
 PAD_ALONG_M = 0.6 * DISTAL_LINK_M
@@ -37,13 +38,12 @@ class GripShape:
 
     @property
     def middle_m(self) -> tuple[float, float, float]:
-        """Between the middles of the two pads at contact, hand frame: beside the thumb's axis, in the plane in which
-        the two fingers stand and close."""
+        """The point midway between the two pads at contact, hand frame [m]."""
         return 0.0, FINGERS[0].base_m[1], self.reach_m
 
     @classmethod
     def of(cls, container: ContainerSection, squeeze: SqueezeSection) -> GripShape:
-        """Raises InputError for a container that the fingers cannot close on."""
+        """The pre-shape for a container of this width. Raises InputError for one that the fingers cannot close on."""
         half_m = container.size_m[0] / 2 + PAD_M
         lean = (BASE_SIDE_M / 2 - half_m) / PROXIMAL_LINK_M
         if not abs(lean) < 0.95:
@@ -106,7 +106,8 @@ def grasp_middle(container: ContainerSection, squeeze: SqueezeSection) -> FloatA
 
 
 def _contact_deg(half_m: float, distal_deg: float) -> float:
-    """The proximal angle at which the fingertip is half_m from the middle, by bisection: it closes with the angle."""
+    """The proximal angle [deg] at which the pad is half_m from the middle of the hand, by bisection. distal_deg: of the
+    distal axis"""
     low, high = -80.0, 80.0
     for _ in range(40):
         middle = (low + high) / 2

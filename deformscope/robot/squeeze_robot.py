@@ -58,7 +58,8 @@ looks for a lost one after 0.05 s, and then ever more rarely."""
 
 @dataclass(frozen=True, slots=True)
 class FingertipFrame:
-    """One tactile frame of the squeezing fingertips. time_ns: arrival; sums, peaks: (2,) of their texels [counts]"""
+    """One tactile frame of the two squeezing fingertips. time_ns: arrival; sums: (2,) of each one's texels; peak: the
+    highest texel of both [counts]"""
 
     time_ns: int
     sums: FloatArray
@@ -109,7 +110,7 @@ class SqueezeRobot:
     # The control period ----------------------------------------------------------------------------------------------
 
     def start(self) -> None:
-        """After a pause in which nobody looked: forget what waits, count ages from now on."""
+        """After a pause without control periods: drop what waits in the queues; ages count from now on."""
         taken(self._hands)
         taken(self._frames)
         self._next_ns = self._clock()
@@ -173,8 +174,8 @@ class SqueezeRobot:
 
     @contextlib.contextmanager
     def low_current(self) -> Iterator[None]:
-        """The closing axes have the low current within; what they had before is set again after, whatever happens.
-        `restored` says whether it could be."""
+        """Limit the current of the closing axes while the block runs; the limits from before are set again after it,
+        whatever happens. Whether that worked, `restore` says."""
 
         def limit() -> None:
             self._limits_a = self.hand.current_limits_a(CurrentMode.MOVE)
@@ -191,7 +192,7 @@ class SqueezeRobot:
             self.restore()
 
     def restore(self) -> bool:
-        """Set the limits of the currents again that were there before; whether they are as they were."""
+        """Set the current limits back to those before `low_current`; whether they are."""
         limits_a = self._limits_a
         if limits_a is None or not self._insist(lambda: self.hand.set_current_limits(limits_a, CurrentMode.MOVE)):
             return limits_a is None
@@ -199,7 +200,7 @@ class SqueezeRobot:
         return True
 
     def command(self, send: Callable[[], None]) -> None:
-        """Have the hand do something. Raises SqueezeStopped where it refuses, or is not there."""
+        """Send a command to the hand. Raises SqueezeStopped where the hand refuses it, or its link is down."""
         self._commanded = True
         try:
             send()
@@ -208,7 +209,7 @@ class SqueezeRobot:
             self.fail(SqueezeFault.HAND_LOST if lost else SqueezeFault.REFUSED, " ".join(str(error).split()))
 
     def _insist(self, send: Callable[[], object]) -> bool:
-        """Again and again, also while the link is sought; whether the hand took it."""
+        """Send a command up to STOP_TRIES times, also while the link is down; whether the hand took it."""
         for _ in range(STOP_TRIES):
             with contextlib.suppress(DeviceError):
                 send()

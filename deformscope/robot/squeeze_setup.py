@@ -43,7 +43,7 @@ class SqueezeTruth:
 
     @classmethod
     def of(cls, truth: TrueMoments) -> SqueezeTruth:
-        """What a laboratory answers."""
+        """From what a simulated laboratory knows; None of it = 0, not yet."""
         return cls(truth.contact_ns or 0, truth.steady_ns or 0)
 
 
@@ -112,12 +112,12 @@ class SqueezeParts:
 
     @property
     def simulated(self) -> bool:
-        """All are doubles."""
+        """Whether all devices are doubles."""
         return self.hand.double
 
     @property
     def around(self) -> list[RigDevice]:
-        """What squeezes and sees the container."""
+        """The hand, its arrays and the camera, which the container is simulated between."""
         return [entry for entry in (self.hand, self.tactile, self.camera) if entry is not None]
 
 

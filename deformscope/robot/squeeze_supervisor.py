@@ -1,7 +1,6 @@
-"""Whether the hand may go on squeezing: a pure state machine fed with readings and times, once in a control period.
+"""Whether the hand may go on squeezing: limits of its angles and pads, and the age of what its devices report.
 
-It is no safety function (no Python program is): a hand that squeezes has to have a switch within reach. It never resets
-itself.
+The first fault holds (`latch`).
 """
 
 from __future__ import annotations
@@ -13,6 +12,7 @@ import numpy as np
 
 from deformscope.arrays import FloatArray
 from deformscope.rig.squeeze_sections import SqueezeSection
+from deformscope.robot.latch import Action, LatchingSupervisor, Verdict
 from deformscope.robot.squeeze_plan import CLOSING_AXES
 from deformscope_drivers.sdh.kinematics import fingertips
 
@@ -20,8 +20,8 @@ LIMIT_DEG = 1.0
 """An axis that comes so near to the end of its range is at it: reported angles are precise to 0.5 deg."""
 TOO_HOT_C = 70.0
 """Of a motor. Assumed: Schunk's firmware switches off by itself somewhere above (error 29), no source gives where."""
-LATE_S = 0.1
-"""A judgement so long after the last one came late: no silence is held against a device then, once."""
+LATE_NS = 100_000_000
+"""A judgement so long after the last one, five control periods, came late (`LatchingSupervisor`)."""
 
 
 class SqueezeFault(StrEnum):
@@ -80,53 +80,38 @@ class SqueezeObservation:
     lost: tuple[tuple[SqueezeFault, str], ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
-class SqueezeVerdict:
-    """fault: NONE = go on; reason: in numbers; time_ns: when it was noticed"""
-
-    fault: SqueezeFault = SqueezeFault.NONE
-    reason: str = ""
-    time_ns: int = 0
+SqueezeVerdict = Verdict[SqueezeFault]
 
 
-class SqueezeSupervisor:
-    """`judge` once in each control period; the first fault stays.
+class SqueezeSupervisor(LatchingSupervisor[SqueezeFault]):
+    """The rules of a hand with tactile arrays; `judge` once in each control period.
 
     closing: False where the hand only opens: it then needs no tactile arrays, and may come from the end of its range
     """
 
     def __init__(self, squeeze: SqueezeSection, fingers: tuple[int, int], now_ns: int, *, closing: bool = True) -> None:
+        super().__init__(SqueezeFault.NONE, LATE_NS)
         self._closing = closing
-        self.verdict = SqueezeVerdict()
         self._squeeze, self._fingers = squeeze, fingers
         self._contact_gap_m: float | None = None
         self._gap_m = np.inf
         self.start(now_ns)
 
     def start(self, now_ns: int) -> None:
-        """Ages count from now on, as after a pause in which nobody looked."""
-        self._hand_ns = self._tactile_ns = self._judged_ns = now_ns
-        self._excused = False
+        super().start(now_ns)
+        self._hand_ns = self._tactile_ns = now_ns
 
     def in_contact(self) -> None:
-        """The fingertips come closer from here on: what they may is counted."""
+        """The fingertips are in contact: how much closer they come from here on is limited (`over_squeeze_m`)."""
         self._contact_gap_m = self._gap_m
 
-    def stop(self, fault: SqueezeFault, reason: str, now_ns: int) -> None:
-        """It must not go on, for a reason that is not in the readings."""
-        if self.verdict.fault is SqueezeFault.NONE:
-            self.verdict = SqueezeVerdict(fault, reason, now_ns)
-
     def judge(self, seen: SqueezeObservation) -> SqueezeVerdict:
-        """Whether it may go on."""
-        late = seen.now_ns - self._judged_ns > LATE_S * 1e9
-        self._excused = late and not self._excused
-        self._judged_ns = seen.now_ns
+        """The verdict on what came in the last control period."""
+        self._begin(seen.now_ns)
         tactile = self._tactile(seen) if self._closing else []
         lost = [one for one in seen.lost if self._closing or one[0] is SqueezeFault.HAND_LOST]
-        for fault, reason in (*lost, *self._hand(seen), *tactile):
-            self.stop(fault, reason, seen.now_ns)
-        return self.verdict
+        found = (*lost, *self._hand(seen), *tactile)
+        return self._latch([(Action.STOP, fault, reason) for fault, reason in found], seen.now_ns)
 
     def _hand(self, seen: SqueezeObservation) -> list[tuple[SqueezeFault, str]]:
         found: list[tuple[SqueezeFault, str]] = []
@@ -144,7 +129,7 @@ class SqueezeSupervisor:
                     found.append((SqueezeFault.JOINT_RANGE, f"axis {axis} at {angles[axis]:.1f} deg"))
         if seen.hottest_c is not None and seen.hottest_c > TOO_HOT_C:
             found.append((SqueezeFault.TOO_HOT, f"{seen.hottest_c:.0f} degC, limit {TOO_HOT_C:g} degC"))
-        if (age_s := (seen.now_ns - self._hand_ns) / 1e9) > self._squeeze.hand_silent_s and not self._excused:
+        if age_s := self._silent_s(self._hand_ns, self._squeeze.hand_silent_s):
             found.append((SqueezeFault.HAND_SILENT, f"no reading for {1e3 * age_s:.0f} ms"))
         return found
 
@@ -154,12 +139,12 @@ class SqueezeSupervisor:
             self._tactile_ns = when
             if peak >= self._squeeze.saturation_counts:
                 found.append((SqueezeFault.SATURATED, f"a texel at {peak} counts"))
-        if (age_s := (seen.now_ns - self._tactile_ns) / 1e9) > self._squeeze.tactile_silent_s and not self._excused:
+        if age_s := self._silent_s(self._tactile_ns, self._squeeze.tactile_silent_s):
             found.append((SqueezeFault.TACTILE_SILENT, f"no frame for {1e3 * age_s:.0f} ms"))
         return found
 
 
 def gap_m(position_deg: FloatArray, fingers: tuple[int, int]) -> float:
-    """Between the two fingertips along the axis of closing [m]. position_deg: (7,)"""
+    """Distance between the two fingertips along the axis of closing [m]. position_deg: (7,) of the axes"""
     tips = fingertips(np.asarray(position_deg, np.float64))
     return float(tips[fingers[0], 0] - tips[fingers[1], 0])

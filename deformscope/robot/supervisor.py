@@ -1,7 +1,6 @@
-"""Whether the robot may go on: a pure state machine fed with readings and times, asked once in a control period.
+"""Whether the arm may go on: limits of forces, speeds, joints and space, and the age of what its devices report.
 
-It is no safety function (no Python program is): the emergency stop stays in somebody's hand. It never resets itself:
-`BACK_OFF` and `STOP` hold until `acknowledge`, and the worse of the two wins.
+`BACK_OFF` and `STOP` hold until `acknowledge`, and the worse of the two wins (`latch`).
 """
 
 from __future__ import annotations
@@ -10,26 +9,16 @@ import math
 from collections import deque
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from deformscope.errors import InputError
 from deformscope.rig.rig_file import Workspace
+from deformscope.robot.clearance import ArmBox, ArmClearance
 from deformscope.robot.collision import CollisionWatch, CurrentWatch
+from deformscope.robot.latch import Action, Alarm, LatchingSupervisor, Verdict
 from deformscope.robot.readings import ArmSample, CameraSample, ForceSample, RobotObservation
 from deformscope_drivers.arm.kinematics import Chain, FloatArray, rotation_vector
-
-if TYPE_CHECKING:
-    from deformscope.robot.clearance import ArmBox, ArmClearance
-
-
-class Action(StrEnum):
-    """What the robot has to do."""
-
-    GO_ON = "go on"
-    BACK_OFF = "back off"
-    STOP = "stop"
 
 
 class Fault(StrEnum):
@@ -130,7 +119,7 @@ class Limits:
 
     @classmethod
     def of(cls, workspace: Workspace, camera_hz: float = 30.0) -> Limits:
-        """As a rig file says."""
+        """From a rig file's [workspace]. camera_hz: rate of the camera's images"""
         standard, silent_s, frozen_s = cls(), workspace.camera_silent_s, workspace.arm_frozen_s
         return cls(
             soft_force_n=workspace.soft_stop_n,
@@ -150,33 +139,22 @@ class Limits:
         )
 
 
-@dataclass(frozen=True, slots=True)
-class SafetyVerdict:
-    """What to do, and why. time_ns: when it was noticed"""
-
-    action: Action = Action.GO_ON
-    fault: Fault = Fault.NONE
-    reason: str = ""
-    time_ns: int = 0
-
+SafetyVerdict = Verdict[Fault]
 
 SPEED_OVER_NS = 40_000_000
-"""Poses this far apart give the speed: four control periods. Chosen."""
+"""Poses this far apart give the speed: four control periods. Over less, the resolution of the reported joints looks
+like speed; over more, a fast arm is noticed later."""
 APPROACH_DEG_S = 0.5
 """A joint that moves slower than this towards its limit is at rest."""
 LATE_NS = 20_000_000
-"""A judgement so long after the last one came late: the host was busy, and those who read the devices perhaps too. No
-silence is held against a device then, once and not twice in a row."""
+"""A judgement so long after the last one, two control periods, came late (`LatchingSupervisor`)."""
 TIP_DECAY = 0.995
 """Share of a force on the tip that explains joint torques still a reading of 1 ms later: torques are read by turns, up
 to 0.2 s after (`reading.TURN_NS`)."""
-_GO_ON = SafetyVerdict()
-_SEVERITY = {Action.GO_ON: 0, Action.BACK_OFF: 1, Action.STOP: 2}
-"""Of several verdicts the highest counts. Chosen."""
 
 
-class Supervisor:
-    """`judge` once in each control period; the verdict stays until `acknowledge`."""
+class Supervisor(LatchingSupervisor[Fault]):
+    """The rules of an arm with a force sensor at its tip, and perhaps a camera; `judge` once in each control period."""
 
     def __init__(
         self,
@@ -196,11 +174,11 @@ class Supervisor:
         axes_frozen_s, to be set: (3,) as `Limits.force_frozen_s`, of each axis of the force sensor; None = not known,
         and only all of them together are looked at
         """
+        super().__init__(Fault.NONE, LATE_NS)
         self.limits = limits
         self._T_ee_center = np.eye(4) if T_ee_center is None else T_ee_center
         self._chain, self._placed, self._clearance = chain, placed, clearance
         self._collisions = None if chain is None else CollisionWatch(chain, self._T_ee_center)
-        self._verdict = _GO_ON
         self._refused = 0
         self._torques = False  # whether the arm has reported any
         self._currents, self._motors = CurrentWatch(), False
@@ -208,38 +186,12 @@ class Supervisor:
         self.start(now_ns)
 
     @property
-    def verdict(self) -> SafetyVerdict:
-        """The last one, or the one that holds."""
-        return self._verdict
-
-    @property
     def sees_torques(self) -> bool:
         """Whether the arm has reported joint torques that a collision is seen by."""
         return self._torques
 
-    def acknowledge(self, now_ns: int) -> None:
-        """Somebody has seen to it: judge anew from now on."""
-        self._verdict = _GO_ON
-        self.start(now_ns)
-
-    def ask_to_stop(self, reason: str, now_ns: int) -> None:
-        """A person wants it to stop. reason: how they said so"""
-        self._stop(Fault.ASKED, reason, now_ns)
-
-    def refused(self, reason: str, now_ns: int, fault: Fault = Fault.REFUSED) -> SafetyVerdict:
-        """A command was not carried out, and the next ones would not be: nothing of a motion goes on.
-
-        fault: REFUSED = by the arm's driver; JOINT_LIMIT, SINGULAR = before it was sent
-        """
-        self._stop(fault, reason, now_ns)
-        return self._verdict
-
-    def _stop(self, fault: Fault, reason: str, now_ns: int) -> None:
-        if self._verdict.action is not Action.STOP:
-            self._verdict = SafetyVerdict(Action.STOP, fault, reason, now_ns)
-
     def start(self, now_ns: int) -> None:
-        """Ages count from now on, as after a pause in which nobody looked."""
+        super().start(now_ns)
         self._force_ns = self._arm_ns = now_ns
         self._pattern: object = None
         self._pattern_ns = now_ns
@@ -250,7 +202,6 @@ class Supervisor:
         self._recount = True
         self._joints: tuple[float, ...] = ()
         self._unmoved_m, self._unmoved_ns = 0.0, 0
-        self._judged_ns, self._excused = now_ns, False
         self._track: deque[ArmSample] = deque()
         self._clear_m = -math.inf, -math.inf, -math.inf  # the first is compared with nothing
         if self._collisions is not None:
@@ -275,8 +226,7 @@ class Supervisor:
         commanded_m_s: the speed asked for since the last call; commanded_rotation: (3, 3) of the arm's end in the base
         frame, None = any; camera_needed: its pictures matter now, so that it must not be silent or frozen
         """
-        self._excused = seen.now_ns - self._judged_ns > LATE_NS and not self._excused
-        self._judged_ns = seen.now_ns
+        self._begin(seen.now_ns)
         found = [
             *self._links(seen, camera_needed),
             *self._forces(seen.forces, seen.now_ns),
@@ -284,21 +234,18 @@ class Supervisor:
             *self._arm(seen.arms, seen.now_ns, commanded_m_s, commanded_rotation),
             *self._camera(seen.pictures, seen.now_ns, camera_needed),
         ]
-        for action, fault, reason in found:
-            if _SEVERITY[action] > _SEVERITY[self._verdict.action]:
-                self._verdict = SafetyVerdict(action, fault, reason, seen.now_ns)
-        return self._verdict
+        return self._latch(found, seen.now_ns)
 
     # What it looks at ------------------------------------------------------------------------------------------------
 
-    def _links(self, seen: RobotObservation, camera_needed: bool) -> list[tuple[Action, Fault, str]]:
+    def _links(self, seen: RobotObservation, camera_needed: bool) -> list[Alarm[Fault]]:
         return [
             (Action.STOP, Fault.LINK, f"the link to the {name} is down: {reason}")
             for name, reason in seen.lost_links
             if name != "camera" or camera_needed
         ]
 
-    def _forces(self, forces: tuple[ForceSample, ...], now_ns: int) -> list[tuple[Action, Fault, str]]:
+    def _forces(self, forces: tuple[ForceSample, ...], now_ns: int) -> list[Alarm[Fault]]:
         limits, found = self.limits, []
         for sample in forces:
             self._force_ns = sample.time_ns
@@ -318,7 +265,7 @@ class Supervisor:
             elif magnitude_n > limits.soft_force_n:
                 why = f"{magnitude_n:.1f} N, limit {limits.soft_force_n:g} N"
                 found.append((Action.BACK_OFF, Fault.FORCE_SOFT, why))
-        if (age_s := (now_ns - self._force_ns) / 1e9) > limits.force_silent_s and not self._excused:
+        if age_s := self._silent_s(self._force_ns, limits.force_silent_s):
             found.append((Action.STOP, Fault.FORCE_SILENT, f"no force for {age_s * 1e3:.0f} ms"))
         elif (same_s := (self._force_ns - self._pattern_ns) / 1e9) > limits.force_frozen_s:
             found.append((Action.STOP, Fault.FORCE_FROZEN, f"the same force for {same_s * 1e3:.0f} ms"))
@@ -333,7 +280,7 @@ class Supervisor:
             found.append((Action.STOP, Fault.FORCE_UNUSABLE, f"{len(self._unusable)} readings that are not usable"))
         return found
 
-    def _wire(self, seen: RobotObservation) -> list[tuple[Action, Fault, str]]:
+    def _wire(self, seen: RobotObservation) -> list[Alarm[Fault]]:
         if self._recount:
             self._refused, self._recount = seen.refused, False
         self._refusals.extend([seen.now_ns] * (seen.refused - self._refused))
@@ -348,7 +295,7 @@ class Supervisor:
         now_ns: int,
         commanded_m_s: float,
         commanded_rotation: FloatArray | None,
-    ) -> list[tuple[Action, Fault, str]]:
+    ) -> list[Alarm[Fault]]:
         limits, found = self.limits, []
         if commanded_m_s > 0.0:
             self._unmoved_m += commanded_m_s * (now_ns - self._commanded_ns) / 1e9
@@ -367,14 +314,14 @@ class Supervisor:
             found += self._collision(sample)
             if commanded_rotation is not None and not self._placed:
                 found += self._tilt(sample, commanded_rotation)
-        if (age_s := (now_ns - self._arm_ns) / 1e9) > limits.arm_silent_s and not self._excused:
+        if age_s := self._silent_s(self._arm_ns, limits.arm_silent_s):
             found.append((Action.STOP, Fault.ARM_SILENT, f"no state of the arm for {age_s * 1e3:.0f} ms"))
         if self._unmoved_m > limits.arm_frozen_m and self._unmoved_ns >= limits.arm_frozen_s * 1e9:
             why = f"its joints say the same while it was sent {self._unmoved_m * 1e3:.1f} mm on"
             found.append((Action.STOP, Fault.ARM_FROZEN, why))
         return found
 
-    def _collision(self, sample: ArmSample) -> list[tuple[Action, Fault, str]]:
+    def _collision(self, sample: ArmSample) -> list[Alarm[Fault]]:
         limit_nm, torques_nm = self.limits.collision_nm, sample.torques_nm
         if limit_nm > 0 and (sample.currents or self._motors):
             self._motors = True
@@ -390,7 +337,7 @@ class Supervisor:
         why = self._collisions.look(torques_nm, sample.joints_deg, self._tip_n, limit_nm, sample.time_ns)
         return [(Action.STOP, Fault.COLLISION, why)] if why else []
 
-    def _motion(self, sample: ArmSample) -> list[tuple[Action, Fault, str]]:
+    def _motion(self, sample: ArmSample) -> list[Alarm[Fault]]:
         """Speed and box of the tip's centre in the base frame, the rate of turning, and joints on their way to a limit,
         all from the difference of poses over SPEED_OVER_NS: what an arm reports as its velocities is not trusted."""
         limits, found = self.limits, []
@@ -422,7 +369,7 @@ class Supervisor:
                 found.append((Action.STOP, Fault.WORKSPACE, f"the tip at {where} m (base), leaving along {axis}"))
         return found
 
-    def _joint_limits(self, sample: ArmSample, before: ArmSample, span_s: float) -> list[tuple[Action, Fault, str]]:
+    def _joint_limits(self, sample: ArmSample, before: ArmSample, span_s: float) -> list[Alarm[Fault]]:
         chain = self._chain
         if chain is None:
             return []
@@ -442,8 +389,9 @@ class Supervisor:
             for joint in np.flatnonzero(nearing)
         ]
 
-    def _clear(self, sample: ArmSample, before: ArmSample, span_s: float) -> list[tuple[Action, Fault, str]]:
-        """Elbow and wrist on their way into the table or out of the arm's box, and the arm into itself, ahead."""
+    def _clear(self, sample: ArmSample, before: ArmSample, span_s: float) -> list[Alarm[Fault]]:
+        """Whether elbow and wrist near the table or the edge of the arm's box, or the arm nears itself: below a limit
+        `look_ahead_s` from now, and nearer than at the last call."""
         if self._chain is None or self._clearance is None or sample.joints_deg == before.joints_deg:
             return []
         joints_deg = np.array(sample.joints_deg)
@@ -464,14 +412,14 @@ class Supervisor:
             if now_m < min(limit_m, was_m)
         ]
 
-    def _tilt(self, sample: ArmSample, commanded: FloatArray) -> list[tuple[Action, Fault, str]]:
+    def _tilt(self, sample: ArmSample, commanded: FloatArray) -> list[Alarm[Fault]]:
         tilt_deg = _angle_deg(commanded, sample.T_base_ee)
         if tilt_deg <= self.limits.tilt_deg:
             return []
         why = f"{tilt_deg:.1f} deg beside what was commanded, limit {self.limits.tilt_deg:g} deg"
         return [(Action.STOP, Fault.TILT, why)]
 
-    def _camera(self, pictures: tuple[CameraSample, ...], now_ns: int, needed: bool) -> list[tuple[Action, Fault, str]]:
+    def _camera(self, pictures: tuple[CameraSample, ...], now_ns: int, needed: bool) -> list[Alarm[Fault]]:
         limits = self.limits
         if needed and not self._camera_needed:
             self._camera_ns = max(self._camera_ns, now_ns)  # its age counts from when it matters
@@ -485,8 +433,7 @@ class Supervisor:
             return []
         if self._repeats >= limits.camera_repeats:
             return [(Action.STOP, Fault.CAMERA_FROZEN, f"the same picture {self._repeats + 1} times")]
-        silent_s = limits.camera_periods * limits.camera_period_s
-        if (age_s := (now_ns - self._camera_ns) / 1e9) > silent_s and not self._excused:
+        if age_s := self._silent_s(self._camera_ns, limits.camera_periods * limits.camera_period_s):
             return [(Action.STOP, Fault.CAMERA_SILENT, f"no picture for {age_s * 1e3:.0f} ms")]
         return []
 

@@ -19,12 +19,13 @@ import numpy.typing as npt
 
 from deformscope.arrays import IntArray
 from deformscope.errors import InputError
-from deformscope.robot.force_alone import ForceAlone
+from deformscope.robot.force_alone import CONTACT_SHARE, MISS_M, SURPRISE_SHARE, ForceAlone
+from deformscope.robot.latch import Action
 from deformscope.robot.placement import Placement
 from deformscope.robot.pressing import ForceControl
 from deformscope.robot.readings import ArmSample, ForceSample, RobotObservation
 from deformscope.robot.robot import MotionHeld, Robot, RobotStopped, TipVelocity
-from deformscope.robot.supervisor import Action, Fault
+from deformscope.robot.supervisor import Fault
 from deformscope.robot.travel import GAIN_PER_S, NotThere, to_above
 from deformscope_drivers.arm.kinematics import FloatArray
 
@@ -119,12 +120,22 @@ class TouchPlan:
             raise InputError("0 < slow_within_m <= standoff_m", f"{self.slow_within_m}, {self.standoff_m}")
 
     def no_faster(self, contact_speed_m_s: float, travel_speed_m_s: float) -> TouchPlan:
-        """The same touch within speeds [m/s], where it is slow and elsewhere."""
+        """The same touch at most at these speeds [m/s]: near the surface and in contact, and elsewhere."""
         return dataclasses.replace(
             self,
             contact_speed_m_s=min(self.contact_speed_m_s, contact_speed_m_s),
             far_speed_m_s=min(self.far_speed_m_s, travel_speed_m_s),
             travel_speed_m_s=min(self.travel_speed_m_s, travel_speed_m_s),
+        )
+
+    def slowed_for(self, alone: ForceAlone) -> TouchPlan:
+        """The same touch, no faster and no farther down than an arm may go that only its force sensor guards."""
+        slower = self.no_faster(alone.speed_m_s(CONTACT_SHARE), self.travel_speed_m_s)
+        return dataclasses.replace(
+            slower,
+            far_speed_m_s=min(self.far_speed_m_s, alone.speed_m_s(SURPRISE_SHARE)),
+            miss_m=min(self.miss_m, alone.doubt_m + MISS_M),
+            rigid_n_m=max(self.rigid_n_m, alone.stiffness_n_m),
         )
 
     def places_m(self, center_offset_m: float) -> FloatArray:
@@ -137,7 +148,7 @@ class TouchPlan:
 
 @dataclass(frozen=True, slots=True)
 class PhaseSpan:
-    """A phase, from when to when [s]."""
+    """A phase with its begin and end on the robot's clock [s]."""
 
     phase: Phase
     start_s: float
@@ -184,21 +195,31 @@ class TouchRecord:
 
 
 HELD_GAIN_PER_S = 3.0
-"""Share of a distance that is made up in a second. Chosen."""
+"""Share of a distance that is made up in a second, across the normal and towards the greatest depth: a factor e in 1/3
+s. Larger overshoots where an arm follows late (share times delay must stay far below 1, and is 0.03 for a control
+period); smaller leaves the tip beside the normal's line for longer."""
 FREE_M_S_N = 0.004
-"""Speed of yielding to a tangential force [m/s/N]. Chosen."""
+"""Speed of yielding to a tangential force [m/s/N], where the plan has it free: 2.5 N give ACROSS_M_S. Larger swings
+where an arm follows late; smaller leaves the force across for longer."""
 ACROSS_M_S = 0.01
-"""Greatest tangential speed in contact [m/s]: half of the 20 mm/s that are allowed near contact. Chosen."""
+"""Greatest tangential speed in contact [m/s]: half of the 20 mm/s that are allowed near contact, so that with 10 mm/s
+along the normal the tip stays within them (14 mm/s)."""
 STILL_S = 0.3
-"""Time over which force and place must hold [s]. Chosen."""
+"""Time over which force and place must hold [s], and over whose last their means are taken. Shorter, a dent that still
+creeps counts as still; longer, every touch takes longer: its dwell is 0.5 s of 13.4 s (`docs/exploring.md`)."""
 STILL_FORCE, STILL_FORCE_N, STILL_M = 0.03, 0.03, 1.5e-4
-"""What may vary meanwhile: share of the set force, force [N], place [m]. Chosen."""
+"""What may vary meanwhile: share of the set force, force [N], place [m]. 3 % of 3 N is nearly twice the noise of a
+reading that the preflight lets pass (`preflight.NOISE_N`). Smaller, noise alone keeps a touch until it may dwell no
+longer; larger, creep counts as still, and as depth."""
 PAUSE_PERIODS = 3
-"""Control periods at rest before the tip backs away from a force that is too high. Chosen."""
+"""Control periods at rest before the tip backs away from a force that is too high: an arm needs one to take a command
+and two to stand (`force_alone.ARM_CYCLES`). More press for longer; fewer turn round an arm that still moves on."""
 NEAR_M = 2e-4
 """So near the greatest depth it counts as reached: the speed falls towards it."""
 PRESS_AT_MOST_S = 8.0
-"""After which a press ends without its force [s]. Chosen."""
+"""After which a press ends without its force [s]: the greatest depth of 15 mm takes 1.5 s at 10 mm/s, the rest is for a
+force that is approached slowly in what is soft. Shorter ends touches of soft things; longer goes on where the force is
+never reached."""
 AVERAGED_NS = 3_000_000
 """Forces within so much of an arm's state are averaged for it: both ways alike, so that nothing lags."""
 
@@ -230,11 +251,12 @@ class TouchStateMachine:
         return self.phase in (Phase.PRESS, Phase.DWELL, Phase.PRESS_MORE, Phase.DWELL_MORE)
 
     def depth_m(self, center_m: FloatArray) -> float:
-        """Below the first contact, along the normal; 0 before it."""
+        """Depth of the tip's centre (3,) [m, surface frame] below the first contact, along the normal [m]; 0 before
+        contact."""
         return 0.0 if self.contact_m is None else float((self.contact_m - center_m) @ self.plan.normal)
 
     def back_off(self, time_s: float) -> None:
-        """The force is too high: stand, then away."""
+        """The force is too high: stand for PAUSE_PERIODS, then retreat. time_s: now"""
         if self.phase not in (Phase.BACK_OFF, Phase.DONE):
             self.ending = TouchEnding.SOFT_STOP
             self._pause = PAUSE_PERIODS
@@ -264,7 +286,7 @@ class TouchStateMachine:
         return np.zeros(3)
 
     def end(self, time_s: float) -> None:
-        """Over, wherever it was."""
+        """End the touch in whatever phase it is. time_s: now"""
         if self.phase is not Phase.DONE:
             self._enter(Phase.DONE, time_s)
 
@@ -329,7 +351,7 @@ class TouchStateMachine:
         return self._down(self._set_n(), along_n, depth_m)
 
     def _down(self, set_n: float, along_n: float, depth_m: float) -> FloatArray:
-        """Force control along the normal, which the greatest depth ends."""
+        """(3,) velocity [m/s] of the force control along the normal, which falls to 0 at the greatest depth."""
         speed = self._control.velocity_m_s(set_n, along_n)
         left_m = self.plan.max_depth_m - depth_m
         speed = min(speed, max(left_m, 0.0) * HELD_GAIN_PER_S)
@@ -345,7 +367,8 @@ class TouchStateMachine:
         return min(speed_m_s, max((plan.braking_per_s or HELD_GAIN_PER_S) * left_m, 2e-3)) * plan.normal
 
     def _across(self, center_m: FloatArray, force_n: FloatArray) -> FloatArray:
-        """Velocity across the normal: back to its line, or with the force."""
+        """(3,) velocity across the normal [m/s]: back to the normal's line, or along the tangential force where the
+        plan leaves it free."""
         normal = self.plan.normal
         if self.plan.tangential == "free" and self.pressing:
             wanted = FREE_M_S_N * (force_n - (force_n @ normal) * normal)
@@ -365,7 +388,8 @@ class TouchStateMachine:
             self._recent.popleft()
 
     def _still(self, set_n: float) -> bool:
-        """Dent and force as they were for a while; at the greatest depth the force may be any."""
+        """Whether depth and force have stayed constant for STILL_S, and at the set force unless the greatest depth was
+        reached."""
         times, depths_m, forces_n = zip(*self._recent, strict=True)
         if times[-1] - times[0] < STILL_S - 2 * PERIOD_S:
             return False
@@ -397,7 +421,7 @@ def run_touch(
 
 
 def carried_out(run: TouchRun, robot: Robot, still_seen: Callable[[], bool]) -> TouchRecord:
-    """As `run_touch`."""
+    """Travel, take the tare and touch; arguments, result and errors as of `run_touch`."""
     try:
         run.travel()
         run.tare()
@@ -426,14 +450,14 @@ class TouchProgress(Protocol):
     spans: list[PhaseSpan]
 
     def end(self, time_s: float) -> None:
-        """Over, wherever it was."""
+        """End the touch in whatever phase it is. time_s: now"""
 
 
 class TouchRun:
-    """A touch under way: what it has seen."""
+    """A touch that is being carried out, with the states and readings that its record is made of."""
 
     def __init__(self, robot: Robot, plan: TouchPlan, on_phase: Callable[[Phase, int], None]) -> None:
-        plan = ForceAlone.of(robot).slowed(plan) if robot.force_alone else plan
+        plan = plan.slowed_for(ForceAlone.of(robot)) if robot.force_alone else plan
         self._robot, self._plan, self._on_phase = robot, plan, on_phase
         self._told: Phase | None = None
         if robot.supervisor.verdict.action is not Action.GO_ON:
@@ -499,13 +523,13 @@ class TouchRun:
         self._ending = machine.ending
 
     def _tell(self, phase: Phase) -> None:
-        """Each phase once, as it begins; that all is done is no phase."""
+        """Call `on_phase` when a phase begins; not for DONE."""
         if phase not in (self._told, Phase.DONE):
             self._told = phase
             self._on_phase(phase, self._robot.seen.now_ns)
 
     def _follow(self, before: Phase, machine: TouchStateMachine) -> None:
-        """When the loading ended (the last one where there are two), when the dwell, and how deep it was then."""
+        """Note when the (last) loading ended, when the dwell ended, and the depth then."""
         if before in (Phase.PRESS, Phase.PRESS_MORE) and machine.phase is not before:
             self._loading_s = self._now_s()
         if machine.pressing:
@@ -514,7 +538,8 @@ class TouchRun:
             self._end_s = self._now_s()
 
     def _see(self, seen: RobotObservation) -> FloatArray:
-        """Keep what came; the mean force of this period, in the surface frame (the last one where none came)."""
+        """Keep the states and readings of a period; (3,) its mean force on the tip [N, surface frame], or the last one
+        where none came."""
         robot = self._robot
         self._arms += seen.arms
         good = [sample for sample in seen.forces if sample.usable]
@@ -595,11 +620,14 @@ def forces_at(states_ns: Sequence[int], stamps: IntArray, forces_n: npt.ArrayLik
 
 
 TARE_PERIODS = 30
-"""Control periods that a tare takes: 0.3 s. Chosen."""
+"""Control periods that a tare takes: 0.3 s, 300 readings at 1 kHz, whose mean has 1/17 of a reading's noise at best. It
+is part of every touch (0.35 s of 13.4 s, `docs/exploring.md`); shorter zeroes noise."""
 TARE_STILL_N = 0.05
-"""Variation in free air above which there is no tare [N], as `preflight.NOISE_N`. Chosen."""
+"""Variation in free air above which there is no tare [N], as `preflight.NOISE_N`: larger would zero a load that still
+changes, smaller refuses a sensor that has passed the preflight."""
 TARE_DRIFT_N = 0.6
-"""Change since the last tare that passes for drift [N], as `preflight.ZERO_N`. Chosen."""
+"""Change since the last tare that passes for drift [N], as `preflight.ZERO_N`: larger would zero a tip that touches,
+smaller stops where a sensor warms up."""
 
 
 def take_tare(robot: Robot) -> FloatArray:

@@ -12,31 +12,40 @@ import numpy.typing as npt
 from deformscope.arrays import BoolArray
 from deformscope.errors import InputError
 from deformscope.robot.clearance import ArmClearance
+from deformscope.robot.latch import Action
 from deformscope.robot.placement import TURNED_RAD, Placement, best_joints, follow, towards
 from deformscope.robot.robot import JointRates, Robot, TipVelocity
-from deformscope.robot.supervisor import Action, Limits
+from deformscope.robot.supervisor import Limits
 from deformscope_drivers.arm.kinematics import Chain, FloatArray, pose_error
 
 ANGULAR_RAD_S = 0.3
-"""Greatest turn of the end while travelling. Chosen."""
+"""Greatest angular speed of the arm's end while travelling: 17 deg/s, below the half of `Limits.turn_deg_s` (40 deg/s)
+that velocities are kept to. Faster, a late state of the arm stops it; slower, ways that turn the tool take longer."""
 JOINT_DEG_S = 15.0
-"""Greatest rate while travelling joint by joint: below the driver's standard limit of 20 deg/s. Chosen."""
+"""Greatest rate while travelling joint by joint: below the driver's standard limit of 20 deg/s, which then cuts nothing
+off, so that all joints arrive together. Slower, the first way takes longer: half a turn takes 12 s."""
 PATIENCE = 200
 """Control periods without coming nearer, after which joints count as not coming where they are sent."""
 GAIN_PER_S = 4.0
-"""Share of the remaining distance that is commanded a second. Chosen."""
+"""Share of the remaining distance that is commanded a second: the last of a way takes some 1/4 s for each factor e.
+Larger overshoots where an arm follows late (share times delay must stay far below 1, and is 0.04 for a control period);
+smaller makes every way end more slowly."""
 REACHED_M, REACHED_RAD, REACHED_DEG = 3e-4, 3e-3, 0.1
-"""Within these a pose counts as reached. Chosen."""
+"""Within these a pose counts as reached. Closer than an arm moves in small steps it never arrives, and the way fails
+(`SLACK`, `PATIENCE`); wider, the touch begins beside where it was planned: 0.3 mm is well below the 2 mm that a camera
+is in doubt of a surface."""
 PASSED_M, PASSED_RAD = 3e-3, 0.05
-"""Within these a point in between counts as passed. Chosen."""
+"""Within these a point in between counts as passed. Wider cuts corners, which is why ways lead higher by this
+(`find_way`); closer, the arm slows down at each of them."""
 SAG_M = 0.01
-"""Joint by joint the tip may sink by so much below the height at which it crosses. Chosen."""
+"""Joint by joint the tip may sink by so much below the height at which it crosses, since such a way is no straight
+line. More, and it may meet what lies on the surface; less, and more places are left out because no way leads there."""
 SLACK = 3.0
 """A way may take so many times longer than its length says, and two seconds, before it counts as not possible."""
 
 
 class NotThere(InputError):
-    """The arm did not come to where it was sent."""
+    """The arm cannot come, or did not come, to where it was sent."""
 
 
 def move_tip(
@@ -248,7 +257,7 @@ def _no_way(to_m: FloatArray, why: str) -> NotThere:
 
 
 def step(robot: Robot, command: TipVelocity | JointRates) -> None:
-    """One period on the way; a robot that has to back off is not to travel on."""
+    """Send one velocity. Raises InputError, standing, where the supervisor wants the robot to back off."""
     if robot.supervisor.verdict.action is Action.GO_ON:  # it may have changed while a way was checked
         robot.cycle(command)
     verdict = robot.supervisor.verdict
@@ -258,11 +267,14 @@ def step(robot: Robot, command: TipVelocity | JointRates) -> None:
 
 
 def _error(robot: Robot, goal: FloatArray) -> FloatArray:
+    """(6,) translation [m] and rotation vector [rad] from the tip's pose to a goal (4, 4), both in the surface
+    frame."""
     return pose_error(robot.placement.T_surface_center(robot.pose.T_base_ee), goal)
 
 
 def capped(error: FloatArray, fastest: float, braking_per_s: float | None = None) -> FloatArray:
-    """A velocity that ends softly; braking_per_s: as of `TouchPlan`"""
+    """A velocity (3,) towards an error (3,): in proportion to it, at most `fastest`. braking_per_s: as of
+    `TouchPlan`"""
     wanted = (braking_per_s or GAIN_PER_S) * error
     size = float(np.linalg.norm(wanted))
     return wanted if size <= fastest else wanted * (fastest / size)

@@ -21,11 +21,14 @@ from deformscope_drivers.arm.kinematics import FloatArray, rotation_from_rpy, tr
 
 MOVABLE = ("revolute", "continuous", "prismatic")
 FILE_BYTES = 2_000_000
-"""Of a URDF at most. Chosen: the largest of vendors' have a tenth."""
+"""Of a URDF at most: the largest of vendors' have a tenth. It bounds the time and memory that a file from anywhere
+takes to parse."""
 LONGEST_M = 1000.0
-"""Side of a box, radius or length, or factor of a mesh: files in millimetres stay below it. Chosen."""
+"""Side of a box, radius or length, or factor of a mesh: files in millimetres stay below it, and a file beyond is
+damaged."""
 SIDES = 24
-"""Of the prisms that stand for cylinders: less than 1 % of their radius inside of them. Chosen."""
+"""Of the prisms that stand for cylinders: their sides are less than 1 % of the radius inside of them. Fewer leave more
+of a cylinder in the picture; more are recorded with every session."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,7 +67,7 @@ class UrdfShapes:
 
     @property
     def movable(self) -> tuple[UrdfJoint, ...]:
-        """Those that turn or slide, nearest to the root first."""
+        """The joints that turn or slide, nearest to the root first."""
         return tuple(joint for joint in self.joints if joint.kind in MOVABLE)
 
     def poses(self, values: Mapping[str, float]) -> dict[str, FloatArray]:
@@ -100,7 +103,7 @@ def read_urdf(path: Path) -> UrdfShapes:
 
 
 def _in_order(joints: list[UrdfJoint], links: list[str], path: Path) -> tuple[str, tuple[UrdfJoint, ...]]:
-    """The root, and joints level after level."""
+    """The root link, and the joints with parents before children."""
     children = {joint.child for joint in joints}
     roots = [name for name in links if name not in children]
     if len(roots) != 1 or len(children) != len(joints):
@@ -153,7 +156,7 @@ def _lengths(words: str, count: int) -> tuple[float, ...]:
 
 
 def _shown(link: ET.Element) -> list[ET.Element]:
-    """What is drawn of a link, or where it has none what collides."""
+    """The visual shapes of a link, or its collision shapes where it has none."""
     return link.findall("visual") or link.findall("collision")
 
 

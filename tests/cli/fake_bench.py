@@ -19,8 +19,8 @@ from deformscope.experiments.options import ExploreOptions
 from deformscope.experiments.touching_robot import CheckFirst
 from deformscope.frames import HealthReport, Item
 from deformscope.rig.rig_file import Tool, Workspace
+from deformscope.robot.checks import Check, Preflight
 from deformscope.robot.placement import Placement
-from deformscope.robot.preflight import Check, Preflight
 from deformscope.robot.setup import CameraView, Setup
 from deformscope.robot.touch import Phase
 from deformscope.session import Inline, Moment, Step

@@ -20,10 +20,11 @@ from deformscope.errors import InputError
 from deformscope.frames import Frame
 from deformscope.recording.items import read_items
 from deformscope.rig.rig_file import load_rig, parse_rig
+from deformscope.robot.latch import Action
 from deformscope.robot.placement import reach
 from deformscope.robot.robot import Robot, RobotStopped
 from deformscope.robot.setup import RigParts
-from deformscope.robot.supervisor import Action, Fault, SafetyVerdict
+from deformscope.robot.supervisor import Fault, SafetyVerdict
 from deformscope.stages.regions.touches import MapGrid
 from deformscope_drivers.errors import SettingsRefused
 from deformscope_drivers.jaco.chains import J2N6S300

@@ -15,7 +15,7 @@ from deformscope.api.moving import permitted
 from deformscope.api.rigs import until_interrupted
 from deformscope.errors import InputError
 from deformscope.experiments.options import ExploreOptions
-from deformscope.robot.preflight import Check, Preflight
+from deformscope.robot.checks import Check, Preflight
 from deformscope.session import Inline, Step, run
 
 WELL, BAD = (Preflight((Check("arm: still", passed, "at rest", "what came"),)) for passed in (True, False))

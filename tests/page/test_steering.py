@@ -29,8 +29,9 @@ from deformscope.page.messages import (
     VetoTouch,
 )
 from deformscope.robot.finger import FINGER
+from deformscope.robot.latch import Action
 from deformscope.robot.robot import MotionHeld, RobotStopped, TipVelocity
-from deformscope.robot.supervisor import Action, Fault
+from deformscope.robot.supervisor import Fault
 from deformscope.robot.touch import TouchEnding, TouchRecord, run_touch
 from deformscope.stages.map.exploration import PlannedTouch, TouchForecast
 from studies.fault_study import FaultScene, make_scene

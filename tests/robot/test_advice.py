@@ -28,7 +28,7 @@ def test_who_is_told_of_a_stop_in_contact_is_told_how_hard_the_tip_presses(fault
 
     def watch(seen: RobotObservation, verdict: SafetyVerdict) -> None:
         if scene.lab.contact.force_n[2] > 2.0:
-            robot.supervisor.refused("as asked for", seen.now_ns, fault)
+            robot.supervisor.stop(fault, "as asked for", seen.now_ns)
 
     robot.watch = watch
     assert run_touch(robot, scene.plan).ending is TouchEnding.STOPPED

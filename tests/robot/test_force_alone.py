@@ -129,7 +129,7 @@ def test_an_arm_too_stiff_to_be_stopped_in_time_is_refused_with_the_reason(bench
 @pytest.mark.parametrize("late_s", [0.02, 0.05])
 def test_speeds_keep_a_contact_below_their_share_of_the_hard_stop(stiffness_n_m: float, late_s: float) -> None:
     plan = TouchPlan(POINT_M, UP)
-    slowed = ForceAlone(stiffness_n_m, late_s, 15.0, 0.003, False).slowed(plan)
+    slowed = plan.slowed_for(ForceAlone(stiffness_n_m, late_s, 15.0, 0.003, False))
     assert slowed.contact_speed_m_s * stiffness_n_m * late_s <= 5.0 + 1e-9
     assert slowed.far_speed_m_s * stiffness_n_m * late_s <= 9.0 + 1e-9
     assert slowed.contact_speed_m_s <= plan.contact_speed_m_s

@@ -12,9 +12,9 @@ from scipy.spatial.transform import Rotation
 from deformscope.lab.springy_foam import SpringyFoam
 from deformscope.lab.touch_lab import TouchLab
 from deformscope.rig.rig_file import Tool
+from deformscope.robot.checks import Check, Preflight
 from deformscope.robot.motion import CommandedRotation, rates_for_twist, to_singularity_deg, within_limits
 from deformscope.robot.placement import best_joints
-from deformscope.robot.preflight import Check, Preflight
 from deformscope.robot.readings import RobotObservation
 from deformscope.robot.robot import JointRates, Robot, RobotStopped, TipVelocity
 from deformscope.robot.supervisor import Fault, Limits, SafetyVerdict

@@ -10,10 +10,11 @@ import pytest
 from deformscope.errors import InputError
 from deformscope.rig.rig_file import Workspace
 from deformscope.robot.advice import advice
+from deformscope.robot.latch import Action
 from deformscope.robot.preflight import check
 from deformscope.robot.readings import RobotObservation
 from deformscope.robot.robot import RobotStopped, TipVelocity
-from deformscope.robot.supervisor import Action, Fault, Limits, SafetyVerdict
+from deformscope.robot.supervisor import Fault, Limits, SafetyVerdict
 from deformscope.robot.travel import step
 from studies.fault_study import FaultScene, make_scene
 

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from deformscope.errors import InputError
+from deformscope.robot.latch import Action
 from deformscope.robot.readings import ArmSample, CameraSample, ForceSample, RobotObservation
-from deformscope.robot.supervisor import Action, Fault, Limits, SafetyVerdict, Supervisor
+from deformscope.robot.supervisor import Fault, Limits, SafetyVerdict, Supervisor
 from deformscope_drivers.arm.kinematics import rotation_from_rpy, transform
 from deformscope_drivers.jaco.chains import J2N6S300
 

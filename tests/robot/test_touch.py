@@ -11,7 +11,8 @@ import pytest
 from deformscope.errors import InputError
 from deformscope.lab.arm_contact import ARM_STIFFNESS_N_M
 from deformscope.lab.faults import Injected, inject
-from deformscope.robot.preflight import Check, _first_way, check
+from deformscope.robot.checks import Check
+from deformscope.robot.preflight import _first_way, check
 from deformscope.robot.robot import RobotStopped, TipVelocity
 from deformscope.robot.supervisor import Fault
 from deformscope.robot.touch import Phase, TouchEnding, TouchPlan, TouchRecord, TouchStateMachine, run_touch

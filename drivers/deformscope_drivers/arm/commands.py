@@ -16,8 +16,15 @@ from deformscope_drivers.errors import OutOfLimits
 
 Vector3 = tuple[float, float, float]
 JOINT_MARGIN_DEG, NEGLIGIBLE_DEG_S = 5.0, 0.01
-DAMPED_BELOW, OFF_COURSE = 0.03, 0.1
-"""Smallest singular value [m/rad; rad/rad] that is inverted in full; share of a velocity that damping may take."""
+"""No joint comes nearer to the end of its range [deg]; a joint that turns slower than this [deg/s] is at rest: it
+turns by 1e-4 deg in a control period of 10 ms."""
+DAMPED_BELOW = 0.03
+"""Smallest singular value of the Jacobian [m/rad; rad/rad] that is inverted in full. With 20 deg/s of the joints (the
+driver's standard limit) the arm's end then makes at least 0.03 * 0.35 rad/s = 10 mm/s, the speed of a touch, in every
+direction; below it the weakest direction is slower than any touch, and damped."""
+OFF_COURSE = 0.1
+"""Share of a velocity that damping may lose or turn away: a straight line may lead through a singularity where it needs
+nothing of the weak direction."""
 
 
 class SpeedLimits(Protocol):

@@ -1,0 +1,78 @@
+"""A table of checks, each with what was expected and what came, and what to do about those that have not passed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+HINTS = {
+    "arm: fresh": "the arm's cable and supply; state_hz in the rig file",
+    "arm: rate": "the arm's cable, and how busy this computer is; or a lower state_hz in the rig file",
+    "arm: homed": "after switching it on, deformscope arm home RIG; or hold its joystick's home button until it stands",
+    "arm: link": "the arm's cable into a port of the computer itself: no hub, no virtual machine; less load on it",
+    "arm: still": "wait until the arm stands, and let go of its joystick",
+    "arm: FIFO": "end the other program that commands the arm",
+    "arm: accepts": "the reason, then start again",
+    "arm: control period": "end what keeps this computer busy",
+    "arm: first way": "bring the tip over the surface by the joystick, the stick down",
+    "arm: over the table": "bring elbow and wrist up by the joystick; or T_arm_surface in the rig file is wrong",
+    "hand": "a longer stick, cables tied higher up; or [shape] and [tool] in the rig file are wrong",
+    "arm: box": "bring elbow and wrist in by the joystick; or arm_low_m and arm_high_m of [workspace]",
+    "arm: clear of itself": "unfold the arm by the joystick",
+    "arm: joint torques": "let nobody touch the arm; or a higher collision_nm in [workspace]",
+    "arm: joints": "turn the joint away from the end of its range by the joystick",
+    "arm: reach": "move arm or surface, turn the tool, or bring the arm over the surface by its joystick",
+    "force sensor: finger": "press again as asked; then `sensitivity` and R_tip_force in the rig file (deformscope "
+    "calibrate force RIG), the force sensor's plug and cable",
+    "tip: force at contact": "rate_hz = 1000 and filter_hz = 150 of the force sensor, a faster cycle of the arm, or a "
+    "stick that yields more, and its compliance_m_per_n by deformscope calibrate arm RIG",
+    "calibration: [tool] R_tip_force": "deformscope calibrate force RIG",
+    "force sensor: tare": "let nothing touch the tip, and start again",
+    "force sensor: noise": "stop what shakes table or tip; filter_hz in the rig file; no noise at all is no sensor",
+    "force sensor: alive": "rate_hz = 1000 and filter_hz = 150 in the rig file; else the sensor's plug",
+    "force sensor": "the force sensor's plug and cable; rate_hz in the rig file; deformscope doctor RIG",
+    "camera: alive": "plug the camera out and in, and close other programs that use it",
+    "camera": "the camera's cable and port (USB 3), other programs that use it; fps in the rig file",
+    "calibration": "measure it and write it into the rig file; deformscope doctor --example shows how",
+    "age": "deformscope calibrate, with the name of the row, measures it again",
+    "tip: in free air": "lift the tip by the joystick; or T_arm_surface in the rig file is wrong",
+    "plan: force": "a smaller target_force_n, or a higher soft_stop_n, in the rig file",
+    "workspace: box": "low_m and high_m of [workspace] in the rig file",
+    "workspace: plan": "low_m and high_m of [workspace]: from 3.5 cm below the surface to 20 cm above the table",
+}
+"""What to do about a check that has not passed, by how its name begins; the first that fits."""
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """A condition for moving. name: what was looked at; wanted, came: what was expected and what was found, in words"""
+
+    name: str
+    passed: bool
+    wanted: str
+    came: str
+
+    @property
+    def hint(self) -> str:
+        """What to do about it; empty where it has passed."""
+        return "" if self.passed else next((hint for name, hint in HINTS.items() if self.name.startswith(name)), "")
+
+
+@dataclass(frozen=True, slots=True)
+class Preflight:
+    """The table of checks, in the order in which they were made."""
+
+    checks: tuple[Check, ...]
+
+    @property
+    def passed(self) -> bool:
+        """Whether there are checks, and all have passed."""
+        return bool(self.checks) and all(check.passed for check in self.checks)
+
+    def table(self) -> str:
+        """The checks as lines of text, one each; below them what to do about those that have not passed."""
+        rows = [("", "check", "wanted", "came")]
+        rows += [("ok" if one.passed else "NO", one.name, one.wanted, one.came) for one in self.checks]
+        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+        lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
+        hints = dict.fromkeys(f"{one.name}: {one.hint}" for one in self.checks if one.hint)
+        return "\n".join([*lines, *hints])

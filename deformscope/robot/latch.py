@@ -1,0 +1,87 @@
+"""What the supervisors of arm and hand share: alarms become one verdict, which holds until a person acknowledges it.
+
+The supervisors are pure state machines fed with readings and times, asked once in a control period. They are no safety
+function (no Python program is): the emergency stop of the arm, and a switch for the hand, stay within a person's reach.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Generic, TypeVar
+
+FaultT = TypeVar("FaultT", bound=StrEnum)
+
+
+class Action(StrEnum):
+    """What the robot has to do."""
+
+    GO_ON = "go on"
+    BACK_OFF = "back off"
+    STOP = "stop"
+
+
+_SEVERITY = {Action.GO_ON: 0, Action.BACK_OFF: 1, Action.STOP: 2}
+"""Of several alarms the one with the highest counts, of equal ones the first."""
+
+Alarm = tuple[Action, FaultT, str]
+"""What a rule demands, the fault, and the reason with its numbers and units."""
+
+
+@dataclass(frozen=True)
+class Verdict(Generic[FaultT]):
+    """What to do, and why. fault: the enumeration's NONE while it goes on; time_ns: of the judgement that found it"""
+
+    action: Action
+    fault: FaultT
+    reason: str = ""
+    time_ns: int = 0
+
+
+class LatchingSupervisor(Generic[FaultT]):
+    """Holds the most severe alarm of its rules; a subclass has the rules, and a `judge` that asks them in each control
+    period."""
+
+    def __init__(self, none: FaultT, late_ns: int) -> None:
+        """none: the fault of a robot that goes on
+
+        late_ns: a judgement so long after the last one came late: the host was busy, and those who read the devices
+        perhaps too. No silence is held against a device then, once and not twice in a row.
+        """
+        self._go_on: Verdict[FaultT] = Verdict(Action.GO_ON, none)
+        self._verdict, self._late_ns = self._go_on, late_ns
+
+    @property
+    def verdict(self) -> Verdict[FaultT]:
+        """The last one, or the one that holds."""
+        return self._verdict
+
+    def start(self, now_ns: int) -> None:
+        """Ages count from now on, as after a pause in which nothing was judged; a verdict that holds stays."""
+        self._judged_ns, self._excused = now_ns, False
+
+    def acknowledge(self, now_ns: int) -> None:
+        """A person has seen to the reason: judge anew from now on."""
+        self._verdict = self._go_on
+        self.start(now_ns)
+
+    def stop(self, fault: FaultT, reason: str, now_ns: int) -> Verdict[FaultT]:
+        """Stop for what is in no reading: a person asks for it, or a command was refused, and the next would be too."""
+        return self._latch([(Action.STOP, fault, reason)], now_ns)
+
+    def _begin(self, now_ns: int) -> None:
+        """To be called before the rules look: whether this judgement came late."""
+        self._excused = now_ns - self._judged_ns > self._late_ns and not self._excused
+        self._judged_ns = now_ns
+
+    def _silent_s(self, newest_ns: int, limit_s: float) -> float:
+        """Age of a device's newest reading [s] where it is above a limit; else 0, as at a judgement that came late."""
+        age_s = (self._judged_ns - newest_ns) / 1e9
+        return age_s if age_s > limit_s and not self._excused else 0.0
+
+    def _latch(self, alarms: Iterable[Alarm[FaultT]], now_ns: int) -> Verdict[FaultT]:
+        for action, fault, reason in alarms:
+            if _SEVERITY[action] > _SEVERITY[self._verdict.action]:
+                self._verdict = Verdict(action, fault, reason, now_ns)
+        return self._verdict
