@@ -1,4 +1,4 @@
-"""The process that moves an arm: what `ArmBeside` starts (`deformscope_drivers.hosted`).
+"""The process that moves an arm: what `HostedArm` starts (`deformscope_drivers.hosted`).
 
 It gets the driver's class and configuration first, then velocities with the moments at which they expire and calls;
 when the other end is closed, whatever ended it, it halts the arm, closes it and ends. A call that takes long runs in a
@@ -25,7 +25,7 @@ CALLS = frozenset({"stop", "halt", "acknowledge_stop", "home"})
 LONG = frozenset({"home"})
 """Of these, what takes seconds."""
 UNATTENDED_S = 1.0
-"""During a long call whoever waits for it says so every 0.1 s (`beside.WAITING_S`); after this nobody does."""
+"""During a long call whoever waits for it says so every 0.1 s (`hosted.WAITING_S`); after this nobody does."""
 
 
 def serve(channel: Channel, kind: type[Arm[Any]], config: Any) -> None:

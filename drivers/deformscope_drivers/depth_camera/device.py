@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from deformscope_drivers.clock import ClockFit
-from deformscope_drivers.depth_camera.beside import CameraBeside
 from deformscope_drivers.depth_camera.discovery import resolve_port
+from deformscope_drivers.depth_camera.hosted import HostedCamera
 from deformscope_drivers.depth_camera.image import DepthImage, Intrinsics
 from deformscope_drivers.device import RECONNECT, Reconnect
 from deformscope_drivers.errors import NotConnected, SettingsRefused
@@ -68,7 +68,7 @@ class DepthCameraConfig:
         return library_file(self.library) if self.library else None
 
 
-class DepthCamera(CameraBeside):
+class DepthCamera(HostedCamera):
     """`with DepthCamera(DepthCameraConfig(color=True)) as camera: camera.next(1.0).depth_m()`
 
     OpenNI2 runs in a process of its own: what hangs or crashes there is a lost link here, and is started anew.

@@ -6,7 +6,7 @@ import dataclasses
 import math
 from dataclasses import dataclass
 
-from deformscope_drivers.depth_camera.beside import CameraBeside
+from deformscope_drivers.depth_camera.hosted import HostedCamera
 from deformscope_drivers.depth_camera.image import Intrinsics
 from deformscope_drivers.device import RECONNECT, Reconnect
 from deformscope_drivers.errors import SettingsRefused
@@ -47,7 +47,7 @@ class RealsenseConfig(RealsenseSettings):
             raise SettingsRefused("width, height and fps of 1 or more", came, where=self.serial)
 
 
-class Realsense(CameraBeside):
+class Realsense(HostedCamera):
     """`with Realsense(RealsenseConfig(serial="837212070000")) as camera: camera.next(1.0).depth_m()`
 
     Never tried on a camera; tried on a double of the library, and on the library itself with a camera made of software.

@@ -21,10 +21,10 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any, Literal, Self
 
-from deformscope_drivers.arm.beside import ArmBeside
 from deformscope_drivers.arm.commands import JointVelocity, Velocity, by_joints, finite, linear_velocity_of
 from deformscope_drivers.arm.device import CALL_MS, Arm
 from deformscope_drivers.arm.errors import MotionStopped
+from deformscope_drivers.arm.hosted import HostedArm
 from deformscope_drivers.arm.kinematics import Chain
 from deformscope_drivers.clock import Clock, monotonic_ns
 from deformscope_drivers.device import RECONNECT, Reconnect
@@ -66,7 +66,7 @@ HOME_PAUSE_S = 1.0
 
 def open_jaco(config: JacoConfig) -> Arm[Any]:
     """The device, closed: in a process of its own unless the configuration says otherwise."""
-    return ArmBeside(Jaco, config) if config.own_process else Jaco(config)
+    return HostedArm(Jaco, config) if config.own_process else Jaco(config)
 
 
 class Jaco(Arm[JacoState]):

@@ -69,9 +69,9 @@ class DoubleCamera:
 
 def plug(file: Path, *cameras: DoubleCamera) -> None:
     """From now on these cameras are there, for whoever was started with CAMERAS_FILE naming that file."""
-    beside = file.with_suffix(".new")
-    beside.write_text(json.dumps([dataclasses.asdict(one) for one in cameras]), encoding="utf-8")
-    beside.replace(file)
+    written = file.with_suffix(".new")
+    written.write_text(json.dumps([dataclasses.asdict(one) for one in cameras]), encoding="utf-8")
+    written.replace(file)
 
 
 class _World:

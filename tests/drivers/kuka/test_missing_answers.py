@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 
 from deformscope_drivers.arm import JointVelocity
-from deformscope_drivers.arm.beside import ArmBeside
 from deformscope_drivers.arm.errors import NotStopped
+from deformscope_drivers.arm.hosted import HostedArm
 from deformscope_drivers.arm.kinematics import FloatArray
 from deformscope_drivers.errors import SettingsRefused
 from deformscope_drivers.kuka import Kuka, KukaConfig, KukaDouble, UdpWire
@@ -287,13 +287,13 @@ class Keeping(KukaDouble):
 
 
 @pytest.mark.parametrize("halts", [True, False])
-@pytest.mark.parametrize("beside", [True, False])
-def test_on_the_hosts_clock_the_last_three_answers_are_zeros(beside: bool, halts: bool) -> None:
+@pytest.mark.parametrize("hosted", [True, False])
+def test_on_the_hosts_clock_the_last_three_answers_are_zeros(hosted: bool, halts: bool) -> None:
     """The normal end, halt() and then close(), was a race before: the port closed before zeros were out."""
     double, port = Keeping(), free_port()
     config = KukaConfig(address=LOOPBACK, port=port, wait_s=PATIENCE_S)
     with UdpWire(double, port):
-        arm = ArmBeside(Kuka, config) if beside else Kuka(config)
+        arm = HostedArm(Kuka, config) if hosted else Kuka(config)
         with arm:
             arm.set_velocity(RATES, 30.0)
             assert double.moved.wait(PATIENCE_S)

@@ -32,8 +32,8 @@ WAITING_S = 0.1
 """Who waits for an answer says so this often: the other process halts an arm on its way home once nobody does."""
 
 
-class ArmBeside(Arm[ArmState]):
-    """Any arm of this package, opened in another process: `ArmBeside(Jaco, JacoConfig(...))`."""
+class HostedArm(Arm[ArmState]):
+    """Any arm of this package, opened in another process: `HostedArm(Jaco, JacoConfig(...))`."""
 
     def __init__(self, kind: type[Arm[Any]], config: Any, *, reconnect: Reconnect | None = RECONNECT) -> None:
         """kind: the driver's class, made there of config alone"""

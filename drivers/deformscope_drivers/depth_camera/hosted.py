@@ -24,7 +24,7 @@ WRONG_SIZE = "size"
 US_NS = 1000.0
 
 
-class CameraBeside(Device[DepthImage]):
+class HostedCamera(Device[DepthImage]):
     """The process is started anew for each link. Frames lost are counted by the camera's own counter.
 
     serve: what is run there, with a channel and `_settings`; silence_s: no picture for this long means a lost camera
