@@ -77,7 +77,7 @@ class OptoforceAgain(Redecoder):
     compares: tuple[str, ...] = ("counts", "force_n", "torque_nm", "overload")
 
     def begin(self) -> FrameDecoder[Any]:
-        from deformscope_drivers.optoforce.measurer import ForceMeasurer
+        from deformscope_drivers.optoforce.measurement import ForceMeasurer
         from deformscope_drivers.optoforce.protocol import Decoder
         from deformscope_drivers.transport import CAN_FRAME_BYTES
 

@@ -16,8 +16,7 @@ from deformscope_drivers.health import Identity, Link
 from deformscope_drivers.optoforce import protocol
 from deformscope_drivers.optoforce.config import OptoforceConfig, filter_of, speed_of
 from deformscope_drivers.optoforce.counter import WRAP, CounterStep, Gap
-from deformscope_drivers.optoforce.measurement import ForceMeasurement
-from deformscope_drivers.optoforce.measurer import ForceMeasurer
+from deformscope_drivers.optoforce.measurement import ForceMeasurement, ForceMeasurer
 from deformscope_drivers.transport import CAN_FRAME_BYTES, Transport, serial_or_can
 
 REPLY_S = 0.3
