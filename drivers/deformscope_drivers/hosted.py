@@ -45,7 +45,7 @@ class HostedProcess:
 
     @property
     def process_id(self) -> int | None:
-        """None where no process runs."""
+        """Of the process that was started; None where none runs."""
         return None if self._process is None else self._process.pid
 
     def start(self, serve: Callable[..., None], *settings: Any, quiet: bool = False) -> None:
@@ -76,7 +76,7 @@ class HostedProcess:
         return None
 
     def send(self, *message: Any) -> None:
-        """Raises ProcessEnded."""
+        """Send a message: its kind, then what belongs to it. Raises ProcessEnded."""
         try:
             with self._sending:
                 self._running().send(message)

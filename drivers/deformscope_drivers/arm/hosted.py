@@ -67,7 +67,7 @@ class HostedArm(Arm[ArmState]):
 
     @property
     def process_id(self) -> int | None:
-        """Of the other process; None where there is none."""
+        """Of the process that hosts the driver; None where none runs."""
         return self._hosted.process_id
 
     def identity(self) -> Identity:
@@ -136,7 +136,7 @@ class HostedArm(Arm[ArmState]):
         return answer.result()
 
     def _await(self, answer: Future[Any], timeout_s: float) -> None:
-        """Wait for an answer, and say that somebody does."""
+        """Wait up to timeout_s [s] for an answer, and report to the other process that the caller still waits."""
         if threading.current_thread() is self._thread:  # which takes the answers
             for state in self._receive(timeout_s):
                 self._publish(state)

@@ -84,10 +84,10 @@ class HostedCamera(Device[DepthImage]):
 
     @abstractmethod
     def _projection(self) -> Intrinsics | None:
-        """Of the pictures, by what was reported."""
+        """Of the depth pictures, from what the process reported at opening; None where it reports no lens."""
 
     def _rate_hz(self) -> float | None:
-        """As for `_expect`."""
+        """Pictures expected a second [Hz], as `_expect` takes it: 0 = not known, None = no pictures by themselves."""
         return float(self._reported["fps"])
 
     def _fitted_clock(self) -> ClockFit | None:
@@ -99,7 +99,7 @@ class HostedCamera(Device[DepthImage]):
         return frame.timestamp_us
 
     def _arrived_ns(self, frame: FrameMessage) -> int:
-        """When a frame arrived on the host's clock [ns]."""
+        """When a frame counts as arrived, on the host's monotonic clock [ns]."""
         return frame.host_ns
 
     # A device --------------------------------------------------------------------------------------------------------

@@ -439,7 +439,7 @@ class Dsa(StreamDevice[TactileReading]):
         self._begin_stream()
 
     def _begin_stream(self) -> None:
-        """The controller's clock may start anew."""
+        """Frames are asked for anew, and the controller's clock may have been set anew meanwhile."""
         self._measurer.begin_stream()
         self._clock_fit = self._measurer.clock_fit
 

@@ -272,7 +272,7 @@ class Jaco(Arm[JacoState]):
             raise LinkLost("an arm that answers", str(error), error.remedy, self.name) from error
 
     def _pause(self, seconds: float) -> None:
-        """Let time pass in the thread that owns the link."""
+        """Wait in the thread that owns the link, by a simulated clock where it runs on one."""
         if isinstance(self._clock, SimulatedClock):
             self._clock.advance_to(self._clock() + round(seconds * 1e9))
         else:
@@ -426,7 +426,7 @@ class Jaco(Arm[JacoState]):
         self._configure("StartForceControl")
 
     def stop_force_control(self) -> None:
-        """Stand firm again."""
+        """End force control: the arm holds its position again."""
         self._do(lambda: call(self._functions, "StopForceControl"), COMMAND_TIMEOUT_S)
 
     def set_force_range(self, least: Sequence[float], most: Sequence[float]) -> None:
@@ -506,7 +506,7 @@ class Jaco(Arm[JacoState]):
             self.poll(left_ns / 1e9)
 
     def _fresh(self) -> JacoState:
-        """A state that is not old; waits for one."""
+        """The latest state, of the last STATE_AGE_S; the next one is waited for where that is older."""
         try:
             return self.latest(STATE_AGE_S)
         except Stale:

@@ -52,7 +52,8 @@ class OpenniCamera:
         self._set()
 
     def words(self) -> dict[str, object]:
-        """What it reports of itself."""
+        """What is sent to the program when the camera is open: sizes [px], rate [Hz], unit [m], field of view [rad],
+        names."""
         mode, info = self.depth.mode(), self._device.info()
         seen_as = self.color if self.color is not None and self._registers else self.depth
         field_of_view = seen_as.field_of_view_rad() or self.depth.field_of_view_rad()

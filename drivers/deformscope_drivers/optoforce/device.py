@@ -88,7 +88,7 @@ class Optoforce(StreamDevice[ForceMeasurement]):
 
     @property
     def kind(self) -> protocol.Kind | None:
-        """What hangs on the DAQ; None before the first reading."""
+        """Which sensors are connected to the DAQ; None before the first reading."""
         return self._measurer.kind
 
     @property

@@ -91,7 +91,8 @@ class RealsenseCamera:
         self._warm_up()
 
     def words(self) -> dict[str, object]:
-        """What it reports of itself."""
+        """What is sent to the program when the camera is open: sizes [px], rate [Hz], unit [m], lens, names,
+        remarks."""
         rs = self._rs
         seen = self._stream(rs.stream.color if self._registers else rs.stream.depth)
         lens = seen.get_intrinsics()

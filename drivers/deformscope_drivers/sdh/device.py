@@ -359,7 +359,7 @@ class Sdh(SdhConnection):
         return StopReport(max(0.0, (self._grip_until_ns - self._clock()) / 1e9))
 
     def _halt(self) -> None:
-        """End what `drive` keeps going."""
+        """End velocities that `drive` set: all are set to 0."""
         if self._drive_until_ns is not None:
             self._drive_until_ns = None
             self._set("v", STILL)
