@@ -8,6 +8,7 @@ import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from deformscope_drivers.clock import ClockFit
 from deformscope_drivers.depth_camera.discovery import resolve_port
@@ -103,7 +104,9 @@ class DepthCamera(HostedCamera):
             raise NotConnected("a recording that is there", "none", where=self.config.port)
         uri = resolve_port(self.config.port, self._usb)
         self._ticks_before = self._ticks_offset = 0
-        asked = {field.name: getattr(self.config, field.name, uri) for field in dataclasses.fields(OpenniSettings)}
+        asked: dict[str, Any] = {
+            field.name: getattr(self.config, field.name, uri) for field in dataclasses.fields(OpenniSettings)
+        }
         return (OpenniSettings(**asked),)
 
     def _projection(self) -> Intrinsics | None:
