@@ -25,20 +25,25 @@ from collections.abc import Callable
 from multiprocessing.connection import Connection, Pipe
 from typing import Any
 
-from deformscope_drivers.errors import DeviceError
+from deformscope_drivers.errors import DeviceError, LinkLost
 
 ROUND_S = 0.05
 ASK_END_S = 2.0
 
 
-class ProcessEnded(Exception):
+class ProcessEnded(LinkLost):
     """The hosted process is not there, or its end of the socket is closed."""
 
 
 class HostedProcess:
-    """The program's end of a process that hosts a driver. Messages may be sent from any thread."""
+    """The program's end of a process that hosts a driver. Messages may be sent from any thread.
 
-    def __init__(self) -> None:
+    expected, where: for the words of the error that says that the process has ended; status_s: for so long its exit
+    status is waited for then [s], None = not at all, where no time may be lost
+    """
+
+    def __init__(self, expected: str, where: str, status_s: float | None) -> None:
+        self._expected, self._where, self._status_s = expected, where, status_s
         self._sending = threading.Lock()
         self._connection: Connection | None = None
         self._process: subprocess.Popen[bytes] | None = None
@@ -81,7 +86,7 @@ class HostedProcess:
             with self._sending:
                 self._running().send(message)
         except OSError as error:
-            raise ProcessEnded("one that has ended") from error
+            raise self._ended() from error
 
     def receive(self, timeout_s: float) -> tuple[Any, ...] | None:
         """The next message; None when none comes in time. Raises ProcessEnded."""
@@ -89,7 +94,7 @@ class HostedProcess:
         try:
             return connection.recv() if connection.poll(timeout_s) else None
         except (EOFError, OSError) as error:
-            raise ProcessEnded("one that has ended") from error
+            raise self._ended() from error
 
     def exit_status(self, timeout_s: float) -> int | None:
         """Waits for the end of a process whose end of the socket is closed; None where it has not ended by then."""
@@ -114,8 +119,13 @@ class HostedProcess:
 
     def _running(self) -> Connection:
         if self._connection is None:
-            raise ProcessEnded("none")
+            raise ProcessEnded(self._expected, "none", where=self._where)
         return self._connection
+
+    def _ended(self) -> ProcessEnded:
+        status_s = self._status_s
+        came = "one that has ended" if status_s is None else f"its end (exit status {self.exit_status(status_s)})"
+        return ProcessEnded(self._expected, came, where=self._where)
 
 
 class Channel:
@@ -152,7 +162,7 @@ def hosted_environment() -> dict[str, str]:
 def ask_hosted(ask: Callable[..., None], *settings: Any, timeout_s: float) -> Any:
     """What `ask(channel, *settings)` reports as opened, in a process that is ended after it; None where the process
     crashes or does not answer in time. Raises the DeviceError that it raises there."""
-    process = HostedProcess()
+    process = HostedProcess("an answer", ask.__module__, None)
     try:
         process.start(ask, *settings, quiet=True)
         return process.opened(timeout_s)

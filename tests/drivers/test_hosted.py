@@ -9,7 +9,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from deformscope_drivers.errors import CommandRefused
+from deformscope_drivers.errors import CommandRefused, LinkLost
 from deformscope_drivers.hosted import Channel, HostedProcess, ProcessEnded, ask_hosted
 from tests.patience import PATIENCE_S
 
@@ -24,6 +24,10 @@ def refuse(channel: Channel) -> None:
     raise CommandRefused(7, "no", "opening")
 
 
+def lose(channel: Channel) -> None:
+    raise LinkLost("a camera", "none (unplugged?)")
+
+
 def hang(channel: Channel) -> None:
     channel.send("opened", os.getpid())
     time.sleep(10 * PATIENCE_S)
@@ -35,7 +39,7 @@ def crash(channel: Channel) -> None:
 
 @pytest.fixture
 def process() -> Iterator[HostedProcess]:
-    process = HostedProcess()
+    process = HostedProcess("a process", "test", None)
     yield process
     process.end(0.0)
 
@@ -55,6 +59,14 @@ def test_an_error_crosses_with_its_class_and_its_code(process: HostedProcess) ->
     with pytest.raises(CommandRefused, match=r"error 7 \(no\)") as caught:
         process.opened(PATIENCE_S)
     assert caught.value.code == 7
+
+
+def test_a_link_that_is_lost_while_opening_is_not_taken_for_the_end_of_the_process(process: HostedProcess) -> None:
+    process.start(lose)
+
+    with pytest.raises(LinkLost, match="unplugged") as caught:
+        process.opened(PATIENCE_S)
+    assert not isinstance(caught.value, ProcessEnded)
 
 
 def test_signals_to_the_programs_group_do_not_end_it(process: HostedProcess) -> None:
@@ -80,12 +92,12 @@ def test_a_process_that_hangs_is_killed_after_its_limit(process: HostedProcess) 
 
 def test_a_process_that_crashes_has_ended(process: HostedProcess) -> None:
     process.start(crash)
-    with pytest.raises(ProcessEnded, match="has ended"):
+    with pytest.raises(ProcessEnded, match="expected a process; got one that has ended"):
         process.opened(PATIENCE_S)
 
     assert process.exit_status(PATIENCE_S) == -signal.SIGKILL
     process.end(PATIENCE_S)
-    with pytest.raises(ProcessEnded, match="none"):
+    with pytest.raises(ProcessEnded, match="got none"):
         process.send("anyone")
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import contextlib
 import itertools
 import threading
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from concurrent.futures import Future, wait
 from pathlib import Path
 from typing import Any
@@ -24,7 +24,7 @@ from deformscope_drivers.clock import monotonic_ns
 from deformscope_drivers.device import RECONNECT, Reconnect
 from deformscope_drivers.errors import DeviceError, LinkLost, NoReply, NotConnected
 from deformscope_drivers.health import Identity, Link
-from deformscope_drivers.hosted import HostedProcess, ProcessEnded
+from deformscope_drivers.hosted import HostedProcess
 
 OPEN_S, ANSWER_S, END_S = 90.0, 6.0, 5.0
 """An arm may be sought for long, and a vendor's library may wait 5 s for a packet."""
@@ -40,7 +40,7 @@ class HostedArm(Arm[ArmState]):
         self.config = config
         self._kind = kind
         super().__init__(f"{kind.__name__} in its own process", reconnect=reconnect, clock=monotonic_ns)
-        self._hosted = HostedProcess()
+        self._hosted = HostedProcess("a process that moves the arm", self.name, None)
         self._known: dict[str, Any] = {}
         self._health: dict[str, float] = {}
         self._homed = False
@@ -83,7 +83,7 @@ class HostedArm(Arm[ArmState]):
         with self._commanded:
             streamed = self._streamed
         if streamed is not None:
-            self._send("velocity", streamed.velocity, streamed.expires_ns)
+            self._hosted.send("velocity", streamed.velocity, streamed.expires_ns)
 
     def stop(self) -> None:
         with self._commanded:
@@ -99,7 +99,7 @@ class HostedArm(Arm[ArmState]):
     def close(self) -> None:
         """As of the arm there. It is halted at once: this device's thread may wait for its next state first."""
         with contextlib.suppress(DeviceError):
-            self._send("call", 0, "halt", ("it is being closed",))
+            self._hosted.send("call", 0, "halt", ("it is being closed",))
         super().close()
 
     def acknowledge_stop(self) -> None:
@@ -126,7 +126,7 @@ class HostedArm(Arm[ArmState]):
         number, until_ns = next(self._questions), self._clock() + round(timeout_s * 1e9)
         answer = self._answers[number] = Future()
         try:
-            self._send("call", number, name, arguments)
+            self._hosted.send("call", number, name, arguments)
             while not answer.done():
                 if (left_s := (until_ns - self._clock()) / 1e9) <= 0:
                     raise NoReply(f"{name} done within {timeout_s:g} s", "nothing", where=self.name)
@@ -143,14 +143,13 @@ class HostedArm(Arm[ArmState]):
         else:
             wait([answer], timeout_s)
         if not answer.done():
-            self._send("waiting")
+            self._hosted.send("waiting")
 
     # Run by the device's own thread ----------------------------------------------------------------------------------
 
     def _connect(self) -> None:
-        with self._lost():
-            self._hosted.start(serve, self._kind, self.config)
-            report = self._hosted.opened(OPEN_S, self._closing)
+        self._hosted.start(serve, self._kind, self.config)
+        report = self._hosted.opened(OPEN_S, self._closing)
         if report is None:
             raise NotConnected(f"an arm that is opened within {OPEN_S:g} s", "nothing", where=self.name)
         self._known, self._homed = report, report["homed"]
@@ -168,11 +167,10 @@ class HostedArm(Arm[ArmState]):
 
     def _receive(self, timeout_s: float) -> Iterable[ArmState]:
         found: list[ArmState] = []
-        with self._lost():
-            message = self._hosted.receive(timeout_s)
-            while message is not None:
-                self._heed(message, found)
-                message = self._hosted.receive(0.0)
+        message = self._hosted.receive(timeout_s)
+        while message is not None:
+            self._heed(message, found)
+            message = self._hosted.receive(0.0)
         return found
 
     def _heed(self, message: tuple[Any, ...], found: list[ArmState]) -> None:
@@ -197,17 +195,6 @@ class HostedArm(Arm[ArmState]):
                     answer.set_result(result)
             case ("lost", words):
                 raise LinkLost("an arm that is connected", words, where=self.name)
-
-    def _send(self, *message: Any) -> None:
-        with self._lost():
-            self._hosted.send(*message)
-
-    @contextlib.contextmanager
-    def _lost(self) -> Iterator[None]:
-        try:
-            yield
-        except ProcessEnded as error:
-            raise LinkLost("a process that moves the arm", str(error), where=self.name) from error
 
     def _extra_health(self) -> dict[str, float]:
         return dict(self._health)

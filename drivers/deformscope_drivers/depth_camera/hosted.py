@@ -45,7 +45,7 @@ class HostedCamera(Device[DepthImage]):
         super().__init__(name, reconnect=reconnect, stuck_after_s=stuck_after_s)
         self._serve = serve
         self._silence_s = silence_s
-        self._hosted = HostedProcess()
+        self._hosted = HostedProcess("the process that reads the camera", name, END_TIMEOUT_S)
         self._reported: dict[str, Any] = {}
         self._intrinsics: Intrinsics | None = None
         self._heard_ns = 0
@@ -114,7 +114,7 @@ class HostedCamera(Device[DepthImage]):
         self._expect(self._rate_hz())
 
     def _receive(self, timeout_s: float) -> Iterable[DepthImage]:
-        message = self._message(timeout_s)
+        message = self._hosted.receive(timeout_s)
         if message is None:
             silence_s = (self._clock() - self._heard_ns) / 1e9
             if silence_s > self._silence_s:
@@ -152,14 +152,6 @@ class HostedCamera(Device[DepthImage]):
         if report is None:
             raise NotConnected("a depth camera", f"none within {OPEN_TIMEOUT_S:g} s", "plug it in anew", self.name)
         return report
-
-    def _message(self, timeout_s: float) -> tuple[Any, ...] | None:
-        """The next message of the process; None when none came in time. Raises LinkLost when it has ended."""
-        try:
-            return self._hosted.receive(timeout_s)
-        except ProcessEnded as error:
-            came = f"its end (exit status {self._hosted.exit_status(END_TIMEOUT_S)})"
-            raise LinkLost("the process that reads the camera", came, "", self.name) from error
 
     def _picture(self, frame: FrameMessage) -> Iterable[DepthImage]:
         self._count(frame.index)

@@ -78,7 +78,7 @@ def send_a_picture(channel: Channel) -> None:
 
 
 def test_a_picture_crosses_to_the_other_process() -> None:
-    process = HostedProcess()
+    process = HostedProcess("a process", "test", None)
     process.start(send_a_picture)
     try:
         assert process.receive(PATIENCE_S) == ("frame", PICTURE)
