@@ -237,9 +237,9 @@ def _outwards(placement: Placement, random: np.random.Generator) -> _Drive:
 _PROGRAM = f"""
 import sys, time
 from deformscope_drivers.arm import JointVelocity
-from deformscope_drivers.arm.beside import ArmBeside
+from deformscope_drivers.arm.hosted import HostedArm
 from deformscope_drivers.kuka import Kuka, KukaConfig
-arm = ArmBeside(Kuka, KukaConfig(address="127.0.0.1", port=int(sys.argv[1]), wait_s=60.0)).open()
+arm = HostedArm(Kuka, KukaConfig(address="127.0.0.1", port=int(sys.argv[1]), wait_s=60.0)).open()
 while True:
     arm.set_velocity(JointVelocity((float(sys.argv[2]), 0.0, 0.0, 0.0, 0.0, 0.0)), {KILLED_VALID_S})
     time.sleep(0.01)

@@ -16,7 +16,7 @@ from itertools import product
 import numpy as np
 
 from deformscope_drivers.arm import JointVelocity
-from deformscope_drivers.arm.beside import ArmBeside
+from deformscope_drivers.arm.hosted import HostedArm
 from deformscope_drivers.arm.kinematics import FloatArray
 from deformscope_drivers.clock import monotonic_ns
 from deformscope_drivers.errors import DeviceError, SettingsRefused
@@ -101,7 +101,7 @@ def run_silent(seed: int) -> SilentRun:
         acceleration_deg_s2=acceleration_deg_s2,
     )
     port = free_port()
-    arm = ArmBeside(Kuka, KukaConfig(address=LOOPBACK, port=port, cycle_s=cycle_s), reconnect=None)
+    arm = HostedArm(Kuka, KukaConfig(address=LOOPBACK, port=port, cycle_s=cycle_s), reconnect=None)
     with UdpWire(double, port):
         before_m, refused, error = _place_m(double), False, ""
         try:
@@ -130,7 +130,7 @@ def _place_m(double: KukaDouble) -> FloatArray:
     return double.chain.end_effector(double.joints_at(monotonic_ns()))[:3, 3]
 
 
-def _end(arm: ArmBeside, double: _Cable, silence: Silence) -> None:
+def _end(arm: HostedArm, double: _Cable, silence: Silence) -> None:
     """End the answers."""
     match silence:
         case Silence.CABLE:

@@ -85,7 +85,8 @@ def _found() -> list[Any]:
 
 def _listed(found: Any, probe: bool) -> ListedDevice:
     serial, firmware, health = found.serial, found.firmware, ""
-    if probe and found.driver in PROBES:
+    driver = DRIVERS.get(found.driver)
+    if probe and driver is not None and driver.probed:
         serial_known, firmware_known, health = _ask(found)
         serial, firmware = serial_known or serial, firmware_known or firmware
     return ListedDevice(found.driver, found.port, found.name, serial, firmware, health, found.note)
@@ -95,7 +96,7 @@ def _ask(found: Any) -> tuple[str, str, str]:
     """Serial number, firmware and health of a device that is opened for a moment. Nothing moves."""
     driver = DRIVERS[found.driver]
     try:
-        with driver.make(PROBES[found.driver](driver.config_class(), found.port)) as device:
+        with driver.make(_by_port(driver.config_class(), found.port)) as device:
             known = device.identity()
             serial = known.serial or _asked_serial(device)
             try:
@@ -123,7 +124,3 @@ def _asked_serial(device: Any) -> str:
 def _by_port(config: Any, port: str) -> Any:
     is_bus = not port.startswith("/") and "://" not in port
     return config(bus=port) if is_bus else config(port=port)
-
-
-PROBES: dict[str, Callable[[Any, str], Any]] = {"optoforce": _by_port, "dsa": _by_port, "sdh": _by_port}
-"""Drivers that can be asked by their port alone, without anything moving."""

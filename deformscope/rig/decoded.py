@@ -15,8 +15,8 @@ from deformscope.errors import InputError
 from deformscope.frames import Frame, HealthReport, Item, LinkChange, RawBytes, SessionNote, Stream, host_ns
 from deformscope.rig.measured import to_frame
 from deformscope.rig.rig_file import Rig
-from deformscope_drivers.clock import Stamp, Unwrap
 from deformscope_drivers.device import RAW_DROPPED
+from deformscope_drivers.errors import ProtocolViolation
 from deformscope_drivers.framing import FrameDecoder, Skipped
 from deformscope_drivers.health import Health, Link
 
@@ -57,8 +57,8 @@ class Redecoder(ABC):
         """A new link, with a fresh decoder."""
 
     @abstractmethod
-    def measure(self, event: Any, host_ns: int) -> Iterable[Any]:
-        """The driver's readings in one event of the decoder."""
+    def measure(self, event: Any, host_ns: int) -> Any:
+        """The driver's reading in one event of the decoder, by the driver's own measurer; None where it has none."""
 
     def send(self, data: bytes) -> None:  # noqa: B027
         """The host sent this."""
@@ -77,10 +77,11 @@ class OptoforceAgain(Redecoder):
     compares: tuple[str, ...] = ("counts", "force_n", "torque_nm", "overload")
 
     def begin(self) -> FrameDecoder[Any]:
+        from deformscope_drivers.optoforce.measurement import ForceMeasurer
         from deformscope_drivers.optoforce.protocol import Decoder
         from deformscope_drivers.transport import CAN_FRAME_BYTES
 
-        self._kind: Any = None
+        self._measurer = ForceMeasurer(self.config.sensitivities, self.stream.device)
         return Decoder(CAN_FRAME_BYTES if self.config.bus else 1)
 
     def resume(self) -> None:
@@ -88,17 +89,12 @@ class OptoforceAgain(Redecoder):
             self.compares = ("counts", "overload")
             self.left_out += ", and forces after the DAQ had lost its zero point"
 
-    def measure(self, event: Any, host_ns: int) -> Iterable[Any]:
-        from deformscope_drivers.optoforce.measurement import ForceMeasurement
+    def measure(self, event: Any, host_ns: int) -> Any:
         from deformscope_drivers.optoforce.protocol import Reading
 
         if not isinstance(event, Reading):
-            return []
-        self._kind = self._kind or event.kind
-        reports = self.config.sensitivities
-        known = bool(reports) and event.kind is self._kind
-        per_count = np.stack([report.per_count for report in reports]) if known else None
-        return [ForceMeasurement(Stamp(host_ns, event.counter), event.kind, event.status, event.counts, per_count)]
+            return None
+        return self._measurer.measure(event, host_ns, self._measurer.follow(event, host_ns))
 
 
 class DsaAgain(Redecoder):
@@ -107,51 +103,33 @@ class DsaAgain(Redecoder):
     compares = ("counts", "pressure_pa")
 
     def begin(self) -> FrameDecoder[Any]:
-        from deformscope_drivers.dsa.protocol import Decoder
+        from deformscope_drivers.dsa.measurer import TactileMeasurer
 
         self._described, self._shapes = 0, [(pad.rows, pad.columns) for pad in self.stream.pads]
-        self._packets = Decoder()
-        self._start_streaming()
-        return self._packets
+        self._measurer = TactileMeasurer()
+        return self._measurer.connect()
 
     def send(self, data: bytes) -> None:
         from deformscope_drivers.dsa.messages import Id
 
         if len(data) > 3 and data[3] == Id.ACQUISITION:
-            self._start_streaming()
+            self._measurer.begin_stream()
 
-    def measure(self, event: Any, host_ns: int) -> Iterable[Any]:
-        from deformscope_drivers.dsa.device import TICK_NS, TactileReading
-        from deformscope_drivers.dsa.messages import MatrixInfo, Reading
-        from deformscope_drivers.dsa.timestamps import TimestampVerdict
+    def measure(self, event: Any, host_ns: int) -> Any:
+        from deformscope_drivers.dsa.measurer import TactileReading
+        from deformscope_drivers.dsa.messages import MatrixInfo
 
         if isinstance(event, MatrixInfo):
             self._described += 1
             if self._described == len(self._shapes):
-                self._packets.cells = sum(rows * columns for rows, columns in self._shapes)
-        if not isinstance(event, Reading) or self._packets.cells is None:
-            return []
-        verdict = self._gate.check(event.timestamp_ms)
-        if verdict in (TimestampVerdict.REPEATED, TimestampVerdict.JUMPED):
-            return []
-        if verdict is TimestampVerdict.RESTARTED:
-            self._unwrap = Unwrap(1 << 32, TICK_NS)
-        ends = np.cumsum([rows * columns for rows, columns in self._shapes])[:-1]
-        parts = np.split(event.texels, ends)
-        pads = tuple(part.reshape(shape) for part, shape in zip(parts, self._shapes, strict=True))
-        stamp = Stamp(host_ns, self._unwrap(event.timestamp_ms, host_ns))
-        return [TactileReading(stamp, event.texels, pads)]
+                self._measurer.describe(self._shapes)
+        found = self._measurer.measure(event, host_ns)
+        return found if isinstance(found, TactileReading) else None
 
     def device(self) -> Any:
         from deformscope_drivers.dsa.pressure import to_pressure
 
         return SimpleNamespace(pressure_pa=lambda reading: to_pressure(reading.pads, self.config.calibration))
-
-    def _start_streaming(self) -> None:
-        from deformscope_drivers.dsa.device import TICK_NS
-        from deformscope_drivers.dsa.timestamps import TimestampGate
-
-        self._gate, self._unwrap = TimestampGate(), Unwrap(1 << 32, TICK_NS)
 
 
 class SdhAgain(Redecoder):
@@ -161,9 +139,10 @@ class SdhAgain(Redecoder):
     compares = ("position_deg", "velocity_deg_s", "temperature_c", "state")
 
     def begin(self) -> FrameDecoder[Any]:
+        from deformscope_drivers.sdh.measurer import HandMeasurer
         from deformscope_drivers.sdh.protocol import Decoder
 
-        self._answers: dict[str, tuple[float, ...]] = {}
+        self._measurer = HandMeasurer(self.stream.device)
         self.listening = False  # what the line holds at first is dropped
         return Decoder(checksummed=self.config.checksummed())
 
@@ -172,26 +151,11 @@ class SdhAgain(Redecoder):
 
         self.listening |= data != END_OF_COMMAND
 
-    def measure(self, event: Any, host_ns: int) -> Iterable[Any]:
-        from deformscope_drivers.sdh.codes import AxisState
-        from deformscope_drivers.sdh.protocol import Reading
-        from deformscope_drivers.sdh.results import HandReading
-
-        if not isinstance(event, Reading) or event.axis is not None:
-            return []
-        self._answers["vel" if event.quantity == "tvav" else event.quantity] = event.values
-        if event.quantity != "pos" or not {"state", "vel"} <= set(self._answers):
-            return []
-        states, temperature = self._answers["state"], self._answers.get("temp")
-        return [
-            HandReading(
-                Stamp(host_ns),
-                np.array(event.values),
-                np.array(self._answers["vel"]),
-                tuple(AxisState(int(state)) for state in states),
-                None if temperature is None else np.array(temperature),
-            )
-        ]
+    def measure(self, event: Any, host_ns: int) -> Any:
+        try:
+            return self._measurer.measure(event, host_ns)
+        except ProtocolViolation:  # states that are not known: the driver refused the reading too
+            return None
 
 
 REDECODERS: dict[str, type[Redecoder]] = {"optoforce": OptoforceAgain, "dsa": DsaAgain, "sdh": SdhAgain}
@@ -283,7 +247,7 @@ class _Check:
             if isinstance(event, Skipped):
                 self._skipped += event.count
                 continue
-            for reading in again.measure(event, self._now_ns):
+            if (reading := again.measure(event, self._now_ns)) is not None:
                 yield to_frame(self._stream.kind, reading, 0, self._stream.device, again.device())
 
     def _settle(self) -> None:

@@ -15,6 +15,7 @@ class Driver:
 
     package, device, config: where its class (or what makes one of a configuration) and its configuration are
     kind: of its frames; doubled: whether there is a simulated one
+    probed: whether it can be opened by its port or bus alone, without anything moving
     """
 
     name: str
@@ -23,6 +24,7 @@ class Driver:
     config: str
     kind: Kind
     doubled: bool = True
+    probed: bool = False
 
     def make(self, config: Any) -> Any:
         """A device with this configuration, closed."""
@@ -39,9 +41,9 @@ class Driver:
 
 
 _ALL = (
-    Driver("dsa", "deformscope_drivers.dsa", "Dsa", "DsaConfig", "tactile"),
-    Driver("sdh", "deformscope_drivers.sdh", "Sdh", "SdhConfig", "hand"),
-    Driver("optoforce", "deformscope_drivers.optoforce", "Optoforce", "OptoforceConfig", "wrench"),
+    Driver("dsa", "deformscope_drivers.dsa", "Dsa", "DsaConfig", "tactile", probed=True),
+    Driver("sdh", "deformscope_drivers.sdh", "Sdh", "SdhConfig", "hand", probed=True),
+    Driver("optoforce", "deformscope_drivers.optoforce", "Optoforce", "OptoforceConfig", "wrench", probed=True),
     Driver("jaco", "deformscope_drivers.jaco", "open_jaco", "JacoConfig", "arm"),
     Driver("kuka", "deformscope_drivers.kuka", "open_kuka", "KukaConfig", "arm"),
     Driver("placed", "deformscope_drivers.placed", "PlacedArm", "PlacedArmConfig", "arm"),

@@ -25,7 +25,7 @@ from deformscope.robot.squeeze_supervisor import (
 )
 from deformscope_drivers.clock import Clock
 from deformscope_drivers.dsa import Dsa
-from deformscope_drivers.dsa.device import TactileReading
+from deformscope_drivers.dsa.measurer import TactileReading
 from deformscope_drivers.dsa.pads import Pad, Part
 from deformscope_drivers.errors import DeviceError, LinkLost, NoReply, NotConnected
 from deformscope_drivers.health import Link

@@ -50,7 +50,7 @@ class _Pause:
         return max(0.0, (now_ns - self.start_ns) / 1e9 * self.rate_hz - (got - self.got))
 
     def cost(self, now_ns: int, got: int) -> tuple[float, float]:
-        """(seconds, readings) missing."""
+        """(seconds without readings, readings missing) that this pause counts for, as of now_ns [ns]."""
         if not self.rate_hz:
             return ((self.resumed_ns or now_ns) - self.start_ns) / 1e9, 0.0
         count = self.short_of(now_ns, got) if self.resumed_ns is None else self.fewest
@@ -89,7 +89,7 @@ class Continuity:
         self._seen = self._seen_s = 0.0
 
     def add(self, now_ns: int) -> None:
-        """A reading came."""
+        """A reading arrived at now_ns [ns]."""
         before_ns, self._last_ns = self._last_ns, now_ns
         got_before = self._got_at_last
         limit_s = self._limit_s() if self._received else START_S
@@ -124,7 +124,7 @@ class Continuity:
         self._pause = self._pause_from(start_ns, self._got_at_last, unlinked=True)
 
     def end(self, now_ns: int) -> None:
-        """Nothing more is wanted of the device."""
+        """The device is closed: what does not come after now_ns [ns] is not missing."""
         self._over_ns = now_ns if self._over_ns is None else self._over_ns
 
     def at(self, now_ns: int) -> Missing:

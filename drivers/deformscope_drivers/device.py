@@ -146,7 +146,7 @@ class Device(ABC, Generic[MeasurementT]):
         """End a `_receive` that waits, where that is possible."""
 
     def _extra_health(self) -> dict[str, float]:
-        """More counters for `health().extra`."""
+        """Counters of this kind of device, by name, which `health()` reports in `extra`."""
         return {}
 
     # Lifecycle -------------------------------------------------------------------------------------------------------
@@ -217,7 +217,7 @@ class Device(ABC, Generic[MeasurementT]):
 
     @property
     def link(self) -> Link:
-        """What the link is doing."""
+        """Whether the link is connected, lost or closed."""
         return self._link
 
     # The three reads -------------------------------------------------------------------------------------------------
@@ -393,12 +393,12 @@ class Device(ABC, Generic[MeasurementT]):
             self._tally.lose(count)
 
     def _count_skipped(self, skipped: Skipped) -> None:
-        """Bytes that fit no frame."""
+        """Count bytes that the decoder skipped since they fit no frame."""
         with self._changed:
             self._tally.skip(skipped)
 
     def _count_refused(self, reason: str) -> None:
-        """A whole frame, refused for what it says."""
+        """Count a whole frame that was refused for its content. reason: by which `health()` reports the count"""
         with self._changed:
             self._tally.refuse(reason)
 
@@ -491,7 +491,8 @@ class Device(ABC, Generic[MeasurementT]):
             return
 
     def _finish(self, reason: str) -> None:
-        """Come to the end without a thread of its own."""
+        """End the session of a device that was opened without its own thread. reason: reported as that of the closed
+        link"""
         self._closing.set()
         self._end(None, reason)
 

@@ -57,7 +57,7 @@ class FrameDecoder(ABC, Generic[EventT]):
 
     @property
     def pending(self) -> int:
-        """Bytes that wait for the rest of their frame."""
+        """How many bytes are kept until the rest of their frame comes."""
         return len(self._kept)
 
     def feed(self, data: bytes) -> Iterator[EventT | Skipped]:

@@ -18,7 +18,7 @@ RATE_SPAN_NS = 5_000_000_000
 
 
 class Link(StrEnum):
-    """What a device's link is doing."""
+    """The state of a device's link."""
 
     CLOSED = "closed"
     CONNECTED = "connected"
@@ -140,13 +140,13 @@ class Tally:
             self.refuse(skipped.reason)
 
     def receive(self, host_ns: int) -> None:
-        """A reading."""
+        """Count a reading that arrived at host_ns [ns]."""
         self.received += 1
         self.rate.add(host_ns)
         self.continuity.add(host_ns)
 
     def follow_link(self, link: Link, host_ns: int) -> None:
-        """The link is in this state from now on."""
+        """The link is in this state from host_ns [ns] on."""
         match link:
             case Link.CONNECTED:
                 self.continuity.begin(host_ns)
@@ -162,9 +162,9 @@ class Tally:
         self.continuity.count_lost(count)
 
     def refuse(self, reason: str) -> None:
-        """A frame that was refused."""
+        """Count a frame that was refused. reason: by which it is counted"""
         self.refused[reason] = self.refused.get(reason, 0) + 1
 
     def in_sync(self) -> None:
-        """A good frame came."""
+        """A good frame came: bytes that are skipped from now on begin a new loss of synchronization."""
         self._skipping = self._joining = False

@@ -80,7 +80,7 @@ class SyntheticSource(Device[MeasurementT], Generic[MeasurementT, ViewT]):
 
     @abstractmethod
     def _restamp(self, reading: MeasurementT, stamp: Stamp) -> MeasurementT:
-        """The same picture, sent again."""
+        """The same picture with another stamp, as a camera that is frozen sends it again."""
 
     # For the program that fills it -----------------------------------------------------------------------------------
 

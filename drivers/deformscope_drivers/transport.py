@@ -315,6 +315,6 @@ def _not_opened(error: Exception, port: str) -> DeviceError:
 
 
 def _words(error: BaseException) -> str:
-    """An error's own words on one line."""
+    """An error's message on one line."""
     words = " ".join(str(error).split()) or type(error).__name__
     return words[:200]

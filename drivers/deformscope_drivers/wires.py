@@ -67,19 +67,19 @@ class Wire(ABC):
 
     @abstractmethod
     def _attach(self) -> None:
-        """Make this end of the wire."""
+        """Create the double's end of the wire, to which a host can connect."""
 
     @abstractmethod
     def _detach(self) -> None:
-        """Take this end of the wire away."""
+        """Remove the double's end of the wire, as an unplugged cable does."""
 
     @abstractmethod
     def _take(self, wait_s: float) -> bytes:
-        """What the host sent, after at most this time."""
+        """The bytes that the host sent; empty where none came within wait_s [s]."""
 
     @abstractmethod
     def _give(self, data: bytes) -> int:
-        """Send to the host; how many bytes the wire took."""
+        """Send bytes to the host. Returns how many the wire took: fewer than given where its buffer is full."""
 
     def _clean(self) -> None:  # noqa: B027 (most have nothing left)
         """Remove what outlives a cable that was pulled out."""

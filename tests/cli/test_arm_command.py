@@ -18,7 +18,7 @@ from deformscope.cli import main
 from deformscope.config import JogConfig
 from deformscope.lab import stand_in
 from deformscope.recording.recorder import Recorder
-from deformscope_drivers.arm.beside import ArmBeside
+from deformscope_drivers.arm.hosted import HostedArm
 from deformscope_drivers.jaco.chains import J2N6S300
 from deformscope_drivers.jaco.config import JacoConfig
 from tests.cli.rig_on_a_simulated_clock import use_a_simulated_clock
@@ -150,8 +150,8 @@ def unhomed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[str, Path]
     calls.touch()
 
     @contextlib.contextmanager
-    def opened(config: object) -> Iterator[ArmBeside]:
-        yield ArmBeside(Unhomed, JacoConfig(library=str(calls)))
+    def opened(config: object) -> Iterator[HostedArm]:
+        yield HostedArm(Unhomed, JacoConfig(library=str(calls)))
 
     monkeypatch.setitem(stand_in._IN_PROCESS, "jaco", opened)
     path = tmp_path / "rig.toml"

@@ -3,22 +3,23 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import math
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-from deformscope_drivers.camera_process.messages import FrameMessage
 from deformscope_drivers.clock import ClockFit
-from deformscope_drivers.depth_camera.beside import CameraBeside
 from deformscope_drivers.depth_camera.discovery import resolve_port
+from deformscope_drivers.depth_camera.hosted import HostedCamera
 from deformscope_drivers.depth_camera.image import DepthImage, Intrinsics
 from deformscope_drivers.device import RECONNECT, Reconnect
 from deformscope_drivers.errors import NotConnected, SettingsRefused
+from deformscope_drivers.frame_message import FrameMessage
 from deformscope_drivers.openni.camera import OpenniSettings
 from deformscope_drivers.openni.library import library_file
+from deformscope_drivers.openni.process import serve
 
 RECORDING_SUFFIX = ".oni"
 _CAMERA = re.compile(r"(\w[\w:/@.-]*)?")
@@ -68,7 +69,7 @@ class DepthCameraConfig:
         return library_file(self.library) if self.library else None
 
 
-class DepthCamera(CameraBeside):
+class DepthCamera(HostedCamera):
     """`with DepthCamera(DepthCameraConfig(color=True)) as camera: camera.next(1.0).depth_m()`
 
     OpenNI2 runs in a process of its own: what hangs or crashes there is a lost link here, and is started anew.
@@ -87,7 +88,7 @@ class DepthCamera(CameraBeside):
         is_file = config.is_recording
         super().__init__(
             config.port or "the first depth camera",
-            "deformscope_drivers.openni.process",
+            serve,
             config.silence_s,
             reconnect=None if is_file else reconnect,
             stuck_after_s=None if is_file else config.stuck_after_s,
@@ -98,13 +99,15 @@ class DepthCamera(CameraBeside):
 
     # A camera in a process of its own --------------------------------------------------------------------------------
 
-    def _arguments(self) -> tuple[str, ...]:
+    def _settings(self) -> tuple[OpenniSettings]:
         if self.config.is_recording and not Path(self.config.port).is_file():
             raise NotConnected("a recording that is there", "none", where=self.config.port)
         uri = resolve_port(self.config.port, self._usb)
         self._ticks_before = self._ticks_offset = 0
-        asked = {field.name: getattr(self.config, field.name, uri) for field in dataclasses.fields(OpenniSettings)}
-        return (json.dumps(asked),)
+        asked: dict[str, Any] = {
+            field.name: getattr(self.config, field.name, uri) for field in dataclasses.fields(OpenniSettings)
+        }
+        return (OpenniSettings(**asked),)
 
     def _projection(self) -> Intrinsics | None:
         angles = self._reported["field_of_view_rad"]

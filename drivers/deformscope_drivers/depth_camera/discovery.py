@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from pathlib import Path
 
-from deformscope_drivers.camera_process.command import ask_process
-from deformscope_drivers.errors import NotConnected
+from deformscope_drivers.errors import DeviceError, NotConnected
+from deformscope_drivers.hosted import ask_hosted
 from deformscope_drivers.openni.library import INSTALL, ListedDevice
+from deformscope_drivers.openni.process import report_cameras
 from deformscope_drivers.ports import FoundDevice
 from deformscope_drivers.usb import UsbDevice, sysfs_text, usb_device
 
@@ -31,12 +31,9 @@ microphones."""
 def list_by_openni() -> list[ListedDevice] | None:
     """The cameras that OpenNI2 sees, asked in a process of its own; None where it is not installed."""
     try:
-        reported = json.loads(
-            ask_process("deformscope_drivers.openni.process", "list", timeout_s=LIST_TIMEOUT_S) or "[]"
-        )
-    except ValueError:
-        return []
-    return [ListedDevice(**device) for device in reported] if isinstance(reported, list) else None
+        return ask_hosted(report_cameras, timeout_s=LIST_TIMEOUT_S) or []
+    except DeviceError:
+        return None
 
 
 def discover(

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import math
 from dataclasses import dataclass
 
-from deformscope_drivers.camera_process.messages import NO_TIME_US, FrameMessage
-from deformscope_drivers.depth_camera.beside import CameraBeside
+from deformscope_drivers.depth_camera.hosted import HostedCamera
 from deformscope_drivers.depth_camera.image import Intrinsics
 from deformscope_drivers.device import RECONNECT, Reconnect
 from deformscope_drivers.errors import SettingsRefused
+from deformscope_drivers.frame_message import NO_TIME_US, FrameMessage
 from deformscope_drivers.realsense.camera import PRESETS, RealsenseSettings
+from deformscope_drivers.realsense.process import serve
 
-PROCESS = "deformscope_drivers.realsense.process"
 LIBRARY = "pyrealsense2"
 LONGEST_WARM_UP_S = 10.0
 
@@ -48,7 +47,7 @@ class RealsenseConfig(RealsenseSettings):
             raise SettingsRefused("width, height and fps of 1 or more", came, where=self.serial)
 
 
-class Realsense(CameraBeside):
+class Realsense(HostedCamera):
     """`with Realsense(RealsenseConfig(serial="837212070000")) as camera: camera.next(1.0).depth_m()`
 
     Never tried on a camera; tried on a double of the library, and on the library itself with a camera made of software.
@@ -60,7 +59,7 @@ class Realsense(CameraBeside):
     ) -> None:
         super().__init__(
             config.serial or "the only RealSense camera",
-            PROCESS,
+            serve,
             config.silence_s,
             reconnect=reconnect,
             stuck_after_s=config.stuck_after_s,
@@ -72,9 +71,9 @@ class Realsense(CameraBeside):
         """Of its USB port, time stamps and firmware, and what it complained of itself."""
         return (*self._reported.get("remarks", ()), *(f"it reports: {note}" for note in self._notes))
 
-    def _arguments(self) -> tuple[str, ...]:
+    def _settings(self) -> tuple[RealsenseSettings, str]:
         asked = {field.name: getattr(self.config, field.name) for field in dataclasses.fields(RealsenseSettings)}
-        return json.dumps(asked), self._library
+        return RealsenseSettings(**asked), self._library
 
     def _projection(self) -> Intrinsics:
         (fx_px, fy_px), (cx_px, cy_px) = self._reported["focal_px"], self._reported["center_px"]

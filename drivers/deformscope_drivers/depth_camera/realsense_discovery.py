@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from pathlib import Path
 
-from deformscope_drivers.camera_process.command import ask_process
+from deformscope_drivers.errors import LibraryMissing
+from deformscope_drivers.hosted import ask_hosted
 from deformscope_drivers.ports import FoundDevice
 from deformscope_drivers.realsense.advice import INSTALL, UDEV
 from deformscope_drivers.realsense.camera import ListedRealsense
+from deformscope_drivers.realsense.process import report_cameras
 from deformscope_drivers.usb import sysfs_text, usb_device
 
 USB_DEVICES = Path("/sys/bus/usb/devices")
@@ -35,12 +36,10 @@ USB_3_MBIT_S = 5000
 
 def list_by_librealsense(library: str = "pyrealsense2") -> list[ListedRealsense] | None:
     """The cameras that librealsense sees, asked in a process of its own; None where it is not installed."""
-    answer = ask_process("deformscope_drivers.realsense.process", "list", library, timeout_s=LIST_TIMEOUT_S)
     try:
-        reported = json.loads(answer or "[]")
-    except ValueError:
-        return []
-    return [ListedRealsense(**found) for found in reported] if isinstance(reported, list) else None
+        return ask_hosted(report_cameras, library, timeout_s=LIST_TIMEOUT_S) or []
+    except LibraryMissing:
+        return None
 
 
 def discover_realsense(

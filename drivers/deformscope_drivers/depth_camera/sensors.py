@@ -33,7 +33,8 @@ class TriangulatingSensor:
     grazing_deg: float = 12.0
 
     def step_m(self, depth_m: float) -> float:
-        """From one depth to the next [m]."""
+        """The difference between neighbouring depths that the sensor can report, at depth_m [m]: it grows with depth
+        squared."""
         return self.step_px * depth_m**2 / (self.focal_px * self.baseline_m)
 
     def measure(
@@ -79,7 +80,7 @@ class TriangulatingSensor:
         return np.asarray(there > nearest + 1e-9)
 
     def _grazed(self, exact: NDArray[np.float64], lens_px: float) -> NDArray[np.bool_]:
-        """Surfaces along the view; jumps are none."""
+        """(rows, columns) where the surface is seen flatter than `grazing_deg`; jumps of depth do not count as such."""
         steepest = 1.0 / (lens_px * math.tan(math.radians(self.grazing_deg)))
         with np.errstate(invalid="ignore", divide="ignore"):
             slope = [np.abs(np.gradient(exact, axis=axis)) / exact for axis in (0, 1)]
@@ -99,6 +100,6 @@ SENSORS = {"primesense": PRIMESENSE, "realsense": REALSENSE}
 
 
 def _shifted(values: NDArray[np.float64], step: int, axis: int) -> NDArray[np.float64]:
-    """Each pixel's neighbour; at the border itself."""
+    """(rows, columns) for each pixel the value `step` pixels further along the axis; at the border the border's own."""
     index = np.clip(np.arange(values.shape[axis]) + step, 0, values.shape[axis] - 1)
     return np.take(values, index, axis)

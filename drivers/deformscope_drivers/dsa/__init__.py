@@ -2,5 +2,5 @@
 
 from deformscope_drivers.dsa.config import DsaConfig as DsaConfig
 from deformscope_drivers.dsa.device import Dsa as Dsa
-from deformscope_drivers.dsa.device import TactileReading as TactileReading
 from deformscope_drivers.dsa.double import DsaDouble as DsaDouble
+from deformscope_drivers.dsa.measurer import TactileReading as TactileReading

@@ -14,14 +14,15 @@ from typing import Any, Self, TypeVar
 
 import numpy as np
 
-from deformscope_drivers.clock import Clock, ClockFit, Stamp, Unwrap, monotonic_ns
+from deformscope_drivers.clock import Clock, monotonic_ns
 from deformscope_drivers.device import RECONNECT, Reconnect, StreamDevice
 from deformscope_drivers.dsa import messages
 from deformscope_drivers.dsa.config import DsaConfig, check_sensitivity, check_threshold
+from deformscope_drivers.dsa.measurer import TactileMeasurer, TactileReading
 from deformscope_drivers.dsa.pads import Pad
 from deformscope_drivers.dsa.pressure import FloatArray, PadContact, pad_contact, to_pressure
 from deformscope_drivers.dsa.protocol import Decoder, encode, single, stop, stream
-from deformscope_drivers.dsa.timestamps import TimestampGate, TimestampVerdict
+from deformscope_drivers.dsa.timestamps import TimestampVerdict
 from deformscope_drivers.errors import (
     CommandRefused,
     DeviceError,
@@ -36,7 +37,6 @@ from deformscope_drivers.health import Identity
 from deformscope_drivers.transport import SerialTransport, Transport
 
 BAUDRATE = 115_200
-TICK_NS = 1e6
 
 STOP_TIMEOUT_S = 3.0
 STOP_TRIES = 4
@@ -60,20 +60,6 @@ COMMAND_TIMEOUT_S = 30.0
 
 ReplyT = TypeVar("ReplyT", bound=messages.Reply)
 ResultT = TypeVar("ResultT")
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class TactileReading:
-    """One frame of all pads.
-
-    stamp: arrival, and the controller's time in `device_ticks` [ms], without its 32-bit wrap
-    texels: (n,) uint16 counts, 0 to 4095, read-only: all matrices in the controller's order, each row by row
-    pads: the same, (rows, columns) for each matrix
-    """
-
-    stamp: Stamp
-    texels: messages.TexelArray
-    pads: tuple[messages.TexelArray, ...]
 
 
 @dataclass
@@ -102,6 +88,7 @@ class Dsa(StreamDevice[TactileReading]):
         reconnect: Reconnect | None = RECONNECT,
         clock: Clock = monotonic_ns,
     ) -> None:
+        self._measurer = TactileMeasurer()
         super().__init__(
             transport or SerialTransport(config.port, BAUDRATE),
             silence_s=config.silence_s if config.streaming else None,
@@ -113,7 +100,6 @@ class Dsa(StreamDevice[TactileReading]):
         self._controller: messages.ControllerInfo | None = None
         self._sensor: messages.SensorInfo | None = None
         self._matrices: tuple[messages.MatrixInfo, ...] = ()
-        self._gate = TimestampGate()
         self._begin()
 
     def open(self, *, own_thread: bool = True) -> Self:
@@ -245,8 +231,7 @@ class Dsa(StreamDevice[TactileReading]):
     # The stream device's part ----------------------------------------------------------------------------------------
 
     def _make_decoder(self) -> Decoder:
-        self._packets = Decoder()
-        return self._packets
+        return self._measurer.connect()
 
     def _start(self) -> None:
         """Stop, discard what is still in transit, ask what it is, set it, and have it stream."""
@@ -260,7 +245,7 @@ class Dsa(StreamDevice[TactileReading]):
         if not 0 < cells <= CELLS_MAX:
             raise ProtocolViolation(f"matrices of 1 to {CELLS_MAX} texels in all", f"{cells}", where=self.name)
         self._matrices = matrices
-        self._packets.cells = cells
+        self._measurer.describe([(matrix.cells_y, matrix.cells_x) for matrix in matrices])
         self._set_all()
         self._expect(0.0 if self._settings.streaming else None)
         if self._settings.streaming:
@@ -271,22 +256,14 @@ class Dsa(StreamDevice[TactileReading]):
             self._send(encode(stop()))
 
     def _measure(self, event: messages.Reading | messages.Reply, host_ns: int) -> Iterable[TactileReading]:
-        if not isinstance(event, messages.Reading) or self._packets.cells is None:  # left over from an earlier time
-            return []
-        verdict = self._gate.check(event.timestamp_ms)
-        if verdict is TimestampVerdict.REPEATED:
-            self._repeated += 1
-            return []
-        if verdict is TimestampVerdict.JUMPED:
+        found = self._measurer.measure(event, host_ns)
+        if found is TimestampVerdict.JUMPED:
             self._count_refused("timestamp")
+        if not isinstance(found, TactileReading):
             return []
-        if verdict is TimestampVerdict.RESTARTED:
-            self._restarts += 1
-            self._forget_time(event.timestamp_ms)
         self._measured_ns = host_ns
-        ticks = self._unwrap(event.timestamp_ms, host_ns)
-        self._fit.add(ticks, host_ns)
-        return [TactileReading(Stamp(host_ns, ticks), event.texels, self._cut_up(event.texels))]
+        self._clock_fit = self._measurer.clock_fit
+        return [found]
 
     def _receive(self, timeout_s: float) -> Iterable[TactileReading]:
         readings = list(super()._receive(timeout_s))
@@ -300,7 +277,7 @@ class Dsa(StreamDevice[TactileReading]):
         return reading.texels.tobytes() if reading.texels.any() else None
 
     def _extra_health(self) -> dict[str, float]:
-        return {"repeated": self._repeated, "clock_restarts": self._restarts}
+        return {"repeated": self._measurer.repeated, "clock_restarts": self._measurer.restarts}
 
     # Within: all in the device's thread ------------------------------------------------------------------------------
 
@@ -375,14 +352,14 @@ class Dsa(StreamDevice[TactileReading]):
             self._acknowledged(command, doing)
 
     def _stream(self) -> None:
-        self._forget_time()
+        self._begin_stream()
         command = stream(rle=self._settings.rle, frame_rate_hz=self.config.frame_rate_hz)
         self._acknowledged(command, "start of streaming")
         self._silence_ns = round(self.config.silence_s * 1e9)
         self._measured_ns = self._clock()
 
     def _take_single(self) -> TactileReading:
-        self._forget_time()
+        self._begin_stream()
 
         def accept(event: messages.Reading | messages.Reply) -> Any:
             if isinstance(event, messages.Ack):
@@ -454,24 +431,17 @@ class Dsa(StreamDevice[TactileReading]):
                 for reading in self._measure(event, host_ns):
                     self._publish(reading)
 
-    def _cut_up(self, texels: messages.TexelArray) -> tuple[messages.TexelArray, ...]:
-        ends = np.cumsum([matrix.cells for matrix in self._matrices])[:-1]
-        shapes = [(matrix.cells_y, matrix.cells_x) for matrix in self._matrices]
-        return tuple(part.reshape(shape) for part, shape in zip(np.split(texels, ends), shapes, strict=True))
-
     def _begin(self) -> None:
         """As the configuration says, whatever was set since."""
         self._settings = _WantedSettings(self.config.streaming, self.config.rle)
-        self._repeated = self._restarts = 0
+        self._measurer = TactileMeasurer()
         self._measured_ns = 0
-        self._forget_time()
+        self._begin_stream()
 
-    def _forget_time(self, timestamp_ms: int | None = None) -> None:
-        """The controller's clock starts anew. timestamp_ms: already seen on it"""
-        self._unwrap = Unwrap(1 << 32, TICK_NS)
-        self._fit = self._clock_fit = ClockFit(TICK_NS)
-        if timestamp_ms is None:
-            self._gate.restart()
+    def _begin_stream(self) -> None:
+        """Frames are asked for anew, and the controller's clock may have been set anew meanwhile."""
+        self._measurer.begin_stream()
+        self._clock_fit = self._measurer.clock_fit
 
     def _command(self, action: Callable[[], ResultT]) -> ResultT:
         return self._do(action, COMMAND_TIMEOUT_S)

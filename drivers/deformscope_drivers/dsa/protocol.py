@@ -82,7 +82,7 @@ def packet(id: int, payload: bytes) -> bytes:
 
 
 class _DsaDecoder(FrameDecoder[EventT]):
-    """What both ends do with a stream of packets."""
+    """Finds whole packets in a stream by preamble, length and checksum; a subclass decodes their payload."""
 
     def _find(self, buffer: bytes, start: int) -> int:
         return find_start(buffer, start, PREAMBLE)

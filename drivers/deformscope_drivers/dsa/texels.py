@@ -47,7 +47,7 @@ def encode_rle(texels: TexelArray) -> bytes:
 
 
 def _own(texels: TexelArray) -> TexelArray:
-    """Native byte order, and nobody's to change."""
+    """The same counts (n,) as uint16 in the machine's byte order, read-only."""
     texels = texels.astype(np.uint16)
     texels.flags.writeable = False
     return texels

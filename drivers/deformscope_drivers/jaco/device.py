@@ -21,10 +21,10 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any, Literal, Self
 
-from deformscope_drivers.arm.beside import ArmBeside
 from deformscope_drivers.arm.commands import JointVelocity, Velocity, by_joints, finite, linear_velocity_of
 from deformscope_drivers.arm.device import CALL_MS, Arm
 from deformscope_drivers.arm.errors import MotionStopped
+from deformscope_drivers.arm.hosted import HostedArm
 from deformscope_drivers.arm.kinematics import Chain
 from deformscope_drivers.clock import Clock, monotonic_ns
 from deformscope_drivers.device import RECONNECT, Reconnect
@@ -66,7 +66,7 @@ HOME_PAUSE_S = 1.0
 
 def open_jaco(config: JacoConfig) -> Arm[Any]:
     """The device, closed: in a process of its own unless the configuration says otherwise."""
-    return ArmBeside(Jaco, config) if config.own_process else Jaco(config)
+    return HostedArm(Jaco, config) if config.own_process else Jaco(config)
 
 
 class Jaco(Arm[JacoState]):
@@ -272,7 +272,7 @@ class Jaco(Arm[JacoState]):
             raise LinkLost("an arm that answers", str(error), error.remedy, self.name) from error
 
     def _pause(self, seconds: float) -> None:
-        """Let time pass in the thread that owns the link."""
+        """Wait in the thread that owns the link, by a simulated clock where it runs on one."""
         if isinstance(self._clock, SimulatedClock):
             self._clock.advance_to(self._clock() + round(seconds * 1e9))
         else:
@@ -426,7 +426,7 @@ class Jaco(Arm[JacoState]):
         self._configure("StartForceControl")
 
     def stop_force_control(self) -> None:
-        """Stand firm again."""
+        """End force control: the arm holds its position again."""
         self._do(lambda: call(self._functions, "StopForceControl"), COMMAND_TIMEOUT_S)
 
     def set_force_range(self, least: Sequence[float], most: Sequence[float]) -> None:
@@ -506,7 +506,7 @@ class Jaco(Arm[JacoState]):
             self.poll(left_ns / 1e9)
 
     def _fresh(self) -> JacoState:
-        """A state that is not old; waits for one."""
+        """The latest state, of the last STATE_AGE_S; the next one is waited for where that is older."""
         try:
             return self.latest(STATE_AGE_S)
         except Stale:

@@ -238,7 +238,7 @@ class JacoDouble:
 
     @property
     def fifo_count(self) -> int:
-        """Trajectory points that wait."""
+        """How many trajectory points wait in the arm's queue."""
         with self._lock:
             self._live()
             return len(self._arm.fifo)
@@ -254,7 +254,7 @@ class JacoDouble:
         return OK
 
     def _live(self) -> None:
-        """Live through the cycles that have passed."""
+        """Compute the arm's 10 ms cycles up to now by the clock."""
         due = (self._clock() - self._then_ns) // CYCLE_NS
         self._then_ns += max(0, due) * CYCLE_NS
         self._arm.cycles += max(0, due)

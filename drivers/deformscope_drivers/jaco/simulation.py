@@ -117,7 +117,7 @@ class SimulatedArm:
 
     @property
     def retract(self) -> structures.RetractType:
-        """What it says of being at home."""
+        """The state that the arm reports of its home pose: not initialized, on its way, at home, or elsewhere."""
         if self._homing:
             return structures.RetractType.NORMAL_TO_READY
         if not self.homed:
@@ -325,7 +325,7 @@ class Admittance:
         self._joint_rates: FloatArray = np.zeros(joint_count)
 
     def start(self) -> None:
-        """Yield from here on, from rest."""
+        """The arm moves with the wrench from now on; it begins at rest."""
         self.active = True
         self._twist = np.zeros_like(self._twist)
         self._joint_rates = np.zeros_like(self._joint_rates)

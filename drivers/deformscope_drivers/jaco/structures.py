@@ -82,7 +82,7 @@ class DeviceType(IntEnum):
 
 
 def _alike(kind: type[Any], names: str) -> list[tuple[str, type[Any]]]:
-    """Fields of one type, in their order."""
+    """Fields (name, type) of a C structure, all of one type. names: separated by spaces, in the structure's order"""
     return [(name, kind) for name in names.split()]
 
 

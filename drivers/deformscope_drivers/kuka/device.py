@@ -15,10 +15,10 @@ from typing import Any
 
 import numpy as np
 
-from deformscope_drivers.arm.beside import ArmBeside
 from deformscope_drivers.arm.commands import by_joints
 from deformscope_drivers.arm.device import Arm
 from deformscope_drivers.arm.errors import NotStopped
+from deformscope_drivers.arm.hosted import HostedArm
 from deformscope_drivers.arm.kinematics import (
     Chain,
     FloatArray,
@@ -60,7 +60,7 @@ FILES = "`deformscope arm files RIG` writes the files"
 
 def open_kuka(config: KukaConfig) -> Arm[Any]:
     """The device, closed: in a process of its own unless the configuration says otherwise."""
-    return ArmBeside(Kuka, config) if config.own_process else Kuka(config)
+    return HostedArm(Kuka, config) if config.own_process else Kuka(config)
 
 
 class Kuka(Arm[ArmState]):

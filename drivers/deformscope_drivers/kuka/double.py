@@ -153,7 +153,7 @@ class KukaDouble:
         return not self.ended or bool(np.any(self._rates_deg_s))
 
     def _live(self, now_ns: int) -> None:
-        """Live through the cycles that have passed."""
+        """Compute the controller's cycles up to now_ns [ns]."""
         if self._next_ns is None or not self.running:
             self._next_ns = now_ns
         if self.ended and self._again_ns is not None and now_ns >= self._next_ns + self._again_ns:

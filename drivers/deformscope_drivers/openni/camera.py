@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass
 
-from deformscope_drivers.camera_process.messages import FrameMessage
 from deformscope_drivers.errors import LinkLost, SettingsRefused
+from deformscope_drivers.frame_message import INDEX_MASK, FrameMessage
 from deformscope_drivers.openni.library import (
     END_OF_FILE,
     MANUAL_SPEED,
@@ -52,7 +52,8 @@ class OpenniCamera:
         self._set()
 
     def words(self) -> dict[str, object]:
-        """What it reports of itself."""
+        """What is sent to the program when the camera is open: sizes [px], rate [Hz], unit [m], field of view [rad],
+        names."""
         mode, info = self.depth.mode(), self._device.info()
         seen_as = self.color if self.color is not None and self._registers else self.depth
         field_of_view = seen_as.field_of_view_rad() or self.depth.field_of_view_rad()
@@ -182,11 +183,10 @@ class Pairs:
 def _message(depth: Frame, host_ns: int, color: Frame | None) -> FrameMessage:
     """A frame that is cut off goes as one of no size: it is refused, and counted, where it is taken."""
     width, height, data = (depth.width, depth.height, depth.data) if depth.is_whole else (0, 0, b"")
+    index = depth.index & INDEX_MASK
     if color is None or not color.is_whole:
-        return FrameMessage(host_ns, depth.timestamp_us, depth.index, width, height, 0, 0, data, b"")
-    return FrameMessage(
-        host_ns, depth.timestamp_us, depth.index, width, height, color.width, color.height, data, color.data
-    )
+        return FrameMessage(host_ns, depth.timestamp_us, index, width, height, 0, 0, data, b"")
+    return FrameMessage(host_ns, depth.timestamp_us, index, width, height, color.width, color.height, data, color.data)
 
 
 def _in_words(mode: Mode) -> str:

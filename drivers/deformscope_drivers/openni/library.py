@@ -141,7 +141,7 @@ class Openni:
         self._listen()
 
     def check(self, status: int, expected: str, where: str = "", error: type[DeviceError] = NotConnected) -> None:
-        """Raise what a status that is not OK means."""
+        """Raises `error` where a call's status is not OK. expected: what the call was for"""
         if status != OK:
             words = (self.lib.oniGetExtendedError() or b"").decode(errors="replace")
             raise error(expected, " ".join(words.split()) or f"status {status}", where=where)

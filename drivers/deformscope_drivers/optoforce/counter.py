@@ -216,7 +216,7 @@ class _Run:
     lost: int = 0
 
     def again(self, step: int) -> int:
-        """How often it came in a row, with this one."""
+        """How often this step between counters has come in a row, this time included."""
         if step != self.step:
             self.step, self.length, self.lost = step, 0, 0
         self.length += 1

@@ -9,15 +9,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from deformscope_drivers.clock import Clock, ClockFit, Stamp, Unwrap, monotonic_ns
+from deformscope_drivers.clock import Clock, ClockFit, Unwrap, monotonic_ns
 from deformscope_drivers.device import ROUND_S, StreamDevice
 from deformscope_drivers.errors import CommandRefused, NoReply, SettingsRefused
 from deformscope_drivers.health import Identity, Link
 from deformscope_drivers.optoforce import protocol
 from deformscope_drivers.optoforce.config import OptoforceConfig, filter_of, speed_of
-from deformscope_drivers.optoforce.counter import WRAP, CounterStep, CounterTrack, Gap
-from deformscope_drivers.optoforce.measurement import ForceMeasurement
-from deformscope_drivers.optoforce.plausibility import doubts
+from deformscope_drivers.optoforce.counter import WRAP, CounterStep, Gap
+from deformscope_drivers.optoforce.measurement import ForceMeasurement, ForceMeasurer
 from deformscope_drivers.transport import CAN_FRAME_BYTES, Transport, serial_or_can
 
 REPLY_S = 0.3
@@ -57,12 +56,6 @@ class Optoforce(StreamDevice[ForceMeasurement]):
     """
 
     _settings: DaqSettings
-    _kind: protocol.Kind | None
-    _offset: FloatArray | None
-    _before: protocol.Reading | None
-    _unusable: int
-    _overloaded: int
-    _doubted: int
     _zero_in_doubt: bool
 
     def __init__(
@@ -70,7 +63,6 @@ class Optoforce(StreamDevice[ForceMeasurement]):
     ) -> None:
         self.config = config
         self._fill_to = CAN_FRAME_BYTES if config.bus else 1
-        self._track = CounterTrack()
         super().__init__(
             transport
             or serial_or_can(
@@ -96,13 +88,13 @@ class Optoforce(StreamDevice[ForceMeasurement]):
 
     @property
     def kind(self) -> protocol.Kind | None:
-        """What hangs on the DAQ; None before the first reading."""
-        return self._kind
+        """Which sensors are connected to the DAQ; None before the first reading."""
+        return self._measurer.kind
 
     @property
     def offset_counts(self) -> FloatArray | None:
         """(channels, axes) counts that `zero` took away; None = nothing was taken away."""
-        return self._offset
+        return self._measurer.offset
 
     @property
     def acknowledges(self) -> bool | None:
@@ -131,14 +123,14 @@ class Optoforce(StreamDevice[ForceMeasurement]):
         """Take back `zero`: readings come as the sensor was made."""
 
         def clear() -> None:
-            self._offset = None
+            self._measurer.offset = None
             self._send_settings(replace(self._settings, zeroed=False))
 
         self._do(clear, 10.0)
 
     def identity(self) -> Identity:
         """What hangs on the DAQ, and its serial number if it was asked for."""
-        return Identity(f"OptoForce {self._kind.value}" if self._kind else "OptoForce", self._serial)
+        return Identity(f"OptoForce {self._measurer.kind.value}" if self._measurer.kind else "OptoForce", self._serial)
 
     def serial_number(self) -> str:
         """The serial number; raises NoReply with firmware that has none."""
@@ -152,13 +144,13 @@ class Optoforce(StreamDevice[ForceMeasurement]):
     def _start(self) -> None:
         if self._link is not Link.LOST:
             self._begin_session()
-        self._kind = None
+        self._measurer.kind = None
         self._restart = ""
         if self.config.serial and (came := self._ask_serial()) != self.config.serial:
             advice = "another port, or this sensor's own sensitivity report"
             raise SettingsRefused(f"serial number {self.config.serial}", came, advice, self.name)
         self._change(self._settings)
-        if self.config.zero_at_start and self._offset is None:
+        if self.config.zero_at_start and self._measurer.offset is None:
             self._zero(STILL_COUNTS)
 
     def _receive(self, timeout_s: float) -> Iterable[ForceMeasurement]:
@@ -171,48 +163,25 @@ class Optoforce(StreamDevice[ForceMeasurement]):
     def _measure(self, event: protocol.Reply, host_ns: int) -> Iterable[ForceMeasurement]:
         if not isinstance(event, protocol.Reading):
             return []
-        if self._kind is None:
-            self._learn_kind(event.kind)
-        known = event.kind is self._kind
-        gap = self._track.follow(event.counter, host_ns, twin=event == self._before)
+        gap = self._measurer.follow(event, host_ns)
         if gap.lost:
             self._count_lost(gap.lost)
         self._look_for_restart(gap, host_ns)
-        self._before, self._before_ns = event, host_ns
-        found = doubts(event, self._nominal_counts if known else None)
-        if gap.verdict in (CounterStep.JUMPED, CounterStep.LATE, CounterStep.REPEATED):
-            found += ("counter",)
-        if not known:
-            found += ("kind",)
-        if self._zero_in_doubt:
-            found += ("zero",)
+        self._before_ns = host_ns
         self._compare_clocks(event, gap.verdict, host_ns)
-        self._doubted += bool(found)
-        self._unusable += not event.status.usable
-        self._overloaded += bool(event.status.overload)
-        measured = ForceMeasurement(
-            Stamp(host_ns, event.counter),
-            event.kind,
-            event.status,
-            event.counts,
-            self._per_count if known else None,
-            None if self._settings.zeroed or not known else self._offset,
-            gap.lost,
-            gap.verdict,
-            found,
-        )
-        return [measured]
+        zeroed, in_doubt = self._settings.zeroed, self._zero_in_doubt
+        return [self._measurer.measure(event, host_ns, gap, zeroed=zeroed, zero_in_doubt=in_doubt)]
 
     def _fingerprint(self, reading: ForceMeasurement) -> Hashable:
         return reading.counts
 
     def _extra_health(self) -> dict[str, float]:
-        track = self._track
+        measurer, track = self._measurer, self._measurer.track
         return {
             "unacknowledged": self._unacknowledged,
-            "unusable": self._unusable,
-            "overloaded": self._overloaded,
-            "doubted": self._doubted,
+            "unusable": measurer.unusable,
+            "overloaded": measurer.overloaded,
+            "doubted": measurer.doubted,
             "damaged_counters": track.damaged,
             "repeated": track.repeated,
             "late": track.late,
@@ -223,19 +192,14 @@ class Optoforce(StreamDevice[ForceMeasurement]):
 
     def _begin_session(self) -> None:
         self._settings = DaqSettings(speed_of(self.config.rate_hz), filter_of(self.config.filter_hz))
-        self._offset = None
+        self._measurer = ForceMeasurer(self.config.sensitivities, self.name)
         self._acknowledges: bool | None = None
         self._serial = ""
-        self._kind = None
-        self._per_count: FloatArray | None = None
-        self._nominal_counts: list[tuple[float, ...]] | None = None
         self._restart = ""
         self._zero_in_doubt = False
-        self._before = None
         self._before_ns = 0
-        self._track = CounterTrack()
         self._unwrap: Unwrap | None = None
-        self._unacknowledged = self._unusable = self._overloaded = self._doubted = 0
+        self._unacknowledged = 0
 
     def _change(self, wanted: DaqSettings) -> None:
         """Send speed and filter, and see that readings come.
@@ -287,7 +251,7 @@ class Optoforce(StreamDevice[ForceMeasurement]):
                 self._zero_in_doubt |= self._settings.zeroed
 
     def _forget_counter(self, speed: protocol.Speed) -> None:
-        self._track.restart(speed * 1e6 if speed else None)
+        self._measurer.track.restart(speed * 1e6 if speed else None)
         self._unwrap = self._clock_fit = None
 
     def _ask_serial(self) -> str:
@@ -310,7 +274,7 @@ class Optoforce(StreamDevice[ForceMeasurement]):
         settling_s = 0.0 if cutoff_hz is None else SETTLED / (2.0 * math.pi * cutoff_hz)
         settle = math.ceil((ZERO_REST_S + settling_s) * rate_hz)
         self._still_mean(count, still_counts, "the zero point is as it was")
-        self._offset = None
+        self._measurer.offset = None
         self._send_settings(replace(self._settings, zeroed=False))
         self._gather(settle)
         before = self._still_mean(count, still_counts, "the zero point is cleared")
@@ -325,9 +289,9 @@ class Optoforce(StreamDevice[ForceMeasurement]):
                 "zero() once more",
                 self.name,
             )
-        self._offset = before - after
-        self._offset.setflags(write=False)
-        return self._offset
+        self._measurer.offset = before - after
+        self._measurer.offset.setflags(write=False)
+        return self._measurer.offset
 
     def _still_mean(self, count: int, still_counts: float, state: str) -> FloatArray:
         """(channels, axes) mean of so many readings; refused where they vary."""
@@ -366,24 +330,8 @@ class Optoforce(StreamDevice[ForceMeasurement]):
             raise NoReply(f"{count} readings within {wait_s:.3g} s", str(len(found)), advice, self.name)
         return found
 
-    def _learn_kind(self, kind: protocol.Kind) -> None:
-        """Now that it is known what hangs on the DAQ: does what the configuration says of it fit?"""
-        reports = self.config.sensitivities
-        if reports and (len(reports) != kind.channels or any(report.axes != kind.axes for report in reports)):
-            raise SettingsRefused(
-                f"{len(reports)} sensors of {reports[0].axes} axes, as in `sensitivity`",
-                f"a {kind.value} DAQ: {kind.channels} of {kind.axes}",
-                "one sensitivity report for each sensor",
-                self.name,
-            )
-        if self._offset is not None and self._offset.shape != (kind.channels, kind.axes):
-            self._offset = None  # another sensor hangs there now
-        self._kind = kind
-        self._per_count = np.stack([report.per_count for report in reports]) if reports else None
-        self._nominal_counts = [report.counts_at_nominal for report in reports] or None
-
     def _compare_clocks(self, reading: protocol.Reading, verdict: CounterStep, host_ns: int) -> None:
-        step = self._track.step
+        step = self._measurer.track.step
         if step is None or verdict in (CounterStep.JUMPED, CounterStep.LATE, CounterStep.REPEATED):
             return
         if self._unwrap is None or self._clock_fit is None or verdict is CounterStep.RESTARTED:

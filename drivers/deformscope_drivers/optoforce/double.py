@@ -128,7 +128,7 @@ class OptoforceDouble:
 
     @property
     def speed(self) -> Speed:
-        """How often it sends."""
+        """The period of its readings, as last set."""
         return self._settings.speed
 
     @property
@@ -214,7 +214,7 @@ class OptoforceDouble:
             self._next_sent += int(speed)
 
     def _sample_at(self, now_ns: int) -> int:
-        """The last sample taken by then."""
+        """The number of the last sample taken by now_ns [ns]; the first one is 0."""
         return math.floor((now_ns - self._started_ns) / self._sample_ns)
 
     def _time_ns(self, sample: int) -> int:
@@ -222,7 +222,7 @@ class OptoforceDouble:
         return self._started_ns + round(sample * self._sample_ns)
 
     def _take_samples(self, last: int) -> None:
-        """Sample and filter up to this sample."""
+        """Take and filter the samples up to the one of number `last`."""
         cutoff_hz = self._settings.filter.cutoff_hz
         weight = 1.0 if cutoff_hz is None else 1.0 - math.exp(-2.0 * math.pi * cutoff_hz * SAMPLE_NS * 1e-9)
         memory = 1 if cutoff_hz is None else math.ceil(FILTER_MEMORY / weight)

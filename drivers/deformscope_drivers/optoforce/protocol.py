@@ -79,7 +79,7 @@ class Zero(IntEnum):
 
 
 class Kind(Enum):
-    """What hangs on the DAQ."""
+    """Which sensors are connected to the DAQ."""
 
     THREE_AXIS = "3-axis"
     FOUR_CHANNEL = "4-channel"
@@ -136,7 +136,7 @@ class Status(int):
 
     @property
     def several_sensors(self) -> bool:
-        """What it says holds for more than one sensor."""
+        """Whether the reported state is that of more than one sensor."""
         return bool(self & 8)
 
     @property
@@ -158,7 +158,7 @@ class Status(int):
         several_sensors: bool = False,
         sensor_number: int = 0,
     ) -> Status:
-        """The word that says so."""
+        """The status word with these fields."""
         bits = sum(0x200 >> AXES.index(name) for name in overload)
         return cls(daq << 13 | sensor << 10 | bits | several_sensors << 3 | sensor_number)
 

@@ -19,7 +19,7 @@ class StandDouble:
         return self._T_base_end_effector
 
     def put(self, T_base_end_effector: npt.ArrayLike) -> None:
-        """Somebody puts it there, (4, 4) [m]."""
+        """A person places the end effector at this pose (4, 4) in the base frame [m]."""
         self._T_base_end_effector = np.array(T_base_end_effector, dtype=float)
 
     @property

@@ -12,9 +12,9 @@ import time
 from dataclasses import dataclass
 from typing import Any
 
-from deformscope_drivers.camera_process.messages import NO_TIME_US, FrameMessage
 from deformscope_drivers.clock import Unwrap
 from deformscope_drivers.errors import DeviceError, LinkLost, NotConnected, SettingsRefused
+from deformscope_drivers.frame_message import INDEX_MASK, NO_TIME_US, FrameMessage
 from deformscope_drivers.realsense.advice import NO_PICTURES, UDEV, meaning
 
 PRESETS = (
@@ -91,7 +91,8 @@ class RealsenseCamera:
         self._warm_up()
 
     def words(self) -> dict[str, object]:
-        """What it reports of itself."""
+        """What is sent to the program when the camera is open: sizes [px], rate [Hz], unit [m], lens, names,
+        remarks."""
         rs = self._rs
         seen = self._stream(rs.stream.color if self._registers else rs.stream.depth)
         lens = seen.get_intrinsics()
@@ -128,7 +129,7 @@ class RealsenseCamera:
         if self._align is not None:
             depth = self._align.process(frames).get_depth_frame()
         width, height = depth.get_width(), depth.get_height()
-        data, number = _packed(depth, 2), self._last_number
+        data, number = _packed(depth, 2), self._last_number & INDEX_MASK
         if color is None:
             return FrameMessage(host_ns, timestamp_us, number, width, height, 0, 0, data, b"")
         wide, high = color.get_width(), color.get_height()

@@ -69,13 +69,14 @@ class DoubleCamera:
 
 def plug(file: Path, *cameras: DoubleCamera) -> None:
     """From now on these cameras are there, for whoever was started with CAMERAS_FILE naming that file."""
-    beside = file.with_suffix(".new")
-    beside.write_text(json.dumps([dataclasses.asdict(one) for one in cameras]), encoding="utf-8")
-    beside.replace(file)
+    written = file.with_suffix(".new")
+    written.write_text(json.dumps([dataclasses.asdict(one) for one in cameras]), encoding="utf-8")
+    written.replace(file)
 
 
 class _World:
-    """The file, read again where it has changed."""
+    """The cameras that are plugged in, from the file that CAMERAS_FILE names; it is read again whenever it has
+    changed."""
 
     def __init__(self) -> None:
         self._file = os.environ.get(CAMERAS_FILE, "")
@@ -481,5 +482,5 @@ class Streaming:
 
 
 def _float32(value: float) -> float:
-    """As the library has its numbers."""
+    """A number rounded to 32-bit floating point, in which the library stores it."""
     return float(struct.unpack("f", struct.pack("f", value))[0])

@@ -13,7 +13,7 @@ TEMPERATURE_COUNT: Final = 9
 
 
 class AxisState(IntEnum):
-    """What one axis does."""
+    """The state of an axis as the hand reports it."""
 
     IDLE = 0
     POSITIONING = 1
@@ -115,12 +115,12 @@ ERRORS: Final = (
 
 
 def error_name(code: int) -> str:
-    """What Schunk calls it."""
+    """Schunk's name of an error code; the number where no document names it."""
     return ERRORS[code][0] if 0 <= code < len(ERRORS) else f"code {code}, which no document names"
 
 
 def error_advice(code: int) -> str:
-    """What to try."""
+    """What a user may try against an error code."""
     return ERRORS[code][1] if 0 <= code < len(ERRORS) else "switch the hand off and on"
 
 

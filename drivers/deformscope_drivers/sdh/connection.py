@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Hashable, Iterable
 from typing import TypeVar
 
-import numpy as np
-
-from deformscope_drivers.clock import Clock, Stamp, monotonic_ns
+from deformscope_drivers.clock import Clock, monotonic_ns
 from deformscope_drivers.device import ROUND_S, StreamDevice
 from deformscope_drivers.errors import (
     CommandRefused,
@@ -22,7 +20,8 @@ from deformscope_drivers.health import Identity
 from deformscope_drivers.sdh import codes, protocol
 from deformscope_drivers.sdh.config import SdhConfig
 from deformscope_drivers.sdh.limits import ByAxis, Limits
-from deformscope_drivers.sdh.results import FloatArray, HandIdentity, HandReading
+from deformscope_drivers.sdh.measurer import HandMeasurer
+from deformscope_drivers.sdh.results import HandIdentity, HandReading
 from deformscope_drivers.transport import Transport
 
 OPEN_QUIET_S = 0.1
@@ -47,8 +46,8 @@ class SdhConnection(StreamDevice[HandReading]):
         self._retries = 0
         self._period_ns = round(1e9 / config.rate_hz)
         self._next_poll_ns = self._next_temperature_ns = 0
-        self._temperature: tuple[FloatArray, Stamp] | None = None
         super().__init__(transport or config.transport(), reconnect=config.reconnect, clock=clock)
+        self._measurer = HandMeasurer(self.name)
 
     @property
     def about(self) -> HandIdentity:
@@ -126,7 +125,8 @@ class SdhConnection(StreamDevice[HandReading]):
         if self._next_poll_ns < now_ns:  # too slow for the rate: go on from here, never catch up
             self._next_poll_ns = now_ns
         try:
-            return [self._poll()]
+            reading = self._poll()
+            return [] if reading is None else [reading]
         except CommandRefused as error:
             self._count_refused(f"error {error.code} ({error.name})")
         except ProtocolViolation:
@@ -135,32 +135,22 @@ class SdhConnection(StreamDevice[HandReading]):
 
     # Readings --------------------------------------------------------------------------------------------------------
 
-    def _poll(self) -> HandReading:
+    def _poll(self) -> HandReading | None:
         """The angles come last: an axis that was idle before is where it stays, and the stamp is the newest."""
         if self._clock() >= self._next_temperature_ns:
             self._next_temperature_ns = self._clock() + round(self.config.temperature_period_s * 1e9)
-            self._temperature = self._measured("temp")
-        states = self._states(self._measured("state")[0])
-        velocity = self._velocity()
-        position, stamp = self._measured("pos")
-        temperature, temperature_stamp = self._temperature or (None, None)
-        return HandReading(stamp, position, velocity, states, temperature, temperature_stamp)
+            self._measured("temp")
+        self._measured("state")
+        self._measured(*self._velocity_query())
+        return self._measured("pos")
 
-    def _velocity(self) -> FloatArray:
-        return self._measured("vel")[0]
+    def _velocity_query(self) -> tuple[str, ByAxis]:
+        """The command that the hand answers with the axes' velocities, and its values."""
+        return "vel", ()
 
-    def _measured(self, quantity: str, targets: ByAxis = ()) -> tuple[FloatArray, Stamp]:
-        reading = self._exchange(protocol.Command(quantity, targets), protocol.Reading)
-        values = np.array(reading.values, dtype=np.float64)
-        values.flags.writeable = False
-        return values, Stamp(self._heard_ns)
-
-    def _states(self, values: FloatArray) -> tuple[codes.AxisState, ...]:
-        try:
-            return tuple(codes.AxisState(int(value)) for value in values)
-        except ValueError as error:
-            known = ", ".join(f"{state.value} {state.name}" for state in codes.AxisState)
-            raise ProtocolViolation(f"axis states of {known}", f"{values.tolist()}", where=self.name) from error
+    def _measured(self, quantity: str, targets: ByAxis = ()) -> HandReading | None:
+        answer = self._exchange(protocol.Command(quantity, targets), protocol.Reading)
+        return self._measurer.measure(answer, self._heard_ns)
 
     # Asking ----------------------------------------------------------------------------------------------------------
 

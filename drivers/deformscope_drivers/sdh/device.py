@@ -17,11 +17,11 @@ from deformscope_drivers.clock import Clock, monotonic_ns
 from deformscope_drivers.device import ROUND_S
 from deformscope_drivers.errors import CommandRefused, DeviceError, LinkLost, OutOfLimits, SettingsRefused, Stale
 from deformscope_drivers.health import Link
-from deformscope_drivers.sdh import codes
+from deformscope_drivers.sdh import codes, protocol
 from deformscope_drivers.sdh.config import SdhConfig
 from deformscope_drivers.sdh.connection import SdhConnection
 from deformscope_drivers.sdh.limits import ByAxis, within
-from deformscope_drivers.sdh.results import FloatArray, HandReading, MoveResult, Outcome, StopReport
+from deformscope_drivers.sdh.results import HandReading, MoveResult, Outcome, StopReport
 from deformscope_drivers.transport import Transport
 
 SETTLE_S = 0.5
@@ -348,11 +348,9 @@ class Sdh(SdhConnection):
             self._values("stop")
         return []
 
-    def _velocity(self) -> FloatArray:
+    def _velocity_query(self) -> tuple[str, ByAxis]:
         """While velocities are driven they are sent again each time, which also answers with the actual ones."""
-        if self._drive_until_ns is None:
-            return super()._velocity()
-        return self._measured("tvav", self._driven)[0]
+        return super()._velocity_query() if self._drive_until_ns is None else ("tvav", self._driven)
 
     def _stop_now(self) -> StopReport:
         self._halt()
@@ -361,7 +359,7 @@ class Sdh(SdhConnection):
         return StopReport(max(0.0, (self._grip_until_ns - self._clock()) / 1e9))
 
     def _halt(self) -> None:
-        """End what `drive` keeps going."""
+        """End velocities that `drive` set: all are set to 0."""
         if self._drive_until_ns is not None:
             self._drive_until_ns = None
             self._set("v", STILL)
@@ -383,7 +381,8 @@ class Sdh(SdhConnection):
         if len(targets) == codes.AXIS_COUNT:
             return tuple(targets[axis] for axis in range(codes.AXIS_COUNT))
         limits = self.limits
-        actual = np.clip(self._measured("pos")[0], limits.position_min_deg, limits.position_max_deg)
+        now_deg = self._exchange(protocol.Command("pos"), protocol.Reading).values
+        actual = np.clip(now_deg, limits.position_min_deg, limits.position_max_deg)
         return tuple(targets.get(axis, float(actual[axis])) for axis in range(codes.AXIS_COUNT))
 
     def _grip(self, name: str, *values: float) -> _Started:

@@ -20,7 +20,7 @@ import numpy as np
 import pytest
 
 from deformscope_drivers.arm import ArmState, JointVelocity, MotionStopped
-from deformscope_drivers.arm.beside import ArmBeside
+from deformscope_drivers.arm.hosted import HostedArm
 from deformscope_drivers.clock import monotonic_ns
 from deformscope_drivers.errors import DeviceError
 from deformscope_drivers.jaco import Jaco, JacoConfig, JacoDouble
@@ -73,8 +73,8 @@ def path(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def arm(path: Path) -> Iterator[ArmBeside]:
-    with ArmBeside(Unhomed, JacoConfig(library=str(path))) as arm:
+def arm(path: Path) -> Iterator[HostedArm]:
+    with HostedArm(Unhomed, JacoConfig(library=str(path))) as arm:
         yield arm
 
 
@@ -93,7 +93,7 @@ def moves_home(path: Path) -> int:
     return sum(name == "MoveHome" for name, _, _ in calls(path))
 
 
-def halted(arm: ArmBeside, path: Path, homes: ThreadPoolExecutor) -> float:
+def halted(arm: HostedArm, path: Path, homes: ThreadPoolExecutor) -> float:
     """Halt an arm on its way home: after how long [s] its trajectories were erased."""
     before = moves_home(path)
     going: Future[ArmState] = homes.submit(arm.home)
@@ -107,7 +107,7 @@ def halted(arm: ArmBeside, path: Path, homes: ThreadPoolExecutor) -> float:
     return (erased_ns - asked_ns) / 1e9
 
 
-def test_an_arm_that_was_switched_on_is_homed_through_its_own_process(arm: ArmBeside, path: Path) -> None:
+def test_an_arm_that_was_switched_on_is_homed_through_its_own_process(arm: HostedArm, path: Path) -> None:
     """Stop, wait, start, MoveHome: as the vendor's driver does it."""
     assert arm.goes_home
     assert not arm.homed
@@ -124,7 +124,7 @@ def test_an_arm_that_was_switched_on_is_homed_through_its_own_process(arm: ArmBe
     arm.set_velocity(JointVelocity((5.0, 0.0, 0.0, 0.0, 0.0, 0.0)), 0.2)  # it takes commands
 
 
-def test_a_halt_does_not_wait_for_the_arm_to_be_home(arm: ArmBeside, path: Path) -> None:
+def test_a_halt_does_not_wait_for_the_arm_to_be_home(arm: HostedArm, path: Path) -> None:
     with ThreadPoolExecutor(1) as homes:
         late_s = halted(arm, path, homes)
     stands = calls(path)[-1][2]
@@ -133,7 +133,7 @@ def test_a_halt_does_not_wait_for_the_arm_to_be_home(arm: ArmBeside, path: Path)
 
 
 @pytest.mark.realtime
-def test_a_halt_while_homing_comes_within_two_periods(arm: ArmBeside, path: Path) -> None:
+def test_a_halt_while_homing_comes_within_two_periods(arm: HostedArm, path: Path) -> None:
     with ThreadPoolExecutor(1) as homes:
         late_ms = [1e3 * halted(arm, path, homes) for _ in range(50)]
     print(f"erased after {np.median(late_ms):.1f} ms in the middle, {max(late_ms):.1f} ms at most")
@@ -141,7 +141,7 @@ def test_a_halt_while_homing_comes_within_two_periods(arm: ArmBeside, path: Path
 
 
 @pytest.mark.parametrize("pause", [True, False])
-def test_stop_ends_it_wherever_it_is(arm: ArmBeside, path: Path, pause: bool) -> None:
+def test_stop_ends_it_wherever_it_is(arm: HostedArm, path: Path, pause: bool) -> None:
     """In the pause before it sets out too: then it never does."""
     path.write_text("")
     with ThreadPoolExecutor(1) as homes:
@@ -157,10 +157,10 @@ def test_stop_ends_it_wherever_it_is(arm: ArmBeside, path: Path, pause: bool) ->
 
 PROGRAM = """
 import sys
-from deformscope_drivers.arm.beside import ArmBeside
+from deformscope_drivers.arm.hosted import HostedArm
 from deformscope_drivers.jaco import JacoConfig
 from tests.drivers.arm.test_homing import Unhomed
-with ArmBeside(Unhomed, JacoConfig(library=sys.argv[1])) as arm:
+with HostedArm(Unhomed, JacoConfig(library=sys.argv[1])) as arm:
     arm.home()
 """
 
@@ -184,7 +184,7 @@ def test_the_arm_stands_when_the_program_that_sends_it_home_is_gone(number: sign
         program.wait()
 
 
-def test_two_threads_do_not_wait_for_one_another(arm: ArmBeside, path: Path) -> None:
+def test_two_threads_do_not_wait_for_one_another(arm: HostedArm, path: Path) -> None:
     """Answers go to who asked, however late the first one is."""
     with ThreadPoolExecutor(1) as homes:
         going = homes.submit(arm.home)
@@ -200,4 +200,4 @@ def test_two_threads_do_not_wait_for_one_another(arm: ArmBeside, path: Path) -> 
 
 
 def test_an_arm_without_a_home_says_so() -> None:
-    assert not ArmBeside(Kuka, KukaConfig()).goes_home
+    assert not HostedArm(Kuka, KukaConfig()).goes_home

@@ -121,8 +121,8 @@ def test_a_library_can_be_named_by_the_folder_it_was_linked_into(tmp_path: Path)
 
 
 def process_of(camera: DepthCamera) -> int:
-    assert camera._process is not None
-    return camera._process.pid
+    assert camera.process_id is not None
+    return camera.process_id
 
 
 def test_a_crash_of_the_library_is_a_lost_link_that_is_made_again() -> None:
@@ -280,7 +280,7 @@ def test_damaged_recordings_end_in_words(recording: Path) -> None:
             for picture in camera:
                 assert picture.depth.shape == (camera._reported["height"], camera._reported["width"])
         assert not camera.is_open
-        assert camera._process is None
+        assert camera.process_id is None
 
 
 @pytest.mark.hardware

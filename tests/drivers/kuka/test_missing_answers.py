@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 
 from deformscope_drivers.arm import JointVelocity
-from deformscope_drivers.arm.beside import ArmBeside
 from deformscope_drivers.arm.errors import NotStopped
+from deformscope_drivers.arm.hosted import HostedArm
 from deformscope_drivers.arm.kinematics import FloatArray
 from deformscope_drivers.errors import SettingsRefused
 from deformscope_drivers.kuka import Kuka, KukaConfig, KukaDouble, UdpWire
@@ -288,13 +288,13 @@ class Keeping(KukaDouble):
 
 
 @pytest.mark.parametrize("halts", [True, False])
-@pytest.mark.parametrize("beside", [True, False])
-def test_on_the_hosts_clock_the_last_three_answers_are_zeros(beside: bool, halts: bool) -> None:
+@pytest.mark.parametrize("hosted", [True, False])
+def test_on_the_hosts_clock_the_last_three_answers_are_zeros(hosted: bool, halts: bool) -> None:
     """The normal end, halt() and then close(), was a race before: the port closed before zeros were out."""
     double, port = Keeping(), free_port()
     config = KukaConfig(address=LOOPBACK, port=port, wait_s=PATIENCE_S)
     with UdpWire(double, port):
-        arm = ArmBeside(Kuka, config) if beside else Kuka(config)
+        arm = HostedArm(Kuka, config) if hosted else Kuka(config)
         with arm:
             arm.set_velocity(RATES, 30.0)
             assert double.moved.wait(PATIENCE_S)
@@ -324,7 +324,7 @@ class Unplugged(Keeping):
 def test_a_cable_that_is_out_is_told_by_an_arm_in_its_own_process_too(moving: bool) -> None:
     double, port = Unplugged(), free_port()
     with UdpWire(double, port):
-        arm = ArmBeside(Kuka, KukaConfig(address=LOOPBACK, port=port, wait_s=PATIENCE_S)).open()
+        arm = HostedArm(Kuka, KukaConfig(address=LOOPBACK, port=port, wait_s=PATIENCE_S)).open()
         if moving:
             arm.set_velocity(RATES, 30.0)
             assert double.moved.wait(PATIENCE_S)

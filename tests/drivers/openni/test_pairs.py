@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from deformscope_drivers.camera_process.messages import FrameMessage, pack_frame, unpack_frame
+from deformscope_drivers.frame_message import FrameMessage
+from deformscope_drivers.hosted import Channel, HostedProcess
 from deformscope_drivers.openni.camera import WAITING, Pairs
 from deformscope_drivers.openni.library import Frame, PixelFormat
+from tests.patience import PATIENCE_S
 
 PERIOD_US = 33_333
+PICTURE = FrameMessage(-2, 33_000, 1, 2, 1, 1, 1, b"\x10\x27\0\0", b"\xff\0\7")
 
 
 def depth(at_us: int, index: int = 0) -> Frame:
@@ -70,18 +73,20 @@ def test_a_frame_that_is_cut_off_has_no_size() -> None:
     assert pairs.add(depth(7), 99) == [FrameMessage(99, 7, 0, 2, 1, 0, 0, b"\1\0\2\0", b"")]
 
 
-def test_a_picture_crosses_to_the_other_process() -> None:
-    """The table: tag, arrival, timestamp, index, sizes, then depth and colour; little endian."""
-    message = FrameMessage(-2, 33_000, 1, 2, 1, 1, 1, b"\x10\x27\0\0", b"\xff\0\7")
-    data = bytes.fromhex(
-        "46"  # F
-        "feffffffffffffff"
-        "e880000000000000"
-        "01000000"
-        "0200 0100 0100 0100"
-        "10270000"
-        "ff0007"
-    )
+def send_a_picture(channel: Channel) -> None:
+    channel.send("frame", PICTURE)
 
-    assert pack_frame(message) == data
-    assert unpack_frame(data) == message
+
+def test_a_picture_crosses_to_the_other_process() -> None:
+    process = HostedProcess("a process", "test", None)
+    process.start(send_a_picture)
+    try:
+        assert process.receive(PATIENCE_S) == ("frame", PICTURE)
+    finally:
+        process.end(PATIENCE_S)
+
+
+def test_a_count_of_frames_has_32_bits() -> None:
+    (message,) = Pairs(30, wanted=False).add(depth(7, -1), 99)
+
+    assert message.index == 0xFFFFFFFF

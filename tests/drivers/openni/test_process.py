@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import subprocess
 import sys
 
-from deformscope_drivers.camera_process.command import ask_process, process_environment
+from deformscope_drivers.errors import LibraryMissing
+from deformscope_drivers.hosted import ask_hosted, hosted_environment
+from deformscope_drivers.openni.library import ListedDevice
+from deformscope_drivers.openni.process import report_cameras
 from tests.patience import PATIENCE_S
 
 
@@ -14,7 +16,7 @@ def test_it_starts_without_what_takes_long_to_load() -> None:
     script = "import sys, deformscope_drivers.openni.process; print('numpy' in sys.modules)"
     shown = subprocess.run(
         [sys.executable, "-S", "-c", script],
-        env=process_environment(),
+        env=hosted_environment(),
         capture_output=True,
         text=True,
         timeout=PATIENCE_S,
@@ -24,9 +26,12 @@ def test_it_starts_without_what_takes_long_to_load() -> None:
     assert shown.stdout == "False\n"
 
 
-def test_cameras_are_listed_in_json() -> None:
+def test_cameras_are_listed() -> None:
     """A list, or why there is none."""
-    shown = ask_process("deformscope_drivers.openni.process", "list", timeout_s=PATIENCE_S)
-    reported = json.loads(shown)
+    try:
+        reported = ask_hosted(report_cameras, timeout_s=PATIENCE_S)
+    except LibraryMissing as error:
+        reported = error
 
-    assert isinstance(reported, list) or "libopenni2-0" in reported["error"]
+    assert isinstance(reported, list) or "libopenni2-0" in str(reported)
+    assert not isinstance(reported, list) or all(isinstance(camera, ListedDevice) for camera in reported)

@@ -2,35 +2,20 @@
 
 from __future__ import annotations
 
-import contextlib
-import socket
-import subprocess
-import time
 from abc import abstractmethod
-from collections.abc import Hashable, Iterable
-from multiprocessing.connection import Connection
+from collections.abc import Callable, Hashable, Iterable
 from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
 
-from deformscope_drivers import errors
-from deformscope_drivers.camera_process.command import process_command, process_environment
-from deformscope_drivers.camera_process.messages import (
-    END,
-    FAILED,
-    FRAME,
-    NOTE,
-    OPENED,
-    FrameMessage,
-    unpack_frame,
-    unpack_words,
-)
 from deformscope_drivers.clock import ClockFit, Stamp
 from deformscope_drivers.depth_camera.image import DepthImage, Intrinsics
 from deformscope_drivers.device import Device, EndOfReadings, Reconnect
-from deformscope_drivers.errors import DeviceError, LinkLost, NotConnected
+from deformscope_drivers.errors import LinkLost, NotConnected
+from deformscope_drivers.frame_message import FrameMessage
 from deformscope_drivers.health import Identity
+from deformscope_drivers.hosted import HostedProcess, ProcessEnded
 from deformscope_drivers.images import QUEUE_IMAGES, fingerprint
 
 OPEN_TIMEOUT_S = 20.0
@@ -39,23 +24,28 @@ WRONG_SIZE = "size"
 US_NS = 1000.0
 
 
-class CameraBeside(Device[DepthImage]):
+class HostedCamera(Device[DepthImage]):
     """The process is started anew for each link. Frames lost are counted by the camera's own counter.
 
-    module: what is run there; silence_s: no picture for this long means a lost camera
-    A subclass gives `_arguments`, what the process is to open, and `_projection`, and has its say in the other hooks.
+    serve: what is run there, with a channel and `_settings`; silence_s: no picture for this long means a lost camera
+    A subclass gives `_settings`, what the process is to open, and `_projection`, and may override the other hooks.
     """
 
     queue_readings: ClassVar[int] = QUEUE_IMAGES
 
     def __init__(
-        self, name: str, module: str, silence_s: float, *, reconnect: Reconnect | None, stuck_after_s: float | None
+        self,
+        name: str,
+        serve: Callable[..., None],
+        silence_s: float,
+        *,
+        reconnect: Reconnect | None,
+        stuck_after_s: float | None,
     ) -> None:
         super().__init__(name, reconnect=reconnect, stuck_after_s=stuck_after_s)
-        self._module = module
+        self._serve = serve
         self._silence_s = silence_s
-        self._process: subprocess.Popen[bytes] | None = None
-        self._connection: Connection | None = None
+        self._hosted = HostedProcess("the process that reads the camera", name, END_TIMEOUT_S)
         self._reported: dict[str, Any] = {}
         self._intrinsics: Intrinsics | None = None
         self._heard_ns = 0
@@ -77,6 +67,11 @@ class CameraBeside(Device[DepthImage]):
         """Of the depth pictures as the camera reports them, once it was opened; None where it reports none."""
         return self._intrinsics
 
+    @property
+    def process_id(self) -> int | None:
+        """Of the process that reads the camera; None where there is none."""
+        return self._hosted.process_id
+
     def identity(self) -> Identity:
         """As the camera reported it while connecting."""
         return Identity(self.model, self.serial, str(self._reported.get("firmware", "")))
@@ -84,15 +79,15 @@ class CameraBeside(Device[DepthImage]):
     # What a kind of camera fills in ----------------------------------------------------------------------------------
 
     @abstractmethod
-    def _arguments(self) -> tuple[str, ...]:
-        """Arguments of the process, after the number of its end of the socket. Raises NotConnected."""
+    def _settings(self) -> tuple[Any, ...]:
+        """Arguments of `serve`, after the channel. Raises NotConnected."""
 
     @abstractmethod
     def _projection(self) -> Intrinsics | None:
-        """Of the pictures, by what was reported."""
+        """Of the depth pictures, from what the process reported at opening; None where it reports no lens."""
 
     def _rate_hz(self) -> float | None:
-        """As for `_expect`."""
+        """Pictures expected a second [Hz], as `_expect` takes it: 0 = not known, None = no pictures by themselves."""
         return float(self._reported["fps"])
 
     def _fitted_clock(self) -> ClockFit | None:
@@ -104,14 +99,13 @@ class CameraBeside(Device[DepthImage]):
         return frame.timestamp_us
 
     def _arrived_ns(self, frame: FrameMessage) -> int:
-        """When a frame arrived on the host's clock [ns]."""
+        """When a frame counts as arrived, on the host's monotonic clock [ns]."""
         return frame.host_ns
 
     # A device --------------------------------------------------------------------------------------------------------
 
     def _connect(self) -> None:
-        self._start_process(self._arguments())
-        self._reported = self._await_opened()
+        self._reported = self._open_there()
         self._intrinsics = self._projection()
         self._heard_ns = self._clock()
         self._last_index = None
@@ -120,82 +114,44 @@ class CameraBeside(Device[DepthImage]):
         self._expect(self._rate_hz())
 
     def _receive(self, timeout_s: float) -> Iterable[DepthImage]:
-        message = self._message(timeout_s)
+        message = self._hosted.receive(timeout_s)
         if message is None:
             silence_s = (self._clock() - self._heard_ns) / 1e9
             if silence_s > self._silence_s:
                 raise LinkLost("a picture", f"none for {silence_s:.3g} s", "look at the camera", self.name)
             return []
-        kind = message[:1]
-        if kind == NOTE:
-            if (words := _words(message)) not in self._notes:
-                self._notes.append(words)
-            return []
+        match message:
+            case ("note", note):
+                if note not in self._notes:
+                    self._notes.append(note)
+                return []
+            case ("failed", error):
+                raise LinkLost("pictures", str(error), where=self.name)
+            case ("end",):
+                raise EndOfReadings(f"the end of {Path(self.name).name}")
         self._heard_ns = self._clock()
-        if kind == END:
-            raise EndOfReadings(f"the end of {Path(self.name).name}")
-        if kind == FAILED:
-            raise LinkLost("pictures", _words(message), where=self.name)
-        return self._picture(unpack_frame(message)) if kind == FRAME else []
+        return self._picture(message[1])
 
     def _disconnect(self) -> None:
-        connection, self._connection = self._connection, None
-        process, self._process = self._process, None
-        if connection is not None:
-            connection.close()
-        if process is not None:
-            try:
-                process.wait(END_TIMEOUT_S)
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.wait()
+        self._hosted.end(END_TIMEOUT_S)
 
     def _fingerprint(self, reading: DepthImage) -> Hashable:
         return fingerprint(reading.depth)
 
     # Within ----------------------------------------------------------------------------------------------------------
 
-    def _start_process(self, arguments: tuple[str, ...]) -> None:
-        ours, theirs = socket.socketpair()
-        with theirs:
-            self._connection = Connection(ours.detach())
-            self._process = subprocess.Popen(
-                process_command(self._module, str(theirs.fileno()), *arguments),
-                pass_fds=[theirs.fileno()],
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.DEVNULL,
-                env=process_environment(),
-            )
-
-    def _await_opened(self) -> dict[str, Any]:
-        until = time.monotonic() + OPEN_TIMEOUT_S
-        while time.monotonic() < until and not self._closing.is_set():
-            try:
-                message = self._message(0.05)
-            except LinkLost as error:
-                status = None if self._process is None else self._process.returncode
-                came = f"the end of the process that reads it (exit status {status})"
-                raise NotConnected("a depth camera", came, "another file or library", self.name) from error
-            if message is None:
-                continue
-            if message[:1] == OPENED:
-                return unpack_words(message)
-            if message[:1] == FAILED:
-                kind: type[DeviceError] = getattr(errors, str(unpack_words(message)["kind"]))
-                raise kind.in_words(_words(message))
-        raise NotConnected("a depth camera", f"none within {OPEN_TIMEOUT_S:g} s", "plug it in anew", self.name)
-
-    def _message(self, timeout_s: float) -> bytes | None:
-        """The next message of the process; None when none came in time. Raises LinkLost when it has ended."""
-        if self._connection is None or self._process is None:
-            raise NotConnected("an open camera", "one that is closed", where=self.name)
+    def _open_there(self) -> dict[str, Any]:
+        """What the process reports of the camera that it has opened."""
         try:
-            return self._connection.recv_bytes() if self._connection.poll(timeout_s) else None
-        except (EOFError, OSError) as error:
-            with contextlib.suppress(subprocess.TimeoutExpired):
-                self._process.wait(END_TIMEOUT_S)
-            came = f"its end (exit status {self._process.returncode})"
-            raise LinkLost("the process that reads the camera", came, "", self.name) from error
+            self._hosted.start(self._serve, *self._settings())
+            report: dict[str, Any] | None = self._hosted.opened(OPEN_TIMEOUT_S, self._closing)
+        except ProcessEnded as error:
+            status = self._hosted.exit_status(END_TIMEOUT_S)
+            came = f"the end of the process that reads it (exit status {status})"
+            raise NotConnected("a depth camera", came, "another file or library", self.name) from error
+        if report is None:
+            raise NotConnected("a depth camera", f"none within {OPEN_TIMEOUT_S:g} s", "plug it in anew", self.name)
+        return report
 
     def _picture(self, frame: FrameMessage) -> Iterable[DepthImage]:
         self._count(frame.index)
@@ -220,7 +176,3 @@ class CameraBeside(Device[DepthImage]):
     def _before(self, index: int, last: int) -> int:
         """The index that the last frame would have, had the counter not begun again."""
         return last if index > last else index - 1
-
-
-def _words(message: bytes) -> str:
-    return str(unpack_words(message).get("words", ""))

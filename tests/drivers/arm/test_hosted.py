@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from deformscope_drivers.arm import JointVelocity, MotionStopped
-from deformscope_drivers.arm.beside import ArmBeside
+from deformscope_drivers.arm.hosted import HostedArm
 from deformscope_drivers.clock import monotonic_ns
 from deformscope_drivers.errors import LinkLost, NotConnected, SettingsRefused
 from deformscope_drivers.health import Link
@@ -63,14 +63,14 @@ def config(double: Counting) -> Iterator[KukaConfig]:
         yield KukaConfig(address=LOOPBACK, port=port, wait_s=PATIENCE_S)
 
 
-class TestKukaBeside(DeviceContract):
+class TestHostedKuka(DeviceContract):
     @pytest.fixture
     def bench(self, config: KukaConfig) -> Bench:
-        return Bench(ArmBeside(Kuka, config))
+        return Bench(HostedArm(Kuka, config))
 
 
 def test_it_moves_halts_and_takes_commands_again(config: KukaConfig, double: Counting) -> None:
-    with ArmBeside(Kuka, config) as arm:
+    with HostedArm(Kuka, config) as arm:
         assert arm.chain.name == "kr6r900sixx"
         assert arm.identity().model == "kr6r900sixx"
         assert arm.urdf is not None
@@ -94,7 +94,7 @@ def test_it_moves_halts_and_takes_commands_again(config: KukaConfig, double: Cou
 def test_why_it_was_stopped_there_is_known_here(config: KukaConfig, double: Counting) -> None:
     """An axis that comes to the end of its range is halted by the driver itself."""
     double._joints_deg[1] = double._setpoint_deg[1] = double.chain.upper_deg[1] - 0.3
-    with ArmBeside(Kuka, config) as arm:
+    with HostedArm(Kuka, config) as arm:
         arm.set_velocity(JointVelocity((0.0, 4.0, 0.0, 0.0, 0.0, 0.0)), LONG_S)
         until(lambda: bool(arm.stopped_because))
         assert "end of its range" in arm.stopped_because
@@ -104,14 +104,14 @@ def test_what_is_refused_there_is_raised_here(config: KukaConfig) -> None:
     import dataclasses
 
     with pytest.raises(SettingsRefused, match="NULLFRAME"):
-        ArmBeside(Kuka, dataclasses.replace(config, model="kr6r700sixx")).open()
-    nobody = ArmBeside(Kuka, KukaConfig(address=LOOPBACK, port=free_port(), wait_s=0.1))
+        HostedArm(Kuka, dataclasses.replace(config, model="kr6r700sixx")).open()
+    nobody = HostedArm(Kuka, KukaConfig(address=LOOPBACK, port=free_port(), wait_s=0.1))
     with pytest.raises(NotConnected, match="smartPAD"):
         nobody.open()
 
 
 def test_a_process_that_dies_is_a_lost_link_that_is_found_again(config: KukaConfig, double: Counting) -> None:
-    with ArmBeside(Kuka, config) as arm:
+    with HostedArm(Kuka, config) as arm:
         arm.set_velocity(RATES, LONG_S)
         until(lambda: bool(double.moved_ns))
         assert arm.process_id is not None
@@ -125,9 +125,9 @@ def test_a_process_that_dies_is_a_lost_link_that_is_found_again(config: KukaConf
 PROGRAM = """
 import sys, time
 from deformscope_drivers.arm import JointVelocity
-from deformscope_drivers.arm.beside import ArmBeside
+from deformscope_drivers.arm.hosted import HostedArm
 from deformscope_drivers.kuka import Kuka, KukaConfig
-arm = ArmBeside(Kuka, KukaConfig(address="127.0.0.1", port=int(sys.argv[1]), wait_s=60.0)).open()
+arm = HostedArm(Kuka, KukaConfig(address="127.0.0.1", port=int(sys.argv[1]), wait_s=60.0)).open()
 print("moving", flush=True)
 while True:
     arm.set_velocity(JointVelocity((4.0, 0.0, 0.0, 0.0, 0.0, 0.0)), {valid_s})

@@ -9,25 +9,22 @@ from __future__ import annotations
 
 import contextlib
 import itertools
-import subprocess
-import sys
 import threading
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from concurrent.futures import Future, wait
-from multiprocessing.connection import Connection, Pipe
 from pathlib import Path
 from typing import Any
 
-from deformscope_drivers import errors
-from deformscope_drivers.arm import errors as arm_errors
 from deformscope_drivers.arm.commands import Velocity
 from deformscope_drivers.arm.device import Arm
 from deformscope_drivers.arm.kinematics import Chain
+from deformscope_drivers.arm.process import serve
 from deformscope_drivers.arm.state import ArmState
 from deformscope_drivers.clock import monotonic_ns
 from deformscope_drivers.device import RECONNECT, Reconnect
 from deformscope_drivers.errors import DeviceError, LinkLost, NoReply, NotConnected
 from deformscope_drivers.health import Identity, Link
+from deformscope_drivers.hosted import HostedProcess
 
 OPEN_S, ANSWER_S, END_S = 90.0, 6.0, 5.0
 """An arm may be sought for long, and a vendor's library may wait 5 s for a packet."""
@@ -35,17 +32,15 @@ WAITING_S = 0.1
 """Who waits for an answer says so this often: the other process halts an arm on its way home once nobody does."""
 
 
-class ArmBeside(Arm[ArmState]):
-    """Any arm of this package, opened in another process: `ArmBeside(Jaco, JacoConfig(...))`."""
+class HostedArm(Arm[ArmState]):
+    """Any arm of this package, opened in another process: `HostedArm(Jaco, JacoConfig(...))`."""
 
     def __init__(self, kind: type[Arm[Any]], config: Any, *, reconnect: Reconnect | None = RECONNECT) -> None:
         """kind: the driver's class, made there of config alone"""
         self.config = config
         self._kind = kind
         super().__init__(f"{kind.__name__} in its own process", reconnect=reconnect, clock=monotonic_ns)
-        self._sending = threading.Lock()
-        self._connection: Connection | None = None
-        self._process: subprocess.Popen[bytes] | None = None
+        self._hosted = HostedProcess("a process that moves the arm", self.name, None)
         self._known: dict[str, Any] = {}
         self._health: dict[str, float] = {}
         self._homed = False
@@ -72,8 +67,8 @@ class ArmBeside(Arm[ArmState]):
 
     @property
     def process_id(self) -> int | None:
-        """Of the other process; None where there is none."""
-        return None if self._process is None else self._process.pid
+        """Of the process that hosts the driver; None where none runs."""
+        return self._hosted.process_id
 
     def identity(self) -> Identity:
         known: Identity = self._known.get("identity", Identity())
@@ -88,7 +83,7 @@ class ArmBeside(Arm[ArmState]):
         with self._commanded:
             streamed = self._streamed
         if streamed is not None:
-            self._send("velocity", streamed.velocity, streamed.expires_ns)
+            self._hosted.send("velocity", streamed.velocity, streamed.expires_ns)
 
     def stop(self) -> None:
         with self._commanded:
@@ -111,7 +106,7 @@ class ArmBeside(Arm[ArmState]):
                 self.ask("halt", words)
             else:
                 with contextlib.suppress(DeviceError):
-                    self._send("call", 0, "halt", (words,))
+                    self._hosted.send("call", 0, "halt", (words,))
         except DeviceError as error:
             self._not_stopped = error
         finally:
@@ -141,7 +136,7 @@ class ArmBeside(Arm[ArmState]):
         number, until_ns = next(self._questions), self._clock() + round(timeout_s * 1e9)
         answer = self._answers[number] = Future()
         try:
-            self._send("call", number, name, arguments)
+            self._hosted.send("call", number, name, arguments)
             while not answer.done():
                 if (left_s := (until_ns - self._clock()) / 1e9) <= 0:
                     raise NoReply(f"{name} done within {timeout_s:g} s", "nothing", where=self.name)
@@ -151,28 +146,23 @@ class ArmBeside(Arm[ArmState]):
         return answer.result()
 
     def _await(self, answer: Future[Any], timeout_s: float) -> None:
-        """Wait for an answer, and say that somebody does."""
+        """Wait up to timeout_s [s] for an answer, and report to the other process that the caller still waits."""
         if threading.current_thread() is self._thread:  # which takes the answers
             for state in self._receive(timeout_s):
                 self._publish(state)
         else:
             wait([answer], timeout_s)
         if not answer.done():
-            self._send("waiting")
+            self._hosted.send("waiting")
 
     # Run by the device's own thread ----------------------------------------------------------------------------------
 
     def _connect(self) -> None:
-        ours, theirs = Pipe()
-        with theirs:
-            command = [sys.executable, "-m", "deformscope_drivers.arm.process", str(theirs.fileno())]
-            self._process = subprocess.Popen(command, pass_fds=[theirs.fileno()], stdin=subprocess.DEVNULL)
-        self._connection = ours
-        self._send(self._kind, self.config)
-        kind, *said = self._take(OPEN_S)
-        if kind != "opened":
-            raise _error_of(*said)
-        self._known, self._homed = said[0], said[0]["homed"]
+        self._hosted.start(serve, self._kind, self.config)
+        report = self._hosted.opened(OPEN_S, self._closing)
+        if report is None:
+            raise NotConnected(f"an arm that is opened within {OPEN_S:g} s", "nothing", where=self.name)
+        self._known, self._homed = report, report["homed"]
         self._expect(self.state_hz)
 
     def _disconnect(self) -> None:
@@ -183,25 +173,14 @@ class ArmBeside(Arm[ArmState]):
         for answer in list(self._answers.values()):
             if not answer.done():
                 answer.set_exception(LinkLost("a process that moves the arm", "one that has ended", where=self.name))
-        connection, self._connection = self._connection, None
-        process, self._process = self._process, None
-        if connection is not None:
-            connection.close()  # it halts the arm, and ends
-        if process is not None:
-            try:
-                process.wait(END_S)
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.wait()
+        self._hosted.end(END_S)  # it halts the arm, and ends
 
     def _receive(self, timeout_s: float) -> Iterable[ArmState]:
-        connection = self._opened()
         found: list[ArmState] = []
-        wait_s = timeout_s
-        with self._lost():
-            while connection.poll(wait_s):
-                wait_s = 0.0
-                self._heed(connection.recv(), found)
+        message = self._hosted.receive(timeout_s)
+        while message is not None:
+            self._heed(message, found)
+            message = self._hosted.receive(0.0)
         return found
 
     def _heed(self, message: tuple[Any, ...], found: list[ArmState]) -> None:
@@ -212,49 +191,20 @@ class ArmBeside(Arm[ArmState]):
                     with self._commanded:
                         self._streamed, self._stopped = None, stopped
                 found.append(state)
-            case ("refused", name, words):
-                self._refused = _error_of(name, words)
+            case ("refused", error):
+                self._refused = error
             case ("health", extra):
                 self._health = extra
-            case ("answer", number, failed, *said):
+            case ("answer", number, error, result):
                 answer = self._answers.get(number)
                 if answer is None or answer.done():  # nobody waits any more
                     return
-                if failed:
-                    answer.set_exception(_error_of(*said))
+                if error is not None:
+                    answer.set_exception(error)
                 else:
-                    answer.set_result(said[0])
+                    answer.set_result(result)
             case ("lost", words):
                 raise LinkLost("an arm that is connected", words, where=self.name)
 
-    def _take(self, timeout_s: float) -> tuple[Any, ...]:
-        with self._lost():
-            if self._opened().poll(timeout_s):
-                message: tuple[Any, ...] = self._opened().recv()
-                return message
-        raise NotConnected(f"an arm that is opened within {timeout_s:g} s", "nothing", where=self.name)
-
-    def _send(self, *message: Any) -> None:
-        with self._sending, self._lost():
-            self._opened().send(message)
-
-    def _opened(self) -> Connection:
-        if self._connection is None:
-            raise LinkLost("a process that moves the arm", "none", where=self.name)
-        return self._connection
-
-    @contextlib.contextmanager
-    def _lost(self) -> Iterator[None]:
-        try:
-            yield
-        except (EOFError, OSError) as error:
-            raise LinkLost("a process that moves the arm", "one that has ended", where=self.name) from error
-
     def _extra_health(self) -> dict[str, float]:
         return dict(self._health)
-
-
-def _error_of(name: str, words: str) -> DeviceError:
-    """An error of the other process; a vendor's own as the nearest that is known here."""
-    kind: type[DeviceError] = getattr(errors, name, None) or getattr(arm_errors, name, None) or DeviceError
-    return kind.in_words(words)
