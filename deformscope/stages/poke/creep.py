@@ -171,23 +171,33 @@ def fit_creep(
     speed_m_s = float((z_m[loading - 1] - z_m[samples.first]) / (time_s[loading - 1] - time_s[samples.first]))
     other_speed = _at_reference(draws, speed_m_s)
     nothing: tuple[None, None] = (None, None)
-    stays = nothing if kept is None else median_and_interval(kept, np.ones(len(kept)))
+    stays, stays_interval = nothing if kept is None else median_and_interval(kept, np.ones(len(kept)))
+    instant_median, instant_interval = median_and_interval(instant, weight)
+    relaxed_median, relaxed_interval = median_and_interval(relaxed, weight)
+    share_median, share_interval = median_and_interval(share, weight)
+    relaxation_s, relaxation_interval = median_and_interval(draws.mean_time_s[creeps], weight[creeps])
+    loss, loss_interval = cycle_loss(z_m, force, held, arm, force_sd, clock_sd_s / float(np.diff(time_s).mean()))
     return CreepFit(
-        *median_and_interval(instant, weight),
-        *median_and_interval(relaxed, weight),
-        float(np.sqrt(np.average((np.log(relaxed) - middle) ** 2, weights=weight))),
-        *median_and_interval(share, weight),
-        *median_and_interval(draws.mean_time_s[creeps], weight[creeps]),
-        *cycle_loss(z_m, force, held, arm, force_sd, clock_sd_s / float(np.diff(time_s).mean())),
-        float(time_s[held - 1] - time_s[loading - 1]),
-        speed_m_s,
-        verdict,
+        instant_n_per_mm=instant_median,
+        instant_interval=instant_interval,
+        relaxed_n_per_mm=relaxed_median,
+        relaxed_interval=relaxed_interval,
+        relaxed_log_sd=float(np.sqrt(np.average((np.log(relaxed) - middle) ** 2, weights=weight))),
+        share=share_median,
+        share_interval=share_interval,
+        time_s=relaxation_s,
+        time_interval=relaxation_interval,
+        loss=loss,
+        loss_interval=loss_interval,
+        held_s=float(time_s[held - 1] - time_s[loading - 1]),
+        speed_m_s=speed_m_s,
+        verdict=verdict,
         why=why,
         viscous=viscous,
         plastic=plastic,
         slipping=slip.probability,
-        kept=stays[0],
-        kept_interval=stays[1],
+        kept=stays,
+        kept_interval=stays_interval,
         slid_m=slip.slid_m,
         force_ratio=slip.ratio,
         log_at_reference=float(other_speed.mean()),
@@ -327,7 +337,7 @@ class _Samples:
         starts = np.append(0, ends[:-1])
         count = (ends - starts).astype(float)
         time, z, force = (np.add.reduceat(one[:held], starts) / count for one in (time_s, z_m, force_n))
-        return cls(time, z, force, count, first, loading)
+        return cls(time_s=time, z_m=z, force_n=force, count=count, first=first, loading=loading)
 
 
 @dataclass(frozen=True, slots=True)
@@ -351,14 +361,19 @@ class _Draws:
     def together(cls, models: Sequence[_Draws]) -> _Draws:
         """All, each model by its evidence."""
         weight = pooled([one.log_evidence for one in models], [one.weight for one in models])
-        others = [one.name for one in fields(cls)][2:]
-        return cls(0.0, weight, *(np.concatenate([getattr(one, name) for one in models]) for name in others))
+        others = {name: np.concatenate([getattr(one, name) for one in models]) for name in cls._parameters()}
+        return cls(log_evidence=0.0, weight=weight, **others)
+
+    @classmethod
+    def _parameters(cls) -> list[str]:
+        """Names of the fields that are neither evidence nor weight."""
+        return [one.name for one in fields(cls) if one.name not in ("log_evidence", "weight")]
 
     def some(self, random: np.random.Generator, count: int) -> _Draws:
         """So many of them, by their weight."""
         at = random.choice(len(self.weight), count, p=self.weight / self.weight.sum())
-        others = (getattr(self, one.name)[at] for one in fields(self)[2:])
-        return _Draws(self.log_evidence, np.full(count, 1.0 / count), *others)
+        others = {name: getattr(self, name)[at] for name in self._parameters()}
+        return _Draws(log_evidence=self.log_evidence, weight=np.full(count, 1.0 / count), **others)
 
     def dents(self, z_m: FloatArray, force_n: FloatArray, arm: ArmCompliance) -> FloatArray:
         """(d, n) of places and forces (n,) [m]."""
@@ -422,16 +437,16 @@ class _Law:
         log_depth = self._log_dent(drawn, np.zeros(len(drawn)))
         log_deeper = self._log_dent(drawn, log_felt) - log_depth + self._law_off(drawn, log_felt, random)
         return _Draws(
-            log_evidence,
-            weight,
-            1e-3 * drawn[:, 0],
-            np.maximum(np.exp(log_depth), 1e-6),
-            log_deeper if branches else np.zeros(len(drawn)),
-            np.maximum(drawn[:, 2], LEAST_EXPONENT),
-            drawn[:, 4],
-            mean_relaxation_s(strength, retarded_s),
-            strength,
-            retarded_s,
+            log_evidence=log_evidence,
+            weight=weight,
+            start_m=1e-3 * drawn[:, 0],
+            depth_m=np.maximum(np.exp(log_depth), 1e-6),
+            log_deeper=log_deeper if branches else np.zeros(len(drawn)),
+            exponent=np.maximum(drawn[:, 2], LEAST_EXPONENT),
+            bent=drawn[:, 4],
+            mean_time_s=mean_relaxation_s(strength, retarded_s),
+            strength=strength,
+            retarded_s=retarded_s,
         )
 
     def _law_off(self, parameters: FloatArray, log_felt: FloatArray, random: np.random.Generator) -> FloatArray:
