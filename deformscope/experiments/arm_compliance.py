@@ -10,8 +10,8 @@ import numpy as np
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 from deformscope.experiments.explore import Look
-from deformscope.experiments.explorer import Geometry
 from deformscope.experiments.options import ExploreOptions
+from deformscope.experiments.robot_geometry import Geometry
 from deformscope.session import RigExperiment, ask
 from deformscope.stages.map.surface import fit_surface
 from deformscope.stages.poke.contact import ArmCompliance, calibrate_compliance, fit_approach

@@ -16,8 +16,9 @@ import numpy as np
 
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
-from deformscope.experiments.explorer import Computed, ExplorationStages, Result, Touch
+from deformscope.experiments.explorer import Computed, ExplorationStages, Result
 from deformscope.experiments.options import PLAN_CELL_M
+from deformscope.experiments.robot_geometry import Touch
 from deformscope.session import Answer, Compute, Inline, Moment, RigExperiment, Step, ask
 from deformscope.stages.map.exploration import (
     ExplorationStop,

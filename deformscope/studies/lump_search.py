@@ -17,8 +17,9 @@ from threadpoolctl import threadpool_limits
 
 from deformscope.arrays import FloatArray
 from deformscope.experiments.explore import AtOnce, Exploration, ExplorationStopped, explore, within_loop
-from deformscope.experiments.explorer import AsMeasured, ExplorationStages, Explorer
+from deformscope.experiments.explorer import ExplorationStages, Explorer
 from deformscope.experiments.options import ExploreOptions
+from deformscope.experiments.robot_geometry import AsMeasured
 from deformscope.lab.scenes import built_in
 from deformscope.lab.session_errors import LabErrors
 from deformscope.session import run
@@ -167,7 +168,7 @@ def _outcome(
         last.scatter,
         tuple(zip(last.size_m.tolist(), last.missed.tolist(), strict=True)),
         tuple((float(x), float(y)) for x, y in last.contacts_m),
-        tuple(touch.log_stiffness for touch in explorer.posterior.touches),
+        tuple(touch.log_stiffness for touch in explorer.search.posterior.touches),
         seconds,
     )
 

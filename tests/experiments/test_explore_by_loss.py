@@ -11,8 +11,9 @@ import pytest
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 from deformscope.experiments.explore import AtOnce, Exploration, ExploringRobot, RecordedRobot, explore, within_loop
-from deformscope.experiments.explorer import AsMeasured, ExplorationStages, Explorer, Touch
+from deformscope.experiments.explorer import ExplorationStages, Explorer
 from deformscope.experiments.options import ExploreOptions
+from deformscope.experiments.robot_geometry import AsMeasured, Touch
 from deformscope.log.exploration.summary import summary
 from deformscope.pictures.exploration import map_png
 from deformscope.robot.setup import Truth
