@@ -253,7 +253,7 @@ def _explore(clock: Callable[[], int], stage: Stage, found: Exploration, steerin
         except TouchHeld as held:
             found.started -= 1
             found.asked = [number for number in found.asked if number <= count]
-            broken_off = SteeringDecision("held", touch.xy_m, count, str(held))
+            broken_off = SteeringDecision(kind="held", xy_m=touch.xy_m, touch=count, reason=str(held))
             yield Step((broken_off,), moment=Moment(clock(), count))
             continue
         found.ended_ns.append(clock())
@@ -335,7 +335,13 @@ def _input(given: Any) -> Any:
 
 def _given_up(clock: Callable[[], int], found: Exploration, why: str = "") -> ExplorationStopped:
     reason = why or f"{found.failures[-1].stage}: {found.failures[-1].reason}"
-    stop = ExplorationStop(ESTIMATES_FAILED, reason, "what failed, in the recording", "stop", len(found.touches))
+    stop = ExplorationStop(
+        kind=ESTIMATES_FAILED,
+        reason=reason,
+        advice="what failed, in the recording",
+        action="stop",
+        touch=len(found.touches),
+    )
     return ExplorationStopped(stop, clock())
 
 
@@ -360,6 +366,8 @@ class RecordedRobot:
 
     def _next(self) -> Any:
         if not self.given:
-            stop = ExplorationStop("recording at its end", "nothing was recorded after it", "", "stop", 0)
+            stop = ExplorationStop(
+                kind="recording at its end", reason="nothing was recorded after it", advice="", action="stop", touch=0
+            )
             raise ExplorationStopped(stop, 0)
         return self.given.pop(0)

@@ -21,7 +21,7 @@ from deformscope.experiments.beta_fit import BetaEstimate, fit_beta
 from deformscope.experiments.forecast import forecast
 from deformscope.experiments.options import ExploreOptions
 from deformscope.experiments.robot_geometry import Geometry, Touch
-from deformscope.experiments.search import Search
+from deformscope.experiments.search import SurfaceSearch
 from deformscope.experiments.seen_surface import SeenSurface
 from deformscope.experiments.touch_fit import (
     TouchContact,
@@ -115,7 +115,9 @@ class ExplorationStages:
             except NotThere as error:  # left out, until the arm has moved
                 self._no_way.append(plan.target_m)
                 where = f"({100 * plan.target_m[0]:.0f}, {100 * plan.target_m[1]:.0f}) cm is left out: "
-                explorer.failures.append(StageFailure(WAY, len(explorer.touches), f"{where}{error}", ""))
+                explorer.failures.append(
+                    StageFailure(stage=WAY, touch=len(explorer.touches), reason=f"{where}{error}", trace="")
+                )
         return self._computed(_made(plan), began, touch)
 
     def veto(self, xy_m: FloatArray) -> Computed:
@@ -201,7 +203,7 @@ class Explorer:
     """The estimates after each touch; pure, but for what it was given so far.
 
     search: what is sought, and what the usable touches say of it; touches, betas: of every touch made
-    known: the newest maps, None before the first; region_probability: of each number of regions, with it
+    maps: the newest, None before the first; region_probability: of each number of regions, with it
     failures: every stage that failed; travel_m: over the surface, from its corner (0, 0), from place to place
     """
 
@@ -219,10 +221,10 @@ class Explorer:
         error = error or TouchErrorModel()
         self.options = options
         self.grid = MapGrid(size_m, options.cell_m)
-        self.search: Search = options.search(self.grid, error)
+        self.search: SurfaceSearch = options.search(self.grid, error)
         self.touches: list[TouchEstimate] = []
         self.betas: list[BetaEstimate] = []
-        self.known: MapEstimate | None = None
+        self.maps: MapEstimate | None = None
         self.region_probability: dict[str, float] | None = None
         self.failures: list[StageFailure] = []
         self.travel_m = 0.0
@@ -321,7 +323,7 @@ class Explorer:
         """What a touch is expected to feel: the map's stiffness there, of the law that touches had so far."""
         options = self.options
         row, column = (touch.xy_m[::-1] / self.grid.cell_m).astype(int)
-        field, field_sd = self._quantity.stiffness_field(self.known) or (
+        field, field_sd = self._quantity.stiffness_field(self.maps) or (
             self.region_map.field,
             self.region_map.field_sd,
         )
@@ -342,14 +344,15 @@ class Explorer:
         self._touch = len(self.touches) + 1
         if dent is not None and (after_m := self._stage("dent", dent)) is not None:
             touched = dataclasses.replace(touched, after_m=after_m)
+        approach = touched.approach
         before = self.touches[-1].xyz_m[:2] if self.touches else np.zeros(2)
         self.travel_m += float(np.hypot(*(touched.xy_m - before)))
-        contact = self._stage("contact", lambda: self._contact(touched))
+        contact = self._stage("contact", lambda: self._contact(approach))
         creep, search = None, None
         if contact is not None:
             if not contact.fit.rigid:
                 creep = self._stage("creep", lambda: fit_touch_creep(touched, self.surface, self._arm))
-            contact, sample = self._sample(touched, contact, creep)
+            contact, sample = self._sample(approach, contact, creep)
             if sample is not None:
                 search = self._stage("regions", partial(self.search.with_touch, sample))
             if not contact.fit.rigid:
@@ -358,13 +361,13 @@ class Explorer:
             self._left_out.append(touched.xy_m)
         else:
             self.search = search
-        estimate = self._estimate(touched, contact, creep)
-        self._off_seen_m = max(self._off_seen_m, off_seen_m(touched, estimate, self.options.tip_radius_m))
+        estimate = self._estimate(approach, contact, creep)
+        self._off_seen_m = max(self._off_seen_m, off_seen_m(approach, estimate, self.options.tip_radius_m))
         self.touches.append(estimate)
         maps = None if search is None else self._stage("maps", self._maps)
         self._without_map = self._without_map + 1 if maps is None else 0
         if maps is not None:
-            self.known, self.region_probability = maps, self.region_map.probability
+            self.maps, self.region_probability = maps, self.region_map.probability
         truth_m = None if self._truth is None else self._truth.lumps_m
         found = None if search is None else self._stage("lumps", lambda: self.search.inclusions(truth_m))
         return AfterTouch(estimate, maps, found)

@@ -16,7 +16,7 @@ from deformscope.experiments.quantity import (
     RelaxedStiffness,
     StiffnessAtReferenceSpeed,
 )
-from deformscope.experiments.search import InclusionSearch, RegionSearch, Search, ThesisSearch
+from deformscope.experiments.search import InclusionSearch, RegionSearch, SurfaceSearch, ThesisSearch
 from deformscope.stages.map.lump_posterior import LumpPosterior, LumpPrior
 from deformscope.stages.map.plan import INCLUSION_M, Planner, PlanOptions
 from deformscope.stages.regions.posterior import RegionPosterior, RegionPrior
@@ -157,17 +157,19 @@ class ExploreOptions:
             return ApparentStiffness()
         return {"apparent": StiffnessAtReferenceSpeed, "relaxed": RelaxedStiffness, "loss": EnergyLoss}[self.feel]()
 
-    def search(self, grid: MapGrid, error: TouchErrorModel) -> Search:
+    def search(self, grid: MapGrid, error: TouchErrorModel) -> SurfaceSearch:
         """What is sought on a surface, before any touch. error: of touches' stiffness"""
         error = self.quantity.error(error)
         if self.goal == "inclusions":
-            prior = LumpPrior(self.inclusion_m, self.tip_radius_m, self.set_force_n, error)
+            prior = LumpPrior(
+                smallest_m=self.inclusion_m, tip_radius_m=self.tip_radius_m, set_force_n=self.set_force_n, error=error
+            )
             return InclusionSearch(LumpPosterior(grid, prior))
         posterior = RegionPosterior.before_touches(grid, RegionPrior(error=error), seed=self.seed)
         search = ThesisSearch if self.planner == "thesis" else RegionSearch
         return search(posterior, self.seed)
 
-    def first_place(self, size_m: tuple[float, float], search: Search) -> tuple[FloatArray, str] | None:
+    def first_place(self, size_m: tuple[float, float], search: SurfaceSearch) -> tuple[FloatArray, str] | None:
         """Where to touch first (2,) [m], and why; None = where it says most."""
         if self.first_m is not None:
             return np.array(self.first_m), "as asked for"

@@ -21,14 +21,12 @@ from deformscope_drivers.arms import chain_of
 class Touch:
     """A command: touch a place (2,) [m] whose surface was seen at this height, along this normal (3,).
 
-    over_m: how high the surface may be on the straight way from the touch before, None = not known
     plan: the same for a robot that has to be led there
     """
 
     xy_m: FloatArray
     height_m: float
     normal: FloatArray
-    over_m: float | None
     plan: TouchPlan | None = None
 
 
@@ -45,7 +43,11 @@ class Geometry(Protocol):
     def approach(
         self, xy_m: FloatArray, height_m: float, normal: FloatArray, over_m: float | None, known_m: float | None = None
     ) -> Touch:
-        """known_m: how far from this height the surface may be, None = not known"""
+        """The touch of a place (2,) [m] whose surface was seen at this height, along this normal (3,).
+
+        over_m: how high the surface may be on the straight way from the touch before; known_m: how far from this height
+        it may be; None = not known
+        """
 
     def touch(self, touched: Any) -> TouchMeasurement: ...
 
@@ -66,7 +68,7 @@ class AsMeasured:
     def approach(
         self, xy_m: FloatArray, height_m: float, normal: FloatArray, over_m: float | None, known_m: float | None = None
     ) -> Touch:
-        return Touch(xy_m, height_m=height_m, normal=normal, over_m=over_m)
+        return Touch(xy_m, height_m, normal)
 
     def touch(self, touched: TouchMeasurement) -> TouchMeasurement:
         return touched
@@ -99,7 +101,7 @@ class FromFrames:
         assert self._looked is not None
         chain = chain_of(self._looked.used.arm_model)
         plan = self._setup.plan_led(xy_m, height_m, normal, over_m, self._options, chain, self._joints_deg, known_m)
-        return Touch(xy_m, height_m=height_m, normal=plan.normal, over_m=over_m, plan=plan)
+        return Touch(xy_m, height_m, plan.normal, plan=plan)
 
     def touch(self, touched: Touched) -> TouchMeasurement:
         self._joints_deg = touched.data.arm[touched.used.end_ns].joints_deg

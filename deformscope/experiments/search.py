@@ -31,7 +31,7 @@ FREE_EXPONENT_SD = 0.3
 
 
 @dataclass(frozen=True, eq=False)
-class Search(ABC):
+class SurfaceSearch(ABC):
     """What the touches so far say of what is sought; `with_touch` gives what one more says.
 
     exponent_sd, least_share: of the fit of each contact, as `fit_approach` takes them
@@ -51,10 +51,10 @@ class Search(ABC):
         return self.posterior.region_map()
 
     @abstractmethod
-    def with_touch(self, touch: StiffnessSample) -> Search:
+    def with_touch(self, touch: StiffnessSample) -> SurfaceSearch:
         """After one more touch."""
 
-    def with_beta(self, dented_m: FloatArray, beta: float) -> Search:
+    def with_beta(self, dented_m: FloatArray, beta: float) -> SurfaceSearch:
         """After a touch that dented places (m, 2) [m] and has this beta."""
         return self
 
@@ -97,7 +97,7 @@ class Search(ABC):
 
 
 @dataclass(frozen=True, eq=False)
-class RegionSearch(Search):
+class RegionSearch(SurfaceSearch):
     """For regions of one stiffness each. seed: of planners that draw"""
 
     posterior: RegionPosterior
@@ -181,7 +181,7 @@ class ThesisSearch(RegionSearch):
 
 
 @dataclass(frozen=True, eq=False)
-class InclusionSearch(Search):
+class InclusionSearch(SurfaceSearch):
     """For inclusions below a surface that shows nothing: they show in stiffness and exponent of contacts."""
 
     posterior: LumpPosterior

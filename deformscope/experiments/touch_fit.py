@@ -9,7 +9,7 @@ import numpy as np
 
 from deformscope.arrays import FloatArray
 from deformscope.experiments.beta_fit import BetaEstimate
-from deformscope.experiments.search import Search
+from deformscope.experiments.search import SurfaceSearch
 from deformscope.experiments.seen_surface import SeenSurface
 from deformscope.stages.map.exploration import TouchEstimate
 from deformscope.stages.map.measured import TouchMeasurement
@@ -46,7 +46,7 @@ class TouchContact:
 
 
 def fit_contact(
-    touched: TouchMeasurement, surface: SeenSurface, search: Search, arm: ArmCompliance, gain_sd: float
+    touched: TouchMeasurement, surface: SeenSurface, search: SurfaceSearch, arm: ArmCompliance, gain_sd: float
 ) -> TouchContact:
     """The contact of a touch. gain_sd: as of `fit_approach`, which says what is raised"""
     options = surface.options
@@ -78,17 +78,16 @@ def fit_contact(
 
 
 def fit_touch_creep(touched: TouchMeasurement, surface: SeenSurface, arm: ArmCompliance) -> CreepFit | None:
-    """Of a touch that was recorded with its hold; None of any other."""
-    whole = touched.whole
-    if whole is None:
+    """Of a touch that was measured with its hold; None of any other."""
+    if touched.loading is None or touched.held is None:
         return None
     return fit_creep(
-        whole.time_s,
-        whole.position_m,
-        whole.force_n,
+        touched.time_s,
+        touched.position_m,
+        touched.force_n,
         touched.normal,
-        loading=whole.loading,
-        held=whole.held,
+        loading=touched.loading,
+        held=touched.held,
         set_force_n=surface.options.set_force_n,
         arm=arm,
         radius_m=surface.options.tip_radius_m,

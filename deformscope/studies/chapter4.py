@@ -104,7 +104,7 @@ def press_foam(hardness_n: int, cluster_sizes: Sequence[int | None] = CLUSTER_SI
         explorer = Explorer(scene.size_m, options, robot.arm, robot.truth)
         explorer.look(robot.look)
         at = 0.5 * np.asarray(scene.size_m)
-        touched = robot.touch(Touch(at, *explorer.surface.aim(at), None))
+        touched = robot.touch(Touch(at, *explorer.surface.aim(at)))
         found = explorer.touch(touched).estimate
         dent = explorer.betas[0].dent
         if dent is None:

@@ -36,7 +36,7 @@ class PlannedTouches(AsMeasured):
         self, xy_m: FloatArray, height_m: float, normal: FloatArray, over_m: float | None, known_m: float | None = None
     ) -> Touch:
         plan = self._setup.plan(xy_m, height_m, normal, over_m, self._options, known_m)
-        return Touch(xy_m, height_m, normal, over_m, plan)
+        return Touch(xy_m, height_m, normal, plan)
 
 
 class TouchClock:

@@ -88,7 +88,7 @@ def explored(name: str, **changes: object) -> Explored:
     assert robot.most_force_n < 8.0
     assert found.travel_m == explorer.travel_m
     assert found.touches == explorer.touches
-    assert found.maps is explorer.known
+    assert found.maps is explorer.maps
     return explorer, [result for _, results in moments for result in results]
 
 
