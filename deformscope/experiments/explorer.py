@@ -18,7 +18,7 @@ import numpy as np
 from deformscope.arrays import BoolArray, FloatArray
 from deformscope.errors import InputError
 from deformscope.experiments.beta_fit import BetaEstimate, fit_beta
-from deformscope.experiments.forecast import forecast
+from deformscope.experiments.forecast import forecast_touch
 from deformscope.experiments.options import ExploreOptions
 from deformscope.experiments.robot_geometry import Geometry, Touch
 from deformscope.experiments.search import SurfaceSearch
@@ -95,7 +95,7 @@ class ExplorationStages:
         """The surface before any touch."""
         began = time.perf_counter()
         seen = self.explorer.look(lambda: self.geometry.look(looked))
-        return self._computed(_made(seen), began)
+        return self._computed(_present(seen), began)
 
     def plan(self) -> Computed:
         """Where to touch next, and how; nothing where enough is known, or nothing can be planned any more."""
@@ -118,7 +118,7 @@ class ExplorationStages:
                 explorer.failures.append(
                     StageFailure(stage=WAY, touch=len(explorer.touches), reason=f"{where}{error}", trace="")
                 )
-        return self._computed(_made(plan), began, touch)
+        return self._computed(_present(plan), began, touch)
 
     def veto(self, xy_m: FloatArray) -> Computed:
         """Plan anew, from now on without a place (2,) [m] and what is near it."""
@@ -136,7 +136,7 @@ class ExplorationStages:
                 forecast = self.explorer.forecast(touch)
         except InputError as error:
             refused = str(error)
-        return dataclasses.replace(self._computed(_made(forecast), began, touch), refused=refused)
+        return dataclasses.replace(self._computed(_present(forecast), began, touch), refused=refused)
 
     def _refusal(self, xy_m: FloatArray) -> str:
         """Why a place (2,) [m] cannot be touched; empty where it can."""
@@ -164,7 +164,7 @@ class ExplorationStages:
         made = self.geometry.touch(touched)
         self._no_way.clear()  # from here there may be one
         after = self.explorer.touch(made, lambda: self.geometry.dent(touched))
-        return self._computed((after.estimate, *_made(after.maps), *_made(after.inclusions)), began)
+        return self._computed((after.estimate, *_present(after.maps), *_present(after.inclusions)), began)
 
     def _computed(self, results: tuple[Result, ...], began: float, touch: Touch | None = None) -> Computed:
         explorer = self.explorer
@@ -180,7 +180,7 @@ class ExplorationStages:
         )
 
 
-def _made(result: StageResult | None) -> tuple[StageResult, ...]:
+def _present(result: StageResult | None) -> tuple[StageResult, ...]:
     return () if result is None else (result,)
 
 
@@ -271,9 +271,8 @@ class Explorer:
 
     def _plan(self, reachable: BoolArray | None) -> PlannedTouch:
         options, touches = self.options, len(self.touches)
-        plan = self.search.plan(
-            options.planning,
-            touches=touches,
+        plan = self.search.planner(touches)(
+            options=options.planning,
             tip_m=self.touches[-1].xyz_m[:2] if self.touches else None,
             left_out_m=np.reshape(self._left_out, (-1, 2)),
             reachable=reachable,
@@ -327,7 +326,7 @@ class Explorer:
             self.region_map.field,
             self.region_map.field_sd,
         )
-        return forecast(
+        return forecast_touch(
             touch,
             options,
             log_stiffness=float(field[row, column]),

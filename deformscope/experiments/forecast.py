@@ -14,7 +14,7 @@ FORCES = 25
 """At so many the depth is forecast."""
 
 
-def forecast(
+def forecast_touch(
     touch: Touch,
     options: ExploreOptions,
     *,

@@ -1,4 +1,4 @@
-"""How to explore, and the lengths that all of it keeps to."""
+"""How to explore: the options, the lengths that all of it keeps to, and the strategies that the options choose."""
 
 from __future__ import annotations
 

@@ -5,19 +5,20 @@ from __future__ import annotations
 
 import dataclasses
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from typing import ClassVar
 
 import numpy as np
 
-from deformscope.arrays import BoolArray, FloatArray
+from deformscope.arrays import FloatArray
 from deformscope.stages.map.exploration import LumpsFound, MapEstimate
 from deformscope.stages.map.field import BETA_PRIOR, fit_field, levels_of
 from deformscope.stages.map.lump_plan import plan_lump_touch
 from deformscope.stages.map.lump_posterior import LumpPosterior
 from deformscope.stages.map.map_score import boundary_distance, match_regions
-from deformscope.stages.map.plan import FieldKernel, PlanOptions, TouchChoice, plan_touch
+from deformscope.stages.map.plan import FieldKernel, TouchChoice, plan_touch
 from deformscope.stages.map.thesis_field import FIRST_SHARE, ThesisField, contoured
 from deformscope.stages.poke.contact import EXPONENT_SD, LOADED, ContactFit
 from deformscope.stages.poke.law_response import LEAST_SHARE
@@ -50,25 +51,18 @@ class SurfaceSearch(ABC):
         """Regions with their levels and intervals."""
         return self.posterior.region_map()
 
-    @abstractmethod
     def with_touch(self, touch: StiffnessSample) -> SurfaceSearch:
         """After one more touch."""
+        return dataclasses.replace(self, posterior=self.posterior.with_touch(touch))
 
     def with_beta(self, dented_m: FloatArray, beta: float) -> SurfaceSearch:
         """After a touch that dented places (m, 2) [m] and has this beta."""
         return self
 
     @abstractmethod
-    def plan(
-        self,
-        options: PlanOptions,
-        *,
-        touches: int,
-        tip_m: FloatArray | None,
-        left_out_m: FloatArray,
-        reachable: BoolArray | None,
-    ) -> TouchChoice:
-        """Where to touch next. touches: made so far, usable or not; the rest as of `plan_touch`"""
+    def planner(self, touches: int) -> Callable[..., TouchChoice]:
+        """Chooses the next touch; its arguments are those of `plan_lump_touch` but for the posterior. touches: made so
+        far, usable or not"""
 
     def sample(self, xy_m: FloatArray, fit: ContactFit) -> StiffnessSample:
         """The stiffness that a contact at a place (2,) [m] gave."""
@@ -103,33 +97,8 @@ class RegionSearch(SurfaceSearch):
     posterior: RegionPosterior
     seed: int
 
-    def with_touch(self, touch: StiffnessSample) -> RegionSearch:
-        return dataclasses.replace(self, posterior=self.posterior.with_touch(touch))
-
-    def plan(
-        self,
-        options: PlanOptions,
-        *,
-        touches: int,
-        tip_m: FloatArray | None,
-        left_out_m: FloatArray,
-        reachable: BoolArray | None,
-    ) -> TouchChoice:
-        return plan_touch(
-            self.posterior,
-            FieldKernel(),
-            options,
-            tip_m=tip_m,
-            left_out_m=left_out_m,
-            reachable=reachable,
-            thesis=self._dented,
-            seed=self.seed + touches,
-        )
-
-    @property
-    def _dented(self) -> ThesisField | None:
-        """The field by which the thesis's planner plans."""
-        return None
+    def planner(self, touches: int) -> Callable[..., TouchChoice]:
+        return partial(plan_touch, self.posterior, FieldKernel(), seed=self.seed + touches)
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,9 +108,8 @@ class ThesisSearch(RegionSearch):
     thesis: ThesisField = field(default_factory=ThesisField)
     first_share = FIRST_SHARE
 
-    @property
-    def _dented(self) -> ThesisField:
-        return self.thesis
+    def planner(self, touches: int) -> Callable[..., TouchChoice]:
+        return partial(super().planner(touches), thesis=self.thesis)
 
     def with_beta(self, dented_m: FloatArray, beta: float) -> ThesisSearch:
         return dataclasses.replace(self, thesis=self.thesis.with_touch(dented_m, beta))
@@ -189,19 +157,8 @@ class InclusionSearch(SurfaceSearch):
     least_share = LEAST_SHARE
     on_level_layer = True
 
-    def with_touch(self, touch: StiffnessSample) -> InclusionSearch:
-        return dataclasses.replace(self, posterior=self.posterior.with_touch(touch))
-
-    def plan(
-        self,
-        options: PlanOptions,
-        *,
-        touches: int,
-        tip_m: FloatArray | None,
-        left_out_m: FloatArray,
-        reachable: BoolArray | None,
-    ) -> TouchChoice:
-        return plan_lump_touch(self.posterior, options, tip_m=tip_m, left_out_m=left_out_m, reachable=reachable)
+    def planner(self, touches: int) -> Callable[..., TouchChoice]:
+        return partial(plan_lump_touch, self.posterior)
 
     def sample(self, xy_m: FloatArray, fit: ContactFit) -> StiffnessSample:
         """With the exponent, which was left free."""
