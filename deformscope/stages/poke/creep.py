@@ -53,7 +53,8 @@ REFERENCE_SPEED_M_S = 0.01
 RAMP_STEPS = 60
 """Of the force on the way down at the reference speed."""
 KEPT_DRAWS = 60
-"""Of the laws drawn, from which what is kept is computed."""
+"""Of the laws drawn, from which what is kept, slides and changes with speed is computed: the same ones, of seed 0, for
+all three."""
 LAYERED, LAYERED_SD = 0.05, 0.05
 """What a layer on a table adds to a ball's exponent: 0.04 to 0.07 on the slabs of `creep_law.BEND_SD`; foam itself may
 add to it."""
