@@ -24,8 +24,9 @@ from tyro.conf import arg
 from deformscope.arrays import FloatArray
 from deformscope.cli.study import Study, StudyOptions, StudyReport, Trials
 from deformscope.config import flags
-from deformscope.experiments.explorer import AsMeasured, Explorer
+from deformscope.experiments.explorer import Explorer
 from deformscope.experiments.options import ExploreOptions
+from deformscope.experiments.robot_geometry import AsMeasured
 from deformscope.lab.scenes import built_in
 from deformscope.lab.session_errors import LabErrors
 from deformscope.pictures.report import Table
@@ -172,7 +173,7 @@ def _outcome(
         last.scatter,
         tuple(zip(last.size_m.tolist(), last.missed.tolist(), strict=True)),
         tuple((float(x), float(y)) for x, y in last.contacts_m),
-        tuple(touch.log_stiffness for touch in explorer.posterior.touches),
+        tuple(touch.log_stiffness for touch in explorer.search.posterior.touches),
         seconds,
     )
 

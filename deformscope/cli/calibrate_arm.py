@@ -19,8 +19,8 @@ from deformscope.config import ArmConfig
 from deformscope.errors import InputError
 from deformscope.experiments.arm_compliance import SURE_SD, ArmGive, GiveTouch, arm_give, touch_rigid
 from deformscope.experiments.explore import ExplorationStopped
-from deformscope.experiments.explorer import FromFrames
 from deformscope.experiments.options import ExploreOptions
+from deformscope.experiments.robot_geometry import FromFrames
 from deformscope.experiments.touching_robot import TouchingRobot, touching_robot
 from deformscope.log.findings import RigFindings
 from deformscope.pictures.compliance import compliance_png

@@ -46,9 +46,10 @@ def replay_exploration(recording: Replay, config: ReplayConfig, page: PageServer
         explore,
         within_loop,
     )
-    from deformscope.experiments.explorer import AsMeasured, ExplorationStages, Explorer, FromFrames
+    from deformscope.experiments.explorer import ExplorationStages, Explorer
     from deformscope.experiments.measured import SetupGeometry
     from deformscope.experiments.options import ExploreOptions
+    from deformscope.experiments.robot_geometry import AsMeasured, FromFrames
     from deformscope.pictures.words import failed_words
     from deformscope.recording.items import read_results
     from deformscope.session import run

@@ -10,8 +10,8 @@ import numpy as np
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 from deformscope.experiments.explore import Look
-from deformscope.experiments.explorer import Geometry
 from deformscope.experiments.options import ExploreOptions
+from deformscope.experiments.robot_geometry import Geometry
 from deformscope.session import RigExperiment, ask
 from deformscope.stages.map.surface import fit_surface
 from deformscope.stages.poke.contact import ArmCompliance, calibrate_compliance, fit_approach
@@ -70,7 +70,7 @@ def touch_rigid(
     height_m = float(world.at(xy_m[None]).mean[0])
     normal = world.normals(xy_m[None])[0]
     for _ in range(touches):
-        made = geometry.touch((yield from ask(geometry.approach(xy_m, height_m, normal, None))))
+        made = geometry.touch((yield from ask(geometry.approach(xy_m, height_m, normal, None)))).approach
         found = calibrate_compliance(
             made.time_s, made.position_m, made.force_n, normal, set_force_n=options.set_force_n
         )

@@ -7,9 +7,10 @@ from collections.abc import Iterator
 from concurrent.futures import Executor
 
 from deformscope.experiments.explore import Stage, within_loop
-from deformscope.experiments.explorer import Computed, ExplorationStages, Explorer, FromFrames
+from deformscope.experiments.explorer import Computed, ExplorationStages, Explorer
 from deformscope.experiments.measured import SetupGeometry
 from deformscope.experiments.options import ExploreOptions
+from deformscope.experiments.robot_geometry import FromFrames
 from deformscope.processes import computing
 from deformscope.robot.setup import Setup, Truth
 from deformscope.session import Compute, Inline

@@ -17,7 +17,6 @@ from threadpoolctl import threadpool_limits
 
 from deformscope.arrays import FloatArray, ImageArray, IntArray
 from deformscope.errors import InputError
-from deformscope.experiments.explorer import fitted_law
 from deformscope.experiments.foam_video import ParticleOptions, hold_what_is_seen, observe
 from deformscope.frames import ArmFrame, ColorFrame, DepthFrame, Frame, Item, Kind, Stream, TactileFrame, WrenchFrame
 from deformscope.rig.rig_file import Rig
@@ -25,7 +24,7 @@ from deformscope.stages.fit.calibrate import FitOptions, Model, calibrate
 from deformscope.stages.fit.moment import MomentFit
 from deformscope.stages.map.exploration import SurfaceEstimate, TouchEstimate
 from deformscope.stages.map.surface import fit_surface
-from deformscope.stages.poke.contact import ArmCompliance, fit_approach
+from deformscope.stages.poke.contact import ArmCompliance, fit_approach, fitted_law
 from deformscope.stages.regions.touches import MapGrid
 from deformscope.stages.see.arrows import FlowArrows, flow_arrows, region_of
 from deformscope.stages.see.cloud import Box, Intrinsics, perceive

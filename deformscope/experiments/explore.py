@@ -16,8 +16,9 @@ import numpy as np
 
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
-from deformscope.experiments.explorer import Computed, ExplorationStages, Result, Touch
+from deformscope.experiments.explorer import Computed, ExplorationStages, Result
 from deformscope.experiments.options import PLAN_CELL_M
+from deformscope.experiments.robot_geometry import Touch
 from deformscope.session import Answer, Compute, Inline, Moment, RigExperiment, Step, ask
 from deformscope.stages.map.exploration import (
     ExplorationStop,
@@ -94,10 +95,10 @@ class Unsteered:
     """All goes as planned."""
 
     def choose(self, plan: PlannedTouch | None, touches: int) -> Future[NextMove]:
-        return _known(NextMove())
+        return _resolved(NextMove())
 
     def confirm(self, forecast: TouchForecast) -> Future[bool]:
-        return _known(True)
+        return _resolved(True)
 
     def refuse(self, reason: str) -> None: ...
 
@@ -117,9 +118,9 @@ class RecordedSteering(Unsteered):
 
     def choose(self, plan: PlannedTouch | None, touches: int) -> Future[NextMove]:
         if not self._left or self._left[0].touch != touches:
-            return _known(NextMove())
+            return _resolved(NextMove())
         one = self._left.pop(0)
-        return _known(NextMove("replan" if one.kind == "held" else one.kind, one.xy_m))
+        return _resolved(NextMove("replan" if one.kind == "held" else one.kind, one.xy_m))
 
 
 class ExploringRobot(Protocol):
@@ -237,7 +238,7 @@ def explore(
 
 def _explore(clock: Callable[[], int], stage: Stage, found: Exploration, steering: Steering) -> RigExperiment[None]:
     looked = yield from ask(Look(), (PhaseStart("look", 0),), Moment(clock()))
-    seen = yield from _computed(clock, stage("look", looked), found, (_input(looked),), Moment(clock()))
+    seen = yield from _computed(clock, stage("look", looked), found, (_recorded_input(looked),), Moment(clock()))
     yield Step(found.add(seen), moment=Moment(clock()))
     if not any(not isinstance(result, StageFailure) for result in seen.results):
         raise _given_up(clock, found)
@@ -252,15 +253,15 @@ def _explore(clock: Callable[[], int], stage: Stage, found: Exploration, steerin
         except TouchHeld as held:
             found.started -= 1
             found.asked = [number for number in found.asked if number <= count]
-            broken_off = SteeringDecision("held", touch.xy_m, count, str(held))
+            broken_off = SteeringDecision(kind="held", xy_m=touch.xy_m, touch=count, reason=str(held))
             yield Step((broken_off,), moment=Moment(clock(), count))
             continue
         found.ended_ns.append(clock())
-        given = PhaseStart("plan", count), _input(touched)
+        given = PhaseStart("plan", count), _recorded_input(touched)
         made = yield from _computed(clock, stage("touch", touched), found, given, Moment(clock(), count + 1))
         results = found.add(made)
         found.iou.append(None if found.maps is None else found.maps.iou)
-        yield Step(results, moment=Moment(clock(), count + 1, _input(touched).seen_ns or None))
+        yield Step(results, moment=Moment(clock(), count + 1, _recorded_input(touched).seen_ns or None))
 
 
 def _next_touch(
@@ -273,7 +274,7 @@ def _next_touch(
         yield Step(found.add(plan), moment=Moment(clock(), count, cell_m=PLAN_CELL_M))
         planned = next((one for one in plan.results if isinstance(one, PlannedTouch)), None)
         while True:
-            choice = yield from _answered(steering, steering.choose(planned, count))
+            choice = yield from _answer_to(steering, steering.choose(planned, count))
             if choice.kind != "touch":
                 break
             aimed = yield from _computed(clock, stage("aim", choice.xy_m), found)
@@ -281,7 +282,7 @@ def _next_touch(
             forecast = next((one for one in aimed.results if isinstance(one, TouchForecast)), None)
             if forecast is None or aimed.touch is None:
                 steering.refuse(aimed.refused)
-            elif (yield from _answered(steering, steering.confirm(forecast))):
+            elif (yield from _answer_to(steering, steering.confirm(forecast))):
                 yield Step((SteeringDecision("touch", choice.xy_m, count),), moment=Moment(clock(), count))
                 found.asked.append(count + 1)
                 return aimed.touch
@@ -296,7 +297,7 @@ def _next_touch(
             plan = yield from _computed(clock, stage("plan"), found)
 
 
-def _answered(steering: Steering, asked: Future[Any]) -> Generator[Step, Any, Any]:
+def _answer_to(steering: Steering, asked: Future[Any]) -> Generator[Step, Any, Any]:
     """What a person says; the session goes on meanwhile."""
     if asked.done():
         return asked.result()
@@ -307,7 +308,7 @@ def _answered(steering: Steering, asked: Future[Any]) -> Generator[Step, Any, An
     return given.value
 
 
-def _known(value: Any) -> Future[Any]:
+def _resolved(value: Any) -> Future[Any]:
     future: Future[Any] = Future()
     future.set_result(value)
     return future
@@ -327,14 +328,20 @@ def _computed(
     return computed
 
 
-def _input(given: Any) -> Any:
+def _recorded_input(given: Any) -> Any:
     """What is recorded of what a robot gave: the frames that it used, or what it measured."""
     return given if isinstance(given, SurfaceMeasurement | TouchMeasurement) else given.used
 
 
 def _given_up(clock: Callable[[], int], found: Exploration, why: str = "") -> ExplorationStopped:
     reason = why or f"{found.failures[-1].stage}: {found.failures[-1].reason}"
-    stop = ExplorationStop(ESTIMATES_FAILED, reason, "what failed, in the recording", "stop", len(found.touches))
+    stop = ExplorationStop(
+        kind=ESTIMATES_FAILED,
+        reason=reason,
+        advice="what failed, in the recording",
+        action="stop",
+        touch=len(found.touches),
+    )
     return ExplorationStopped(stop, clock())
 
 
@@ -359,6 +366,8 @@ class RecordedRobot:
 
     def _next(self) -> Any:
         if not self.given:
-            stop = ExplorationStop("recording at its end", "nothing was recorded after it", "", "stop", 0)
+            stop = ExplorationStop(
+                kind="recording at its end", reason="nothing was recorded after it", advice="", action="stop", touch=0
+            )
             raise ExplorationStopped(stop, 0)
         return self.given.pop(0)

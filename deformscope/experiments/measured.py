@@ -33,7 +33,7 @@ from deformscope.robot.shape import arm_shape
 from deformscope.robot.supervisor import Limits
 from deformscope.robot.touch import STILL_S, TouchPlan, centers_of, forces_at
 from deformscope.robot.travel import NotThere, find_way
-from deformscope.stages.map.measured import LookFrames, SurfaceMeasurement, TouchFrames, TouchMeasurement, WholeTouch
+from deformscope.stages.map.measured import LookFrames, SurfaceMeasurement, TouchFrames, TouchMeasurement
 from deformscope.stages.poke.contact import ArmCompliance
 from deformscope.stages.poke.layer_seen import BESIDE_M, WITHIN_M, TableSeen, table_beside
 from deformscope.stages.regions.touch_error import TouchErrorModel
@@ -238,21 +238,20 @@ class SetupGeometry:
             for when, ticks, pose in zip(used.wrench_ns, used.wrench_ticks, used.pose_ns, strict=True)
         ]
         force_n = forces_at([arm.time_ns for arm in arms], used.wrench_ns, forces_n)
-        nothing: FloatArray = np.zeros((0, 3))
-        count, whole = len(used.arm_ns), None
+        loading = held = None
         if used.held_ns is not None:
-            held = int(np.searchsorted(1e9 * time_s, used.seen_ns, side="right"))
-            whole = WholeTouch(time_s, position_m, force_n, count, held)
+            loading, held = len(used.arm_ns), int(np.searchsorted(1e9 * time_s, used.seen_ns, side="right"))
         return TouchMeasurement(
-            used.xy_m,
-            used.normal,
-            time_s[:count],
-            position_m[:count],
-            force_n[:count],
-            nothing,
-            used.reached,
-            used.seen_ns,
-            whole,
+            xy_m=used.xy_m,
+            normal=used.normal,
+            time_s=time_s,
+            position_m=position_m,
+            force_n=force_n,
+            after_m=np.zeros((0, 3)),
+            reached=used.reached,
+            seen_ns=used.seen_ns,
+            loading=loading,
+            held=held,
         )
 
     def dent(self, touched: Touched, look: LookFrames, options: ExploreOptions) -> FloatArray:

@@ -1,4 +1,4 @@
-"""How to explore, and the lengths that all of it keeps to."""
+"""How to explore: the options, the lengths that all of it keeps to, and the strategies that the options choose."""
 
 from __future__ import annotations
 
@@ -6,8 +6,22 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
+
+from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
-from deformscope.stages.map.plan import INCLUSION_M, Planner
+from deformscope.experiments.quantity import (
+    ApparentStiffness,
+    EnergyLoss,
+    RelaxedStiffness,
+    StiffnessAtReferenceSpeed,
+)
+from deformscope.experiments.search import InclusionSearch, RegionSearch, SurfaceSearch, ThesisSearch
+from deformscope.stages.map.lump_posterior import LumpPosterior, LumpPrior
+from deformscope.stages.map.plan import INCLUSION_M, Planner, PlanOptions
+from deformscope.stages.regions.posterior import RegionPosterior, RegionPrior
+from deformscope.stages.regions.touch_error import TouchErrorModel
+from deformscope.stages.regions.touches import MapGrid
 
 BetaModel = Literal["volume", "thesis", "layers", "none"]
 Feel = Literal["apparent", "relaxed", "loss"]
@@ -25,6 +39,9 @@ TRAVEL_M_S = {"careful": 0.05, "quick": 0.15}
 """Between touches in the laboratory, by pace; a rig file says it for a rig."""
 PLAN_CELL_M = 0.02
 """Places that are considered for a touch are this far apart."""
+PLANNED_COSTS = {"careful": (6.0, 0.1), "quick": (4.0, 0.15)}
+"""What the planner takes a touch for [s], and the speed of the way to it [m/s], by pace. Chosen: near enough to
+what they take, and such that both paces weigh a touch and its way alike, and touch the same places."""
 DRY_RUN_M = 0.1
 """A dry run is made so far above the surface: the tip stays 8 cm above it, a hand's breadth."""
 EDGE_M, ABOVE_M, LOW_SHARE, LOW_UNSTATED = 0.005, 0.08, 0.5, 0.2
@@ -113,3 +130,49 @@ class ExploreOptions:
     def second_force_n(self) -> float:
         """Pressed with where the set force makes a small dent: 5 N after 3 N, and in proportion, 5 N at most."""
         return min(SECOND_FORCE_N, SECOND_SHARE * self.set_force_n)
+
+    @property
+    def stated_m(self) -> float | None:
+        """Thickness of the foam, where it was stated."""
+        return self.thickness_m if self.thickness_stated else None
+
+    @property
+    def planning(self) -> PlanOptions:
+        """What the planner weighs touches by."""
+        touch_s, speed_m_s = PLANNED_COSTS[self.pace]
+        return PlanOptions(
+            planner=self.planner,
+            budget=self.budget,
+            threshold=self.threshold,
+            cell_m=PLAN_CELL_M,
+            inclusion_m=self.inclusion_m,
+            touch_s=touch_s,
+            speed_m_s=speed_m_s,
+        )
+
+    @property
+    def quantity(self) -> ApparentStiffness:
+        """What of a touch is mapped."""
+        if not self.hold_s:
+            return ApparentStiffness()
+        return {"apparent": StiffnessAtReferenceSpeed, "relaxed": RelaxedStiffness, "loss": EnergyLoss}[self.feel]()
+
+    def search(self, grid: MapGrid, error: TouchErrorModel) -> SurfaceSearch:
+        """What is sought on a surface, before any touch. error: of touches' stiffness"""
+        error = self.quantity.error(error)
+        if self.goal == "inclusions":
+            prior = LumpPrior(
+                smallest_m=self.inclusion_m, tip_radius_m=self.tip_radius_m, set_force_n=self.set_force_n, error=error
+            )
+            return InclusionSearch(LumpPosterior(grid, prior))
+        posterior = RegionPosterior.before_touches(grid, RegionPrior(error=error), seed=self.seed)
+        search = ThesisSearch if self.planner == "thesis" else RegionSearch
+        return search(posterior, self.seed)
+
+    def first_place(self, size_m: tuple[float, float], search: SurfaceSearch) -> tuple[FloatArray, str] | None:
+        """Where to touch first (2,) [m], and why; None = where it says most."""
+        if self.first_m is not None:
+            return np.array(self.first_m), "as asked for"
+        if search.first_share is not None:
+            return np.multiply(search.first_share, size_m), "the preset place"
+        return None

@@ -18,9 +18,9 @@ import numpy as np
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.errors import InputError
 from deformscope.experiments.explore import DRY_RUN, ExplorationStopped, Look, TouchHeld, Wait
-from deformscope.experiments.explorer import Touch
 from deformscope.experiments.measured import UPRIGHT, FrameData, Looked, SetupGeometry, Touched
 from deformscope.experiments.options import ExploreOptions
+from deformscope.experiments.robot_geometry import Touch
 from deformscope.rig.source import RigSource
 from deformscope.robot.advice import where_it_stands
 from deformscope.robot.by_hand import touch_by_hand

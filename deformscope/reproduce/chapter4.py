@@ -18,8 +18,11 @@ from threadpoolctl import threadpool_limits
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.errors import InputError
-from deformscope.experiments.explorer import AsMeasured, Explorer, Touch
+from deformscope.experiments.explore import Exploration
+from deformscope.experiments.explorer import Explorer
 from deformscope.experiments.options import ExploreOptions
+from deformscope.experiments.robot_geometry import AsMeasured, Touch
+from deformscope.experiments.search import ThesisSearch
 from deformscope.lab.scenes import built_in
 from deformscope.lab.slab import RigidTip
 from deformscope.lab.slab_world import SlabWorld
@@ -100,10 +103,9 @@ def press_foam(hardness_n: int, cluster_sizes: Sequence[int | None] = CLUSTER_SI
         explorer = Explorer(scene.size_m, options, robot.arm, robot.truth)
         explorer.look(robot.look)
         at = 0.5 * np.asarray(scene.size_m)
-        touched = robot.touch(Touch(at, *explorer.aim(at), None))
-        found = explorer.touch(touched)
-        dent = explorer.dents[0] if explorer.dents else None
-        assert explorer.world is not None
+        touched = robot.touch(Touch(at, *explorer.surface.aim(at)))
+        found = explorer.touch(touched).estimate
+        dent = explorer.betas[0].dent
         if dent is None:
             raise InputError("a foam that 3 N dent", f"{hardness_n} N", "a softer one")
         radius, thickness = options.tip_radius_m, scene.thickness_m
@@ -121,7 +123,9 @@ def press_foam(hardness_n: int, cluster_sizes: Sequence[int | None] = CLUSTER_SI
                 swept = thesis_beta(seen, thickness_m=below, cluster_size=size)
                 betas.append(HeldBeta(hold, size, swept.beta, swept.error_m))
             if size is not None:
-                ours = fit_touch(explorer.world, touched.after_m, ball, thickness_m=thickness, cluster_size=size)
+                ours = fit_touch(
+                    explorer.surface.process, touched.after_m, ball, thickness_m=thickness, cluster_size=size
+                )
                 betas.append(HeldBeta(HOLDS[3], size, ours.estimate.value, None))
     return FoamDent(hardness_n, found.depth_m, dent, tuple(betas))
 
@@ -172,11 +176,14 @@ def explore_scenario(job: tuple[str, int]) -> Scenario:
         )
         robot = LabRobot(scene, options)
         explorer = Explorer(scene.size_m, options, robot.arm, robot.truth)
-        explore_at_once(robot, explorer, AsMeasured(scene.size_m, robot.reachable), _Nowhere())
-        layers = explorer.thesis
+        found = Exploration()
+        explore_at_once(robot, explorer, AsMeasured(scene.size_m, robot.reachable), _Nowhere(), found)
+        assert isinstance(explorer.search, ThesisSearch)
+        layers = explorer.search.thesis
+        dents = [beta.dent for beta in explorer.betas if beta.value is not None]
         counts = np.cumsum(layers.dented)
         single = ThesisField()
-        for dent, places_m in zip(explorer.dents, np.split(layers.places_m, counts[:-1]), strict=True):
+        for dent, places_m in zip(dents, np.split(layers.places_m, counts[:-1]), strict=True):
             single = single.with_touch(places_m, 0.0 if dent is None else thesis_beta(dent).beta)
     fields = {"layers": _field(layers, truth), "single layer": _field(single, truth)}
     return Scenario(
@@ -184,7 +191,7 @@ def explore_scenario(job: tuple[str, int]) -> Scenario:
         seed=seed,
         contacts_m=np.array([one.xyz_m[:2] for one in explorer.touches]),
         rigid=np.array([one.rigid for one in explorer.touches], dtype=bool),
-        stop_reason=explorer.stop_reason,
+        stop_reason=found.stop_reason,
         truth=truth,
         hardness=tuple(piece.name for piece in scene.pieces),
         cell_m=explorer.grid.cell_m,

@@ -101,8 +101,8 @@ def _after(
     truth: TrueMap,
     planned: PlannedTouch,
 ) -> MapAfter:
-    count, regions = len(explorer.touches), explorer.region_map()
-    touch = explorer.posterior.touches[-1]
+    count, regions = len(explorer.touches), explorer.region_map
+    touch = explorer.search.posterior.touches[-1]
     low, high = measured.stiffness_interval
     return MapAfter(
         touches=count,

@@ -11,9 +11,9 @@ from collections.abc import Callable
 import numpy as np
 
 from deformscope.arrays import BoolArray, FloatArray
-from deformscope.experiments.explorer import AsMeasured, Touch
 from deformscope.experiments.measured import SetupGeometry
 from deformscope.experiments.options import ExploreOptions
+from deformscope.experiments.robot_geometry import AsMeasured, Touch
 from deformscope.lab.touching import Approach
 from deformscope.robot.touch import PERIOD_S, TARE_PERIODS, Phase, TouchPlan, TouchStateMachine
 from deformscope.robot.travel import PASSED_M, REACHED_M, capped
@@ -36,7 +36,7 @@ class PlannedTouches(AsMeasured):
         self, xy_m: FloatArray, height_m: float, normal: FloatArray, over_m: float | None, known_m: float | None = None
     ) -> Touch:
         plan = self._setup.plan(xy_m, height_m, normal, over_m, self._options, known_m)
-        return Touch(xy_m, height_m, normal, over_m, plan)
+        return Touch(xy_m, height_m, normal, plan)
 
 
 class TouchClock:

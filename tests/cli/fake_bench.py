@@ -14,8 +14,8 @@ import pytest
 from deformscope.api.setups import Opening
 from deformscope.arrays import FloatArray
 from deformscope.experiments.explore import Look
-from deformscope.experiments.explorer import AsMeasured, Touch
 from deformscope.experiments.options import ExploreOptions
+from deformscope.experiments.robot_geometry import AsMeasured, Touch
 from deformscope.experiments.touching_robot import CheckFirst
 from deformscope.frames import HealthReport, Item
 from deformscope.rig.rig_file import Tool, Workspace
@@ -170,7 +170,7 @@ def use_fake_bench(monkeypatch: pytest.MonkeyPatch) -> FakeBench:
     monkeypatch.setattr("deformscope.experiments.touching_robot.touching_robot", bench.robot)
     monkeypatch.setattr("deformscope.experiments.beside.FromFrames", lambda geometry, options: AsMeasured(SIZE_M))
     use_coarse_maps(monkeypatch)
-    monkeypatch.setattr("deformscope.experiments.explorer.fit_surface", _surface)
+    monkeypatch.setattr("deformscope.experiments.seen_surface.fit_surface", _surface)
     return bench
 
 

@@ -32,13 +32,13 @@ def use_coarse_maps(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("deformscope.pictures.exploration._one", lambda *_: pixel)
     monkeypatch.setattr("deformscope.pictures.exploration.result_png", lambda *_: pixel)
     few = SimpleNamespace(before_touches=partial(RegionPosterior.before_touches, particle_count=50))
-    monkeypatch.setattr("deformscope.experiments.explorer.RegionPosterior", few)
+    monkeypatch.setattr("deformscope.experiments.options.RegionPosterior", few)
 
 
 def use_quick_scene(monkeypatch: pytest.MonkeyPatch) -> None:
     """From now on `explore` makes coarse maps of scenes in closed form."""
     use_coarse_maps(monkeypatch)
-    for module in ("explore", "explorer"):
+    for module in ("explore", "options"):
         monkeypatch.setattr(f"deformscope.experiments.{module}.PLAN_CELL_M", PLAN_CELL_M)
     monkeypatch.setattr("deformscope.lab.scene_lab.slab_world", _Layers)
     near = partial(TouchPlan, slow_within_m=0.01, far_speed_m_s=0.05, travel_speed_m_s=0.15)

@@ -24,11 +24,11 @@ from tests.cli.fake_bench import FakeBench, FakeRobot, use_fake_bench
 EXPLORE = ["explore", "lab:two-60-150", "--touches", "4", "--viewer", "none"]
 EXPLORER = "deformscope.experiments.explorer"
 STAGES = {
-    "contact": f"{EXPLORER}.fit_approach",
+    "contact": "deformscope.experiments.touch_fit.fit_approach",
     "regions": "deformscope.stages.regions.posterior.RegionPosterior.with_touch",
     "maps": "deformscope.stages.regions.posterior.RegionPosterior.region_map",
     "surface": "deformscope.stages.map.surface.HeightProcess.at",
-    "beta": f"{EXPLORER}.Explorer._beta",
+    "beta": f"{EXPLORER}.fit_beta",
     "beta field": f"{EXPLORER}.Explorer._beta_field",
     "display": "deformscope.log.exploration.log_maps",
 }
@@ -142,7 +142,8 @@ def test_failures_without_end_end_it_in_order(
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    targets = STAGES | {"plan": f"{EXPLORER}.plan_touch", "look": f"{EXPLORER}.fit_surface"}
+    plan, look = "deformscope.experiments.search.plan_touch", "deformscope.experiments.seen_surface.fit_surface"
+    targets = STAGES | {"plan": plan, "look": look}
     record, told = tmp_path / "e.rrd", tmp_path / "e.json"
 
     with pytest.MonkeyPatch.context() as monkeypatch:

@@ -12,8 +12,8 @@ import pytest
 from deformscope.errors import InputError
 from deformscope.experiments.arm_compliance import COMMON_SD, GiveTouch, arm_give, touch_rigid
 from deformscope.experiments.explore import AtOnce
-from deformscope.experiments.explorer import AsMeasured, Touch
 from deformscope.experiments.options import ExploreOptions
+from deformscope.experiments.robot_geometry import AsMeasured, Touch
 from deformscope.session import run
 from deformscope.stages.map.measured import SurfaceMeasurement, TouchMeasurement
 

@@ -24,9 +24,10 @@ from deformscope.experiments.explore import (
     explore,
     within_loop,
 )
-from deformscope.experiments.explorer import AsMeasured, ExplorationStages, Explorer, Touch
+from deformscope.experiments.explorer import ExplorationStages, Explorer
 from deformscope.experiments.measured import off_the_border
 from deformscope.experiments.options import PLAN_CELL_M, ExploreOptions
+from deformscope.experiments.robot_geometry import AsMeasured, Touch
 from deformscope.lab.scenes import built_in
 from deformscope.lab.session_errors import LabErrors
 from deformscope.reproduce.surface_robot import LabRobot
@@ -87,7 +88,7 @@ def explored(name: str, **changes: object) -> Explored:
     assert robot.most_force_n < 8.0
     assert found.travel_m == explorer.travel_m
     assert found.touches == explorer.touches
-    assert found.maps is explorer.known
+    assert found.maps is explorer.maps
     return explorer, [result for _, results in moments for result in results]
 
 
@@ -149,7 +150,7 @@ def test_a_dent_that_was_pressed_on_is_as_deep_as_at_its_last_force() -> None:
     explorer.look(lambda: SurfaceMeasurement(points, np.full(500, 1e-3)))
     up, none = np.array([0.0, 0.0, 1.0]), np.zeros((0, 3))
     touched = TouchMeasurement(np.array([0.2, 0.2]), up, np.arange(230) * 0.01, position, along, none, True)
-    told = explorer.touch(touched)
+    told = explorer.touch(touched).estimate
     assert told.stiffness_n_per_mm == pytest.approx(3.0 / 1.8, rel=0.02)  # at the set force
     assert told.peak_force_n == pytest.approx(5.0, rel=0.01)
     assert told.depth_m == pytest.approx(0.0018 * (5.0 / 3.0) ** (1.0 / 1.5), rel=0.02)
@@ -234,10 +235,10 @@ def test_the_surface_is_seen_where_it_is(two: Explored) -> None:
 
 
 def test_it_stops_for_a_reason_and_says_why_it_goes_where(two: Explored) -> None:
-    explorer, moments = two
+    _, moments = two
     plans = of(PlannedTouch, moments)
 
-    assert explorer.stop_reason == "budget"
+    assert plans[-1].stop_reason == "budget"  # type: ignore[attr-defined]
     assert plans[-1].target_m is None  # type: ignore[attr-defined]
     assert all(plan.reason for plan in plans)  # type: ignore[attr-defined]
     for plan in plans[:-1]:
@@ -589,11 +590,12 @@ def test_touches_1_cm_from_the_edge_make_no_regions(capsys: pytest.CaptureFixtur
         robot = LabRobot(scene, options, sees=False, errors=LabErrors())
         explorer = Explorer(scene.size_m, options, robot.arm)
         explorer.look(robot.look)
-        touches = [explorer.touch(robot.touch(explorer.approached(one, AsMeasured(scene.size_m)))) for one in places]
+        geometry = AsMeasured(scene.size_m)
+        touches = [explorer.touch(robot.touch(explorer.approached(one, geometry))).estimate for one in places]
         felt = np.log([one.stiffness_n_per_mm for one in touches])
         level = np.log([one.level_n_per_mm or np.nan for one in touches])
         apart.append([one[:4].mean() - one[4:].mean() for one in (level, felt)])
-        ones.append(explorer.region_map().region_count == 1)
+        ones.append(explorer.region_map.region_count == 1)
     with capsys.disabled():
         print(f"one region in {sum(ones)} of 20; apart {np.mean(apart, axis=0)}, sd {np.std(apart, axis=0)}")
     assert sum(ones) >= 19

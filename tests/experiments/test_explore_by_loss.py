@@ -11,8 +11,9 @@ import pytest
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 from deformscope.experiments.explore import AtOnce, Exploration, ExploringRobot, RecordedRobot, explore, within_loop
-from deformscope.experiments.explorer import AsMeasured, ExplorationStages, Explorer, Touch
+from deformscope.experiments.explorer import ExplorationStages, Explorer
 from deformscope.experiments.options import ExploreOptions
+from deformscope.experiments.robot_geometry import AsMeasured, Touch
 from deformscope.log.exploration.summary import summary
 from deformscope.pictures.exploration import map_png
 from deformscope.robot.setup import Truth
@@ -20,7 +21,7 @@ from deformscope.rows import to_components
 from deformscope.session import Step, run
 from deformscope.stages.map.exploration import MapEstimate, StageFailure, TouchEstimate
 from deformscope.stages.map.loss import LEAST_LOSS, loss_sample
-from deformscope.stages.map.measured import SurfaceMeasurement, TouchMeasurement, WholeTouch
+from deformscope.stages.map.measured import SurfaceMeasurement, TouchMeasurement
 from deformscope.stages.poke.contact import ArmCompliance
 
 SIZE_M, BORDER_M, UP = (0.6, 0.4), 0.3, np.array([0.0, 0.0, 1.0])
@@ -58,10 +59,8 @@ class TwoFoams:
         position = np.append(command.xy_m, command.height_m + 0.01) - z[:, None] * UP
         felt = force[:, None] * UP + 0.01 * noise((len(force), 3))
         time = STEP_S * np.arange(len(depth))
-        whole = WholeTouch(time, position, felt, loading, held)
-        before = slice(None, loading)
         none = np.zeros((0, 3))
-        return TouchMeasurement(command.xy_m, UP, time[before], position[before], felt[before], none, True, whole=whole)
+        return TouchMeasurement(command.xy_m, UP, time, position, felt, none, True, loading=loading, held=held)
 
 
 def _cycle(relaxes: float, times: float) -> tuple[FloatArray, FloatArray, int, int]:

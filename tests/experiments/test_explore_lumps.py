@@ -11,8 +11,9 @@ import pytest
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 from deformscope.experiments.explore import AtOnce, Exploration, RecordedRobot, explore, within_loop
-from deformscope.experiments.explorer import AsMeasured, ExplorationStages, Explorer, Touch
+from deformscope.experiments.explorer import ExplorationStages, Explorer
 from deformscope.experiments.options import ExploreOptions
+from deformscope.experiments.robot_geometry import AsMeasured, Touch
 from deformscope.robot.setup import Truth
 from deformscope.rows import differing, from_components, to_components
 from deformscope.session import run

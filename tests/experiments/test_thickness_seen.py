@@ -7,9 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from deformscope.experiments.explorer import AsMeasured, Explorer
+from deformscope.experiments.explorer import Explorer
 from deformscope.experiments.measured import FrameData, Looked, SetupGeometry
 from deformscope.experiments.options import ExploreOptions
+from deformscope.experiments.robot_geometry import AsMeasured
 from deformscope.lab.depth_view import DepthView
 from deformscope.lab.ray_camera import FOAM
 from deformscope.lab.scenes import Scene, built_in
@@ -62,7 +63,8 @@ def test_where_no_table_is_seen_there_is_a_stiffness_but_no_modulus_and_no_beta_
     for explorer, hidden in zip(explorers, (False, True), strict=True):
         explorer.look(lambda hidden=hidden: seen(scene, hidden))  # type: ignore[misc]
     made = robot.touch(explorers[0].approached(np.array([0.3, 0.2]), AsMeasured(scene.size_m)))
-    known, unknown = (explorer.touch(made) for explorer in explorers)
+    after = [explorer.touch(made) for explorer in explorers]
+    known, unknown = (one.estimate for one in after)
 
     assert known.stiffness_n_per_mm == pytest.approx(unknown.stiffness_n_per_mm)
     assert known.modulus_pa == pytest.approx(scene.pieces[0].modulus_pa, rel=0.15)
@@ -70,5 +72,4 @@ def test_where_no_table_is_seen_there_is_a_stiffness_but_no_modulus_and_no_beta_
     assert (unknown.modulus_pa, unknown.modulus_interval_pa) == (None, None)
     assert unknown.beta is None
     assert "thickness is not known" in unknown.beta_verdict
-    maps = [explorer.maps() for explorer in explorers]
-    assert [one is not None and one.level_modulus_pa is None for one in maps] == [False, True]
+    assert [one.maps is not None and one.maps.level_modulus_pa is None for one in after] == [False, True]

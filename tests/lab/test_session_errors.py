@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from deformscope.experiments.explorer import Touch
 from deformscope.experiments.options import ExploreOptions
+from deformscope.experiments.robot_geometry import Touch
 from deformscope.lab.arm_contact import ARM_DOUBT, ARM_STIFFNESS_N_M
 from deformscope.lab.scenes import built_in
 from deformscope.lab.session_errors import LabErrors
@@ -59,7 +59,7 @@ def test_a_touch_is_felt_through_all_of_them() -> None:
     robot = LabRobot(scene, options, sees=False, errors=errors)
     drawn = errors.draw([1, 1])
     place = np.array([0.3, 0.2])
-    made = robot.touch(Touch(place, scene.thickness_m, UP, None))
+    made = robot.touch(Touch(place, scene.thickness_m, UP))
     assert made.reached
     # stopped by what the sensor said, a little late
     assert 3.0 < made.force_n[-1, 2] < 3.5
@@ -68,7 +68,7 @@ def test_a_touch_is_felt_through_all_of_them() -> None:
     assert robot.scene.thickness_m == pytest.approx(scene.thickness_m * drawn.thickness)
 
     clean = LabRobot(robot.scene, options, sees=False)
-    clean.touch(Touch(place, scene.thickness_m, UP, None))
+    clean.touch(Touch(place, scene.thickness_m, UP))
     expected = drawn.scatter(place[None])[0]
     # the contact feels the field around it, a little less than at its middle
     assert abs(expected) > 0.02

@@ -296,7 +296,7 @@ class StageFailure:
         """What an error says of itself."""
         words = " ".join(str(error).split())
         kind = "" if isinstance(error, InputError) else type(error).__name__ + ": " * bool(words)
-        return cls(stage, touch, kind + words, "".join(traceback.format_exception(error)))
+        return cls(stage=stage, touch=touch, reason=kind + words, trace="".join(traceback.format_exception(error)))
 
 
 @dataclass(frozen=True, slots=True)

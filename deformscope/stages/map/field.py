@@ -277,7 +277,14 @@ class _Fit:
         factor = cholesky(self._covariance(x)[2], lower=True)
         sigma_e, length, nugget = (float(one) for one in np.exp(x))
         kernel = Kernel.of_length(sigma_e, length)
-        return _State(kernel, nugget, self.prior.level_sd, factor, cho_solve((factor, True), self.left), share)
+        return _State(
+            kernel=kernel,
+            nugget=nugget,
+            level_sd=self.prior.level_sd,
+            factor=factor,
+            weight=cho_solve((factor, True), self.left),
+            share=share,
+        )
 
     def _around(
         self, at: FloatArray, free: BoolArray, low: FloatArray, high: FloatArray, cost: Cost

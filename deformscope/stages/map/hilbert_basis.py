@@ -88,7 +88,7 @@ class HilbertBasis:
         gram /= 4.0 * np.prod(self.wall)
         onto = (sine[0].T @ ((weight * value)[:, None] * sine[1]))[first, second] / np.sqrt(np.prod(self.wall))
         log_noise = float(2.0 * np.log(noise).sum())
-        return Weighed(gram, onto, float(weight @ value**2), log_noise, len(value))
+        return Weighed(gram=gram, onto=onto, square=float(weight @ value**2), log_noise=log_noise, count=len(value))
 
     def list(self, places: FloatArray, value: FloatArray, noise: FloatArray) -> ListedPoints:
         """Points (k, 2) as they are, with values (k,) and noise (k,)."""

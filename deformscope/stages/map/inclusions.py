@@ -78,4 +78,11 @@ def missed(posterior: RegionPosterior, made_m: FloatArray, radii_m: Iterable[flo
     lumps = [(radius, Lumps(posterior, radius)) for radius in sorted(set(radii_m))]
     fitting = [(radius, one.probability) for radius, one in lumps if len(one.weight)]
     radii, probabilities = np.array(fitting).reshape(-1, 2).T
-    return Missed(float(circle[at]), centres[at], radii, probabilities, LUMP_CONTRAST, LUMP_PRIOR)
+    return Missed(
+        untouched_m=float(circle[at]),
+        untouched_at_m=centres[at],
+        lump_radius_m=radii,
+        lump_probability=probabilities,
+        contrast=LUMP_CONTRAST,
+        prior=LUMP_PRIOR,
+    )

@@ -69,15 +69,15 @@ def plan_lump_touch(
         target, reason = around[best], _why(posterior, felt, float(worth[best]), float(takes[best]))
     shape = grid.shape
     return TouchChoice(
-        grid,
-        target,
-        stop,
-        gain.reshape(shape),
-        "nat" if felt else "probability",
-        cost.reshape(shape),
-        excluded.reshape(shape),
-        reason,
-        missed,
+        grid=grid,
+        target_m=target,
+        stop=stop,
+        gain=gain.reshape(shape),
+        unit="nat" if felt else "probability",
+        cost_s=cost.reshape(shape),
+        excluded=excluded.reshape(shape),
+        reason=reason,
+        missed=missed,
     )
 
 
@@ -127,7 +127,15 @@ def _missed(posterior: LumpPosterior, made_m: FloatArray) -> Missed:
         circle = np.minimum(circle, KDTree(made_m).query(centres)[0])
     at = int(circle.argmax())
     radii = np.array(posterior.radii_m)
-    return Missed(float(circle[at]), centres[at], radii, posterior.missed, TIMES[0], EXISTS, max(DEPTHS_M))
+    return Missed(
+        untouched_m=float(circle[at]),
+        untouched_at_m=centres[at],
+        lump_radius_m=radii,
+        lump_probability=posterior.missed,
+        contrast=TIMES[0],
+        prior=EXISTS,
+        deepest_m=max(DEPTHS_M),
+    )
 
 
 def _why(posterior: LumpPosterior, felt: bool, gain: float, cost_s: float) -> str:

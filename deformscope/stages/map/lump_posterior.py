@@ -164,7 +164,8 @@ class LumpGuesses:
             ]
             parts.append(np.hstack([*row, np.full((count, 1), 1.0 / (count * len(radii_m)))]))
         every = np.concatenate(parts)
-        return cls(every[:, :2], *every[:, 2:].T)
+        radius_m, depth_m, share, weight = every[:, 2:].T
+        return cls(centre_m=every[:, :2], radius_m=radius_m, depth_m=depth_m, share=share, weight=weight)
 
     def __len__(self) -> int:
         return len(self.weight)
@@ -262,16 +263,24 @@ class LeftOver:
         about = read - (np.median(read) if len(read) else 0.0)
         bent_noise = np.diag(np.hypot(bent_sd, EXPONENT_LEAST_SD) ** 2) + STIFFER_SD**2 * np.outer(about, about)
         places = np.array([touch.xy_m for touch in touches]).reshape(-1, 2)
-        return cls(places, read, noise, bent - STIFFER * about, bent_noise)
+        return cls(places_m=places, read=read, noise=noise, bent=bent - STIFFER * about, bent_noise=bent_noise)
 
     def without(self, felt: LumpShifts, weight: FloatArray) -> LeftOver:
         """Less a lump of the posterior (j,), with the doubt about it."""
-        parts = []
-        for read, noise, each in ((self.read, self.noise, felt.log), (self.bent, self.bent_noise, felt.exponent)):
+
+        def less(each: FloatArray) -> tuple[FloatArray, FloatArray]:
+            """(t,) mean of the shifts (t, j), and (t, t) the doubt about them."""
             mean = each @ weight
-            doubt = (each * weight) @ each.T + (FOOTPRINT_DOUBT**2 - 1.0) * np.outer(mean, mean)
-            parts += [read - mean, noise + doubt]
-        return LeftOver(self.places_m, *parts)
+            return mean, (each * weight) @ each.T + (FOOTPRINT_DOUBT**2 - 1.0) * np.outer(mean, mean)
+
+        (log, log_doubt), (exponent, exponent_doubt) = less(felt.log), less(felt.exponent)
+        return LeftOver(
+            places_m=self.places_m,
+            read=self.read - log,
+            noise=self.noise + log_doubt,
+            bent=self.bent - exponent,
+            bent_noise=self.bent_noise + exponent_doubt,
+        )
 
     def exponents_whitened(self, lumps: FloatArray) -> tuple[FloatArray, FloatArray]:
         """(t,), (t, j) the exponents, and what lumps (t, j) add to them, in independent deviations."""
@@ -411,15 +420,15 @@ class LumpPosterior:
         shares = np.array([weight[guesses.radius_m == one].sum() for one in self.radii_m])
         above = guesses.shifts(centre[None], self.contact_m).log[0]
         return FoundLump(
-            centre,
-            max(within_m, 0.5 * CENTRE_CELL_M),
-            radius_m,
-            _interval(np.array(self.radii_m), shares),
-            bool(weight[guesses.share > 0.0].sum() > 0.5),
-            state.exists,
-            float(weight[guesses.depth_m > DEEP_M].sum()),
-            float(weight @ above),
-            weight,
+            centre_m=centre,
+            within_m=max(within_m, 0.5 * CENTRE_CELL_M),
+            radius_m=radius_m,
+            radius_interval_m=_interval(np.array(self.radii_m), shares),
+            stiff=bool(weight[guesses.share > 0.0].sum() > 0.5),
+            probability=state.exists,
+            deep=float(weight[guesses.depth_m > DEEP_M].sum()),
+            log_shift=float(weight @ above),
+            posterior=weight,
         )
 
     # What is missed ---------------------------------------------------------------------------------------------------

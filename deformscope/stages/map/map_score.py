@@ -84,7 +84,19 @@ def score_map(shown: RegionMap, truth: TrueMap) -> MapScore:
     labels, count = called_labels(shown), shown.region_count
     if truth.labels is None:
         gradual = shown.verdict == "gradual"
-        return MapScore(count, shown.verdict, gradual, None, None, None, True, None, None, rms, covered)
+        return MapScore(
+            region_count=count,
+            verdict=shown.verdict,
+            right=gradual,
+            iou=None,
+            least_iou=None,
+            boundary_m=None,
+            ordered=True,
+            rigid_found=None,
+            levels_covered=None,
+            field_rms=rms,
+            field_covered=covered,
+        )
     iou, pairs = match_regions(labels, truth.labels)
     right = count == truth.region_count
     inside = [

@@ -102,7 +102,13 @@ def learn(free: Points, known: Points, given: Given, start: Learned | None = Non
     if not len(free.value):
         given = dataclasses.replace(given, noise_scale=1.0)
     if given.sigma_e is not None and given.sigma_w is not None and given.noise_scale is not None:
-        return Learned(Kernel(given.sigma_e, given.sigma_w), given.noise_scale, float("nan"), (), 0)
+        return Learned(
+            kernel=Kernel(given.sigma_e, given.sigma_w),
+            noise_scale=given.noise_scale,
+            log_likelihood=float("nan"),
+            at_bound=(),
+            trials=0,
+        )
     places = np.concatenate([free.places, known.places])
     low, high = places.min(axis=0), places.max(axis=0)
     search = _Search(free, known, 0.5 * (low + high), 0.5 * (high - low))
@@ -160,7 +166,13 @@ class _Search:
             if f is None and (x <= a + NEAR_BOUND or x >= b - NEAR_BOUND)
         ]
         sigma_e, length, scale = (float(x) for x in np.exp(at))
-        return Learned(Kernel.of_length(sigma_e, length), scale, value, tuple(bound), self.trials)
+        return Learned(
+            kernel=Kernel.of_length(sigma_e, length),
+            noise_scale=scale,
+            log_likelihood=value,
+            at_bound=tuple(bound),
+            trials=self.trials,
+        )
 
     def _first(self, start: FloatArray, free_noise: bool) -> FloatArray:
         """Where to start from: the best of a few lengths, from long to short, each with the noise that neighbours show,

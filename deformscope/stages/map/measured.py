@@ -5,6 +5,7 @@ A frame is named by its device and the time at which it came, on the host's cloc
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 
 from deformscope.arrays import FloatArray, IntArray
@@ -22,21 +23,6 @@ class SurfaceMeasurement:
 
 
 @dataclass(frozen=True, slots=True)
-class WholeTouch:
-    """A touch from the approach until the tip was back, for its creep.
-
-    time_s, position_m, force_n: (n,), (n, 3), (n, 3) as of `TouchMeasurement`; loading, held: how many samples lead up
-    to the set force, and how many were taken until the way back
-    """
-
-    time_s: FloatArray
-    position_m: FloatArray
-    force_n: FloatArray
-    loading: int
-    held: int
-
-
-@dataclass(frozen=True, slots=True)
 class TouchMeasurement:
     """What a touch gave.
 
@@ -44,7 +30,8 @@ class TouchMeasurement:
     time_s: (n,) rising; position_m: (n, 3) middle of the ball as the arm reports; force_n: (n, 3) on it; surface frame
     after_m: (k, 3) points seen while it pressed, without the robot; reached: the set force, rather than the depth
     seen_ns: until when they were seen, on the robot's clock; 0 = nothing was seen
-    whole: the touch with its hold and its way back, None where its creep was not asked for
+    loading, held: how many samples lead up to the set force, and how many were taken until the way back; None where its
+    creep was not asked for: then all samples lead up to the set force
     """
 
     xy_m: FloatArray
@@ -55,7 +42,16 @@ class TouchMeasurement:
     after_m: FloatArray
     reached: bool
     seen_ns: int = 0
-    whole: WholeTouch | None = None
+    loading: int | None = None
+    held: int | None = None
+
+    @property
+    def approach(self) -> TouchMeasurement:
+        """The same without its hold and its way back."""
+        if self.loading is None:
+            return self
+        time_s, position_m, force_n = (one[: self.loading] for one in (self.time_s, self.position_m, self.force_n))
+        return dataclasses.replace(self, time_s=time_s, position_m=position_m, force_n=force_n, loading=None, held=None)
 
 
 @dataclass(frozen=True, slots=True)

@@ -177,7 +177,15 @@ def plan_touch(
             reason = "the same place again: " * bool(again.share[best] > 0.0) + reason
     shape = grid.shape
     return TouchChoice(
-        grid, target, stop, gain.reshape(shape), unit, cost.reshape(shape), excluded.reshape(shape), reason, lumps
+        grid=grid,
+        target_m=target,
+        stop=stop,
+        gain=gain.reshape(shape),
+        unit=unit,
+        cost_s=cost.reshape(shape),
+        excluded=excluded.reshape(shape),
+        reason=reason,
+        missed=lumps,
     )
 
 
@@ -341,7 +349,7 @@ def _region_gain(posterior: RegionPosterior, touches: Repeats, cost: FloatArray)
     learned = LEVEL_WORTH * information(hypotheses, touches, blur)
     best = np.argsort(-(gain + learned) / cost, kind="stable")[:CONTENDERS]
     cells = MapGrid(posterior.grid.size_m, LABEL_CELL_M).centres_m
-    some = Repeats(touches.at_m[best], touches.value[best], touches.share[best], touches.sd[best])
+    some = Repeats(at_m=touches.at_m[best], value=touches.value[best], share=touches.share[best], sd=touches.sd[best])
     gain[best] += label_gain(hypotheses, some, cells, blur)
     return gain
 

@@ -150,7 +150,7 @@ def fit_touch(
     found = conclude(fit, level=LEVEL, settings={"model": "volume"}, provenance={})
     posed = fit.posed[0]
     top = posed.settle([fit.best.law]).position[0, posed.scene.open]
-    return TouchBeta(found.estimate, fit, len(near), np.asarray(top, dtype=np.float64))
+    return TouchBeta(estimate=found.estimate, fit=fit, points=len(near), simulated_m=np.asarray(top, dtype=np.float64))
 
 
 def _around(after: FloatArray, touch: BallContact, thickness: float) -> FloatArray:
@@ -286,7 +286,9 @@ def thesis_beta(
         lattice = shape if layers == 1 else (*shape, layers)
         grouped = clusters.lattice(rest, lattice, np.arange(len(rest)), cluster_size)
         law = Law(0.0, cluster_size=cluster_size)
-    scene = PokeSetup(rest, grouped, np.flatnonzero(fixed), top, DOWN, THESIS_CELL_M)
+    scene = PokeSetup(
+        rest=rest, clusters=grouped, fixed=np.flatnonzero(fixed), open=top, toward=DOWN, spacing=THESIS_CELL_M
+    )
     here = top[[lowest]]
     body = hold(scene, here, law, "float32", "cpu")
     beta = np.linspace(*BOUNDS, THESIS_CANDIDATES)

@@ -87,7 +87,12 @@ def fit_axes(
     deviation = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
     share = explained(seen, fit.positions(best))
     identifiability = tuple(
-        Identifiability(rise, share, float(spread * np.exp(-at)), least_squares.deviation_of(best.residual, d))
+        Identifiability(
+            rise=rise,
+            explained=share,
+            deviation=float(spread * np.exp(-at)),
+            misfit=least_squares.deviation_of(best.residual, d),
+        )
         for rise, spread, at in zip(fit.rises(best, noise), deviation, best.at, strict=True)
     )
     reasons = fit.reasons(best, ends, identifiability, converged=converged)
@@ -261,7 +266,16 @@ class _AxisFit:
                 return self._at(along, one, best.at + change[..., None])
 
             rows = np.searchsorted(np.flatnonzero(self.judged[row]), part.judged)
-            bodies.append(FittedBody(part, self.model.grouping(one), simulated, response, slope[:, rows], states))
+            bodies.append(
+                FittedBody(
+                    part=part,
+                    grouped=self.model.grouping(one),
+                    position=simulated,
+                    response=response,
+                    others=slope[:, rows],
+                    states=states,
+                )
+            )
         yield from two_materials(bodies, float(-np.expm1(-best.at.mean())), BETA_LIMIT)
 
     @staticmethod

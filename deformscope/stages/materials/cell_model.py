@@ -147,7 +147,9 @@ class CellModel:
         force[self.fixed] = (whole @ u)[self.fixed]
         if not slopes:
             none = np.zeros((0, 0))
-            return CellState(u.reshape(-1, self.d), none, none, none, force.reshape(-1, self.d))
+            return CellState(
+                moved=u.reshape(-1, self.d), slope=none, by_nu=none, response=none, force=force.reshape(-1, self.d)
+            )
         response = np.zeros((u.size, self.fixed.size))
         response[self.free] = factors.solve(-coupling.toarray())
         response[self.fixed, np.arange(self.fixed.size)] = 1.0
@@ -159,7 +161,13 @@ class CellModel:
             load = np.zeros(u.size)
             np.add.at(load, self.dof, np.exp(p)[:, None] * np.einsum("cab,cb->ca", change, u[self.dof]))
             by_nu = self._solved(factors, load[:, None])
-        return CellState(u.reshape(-1, self.d), slope, by_nu[:, 0], response, force.reshape(-1, self.d))
+        return CellState(
+            moved=u.reshape(-1, self.d),
+            slope=slope,
+            by_nu=by_nu[:, 0],
+            response=response,
+            force=force.reshape(-1, self.d),
+        )
 
     def _cells(self, nu: float) -> FloatArray:
         return elastic_cells(self.corner, nu) if self._fixed_cells is None else self._fixed_cells[0]

@@ -241,7 +241,9 @@ def fit_field(
         settings={"particles": len(seen.rest), "cells": len(fit.cells), "dimensions": d, "device": device},
     )
     done(steps)
-    return estimate, Comparison(seen.rest, seen.deformed, beta_state, seen.observed, seen.held, seen.unit)
+    return estimate, Comparison(
+        rest=seen.rest, observed=seen.deformed, simulated=beta_state, seen=seen.observed, held=seen.held, unit=seen.unit
+    )
 
 
 def _smooth(fit: FieldFit) -> tuple[float, NoiseModel, FieldPoint]:
@@ -280,7 +282,17 @@ def _described(
     label = np.full(len(fit.cells), -1) if label is None else label
     after = posterior(fit, prior, noise, point)
     misfit = float(left @ left) / len(left)
-    return Description(name, label, prior, point, after, noise, evidence - cost, judged, misfit)
+    return Description(
+        name=name,
+        label=label,
+        prior=prior,
+        point=point,
+        root=after,
+        noise=noise,
+        weight=evidence - cost,
+        judged=judged,
+        misfit=misfit,
+    )
 
 
 def _materials(fit: FieldFit, found: list[Description], edges: IntArray, count: int) -> list[Description]:

@@ -206,7 +206,7 @@ class FieldFit:
                 z = z + step
             at = prior.mean + prior.root @ z
             state, moved, slope = self.state(at)
-        return FieldPoint(at, state, moved, slope, converged)
+        return FieldPoint(at=at, state=state, moved=moved, slope=slope, converged=converged)
 
 
 @dataclass(frozen=True, slots=True)

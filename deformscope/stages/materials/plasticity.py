@@ -224,10 +224,10 @@ class _YieldFit:
         self.motion, self.options = motion, options
         self.frames = [np.flatnonzero(held) for held in motion.held]
         first = Observation(
-            motion.rest,
-            np.where(np.isfinite(motion.position[0]), motion.position[0], motion.rest),
-            self.frames[0],
-            np.ones(len(motion.rest), dtype=bool),
+            rest=motion.rest,
+            deformed=np.where(np.isfinite(motion.position[0]), motion.position[0], motion.rest),
+            held=self.frames[0],
+            observed=np.ones(len(motion.rest), dtype=bool),
             shape=motion.shape,
             cell=motion.cell,
             unit=motion.unit,
@@ -308,7 +308,14 @@ class _YieldFit:
             at = self.stretched(np.array([self.options.beta], dtype=np.float64))
             found = simulate(at[None])[0]
             none = np.zeros(1, dtype=bool)
-            return Minimum(at, found, np.zeros((found.size, 1)), self.observed - found, none, True)
+            return Minimum(
+                at=at,
+                simulated=found,
+                jacobian=np.zeros((found.size, 1)),
+                residual=self.observed - found,
+                inside=none,
+                converged=True,
+            )
         every = self.stretched(np.linspace(0.05, 0.98, 2 * BETAS))[:, None]
         squares = np.sum((self.observed - simulate(every)) ** 2, axis=1)
         if not np.isfinite(squares).any():
@@ -506,10 +513,10 @@ class _YieldFit:
         seen = np.isfinite(motion.position[row]).all(axis=1)
         noise = None if motion.noise is None else np.full(len(seen), motion.noise)
         return Observation(
-            motion.rest,
-            motion.position[row],
-            self.frames[row],
-            seen,
+            rest=motion.rest,
+            deformed=motion.position[row],
+            held=self.frames[row],
+            observed=seen,
             noise=noise,
             noise_source=motion.noise_source,
             shape=motion.shape,
@@ -552,7 +559,14 @@ class _YieldFit:
         def relax(held: FloatArray, base: FloatArray, tolerance: float) -> Relaxed:
             position = history(np.repeat(beta, len(held)), held)[:, row]
             zero, settled = np.zeros(len(held)), np.isfinite(position[:, 0, 0])
-            return Relaxed(position, zero, zero, zero.astype(np.int64), settled, ~settled)
+            return Relaxed(
+                position=position,
+                residual=zero,
+                error=zero,
+                iterations=zero.astype(np.int64),
+                converged=settled,
+                diverged=~settled,
+            )
 
         response = part.response(tuple(best.at), simulated[row], relax)
         part.choose(simulated[row][None], response)

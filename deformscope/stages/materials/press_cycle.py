@@ -167,7 +167,7 @@ def _cycle(
     course: FloatArray, loaded: int, unloaded: int, source: Literal["displacement", "force", "given"]
 ) -> PressCycle:
     kept = float(course[unloaded] / course[loaded]) if course[loaded] else 0.0
-    return PressCycle(loaded, unloaded, course, kept, source)
+    return PressCycle(loaded=loaded, unloaded=unloaded, course=course, kept=kept, source=source)
 
 
 def frames_to_fit(cycle: PressCycle, most: int, *, between: bool) -> IntArray:

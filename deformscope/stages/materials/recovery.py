@@ -240,7 +240,15 @@ class _RecoveryLaw:
         share = np.exp(drawn[:, at]) if kept else np.zeros(len(drawn))
         stiffness = self._force_scale * np.exp(drawn[:, -1]) if self._force is not None else np.zeros(len(drawn))
         mean_s = mean_relaxation_s(strength, retarded_s)
-        return _RecoveryDraws(log_evidence, best, weight, strength.sum(axis=1), mean_s, share, stiffness)
+        return _RecoveryDraws(
+            log_evidence=log_evidence,
+            best=best,
+            weight=weight,
+            strength=strength.sum(axis=1),
+            mean_s=mean_s,
+            kept=share,
+            stiffness=stiffness,
+        )
 
     def jacobian(self, at: FloatArray, branches: int) -> FloatArray:
         """(m, k) of the residuals, by central differences, all in one pass."""
@@ -322,7 +330,7 @@ class _BranchSteps:
         even = matrix * root[:, :, None] / root[:, None, :]
         rate, vectors = np.linalg.eigh(0.5 * (even + even.transpose(0, 2, 1)))
         into, out = vectors.transpose(0, 2, 1) * root[:, None, :], vectors / root[:, :, None]
-        return cls(rate, into, out, np.einsum("dij,dj->di", into, 1.0 / retarded), gap_s)
+        return cls(rate=rate, into=into, out=out, push=np.einsum("dij,dj->di", into, 1.0 / retarded), gap_s=gap_s)
 
     def step(self, branch: FloatArray, before: FloatArray, now: FloatArray, at: int) -> FloatArray:
         """(d, b) from one frame to the next, the displacement (d,) going from `before` to `now`."""

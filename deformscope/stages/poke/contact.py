@@ -32,6 +32,8 @@ LEAST_SAMPLES = 6
 Z_90 = 1.6449
 RIGID_SDS = 3.0
 DOME_SDS = 3.0
+LAW_STEPS = 400
+"""Forces at which a fitted law is taken, from none to twice the largest."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,25 +169,32 @@ def fit_approach(
         log_sd = float(np.linalg.norm([own_log_sd, arm_log_sd, gain_sd]))
         interval = (stiffness * float(np.exp(-Z_90 * log_sd)), stiffness * float(np.exp(Z_90 * log_sd)))
     return ContactFit(
-        stiffness,
-        interval,
-        float(np.log(stiffness)),
-        log_sd,
-        own_log_sd,
-        arm_log_sd,
-        rigid,
-        at_force,
-        depth,
-        depth_sd,
-        z0,
-        p,
-        float(np.sqrt(cov[2, 2])),
-        -float(cov[1, 2]) / depth,
-        peak,
-        float(np.median(np.abs(scatter * sample_sd)) / 0.6745),
-        arm_sd,
-        int(loaded.sum()),
+        stiffness_n_per_mm=stiffness,
+        interval_n_per_mm=interval,
+        log_stiffness=float(np.log(stiffness)),
+        log_sd=log_sd,
+        own_log_sd=own_log_sd,
+        arm_log_sd=arm_log_sd,
+        rigid=rigid,
+        at_force_n=at_force,
+        depth_m=depth,
+        depth_sd_m=depth_sd,
+        contact_m=z0,
+        exponent=p,
+        exponent_sd=float(np.sqrt(cov[2, 2])),
+        exponent_related=-float(cov[1, 2]) / depth,
+        peak_force_n=peak,
+        residual_m=float(np.median(np.abs(scatter * sample_sd)) / 0.6745),
+        arm_sd_m=arm_sd,
+        samples=int(loaded.sum()),
     )
+
+
+def fitted_law(fit: ContactFit, arm: ArmCompliance, along_m: FloatArray) -> FloatArray:
+    """(n,) force of the fitted law where the arm says that the tip is, along its way into the surface (n,) [N]."""
+    forces = np.linspace(0.0, 2.0 * max(fit.peak_force_n, fit.at_force_n), LAW_STEPS)
+    dent = max(fit.depth_m, 1e-9) * (forces / fit.at_force_n) ** (1.0 / fit.exponent)
+    return np.asarray(np.interp(along_m, fit.contact_m + dent + arm.compliance_m_per_n * forces, forces))
 
 
 def calibrate_compliance(
@@ -205,7 +214,9 @@ def calibrate_compliance(
         np.column_stack([line, np.maximum(f, 0.0) ** (1.0 / EXPONENT["sphere"])]), z
     )
     if dome > DOME_SDS * dome_sd and bent > -DOME_SDS * bent_sd:
-        return ArmCompliance(max(bent, 0.0), bent_sd, dome_scale, dome)
+        return ArmCompliance(
+            compliance_m_per_n=max(bent, 0.0), compliance_sd=bent_sd, position_sd_m=dome_scale, dome=dome
+        )
     return ArmCompliance(slope, slope_sd, scale)
 
 

@@ -336,4 +336,6 @@ def particle_scene(model: FittedModel, law: Law) -> PokeSetup:
     covered[pairs[stacked & (along > 0.3 * gap), 1]] = True
     covered[pairs[stacked & (along < -0.3 * gap), 0]] = True
     covered[model.fixed] = True
-    return PokeSetup(rest, grouped, model.fixed, np.flatnonzero(~covered), model.toward, gap)
+    return PokeSetup(
+        rest=rest, clusters=grouped, fixed=model.fixed, open=np.flatnonzero(~covered), toward=model.toward, spacing=gap
+    )

@@ -118,9 +118,9 @@ def shape_of(height_m: FloatArray, deviation_m: FloatArray, step_m: float, edge_
     """
     middle, right, left, ahead, behind = (float(one) for one in height_m)
     return LocalShape(
-        max(middle, least_m),
-        (4.0 * middle - right - left - ahead - behind) / (2.0 * step_m**2),
-        float(np.hypot(right - left, ahead - behind)) / (2.0 * step_m),
-        max(edge_m, 0.0),
-        float(deviation_m[0]),
+        thickness_m=max(middle, least_m),
+        curvature_per_m=(4.0 * middle - right - left - ahead - behind) / (2.0 * step_m**2),
+        slope=float(np.hypot(right - left, ahead - behind)) / (2.0 * step_m),
+        edge_m=max(edge_m, 0.0),
+        thickness_sd_m=float(deviation_m[0]),
     )

@@ -179,7 +179,10 @@ def conclude(
     moved = float(sum(np.sum(one.weighed(one.poke.moved) ** 2) for one in fit.posed))
     misfit = float(np.sqrt(np.mean(best.surface_error**2))) * float(np.mean([poke.depth for poke in fit.pokes]))
     identified = Identifiability(
-        rise, 1.0 - left / moved, posterior.deviation(), misfit / np.sqrt(fit.pokes[0].components)
+        rise=rise,
+        explained=1.0 - left / moved,
+        deviation=posterior.deviation(),
+        misfit=misfit / np.sqrt(fit.pokes[0].components),
     )
     numbers = found_in_numbers("beta", best.law.beta, ends, bounds, identified, converged=best.converged)
     reasons = ordered(numbers)
@@ -218,7 +221,7 @@ def conclude(
         identifiability=identified,
         reasons=reasons,
     )
-    return PokesFound(estimate, comparisons, fit, model)
+    return PokesFound(estimate=estimate, comparisons=comparisons, fit=fit, model=model)
 
 
 class Profile:
@@ -347,12 +350,12 @@ def _comparison(one: PosedPoke, law: Law) -> Comparison:
     away, _ = cKDTree(poke.touched).query(poke.points)
     held = np.flatnonzero(away <= 1e-12)
     return Comparison(
-        poke.points,
-        poke.points + poke.moved,
-        poke.points + one.moved(state)[0],
-        np.ones(len(poke.points), dtype=bool),
-        held,
-        "m",
+        rest=poke.points,
+        observed=poke.points + poke.moved,
+        simulated=poke.points + one.moved(state)[0],
+        seen=np.ones(len(poke.points), dtype=bool),
+        held=held,
+        unit="m",
     )
 
 

@@ -149,7 +149,9 @@ def scene_below(
     reach = 0.5 * max(tip.size) + REACH_SHARE * surface.thickness + REACH_TIPS * tip.width
     layers = below(surface, spacing=fine, centre=centre, reach=reach)
     grouped = clusters.lattice(layers.rest, layers.shape, layers.cell, cluster_size)
-    return PokeSetup(layers.rest, grouped, layers.bottom, layers.top, DOWN, fine), layers
+    return PokeSetup(
+        rest=layers.rest, clusters=grouped, fixed=layers.bottom, open=layers.top, toward=DOWN, spacing=fine
+    ), layers
 
 
 def flat_edge(at: FloatArray, tip: Tip) -> FlatEdge | None:
@@ -254,7 +256,7 @@ class PosedPoke:
         """What the first of these states leaves of the surface near the poke."""
         poke, near = self.poke, self.near
         left = (poke.moved - self.moved(state)[0])[near]
-        return SurfaceLeft(poke.at[:2], poke.tip, poke.depth, poke.points[near], left)
+        return SurfaceLeft(middle=poke.at[:2], tip=poke.tip, depth=poke.depth, points=poke.points[near], left=left)
 
     def reaction(self, state: PokedBody) -> FloatArray:
         """Net force on the tip along its direction per unit of stiffness k, (B,) [m]."""
@@ -455,7 +457,16 @@ def fit_pokes(
     ranked = sorted(tried.values(), key=lambda one: one.score)
     best_posed = next(iter(posed.values()))
     ranked[0] = dataclasses.replace(ranked[0], held_out=_hold_out(best_posed, ranked[0].law, beta_range, theta))
-    return PokesFit(surface, tuple(pokes), fine, tuple(ranked), shaped, tuple(best_posed), beta_range, theta is None)
+    return PokesFit(
+        surface=surface,
+        pokes=tuple(pokes),
+        spacing=fine,
+        tried=tuple(ranked),
+        shaped=shaped,
+        posed=tuple(best_posed),
+        beta_range=beta_range,
+        theta_fitted=theta is None,
+    )
 
 
 def _fit_size(
@@ -483,7 +494,14 @@ def _fit_size(
         if not one.poke.heights_only:
             left.append(one.left(state))
     residual = residual_of(left, posed[0].thickness) if len(left) == count else None
-    return ShapeFit(law, np.array(error), np.full(len(posed), np.nan), reaction, good, residual)
+    return ShapeFit(
+        law=law,
+        surface_error=np.array(error),
+        held_out=np.full(len(posed), np.nan),
+        reaction=reaction,
+        converged=good,
+        residual=residual,
+    )
 
 
 def _hold_out(posed: Sequence[PosedPoke], law: Law, beta_range: tuple[float, float], theta: float | None) -> FloatArray:

@@ -77,7 +77,7 @@ def predict(
     ends = [quantile(np.array(mean), np.array(deviation), share, q) for q in tails]
     for end in ends:
         end[poke.held] = held_position
-    return Predicted(ends[1], ends[0], ends[2], level)
+    return Predicted(position=ends[1], low=ends[0], high=ends[2], level=level)
 
 
 def _motion(deformed: FloatArray, rest: FloatArray, which: BoolArray) -> float:

@@ -91,8 +91,8 @@ def fit_slip(
     probability = float(weight[slides].sum())
     given = weight * slides if probability > 0.0 else weight
     return SlipFit(
-        probability,
-        float(np.average(slid_m, weights=given)),
-        float(np.average(friction, weights=given)),
-        float(np.linalg.norm(felt, axis=1).max() / peak),
+        probability=probability,
+        slid_m=float(np.average(slid_m, weights=given)),
+        friction=float(np.average(friction, weights=given)),
+        ratio=float(np.linalg.norm(felt, axis=1).max() / peak),
     )

@@ -230,7 +230,13 @@ class StiffnessField:
     @cached_property
     def _free(self) -> tuple[tuple[SmoothField, float], ...]:
         middle = 0.5 * np.asarray(self._posterior.grid.size_m)
-        kernel = SmoothKernel(self._posterior.prior.any_level_sd, middle, 0.0, FREE_SD, FREE_LENGTH_M)
+        kernel = SmoothKernel(
+            level_sd=self._posterior.prior.any_level_sd,
+            middle_m=middle,
+            slope_per_m=0.0,
+            sd=FREE_SD,
+            length_m=FREE_LENGTH_M,
+        )
         return self._posterior.beside(kernel, FREE_SHARE)
 
     @property

@@ -1,0 +1,97 @@
+"""Which quantity of a touch is mapped: stiffness as it came down, relaxed stiffness, or the share of its energy that is
+lost. `ExploreOptions.quantity` chooses."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+
+from deformscope.arrays import FloatArray
+from deformscope.stages.map.exploration import MapEstimate
+from deformscope.stages.map.loss import by_loss, loss_sample
+from deformscope.stages.poke.creep import REFERENCE_SPEED_M_S, CreepFit
+from deformscope.stages.regions.touch_error import LAW_SD, TouchErrorModel
+from deformscope.stages.regions.touches import StiffnessSample
+
+SPEED_SD = 0.03
+"""Of log stiffness for each e-fold of the approach speed, where a touch's creep could not be fitted: a third of a
+modulus that relaxes evenly over three decades of time changes a ball's stiffness so [assumed]."""
+
+
+class ApparentStiffness:
+    """Stiffness as each touch came down, at whatever speed."""
+
+    def error(self, error: TouchErrorModel) -> TouchErrorModel:
+        """How wrong the quantity may be, where stiffness is as wrong as this."""
+        return error
+
+    def stiffness(
+        self, felt: StiffnessSample, creep: CreepFit | None, speed_m_s: float | None
+    ) -> StiffnessSample | None:
+        """The stiffness by which touches compare; None where the touch does not say it.
+
+        felt: as its contact gave it; creep: None where it was not fitted; speed_m_s: of the approach in contact, None
+        where it is not known
+        """
+        return felt
+
+    def sample(self, stiffness: StiffnessSample, creep: CreepFit | None) -> StiffnessSample:
+        """What the map takes of a touch of this stiffness. Raises InputError where it does not say the quantity."""
+        return stiffness
+
+    def maps(self, maps: MapEstimate, stiffness: Sequence[StiffnessSample]) -> MapEstimate:
+        """The maps, named as what they are. stiffness: of every touch that has one"""
+        return maps
+
+    def stiffness_field(self, known: MapEstimate | None) -> tuple[FloatArray, FloatArray] | None:
+        """(rows, columns) log stiffness [N/mm] and its deviation, where the newest maps have them beside the quantity;
+        None where what is mapped is stiffness itself."""
+        return None
+
+
+class StiffnessAtReferenceSpeed(ApparentStiffness):
+    """Stiffness as an approach at the reference speed would have felt it: of touches whose creep was asked for."""
+
+    def stiffness(
+        self, felt: StiffnessSample, creep: CreepFit | None, speed_m_s: float | None
+    ) -> StiffnessSample | None:
+        if felt.rigid:
+            return felt
+        if creep is None:  # how much it would creep is not known
+            speed_m_s = REFERENCE_SPEED_M_S if speed_m_s is None else max(speed_m_s, 1e-4)
+            away = SPEED_SD * abs(float(np.log(speed_m_s / REFERENCE_SPEED_M_S)))
+            return dataclasses.replace(felt, log_sd=float(np.hypot(felt.log_sd, away)))
+        log_stiffness = felt.log_stiffness + creep.log_at_reference
+        log_sd = float(np.hypot(felt.log_sd, creep.log_at_reference_sd))
+        return dataclasses.replace(felt, log_stiffness=log_stiffness, log_sd=log_sd)
+
+
+class RelaxedStiffness(ApparentStiffness):
+    """Stiffness when all has relaxed."""
+
+    def stiffness(
+        self, felt: StiffnessSample, creep: CreepFit | None, speed_m_s: float | None
+    ) -> StiffnessSample | None:
+        if felt.rigid or creep is None:
+            return felt if felt.rigid else None
+        log_sd = float(np.hypot(creep.relaxed_log_sd, LAW_SD))
+        return dataclasses.replace(felt, log_stiffness=float(np.log(creep.relaxed_n_per_mm)), log_sd=log_sd)
+
+
+class EnergyLoss(StiffnessAtReferenceSpeed):
+    """The share of its energy that a touch loses, stiffness beside it."""
+
+    def error(self, error: TouchErrorModel) -> TouchErrorModel:
+        """The force that goes in and the one that comes back are off by the same gain."""
+        return dataclasses.replace(error, gain_sd=0.0)
+
+    def sample(self, stiffness: StiffnessSample, creep: CreepFit | None) -> StiffnessSample:
+        return loss_sample(stiffness.xy_m, creep, rigid=stiffness.rigid)
+
+    def maps(self, maps: MapEstimate, stiffness: Sequence[StiffnessSample]) -> MapEstimate:
+        return by_loss(maps, stiffness)
+
+    def stiffness_field(self, known: MapEstimate | None) -> tuple[FloatArray, FloatArray] | None:
+        return None if known is None else (np.log(known.stiffness_n_per_mm), known.stiffness_log_sd)

@@ -1,0 +1,173 @@
+"""What an exploration seeks, and what its touches so far say of it: regions of one stiffness each, the thesis's regions
+of beta, or inclusions below a surface that shows nothing. `ExploreOptions.search` chooses."""
+
+from __future__ import annotations
+
+import dataclasses
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property, partial
+from typing import ClassVar
+
+import numpy as np
+
+from deformscope.arrays import FloatArray
+from deformscope.stages.map.exploration import LumpsFound, MapEstimate
+from deformscope.stages.map.field import BETA_PRIOR, fit_field, levels_of
+from deformscope.stages.map.lump_plan import plan_lump_touch
+from deformscope.stages.map.lump_posterior import LumpPosterior
+from deformscope.stages.map.map_score import boundary_distance, match_regions
+from deformscope.stages.map.plan import FieldKernel, TouchChoice, plan_touch
+from deformscope.stages.map.thesis_field import FIRST_SHARE, ThesisField, contoured
+from deformscope.stages.poke.contact import EXPONENT_SD, LOADED, ContactFit
+from deformscope.stages.poke.law_response import LEAST_SHARE
+from deformscope.stages.regions.posterior import RegionMap, RegionPosterior
+from deformscope.stages.regions.touches import MapGrid, StiffnessSample
+
+FEWEST_FOR_FIELD = 2
+"""Touches with a beta, from which on it has a field."""
+FREE_EXPONENT_SD = 0.3
+"""Of the contact's exponent where inclusions are sought, which show in it: next to nothing is taken for granted."""
+
+
+@dataclass(frozen=True, eq=False)
+class SurfaceSearch(ABC):
+    """What the touches so far say of what is sought; `with_touch` gives what one more says.
+
+    exponent_sd, least_share: of the fit of each contact, as `fit_approach` takes them
+    on_level_layer: whether touches are always compared as on a level layer, however even the surface is
+    first_share: where to touch first, in shares of the surface; None = where it says most
+    """
+
+    posterior: RegionPosterior | LumpPosterior
+    exponent_sd: ClassVar[float] = EXPONENT_SD
+    least_share: ClassVar[float] = LOADED
+    on_level_layer: ClassVar[bool] = False
+    first_share: ClassVar[tuple[float, float] | None] = None
+
+    @cached_property
+    def region_map(self) -> RegionMap:
+        """Regions with their levels and intervals."""
+        return self.posterior.region_map()
+
+    def with_touch(self, touch: StiffnessSample) -> SurfaceSearch:
+        """After one more touch."""
+        return dataclasses.replace(self, posterior=self.posterior.with_touch(touch))
+
+    def with_beta(self, dented_m: FloatArray, beta: float) -> SurfaceSearch:
+        """After a touch that dented places (m, 2) [m] and has this beta."""
+        return self
+
+    @abstractmethod
+    def planner(self, touches: int) -> Callable[..., TouchChoice]:
+        """Chooses the next touch; its arguments are those of `plan_lump_touch` but for the posterior. touches: made so
+        far, usable or not"""
+
+    def sample(self, xy_m: FloatArray, fit: ContactFit) -> StiffnessSample:
+        """The stiffness that a contact at a place (2,) [m] gave."""
+        return StiffnessSample(
+            xy_m, log_stiffness=fit.log_stiffness, log_sd=fit.own_log_sd, rigid=fit.rigid, arm_sd=fit.arm_log_sd
+        )
+
+    def beta_field(
+        self, grid: MapGrid, places_m: FloatArray, beta: FloatArray, beta_sd: FloatArray
+    ) -> tuple[FloatArray, FloatArray] | None:
+        """(rows, columns) mean and deviation of beta, from touches at places (n, 2) [m] with these (n,), nan where a
+        deviation is not known; None where they are too few."""
+        if len(beta) < FEWEST_FOR_FIELD:
+            return None
+        sds = np.where(np.isfinite(beta_sd), beta_sd, BETA_PRIOR.nugget)
+        found = fit_field(places_m, beta, sds, prior=BETA_PRIOR).on(grid)
+        return found.mean.clip(0.0, 1.0), found.deviation
+
+    def divided(self, maps: MapEstimate) -> MapEstimate:
+        """The maps with their final regions."""
+        return maps
+
+    def inclusions(self, truth_m: FloatArray | None) -> LumpsFound | None:
+        """The inclusions found; None where none are sought. truth_m: as of `LumpPosterior.lumps`"""
+        return None
+
+
+@dataclass(frozen=True, eq=False)
+class RegionSearch(SurfaceSearch):
+    """For regions of one stiffness each. seed: of planners that draw"""
+
+    posterior: RegionPosterior
+    seed: int
+
+    def planner(self, touches: int) -> Callable[..., TouchChoice]:
+        return partial(plan_touch, self.posterior, FieldKernel(), seed=self.seed + touches)
+
+
+@dataclass(frozen=True, eq=False)
+class ThesisSearch(RegionSearch):
+    """For the thesis's regions, between isopleths of its field of beta. thesis: that field"""
+
+    thesis: ThesisField = field(default_factory=ThesisField)
+    first_share = FIRST_SHARE
+
+    def planner(self, touches: int) -> Callable[..., TouchChoice]:
+        return partial(super().planner(touches), thesis=self.thesis)
+
+    def with_beta(self, dented_m: FloatArray, beta: float) -> ThesisSearch:
+        return dataclasses.replace(self, thesis=self.thesis.with_touch(dented_m, beta))
+
+    def beta_field(
+        self, grid: MapGrid, places_m: FloatArray, beta: FloatArray, beta_sd: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """By the thesis's own field, from the first touch on."""
+        found = self.thesis.on(grid)
+        return found.mean.clip(0.0, 1.0), found.deviation
+
+    def divided(self, maps: MapEstimate) -> MapEstimate:
+        """With the thesis's regions in place of those by stiffness, softest first. Levels are means of the field of
+        stiffness; the number of regions is as probable as by stiffness: the thesis has no probability of it."""
+        found = self.thesis.on(self.posterior.grid)
+        cut = contoured(found, self.thesis.isopleths)
+        stiffness = np.log(maps.stiffness_n_per_mm)
+        every = [cut.labels == label for label in range(int(cut.labels.max()) + 1)]
+        every.sort(key=lambda cells: float(stiffness[cells].mean()))
+        labels = np.select(every, range(len(every)))
+        level, interval = levels_of(stiffness, maps.stiffness_log_sd, labels, len(every))
+        truth = maps.truth_labels
+        return dataclasses.replace(
+            maps,
+            labels=labels,
+            label_probability=cut.probability,
+            region_count=len(every),
+            verdict="regions",
+            probability=self.region_map.probability.get(str(len(every)), 0.0),
+            level_n_per_mm=np.exp(level),
+            level_interval_n_per_mm=np.exp(interval),
+            level_rigid=np.zeros(len(every), dtype=bool),
+            isopleths=self.thesis.isopleths,
+            iou=None if truth is None else match_regions(labels, truth)[0],
+            boundary_m=None if truth is None else boundary_distance(labels, truth, maps.cell_m),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class InclusionSearch(SurfaceSearch):
+    """For inclusions below a surface that shows nothing: they show in stiffness and exponent of contacts."""
+
+    posterior: LumpPosterior
+    exponent_sd = FREE_EXPONENT_SD
+    least_share = LEAST_SHARE
+    on_level_layer = True
+
+    def planner(self, touches: int) -> Callable[..., TouchChoice]:
+        return partial(plan_lump_touch, self.posterior)
+
+    def sample(self, xy_m: FloatArray, fit: ContactFit) -> StiffnessSample:
+        """With the exponent, which was left free."""
+        sample = super().sample(xy_m, fit)
+        if fit.rigid:
+            return sample
+        return dataclasses.replace(
+            sample, exponent=fit.exponent, exponent_sd=fit.exponent_sd, exponent_related=fit.exponent_related
+        )
+
+    def inclusions(self, truth_m: FloatArray | None) -> LumpsFound:
+        return self.posterior.lumps(truth_m)
