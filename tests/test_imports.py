@@ -57,8 +57,8 @@ LAYERS: dict[str, tuple[str, ...]] = {
         *("rows", "session", *STAGES),
     ),
     "studies": (
-        *("arrays", "capsule", "errors", "experiments", "files", "frames", "lab", "pictures", "plain", "recording"),
-        *("rig", "robot", "session", *STAGES),
+        *("arrays", "capsule", "errors", "experiments", "files", "frames", "lab", "log", "pictures", "plain"),
+        *("recording", "rig", "robot", "session", *STAGES),
     ),
     # A GPU machine that has numpy, scipy and warp alone runs it.
     "bench": ("arrays", "errors", "plain", *STAGES),

@@ -15,6 +15,7 @@ from deformscope.api.fit_beside import FitBeside
 from deformscope.api.page_devices import ShownDevices
 from deformscope.api.rigs import Interruption
 from deformscope.frames import HealthReport, NoteKind, SessionNote, Stream, host_ns
+from deformscope.log.rig_layout import RigLayout
 from deformscope.page.desk import Desk
 from deformscope.page.messages import (
     BeginEpisode,
@@ -138,9 +139,10 @@ class PageRecorder:
     def start_source(self, source: RigSource, lossless: Sequence[str], stages: Sequence[tuple[str, str]]) -> None:
         """From here on these devices are recorded, and commands are obeyed."""
         self._source, self._streams, self._lossless, self._stages = source, source.streams, lossless, stages
-        self._watch.start_rig(self._streams, source.start_ns, lossless, stages)
+        layout = RigLayout(self._streams, tuple(stages))
+        self._watch.start(layout, source.start_ns, lossless)
         if self._take is not None:
-            self._take.recorder.start_rig(self._streams, source.start_ns, lossless, stages)
+            self._take.recorder.start(layout, source.start_ns, lossless)
             self._take.begun = True
         self._shown = ShownDevices(self.desk, self._streams)
         tares = tuple(stream.device for stream in self._streams if hasattr(source.device(stream.device), "zero"))
@@ -186,7 +188,7 @@ class PageRecorder:
                 assert self._source is not None
                 take.before, take.begun = self._source.look(), True
                 start_ns = min(map(host_ns, items)) - self._source.latest_ns  # what comes later may be put back so far
-                take.recorder.start_rig(self._streams, start_ns, self._lossless)
+                take.recorder.start(RigLayout(self._streams), start_ns, self._lossless)
             if take.before is not None:
                 before = take.before
                 items = [since(item, before) if isinstance(item, HealthReport) else item for item in items]

@@ -30,7 +30,8 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from deformscope.config import RecordedOptions
-    from deformscope.recording.recorder import Recorder, RecordingLayout
+    from deformscope.log.application import Application
+    from deformscope.recording.recorder import Recorder
     from deformscope.stages.fit.search import Progress
 
 T = TypeVar("T")
@@ -82,15 +83,17 @@ def show_table(title: str, rows: Sequence[tuple[str, str]]) -> None:
 
 @contextmanager
 def recorder_of(
-    config: RecordedOptions, layout: RecordingLayout = "findings", *, real_time: bool = False
+    config: RecordedOptions, application: Application | None = None, *, real_time: bool = False
 ) -> Iterator[Recorder]:
     """What a command is recorded and shown with as its flags say; remarks where the recording is.
 
-    The flags are the recording's settings; a viewer keeps one set of views for each command.
+    The flags are the recording's settings. application: None = that of findings, with views of its own for each command
     """
+    from deformscope.log.application import FINDINGS
+
     settings = settings_of(config)
-    variant = str(settings["command"]) if layout == "findings" else ""
-    with open_recorder(config.output, settings, layout, variant=variant, real_time=real_time) as recorder:
+    of = application or FINDINGS.variant(str(settings["command"]))
+    with open_recorder(config.output, settings, of, real_time=real_time) as recorder:
         yield recorder
     if recorder.summary().path is not None:
         say(f"recording: {recorder.summary().path}")

@@ -25,7 +25,7 @@ BESIDE_TOUCHES: dict[Literal["stiffness", "beta"], str] = {
     "stiffness": "display/beside/stiffness",
     "beta": "display/beside/beta",
 }
-"""What other settings give beside what was recorded (`deformscope.log.exploration.beside`)."""
+"""What other settings give beside what was recorded (`deformscope.log.exploration.compare`)."""
 TITLES = {
     "stiffness": "{} field",
     "stiffness_deviation": "{} field: deviation",

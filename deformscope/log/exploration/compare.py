@@ -13,8 +13,8 @@ import rerun as rr
 
 from deformscope.frames import Stream
 from deformscope.log.exploration.blueprint import BESIDE_REGIONS, BESIDE_TOUCHES, exploration_blueprint
-from deformscope.log.exploration.moment import ResultBatch
 from deformscope.log.exploration.scene import LINE_M, SCENE
+from deformscope.log.result_batch import ResultBatch
 from deformscope.log.rig.columns import Batch
 from deformscope.pictures import exploration as pictures
 from deformscope.pictures.words import verdict_words
@@ -26,7 +26,7 @@ WIDTHS_M = 3 * LINE_M, LINE_M
 """Both are seen where they are the same."""
 
 
-def layer_beside(
+def comparison_rrd(
     identity: tuple[str, str],
     streams: Sequence[Stream],
     size_m: tuple[float, float],
