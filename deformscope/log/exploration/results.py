@@ -29,15 +29,7 @@ import rerun as rr
 from deformscope.arrays import FloatArray
 from deformscope.frames import Stream
 from deformscope.log.exploration.dent import log_dent, log_no_dent
-from deformscope.log.exploration.scene import (
-    log_base,
-    log_contact,
-    log_forecast,
-    log_stiffness,
-    log_surface,
-    log_target,
-)
-from deformscope.log.exploration.shown import (
+from deformscope.log.exploration.display import (
     log_curves,
     log_failed,
     log_gain,
@@ -48,6 +40,14 @@ from deformscope.log.exploration.shown import (
     log_phase,
     log_phase_colors,
     log_stopped,
+)
+from deformscope.log.exploration.scene import (
+    log_base,
+    log_contact,
+    log_forecast,
+    log_stiffness,
+    log_surface,
+    log_target,
 )
 from deformscope.log.exploration.summary import log_no_summary, log_summary
 from deformscope.log.result_batch import ResultBatch

@@ -21,8 +21,8 @@ from deformscope.log.rig.columns import Batch, log_series, moments, recorded, ro
 from deformscope.log.stages.group import StageGroup
 from deformscope.log.stages.over_image import log_flow_arrows, log_moments
 from deformscope.log.stages.pads import log_pads, log_pads_stream
+from deformscope.log.stages.summary import summary
 from deformscope.log.stages.views import PLOTS, WORDS
-from deformscope.log.stages.words import summary
 from deformscope.log.views import Views, views_of
 from deformscope.pictures.exploration import force_png, height_png
 from deformscope.pictures.palette import JOINTS

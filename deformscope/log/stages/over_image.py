@@ -38,7 +38,7 @@ def log_flow_arrows(batch: Batch, group: StageGroup) -> None:
         batch.show(f"{path}/arrows", when, arrows)
         first = one.used[0].first
         words = f"from frame {first} to {one.used[-1].last}: up to {longest:.2g} px, arrows {times:g} times as long"
-        _say(batch, f"{path}/words", _above(flow.at_px, step), words, when)
+        _label(batch, f"{path}/words", _above(flow.at_px, step), words, when)
 
 
 def log_moments(batch: Batch, group: StageGroup) -> None:
@@ -66,7 +66,7 @@ def log_moments(batch: Batch, group: StageGroup) -> None:
             marks = rr.Points2D(points, colors=color, radii=share * spacing, draw_order=order)
             batch.show(f"{path}/{name}", when, marks)
         value = "" if np.isnan(fit.value) else f"beta = {fit.value:.3g}: "
-        _say(batch, f"{path}/words", _above(fit.rest_px, spacing), value + fit.verdict_text, when)
+        _label(batch, f"{path}/words", _above(fit.rest_px, spacing), value + fit.verdict_text, when)
 
 
 def _above(points: FloatArray, spacing: float) -> FloatArray:
@@ -75,7 +75,7 @@ def _above(points: FloatArray, spacing: float) -> FloatArray:
     return np.array([0.5 * (low[0] + high[0]), low[1] - 0.8 * spacing])
 
 
-def _say(batch: Batch, path: str, place: FloatArray, words: str, when: Sequence[rr.TimeColumn]) -> None:
+def _label(batch: Batch, path: str, place: FloatArray, words: str, when: Sequence[rr.TimeColumn]) -> None:
     batch.show(path, when, rr.Points2D([place], radii=0.1, labels=[words], show_labels=True, draw_order=60.0))
 
 
