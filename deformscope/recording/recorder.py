@@ -111,7 +111,7 @@ class Recorder:
         self._writer: Writer | None = None
         self._lateness: Lateness | None = None
         self._page: PageServer | None = None
-        # what the writer's thread alone touches, until it has ended
+        # what the writer's thread alone writes to, until it has ended
         self._outputs = Outputs()
         self._encoder: Encoder = PictureEncoder(self._outputs, application.over_picture)
         self._not_shown: list[StageFailure] = []
@@ -123,7 +123,7 @@ class Recorder:
 
     @property
     def not_shown(self) -> tuple[StageFailure, ...]:
-        """Results of an exploration that were recorded, but could not be shown; waits until all so far were drawn."""
+        """Results that were recorded, but could not be shown; waits until all so far were drawn."""
         if self._writer is not None:
             self._writer.settle(SETTLE_TIMEOUT_S)
         return tuple(self._not_shown)
