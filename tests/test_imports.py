@@ -64,20 +64,8 @@ LAYERS: dict[str, tuple[str, ...]] = {
         *("rows", "session", "version", *STAGES),
     ),
     "reproduce": (
-        *(
-            "api",
-            "arrays",
-            "capsule",
-            "errors",
-            "experiments",
-            "files",
-            "frames",
-            "lab",
-            "pictures",
-            "plain",
-            "recording",
-        ),
-        *("rig", "robot", "session", *STAGES),
+        *("api", "arrays", "capsule", "errors", "experiments", "files", "frames", "lab", "log", "pictures", "plain"),
+        *("recording", "rig", "robot", "session", *STAGES),
     ),
     # A GPU machine that has numpy, scipy and warp alone runs it.
     "bench": ("arrays", "bench_cases", "errors", "plain", "version", *STAGES),

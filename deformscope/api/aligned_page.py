@@ -15,7 +15,8 @@ from deformscope.frames import ArmFrame, HandFrame, TactileFrame, WrenchFrame
 from deformscope.log.rig.aligned import CONTACT_TIMELINE, AlignedSeries, aligned_rrd
 from deformscope.page.messages import Chapter, Playback
 from deformscope.page.server import RECORDING, PageServer
-from deformscope.recording.items import Row, read_rows, read_streams
+from deformscope.recording.item_rows import Row, read_rows
+from deformscope.recording.items import read_streams
 from deformscope.recording.reader import Replay
 
 STEP_NS = 10_000_000

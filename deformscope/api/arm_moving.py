@@ -19,6 +19,7 @@ from deformscope.api.setups import setup_of, table_of
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 from deformscope.experiments.options import ExploreOptions
+from deformscope.log.rig_layout import RigLayout
 from deformscope.rig.rig_file import load_rig
 from deformscope.robot.advice import where_it_stands
 from deformscope.robot.checks import Preflight
@@ -178,7 +179,7 @@ def _moved(
     """
     setup = setup_of(config.rig, ExploreOptions(), None, trusted=config.trust_rig).setup
     with until_interrupted() as asked, setup.open_source() as source, status_line() as show:
-        recorder.start_rig(source.streams, source.start_ns)
+        recorder.start(RigLayout(tuple(source.streams)), source.start_ns)
         watch = Watch(asked, show)
         robot = setup.robot(source, lambda seen, verdict: watch())
         with watch.halts(_Moved(robot)), ThreadPoolExecutor(1, "robot") as beside:

@@ -37,6 +37,7 @@ from deformscope.files.pairs import parse_pair
 from deformscope.files.sources import DEFAULT_FPS, Source, open_source
 from deformscope.frames import ColorFrame, InputFile
 from deformscope.images import encode_png, read_image
+from deformscope.log.application import IMAGES, PAIR, PAIR_3D
 from deformscope.pictures.evidence import Result, results_png
 from deformscope.pictures.report import Figure, Table
 from deformscope.pictures.words import estimate_tables
@@ -559,7 +560,7 @@ def run_images(
             if progress is not None:
                 progress("frames", done + 1, source.count or 0)
 
-    with open_recorder(output, used, "images") as recorder:
+    with open_recorder(output, used, IMAGES) as recorder:
         if mask is not None:
             recorder.write(InputFile("mask", encode_png(mask)))
         experiment = (
@@ -657,7 +658,7 @@ def pair_recorder(
 ) -> Iterator[Recorder]:
     """Records pairs, their files as they were among them."""
     planes = {one.rest.shape[1] for one in seen}
-    with open_recorder(output, settings, "pair" if planes == {2} else "pair-3d") as recorder:
+    with open_recorder(output, settings, PAIR if planes == {2} else PAIR_3D) as recorder:
         if recorder.active and len(planes) > 1:
             raise InputError("pairs all in the plane, or all in space, in one recording", "both", "two commands")
         for index, (_, raw) in enumerate(raws):

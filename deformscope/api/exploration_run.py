@@ -16,6 +16,7 @@ from deformscope.api.result import open_recorder
 from deformscope.api.rigs import until_interrupted
 from deformscope.api.setups import LAB, setup_of
 from deformscope.errors import InputError
+from deformscope.log.exploration.layout import EXPLORATION, ExplorationLayout
 from deformscope.stages.msm.quiet import quiet_warp
 from deformscope.terminal import say, status_line
 from deformscope.version import __version__
@@ -161,7 +162,7 @@ def explore_on(config: ExploreConfig, report: Callable[[Explored], None]) -> Exp
     explored: Explored | None = None
     with (
         until_interrupted() as asked,
-        open_recorder(config.output, settings, "exploration", real_time=setup.runs_itself) as recorder,
+        open_recorder(config.output, settings, EXPLORATION, real_time=setup.runs_itself) as recorder,
     ):
         try:
             _run(config, setup, options, found, recorder, asked, to_come, ending)
@@ -220,9 +221,10 @@ def _run(
     with setup.open_source() as source, status_line() as show:
         ending.start_ns = source.start_ns
         truth = setup.truth is not None and setup.truth.labels is not None
-        place = setup.size_m, setup.placement.T_base_surface
         mapped, lumps = "energy loss" if options.feel == "loss" else "stiffness", options.goal == "inclusions"
-        recorder.start_exploration(source.streams, source.start_ns, *place, truth=truth, lumps=lumps, mapped=mapped)
+        base_from_surface = setup.placement.T_base_surface
+        layout = ExplorationLayout(source.streams, setup.size_m, base_from_surface, truth, lumps, mapped)
+        recorder.start(layout, source.start_ns)
         shown = None if recorder.page is None else ShownDevices(recorder.page.desk, source.streams)
         page = _steering(config, setup, options, recorder, asked, shown)
         watched = WatchedDevices(recorder, shown, show)

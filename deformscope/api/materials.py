@@ -48,10 +48,12 @@ from deformscope.files.pairs import parse_pair
 from deformscope.files.sources import Source
 from deformscope.frames import ColorFrame, InputFile, WrenchFrame
 from deformscope.images import encode_png
+from deformscope.log.application import IMAGES, PAIR, PAIR_3D
 from deformscope.pictures.findings import cell_text
 from deformscope.pictures.report import Figure, ReportVerdict, Section, Table, html_report
 from deformscope.plain import plain
-from deformscope.recording.items import read_found, read_rows
+from deformscope.recording.item_rows import read_rows
+from deformscope.recording.items import read_found
 from deformscope.recording.reader import Replay
 from deformscope.recording.recorder import RecordingSummary
 from deformscope.session import Step, run
@@ -249,7 +251,7 @@ def run_material_images(
             if progress is not None:
                 progress("frames", done + 1, source.count or 0)
 
-    with open_recorder(output, used, "images") as recorder:
+    with open_recorder(output, used, IMAGES) as recorder:
         if mask is not None:
             recorder.write(InputFile("mask", encode_png(mask)))
         if force is not None:
@@ -292,7 +294,7 @@ def run_material_files(
     motion = parse_motion(raw, name, noise_m=job.noise_m)
     for remark in size_notes([motion.rest]):
         note(remark)
-    with open_recorder(output, used, "pair" if motion.rest.shape[1] == 2 else "pair-3d") as recorder:
+    with open_recorder(output, used, PAIR if motion.rest.shape[1] == 2 else PAIR_3D) as recorder:
         recorder.write(InputFile("motion", raw))
         experiment = material_files(lambda: _of_motion(motion, job, progress))
         result = MaterialResult(run((), experiment, recorder), name, settings=used, seed=job.seed)

@@ -15,6 +15,7 @@ from deformscope.api.fit_beside import FitBeside
 from deformscope.api.page_devices import ShownDevices
 from deformscope.api.rigs import Interruption
 from deformscope.frames import HealthReport, NoteKind, SessionNote, Stream, host_ns
+from deformscope.log.rig_layout import RigLayout
 from deformscope.page.desk import Desk
 from deformscope.page.messages import (
     BeginEpisode,
@@ -49,6 +50,94 @@ class _FileTake:
     path: Path
     before: HealthReport | None = None
     begun: bool = False
+
+    def write(self, items: object, source: RigSource | None, lossless: Sequence[str]) -> None:
+        """Record what the devices of this source gave; a file that begins meanwhile begins with the first of it."""
+        if isinstance(items, Sequence):
+            if not self.begun and items:
+                assert source is not None
+                self.before, self.begun = source.look(), True
+                start_ns = min(map(host_ns, items)) - source.latest_ns  # what comes later may be put back so far
+                self.recorder.start(RigLayout(source.streams), start_ns, lossless)
+            if self.before is not None:
+                before = self.before
+                items = [since(item, before) if isinstance(item, HealthReport) else item for item in items]
+        self.recorder.write(items)
+
+
+class EpisodeNotes:
+    """Notes that wait to be recorded, and the episode that goes on; the label is empty where none does."""
+
+    def __init__(self) -> None:
+        self._waiting: list[SessionNote] = []
+        self.episode = self._last_episode = ""
+
+    def note(self, about: NoteKind, text: str) -> None:
+        self._waiting.append(SessionNote(monotonic_ns(), about, text))
+
+    def take(self) -> list[SessionNote]:
+        """Those that wait, which then wait no more."""
+        notes, self._waiting = self._waiting, []
+        return notes
+
+    def begin(self, label: str) -> None:
+        """Begin an episode, and end the one before it."""
+        self.end()
+        self.episode = self._last_episode = label
+        self.note("episode-begin", label)
+
+    def end(self) -> str:
+        """End the episode; its label."""
+        label, self.episode = self.episode, ""
+        if label:
+            self.note("episode-end", label)
+        return label
+
+    def enter_file(self) -> None:
+        """Of what follows, nothing was begun in the file yet."""
+        self._last_episode = ""
+
+    def lose_file(self) -> None:
+        """The file has ended before the episode."""
+        self.episode = ""
+
+    def discard(self, command: DiscardPart) -> tuple[Outcome, str]:
+        """Mark the recording, or the last episode in it."""
+        if command.what == "recording":
+            self.note("discard-recording", command.reason)
+            return "done", "the recording is marked as discarded; it goes on"
+        if not self._last_episode:
+            return "refused", "no episode was begun in this file"
+        self.note("discard-episode", command.reason)
+        return "done", f"episode {self._last_episode} is marked as discarded"
+
+
+class BackgroundWork:
+    """What takes its time, each in a thread of its own. failed: is told what went wrong; ended: is called after each"""
+
+    def __init__(self, failed: Callable[[str], None], ended: Callable[[str], None]) -> None:
+        self.busy: set[str] = set()
+        self._failed, self._ended = failed, ended
+        self._threads: list[threading.Thread] = []
+
+    def start(self, what: str, call: Callable[[], None]) -> None:
+        self.busy.add(what)
+
+        def work() -> None:
+            try:
+                call()
+            except Exception as error:
+                self._failed(f"{what}: {error}")
+            finally:
+                self._ended(what)
+
+        thread = threading.Thread(target=work, name=f"deformscope-page-{what}", daemon=True)
+        self._threads.append(thread)
+        thread.start()
+
+    def join(self) -> None:
+        for thread in self._threads:
+            thread.join()
 
 
 class MakeRecorder(Protocol):
@@ -85,10 +174,8 @@ class PageRecorder:
         self._streams: tuple[Stream, ...] = ()
         self._lossless: Sequence[str] = ()
         self._stages: Sequence[tuple[str, str]] = ()
-        self._notes: list[SessionNote] = []
-        self._episode = self._last_episode = ""
-        self._busy: set[str] = set()
-        self._threads: list[threading.Thread] = []
+        self._notes = EpisodeNotes()
+        self._work = BackgroundWork(self._show_failure, self._end_work)
         self._failure: Exception | None = None
         self._shown: ShownDevices | None = None
         self.summaries: list[RecordingSummary] = []
@@ -113,8 +200,7 @@ class PageRecorder:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        for thread in self._threads:
-            thread.join()
+        self._work.join()
         with ExitStack() as stack:  # each is closed whatever another's closing raises
             stack.callback(self._fit.close)  # last: no file waits for it
             stack.callback(self._watch.__exit__, kind, error, trace)
@@ -138,9 +224,10 @@ class PageRecorder:
     def start_source(self, source: RigSource, lossless: Sequence[str], stages: Sequence[tuple[str, str]]) -> None:
         """From here on these devices are recorded, and commands are obeyed."""
         self._source, self._streams, self._lossless, self._stages = source, source.streams, lossless, stages
-        self._watch.start_rig(self._streams, source.start_ns, lossless, stages)
+        layout = RigLayout(self._streams, tuple(stages))
+        self._watch.start(layout, source.start_ns, lossless)
         if self._take is not None:
-            self._take.recorder.start_rig(self._streams, source.start_ns, lossless, stages)
+            self._take.recorder.start(layout, source.start_ns, lossless)
             self._take.begun = True
         self._shown = ShownDevices(self.desk, self._streams)
         tares = tuple(stream.device for stream in self._streams if hasattr(source.device(stream.device), "zero"))
@@ -160,7 +247,7 @@ class PageRecorder:
                 items = [*items, *self._taken_notes()]
             if self._take is not None:
                 try:
-                    self._write_to(self._take, items)
+                    self._take.write(items, self._source, self._lossless)
                 except RecordingError as error:
                     self._lose_file(self._take, error)
         if isinstance(items, Sequence) and self._shown is not None:
@@ -180,21 +267,10 @@ class PageRecorder:
         """Of the last file; where there was none, of what was watched."""
         return self.summaries[-1] if self.summaries else self._watch.summary()
 
-    def _write_to(self, take: _FileTake, items: object) -> None:
-        if isinstance(items, Sequence):
-            if not take.begun and items:
-                assert self._source is not None
-                take.before, take.begun = self._source.look(), True
-                start_ns = min(map(host_ns, items)) - self._source.latest_ns  # what comes later may be put back so far
-                take.recorder.start_rig(self._streams, start_ns, self._lossless)
-            if take.before is not None:
-                before = take.before
-                items = [since(item, before) if isinstance(item, HealthReport) else item for item in items]
-        take.recorder.write(items)
-
     def _lose_file(self, take: _FileTake, error: RecordingError) -> None:
         """It is ended with what it has, and what is watched goes on without one."""
-        self._take, self._episode, self._failure = None, "", error
+        self._take, self._failure = None, error
+        self._notes.lose_file()
         self.desk.remark(f"the recording has ended: {error}", bad=True)
         say(f"deformscope: the recording has ended, the page goes on: {error}")
 
@@ -202,7 +278,7 @@ class PageRecorder:
             take.recorder.__exit__(type(error), error, None)
             self.summaries.append(take.recorder.summary())
 
-        self._beside("file", end)
+        self._work.start("file", end)
         self._enter()
 
     def _show_file(self) -> None:
@@ -234,20 +310,18 @@ class PageRecorder:
                 case KeepRecent():
                     return self._keep_recent()
                 case WriteNote():
-                    self._note("note", command.text)
+                    self._notes.note("note", command.text)
                     return "done", "noted"
                 case BeginEpisode():
-                    self._end_episode()
-                    self._episode = self._last_episode = command.label
-                    self._note("episode-begin", command.label)
+                    self._notes.begin(command.label)
                     self._enter()
                     return "done", f"episode {command.label} began"
                 case EndEpisode():
-                    label = self._end_episode()
+                    label = self._notes.end()
                     self._enter()
                     return "done", f"episode {label} ended"
                 case DiscardPart():
-                    return self._discard(command)
+                    return self._notes.discard(command)
                 case TareDevice():
                     return self._tare(command.device)
                 case _:
@@ -259,51 +333,33 @@ class PageRecorder:
         commands = ["stop", *(["tare"] if self.desk.state.tares else [])]
         if take is None:
             # stages begin with the first frame: a file that begins later could not be replayed with them
-            commands += [] if self._stages or self._busy & {"file"} else ["start-recording"]
-            commands += [] if self._recent is None or self._busy & {"the last seconds"} else ["keep-recent"]
+            commands += [] if self._stages or self._work.busy & {"file"} else ["start-recording"]
+            commands += [] if self._recent is None or self._work.busy & {"the last seconds"} else ["keep-recent"]
             self.desk.enter("live", recording="", episode="", commands=tuple(commands), free_minutes=None)
             return
-        commands += ["write-note", "discard", "begin-episode", *(["end-episode"] if self._episode else [])]
+        commands += ["write-note", "discard", "begin-episode", *(["end-episode"] if self._notes.episode else [])]
         commands += [] if self._stages else ["stop-recording"]
-        changes: dict[str, Any] = {"commands": tuple(commands), "episode": self._episode}
+        changes: dict[str, Any] = {"commands": tuple(commands), "episode": self._notes.episode}
         if self.desk.state.recording == str(take.path):
             self.desk.enter("recording", **changes)
         else:
             self.desk.recording_began(str(take.path), **changes)
 
-    def _discard(self, command: DiscardPart) -> tuple[Outcome, str]:
-        if command.what == "recording":
-            self._note("discard-recording", command.reason)
-            return "done", "the recording is marked as discarded; it goes on"
-        if not self._last_episode:
-            return "refused", "no episode was begun in this file"
-        self._note("discard-episode", command.reason)
-        return "done", f"episode {self._last_episode} is marked as discarded"
-
-    def _note(self, about: NoteKind, text: str) -> None:
-        self._notes.append(SessionNote(monotonic_ns(), about, text))
-
     def _found(self, words: str) -> None:
         """What a fit found is said, and a note in what is recorded."""
         with self._lock:
-            self._note("note", words)
+            self._notes.note("note", words)
         self.desk.remark(words)
 
     def _taken_notes(self) -> list[SessionNote]:
-        notes, self._notes = self._notes, []
+        notes = self._notes.take()
         if self._recent is not None:
             self._recent.add(notes)
         return notes
 
-    def _end_episode(self) -> str:
-        label, self._episode = self._episode, ""
-        if label:
-            self._note("episode-end", label)
-        return label
-
     def _start_file(self) -> tuple[Outcome, str]:
         path = self._next_file()
-        self._beside("file", lambda: self._open_file(path))
+        self._work.start("file", lambda: self._open_file(path))
         self._enter()
         return "begun", str(path)
 
@@ -312,17 +368,17 @@ class PageRecorder:
         recorder.__enter__()
         with self._lock:
             self._take = _FileTake(recorder, path)
-            self._last_episode = ""
+            self._notes.enter_file()
             self._enter()
 
     def _stop_file(self) -> tuple[Outcome, str]:
         take = self._take
         assert take is not None
-        self._end_episode()
+        self._notes.end()
         if take.begun and self._source is not None:
-            self._write_to(take, [*self._taken_notes(), self._source.look()])
+            take.write([*self._taken_notes(), self._source.look()], self._source, self._lossless)
         self._take = None
-        self._beside("file", lambda: self._close_file(take))
+        self._work.start("file", lambda: self._close_file(take))
         self._enter()
         return "begun", f"{take.path} is being closed"
 
@@ -357,43 +413,33 @@ class PageRecorder:
                 raise
             self._add_summary(recorder.summary())
 
-        self._beside("the last seconds", keep)
+        self._work.start("the last seconds", keep)
         self._enter()
         return "begun", f"the last {held_s:.1f} s go into {path}"
 
     def _tare(self, name: str) -> tuple[Outcome, str]:
         if name not in self.desk.state.tares or self._source is None:
             return "refused", f"expected one of {', '.join(self.desk.state.tares)}; got {name}"
-        if name in self._busy:
+        if name in self._work.busy:
             return "refused", f"{name} is being tared"
         device: Any = self._source.device(name)
 
         def tare() -> None:
             device.zero()
             with self._lock:
-                self._note("tare", name)
+                self._notes.note("tare", name)
                 if self._shown is not None:
                     self._shown.tared(name)
             self.desk.remark(f"{name}: tared")
 
-        self._beside(name, tare)
+        self._work.start(name, tare)
         return "begun", f"{name}: its load is taken for zero; let nothing touch it"
 
-    def _beside(self, what: str, call: Callable[[], None]) -> None:
-        """Do what takes its time in a thread of its own; what goes wrong becomes a remark."""
-        self._busy.add(what)
+    def _show_failure(self, what: str) -> None:
+        self.desk.remark(what, bad=True)
 
-        def work() -> None:
-            try:
-                call()
-            except Exception as error:
-                self.desk.remark(f"{what}: {error}", bad=True)
-            finally:
-                with self._lock:
-                    self._busy.discard(what)
-                    if self.desk.state.phase != "stopped":
-                        self._enter()
-
-        thread = threading.Thread(target=work, name=f"deformscope-page-{what}", daemon=True)
-        self._threads.append(thread)
-        thread.start()
+    def _end_work(self, what: str) -> None:
+        with self._lock:
+            self._work.busy.discard(what)
+            if self.desk.state.phase != "stopped":
+                self._enter()

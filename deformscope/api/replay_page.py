@@ -12,7 +12,8 @@ import msgspec
 from deformscope.frames import HealthReport, SessionNote
 from deformscope.page.messages import Chapter, Playback
 from deformscope.page.server import PageServer
-from deformscope.recording.items import Row, read_rows, read_streams
+from deformscope.recording.item_rows import Row, read_rows
+from deformscope.recording.items import read_streams
 from deformscope.recording.reader import Replay
 from deformscope.stages.map.exploration import PhaseStart
 from deformscope.stages.squeeze.trial import SqueezePhase
@@ -41,11 +42,11 @@ def lay_beside(
 ) -> None:
     """Show what other settings make of a recorded exploration as a layer over it. recorded: its results; again: those
     that the settings give; size_m: of the surface; name: of the settings"""
-    from deformscope.log.exploration.beside import layer_beside
+    from deformscope.log.exploration.compare import comparison_rrd
 
     streams = read_streams(recording.path, trust=True)
     results = [(row.session_ns, row.item) for row in recorded]
-    layer = layer_beside(recording.identity, streams, size_m, results, again, name)
+    layer = comparison_rrd(recording.identity, streams, size_m, results, again, name)
     page.offer(LAYER, layer, "application/octet-stream")
     playback = page.desk.state.playback
     assert playback is not None

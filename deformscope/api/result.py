@@ -17,7 +17,8 @@ from deformscope.plain import plain
 
 if TYPE_CHECKING:
     from deformscope.config.options import ViewOptions
-    from deformscope.recording.recorder import Recorder, RecordingLayout, RecordingSummary
+    from deformscope.log.application import Application
+    from deformscope.recording.recorder import Recorder, RecordingSummary
 
 ViewerChoice = Literal["auto", "native", "page", "none"]
 Viewer = Literal["native", "page", "none"]
@@ -68,13 +69,13 @@ def resolve_viewer(choice: ViewerChoice) -> Viewer:
 
 
 def open_recorder(
-    output: ViewOptions, settings: Mapping[str, object], layout: RecordingLayout, **more: Any
+    output: ViewOptions, settings: Mapping[str, object], application: Application, **more: Any
 ) -> Recorder:
     """What a recording goes to, and a viewer, as the options say. more: options of a `Recorder`"""
     from deformscope.recording.recorder import Recorder
 
     viewer = resolve_viewer(output.viewer)
-    return Recorder(output.record, viewer, settings, layout=layout, overwrite=output.overwrite, **more)
+    return Recorder(output.record, viewer, settings, application=application, overwrite=output.overwrite, **more)
 
 
 def recording_rows(recording: RecordingSummary) -> Rows:

@@ -25,6 +25,7 @@ from deformscope.config.rigs import StageOptions
 from deformscope.experiments.live_stages import StageCounts, live_stages
 from deformscope.file_io import new_recording
 from deformscope.frames import HealthReport, Item, Stream
+from deformscope.log.rig_layout import RIG, RigLayout
 from deformscope.pictures.report import Table
 from deformscope.plain import plain
 from deformscope.recording.losses import in_words, losses_of, lost_by, since
@@ -92,7 +93,7 @@ def run_rig(config: RigRunOptions, auto: Literal["none", "native"], *, always_re
             if isinstance(recorder, PageRecorder):
                 recorder.start_source(source, rig.record.lossless, shown)
             else:
-                recorder.start_rig(source.streams, source.start_ns, rig.record.lossless, shown)
+                recorder.start(RigLayout(source.streams, tuple(shown)), source.start_ns, rig.record.lossless)
             what = f"holding the last {config.keep_last:g} s for" if at_end else "recording into"
             say(f"{what} {file}: Ctrl-C ends it" if file else "watching: Ctrl-C ends it")
             end = _Ending(asked, config.seconds, source)
@@ -124,7 +125,7 @@ def _recorder(
 
     def make(file: Path | None, viewer: ViewerChoice, *, at_once: bool = False) -> Recorder:
         files = dataclasses.replace(output, record=file, viewer=viewer)
-        return open_recorder(files, settings, "rig", variant=_variant(rig, names), real_time=not at_once)
+        return open_recorder(files, settings, RIG.variant(_variant(rig, names)), real_time=not at_once)
 
     def next_file() -> Path:
         return _new_file(rig)

@@ -21,6 +21,7 @@ from deformscope.experiments.setting_up import Operator, SetupRequest
 from deformscope.file_io import read_file, replacing
 from deformscope.files.arrays_file import read_arrays
 from deformscope.log.findings import RigFindings
+from deformscope.log.rig_layout import RigLayout
 from deformscope.pictures.findings import Findings
 from deformscope.pictures.report import Figure, Table
 from deformscope.rig.rig_edit import Values, edited, lines_of
@@ -111,7 +112,7 @@ def set_up(config: SetupOptions, task: SetupTask[M], recorder: Recorder) -> Setu
         recorder.write(Step((found.findings(rig.name),)))
     else:
         with until_interrupted() as asked, _open(rig, task, asked) as (source, station):
-            recorder.start_rig(source.streams, source.start_ns)
+            recorder.start(RigLayout(tuple(source.streams)), source.start_ns)
             made = run(source, task.measure(station), recorder)
             found = task.solve(rig, made)
             recorder.write(Step((RigFindings(found.findings(rig.name), tuple(source.streams)),)))

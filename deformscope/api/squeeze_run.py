@@ -15,6 +15,7 @@ from deformscope.api.rigs import until_interrupted
 from deformscope.api.setups import LAB, squeeze_setup_of
 from deformscope.api.squeeze_result import hand_words
 from deformscope.errors import InputError
+from deformscope.log.squeeze.layout import SQUEEZE, SqueezeLayout
 from deformscope.terminal import say, status_line
 
 if TYPE_CHECKING:
@@ -94,7 +95,7 @@ def squeeze_on(config: SqueezeConfig, report: Callable[[dict[str, Any]], None]) 
         open_recorder(
             dataclasses.replace(config.output, record=file),
             settings | recorded_settings(opening.setup),
-            "squeeze",
+            SQUEEZE,
             real_time=opening.setup.runs_itself,
         ) as recorder,
     ):
@@ -142,15 +143,10 @@ def _run(
         frames = SqueezeFrames(tactile, names.hand, names.camera, rule_of(setup))
         observer = SqueezeObserver(frames, setup.hand.tactile_end, None if model is None else tactile_posterior(model))
         geometry = SqueezeGeometry.of(setup)
-        recorder.start_squeeze(
-            source.streams,
-            source.start_ns,
-            names.tactile,
-            tactile.pads,
-            names.camera,
-            around_px=around_px(geometry),
-            named=model is not None,
-        )
+        around = around_px(geometry)
+        fingertips = names.tactile, tuple(tactile.pads)
+        layout = SqueezeLayout(source.streams, *fingertips, names.camera, around, named=model is not None)
+        recorder.start(layout, source.start_ns)
         if config.model is not None:
             recorder.write(InputFile(MODEL_INPUT, config.model.read_bytes()))
         shown = None if recorder.page is None else ShownDevices(recorder.page.desk, source.streams)

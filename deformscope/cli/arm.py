@@ -15,6 +15,7 @@ from deformscope.api import arm_moving
 from deformscope.cli.common import recorder_of, say, show_table, write_json
 from deformscope.config import FilesConfig, GoConfig, HomeConfig, JogConfig, WhereConfig
 from deformscope.errors import InputError
+from deformscope.log.rig_layout import RIG
 from deformscope.rig.rig_file import load_rig
 from deformscope.robot.setup import only_device
 from deformscope_drivers.kuka.config import KukaConfig
@@ -60,7 +61,7 @@ def home(config: HomeConfig) -> None:
 
 def go(config: GoConfig) -> None:
     """Bring the tip over a place."""
-    with recorder_of(config, "rig", real_time=True) as recorder:
+    with recorder_of(config, RIG, real_time=True) as recorder:
         place_m = arm_moving.go(config, config.above, config.height, recorder)
     say(f"the tip's centre is at {_mm(place_m)} mm in the surface frame")
     write_json({"center_m": place_m}, config.output.json)
@@ -68,7 +69,7 @@ def go(config: GoConfig) -> None:
 
 def jog(config: JogConfig) -> None:
     """Move the tip by keys."""
-    with recorder_of(config, "rig", real_time=True) as recorder:
+    with recorder_of(config, RIG, real_time=True) as recorder:
         place_m = arm_moving.jog(config, recorder)
     say(f"the tip's centre is at {_mm(place_m)} mm in the surface frame")
     write_json({"center_m": place_m}, config.output.json)

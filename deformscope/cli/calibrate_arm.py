@@ -23,6 +23,7 @@ from deformscope.experiments.options import ExploreOptions
 from deformscope.experiments.robot_geometry import FromFrames
 from deformscope.experiments.touching_robot import TouchingRobot, touching_robot
 from deformscope.log.findings import RigFindings
+from deformscope.log.rig_layout import RIG, RigLayout
 from deformscope.pictures.compliance import compliance_png
 from deformscope.pictures.findings import Findings
 from deformscope.pictures.report import Figure, Table
@@ -47,11 +48,11 @@ def run(config: ArmConfig) -> None:
     stop: ExplorationStop | None = None
     with (
         until_interrupted() as asked,
-        recorder_of(config, "rig", real_time=setup.runs_itself) as recorder,
+        recorder_of(config, RIG, real_time=setup.runs_itself) as recorder,
         setup.open_source() as source,
         status_line() as show_line,
     ):
-        recorder.start_rig(source.streams, source.start_ns)
+        recorder.start(RigLayout(tuple(source.streams)), source.start_ns)
         watch = Watch(asked, show_line)
 
         def found_one(one: GiveTouch) -> None:

@@ -44,6 +44,7 @@ from deformscope.experiments.setting_up import (
     view_board,
 )
 from deformscope.frames import ArmFrame, ColorFrame, DepthFrame
+from deformscope.log.rig_layout import RIG
 from deformscope.rig.rig_file import load_rig
 from deformscope.robot.setup import only_device
 from deformscope.session import RigExperiment
@@ -143,7 +144,7 @@ def time(config: TimeConfig) -> None:
 
 
 def _done(config: SetupOptions, task: SetupTask[M]) -> None:
-    with recorder_of(config, "findings" if config.measured is not None else "rig", real_time=True) as recorder:
+    with recorder_of(config, RIG if config.measured is None else None, real_time=True) as recorder:
         found = set_up(config, task, recorder)
     show(found.findings(config.rig))
     if not config.write:

@@ -29,7 +29,8 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from deformscope.config import RecordedOptions
-    from deformscope.recording.recorder import Recorder, RecordingLayout
+    from deformscope.log.application import Application
+    from deformscope.recording.recorder import Recorder
 
 EXIT_LOSSES = 3
 """The exit status of a command whose result is whole, but of which something was lost; it names what."""
@@ -77,15 +78,17 @@ def show_table(title: str, rows: Sequence[tuple[str, str]]) -> None:
 
 @contextmanager
 def recorder_of(
-    config: RecordedOptions, layout: RecordingLayout = "findings", *, real_time: bool = False
+    config: RecordedOptions, application: Application | None = None, *, real_time: bool = False
 ) -> Iterator[Recorder]:
     """What a command is recorded and shown with as its flags say; remarks where the recording is.
 
-    The flags are the recording's settings; a viewer keeps one set of views for each command.
+    The flags are the recording's settings. application: None = that of findings, with views of its own for each command
     """
+    from deformscope.log.application import FINDINGS
+
     settings = settings_of(config)
-    variant = str(settings["command"]) if layout == "findings" else ""
-    with open_recorder(config.output, settings, layout, variant=variant, real_time=real_time) as recorder:
+    of = application or FINDINGS.variant(str(settings["command"]))
+    with open_recorder(config.output, settings, of, real_time=real_time) as recorder:
         yield recorder
     if recorder.summary().path is not None:
         say(f"recording: {recorder.summary().path}")

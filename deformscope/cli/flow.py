@@ -16,6 +16,7 @@ from deformscope.errors import InputError
 from deformscope.files.sources import DEFAULT_FPS
 from deformscope.frames import ColorFrame
 from deformscope.images import read_image
+from deformscope.log.application import FLOW
 from deformscope.pictures.findings import Findings
 from deformscope.pictures.flow import flow_png
 from deformscope.pictures.report import Table
@@ -58,7 +59,7 @@ def run(config: FlowConfig) -> None:
     title = f"Flow of {config.before.name} to {config.after.name} ({width} x {height}, {config.method})"
     found = Findings((Table(rows, caption=title),))
     show(found)
-    with recorder_of(config, "flow") as recorder:
+    with recorder_of(config, FLOW) as recorder:
         for index, image in enumerate((before, after)):
             recorder.write(ColorFrame(Stamp(round(index * 1e9 / DEFAULT_FPS)), index, image))
         recorder.write(Step((forward, found)))

@@ -28,7 +28,8 @@ from deformscope.config import ReplayConfig
 from deformscope.errors import InputError
 from deformscope.experiments.replay_stages import replay_stages
 from deformscope.pictures.words import failed_words
-from deformscope.recording.items import ITEMS, read_estimates, read_rows, read_streams
+from deformscope.recording.item_rows import read_rows
+from deformscope.recording.items import ITEMS, read_estimates, read_streams
 from deformscope.recording.reader import Replay
 from deformscope.rig.decoded import compare_with_bytes
 from deformscope.rig.rig_file import parse_rig

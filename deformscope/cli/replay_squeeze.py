@@ -75,7 +75,8 @@ def squeeze_again(recording: Replay) -> SqueezeAgain:
     from deformscope.experiments.squeeze_features import SqueezeGeometry, trial_features
     from deformscope.experiments.squeeze_frames import SqueezeFrames, SqueezeObserver, TactileSource
     from deformscope.frames import ArmFrame, DepthFrame, HandFrame, TactileFrame
-    from deformscope.recording.items import read_rows, read_streams
+    from deformscope.recording.item_rows import read_rows
+    from deformscope.recording.items import read_streams
     from deformscope.stages.squeeze.events import EventRule
     from deformscope.stages.squeeze.trial import SqueezePhase
 

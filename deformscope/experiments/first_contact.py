@@ -10,7 +10,7 @@ import numpy as np
 from deformscope.arrays import FloatArray
 from deformscope.experiments.device_stages import TOUCHING_N
 from deformscope.frames import SessionNote, TactileFrame, WrenchFrame
-from deformscope.recording.items import Row
+from deformscope.recording.item_rows import Row
 from deformscope.stages.map.exploration import PhaseStart
 from deformscope.stages.squeeze.events import EventRule, OnsetDetector
 

@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Literal
-
 import rerun.blueprint as rrb
 
+from deformscope.log.application import PictureLayout
 from deformscope.log.canvas import COLUMN_SHARE, ROW_SHARE, Canvas
 from deformscope.log.rig.blueprint import LEGEND, blueprint_of
-
-Layout = Literal["images", "flow", "pair", "pair-3d"]
-"""A calibrated sequence of images; optical flow alone; pairs of particle sets in the plane; in space."""
 
 NAMES = {
     "particles": "Particles",
@@ -29,7 +25,7 @@ WIDE_FROM = 3.0
 """Width over height from which pictures are stacked rather than put side by side."""
 
 
-def blueprint(layout: Layout, canvas: Canvas, chart: str = CHART) -> rrb.Blueprint:
+def blueprint(layout: PictureLayout, canvas: Canvas, chart: str = CHART) -> rrb.Blueprint:
     """The views for a layout over this picture. chart: what the picture beside the particles shows"""
     if layout == "flow":
         root: rrb.Container | rrb.View = rrb.Horizontal(

@@ -11,7 +11,8 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from deformscope.frames import Stream
-from deformscope.log.blueprint import Layout, blueprint, deep_view
+from deformscope.log.application import PictureLayout
+from deformscope.log.blueprint import blueprint, deep_view
 from deformscope.log.canvas import Canvas, deep_bar, log_deep_legend
 from deformscope.log.rig.blueprint import blueprint_of, rig_blueprint
 from deformscope.pictures.findings import ColoredBody, Findings, table_markdown
@@ -57,7 +58,7 @@ def log_evidence(rec: rr.RecordingStream, found: Findings, canvas: Canvas) -> No
         return
     chart = rr.EncodedImage(contents=found.figures[0].png, media_type="image/png")
     rec.log("calibration/chart", chart, static=whole)
-    layout: Layout = "images" if whole else "pair" if canvas.flat else "pair-3d"
+    layout: PictureLayout = "images" if whole else "pair" if canvas.flat else "pair-3d"
     rec.send_blueprint(blueprint(layout, canvas, chart=found.figures[0].caption))
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from deformscope.errors import InputError
 from deformscope.frames import ColorFrame, DepthFrame
 from deformscope.images import PNG_SIGNATURE
-from deformscope.recording.items import read_rows
+from deformscope.recording.item_rows import read_rows
 from deformscope.recording.reader import Replay
 
 OURS = re.compile(r"\d{6,}\.(png|jpg)")

@@ -88,8 +88,8 @@ def run_rrd(*arguments: str | Path) -> str:
         return done
     if done.returncode == 0:
         return ""
-    said = [line for line in re.sub(r"\x1b\[\d*m", "", done.stderr + done.stdout).splitlines() if line.strip()]
-    reason = [line for line in said if "footer" in line] or said[-1:]
+    output = [line for line in re.sub(r"\x1b\[\d*m", "", done.stderr + done.stdout).splitlines() if line.strip()]
+    reason = [line for line in output if "footer" in line] or output[-1:]
     return " ".join(reason[0].split())[:300] if reason else "rerun refuses it without a word"
 
 

@@ -67,7 +67,7 @@ class Viewer:
     where: ClassVar[str] = "viewer: a window of its own; it stays when this command has ended"
 
     @property
-    def said(self) -> str:
+    def output(self) -> str:
         """The beginning of it."""
         return os.pread(self.messages, 10_000, 0).decode(errors="replace")
 
@@ -77,7 +77,7 @@ class Viewer:
 
         It chooses the port, and says which: on one that is chosen for it another user could listen first.
         """
-        found = re.search(rf"rerun\+http://{LOOPBACK}:\d+/proxy", self.said)
+        found = re.search(rf"rerun\+http://{LOOPBACK}:\d+/proxy", self.output)
         return found[0] if found else ""
 
 
@@ -173,10 +173,10 @@ def wait_for_viewer(viewer: Viewer, give_up: threading.Event) -> None:
 
 
 def check_running(viewer: Viewer) -> None:
-    """Raise ConnectionError, with the last that the viewer said, where its process has ended."""
+    """Raise ConnectionError, with the last of what the viewer wrote, where its process has ended."""
     if not _ended(viewer.pid):
         return
-    words = " ".join(viewer.said.split())[-300:]
+    words = " ".join(viewer.output.split())[-300:]
     raise ConnectionError(f"the viewer has ended{': ' if words else ''}{words}")
 
 

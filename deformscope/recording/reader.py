@@ -17,6 +17,8 @@ from deformscope.arrays import ImageArray
 from deformscope.errors import InputError
 from deformscope.frames import ColorFrame, DepthFrame, InputFile, SessionNote
 from deformscope.images import decode_image
+from deformscope.recording.discards import discards_of
+from deformscope.recording.item_rows import portions, read_rows
 from deformscope.recording.ledger import check_ledger
 from deformscope.recording.utf8_path import utf8_path
 from deformscope.rows import FORMAT, READABLE
@@ -27,7 +29,7 @@ if TYPE_CHECKING:
 Pace = Literal["fast", "real", "step"]
 RRD_MAGIC = b"RRF"
 APPLICATION_PREFIX = "deformscope"
-"""Every layout of ours has an application of its own (`deformscope.recording.recorder.APPLICATIONS`)."""
+"""Of rerun's applications of ours (`deformscope.log.application`)."""
 BLOB = "EncodedImage:blob"
 IMAGE_FIELDS = {BLOB: "image", "EncodedDepthImage:blob": "depth", "DepthFrame:color": "color"}
 """What the images in each component are."""
@@ -81,8 +83,6 @@ class Replay:
     @cached_property
     def image_counts(self) -> dict[tuple[str, str], int]:
         """How many images were recorded, by device and what they are: `image`, or `depth` and `color`."""
-        from deformscope.recording.items import portions
-
         found: Counter[tuple[str, str]] = Counter()
         for chunk, _, device in portions(self, (ColorFrame, DepthFrame)):
             batch = chunk.to_record_batch()
@@ -129,8 +129,6 @@ class Replay:
 
     def read_inputs(self, folder: str = "") -> dict[str, bytes]:
         """Inputs that are no frames, by their names below FOLDER, in the order of their names."""
-        from deformscope.recording.items import read_rows
-
         found = {row.item.name: row.item.content for row in read_rows(self, (InputFile,))}
         prefix = f"{folder}/" if folder else ""
         return {name.removeprefix(prefix): found[name] for name in sorted(found) if name.startswith(prefix)}
@@ -155,8 +153,6 @@ class Replay:
             yield frame
 
     def _color_frames(self, camera: str) -> Iterator[ColorFrame]:
-        from deformscope.recording.items import read_rows
-
         for row in read_rows(self, (ColorFrame, DepthFrame), device=camera):
             frame: ColorFrame | DepthFrame = row.item
             if isinstance(frame, ColorFrame):
@@ -184,9 +180,6 @@ class Replay:
             self._name_discards()
 
     def _name_discards(self) -> None:
-        from deformscope.recording.discards import discards_of
-        from deformscope.recording.items import read_rows
-
         notes = [row.item for row in read_rows(self, (SessionNote,))]
         for one in discards_of(self.path, notes):
             _logger.warning("%s is discarded: %s", self.path, one)

@@ -15,6 +15,8 @@ from dataclasses import dataclass, field, replace
 from typing import Self
 
 from deformscope.frames import HealthReport, Item, Stream, host_ns
+from deformscope.log.layout import RecordingLayout
+from deformscope.log.rig_layout import RigLayout
 from deformscope.recording.lateness import RecordingError
 from deformscope.recording.losses import since
 from deformscope.recording.portions import item_size
@@ -112,16 +114,10 @@ class WatchedRecorder:
         if kind is None and self._failure is not None:
             raise self._failure
 
-    def start_rig(
-        self,
-        streams: Sequence[Stream],
-        start_ns: int,
-        lossless: Collection[str] = (),
-        stages: Sequence[tuple[str, str]] = (),
-    ) -> None:
-        """As `Recorder.start_rig`."""
+    def start(self, layout: RecordingLayout, start_ns: int, lossless: Collection[str] = ()) -> None:
+        """As `Recorder.start`."""
         for one in (self._watch, self._kept):
-            one.start_rig(streams, start_ns, lossless, stages)
+            one.start(layout, start_ns, lossless)
 
     def write(self, items: object) -> None:
         """As `Recorder.write`."""
@@ -163,16 +159,10 @@ class LastRecorder(WatchedRecorder):
         finally:
             self._watch.__exit__(kind, *raised)
 
-    def start_rig(
-        self,
-        streams: Sequence[Stream],
-        start_ns: int,
-        lossless: Collection[str] = (),
-        stages: Sequence[tuple[str, str]] = (),
-    ) -> None:
-        """As `Recorder.start_rig`."""
-        self._streams, self._lossless = tuple(streams), lossless
-        self._watch.start_rig(streams, start_ns, lossless, stages)
+    def start(self, layout: RecordingLayout, start_ns: int, lossless: Collection[str] = ()) -> None:
+        """As `Recorder.start`."""
+        self._streams, self._lossless = layout.streams, lossless
+        self._watch.start(layout, start_ns, lossless)
 
     def write(self, items: object) -> None:
         """As `Recorder.write`."""
@@ -194,7 +184,8 @@ def write_recent(
 ) -> None:
     """Record what was held. recorder: entered, and one that may wait: all of it comes at once"""
     before, batches = taken
-    recorder.start_rig(streams, min(host_ns(item) for batch in batches for item in batch), lossless)
+    start_ns = min(host_ns(item) for batch in batches for item in batch)
+    recorder.start(RigLayout(tuple(streams)), start_ns, lossless)
     for batch in batches:
         recorder.write([since(item, before) if isinstance(item, HealthReport) else item for item in batch])
 

@@ -168,7 +168,7 @@ class RecordingFile:
             return self._merged_path
         self._merged_path.unlink(missing_ok=True)
         if merged is not None and not self.broken:
-            _say_that_it_stays_small("a file was not written to its end")
+            _warn_that_it_stays_small("a file was not written to its end")
         return self.path
 
     def _log(self, job: Callable[[rr.RecordingStream], None]) -> None:
@@ -195,7 +195,7 @@ class RecordingFile:
         if not within(merged.disconnect, 2.0):
             leave_streams_alone()
         self._merged_path.unlink(missing_ok=True)
-        _say_that_it_stays_small(reason)
+        _warn_that_it_stays_small(reason)
 
 
 def _refusal(error: Exception) -> str:
@@ -206,7 +206,7 @@ def _refusal(error: Exception) -> str:
     return f"one {waits} for {FLUSH_TIMEOUT_S:g} s"
 
 
-def _say_that_it_stays_small(reason: str) -> None:
+def _warn_that_it_stays_small(reason: str) -> None:
     _logger.warning("%s: the recording is whole, but in many small portions, which a viewer opens slowly", reason)
 
 

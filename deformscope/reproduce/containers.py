@@ -17,6 +17,7 @@ from deformscope.experiments.squeeze_trial import entry_of, recorded_settings, r
 from deformscope.experiments.squeezing_hand import SqueezingHand, rule_of
 from deformscope.files.squeeze_dataset import TRIALS, TrialEntry, TrialRow
 from deformscope.lab.container_setup import CAMERA_HZ, ContainerLab, container_lab
+from deformscope.log.squeeze.layout import SQUEEZE, SqueezeLayout
 from deformscope.recording.recorder import Recorder
 from deformscope.session import finish, run
 
@@ -126,13 +127,15 @@ def squeeze_trial(job: SqueezeJob, on_cycle: Callable[[ContainerLab], None] = la
     settings = {"seed": job.seed, "lab": "lab:containers", "trial": dataclasses.asdict(entry)}
     found, geometry = Squeezed(), SqueezeGeometry.of(setup)
     with (
-        Recorder(file, "none", settings | recorded_settings(setup), layout="squeeze", overwrite=True) as recorder,
+        Recorder(file, "none", settings | recorded_settings(setup), application=SQUEEZE, overwrite=True) as recorder,
         setup.open_source() as source,
     ):
         tactile = TactileSource.of(source.streams, setup.names.tactile, setup.hand.fingers)
         frames = SqueezeFrames(tactile, setup.names.hand, setup.names.camera, rule_of(setup))
         observer = SqueezeObserver(frames, setup.hand.tactile_end, None)
-        recorder.start_squeeze(source.streams, source.start_ns, setup.names.tactile, tactile.pads, setup.names.camera)
+        names = setup.names
+        layout = SqueezeLayout(source.streams, names.tactile, tuple(tactile.pads), names.camera)
+        recorder.start(layout, source.start_ns)
         observed = ObservedRecorder(recorder, observer)
         hand = SqueezingHand(setup, source, observer, lambda: on_cycle(made))
         run(source, squeeze(setup.clock, observer, geometry, found), observed, hand)

@@ -12,6 +12,7 @@ pytest.importorskip("warp")
 from deformscope.api.materials import kept_force, recorded_force
 from deformscope.errors import InputError
 from deformscope.frames import Stream, WrenchFrame
+from deformscope.log.rig_layout import RIG, RigLayout
 from deformscope.recording.reader import Replay
 from deformscope.recording.recorder import Recorder
 from deformscope_drivers.clock import Stamp
@@ -27,8 +28,8 @@ def reading(index: int, device: str) -> WrenchFrame:
 
 
 def recorded(path: Path, *devices: str) -> Path:
-    with Recorder(path, "none", {}, layout="rig") as recorder:
-        recorder.start_rig([Stream(device, "wrench", "optoforce") for device in devices], START_NS)
+    with Recorder(path, "none", {}, application=RIG) as recorder:
+        recorder.start(RigLayout(tuple(Stream(device, "wrench", "optoforce") for device in devices)), START_NS)
         recorder.write([reading(index, device) for index in range(100) for device in devices])
     return path
 

@@ -30,7 +30,7 @@ STAGES = {
     "surface": "deformscope.stages.map.surface.HeightProcess.at",
     "beta": f"{EXPLORER}.fit_beta",
     "beta field": f"{EXPLORER}.Explorer._beta_field",
-    "display": "deformscope.log.exploration.log_maps",
+    "display": "deformscope.log.exploration.results.log_maps",
 }
 ERRORS = [
     ValueError("x must be strictly increasing"),
@@ -164,7 +164,7 @@ def test_failures_without_end_end_it_in_order(
 # Any call fails once -------------------------------------------------------------------------------------------------
 
 ROBOT = [f"tests.cli.fake_bench.FakeRobot.{name}" for name in ("look", "touch", "let_move", "carry_out", "reports")]
-RECORDER = [f"deformscope.recording.recorder.Recorder.{name}" for name in ("_take_results", "_take_items")]
+RECORDER = [f"deformscope.recording.recorder.Recorder.{name}" for name in ("_take_step", "_take_items")]
 WATCH = ["deformscope.api.moving.Watch.__call__"]
 COMMAND = [
     "deformscope.api.exploration_run._remarks",

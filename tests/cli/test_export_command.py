@@ -17,6 +17,7 @@ from deformscope.cli import main
 from deformscope.files.sources import open_source
 from deformscope.frames import ColorFrame, DepthFrame, Item
 from deformscope.images import encode_jpeg
+from deformscope.log.rig_layout import RIG, RigLayout
 from deformscope.recording.items import read_items
 from deformscope.recording.recorder import Recorder
 from deformscope_drivers.clock import Stamp
@@ -25,8 +26,9 @@ from tests.log import synthetic_rig as rig
 
 
 def rig_recording(path: Path, items: Sequence[Item]) -> Path:
-    with Recorder(path, "none", {"rig": ""}, layout="rig") as made:
-        made.start_rig([stream for stream in rig.STREAMS if stream.kind in ("color", "depth")], rig.START_NS)
+    with Recorder(path, "none", {"rig": ""}, application=RIG) as made:
+        streams = tuple(stream for stream in rig.STREAMS if stream.kind in ("color", "depth"))
+        made.start(RigLayout(streams), rig.START_NS)
         made.write(items)
     return path
 

@@ -44,6 +44,7 @@ from deformscope.frames import (
     WrenchFrame,
 )
 from deformscope.images import decode_image, encode_jpeg
+from deformscope.log.rig_layout import RIG, RigLayout
 from deformscope.recording.items import read_stage_results
 from deformscope.recording.recorder import Recorder
 from deformscope.rig.rig_file import load_rig
@@ -388,8 +389,8 @@ def items(changed: bool = False) -> list[list[Item]]:
 
 def record(path: Path, given: list[list[Item]], results: Sequence[StageResult]) -> None:
     settings = {"rig": "", "rig_name": "test", "seed": 0, "stages": dataclasses.asdict(OPTIONS)}
-    with Recorder(path, settings=settings, layout="rig") as recorder:
-        recorder.start_rig(STREAMS, 1_000_000_000, (), [("flow", "camera"), ("tactile", "pads")])
+    with Recorder(path, settings=settings, application=RIG) as recorder:
+        recorder.start(RigLayout(tuple(STREAMS), (("flow", "camera"), ("tactile", "pads"))), 1_000_000_000)
         for batch in given:
             recorder.write(batch)
         recorder.write(Step(tuple(results)))

@@ -15,6 +15,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from deformscope.frames import ColorFrame, DepthFrame, HealthReport, Item, LinkChange, RawBytes, host_ns
+from deformscope.log.rig_layout import RIG, RigLayout
 from deformscope.recording.recorder import Recorder
 from deformscope_drivers.clock import Stamp
 from tests.log import synthetic_rig as rig
@@ -35,8 +36,8 @@ def main() -> None:
     batches = list(rig.batches(first_round(cameras=given.cameras)))
     streams = [one for one in STREAMS if given.cameras or one.kind not in ("color", "depth")]
     rounds, making_s, began_s = given.seconds // ROUND_S, 0.0, time.process_time()
-    with Recorder(given.file, "none", {}, layout="rig") as made:
-        made.start_rig(streams, rig.START_NS)
+    with Recorder(given.file, "none", {}, application=RIG) as made:
+        made.start(RigLayout(tuple(streams)), rig.START_NS)
         for number in range(rounds):
             for batch in batches:
                 making_s -= time.thread_time()

@@ -15,10 +15,13 @@ from rerun.chunk import RrdReader
 from deformscope.arrays import FloatArray
 from deformscope.frames import ColorFrame, DepthFrame, Item, Stream
 from deformscope.images import encode_png
-from deformscope.log.exploration import exploration_blueprint, log_exploration_start, prepare_results
+from deformscope.log.exploration.blueprint import exploration_blueprint
+from deformscope.log.exploration.layout import EXPLORATION, ExplorationLayout
+from deformscope.log.exploration.results import log_exploration_start, prepare_results
 from deformscope.log.exploration.summary import summary
 from deformscope.log.rig import Place, log_streams, prepare_items
-from deformscope.recording.items import Row, read_items, read_results
+from deformscope.recording.item_rows import Row
+from deformscope.recording.items import read_items, read_results
 from deformscope.recording.recorder import Recorder
 from deformscope.rows import FORMAT
 from deformscope.session import Moment, Step
@@ -160,8 +163,8 @@ def test_everything_stands_at_the_cameras_picture_and_at_its_touch(tmp_path: Pat
     pictures_ns = np.array([one.stamp.host_ns for one in items if isinstance(one, DepthFrame)])
     assert len(pictures_ns) > 3
     seen_ns = int(pictures_ns[2]) + 1
-    with Recorder(tmp_path / "run.rrd", "none", {}, layout="exploration") as recorder:
-        recorder.start_exploration(streams, rig.START_NS, (0.6, 0.4), BASE_FROM_SURFACE, truth=True)
+    with Recorder(tmp_path / "run.rrd", "none", {}, application=EXPLORATION) as recorder:
+        recorder.start(ExplorationLayout(tuple(streams), (0.6, 0.4), BASE_FROM_SURFACE, truth=True), rig.START_NS)
         recorder.write(Step((synthetic.plan(0),), moment=Moment(rig.START_NS, cell_m=0.005)))
         for at in range(0, len(items), 40):
             recorder.write(items[at : at + 40])
@@ -326,7 +329,7 @@ def test_what_cannot_be_shown_is_recorded_with_where_it_failed(tmp_path: Path, m
     def broken(*_: object) -> None:
         raise FloatingPointError("no ink")
 
-    monkeypatch.setattr("deformscope.log.exploration.log_curves", broken)
+    monkeypatch.setattr("deformscope.log.exploration.results.log_curves", broken)
     told, maps = synthetic.touch(1), synthetic.maps(2)
     rec = rr.RecordingStream("deformscope-explore", recording_id="exploration")
     rec.set_sinks(rr.FileSink(tmp_path / "run.rrd"))

@@ -27,6 +27,7 @@ from deformscope.frames import (
     TactileFrame,
     WrenchFrame,
 )
+from deformscope.log.exploration.layout import EXPLORATION, ExplorationLayout
 from deformscope.log.live_stream import LiveStream
 from deformscope.log.rig import Place
 from deformscope.log.rig.thinned import (
@@ -39,7 +40,8 @@ from deformscope.log.rig.thinned import (
     extremes,
     thinned,
 )
-from deformscope.recording import recorder
+from deformscope.log.rig_layout import RIG, RigLayout
+from deformscope.recording import outputs
 from deformscope.recording.live import Viewer
 from deformscope.recording.recorder import Recorder
 from deformscope.session import Moment, Step
@@ -195,8 +197,8 @@ def test_a_severed_stream_is_no_slow_one() -> None:
 def shown(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """What a recorder sends to its viewer goes into this file."""
     path = tmp_path / "shown.rrd"
-    monkeypatch.setattr(recorder, "start_viewer", lambda: Viewer(0, 0))
-    monkeypatch.setattr(recorder, "live_stream", lambda *given: LiveStream(to_file(path), lambda timeout_s: None))
+    monkeypatch.setattr(outputs, "start_viewer", lambda: Viewer(0, 0))
+    monkeypatch.setattr(outputs, "live_stream", lambda *given: LiveStream(to_file(path), lambda timeout_s: None))
     return path
 
 
@@ -205,8 +207,8 @@ def test_the_file_keeps_everything_that_the_viewer_does_not_get(
 ) -> None:
     items = [item for item in second if not isinstance(item, ColorFrame | DepthFrame)]
     items += [rig.color(index, size=(48, 640)) for index in range(30)]
-    with Recorder(tmp_path / "run.rrd", "native", {}, layout="rig") as made:
-        made.start_rig(rig.STREAMS, rig.START_NS)
+    with Recorder(tmp_path / "run.rrd", "native", {}, application=RIG) as made:
+        made.start(RigLayout(rig.STREAMS), rig.START_NS)
         for batch in rig.batches(sorted(items, key=rig.host_ns)):
             made.write(batch)
     assert made.summary().dropped == 0
@@ -227,8 +229,8 @@ def test_the_file_keeps_everything_that_the_viewer_does_not_get(
 
 def test_what_no_view_of_an_exploration_shows_is_not_sent(tmp_path: Path, shown: Path) -> None:
     streams = [stream for stream in rig.STREAMS if stream.kind in ("wrench", "depth")]
-    with Recorder(tmp_path / "run.rrd", "native", {}, layout="exploration") as made:
-        made.start_exploration(streams, rig.START_NS, (0.6, 0.4), None, truth=True)
+    with Recorder(tmp_path / "run.rrd", "native", {}, application=EXPLORATION) as made:
+        made.start(ExplorationLayout(tuple(streams), (0.6, 0.4), None, truth=True), rig.START_NS)
         made.write(InputFile("explored/looked", b"the whole cloud"))
         for at_s, touch, result in synthetic_exploration.story():
             if touch <= 1:  # with it every kind of result has come

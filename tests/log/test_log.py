@@ -16,6 +16,7 @@ from scipy.spatial import cKDTree
 
 from deformscope.files.sources import open_source
 from deformscope.frames import InputFile
+from deformscope.log.application import PAIR, PAIR_3D
 from deformscope.log.blueprint import blueprint
 from deformscope.log.canvas import Canvas
 from deformscope.log.estimate import summary
@@ -136,7 +137,7 @@ def test_sixteen_bits_are_shown_in_their_range(tmp_path: Path) -> None:
 def test_pairs(tmp_path: Path, dimensions: int) -> None:
     pair = synthetic.pair_in_plane() if dimensions == 2 else synthetic.pair_in_space()
     path = tmp_path / "run.rrd"
-    with Recorder(path, layout="pair") as made:
+    with Recorder(path, application=PAIR) as made:
         made.write(InputFile("pair/0", b"some bytes"))
         made.write(Step((pair, synthetic.estimate(unit="m")), frame=0))
     kind = f"Points{dimensions}D"
@@ -239,7 +240,7 @@ def test_the_heat_map_lies_over_the_body(recording: Path) -> None:
 
 def test_a_pair_in_the_plane_stands_upright(tmp_path: Path) -> None:
     pair = synthetic.pair_in_plane()
-    with Recorder(tmp_path / "run.rrd", layout="pair") as made:
+    with Recorder(tmp_path / "run.rrd", application=PAIR) as made:
         made.write(Step((pair, synthetic.estimate(unit="m")), frame=0))
     for path in ("particles/rest", "particles/observed", "particles/simulated", "residual/lines", "heat/worst"):
         assert values(tmp_path / "run.rrd", f"/{path}", "Transform3D:scale", 0)[0] == [1.0, -1.0, 1.0]
@@ -250,7 +251,7 @@ def test_a_pair_in_the_plane_stands_upright(tmp_path: Path) -> None:
 
 def test_a_volume_is_covered_by_its_skin(tmp_path: Path) -> None:
     pair = synthetic.pair_in_space()
-    with Recorder(tmp_path / "run.rrd", layout="pair-3d") as made:
+    with Recorder(tmp_path / "run.rrd", application=PAIR_3D) as made:
         made.write(Step((pair, synthetic.estimate(unit="m")), frame=0))
     path = tmp_path / "run.rrd"
     place = np.array(values(path, "/heat/map", "Mesh3D:vertex_positions", 0))
@@ -268,7 +269,7 @@ def test_a_volume_is_covered_by_its_skin(tmp_path: Path) -> None:
 
 def test_a_poke_is_shown_close_and_recorded_whole(tmp_path: Path) -> None:
     first, second = poked(), poked(at=(0.4, 0.25))
-    with Recorder(tmp_path / "run.rrd", layout="pair-3d") as made:
+    with Recorder(tmp_path / "run.rrd", application=PAIR_3D) as made:
         for frame, pair in enumerate((first, second)):
             made.write(Step((pair,), frame=frame))
         made.write(Step((synthetic.estimate(unit="m"),), frame=1))
@@ -294,7 +295,7 @@ def test_a_poke_is_shown_close_and_recorded_whole(tmp_path: Path) -> None:
 def test_each_pair_of_a_recording_is_drawn_its_own_way(tmp_path: Path) -> None:
     path = tmp_path / "run.rrd"
     pairs = (synthetic.pair_in_plane(), poked(), synthetic.pair_in_space())
-    with Recorder(path, layout="pair-3d") as made:
+    with Recorder(path, application=PAIR_3D) as made:
         for frame, pair in enumerate(pairs):
             made.write(Step((pair, synthetic.estimate(unit="m")), frame=frame))
     scales = [values(path, "/particles/observed", "Transform3D:scale", frame)[0] for frame in range(3)]
@@ -308,7 +309,7 @@ def test_nothing_to_compare_is_no_error(tmp_path: Path) -> None:
     pair = synthetic.pair_in_plane()
     blind = dataclasses.replace(pair, seen=np.zeros(len(pair.rest), dtype=bool))
     exact = dataclasses.replace(pair, simulated=pair.observed)
-    with Recorder(tmp_path / "run.rrd", layout="pair") as made:
+    with Recorder(tmp_path / "run.rrd", application=PAIR) as made:
         made.write(Step((blind,), frame=0))
         made.write(Step((exact,), frame=1))
     assert values(tmp_path / "run.rrd", "/heat/legend/worst/label", "Points2D:labels", 1) == ["largest error: 0 mm"]

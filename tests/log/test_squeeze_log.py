@@ -12,7 +12,10 @@ import rerun as rr
 from rerun.chunk import Chunk
 
 from deformscope.frames import Pad, Stream
-from deformscope.log.squeeze import Fingertips, prepare_squeeze_results, squeeze_blueprint
+from deformscope.log.squeeze.blueprint import squeeze_blueprint
+from deformscope.log.squeeze.fingertips import Fingertips
+from deformscope.log.squeeze.layout import SQUEEZE, SqueezeLayout
+from deformscope.log.squeeze.results import prepare_squeeze_results
 from deformscope.pictures.depth_change import depth_change_png
 from deformscope.recording.items import read_results
 from deformscope.recording.recorder import Recorder
@@ -64,8 +67,8 @@ RESULTS = (
 
 def test_every_result_comes_back_to_the_last_bit(tmp_path: Path) -> None:
     file = tmp_path / "r.rrd"
-    with Recorder(file, "none", {"squeezed": {}}, layout="squeeze") as recorder:
-        recorder.start_squeeze([STREAM], 1_000, "pads", (1, 5), "")
+    with Recorder(file, "none", {"squeezed": {}}, application=SQUEEZE) as recorder:
+        recorder.start(SqueezeLayout((STREAM,), "pads", (1, 5), ""), 1_000)
         recorder.write(Step(RESULTS, moment=Moment(2_000)))
     read = [one.item for one in read_results(file, tuple(map(type, RESULTS)))]
 
@@ -76,7 +79,7 @@ def test_every_result_comes_back_to_the_last_bit(tmp_path: Path) -> None:
 
 
 def test_what_is_no_result_of_a_squeeze_is_refused() -> None:
-    with pytest.raises(TypeError, match=r"no twin in deformscope\.log\.squeeze shows a int"):
+    with pytest.raises(TypeError, match=r"no twin in deformscope\.log shows a int"):
         prepare_squeeze_results((5,), 0, None)
 
 

@@ -17,9 +17,11 @@ from rerun.experimental import ViewerClient
 
 from deformscope.files.sources import open_source
 from deformscope.frames import ArmFrame, HealthReport
-from deformscope.log.exploration import exploration_blueprint, log_exploration_start, prepare_results
+from deformscope.log.application import PAIR, PAIR_3D
+from deformscope.log.exploration.blueprint import exploration_blueprint
+from deformscope.log.exploration.results import log_exploration_start, prepare_results
 from deformscope.log.rig import Place, log_items, log_streams, prepare_items, rig_blueprint
-from deformscope.recording import live, recorder
+from deformscope.recording import live, outputs, recorder
 from deformscope.recording.recorder import Recorder
 from deformscope.session import Step, run
 from deformscope.stages.map.exploration import MapEstimate
@@ -85,7 +87,7 @@ def test_two_recordings_in_one_viewer(tmp_path: Path, viewer: ViewerClient) -> N
 def test_calibration_of_a_pair(tmp_path: Path, viewer: ViewerClient, dimensions: int) -> None:
     path = tmp_path / "run.rrd"
     pair = synthetic.pair_in_plane() if dimensions == 2 else synthetic.pair_in_space()
-    with Recorder(path, layout="pair") as made:
+    with Recorder(path, application=PAIR) as made:
         made.write(Step((pair, synthetic.estimate(unit="m")), frame=0))
     assert shoot(viewer, path, tmp_path) == []
     for shot in tmp_path.glob("*.png"):
@@ -94,7 +96,7 @@ def test_calibration_of_a_pair(tmp_path: Path, viewer: ViewerClient, dimensions:
 
 def test_pokes_of_a_surface(tmp_path: Path, viewer: ViewerClient) -> None:
     path = tmp_path / "run.rrd"
-    with Recorder(path, layout="pair-3d") as made:
+    with Recorder(path, application=PAIR_3D) as made:
         for frame, pair in enumerate((poked(), poked(at=(0.4, 0.25)))):
             made.write(Step((pair,), frame=frame))
         made.write(Step((synthetic.estimate(unit="m"),), frame=1))
@@ -154,7 +156,7 @@ def _headless(monkeypatch: pytest.MonkeyPatch) -> list[live.Viewer]:
 
     monkeypatch.setattr(live, "window_options", lambda: ["--headless"])
     monkeypatch.setenv("VK_ICD_FILENAMES", str(LAVAPIPE))
-    monkeypatch.setattr(recorder, "start_viewer", start)
+    monkeypatch.setattr(outputs, "start_viewer", start)
     return started
 
 

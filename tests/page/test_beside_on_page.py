@@ -17,12 +17,13 @@ from deformscope.api.aligned_page import align_on_page
 from deformscope.cli import main
 from deformscope.experiments.first_contact import first_contact_ns
 from deformscope.frames import SessionNote, Stream, TactileFrame, WrenchFrame
-from deformscope.log.exploration.beside import layer_beside
+from deformscope.log.exploration.compare import comparison_rrd
+from deformscope.log.rig_layout import RIG, RigLayout
 from deformscope.page.messages import Playback
 from deformscope.page.server import PageServer, end_pages
 from deformscope.pictures import exploration as pictures
 from deformscope.pictures.figures import canvas
-from deformscope.recording.items import Row
+from deformscope.recording.item_rows import Row
 from deformscope.recording.reader import Replay
 from deformscope.recording.recorder import Recorder
 from deformscope.stages.map.exploration import PhaseStart
@@ -56,8 +57,8 @@ def rows(*items: Any) -> list[Row]:
 
 
 def recorded(path: Path, force_n: np.ndarray) -> Path:
-    with Recorder(path, settings={"rig_name": "one"}, layout="rig") as recorder:
-        recorder.start_rig([Stream("tip", "wrench", "optoforce")], 0)
+    with Recorder(path, settings={"rig_name": "one"}, application=RIG) as recorder:
+        recorder.start(RigLayout((Stream("tip", "wrench", "optoforce"),)), 0)
         recorder.write(forces(force_n))
     return path
 
@@ -141,7 +142,9 @@ def test_the_page_lays_it_over_the_recording_once_that_is_there(shown: Any, tmp_
     file = tmp_path / "mine.rrd"
     file.write_bytes(b"RRF2")
     story = [(S, synthetic.touch(0)), (2 * S, synthetic.maps(1))]
-    layer = layer_beside(("deformscope-exploration", "one"), [], (0.6, 0.4), story, [one for _, one in story], "x = 1")
+    layer = comparison_rrd(
+        ("deformscope-exploration", "one"), [], (0.6, 0.4), story, [one for _, one in story], "x = 1"
+    )
     shown.route(
         "**/re_viewer.js", lambda route: route.fulfill(body=FAKE_VIEWER + PLAYS, content_type="text/javascript")
     )

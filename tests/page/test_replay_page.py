@@ -9,7 +9,7 @@ from deformscope.api.replay_page import chapters_of
 from deformscope.frames import SessionNote
 from deformscope.page.messages import Chapter, Playback
 from deformscope.page.server import PageServer
-from deformscope.recording.items import Row
+from deformscope.recording.item_rows import Row
 from deformscope.stages.map.exploration import PhaseStart
 from deformscope.stages.squeeze.trial import SqueezePhase
 from tests.page.pages import at_desk, get, root

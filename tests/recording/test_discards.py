@@ -11,14 +11,15 @@ import pytest
 from deformscope.api.recordings import open_recording
 from deformscope.cli import main
 from deformscope.frames import NoteKind, SessionNote
+from deformscope.log.rig_layout import RIG, RigLayout
 from deformscope.recording.discards import discards_of
 from deformscope.recording.ledger import check_ledger, ledger_path
 from deformscope.recording.recorder import Recorder
 
 
 def recorded(path: Path, *notes: tuple[NoteKind, str]) -> Path:
-    with Recorder(path, layout="rig") as recorder:
-        recorder.start_rig([], 0)
+    with Recorder(path, application=RIG) as recorder:
+        recorder.start(RigLayout(()), 0)
         recorder.write([SessionNote(at * 10**9, about, text) for at, (about, text) in enumerate(notes)])
     return path
 

@@ -18,6 +18,7 @@ import rerun as rr
 from deformscope.cli import main
 from deformscope.frames import ColorFrame, DepthFrame, Item
 from deformscope.log import rig as rig_log
+from deformscope.log.rig_layout import RIG, RigLayout
 from deformscope.recording import recorder
 from deformscope.recording.lateness import FREE_BYTES, RecordingError, writes_are_held_up
 from deformscope.recording.recent import WatchedRecorder
@@ -37,7 +38,7 @@ def items(monkeypatch: pytest.MonkeyPatch) -> list[Item]:
 
 
 def recording(path: Path) -> Recorder:
-    return Recorder(path, "none", {}, layout="rig", real_time=True)
+    return Recorder(path, "none", {}, application=RIG, real_time=True)
 
 
 def fall_behind(made: Recorder | WatchedRecorder, items: list[Item]) -> None:
@@ -87,7 +88,7 @@ def wait_until_held_up() -> None:
 def test_a_disk_that_is_too_slow_is_named(tmp_path: Path, items: list[Item], held_up: HeldUpDisk) -> None:
     said = pytest.raises(RecordingError, match=r"a disk that keeps up; got one that held the writing up")
     with said as told, recording(tmp_path / "run.rrd") as made:
-        made.start_rig(rig.STREAMS, rig.START_NS)
+        made.start(RigLayout(rig.STREAMS), rig.START_NS)
         made.write(next(rig.batches(items)))
         wait_until_held_up()
         gate = Gate()
@@ -120,7 +121,7 @@ def test_a_processor_that_is_too_slow_is_named_and_what_there_is_is_ended(
     path = tmp_path / "run.part.rrd"
     said = pytest.raises(RecordingError, match=r"a processor that keeps up .*% of a core .*try: end other programs")
     with said as told, recording(tmp_path / "run.rrd") as made:
-        made.start_rig(rig.STREAMS, rig.START_NS)
+        made.start(RigLayout(rig.STREAMS), rig.START_NS)
         made.write(next(rig.batches(items)))
         wait_for_looks(made)
         _, free = busy_processor(monkeypatch)
@@ -141,7 +142,7 @@ def test_a_full_disk_is_named_whatever_waits(
         pytest.raises(RecordingError, match="64 MiB free on the disk; got 0 MiB free"),
         recording(tmp_path / "run.rrd") as made,
     ):
-        made.start_rig(rig.STREAMS, rig.START_NS)
+        made.start(RigLayout(rig.STREAMS), rig.START_NS)
         _, free = busy_processor(monkeypatch)
         monkeypatch.setattr(shutil, "disk_usage", lambda where: usage._replace(free=FREE_BYTES // 100))
         try:
@@ -155,7 +156,7 @@ def test_what_cannot_be_read_is_not_called_kept(
 ) -> None:
     """Everything was handed over, and nothing of it had come to the disk."""
     with pytest.raises(RecordingError), recording(tmp_path / "run.rrd") as made:
-        made.start_rig(rig.STREAMS, rig.START_NS)
+        made.start(RigLayout(rig.STREAMS), rig.START_NS)
         _, free = busy_processor(monkeypatch)
         try:
             fall_behind(made, items)
@@ -176,7 +177,7 @@ def test_the_view_goes_on_where_its_file_cannot(
     monkeypatch.setattr(watch, "write", watched.append)
     batches = list(rig.batches(items))
     with pytest.raises(RecordingError, match="a processor"), WatchedRecorder(watch, kept) as made:
-        made.start_rig(rig.STREAMS, rig.START_NS)
+        made.start(RigLayout(rig.STREAMS), rig.START_NS)
         made.write(batches[0])
         wait_for_looks(kept)
         _, free = busy_processor(monkeypatch)

@@ -369,17 +369,17 @@ def test_no_data_follows_for_a_window_that_ended_as_it_opened(tmp_path: Path, mo
 RECORDING = """
     import os, signal, sys, time
     from pathlib import Path
-    from deformscope.recording import live, recorder
+    from deformscope.recording import live, outputs, recorder
     from tests.log import synthetic
     os.environ["DISPLAY"] = ":0"
     live.window_options = lambda: ["--serve-grpc"]  # a window without a window
-    start, started = recorder.start_viewer, []
-    recorder.start_viewer = lambda: started.append(start()) or started[0]
+    start, started = outputs.start_viewer, []
+    outputs.start_viewer = lambda: started.append(start()) or started[0]
     with recorder.Recorder(Path(sys.argv[1]), "native", {}) as made:
         for frame in synthetic.frames(60):
             made.write(frame)
             if frame.index == 20:
-                feed = made._feed
+                feed = made._outputs.feed
                 while feed._unconfirmed or feed._jobs:
                     time.sleep(0.005)
                 os.kill(started[0].pid, signal.Signals[sys.argv[2]])

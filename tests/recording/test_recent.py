@@ -11,6 +11,7 @@ import numpy as np
 from deformscope.api.recordings import OpenRecording
 from deformscope.cli import main
 from deformscope.frames import HealthReport, Item, Stream, WrenchFrame
+from deformscope.log.rig_layout import RIG
 from deformscope.recording.recent import RecentItems, end_with_recent
 from deformscope.recording.recorder import Recorder
 from deformscope_drivers.clock import Stamp
@@ -57,7 +58,7 @@ def test_the_last_seconds_are_a_whole_recording(tmp_path: Path) -> None:
     given = batches(40, lost={3: 4, 37: 2})
     for batch in given:
         recent.add(batch)
-    recorder = Recorder(path, settings={"rig_name": "one"}, layout="rig")
+    recorder = Recorder(path, settings={"rig_name": "one"}, application=RIG)
     recorder.__enter__()
     end_with_recent(recorder, recent, [TIP], (), None)
     assert main(["verify", str(path)]) == 3  # whole, with losses
@@ -77,7 +78,7 @@ def test_what_was_held_when_a_session_failed_is_kept_unfinished(tmp_path: Path) 
     recent, path = RecentItems(5.0), tmp_path / "kept.rrd"
     for batch in batches(3):
         recent.add(batch)
-    recorder = Recorder(path, layout="rig")
+    recorder = Recorder(path, application=RIG)
     recorder.__enter__()
     end_with_recent(recorder, recent, [dataclasses.replace(TIP)], (), RuntimeError)
     assert not path.exists()
@@ -86,7 +87,7 @@ def test_what_was_held_when_a_session_failed_is_kept_unfinished(tmp_path: Path) 
 
 
 def test_nothing_was_there_to_be_held(tmp_path: Path) -> None:
-    recorder = Recorder(tmp_path / "kept.rrd", layout="rig")
+    recorder = Recorder(tmp_path / "kept.rrd", application=RIG)
     recorder.__enter__()
     end_with_recent(recorder, RecentItems(5.0), [TIP], (), None)
     assert main(["verify", str(tmp_path / "kept.rrd")]) == 0

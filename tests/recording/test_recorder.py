@@ -25,9 +25,10 @@ from deformscope.cli import main
 from deformscope.errors import InputError
 from deformscope.frames import ColorFrame, DepthFrame, HandFrame, InputFile, Item, RawBytes, host_ns
 from deformscope.images import encode_png
+from deformscope.log.rig_layout import RIG, RigLayout
 from deformscope.page.server import end_pages
 from deformscope.page.viewer_files import viewer_environment, viewer_executable
-from deformscope.recording import facts, lateness, recorder
+from deformscope.recording import facts, lateness, outputs, recorder
 from deformscope.recording import rrd_file as recording_file
 from deformscope.recording.items import read_items
 from deformscope.recording.lateness import RecordingError
@@ -365,8 +366,8 @@ def read_in_order(path: Path) -> list[Item]:
 
 def test_nobody_who_writes_waits_for_the_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     disk, items = SlowDisk(), without_images(0.3)
-    with Recorder(tmp_path / "run.rrd", "none", {}, layout="rig", real_time=True) as made:
-        made.start_rig(rig.STREAMS, rig.START_NS)
+    with Recorder(tmp_path / "run.rrd", "none", {}, application=RIG, real_time=True) as made:
+        made.start(RigLayout(rig.STREAMS), rig.START_NS)
         disk.block(monkeypatch)
         assert disk.asked.wait(PATIENCE_S)
         for batch in rig.batches(items):
@@ -409,8 +410,8 @@ def test_what_can_wait_for_its_recording_does_and_loses_nothing(
 
 def test_a_list_that_goes_on_being_used_is_recorded_as_it_was(tmp_path: Path) -> None:
     items = without_images(0.3)
-    with Recorder(tmp_path / "run.rrd", "none", {}, layout="rig") as made:
-        made.start_rig(rig.STREAMS, rig.START_NS)
+    with Recorder(tmp_path / "run.rrd", "none", {}, application=RIG) as made:
+        made.start(RigLayout(rig.STREAMS), rig.START_NS)
         given: list[Item] = []
         for batch in rig.batches(items):
             given += batch
@@ -424,17 +425,18 @@ def test_devices_killed_outright(tmp_path: Path) -> None:
     code = """
         import os, signal, sys, time
         from pathlib import Path
+        from deformscope.log.rig_layout import RIG, RigLayout
         from deformscope.recording.recorder import Recorder
         from tests.log import synthetic_rig as rig
         from tests.recording.test_recorder import without_images
-        with Recorder(Path(sys.argv[1]), "none", {}, layout="rig", real_time=True) as made:
-            made.start_rig(rig.STREAMS, rig.START_NS)
+        with Recorder(Path(sys.argv[1]), "none", {}, application=RIG, real_time=True) as made:
+            made.start(RigLayout(rig.STREAMS), rig.START_NS)
             for batch in rig.batches(without_images(0.5)):
                 made.write(batch)
-            while made._writer.waiting_bytes or len(made._portions):
+            while made._writer.waiting_bytes or len(made._encoder):
                 time.sleep(0.01)
-            beats = made._file._beats
-            while made._file._beats == beats:  # the next look at the disk
+            beats = made._outputs.file._beats
+            while made._outputs.file._beats == beats:  # the next look at the disk
                 time.sleep(0.01)
             os.kill(os.getpid(), signal.SIGKILL)
     """
@@ -447,8 +449,8 @@ def test_a_recording_of_devices_has_few_portions(tmp_path: Path) -> None:
     """Each costs memory until the end, and a viewer time: from ten a second and entity to three a minute."""
     seconds = 70
     items: list[Item] = sorted([*map(rig.hand, range(10 * seconds)), *map(rig.health, range(seconds))], key=order)
-    with Recorder(tmp_path / "run.rrd", "none", {}, layout="rig") as made:
-        made.start_rig(rig.STREAMS, rig.START_NS)
+    with Recorder(tmp_path / "run.rrd", "none", {}, application=RIG) as made:
+        made.start(RigLayout(rig.STREAMS), rig.START_NS)
         for batch in rig.batches(items):
             made.write(batch)
     assert rrd("verify", tmp_path / "run.rrd").returncode == 0
@@ -465,8 +467,8 @@ def test_two_deterministic_runs_of_devices_compare_equal(tmp_path: Path) -> None
     numbers = without_images(1.5)[1:]
     numbers = [one for one in numbers if not isinstance(one, HandFrame) or one.index >= 3]  # NaN equals nothing
     for name in ("a", "b"):
-        with Recorder(tmp_path / f"{name}.rrd", "none", {}, layout="rig", deterministic=True) as made:
-            made.start_rig(rig.STREAMS, rig.START_NS)
+        with Recorder(tmp_path / f"{name}.rrd", "none", {}, application=RIG, deterministic=True) as made:
+            made.start(RigLayout(rig.STREAMS), rig.START_NS)
             for batch in rig.batches(numbers):
                 made.write(batch)
     assert rrd("compare", "--unordered", tmp_path / "a.rrd", tmp_path / "b.rrd").returncode == 0
@@ -490,13 +492,13 @@ def test_without_the_file_of_large_portions_the_recording_is_the_other(
         monkeypatch.setattr(recording_file, "has_footer", lambda path: False)
     else:
         monkeypatch.setattr(recording_file, "BEATS_MERGED", 1)
-    with Recorder(tmp_path / "run.rrd", "none", {"seed": 3}, layout="rig") as made:
+    with Recorder(tmp_path / "run.rrd", "none", {"seed": 3}, application=RIG) as made:
         assert merged.exists() == (trouble != "little room")
         if trouble == "cannot be flushed":
-            assert made._file is not None
-            assert made._file._merged_stream is not None
-            monkeypatch.setattr(made._file._merged_stream, "flush", failing)
-        made.start_rig(rig.STREAMS, rig.START_NS)
+            assert made._outputs.file is not None
+            assert made._outputs.file._merged_stream is not None
+            monkeypatch.setattr(made._outputs.file._merged_stream, "flush", failing)
+        made.start(RigLayout(rig.STREAMS), rig.START_NS)
         for batch in rig.batches(items):
             made.write(batch)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["run.rrd", "run.rrd.ledger"]
@@ -584,8 +586,8 @@ def test_the_file_never_waits_for_the_viewer(
 ) -> None:
     stuck = threading.Event()
     unregistered, unblocked = list[bool](), list[bool]()
-    monkeypatch.setattr(recorder, "start_viewer", lambda: Viewer(0, 0))
-    monkeypatch.setattr(recorder, "live_stream", lambda *given: unblocked.append(stuck.wait(PATIENCE_S)))
+    monkeypatch.setattr(outputs, "start_viewer", lambda: Viewer(0, 0))
+    monkeypatch.setattr(outputs, "live_stream", lambda *given: unblocked.append(stuck.wait(PATIENCE_S)))
     monkeypatch.setattr(recorder, "LIVE_TIMEOUT_S", 0.3)
     monkeypatch.setattr(recorder, "leave_streams_alone", lambda: unregistered.append(True))
     path = tmp_path / "run.rrd"

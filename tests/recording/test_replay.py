@@ -15,6 +15,7 @@ from deformscope.errors import InputError
 from deformscope.files.sources import open_source
 from deformscope.frames import ColorFrame, InputFile
 from deformscope.images import encode_png
+from deformscope.log.application import PAIR
 from deformscope.recording.items import read_estimates
 from deformscope.recording.ledger import ledger_path, write_ledger
 from deformscope.recording.reader import Replay
@@ -87,18 +88,18 @@ def test_settings_and_mask(tmp_path: Path) -> None:
 
 def test_pairs_in_their_order(tmp_path: Path) -> None:
     files = [np.random.default_rng(index).bytes(5000 + index) for index in range(12)]
-    with Recorder(tmp_path / "run.rrd", "none", {}, layout="pair") as made:
+    with Recorder(tmp_path / "run.rrd", "none", {}, application=PAIR) as made:
         for index, content in enumerate(files):
             made.write(InputFile(f"pair/{index}", content))
     assert Replay(tmp_path / "run.rrd").read_pair_bytes() == files
-    with Recorder(tmp_path / "one.rrd", "none", {}, layout="pair") as made:
+    with Recorder(tmp_path / "one.rrd", "none", {}, application=PAIR) as made:
         made.write(InputFile("pair", files[0]))
     assert Replay(tmp_path / "one.rrd").read_pair_bytes() == files[:1]
 
 
 def test_results(tmp_path: Path) -> None:
     verdicts = ["weak", "identified", "at-bound"]
-    with Recorder(tmp_path / "run.rrd", "none", {}, layout="pair") as made:
+    with Recorder(tmp_path / "run.rrd", "none", {}, application=PAIR) as made:
         for index, verdict in enumerate(verdicts):
             made.write(Step((synthetic.pair_in_plane(), synthetic.estimate(verdict, "m")), frame=index))
     results = read_estimates(Replay(tmp_path / "run.rrd"))

@@ -23,6 +23,8 @@ from deformscope.frames import (
     WrenchFrame,
     host_ns,
 )
+from deformscope.log.rig_layout import RIG as RIG_APPLICATION
+from deformscope.log.rig_layout import RigLayout
 from deformscope.recording.recorder import Recorder
 from deformscope.rig.decoded import compare_with_bytes
 from deformscope.rig.driver_table import DRIVERS
@@ -165,8 +167,10 @@ def test_replay_of_a_rigs_recording(recorded: Recorded, tmp_path: Path, capfd: p
     arm = Stream("arm", "arm", "jaco")
     place = of(items, TactileFrame, "pads")
     for name, given in (("r", items), ("x", [*items[:place], next_up("counts")(items[place]), *items[place + 1 :]])):
-        with Recorder(tmp_path / f"{name}.rrd", "none", {"rig": RIG, "rig_name": "rig"}, layout="rig") as made:
-            made.start_rig([*streams, arm], start_ns)
+        with Recorder(
+            tmp_path / f"{name}.rrd", "none", {"rig": RIG, "rig_name": "rig"}, application=RIG_APPLICATION
+        ) as made:
+            made.start(RigLayout((*streams, arm)), start_ns)
             made.write(given)
     assert main(["replay", str(tmp_path / "r.rrd"), "--json", "-"]) == 0
     out = capfd.readouterr()

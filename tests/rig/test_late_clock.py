@@ -9,7 +9,8 @@ import pytest
 from deformscope.cli import main
 from deformscope.errors import InputError
 from deformscope.frames import RawBytes, TactileFrame, WrenchFrame
-from deformscope.recording.items import read_items, read_rows
+from deformscope.recording.item_rows import read_rows
+from deformscope.recording.items import read_items
 from deformscope.recording.reader import Replay
 from deformscope.rig.rig_file import parse_rig
 from deformscope.rows import OF_DEVICES

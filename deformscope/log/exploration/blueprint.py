@@ -9,8 +9,8 @@ import rerun.blueprint as rrb
 
 from deformscope.frames import Stream
 from deformscope.log.exploration.dent import DENT
+from deformscope.log.exploration.display import FORCE, GAIN, HEIGHT, LUMPS, LUMPS_SUMMARY, MAPS, MISSED, SECTION
 from deformscope.log.exploration.scene import SCENE, SURFACE_FRAME
-from deformscope.log.exploration.shown import FORCE, GAIN, HEIGHT, LUMPS, LUMPS_SUMMARY, MAPS, MISSED, SECTION
 from deformscope.log.exploration.summary import SUMMARY
 from deformscope.log.rig.blueprint import FLOOR, LEGEND, blueprint_of, depth_view, named
 from deformscope.log.rig.columns import root
@@ -20,12 +20,12 @@ from deformscope.rows import ENTITIES
 from deformscope.stages.map.exploration import PhaseStart
 
 PAPER = [255, 255, 255]
-BESIDE_REGIONS = "display/beside/regions"
-BESIDE_TOUCHES: dict[Literal["stiffness", "beta"], str] = {
+COMPARED_REGIONS = "display/beside/regions"
+COMPARED_TOUCHES: dict[Literal["stiffness", "beta"], str] = {
     "stiffness": "display/beside/stiffness",
     "beta": "display/beside/beta",
 }
-"""What other settings give beside what was recorded (`deformscope.log.exploration.beside`)."""
+"""What other settings give beside what was recorded (`deformscope.log.exploration.compare`)."""
 TITLES = {
     "stiffness": "{} field",
     "stiffness_deviation": "{} field: deviation",
@@ -43,7 +43,7 @@ def exploration_blueprint(
     truth: bool = True,
     lumps: bool = False,
     tabs: bool = False,
-    beside: str = "",
+    compared: str = "",
     mapped: str = "stiffness",
 ) -> rrb.Blueprint:
     """The views of an exploration with these devices.
@@ -51,7 +51,7 @@ def exploration_blueprint(
     size_m: of the surface along x and y; truth: whether it is known: else the surface's height stands in its place
     lumps: whether lumps are sought: they stand in the place of beta
     tabs: most views behind others, for a page, which has panels at both sides and may have to draw without a GPU
-    beside: other settings, whose results are shown beside the recorded ones (`tabs` alone); mapped: by what regions are
+    compared: other settings, whose results are shown with the recorded ones (`tabs` alone); mapped: by what regions are
     told apart
     """
     titles = {name: title.format(mapped.capitalize()) for name, title in TITLES.items()}
@@ -65,16 +65,16 @@ def exploration_blueprint(
     if tabs:
         fields = rrb.Tabs(maps["stiffness"], maps["stiffness_deviation"], maps["beta"], maps["beta_deviation"])
         regions, touches = [maps["regions"], truly], [force]
-        if beside:
-            regions.insert(0, _picture(BESIDE_REGIONS, f"Regions: recorded, {beside}"))
+        if compared:
+            regions.insert(0, _picture(COMPARED_REGIONS, f"Regions: recorded, {compared}"))
             touches[:0] = [
-                _picture(path, f"{name.capitalize()}: recorded, {beside}") for name, path in BESIDE_TOUCHES.items()
+                _picture(path, f"{name.capitalize()}: recorded, {compared}") for name, path in COMPARED_TOUCHES.items()
             ]
         known = rrb.Vertical(rrb.Tabs(*regions), fields, rrb.Tabs(gain, summary))
         at_touch = rrb.Tabs(*touches, _picture(SECTION, "The dent in section"), *_looks(streams), *_over_time(streams))
         robot = rrb.Vertical(_scene(streams, size_m), at_touch, row_shares=[4, 3])
         views = rrb.Horizontal(robot, known, column_shares=[5, 4])
-        return blueprint_of(views, play="paused" if beside else "following")
+        return blueprint_of(views, play="paused" if compared else "following")
     known = rrb.Vertical(
         rrb.Horizontal(maps["stiffness"], maps["stiffness_deviation"], gain),
         rrb.Horizontal(maps["beta"], maps["beta_deviation"], force),

@@ -7,7 +7,7 @@ from scipy.spatial import cKDTree
 
 from deformscope.arrays import FloatArray
 from deformscope.log.canvas import TEXT, sides_of
-from deformscope.log.exploration.moment import ResultBatch
+from deformscope.log.result_batch import ResultBatch
 from deformscope.pictures.palette import OBSERVED, SIMULATED, Rgb, round_down
 from deformscope.stages.map.exploration import TouchEstimate
 from deformscope.stages.see.cloud import reduce_to_grid

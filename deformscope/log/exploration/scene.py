@@ -12,7 +12,7 @@ import rerun as rr
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.frames import Stream
 from deformscope.log.canvas import TEXT
-from deformscope.log.exploration.moment import ResultBatch
+from deformscope.log.result_batch import ResultBatch
 from deformscope.log.rig.arm import shape_of
 from deformscope.log.rig.columns import Sink, root
 from deformscope.pictures.exploration import LOSS, STIFFNESS, loss_range, stiffness_range

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import rerun as rr
 
-from deformscope.log.exploration.moment import ResultBatch
+from deformscope.log.result_batch import ResultBatch
 from deformscope.pictures.words import (
     claim_words,
     counted,

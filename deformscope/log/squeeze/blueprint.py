@@ -39,9 +39,9 @@ def squeeze_blueprint(
 
     around_px: left, top, right, bottom of the depth image that is shown, None = all; named: a model names the content
     """
-    felt = next(stream for stream in streams if stream.device == tactile)
-    said = " (SIMULATED)" if felt.simulated else ""
-    pictures: list[rrb.View] = [tactile_view(felt)]
+    hand = next(stream for stream in streams if stream.device == tactile)
+    simulated = " (SIMULATED)" if hand.simulated else ""
+    pictures: list[rrb.View] = [tactile_view(hand)]
     shares = [1.0]
     if camera:
         contents = [f"+ /{root('depth', camera)}", f"+ /{CONTAINER}/**"]
@@ -49,9 +49,9 @@ def squeeze_blueprint(
         if around_px is not None:
             left, top, right, bottom = around_px
             bounds = rrb.VisualBounds2D(x_range=[left, right], y_range=[top, bottom])
-        name = f"{camera}: depth [m], model before (green), after (red){said}"
+        name = f"{camera}: depth [m], model before (green), after (red){simulated}"
         pictures.append(rrb.Spatial2DView(contents=contents, name=name, visual_bounds=bounds))
-        about = f"depth change: data minus model{said}"
+        about = f"depth change: data minus model{simulated}"
         pictures.append(rrb.Spatial2DView(contents=[f"+ /{CHANGE}"], name=about, background=list(BACKGROUND)))
         shares += [1.1, 0.9]
     hands = [
@@ -67,7 +67,7 @@ def squeeze_blueprint(
         for path, _ in plotted(stream)
     ]
     lanes = rrb.StateTimelineView(contents=[f"+ /{ENTITIES[SqueezePhase]}"], origin="squeeze", name="phases")
-    plots = [plot_view(FORCE, f"force of the fingertips [N]{said}", window_s=WINDOW_S), *hands]
+    plots = [plot_view(FORCE, f"force of the fingertips [N]{simulated}", window_s=WINDOW_S), *hands]
     below: list[rrb.View] = [rrb.TextDocumentView(origin=MEASURED, name="what was measured")]
     if named:
         share = rrb.ScalarAxis(range=(0.0, 1.0), zoom_lock=True)

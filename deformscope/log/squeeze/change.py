@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import rerun as rr
 
-from deformscope.log.exploration.moment import ResultBatch
+from deformscope.log.result_batch import ResultBatch
 from deformscope.pictures.depth_change import depth_change_png
 from deformscope.stages.squeeze.trial import SqueezeFeatures
 

@@ -6,7 +6,7 @@ import numpy as np
 import rerun as rr
 
 from deformscope.log.canvas import TEXT
-from deformscope.log.exploration.moment import ResultBatch
+from deformscope.log.result_batch import ResultBatch
 from deformscope.pictures.palette import BAD, REST, SIMULATED
 from deformscope.stages.squeeze.trial import TrackedContainer
 

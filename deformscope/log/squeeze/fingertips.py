@@ -8,7 +8,7 @@ import numpy as np
 import rerun as rr
 
 from deformscope.frames import Stream
-from deformscope.log.exploration.moment import ResultBatch
+from deformscope.log.result_batch import ResultBatch
 from deformscope.log.rig.columns import root
 from deformscope.log.rig.tactile import Hand
 from deformscope.log.stages.pads import CENTER, MARK_MM

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import rerun as rr
 
-from deformscope.log.exploration.moment import ResultBatch
+from deformscope.log.result_batch import ResultBatch
 from deformscope.log.rig.columns import Sink
 from deformscope.pictures.palette import BAD, Rgb
 from deformscope.rows import ENTITIES

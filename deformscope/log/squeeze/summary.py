@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import rerun as rr
 
-from deformscope.log.exploration.moment import ResultBatch
+from deformscope.log.result_batch import ResultBatch
 from deformscope.stages.squeeze.events import SqueezeEvents
 from deformscope.stages.squeeze.physical import PHYSICAL
 from deformscope.stages.squeeze.trial import SqueezeFeatures

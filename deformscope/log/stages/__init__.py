@@ -18,18 +18,18 @@ import rerun as rr
 
 from deformscope.frames import StageResult, Stream
 from deformscope.log.rig.columns import Batch, log_series, moments, recorded, root, scalars
+from deformscope.log.stages.group import StageGroup
 from deformscope.log.stages.over_image import log_flow_arrows, log_moments
 from deformscope.log.stages.pads import log_pads, log_pads_stream
-from deformscope.log.stages.views import PLOTS, WORDS, stage_blueprint
-from deformscope.log.stages.words import summary
+from deformscope.log.stages.summary import summary
+from deformscope.log.stages.views import PLOTS, WORDS
+from deformscope.log.views import Views, views_of
 from deformscope.pictures.exploration import force_png, height_png
 from deformscope.pictures.palette import JOINTS
 from deformscope.stages.fit.moment import MomentFit
-from deformscope.stages.map.exploration import SurfaceEstimate, TouchEstimate
+from deformscope.stages.map.exploration import StageFailure, SurfaceEstimate, TouchEstimate
 from deformscope.stages.see.arrows import FlowArrows
 from deformscope.stages.see.tactile import TactileContact
-
-__all__ = ["log_stage_streams", "prepare_stage_results", "stage_blueprint"]
 
 
 def log_stage_streams(rec: rr.RecordingStream, stages: Sequence[tuple[str, str]], streams: Sequence[Stream]) -> None:
@@ -66,16 +66,9 @@ def prepare_stage_results(
         late_ms = [np.array([one.late_s * 1e3]) for one in group]
         batch.send_columns(f"{PLOTS}/lag/{stage}", times, scalars(late_ms))
         drawn = group[-1:] if newest_pictures else group
-        if kind is FlowArrows:
-            log_flow_arrows(batch, device, drawn, start_ns)
-        elif kind is MomentFit:
-            log_moments(batch, device, group, drawn, start_ns)
-        elif kind is TactileContact:
-            log_pads(batch, known["tactile", device], group, drawn, start_ns)
-        elif kind is SurfaceEstimate:
-            _log_pictures(batch, "surface", drawn, [height_png(one.result) for one in drawn], start_ns)
-        elif kind is TouchEstimate:
-            _log_pictures(batch, "contact", drawn, [force_png(one.result, "Approach") for one in drawn], start_ns)
+        some = StageGroup(known.get(("tactile", device)), device, group, drawn, start_ns)
+        for view in views_of(kind, STAGE_VIEWS):
+            view(batch, some)
     _log_tables(batch, results, start_ns, {} if latest is None else latest, newest_alone=newest_pictures)
     return batch
 
@@ -95,11 +88,29 @@ def _log_tables(
         batch.send_columns(WORDS, moments([one.host_ns for one in ordered[kept]], start_ns), columns)
 
 
-def _log_pictures(
-    batch: Batch, stage: str, results: Sequence[StageResult], pngs: Sequence[bytes], start_ns: int
-) -> None:
+def _log_surfaces(batch: Batch, group: StageGroup) -> None:
+    _log_pictures(batch, "surface", group, [height_png(one.result) for one in group.drawn])
+
+
+def _log_contacts(batch: Batch, group: StageGroup) -> None:
+    _log_pictures(batch, "contact", group, [force_png(one.result, "Approach") for one in group.drawn])
+
+
+def _log_pictures(batch: Batch, stage: str, group: StageGroup, pngs: Sequence[bytes]) -> None:
     columns = rr.EncodedImage.columns(blob=pngs, media_type=["image/png"] * len(pngs))
-    batch.send_columns(f"display/stage/{stage}", moments([one.host_ns for one in results], start_ns), columns)
+    times = moments([one.host_ns for one in group.drawn], group.start_ns)
+    batch.send_columns(f"display/stage/{stage}", times, columns)
+
+
+STAGE_VIEWS: Views[Batch] = {
+    FlowArrows: (log_flow_arrows,),
+    MomentFit: (log_moments,),
+    TactileContact: (log_pads,),
+    SurfaceEstimate: (_log_surfaces,),
+    TouchEstimate: (_log_contacts,),
+    StageFailure: (),
+}
+"""What shows the results of each type, those of one device together (`StageGroup`); a failure stands in the table."""
 
 
 def _by_kind(results: Sequence[StageResult]) -> dict[tuple[str, str, type], list[StageResult]]:

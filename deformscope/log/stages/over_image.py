@@ -8,8 +8,8 @@ import numpy as np
 import rerun as rr
 
 from deformscope.arrays import FloatArray
-from deformscope.frames import StageResult
 from deformscope.log.rig.columns import Batch, moments, root, scalars
+from deformscope.log.stages.group import StageGroup
 from deformscope.log.stages.views import PLOTS
 from deformscope.pictures.palette import HELD, LOST, OBSERVED, SIMULATED, colors, round_up
 from deformscope.stages.fit.moment import MomentFit
@@ -22,8 +22,8 @@ LONGEST_STEPS = 2.0
 STRETCHES = (1.0, 2.0, 5.0, 10.0, 20.0)
 
 
-def log_flow_arrows(batch: Batch, device: str, results: Sequence[StageResult], start_ns: int) -> None:
-    for one in results:
+def log_flow_arrows(batch: Batch, group: StageGroup) -> None:
+    for one in group.drawn:
         flow: FlowArrows = one.result
         length = np.nan_to_num(np.hypot(flow.flow_px[:, 0], flow.flow_px[:, 1]))
         moving = length >= STILL_PX
@@ -31,28 +31,26 @@ def log_flow_arrows(batch: Batch, device: str, results: Sequence[StageResult], s
         step = float(np.diff(np.unique(flow.at_px[:, 0])).min(initial=np.inf))
         times = max((k for k in STRETCHES if k * longest <= LONGEST_STEPS * step), default=1.0)
         tints = colors(length[moving] / round_up(longest))
-        path = root("display/stage/flow", device)
-        when = moments([one.host_ns], start_ns)
+        path = root("display/stage/flow", group.device)
+        when = moments([one.host_ns], group.start_ns)
         vectors = flow.flow_px[moving] * times
         arrows = rr.Arrows2D(origins=flow.at_px[moving], vectors=vectors, colors=tints, radii=1.0, draw_order=40.0)
         batch.show(f"{path}/arrows", when, arrows)
         first = one.used[0].first
         words = f"from frame {first} to {one.used[-1].last}: up to {longest:.2g} px, arrows {times:g} times as long"
-        _say(batch, f"{path}/words", _above(flow.at_px, step), words, when)
+        _label(batch, f"{path}/words", _above(flow.at_px, step), words, when)
 
 
-def log_moments(
-    batch: Batch, device: str, results: Sequence[StageResult], drawn: Sequence[StageResult], start_ns: int
-) -> None:
-    """results: of a fit, plotted; drawn: those whose particles are marked"""
+def log_moments(batch: Batch, group: StageGroup) -> None:
     values = []
-    for one in results:
+    for one in group.results:
         fit: MomentFit = one.result
         values.append(np.array([fit.interval[0], fit.value, fit.interval[1]]))
-    batch.send_columns(f"{PLOTS}/beta", moments([one.host_ns for one in results], start_ns), scalars(values))
-    for one in drawn:
+    times = moments([one.host_ns for one in group.results], group.start_ns)
+    batch.send_columns(f"{PLOTS}/beta", times, scalars(values))
+    for one in group.drawn:
         fit = one.result
-        path, when = root("display/stage/beta", device), moments([one.host_ns], start_ns)
+        path, when = root("display/stage/beta", group.device), moments([one.host_ns], group.start_ns)
         spacing = _spacing(fit.rest_px)
         known = fit.seen & np.isfinite(fit.simulated_px).all(axis=1)
         lines = np.stack([fit.rest_px[fit.seen], fit.observed_px[fit.seen]], axis=1)
@@ -68,7 +66,7 @@ def log_moments(
             marks = rr.Points2D(points, colors=color, radii=share * spacing, draw_order=order)
             batch.show(f"{path}/{name}", when, marks)
         value = "" if np.isnan(fit.value) else f"beta = {fit.value:.3g}: "
-        _say(batch, f"{path}/words", _above(fit.rest_px, spacing), value + fit.verdict_text, when)
+        _label(batch, f"{path}/words", _above(fit.rest_px, spacing), value + fit.verdict_text, when)
 
 
 def _above(points: FloatArray, spacing: float) -> FloatArray:
@@ -77,7 +75,7 @@ def _above(points: FloatArray, spacing: float) -> FloatArray:
     return np.array([0.5 * (low[0] + high[0]), low[1] - 0.8 * spacing])
 
 
-def _say(batch: Batch, path: str, place: FloatArray, words: str, when: Sequence[rr.TimeColumn]) -> None:
+def _label(batch: Batch, path: str, place: FloatArray, words: str, when: Sequence[rr.TimeColumn]) -> None:
     batch.show(path, when, rr.Points2D([place], radii=0.1, labels=[words], show_labels=True, draw_order=60.0))
 
 

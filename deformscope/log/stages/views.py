@@ -26,20 +26,20 @@ def stage_blueprint(stages: Sequence[tuple[str, str]], streams: Sequence[Stream]
     plots: list[rrb.View] = []
     for name, device in stages:
         stream = next(one for one in streams if one.device == device)
-        said = " (SIMULATED)" if stream.simulated else ""
+        simulated = " (SIMULATED)" if stream.simulated else ""
         if name == "tactile":
             pictures.append(tactile_view(stream))
-            plots.append(plot_view(f"{PLOTS}/force/{device}", f"{device}: force [N]{said}"))
-            plots.append(plot_view(f"{PLOTS}/area/{device}", f"{device}: contact area [cm2]{said}"))
+            plots.append(plot_view(f"{PLOTS}/force/{device}", f"{device}: force [N]{simulated}"))
+            plots.append(plot_view(f"{PLOTS}/area/{device}", f"{device}: contact area [cm2]{simulated}"))
             continue
-        title = TITLES[name].format(device) + said
+        title = TITLES[name].format(device) + simulated
         if name in ("flow", "beta"):
             contents = [f"+ /{root('color', device)}", f"+ /{root(f'display/stage/{name}', device)}/**"]
             pictures.append(rrb.Spatial2DView(contents=contents, name=title))
         else:
             pictures.append(rrb.Spatial2DView(contents=[f"+ /display/stage/{name}"], name=title))
         if name == "beta":
-            plots.append(plot_view(f"{PLOTS}/beta", f"beta and its 90 % interval{said}"))
+            plots.append(plot_view(f"{PLOTS}/beta", f"beta and its 90 % interval{simulated}"))
     plots.append(plot_view(f"{PLOTS}/lag", "results behind their frame [ms]", below=True))
     words = rrb.TextDocumentView(contents=[f"+ /{WORDS}"], origin=WORDS, name="Stages")
     shown = rrb.Vertical(

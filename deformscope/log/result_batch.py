@@ -1,4 +1,4 @@
-"""One moment of an exploration, at which results are logged."""
+"""Results of one moment, made ready for rerun."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import rerun as rr
 
 from deformscope.log.rig.columns import Batch, moments, recorded
 from deformscope.pictures.apart import drawn
-from deformscope.rows import ENTITIES, Result, SqueezeResult
+from deformscope.rows import ENTITIES
 
 P = ParamSpec("P")
 
@@ -30,7 +30,7 @@ class ResultBatch:
         """What holds throughout, known only now."""
         self._batch.log(path, entity, static=True)
 
-    def record(self, result: Result | SqueezeResult) -> None:
+    def record(self, result: object) -> None:
         """Every field of a result, without loss."""
         self._batch.send_columns(ENTITIES[type(result)], self._times, recorded([result]))
 

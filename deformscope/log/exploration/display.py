@@ -5,7 +5,7 @@ from __future__ import annotations
 import rerun as rr
 
 from deformscope.arrays import FloatArray
-from deformscope.log.exploration.moment import ResultBatch
+from deformscope.log.result_batch import ResultBatch
 from deformscope.log.rig.columns import Sink, states
 from deformscope.pictures import exploration as pictures
 from deformscope.pictures.palette import BAD, Rgb

@@ -12,9 +12,9 @@ import numpy as np
 import rerun as rr
 
 from deformscope.frames import Stream
-from deformscope.log.exploration.blueprint import BESIDE_REGIONS, BESIDE_TOUCHES, exploration_blueprint
-from deformscope.log.exploration.moment import ResultBatch
+from deformscope.log.exploration.blueprint import COMPARED_REGIONS, COMPARED_TOUCHES, exploration_blueprint
 from deformscope.log.exploration.scene import LINE_M, SCENE
+from deformscope.log.result_batch import ResultBatch
 from deformscope.log.rig.columns import Batch
 from deformscope.pictures import exploration as pictures
 from deformscope.pictures.words import verdict_words
@@ -26,7 +26,7 @@ WIDTHS_M = 3 * LINE_M, LINE_M
 """Both are seen where they are the same."""
 
 
-def layer_beside(
+def comparison_rrd(
     identity: tuple[str, str],
     streams: Sequence[Stream],
     size_m: tuple[float, float],
@@ -43,7 +43,7 @@ def layer_beside(
     encoded = rr.binary_stream(rec)
     truth = any(isinstance(one, MapEstimate) and one.truth_labels is not None for _, one in recorded)
     mapped = next((one.mapped for _, one in recorded if isinstance(one, MapEstimate)), "stiffness")
-    views = exploration_blueprint(streams, size_m, truth=truth, tabs=True, beside=name, mapped=mapped)
+    views = exploration_blueprint(streams, size_m, truth=truth, tabs=True, compared=name, mapped=mapped)
     rec.send_blueprint(views)
     _batch_of(recorded, again, name).send(rec)
     return encoded.read() or b""
@@ -55,17 +55,17 @@ def _batch_of(recorded: Sequence[tuple[int, object]], again: Sequence[object], n
     others = [one for one in again if isinstance(one, TouchEstimate)]
     maps = {one.touches: one for one in again if isinstance(one, MapEstimate)}
     surface = next((one for _, one in recorded if isinstance(one, SurfaceEstimate)), None)
-    for path in (BESIDE_REGIONS, *BESIDE_TOUCHES.values()):
+    for path in (COMPARED_REGIONS, *COMPARED_TOUCHES.values()):
         ResultBatch(batch, 0).show_png(path, pictures.words_png, "no touch yet")
     for session_ns, result in recorded:
         now = ResultBatch(batch, session_ns)
         if isinstance(result, TouchEstimate):
             before.append(result)
             now_known = [one for one in others if one.number <= result.number]
-            for quantity, path in BESIDE_TOUCHES.items():
+            for quantity, path in COMPARED_TOUCHES.items():
                 now.show_png(path, pictures.touches_beside_png, quantity, before, now_known, name)
         elif isinstance(result, MapEstimate) and (other := maps.get(result.touches)) is not None:
-            now.show_png(BESIDE_REGIONS, pictures.regions_beside_png, result, other, name)
+            now.show_png(COMPARED_REGIONS, pictures.regions_beside_png, result, other, name)
             _log_edges(now, (result, other), name, surface)
     return batch
 

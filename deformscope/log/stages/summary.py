@@ -19,12 +19,12 @@ def summary(latest: Sequence[StageResult]) -> str:
     lines = ["| stage | newest result | of frame | skipped before it | lag |", "| --- | --- | --- | --- | --- |"]
     for one in latest:
         used = one.used[-1]
-        cells = (one.stage, in_words(one.result), f"{used.device} {used.last}", str(one.skipped))
+        cells = (one.stage, format_result(one.result), f"{used.device} {used.last}", str(one.skipped))
         lines.append(f"| {' | '.join(cell.replace('|', '/') for cell in cells)} | **{one.late_s * 1e3:.0f} ms** |")
     return "\n".join(lines)
 
 
-def in_words(result: object) -> str:
+def format_result(result: object) -> str:
     """One result in a line."""
     match result:
         case StageFailure():

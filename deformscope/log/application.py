@@ -1,0 +1,37 @@
+"""What a recording is of, as far as it decides something before devices are opened."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import Literal
+
+PictureLayout = Literal["images", "flow", "pair", "pair-3d"]
+"""A calibrated sequence of images; optical flow alone; pairs of particle sets in the plane; in space."""
+
+
+@dataclass(frozen=True, slots=True)
+class Application:
+    """rerun's application: a viewer keeps one set of views for each.
+
+    name: rerun's id of it; over_picture: which views results over a picture get as soon as the picture is known, None =
+    the views come with what they show
+    devices: whether devices are recorded; robot_moves: whether a robot moves meanwhile, whose run says on a page what
+    goes on, and without whose results a recording is not worth keeping
+    """
+
+    name: str
+    over_picture: PictureLayout | None = None
+    devices: bool = False
+    robot_moves: bool = False
+
+    def variant(self, name: str) -> Application:
+        """The same with views of its own; without a name the same."""
+        return dataclasses.replace(self, name=f"{self.name}-{name}") if name else self
+
+
+IMAGES = Application("deformscope", "images")
+FLOW = Application("deformscope-flow", "flow")
+PAIR = Application("deformscope-pair", "pair")
+PAIR_3D = Application("deformscope-pair-3d", "pair-3d")
+FINDINGS = Application("deformscope-findings")

@@ -1,0 +1,60 @@
+"""What an exploration brings to its recorder."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
+
+from deformscope.arrays import FloatArray
+from deformscope.log.application import Application
+from deformscope.log.layout import RecordingLayout
+from deformscope.stages.map.exploration import PlannedTouch
+
+if TYPE_CHECKING:
+    import rerun as rr
+
+    from deformscope.log.rig.columns import Batch, Place
+    from deformscope.stages.map.exploration import StageFailure
+
+EXPLORATION = Application("deformscope-exploration", devices=True, robot_moves=True)
+
+
+@dataclass(frozen=True, slots=True)
+class ExplorationLayout(RecordingLayout):
+    """size_m: of the surface along x and y; base_from_surface: (4, 4), takes positions from the surface frame to the
+    arm's base frame [m], None = the same
+
+    truth: whether it is known; lumps: whether they are sought; mapped: as of `MapEstimate`
+    """
+
+    size_m: tuple[float, float]
+    base_from_surface: FloatArray | None
+    truth: bool
+    lumps: bool = False
+    mapped: str = "stiffness"
+
+    by_touch: ClassVar[bool] = True
+
+    def blueprint(self, *, on_page: bool = False) -> rr.blueprint.Blueprint:
+        from deformscope.log.exploration.blueprint import exploration_blueprint
+
+        return exploration_blueprint(
+            self.streams, self.size_m, truth=self.truth, lumps=self.lumps, tabs=on_page, mapped=self.mapped
+        )
+
+    def log_start(self, rec: rr.RecordingStream) -> None:
+        from deformscope.log.exploration.results import log_exploration_start
+
+        log_exploration_start(rec, self.streams, self.base_from_surface)
+
+    def touch_after(self, results: Sequence[object], touch: int) -> int:
+        """What devices give from the plan of a touch on belongs to that touch."""
+        return touch + any(isinstance(one, PlannedTouch) and one.target_m is not None for one in results)
+
+    def prepare(
+        self, results: Sequence[object], session_ns: int, place: Place, cell_m: float, failed: list[StageFailure]
+    ) -> Batch:
+        from deformscope.log.exploration.results import prepare_results
+
+        return prepare_results(results, session_ns, place, cell_m=cell_m, failed=failed)

@@ -1,0 +1,162 @@
+"""How an exploration is recorded and shown: every result without loss, and beside it what a person looks at.
+
+Every row is at `session`, the time since the recording's start; at `frame`, the depth camera's newest picture then; and
+at `touch`: 0 before the first touch, then the number of the touch that it belongs to, from 1, the way there among it.
+What a touch measured is at the frame of its dent. `deformscope.recording.items` reads the results back.
+
+    exploration/surface|touch|maps|lumps|plan   one row a result, every field of it a component of the same name
+    exploration/forecast|decision         likewise: what a person asked for on the page, and decided
+    exploration/input/...                 which frames they are computed from, or measurements where there are none
+    exploration/phase                     likewise, and the state that a timeline shows
+    exploration/failed|stopped            likewise, and why as a line of text
+    display/scene/...                     the surface in space, the contacts, the next touch; the arm stands in it
+    display/dent/...                      close up: observed points and simulated particles around the last touch
+    display/maps/...                      pictures of the maps with their axes and colour bars
+    display/plan/gain                     why the next touch goes where it goes
+    display/touch/force|section           force over depth; the dent's height over the distance from the contact
+    display/summary                       what is known, in words
+    display/lumps/map|missed|summary      where lumps are sought: which were found, what may be missed, in words
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+
+import numpy as np
+import rerun as rr
+
+from deformscope.arrays import FloatArray
+from deformscope.frames import Stream
+from deformscope.log.exploration.dent import log_dent, log_no_dent
+from deformscope.log.exploration.display import (
+    log_curves,
+    log_failed,
+    log_gain,
+    log_height,
+    log_lumps,
+    log_maps,
+    log_nothing_known,
+    log_phase,
+    log_phase_colors,
+    log_stopped,
+)
+from deformscope.log.exploration.scene import (
+    log_base,
+    log_contact,
+    log_forecast,
+    log_stiffness,
+    log_surface,
+    log_target,
+)
+from deformscope.log.exploration.summary import log_no_summary, log_summary
+from deformscope.log.result_batch import ResultBatch
+from deformscope.log.rig.columns import Batch, Place
+from deformscope.log.rig.numbers import plotted
+from deformscope.log.views import Views, views_of
+from deformscope.stages.map.exploration import (
+    DISPLAY,
+    ExplorationStop,
+    LumpsFound,
+    MapEstimate,
+    PhaseStart,
+    PlannedTouch,
+    StageFailure,
+    SteeringDecision,
+    SurfaceEstimate,
+    TouchEstimate,
+    TouchForecast,
+)
+from deformscope.stages.map.measured import LookFrames, SurfaceMeasurement, TouchFrames, TouchMeasurement
+
+PEAKS = rr.components.AggregationPolicy.MinMax
+
+CELL_M = 0.005
+"""Of maps that do not say it themselves."""
+
+
+def log_exploration_start(
+    rec: rr.RecordingStream, streams: Sequence[Stream], base_from_surface: FloatArray | None = None
+) -> None:
+    """What holds throughout: the phases' colours, and where each arm's base stands in the surface frame; and, at the
+    start, that nothing is known yet.
+
+    base_from_surface: (4, 4), takes positions from the surface frame to the arm's base frame [m]; None = the same
+    """
+    log_phase_colors(rec)
+    for stream in streams:
+        if stream.kind == "wrench":
+            for path, _ in plotted(stream):  # averages of a whole touch would hide its peak
+                rec.log(path, rr.SeriesLines.from_fields(aggregation_policy=PEAKS), static=True)
+        if stream.kind == "arm" and stream.urdf is not None:
+            log_base(rec, stream, np.eye(4) if base_from_surface is None else base_from_surface)
+    batch = Batch(Place(0, np.zeros(0, np.int64)))
+    start = ResultBatch(batch, 0)
+    log_nothing_known(start)
+    log_no_dent(start)
+    log_no_summary(start)
+    batch.send(rec)
+
+
+def prepare_results(
+    results: Sequence[object],
+    session_ns: int,
+    place: Place,
+    *,
+    cell_m: float = CELL_M,
+    failed: list[StageFailure] | None = None,
+) -> Batch:
+    """Make results ready for one stream or several, pictures drawn: some 0.1 s a picture, six of them for the maps.
+
+    session_ns: when, since the recording's start [ns]; place: on the other timelines; cell_m: of a plan's maps, where
+    no map beside it says
+    failed: takes what could not be shown: every result is recorded all the same, and that with them
+    A plan that comes with maps is drawn over their contacts. Raises TypeError for what is no result of an exploration.
+    """
+    batch = Batch(place)
+    now = ResultBatch(batch, session_ns)
+    maps = next((result for result in results if isinstance(result, MapEstimate)), None)
+    views = exploration_views(place.touch, maps, cell_m)
+    for result in results:
+        shown = views_of(type(result), views)
+        now.record(result)
+        for view in shown:
+            try:
+                view(now, result)
+            except Exception as error:  # a picture that cannot be drawn must not end what is drawn
+                found = StageFailure.of(DISPLAY, place.touch, error)
+                now.record(found)
+                log_failed(now, found)
+                if failed is not None:
+                    failed.append(found)
+    return batch
+
+
+def exploration_views(touch: int, maps: MapEstimate | None, cell_m: float) -> Views[ResultBatch]:
+    """What shows each result of a touch. maps: of the same moment; cell_m: of a plan's maps where there are none"""
+    gain = partial(log_gain, cell_m=cell_m, contacts_m=None)
+    if maps is not None:
+        gain = partial(log_gain, cell_m=maps.cell_m, contacts_m=maps.contacts_m)
+    return {
+        SurfaceEstimate: (partial(log_surface, colored=touch == 0), log_height),
+        TouchEstimate: (log_contact, log_dent, log_curves, _log_no_forecast),
+        MapEstimate: (log_stiffness, log_maps, log_summary),
+        LumpsFound: (log_lumps,),
+        PlannedTouch: (log_target, gain),
+        TouchForecast: (log_forecast,),
+        SteeringDecision: (_log_decision,),
+        PhaseStart: (log_phase,),
+        StageFailure: (log_failed,),
+        ExplorationStop: (log_stopped,),
+        **dict.fromkeys((LookFrames, TouchFrames, SurfaceMeasurement, TouchMeasurement), ()),
+    }
+
+
+def _log_no_forecast(now: ResultBatch, result: object) -> None:
+    """Nothing is asked for any more."""
+    log_forecast(now, None)
+
+
+def _log_decision(now: ResultBatch, decision: SteeringDecision) -> None:
+    if decision.kind in ("veto", "held"):
+        log_forecast(now, None)

@@ -1,0 +1,51 @@
+"""What an experiment with devices brings to its recorder: the views that a viewer opens with, and those of results."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
+
+from deformscope.frames import Stream
+
+if TYPE_CHECKING:
+    import rerun as rr
+
+    from deformscope.log.rig.columns import Batch, Place
+    from deformscope.stages.map.exploration import StageFailure
+
+
+@dataclass(frozen=True, slots=True)
+class RecordingLayout(ABC):
+    """How a session with devices is recorded and shown. To make one does not import rerun.
+
+    streams: of the devices
+    by_touch: whether what devices give stands on the timelines of an exploration (`deformscope.log.rig.Place`)
+    """
+
+    streams: tuple[Stream, ...]
+
+    by_touch: ClassVar[bool] = False
+
+    @abstractmethod
+    def blueprint(self, *, on_page: bool = False) -> rr.blueprint.Blueprint:
+        """The views. on_page: those of a page"""
+
+    @abstractmethod
+    def log_start(self, rec: rr.RecordingStream) -> None:
+        """Log what holds throughout, beside what is known of the devices."""
+
+    def touch_after(self, results: Sequence[object], touch: int) -> int:
+        """The touch that what devices give next belongs to, after these results at a moment of this touch."""
+        return touch
+
+    @abstractmethod
+    def prepare(
+        self, results: Sequence[object], session_ns: int, place: Place, cell_m: float, failed: list[StageFailure]
+    ) -> Batch:
+        """Make results ready, those of one moment.
+
+        session_ns: when, since the recording's start [ns]; place: on the timelines of an exploration
+        cell_m: of maps that do not say it themselves [m]; failed: takes what could not be shown
+        """

@@ -1,0 +1,90 @@
+"""Results over a picture: of images, of pairs of particle sets, and what studies find."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from functools import partial
+
+import numpy as np
+import rerun as rr
+
+from deformscope.arrays import FloatArray
+from deformscope.log.canvas import Canvas
+from deformscope.log.estimate import log_comparison, log_estimate
+from deformscope.log.findings import RigFindings, log_evidence, log_findings, log_numbers, log_rig_findings
+from deformscope.log.flow import log_flow
+from deformscope.log.particles import log_grid, log_tracked
+from deformscope.log.views import Views, views_of
+from deformscope.pictures.close_up import close_up
+from deformscope.pictures.findings import Findings
+from deformscope.stages.fit.estimate import Comparison, Estimate
+from deformscope.stages.materials.axis_estimate import AxisEstimate
+from deformscope.stages.materials.field_estimate import FieldEstimate
+from deformscope.stages.materials.recovery_estimate import RecoveryEstimate
+from deformscope.stages.materials.yield_estimate import YieldEstimate
+from deformscope.stages.see.flow import FlowField
+from deformscope.stages.see.particles import ParticleGrid, Tracked
+from deformscope.stages.see.triangulation import spacing_of
+
+
+def log_over_picture(rec: rr.RecordingStream, shown: Sequence[tuple[object, Canvas]]) -> None:
+    """Log results at the stream's present time, each drawn for its canvas."""
+    for result, canvas in shown:
+        for view in views_of(type(result), picture_views(canvas)):
+            view(rec, result)
+
+
+def picture_views(canvas: Canvas) -> Views[rr.RecordingStream]:
+    """What shows each result on this canvas."""
+    numbers = (partial(log_numbers, canvas=canvas),)
+    findings = (log_findings,) if canvas == Canvas() else (partial(log_evidence, canvas=canvas),)
+    return {
+        FlowField: (partial(log_flow, canvas=canvas),),
+        ParticleGrid: (partial(log_grid, canvas=canvas),),
+        Tracked: (partial(log_tracked, canvas=canvas),),
+        Comparison: (partial(log_comparison, canvas=canvas),),
+        Estimate: (partial(log_estimate, canvas=canvas),),
+        Findings: findings,
+        RigFindings: (log_rig_findings,),
+        **dict.fromkeys((AxisEstimate, FieldEstimate, YieldEstimate, RecoveryEstimate), numbers),
+    }
+
+
+def canvas_after(result: object, canvas: Canvas) -> Canvas:
+    """The canvas after this result: some say where the particles are, and how far apart."""
+    match result:
+        case ParticleGrid():
+            return dataclasses.replace(canvas.around(result.rest_px), spacing=spacing_of(result.rest_px))
+        case Tracked():
+            return canvas.around(result.position_px[result.seen])
+        case Comparison():
+            return _around_pair(result, canvas)
+        case _:
+            return canvas
+
+
+def _around_pair(result: Comparison, canvas: Canvas) -> Canvas:
+    """A pair brings its own picture: in the plane with y upwards, in space the part where something moved."""
+    if canvas.image:
+        return canvas if canvas.spacing else dataclasses.replace(canvas, spacing=spacing_of(result.rest))
+    spacing = spacing_of(result.rest)
+    if result.rest.shape[1] == 2:
+        upwards = np.array([1.0, -1.0])
+        every = np.concatenate([result.rest, result.observed[result.seen], result.simulated]) * upwards
+        return dataclasses.replace(Canvas().around(every), spacing=spacing, origin=(0.0, 0.0), scale=(1.0, -1.0))
+    shown = close_up(result)
+    if not shown.surface:
+        return Canvas(low=_tuple(shown.low), high=_tuple(shown.high), spacing=spacing)
+    origin, scale = shown.middle, np.array([1.0, 1.0, shown.heights])
+    return Canvas(
+        low=_tuple((shown.low - origin) * scale),
+        high=_tuple((shown.high - origin) * scale),
+        spacing=spacing,
+        origin=_tuple(origin),
+        scale=_tuple(scale),
+    )
+
+
+def _tuple(values: FloatArray) -> tuple[float, ...]:
+    return tuple(float(value) for value in values)

@@ -1,0 +1,80 @@
+"""How a squeeze is recorded and shown: its devices as those of any rig, and every result without loss beside what a
+person looks at.
+
+    squeeze/phase|stopped|events|features   one row a result, every field of it a component of the same name
+    squeeze/fingertips|container|content    likewise, at the time of the frame that it is of
+    display/tactile/DEVICE/contact          centre of pressure and principal axis, on the picture of the hand (fig. 2.4)
+    display/squeeze/force|content           force of each fingertip [N], probability of each content, over time
+    display/squeeze/container               the tracked model's edges over the depth image, before and after (fig. 2.8)
+    display/squeeze/change                  the depth change around the fingertip, data minus model (fig. 2.6)
+    display/squeeze/measured|named          what was measured, and what the content is taken for, in words
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+
+import rerun as rr
+
+from deformscope.log.result_batch import ResultBatch
+from deformscope.log.rig.columns import Batch, log_series
+from deformscope.log.squeeze.change import log_change
+from deformscope.log.squeeze.container import log_container
+from deformscope.log.squeeze.content import log_content, log_not_named
+from deformscope.log.squeeze.fingertips import FORCE, Fingertips, log_fingertips
+from deformscope.log.squeeze.phases import log_squeeze_phase, log_squeeze_phases, log_squeeze_stop
+from deformscope.log.squeeze.summary import log_measured, log_not_measured
+from deformscope.log.views import Views, views_of
+from deformscope.pictures.palette import JOINTS
+from deformscope.stages.squeeze.events import SqueezeEvents
+from deformscope.stages.squeeze.trial import (
+    ContentPosterior,
+    FingertipPressure,
+    SqueezeFeatures,
+    SqueezePhase,
+    SqueezeStop,
+    TrackedContainer,
+)
+
+
+def log_squeeze_start(rec: rr.RecordingStream, fingertips: Fingertips | None) -> None:
+    """What holds throughout: colours of the phases, names of the plots; and that nothing is known yet."""
+    log_squeeze_phases(rec)
+    if fingertips is not None:
+        names = [f"{fingertips.stream.pads[place].name} [N]" for place in fingertips.pads]
+        log_series(rec, FORCE, names, [JOINTS[at % len(JOINTS)] for at in range(len(names))])
+    batch = Batch()
+    for nothing in (log_not_measured, log_not_named):
+        nothing(ResultBatch(batch, 0))
+    batch.send(rec)
+
+
+def prepare_squeeze_results(results: Sequence[object], session_ns: int, fingertips: Fingertips | None) -> Batch:
+    """Make results ready for one stream or several. session_ns: when, since the recording's start [ns]
+
+    Raises TypeError for what is no result of a squeeze.
+    """
+    batch = Batch()
+    now = ResultBatch(batch, session_ns)
+    views = squeeze_views(fingertips)
+    for result in results:
+        shown = views_of(type(result), views)
+        now.record(result)
+        for view in shown:
+            view(now, result)
+    log_measured(now, results)
+    return batch
+
+
+def squeeze_views(fingertips: Fingertips | None) -> Views[ResultBatch]:
+    """What shows each result; events stand in the table of `log_measured`."""
+    return {
+        SqueezePhase: (log_squeeze_phase,),
+        SqueezeStop: (log_squeeze_stop,),
+        FingertipPressure: () if fingertips is None else (partial(log_fingertips, fingertips=fingertips),),
+        TrackedContainer: (log_container,),
+        SqueezeFeatures: (log_change,),
+        ContentPosterior: (log_content,),
+        SqueezeEvents: (),
+    }

@@ -1,0 +1,89 @@
+"""Where a recording goes: its file, a live view, both or neither."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from typing import TYPE_CHECKING, Protocol
+
+from deformscope.frames import InputFile, Item
+from deformscope.recording.live import LiveFeed, live_stream, page_stream, start_viewer
+from deformscope.session import Step
+
+if TYPE_CHECKING:
+    import rerun as rr
+
+    from deformscope.log.live_stream import LiveStream
+    from deformscope.log.rig import Batch
+    from deformscope.page.server import PageServer
+    from deformscope.recording.rrd_file import RecordingFile
+
+
+class Outputs:
+    """The file and the live view of a recording, as far as there are any; written to by the writer's thread."""
+
+    def __init__(self) -> None:
+        self.file: RecordingFile | None = None
+        self.feed: LiveFeed[LiveStream] | None = None
+
+    def log(self, job: Callable[[rr.RecordingStream], None], size: int = 0) -> None:
+        """To the file, and to the live view when it comes to it. size: bytes that the job keeps alive"""
+        if self.file is not None:
+            self.file.log(job)
+        self.show(lambda live: job(live.rec), size, lasting=True)
+
+    def send(self, batch: Batch, size: int) -> None:
+        """The same of what is ready; in the live view what is in one of its views."""
+        self.keep(batch)
+        self.show(lambda live: live.send(batch, lasting=True), size, lasting=True)
+
+    def keep(self, batch: Batch) -> None:
+        """To the file alone."""
+        if self.file is not None:
+            self.file.send(batch)
+
+    def show(self, job: Callable[[LiveStream], None], size: int, *, lasting: bool = False) -> None:
+        """To the live view alone. lasting: dropped last where the viewer cannot follow"""
+        if self.feed is not None:
+            self.feed.put(job, size, lasting=lasting)
+
+    def lay_out(self, views: rr.blueprint.Blueprint, shown: rr.blueprint.Blueprint) -> None:
+        """The views of the file, and those of the window or page."""
+        if self.file is not None:
+            self.file.log(lambda rec: rec.send_blueprint(views))
+        self.show(lambda live: live.rec.send_blueprint(shown), 0, lasting=True)
+
+
+class Encoder(Protocol):
+    """Makes what is recorded ready for rerun, in the writer's thread, and hands it to the outputs."""
+
+    def write_items(self, items: Sequence[Item], size: int) -> None:
+        """Of devices, files or cameras."""
+
+    def write_step(self, step: Step, size: int) -> None:
+        """Its results."""
+
+    def write_input(self, given: InputFile) -> None:
+        """To the file alone: no view shows it."""
+
+    def write_overdue(self) -> None:
+        """What has been gathered for long enough."""
+
+    def write_rest(self) -> None:
+        """What is left of it, in the end."""
+
+
+def open_window(application: str, recording_id: str, properties: Mapping[str, object]) -> LiveFeed[LiveStream]:
+    """Start rerun's window; what feeds it."""
+    viewer = start_viewer()
+    print(viewer.where, file=sys.stderr, flush=True)
+    return LiveFeed(partial(live_stream, application, recording_id, viewer, properties))
+
+
+def page_feed(
+    page: PageServer, application: str, recording_id: str, properties: Mapping[str, object]
+) -> LiveFeed[LiveStream]:
+    """What feeds a page."""
+    connect = partial(page_stream, application, recording_id, page.pieces, properties)
+    return LiveFeed(connect, period_s=lambda: page.pieces.period_s)
