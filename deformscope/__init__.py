@@ -18,7 +18,8 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from deformscope.api.calibration import CalibrationResult, calibrate_beta, calibrate_theta
     from deformscope.api.classification import ClassificationResult, classify, load_classifier
-    from deformscope.api.exploration import ExplorationResult, explore
+    from deformscope.api.exploration import explore
+    from deformscope.api.exploration_result import ExplorationResult
     from deformscope.api.prediction import PredictionResult, predict
     from deformscope.api.recordings import OpenRecording, RecordResult, open_recording, record
     from deformscope.api.squeezing import OpenDataset, SqueezeResult, open_dataset, squeeze
@@ -31,7 +32,8 @@ __version__ = "0.1.0"
 _NAMES = {
     "api.calibration": ("CalibrationResult", "calibrate_beta", "calibrate_theta"),
     "api.classification": ("ClassificationResult", "classify", "load_classifier"),
-    "api.exploration": ("ExplorationResult", "explore"),
+    "api.exploration": ("explore",),
+    "api.exploration_result": ("ExplorationResult",),
     "api.prediction": ("PredictionResult", "predict"),
     "api.recordings": ("OpenRecording", "RecordResult", "open_recording", "record"),
     "api.squeezing": ("OpenDataset", "SqueezeResult", "open_dataset", "squeeze"),
