@@ -28,7 +28,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "plain": (),
     "processes": (),
     # What is reported of a result, declared where its dataclass is.
-    "results": (),
+    "results": ("plain",),
     "capsule": ("arrays",),
     "solid": ("arrays",),
     "images": ("arrays", "errors"),

@@ -32,12 +32,15 @@ _places = count()
 class Quantity:
     """How one quantity is reported.
 
-    label: in words, as in a row of a table; key: in JSON, empty = as it is named here, None = not there
+    label: in words, as in a row of a table; key: in JSON, empty = as it is named here, None = not there,
+    GROUP.KEY = in an object GROUP
     unit: in which JSON has it, listed among the units there; empty = its key says it, or it has none
     digits: format of the shown number; scale, shown_unit: it is shown as `scale` times its value, in `shown_unit`
     interval: field or property with the two ends; words: from the whole result to what is shown in place of a number
     json: from the value to what JSON has; json_scale: JSON has the value times this
     length: it is in the result's `unit` with `metres_per_unit`: JSON has KEY_m and KEY_px, None where not known
+    per_length: it is a force per such a unit: JSON has it per metre, None where not known
+    missing: what is shown of one that is None
     optional: JSON lacks the key where the value is None; flat: it has what is in the value instead
     line: in a line that has all that matters, with "{}" for the value; caption: below the title of a picture
     name: of the field or property; place: rises in the order of declaration
@@ -54,6 +57,8 @@ class Quantity:
     json: Callable[[Any], Any] | None = None
     json_scale: float | None = None
     length: bool = False
+    per_length: bool = False
+    missing: str = ""
     optional: bool = False
     flat: bool = False
     line: str = ""
@@ -85,7 +90,7 @@ def _as_decorator(make: Callable[P, Quantity]) -> Callable[P, Callable[[Function
 reported = _as_metadata(Quantity)
 """The metadata of a field that is reported; arguments as `Quantity` has them."""
 derived = _as_decorator(Quantity)
-"""Stands below `@property` of what is reported though it is no field; arguments as `Quantity` has them."""
+"""Stands on a method, or below `@property`, that is reported as a field is; arguments as `Quantity` has them."""
 
 
 def quantities(kind: type) -> tuple[Quantity, ...]:
@@ -97,8 +102,7 @@ def quantities(kind: type) -> tuple[Quantity, ...]:
 def _quantities(kind: Any) -> tuple[Quantity, ...]:
     found = [(one.name, one.metadata.get(_QUANTITY)) for one in dataclasses.fields(kind)]
     for name, member in vars(kind).items():
-        if isinstance(member, property):
-            found.append((name, getattr(member.fget, _QUANTITY, None)))
+        found.append((name, getattr(getattr(member, "fget", member), _QUANTITY, None)))
     named = [
         dataclasses.replace(one, name=name, key=name if one.key == "" else one.key)
         for name, one in found

@@ -4,27 +4,60 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterable, Mapping
-from typing import Any, Literal
+from typing import Any, Literal, cast
 
+from deformscope.plain import plain
 from deformscope.results.declared import Quantity, quantities
 
 Rows = list[tuple[str, str]]
 
 
+class ReportedResult:
+    """A dataclass whose JSON is what it declares. A class variable `parameter` names what was fitted."""
+
+    __slots__ = ()
+
+    def as_json(self) -> dict[str, Any]:
+        """The public form."""
+        return to_json(self)
+
+
 def to_json(result: Any) -> dict[str, Any]:
-    """What of a result goes into JSON, by key; arrays may stand in it."""
-    found: dict[str, Any] = {}
+    """What of a result goes into JSON, by key, made of what JSON has."""
+    return cast("dict[str, Any]", plain(_by_key(result)))
+
+
+def _by_key(result: Any) -> dict[str, Any]:
+    fitted = getattr(type(result), "parameter", None)
+    found: dict[str, Any] = {"parameter": fitted} if isinstance(fitted, str) else {}
     for one in quantities(type(result)):
-        value = getattr(result, one.name)
-        if one.key is None or (one.optional and value is None):
+        value = _value(result, one)
+        if one.key is None or (value is None and (one.optional or one.flat)):
             continue
+        *group, key = one.key.split(".")
+        inside = found.setdefault(group[0], {}) if group else found
         if one.length:
-            found |= lengths(one.key, value, result.unit, result.metres_per_unit)
+            inside |= lengths(key, value, result.unit, result.metres_per_unit)
         elif one.flat:
-            found |= to_json(value)
+            inside |= cast("dict[str, Any]", plain(_nested(value)))
+        elif one.per_length:
+            metres = 1.0 if result.unit == "m" else result.metres_per_unit
+            inside[key] = None if metres is None else _times(value, 1.0 / metres)
         else:
-            found[one.key] = _json(one, value)
+            inside[key] = _json(one, value)
     return found
+
+
+def _times(value: Any, scale: float) -> Any:
+    """A number, an array, or a value with its interval."""
+    if value is None or not hasattr(value, "interval"):
+        return None if value is None else scale * value
+    return {"value": scale * value.value, "interval": [scale * end for end in value.interval]}
+
+
+def _value(result: Any, one: Quantity) -> Any:
+    value = getattr(result, one.name)
+    return value() if callable(value) else value
 
 
 def units_of(kinds: Iterable[type]) -> dict[str, str]:
@@ -55,7 +88,7 @@ def _json(one: Quantity, value: Any) -> Any:
 def _nested(value: Any) -> Any:
     """Results inside a result are rendered as they declare; what declares nothing stays."""
     if dataclasses.is_dataclass(value) and quantities(type(value)):
-        return to_json(value)
+        return _by_key(value)
     if isinstance(value, tuple | list):
         return [_nested(one) for one in value]
     if isinstance(value, Mapping):
@@ -68,9 +101,10 @@ def to_words(result: Any, name: str) -> str:
     return _words(result, next(one for one in quantities(type(result)) if one.name == name))
 
 
-def to_rows(result: Any) -> Rows:
-    """The quantities that have a label and are known, as names and values."""
-    shown = [(one.label, _words(result, one)) for one in quantities(type(result)) if one.label]
+def to_rows(result: Any, *names: str) -> Rows:
+    """Quantities by their labels, each with what is shown of it; those that are not known are left out."""
+    declared = {one.name: one for one in quantities(type(result))}
+    shown = [(declared[name].label, _words(result, declared[name])) for name in names]
     return [row for row in shown if row[1]]
 
 
@@ -81,20 +115,29 @@ def to_line(result: Any, kind: Literal["line", "caption"] = "line") -> str:
     return ", ".join(form.format(words) for form, words in known)
 
 
+def length_scale(unit: str, metres_per_unit: float | None) -> tuple[float, str]:
+    """What a length is multiplied by to be shown, and in which unit that is."""
+    if unit == "m":
+        return 1e3, "mm"
+    return (1.0, "px") if metres_per_unit is None else (1e3 * metres_per_unit, "mm")
+
+
 def _words(result: Any, one: Quantity) -> str:
-    value = getattr(result, one.name)
+    value = _value(result, one)
     if one.words is not None:
         return one.words(result)
     if value is None:
-        return ""
+        return one.missing
     if isinstance(value, str):
         return value
-    between = ""
-    if one.interval and (ends := getattr(result, one.interval)) is not None:
-        between = " ({} to {})".format(*(_number(one, end) for end in ends))
-    unit = f" {one.shown_unit}" if one.shown_unit else ""
-    return f"{_number(one, value)}{unit}{between}"
-
-
-def _number(one: Quantity, value: float) -> str:
-    return f"{one.scale * value:{one.digits}}"
+    scale, unit = one.scale, one.shown_unit
+    if one.length or one.per_length:
+        scale, unit = length_scale(result.unit, result.metres_per_unit)
+    if one.per_length:
+        scale, unit = 1.0 / scale, f"N/{unit}"
+    ends = getattr(result, one.interval) if one.interval else getattr(value, "interval", None)
+    number, *around = (
+        f"{scale * each:{one.digits}}" for each in (getattr(value, "value", value), *(() if ends is None else ends))
+    )
+    between = " ({} to {})".format(*around) if around else ""
+    return f"{number}{unit and f' {unit}'}{between}"
