@@ -9,15 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from deformscope.api.result import LibraryResult, Rows
+from deformscope.api.result import LibraryResult
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.experiments.options import SHALLOW_M
-from deformscope.pictures.exploration import result_png
 from deformscope.pictures.report import Figure, Table
 from deformscope.pictures.words import claim_words, counted, ended_words, failed_words, travel_words
 from deformscope.recording.losses import named
 from deformscope.results.declared import derived, quantities, reported
-from deformscope.results.render import to_json, to_words, units_of
+from deformscope.results.render import Rows, to_json, to_words, units_of
 from deformscope.stages.map.exploration import (
     LumpMissed,
     LumpsFound,
@@ -165,6 +164,8 @@ class ExplorationResult(LibraryResult):
     @property
     def png(self) -> bytes:
         """The maps drawn, empty without a map."""
+        from deformscope.pictures.exploration import result_png
+
         return b"" if self.estimate is None else result_png(self.estimate, self.scenario, self.lumps)
 
     @property

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from deformscope.api.calibration_report import provenance_sections
+from deformscope.api.calibration_report import provenance_sections, settings_section
 from deformscope.experiments.material_motion import MaterialEstimate, MaterialFound
-from deformscope.pictures.findings import cell_text
 from deformscope.pictures.material_figures import axes_png, field_png, recovery_png, yield_png
 from deformscope.pictures.report import Figure, ReportVerdict, Section, Table, html_report
 from deformscope.pictures.words import reason_rows
-from deformscope.plain import plain
 from deformscope.results.render import Rows, to_rows, to_words
+from deformscope.stages.fit.estimate import Doubt
 from deformscope.stages.materials.axis_estimate import ACROSS_VIEW, AxisEstimate
 from deformscope.stages.materials.field_estimate import FieldEstimate
 from deformscope.stages.materials.recovery_estimate import RecoveryEstimate
@@ -50,13 +50,10 @@ def material_page(result: MaterialResult) -> str:
     """All that was found, with the picture, settings and provenance, as one HTML page."""
     (table,) = result.tables()
     verdict = next(str(row[1]) for row in table.rows if row[0] in ("verdict", "anisotropy"))
-    settings = [
-        (name, cell_text(plain(value))) for name, value in result.estimate.settings.items() if value is not None
-    ]
     sections = [
         Section("", [ReportVerdict(verdict, ())]),
         Section("Numbers and evidence", [table, *result.figures()]),
-        Section("Settings", [Table(settings, caption="Of the fit")]),
+        settings_section(result.estimate.settings),
         *provenance_sections(seed=result.seed, settings=result.settings),
     ]
     return html_report(table.caption, sections)
@@ -86,6 +83,11 @@ def _axes_rows(found: AxisEstimate) -> Rows:
     ]
 
 
+def _lowered(reasons: Sequence[Doubt]) -> str:
+    """Why nothing is known; empty where nothing says so."""
+    return next((one.text for one in reasons if one.allows == "unidentified"), "")
+
+
 def _axis(found: AxisEstimate, k: int) -> str:
     return "(" + ", ".join(f"{x:.2g}" for x in found.axes[:, k]) + ")"
 
@@ -94,12 +96,11 @@ def _yield_rows(found: YieldEstimate) -> Rows:
     low, high = found.yield_strain.interval
     strain = f"{found.yield_strain.value:.4g} ({low:.4g} to {high:.4g})" if high is not None else f"above {low:.4g}"
     unsure = "nothing that yielded is sure" if high is None else "it yielded, but where it began is not known"
-    lowered = next((one.text for one in found.reasons if one.allows == "unidentified"), unsure)
     meaning = {
         "identified": "the motion determines it well",
         "weak": "the motion determines it roughly",
         "at-bound": "it yields as early as can be seen",
-        "unidentified": lowered,
+        "unidentified": _lowered(found.reasons) or unsure,
     }
     return [
         ("yield strain", strain),
@@ -134,7 +135,6 @@ def _field_rows(found: FieldEstimate) -> Rows:
         "gradual": "it changes from place to place, by no few materials",
         "unidentified": "how stiff most places are against the others is not known",
     }[found.verdict]
-    lowered = next((one.text for one in found.reasons if one.allows == "unidentified"), meaning)
     metres = 1.0 if found.unit == "m" else found.metres_per_unit
     absolute = "positions alone tell stiffness against each other only: give a force (--force-n)"
     if found.absolute is not None and metres is None:
@@ -147,7 +147,7 @@ def _field_rows(found: FieldEstimate) -> Rows:
         )
     rows = [
         *to_rows(found, "ratio"),
-        ("verdict", f"{found.verdict}: {lowered}"),
+        ("verdict", f"{found.verdict}: {_lowered(found.reasons) or meaning}"),
         *reason_rows(found.reasons),
         *to_rows(found, "determined"),
     ]
@@ -177,13 +177,12 @@ def _recovery_rows(found: RecoveryEstimate) -> Rows:
         "viscoplastic": "a part of the push recovers with time, and a part is kept",
         "unidentified": "whether it relaxes, or keeps a set, is not known",
     }[found.verdict]
-    lowered = next((one.text for one in found.reasons if one.allows == "unidentified"), meaning)
     relaxes = found.verdict not in ("elastic", "plastic")
     return [
         *to_rows(found, "share"),
         *(to_rows(found, "time_s") if relaxes else [("mean relaxation time", "nothing that relaxes is sure")]),
         ("permanent set", f"{to_words(found, 'set')} of the push"),
-        ("verdict", f"{found.verdict}: {lowered}"),
+        ("verdict", f"{found.verdict}: {_lowered(found.reasons) or meaning}"),
         *reason_rows(found.reasons),
         *to_rows(found, "instant", "relaxed", "largest"),
         ("held, then watched", f"{found.held_s:.3g} s, {found.watched_s:.3g} s after frame {found.released}"),

@@ -9,12 +9,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from deformscope.api.result import LibraryResult, Rows, ViewerChoice, python_names
+from deformscope.api.result import LibraryResult, ViewerChoice, python_names
 from deformscope.api.squeeze_run import hand_words, leave, squeeze_on
 from deformscope.arrays import FloatArray
 from deformscope.config import OutputOptions, SqueezeConfig
 from deformscope.files.squeeze_dataset import SqueezeDataset, TrialEntry
 from deformscope.pictures.report import Figure, Table
+from deformscope.results.render import Rows
 from deformscope.stages.squeeze.table import LabelledTable
 from deformscope.terminal import Say, said_to
 

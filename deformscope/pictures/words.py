@@ -103,6 +103,7 @@ def _choice_row(one: Choice) -> tuple[str, str]:
 def estimate_rows(estimate: Estimate) -> list[tuple[str, str]]:
     """An estimate as names and values."""
     low, high = estimate.interval
+    found = estimate.settings
     rows = [
         (estimate.parameter, f"{estimate.value:.4g}"),
         (f"{estimate.level:.0%} interval", f"{low:.4g} to {high:.4g}"),
@@ -111,25 +112,24 @@ def estimate_rows(estimate: Estimate) -> list[tuple[str, str]]:
         ("stiffness", estimate.stiffness_text()),
         ("error, all particles", length_words(estimate, estimate.aee)),
         ("error, free particles", length_words(estimate, estimate.aee_free)),
-        ("noise of a position", length_words(estimate, estimate.settings.get("noise"))),
-        ("converged", "yes" if estimate.converged else "NO: do not rely on the value"),
+        ("noise of a position", length_words(estimate, found.get("noise"))),
     ]
     if estimate.explained is not None:
-        rows.insert(-1, ("explained", explained_text(estimate.explained)))
-    if not estimate.settings.get("pose_held", True):
-        rows.insert(-1, ("pose", "the held particles leave the body free to turn: hold more for a value to rely on"))
-    if lost := estimate.settings.get("lost"):
-        every = int(str(estimate.settings["particles"]))
+        rows.append(("explained", explained_text(estimate.explained)))
+    if not found.get("pose_held", True):
+        rows.append(("pose", "the held particles leave the body free to turn: hold more for a value to rely on"))
+    if lost := found.get("lost"):
+        every = int(str(found["particles"]))
         many = "; so many that the tracking may have failed: look at the picture" if int(str(lost)) * 3 > every else ""
-        rows.insert(-1, ("lost particles", f"{lost} of {every}: left out of the fit{many}"))
-    if moved := estimate.settings.get("held_moved"):
+        rows.append(("lost particles", f"{lost} of {every}: left out of the fit{many}"))
+    if moved := found.get("held_moved"):
         parts = ", ".join(moved) if isinstance(moved, list) else str(moved)
-        rows.insert(-1, ("held elsewhere", f"{parts}: lost there; the outermost row or column still seen is held"))
-    if estimate.settings.get("whole_motion"):
-        rows.insert(-1, ("frames fitted", _frames_text(estimate)))
+        rows.append(("held elsewhere", f"{parts}: lost there; the outermost row or column still seen is held"))
+    if found.get("whole_motion"):
+        rows.append(("frames fitted", _frames_text(estimate)))
     if estimate.selection_text:
-        rows.insert(-1, ("chosen", estimate.selection_text))
-    return rows
+        rows.append(("chosen", estimate.selection_text))
+    return [*rows, ("converged", "yes" if estimate.converged else "NO: do not rely on the value")]
 
 
 def reason_rows(reasons: Sequence[Doubt], besides: str = "") -> list[tuple[str, str]]:

@@ -62,11 +62,8 @@ def _value(result: Any, one: Quantity) -> Any:
 
 def units_of(kinds: Iterable[type]) -> dict[str, str]:
     """The units of the JSON of these, by key."""
-    return {str(one.key): one.unit for one in sorted(_of(kinds), key=lambda one: str(one.key)) if one.unit}
-
-
-def _of(kinds: Iterable[type]) -> list[Quantity]:
-    return [one for kind in kinds for one in quantities(kind)]
+    every = [one for kind in kinds for one in quantities(kind) if one.unit]
+    return {str(one.key): one.unit for one in sorted(every, key=lambda one: str(one.key))}
 
 
 def lengths(name: str, value: Any, unit: str, metres_per_unit: float | None) -> dict[str, Any]:
