@@ -101,7 +101,8 @@ def quantities(kind: type) -> tuple[Quantity, ...]:
 @cache
 def _quantities(kind: Any) -> tuple[Quantity, ...]:
     found = [(one.name, one.metadata.get(_QUANTITY)) for one in dataclasses.fields(kind)]
-    for name, member in vars(kind).items():
+    members = {name: member for each in reversed(kind.__mro__) for name, member in vars(each).items()}
+    for name, member in members.items():
         found.append((name, getattr(getattr(member, "fget", member), _QUANTITY, None)))
     named = [
         dataclasses.replace(one, name=name, key=name if one.key == "" else one.key)

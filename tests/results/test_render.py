@@ -88,3 +88,12 @@ def test_a_force_per_length_follows_the_scale() -> None:
 
 def test_what_is_not_declared_is_not_reported() -> None:
     assert [one.name for one in quantities(Inner)] == ["radius_m"]
+
+
+def test_what_inherits_reports_what_its_base_does() -> None:
+    @dataclass(frozen=True, slots=True, kw_only=True)
+    class More(Shown):
+        rate: float = field(default=1.0, metadata=reported())
+
+    names = [one.name for one in quantities(Shown)]
+    assert [one.name for one in quantities(More)] == [*names, "rate"]
