@@ -18,7 +18,8 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from deformscope.api.calibration import CalibrationResult, calibrate_beta, calibrate_theta
     from deformscope.api.classification import ClassificationResult, classify, load_classifier
-    from deformscope.api.exploration import ExplorationResult, explore
+    from deformscope.api.exploration import explore
+    from deformscope.api.exploration_result import ExplorationResult
     from deformscope.api.prediction import PredictionResult, predict
     from deformscope.api.recordings import OpenRecording, RecordResult, open_recording
     from deformscope.api.rig_run import record
@@ -32,7 +33,8 @@ if TYPE_CHECKING:
 _NAMES = {
     "api.calibration": ("CalibrationResult", "calibrate_beta", "calibrate_theta"),
     "api.classification": ("ClassificationResult", "classify", "load_classifier"),
-    "api.exploration": ("ExplorationResult", "explore"),
+    "api.exploration": ("explore",),
+    "api.exploration_result": ("ExplorationResult",),
     "api.prediction": ("PredictionResult", "predict"),
     "api.recordings": ("OpenRecording", "RecordResult", "open_recording"),
     "api.rig_run": ("record",),

@@ -34,6 +34,8 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "plain": (),
     "processes": (),
     "version": (),
+    # What is reported of a result, declared where its dataclass is.
+    "results": ("plain",),
     "capsule": ("arrays",),
     "solid": ("arrays",),
     "images": ("arrays", "errors"),
@@ -41,14 +43,16 @@ LAYERS: dict[str, tuple[str, ...]] = {
     # Stages are pure: arrays in, frozen results out.
     "stages.msm": ("arrays", "errors"),
     "stages.see": ("arrays", "capsule", "errors", "solid"),
-    "stages.fit": ("arrays", "errors", "stages.msm"),
+    "stages.fit": ("arrays", "errors", "results", "stages.msm"),
     "stages.regions": ("arrays", "errors"),
-    "stages.poke": ("arrays", "errors", "stages.msm", "stages.fit", "stages.regions"),
-    "stages.materials": ("arrays", "errors", "stages.msm", "stages.fit"),
-    "stages.map": ("arrays", "errors", "stages.msm", "stages.see", "stages.fit", "stages.regions", "stages.poke"),
+    "stages.poke": ("arrays", "errors", "results", "stages.msm", "stages.fit", "stages.regions"),
+    "stages.materials": ("arrays", "errors", "results", "stages.msm", "stages.fit"),
+    "stages.map": (
+        *("arrays", "errors", "results", "stages.msm", "stages.see", "stages.fit", "stages.regions", "stages.poke"),
+    ),
     "stages.squeeze": ("arrays", "capsule", "errors", "processes", "stages.see"),
     "stages.setup": ("arrays", "errors"),
-    "pictures": ("arrays", "errors", "images", "plain", "processes", *STAGES),
+    "pictures": ("arrays", "errors", "images", "plain", "processes", "results", *STAGES),
     "log": ("arrays", "frames", "images", "pictures", "plain", "rows", *STAGES),
     "rig": ("errors", "frames"),
     "robot": ("arrays", "capsule", "errors", "rig", "solid"),
@@ -75,7 +79,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
     # What the commands compute, with doubles from the laboratory where they are asked for.
     "api": (
         *("arrays", "config", "errors", "experiments", "file_io", "files", "frames", "images", "lab", "log"),
-        *("page", "pictures", "plain", "processes", "recording", "rig", "robot", "session", "terminal"),
+        *("page", "pictures", "plain", "processes", "recording", "results", "rig", "robot", "session", "terminal"),
         *("version", *STAGES),
     ),
 }

@@ -55,11 +55,17 @@ def calibration_sections(
         sections.append(Section("Left out", [f"Pictures of {missing} more, which would make this page too large."]))
     if pokes is not None:
         sections.append(Section("Pokes", list(poke_tables(pokes))))
-    fitted = [
-        (name, cell_text(plain(value))) for name, value in results[0].estimate.settings.items() if value is not None
+    return [
+        *sections,
+        settings_section(results[0].estimate.settings),
+        *provenance_sections(seed=seed, settings=settings),
     ]
-    sections.append(Section("Settings", [Table(fitted, caption="Of the fit")]))
-    return [*sections, *provenance_sections(seed=seed, settings=settings)]
+
+
+def settings_section(settings: Mapping[str, object]) -> Section:
+    """What a fit was made with."""
+    rows = [(name, cell_text(plain(value))) for name, value in settings.items() if value is not None]
+    return Section("Settings", [Table(rows, caption="Of the fit")])
 
 
 def provenance_sections(*, seed: int, settings: Mapping[str, object]) -> list[Section]:

@@ -11,12 +11,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from deformscope.api.exploration_result import NOT_KNOWN, ExplorationResult, LayerThickness, TouchOutcome, TruthScore
 from deformscope.api.moving import Watch, leave, permitted
 from deformscope.api.result import open_recorder
 from deformscope.api.rigs import until_interrupted
 from deformscope.api.setups import LAB, setup_of
 from deformscope.errors import InputError
 from deformscope.log.exploration.layout import EXPLORATION, ExplorationLayout
+from deformscope.results.render import to_line
 from deformscope.stages.msm.quiet import quiet_warp
 from deformscope.terminal import say, status_line
 from deformscope.version import __version__
@@ -34,51 +36,13 @@ if TYPE_CHECKING:
     from deformscope.recording.recorder import Recorder
     from deformscope.robot.setup import Setup
     from deformscope.session import RigExperiment, Step
-    from deformscope.stages.map.exploration import LumpsFound, MapEstimate, Missed, TouchEstimate
+    from deformscope.stages.map.exploration import TouchEstimate
 
 
 REGION_TOUCHES, LUMP_TOUCHES = 8, 30
 """At most, unless asked for otherwise."""
 LUMP_FORCE_N = 5.0
 """Lumps are sought with in the laboratory, unless asked for otherwise: pressed harder, a touch feels deeper."""
-MAP_UNITS = {
-    "cell_m": "m",
-    "stiffness_n_per_mm": "N/mm",
-    "stiffness_log_sd": "natural logarithm",
-    "loss": "share of a touch's energy",
-    "loss_log_sd": "natural logarithm",
-    "labels": "region from 0, the softest, or the one that loses least; -1: no regions",
-    "label_probability": "1",
-    "contacts_m": "m, (x, y)",
-    "beta": "1",
-    "beta_sd": "1",
-    "truth_labels": "region from 0",
-}
-"""Of the arrays in a file of maps."""
-JSON_UNITS = {
-    "apparent_stiffness_n_per_mm": "N/mm",
-    "beta": "1",
-    "depth_m": "m",
-    "level_n_per_mm": "N/mm",
-    "levelled_m": "m",
-    "log_stiffness": "natural logarithm of N/mm",
-    "loss": "share of a touch's energy",
-    "max_force_n": "N",
-    "measured_max_force_n": "N",
-    "more_force_n": "N",
-    "modulus_interval_pa": "Pa",
-    "modulus_pa": "Pa",
-    "peak_force_n": "N",
-    "radius_m": "m",
-    "set_force_n": "N",
-    "sd_m": "m",
-    "seconds": "s",
-    "thickness_m": "m",
-    "travel_m": "m",
-    "untouched_at_m": "m",
-    "untouched_m": "m",
-    "xy_m": "m",
-}
 
 
 @dataclass
@@ -102,18 +66,7 @@ class ExplorationEnd:
     losses: dict[str, dict[str, float]] = field(default_factory=dict)
 
 
-@dataclass(frozen=True, slots=True)
-class Explored:
-    """What an exploration found. found: as in the JSON; maps: None where no touch gave one; simulated: the scene;
-    lumps: None where none are sought"""
-
-    found: dict[str, Any]
-    maps: MapEstimate | None
-    simulated: bool
-    lumps: LumpsFound | None = None
-
-
-def explore_on(config: ExploreConfig, report: Callable[[Explored], None]) -> Explored | None:
+def explore_on(config: ExploreConfig, report: Callable[[ExplorationResult], None]) -> ExplorationResult | None:
     """Explore a simulated scene, or with the devices of a rig file; None where it ended before the arm could move.
 
     Whatever ends it, the arm is halted, and what is known is reported before the recording is closed.
@@ -159,7 +112,7 @@ def explore_on(config: ExploreConfig, report: Callable[[Explored], None]) -> Exp
     settings = {"explore": dataclasses.asdict(options), "seed": options.seed, "simulated": setup.simulated}
     settings |= {"setup": SetupGeometry.of(setup).as_json(), **opening.settings}
     found, ending = Exploration(), ExplorationEnd()
-    explored: Explored | None = None
+    explored: ExplorationResult | None = None
     with (
         until_interrupted() as asked,
         open_recorder(config.output, settings, EXPLORATION, real_time=setup.runs_itself) as recorder,
@@ -171,11 +124,10 @@ def explore_on(config: ExploreConfig, report: Callable[[Explored], None]) -> Exp
         if found.stop is not None:
             recorder.stopped_because(f"{found.stop.kind}: {found.stop.reason}")
         if ending.began_s > 0.0 or found.stop is not None:
-            as_json = _found(config, setup, options, found, recorder, ending, to_come)
-            as_json["laboratory"] = opening.settings.get("laboratory")
-            explored = Explored(as_json, found.maps, setup.simulated, found.lumps)
+            laboratory = opening.settings.get("laboratory")
+            explored = _result(config, setup, options, found, recorder, ending, to_come, laboratory)
             report(explored)
-            _say_on_page(recorder, as_json)
+            _say_on_page(recorder, explored)
         if ending.error is not None:
             raise ending.error
     for fault in to_come.waiting if to_come is not None else ():
@@ -295,13 +247,11 @@ def _steering(
     )
 
 
-def _say_on_page(recorder: Recorder, found: dict[str, Any]) -> None:
-    """What came of it, where there is a page, which may outlive the exploration. found: as in the JSON"""
-    from deformscope.api.exploration import exploration_rows
-
+def _say_on_page(recorder: Recorder, explored: ExplorationResult) -> None:
+    """What came of it, where there is a page, which may outlive the exploration."""
     if recorder.page is None:
         return
-    rows = exploration_rows(found)
+    rows = explored.rows()
     for name, words in reversed([row for row in rows if row[0].startswith(("region", "truth"))]):
         recorder.page.desk.remark(f"{name}: {words}")
     known = dict(rows)
@@ -355,13 +305,10 @@ def _remarks(result: object, made: int, budget: int, spent_s: float) -> Iterator
     from deformscope.pictures.words import (
         claim_words,
         creep_words,
-        dent_words,
         ended_words,
         failed_words,
         found_words,
-        interval_words,
         iou_words,
-        stiffness_words,
         verdict_words,
     )
     from deformscope.stages.map.exploration import (
@@ -387,12 +334,7 @@ def _remarks(result: object, made: int, budget: int, spent_s: float) -> Iterator
     elif isinstance(result, SteeringDecision):
         yield f"page: {result.kind} at {_cm(result.xy_m)} cm{': ' * bool(result.reason)}{result.reason}"
     elif isinstance(result, TouchEstimate):
-        between = interval_words(result)
-        yield (
-            f"  measured at {_cm(result.xyz_m[:2])} cm: {stiffness_words(result)}"
-            + (f" ({between})" if between else "")
-            + f", dent {dent_words(result)}"
-        )
+        yield f"  measured at {_cm(result.xyz_m[:2])} cm: {to_line(result)}"
         if result.creep is not None:
             at = "" if result.speed_m_s is None else f", felt at {1e3 * result.speed_m_s:.2g} mm/s"
             yield f"  creep{at}: {creep_words(result.creep)}"
@@ -411,7 +353,7 @@ def _cm(xy_m: Any) -> str:
     return f"({100 * xy_m[0]:.0f}, {100 * xy_m[1]:.0f})"
 
 
-def _found(
+def _result(
     config: ExploreConfig,
     setup: Setup,
     options: ExploreOptions,
@@ -419,8 +361,8 @@ def _found(
     recorder: Recorder,
     ending: ExplorationEnd,
     faults: FaultsToCome | None,
-) -> dict[str, Any]:
-    """The JSON of design 5."""
+    laboratory: dict[str, Any] | None,
+) -> ExplorationResult:
     from deformscope.experiments.measured import SetupGeometry
 
     exploration.failures += recorder.not_shown
@@ -430,129 +372,60 @@ def _found(
     truth = None
     if setup.truth is not None:  # a gradient has no regions, and none to compare with
         labels = setup.truth.labels
-        truth = {
-            "region_count": 0 if labels is None else int(labels.max()) + 1,
-            "iou": None if maps is None else maps.iou,
-            "boundary_m": None if maps is None else maps.boundary_m,
-        }
-    return {
-        "scenario": config.rig,
-        "seed": options.seed,
-        "version": __version__,
-        "units": JSON_UNITS,
-        "set_force_n": options.set_force_n,
-        "more_force_n": SetupGeometry.of(setup).more_force_n(options),
-        "stiffness": options.feel,
-        "thickness": _thickness(exploration, options),
-        "levelled_m": None if maps is None else maps.levelled_m,
-        "verdict": None if maps is None else maps.verdict,
-        "verdict_probability": None if maps is None else maps.claimed,
-        "regions_by": None if maps is None else maps.mapped,
-        "touches": [_touch(exploration, one, ending.start_ns) for one in exploration.touches],
-        "region_count": None if maps is None else maps.region_count,
-        "regions": [
-            {
-                "log_stiffness": float(np.log(maps.level_n_per_mm[region])),
-                "interval": np.log(maps.level_interval_n_per_mm[region]),
-                **_modulus(maps, region),
-                "rigid": bool(maps.level_rigid[region]),
-                "loss": None if maps.level_loss is None else float(maps.level_loss[region]),
-                "loss_interval": None if maps.level_loss_interval is None else maps.level_loss_interval[region],
-            }
-            for region in range(0 if maps is None else maps.region_count)
-            if maps is not None
-        ],
-        "probability": exploration.region_probability,
-        "truth": truth,
-        "travel_m": exploration.travel_m,
-        "max_force_n": setup.max_force_n,
-        "measured_max_force_n": ending.largest_force_n,
-        "seconds": {
+        count = 0 if labels is None else int(labels.max()) + 1
+        truth = TruthScore(count, None if maps is None else maps.iou, None if maps is None else maps.boundary_m)
+    return ExplorationResult(
+        scenario=config.rig,
+        seed=options.seed,
+        version=__version__,
+        set_force_n=options.set_force_n,
+        more_force_n=SetupGeometry.of(setup).more_force_n(options),
+        feel=options.feel,
+        thickness=_thickness(exploration, options),
+        touches=tuple(_touch(exploration, one, ending.start_ns) for one in exploration.touches),
+        probability=exploration.region_probability,
+        truth=truth,
+        travel_m=exploration.travel_m,
+        max_force_n=setup.max_force_n,
+        measured_max_force_n=ending.largest_force_n,
+        seconds={
             "compute": exploration.compute_s,
             "slowest": exploration.slowest_s,
             "session": ending.session_s,
             "wall": time.perf_counter() - ending.began_s if ending.began_s else 0.0,
         },
-        "supervisor_gaps_ms": _gaps_ms(ending.gaps_s),
-        "stop_reason": exploration.stop_reason,
-        "inclusions": None if exploration.lumps is None else _inclusions(exploration.lumps),
-        "missed": _missed(exploration.missed),
-        "arm_stands": ending.arm_stopped,
-        "failures": [{"stage": one.stage, "touch": one.touch, "reason": one.reason} for one in exploration.failures],
-        "losses": ending.losses,
+        supervisor_gaps_ms=_gaps_ms(ending.gaps_s),
+        stop_reason=exploration.stop_reason,
+        lumps=exploration.lumps,
+        missed=exploration.missed,
+        arm_stands=ending.arm_stopped,
+        failures=tuple(exploration.failures),
+        losses=ending.losses,
         # after an error it keeps the name of an unfinished one
-        "recording": config.output.record if ending.error is None else recorder.summary().path,
-        "fault": _fault(exploration, ending, faults),
-    }
+        recording=config.output.record if ending.error is None else recorder.summary().path,
+        fault=_fault(exploration, ending, faults),
+        laboratory=laboratory,
+        estimate=maps,
+        simulated=setup.simulated,
+    )
 
 
-def _inclusions(lumps: LumpsFound) -> dict[str, Any]:
-    from deformscope.pictures.words import lump_rows
-
-    names = ("centre_m", "within_m", "radius_m", "radius_interval_m", "stiff", "probability", "depth")
-    each = zip(lumps.size_m, lumps.missed, strict=True)
-    truth = () if lumps.truth_m is None else lumps.truth_m
-    return {
-        "lumps": [{name: getattr(lumps, name)[number] for name in names} for number in range(len(lumps))],
-        "missed": [{"radius_m": radius, "probability": share} for radius, share in each],
-        "smallest_m": lumps.smallest_m,
-        "missed_smallest": lumps.missed_smallest,
-        "prior": lumps.prior,
-        "contrast": lumps.contrast,
-        "deepest_m": lumps.deepest_m,
-        "shallow_to_m": lumps.deep_m,
-        "scatter": lumps.scatter,
-        "touches": len(lumps.contacts_m),
-        "truth": [{"centre_m": one[:2], "radius_m": one[2], "depth_m": one[3]} for one in truth],
-        "words": lump_rows(lumps),
-    }
-
-
-def _thickness(exploration: Exploration, options: ExploreOptions) -> dict[str, Any]:
-    """Of the layer that stands for the foam, and by what it is known."""
+def _thickness(exploration: Exploration, options: ExploreOptions) -> LayerThickness:
     surface = exploration.surface
     known_m = None if surface is None else surface.layer_m
-    by = "stated" if options.thickness_stated else "not known" if known_m is None else "seen over the table beside it"
-    return {"thickness_m": known_m, "sd_m": None if surface is None else surface.layer_sd_m, "known_by": by}
+    by = "stated" if options.thickness_stated else NOT_KNOWN if known_m is None else "seen over the table beside it"
+    return LayerThickness(known_m, None if surface is None else surface.layer_sd_m, by)
 
 
-def _modulus(maps: MapEstimate, region: int) -> dict[str, Any]:
-    if maps.level_modulus_pa is None or maps.level_modulus_interval_pa is None:
-        return {"modulus_pa": None, "modulus_interval_pa": None}
-    interval = None if maps.level_rigid[region] else maps.level_modulus_interval_pa[region]
-    return {"modulus_pa": float(maps.level_modulus_pa[region]), "modulus_interval_pa": interval}
-
-
-def _missed(missed: Missed | None) -> dict[str, Any] | None:
-    if missed is None:
-        return None
-    lumps = zip(missed.lump_radius_m, missed.lump_probability, strict=True)
-    return {
-        "untouched_m": missed.untouched_m,
-        "untouched_at_m": missed.untouched_at_m,
-        "contrast": missed.contrast,
-        "prior": missed.prior,
-        "lumps": [{"radius_m": radius, "probability": probability} for radius, probability in lumps],
-    }
-
-
-def _touch(exploration: Exploration, one: TouchEstimate, start_ns: int) -> dict[str, Any]:
+def _touch(exploration: Exploration, one: TouchEstimate, start_ns: int) -> TouchOutcome:
     number = one.number + 1
-    same = ("rigid", "thickness_m", "level_n_per_mm", "modulus_pa", "modulus_interval_pa", "depth_m", "peak_force_n")
-    of_beta = ("beta", "beta_interval", "beta_verdict")
-    return {
-        "xy_m": one.xyz_m[:2],
-        "apparent_stiffness_n_per_mm": one.stiffness_n_per_mm,
-        "apparent_stiffness_interval": one.stiffness_interval,
-        **{name: getattr(one, name) for name in (*same, *of_beta)},
-        "approach_speed_mm_s": None if one.speed_m_s is None else 1e3 * one.speed_m_s,
-        "held_s": 0.0 if one.creep is None else one.creep.held_s,
-        "creep": None if one.creep is None else dataclasses.asdict(one.creep),
-        "ended_s": (exploration.ended_ns[one.number] - start_ns) / 1e9,
-        "iou": exploration.iou[one.number] if one.number < len(exploration.iou) else None,
-        "failed": exploration.failed(number),
-        "asked_for": number in exploration.asked,  # by a person, on the page
-    }
+    return TouchOutcome(
+        one,
+        ended_s=(exploration.ended_ns[one.number] - start_ns) / 1e9,
+        iou=exploration.iou[one.number] if one.number < len(exploration.iou) else None,
+        failed=exploration.failed(number),
+        asked_for=number in exploration.asked,
+    )
 
 
 def _fault(exploration: Exploration, ending: ExplorationEnd, faults: FaultsToCome | None) -> dict[str, Any] | None:
@@ -578,8 +451,3 @@ def _gaps_ms(gaps_s: FloatArray | None) -> dict[str, float] | None:
         return None
     shares = {"p50": 50.0, "p99": 99.0, "p99_9": 99.9, "max": 100.0}
     return {"count": len(gaps_s)} | {name: 1e3 * float(np.percentile(gaps_s, share)) for name, share in shares.items()}
-
-
-def map_arrays(maps: MapEstimate) -> dict[str, np.ndarray]:
-    """Those that are known: rows along y, columns along x, cells of cell_m with the surface's corner at (0, 0)."""
-    return {name: np.asarray(value) for name in MAP_UNITS if (value := getattr(maps, name)) is not None}

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from deformscope.experiments.material_motion import MaterialEstimate, MaterialFound
-from deformscope.pictures.material_figures import axes_png, field_png, length_scale, recovery_png, yield_png
+from deformscope.pictures.material_figures import axes_png, field_png, recovery_png, yield_png
 from deformscope.pictures.report import Figure, Table
 from deformscope.pictures.words import reason_rows
-from deformscope.stages.fit.estimate import LengthUnit, explained_text
+from deformscope.results.render import Rows, to_rows, to_words
+from deformscope.stages.fit.estimate import Doubt
 from deformscope.stages.materials.axis_estimate import ACROSS_VIEW, AxisEstimate
 from deformscope.stages.materials.field_estimate import FieldEstimate
-from deformscope.stages.materials.recovery_estimate import Number, RecoveryEstimate
-from deformscope.stages.materials.yield_estimate import Parameter, YieldEstimate
-
-CONVERGED = {True: "yes", False: "NO: do not rely on the values"}
-
-Rows = list[tuple[str, str]]
+from deformscope.stages.materials.recovery_estimate import RecoveryEstimate
+from deformscope.stages.materials.yield_estimate import YieldEstimate
 
 
 def material_table(found: MaterialEstimate, name: str) -> Table:
@@ -42,11 +41,6 @@ def material_figure(found: MaterialFound) -> Figure:
     return Figure(recovery_png(estimate), "How far it was pressed over time, and the recovery after the release")
 
 
-def _length(value: float, unit: LengthUnit, metres_per_unit: float | None) -> str:
-    scale, name = length_scale(unit, metres_per_unit)
-    return f"{scale * value:.3g} {name}"
-
-
 def _axes_rows(found: AxisEstimate) -> Rows:
     rows: Rows = []
     for k, (low, high) in enumerate(found.interval):
@@ -62,16 +56,18 @@ def _axes_rows(found: AxisEstimate) -> Rows:
         else:
             rows.append((words, f"along {_axis(found, most)}: mean strain {found.strain[most]:+.3g}"))
     differ = "the axes differ" if found.anisotropic else "one beta explains it as well"
-    unit = found.unit, found.metres_per_unit
-    rows += [
+    return [
+        *rows,
         ("anisotropy", f"{differ} (one beta would leave so much error with probability {found.p_isotropic:.2g})"),
-        ("one beta", f"{found.beta:.4g}"),
-        ("error, axes / one beta", f"{_length(found.aee, *unit)} / {_length(found.aee_isotropic, *unit)}"),
-        ("noise of a position", _length(found.noise, *unit)),
-        ("explained", explained_text(found.explained)),
-        ("converged", CONVERGED[found.converged]),
+        *to_rows(found, "beta"),
+        ("error, axes / one beta", f"{to_words(found, 'aee')} / {to_words(found, 'aee_isotropic')}"),
+        *to_rows(found, "noise", "explained", "converged"),
     ]
-    return rows
+
+
+def _lowered(reasons: Sequence[Doubt]) -> str:
+    """Why nothing is known; empty where nothing says so."""
+    return next((one.text for one in reasons if one.allows == "unidentified"), "")
 
 
 def _axis(found: AxisEstimate, k: int) -> str:
@@ -82,26 +78,21 @@ def _yield_rows(found: YieldEstimate) -> Rows:
     low, high = found.yield_strain.interval
     strain = f"{found.yield_strain.value:.4g} ({low:.4g} to {high:.4g})" if high is not None else f"above {low:.4g}"
     unsure = "nothing that yielded is sure" if high is None else "it yielded, but where it began is not known"
-    lowered = next((one.text for one in found.reasons if one.allows == "unidentified"), unsure)
     meaning = {
         "identified": "the motion determines it well",
         "weak": "the motion determines it roughly",
         "at-bound": "it yields as early as can be seen",
-        "unidentified": lowered,
+        "unidentified": _lowered(found.reasons) or unsure,
     }
-    unit = found.unit, found.metres_per_unit
     return [
         ("yield strain", strain),
         ("verdict", f"{found.verdict}: {meaning[found.verdict]}"),
         *reason_rows(found.reasons),
-        ("largest strain, unyielded", f"{found.largest_strain:.4g}"),
-        ("beta", _parameter(found.beta)),
-        *([] if found.creep is None else [("creep [1/s]", _parameter(found.creep))]),
-        ("permanent set (rms)", _length(found.set, *unit)),
-        ("error, yielding / elastic", f"{_length(found.aee, *unit)} / {_length(found.elastic_aee, *unit)}"),
-        ("explained", explained_text(found.explained)),
+        *to_rows(found, "largest_strain", "beta", "creep", "set"),
+        ("error, yielding / elastic", f"{to_words(found, 'aee')} / {to_words(found, 'elastic_aee')}"),
+        *to_rows(found, "explained"),
         *_unloading(found.settings),
-        ("converged", CONVERGED[found.converged]),
+        *to_rows(found, "converged"),
     ]
 
 
@@ -119,11 +110,6 @@ def _unloading(settings: dict[str, object]) -> Rows:
     return [("unloaded", f"from frame {cycle['unloaded_frame']} on, {kept} ({source})")]
 
 
-def _parameter(parameter: Parameter) -> str:
-    low, high = parameter.interval
-    return f"{parameter.value:.4g} (given)" if parameter.given else f"{parameter.value:.4g} ({low:.4g} to {high:.4g})"
-
-
 def _field_rows(found: FieldEstimate) -> Rows:
     meaning = {
         "uniform": "no place differs from the others, as far as can be seen",
@@ -131,8 +117,6 @@ def _field_rows(found: FieldEstimate) -> Rows:
         "gradual": "it changes from place to place, by no few materials",
         "unidentified": "how stiff most places are against the others is not known",
     }[found.verdict]
-    lowered = next((one.text for one in found.reasons if one.allows == "unidentified"), meaning)
-    low, high = found.ratio_interval
     metres = 1.0 if found.unit == "m" else found.metres_per_unit
     absolute = "positions alone tell stiffness against each other only: give a force (--force-n)"
     if found.absolute is not None and metres is None:
@@ -144,10 +128,10 @@ def _field_rows(found: FieldEstimate) -> Rows:
             f"{soft:.4g} to {stiff:.4g} N/m (modulus times {'thickness' if found.place.shape[1] == 2 else 'spacing'})"
         )
     rows = [
-        ("stiffest over softest", f"{found.ratio:.3g} ({low:.3g} to {high:.3g})"),
-        ("verdict", f"{found.verdict}: {lowered}"),
+        *to_rows(found, "ratio"),
+        ("verdict", f"{found.verdict}: {_lowered(found.reasons) or meaning}"),
         *reason_rows(found.reasons),
-        ("places determined", f"{found.determined:.0%} of {len(found.place)}"),
+        *to_rows(found, "determined"),
     ]
     for number, one in enumerate(found.levels() if found.materials > 1 else []):
         numbers = f"{one['stiffness_over_softest']:.3g} times the softest, beta {one['beta']:.2g}, {one['share']:.0%}"
@@ -156,18 +140,14 @@ def _field_rows(found: FieldEstimate) -> Rows:
         *rows,
         ("stiffness of a cell", absolute),
         ("beta", f"{found.beta.min():.3g} to {found.beta.max():.3g}"),
-        ("Poisson's ratio", f"{found.poisson:.2g} (deviation {found.poisson_sd:.2g})"),
+        *to_rows(found, "poisson"),
         *[
             (name, f"probability {likely:.2f} (what was left out: {error:.3g} times its noise)")
             for name, likely, error in zip(found.tried, found.probability, found.held_out, strict=True)
         ],
-        ("noise (a coordinate)", f"{_length(found.noise, found.unit, found.metres_per_unit)}"),
-        (
-            "error, elastic / beta",
-            " / ".join(_length(x, found.unit, found.metres_per_unit) for x in (found.aee, found.beta_aee)),
-        ),
-        ("explained", explained_text(found.explained)),
-        ("converged", CONVERGED[found.converged]),
+        *to_rows(found, "noise"),
+        ("error, elastic / beta", f"{to_words(found, 'aee')} / {to_words(found, 'beta_aee')}"),
+        *to_rows(found, "explained", "converged"),
     ]
 
 
@@ -179,33 +159,14 @@ def _recovery_rows(found: RecoveryEstimate) -> Rows:
         "viscoplastic": "a part of the push recovers with time, and a part is kept",
         "unidentified": "whether it relaxes, or keeps a set, is not known",
     }[found.verdict]
-    lowered = next((one.text for one in found.reasons if one.allows == "unidentified"), meaning)
-    metres = 1.0 if found.unit == "m" else found.metres_per_unit
-    per, unit = (1e-3 / metres, "N/mm") if metres is not None else (1.0, "N/px")
-    rows = [
-        ("share of the modulus that relaxes", _percent(found.share)),
-        ("mean relaxation time", _number(found.time_s, 1.0, "s")),
-        ("permanent set", f"{_percent(found.set)} of the push"),
-        ("verdict", f"{found.verdict}: {lowered}"),
+    relaxes = found.verdict not in ("elastic", "plastic")
+    return [
+        *to_rows(found, "share"),
+        *(to_rows(found, "time_s") if relaxes else [("mean relaxation time", "nothing that relaxes is sure")]),
+        ("permanent set", f"{to_words(found, 'set')} of the push"),
+        ("verdict", f"{found.verdict}: {_lowered(found.reasons) or meaning}"),
         *reason_rows(found.reasons),
-        ("stiffness at once", _number(found.instant, per, unit)),
-        ("stiffness, relaxed", _number(found.relaxed, per, unit)),
-        ("pressed", _length(found.largest, found.unit, found.metres_per_unit)),
+        *to_rows(found, "instant", "relaxed", "largest"),
         ("held, then watched", f"{found.held_s:.3g} s, {found.watched_s:.3g} s after frame {found.released}"),
-        ("explained", f"{max(found.explained, 0.0):.1%} of the motion by one shape that grows and shrinks"),
+        *to_rows(found, "explained"),
     ]
-    if found.verdict in ("elastic", "plastic"):
-        rows[1] = ("mean relaxation time", "nothing that relaxes is sure")
-    return rows
-
-
-def _percent(one: Number) -> str:
-    low, high = one.interval
-    return f"{one.value:.1%} ({low:.1%} to {high:.1%})"
-
-
-def _number(one: Number | None, scale: float, unit: str) -> str:
-    if one is None:
-        return "unidentified: motion alone does not determine it; record a force beside the images"
-    low, high = (scale * end for end in one.interval)
-    return f"{scale * one.value:.3g} {unit} ({low:.3g} to {high:.3g})"

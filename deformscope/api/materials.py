@@ -20,7 +20,7 @@ from deformscope.api.calibration import (
     particle_options,
     size_notes,
 )
-from deformscope.api.calibration_report import provenance_sections
+from deformscope.api.calibration_report import provenance_sections, settings_section
 from deformscope.api.material_words import material_figure, material_table
 from deformscope.api.result import LibraryResult, Note, log_note, open_recorder, recording_rows
 from deformscope.arrays import ImageArray
@@ -49,9 +49,7 @@ from deformscope.files.sources import Source
 from deformscope.frames import ColorFrame, InputFile, WrenchFrame
 from deformscope.images import encode_png
 from deformscope.log.application import IMAGES, PAIR, PAIR_3D
-from deformscope.pictures.findings import cell_text
 from deformscope.pictures.report import Figure, ReportVerdict, Section, Table, html_report
-from deformscope.plain import plain
 from deformscope.recording.item_rows import read_rows
 from deformscope.recording.items import read_found
 from deformscope.recording.reader import Replay
@@ -166,13 +164,10 @@ def material_page(result: MaterialResult) -> str:
     """All that was found, with the picture, settings and provenance, as one HTML page."""
     (table,) = result.tables()
     verdict = next(str(row[1]) for row in table.rows if row[0] in ("verdict", "anisotropy"))
-    settings = [
-        (name, cell_text(plain(value))) for name, value in result.estimate.settings.items() if value is not None
-    ]
     sections = [
         Section("", [ReportVerdict(verdict, ())]),
         Section("Numbers and evidence", [table, *result.figures()]),
-        Section("Settings", [Table(settings, caption="Of the fit")]),
+        settings_section(result.estimate.settings),
         *provenance_sections(seed=result.seed, settings=result.settings),
     ]
     return html_report(table.caption, sections)

@@ -14,6 +14,7 @@ from deformscope.errors import InputError
 from deformscope.pictures.findings import Findings
 from deformscope.pictures.report import Figure, Table
 from deformscope.plain import plain
+from deformscope.results.render import Rows
 
 if TYPE_CHECKING:
     from deformscope.config.options import ViewOptions
@@ -23,7 +24,6 @@ if TYPE_CHECKING:
 ViewerChoice = Literal["auto", "native", "page", "none"]
 Viewer = Literal["native", "page", "none"]
 Note = Callable[[str], None]
-Rows = list[tuple[str, str]]
 
 log_note: Note = logging.getLogger("deformscope").warning
 """Where remarks go that a result does not hold, such as on units that look wrong."""

@@ -6,9 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from deformscope.api.result import LibraryResult, Rows
+from deformscope.api.result import LibraryResult
 from deformscope.arrays import FloatArray
 from deformscope.pictures.report import Figure, Table
+from deformscope.results.render import Rows
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,7 +19,7 @@ from deformscope.errors import InputError
 from deformscope.version import __version__
 
 if TYPE_CHECKING:
-    from deformscope.api.exploration_run import Explored
+    from deformscope.api.exploration_result import ExplorationResult
     from deformscope.stages.map.exploration import MapEstimate
 
 
@@ -35,7 +35,7 @@ def run(config: ExploreConfig) -> int:
     explored = explore_on(config, outputs.write)
     if outputs.unwritten:
         raise outputs.unwritten[0]
-    losses = explored.found["losses"] if explored is not None else {}
+    losses = explored.losses if explored is not None else {}
     if not losses or config.output.record is None:
         return 0
     say(f"deformscope: the recording is whole, with losses: {named(losses)}")
@@ -50,25 +50,20 @@ class _Outputs:
         self.config = config
         self.unwritten: list[InputError] = []
 
-    def write(self, explored: Explored) -> None:
+    def write(self, explored: ExplorationResult) -> None:
         """Write and print what was found."""
-        from deformscope.api.exploration import exploration_rows
-        from deformscope.pictures.exploration import result_png
-
-        config, found, written = self.config, explored.found, []
-        if (maps := explored.maps) is not None:
+        config, written = self.config, []
+        if (maps := explored.estimate) is not None:
             if config.map is not None and self._write(config.map, lambda: _map_file(config, maps)):
                 written.append(("map", str(config.map)))
-            if config.picture is not None and self._write(
-                config.picture, lambda: result_png(maps, config.rig, explored.lumps)
-            ):
+            if config.picture is not None and self._write(config.picture, lambda: explored.png):
                 written.append(("picture", str(config.picture)))
         try:
-            write_json(found, config.output.json)
+            write_json(explored.as_json(), config.output.json)
         except OSError as error:
             self.unwritten.append(_unwritten(config.output.json or "", error))
         title = f"{config.rig} (simulated)" if explored.simulated else config.rig
-        show_table(title, [*exploration_rows(found), *written])
+        show_table(title, [*explored.rows(), *written])
         for one in self.unwritten:
             say(f"deformscope: not written: {one}")
 
@@ -90,10 +85,12 @@ def _map_file(config: ExploreConfig, maps: MapEstimate) -> bytes:
     made_by: dict[str, Any] = {"scenario": config.rig, "seed": config.output.seed, "version": __version__}
     import numpy as np
 
-    from deformscope.api.exploration_run import MAP_UNITS, map_arrays
+    from deformscope.api.exploration_result import map_arrays
+    from deformscope.results.render import units_of
 
+    units = units_of((type(maps),))
     file = io.BytesIO()
-    np.savez_compressed(file, allow_pickle=False, units=json.dumps(MAP_UNITS), **map_arrays(maps), **made_by)
+    np.savez_compressed(file, allow_pickle=False, units=json.dumps(units), **map_arrays(maps), **made_by)
     return file.getvalue()
 
 

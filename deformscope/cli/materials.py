@@ -14,8 +14,6 @@ deformscope calibrate viscous press.mp4 --grid 9x15 --held bottom,contact --cont
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 from deformscope.api.calibration import pair_recorder, size_notes
 from deformscope.api.materials import calibrate_material, material_page
 from deformscope.cli.common import (
@@ -36,12 +34,10 @@ from deformscope.pictures.material_figures import joint_png
 from deformscope.pictures.report import Figure, Table
 from deformscope.pictures.words import reason_rows
 from deformscope.session import Step
-from deformscope.stages.fit.estimate import explained_text
+from deformscope.stages.fit.estimate import converged_text, explained_text
 from deformscope.stages.fit.joint import JointEstimate, JointOptions, calibrate_both
 from deformscope.stages.fit.model import Model, Observation
 from deformscope.stages.msm.solver import pick_device
-
-CONVERGED = {True: "yes", False: "NO: do not rely on the values"}
 
 
 def both(config: BothConfig) -> None:
@@ -100,10 +96,6 @@ def _pairs(config: BothConfig) -> tuple[list[tuple[str, bytes]], list[Observatio
 # In words ------------------------------------------------------------------------------------------------------------
 
 
-def _table(caption: str, rows: Sequence[tuple[str, str]]) -> Table:
-    return Table(rows, caption=caption)
-
-
 def _both_table(found: JointEstimate, name: str) -> Table:
     rows: list[tuple[str, str]] = []
     for one in (found.beta, found.theta):
@@ -116,5 +108,5 @@ def _both_table(found: JointEstimate, name: str) -> Table:
     rows.append(("stiffness", found.beta.stiffness_text()))
     if found.beta.explained is not None:
         rows.append(("explained", explained_text(found.beta.explained)))
-    rows.append(("converged", CONVERGED[found.beta.converged]))
-    return _table(f"beta and theta of {name}", rows)
+    rows.append(("converged", converged_text(found.beta)))
+    return Table(rows, caption=f"beta and theta of {name}")

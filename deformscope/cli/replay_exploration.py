@@ -132,7 +132,7 @@ def _show_beside(
     recorded: list[Any], again: list[Any], changes: dict[str, Any], config: ReplayConfig, page: PageServer | None
 ) -> None:
     """What comes of other settings, beside what was recorded; the robot touched where the recorded ones sent it."""
-    from deformscope.pictures.words import claim_words, interval_words, stiffness_words, verdict_words
+    from deformscope.pictures.words import claim_words, verdict_words
     from deformscope.stages.map.exploration import MapEstimate, TouchEstimate
 
     def rows(results: list[Any]) -> dict[str, str]:
@@ -140,7 +140,7 @@ def _show_beside(
         for one in results:
             if isinstance(one, TouchEstimate):
                 beta = "no beta" if one.beta is None else f"beta {one.beta:.2f}"
-                found[f"touch {one.number + 1}"] = f"{stiffness_words(one)} ({interval_words(one)}), {beta}"
+                found[f"touch {one.number + 1}"] = f"{one.stiffness_text} ({one.interval_text}), {beta}"
             elif isinstance(one, MapEstimate):
                 found["map"] = f"{verdict_words(one)} ({claim_words(one.claimed)})"
         return found

@@ -22,19 +22,14 @@ from deformscope.pictures.palette import OBSERVED, SIMULATED, hexadecimal, round
 from deformscope.pictures.words import (
     claim_words,
     counted,
-    dent_words,
     ended_words,
     found_words,
-    interval_words,
     iou_words,
-    level_words,
-    loss_words,
-    modulus_words,
     stiffness_kind,
-    stiffness_words,
     travel_words,
     verdict_words,
 )
+from deformscope.results.render import to_line
 from deformscope.stages.map.exploration import LumpsFound, MapEstimate, PlannedTouch, SurfaceEstimate, TouchEstimate
 
 RECORDED, OTHER = (0, 114, 178), (213, 94, 0)
@@ -48,8 +43,6 @@ EXCLUDED, STRIPES, STRIPE = "#a4a9b1", "#6f757e", 4
 """Cells that may not be touched: grey, striped, cells from stripe to stripe."""
 BETA_STEP = 0.2
 """Where a scale of beta may begin and end."""
-NOT_ASKED = "not asked for"
-"""A verdict on beta that need not be said."""
 LEAST_RANGE_MM = 4.0
 """Of a scale of heights."""
 LEAST = 1e-9
@@ -282,7 +275,7 @@ def _height_range(height_mm: FloatArray) -> tuple[float, float]:
 def draw_force(axes: Any, touch: TouchEstimate, name: str = "") -> None:
     name = name or f"Touch {touch.number + 1}"
     if not touch.usable:
-        _title(axes, f"{name}: {stiffness_words(touch)}", f"{dent_words(touch)}; {_beta_words(touch)}")
+        _title(axes, f"{name}: {touch.stiffness_text}", f"{touch.dent_text}; {touch.beta_text}")
         axes.plot(touch.approach_m * 1e3, touch.approach_n, ".", color=hexadecimal(OBSERVED), ms=5)
         axes.set_xlabel("displacement of the tip [mm]", fontsize=11)
         axes.set_ylabel("force [N]", fontsize=11)
@@ -302,13 +295,7 @@ def draw_force(axes: Any, touch: TouchEstimate, name: str = "") -> None:
     axes.tick_params(labelsize=10)
     axes.grid(alpha=0.3)
     axes.legend(fontsize=10, loc="lower right", bbox_to_anchor=(1.0, 0.08), frameon=False)
-    words = [] if touch.rigid else [f"interval {interval_words(touch)}"]
-    words.append(dent_words(touch))
-    if touch.modulus_pa is not None:
-        words.append(f"modulus {touch.modulus_pa / 1e3:.3g} kPa")
-    if touch.beta_verdict != NOT_ASKED:
-        words.append(_beta_words(touch))
-    _title(axes, f"{name}: {stiffness_words(touch)}", ", ".join(words))
+    _title(axes, f"{name}: {touch.stiffness_text}", to_line(touch, "caption"))
 
 
 def draw_section(axes: Any, touch: TouchEstimate) -> None:
@@ -324,7 +311,7 @@ def draw_section(axes: Any, touch: TouchEstimate) -> None:
         axes.plot(*_rings(away_cm, height_mm), color=color, label=f"{name}, mean", zorder=4, **marked)
     if touch.usable and not touch.rigid:
         axes.plot([0.0], [-touch.depth_m * 1e3], "v", color="black", ms=7, label="tip", zorder=5)
-    _title(axes, f"Dent of touch {touch.number + 1}", "over the surface at rest; " + _beta_words(touch))
+    _title(axes, f"Dent of touch {touch.number + 1}", "over the surface at rest; " + touch.beta_text)
     if not axes.lines:
         _say(axes, "nothing was seen of it")
         return
@@ -355,14 +342,6 @@ def _rings(away_cm: FloatArray, height_mm: FloatArray) -> tuple[FloatArray, Floa
     filled = count > 0
     away, height = (np.bincount(ring, weights=one)[filled] / count[filled] for one in (away_cm, height_mm))
     return away, height
-
-
-def _beta_words(touch: TouchEstimate) -> str:
-    if touch.beta is None:
-        return f"beta not fitted ({touch.beta_verdict})" if touch.beta_verdict else "beta not fitted"
-    low, high = touch.beta_interval or (touch.beta, touch.beta)
-    between = f", {low:.2f} to {high:.2f}" if touch.beta_interval else ""
-    return f"beta {touch.beta:.2f} ({touch.beta_verdict}{between})"
 
 
 def draw_regions_beside(axes: Any, recorded: MapEstimate, other: MapEstimate, name: str) -> None:
@@ -607,12 +586,12 @@ def _draw_keys(axes: Any, maps: MapEstimate) -> None:
     """Each region's stiffness, and loss where it is mapped, in its place."""
     from matplotlib.patheffects import withStroke
 
-    for label in range(maps.region_count):
+    for label, region in enumerate(maps.regions):
         inside = maps.labels == label
         if inside.any():
             x, y = _middle(inside, maps.cell_m, maps.contacts_m)
-            stiff = f"{level_words(maps, label)}\nN/mm\n{modulus_words(maps, label)}".strip()
-            words = "\n".join(one for one in (loss_words(maps, label).split(" (")[0], stiff) if one)
+            stiff = f"{region.level_text}\nN/mm\n{region.modulus_text}".strip()
+            words = "\n".join(one for one in (region.loss_text.split(" (")[0], stiff) if one)
             axes.text(
                 x, y, words, ha="center", va="center", fontsize=11,
                 weight="bold", zorder=7, path_effects=[withStroke(linewidth=2.5, foreground="white")],

@@ -8,9 +8,9 @@ import numpy as np
 
 from deformscope.arrays import FloatArray
 from deformscope.pictures.figures import canvas, png_of
+from deformscope.results.render import length_scale
 
 if TYPE_CHECKING:
-    from deformscope.stages.fit.estimate import LengthUnit
     from deformscope.stages.fit.joint import JointEstimate
     from deformscope.stages.fit.motion import Motion
     from deformscope.stages.materials.axis_estimate import AxisEstimate
@@ -157,10 +157,3 @@ def recovery_png(found: RecoveryEstimate) -> bytes:
     axis.legend()
     axis.set_title(f"{found.verdict}: {found.share.value:.0%} of the modulus relaxes", fontsize=10)
     return png_of(figure, 130)
-
-
-def length_scale(unit: LengthUnit, metres_per_unit: float | None) -> tuple[float, str]:
-    """What a length is multiplied by to be shown, and in which unit that is."""
-    if unit == "m":
-        return 1e3, "mm"
-    return (1.0, "px") if metres_per_unit is None else (1e3 * metres_per_unit, "mm")

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
-
 from deformscope.pictures.report import Table
 from deformscope.stages.fit.estimate import Choice, Doubt, Estimate, explained_text
-from deformscope.stages.map.exploration import LumpsFound, MapEstimate, StageFailure, TouchEstimate
+from deformscope.stages.map.exploration import LumpsFound, MapEstimate, StageFailure
 from deformscope.stages.poke.creep import CreepFit
 
 
@@ -44,25 +42,6 @@ def ended_words(stop_reason: str) -> str:
     return ENDED.get(stop_reason, stop_reason or "before its plan was carried out")
 
 
-def level_words(maps: MapEstimate, region: int) -> str:
-    """A region's stiffness [N/mm], without its unit."""
-    return f"{'> ' * bool(maps.level_rigid[region])}{maps.level_n_per_mm[region]:.3g}"
-
-
-def loss_words(maps: MapEstimate, region: int) -> str:
-    """What a region loses of a touch's energy; empty where it was not mapped."""
-    if maps.level_loss is None or maps.level_loss_interval is None:
-        return ""
-    return "loses {:.0%} ({:.0%} to {:.0%})".format(maps.level_loss[region], *maps.level_loss_interval[region])
-
-
-def modulus_words(maps: MapEstimate, region: int) -> str:
-    """A region's modulus; empty where it was not told apart from stiffness, or is a bound."""
-    if maps.level_modulus_pa is None or maps.level_rigid[region]:
-        return ""
-    return f"{maps.level_modulus_pa[region] / 1e3:.3g} kPa"
-
-
 def stiffness_kind(maps: MapEstimate) -> str:
     """What the map's stiffness is."""
     return "apparent" if maps.levelled_m is None else f"as on a level layer {100 * maps.levelled_m:.2g} cm thick"
@@ -76,21 +55,6 @@ def travel_words(travel_m: float) -> str:
 def iou_words(maps: MapEstimate) -> str:
     """How good the map is, and against what; empty where the truth is not known."""
     return "" if maps.iou is None else f"IoU {maps.iou:.3f} with the truth"
-
-
-def stiffness_words(touch: TouchEstimate) -> str:
-    """What a touch measured, without its interval."""
-    if not touch.usable:
-        return "no contact fitted"
-    return f"{'> ' * touch.rigid}{touch.stiffness_n_per_mm:.3g} N/mm"
-
-
-def interval_words(touch: TouchEstimate) -> str:
-    """The interval of a touch's stiffness; empty where there is none."""
-    if not touch.usable or touch.rigid:
-        return ""
-    low, high = touch.stiffness_interval
-    return f"{low:.3g} to {high:.3g}"
 
 
 def creep_words(creep: CreepFit) -> str:
@@ -109,45 +73,9 @@ def creep_words(creep: CreepFit) -> str:
     return f"{creep.verdict}: {relaxed}, {share}{loss}"
 
 
-def dent_words(touch: TouchEstimate) -> str:
-    """The dent and the force that made it; the force alone where no contact was fitted."""
-    force = f"{touch.peak_force_n:.2f} N"
-    return f"{1e3 * touch.depth_m:.1f} mm at {force}" if touch.usable else force
-
-
 def found_words(lumps: LumpsFound) -> str:
     """How many lumps were found."""
     return counted(len(lumps), "lump") if len(lumps) else "no lump found"
-
-
-def lump_rows(lumps: LumpsFound) -> list[tuple[str, str]]:
-    """Every lump that was found, and what may be missed, as names and values."""
-    rows = []
-    for number in range(len(lumps)):
-        x, y = 100.0 * lumps.centre_m[number]
-        low, high = 100.0 * lumps.radius_interval_m[number]
-        depth = {"shallow": "up to {:g} cm deep", "deep": "deeper than {:g} cm"}.get(lumps.depth[number])
-        parts = [
-            f"{'stiff' if lumps.stiff[number] else 'soft'}, its middle at ({x:.1f}, {y:.1f}) cm"
-            f" (90 % within {100.0 * lumps.within_m[number]:.1f} cm)",
-            f"radius {100.0 * lumps.radius_m[number]:.1f} cm ({low:.1f} to {high:.1f})",
-            "its depth cannot be told" if depth is None else depth.format(100.0 * lumps.deep_m),
-            f"probability {lumps.probability[number]:.2f}",
-        ]
-        rows.append((f"lump {number + 1}", ", ".join(parts)))
-    for x, y, radius, depth_m in 100.0 * (np.zeros((0, 4)) if lumps.truth_m is None else lumps.truth_m):
-        off = np.hypot(*(100.0 * lumps.centre_m - (x, y)).T).min(initial=np.inf)
-        found = f"found, {off:.1f} cm off" if off <= radius else "not found"
-        rows.append(("true lump", f"({x:.1f}, {y:.1f}) cm, radius {radius:.1f} cm, {depth_m:.1f} cm deep: {found}"))
-    each = ", ".join(
-        f"{100.0 * radius:.3g} cm {share:.2f}" for radius, share in zip(lumps.size_m, lumps.missed, strict=True)
-    )
-    wanted = f"of {100.0 * lumps.smallest_m:.3g} cm radius or more {lumps.missed_smallest:.3f}"
-    taken = (
-        f"balls {lumps.contrast:g} times as stiff or soft or more, at most {100.0 * lumps.deepest_m:g} cm deep;"
-        f" {lumps.prior:g} before any touch"
-    )
-    return [*rows, ("a lump missed", f"{wanted}; by radius {each} ({taken})")]
 
 
 def failed_words(failed: StageFailure) -> str:
@@ -175,6 +103,7 @@ def _choice_row(one: Choice) -> tuple[str, str]:
 def estimate_rows(estimate: Estimate) -> list[tuple[str, str]]:
     """An estimate as names and values."""
     low, high = estimate.interval
+    found = estimate.settings
     rows = [
         (estimate.parameter, f"{estimate.value:.4g}"),
         (f"{estimate.level:.0%} interval", f"{low:.4g} to {high:.4g}"),
@@ -183,25 +112,24 @@ def estimate_rows(estimate: Estimate) -> list[tuple[str, str]]:
         ("stiffness", estimate.stiffness_text()),
         ("error, all particles", length_words(estimate, estimate.aee)),
         ("error, free particles", length_words(estimate, estimate.aee_free)),
-        ("noise of a position", length_words(estimate, estimate.settings.get("noise"))),
-        ("converged", "yes" if estimate.converged else "NO: do not rely on the value"),
+        ("noise of a position", length_words(estimate, found.get("noise"))),
     ]
     if estimate.explained is not None:
-        rows.insert(-1, ("explained", explained_text(estimate.explained)))
-    if not estimate.settings.get("pose_held", True):
-        rows.insert(-1, ("pose", "the held particles leave the body free to turn: hold more for a value to rely on"))
-    if lost := estimate.settings.get("lost"):
-        every = int(str(estimate.settings["particles"]))
+        rows.append(("explained", explained_text(estimate.explained)))
+    if not found.get("pose_held", True):
+        rows.append(("pose", "the held particles leave the body free to turn: hold more for a value to rely on"))
+    if lost := found.get("lost"):
+        every = int(str(found["particles"]))
         many = "; so many that the tracking may have failed: look at the picture" if int(str(lost)) * 3 > every else ""
-        rows.insert(-1, ("lost particles", f"{lost} of {every}: left out of the fit{many}"))
-    if moved := estimate.settings.get("held_moved"):
+        rows.append(("lost particles", f"{lost} of {every}: left out of the fit{many}"))
+    if moved := found.get("held_moved"):
         parts = ", ".join(moved) if isinstance(moved, list) else str(moved)
-        rows.insert(-1, ("held elsewhere", f"{parts}: lost there; the outermost row or column still seen is held"))
-    if estimate.settings.get("whole_motion"):
-        rows.insert(-1, ("frames fitted", _frames_text(estimate)))
+        rows.append(("held elsewhere", f"{parts}: lost there; the outermost row or column still seen is held"))
+    if found.get("whole_motion"):
+        rows.append(("frames fitted", _frames_text(estimate)))
     if estimate.selection_text:
-        rows.insert(-1, ("chosen", estimate.selection_text))
-    return rows
+        rows.append(("chosen", estimate.selection_text))
+    return [*rows, ("converged", "yes" if estimate.converged else "NO: do not rely on the value")]
 
 
 def reason_rows(reasons: Sequence[Doubt], besides: str = "") -> list[tuple[str, str]]:

@@ -8,7 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from deformscope.api.exploration import beta_words, exploration_rows, force_words, verdict_of
+from deformscope.api.exploration_result import (
+    ExplorationResult,
+    LayerThickness,
+    TouchOutcome,
+    TruthScore,
+    beta_words,
+)
 from deformscope.api.exploration_run import _said
 from deformscope.pictures.words import ENDED, claim_words, ended_words, verdict_words
 from deformscope.session import Step
@@ -18,31 +24,35 @@ from tests.log.synthetic_exploration import maps as maps_after
 from tests.log.synthetic_exploration import touch
 
 
-def found_with(**changed: Any) -> dict[str, Any]:
-    """The JSON of an exploration of three touches of a foam beside something rigid."""
-    region = {"modulus_pa": 5e4, "modulus_interval_pa": (4e4, 6e4), "loss": None, "loss_interval": None}
-    return {
-        "verdict": "regions",
-        "verdict_probability": 0.6,
-        "regions_by": "stiffness",
-        "region_count": 2,
+def found_with(**changed: Any) -> ExplorationResult:
+    """An exploration of three touches of a foam beside something rigid."""
+    estimate = dataclasses.replace(
+        maps_after(2),
+        level_n_per_mm=np.array([0.5, 8.57]),
+        level_interval_n_per_mm=np.array([[0.45, 0.55], [8.57, np.inf]]),
+        level_rigid=np.array([False, True]),
+        level_modulus_pa=np.array([5e4, 5e4]),
+        level_modulus_interval_pa=np.array([[4e4, 6e4], [4e4, 6e4]]),
+        probability=0.6,
+    )
+    felt = dataclasses.replace(touch(0), beta=0.95, beta_verdict="at-bound", peak_force_n=4.86)
+    given = {
+        "scenario": "lab:here",
+        "seed": 0,
+        "version": "",
+        "estimate": estimate,
         "probability": {"1": 0.05, "2": 0.6, "3": 0.31, "gradual": 0.04},
-        "stiffness": "apparent",
-        "regions": [
-            {"log_stiffness": np.log(0.5), "interval": np.log([0.45, 0.55]), "rigid": False, **region},
-            {"log_stiffness": np.log(8.57), "interval": np.log([8.57, np.inf]), "rigid": True, **region},
-        ],
+        "feel": "apparent",
         "set_force_n": 3.0,
         "more_force_n": 5.0,
         "max_force_n": 5.372,
         "measured_max_force_n": 4.99,
-        "levelled_m": None,
-        "thickness": {"known_by": "stated"},
-        "truth": {"region_count": 3, "iou": 0.513, "boundary_m": 0.046},
-        "touches": [{"beta": 0.95, "beta_verdict": "at-bound", "peak_force_n": 4.86}],
-        "inclusions": None,
+        "thickness": LayerThickness(0.05, 0.0, "stated"),
+        "truth": TruthScore(3, 0.513, 0.046),
+        "touches": (TouchOutcome(felt, 1.0, None, [], False),),
+        "lumps": None,
         "missed": None,
-        "failures": [],
+        "failures": (),
         "travel_m": 0.65,
         "stop_reason": "budget",
         "arm_stands": True,
@@ -50,11 +60,14 @@ def found_with(**changed: Any) -> dict[str, Any]:
         "seconds": {"session": 42.0, "wall": 26.0},
         "losses": {},
         "recording": None,
-    } | changed
+        "fault": None,
+        "laboratory": None,
+    }
+    return ExplorationResult(**(given | changed))
 
 
 def test_every_number_has_its_meaning() -> None:
-    rows = dict(exploration_rows(found_with()))
+    rows = dict(found_with().rows())
     assert rows["verdict"] == "2 regions (probability 0.60, 3 regions 0.31)"
     assert rows["region 1"] == "0.5 N/mm (0.45 to 0.55) at 3 N; modulus 50 kPa (40 to 60)"
     assert rows["region 2"] == "> 8.57 N/mm (a lower bound: hardly dented)"
@@ -69,8 +82,8 @@ def test_every_number_has_its_meaning() -> None:
 
 
 def test_forces_of_a_real_arm_are_the_sensors() -> None:
-    words = force_words(found_with(max_force_n=None, more_force_n=None, measured_max_force_n=3.08))
-    assert words == "set to 3 N; largest: measured 3.08 N"
+    found = found_with(max_force_n=None, more_force_n=None, measured_max_force_n=3.08)
+    assert found.force_text == "set to 3 N; largest: measured 3.08 N"
 
 
 @pytest.mark.parametrize(
@@ -81,7 +94,9 @@ def test_forces_of_a_real_arm_are_the_sensors() -> None:
     ],
 )
 def test_a_rival_is_named_where_there_is_one(share: dict[str, float], words: str) -> None:
-    assert verdict_of(found_with(probability=share, verdict_probability=share["2"])) == words
+    found = found_with(probability=share)
+    maps = dataclasses.replace(found.estimate, probability=share["2"])
+    assert dataclasses.replace(found, estimate=maps).verdict_text == words
 
 
 def test_the_thesiss_rule_has_no_probability_of_its_own() -> None:
@@ -92,9 +107,9 @@ def test_the_thesiss_rule_has_no_probability_of_its_own() -> None:
     assert verdict_words(maps) == "1 region between isopleths of beta"
     assert claim_words(maps.claimed) == "the thesis's rule gives no probability"
     share = {"1": 4e-7, "2": 0.93, "3": 0.05, "gradual": 0.02}
-    found = found_with(regions_by="beta", verdict_probability=maps.claimed, region_count=1, probability=share)
+    found = found_with(estimate=maps, probability=share)
     rule = "1 region between isopleths of beta (the thesis's rule gives no probability"
-    assert verdict_of(found) == f"{rule}; by stiffness 2 regions, probability 0.93)"
+    assert found.verdict_text == f"{rule}; by stiffness 2 regions, probability 0.93)"
     assert maps_after(2).claimed == maps_after(2).probability
 
 
@@ -108,7 +123,7 @@ def test_the_thesiss_rule_has_no_probability_of_its_own() -> None:
     ],
 )
 def test_what_beta_says_follows_its_values(betas: tuple[float, ...], verdict: str, words: str) -> None:
-    said = beta_words([{"beta": beta, "beta_verdict": verdict} for beta in betas])
+    said = beta_words([dataclasses.replace(touch(0), beta=beta, beta_verdict=verdict) for beta in betas])
     assert said.startswith(words)
     assert ("stiffness decides" in said) == (betas == (0.93, 0.95))
 

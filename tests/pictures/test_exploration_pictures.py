@@ -12,7 +12,6 @@ from matplotlib.colors import to_rgb
 from deformscope.arrays import ImageArray
 from deformscope.images import decode_image
 from deformscope.pictures import exploration as pictures
-from deformscope.pictures.words import lump_rows
 from tests.log import synthetic_exploration as synthetic
 
 MAPS = synthetic.maps(6)
@@ -128,13 +127,13 @@ def test_lumps_are_drawn_where_they_are_and_said_in_words(monkeypatch: pytest.Mo
     assert not np.array_equal(plain, shown)
     assert missed.std() > 10
     assert decoded(pictures.result_png(MAPS, "Lumps", two)).std() > 10
-    words = dict(lump_rows(two))
+    words = dict(two.rows)
     assert words["lump 1"].startswith("stiff, its middle at (20.0, 10.0) cm")
     assert "deeper than 1.25 cm" in words["lump 1"]
     assert words["lump 2"].startswith("soft")
     assert "cannot be told" in words["lump 2"]
     assert "found, 0.0 cm off" in words["true lump"]
-    assert "0.5 before any touch" in dict(lump_rows(none))["a lump missed"]
+    assert "0.5 before any touch" in dict(none.rows)["a lump missed"]
 
 
 def test_a_result_is_one_picture_the_same_each_time(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ from deformscope.log.result_batch import ResultBatch
 from deformscope.log.rig.columns import Sink, states
 from deformscope.pictures import exploration as pictures
 from deformscope.pictures.palette import BAD, Rgb
-from deformscope.pictures.words import counted, failed_words, found_words, lump_rows
+from deformscope.pictures.words import counted, failed_words, found_words
 from deformscope.rows import ENTITIES
 from deformscope.stages.map.exploration import (
     ExplorationStop,
@@ -63,7 +63,7 @@ def log_maps(now: ResultBatch, maps: MapEstimate) -> None:
 def log_lumps(now: ResultBatch, lumps: LumpsFound) -> None:
     now.show_png(LUMPS, pictures.lumps_png, lumps)
     now.show_png(MISSED, pictures.missed_png, lumps)
-    text = "\n\n".join(f"**{name}**: {words}" for name, words in lump_rows(lumps))
+    text = "\n\n".join(f"**{name}**: {words}" for name, words in lumps.rows)
     title = f"# {found_words(lumps)} after {counted(len(lumps.contacts_m), 'touch')}"
     now.show(LUMPS_SUMMARY, rr.TextDocument(f"{title}\n\n{text}", media_type=rr.MediaType.MARKDOWN))
 

@@ -10,9 +10,6 @@ from deformscope.pictures.words import (
     claim_words,
     counted,
     iou_words,
-    level_words,
-    loss_words,
-    modulus_words,
     stiffness_kind,
     travel_words,
     verdict_words,
@@ -54,10 +51,9 @@ def summary(maps: MapEstimate) -> str:
     by_loss = maps.level_loss is not None
     lines += ["| region |" + " of a touch's energy it |" * by_loss + " stiffness [N/mm] | area [cm²] |"]
     lines += ["| --- |" + " --- |" * by_loss + " --- | --- |"]
-    for label in range(maps.region_count):
+    for label, region in enumerate(maps.regions):
         area_cm2 = (maps.labels == label).sum() * (100 * maps.cell_m) ** 2
-        modulus = modulus_words(maps, label)
-        level = level_words(maps, label) + (f" ({modulus})" if modulus else "")
-        lost = f" {loss_words(maps, label)} |" if by_loss else ""
+        level = region.level_text + (f" ({region.modulus_text})" if region.modulus_text else "")
+        lost = f" {region.loss_text} |" if by_loss else ""
         lines.append(f"| {label + 1} |{lost} {level} | {area_cm2:.0f} |")
     return "\n".join(lines)

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from deformscope.frames import StageResult
-from deformscope.pictures.words import stiffness_words
 from deformscope.stages.fit.moment import MomentFit
 from deformscope.stages.map.exploration import StageFailure, SurfaceEstimate, TouchEstimate
 from deformscope.stages.see.arrows import FlowArrows
@@ -44,5 +43,5 @@ def format_result(result: object) -> str:
             middle_mm, deviation_mm = np.median(result.height_m) * 1e3, np.median(result.deviation_m) * 1e3
             return f"median height {middle_mm:.4g} mm, deviation {deviation_mm:.2g} mm, {len(result.points_m)} points"
         case TouchEstimate():
-            return stiffness_words(result)
+            return result.stiffness_text
     raise TypeError(f"no words for a {type(result).__name__}")

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import dataclass, field
+from typing import Any, Literal
 
 import numpy as np
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
+from deformscope.results.declared import derived, reported
+from deformscope.results.render import ReportedResult, lengths
 
 Parameter = Literal["beta", "theta"]
 Verdict = Literal["identified", "weak", "at-bound", "unidentified"]
@@ -56,10 +57,6 @@ class Doubt:
     code: DoubtCode
     text: str
     allows: Verdict | None = None
-
-    def as_json(self) -> dict[str, object]:
-        """The public form."""
-        return {"code": self.code, "text": self.text, "allows": self.allows}
 
 
 def limited(found: Verdict, reasons: Sequence[Doubt]) -> Verdict:
@@ -175,25 +172,25 @@ class Choice:
 
     def as_json(self, parameter: Parameter, scale: float) -> dict[str, object]:
         """scale: of the lengths."""
-
-        def length(value: float) -> float | None:
-            return value * scale if math.isfinite(value) else None
-
         return {
             "cluster_size": self.cluster_size,
-            "held": list(self.held),
+            "held": self.held,
             "alpha": self.alpha,
             "dt": self.dt,
-            "held_out_aee": length(self.held_out),
-            "scatter": length(self.scatter),
-            "fit_aee": length(self.fit),
-            parameter: self.value if math.isfinite(self.value) else None,
+            "held_out_aee": scale * self.held_out,
+            "scatter": scale * self.scatter,
+            "fit_aee": scale * self.fit,
+            parameter: self.value,
             "chosen": self.chosen,
         }
 
 
-@dataclass(frozen=True, slots=True)
-class Estimate:
+def _with_interval(one: tuple[float, tuple[float, float]]) -> dict[str, object]:
+    return {"value": one[0], "interval": one[1]}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Estimate(ReportedResult):
     """One calibrated parameter with everything needed to judge it (Thesis eq. 3.18, 3.19, Algorithms 2 and 3).
 
     value: the parameter with the lowest error; interval: at `level`, always holds `value`; one-sided at a bound
@@ -210,34 +207,14 @@ class Estimate:
     converged: every simulation that the value and the interval rest on reached its static state
     """
 
-    parameter: Parameter
-    value: float
-    interval: tuple[float, float]
-    level: float
-    bounds: tuple[float, float]
-    verdict: Verdict
-    stiffness_verdict: Verdict
-    aee: float
-    aee_free: float
-    nearest: float
-    unit: LengthUnit
-    curve: Curve
-    converged: bool
-    settings: dict[str, object]
-    stiffness: tuple[float, tuple[float, float]] | None = None
-    contact_stiffness: tuple[float, tuple[float, float]] | None = None
-    metres_per_unit: float | None = 1.0
-    posterior: Posterior | None = None
-    identifiability: Identifiability | None = None
-    reasons: tuple[Doubt, ...] = ()
-    selection: tuple[Choice, ...] = ()
-    selection_text: str = ""
+    parameter: Parameter = field(metadata=reported())
+    value: float = field(metadata=reported())
+    interval: tuple[float, float] = field(metadata=reported())
+    level: float = field(metadata=reported())
+    bounds: tuple[float, float] = field(metadata=reported())
+    verdict: Verdict = field(metadata=reported())
 
-    @property
-    def explained(self) -> float | None:
-        """Share of the motion beyond a rigid one that the model explains; None where it was not judged."""
-        return None if self.identifiability is None else self.identifiability.explained
-
+    @derived()
     def verdict_text(self) -> str:
         """The verdict in plain words, with the first reason that lowers it."""
         low, high = self.interval
@@ -259,6 +236,10 @@ class Estimate:
         weak = "" if high - low < IDENTIFIED_WIDTH else "weak, "
         return f"{weak}at {bound} bound: any {name} {side} fits{but}"
 
+    reasons: tuple[Doubt, ...] = field(default=(), metadata=reported())
+    stiffness_verdict: Verdict = field(metadata=reported())
+
+    @derived()
     def stiffness_text(self) -> str:
         """What can be said of stiffness, in plain words."""
         texts = []
@@ -272,67 +253,85 @@ class Estimate:
             )
         return "; ".join(texts) or "position alone does not identify stiffness here: give a force"
 
-    def as_json(self) -> dict[str, object]:
-        """The public form of an estimate. Lengths are in metres where the scale is known, and in pixels too where
-        they were measured in an image; what is not known is null."""
-        metres = self.metres_per_unit
+    aee: float
+    aee_free: float
+    nearest: float
+    unit: LengthUnit
+    metres_per_unit: float | None = 1.0
 
-        def in_metres(length: float) -> float | None:
-            return None if metres is None else length * metres
+    @property
+    @derived(flat=True)
+    def errors_json(self) -> dict[str, float | None]:
+        """The errors, each in metres where the scale is known, and in pixels where they were measured in them."""
+        known = {name: getattr(self, name) for name in ("aee", "aee_free", "nearest")}
+        each = [lengths(name, value, self.unit, self.metres_per_unit) for name, value in known.items()]
+        return {key: one[key] for place in (0, 1) for one in each for key in [[*one][place]]}
 
-        def in_pixels(length: float) -> float | None:
-            return length if self.unit == "px" else None
+    curve: Curve
 
-        aee = self.curve.aee if metres is None else self.curve.aee * metres
-        found: dict[str, object] = {
-            "parameter": self.parameter,
-            "value": self.value,
-            "interval": list(self.interval),
-            "level": self.level,
-            "bounds": list(self.bounds),
-            "verdict": self.verdict,
-            "verdict_text": self.verdict_text(),
-            "reasons": [one.as_json() for one in self.reasons],
-            "stiffness_verdict": self.stiffness_verdict,
-            "stiffness_text": self.stiffness_text(),
-            "aee_m": in_metres(self.aee),
-            "aee_free_m": in_metres(self.aee_free),
-            "nearest_m": in_metres(self.nearest),
-            "aee_px": in_pixels(self.aee),
-            "aee_free_px": in_pixels(self.aee_free),
-            "nearest_px": in_pixels(self.nearest),
-            "curve": {
-                "parameter": [float(v) for v in self.curve.parameter],
-                "aee": [float(v) if math.isfinite(v) else None for v in aee],
-                "unit": "px" if metres is None else "m",
-            },
-            "explained": self.explained,
-            "converged": self.converged,
-            "settings": self.settings,
+    @property
+    @derived(key="curve")
+    def curve_json(self) -> dict[str, object]:
+        """The curve, in metres where the scale is known."""
+        return {
+            "parameter": self.curve.parameter,
+            "aee": self.curve.aee * self._scale,
+            "unit": "px" if self.metres_per_unit is None else "m",
         }
-        if self.posterior is not None:
-            thin = self.posterior.thinned(SHOWN)
-            found["posterior"] = {"parameter": thin.parameter.tolist(), "density": thin.density.tolist()}
-        if self.identifiability is not None:
-            identified = self.identifiability
-            found["identifiability"] = {
-                "rise_sd": identified.rise,
-                "explained": identified.explained,
-                "deviation": identified.deviation,
-                "misfit_m": in_metres(identified.misfit),
-                "misfit_px": in_pixels(identified.misfit),
-            }
-        if self.selection:
-            scale = 1.0 if metres is None else metres
-            found["selection"] = [one.as_json(self.parameter, scale) for one in self.selection]
-            found["selection_unit"] = "px" if metres is None else "m"
-            found["selection_text"] = self.selection_text
-        if self.stiffness is not None:
-            found["stiffness_n_per_m"] = {"value": self.stiffness[0], "interval": list(self.stiffness[1])}
-        if self.contact_stiffness is not None:
-            value, ends = self.contact_stiffness
-            found["contact_stiffness_n_per_mm"] = {"value": value, "interval": list(ends)}
-        return found
+
+    @property
+    @derived()
+    def explained(self) -> float | None:
+        """Share of the motion beyond a rigid one that the model explains; None where it was not judged."""
+        return None if self.identifiability is None else self.identifiability.explained
+
+    converged: bool = field(metadata=reported())
+    settings: dict[str, object] = field(metadata=reported())
+    posterior: Posterior | None = field(
+        default=None, metadata=reported(optional=True, json=lambda posterior: posterior.thinned(SHOWN))
+    )
+    identifiability: Identifiability | None = None
+
+    @property
+    @derived(key="identifiability", optional=True)
+    def identifiability_json(self) -> dict[str, float | None] | None:
+        """Lengths as those of the errors."""
+        if (known := self.identifiability) is None:
+            return None
+        found = {"rise_sd": known.rise, "explained": known.explained, "deviation": known.deviation}
+        return found | lengths("misfit", known.misfit, self.unit, self.metres_per_unit)
+
+    selection: tuple[Choice, ...] = ()
+    selection_text: str = ""
+
+    @property
+    @derived(flat=True)
+    def selection_json(self) -> dict[str, object]:
+        """The choices that were tried, where some were."""
+        if not self.selection:
+            return {}
+        return {
+            "selection": [one.as_json(self.parameter, self._scale) for one in self.selection],
+            "selection_unit": "px" if self.metres_per_unit is None else "m",
+            "selection_text": self.selection_text,
+        }
+
+    stiffness: tuple[float, tuple[float, float]] | None = field(
+        default=None, metadata=reported(key="stiffness_n_per_m", optional=True, json=_with_interval)
+    )
+    contact_stiffness: tuple[float, tuple[float, float]] | None = field(
+        default=None, metadata=reported(key="contact_stiffness_n_per_mm", optional=True, json=_with_interval)
+    )
+
+    @property
+    def _scale(self) -> float:
+        """Of lengths in JSON: to metres where the scale is known."""
+        return 1.0 if self.metres_per_unit is None else self.metres_per_unit
+
+
+def converged_text(found: Any) -> str:
+    """Whether an estimate's simulations reached their static states."""
+    return "yes" if found.converged else "NO: do not rely on the values"
 
 
 def explained_text(share: float) -> str:
@@ -364,16 +363,6 @@ def relative_verdict(value: float, ends: tuple[float, float], reasons: Sequence[
     width = (ends[1] - ends[0]) / value
     found: Verdict = "identified" if width < IDENTIFIED_WIDTH else "weak" if width < WEAK_WIDTH else "unidentified"
     return limited(found, reasons)
-
-
-def lengths(name: str, value: float | FloatArray, unit: LengthUnit, metres_per_unit: float | None) -> dict[str, object]:
-    """A length, or lengths, as JSON has them: `NAME_m` and `NAME_px`, None where it is not known in that unit."""
-    given = np.asarray(value, dtype=np.float64)
-    metres = given if unit == "m" else None if metres_per_unit is None else metres_per_unit * given
-    return {
-        f"{name}_m": None if metres is None else metres.tolist(),
-        f"{name}_px": given.tolist() if unit == "px" else None,
-    }
 
 
 @dataclass(frozen=True, slots=True)

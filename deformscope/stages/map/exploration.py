@@ -7,15 +7,19 @@ frame has x, y in the table's plane and z up.
 from __future__ import annotations
 
 import traceback
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import dataclass, field
+from typing import Any, Literal
 
 import numpy as np
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.errors import InputError
+from deformscope.results.declared import derived, reported
+from deformscope.results.render import to_words
 from deformscope.stages.poke.creep import CreepFit
 
+NOT_ASKED = "not asked for"
+"""A verdict on beta that need not be shown."""
 DISPLAY = "display"
 """The stage that shows results."""
 
@@ -37,7 +41,7 @@ class SurfaceEstimate:
     layer_sd_m: float | None = None
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class TouchEstimate:
     """What one touch measured.
 
@@ -57,32 +61,128 @@ class TouchEstimate:
     """
 
     number: int
-    xyz_m: FloatArray
+    xyz_m: FloatArray = field(metadata=reported(key="xy_m", unit="m", json=lambda xyz_m: xyz_m[:2]))
     normal: FloatArray
     approach_m: FloatArray
     approach_n: FloatArray
     fitted_n: FloatArray
     contact_m: float
-    stiffness_n_per_mm: float
-    stiffness_interval: tuple[float, float]
-    rigid: bool
-    modulus_pa: float | None
-    depth_m: float
-    peak_force_n: float
-    beta: float | None
-    beta_interval: tuple[float, float] | None
-    beta_verdict: str
+    stiffness_n_per_mm: float = field(
+        metadata=reported(
+            key="apparent_stiffness_n_per_mm",
+            unit="N/mm",
+            words=lambda touch: touch.stiffness_text + (f" ({touch.interval_text})" if touch.interval_text else ""),
+            line="{}",
+        )
+    )
+    stiffness_interval: tuple[float, float] = field(
+        metadata=reported(
+            key="apparent_stiffness_interval", words=lambda touch: touch.interval_text, caption="interval {}"
+        )
+    )
+    rigid: bool = field(metadata=reported())
+    thickness_m: float | None = field(default=None, metadata=reported(unit="m"))
+    level_n_per_mm: float | None = field(default=None, metadata=reported(unit="N/mm"))
+
+    @property
+    @derived(key=None, line="dent {}", caption="{}")
+    def dent_text(self) -> str:
+        """The dent and the force that made it; the force alone where no contact was fitted."""
+        force = f"{self.peak_force_n:.2f} N"
+        return f"{1e3 * self.depth_m:.1f} mm at {force}" if self.usable else force
+
+    modulus_pa: float | None = field(metadata=reported(unit="Pa", scale=1e-3, shown_unit="kPa", caption="modulus {}"))
+    modulus_interval_pa: tuple[float, float] | None = field(default=None, metadata=reported(unit="Pa"))
+    depth_m: float = field(metadata=reported(unit="m"))
+    peak_force_n: float = field(metadata=reported(unit="N"))
+    beta: float | None = field(
+        metadata=reported(
+            unit="1", words=lambda touch: "" if touch.beta_verdict == NOT_ASKED else touch.beta_text, caption="{}"
+        )
+    )
+    beta_interval: tuple[float, float] | None = field(metadata=reported())
+    beta_verdict: str = field(metadata=reported())
     observed_m: FloatArray
     simulated_m: FloatArray
-    creep: CreepFit | None = None
-    thickness_m: float | None = None
-    level_n_per_mm: float | None = None
-    modulus_interval_pa: tuple[float, float] | None = None
-    speed_m_s: float | None = None
+    speed_m_s: float | None = field(default=None, metadata=reported(key="approach_speed_mm_s", json_scale=1e3))
+
+    @property
+    @derived()
+    def held_s(self) -> float:
+        """How long the force was held [s]."""
+        return 0.0 if self.creep is None else self.creep.held_s
+
+    creep: CreepFit | None = field(default=None, metadata=reported())
 
     @property
     def usable(self) -> bool:
         return bool(np.isfinite(self.stiffness_n_per_mm))
+
+    @property
+    def stiffness_text(self) -> str:
+        """The stiffness without its interval."""
+        if not self.usable:
+            return "no contact fitted"
+        return f"{'> ' * self.rigid}{self.stiffness_n_per_mm:.3g} N/mm"
+
+    @property
+    def interval_text(self) -> str:
+        """The interval of the stiffness; empty where there is none."""
+        if not self.usable or self.rigid:
+            return ""
+        low, high = self.stiffness_interval
+        return f"{low:.3g} to {high:.3g}"
+
+    @property
+    def beta_text(self) -> str:
+        """Beta with its interval and verdict, or why there is none."""
+        if self.beta is None:
+            return f"beta not fitted ({self.beta_verdict})" if self.beta_verdict else "beta not fitted"
+        between = "" if self.beta_interval is None else ", {:.2f} to {:.2f}".format(*self.beta_interval)
+        return f"beta {self.beta:.2f} ({self.beta_verdict}{between})"
+
+
+@dataclass(frozen=True, slots=True)
+class MapRegion:
+    """A region of a map: a place where all is alike.
+
+    stiffness_n_per_mm, stiffness_interval_n_per_mm: (2,) of 90 %; rigid: the former is a lower bound
+    modulus_pa, modulus_interval_pa: (2,) Young's modulus; None where the thickness is not known, the interval where it
+    is a bound too
+    loss, loss_interval: (2,) share of a touch's energy; None where it is not mapped
+    """
+
+    stiffness_n_per_mm: float = field(
+        metadata=reported(key="log_stiffness", unit="natural logarithm of N/mm", json=np.log)
+    )
+    stiffness_interval_n_per_mm: FloatArray = field(metadata=reported(key="interval", json=np.log))
+    modulus_pa: float | None = field(
+        metadata=reported(unit="Pa", scale=1e-3, shown_unit="kPa", interval="modulus_interval_pa")
+    )
+    modulus_interval_pa: FloatArray | None = field(metadata=reported(unit="Pa"))
+    rigid: bool = field(metadata=reported())
+    loss: float | None = field(
+        metadata=reported(unit="share of a touch's energy", digits=".0%", interval="loss_interval")
+    )
+    loss_interval: FloatArray | None = field(metadata=reported())
+
+    @property
+    def level_text(self) -> str:
+        """The stiffness [N/mm], without its unit."""
+        return f"{'> ' * self.rigid}{self.stiffness_n_per_mm:.3g}"
+
+    @property
+    def loss_text(self) -> str:
+        """What it loses of a touch's energy; empty where it was not mapped."""
+        return "" if self.loss is None else f"loses {to_words(self, 'loss')}"
+
+    @property
+    def modulus_text(self) -> str:
+        """Its modulus; empty where it was not told apart from stiffness, or is a bound."""
+        return "" if self.modulus_pa is None or self.rigid else f"{self.modulus_pa / 1e3:.3g} kPa"
+
+
+REGION_LABELS = "region from 0, the softest, or the one that loses least; -1: no regions"
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,30 +212,30 @@ class MapEstimate:
     """
 
     touches: int
-    cell_m: float
-    stiffness_n_per_mm: FloatArray
-    stiffness_log_sd: FloatArray
-    beta: FloatArray | None
-    beta_sd: FloatArray | None
-    labels: IntArray
-    label_probability: FloatArray
+    cell_m: float = field(metadata=reported(unit="m"))
+    stiffness_n_per_mm: FloatArray = field(metadata=reported(unit="N/mm"))
+    stiffness_log_sd: FloatArray = field(metadata=reported(unit="natural logarithm"))
+    beta: FloatArray | None = field(metadata=reported(unit="1"))
+    beta_sd: FloatArray | None = field(metadata=reported(unit="1"))
+    labels: IntArray = field(metadata=reported(unit=REGION_LABELS))
+    label_probability: FloatArray = field(metadata=reported(unit="1"))
     region_count: int
     verdict: str
     probability: float
     level_n_per_mm: FloatArray
     level_interval_n_per_mm: FloatArray
     level_rigid: BoolArray
-    contacts_m: FloatArray
+    contacts_m: FloatArray = field(metadata=reported(unit="m, (x, y)"))
     tip_radius_m: float
     travel_m: float
-    truth_labels: IntArray | None = None
+    truth_labels: IntArray | None = field(default=None, metadata=reported(unit="region from 0"))
     iou: float | None = None
     boundary_m: float | None = None
     level_modulus_pa: FloatArray | None = None
     level_modulus_interval_pa: FloatArray | None = None
     levelled_m: float | None = None
-    loss: FloatArray | None = None
-    loss_log_sd: FloatArray | None = None
+    loss: FloatArray | None = field(default=None, metadata=reported(unit="share of a touch's energy"))
+    loss_log_sd: FloatArray | None = field(default=None, metadata=reported(unit="natural logarithm"))
     level_loss: FloatArray | None = None
     level_loss_interval: FloatArray | None = None
     isopleths: FloatArray | None = None
@@ -148,9 +248,35 @@ class MapEstimate:
         return "stiffness" if self.loss is None else "energy loss"
 
     @property
+    def regions(self) -> tuple[MapRegion, ...]:
+        """Each region, from label 0 on."""
+        modulus, between = self.level_modulus_pa, self.level_modulus_interval_pa
+        loss, loss_between = self.level_loss, self.level_loss_interval
+        return tuple(
+            MapRegion(
+                float(self.level_n_per_mm[one]),
+                self.level_interval_n_per_mm[one],
+                None if modulus is None or between is None else float(modulus[one]),
+                None if modulus is None or between is None or self.level_rigid[one] else between[one],
+                bool(self.level_rigid[one]),
+                None if loss is None else float(loss[one]),
+                None if loss_between is None else loss_between[one],
+            )
+            for one in range(self.region_count)
+        )
+
+    @property
     def claimed(self) -> float | None:
         """Probability of the verdict and the number of regions; None where they come from a rule that has none."""
         return self.probability if self.isopleths is None else None
+
+
+@dataclass(frozen=True, slots=True)
+class LumpMissed:
+    """With which probability a lump of a radius [m] is missed."""
+
+    radius_m: float = field(metadata=reported(unit="m"))
+    probability: float = field(metadata=reported())
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,13 +290,19 @@ class Missed:
     deepest_m: from the surface to their uppermost points, at most; None = they reach from top to bottom
     """
 
-    untouched_m: float
-    untouched_at_m: FloatArray
+    untouched_m: float = field(metadata=reported(unit="m"))
+    untouched_at_m: FloatArray = field(metadata=reported(unit="m"))
     lump_radius_m: FloatArray
     lump_probability: FloatArray
-    contrast: float
-    prior: float
+    contrast: float = field(metadata=reported())
+    prior: float = field(metadata=reported())
     deepest_m: float | None = None
+
+    @property
+    @derived()
+    def lumps(self) -> list[LumpMissed]:
+        """Each size with its probability."""
+        return [*map(LumpMissed, self.lump_radius_m, self.lump_probability)]
 
     def probability(self, radius_m: float) -> float:
         """Of lumps of one of these radii [m]; 0 where they do not fit."""
@@ -193,6 +325,13 @@ class LumpsFound:
     truth_m: (m, 4) where it is known: x, y, radius, depth of each [m]
     """
 
+    @property
+    @derived()
+    def lumps(self) -> list[dict[str, Any]]:
+        """Each that was found."""
+        names = ("centre_m", "within_m", "radius_m", "radius_interval_m", "stiff", "probability", "depth")
+        return [{name: getattr(self, name)[number] for name in names} for number in range(len(self))]
+
     centre_m: FloatArray
     within_m: FloatArray
     radius_m: FloatArray
@@ -204,15 +343,60 @@ class LumpsFound:
     cell_m: float
     size_m: FloatArray
     missed: FloatArray
-    smallest_m: float
-    missed_smallest: float
-    prior: float
-    contrast: float
-    deepest_m: float
-    deep_m: float
-    scatter: float
-    contacts_m: FloatArray
+
+    @property
+    @derived(key="missed")
+    def missed_each(self) -> list[LumpMissed]:
+        """Each size with its probability."""
+        return [*map(LumpMissed, self.size_m, self.missed)]
+
+    smallest_m: float = field(metadata=reported())
+    missed_smallest: float = field(metadata=reported())
+    prior: float = field(metadata=reported())
+    contrast: float = field(metadata=reported())
+    deepest_m: float = field(metadata=reported())
+    deep_m: float = field(metadata=reported(key="shallow_to_m"))
+    scatter: float = field(metadata=reported())
+    contacts_m: FloatArray = field(metadata=reported(key="touches", json=len))
     truth_m: FloatArray | None = None
+
+    @property
+    @derived()
+    def truth(self) -> list[dict[str, Any]]:
+        """Each true lump; empty where these are not known."""
+        known = () if self.truth_m is None else self.truth_m
+        return [{"centre_m": one[:2], "radius_m": one[2], "depth_m": one[3]} for one in known]
+
+    @property
+    @derived(key="words")
+    def rows(self) -> list[tuple[str, str]]:
+        """Every lump that was found, and what may be missed, as names and values."""
+        rows = []
+        for number in range(len(self)):
+            x, y = 100.0 * self.centre_m[number]
+            low, high = 100.0 * self.radius_interval_m[number]
+            depth = {"shallow": "up to {:g} cm deep", "deep": "deeper than {:g} cm"}.get(self.depth[number])
+            parts = [
+                f"{'stiff' if self.stiff[number] else 'soft'}, its middle at ({x:.1f}, {y:.1f}) cm"
+                f" (90 % within {100.0 * self.within_m[number]:.1f} cm)",
+                f"radius {100.0 * self.radius_m[number]:.1f} cm ({low:.1f} to {high:.1f})",
+                "its depth cannot be told" if depth is None else depth.format(100.0 * self.deep_m),
+                f"probability {self.probability[number]:.2f}",
+            ]
+            rows.append((f"lump {number + 1}", ", ".join(parts)))
+        for x, y, radius, depth_m in 100.0 * (np.zeros((0, 4)) if self.truth_m is None else self.truth_m):
+            off = np.hypot(*(100.0 * self.centre_m - (x, y)).T).min(initial=np.inf)
+            found = f"found, {off:.1f} cm off" if off <= radius else "not found"
+            rows.append(("true lump", f"({x:.1f}, {y:.1f}) cm, radius {radius:.1f} cm, {depth_m:.1f} cm deep: {found}"))
+        each = ", ".join(
+            f"{100.0 * radius:.3g} cm {share:.2f}" for radius, share in zip(self.size_m, self.missed, strict=True)
+        )
+        wanted = f"of {100.0 * self.smallest_m:.3g} cm radius or more {self.missed_smallest:.3f}"
+        taken = (
+            f"balls {self.contrast:g} times as stiff or soft or more, at most {100.0 * self.deepest_m:g} cm deep;"
+            f" {self.prior:g} before any touch"
+        )
+        return [*rows, ("a lump missed", f"{wanted}; by radius {each} ({taken})")]
 
     def __len__(self) -> int:
         """How many were found."""
@@ -286,9 +470,9 @@ class StageFailure:
     reason: in one line; trace: where it failed, for whoever mends it
     """
 
-    stage: str
-    touch: int
-    reason: str
+    stage: str = field(metadata=reported())
+    touch: int = field(metadata=reported())
+    reason: str = field(metadata=reported())
     trace: str
 
     @classmethod

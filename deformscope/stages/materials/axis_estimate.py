@@ -2,10 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import ClassVar
 
 from deformscope.arrays import FloatArray
-from deformscope.stages.fit.estimate import Doubt, Identifiability, LengthUnit, Verdict, lengths
+from deformscope.results.declared import derived, reported
+from deformscope.results.render import ReportedResult
+from deformscope.stages.fit.estimate import (
+    Doubt,
+    Identifiability,
+    LengthUnit,
+    Verdict,
+    converged_text,
+    explained_text,
+)
 
 SEEN_SDS = 3.0
 """A strain counts as seen from so many of its deviations on."""
@@ -13,8 +23,8 @@ SEEN_SDS = 3.0
 ACROSS_VIEW = "one view, or a plane of particles, shows nothing along the third axis: film from another side, or in 3D"
 
 
-@dataclass(frozen=True, slots=True)
-class AxisEstimate:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AxisEstimate(ReportedResult):
     """Betas along the axes of a material (linear clusters, theta = 0).
 
     axes: (d, d) columns; value: (d,); interval: (d, 2) at `level`; correlation: (d, d) of -log(1 - beta)
@@ -27,75 +37,67 @@ class AxisEstimate:
     unit, metres_per_unit: of all lengths; None: not known
     """
 
+    parameter: ClassVar[str] = "beta"
+
+    @property
+    @derived(key="axes")
+    def by_axis(self) -> list[dict[str, object]]:
+        """What is known of each axis."""
+        each = zip(self.axes.T, self.value, self.interval, self.verdict, self.reasons, strict=True)
+        return [dict(zip(("axis", "value", "interval", "verdict", "reasons"), one, strict=True)) for one in each]
+
     axes: FloatArray
     value: FloatArray
     interval: FloatArray
-    level: float
-    correlation: FloatArray
+    level: float = field(metadata=reported())
+    correlation: FloatArray = field(metadata=reported())
     verdict: tuple[Verdict, ...]
     reasons: tuple[tuple[Doubt, ...], ...]
     identifiability: tuple[Identifiability, ...]
-    anisotropic: bool
-    p_isotropic: float
-    beta: float
-    aee: float
-    aee_isotropic: float
-    noise: float
-    converged: bool
-    settings: dict[str, object]
-    strain: FloatArray
-    strain_sd: FloatArray
-    unit: LengthUnit = "m"
-    metres_per_unit: float | None = 1.0
+    anisotropic: bool = field(metadata=reported())
+    p_isotropic: float = field(metadata=reported())
+    beta: float = field(metadata=reported("one beta", key="isotropic_beta", digits=".4g"))
+    aee: float = field(metadata=reported(length=True))
+    aee_isotropic: float = field(metadata=reported(length=True))
+    noise: float = field(metadata=reported("noise of a position", length=True))
+    strain: FloatArray = field(metadata=reported())
+    strain_sd: FloatArray = field(metadata=reported())
 
     @property
+    @derived(key="pressed_axis")
     def pressed(self) -> int | None:
         """The axis along which the material was shortened most; None where along none."""
         return self._most(-self.strain)
 
     @property
+    @derived(key="bulging_axis")
     def bulges(self) -> int | None:
         """The axis along which it became longer by most; None where along none."""
         return self._most(self.strain)
 
-    def _most(self, strain: FloatArray) -> int | None:
-        most = int(strain.argmax())
-        return most if strain[most] > SEEN_SDS * self.strain_sd[most] else None
+    @property
+    @derived()
+    def across_view(self) -> dict[str, str] | None:
+        """What is known along the third axis, where one view or a plane shows nothing of it."""
+        return {"verdict": "unidentified", "text": ACROSS_VIEW} if len(self.value) == 2 else None
 
     @property
+    @derived("explained", words=lambda found: explained_text(found.explained))
     def explained(self) -> float:
         """Share of the motion beyond a rigid one that the betas explain."""
         return self.identifiability[0].explained
 
-    def as_json(self) -> dict[str, object]:
-        """The public form."""
-        return {
-            "parameter": "beta",
-            "axes": [
-                {
-                    "axis": [float(x) for x in self.axes[:, k]],
-                    "value": float(self.value[k]),
-                    "interval": [float(x) for x in self.interval[k]],
-                    "verdict": self.verdict[k],
-                    "reasons": [one.as_json() for one in self.reasons[k]],
-                }
-                for k in range(len(self.value))
-            ],
-            "level": self.level,
-            "correlation": self.correlation.tolist(),
-            "anisotropic": self.anisotropic,
-            "p_isotropic": self.p_isotropic,
-            "isotropic_beta": self.beta,
-            **lengths("aee", self.aee, self.unit, self.metres_per_unit),
-            **lengths("aee_isotropic", self.aee_isotropic, self.unit, self.metres_per_unit),
-            **lengths("noise", self.noise, self.unit, self.metres_per_unit),
-            "strain": self.strain.tolist(),
-            "strain_sd": self.strain_sd.tolist(),
-            "pressed_axis": self.pressed,
-            "bulging_axis": self.bulges,
-            "across_view": {"verdict": "unidentified", "text": ACROSS_VIEW} if len(self.value) == 2 else None,
-            "explained": self.explained,
-            "identifiability": {"rise_sd": [one.rise for one in self.identifiability], "explained": self.explained},
-            "converged": self.converged,
-            "settings": self.settings,
-        }
+    @property
+    @derived(key="identifiability")
+    def identifiability_json(self) -> dict[str, object]:
+        """How far the data separate the betas."""
+        return {"rise_sd": [one.rise for one in self.identifiability], "explained": self.explained}
+
+    converged: bool = field(metadata=reported("converged", words=converged_text))
+    settings: dict[str, object] = field(metadata=reported())
+    unit: LengthUnit = "m"
+    metres_per_unit: float | None = 1.0
+
+    def _most(self, strain: FloatArray) -> int | None:
+        most = int(strain.argmax())
+        return most if strain[most] > SEEN_SDS * self.strain_sd[most] else None

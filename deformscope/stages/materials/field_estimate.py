@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 
 from deformscope.arrays import FloatArray, IntArray
-from deformscope.stages.fit.estimate import Doubt, LengthUnit, Verdict, lengths
+from deformscope.results.declared import derived, reported
+from deformscope.results.render import ReportedResult
+from deformscope.stages.fit.estimate import Doubt, LengthUnit, Verdict, converged_text, explained_text
 
 FieldVerdict = Literal["uniform", "materials", "gradual", "unidentified"]
 
@@ -24,8 +26,8 @@ def place_verdicts(interval: FloatArray) -> tuple[Verdict, ...]:
     )
 
 
-@dataclass(frozen=True, slots=True)
-class FieldEstimate:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FieldEstimate(ReportedResult):
     """What one deformation shows of a body's stiffness from place to place.
 
     place: (C, d) middles of the cells [unit]; spacing: of the particles [unit]
@@ -44,49 +46,15 @@ class FieldEstimate:
     explained: share of the motion beyond a rigid one that the elastic body explains
     """
 
-    place: FloatArray
-    spacing: float
-    stiffness: FloatArray
-    interval: FloatArray
-    level: float
-    verdicts: tuple[str, ...]
-    material: IntArray
-    ratio: float
-    ratio_interval: tuple[float, float]
-    beta: FloatArray
-    beta_interval: FloatArray
-    beta_ratio: float
-    absolute: FloatArray | None
-    absolute_interval: FloatArray | None
-    verdict: FieldVerdict
-    reasons: tuple[Doubt, ...]
-    poisson: float
-    poisson_sd: float
-    reach: float
-    tried: tuple[str, ...]
-    held_out: FloatArray
-    probability: FloatArray
-    plausible: tuple[bool, ...]
-    noise: float
-    noise_reach: float
-    aee: float
-    beta_aee: float
-    explained: float
-    converged: bool
-    unit: LengthUnit = "m"
-    metres_per_unit: float | None = 1.0
-    settings: dict[str, object] = field(default_factory=dict)
+    parameter: ClassVar[str] = "field"
 
-    @property
-    def materials(self) -> int:
-        """How many materials there are; 0 where the field is smooth."""
-        return int(self.material.max()) + 1
+    verdict: FieldVerdict = field(metadata=reported())
+    reasons: tuple[Doubt, ...] = field(metadata=reported())
+    level: float = field(metadata=reported())
+    ratio: float = field(metadata=reported("stiffest over softest", key="ratio.value", interval="ratio_interval"))
+    ratio_interval: tuple[float, float] = field(metadata=reported(key="ratio.interval"))
 
-    @property
-    def determined(self) -> float:
-        """Share of the places whose stiffness is identified or weak."""
-        return float(np.mean([one != "unidentified" for one in self.verdicts]))
-
+    @derived(key="materials")
     def levels(self) -> list[dict[str, object]]:
         """Each material's stiffness over the softest one's, and its share of the cells."""
         found: list[dict[str, object]] = []
@@ -102,48 +70,63 @@ class FieldEstimate:
             )
         return found
 
-    def as_json(self) -> dict[str, object]:
-        """The public form."""
-        metres = 1.0 if self.unit == "m" else self.metres_per_unit
-        per = None if metres is None else 1.0 / metres
+    @property
+    @derived(
+        "places determined", key="determined_share", words=lambda found: f"{found.determined:.0%} of {len(found.place)}"
+    )
+    def determined(self) -> float:
+        """Share of the places whose stiffness is identified or weak."""
+        return float(np.mean([one != "unidentified" for one in self.verdicts]))
 
-        def force(value: FloatArray | None) -> object:
-            return None if value is None or per is None else (per * value).tolist()
+    place: FloatArray = field(metadata=reported(key="places.at", length=True))
+    stiffness: FloatArray = field(metadata=reported(key="places.stiffness"))
+    interval: FloatArray = field(metadata=reported(key="places.interval"))
+    verdicts: tuple[str, ...] = field(metadata=reported(key="places.verdict"))
+    material: IntArray = field(
+        metadata=reported(
+            key="places.material", json=lambda material: [k if k >= 0 else None for k in material.tolist()]
+        )
+    )
+    beta: FloatArray = field(metadata=reported(key="places.beta"))
+    beta_interval: FloatArray = field(metadata=reported(key="places.beta_interval"))
+    absolute: FloatArray | None = field(metadata=reported(key="places.stiffness_n_per_m", per_length=True))
+    absolute_interval: FloatArray | None = field(
+        metadata=reported(key="places.stiffness_interval_n_per_m", per_length=True)
+    )
+    spacing: float = field(metadata=reported(length=True))
+    beta_ratio: float = field(metadata=reported())
+    poisson: float = field(
+        metadata=reported(
+            "Poisson's ratio",
+            key="poisson.value",
+            words=lambda found: f"{found.poisson:.2g} (deviation {found.poisson_sd:.2g})",
+        )
+    )
+    poisson_sd: float = field(metadata=reported(key="poisson.deviation"))
+    tried: tuple[str, ...]
+    held_out: FloatArray
+    probability: FloatArray
+    plausible: tuple[bool, ...]
 
-        return {
-            "parameter": "field",
-            "verdict": self.verdict,
-            "reasons": [one.as_json() for one in self.reasons],
-            "level": self.level,
-            "ratio": {"value": self.ratio, "interval": list(self.ratio_interval)},
-            "materials": self.levels(),
-            "determined_share": self.determined,
-            "places": {
-                **lengths("at", self.place, self.unit, self.metres_per_unit),
-                "stiffness": self.stiffness.tolist(),
-                "interval": self.interval.tolist(),
-                "verdict": list(self.verdicts),
-                "material": [int(k) if k >= 0 else None for k in self.material],
-                "beta": self.beta.tolist(),
-                "beta_interval": self.beta_interval.tolist(),
-                "stiffness_n_per_m": force(self.absolute),
-                "stiffness_interval_n_per_m": force(self.absolute_interval),
-            },
-            **lengths("spacing", self.spacing, self.unit, self.metres_per_unit),
-            "beta_ratio": self.beta_ratio,
-            "poisson": {"value": self.poisson, "deviation": self.poisson_sd},
-            "held_out": [
-                {"field": name, "chi2": float(error), "probability": float(likely), "plausible": bool(kept)}
-                for name, error, likely, kept in zip(
-                    self.tried, self.held_out, self.probability, self.plausible, strict=True
-                )
-            ],
-            "reach_spacings": self.reach,
-            **lengths("noise", self.noise, self.unit, self.metres_per_unit),
-            "noise_reach_spacings": self.noise_reach,
-            **lengths("aee", self.aee, self.unit, self.metres_per_unit),
-            **lengths("beta_aee", self.beta_aee, self.unit, self.metres_per_unit),
-            "explained": self.explained,
-            "converged": self.converged,
-            "settings": self.settings,
-        }
+    @property
+    @derived(key="held_out")
+    def held_out_json(self) -> list[dict[str, object]]:
+        """Each kind of field that was tried."""
+        each = zip(self.tried, self.held_out, self.probability, self.plausible, strict=True)
+        return [dict(zip(("field", "chi2", "probability", "plausible"), one, strict=True)) for one in each]
+
+    reach: float = field(metadata=reported(key="reach_spacings"))
+    noise: float = field(metadata=reported("noise (a coordinate)", length=True))
+    noise_reach: float = field(metadata=reported(key="noise_reach_spacings"))
+    aee: float = field(metadata=reported(length=True))
+    beta_aee: float = field(metadata=reported(length=True))
+    explained: float = field(metadata=reported("explained", words=lambda found: explained_text(found.explained)))
+    converged: bool = field(metadata=reported("converged", words=converged_text))
+    unit: LengthUnit = "m"
+    metres_per_unit: float | None = 1.0
+    settings: dict[str, object] = field(default_factory=dict, metadata=reported())
+
+    @property
+    def materials(self) -> int:
+        """How many materials there are; 0 where the field is smooth."""
+        return int(self.material.max()) + 1

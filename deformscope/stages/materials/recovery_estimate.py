@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Literal
-
-import numpy as np
+from typing import ClassVar, Literal
 
 from deformscope.arrays import FloatArray
+from deformscope.results.declared import derived, reported
+from deformscope.results.render import ReportedResult
 from deformscope.stages.fit.estimate import Doubt, LengthUnit
 
 RecoveryVerdict = Literal["elastic", "viscous", "plastic", "viscoplastic", "unidentified"]
+
+
+MOTION_ALONE = "unidentified: motion alone does not determine it; record a force beside the images"
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,8 +24,8 @@ class Number:
     interval: tuple[float, float]
 
 
-@dataclass(frozen=True, slots=True)
-class RecoveryEstimate:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RecoveryEstimate(ReportedResult):
     """What a push and its recovery show.
 
     share: of the modulus that relaxes; time_s: mean relaxation time [s], each branch weighed by its share
@@ -37,55 +40,50 @@ class RecoveryEstimate:
     unit, metres_per_unit: of the displacements
     """
 
-    share: Number
-    time_s: Number
-    set: Number
-    instant: Number | None
-    relaxed: Number | None
-    verdict: RecoveryVerdict
-    level: float
-    reasons: tuple[Doubt, ...]
-    explained: float
-    held_s: float
-    watched_s: float
-    released: int
-    largest: float
-    time: FloatArray
-    observed: FloatArray
-    simulated: FloatArray
+    parameter: ClassVar[str] = "relaxing_share"
+
+    share: Number = field(metadata=reported("share of the modulus that relaxes", flat=True, digits=".1%"))
+    level: float = field(metadata=reported())
+    verdict: RecoveryVerdict = field(metadata=reported())
+    reasons: tuple[Doubt, ...] = field(metadata=reported())
+    explained: float = field(
+        metadata=reported(
+            "explained",
+            words=lambda found: f"{max(found.explained, 0.0):.1%} of the motion by one shape that grows and shrinks",
+        )
+    )
+    time_s: Number = field(
+        metadata=reported(
+            "mean relaxation time",
+            key="relaxation_time_s",
+            shown_unit="s",
+        )
+    )
+    set: Number = field(metadata=reported("permanent set", key="permanent_set_share", digits=".1%"))
+
+    @property
+    @derived()
+    def permanent_set_m(self) -> Number | None:
+        """What is kept of the push [m]."""
+        metres = 1.0 if self.unit == "m" else self.metres_per_unit
+        if metres is None:
+            return None
+        low, high = (metres * self.largest * end for end in self.set.interval)
+        return Number(metres * self.largest * self.set.value, (low, high))
+
+    instant: Number | None = field(
+        metadata=reported("stiffness at once", key="instant_n_per_m", per_length=True, missing=MOTION_ALONE)
+    )
+    relaxed: Number | None = field(
+        metadata=reported("stiffness, relaxed", key="relaxed_n_per_m", per_length=True, missing=MOTION_ALONE)
+    )
+    held_s: float = field(metadata=reported())
+    watched_s: float = field(metadata=reported())
+    released: int = field(metadata=reported(key="released_frame"))
+    largest: float = field(metadata=reported("pressed", key=None, length=True))
+    time: FloatArray = field(metadata=reported(key="recovery.time_s"))
+    observed: FloatArray = field(metadata=reported(key="recovery.observed"))
+    simulated: FloatArray = field(metadata=reported(key="recovery.simulated"))
     unit: LengthUnit = "m"
     metres_per_unit: float | None = 1.0
-    settings: dict[str, object] = field(default_factory=dict)
-
-    def as_json(self) -> dict[str, object]:
-        """The public form."""
-
-        def public(one: Number | None, scale: float | None = 1.0) -> dict[str, object] | None:
-            if one is None or scale is None:
-                return None
-            return {"value": scale * one.value, "interval": [scale * end for end in one.interval]}
-
-        metres = 1.0 if self.unit == "m" else self.metres_per_unit
-        stiffness = None if metres is None else 1.0 / metres
-        return {
-            "parameter": "relaxing_share",
-            **(public(self.share) or {}),
-            "level": self.level,
-            "verdict": self.verdict,
-            "reasons": [one.as_json() for one in self.reasons],
-            "explained": self.explained,
-            "relaxation_time_s": public(self.time_s),
-            "permanent_set_share": public(self.set),
-            "permanent_set_m": public(self.set, None if metres is None else metres * self.largest),
-            "instant_n_per_m": public(self.instant, stiffness),
-            "relaxed_n_per_m": public(self.relaxed, stiffness),
-            "held_s": self.held_s,
-            "watched_s": self.watched_s,
-            "released_frame": self.released,
-            "recovery": {
-                "time_s": self.time.tolist(),
-                "observed": self.observed.tolist(),
-                "simulated": [None if not np.isfinite(one) else float(one) for one in self.simulated],
-            },
-            "settings": self.settings,
-        }
+    settings: dict[str, object] = field(default_factory=dict, metadata=reported())

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import ClassVar
 
 from deformscope.arrays import FloatArray
-from deformscope.stages.fit.estimate import Doubt, LengthUnit, Verdict, lengths
+from deformscope.results.declared import derived, reported
+from deformscope.results.render import ReportedResult, lengths
+from deformscope.stages.fit.estimate import Doubt, LengthUnit, Verdict, converged_text, explained_text
 
 
 @dataclass(frozen=True, slots=True)
@@ -16,9 +19,15 @@ class Parameter:
     interval: tuple[float, float | None]
     given: bool = False
 
+    @property
+    def text(self) -> str:
+        """The number with its interval."""
+        low, high = self.interval
+        return f"{self.value:.4g} (given)" if self.given else f"{self.value:.4g} ({low:.4g} to {high:.4g})"
 
-@dataclass(frozen=True, slots=True)
-class YieldEstimate:
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class YieldEstimate(ReportedResult):
     """What a motion shows of yielding.
 
     yield_strain: |S - I|_2 above which it flows; where the verdict is `unidentified` its interval has no upper end:
@@ -35,55 +44,37 @@ class YieldEstimate:
     unit, metres_per_unit: of all lengths; None: not known
     """
 
-    yield_strain: Parameter
-    verdict: Verdict
-    reasons: tuple[Doubt, ...]
-    explained: float
-    beta: Parameter
-    creep: Parameter | None
-    level: float
-    largest_strain: float
-    set: float
-    deviation: float
-    elastic_deviation: float
-    aee: float
-    elastic_aee: float
+    parameter: ClassVar[str] = "yield_strain"
+
+    yield_strain: Parameter = field(metadata=reported(flat=True))
+    level: float = field(metadata=reported())
+    verdict: Verdict = field(metadata=reported())
+    reasons: tuple[Doubt, ...] = field(metadata=reported())
+    explained: float = field(metadata=reported("explained", words=lambda found: explained_text(found.explained)))
+    beta: Parameter = field(metadata=reported("beta", words=lambda found: found.beta.text))
+    creep: Parameter | None = field(
+        metadata=reported(
+            "creep [1/s]", key="creep_per_s", words=lambda found: "" if found.creep is None else found.creep.text
+        )
+    )
+    largest_strain: float = field(metadata=reported("largest strain, unyielded", digits=".4g"))
+    set: float = field(metadata=reported("permanent set (rms)", key="permanent_set", length=True))
+    deviation: float = field(metadata=reported(key="rms", length=True))
+    elastic_deviation: float = field(metadata=reported(key="rms_elastic", length=True))
+    aee: float = field(metadata=reported(length=True))
+    elastic_aee: float = field(metadata=reported(key="aee_elastic", length=True))
     curve: tuple[FloatArray, ...]
+
+    @property
+    @derived(key="curve")
+    def curve_json(self) -> dict[str, object]:
+        """The error over the yield strain."""
+        strain, rms = self.curve
+        return {"yield_strain": strain} | lengths("rms", rms, self.unit, self.metres_per_unit)
+
     simulated: FloatArray
     elastic: FloatArray
-    converged: bool
-    settings: dict[str, object]
+    converged: bool = field(metadata=reported("converged", words=converged_text))
+    settings: dict[str, object] = field(metadata=reported())
     unit: LengthUnit = "m"
     metres_per_unit: float | None = 1.0
-
-    def as_json(self) -> dict[str, object]:
-        """The public form; an interval's end that is null is open."""
-
-        def public(parameter: Parameter | None) -> dict[str, object] | None:
-            if parameter is None:
-                return None
-            low, high = parameter.interval
-            return {"value": parameter.value, "interval": [low, high], "given": parameter.given}
-
-        return {
-            "parameter": "yield_strain",
-            **(public(self.yield_strain) or {}),
-            "level": self.level,
-            "verdict": self.verdict,
-            "reasons": [one.as_json() for one in self.reasons],
-            "explained": self.explained,
-            "beta": public(self.beta),
-            "creep_per_s": public(self.creep),
-            "largest_strain": self.largest_strain,
-            **lengths("permanent_set", self.set, self.unit, self.metres_per_unit),
-            **lengths("rms", self.deviation, self.unit, self.metres_per_unit),
-            **lengths("rms_elastic", self.elastic_deviation, self.unit, self.metres_per_unit),
-            **lengths("aee", self.aee, self.unit, self.metres_per_unit),
-            **lengths("aee_elastic", self.elastic_aee, self.unit, self.metres_per_unit),
-            "curve": {
-                "yield_strain": self.curve[0].tolist(),
-                **lengths("rms", self.curve[1], self.unit, self.metres_per_unit),
-            },
-            "converged": self.converged,
-            "settings": self.settings,
-        }

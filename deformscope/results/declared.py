@@ -1,0 +1,112 @@
+"""Says of each quantity of a result, where its dataclass is, how it is reported: name, unit, format, place in the JSON.
+
+A field has it as its metadata, a property as its decorator:
+
+    depth_m: float = field(metadata=reported("dent", unit="m", digits=".1f", scale=1e3, shown_unit="mm"))
+
+    @property
+    @derived("dent per force", unit="m/N")
+    def dent_m_per_n(self) -> float: ...
+
+Quantities are rendered in the order in which they are declared (`deformscope.results.render`). What is not declared is
+not reported, only recorded.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import cache
+from itertools import count
+from typing import Any, ParamSpec, TypeVar, cast
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+P = ParamSpec("P")
+
+_QUANTITY = "quantity"
+_places = count()
+
+
+@dataclass(frozen=True, slots=True)
+class Quantity:
+    """How one quantity is reported.
+
+    label: in words, as in a row of a table; key: in JSON, empty = as it is named here, None = not there,
+    GROUP.KEY = in an object GROUP
+    unit: in which JSON has it, listed among the units there; empty = its key says it, or it has none
+    digits: format of the shown number; scale, shown_unit: it is shown as `scale` times its value, in `shown_unit`
+    interval: field or property with the two ends; words: from the whole result to what is shown in place of a number
+    json: from the value to what JSON has; json_scale: JSON has the value times this
+    length: it is in the result's `unit` with `metres_per_unit`: JSON has KEY_m and KEY_px, None where not known
+    per_length: it is a force per such a unit: JSON has it per metre, None where not known
+    missing: what is shown of one that is None
+    optional: JSON lacks the key where the value is None; flat: it has what is in the value instead
+    line: in a line that has all that matters, with "{}" for the value; caption: below the title of a picture
+    name: of the field or property; place: rises in the order of declaration
+    """
+
+    label: str = ""
+    key: str | None = ""
+    unit: str = ""
+    digits: str = ".3g"
+    scale: float = 1.0
+    shown_unit: str = ""
+    interval: str = ""
+    words: Callable[[Any], str] | None = None
+    json: Callable[[Any], Any] | None = None
+    json_scale: float | None = None
+    length: bool = False
+    per_length: bool = False
+    missing: str = ""
+    optional: bool = False
+    flat: bool = False
+    line: str = ""
+    caption: str = ""
+    name: str = ""
+    place: int = field(default_factory=_places.__next__)
+
+
+def _as_metadata(make: Callable[P, Quantity]) -> Callable[P, Mapping[str, Quantity]]:
+    def reported(*args: P.args, **kwargs: P.kwargs) -> Mapping[str, Quantity]:
+        return {_QUANTITY: make(*args, **kwargs)}
+
+    return reported
+
+
+def _as_decorator(make: Callable[P, Quantity]) -> Callable[P, Callable[[Function], Function]]:
+    def derived(*args: P.args, **kwargs: P.kwargs) -> Callable[[Function], Function]:
+        quantity = make(*args, **kwargs)
+
+        def declare(function: Function) -> Function:
+            function.__dict__[_QUANTITY] = quantity
+            return function
+
+        return declare
+
+    return derived
+
+
+reported = _as_metadata(Quantity)
+"""The metadata of a field that is reported; arguments as `Quantity` has them."""
+derived = _as_decorator(Quantity)
+"""Stands on a method, or below `@property`, that is reported as a field is; arguments as `Quantity` has them."""
+
+
+def quantities(kind: type) -> tuple[Quantity, ...]:
+    """What is reported of a dataclass, in the order in which it is declared."""
+    return _quantities(cast("Any", kind))
+
+
+@cache
+def _quantities(kind: Any) -> tuple[Quantity, ...]:
+    found = [(one.name, one.metadata.get(_QUANTITY)) for one in dataclasses.fields(kind)]
+    members = {name: member for each in reversed(kind.__mro__) for name, member in vars(each).items()}
+    for name, member in members.items():
+        found.append((name, getattr(getattr(member, "fget", member), _QUANTITY, None)))
+    named = [
+        dataclasses.replace(one, name=name, key=name if one.key == "" else one.key)
+        for name, one in found
+        if one is not None
+    ]
+    return tuple(sorted(named, key=lambda one: one.place))

@@ -1,0 +1,140 @@
+"""Renders results from what their dataclasses declare: JSON and its units, rows of a table, a line of words."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable, Mapping
+from typing import Any, Literal, cast
+
+from deformscope.plain import plain
+from deformscope.results.declared import Quantity, quantities
+
+Rows = list[tuple[str, str]]
+
+
+class ReportedResult:
+    """A dataclass whose JSON is what it declares. A class variable `parameter` names what was fitted."""
+
+    __slots__ = ()
+
+    def as_json(self) -> dict[str, Any]:
+        """The public form."""
+        return to_json(self)
+
+
+def to_json(result: Any) -> dict[str, Any]:
+    """What of a result goes into JSON, by key, made of what JSON has."""
+    return cast("dict[str, Any]", plain(_by_key(result)))
+
+
+def _by_key(result: Any) -> dict[str, Any]:
+    fitted = getattr(type(result), "parameter", None)
+    found: dict[str, Any] = {"parameter": fitted} if isinstance(fitted, str) else {}
+    for one in quantities(type(result)):
+        value = _value(result, one)
+        if one.key is None or (value is None and (one.optional or one.flat)):
+            continue
+        *group, key = one.key.split(".")
+        inside = found.setdefault(group[0], {}) if group else found
+        if one.length:
+            inside |= lengths(key, value, result.unit, result.metres_per_unit)
+        elif one.flat:
+            inside |= cast("dict[str, Any]", plain(_nested(value)))
+        elif one.per_length:
+            metres = 1.0 if result.unit == "m" else result.metres_per_unit
+            inside[key] = None if metres is None else _times(value, 1.0 / metres)
+        else:
+            inside[key] = _json(one, value)
+    return found
+
+
+def _times(value: Any, scale: float) -> Any:
+    """A number, an array, or a value with its interval."""
+    if value is None or not hasattr(value, "interval"):
+        return None if value is None else scale * value
+    return {"value": scale * value.value, "interval": [scale * end for end in value.interval]}
+
+
+def _value(result: Any, one: Quantity) -> Any:
+    value = getattr(result, one.name)
+    return value() if callable(value) else value
+
+
+def units_of(kinds: Iterable[type]) -> dict[str, str]:
+    """The units of the JSON of these, by key."""
+    every = [one for kind in kinds for one in quantities(kind) if one.unit]
+    return {str(one.key): one.unit for one in sorted(every, key=lambda one: str(one.key))}
+
+
+def lengths(name: str, value: Any, unit: str, metres_per_unit: float | None) -> dict[str, Any]:
+    """A length, or an array of lengths, as JSON has them: `NAME_m` and `NAME_px`, None where it is not known so."""
+    metres = value if unit == "m" else None if metres_per_unit is None or value is None else metres_per_unit * value
+    return {f"{name}_m": metres, f"{name}_px": value if unit == "px" else None}
+
+
+def _json(one: Quantity, value: Any) -> Any:
+    if value is None:
+        return None
+    if one.json is not None:
+        return one.json(value)
+    if one.json_scale is not None:
+        return one.json_scale * value
+    return _nested(value)
+
+
+def _nested(value: Any) -> Any:
+    """Results inside a result are rendered as they declare; what declares nothing stays."""
+    if dataclasses.is_dataclass(value) and quantities(type(value)):
+        return _by_key(value)
+    if isinstance(value, tuple | list):
+        return [_nested(one) for one in value]
+    if isinstance(value, Mapping):
+        return {key: _nested(one) for key, one in value.items()}
+    return value
+
+
+def to_words(result: Any, name: str) -> str:
+    """One quantity as it is shown: number, unit and interval; empty where it is not known."""
+    return _words(result, next(one for one in quantities(type(result)) if one.name == name))
+
+
+def to_rows(result: Any, *names: str) -> Rows:
+    """Quantities by their labels, each with what is shown of it; those that are not known are left out."""
+    declared = {one.name: one for one in quantities(type(result))}
+    shown = [(declared[name].label, _words(result, declared[name])) for name in names]
+    return [row for row in shown if row[1]]
+
+
+def to_line(result: Any, kind: Literal["line", "caption"] = "line") -> str:
+    """What matters most, in a line: all quantities that have a place in it, and are known."""
+    shown = [(getattr(one, kind), one) for one in quantities(type(result))]
+    known = [(form, words) for form, one in shown if form and (words := _words(result, one))]
+    return ", ".join(form.format(words) for form, words in known)
+
+
+def length_scale(unit: str, metres_per_unit: float | None) -> tuple[float, str]:
+    """What a length is multiplied by to be shown, and in which unit that is."""
+    if unit == "m":
+        return 1e3, "mm"
+    return (1.0, "px") if metres_per_unit is None else (1e3 * metres_per_unit, "mm")
+
+
+def _words(result: Any, one: Quantity) -> str:
+    value = _value(result, one)
+    if one.words is not None:
+        return one.words(result)
+    if value is None:
+        return one.missing
+    if isinstance(value, str):
+        return value
+    scale, unit = one.scale, one.shown_unit
+    if one.length or one.per_length:
+        scale, unit = length_scale(result.unit, result.metres_per_unit)
+    if one.per_length:
+        scale, unit = 1.0 / scale, f"N/{unit}"
+    ends = getattr(result, one.interval) if one.interval else getattr(value, "interval", None)
+    number, *around = (
+        f"{scale * each:{one.digits}}" for each in (getattr(value, "value", value), *(() if ends is None else ends))
+    )
+    between = " ({} to {})".format(*around) if around else ""
+    return f"{number}{unit and f' {unit}'}{between}"
