@@ -14,22 +14,22 @@ import numpy as np
 from deformscope import __version__
 from deformscope.api.moving import Watch, leave, permitted
 from deformscope.api.result import open_recorder
-from deformscope.api.rigs import until_interrupted
 from deformscope.api.setups import LAB, setup_of
 from deformscope.errors import InputError
+from deformscope.interruption import until_interrupted
 from deformscope.stages.msm.quiet import quiet_warp
 from deformscope.terminal import say, status_line
 
 if TYPE_CHECKING:
-    from deformscope.api.page_devices import ShownDevices
-    from deformscope.api.page_steering import PageSteering
-    from deformscope.api.rigs import Interruption
     from deformscope.arrays import FloatArray
     from deformscope.config import ExploreConfig
     from deformscope.experiments.explore import Exploration
     from deformscope.experiments.options import ExploreOptions
     from deformscope.experiments.touching_robot import TouchingRobot
+    from deformscope.interruption import Interruption
     from deformscope.lab.faults import FaultsToCome
+    from deformscope.page.devices import ShownDevices
+    from deformscope.page.steering import PageSteering
     from deformscope.recording.recorder import Recorder
     from deformscope.robot.setup import Setup
     from deformscope.session import RigExperiment, Step
@@ -209,10 +209,10 @@ def _run(
     ending: ExplorationEnd,
 ) -> None:
     """Open the devices, explore, close them; `found` and `ending` hold what is known, also where this raises."""
-    from deformscope.api.page_devices import ShownDevices, WatchedDevices
     from deformscope.experiments.beside import stages_beside
     from deformscope.experiments.explore import explore
     from deformscope.experiments.touching_robot import touching_robot
+    from deformscope.page.devices import ShownDevices, WatchedDevices
     from deformscope.pictures.apart import drawing_apart
     from deformscope.recording.losses import losses_of
     from deformscope.session import finish, run
@@ -277,7 +277,7 @@ def _steering(
     """What its page steers by; None without one."""
     if recorder.page is None:
         return None
-    from deformscope.api.page_steering import PageSteering
+    from deformscope.page.steering import PageSteering
 
     recorder.page.desk.show(title=config.rig, beat_s=config.page_timeout)
     return PageSteering(

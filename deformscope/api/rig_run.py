@@ -12,19 +12,20 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, cast
 
-from deformscope.api.fit_beside import FitBeside
 from deformscope.api.moving import signal_word
-from deformscope.api.page_devices import remark_of
-from deformscope.api.page_run import PageRecorder
 from deformscope.api.recordings import RecordResult
 from deformscope.api.result import ViewerChoice, open_recorder
-from deformscope.api.rigs import Interruption, members_of, until_interrupted
 from deformscope.config import OutputOptions, RigRunOptions
 from deformscope.config.images import ImageOptions
 from deformscope.config.rigs import StageOptions
 from deformscope.experiments.live_stages import StageCounts, live_stages
 from deformscope.file_io import new_recording
 from deformscope.frames import HealthReport, Item, Stream
+from deformscope.interruption import Interruption, until_interrupted
+from deformscope.lab.rig_members import members_of
+from deformscope.page.devices import remark_of
+from deformscope.page.fit_panel import FitBeside
+from deformscope.page.recorder import PageRecorder
 from deformscope.pictures.report import Table
 from deformscope.plain import plain
 from deformscope.recording.losses import in_words, losses_of, lost_by, since

@@ -193,7 +193,7 @@ def main(args: Sequence[str] | None = None) -> int:
         logging.lastResort.setFormatter(_Printable())
     with _ended_by_signals() as signals:
         status = _status(list(sys.argv[1:] if args is None else args), signals)
-        if "deformscope.page.server" in sys.modules and status < EXIT_SIGNALLED:
+        if "deformscope.page.server.page_server" in sys.modules and status < EXIT_SIGNALLED:
             from deformscope.cli.common import keep_page
 
             keep_page()

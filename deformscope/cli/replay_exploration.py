@@ -13,7 +13,7 @@ from deformscope.config import ReplayConfig
 from deformscope.errors import InputError
 
 if TYPE_CHECKING:
-    from deformscope.page.server import PageServer
+    from deformscope.page.server.page_server import PageServer
     from deformscope.recording.reader import Replay
 
 TRUTH = ("truth_labels", "iou", "boundary_m", "truth_m", "reason")
@@ -84,7 +84,7 @@ def replay_exploration(recording: Replay, config: ReplayConfig, page: PageServer
     if changes:
         _show_beside(recorded, again, changes, config, page)
         if page is not None:
-            from deformscope.api.replay_page import lay_beside
+            from deformscope.page.playback import lay_beside
 
             lay_beside(page, recording, rows, again, geometry.size_m, _set_words(changes))
         return

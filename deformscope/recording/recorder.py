@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from deformscope.log.live_stream import LiveStream
     from deformscope.log.rig import Batch, Place
     from deformscope.log.squeeze import Fingertips
-    from deformscope.page.server import PageServer
+    from deformscope.page.server.page_server import PageServer
 
 APPLICATIONS: dict[RecordingLayout, str] = {
     "images": "deformscope",
@@ -547,7 +547,7 @@ class Recorder:
             viewer = start_viewer()
             print(viewer.where, file=sys.stderr, flush=True)
             return LiveFeed(partial(live_stream, self._application, recording_id, viewer, properties))
-        from deformscope.page.server import PageServer
+        from deformscope.page.server.page_server import PageServer
 
         self._page = page = PageServer(str(self._settings.get("rig_name") or self._settings.get("command") or ""))
         page.open()

@@ -15,9 +15,6 @@ import pytest
 
 pytest.importorskip("rerun")
 
-from deformscope.api import camera_fitting, live_camera
-from deformscope.api.camera_fitting import CameraFitting
-from deformscope.api.live_camera import CameraSubject, camera_of
 from deformscope.arrays import ImageArray
 from deformscope.cli import main
 from deformscope.config import BetaConfig
@@ -25,9 +22,12 @@ from deformscope.config.calibrate import MotionFlags
 from deformscope.config.images import ImageOptions
 from deformscope.errors import InputError
 from deformscope.images import read_image
-from deformscope.page.desk import Desk
-from deformscope.page.messages import FollowCamera, HoldPicture, RunFit, TakeRest
-from deformscope.page.server import PageServer, running_pages
+from deformscope.page import camera_fitting, fit_camera
+from deformscope.page.camera_fitting import CameraFitting
+from deformscope.page.fit_camera import CameraSubject, camera_of
+from deformscope.page.server.desk import Desk
+from deformscope.page.server.messages import FollowCamera, HoldPicture, RunFit, TakeRest
+from deformscope.page.server.page_server import PageServer, running_pages
 from deformscope.session import Inline
 from deformscope.stages.msm.quiet import quiet_warp
 from tests.api.test_page_fitting import Watched, beta_of, going_on, typed
@@ -158,7 +158,7 @@ class Counting(Inline):
 def test_nothing_is_computed_for_nobody(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     beside = Counting()
     one = Camera(tmp_path, beside)
-    monkeypatch.setattr("deformscope.api.camera_fitting.QUIET_S", 0.001)
+    monkeypatch.setattr("deformscope.page.camera_fitting.QUIET_S", 0.001)
     assert beside.calls == 1  # to begin with
     one.see(2)
     for visible, calls in ((False, 1), (True, 2), (True, 2)):  # the newest is shown once
@@ -269,7 +269,7 @@ def test_a_rigs_camera_alone_is_opened(tmp_path: Path, monkeypatch: pytest.Monke
 
         def __exit__(self, *raised: object) -> None: ...
 
-    monkeypatch.setattr(live_camera, "StageProcesses", Beside)
+    monkeypatch.setattr(fit_camera, "StageProcesses", Beside)
     arm = '[devices.tip]\ndriver = "optoforce"\nport = "/dev/none"\n'  # nothing of it is there
     config = BetaConfig((str(rig_of(tmp_path, arm, folder_camera(tmp_path))),))
     with camera_of(config, lambda words, bad: None) as subject:

@@ -16,17 +16,17 @@ import pytest
 
 pytest.importorskip("rerun")
 
-from deformscope.api import fit_beside
-from deformscope.api.afar_fitting import AfarCamera, AfarDesk
-from deformscope.api.camera_fitting import CameraFitting
-from deformscope.api.fit_beside import FitBeside
 from deformscope.api.recordings import OpenRecording
 from deformscope.config import BetaConfig
 from deformscope.config.images import ImageOptions
 from deformscope.frames import ColorFrame, DepthFrame, Stream
-from deformscope.page.fit_messages import FitFound, FitSettings, FitState
-from deformscope.page.messages import CloseFit, HoldPicture, OpenFit, RunFit, StopRun, TakeRest
-from deformscope.page.server import PageServer
+from deformscope.page import fit_panel
+from deformscope.page.camera_fitting import CameraFitting
+from deformscope.page.fit_panel import FitBeside
+from deformscope.page.fit_process import AfarCamera, AfarDesk
+from deformscope.page.server.fit_messages import FitFound, FitSettings, FitState
+from deformscope.page.server.messages import CloseFit, HoldPicture, OpenFit, RunFit, StopRun, TakeRest
+from deformscope.page.server.page_server import PageServer
 from deformscope.session import Inline
 from deformscope.stages.msm.quiet import quiet_warp
 from deformscope_drivers.clock import Stamp
@@ -53,7 +53,7 @@ class Beside:
         self.page, self.found = PageServer("bench"), list[str]()
         self.pipes: list[Connection] = []
         self.configs: list[Any] = []
-        monkeypatch.setattr(fit_beside, "beside", self._process)
+        monkeypatch.setattr(fit_panel, "beside", self._process)
         self.page.desk.come("a")
         self.page.desk.enter("live", commands=("stop", "tare"))
         self.fit = FitBeside("rig.toml", Path("runs"), "bench")

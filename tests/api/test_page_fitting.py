@@ -17,18 +17,18 @@ import pytest
 
 pytest.importorskip("rerun")
 
-from deformscope.api import page_fitting
-from deformscope.api.fit_subject import PairSubject, asked_on_page, not_on_a_page, subject_of
-from deformscope.api.page_fitting import PageFitting
 from deformscope.cli import main, parse
 from deformscope.config import BetaConfig, ThetaConfig
 from deformscope.config.command_line import command_line
 from deformscope.config.images import ImageOptions
 from deformscope.errors import InputError
-from deformscope.page.desk import Desk
-from deformscope.page.fit_messages import FitSettings
-from deformscope.page.messages import FitDrawn, RunFit, SetFit, StopRun, WriteNote
-from deformscope.page.server import PageServer, running_pages
+from deformscope.page import fit as page_fitting
+from deformscope.page.fit import PageFitting
+from deformscope.page.fit_subject import PairSubject, asked_on_page, not_on_a_page, subject_of
+from deformscope.page.server.desk import Desk
+from deformscope.page.server.fit_messages import FitSettings
+from deformscope.page.server.messages import FitDrawn, RunFit, SetFit, StopRun, WriteNote
+from deformscope.page.server.page_server import PageServer, running_pages
 from deformscope.stages.fit.model import Observation
 from deformscope.stages.msm import reference
 from deformscope.stages.msm.quiet import quiet_warp

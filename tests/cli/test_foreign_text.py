@@ -16,7 +16,7 @@ import pytest
 from deformscope.api.recordings import OpenRecording
 from deformscope.cli import main
 from deformscope.errors import InputError, printable
-from deformscope.page.desk import Desk
+from deformscope.page.server.desk import Desk
 from deformscope.pictures.report import html_report
 from deformscope.recording.rrd_file import merged_path
 from deformscope.terminal import say
@@ -113,7 +113,7 @@ def test_a_path_that_is_not_utf_8_is_recorded_and_shown(tmp_path: Path, capsys: 
 def test_a_page_of_any_desk_gets_its_state(tmp_path: Path) -> None:
     desk = Desk(NOT_UTF8)
     desk.remark(f"{tmp_path}/{NOT_UTF8}", bad=True)
-    from deformscope.page.server import _encoded
+    from deformscope.page.server.page_server import _encoded
 
     assert json.loads(_encoded(desk.state))["title"] == NOT_UTF8
 

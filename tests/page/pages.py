@@ -12,7 +12,7 @@ from urllib.parse import urlsplit
 
 from websockets.sync.client import ClientConnection, connect
 
-from deformscope.page.server import PageServer
+from deformscope.page.server.page_server import PageServer
 from tests.patience import PATIENCE_S
 
 

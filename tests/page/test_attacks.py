@@ -16,9 +16,9 @@ import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection
 
-from deformscope.page import guard
-from deformscope.page.messages import LONGEST_MESSAGE
-from deformscope.page.server import MOST_PAGES, PageServer
+from deformscope.page.server import guard
+from deformscope.page.server.messages import LONGEST_MESSAGE
+from deformscope.page.server.page_server import MOST_PAGES, PageServer
 from tests.page.pages import at_desk, get, netloc, root, socket_to, token
 from tests.patience import PATIENCE_S
 

@@ -13,13 +13,13 @@ import numpy as np
 import pytest
 from matplotlib.colors import to_hex
 
-from deformscope.api.aligned_page import align_on_page
 from deformscope.cli import main
 from deformscope.experiments.first_contact import first_contact_ns
 from deformscope.frames import SessionNote, Stream, TactileFrame, WrenchFrame
 from deformscope.log.exploration.beside import layer_beside
-from deformscope.page.messages import Playback
-from deformscope.page.server import PageServer, end_pages
+from deformscope.page.aligned import align_on_page
+from deformscope.page.server.messages import Playback
+from deformscope.page.server.page_server import PageServer, end_pages
 from deformscope.pictures import exploration as pictures
 from deformscope.pictures.figures import canvas
 from deformscope.recording.items import Row

@@ -11,8 +11,8 @@ from contextlib import suppress
 import pytest
 from websockets.sync.client import connect
 
-from deformscope.page.desk import BEAT_S, CONFIRM_S, NEXT, Desk
-from deformscope.page.messages import (
+from deformscope.page.server.desk import BEAT_S, CONFIRM_S, NEXT, Desk
+from deformscope.page.server.messages import (
     CancelMove,
     ConfirmMove,
     Outcome,
@@ -22,7 +22,7 @@ from deformscope.page.messages import (
     TareDevice,
     WriteNote,
 )
-from deformscope.page.server import PageServer
+from deformscope.page.server.page_server import PageServer
 from tests.page.pages import AtDesk, at_desk, netloc, root
 from tests.patience import PATIENCE_S
 
@@ -240,8 +240,8 @@ def test_the_time_of_a_question_counts_from_when_it_was_drawn_once() -> None:
 
 def test_what_nobody_answers_is_let_be(monkeypatch: pytest.MonkeyPatch) -> None:
     """Seen or not, by itself; the one who waits next is not."""
-    monkeypatch.setattr("deformscope.page.desk.UNSEEN_S", 0.05)
-    monkeypatch.setattr("deformscope.page.desk.CONFIRM_S", 0.2)
+    monkeypatch.setattr("deformscope.page.server.desk.UNSEEN_S", 0.05)
+    monkeypatch.setattr("deformscope.page.server.desk.CONFIRM_S", 0.2)
     let_be = [threading.Event() for _ in range(2)]
     desk = Desk()
     desk.come("a")

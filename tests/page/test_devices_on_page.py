@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from deformscope.api.page_devices import ShownDevices, WatchedDevices
 from deformscope.frames import HealthReport, LinkChange, SessionNote, Stream, WrenchFrame
-from deformscope.page.desk import Desk
-from deformscope.page.messages import DriftState
+from deformscope.page.devices import ShownDevices, WatchedDevices
+from deformscope.page.server.desk import Desk
+from deformscope.page.server.messages import DriftState
 from deformscope.session import Moment, Step
 from deformscope.stages.map.exploration import PhaseStart
 from deformscope_drivers.clock import Stamp

@@ -11,8 +11,8 @@ import msgspec
 import numpy as np
 import pytest
 
-from deformscope.page.fit_messages import FitSettings, FitState
-from deformscope.page.messages import (
+from deformscope.page.server.fit_messages import FitSettings, FitState
+from deformscope.page.server.messages import (
     CloseFit,
     FitDrawn,
     FollowCamera,
@@ -25,7 +25,7 @@ from deformscope.page.messages import (
     StopRun,
     TakeRest,
 )
-from deformscope.page.server import PageServer
+from deformscope.page.server.page_server import PageServer
 from tests.page.test_in_browser import chromium, fake_viewer, shown, until
 
 __all__ = ["shown"]
@@ -307,10 +307,10 @@ def test_a_slider_is_seen_within_300_ms(
     load, busy = os.getloadavg()[0], bool(os.environ.get("BUSY"))
     if load > IDLE_LOAD and not busy:
         pytest.skip(f"the machine has other work: load {load:.1f}")
-    from deformscope.api.fit_subject import subject_of
-    from deformscope.api.page_fitting import PageFitting
     from deformscope.config import BetaConfig
     from deformscope.config.images import ImageOptions
+    from deformscope.page.fit import PageFitting
+    from deformscope.page.fit_subject import subject_of
     from deformscope.stages.msm.quiet import quiet_warp
 
     quiet_warp()

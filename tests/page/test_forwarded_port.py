@@ -15,8 +15,8 @@ from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 from websockets.typing import Origin
 
-from deformscope.page.messages import StopRun
-from deformscope.page.server import PageServer
+from deformscope.page.server.messages import StopRun
+from deformscope.page.server.page_server import PageServer
 from tests.page.pages import AtDesk, netloc, root
 from tests.page.test_in_browser import Obeyed, browser, fake_viewer, shown, until
 from tests.patience import PATIENCE_S

@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 import rerun as rr
 
-from deformscope.page.messages import (
+from deformscope.page.server.messages import (
     BeginEpisode,
     DeviceState,
     DriftState,
@@ -25,7 +25,7 @@ from deformscope.page.messages import (
     TareDevice,
     WriteNote,
 )
-from deformscope.page.server import PageServer
+from deformscope.page.server.page_server import PageServer
 from deformscope.recording.live import page_stream
 from tests.page.pages import at_desk
 from tests.patience import PATIENCE_S

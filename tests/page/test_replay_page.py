@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from deformscope.api.replay_page import chapters_of
 from deformscope.frames import SessionNote
-from deformscope.page.messages import Chapter, Playback
-from deformscope.page.server import PageServer
+from deformscope.page.playback import chapters_of
+from deformscope.page.server.messages import Chapter, Playback
+from deformscope.page.server.page_server import PageServer
 from deformscope.recording.items import Row
 from deformscope.stages.map.exploration import PhaseStart
 from deformscope.stages.squeeze.trial import SqueezePhase

@@ -15,7 +15,7 @@ import pytest
 from deformscope.api.recordings import OpenRecording
 from deformscope.cli import main
 from deformscope.frames import HealthReport, WrenchFrame
-from deformscope.page.server import PageServer, running_pages
+from deformscope.page.server.page_server import PageServer, running_pages
 from deformscope.recording.lateness import RecordingError
 from deformscope.recording.losses import lost_by, since
 from deformscope.recording.recorder import Recorder

@@ -7,12 +7,11 @@ from typing import Any
 
 import pytest
 
-from deformscope.api.moving import Watch
-from deformscope.api.page_devices import ShownDevices
-from deformscope.api.page_squeezing import PageSqueezing
-from deformscope.api.rigs import Interruption
-from deformscope.page.desk import Desk
-from deformscope.page.messages import ConfirmMove, StartSqueezing, StopRun
+from deformscope.interruption import Interruption
+from deformscope.page.devices import ShownDevices
+from deformscope.page.server.desk import Desk
+from deformscope.page.server.messages import ConfirmMove, StartSqueezing, StopRun
+from deformscope.page.squeezing import PageSqueezing
 from deformscope.recording.items import read_results
 from deformscope.stages.squeeze.trial import SqueezePhase, SqueezeStop
 from tests.page.pages import at_desk
@@ -44,8 +43,6 @@ class Bench:
         self.clock, self.asked, self.hand = FakeClock(), Interruption(), Hand()
         self.desk = Desk(clock=self.clock)
         self.squeezing = PageSqueezing(self.desk, self.asked, ShownDevices(self.desk, ()))
-        self.watch = Watch(self.asked, lambda words: None)
-        self.watch.robot = self.hand
         self.desk.come("one")
 
     def confirm(self) -> str:
@@ -58,7 +55,8 @@ class Bench:
 
     def stopped(self) -> list[str]:
         """Why the hand was asked to stop, after one control period more."""
-        self.squeezing.look_after(self.watch)
+        if why := self.squeezing.reason_to_stand():
+            self.hand.ask_to_stop(why)
         return self.hand.stops
 
 

@@ -11,12 +11,11 @@ import numpy as np
 import pytest
 
 from deformscope.api import moving
-from deformscope.api.page_steering import PageSteering, curve_of, felt_beside, is_surface
-from deformscope.api.rigs import Interruption
 from deformscope.experiments.explore import ExplorationStopped
 from deformscope.experiments.touching_robot import CheckFirst
-from deformscope.page.desk import CONFIRM_S, Desk
-from deformscope.page.messages import (
+from deformscope.interruption import Interruption
+from deformscope.page.server.desk import CONFIRM_S, Desk
+from deformscope.page.server.messages import (
     ConfirmMove,
     PageCommand,
     PauseExploring,
@@ -28,6 +27,7 @@ from deformscope.page.messages import (
     TouchPicked,
     VetoTouch,
 )
+from deformscope.page.steering import PageSteering, curve_of, felt_beside, is_surface
 from deformscope.robot.finger import FINGER
 from deformscope.robot.robot import MotionHeld, RobotStopped, TipVelocity
 from deformscope.robot.supervisor import Action, Fault

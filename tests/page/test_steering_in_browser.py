@@ -9,8 +9,16 @@ from typing import Any
 
 import pytest
 
-from deformscope.page.messages import ForceCurve, Outcome, PageCommand, StartExploring, StopRun, TouchAt, TouchPicked
-from deformscope.page.server import PageServer
+from deformscope.page.server.messages import (
+    ForceCurve,
+    Outcome,
+    PageCommand,
+    StartExploring,
+    StopRun,
+    TouchAt,
+    TouchPicked,
+)
+from deformscope.page.server.page_server import PageServer
 from tests.page.test_in_browser import Obeyed, browser, fake_viewer, shown, until
 
 __all__ = ["browser", "shown"]

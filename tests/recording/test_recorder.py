@@ -25,8 +25,8 @@ from deformscope.cli import main
 from deformscope.errors import InputError
 from deformscope.frames import ColorFrame, DepthFrame, HandFrame, InputFile, Item, RawBytes, host_ns
 from deformscope.images import encode_png
-from deformscope.page.server import end_pages
-from deformscope.page.viewer_files import viewer_environment, viewer_executable
+from deformscope.page.server.page_server import end_pages
+from deformscope.page.server.viewer_files import viewer_environment, viewer_executable
 from deformscope.recording import lateness, recorder
 from deformscope.recording import rrd_file as recording_file
 from deformscope.recording.items import read_items

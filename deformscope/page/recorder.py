@@ -11,12 +11,12 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Literal, Protocol
 
-from deformscope.api.fit_beside import FitBeside
-from deformscope.api.page_devices import ShownDevices
-from deformscope.api.rigs import Interruption
 from deformscope.frames import HealthReport, NoteKind, SessionNote, Stream, host_ns
-from deformscope.page.desk import Desk
-from deformscope.page.messages import (
+from deformscope.interruption import Interruption
+from deformscope.page.devices import ShownDevices
+from deformscope.page.fit_panel import FitBeside
+from deformscope.page.server.desk import Desk
+from deformscope.page.server.messages import (
     BeginEpisode,
     DiscardPart,
     EndEpisode,

@@ -3,7 +3,7 @@
 /TOKEN/               the page, its script and style, all of it known by name before the first request
 /TOKEN/re_viewer...   rerun's web viewer out of the installed wheel
 /TOKEN/recording.rrd  the recording that is played, where one is
-/TOKEN/desk           websocket: the state to the page, commands from it (`deformscope.page.messages`)
+/TOKEN/desk           websocket: the state to the page, commands from it (`deformscope.page.server.messages`)
 /TOKEN/data           websocket: pieces of the recording to the viewer in the page, `Drawn` from it
 """
 
@@ -34,11 +34,11 @@ from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from deformscope.errors import InputError
-from deformscope.page.desk import Desk
-from deformscope.page.guard import Guard, GuardedProtocol
-from deformscope.page.messages import LONGEST_MESSAGE, VERSION, Beat, Drawn, Hello, PageCommand, PieceBatch
-from deformscope.page.pieces import PageReader, Pieces
-from deformscope.page.viewer_files import LOOPBACK, NAMES, ViewerFiles
+from deformscope.page.server.desk import Desk
+from deformscope.page.server.guard import Guard, GuardedProtocol
+from deformscope.page.server.messages import LONGEST_MESSAGE, VERSION, Beat, Drawn, Hello, PageCommand, PieceBatch
+from deformscope.page.server.pieces import PageReader, Pieces
+from deformscope.page.server.viewer_files import LOOPBACK, NAMES, ViewerFiles
 
 TYPES = {".html": "text/html", ".css": "text/css", ".js": "text/javascript", ".svg": "image/svg+xml"}
 RECORDING = "recording.rrd"
@@ -70,7 +70,7 @@ class PageServer:
         self._viewer_files = ViewerFiles()
         self._static = {
             file.name: (file.read_bytes(), TYPES["." + file.name.rsplit(".", 1)[1]])
-            for file in (resources.files("deformscope.page") / "static").iterdir()
+            for file in (resources.files("deformscope.page.server") / "static").iterdir()
         }
         self._offered: dict[str, tuple[bytes, str]] = {}
         self._recording = recording

@@ -10,8 +10,8 @@ from pathlib import Path
 import msgspec
 
 from deformscope.frames import HealthReport, SessionNote
-from deformscope.page.messages import Chapter, Playback
-from deformscope.page.server import PageServer
+from deformscope.page.server.messages import Chapter, Playback
+from deformscope.page.server.page_server import PageServer
 from deformscope.recording.items import Row, read_rows, read_streams
 from deformscope.recording.reader import Replay
 from deformscope.stages.map.exploration import PhaseStart

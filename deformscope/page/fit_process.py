@@ -9,15 +9,15 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
-from deformscope.api.camera_fitting import CameraFitting
-from deformscope.api.live_camera import CameraSubject
-from deformscope.api.page_fitting import words_of
 from deformscope.arrays import ImageArray
 from deformscope.config import BetaConfig, ThetaConfig
 from deformscope.experiments.live_stages import Beside
 from deformscope.experiments.stage_processes import StageProcesses
-from deformscope.page.desk import PageRun
-from deformscope.page.messages import Phase, StopRun
+from deformscope.page.camera_fitting import CameraFitting
+from deformscope.page.fit import words_of
+from deformscope.page.fit_camera import CameraSubject
+from deformscope.page.server.desk import PageRun
+from deformscope.page.server.messages import Phase, StopRun
 from deformscope.stages.msm.quiet import quiet_warp
 
 NICE = 5

@@ -9,10 +9,10 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from deformscope.api.live_camera import CameraSubject
-from deformscope.api.page_fitting import COMMANDS, QUIET_S, VALUES, FitDesk, PageFitting, words_of
 from deformscope.config import BetaConfig, ThetaConfig
-from deformscope.page.messages import FollowCamera, HoldPicture, Outcome, PageCommand, TakeRest
+from deformscope.page.fit import COMMANDS, QUIET_S, VALUES, FitDesk, PageFitting, words_of
+from deformscope.page.fit_camera import CameraSubject
+from deformscope.page.server.messages import FollowCamera, HoldPicture, Outcome, PageCommand, TakeRest
 from deformscope.stages.fit.at_value import errors_of, simulate
 from deformscope.stages.fit.model import Model, Observation
 from deformscope.stages.msm.solver import Msm

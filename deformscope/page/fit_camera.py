@@ -12,9 +12,6 @@ from pathlib import Path
 
 import cv2
 
-from deformscope.api.fit_subject import MotionSubject, not_on_a_page
-from deformscope.api.page_devices import picture_of, remark_of
-from deformscope.api.rigs import member_of
 from deformscope.arrays import ImageArray
 from deformscope.config import BetaConfig, ThetaConfig
 from deformscope.errors import InputError
@@ -24,6 +21,9 @@ from deformscope.experiments.stage_processes import StageProcesses
 from deformscope.file_io import make_folder, new_recording
 from deformscope.frames import ColorFrame
 from deformscope.images import encode_png
+from deformscope.lab.rig_members import member_of
+from deformscope.page.devices import picture_of, remark_of
+from deformscope.page.fit_subject import MotionSubject, not_on_a_page
 from deformscope.rig.rig_file import Rig, RigDevice, load_rig
 from deformscope.rig.source import RigSource
 from deformscope.session import finish, run

@@ -13,8 +13,8 @@ from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 from deformscope.frames import ArmFrame, HandFrame, TactileFrame, WrenchFrame
 from deformscope.log.rig.aligned import CONTACT_TIMELINE, AlignedSeries, aligned_rrd
-from deformscope.page.messages import Chapter, Playback
-from deformscope.page.server import RECORDING, PageServer
+from deformscope.page.server.messages import Chapter, Playback
+from deformscope.page.server.page_server import RECORDING, PageServer
 from deformscope.recording.items import Row, read_rows, read_streams
 from deformscope.recording.reader import Replay
 

@@ -8,8 +8,8 @@ from typing import Literal, Protocol
 
 import numpy as np
 
-from deformscope.api.calibration import images_of, mask_of, opened_images, particle_options
 from deformscope.arrays import FloatArray, ImageArray
+from deformscope.calibration_options import images_of, mask_of, opened_images, particle_options
 from deformscope.config import BetaConfig, ThetaConfig
 from deformscope.errors import InputError
 from deformscope.experiments.foam_video import last_pose

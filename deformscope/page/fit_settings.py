@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 
 from deformscope.config.images import ImageOptions
-from deformscope.page.fit_messages import FitSettings
+from deformscope.page.server.fit_messages import FitSettings
 
 IN_PICTURE = ("roi", "grid", "spacing_px", "outline", "contact", "held")
 """Settings of it."""

@@ -15,17 +15,16 @@ from typing import Any, Protocol
 import msgspec
 import numpy as np
 
-from deformscope.api.calibration import CalibrationResult, fit_options, images_of
-from deformscope.api.fit_settings import IN_PICTURE, images_with
-from deformscope.api.fit_subject import FitSubject, subject_of
-from deformscope.api.result import Note
 from deformscope.arrays import FloatArray
+from deformscope.calibration_options import fit_options, images_of
 from deformscope.config import BetaConfig, ThetaConfig
 from deformscope.config.command_line import command_line
-from deformscope.page.desk import PageRun
-from deformscope.page.fit_messages import FitFound, FitSettings, FitState, Points
-from deformscope.page.messages import FitDrawn, Outcome, PageCommand, Phase, RunFit, SetFit, StopRun
-from deformscope.page.server import PageServer
+from deformscope.page.fit_settings import IN_PICTURE, images_with
+from deformscope.page.fit_subject import FitSubject, subject_of
+from deformscope.page.server.desk import PageRun
+from deformscope.page.server.fit_messages import FitFound, FitSettings, FitState, Points
+from deformscope.page.server.messages import FitDrawn, Outcome, PageCommand, Phase, RunFit, SetFit, StopRun
+from deformscope.page.server.page_server import PageServer
 from deformscope.pictures.evidence import Result, results_png
 from deformscope.stages.fit.at_value import errors_of, simulate
 from deformscope.stages.fit.calibrate import calibrate
@@ -49,7 +48,7 @@ class _SetAnew(Exception):
 
 
 class FitDesk(Protocol):
-    """What a fit is shown on, and commands for it come from (`deformscope.page.desk.Desk`)."""
+    """What a fit is shown on, and commands for it come from (`deformscope.page.server.desk.Desk`)."""
 
     def attend(self, run: PageRun) -> None: ...
 
@@ -329,8 +328,8 @@ def _fitting(config: BetaConfig | ThetaConfig, page: PageServer) -> Iterator[Pag
         subject = subject_of(config, lambda words: page.desk.show(reason=words))
         yield PageFitting(page.desk, config, subject, page.offer)
         return
-    from deformscope.api.camera_fitting import CameraFitting
-    from deformscope.api.live_camera import camera_of
+    from deformscope.page.camera_fitting import CameraFitting
+    from deformscope.page.fit_camera import camera_of
 
     with camera_of(config, lambda words, bad: page.desk.remark(words, bad=bad)) as camera:
         yield CameraFitting(page.desk, config, camera, page.offer)
@@ -338,8 +337,8 @@ def _fitting(config: BetaConfig | ThetaConfig, page: PageServer) -> Iterator[Pag
 
 @contextmanager
 def set_on_page(
-    config: BetaConfig | ThetaConfig, note: Note
-) -> Iterator[tuple[BetaConfig | ThetaConfig, Callable[[CalibrationResult], None]]]:
+    config: BetaConfig | ThetaConfig, note: Callable[[str], None]
+) -> Iterator[tuple[BetaConfig | ThetaConfig, Callable[[Estimate, Result], None]]]:
     """Have a page set a fit, until it is stopped there. Yields the options that were set, and what shows the result.
 
     The page is served on until the process ends. Raises InputError for what cannot be read.
@@ -361,8 +360,8 @@ def set_on_page(
                     note(f"slider to picture: p50 {p50:.0f} ms, p95 {p95:.0f} ms, {len(fitting.drawn_ms)} changes")
         page.desk.enter("adjusting", commands=(), reason="the whole fit is made of what is set")
 
-        def show(found: CalibrationResult) -> None:
-            fitting.show_found(found.estimate, found.shown)
+        def show(estimate: Estimate, shown: Result) -> None:
+            fitting.show_found(estimate, shown)
             page.desk.enter("stopped", "its command has ended")
 
         yield fitting.result_config, show

@@ -14,12 +14,12 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from deformscope.api.page_devices import ShownDevices
-from deformscope.api.rigs import Interruption
 from deformscope.arrays import FloatArray
 from deformscope.experiments.explore import ExplorationStopped, NextMove
-from deformscope.page.desk import Desk
-from deformscope.page.messages import (
+from deformscope.interruption import Interruption
+from deformscope.page.devices import ShownDevices
+from deformscope.page.server.desk import Desk
+from deformscope.page.server.messages import (
     ForceCurve,
     NextPlace,
     Outcome,

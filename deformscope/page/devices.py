@@ -6,8 +6,8 @@ from collections.abc import Callable, Sequence
 
 from deformscope.arrays import ImageArray
 from deformscope.frames import ColorFrame, DepthFrame, HealthReport, LinkChange, SessionNote, Stream, WrenchFrame
-from deformscope.page.desk import Desk
-from deformscope.page.messages import DeviceState, DriftState
+from deformscope.page.server.desk import Desk
+from deformscope.page.server.messages import DeviceState, DriftState
 from deformscope.rig.drift import TareDrift
 from deformscope.session import SessionRecorder, Step
 from deformscope.stages.map.exploration import PhaseStart

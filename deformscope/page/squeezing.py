@@ -7,15 +7,12 @@ whether somebody is still there who confirmed the motion under way.
 from __future__ import annotations
 
 import threading
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Iterable, Sequence
 
-from deformscope.api.moving import Watch
-from deformscope.api.page_devices import ShownDevices
-from deformscope.api.rigs import Interruption
-from deformscope.api.squeezing import squeeze_table
-from deformscope.page.desk import Desk
-from deformscope.page.messages import Outcome, PageCommand, Phase, StartSqueezing, StopRun
+from deformscope.interruption import Interruption
+from deformscope.page.devices import ShownDevices
+from deformscope.page.server.desk import Desk
+from deformscope.page.server.messages import Outcome, PageCommand, Phase, StartSqueezing, StopRun
 
 
 class PageSqueezing:
@@ -50,10 +47,9 @@ class PageSqueezing:
             self._by_hand = self._agreed
         self.desk.enter("squeezing", commands=("stop",), pending=None)
 
-    def look_after(self, watch: Watch) -> None:
-        """In each control period: a hand whose motion was confirmed on the page does not move unwatched."""
-        if self._by_hand and watch.robot is not None and (why := self.desk.absent()):
-            watch.robot.ask_to_stop(why)
+    def reason_to_stand(self) -> str:
+        """In each control period: why it may not go on, where nobody watches what they confirmed on the page."""
+        return self.desk.absent() if self._by_hand else ""
 
     # As `PageRun`, from the server -----------------------------------------------------------------------------------
 
@@ -75,9 +71,9 @@ class PageSqueezing:
             self._agreed = True
 
 
-def show_squeezed(desk: Desk, found: Mapping[str, Any]) -> None:
-    """Say what came of it, on a page that may outlive the squeeze. found: as in the JSON"""
-    rows = [(str(name), str(words)) for name, words in squeeze_table(found).rows]
+def show_squeezed(desk: Desk, table: Iterable[Sequence[object]]) -> None:
+    """Say what came of it, on a page that may outlive the squeeze. table: rows of a name and words"""
+    rows = [(str(name), str(words)) for name, words in table]
     for name, words in reversed(rows):
         desk.remark(f"{name}: {words}", bad=name == "discarded")
     known = dict(rows)

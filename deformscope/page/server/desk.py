@@ -9,7 +9,7 @@ from typing import Any, Protocol
 
 import msgspec
 
-from deformscope.page.messages import (
+from deformscope.page.server.messages import (
     CancelMove,
     CommandReply,
     ConfirmMove,

@@ -1,6 +1,6 @@
 """A fit on the page of a rig that is watched, or explores: of what one of its cameras sees, and without holding it up.
 
-All is computed in a process of its own (`deformscope.api.afar_fitting`), which asks for the newest picture when it is
+All is computed in a process of its own (`deformscope.page.fit_process`), which asks for the newest picture when it is
 ready for one. What reads devices and moves a robot hands over a few a second, and none while nobody looks at the fit.
 """
 
@@ -18,16 +18,16 @@ from typing import Any
 
 import msgspec
 
-from deformscope.api.fit_settings import images_with
-from deformscope.api.page_devices import picture_of
 from deformscope.arrays import ImageArray
 from deformscope.config import BetaConfig, ThetaConfig
 from deformscope.config.images import ImageOptions
 from deformscope.file_io import new_recording
 from deformscope.frames import Stream
-from deformscope.page.fit_messages import FitSettings, FitState
-from deformscope.page.messages import CloseFit, OpenFit, Outcome, PageCommand, StopRun, TakeRest
-from deformscope.page.server import PageServer
+from deformscope.page.devices import picture_of
+from deformscope.page.fit_settings import images_with
+from deformscope.page.server.fit_messages import FitSettings, FitState
+from deformscope.page.server.messages import CloseFit, OpenFit, Outcome, PageCommand, StopRun, TakeRest
+from deformscope.page.server.page_server import PageServer
 from deformscope.processes import END_S, beside
 from deformscope.terminal import say
 
@@ -204,6 +204,6 @@ def _in_words(state: FitState) -> str:
 
 def _fit(config: BetaConfig | ThetaConfig, next_folder: Callable[[], Path], pipe: Connection) -> None:
     """In the process, which alone loads what simulates."""
-    from deformscope.api.afar_fitting import fit_a_camera
+    from deformscope.page.fit_process import fit_a_camera
 
     fit_a_camera(config, next_folder, pipe)
