@@ -24,7 +24,7 @@ from deformscope.frames import HealthReport, Item, Stream
 from deformscope.interruption import Interruption, until_interrupted
 from deformscope.lab.rig_members import members_of
 from deformscope.page.devices import remark_of
-from deformscope.page.fit_panel import FitBeside
+from deformscope.page.fit_panel import FitPanel
 from deformscope.page.recorder import PageRecorder
 from deformscope.pictures.report import Table
 from deformscope.plain import plain
@@ -79,7 +79,7 @@ def run_rig(config: RigRunOptions, auto: Literal["none", "native"], *, always_re
         settings["stages"] = dataclasses.asdict(options)
     recent = _recent(config.keep_last, viewer, names)
     at_end = config.keep_last is not None and always_record
-    fit = FitBeside(config.rig, Path(rig.record.folder), rig.name.replace(":", "-"), _begun_images(config.stages))
+    fit = FitPanel(config.rig, Path(rig.record.folder), rig.name.replace(":", "-"), _begun_images(config.stages))
     with (
         until_interrupted() as asked,
         _recorder(output, settings, rig, names, asked, recent, fit, at_end=at_end) as recorder,
@@ -117,7 +117,7 @@ def _recorder(
     names: Sequence[str],
     asked: Interruption,
     recent: RecentItems | None,
-    fit: FitBeside,
+    fit: FitPanel,
     *,
     at_end: bool,
 ) -> Recorder | WatchedRecorder | PageRecorder:

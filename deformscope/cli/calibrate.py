@@ -16,7 +16,7 @@ from deformscope.api.calibration_report import calibration_page
 from deformscope.cli.common import EXIT_LOSSES, fit_progress, say, show, write_file, write_json
 from deformscope.config import BetaConfig, ThetaConfig
 from deformscope.files.model_file import save_model
-from deformscope.page.fit_subject import asked_on_page
+from deformscope.page.fit_settings import asked_on_page
 from deformscope.pictures.evidence import Result, results_png
 from deformscope.stages.fit.estimate import Estimate
 
@@ -24,7 +24,7 @@ from deformscope.stages.fit.estimate import Estimate
 def run(config: BetaConfig | ThetaConfig) -> int:
     """Fit, print the tables, write what was asked for. Returns the command's exit status."""
     if asked_on_page(config):
-        from deformscope.page.fit import set_on_page
+        from deformscope.page.fit_command import set_on_page
 
         with set_on_page(config, say) as (chosen, show_on_page):
             return _fit(chosen, show_on_page)

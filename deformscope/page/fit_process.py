@@ -1,119 +1,158 @@
-"""The process of a fit beside a rig: that of a camera whose page and pictures are at the other end of a pipe."""
+"""A fit on a page, as the page's side has it: all is computed in a process of its own (`deformscope.page.fit`)."""
 
 from __future__ import annotations
 
-import os
+import queue
 import threading
+import time
+from collections import deque
 from collections.abc import Callable
+from functools import partial
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
+import msgspec
+
 from deformscope.arrays import ImageArray
 from deformscope.config import BetaConfig, ThetaConfig
-from deformscope.experiments.live_stages import Beside
-from deformscope.experiments.stage_processes import StageProcesses
-from deformscope.page.camera_fitting import CameraFitting
-from deformscope.page.fit import words_of
-from deformscope.page.fit_camera import CameraSubject
-from deformscope.page.server.desk import PageRun
-from deformscope.page.server.messages import Phase, StopRun
-from deformscope.stages.msm.quiet import quiet_warp
+from deformscope.page.server.fit_messages import FitState
+from deformscope.page.server.messages import FitDrawn, Outcome, PageCommand, StopRun, TakeRest
+from deformscope.page.server.page_server import PageServer
+from deformscope.processes import END_S, RENEW_S, beside
+from deformscope.terminal import say
 
-NICE = 5
-"""What reads devices and moves a robot goes first; what computes the flow comes after it, at nice 10."""
+MOST_CHANGES = 1000
+"""Of so many, the newest, it is kept how long they took to be seen."""
 
 
-def fit_a_camera(config: BetaConfig | ThetaConfig, next_folder: Callable[[], Path], pipe: Connection) -> None:
-    """Go on until a `StopRun` comes, or the pipe ends.
+class FitProcess:
+    """`PageRun` of a fit. Its process asks for a camera's newest picture when it is ready for one; what reads devices
+    hands it over without waiting, and hands over none while nobody looks at the fit.
 
-    The pipe gives ("picture", image) after each ("want",), and ("command", of a page). It is given ("fit", state, its
-    commands or None), ("file", as `PageServer.offer`), and ("ended", why) where it could not go on.
+    config: with which it begins; state: as it was shown last, at first as given; commands: that are possible then
+    changed: is called with it after every change, in the thread that listens to the process
+    next_folder: for pictures of a camera that are held, None = it is a fit of files
+    keeps_last: what is shown in the end is held
+    drawn_ms: from a change on the page until the page has drawn it [ms]
     """
-    os.setpriority(os.PRIO_PROCESS, 0, max(NICE, os.getpriority(os.PRIO_PROCESS, 0)))
-    quiet_warp()
-    desk, over = AfarDesk(pipe), threading.Event()
-    try:
-        with StageProcesses(("flow",), quiet_warp) as processes:
-            camera = AfarCamera(config, processes["flow"], next_folder, pipe)
-            threading.Thread(target=_heed, args=(pipe, camera, desk, over), daemon=True).start()
-            camera.begin(lambda: "the fit was ended" if over.is_set() else "")
-            fitting = CameraFitting(desk, config, camera, desk.offer)
-            fitting.keeps_last = False  # only what somebody held is anybody's
-            if not over.is_set():
-                fitting.until_finished()
-    except Exception as error:
-        pipe.send(("ended", words_of(error)))
-
-
-class AfarDesk:
-    """`FitDesk` at the other end of a pipe."""
-
-    def __init__(self, pipe: Connection) -> None:
-        self._pipe = pipe
-        self.run: PageRun | None = None
-
-    def attend(self, run: PageRun) -> None:
-        """As `Desk.attend`."""
-        self.run = run
-
-    def enter(self, phase: Phase, **changes: Any) -> None:
-        """As `Desk.enter`; the phase is that of what goes on there."""
-        self.show(**changes)
-
-    def show(self, **changes: Any) -> None:
-        """As `Desk.show`, of the fit and its commands."""
-        self._pipe.send(("fit", changes["fit"], changes.get("commands")))
-
-    def absent(self) -> str:
-        """As `Desk.absent`; who is looking is known there."""
-        return ""
-
-    def offer(self, name: str, content: bytes, media_type: str) -> None:
-        """As `PageServer.offer`."""
-        self._pipe.send(("file", name, content, media_type))
-
-
-class AfarCamera(CameraSubject):
-    """A camera at the other end of a pipe: a picture comes where one is wanted."""
 
     def __init__(
-        self, config: BetaConfig | ThetaConfig, beside: Beside, next_folder: Callable[[], Path], pipe: Connection
+        self,
+        config: BetaConfig | ThetaConfig,
+        state: FitState,
+        page: PageServer,
+        changed: Callable[[FitProcess], None],
+        next_folder: Callable[[], Path] | None = None,
+        *,
+        keeps_last: bool = False,
     ) -> None:
-        super().__init__(config.images.camera or "", config.images.flow, beside, next_folder)
-        self._pipe = pipe
-        self._wants = False
-        self._want()
+        self._target = partial(_fit, config, next_folder, keeps_last)
+        self._page, self._changed = page, changed
+        self.state = state
+        self.commands: tuple[str, ...] = ()
+        self.goes_on = self.is_shown = True
+        self.ending = False
+        self.outcome: BetaConfig | ThetaConfig | Exception | None = RuntimeError("its process has died")
+        self.drawn_ms: deque[float] = deque(maxlen=MOST_CHANGES)
+        self._wanted = self._has_first = False
+        self._newest: ImageArray | None = None
+        self._out: queue.SimpleQueue[tuple[str, object] | None] = queue.SimpleQueue()
+        self.thread = threading.Thread(target=self._listen, name="deformscope-fit", daemon=True)
+        self.thread.start()
 
-    def saw(self, image: ImageArray) -> None:
-        """As `CameraSubject.saw`."""
-        self._wants = False
-        super().saw(image)
+    def on_picture(self, image: ImageArray) -> None:
+        """A camera's newest picture. From the thread that takes it, which does not wait."""
+        self._newest = image
+        self._pass_picture()
 
-    def ask(self, call: Callable[[], None]) -> None:
-        """As `CameraSubject.ask`; meanwhile the next one comes."""
-        self._want()
-        super().ask(call)
+    def obey(self, command: PageCommand) -> tuple[Outcome, str]:
+        """As `PageRun.obey`."""
+        if isinstance(command, FitDrawn):
+            self.drawn_ms.append(command.after_ms)
+            return "done", ""
+        if isinstance(command, TakeRest) and self._newest is not None:  # what is seen at this moment
+            self._out.put(("picture", self._newest))
+        self._out.put(("command", command))
+        return "begun", ""
 
-    def _want(self) -> None:
-        if not self._wants:
-            self._wants = True
-            self._pipe.send(("want",))
+    def result(self) -> BetaConfig | ThetaConfig:
+        """The options that were set last, once a page has stopped the fit. Raises what went wrong with it."""
+        while self.thread.is_alive():
+            self.thread.join(RENEW_S)
+        if isinstance(self.outcome, Exception):
+            raise self.outcome
+        assert self.outcome is not None
+        return self.outcome
 
+    def end(self) -> None:
+        """From any thread, at once; `thread` then comes to its end. What gives the numbers is said at the terminal."""
+        if not self.ending:
+            self._until_s = time.monotonic() + END_S  # while it begins it handles nothing that follows
+            self.ending, self.is_shown = True, False
+            self._out.put(("command", StopRun(0)))
+            if self.state.command:
+                say(f"as set on the page: {self.state.command}")
 
-def _heed(pipe: Connection, camera: CameraSubject, desk: AfarDesk, over: threading.Event) -> None:
-    """Take what comes. over: is set where the end comes before the fit has begun"""
-    while True:
+    def close(self) -> None:
+        """End it, and wait for its end."""
+        self.end()
+        self.thread.join(3 * END_S)
+
+    def _pass_picture(self) -> None:
+        """To the process where that waits for one: the first in any case, then what somebody looks at."""
+        seen = not self._has_first or (self.is_shown and not self._page.desk.absent())
+        if self._wanted and seen and self._newest is not None:
+            self._wanted, self._has_first = False, True
+            self._out.put(("picture", self._newest))
+
+    def _listen(self) -> None:
         try:
-            kind, what = pipe.recv()
+            with beside("fit", self._target, makes_others=True) as pipe:
+                threading.Thread(target=self._send, args=(pipe,), daemon=True).start()
+                while not self.ending or time.monotonic() < self._until_s:
+                    if not pipe.poll(0.5):
+                        continue
+                    kind, *what = pipe.recv()
+                    if kind == "end":
+                        (self.outcome,) = what
+                        break
+                    self._take(kind, *what)
         except (EOFError, OSError):
-            kind, what = "command", StopRun(0)
-        if kind == "picture":
-            camera.saw(what)
-            continue
-        if isinstance(what, StopRun):
-            over.set()
-        if desk.run is not None:
-            desk.run.obey(what)
-        if over.is_set():
-            return
+            pass
+        finally:
+            self.goes_on = False
+            self._out.put(None)
+            self._changed(self)
+
+    def _send(self, pipe: Connection) -> None:
+        while (message := self._out.get()) is not None:
+            try:
+                pipe.send(message)
+            except (OSError, ValueError):  # it has ended
+                return
+
+    def _take(self, kind: str, *what: Any) -> None:
+        """What the process gives."""
+        match kind:
+            case "want":
+                self._wanted = True
+                if not self._has_first:
+                    self._pass_picture()
+            case "note":
+                self._page.desk.show(reason=what[0])
+            case "file" if not self.ending:  # else it may be one of another fit's by now
+                self._page.offer(*what)
+            case "fit":
+                state, self.commands = what
+                self.state = msgspec.structs.replace(state, cameras=self.state.cameras)
+                self._changed(self)
+
+
+def _fit(
+    config: BetaConfig | ThetaConfig, next_folder: Callable[[], Path] | None, keeps_last: bool, pipe: Connection
+) -> None:
+    """In the process, which alone loads what simulates."""
+    from deformscope.page.fit import run_fit
+
+    run_fit(config, next_folder, keeps_last, pipe)

@@ -14,7 +14,7 @@ from typing import Any, Literal, Protocol
 from deformscope.frames import HealthReport, NoteKind, SessionNote, Stream, host_ns
 from deformscope.interruption import Interruption
 from deformscope.page.devices import ShownDevices
-from deformscope.page.fit_panel import FitBeside
+from deformscope.page.fit_panel import FitPanel
 from deformscope.page.server.desk import Desk
 from deformscope.page.server.messages import (
     BeginEpisode,
@@ -73,7 +73,7 @@ class PageRecorder:
         ended: Interruption,
         recent: RecentItems | None = None,
         *,
-        fit: FitBeside,
+        fit: FitPanel,
         at_end: Path | None = None,
     ) -> None:
         self._make, self._next_file, self._ended = make, next_file, ended
@@ -148,7 +148,7 @@ class PageRecorder:
         self.desk.show(tares=tares)
         self._enter()
         assert self._watch.page is not None
-        self._fit.attend(self._watch.page, self._streams, self._found)
+        self._fit.bind(self._watch.page, self._streams, self._found)
 
     def write(self, items: object) -> None:
         """As `Recorder.write`."""
@@ -164,7 +164,7 @@ class PageRecorder:
                 except RecordingError as error:
                     self._lose_file(self._take, error)
         if isinstance(items, Sequence) and self._shown is not None:
-            self._fit.saw(items)
+            self._fit.on_items(items)
             self._shown.saw(items)
             if any(isinstance(item, HealthReport) for item in items):
                 self._show_file()

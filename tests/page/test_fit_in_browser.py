@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import threading
 from collections.abc import Iterator
 from typing import Any
 
@@ -309,16 +308,17 @@ def test_a_slider_is_seen_within_300_ms(
         pytest.skip(f"the machine has other work: load {load:.1f}")
     from deformscope.config import BetaConfig
     from deformscope.config.images import ImageOptions
-    from deformscope.page.fit import PageFitting
-    from deformscope.page.fit_subject import subject_of
-    from deformscope.stages.msm.quiet import quiet_warp
+    from deformscope.page.fit_process import FitProcess
 
-    quiet_warp()
+    def changed(fit: FitProcess) -> None:
+        if fit.goes_on:
+            page.desk.enter("adjusting", commands=fit.commands, fit=fit.state)
+
     config = BetaConfig(("sample:tension",), images=ImageOptions(grid=grid, roi=(150, 0, 100, 330)))
     with PageServer("tension", adjusting=True) as page:
-        fitting = PageFitting(page.desk, config, subject_of(config, lambda words: None), page.offer)
-        thread = threading.Thread(target=fitting.until_finished)
-        thread.start()
+        began = FitState("images", "beta", FitSettings())
+        fitting = FitProcess(config, began, page, changed, keeps_last=True)
+        page.desk.attend(fitting)
         shown = browser.new_page(viewport={"width": 1280, "height": 800})
         shown.goto(page.address)
         until(shown, lambda: shown.inner_text("#fit-error").startswith("average"))
@@ -329,7 +329,7 @@ def test_a_slider_is_seen_within_300_ms(
                 shown.wait_for_timeout(100)
         until(shown, lambda: len(fitting.drawn_ms) > 60)
         fitting.obey(StopRun(0))
-        thread.join()
+        fitting.result()
         shown.close()
     p50, p95 = np.percentile(fitting.drawn_ms, (50, 95))
     with capsys.disabled():

@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from deformscope.api.moving import Watch
 from deformscope.interruption import Interruption
 from deformscope.page.devices import ShownDevices
 from deformscope.page.server.desk import Desk
@@ -43,6 +44,8 @@ class Bench:
         self.clock, self.asked, self.hand = FakeClock(), Interruption(), Hand()
         self.desk = Desk(clock=self.clock)
         self.squeezing = PageSqueezing(self.desk, self.asked, ShownDevices(self.desk, ()))
+        self.watch = Watch(self.asked, lambda words: None)
+        self.watch.robot = self.hand
         self.desk.come("one")
 
     def confirm(self) -> str:

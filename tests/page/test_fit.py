@@ -7,6 +7,8 @@ import shlex
 import threading
 from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
+from multiprocessing import Pipe
+from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -22,11 +24,14 @@ from deformscope.config import BetaConfig, ThetaConfig
 from deformscope.config.command_line import command_line
 from deformscope.config.images import ImageOptions
 from deformscope.errors import InputError
-from deformscope.page import fit as page_fitting
-from deformscope.page.fit import PageFitting
-from deformscope.page.fit_subject import PairSubject, asked_on_page, not_on_a_page, subject_of
+from deformscope.page import fit, fit_process
+from deformscope.page.fit import VALUES, PageFit
+from deformscope.page.fit_command import set_on_page
+from deformscope.page.fit_process import FitProcess
+from deformscope.page.fit_settings import asked_on_page, not_on_a_page
+from deformscope.page.fit_source import PairSubject, subject_of
 from deformscope.page.server.desk import Desk
-from deformscope.page.server.fit_messages import FitSettings
+from deformscope.page.server.fit_messages import FitSettings, FitState
 from deformscope.page.server.messages import FitDrawn, RunFit, SetFit, StopRun, WriteNote
 from deformscope.page.server.page_server import PageServer, running_pages
 from deformscope.stages.fit.model import Observation
@@ -76,11 +81,15 @@ class Watched:
         self._changed = threading.Condition()
         self.desk.watch(self._change)
         quiet_warp()
-        self.fitting = PageFitting(self.desk, config, subject_of(config, lambda words: None), self._offer)
+        self.fitting = PageFit(config, subject_of(config, lambda words: None), self._take, keeps_last=True)
         self._began = self.fitting.state.settings
 
-    def _offer(self, name: str, content: bytes, media_type: str) -> None:
-        self.files[name] = content
+    def _take(self, kind: str, *what: Any) -> None:
+        if kind == "file":
+            name, self.files[name], _ = what
+        elif kind == "fit":
+            state, commands = what
+            self.desk.enter("adjusting", commands=commands, fit=state)
 
     def _change(self) -> None:
         with self._changed:
@@ -93,13 +102,13 @@ class Watched:
 
     def set(self, number: int, **changes: Any) -> None:
         """These settings alone are not as they began."""
-        assert self.fitting.obey(SetFit(0, number, msgspec.structs.replace(self._began, **changes)))[0] == "begun"
+        self.fitting.handle(SetFit(0, number, msgspec.structs.replace(self._began, **changes)))
 
     def fitted(self, number: int, **changes: Any) -> Any:
         """The state with these settings, shown and fitted."""
         self.set(number, **changes)
         self.until(lambda fit: fit.number == number)
-        self.fitting.obey(RunFit(0))
+        self.fitting.handle(RunFit(0))
         return self.until(lambda fit: fit.found is not None or fit.problem)
 
 
@@ -113,12 +122,12 @@ def watched(config: BetaConfig | ThetaConfig) -> AbstractContextManager[Watched]
 @contextmanager
 def going_on(one: AnyWatched) -> Iterator[AnyWatched]:
     """In a thread, until the end of the context, at which it has to finish."""
-    thread = threading.Thread(target=one.fitting.until_finished)
+    thread = threading.Thread(target=one.fitting.run)
     thread.start()
     try:
         yield one
     finally:
-        one.fitting.obey(StopRun(0))
+        one.fitting.handle(StopRun(0))
         thread.join(PATIENCE_S)
         assert not thread.is_alive()
 
@@ -226,22 +235,22 @@ class Counted(PairSubject):
 
 def test_what_is_set_meanwhile_is_simulated_once(pair: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     simulated: list[float] = []
-    real = page_fitting.simulate
+    real = fit.simulate
     monkeypatch.setattr(
-        page_fitting,
+        fit,
         "simulate",
         lambda seen, model, values, body: (simulated.extend(values), real(seen, model, values, body))[1],
     )
-    monkeypatch.setattr(page_fitting, "QUIET_S", PATIENCE_S)
+    monkeypatch.setattr(fit, "QUIET_S", PATIENCE_S)
     config = beta_of(pair)
     quiet_warp()
     subject = Counted(config)
-    fitting = PageFitting(Desk("test"), config, subject, lambda *given: None)
-    thread = threading.Thread(target=fitting.until_finished)
+    fitting = PageFit(config, subject, lambda *given: None)
+    thread = threading.Thread(target=fitting.run)
     thread.start()
     for number in range(1, 41):
-        fitting.obey(SetFit(0, number, FitSettings(held=("top",), beta=number / 100)))
-    fitting.obey(StopRun(0))
+        fitting.handle(SetFit(0, number, FitSettings(held=("top",), beta=number / 100)))
+    fitting.handle(StopRun(0))
     subject.go_on.set()
     thread.join(PATIENCE_S)
     assert not thread.is_alive()
@@ -260,36 +269,67 @@ def test_a_fit_is_left_when_something_else_is_set(pair: Path) -> None:
             real(what, done, total)
 
         one.fitting._note = note  # type: ignore[method-assign]
-        one.fitting.obey(RunFit(0))
+        one.fitting.handle(RunFit(0))
         shown = one.until(lambda fit: fit.number == 7)
         one.fitting._note = real  # type: ignore[method-assign]
         assert shown.found is None
 
 
 def test_a_value_of_the_curve_that_cannot_be_simulated_is_said(pair: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    real = page_fitting.simulate
+    real = fit.simulate
 
     def simulate(seen: Any, model: Any, values: Any, body: Any) -> Any:
         if 0.6 < values[0] < 0.7:
             raise ArithmeticError("a singular cluster")
         return real(seen, model, values, body)
 
-    monkeypatch.setattr(page_fitting, "simulate", simulate)
+    monkeypatch.setattr(fit, "simulate", simulate)
     with watched(beta_of(pair)) as one:
-        fit = one.until(lambda fit: len(fit.values) == page_fitting.VALUES)
-        assert fit.problem.startswith("at beta 0.6")
-        assert fit.problem.endswith(": a singular cluster")
-        assert [0.6 < value < 0.7 for value in fit.values] == [error is None for error in fit.errors]
+        shown = one.until(lambda fit: len(fit.values) == VALUES)
+        assert shown.problem.startswith("at beta 0.6")
+        assert shown.problem.endswith(": a singular cluster")
+        assert [0.6 < value < 0.7 for value in shown.values] == [error is None for error in shown.errors]
         one.set(1, beta=0.3)  # it goes on
         assert one.until(lambda fit: fit.number == 1).aee
 
 
-def test_of_how_long_changes_took_the_newest_are_kept(pair: Path) -> None:
-    with watched(beta_of(pair)) as one:
-        for number in range(page_fitting.MOST_CHANGES + 5):
-            one.fitting.obey(FitDrawn(0, number, float(number)))
-        assert len(one.fitting.drawn_ms) == page_fitting.MOST_CHANGES
-        assert one.fitting.drawn_ms[0] == 5.0
+def test_of_how_long_changes_took_the_newest_are_kept(pair: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(fit_process, "beside", in_this_process)
+    page, config = PageServer("test"), beta_of(pair)
+    page.desk.come("a")
+
+    def changed(fit: FitProcess) -> None:
+        if fit.goes_on:
+            page.desk.enter("adjusting", commands=fit.commands, fit=fit.state)
+
+    one = FitProcess(config, FitState("pair", "beta", FitSettings()), page, changed, keeps_last=True)
+    page.desk.attend(one)
+    came = threading.Event()
+    end = page.desk.watch(lambda: came.set() if page.desk.state.commands else None)
+    assert came.wait(PATIENCE_S)
+    end()
+    assert page.desk.command("a", FitDrawn(0, 9, 120.0)).outcome == "done"
+    assert list(one.drawn_ms) == [120.0]
+    assert page.desk.command("a", WriteNote(0, "x")).outcome == "refused"
+    for number in range(fit_process.MOST_CHANGES + 5):
+        one.obey(FitDrawn(0, number, float(number)))
+    assert len(one.drawn_ms) == fit_process.MOST_CHANGES
+    assert one.drawn_ms[0] == 5.0
+    assert page.desk.command("a", StopRun(0)).outcome == "begun"
+    assert one.result().sources == config.sources
+
+
+@contextmanager
+def in_this_process(name: str, target: Any, *, makes_others: bool) -> Iterator[Connection]:
+    """As `processes.beside`, in a thread."""
+    ours, theirs = Pipe()
+    thread = threading.Thread(target=target, args=(theirs,))
+    thread.start()
+    yield ours
+    ours.close()
+    thread.join(PATIENCE_S)
+    theirs.close()
+    assert not thread.is_alive()
 
 
 def test_what_cannot_be_simulated_is_said_and_the_picture_stays(frames: Path) -> None:
@@ -304,9 +344,6 @@ def test_what_cannot_be_simulated_is_said_and_the_picture_stays(frames: Path) ->
             assert (shown.simulated, shown.aee) == (before.simulated, before.aee)
         one.set(9)
         assert one.until(lambda fit: fit.number == 9).problem == ""
-        assert one.fitting.obey(FitDrawn(0, 9, 120.0)) == ("done", "")
-        assert list(one.fitting.drawn_ms) == [120.0]
-        assert one.fitting.obey(WriteNote(0, "x"))[0] == "refused"
 
 
 @pytest.mark.parametrize(
@@ -375,8 +412,8 @@ def test_what_is_set_on_a_page(pair: Path) -> None:
     assert not_on_a_page(BetaConfig((str(pair), str(pair)))) == "2 files"
     assert not_on_a_page(BetaConfig(("x",), motion=MotionFlags(whole_motion=True)))
     assert not_on_a_page(BetaConfig(("x.npz",), layers=LayersFlags(thickness_m=0.1)))
-    with pytest.raises(InputError, match="2 files"):
-        subject_of(BetaConfig((str(pair), str(pair))), print)
+    with pytest.raises(InputError, match="2 files"), set_on_page(BetaConfig((str(pair), str(pair))), print):
+        pass
     with pytest.raises(InputError, match="--viewer page with --adjust"):
         beta_of(pair, adjust=True)
     with pytest.raises(InputError, match="no --at with"):

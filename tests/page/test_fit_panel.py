@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -19,20 +19,20 @@ pytest.importorskip("rerun")
 from deformscope.api.recordings import OpenRecording
 from deformscope.config import BetaConfig
 from deformscope.config.images import ImageOptions
+from deformscope.errors import InputError
 from deformscope.frames import ColorFrame, DepthFrame, Stream
-from deformscope.page import fit_panel
-from deformscope.page.camera_fitting import CameraFitting
-from deformscope.page.fit_panel import FitBeside
-from deformscope.page.fit_process import AfarCamera, AfarDesk
+from deformscope.page import fit as page_fit
+from deformscope.page import fit_process
+from deformscope.page.fit import run_fit
+from deformscope.page.fit_panel import FitPanel
 from deformscope.page.server.fit_messages import FitFound, FitSettings, FitState
 from deformscope.page.server.messages import CloseFit, HoldPicture, OpenFit, RunFit, StopRun, TakeRest
 from deformscope.page.server.page_server import PageServer
 from deformscope.session import Inline
-from deformscope.stages.msm.quiet import quiet_warp
 from deformscope_drivers.clock import Stamp
-from tests.api.test_camera_fitting import folder_camera, rig_of, stretched
-from tests.api.test_page_fitting import typed
 from tests.page.pages import at_desk
+from tests.page.test_fit import typed
+from tests.page.test_fit_of_camera import folder_camera, rig_of, stretched
 from tests.page.test_rig_on_page import WHOLE, started
 from tests.patience import PATIENCE_S
 
@@ -53,11 +53,11 @@ class Beside:
         self.page, self.found = PageServer("bench"), list[str]()
         self.pipes: list[Connection] = []
         self.configs: list[Any] = []
-        monkeypatch.setattr(fit_panel, "beside", self._process)
+        monkeypatch.setattr(fit_process, "beside", self._process)
         self.page.desk.come("a")
         self.page.desk.enter("live", commands=("stop", "tare"))
-        self.fit = FitBeside("rig.toml", Path("runs"), "bench")
-        self.fit.attend(self.page, STREAMS, self.found.append)
+        self.fit = FitPanel("rig.toml", Path("runs"), "bench")
+        self.fit.bind(self.page, STREAMS, self.found.append)
 
     @contextmanager
     def _process(self, name: str, target: Any, *, makes_others: bool) -> Iterator[Connection]:
@@ -72,7 +72,9 @@ class Beside:
         return reply.outcome, reply.words
 
     def see(self, index: int, camera: str = "side") -> None:
-        self.fit.saw([ColorFrame(Stamp(index), index, np.full((2, 2, 3), index, np.uint8), camera), "another item"])
+        self.fit.on_items(
+            [ColorFrame(Stamp(index), index, np.full((2, 2, 3), index, np.uint8), camera), "another item"]
+        )
 
     def until(self, wanted: Any) -> Any:
         came = threading.Event()
@@ -134,11 +136,17 @@ def test_pictures_go_where_they_are_wanted_and_looked_at(beside: Beside) -> None
             threading.Event().wait(0.01)
 
     desk.beat("a", visible=True)
-    beside.see(1)  # nobody asked for it
+    beside.see(1)  # nobody asked for it yet; it begins with what it sees
+    assert not pipe.poll(0.05)
+    pipe.send(("want",))
+    assert received(pipe)[1][0, 0, 0] == 1
     wants()
     assert list(desk.state.commands)[2:] == ["open-fit", "close-fit", "set-fit", "hold-picture", "take-rest"]
     desk.beat("a", visible=False)
     beside.see(2)  # nobody would look at it
+    desk.beat("a", visible=True)
+    threading.Event().wait(desk.state.beat_s + 0.1)
+    beside.see(2)  # frozen or gone: not heard of
     desk.beat("a", visible=True)
     beside.see(3, "top")  # another camera
     beside.see(4)
@@ -173,7 +181,7 @@ def test_a_depth_cameras_colour_is_taken(beside: Beside) -> None:
     beside.page.desk.beat("a", visible=True)
     colour = np.full((2, 2, 3), 9, np.uint8)
     for image in (None, colour):
-        beside.fit.saw([DepthFrame(Stamp(0), 0, np.zeros((2, 2), np.uint16), 1e-3, image, device="depth")])
+        beside.fit.on_items([DepthFrame(Stamp(0), 0, np.zeros((2, 2), np.uint16), 1e-3, image, device="depth")])
     assert (received(pipe)[1] == colour).all()
     beside.ended()
 
@@ -183,7 +191,7 @@ def test_what_was_found_is_said_and_what_ends_it_too(beside: Beside, capsys: pyt
     pipe.send(("fit", STATE, ("set-fit",)))
     found = FitFound("deformscope x", 0.5, 0.4, 0.6, 0.9, 1.0, "weak")
     for busy in ("a", "b"):
-        pipe.send(("fit", msgspec.structs.replace(STATE, found=found, busy=busy), None))
+        pipe.send(("fit", msgspec.structs.replace(STATE, found=found, busy=busy), ("set-fit",)))
     beside.until(lambda state: state.fit is not None and state.fit.busy == "b")
     assert beside.found == ["fit of side: beta 0.5000, 0.400 to 0.600 (90%), weak: deformscope x"]
 
@@ -194,47 +202,43 @@ def test_what_was_found_is_said_and_what_ends_it_too(beside: Beside, capsys: pyt
     assert [one.images.roi for one in beside.configs] == [None, (1, 2, 3, 4)]
     assert [type(one).__name__ for one in beside.configs] == ["BetaConfig", "ThetaConfig"]
 
-    other.send(("ended", "no picture came"))
+    other.send(("end", InputError("pictures of the camera", "none")))
     other.close()
     state = beside.until(lambda state: state.remarks)
-    assert state.remarks[-1].words == "no fit of side any longer: no picture came"
+    assert state.remarks[-1].words == "no fit of side any longer: expected pictures of the camera; got none"
     beside.until(lambda state: state.fit is None)
     again = beside.opened("theta")
     again.close()
     beside.ended()
 
 
-def test_afar_it_is_the_same_fit(tmp_path: Path) -> None:
+def test_in_its_process_it_is_the_same_fit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """In a thread of this process."""
+    monkeypatch.setattr(page_fit, "StageProcesses", lambda *given: nullcontext({"flow": Inline()}))
     ours, theirs = Pipe()
     config = BetaConfig(("rig.toml",), images=ImageOptions(camera="side", roi=(6, 5, 88, 105), grid=(5, 4)))
-    quiet_warp()
-    camera, desk = AfarCamera(config, Inline(), lambda: tmp_path, theirs), AfarDesk(theirs)
-    assert received(ours) == ("want",)
-    assert not ours.poll()  # one at a time
-    camera.saw(stretched(0))
-    camera.begin(lambda: "")
-    fitting = CameraFitting(desk, config, camera, desk.offer)
-    fitting.keeps_last = False
-    assert desk.run is fitting
-    thread = threading.Thread(target=fitting.until_finished)
+    thread = threading.Thread(target=run_fit, args=(config, lambda: tmp_path, False, theirs))
     thread.start()
+    assert received(ours) == ("want",)
+    assert not ours.poll(0.05)  # one at a time
+    ours.send(("picture", stretched(0)))
 
-    def until(wanted: Any) -> Any:
+    def until(wanted: Any, *, answers: bool = True) -> Any:
         while True:
             kind, *what = received(ours)
             if kind == "fit" and wanted(what[0]):
                 return what[0]
-            if kind == "want":
-                camera.saw(stretched(3))
+            if kind == "want" and answers:
+                ours.send(("picture", stretched(3)))
 
     until(lambda fit: fit.aee and fit.aee < 1e-3)
     until(lambda fit: fit.aee and fit.aee > 1e-3)
-    fitting.obey(RunFit(0))
-    assert until(lambda fit: fit.found).found.command.startswith(f"deformscope calibrate beta {tmp_path}")
+    ours.send(("command", RunFit(0)))
+    assert until(lambda fit: fit.found, answers=False).found.command.startswith(
+        f"deformscope calibrate beta {tmp_path}"
+    )
     files = sorted(tmp_path.iterdir())
     ours.close()  # nobody reads on
-    fitting.obey(StopRun(0))
     thread.join(PATIENCE_S)
     assert not thread.is_alive()
     assert sorted(tmp_path.iterdir()) == files  # only what was held is kept
