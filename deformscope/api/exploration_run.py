@@ -223,7 +223,7 @@ def _run(
         place = setup.size_m, setup.placement.T_base_surface
         mapped, lumps = "energy loss" if options.feel == "loss" else "stiffness", options.goal == "inclusions"
         recorder.start_exploration(source.streams, source.start_ns, *place, truth=truth, lumps=lumps, mapped=mapped)
-        shown = None if recorder.page is None else ShownDevices(recorder.page.desk, source.streams)
+        shown = None if recorder.page is None else ShownDevices(recorder.page.session, source.streams)
         page = _steering(config, setup, options, recorder, asked, shown)
         watched = WatchedDevices(recorder, shown, show)
         watch = Watch(asked, show, *(() if page is None else (page.show,)))
@@ -279,9 +279,9 @@ def _steering(
         return None
     from deformscope.page.steering import PageSteering
 
-    recorder.page.desk.show(title=config.rig, beat_s=config.page_timeout)
+    recorder.page.session.show(title=config.rig, beat_s=config.page_timeout)
     return PageSteering(
-        recorder.page.desk,
+        recorder.page.session,
         asked,
         setup.clock,
         shown,
@@ -301,9 +301,9 @@ def _say_on_page(recorder: Recorder, found: dict[str, Any]) -> None:
         return
     rows = exploration_rows(found)
     for name, words in reversed([row for row in rows if row[0].startswith(("region", "truth"))]):
-        recorder.page.desk.remark(f"{name}: {words}")
+        recorder.page.session.remark(f"{name}: {words}")
     known = dict(rows)
-    recorder.page.desk.enter("stopped", f"{known['verdict']}; touches: {known['touches']}; {known['ended']}")
+    recorder.page.session.enter("stopped", f"{known['verdict']}; touches: {known['touches']}; {known['ended']}")
 
 
 def _said(
@@ -321,7 +321,7 @@ def _said(
         except StopIteration:
             return
         if page is not None:
-            page.saw(step.results)
+            page.on_results(step.results)
         lines = []
         for result in step.results:
             began_s = began_s or time.perf_counter()  # what is found first is the surface
@@ -330,7 +330,7 @@ def _said(
             lines += remarks
             if page is not None and _for_page(result):
                 for line in remarks:
-                    page.desk.remark(line)
+                    page.session.remark(line)
         if lines:
             show("")
             for line in lines:

@@ -108,7 +108,7 @@ def permitted(
     def ask_finger(words: str) -> None:
         say(words)
         if page is not None:
-            page.desk.remark(words)
+            page.session.remark(words)
 
     preflight = yield from ask(CheckFirst(calibrated, places_m, ask_finger))
     say(preflight.table())

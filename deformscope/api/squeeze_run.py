@@ -110,7 +110,7 @@ def squeeze_on(config: SqueezeConfig, report: Callable[[dict[str, Any]], None]) 
         from deformscope.api.squeezing import squeeze_table
         from deformscope.page.squeezing import show_squeezed
 
-        show_squeezed(recorder.page.desk, squeeze_table(result).rows)
+        show_squeezed(recorder.page.session, squeeze_table(result).rows)
     return SqueezeOutcome(result, found.features, found.stop, asked.signal_number, asked.by)
 
 
@@ -153,7 +153,7 @@ def _run(
         )
         if config.model is not None:
             recorder.write(InputFile(MODEL_INPUT, config.model.read_bytes()))
-        shown = None if recorder.page is None else ShownDevices(recorder.page.desk, source.streams)
+        shown = None if recorder.page is None else ShownDevices(recorder.page.session, source.streams)
         observed = ObservedRecorder(WatchedDevices(recorder, shown, show), observer)
         page = _page(config, recorder, asked, shown)
         watch = Watch(asked, show, *(() if page is None else (page.show,)))
@@ -201,8 +201,8 @@ def _page(
         return None
     from deformscope.page.squeezing import PageSqueezing
 
-    recorder.page.desk.show(title=config.rig, beat_s=config.page_timeout)
-    return PageSqueezing(recorder.page.desk, asked, shown)
+    recorder.page.session.show(title=config.rig, beat_s=config.page_timeout)
+    return PageSqueezing(recorder.page.session, asked, shown)
 
 
 def _permitted(
@@ -247,7 +247,7 @@ def _placed(
         if page is None:
             yield from ask_line("Press Enter when it stands still: ", asked)
             return
-        page.desk.remark(words)
+        page.session.remark(words)
         page.wait_for("the hand closes")
         yield from ask_line("Press Squeeze on the page, or Enter, when it stands still: ", asked, page.is_agreed)
         page.go_on()

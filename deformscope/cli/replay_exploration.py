@@ -150,7 +150,7 @@ def _show_beside(
     show_table(f"{config.recording} with {changed}", beside)
     if page is not None:  # the newest is above
         for name, words in reversed(beside):
-            page.desk.remark(f"{name}, with {changed}: {words}")
+            page.session.remark(f"{name}, with {changed}: {words}")
     found = {"identical": None, "set": changes, "recorded": before, "computed": now}
     write_json(found, config.output.json)
 

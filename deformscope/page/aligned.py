@@ -49,7 +49,7 @@ def align_on_page(first: Replay, second: Replay) -> tuple[PageServer, tuple[floa
     begins_ns = min(int(one.since_ns[0]) for one in series)
     ends_ns = max(int(one.since_ns[-1]) for one in series)
     around = Chapter("around the contact", max(AROUND_NS[0], begins_ns), min(AROUND_NS[1], ends_ns))
-    page.desk.show(playback=Playback(CONTACT_TIMELINE, ends_ns, STEP_NS, (around,), from_ns=begins_ns))
+    page.session.show(playback=Playback(CONTACT_TIMELINE, ends_ns, STEP_NS, (around,), from_ns=begins_ns))
     page.open()
     print(page.where, file=sys.stderr, flush=True)
     return page, (contacts_s[0], contacts_s[1])

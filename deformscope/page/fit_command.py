@@ -20,9 +20,9 @@ from deformscope.page.devices import picture_of, remark_of
 from deformscope.page.fit import found_of
 from deformscope.page.fit_process import FitProcess
 from deformscope.page.fit_settings import not_on_a_page
-from deformscope.page.server.desk import Desk
 from deformscope.page.server.fit_messages import FitSettings, FitState
 from deformscope.page.server.page_server import PageServer
+from deformscope.page.server.page_session import PageSession
 from deformscope.pictures.evidence import Result, results_png
 from deformscope.rig.rig_file import Rig, RigDevice, load_rig
 from deformscope.rig.source import RigSource
@@ -46,17 +46,17 @@ def set_on_page(
     note(page.where)
     try:
         chosen, last = _set(config, page, note)
-        page.desk.enter("adjusting", commands=(), reason="the whole fit is made of what is set")
+        page.session.enter("adjusting", commands=(), reason="the whole fit is made of what is set")
 
         def show(estimate: Estimate, shown: Result) -> None:
             page.offer("fit.png", results_png([shown]), "image/png")
             found = found_of(estimate, last.command)
-            page.desk.show(fit=msgspec.structs.replace(last, found=found, picture="fit.png", busy=""))
-            page.desk.enter("stopped", "its command has ended")
+            page.session.show(fit=msgspec.structs.replace(last, found=found, picture="fit.png", busy=""))
+            page.session.enter("stopped", "its command has ended")
 
         yield chosen, show
     except BaseException as error:
-        page.desk.enter("stopped", " ".join(str(error).split()) or "interrupted")
+        page.session.enter("stopped", " ".join(str(error).split()) or "interrupted")
         page.close()
         raise
 
@@ -68,7 +68,7 @@ def _set(
 
     def changed(fit: FitProcess) -> None:
         if fit.goes_on:
-            page.desk.enter("adjusting", commands=fit.commands, fit=fit.state)
+            page.session.enter("adjusting", commands=fit.commands, fit=fit.state)
 
     next_folder, camera = None, None
     if config.from_rig:
@@ -79,10 +79,10 @@ def _set(
         next_folder = partial(new_recording, Path(rig.record.folder), name, "")
     began = FitState("images", "beta" if isinstance(config, BetaConfig) else "theta", FitSettings())
     fit = FitProcess(config, began, page, changed, next_folder, keeps_last=True)
-    page.desk.attend(fit)
+    page.session.bind(fit)
     try:
         if camera is not None:
-            follow(camera, fit, page.desk)
+            follow(camera, fit, page.session)
         return fit.result(), fit.state
     finally:
         fit.close()
@@ -91,8 +91,8 @@ def _set(
             note(f"slider to picture: p50 {p50:.0f} ms, p95 {p95:.0f} ms, {len(fit.drawn_ms)} changes")
 
 
-def follow(entry: RigDevice, fit: FitProcess, desk: Desk) -> None:
-    """Open a camera of a rig, nothing else of it, and hand its pictures to a fit until one of them has ended. desk:
+def follow(entry: RigDevice, fit: FitProcess, session: PageSession) -> None:
+    """Open a camera of a rig, nothing else of it, and hand its pictures to a fit until one of them has ended. session:
     where it is said what happens to the camera. Raises InputError where it gives no picture."""
     came = ended = False
     with member_of(entry) as member, RigSource((member,), raw=False) as source:
@@ -104,12 +104,12 @@ def follow(entry: RigDevice, fit: FitProcess, desk: Desk) -> None:
                     fit.on_picture(image)
                 elif (remark := remark_of(item)) is not None:
                     words, bad = remark
-                    desk.remark(words, bad=bad)
+                    session.remark(words, bad=bad)
         if ended and fit.goes_on:
             why = source.failures.get(entry.name, "it has come to its end")
             if not came:
                 raise InputError("pictures of the camera", why, where=entry.name)
-            desk.remark(f"{entry.name}: {why}", bad=True)
+            session.remark(f"{entry.name}: {why}", bad=True)
 
 
 def _camera_in(rig: Rig, wanted: str | None) -> RigDevice:

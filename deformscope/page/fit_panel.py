@@ -38,8 +38,8 @@ class FitPanel:
         self._page, self._found = page, found
         self._cameras = tuple(one.device for kind in ("color", "depth") for one in streams if one.kind == kind)
         if self._cameras:
-            page.desk.attend_aside(self)
-            page.desk.show_aside(("open-fit",))
+            page.session.bind_secondary(self)
+            page.session.show_secondary(("open-fit",))
 
     def on_items(self, items: Sequence[object]) -> None:
         """What the devices gave. From the thread that takes it, which does not wait."""
@@ -50,8 +50,8 @@ class FitPanel:
             if image is not None:
                 fit.on_picture(image)
 
-    def obey(self, command: PageCommand) -> tuple[Outcome, str]:
-        """As `PageRun.obey`."""
+    def handle(self, command: PageCommand) -> tuple[Outcome, str]:
+        """As `PageRun.handle`."""
         fit = self._fit
         if isinstance(command, OpenFit):
             return self._open(command)
@@ -60,7 +60,7 @@ class FitPanel:
         if isinstance(command, CloseFit):
             self._show(fit, shown=False)
             return "done", "what is set there stays"
-        return fit.obey(command)
+        return fit.handle(command)
 
     def close(self) -> None:
         """End it, and say at the terminal what gives its numbers."""
@@ -99,13 +99,13 @@ class FitPanel:
         """On the page, or not: then it gets no pictures."""
         fit.is_shown = shown
         commands = ("close-fit", *(one for one in fit.commands if one != "stop")) if shown else ()
-        self._page.desk.show_aside(("open-fit", *commands), fit=fit.state if shown else None)
+        self._page.session.show_secondary(("open-fit", *commands), fit=fit.state if shown else None)
 
     def _changed(self, fit: FitProcess) -> None:
         if not fit.goes_on:
             if not fit.ending:
                 why = " ".join(str(fit.outcome).split())
-                self._page.desk.remark(f"no fit of {fit.state.camera} any longer: {why}", bad=True)
+                self._page.session.remark(f"no fit of {fit.state.camera} any longer: {why}", bad=True)
                 self._show(fit, shown=False)
             return
         if fit.is_shown:

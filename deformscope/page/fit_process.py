@@ -66,8 +66,8 @@ class FitProcess:
         self._newest = image
         self._pass_picture()
 
-    def obey(self, command: PageCommand) -> tuple[Outcome, str]:
-        """As `PageRun.obey`."""
+    def handle(self, command: PageCommand) -> tuple[Outcome, str]:
+        """As `PageRun.handle`."""
         if isinstance(command, FitDrawn):
             self.drawn_ms.append(command.after_ms)
             return "done", ""
@@ -101,7 +101,7 @@ class FitProcess:
 
     def _pass_picture(self) -> None:
         """To the process where that waits for one: the first in any case, then what somebody looks at."""
-        seen = not self._has_first or (self.is_shown and not self._page.desk.absent())
+        seen = not self._has_first or (self.is_shown and not self._page.session.absent())
         if self._wanted and seen and self._newest is not None:
             self._wanted, self._has_first = False, True
             self._out.put(("picture", self._newest))
@@ -140,7 +140,7 @@ class FitProcess:
                 if not self._has_first:
                     self._pass_picture()
             case "note":
-                self._page.desk.show(reason=what[0])
+                self._page.session.show(reason=what[0])
             case "file" if not self.ending:  # else it may be one of another fit's by now
                 self._page.offer(*what)
             case "fit":

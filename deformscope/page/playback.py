@@ -25,7 +25,7 @@ STEP_NS = 100_000_000
 def play_on_page(path: Path) -> PageServer:
     """Serve a recording to play; its address is printed. Until `close`, or the end of the process."""
     page = PageServer(path.name, path)
-    page.desk.show(playback=playback_of(path))
+    page.session.show(playback=playback_of(path))
     page.open()
     print(page.where, file=sys.stderr, flush=True)
     return page
@@ -47,9 +47,9 @@ def lay_beside(
     results = [(row.session_ns, row.item) for row in recorded]
     layer = layer_beside(recording.identity, streams, size_m, results, again, name)
     page.offer(LAYER, layer, "application/octet-stream")
-    playback = page.desk.state.playback
+    playback = page.session.state.playback
     assert playback is not None
-    page.desk.show(playback=msgspec.structs.replace(playback, layer=LAYER))
+    page.session.show(playback=msgspec.structs.replace(playback, layer=LAYER))
 
 
 def playback_of(path: Path) -> Playback:

@@ -553,11 +553,11 @@ class Recorder:
         page.open()
         print(page.where, file=sys.stderr, flush=True)
         if self._layout in ("exploration", "squeeze"):  # whoever moves the arm or hand says what goes on
-            page.desk.show(recording="" if self._target is None else str(self._target.path))
+            page.session.show(recording="" if self._target is None else str(self._target.path))
         elif self._target is None:
-            page.desk.enter("live")
+            page.session.enter("live")
         else:
-            page.desk.recording_began(str(self._target.path))
+            page.session.recording_began(str(self._target.path))
         connect = partial(page_stream, self._application, recording_id, page.pieces, properties)
         return LiveFeed(connect, period_s=lambda: page.pieces.period_s)
 
@@ -620,8 +620,8 @@ class Recorder:
             return 0
         if not self._feed.close(LIVE_TIMEOUT_S):
             leave_streams_alone()
-        if self._page is not None and self._page.desk.state.phase != "stopped":
-            self._page.desk.enter("stopped", self._stopped or "its command has ended")
+        if self._page is not None and self._page.session.state.phase != "stopped":
+            self._page.session.enter("stopped", self._stopped or "its command has ended")
         return self._feed.dropped
 
     @property

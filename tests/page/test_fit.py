@@ -30,14 +30,14 @@ from deformscope.page.fit_command import set_on_page
 from deformscope.page.fit_process import FitProcess
 from deformscope.page.fit_settings import asked_on_page, not_on_a_page
 from deformscope.page.fit_source import PairSubject, subject_of
-from deformscope.page.server.desk import Desk
 from deformscope.page.server.fit_messages import FitSettings, FitState
 from deformscope.page.server.messages import FitDrawn, RunFit, SetFit, StopRun, WriteNote
 from deformscope.page.server.page_server import PageServer, running_pages
+from deformscope.page.server.page_session import PageSession
 from deformscope.stages.fit.model import Observation
 from deformscope.stages.msm import reference
 from deformscope.stages.msm.quiet import quiet_warp
-from tests.page.pages import at_desk
+from tests.page.pages import page_script
 from tests.patience import PATIENCE_S
 from tests.stages.bodies import pushed
 
@@ -76,10 +76,10 @@ class Watched:
     """A fit on a page without a page; `until` waits for a state."""
 
     def __init__(self, config: BetaConfig | ThetaConfig) -> None:
-        self.desk = Desk("test")
+        self.session = PageSession("test")
         self.files: dict[str, bytes] = {}
         self._changed = threading.Condition()
-        self.desk.watch(self._change)
+        self.session.watch(self._change)
         quiet_warp()
         self.fitting = PageFit(config, subject_of(config, lambda words: None), self._take, keeps_last=True)
         self._began = self.fitting.state.settings
@@ -89,7 +89,7 @@ class Watched:
             name, self.files[name], _ = what
         elif kind == "fit":
             state, commands = what
-            self.desk.enter("adjusting", commands=commands, fit=state)
+            self.session.enter("adjusting", commands=commands, fit=state)
 
     def _change(self) -> None:
         with self._changed:
@@ -97,8 +97,8 @@ class Watched:
 
     def until(self, wanted: Any) -> Any:
         with self._changed:
-            assert self._changed.wait_for(lambda: wanted(self.desk.state.fit), PATIENCE_S)
-        return self.desk.state.fit
+            assert self._changed.wait_for(lambda: wanted(self.session.state.fit), PATIENCE_S)
+        return self.session.state.fit
 
     def set(self, number: int, **changes: Any) -> None:
         """These settings alone are not as they began."""
@@ -296,26 +296,26 @@ def test_a_value_of_the_curve_that_cannot_be_simulated_is_said(pair: Path, monke
 def test_of_how_long_changes_took_the_newest_are_kept(pair: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(fit_process, "beside", in_this_process)
     page, config = PageServer("test"), beta_of(pair)
-    page.desk.come("a")
+    page.session.come("a")
 
     def changed(fit: FitProcess) -> None:
         if fit.goes_on:
-            page.desk.enter("adjusting", commands=fit.commands, fit=fit.state)
+            page.session.enter("adjusting", commands=fit.commands, fit=fit.state)
 
     one = FitProcess(config, FitState("pair", "beta", FitSettings()), page, changed, keeps_last=True)
-    page.desk.attend(one)
+    page.session.bind(one)
     came = threading.Event()
-    end = page.desk.watch(lambda: came.set() if page.desk.state.commands else None)
+    end = page.session.watch(lambda: came.set() if page.session.state.commands else None)
     assert came.wait(PATIENCE_S)
     end()
-    assert page.desk.command("a", FitDrawn(0, 9, 120.0)).outcome == "done"
+    assert page.session.command("a", FitDrawn(0, 9, 120.0)).outcome == "done"
     assert list(one.drawn_ms) == [120.0]
-    assert page.desk.command("a", WriteNote(0, "x")).outcome == "refused"
+    assert page.session.command("a", WriteNote(0, "x")).outcome == "refused"
     for number in range(fit_process.MOST_CHANGES + 5):
-        one.obey(FitDrawn(0, number, float(number)))
+        one.handle(FitDrawn(0, number, float(number)))
     assert len(one.drawn_ms) == fit_process.MOST_CHANGES
     assert one.drawn_ms[0] == 5.0
-    assert page.desk.command("a", StopRun(0)).outcome == "begun"
+    assert page.session.command("a", StopRun(0)).outcome == "begun"
     assert one.result().sources == config.sources
 
 
@@ -377,13 +377,13 @@ def test_the_command_waits_for_its_page(pair: Path, tmp_path: Path, capsys: pyte
     thread = threading.Thread(target=lambda: status.append(main(words)))
     thread.start()
     page = wait_for_page()
-    with at_desk(page, "a") as desk:
-        fit = desk.until(lambda state: state["fit"] and state["fit"]["aee"] is not None)["fit"]
+    with page_script(page, "a") as session:
+        fit = session.until(lambda state: state["fit"] and state["fit"]["aee"] is not None)["fit"]
         settings = fit["settings"] | {"beta": 0.44, "cluster_size": 4}
-        assert desk.command("set-fit", number=5, settings=settings)[0] == "begun"
-        fit = desk.until(lambda state: state["fit"]["number"] == 5)["fit"]
-        assert desk.command("fit-drawn", number=5, after_ms=80.0)[0] == "done"
-        assert desk.command("stop")[0] == "begun"
+        assert session.command("set-fit", number=5, settings=settings)[0] == "begun"
+        fit = session.until(lambda state: state["fit"]["number"] == 5)["fit"]
+        assert session.command("fit-drawn", number=5, after_ms=80.0)[0] == "done"
+        assert session.command("stop")[0] == "begun"
         thread.join(PATIENCE_S)
     assert status == [0]
     printed = capsys.readouterr()

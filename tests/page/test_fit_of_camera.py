@@ -27,12 +27,12 @@ from deformscope.page import fit_command, fit_process
 from deformscope.page.fit import PageFit
 from deformscope.page.fit_command import set_on_page
 from deformscope.page.fit_source import FollowedCamera, ImagesSubject
-from deformscope.page.server.desk import Desk
 from deformscope.page.server.messages import FollowCamera, HoldPicture, RunFit, TakeRest
 from deformscope.page.server.page_server import PageServer, end_pages, running_pages
+from deformscope.page.server.page_session import PageSession
 from deformscope.session import Inline
 from deformscope.stages.msm.quiet import quiet_warp
-from tests.page.pages import at_desk
+from tests.page.pages import page_script
 from tests.page.test_fit import Watched, beta_of, going_on, in_this_process, typed
 from tests.patience import PATIENCE_S
 
@@ -53,8 +53,8 @@ class Camera(Watched):
 
     def __init__(self, folder: Path, beside: Executor | None = None) -> None:
         self.files, self._changed = {}, threading.Condition()
-        self.desk = Desk("test")
-        self.desk.watch(self._change)
+        self.session = PageSession("test")
+        self.session.watch(self._change)
         quiet_warp()
         config = beta_of(Path("rig.toml"), images=ImageOptions(roi=(6, 5, 88, 105), grid=(5, 4)))
         self.wants = 0
@@ -68,7 +68,7 @@ class Camera(Watched):
         self.wants += 1
 
     def see(self, index: int) -> ImageArray:
-        shown = self.desk.state.fit
+        shown = self.session.state.fit
         assert shown is not None
         self.before, image = shown.pictures, stretched(index)
         self.camera.on_picture(image)
@@ -97,8 +97,8 @@ def test_what_is_held_is_what_its_command_line_gives(tmp_path: Path, capsys: pyt
         one.fitting.handle(HoldPicture(0))
         held = one.until(lambda fit: not fit.following and fit.command)
         one.see(5)  # it goes on, and what is held stays
-        assert set(one.desk.state.commands) >= {"follow-camera", "run-fit"}
-        assert not {"take-rest", "hold-picture"} & set(one.desk.state.commands)
+        assert set(one.session.state.commands) >= {"follow-camera", "run-fit"}
+        assert not {"take-rest", "hold-picture"} & set(one.session.state.commands)
         one.fitting.handle(RunFit(0))
         found = one.until(lambda fit: fit.found is not None).found
     assert held.pictures == followed.pictures
@@ -270,10 +270,10 @@ def test_a_rigs_camera_alone_is_opened(tmp_path: Path, monkeypatch: pytest.Monke
     config = BetaConfig((str(rig_of(tmp_path, arm, folder_camera(tmp_path))),))
 
     def finish() -> None:
-        with at_desk(_page(), "a") as desk:
-            fit = desk.until(lambda state: state["fit"] and state["fit"]["aee"] is not None)["fit"]
+        with page_script(_page(), "a") as session:
+            fit = session.until(lambda state: state["fit"] and state["fit"]["aee"] is not None)["fit"]
             assert (fit["camera"], fit["size_px"]) == ("side", [100.0, 120.0])
-            assert desk.command("stop")[0] == "begun"
+            assert session.command("stop")[0] == "begun"
 
     thread = threading.Thread(target=finish)
     thread.start()
@@ -316,12 +316,12 @@ def test_the_command_follows_a_camera(camera: str, tmp_path: Path, capsys: pytes
     status: list[int] = []
     thread = threading.Thread(target=lambda: status.append(main(words)))
     thread.start()
-    with at_desk(_page(), "a") as desk, desk.beating():
-        desk.until(lambda state: state["fit"] and state["fit"]["aee"])
-        assert desk.command("hold-picture")[0] == "begun"
-        fit = desk.until(lambda state: not state["fit"]["following"])["fit"]
-        assert desk.command("stop")[0] == "begun"
-        desk.until(lambda state: state["phase"] == "stopped")
+    with page_script(_page(), "a") as session, session.beating():
+        session.until(lambda state: state["fit"] and state["fit"]["aee"])
+        assert session.command("hold-picture")[0] == "begun"
+        fit = session.until(lambda state: not state["fit"]["following"])["fit"]
+        assert session.command("stop")[0] == "begun"
+        session.until(lambda state: state["phase"] == "stopped")
     thread.join(PATIENCE_S)
     assert status == [0], capsys.readouterr().err
     printed = capsys.readouterr()

@@ -30,7 +30,7 @@ from deformscope.page.server.messages import CloseFit, HoldPicture, OpenFit, Run
 from deformscope.page.server.page_server import PageServer
 from deformscope.session import Inline
 from deformscope_drivers.clock import Stamp
-from tests.page.pages import at_desk
+from tests.page.pages import page_script
 from tests.page.test_fit import typed
 from tests.page.test_fit_of_camera import folder_camera, rig_of, stretched
 from tests.page.test_rig_on_page import WHOLE, started
@@ -54,8 +54,8 @@ class Beside:
         self.pipes: list[Connection] = []
         self.configs: list[Any] = []
         monkeypatch.setattr(fit_process, "beside", self._process)
-        self.page.desk.come("a")
-        self.page.desk.enter("live", commands=("stop", "tare"))
+        self.page.session.come("a")
+        self.page.session.enter("live", commands=("stop", "tare"))
         self.fit = FitPanel("rig.toml", Path("runs"), "bench")
         self.fit.bind(self.page, STREAMS, self.found.append)
 
@@ -68,7 +68,7 @@ class Beside:
         ours.close()
 
     def ask(self, command: Any) -> tuple[str, str]:
-        reply = self.page.desk.command("a", command)
+        reply = self.page.session.command("a", command)
         return reply.outcome, reply.words
 
     def see(self, index: int, camera: str = "side") -> None:
@@ -78,10 +78,10 @@ class Beside:
 
     def until(self, wanted: Any) -> Any:
         came = threading.Event()
-        end = self.page.desk.watch(lambda: came.set() if wanted(self.page.desk.state) else None)
-        assert wanted(self.page.desk.state) or came.wait(PATIENCE_S)
+        end = self.page.session.watch(lambda: came.set() if wanted(self.page.session.state) else None)
+        assert wanted(self.page.session.state) or came.wait(PATIENCE_S)
         end()
-        return self.page.desk.state
+        return self.page.session.state
 
     def opened(self, parameter: Any = "beta", camera: str | None = None) -> Connection:
         count = len(self.pipes)
@@ -115,15 +115,15 @@ STATE = FitState("images", "beta", FitSettings(roi=(1, 2, 3, 4)), camera="side",
 
 
 def test_pictures_go_where_they_are_wanted_and_looked_at(beside: Beside) -> None:
-    desk = beside.page.desk
-    assert list(desk.state.commands) == ["stop", "tare", "open-fit"]
+    session = beside.page.session
+    assert list(session.state.commands) == ["stop", "tare", "open-fit"]
     assert beside.ask(OpenFit(1, "beta", "tip"))[1] == "expected one of side, top, depth; got tip"
     assert beside.ask(HoldPicture(2))[0] == "refused"
     pipe = beside.opened()
-    assert desk.state.fit is not None
-    assert (desk.state.fit.camera, desk.state.fit.cameras) == ("side", ("side", "top", "depth"))
-    assert "takes some seconds" in desk.state.fit.busy
-    assert "set-fit" not in desk.state.commands
+    assert session.state.fit is not None
+    assert (session.state.fit.camera, session.state.fit.cameras) == ("side", ("side", "top", "depth"))
+    assert "takes some seconds" in session.state.fit.busy
+    assert "set-fit" not in session.state.commands
 
     fit = beside.fit._fit
     assert fit is not None
@@ -135,19 +135,19 @@ def test_pictures_go_where_they_are_wanted_and_looked_at(beside: Beside) -> None
         while not fit._wanted:
             threading.Event().wait(0.01)
 
-    desk.beat("a", visible=True)
+    session.beat("a", visible=True)
     beside.see(1)  # nobody asked for it yet; it begins with what it sees
     assert not pipe.poll(0.05)
     pipe.send(("want",))
     assert received(pipe)[1][0, 0, 0] == 1
     wants()
-    assert list(desk.state.commands)[2:] == ["open-fit", "close-fit", "set-fit", "hold-picture", "take-rest"]
-    desk.beat("a", visible=False)
+    assert list(session.state.commands)[2:] == ["open-fit", "close-fit", "set-fit", "hold-picture", "take-rest"]
+    session.beat("a", visible=False)
     beside.see(2)  # nobody would look at it
-    desk.beat("a", visible=True)
-    threading.Event().wait(desk.state.beat_s + 0.1)
+    session.beat("a", visible=True)
+    threading.Event().wait(session.state.beat_s + 0.1)
     beside.see(2)  # frozen or gone: not heard of
-    desk.beat("a", visible=True)
+    session.beat("a", visible=True)
     beside.see(3, "top")  # another camera
     beside.see(4)
     beside.see(5)  # it asked for one
@@ -157,15 +157,15 @@ def test_pictures_go_where_they_are_wanted_and_looked_at(beside: Beside) -> None
     assert received(pipe) == ("command", TakeRest(3))
 
     assert beside.ask(CloseFit(4))[0] == "done"
-    assert desk.state.fit is None
-    assert list(desk.state.commands) == ["stop", "tare", "open-fit"]
+    assert session.state.fit is None
+    assert list(session.state.commands) == ["stop", "tare", "open-fit"]
     pipe.send(("want",))
     while not fit._wanted:
         threading.Event().wait(0.01)
     beside.see(6)
     assert beside.ask(OpenFit(5, "beta"))[0] == "done"  # it is as it was left
-    assert desk.state.fit is not None
-    assert desk.state.fit.number == 3
+    assert session.state.fit is not None
+    assert session.state.fit.number == 3
     beside.see(7)
     assert received(pipe)[1][0, 0, 0] == 7
     beside.ended()
@@ -178,7 +178,7 @@ def test_a_depth_cameras_colour_is_taken(beside: Beside) -> None:
     assert fit is not None
     while not fit._wanted:
         threading.Event().wait(0.01)
-    beside.page.desk.beat("a", visible=True)
+    beside.page.session.beat("a", visible=True)
     colour = np.full((2, 2, 3), 9, np.uint8)
     for image in (None, colour):
         beside.fit.on_items([DepthFrame(Stamp(0), 0, np.zeros((2, 2), np.uint16), 1e-3, image, device="depth")])
@@ -248,7 +248,7 @@ def test_in_its_process_it_is_the_same_fit(tmp_path: Path, monkeypatch: pytest.M
 def test_a_fit_is_set_while_a_rig_is_recorded(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     rig, file = rig_of(tmp_path, TIP, folder_camera(tmp_path)), tmp_path / "mine.rrd"
     with started("record", str(rig), "--record", str(file), folder=tmp_path) as command:
-        with at_desk(command.page, "a") as one, one.beating():
+        with page_script(command.page, "a") as one, one.beating():
             one.until(lambda state: "open-fit" in state["commands"])
             assert one.command("set-fit", number=1, settings={})[0] == "refused"
             assert one.command("open-fit", parameter="beta", camera="tip")[0] == "refused"

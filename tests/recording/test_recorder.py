@@ -605,7 +605,7 @@ def test_a_page_is_served_on_loopback_alone(tmp_path: Path) -> None:
         assert made.summary().dropped == 0
         (opened,) = set(listening(os.getpid())) - set(before)
         assert opened == ("0100007F", urlsplit(page.address).port)
-        assert (page.desk.state.phase, page.desk.state.title) == ("stopped", "")
+        assert (page.session.state.phase, page.session.state.title) == ("stopped", "")
         assert page.pieces.held_bytes > 1000
     finally:
         end_pages()
