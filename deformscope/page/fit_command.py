@@ -38,8 +38,9 @@ def set_on_page(
     The page is served on until the process ends. Raises InputError for what cannot be read.
     """
     if (reason := not_on_a_page(config)) is not None:
-        expected = "one fit to a picture of a rig's camera" if config.from_rig else "images, or one pair file,"
-        raise InputError(f"{expected} to be set on a page", reason, "leave it out")
+        if config.from_rig:
+            raise InputError("one fit to a picture of a rig's camera", reason, "leave it out")
+        raise InputError("images, or one pair file, to be set on a page", reason, "leave out --adjust")
     config = dataclasses.replace(config, adjust=False, output=dataclasses.replace(config.output, viewer="none"))
     page = PageServer(" ".join(config.sources), adjusting=True)
     page.open()

@@ -88,7 +88,8 @@ class FitProcess:
     def end(self) -> None:
         """From any thread, at once; `thread` then comes to its end. What gives the numbers is said at the terminal."""
         if not self.ending:
-            self._until_s = time.monotonic() + END_S  # while it begins it handles nothing that follows
+            # What has not begun yet handles no command: it ends once its pipe does.
+            self._until_s = time.monotonic() + (END_S if self.commands else 0.0)
             self.ending, self.is_shown = True, False
             self._out.put(("command", StopRun(0)))
             if self.state.command:

@@ -50,11 +50,94 @@ class _FileTake:
     before: HealthReport | None = None
     begun: bool = False
 
+    def write(
+        self, items: object, source: RigSource | None, streams: Sequence[Stream], lossless: Sequence[str]
+    ) -> None:
+        """As `Recorder.write`; counts of losses are those since the file began. source, streams: of what is recorded"""
+        if isinstance(items, Sequence):
+            if not self.begun and items:
+                assert source is not None
+                self.before, self.begun = source.look(), True
+                start_ns = min(map(host_ns, items)) - source.latest_ns  # what comes later may be put back so far
+                self.recorder.start_rig(streams, start_ns, lossless)
+            if (before := self.before) is not None:
+                items = [since(item, before) if isinstance(item, HealthReport) else item for item in items]
+        self.recorder.write(items)
+
 
 class MakeRecorder(Protocol):
     """A recorder into this file, or none, with this viewer; at_once: of what is there already, so that it may wait"""
 
     def __call__(self, file: Path | None, viewer: Literal["page", "none"], *, at_once: bool = False) -> Recorder: ...
+
+
+class _EpisodeNotes:
+    """Notes that were not recorded yet. episode: that goes on; last_episode: the newest of the file, empty = none"""
+
+    def __init__(self) -> None:
+        self.episode = self.last_episode = ""
+        self._new: list[SessionNote] = []
+
+    def add(self, about: NoteKind, text: str) -> None:
+        self._new.append(SessionNote(monotonic_ns(), about, text))
+
+    def taken(self) -> list[SessionNote]:
+        """Those since the last call."""
+        new, self._new = self._new, []
+        return new
+
+    def begin_episode(self, label: str) -> None:
+        self.end_episode()
+        self.episode = self.last_episode = label
+        self.add("episode-begin", label)
+
+    def end_episode(self) -> str:
+        """Its label, empty where none goes on."""
+        label, self.episode = self.episode, ""
+        if label:
+            self.add("episode-end", label)
+        return label
+
+    def discard(self, command: DiscardPart) -> tuple[Outcome, str]:
+        """Mark what a page does not want to be used."""
+        if command.what == "recording":
+            self.add("discard-recording", command.reason)
+            return "done", "the recording is marked as discarded; it goes on"
+        if not self.last_episode:
+            return "refused", "no episode was begun in this file"
+        self.add("discard-episode", command.reason)
+        return "done", f"episode {self.last_episode} is marked as discarded"
+
+
+class _Tasks:
+    """What takes its time, each in a thread of its own; what goes wrong becomes a remark. busy: names of those that go
+    on; ended: is called after each, with the lock held"""
+
+    def __init__(self, lock: threading.RLock, remark: Callable[[str], None], ended: Callable[[], None]) -> None:
+        self.busy: set[str] = set()
+        self._lock, self._remark, self._ended = lock, remark, ended
+        self._threads: list[threading.Thread] = []
+
+    def begin(self, name: str, call: Callable[[], None]) -> None:
+        self.busy.add(name)
+
+        def work() -> None:
+            try:
+                call()
+            except Exception as error:
+                self._remark(f"{name}: {error}")
+            finally:
+                with self._lock:
+                    self.busy.discard(name)
+                    self._ended()
+
+        thread = threading.Thread(target=work, name=f"deformscope-page-{name}", daemon=True)
+        self._threads.append(thread)
+        thread.start()
+
+    def join(self) -> None:
+        for thread in self._threads:
+            thread.join()
 
 
 class PageRecorder:
@@ -85,15 +168,13 @@ class PageRecorder:
         self._streams: tuple[Stream, ...] = ()
         self._lossless: Sequence[str] = ()
         self._stages: Sequence[tuple[str, str]] = ()
-        self._notes: list[SessionNote] = []
-        self._episode = self._last_episode = ""
-        self._busy: set[str] = set()
-        self._threads: list[threading.Thread] = []
+        self._notes = _EpisodeNotes()
         self._failure: Exception | None = None
         self._shown: ShownDevices | None = None
         self.summaries: list[RecordingSummary] = []
         # Held for moments alone: by the session as it hands over, by the page's server as it handles commands.
         self._lock = threading.RLock()
+        self._tasks = _Tasks(self._lock, lambda words: self.session.remark(words, bad=True), self._enter_unless_stopped)
 
     @property
     def session(self) -> PageSession:
@@ -113,8 +194,7 @@ class PageRecorder:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        for thread in self._threads:
-            thread.join()
+        self._tasks.join()
         with ExitStack() as stack:  # each is closed whatever another's closing raises
             stack.callback(self._fit.close)  # last: no file waits for it
             stack.callback(self._watch.__exit__, kind, error, trace)
@@ -160,7 +240,7 @@ class PageRecorder:
                 items = [*items, *self._taken_notes()]
             if self._take is not None:
                 try:
-                    self._write_to(self._take, items)
+                    self._take.write(items, self._source, self._streams, self._lossless)
                 except RecordingError as error:
                     self._lose_file(self._take, error)
         if isinstance(items, Sequence) and self._shown is not None:
@@ -180,21 +260,9 @@ class PageRecorder:
         """Of the last file; where there was none, of what was watched."""
         return self.summaries[-1] if self.summaries else self._watch.summary()
 
-    def _write_to(self, take: _FileTake, items: object) -> None:
-        if isinstance(items, Sequence):
-            if not take.begun and items:
-                assert self._source is not None
-                take.before, take.begun = self._source.look(), True
-                start_ns = min(map(host_ns, items)) - self._source.latest_ns  # what comes later may be put back so far
-                take.recorder.start_rig(self._streams, start_ns, self._lossless)
-            if take.before is not None:
-                before = take.before
-                items = [since(item, before) if isinstance(item, HealthReport) else item for item in items]
-        take.recorder.write(items)
-
     def _lose_file(self, take: _FileTake, error: RecordingError) -> None:
         """It is ended with what it has, and what is watched goes on without one."""
-        self._take, self._episode, self._failure = None, "", error
+        self._take, self._notes.episode, self._failure = None, "", error
         self.session.remark(f"the recording has ended: {error}", bad=True)
         say(f"deformscope: the recording has ended, the page goes on: {error}")
 
@@ -202,7 +270,7 @@ class PageRecorder:
             take.recorder.__exit__(type(error), error, None)
             self.summaries.append(take.recorder.summary())
 
-        self._beside("file", end)
+        self._tasks.begin("file", end)
         self._enter()
 
     def _show_file(self) -> None:
@@ -234,20 +302,18 @@ class PageRecorder:
                 case KeepRecent():
                     return self._keep_recent()
                 case WriteNote():
-                    self._note("note", command.text)
+                    self._notes.add("note", command.text)
                     return "done", "noted"
                 case BeginEpisode():
-                    self._end_episode()
-                    self._episode = self._last_episode = command.label
-                    self._note("episode-begin", command.label)
+                    self._notes.begin_episode(command.label)
                     self._enter()
                     return "done", f"episode {command.label} began"
                 case EndEpisode():
-                    label = self._end_episode()
+                    label = self._notes.end_episode()
                     self._enter()
                     return "done", f"episode {label} ended"
                 case DiscardPart():
-                    return self._discard(command)
+                    return self._notes.discard(command)
                 case TareDevice():
                     return self._tare(command.device)
                 case _:
@@ -259,51 +325,37 @@ class PageRecorder:
         commands = ["stop", *(["tare"] if self.session.state.tares else [])]
         if take is None:
             # stages begin with the first frame: a file that begins later could not be replayed with them
-            commands += [] if self._stages or self._busy & {"file"} else ["start-recording"]
-            commands += [] if self._recent is None or self._busy & {"the last seconds"} else ["keep-recent"]
+            commands += [] if self._stages or "file" in self._tasks.busy else ["start-recording"]
+            commands += [] if self._recent is None or "the last seconds" in self._tasks.busy else ["keep-recent"]
             self.session.enter("live", recording="", episode="", commands=tuple(commands), free_minutes=None)
             return
-        commands += ["write-note", "discard", "begin-episode", *(["end-episode"] if self._episode else [])]
+        commands += ["write-note", "discard", "begin-episode", *(["end-episode"] if self._notes.episode else [])]
         commands += [] if self._stages else ["stop-recording"]
-        changes: dict[str, Any] = {"commands": tuple(commands), "episode": self._episode}
+        changes: dict[str, Any] = {"commands": tuple(commands), "episode": self._notes.episode}
         if self.session.state.recording == str(take.path):
             self.session.enter("recording", **changes)
         else:
             self.session.recording_began(str(take.path), **changes)
 
-    def _discard(self, command: DiscardPart) -> tuple[Outcome, str]:
-        if command.what == "recording":
-            self._note("discard-recording", command.reason)
-            return "done", "the recording is marked as discarded; it goes on"
-        if not self._last_episode:
-            return "refused", "no episode was begun in this file"
-        self._note("discard-episode", command.reason)
-        return "done", f"episode {self._last_episode} is marked as discarded"
-
-    def _note(self, about: NoteKind, text: str) -> None:
-        self._notes.append(SessionNote(monotonic_ns(), about, text))
+    def _enter_unless_stopped(self) -> None:
+        if self.session.state.phase != "stopped":
+            self._enter()
 
     def _found(self, words: str) -> None:
         """What a fit found is said, and a note in what is recorded."""
         with self._lock:
-            self._note("note", words)
+            self._notes.add("note", words)
         self.session.remark(words)
 
     def _taken_notes(self) -> list[SessionNote]:
-        notes, self._notes = self._notes, []
+        notes = self._notes.taken()
         if self._recent is not None:
             self._recent.add(notes)
         return notes
 
-    def _end_episode(self) -> str:
-        label, self._episode = self._episode, ""
-        if label:
-            self._note("episode-end", label)
-        return label
-
     def _start_file(self) -> tuple[Outcome, str]:
         path = self._next_file()
-        self._beside("file", lambda: self._open_file(path))
+        self._tasks.begin("file", lambda: self._open_file(path))
         self._enter()
         return "begun", str(path)
 
@@ -312,17 +364,18 @@ class PageRecorder:
         recorder.__enter__()
         with self._lock:
             self._take = _FileTake(recorder, path)
-            self._last_episode = ""
+            self._notes.last_episode = ""
             self._enter()
 
     def _stop_file(self) -> tuple[Outcome, str]:
         take = self._take
         assert take is not None
-        self._end_episode()
+        self._notes.end_episode()
         if take.begun and self._source is not None:
-            self._write_to(take, [*self._taken_notes(), self._source.look()])
+            last = [*self._taken_notes(), self._source.look()]
+            take.write(last, self._source, self._streams, self._lossless)
         self._take = None
-        self._beside("file", lambda: self._close_file(take))
+        self._tasks.begin("file", lambda: self._close_file(take))
         self._enter()
         return "begun", f"{take.path} is being closed"
 
@@ -357,43 +410,24 @@ class PageRecorder:
                 raise
             self._add_summary(recorder.summary())
 
-        self._beside("the last seconds", keep)
+        self._tasks.begin("the last seconds", keep)
         self._enter()
         return "begun", f"the last {held_s:.1f} s go into {path}"
 
     def _tare(self, name: str) -> tuple[Outcome, str]:
         if name not in self.session.state.tares or self._source is None:
             return "refused", f"expected one of {', '.join(self.session.state.tares)}; got {name}"
-        if name in self._busy:
+        if name in self._tasks.busy:
             return "refused", f"{name} is being tared"
         device: Any = self._source.device(name)
 
         def tare() -> None:
             device.zero()
             with self._lock:
-                self._note("tare", name)
+                self._notes.add("tare", name)
                 if self._shown is not None:
                     self._shown.tared(name)
             self.session.remark(f"{name}: tared")
 
-        self._beside(name, tare)
+        self._tasks.begin(name, tare)
         return "begun", f"{name}: its load is taken for zero; let nothing touch it"
-
-    def _beside(self, what: str, call: Callable[[], None]) -> None:
-        """Do what takes its time in a thread of its own; what goes wrong becomes a remark."""
-        self._busy.add(what)
-
-        def work() -> None:
-            try:
-                call()
-            except Exception as error:
-                self.session.remark(f"{what}: {error}", bad=True)
-            finally:
-                with self._lock:
-                    self._busy.discard(what)
-                    if self.session.state.phase != "stopped":
-                        self._enter()
-
-        thread = threading.Thread(target=work, name=f"deformscope-page-{what}", daemon=True)
-        self._threads.append(thread)
-        thread.start()
