@@ -60,8 +60,8 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "lab": ("arrays", "capsule", "errors", "processes", "rig", "robot", "solid"),
     "session": ("frames",),
     "rows": ("arrays", "frames", "images", "stages.map", "stages.squeeze"),
-    "page": ("errors",),
-    "recording": ("arrays", "errors", "frames", "images", "log", "page", "rows", "session", *STAGES),
+    "page.server": ("errors",),
+    "recording": ("arrays", "errors", "frames", "images", "log", "page.server", "rows", "session", *STAGES),
     "files": ("arrays", "errors", "file_io", "frames", "images", "recording", *STAGES),
     "experiments": (
         *("arrays", "capsule", "errors", "files", "frames", "images", "processes", "recording", "rig", "robot"),
@@ -76,11 +76,23 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "config": ("bench_cases", "errors", "file_io"),
     "file_io": ("errors",),
     "terminal": ("errors",),
+    "interruption": ("terminal",),
+    "calibration_options": (
+        *("arrays", "config", "experiments", "file_io", "files", "images", "recording"),
+        *STAGES,
+    ),
+    # What pages show of runs, and how they steer them.
+    "page": (
+        *("arrays", "calibration_options", "config", "errors", "experiments", "file_io", "files", "frames", "images"),
+        *("interruption", "lab", "log", "page.server", "pictures", "processes", "recording", "rig", "robot"),
+        *("session", "terminal", *STAGES),
+    ),
     # What the commands compute, with doubles from the laboratory where they are asked for.
     "api": (
-        *("arrays", "config", "errors", "experiments", "file_io", "files", "frames", "images", "lab", "log"),
-        *("page", "pictures", "plain", "processes", "recording", "results", "rig", "robot", "session", "terminal"),
-        *("version", *STAGES),
+        *("arrays", "calibration_options", "config", "errors", "experiments", "file_io", "files", "frames", "images"),
+        *("interruption", "lab", "log", "page", "page.server", "pictures", "plain", "processes", "recording", "rig"),
+        *("results", "robot", "session", "terminal", "version"),
+        *STAGES,
     ),
 }
 """What each folder may import of the others, also inside functions and for type checking. Nothing imports `cli`."""
@@ -93,7 +105,7 @@ FORBIDDEN = {
     "deformscope.frames": ("rerun", "tyro", "rich"),
     "deformscope.pictures": ("rerun",),
     "deformscope.session": ("rerun",),
-    "deformscope.page": ("rerun", "tyro", "rich", "numpy"),
+    "deformscope.page.server": ("rerun", "tyro", "rich", "numpy"),
     "deformscope.experiments": ("rerun", "tyro"),
     "deformscope.robot": ("rerun", "tyro", "rich"),
     "deformscope.config": ("numpy", "rich", "rerun", "warp"),
@@ -182,7 +194,7 @@ def within(name: str, package: str) -> bool:
 def layer_of(name: str) -> str:
     """The folder that a module of ours is in, or the module itself beside the folders."""
     parts = name.split(".")[1:]
-    return ".".join(parts[:2] if parts[:1] == ["stages"] else parts[:1])
+    return ".".join(parts[: 2 if parts[:1] == ["stages"] or parts[:2] == ["page", "server"] else 1])
 
 
 def test_each_folder_imports_what_it_may() -> None:

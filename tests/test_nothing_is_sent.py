@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from deformscope.page.viewer_files import viewer_executable
+from deformscope.page.server.viewer_files import viewer_executable
 from tests.offline import NO_NAMESPACES
 from tests.patience import PATIENCE_S
 from tools.screenshot import LAVAPIPE
@@ -26,7 +26,7 @@ UNKIND = {
 """What of a user's environment would switch rerun's questions on again."""
 
 PAGE = """
-    from deformscope.page.server import PageServer
+    from deformscope.page.server.page_server import PageServer
     from tests.page.pages import get, root
     with PageServer("bench") as page:
         assert get(page, root(page) + "re_viewer.js")[0] == 200

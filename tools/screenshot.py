@@ -20,7 +20,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from deformscope.page.viewer_files import viewer_environment, viewer_executable
+from deformscope.page.server.viewer_files import viewer_environment, viewer_executable
 from deformscope.recording.live import Viewer, wait_for_viewer
 
 if TYPE_CHECKING:

@@ -14,11 +14,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from deformscope.api.moving import POLL_S, Watch, ask_yes, leave, signal_word
-from deformscope.api.rigs import Interruption, member_of, until_interrupted
 from deformscope.api.setups import setup_of, table_of
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 from deformscope.experiments.options import ExploreOptions
+from deformscope.interruption import Interruption, until_interrupted
+from deformscope.lab.rig_members import member_of
 from deformscope.log.rig_layout import RigLayout
 from deformscope.rig.rig_file import load_rig
 from deformscope.robot.advice import where_it_stands

@@ -24,6 +24,13 @@ from deformscope.api.result import (
     recording_rows,
 )
 from deformscope.arrays import FloatArray, ImageArray
+from deformscope.calibration_options import (
+    fit_options,
+    images_of,
+    mask_of,
+    opened_images,
+    particle_options,
+)
 from deformscope.config import BetaConfig, ImageOptions, OutputOptions, SearchOptions, ThetaConfig
 from deformscope.config.calibrate import LayersFlags, MotionFlags
 from deformscope.config.flags import GridShape, HeldPart, Rectangle, Selectable
@@ -32,11 +39,11 @@ from deformscope.experiments.foam_video import ParticleOptions, foam_video
 from deformscope.experiments.pair_files import pair_files
 from deformscope.experiments.poke_files import LayersOptions, poke_files
 from deformscope.experiments.whole_motion import MotionOptions, whole_motion
-from deformscope.file_io import SAMPLE_SCHEME, ending_of, read_file, sample_path
+from deformscope.file_io import ending_of, read_file
 from deformscope.files.pairs import parse_pair
-from deformscope.files.sources import DEFAULT_FPS, Source, open_source
+from deformscope.files.sources import DEFAULT_FPS, Source
 from deformscope.frames import ColorFrame, InputFile
-from deformscope.images import encode_png, read_image
+from deformscope.images import encode_png
 from deformscope.log.application import IMAGES, PAIR, PAIR_3D
 from deformscope.pictures.evidence import Result, results_png
 from deformscope.pictures.report import Figure, Table
@@ -51,10 +58,9 @@ from deformscope.stages.fit.search import Progress
 from deformscope.stages.msm.clusters import rank
 from deformscope.stages.msm.poke import Law
 from deformscope.stages.msm.quiet import quiet_warp
-from deformscope.stages.msm.solver import pick_device
 from deformscope.stages.poke.fitted import FittedModel, from_pair
 from deformscope.stages.poke.poke_estimate import PokesFound
-from deformscope.stages.see.particles import clean_mask, outlined
+from deformscope.stages.see.particles import clean_mask
 from deformscope.terminal import shown_progress
 from deformscope.version import __version__
 from deformscope_drivers.clock import Stamp
@@ -399,38 +405,6 @@ def _thinned(source: Source, particles: ParticleOptions, every: bool, note: Note
     return dataclasses.replace(particles, frames_of=count)
 
 
-def fit_options(config: BetaConfig | ThetaConfig) -> FitOptions:
-    """How the parameter is searched, and of which model."""
-    search = config.search
-    model, bounds = _model(config)
-    return FitOptions(model, bounds, search.method, search.candidates, search.level, config.output.seed, config.at)
-
-
-def images_of(config: BetaConfig | ThetaConfig) -> ImageOptions:
-    """How the images become particles: what was asked for, or what suits a sample."""
-    sources = config.sources
-    if len(sources) == 1 and sources[0].startswith(SAMPLE_SCHEME):
-        return for_sample(sources[0].removeprefix(SAMPLE_SCHEME), config.images)
-    return config.images
-
-
-def particle_options(images: ImageOptions, noise_px: float | None) -> ParticleOptions:
-    """The same as the stages take it."""
-    seeded = (images.roi, images.grid, images.spacing_px, images.held_parts(), images.contact)
-    return ParticleOptions(*seeded, images.flow, images.px_per_cm, noise_px)
-
-
-def _model(config: BetaConfig | ThetaConfig) -> tuple[Model, tuple[float, float]]:
-    device, volume = pick_device(config.search.device), config.search.volume
-    if isinstance(config, BetaConfig):
-        size, theta = config.fitted_cluster_size, config.fitted_theta
-        model = Model("beta", config.mode, size, config.alpha, theta=theta, volume=volume, device=device)
-        return model, config.beta_range
-    size_or_one = config.cluster_size
-    model = Model("theta", config.mode, size_or_one, config.alpha, beta=config.beta, volume=volume, device=device)
-    return model, config.theta_range
-
-
 def _motion(config: BetaConfig | ThetaConfig) -> MotionOptions | None:
     if not isinstance(config, BetaConfig) or not config.motion.whole_motion:
         return None
@@ -460,30 +434,6 @@ def _recorded_pairs(source: str) -> list[tuple[str, bytes]]:
 # Images --------------------------------------------------------------------------------------------------------------
 
 
-def sample_images(name: str) -> ImageOptions:
-    """The options that suit a sample that ships, out of its `sample.toml`."""
-    import tomllib
-
-    folder = sample_path(name)
-    given = tomllib.loads((folder / "sample.toml").read_text(encoding="utf-8"))
-    names = ("roi", "grid", "spacing_px", "held", "contact", "fps")
-    known: dict[str, Any] = {
-        name: tuple(given[name]) if isinstance(given[name], list) else given[name] for name in names if name in given
-    }
-    return ImageOptions(mask=folder / given["mask"] if "mask" in given else None, **known)
-
-
-def for_sample(name: str, asked: ImageOptions) -> ImageOptions:
-    """What was asked for, with the sample's own particles where nothing was said about them."""
-    known = sample_images(name)
-    particles = (asked.roi, asked.grid, asked.spacing_px, asked.mask, asked.outline, asked.held)
-    if any(value is not None for value in particles):
-        return dataclasses.replace(asked, fps=asked.fps or known.fps)
-    return dataclasses.replace(
-        known, fps=asked.fps or known.fps, stride=asked.stride, flow=asked.flow, px_per_cm=asked.px_per_cm
-    )
-
-
 def calibrate_images(
     sources: Sequence[str],
     fit: FitOptions,
@@ -508,21 +458,6 @@ def calibrate_images(
         every = fine or motion is not None or images.stride != 1
         particles = _thinned(source, particles, every, note)
         return run_images(source, mask, fit, particles, settings, output, motion, progress)
-
-
-def opened_images(sources: Sequence[str], images: ImageOptions) -> Source:
-    """What the user named, as a source of frames."""
-    return open_source(sources, stride=images.stride, fps=images.fps, mask=images.mask, camera=images.camera)
-
-
-def mask_of(sources: Sequence[str], images: ImageOptions, size: tuple[int, int]) -> ImageArray | None:
-    """The mask that was named, or that a recording holds, within the outline. size: height, width of the images [px]"""
-    mask: ImageArray | None = None
-    if images.mask is not None:
-        mask = read_image(images.mask)
-    elif len(sources) == 1 and Path(sources[0]).suffix.lower() == ".rrd":
-        mask = Replay(Path(sources[0]), trust=True).mask  # its ledger was compared when it was looked at for pairs
-    return mask if images.outline is None else outlined(mask, images.outline, size)
 
 
 def _given_images(given: Sequence[ImageArray], images: ImageOptions) -> Source:

@@ -14,9 +14,9 @@ import numpy as np
 from deformscope.api.exploration_result import NOT_KNOWN, ExplorationResult, LayerThickness, TouchOutcome, TruthScore
 from deformscope.api.moving import Watch, leave, permitted
 from deformscope.api.result import open_recorder
-from deformscope.api.rigs import until_interrupted
 from deformscope.api.setups import LAB, setup_of
 from deformscope.errors import InputError
+from deformscope.interruption import until_interrupted
 from deformscope.log.exploration.layout import EXPLORATION, ExplorationLayout
 from deformscope.results.render import to_line
 from deformscope.stages.msm.quiet import quiet_warp
@@ -24,15 +24,15 @@ from deformscope.terminal import say, status_line
 from deformscope.version import __version__
 
 if TYPE_CHECKING:
-    from deformscope.api.page_devices import ShownDevices
-    from deformscope.api.page_steering import PageSteering
-    from deformscope.api.rigs import Interruption
     from deformscope.arrays import FloatArray
     from deformscope.config import ExploreConfig
     from deformscope.experiments.explore import Exploration
     from deformscope.experiments.options import ExploreOptions
     from deformscope.experiments.touching_robot import TouchingRobot
+    from deformscope.interruption import Interruption
     from deformscope.lab.faults import FaultsToCome
+    from deformscope.page.devices import ShownDevices
+    from deformscope.page.steering import PageSteering
     from deformscope.recording.recorder import Recorder
     from deformscope.robot.setup import Setup
     from deformscope.session import RigExperiment, Step
@@ -162,10 +162,10 @@ def _run(
     ending: ExplorationEnd,
 ) -> None:
     """Open the devices, explore, close them; `found` and `ending` hold what is known, also where this raises."""
-    from deformscope.api.page_devices import ShownDevices, WatchedDevices
     from deformscope.experiments.beside import stages_beside
     from deformscope.experiments.explore import explore
     from deformscope.experiments.touching_robot import touching_robot
+    from deformscope.page.devices import ShownDevices, WatchedDevices
     from deformscope.pictures.apart import drawing_apart
     from deformscope.recording.losses import losses_of
     from deformscope.session import finish, run
@@ -177,7 +177,7 @@ def _run(
         base_from_surface = setup.placement.T_base_surface
         layout = ExplorationLayout(source.streams, setup.size_m, base_from_surface, truth, lumps, mapped)
         recorder.start(layout, source.start_ns)
-        shown = None if recorder.page is None else ShownDevices(recorder.page.desk, source.streams)
+        shown = None if recorder.page is None else ShownDevices(recorder.page.session, source.streams)
         page = _steering(config, setup, options, recorder, asked, shown)
         watched = WatchedDevices(recorder, shown, show)
         watch = Watch(asked, show, *(() if page is None else (page.show,)))
@@ -231,11 +231,11 @@ def _steering(
     """What its page steers by; None without one."""
     if recorder.page is None:
         return None
-    from deformscope.api.page_steering import PageSteering
+    from deformscope.page.steering import PageSteering
 
-    recorder.page.desk.show(title=config.rig, beat_s=config.page_timeout)
+    recorder.page.session.show(title=config.rig, beat_s=config.page_timeout)
     return PageSteering(
-        recorder.page.desk,
+        recorder.page.session,
         asked,
         setup.clock,
         shown,
@@ -253,9 +253,9 @@ def _say_on_page(recorder: Recorder, explored: ExplorationResult) -> None:
         return
     rows = explored.rows()
     for name, words in reversed([row for row in rows if row[0].startswith(("region", "truth"))]):
-        recorder.page.desk.remark(f"{name}: {words}")
+        recorder.page.session.remark(f"{name}: {words}")
     known = dict(rows)
-    recorder.page.desk.enter("stopped", f"{known['verdict']}; touches: {known['touches']}; {known['ended']}")
+    recorder.page.session.enter("stopped", f"{known['verdict']}; touches: {known['touches']}; {known['ended']}")
 
 
 def _said(
@@ -273,7 +273,7 @@ def _said(
         except StopIteration:
             return
         if page is not None:
-            page.saw(step.results)
+            page.on_results(step.results)
         lines = []
         for result in step.results:
             began_s = began_s or time.perf_counter()  # what is found first is the surface
@@ -282,7 +282,7 @@ def _said(
             lines += remarks
             if page is not None and _for_page(result):
                 for line in remarks:
-                    page.desk.remark(line)
+                    page.session.remark(line)
         if lines:
             show("")
             for line in lines:

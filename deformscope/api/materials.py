@@ -12,18 +12,12 @@ from typing import Any, Literal
 
 import numpy as np
 
-from deformscope.api.calibration import (
-    for_sample,
-    mask_of,
-    opened_images,
-    pair_recorder,
-    particle_options,
-    size_notes,
-)
+from deformscope.api.calibration import pair_recorder, size_notes
 from deformscope.api.calibration_report import provenance_sections, settings_section
 from deformscope.api.material_words import material_figure, material_table
 from deformscope.api.result import LibraryResult, Note, log_note, open_recorder, recording_rows
 from deformscope.arrays import ImageArray
+from deformscope.calibration_options import for_sample, mask_of, opened_images, particle_options
 from deformscope.config import AxesConfig, FieldConfig, MaterialOptions, OutputOptions, ViscousConfig, YieldConfig
 from deformscope.errors import InputError
 from deformscope.experiments.foam_video import ParticleOptions

@@ -13,11 +13,11 @@ from deformscope.terminal import say
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from deformscope.api.page_steering import PageSteering
-    from deformscope.api.rigs import Interruption
     from deformscope.arrays import FloatArray
     from deformscope.experiments.options import ExploreOptions
     from deformscope.experiments.touching_robot import TouchingRobot
+    from deformscope.interruption import Interruption
+    from deformscope.page.steering import PageSteering
     from deformscope.robot.setup import Setup
     from deformscope.session import RigExperiment
     from deformscope.stages.map.exploration import ExplorationStop
@@ -108,7 +108,7 @@ def permitted(
     def ask_finger(words: str) -> None:
         say(words)
         if page is not None:
-            page.desk.remark(words)
+            page.session.remark(words)
 
     preflight = yield from ask(CheckFirst(calibrated, places_m, ask_finger))
     say(preflight.table())

@@ -12,20 +12,21 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, cast
 
-from deformscope.api.fit_beside import FitBeside
 from deformscope.api.moving import signal_word
-from deformscope.api.page_devices import remark_of
-from deformscope.api.page_run import PageRecorder
 from deformscope.api.recordings import RecordResult
 from deformscope.api.result import ViewerChoice, open_recorder, python_names
-from deformscope.api.rigs import Interruption, members_of, until_interrupted
 from deformscope.config import OutputOptions, RecordConfig, RigRunOptions
 from deformscope.config.images import ImageOptions
 from deformscope.config.rigs import StageOptions
 from deformscope.experiments.live_stages import StageCounts, live_stages
 from deformscope.file_io import new_recording
 from deformscope.frames import HealthReport, Item, Stream
+from deformscope.interruption import Interruption, until_interrupted
+from deformscope.lab.rig_members import members_of
 from deformscope.log.rig_layout import RIG, RigLayout
+from deformscope.page.devices import remark_of
+from deformscope.page.fit_panel import FitPanel
+from deformscope.page.recorder import PageRecorder
 from deformscope.pictures.report import Table
 from deformscope.plain import plain
 from deformscope.recording.losses import in_words, losses_of, lost_by, since
@@ -79,7 +80,7 @@ def run_rig(config: RigRunOptions, auto: Literal["none", "native"], *, always_re
         settings["stages"] = dataclasses.asdict(options)
     recent = _recent(config.keep_last, viewer, names)
     at_end = config.keep_last is not None and always_record
-    fit = FitBeside(config.rig, Path(rig.record.folder), rig.name.replace(":", "-"), _begun_images(config.stages))
+    fit = FitPanel(config.rig, Path(rig.record.folder), rig.name.replace(":", "-"), _begun_images(config.stages))
     with (
         until_interrupted() as asked,
         _recorder(output, settings, rig, names, asked, recent, fit, at_end=at_end) as recorder,
@@ -117,7 +118,7 @@ def _recorder(
     names: Sequence[str],
     asked: Interruption,
     recent: RecentItems | None,
-    fit: FitBeside,
+    fit: FitPanel,
     *,
     at_end: bool,
 ) -> Recorder | WatchedRecorder | PageRecorder:

@@ -14,12 +14,13 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 import numpy.typing as npt
 
 from deformscope.api.moving import ask_line
-from deformscope.api.rigs import Interruption, member_of, until_interrupted
 from deformscope.api.setups import table_of
 from deformscope.errors import InputError
 from deformscope.experiments.setting_up import Operator, SetupRequest
 from deformscope.file_io import read_file, replacing
 from deformscope.files.arrays_file import read_arrays
+from deformscope.interruption import Interruption, until_interrupted
+from deformscope.lab.rig_members import member_of
 from deformscope.log.findings import RigFindings
 from deformscope.log.rig_layout import RigLayout
 from deformscope.pictures.findings import Findings

@@ -113,8 +113,8 @@ def setup_of(
 def setup_of_rig(rig: Rig, seed: int = 0) -> Setup:
     """The setup of a rig file, closed. Raises InputError, which names what it lacks."""
     from deformscope.api.placing import PersonAtTerminal
-    from deformscope.api.rigs import member_of
     from deformscope.lab.arm_contact import ARM_DOUBT, ARM_STIFFNESS_N_M
+    from deformscope.lab.rig_members import member_of
     from deformscope.robot.setup import RigParts, rig_setup
 
     parts = RigParts.of(rig)
@@ -177,8 +177,8 @@ def squeeze_setup_of(
         return SqueezeOpening(made.setup, {"lab": CONTAINERS}, made.content, made.container)
     if name.startswith(LAB):
         raise InputError(CONTAINERS + ", or a rig file", repr(name), CONTAINERS)
-    from deformscope.api.rigs import member_of
     from deformscope.lab.container_setup import rig_container
+    from deformscope.lab.rig_members import member_of
     from deformscope.rig.rig_file import load_rig
     from deformscope.robot.squeeze_setup import SqueezeParts, squeeze_setup
 

@@ -11,17 +11,14 @@ from typing import TYPE_CHECKING, Any
 
 from deformscope.api.moving import Watch, ask_line, ask_yes
 from deformscope.api.result import open_recorder
-from deformscope.api.rigs import until_interrupted
 from deformscope.api.setups import LAB, squeeze_setup_of
-from deformscope.api.squeeze_result import hand_words
+from deformscope.api.squeeze_result import hand_words, squeeze_table
 from deformscope.errors import InputError
+from deformscope.interruption import until_interrupted
 from deformscope.log.squeeze.layout import SQUEEZE, SqueezeLayout
 from deformscope.terminal import say, status_line
 
 if TYPE_CHECKING:
-    from deformscope.api.page_devices import ShownDevices
-    from deformscope.api.page_squeezing import PageSqueezing
-    from deformscope.api.rigs import Interruption
     from deformscope.api.setups import SqueezeOpening
     from deformscope.arrays import FloatArray
     from deformscope.config import SqueezeConfig
@@ -29,6 +26,9 @@ if TYPE_CHECKING:
     from deformscope.experiments.squeeze_features import TrialFeatures
     from deformscope.experiments.squeeze_frames import Predict
     from deformscope.files.squeeze_dataset import SqueezeDataset, TrialEntry
+    from deformscope.interruption import Interruption
+    from deformscope.page.devices import ShownDevices
+    from deformscope.page.squeezing import PageSqueezing
     from deformscope.recording.recorder import Recorder
     from deformscope.robot.squeeze_setup import SqueezeSetup
     from deformscope.session import RigExperiment
@@ -109,9 +109,9 @@ def squeeze_on(config: SqueezeConfig, report: Callable[[dict[str, Any]], None]) 
     result = _found(config, opening, entry, found, ended) | {"dataset": config.dataset, "recording": path}
     report(result)
     if recorder.page is not None:
-        from deformscope.api.page_squeezing import show_squeezed
+        from deformscope.page.squeezing import show_squeezed
 
-        show_squeezed(recorder.page.desk, result)
+        show_squeezed(recorder.page.session, squeeze_table(result).rows)
     return SqueezeOutcome(result, found.features, found.stop, asked.signal_number, asked.by)
 
 
@@ -124,12 +124,12 @@ def _run(
     asked: Interruption,
 ) -> dict[str, Any]:
     """Open the devices, squeeze, close them; what is known beside `found`."""
-    from deformscope.api.page_devices import ShownDevices, WatchedDevices
     from deformscope.experiments.squeeze import squeeze
     from deformscope.experiments.squeeze_features import SqueezeGeometry, around_px
     from deformscope.experiments.squeeze_frames import ObservedRecorder, SqueezeFrames, SqueezeObserver, TactileSource
     from deformscope.experiments.squeezing_hand import SqueezingHand, computing_beside, rule_of
     from deformscope.frames import InputFile
+    from deformscope.page.devices import ShownDevices, WatchedDevices
     from deformscope.recording.losses import losses_of
     from deformscope.session import finish
     from deformscope.session import run as run_session
@@ -149,14 +149,14 @@ def _run(
         recorder.start(layout, source.start_ns)
         if config.model is not None:
             recorder.write(InputFile(MODEL_INPUT, config.model.read_bytes()))
-        shown = None if recorder.page is None else ShownDevices(recorder.page.desk, source.streams)
+        shown = None if recorder.page is None else ShownDevices(recorder.page.session, source.streams)
         observed = ObservedRecorder(WatchedDevices(recorder, shown, show), observer)
         page = _page(config, recorder, asked, shown)
         watch = Watch(asked, show, *(() if page is None else (page.show,)))
 
         def looked_after() -> None:
-            if page is not None:
-                page.look_after(watch)
+            if page is not None and watch.robot is not None and (why := page.reason_to_stand()):
+                watch.robot.ask_to_stop(why)
             watch()
 
         hand = SqueezingHand(setup, source, observer, looked_after)
@@ -195,10 +195,10 @@ def _page(
 ) -> PageSqueezing | None:
     if recorder.page is None or shown is None:
         return None
-    from deformscope.api.page_squeezing import PageSqueezing
+    from deformscope.page.squeezing import PageSqueezing
 
-    recorder.page.desk.show(title=config.rig, beat_s=config.page_timeout)
-    return PageSqueezing(recorder.page.desk, asked, shown)
+    recorder.page.session.show(title=config.rig, beat_s=config.page_timeout)
+    return PageSqueezing(recorder.page.session, asked, shown)
 
 
 def _permitted(
@@ -243,7 +243,7 @@ def _placed(
         if page is None:
             yield from ask_line("Press Enter when it stands still: ", asked)
             return
-        page.desk.remark(words)
+        page.session.remark(words)
         page.wait_for("the hand closes")
         yield from ask_line("Press Squeeze on the page, or Enter, when it stands still: ", asked, page.is_agreed)
         page.go_on()

@@ -169,7 +169,7 @@ def guarded(dispatch: Callable[[list[str]], int], args: list[str]) -> int:
         logging.lastResort.setFormatter(_Printable())
     with _ended_by_signals() as signals:
         status = _status(dispatch, args, signals)
-        if "deformscope.page.server" in sys.modules and status < EXIT_SIGNALLED:
+        if "deformscope.page.server.page_server" in sys.modules and status < EXIT_SIGNALLED:
             from deformscope.cli.common import keep_page
 
             keep_page()

@@ -13,28 +13,29 @@ from collections.abc import Callable, Sequence
 
 from deformscope.api.calibration import CalibrationResult, calibrate
 from deformscope.api.calibration_report import calibration_page
-from deformscope.api.fit_subject import asked_on_page
 from deformscope.cli.common import EXIT_LOSSES, fit_progress, say, show, write_file, write_json
 from deformscope.config import BetaConfig, ThetaConfig
 from deformscope.files.model_file import save_model
-from deformscope.pictures.evidence import results_png
+from deformscope.page.fit_settings import asked_on_page
+from deformscope.pictures.evidence import Result, results_png
+from deformscope.stages.fit.estimate import Estimate
 
 
 def run(config: BetaConfig | ThetaConfig) -> int:
     """Fit, print the tables, write what was asked for. Returns the command's exit status."""
     if asked_on_page(config):
-        from deformscope.api.page_fitting import set_on_page
+        from deformscope.page.fit_command import set_on_page
 
         with set_on_page(config, say) as (chosen, show_on_page):
             return _fit(chosen, show_on_page)
     return _fit(config)
 
 
-def _fit(config: BetaConfig | ThetaConfig, show_on_page: Callable[[CalibrationResult], None] | None = None) -> int:
+def _fit(config: BetaConfig | ThetaConfig, show_on_page: Callable[[Estimate, Result], None] | None = None) -> int:
     with fit_progress() as progress:
         found = calibrate(config, note=say, progress=progress)
     if show_on_page is not None:
-        show_on_page(found[0])
+        show_on_page(found[0].estimate, found[0].shown)
     show(*found)
     write_summaries(config, found)
     every = [one.to_dict() for one in found]

@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 
 from deformscope.api.moving import Watch, leave, permitted
-from deformscope.api.rigs import until_interrupted
 from deformscope.api.setting_up import today, write_values
 from deformscope.api.setups import LAB, setup_of
 from deformscope.cli.common import quiet_warp, recorder_of, say, show, status_line, write_json
@@ -22,6 +21,7 @@ from deformscope.experiments.explore import ExplorationStopped
 from deformscope.experiments.options import ExploreOptions
 from deformscope.experiments.robot_geometry import FromFrames
 from deformscope.experiments.touching_robot import TouchingRobot, touching_robot
+from deformscope.interruption import until_interrupted
 from deformscope.log.findings import RigFindings
 from deformscope.log.rig_layout import RIG, RigLayout
 from deformscope.pictures.compliance import compliance_png

@@ -108,7 +108,7 @@ def settings_of(config: RecordedOptions) -> dict[str, object]:
 def keep_page() -> None:
     """What was shown on a page stays there until Ctrl-C where somebody sits at a terminal; elsewhere, and then, the
     page's server ends."""
-    from deformscope.page.server import end_pages, running_pages
+    from deformscope.page.server.page_server import end_pages, running_pages
 
     if sys.stdin is not None and sys.stdin.isatty() and sys.stdout.isatty() and (pages := running_pages()):
         with suppress(KeyboardInterrupt):

@@ -17,10 +17,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from deformscope.api.first_day import FirstDayStep, begin, first_day, next_step
-from deformscope.api.rigs import member_of
 from deformscope.cli.common import say, show, write_json
 from deformscope.config import DoctorConfig
 from deformscope.errors import InputError
+from deformscope.lab.rig_members import member_of
 
 if TYPE_CHECKING:
     from deformscope.rig.rig_file import Rig, RigDevice

@@ -10,10 +10,10 @@ import contextlib
 from collections.abc import Iterator
 from typing import Any
 
-from deformscope.api.rigs import until_interrupted
 from deformscope.cli.common import say
 from deformscope.config import DoubleConfig
 from deformscope.errors import InputError
+from deformscope.interruption import until_interrupted
 from deformscope.lab.stand_in import WIRED, wire_of
 from deformscope.rig.driver_table import DRIVERS
 from deformscope.rig.rig_file import load_rig

@@ -65,7 +65,7 @@ def run(config: ReplayConfig) -> None:
         return
     page = None
     if config.output.viewer == "page" and settings.keys() & {"explore", "squeezed", "rig"}:
-        from deformscope.api.replay_page import play_on_page
+        from deformscope.page.playback import play_on_page
 
         page = play_on_page(config.recording)
     if "explore" in settings:
@@ -141,7 +141,7 @@ def replay_recorded_material(recording: Replay, config: ReplayConfig) -> None:
 
 def align(first: Replay, second: Replay, config: ReplayConfig) -> None:
     """Show two recordings on a page, both from their first contact on; raises InputError where one has none."""
-    from deformscope.api.aligned_page import align_on_page
+    from deformscope.page.aligned import align_on_page
 
     if config.output.viewer != "page" or config.set or config.output.record is not None:
         raise InputError("--beside with --viewer page, without --set or --record", "other options")

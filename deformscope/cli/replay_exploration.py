@@ -13,7 +13,7 @@ from deformscope.config import ReplayConfig
 from deformscope.errors import InputError
 
 if TYPE_CHECKING:
-    from deformscope.page.server import PageServer
+    from deformscope.page.server.page_server import PageServer
     from deformscope.recording.reader import Replay
 
 TRUTH = ("truth_labels", "iou", "boundary_m", "truth_m", "reason")
@@ -85,7 +85,7 @@ def replay_exploration(recording: Replay, config: ReplayConfig, page: PageServer
     if changes:
         _show_beside(recorded, again, changes, config, page)
         if page is not None:
-            from deformscope.api.replay_page import lay_beside
+            from deformscope.page.playback import lay_beside
 
             lay_beside(page, recording, rows, again, geometry.size_m, _set_words(changes))
         return
@@ -151,7 +151,7 @@ def _show_beside(
     show_table(f"{config.recording} with {changed}", beside)
     if page is not None:  # the newest is above
         for name, words in reversed(beside):
-            page.desk.remark(f"{name}, with {changed}: {words}")
+            page.session.remark(f"{name}, with {changed}: {words}")
     found = {"identical": None, "set": changes, "recorded": before, "computed": now}
     write_json(found, config.output.json)
 

@@ -1,1 +1,1 @@
-"""The live page: one server on loopback, of the viewer, of what goes on, and of commands to it."""
+"""What pages show of runs, and what they ask of them: recording, exploring, squeezing, fits, playback."""

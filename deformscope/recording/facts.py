@@ -80,7 +80,7 @@ def read_facts(path: Path, *, brief: bool = False) -> Facts:
 
 def run_rrd(*arguments: str | Path) -> str:
     """Run `rerun rrd ...` of the installed wheel; what it refuses, in a line; empty where it is done."""
-    from deformscope.page.viewer_files import viewer_environment, viewer_executable
+    from deformscope.page.server.viewer_files import viewer_environment, viewer_executable
 
     words = (str(utf8_path(one)) if isinstance(one, Path) else one for one in arguments)
     done = _run([str(viewer_executable()), "rrd", *words], viewer_environment())

@@ -19,8 +19,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, Generic, Literal, Protocol, TypeVar
 
 from deformscope.errors import InputError
-from deformscope.page.pieces import Pieces
-from deformscope.page.viewer_files import LOOPBACK, viewer_environment, viewer_executable
+from deformscope.page.server.pieces import Pieces
+from deformscope.page.server.viewer_files import LOOPBACK, viewer_environment, viewer_executable
 
 if TYPE_CHECKING:
     from deformscope.log.live_stream import LiveStream

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from deformscope.log.live_stream import LiveStream
     from deformscope.log.rig import Batch
-    from deformscope.page.server import PageServer
+    from deformscope.page.server.page_server import PageServer
     from deformscope.recording.rrd_file import RecordingFile
 
 

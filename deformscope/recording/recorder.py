@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     import rerun as rr
 
     from deformscope.log.live_stream import LiveStream
-    from deformscope.page.server import PageServer
+    from deformscope.page.server.page_server import PageServer
 
 BACKLOG_JOBS, BACKLOG_BYTES = 1 << 20, 512 << 20
 """What may wait to be written of devices, which go on by themselves."""
@@ -280,17 +280,17 @@ class Recorder:
         """A window, or a page, and what feeds it."""
         if self._viewer_kind == "native":
             return open_window(self._application.name, recording_id, properties)
-        from deformscope.page.server import PageServer
+        from deformscope.page.server.page_server import PageServer
 
         self._page = page = PageServer(str(self._settings.get("rig_name") or self._settings.get("command") or ""))
         page.open()
         print(page.where, file=sys.stderr, flush=True)
         if self._application.robot_moves:  # whoever moves the arm or hand says what goes on
-            page.desk.show(recording="" if self._target is None else str(self._target.path))
+            page.session.show(recording="" if self._target is None else str(self._target.path))
         elif self._target is None:
-            page.desk.enter("live")
+            page.session.enter("live")
         else:
-            page.desk.recording_began(str(self._target.path))
+            page.session.recording_began(str(self._target.path))
         return page_feed(page, self._application.name, recording_id, properties)
 
     def _put(self, job: Callable[[], None], size: int) -> None:
@@ -353,8 +353,8 @@ class Recorder:
             return 0
         if not feed.close(LIVE_TIMEOUT_S):
             leave_streams_alone()
-        if self._page is not None and self._page.desk.state.phase != "stopped":
-            self._page.desk.enter("stopped", self._stopped or "its command has ended")
+        if self._page is not None and self._page.session.state.phase != "stopped":
+            self._page.session.enter("stopped", self._stopped or "its command has ended")
         return feed.dropped
 
     @property

@@ -12,9 +12,9 @@ from typing import Any
 import pytest
 
 from deformscope.api.moving import permitted
-from deformscope.api.rigs import until_interrupted
 from deformscope.errors import InputError
 from deformscope.experiments.options import ExploreOptions
+from deformscope.interruption import until_interrupted
 from deformscope.robot.checks import Check, Preflight
 from deformscope.session import Inline, Step, run
 

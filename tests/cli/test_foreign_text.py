@@ -16,11 +16,11 @@ import pytest
 from deformscope.api.recordings import OpenRecording
 from deformscope.cli import main
 from deformscope.errors import InputError, printable
-from deformscope.page.desk import Desk
+from deformscope.page.server.page_session import PageSession
 from deformscope.pictures.report import html_report
 from deformscope.recording.rrd_file import merged_path
 from deformscope.terminal import say
-from tests.page.pages import at_desk
+from tests.page.pages import page_script
 from tests.page.test_rig_on_page import RIG, WHOLE, started
 from tests.patience import PATIENCE_S
 
@@ -96,7 +96,7 @@ def test_a_path_that_is_not_utf_8_is_recorded_and_shown(tmp_path: Path, capsys: 
     rig.write_text(RIG.replace("FOLDER", str(tmp_path / "runs")))
     with (
         started("record", str(rig), "--record", str(file), folder=tmp_path) as command,
-        at_desk(command.page, "a") as one,
+        page_script(command.page, "a") as one,
     ):
         assert "caf" in one.until(lambda state: state["recorded_bytes"] > 0)["recording"]
         assert one.command("write-note", text="here")[0] == "done"
@@ -111,11 +111,11 @@ def test_a_path_that_is_not_utf_8_is_recorded_and_shown(tmp_path: Path, capsys: 
 
 
 def test_a_page_of_any_desk_gets_its_state(tmp_path: Path) -> None:
-    desk = Desk(NOT_UTF8)
-    desk.remark(f"{tmp_path}/{NOT_UTF8}", bad=True)
-    from deformscope.page.server import _encoded
+    session = PageSession(NOT_UTF8)
+    session.remark(f"{tmp_path}/{NOT_UTF8}", bad=True)
+    from deformscope.page.server.page_server import _encoded
 
-    assert json.loads(_encoded(desk.state))["title"] == NOT_UTF8
+    assert json.loads(_encoded(session.state))["title"] == NOT_UTF8
 
 
 COMMANDS = {

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from deformscope.api.rigs import member_of
+from deformscope.lab.rig_members import member_of
 from deformscope.lab.stand_in import stand_in
 from deformscope.rig.driver_table import DRIVERS
 from deformscope.rig.rig_file import parse_rig

@@ -12,7 +12,7 @@ from urllib.parse import urlsplit
 
 from websockets.sync.client import ClientConnection, connect
 
-from deformscope.page.server import PageServer
+from deformscope.page.server.page_server import PageServer
 from tests.patience import PATIENCE_S
 
 
@@ -50,7 +50,7 @@ def socket_to(page: PageServer, what: str, **options: Any) -> Iterator[ClientCon
         yield websocket
 
 
-class AtDesk:
+class PageScript:
     """A page's script, as far as state and commands go."""
 
     def __init__(self, websocket: ClientConnection, name: str) -> None:
@@ -109,6 +109,6 @@ class AtDesk:
 
 
 @contextmanager
-def at_desk(page: PageServer, name: str) -> Iterator[AtDesk]:
-    with socket_to(page, "desk") as websocket:
-        yield AtDesk(websocket, name)
+def page_script(page: PageServer, name: str) -> Iterator[PageScript]:
+    with socket_to(page, "session") as websocket:
+        yield PageScript(websocket, name)

@@ -16,10 +16,10 @@ import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection
 
-from deformscope.page import guard
-from deformscope.page.messages import LONGEST_MESSAGE
-from deformscope.page.server import MOST_PAGES, PageServer
-from tests.page.pages import at_desk, get, netloc, root, socket_to, token
+from deformscope.page.server import guard
+from deformscope.page.server.messages import LONGEST_MESSAGE
+from deformscope.page.server.page_server import MOST_PAGES, PageServer
+from tests.page.pages import get, netloc, page_script, root, socket_to, token
 from tests.patience import PATIENCE_S
 
 HELLO = '{"kind":"hello","id":1,"version":1,"page":"a"}'
@@ -49,7 +49,7 @@ def test_the_page_itself_is_served(page: PageServer) -> None:
     for host in (f"127.0.0.1:{port}", f"localhost:{port}", "localhost:8080", "127.0.0.1"):  # also a forwarded port
         status, content = get(page, root(page), {"Host": host})
         assert (status, b"<title>deformscope" in content) == (200, True)
-    for name in ("page.js", "desk.js", "link.js", "steer.js", "viewer.js", "page.css", "icon.svg", "index.html"):
+    for name in ("page.js", "session.js", "link.js", "steer.js", "viewer.js", "page.css", "icon.svg", "index.html"):
         assert (
             get(page, root(page) + name, {"Sec-Fetch-Site": "same-origin", "Origin": f"http://{netloc(page)}"})[0]
             == 200
@@ -71,7 +71,7 @@ def test_the_page_itself_is_served(page: PageServer) -> None:
 )
 def test_a_name_that_was_rebound_is_refused(page: PageServer, host: str) -> None:
     assert get(page, root(page), {"Host": host.format(port=netloc(page).split(":")[1])})[0] in (400, 403)
-    with pytest.raises(InvalidStatus), socket_to(page, "desk", additional_headers={"Host": host or "x"}):
+    with pytest.raises(InvalidStatus), socket_to(page, "session", additional_headers={"Host": host or "x"}):
         pytest.fail("opened")
 
 
@@ -81,7 +81,7 @@ def test_a_name_that_was_rebound_is_refused(page: PageServer, host: str) -> None
 def test_another_origin_is_refused(page: PageServer, origin: str) -> None:
     origin = origin.format(own=netloc(page))
     assert get(page, root(page), {"Origin": origin})[0] == 403
-    for what in ("desk", "data"):
+    for what in ("session", "data"):
         with pytest.raises(InvalidStatus) as refused, socket_to(page, what, origin=origin):
             pytest.fail("opened")
         assert refused.value.response.status_code == 403
@@ -90,7 +90,7 @@ def test_another_origin_is_refused(page: PageServer, origin: str) -> None:
 def test_a_page_of_another_site_is_refused(page: PageServer) -> None:
     for site in ("cross-site", "same-site"):
         assert get(page, root(page) + "page.js", {"Sec-Fetch-Site": site})[0] == 403
-    with pytest.raises(InvalidStatus), socket_to(page, "desk", origin=None):  # no browser: it says nothing of itself
+    with pytest.raises(InvalidStatus), socket_to(page, "session", origin=None):  # no browser: it says nothing of itself
         pytest.fail("opened")
 
 
@@ -105,7 +105,7 @@ def test_a_wrong_token_is_refused(page: PageServer, given: str) -> None:
 def test_a_stale_token_is_refused(page: PageServer) -> None:
     with PageServer("another") as other:
         assert get(page, root(other))[0] == 403
-        with pytest.raises(InvalidStatus), socket_to(page, f"../{token(other)}/desk"):
+        with pytest.raises(InvalidStatus), socket_to(page, f"../{token(other)}/session"):
             pytest.fail("opened")
 
 
@@ -154,7 +154,7 @@ def test_answers_forbid_what_a_page_does_not_need(page: PageServer) -> None:
     assert "unsafe-inline" not in head
 
 
-@pytest.mark.parametrize("what", ["desk", "data"])
+@pytest.mark.parametrize("what", ["session", "data"])
 @pytest.mark.parametrize(
     "message",
     [
@@ -176,7 +176,7 @@ def test_answers_forbid_what_a_page_does_not_need(page: PageServer) -> None:
     ],
 )
 def test_malformed_messages_end_their_connection_alone(page: PageServer, what: str, message: str | bytes) -> None:
-    with at_desk(page, "good") as good:
+    with page_script(page, "good") as good:
         with socket_to(page, what) as websocket:
             websocket.send(message)
             with pytest.raises(ConnectionClosed) as closed:
@@ -187,7 +187,7 @@ def test_malformed_messages_end_their_connection_alone(page: PageServer, what: s
 
 
 def test_a_page_of_another_version_is_to_be_loaded_again(page: PageServer) -> None:
-    with socket_to(page, "desk") as websocket:
+    with socket_to(page, "session") as websocket:
         websocket.send(HELLO.replace('"version":1', '"version":2'))
         with pytest.raises(ConnectionClosed) as closed:
             websocket.recv(PATIENCE_S)
@@ -197,7 +197,7 @@ def test_a_page_of_another_version_is_to_be_loaded_again(page: PageServer) -> No
 
 @pytest.mark.parametrize("size", [LONGEST_MESSAGE + 1, 10 << 20])
 def test_a_message_that_is_too_long_is_not_read(page: PageServer, size: int) -> None:
-    with socket_to(page, "desk") as websocket:
+    with socket_to(page, "session") as websocket:
         with suppress(ConnectionClosed):
             websocket.send("x" * size)
         with pytest.raises(ConnectionClosed) as closed:
@@ -216,7 +216,7 @@ def sockets_of_this_process() -> int:
 def test_a_thousand_connections_leave_room_for_the_page(page: PageServer, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(guard, "REQUEST_S", 0.3)
     address = ("127.0.0.1", int(netloc(page).split(":")[1]))
-    with at_desk(page, "good") as good, ExitStack() as stack:
+    with page_script(page, "good") as good, ExitStack() as stack:
         held = []
         for _ in range(1000):
             try:
@@ -266,9 +266,9 @@ def test_seventy_without_the_token_keep_no_page_away(page: PageServer, kind: str
             thread.start()
         over.wait(0.5)  # all are there
         for _ in range(10):  # a page that is loaded again, and its Stop: each at once, none tried twice
-            for name in ("", "page.js", "desk.js", "page.css"):
+            for name in ("", "page.js", "session.js", "page.css"):
                 assert get(page, root(page) + name)[0] == 200
-            with at_desk(page, "good") as good:
+            with page_script(page, "good") as good:
                 assert good.command("stop")[0] == "refused"  # nothing runs; but it is answered
     finally:
         over.set()
@@ -321,7 +321,7 @@ def test_who_has_not_shown_the_token_within_a_second_is_cut_off(page: PageServer
 def test_who_has_shown_the_token_is_not_cut_off(page: PageServer, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(guard, "REQUEST_S", 0.05)
     connection = HTTPConnection(netloc(page), timeout=PATIENCE_S)
-    with at_desk(page, "good") as good, closing(connection):
+    with page_script(page, "good") as good, closing(connection):
         connection.connect()
         connected = connection.sock
         for _ in range(3):
@@ -333,10 +333,10 @@ def test_who_has_shown_the_token_is_not_cut_off(page: PageServer, monkeypatch: p
 
 
 def test_pages_are_few(page: PageServer) -> None:
-    opened = [socket_to(page, "desk") for _ in range(MOST_PAGES)]
+    opened = [socket_to(page, "session") for _ in range(MOST_PAGES)]
     for one in opened:
         one.__enter__().send(HELLO)
-    with pytest.raises(InvalidStatus), socket_to(page, "desk"):
+    with pytest.raises(InvalidStatus), socket_to(page, "session"):
         pytest.fail("opened")
     for one in opened:
         one.__exit__(None, None, None)

@@ -13,14 +13,14 @@ import numpy as np
 import pytest
 from matplotlib.colors import to_hex
 
-from deformscope.api.aligned_page import align_on_page
 from deformscope.cli import main
 from deformscope.experiments.first_contact import first_contact_ns
 from deformscope.frames import SessionNote, Stream, TactileFrame, WrenchFrame
 from deformscope.log.exploration.compare import comparison_rrd
 from deformscope.log.rig_layout import RIG, RigLayout
-from deformscope.page.messages import Playback
-from deformscope.page.server import PageServer, end_pages
+from deformscope.page.aligned import align_on_page
+from deformscope.page.server.messages import Playback
+from deformscope.page.server.page_server import PageServer, end_pages
 from deformscope.pictures import exploration as pictures
 from deformscope.pictures.figures import canvas
 from deformscope.recording.item_rows import Row
@@ -29,7 +29,7 @@ from deformscope.recording.recorder import Recorder
 from deformscope.stages.map.exploration import PhaseStart
 from deformscope_drivers.clock import Stamp
 from tests.log import synthetic_exploration as synthetic
-from tests.page.pages import at_desk, get, root
+from tests.page.pages import get, page_script, root
 from tests.page.test_in_browser import FAKE_VIEWER, browser, shown, until
 
 __all__ = ["browser", "shown"]
@@ -86,7 +86,7 @@ def test_two_recordings_are_played_from_their_first_contact_on(tmp_path: Path) -
         assert contacts_s == pytest.approx((1.54, 3.54), abs=0.03)
         content = get(page, root(page) + "recording.rrd")[1]
         assert content.startswith(b"RRF2")
-        with at_desk(page, "a") as one:
+        with page_script(page, "a") as one:
             playback = one.state["playback"]
             assert playback["timeline"] == "contact"
             assert playback["from_ns"] == pytest.approx(-3.54 * S, abs=0.03 * S)
@@ -151,12 +151,12 @@ def test_the_page_lays_it_over_the_recording_once_that_is_there(shown: Any, tmp_
     shown.route("**/re_viewer_bg.wasm", lambda route: route.fulfill(body=""))
     with PageServer("mine.rrd", file) as page:
         playback = Playback("session", 9 * S, S // 10, from_ns=-2 * S)
-        page.desk.show(playback=playback)
+        page.session.show(playback=playback)
         shown.goto(page.address)
         until(shown, lambda: shown.evaluate("window.handle !== undefined"))
         until(shown, lambda: shown.inner_text("#moment") == "-2.00 of 9.00 s")
         page.offer("layer.rrd", layer, "application/octet-stream")
-        page.desk.show(playback=msgspec.structs.replace(playback, layer="layer.rrd"))
+        page.session.show(playback=msgspec.structs.replace(playback, layer="layer.rrd"))
         assert shown.evaluate("window.pieces") == []
         shown.evaluate("window.handle.tell({ type: 'recording_open' })")
         until(shown, lambda: shown.evaluate("window.pieces") == [len(layer)])

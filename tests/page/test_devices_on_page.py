@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from deformscope.api.page_devices import ShownDevices, WatchedDevices
 from deformscope.frames import HealthReport, LinkChange, SessionNote, Stream, WrenchFrame
-from deformscope.page.desk import Desk
-from deformscope.page.messages import DriftState
+from deformscope.page.devices import ShownDevices, WatchedDevices
+from deformscope.page.server.messages import DriftState
+from deformscope.page.server.page_session import PageSession
 from deformscope.session import Moment, Step
 from deformscope.stages.map.exploration import PhaseStart
 from deformscope_drivers.clock import Stamp
@@ -31,8 +31,8 @@ class Watched:
     """A force sensor that gives 10 readings a second, between a robot's phases."""
 
     def __init__(self) -> None:
-        self.desk, self.kept = Desk(), Kept()
-        shown = ShownDevices(self.desk, [Stream("tip", "wrench", "optoforce")])
+        self.session, self.kept = PageSession(), Kept()
+        shown = ShownDevices(self.session, [Stream("tip", "wrench", "optoforce")])
         self.recorder = WatchedDevices(self.kept, shown, print)
         self.index = 0
 
@@ -51,7 +51,7 @@ class Watched:
     def drift(self) -> DriftState | None:
         health = Health(Link.CONNECTED, age_s=0.01, jitter_s=0.002)
         self.recorder.write([HealthReport(0, (("tip", health),))])
-        (shown,) = self.desk.state.devices
+        (shown,) = self.session.state.devices
         assert shown.jitter_s == 0.002
         return shown.drift
 
@@ -82,7 +82,7 @@ def test_alarms_and_links_are_said_on_the_page_and_alarms_at_the_terminal(capsys
         SessionNote(4, "note", "of a person"),
     ]
     watched.recorder.write(items)
-    said = [(remark.words, remark.bad) for remark in watched.desk.state.remarks]
+    said = [(remark.words, remark.bad) for remark in watched.session.state.remarks]
     assert said == [(ALARM, True), ("tip: lost: unplugged", True), (f"over: {ALARM}", False)]
     assert capsys.readouterr().err.splitlines() == [ALARM, f"over: {ALARM}"]
     assert watched.kept.written == [items]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import threading
 from collections.abc import Iterator
 from typing import Any
 
@@ -11,8 +10,8 @@ import msgspec
 import numpy as np
 import pytest
 
-from deformscope.page.fit_messages import FitSettings, FitState
-from deformscope.page.messages import (
+from deformscope.page.server.fit_messages import FitSettings, FitState
+from deformscope.page.server.messages import (
     CloseFit,
     FitDrawn,
     FollowCamera,
@@ -25,7 +24,7 @@ from deformscope.page.messages import (
     StopRun,
     TakeRest,
 )
-from deformscope.page.server import PageServer
+from deformscope.page.server.page_server import PageServer
 from tests.page.test_in_browser import chromium, fake_viewer, shown, until
 
 __all__ = ["shown"]
@@ -70,10 +69,10 @@ class Setting:
         )
         for name in self.state.pictures:
             page.offer(name, PIXEL, "image/png")
-        page.desk.attend(self)
-        page.desk.enter("adjusting", commands=("stop", "set-fit", "run-fit", "fit-drawn"), fit=self.state)
+        page.session.bind(self)
+        page.session.enter("adjusting", commands=("stop", "set-fit", "run-fit", "fit-drawn"), fit=self.state)
 
-    def obey(self, command: PageCommand) -> tuple[Outcome, str]:
+    def handle(self, command: PageCommand) -> tuple[Outcome, str]:
         self.commands.append(command)
         return "begun", ""
 
@@ -85,7 +84,7 @@ class Setting:
         """Show the newest."""
         newest = self.asked[-1]
         self.state = msgspec.structs.replace(self.state, number=newest.number, settings=newest.settings)
-        self.page.desk.show(fit=self.state)
+        self.page.session.show(fit=self.state)
         return newest.settings
 
 
@@ -109,9 +108,9 @@ def test_what_is_set_on_the_page_is_asked_for(setting: Setting, shown: Any) -> N
     red = """() => document.getElementById("fit-canvas").getContext("2d").getImageData(0, 0, 980, 660).data
       .some((value, i, all) => i % 4 === 0 && value > 200 && all[i + 1] < 80 && all[i + 3] > 200)"""
     until(shown, lambda: shown.evaluate(red))  # simulated particles
-    setting.page.desk.show(fit=msgspec.structs.replace(setting.state, rest=(), observed=(), simulated=(), held=()))
+    setting.page.session.show(fit=msgspec.structs.replace(setting.state, rest=(), observed=(), simulated=(), held=()))
     until(shown, lambda: not shown.evaluate(red))
-    setting.page.desk.show(fit=setting.state)
+    setting.page.session.show(fit=setting.state)
     until(shown, lambda: shown.evaluate(red))
     assert shown.inner_text("#fit-command") == "deformscope calibrate beta x"
     assert shown.inner_text("#stop").startswith("Finish")
@@ -192,7 +191,7 @@ def test_a_camera_is_followed_and_held(setting: Setting, shown: Any) -> None:
         for name in names if number < 3 else ():
             page.offer(name.split("?")[0], PIXEL, "image/png")
         more = ("take-rest", "hold-picture") if changes["following"] else ("follow-camera",)
-        page.desk.show(
+        page.session.show(
             commands=(*commands, *more),
             fit=msgspec.structs.replace(setting.state, camera="side", pictures=names, aee=float(number), **changes),
         )
@@ -207,7 +206,7 @@ def test_a_camera_is_followed_and_held(setting: Setting, shown: Any) -> None:
     until(shown, lambda: shown.inner_text("#fit-age").startswith("picture 0."))
 
     # numbers and particles come with their picture, the newest of those that came while one was loaded
-    page.desk.show(fit=setting.state)
+    page.session.show(fit=setting.state)
     for number in (1, 2):
         show(number, following=True, command="")
     until(shown, lambda: shown.inner_text("#fit-error").startswith("average error 2.000 px"))
@@ -230,16 +229,16 @@ class SettingBeside:
     def __init__(self, page: PageServer, state: FitState) -> None:
         self.page, self.commands = page, list[PageCommand]()
         self.state = msgspec.structs.replace(state, camera="side", cameras=("side", "top"), following=True)
-        page.desk.attend_aside(self)
-        page.desk.show_aside(("open-fit",))
+        page.session.bind_secondary(self)
+        page.session.show_secondary(("open-fit",))
 
-    def obey(self, command: PageCommand) -> tuple[Outcome, str]:
+    def handle(self, command: PageCommand) -> tuple[Outcome, str]:
         self.commands.append(command)
         if isinstance(command, OpenFit):
             shown = msgspec.structs.replace(self.state, parameter=command.parameter)
-            self.page.desk.show_aside(("open-fit", "close-fit", "set-fit", "hold-picture"), fit=shown)
+            self.page.session.show_secondary(("open-fit", "close-fit", "set-fit", "hold-picture"), fit=shown)
         elif isinstance(command, CloseFit):
-            self.page.desk.show_aside(("open-fit",), fit=None)
+            self.page.session.show_secondary(("open-fit",), fit=None)
         return "begun", ""
 
 
@@ -250,7 +249,7 @@ def test_a_fit_is_opened_over_the_viewer_of_a_rig(setting: Setting, shown: Any) 
     with PageServer("bench") as page:
         for name in setting.state.pictures:
             page.offer(name, PIXEL, "image/png")
-        page.desk.enter("live", commands=("stop", "stop-recording", "write-note"))
+        page.session.enter("live", commands=("stop", "stop-recording", "write-note"))
         beside = SettingBeside(page, setting.state)
         page.pieces.add(b"views", lasting=True)
         shown.goto(page.address)
@@ -293,7 +292,7 @@ def test_a_fit_is_opened_over_the_viewer_of_a_rig(setting: Setting, shown: Any) 
         shown.keyboard.press("m")  # of what it was before
         until(shown, lambda: isinstance(beside.commands[-1], OpenFit) and beside.commands[-1].parameter == "theta")
         until(shown, lambda: shown.is_visible("#fit"))
-        page.desk.enter("stopped", "it has ended")
+        page.session.enter("stopped", "it has ended")
         until(shown, lambda: shown.is_hidden("#fit"))
     assert wrong == []
 
@@ -307,18 +306,19 @@ def test_a_slider_is_seen_within_300_ms(
     load, busy = os.getloadavg()[0], bool(os.environ.get("BUSY"))
     if load > IDLE_LOAD and not busy:
         pytest.skip(f"the machine has other work: load {load:.1f}")
-    from deformscope.api.fit_subject import subject_of
-    from deformscope.api.page_fitting import PageFitting
     from deformscope.config import BetaConfig
     from deformscope.config.images import ImageOptions
-    from deformscope.stages.msm.quiet import quiet_warp
+    from deformscope.page.fit_process import FitProcess
 
-    quiet_warp()
+    def changed(fit: FitProcess) -> None:
+        if fit.goes_on:
+            page.session.enter("adjusting", commands=fit.commands, fit=fit.state)
+
     config = BetaConfig(("sample:tension",), images=ImageOptions(grid=grid, roi=(150, 0, 100, 330)))
     with PageServer("tension", adjusting=True) as page:
-        fitting = PageFitting(page.desk, config, subject_of(config, lambda words: None), page.offer)
-        thread = threading.Thread(target=fitting.until_finished)
-        thread.start()
+        began = FitState("images", "beta", FitSettings())
+        fitting = FitProcess(config, began, page, changed, keeps_last=True)
+        page.session.bind(fitting)
         shown = browser.new_page(viewport={"width": 1280, "height": 800})
         shown.goto(page.address)
         until(shown, lambda: shown.inner_text("#fit-error").startswith("average"))
@@ -328,8 +328,8 @@ def test_a_slider_is_seen_within_300_ms(
                 shown.keyboard.press("ArrowRight" if press % 10 < 5 else "ArrowLeft")
                 shown.wait_for_timeout(100)
         until(shown, lambda: len(fitting.drawn_ms) > 60)
-        fitting.obey(StopRun(0))
-        thread.join()
+        fitting.handle(StopRun(0))
+        fitting.result()
         shown.close()
     p50, p95 = np.percentile(fitting.drawn_ms, (50, 95))
     with capsys.disabled():

@@ -15,9 +15,9 @@ from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 from websockets.typing import Origin
 
-from deformscope.page.messages import StopRun
-from deformscope.page.server import PageServer
-from tests.page.pages import AtDesk, netloc, root
+from deformscope.page.server.messages import StopRun
+from deformscope.page.server.page_server import PageServer
+from tests.page.pages import PageScript, netloc, root
 from tests.page.test_in_browser import Obeyed, browser, fake_viewer, shown, until
 from tests.patience import PATIENCE_S
 
@@ -59,7 +59,7 @@ def forwarded(port: int) -> Iterator[int]:
 @pytest.fixture
 def page() -> Iterator[PageServer]:
     with PageServer("bench") as server:
-        server.desk.enter("live", commands=("stop",))
+        server.session.enter("live", commands=("stop",))
         yield server
 
 
@@ -75,13 +75,13 @@ def status(port: int, path: str, **headers: str) -> int:
 @pytest.mark.parametrize("name", ["127.0.0.1", "localhost"])
 def test_a_forwarded_port_is_the_page(page: PageServer, name: str) -> None:
     run = Obeyed()
-    page.desk.attend(run)
+    page.session.bind(run)
     with forwarded(int(netloc(page).split(":")[1])) as port:
         here = f"{name}:{port}"
         assert status(port, root(page), Host=here) == 200
         assert status(port, root(page) + "page.js", Host=here, Origin=f"http://{here}") == 200
-        with connect(f"ws://{here}{root(page)}desk", origin=Origin(f"http://{here}"), proxy=None) as websocket:
-            assert AtDesk(websocket, "remote").command("stop") == ("done", "")
+        with connect(f"ws://{here}{root(page)}session", origin=Origin(f"http://{here}"), proxy=None) as websocket:
+            assert PageScript(websocket, "remote").command("stop") == ("done", "")
     assert isinstance(run.commands[0], StopRun)
 
 
@@ -102,7 +102,9 @@ def test_who_is_refused_at_the_server_is_refused_through_the_port(page: PageServ
         for origin in (f"http://{own}", "http://evil.example", None):
             with (
                 pytest.raises(InvalidStatus) as refused,
-                connect(f"ws://{here}{root(page)}desk", origin=None if origin is None else Origin(origin), proxy=None),
+                connect(
+                    f"ws://{here}{root(page)}session", origin=None if origin is None else Origin(origin), proxy=None
+                ),
             ):
                 pytest.fail("opened")
             assert refused.value.response.status_code == 403
@@ -110,7 +112,7 @@ def test_who_is_refused_at_the_server_is_refused_through_the_port(page: PageServ
 
 def test_a_browser_gives_commands_through_the_port(page: PageServer, shown: Any) -> None:
     run = Obeyed()
-    page.desk.attend(run)
+    page.session.bind(run)
     fake_viewer(shown)
     page.pieces.add(b"views", lasting=True)
     with forwarded(int(netloc(page).split(":")[1])) as port:

@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 import rerun as rr
 
-from deformscope.page.messages import (
+from deformscope.page.server.messages import (
     BeginEpisode,
     DeviceState,
     DriftState,
@@ -25,9 +25,9 @@ from deformscope.page.messages import (
     TareDevice,
     WriteNote,
 )
-from deformscope.page.server import PageServer
+from deformscope.page.server.page_server import PageServer
 from deformscope.recording.live import page_stream
-from tests.page.pages import at_desk
+from tests.page.pages import page_script
 from tests.patience import PATIENCE_S
 
 CHROMIUM = Path(os.environ.get("CHROMIUM", "/usr/bin/chromium"))
@@ -44,7 +44,7 @@ class Obeyed:
     def __init__(self) -> None:
         self.commands: list[PageCommand] = []
 
-    def obey(self, command: PageCommand) -> tuple[Outcome, str]:
+    def handle(self, command: PageCommand) -> tuple[Outcome, str]:
         self.commands.append(command)
         return "done", ""
 
@@ -77,7 +77,7 @@ def browser() -> Iterator[Any]:
 @pytest.fixture
 def page() -> Iterator[PageServer]:
     with PageServer("bench") as server:
-        server.desk.enter(
+        server.session.enter(
             "live", commands=("stop", "write-note", "begin-episode", "tare"), tares=("tip",), devices=DEVICES
         )
         yield server
@@ -119,7 +119,7 @@ def shown(browser: Any) -> Iterator[Any]:
 
 def test_keys_and_buttons_are_commands(page: PageServer, shown: Any) -> None:
     run = Obeyed()
-    page.desk.attend(run)
+    page.session.bind(run)
     fake_viewer(shown)
     wrong = list[str]()
     shown.on("console", lambda message: wrong.append(message.text) if message.type == "error" else None)
@@ -166,7 +166,7 @@ def test_keys_and_buttons_are_commands(page: PageServer, shown: Any) -> None:
     until(shown, lambda: shown.input_value("#note-text") == "")
 
     # another page takes the controls over
-    with at_desk(page, "other") as other_page:
+    with page_script(page, "other") as other_page:
         assert other_page.command("take-controls")[0] == "done"
         until(shown, lambda: "another page has the controls" in shown.inner_text("#holder"))
         assert shown.is_disabled("[data-kind=write-note]")
@@ -187,7 +187,7 @@ def test_nothing_moves_while_values_and_reasons_change(page: PageServer, shown: 
     fake_viewer(shown)
     shown.set_viewport_size({"width": size[0], "height": size[1]})
     quiet = (DeviceState("tip", "ok", drift=DriftState(0.0, "", (), ())), DeviceState("pads", "ok"))
-    page.desk.enter("live", commands=("stop", "start-recording", "tare"), devices=quiet)
+    page.session.enter("live", commands=("stop", "start-recording", "tare"), devices=quiet)
     shown.goto(page.address)
     until(shown, lambda: shown.inner_text("#devices").startswith("tip"))
     before = shown.evaluate(PLACES)
@@ -200,8 +200,8 @@ def test_nothing_moves_while_values_and_reasons_change(page: PageServer, shown: 
         ),
         DeviceState("pads", "LOST", refused=10**6, reason=reason),
     )
-    page.desk.enter("live", reason, commands=("stop", "tare"), devices=loud)  # a file is being closed meanwhile
-    with at_desk(page, "other") as other:
+    page.session.enter("live", reason, commands=("stop", "tare"), devices=loud)  # a file is being closed meanwhile
+    with page_script(page, "other") as other:
         other.command("take-controls")
         until(shown, lambda: "another page" in shown.inner_text("#holder"))
         until(shown, lambda: "saturated" in shown.inner_text("#devices"))
@@ -218,7 +218,7 @@ def test_nothing_moves_while_values_and_reasons_change(page: PageServer, shown: 
 def test_keys_that_have_no_place_here(page: PageServer, shown: Any) -> None:
     """Without a recording `n` names what is lacking, and the list of keys has those of this page alone."""
     fake_viewer(shown)
-    page.desk.enter("live", commands=("stop", "start-recording", "tare"), devices=DEVICES)
+    page.session.enter("live", commands=("stop", "start-recording", "tare"), devices=DEVICES)
     shown.goto(page.address)
     until(shown, lambda: shown.inner_text("#devices").startswith("tip"))
     shown.keyboard.press("n")
@@ -231,7 +231,7 @@ def test_keys_that_have_no_place_here(page: PageServer, shown: Any) -> None:
 def test_a_page_that_is_loaded_again_keeps_the_controls_and_a_copy_of_its_tab_has_none(
     page: PageServer, shown: Any
 ) -> None:
-    page.desk.attend(Obeyed())
+    page.session.bind(Obeyed())
     fake_viewer(shown)
     shown.context.route("**/re_viewer*", lambda route: route.fulfill(body=""))
     shown.goto(page.address)
@@ -263,7 +263,7 @@ def test_a_batch_is_acknowledged_once_it_is_drawn(page: PageServer, shown: Any) 
 @pytest.mark.slow
 def test_the_viewer_draws(page: PageServer, shown: Any) -> None:
     run = Obeyed()
-    page.desk.attend(run)
+    page.session.bind(run)
     stream = page_stream("deformscope-test", "test", page.pieces, {"rig": "test"}, threading.Event())
     stream.rec.log("views", rr.TextDocument("static"), static=True)
     stream.flush(timeout_sec=PATIENCE_S)

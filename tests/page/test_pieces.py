@@ -7,7 +7,8 @@ from collections.abc import Iterator
 
 import pytest
 
-from deformscope.page.pieces import (
+from deformscope.page.server.page_server import PageServer
+from deformscope.page.server.pieces import (
     FASTEST_S,
     FIRST_BYTES,
     LASTING_BYTES,
@@ -19,7 +20,6 @@ from deformscope.page.pieces import (
     Pieces,
     ViewerPiece,
 )
-from deformscope.page.server import PageServer
 from tests.page.pages import socket_to
 from tests.patience import PATIENCE_S
 

@@ -5,14 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from deformscope.api.replay_page import chapters_of
 from deformscope.frames import SessionNote
-from deformscope.page.messages import Chapter, Playback
-from deformscope.page.server import PageServer
+from deformscope.page.playback import chapters_of
+from deformscope.page.server.messages import Chapter, Playback
+from deformscope.page.server.page_server import PageServer
 from deformscope.recording.item_rows import Row
 from deformscope.stages.map.exploration import PhaseStart
 from deformscope.stages.squeeze.trial import SqueezePhase
-from tests.page.pages import at_desk, get, root
+from tests.page.pages import get, page_script, root
 from tests.page.test_in_browser import FAKE_VIEWER, browser, shown, until
 
 __all__ = ["browser", "shown"]
@@ -68,13 +68,13 @@ def test_a_recording_is_served_to_the_page_alone(tmp_path: Path) -> None:
     file = tmp_path / "mine.rrd"
     file.write_bytes(b"RRF2" + bytes(100_000))
     with PageServer("mine.rrd", file) as page:
-        page.desk.show(playback=Playback("session", S, S // 10))
+        page.session.show(playback=Playback("session", S, S // 10))
         assert get(page, root(page) + "recording.rrd") == (200, file.read_bytes())
         assert b'<body data-recording="recording.rrd">' in get(page, root(page))[1]
         for path in ("/recording.rrd", root(page) + "mine.rrd", root(page) + "../recording.rrd"):
             assert get(page, path)[0] in (403, 404)
         assert get(page, root(page) + "recording.rrd", {"Origin": "http://evil.example"})[0] == 403
-        with at_desk(page, "a") as one:
+        with page_script(page, "a") as one:
             assert one.state["playback"]["until_ns"] == S
             assert one.command("stop")[0] == "refused"  # nothing goes on
     with PageServer("bench") as page:
@@ -105,7 +105,7 @@ def test_chapters_steps_and_playing_move_the_viewers_time(shown: Any, tmp_path: 
         return found
 
     with PageServer("mine.rrd", file) as page:
-        page.desk.show(playback=Playback("session", 9 * S, S // 10, chapters))
+        page.session.show(playback=Playback("session", 9 * S, S // 10, chapters))
         shown.goto(page.address)
         until(shown, lambda: shown.evaluate("window.received") == page.address + "recording.rrd")
         until(shown, lambda: shown.inner_text("#moment") == "9.00 of 9.00 s")
@@ -130,7 +130,7 @@ def test_chapters_steps_and_playing_move_the_viewers_time(shown: Any, tmp_path: 
         assert shown.inner_text("#moment") == "4.00 of 9.00 s"
         assert shown.is_hidden("#stop")  # nothing goes on
         assert shown.is_hidden("#remarks")
-        page.desk.remark("map, with threshold = 0.1: 2 regions; recorded: 1 region")
+        page.session.remark("map, with threshold = 0.1: 2 regions; recorded: 1 region")
         until(shown, lambda: "recorded: 1 region" in shown.inner_text("#remarks"))
 
 

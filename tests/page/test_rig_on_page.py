@@ -15,13 +15,13 @@ import pytest
 from deformscope.api.recordings import OpenRecording
 from deformscope.cli import main
 from deformscope.frames import HealthReport, WrenchFrame
-from deformscope.page.server import PageServer, running_pages
+from deformscope.page.server.page_server import PageServer, running_pages
 from deformscope.recording.lateness import RecordingError
 from deformscope.recording.losses import lost_by, since
 from deformscope.recording.recorder import Recorder
 from deformscope_drivers.health import Health, Link
 from tests.cases import slow_but
-from tests.page.pages import at_desk
+from tests.page.pages import page_script
 from tests.patience import PATIENCE_S
 
 RIG = """
@@ -75,7 +75,7 @@ def started(*words: str, folder: Path) -> Iterator[CommandInThread]:
     try:
         yield command
     finally:
-        with suppress(Exception), at_desk(command.page, "end") as one:  # where the test has failed before
+        with suppress(Exception), page_script(command.page, "end") as one:  # where the test has failed before
             one.command("stop")
         command._thread.join(PATIENCE_S)
 
@@ -90,7 +90,7 @@ def frames(path: Path) -> list[WrenchFrame]:
 
 
 def test_files_come_and_go_while_the_devices_stay_open(rig: Path, tmp_path: Path) -> None:
-    with started("live", str(rig), folder=tmp_path) as command, at_desk(command.page, "a") as one:
+    with started("live", str(rig), folder=tmp_path) as command, page_script(command.page, "a") as one:
         one.until(lambda state: "start-recording" in state["commands"])
         assert one.state["phase"] == "live"
         assert one.command("write-note", text="lost")[0] == "refused"  # there is no file yet
@@ -138,7 +138,7 @@ def test_files_come_and_go_while_the_devices_stay_open(rig: Path, tmp_path: Path
 def test_a_file_that_was_begun_with_the_command_ends_with_it(rig: Path, tmp_path: Path) -> None:
     file = tmp_path / "mine.rrd"
     with started("record", str(rig), "--record", str(file), folder=tmp_path) as command:
-        with at_desk(command.page, "a") as one:
+        with page_script(command.page, "a") as one:
             one.until(lambda state: "stop-recording" in state["commands"])
             assert one.state["recording"] == str(file)
             assert one.state["tares"] == ["tip"]
@@ -183,7 +183,7 @@ def test_a_page_that_ends_leaves_no_thread(rig: Path, tmp_path: Path) -> None:
 
 
 def test_the_last_seconds_are_kept_by_a_button(rig: Path, tmp_path: Path) -> None:
-    with started("live", str(rig), folder=tmp_path) as command, at_desk(command.page, "a") as one:
+    with started("live", str(rig), folder=tmp_path) as command, page_script(command.page, "a") as one:
         one.until(lambda state: "keep-recent" in state["commands"] and received(state) > 100)
         assert one.state["phase"] == "live"
         assert one.until(lambda state: state["held_s"] > 0.5)["recording"] == ""
@@ -226,7 +226,7 @@ def test_the_last_seconds_are_kept_where_the_file_beside_them_cannot_be_closed(
 
     monkeypatch.setattr(Recorder, "_close", full)
     words = ("record", str(rig), "--record", str(file), "--keep-last", "5")
-    with started(*words, folder=tmp_path) as command, at_desk(command.page, "a") as one:
+    with started(*words, folder=tmp_path) as command, page_script(command.page, "a") as one:
         one.until(lambda state: "start-recording" in state["commands"] and received(state) > 50)
         assert one.command("start-recording")[0] == "begun"
         one.until(lambda state: state["recorded_bytes"] > 0)
@@ -253,7 +253,7 @@ def test_the_page_goes_on_where_its_file_cannot(rig: Path, tmp_path: Path, monke
         write(self, items)
 
     monkeypatch.setattr(Recorder, "write", written)
-    with started("live", str(rig), folder=tmp_path) as command, at_desk(command.page, "a") as one:
+    with started("live", str(rig), folder=tmp_path) as command, page_script(command.page, "a") as one:
         one.until(lambda state: "start-recording" in state["commands"])
         assert one.command("start-recording")[0] == "begun"
         one.until(lambda state: state["recorded_bytes"] > 0)

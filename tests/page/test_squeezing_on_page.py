@@ -8,14 +8,14 @@ from typing import Any
 import pytest
 
 from deformscope.api.moving import Watch
-from deformscope.api.page_devices import ShownDevices
-from deformscope.api.page_squeezing import PageSqueezing
-from deformscope.api.rigs import Interruption
-from deformscope.page.desk import Desk
-from deformscope.page.messages import ConfirmMove, StartSqueezing, StopRun
+from deformscope.interruption import Interruption
+from deformscope.page.devices import ShownDevices
+from deformscope.page.server.messages import ConfirmMove, StartSqueezing, StopRun
+from deformscope.page.server.page_session import PageSession
+from deformscope.page.squeezing import PageSqueezing
 from deformscope.recording.items import read_results
 from deformscope.stages.squeeze.trial import SqueezePhase, SqueezeStop
-from tests.page.pages import at_desk
+from tests.page.pages import page_script
 from tests.page.test_pieces import FakeClock
 from tests.page.test_rig_on_page import started
 
@@ -38,27 +38,28 @@ class Hand:
 
 
 class Bench:
-    """A desk, a squeeze and a hand, no devices; the clock stands unless it is set."""
+    """A session, a squeeze and a hand, no devices; the clock stands unless it is set."""
 
     def __init__(self) -> None:
         self.clock, self.asked, self.hand = FakeClock(), Interruption(), Hand()
-        self.desk = Desk(clock=self.clock)
-        self.squeezing = PageSqueezing(self.desk, self.asked, ShownDevices(self.desk, ()))
+        self.session = PageSession(clock=self.clock)
+        self.squeezing = PageSqueezing(self.session, self.asked, ShownDevices(self.session, ()))
         self.watch = Watch(self.asked, lambda words: None)
         self.watch.robot = self.hand
-        self.desk.come("one")
+        self.session.come("one")
 
     def confirm(self) -> str:
         """Ask and confirm; the outcome."""
-        assert self.desk.command("one", StartSqueezing(1)).outcome == "begun"
-        pending = self.desk.state.pending
+        assert self.session.command("one", StartSqueezing(1)).outcome == "begun"
+        pending = self.session.state.pending
         assert pending is not None
         assert pending.what == WHAT
-        return self.desk.command("one", ConfirmMove(2, pending.number)).outcome
+        return self.session.command("one", ConfirmMove(2, pending.number)).outcome
 
     def stopped(self) -> list[str]:
         """Why the hand was asked to stop, after one control period more."""
-        self.squeezing.look_after(self.watch)
+        if why := self.squeezing.reason_to_stand():
+            self.hand.ask_to_stop(why)
         return self.hand.stops
 
 
@@ -68,28 +69,28 @@ def bench() -> Bench:
 
 
 def test_nothing_moves_before_a_page_that_is_there_confirms(bench: Bench) -> None:
-    assert bench.desk.command("one", StartSqueezing(1)).outcome == "refused"  # nothing waits
+    assert bench.session.command("one", StartSqueezing(1)).outcome == "refused"  # nothing waits
     bench.squeezing.wait_for(WHAT)
     assert bench.confirm() == "refused"  # no heartbeat
     assert not bench.squeezing.is_agreed()
-    bench.desk.beat("one", visible=False)
+    bench.session.beat("one", visible=False)
     assert bench.confirm() == "refused"
     assert not bench.squeezing.is_agreed()
-    bench.desk.beat("one", visible=True)
+    bench.session.beat("one", visible=True)
     assert bench.confirm() == "done"
     assert bench.squeezing.is_agreed()
     bench.squeezing.go_on()
-    assert bench.desk.state.phase == "squeezing"
-    assert bench.desk.command("one", StartSqueezing(1)).outcome == "refused"
+    assert bench.session.state.phase == "squeezing"
+    assert bench.session.command("one", StartSqueezing(1)).outcome == "refused"
     bench.squeezing.wait_for(WHAT)  # the next motion is a question of its own
     assert not bench.squeezing.is_agreed()
-    assert bench.desk.state.phase == "paused"
+    assert bench.session.state.phase == "paused"
 
 
 @pytest.mark.parametrize("loss", ["silent", "hidden", "gone"])
 def test_the_hand_stops_where_nobody_watches_what_they_confirmed(bench: Bench, loss: str) -> None:
     bench.squeezing.wait_for(WHAT)
-    bench.desk.beat("one", visible=True)
+    bench.session.beat("one", visible=True)
     bench.confirm()
     bench.squeezing.go_on()
     bench.clock.now_s += 0.29
@@ -98,9 +99,9 @@ def test_the_hand_stops_where_nobody_watches_what_they_confirmed(bench: Bench, l
         case "silent":
             bench.clock.now_s += 0.02
         case "hidden":
-            bench.desk.beat("one", visible=False)
+            bench.session.beat("one", visible=False)
         case _:
-            bench.desk.leave("one")
+            bench.session.leave("one")
     assert len(bench.stopped()) == 1
 
 
@@ -113,7 +114,7 @@ def test_a_squeeze_agreed_to_at_the_terminal_needs_no_page(bench: Bench) -> None
 
 def test_stop(bench: Bench) -> None:
     bench.squeezing.go_on()
-    assert bench.desk.command("other", StopRun(1)).outcome == "done"  # from any page
+    assert bench.session.command("other", StopRun(1)).outcome == "done"  # from any page
     bench.watch()
     assert bench.hand.stops == ["from the page"]
 
@@ -125,7 +126,7 @@ def test_a_squeeze_from_the_page(tmp_path: Path, hidden: bool) -> None:
     words = ("squeeze", "lab:containers", "--content", "rice", "--container", "box-07", "--paused")
     with (
         started(*words, "--page-timeout", "60", "--record", str(file), folder=tmp_path) as command,
-        at_desk(command.page, "one") as one,
+        page_script(command.page, "one") as one,
     ):
         with one.beating():
             one.until(lambda state: "squeeze" in state["commands"])

@@ -11,12 +11,10 @@ import numpy as np
 import pytest
 
 from deformscope.api import moving
-from deformscope.api.page_steering import PageSteering, curve_of, felt_beside, is_surface
-from deformscope.api.rigs import Interruption
 from deformscope.experiments.explore import ExplorationStopped
 from deformscope.experiments.touching_robot import CheckFirst
-from deformscope.page.desk import CONFIRM_S, Desk
-from deformscope.page.messages import (
+from deformscope.interruption import Interruption
+from deformscope.page.server.messages import (
     ConfirmMove,
     PageCommand,
     PauseExploring,
@@ -28,6 +26,8 @@ from deformscope.page.messages import (
     TouchPicked,
     VetoTouch,
 )
+from deformscope.page.server.page_session import CONFIRM_S, PageSession
+from deformscope.page.steering import PageSteering, curve_of, felt_beside, is_surface
 from deformscope.robot.finger import FINGER
 from deformscope.robot.latch import Action
 from deformscope.robot.robot import MotionHeld, RobotStopped, TipVelocity
@@ -56,15 +56,15 @@ FORECAST = TouchForecast(
 
 
 class Steered:
-    """A page that steers, and the desk between; its time is set by hand."""
+    """A page that steers, and the session between; its time is set by hand."""
 
     def __init__(self, *, paused: bool = False, begun: bool = True) -> None:
         self.now_s = 0.0
         self.ended = Interruption()
-        self.desk = Desk(clock=lambda: self.now_s)
-        self.desk.come("a")
+        self.session = PageSession(clock=lambda: self.now_s)
+        self.session.come("a")
         self.steering = PageSteering(
-            self.desk,
+            self.session,
             self.ended,
             lambda: 0,
             arm="arm",
@@ -78,15 +78,15 @@ class Steered:
             self.steering.begin()
 
     def beat(self) -> None:
-        self.desk.beat("a", visible=True)
+        self.session.beat("a", visible=True)
 
     def say(self, kind: Callable[..., PageCommand], *fields: object) -> tuple[str, str]:
-        reply = self.desk.command("a", kind(1, *fields))
+        reply = self.session.command("a", kind(1, *fields))
         return reply.outcome, reply.words
 
     def confirm(self) -> str:
-        assert self.desk.state.pending is not None
-        return self.say(ConfirmMove, self.desk.state.pending.number)[0]
+        assert self.session.state.pending is not None
+        return self.say(ConfirmMove, self.session.state.pending.number)[0]
 
 
 def planned(x_m: float = 0.15) -> PlannedTouch:
@@ -103,27 +103,27 @@ def test_the_page_asks_for_a_finger_on_the_tip_before_the_arm_may_move() -> None
     assert isinstance(first.command, CheckFirst)
     assert first.command.ask_finger is not None
     first.command.ask_finger(FINGER)
-    assert [remark.words for remark in steered.desk.state.remarks] == [FINGER]
+    assert [remark.words for remark in steered.session.state.remarks] == [FINGER]
 
 
 def test_a_real_arm_begins_once_somebody_confirms_it_on_the_page(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sys.stdin", SimpleNamespace(isatty=lambda: False))  # nobody sits at a terminal
     monkeypatch.setattr(moving, "POLL_S", 0.0)
     steered = Steered(begun=False)
-    assert (steered.desk.state.phase, steered.desk.state.commands) == ("idle", ("stop",))
+    assert (steered.session.state.phase, steered.session.state.commands) == ("idle", ("stop",))
     steered.steering.wait_for_permission("up to 8 touches of 3 N")
     question = moving.ask_line("?", steered.ended, steered.steering.is_permitted)
     next(question)
     assert steered.say(StartExploring)[0] == "begun"
     next(question)
-    assert steered.desk.state.pending is not None
-    assert steered.desk.state.pending.what == "arm goes on by itself: up to 8 touches of 3 N"
+    assert steered.session.state.pending is not None
+    assert steered.session.state.pending.what == "arm goes on by itself: up to 8 touches of 3 N"
     assert steered.confirm() == "done"
     with pytest.raises(StopIteration) as answered:
         next(question)
     assert answered.value.value == "yes"
     steered.steering.begin()
-    assert steered.desk.state.phase == "exploring"
+    assert steered.session.state.phase == "exploring"
 
 
 # Stop ----------------------------------------------------------------------------------------------------------------
@@ -202,7 +202,7 @@ def test_stop_leaves_two_periods_at_most_in_200_presses(capsys: pytest.CaptureFi
 
 def test_stop_is_obeyed_from_any_page() -> None:
     steered = Steered()
-    assert steered.desk.command("b", StopRun(1)).outcome == "done"
+    assert steered.session.command("b", StopRun(1)).outcome == "done"
     assert steered.ended.is_set()
     assert steered.ended.by == "from the page"
 
@@ -232,16 +232,16 @@ def test_a_confirmed_touch_goes_on_while_its_page_is_there() -> None:
     assert steered.steering.reason_to_stand() == "no heartbeat of the page for 310 ms"
     steered.beat()
     assert steered.steering.reason_to_stand() == ""
-    steered.desk.beat("a", visible=False)
+    steered.session.beat("a", visible=False)
     assert "hidden" in steered.steering.reason_to_stand()
-    steered.desk.leave("a")
+    steered.session.leave("a")
     assert "no page" in steered.steering.reason_to_stand()
 
 
 def test_exploring_goes_on_without_a_page() -> None:
     steered = Steered()
     assert steered.steering.choose(planned(), 0).result(0).kind == "go on"
-    steered.desk.leave("a")
+    steered.session.leave("a")
     assert steered.steering.reason_to_stand() == ""
     assert steered.steering.choose(planned(), 1).result(0).kind == "go on"
 
@@ -304,7 +304,7 @@ def test_what_was_not_confirmed_is_not_touched() -> None:
     steered.steering.choose(planned(), 0)
     steered.say(TouchAt, 0.3, 0.2)
     asked = steered.steering.confirm(FORECAST)
-    state = steered.desk.state
+    state = steered.session.state
     assert state.pending is not None
     assert state.pending.what == "arm goes to (30.0, 20.0) cm and presses with 3 N, along the normal there"
     assert state.curve is not None
@@ -312,8 +312,8 @@ def test_what_was_not_confirmed_is_not_touched() -> None:
     steered.beat()
     assert steered.confirm() == "refused"
     assert asked.result(0) is False
-    assert steered.desk.state.curve is None
-    assert [remark.words for remark in steered.desk.state.remarks] == ["not confirmed within 10 s: nothing moved"]
+    assert steered.session.state.curve is None
+    assert [remark.words for remark in steered.session.state.remarks] == ["not confirmed within 10 s: nothing moved"]
     again = steered.steering.choose(planned(), 0)
     assert not again.done()
     assert steered.say(VetoTouch)[0] == "begun"
@@ -323,22 +323,22 @@ def test_what_was_not_confirmed_is_not_touched() -> None:
 
 def test_exploring_pauses_and_goes_on_after_a_confirm() -> None:
     steered = Steered()
-    assert steered.desk.state.phase == "exploring"
+    assert steered.session.state.phase == "exploring"
     assert steered.say(TouchAt, 0.3, 0.2)[0] == "refused"
     assert steered.say(PauseExploring) == ("done", "no further touch begins")
-    assert steered.desk.state.commands == ("stop", "explore")  # the touch under way is ended first
+    assert steered.session.state.commands == ("stop", "explore")  # the touch under way is ended first
     assert steered.say(StartExploring) == ("begun", "waits for a confirm")
-    assert steered.desk.state.phase == "paused"
+    assert steered.session.state.phase == "paused"
     waits = steered.steering.choose(planned(), 1)
-    assert "touch-next" in steered.desk.state.commands
-    assert steered.desk.state.next_place is not None
+    assert "touch-next" in steered.session.state.commands
+    assert steered.session.state.next_place is not None
     assert steered.say(StartExploring) == ("begun", "waits for a confirm")
     assert not waits.done()
-    assert steered.desk.state.pending is not None
-    assert steered.desk.state.pending.what == "arm goes on touching by itself, 7 times more at most, with 3 N"
+    assert steered.session.state.pending is not None
+    assert steered.session.state.pending.what == "arm goes on touching by itself, 7 times more at most, with 3 N"
     assert steered.confirm() == "done"
     assert waits.result(0).kind == "go on"
-    assert steered.desk.state.phase == "exploring"
+    assert steered.session.state.phase == "exploring"
 
 
 def test_places_are_picked_on_the_surface_alone() -> None:
@@ -375,8 +375,8 @@ def test_another_page_takes_over_and_what_waited_is_let_be() -> None:
     steered.steering.choose(planned(), 0)
     steered.say(TouchNext)
     asked = steered.steering.confirm(FORECAST)
-    steered.desk.come("b")
-    steered.desk.command("b", TakeControls(1))
+    steered.session.come("b")
+    steered.session.command("b", TakeControls(1))
     assert asked.result(0) is False
 
 

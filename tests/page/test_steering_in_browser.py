@@ -9,8 +9,16 @@ from typing import Any
 
 import pytest
 
-from deformscope.page.messages import ForceCurve, Outcome, PageCommand, StartExploring, StopRun, TouchAt, TouchPicked
-from deformscope.page.server import PageServer
+from deformscope.page.server.messages import (
+    ForceCurve,
+    Outcome,
+    PageCommand,
+    StartExploring,
+    StopRun,
+    TouchAt,
+    TouchPicked,
+)
+from deformscope.page.server.page_server import PageServer
 from tests.page.test_in_browser import Obeyed, browser, fake_viewer, shown, until
 
 __all__ = ["browser", "shown"]
@@ -25,31 +33,31 @@ class Seen:
     def __init__(self, call: Callable[[], None]) -> None:
         self._call = call
 
-    def obey(self, command: PageCommand) -> tuple[Outcome, str]:
+    def handle(self, command: PageCommand) -> tuple[Outcome, str]:
         self._call()
         return "done", ""
 
 
 @contextmanager
 def no_heartbeat(page: PageServer) -> Iterator[None]:
-    """For the desk nobody is there meanwhile."""
+    """For the session nobody is there meanwhile."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(page.desk, "absent", lambda: "nobody is there")
+        patch.setattr(page.session, "absent", lambda: "nobody is there")
         yield
 
 
 def test_confirms_and_places(shown: Any) -> None:
     run, happened = Obeyed(), list[str]()
     with PageServer("bench") as page:
-        page.desk.attend(run)
-        page.desk.enter("paused", commands=COMMANDS)
+        page.session.bind(run)
+        page.session.enter("paused", commands=COMMANDS)
         fake_viewer(shown)
         shown.goto(page.address)
-        until(shown, lambda: shown.inner_text("#phase") == "paused" and not page.desk.absent())
+        until(shown, lambda: shown.inner_text("#phase") == "paused" and not page.session.absent())
 
         # the dialog names what moves; space stops while it is open; Enter confirms, Escape cancels
         for key, came in (("Enter", "moved"), ("Escape", "cancelled: nothing moved")):
-            page.desk.ask("the arm <b>moves</b>", lambda: happened.append("moved"), happened.append)
+            page.session.ask("the arm <b>moves</b>", lambda: happened.append("moved"), happened.append)
             until(shown, lambda: shown.is_visible("#confirm"))
             assert shown.inner_text("#confirm-what") == "the arm <b>moves</b>"
             shown.keyboard.press(" ")
@@ -60,17 +68,17 @@ def test_confirms_and_places(shown: Any) -> None:
 
         # one that is refused for now still waits; its time counts from when it was drawn; that it was let be is said
         happened.clear()
-        page.desk.ask("the arm", lambda: happened.append("moved"), page.desk.remark)
-        until(shown, lambda: page.desk.state.pending is not None and page.desk.state.pending.seen)
+        page.session.ask("the arm", lambda: happened.append("moved"), page.session.remark)
+        until(shown, lambda: page.session.state.pending is not None and page.session.state.pending.seen)
         with no_heartbeat(page):
             shown.keyboard.press("Enter")
             until(shown, lambda: "confirm: refused, nobody is there" in shown.inner_text("#remarks"))
         until(shown, lambda: shown.is_visible("#confirm"))
         shown.keyboard.press("Enter")
         until(shown, lambda: happened == ["moved"] and shown.is_hidden("#confirm"))
-        page.desk.ask("the arm", lambda: None, page.desk.remark)
+        page.session.ask("the arm", lambda: None, page.session.remark)
         until(shown, lambda: shown.is_visible("#confirm"))
-        page.desk._drop("not in time")
+        page.session._drop("not in time")
         until(shown, lambda: shown.inner_text("#place-words") == "not in time" and shown.is_hidden("#confirm"))
 
         # a place that is typed, one that is picked, and one that is picked beside everything
@@ -90,12 +98,12 @@ def test_confirms_and_places(shown: Any) -> None:
                 pass
             case other:
                 raise AssertionError(other)
-        page.desk.remark("no touch there: the arm cannot be led there from above", bad=True)
+        page.session.remark("no touch there: the arm cannot be led there from above", bad=True)
         until(shown, lambda: "cannot be led" in shown.inner_text("#place-words"))
 
         # what is expected, and what was felt
         curve = ForceCurve(0.3, 0.2, "2 touches", EXPECTED, EXPECTED, (0.0, 0.5, 1.0), (0.0, 2.0, 4.0))
-        page.desk.show(curve=curve)
+        page.session.show(curve=curve)
         until(shown, lambda: "expected" in shown.inner_text("#curve figcaption"))
         drawn = shown.get_attribute("#curve .expected", "d")
         assert drawn.count("L") == 2
@@ -104,22 +112,22 @@ def test_confirms_and_places(shown: Any) -> None:
 
 def test_the_heartbeat_says_whether_somebody_is_there(shown: Any) -> None:
     with PageServer("bench") as page:
-        page.desk.enter("live")
+        page.session.enter("live")
         fake_viewer(shown)
         shown.goto(page.address)
-        until(shown, lambda: not page.desk.absent())
+        until(shown, lambda: not page.session.absent())
         for seen, absent in (("hidden", "the page that has the controls is hidden"), ("visible", "")):
             shown.evaluate(
                 f"Object.defineProperty(document, 'visibilityState', {{ value: '{seen}', configurable: true }});"
                 "document.dispatchEvent(new Event('visibilitychange'))"
             )
-            until(shown, lambda absent=absent: page.desk.absent() == absent)
+            until(shown, lambda absent=absent: page.session.absent() == absent)
 
         # who presses a button is there, however long the page was busy before
-        page.desk.enter("live", commands=("stop",))
+        page.session.enter("live", commands=("stop",))
         until(shown, lambda: shown.is_enabled("#stop"))
         there = list[str]()
-        page.desk.attend(Seen(lambda: there.append(page.desk.absent())))
+        page.session.bind(Seen(lambda: there.append(page.session.absent())))
         shown.evaluate(
             "for (const end = performance.now() + 2500; performance.now() < end; );"
             "document.getElementById('stop').click()"
@@ -131,7 +139,7 @@ def test_the_heartbeat_says_whether_somebody_is_there(shown: Any) -> None:
 
         def look() -> None:
             while not over.wait(0.02):
-                reasons.add(page.desk.absent()[:20])
+                reasons.add(page.session.absent()[:20])
 
         looking = threading.Thread(target=look)
         looking.start()
@@ -139,6 +147,6 @@ def test_the_heartbeat_says_whether_somebody_is_there(shown: Any) -> None:
         over.set()
         looking.join()
         assert "no heartbeat of the " in reasons
-        until(shown, lambda: not page.desk.absent())
+        until(shown, lambda: not page.session.absent())
         shown.goto("about:blank")
-        until(shown, lambda: page.desk.absent() == "no page has the controls")
+        until(shown, lambda: page.session.absent() == "no page has the controls")

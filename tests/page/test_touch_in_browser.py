@@ -59,7 +59,7 @@ def test_a_click_on_the_surface_becomes_one_touch(shown: Any, tmp_path: Path) ->
         assert "(30.0, 20.0) cm" in asked(shown)
         shown.keyboard.press("Escape")
         until(shown, lambda: "cancelled: nothing moved" in shown.inner_text("#place-words"))
-        with pytest.raises(Exception, match="403"), socket_to(command.page, "desk", origin="http://evil.example"):
+        with pytest.raises(Exception, match="403"), socket_to(command.page, "session", origin="http://evil.example"):
             pass
 
         # a click in rerun's viewer

@@ -15,8 +15,8 @@ from pathlib import Path
 import pytest
 
 from deformscope.errors import InputError
-from deformscope.page import viewer_files
-from deformscope.page.viewer_files import NAMES, ViewerFiles, viewer_environment, viewer_executable
+from deformscope.page.server import viewer_files
+from deformscope.page.server.viewer_files import NAMES, ViewerFiles, viewer_environment, viewer_executable
 from tests.patience import PATIENCE_S
 from tests.second_user import FOREIGN, taking_ports
 

@@ -25,7 +25,7 @@ import numpy as np
 import pytest
 
 from deformscope.cli import main
-from deformscope.page.server import end_pages, running_pages
+from deformscope.page.server.page_server import end_pages, running_pages
 from deformscope.recording import live
 from deformscope.recording.live import LiveFeed, Viewer, check_answers, start_viewer, wait_for_viewer
 from deformscope.recording.reader import Replay
@@ -234,7 +234,7 @@ SERVING = """
     import sys, time
     from deformscope import cli
     from deformscope.errors import InputError
-    from deformscope.page.server import PageServer
+    from deformscope.page.server.page_server import PageServer
     def command(args):
         page = PageServer("bench")
         page.open()

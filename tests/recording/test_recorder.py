@@ -26,8 +26,8 @@ from deformscope.errors import InputError
 from deformscope.frames import ColorFrame, DepthFrame, HandFrame, InputFile, Item, RawBytes, host_ns
 from deformscope.images import encode_png
 from deformscope.log.rig_layout import RIG, RigLayout
-from deformscope.page.server import end_pages
-from deformscope.page.viewer_files import viewer_environment, viewer_executable
+from deformscope.page.server.page_server import end_pages
+from deformscope.page.server.viewer_files import viewer_environment, viewer_executable
 from deformscope.recording import facts, lateness, outputs, recorder
 from deformscope.recording import rrd_file as recording_file
 from deformscope.recording.items import read_items
@@ -624,7 +624,7 @@ def test_a_page_is_served_on_loopback_alone(tmp_path: Path) -> None:
         assert made.summary().dropped == 0
         (opened,) = set(listening(os.getpid())) - set(before)
         assert opened == ("0100007F", urlsplit(page.address).port)
-        assert (page.desk.state.phase, page.desk.state.title) == ("stopped", "")
+        assert (page.session.state.phase, page.session.state.title) == ("stopped", "")
         assert page.pieces.held_bytes > 1000
     finally:
         end_pages()

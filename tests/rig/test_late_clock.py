@@ -14,7 +14,7 @@ from deformscope.recording.items import read_items
 from deformscope.recording.reader import Replay
 from deformscope.rig.rig_file import parse_rig
 from deformscope.rows import OF_DEVICES
-from tests.page.pages import at_desk
+from tests.page.pages import page_script
 from tests.page.test_rig_on_page import started
 
 LATE_NS = 20_000_000
@@ -63,7 +63,7 @@ def test_a_session_begins_before_its_latest_device_has_seen_anything(tmp_path: P
     rig.write_text(RIG + LATE.format(offset=0.5, beside="tip") + f'[record]\nfolder = "{tmp_path}"\n')
     whole = tmp_path / "whole.rrd"
     words = ("record", str(rig), "--record", str(whole))
-    with started(*words, folder=tmp_path) as command, at_desk(command.page, "a") as one:
+    with started(*words, folder=tmp_path) as command, page_script(command.page, "a") as one:
         one.until(lambda state: "stop-recording" in state["commands"] and state["devices"])
         assert one.command("stop-recording")[0] == "begun"
         one.until(lambda state: "start-recording" in state["commands"])

@@ -7,29 +7,26 @@ whether somebody is still there who confirmed the motion under way.
 from __future__ import annotations
 
 import threading
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Iterable, Sequence
 
-from deformscope.api.moving import Watch
-from deformscope.api.page_devices import ShownDevices
-from deformscope.api.rigs import Interruption
-from deformscope.api.squeeze_result import squeeze_table
-from deformscope.page.desk import Desk
-from deformscope.page.messages import Outcome, PageCommand, Phase, StartSqueezing, StopRun
+from deformscope.interruption import Interruption
+from deformscope.page.devices import ShownDevices
+from deformscope.page.server.messages import Outcome, PageCommand, Phase, StartSqueezing, StopRun
+from deformscope.page.server.page_session import PageSession
 
 
 class PageSqueezing:
     """`PageRun` of a squeeze's page. show: what the hand does, in words"""
 
-    def __init__(self, desk: Desk, ended: Interruption, show: ShownDevices) -> None:
-        self.desk = desk
+    def __init__(self, session: PageSession, ended: Interruption, show: ShownDevices) -> None:
+        self.session = session
         self.show = show
         self._ended = ended
         self._what = ""
         self._agreed = self._by_hand = False
         self._lock = threading.Lock()
-        desk.attend(self)
-        desk.enter("idle", commands=("stop",))
+        session.bind(self)
+        session.enter("idle", commands=("stop",))
 
     # From the experiment ---------------------------------------------------------------------------------------------
 
@@ -37,8 +34,8 @@ class PageSqueezing:
         """Have the page ask for what moves next, and confirm it. what: will move"""
         with self._lock:
             self._what, self._agreed, self._by_hand = what, False, False
-        phase: Phase = "idle" if self.desk.state.phase == "idle" else "paused"
-        self.desk.enter(phase, f"waits for Squeeze: {what}", commands=("stop", "squeeze"))
+        phase: Phase = "idle" if self.session.state.phase == "idle" else "paused"
+        self.session.enter(phase, f"waits for Squeeze: {what}", commands=("stop", "squeeze"))
 
     def is_agreed(self) -> bool:
         """Whether somebody at the page has confirmed it."""
@@ -48,24 +45,23 @@ class PageSqueezing:
         """It was agreed to, at the page or elsewhere, or need not be."""
         with self._lock:
             self._by_hand = self._agreed
-        self.desk.enter("squeezing", commands=("stop",), pending=None)
+        self.session.enter("squeezing", commands=("stop",), pending=None)
 
-    def look_after(self, watch: Watch) -> None:
-        """In each control period: a hand whose motion was confirmed on the page does not move unwatched."""
-        if self._by_hand and watch.robot is not None and (why := self.desk.absent()):
-            watch.robot.ask_to_stop(why)
+    def reason_to_stand(self) -> str:
+        """In each control period: why it may not go on, where nobody watches what they confirmed on the page."""
+        return self.session.absent() if self._by_hand else ""
 
     # As `PageRun`, from the server -----------------------------------------------------------------------------------
 
-    def obey(self, command: PageCommand) -> tuple[Outcome, str]:
-        """As `PageRun.obey`."""
+    def handle(self, command: PageCommand) -> tuple[Outcome, str]:
+        """As `PageRun.handle`."""
         match command:
             case StopRun():
                 self._ended.by = "from the page"
                 self._ended.set()
                 return "done", "the hand stops"
             case StartSqueezing():
-                self.desk.ask(self._what, self._agree, self.desk.remark)
+                self.session.ask(self._what, self._agree, self.session.remark)
                 return "begun", "waits for a confirm"
             case _:
                 return "refused", "not while something is squeezed"
@@ -75,11 +71,11 @@ class PageSqueezing:
             self._agreed = True
 
 
-def show_squeezed(desk: Desk, found: Mapping[str, Any]) -> None:
-    """Say what came of it, on a page that may outlive the squeeze. found: as in the JSON"""
-    rows = [(str(name), str(words)) for name, words in squeeze_table(found).rows]
+def show_squeezed(session: PageSession, table: Iterable[Sequence[object]]) -> None:
+    """Say what came of it, on a page that may outlive the squeeze. table: rows of a name and words"""
+    rows = [(str(name), str(words)) for name, words in table]
     for name, words in reversed(rows):
-        desk.remark(f"{name}: {words}", bad=name == "discarded")
+        session.remark(f"{name}: {words}", bad=name == "discarded")
     known = dict(rows)
     says = [f"{name}: {known[name]}" for name in ("first contact", "named", "discarded") if name in known]
-    desk.enter("stopped", says[-1] if says else "squeezed")
+    session.enter("stopped", says[-1] if says else "squeezed")

@@ -10,8 +10,8 @@ from pathlib import Path
 import msgspec
 
 from deformscope.frames import HealthReport, SessionNote
-from deformscope.page.messages import Chapter, Playback
-from deformscope.page.server import PageServer
+from deformscope.page.server.messages import Chapter, Playback
+from deformscope.page.server.page_server import PageServer
 from deformscope.recording.item_rows import Row, read_rows
 from deformscope.recording.items import read_streams
 from deformscope.recording.reader import Replay
@@ -26,7 +26,7 @@ STEP_NS = 100_000_000
 def play_on_page(path: Path) -> PageServer:
     """Serve a recording to play; its address is printed. Until `close`, or the end of the process."""
     page = PageServer(path.name, path)
-    page.desk.show(playback=playback_of(path))
+    page.session.show(playback=playback_of(path))
     page.open()
     print(page.where, file=sys.stderr, flush=True)
     return page
@@ -48,9 +48,9 @@ def lay_beside(
     results = [(row.session_ns, row.item) for row in recorded]
     layer = comparison_rrd(recording.identity, streams, size_m, results, again, name)
     page.offer(LAYER, layer, "application/octet-stream")
-    playback = page.desk.state.playback
+    playback = page.session.state.playback
     assert playback is not None
-    page.desk.show(playback=msgspec.structs.replace(playback, layer=LAYER))
+    page.session.show(playback=msgspec.structs.replace(playback, layer=LAYER))
 
 
 def playback_of(path: Path) -> Playback:

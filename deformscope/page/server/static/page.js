@@ -1,6 +1,6 @@
 // What is on the page beside the viewer.
 
-import { Desk } from "./desk.js";
+import { PageSession } from "./session.js";
 import { startFitting } from "./fit.js";
 import { cursorRequest, startPlayback } from "./playback.js";
 import { startSteering } from "./steer.js";
@@ -14,9 +14,9 @@ let skipped = 0;
 const rows = new Map();
 const replies = [];
 
-const desk = new Desk(show, lost);
-const steering = startSteering(command, desk);
-const fitting = startFitting(desk, (text) => note(text, true), cover);
+const session = new PageSession(show, lost);
+const steering = startSteering(command, session);
+const fitting = startFitting(session, (text) => note(text, true), cover);
 const words = (text) => (at("viewer-words").textContent = text);
 let viewer = null;
 const playback = startPlayback(async (timeline, ns) => {
@@ -49,7 +49,7 @@ function show(next) {
   steering.show(next);
   playback.load(next.playback);
   showLayer();
-  fitting.show(next, desk.page);
+  fitting.show(next, session.page);
   showRemarks();
   showClock();
 }
@@ -150,7 +150,7 @@ function showDrift(place, drift) {
 }
 
 function showControls(next) {
-  const mine = next.controls === desk.page;
+  const mine = next.controls === session.page;
   const over = next.phase === "stopped";
   const possible = (kind) => next.commands.includes(kind);
   for (const section of document.querySelectorAll("[data-for]")) {
@@ -232,7 +232,7 @@ function made(tag, name = "") {
 }
 
 async function command(kind, fields) {
-  const reply = await desk.command(kind, fields);
+  const reply = await session.command(kind, fields);
   note(`${kind}: ${reply.outcome}${reply.words ? `, ${reply.words}` : ""}`, reply.outcome === "refused");
   return reply.outcome !== "refused";
 }
@@ -274,7 +274,7 @@ at("help").addEventListener("click", () => at("help").close());
 
 // Keys: before the viewer gets them, whose own hidden field for text has the focus whenever the viewer has it
 
-const ownField = (element) => element?.matches?.("#desk input, #fit input");
+const ownField = (element) => element?.matches?.("#controls input, #fit input");
 const typeless = (element) => ["range", "checkbox", "radio"].includes(element.type); // what is typed there is no text
 let pointed = null;
 window.addEventListener("pointerdown", ({ target }) => (pointed = target), { capture: true });

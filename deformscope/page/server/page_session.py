@@ -9,7 +9,7 @@ from typing import Any, Protocol
 
 import msgspec
 
-from deformscope.page.messages import (
+from deformscope.page.server.messages import (
     CancelMove,
     CommandReply,
     ConfirmMove,
@@ -50,12 +50,12 @@ GONE = "nothing waits for this confirm: it has expired, or something else was as
 class PageRun(Protocol):
     """What carries out the commands of pages."""
 
-    def obey(self, command: PageCommand) -> tuple[Outcome, str]:
+    def handle(self, command: PageCommand) -> tuple[Outcome, str]:
         """Carry it out, or begin with it, at once; what came of it, in words. From the server's thread, which must not
         wait: what takes longer than some milliseconds has begun, and its end becomes a remark."""
 
 
-class Desk:
+class PageSession:
     """May be used from any thread. Whoever `watch`es is called after every change."""
 
     def __init__(self, title: str = "", clock: Callable[[], float] = time.monotonic, beat_s: float = BEAT_S) -> None:
@@ -63,9 +63,9 @@ class Desk:
         self._began_s = clock()
         self._state = PageState(title=title, beat_s=beat_s)
         self._run: PageRun | None = None
-        self._aside: PageRun | None = None
+        self._secondary: PageRun | None = None
         self._commands: tuple[str, ...] = ()
-        self._aside_commands: tuple[str, ...] = ()
+        self._secondary_commands: tuple[str, ...] = ()
         self._beats: dict[str, tuple[float, bool]] = {}
         self._moves = 0
         self._answers: tuple[Callable[[], None], Callable[[str], None]] = (_nothing, _nothing)
@@ -87,19 +87,19 @@ class Desk:
 
     # For what goes on ------------------------------------------------------------------------------------------------
 
-    def attend(self, run: PageRun) -> None:
+    def bind(self, run: PageRun) -> None:
         """From now on this one gets the commands."""
         self._run = run
 
-    def attend_aside(self, run: PageRun) -> None:
-        """From now on this one gets the commands that `show_aside` names."""
-        self._aside = run
+    def bind_secondary(self, run: PageRun) -> None:
+        """From now on this one gets the commands that `show_secondary` names."""
+        self._secondary = run
 
-    def show_aside(self, commands: tuple[str, ...], **changes: Any) -> None:
+    def show_secondary(self, commands: tuple[str, ...], **changes: Any) -> None:
         """Beside those of what goes on, these can be asked for until it has stopped. changes: as `show`"""
         with self._lock:
             if self._state.phase != "stopped":
-                self._aside_commands = commands
+                self._secondary_commands = commands
                 self.show(commands=self._commands, **changes)
 
     def enter(self, phase: Phase, reason: str = "", **changes: Any) -> None:
@@ -118,7 +118,7 @@ class Desk:
                     "next_place": None,
                 }
                 changes = over | changes
-                self._aside_commands = ()
+                self._secondary_commands = ()
             self.show(phase=phase, reason=reason, **changes)
 
     def show(self, **changes: Any) -> None:
@@ -126,7 +126,7 @@ class Desk:
         with self._lock:
             if "commands" in changes:
                 self._commands = changes["commands"]
-                changes["commands"] = (*self._commands, *self._aside_commands)
+                changes["commands"] = (*self._commands, *self._secondary_commands)
             self._state = msgspec.structs.replace(self._state, **changes)
             watchers = tuple(self._watchers)
         for call in watchers:
@@ -231,11 +231,11 @@ class Desk:
         if isinstance(command, SeeMove):
             return self._see(command.number)
         kind = str(command.__struct_config__.tag)
-        run = self._aside if kind in self._aside_commands else self._run
+        run = self._secondary if kind in self._secondary_commands else self._run
         if run is None or kind not in state.commands:
             return "refused", _refusal(kind, state.phase, state.commands)
         try:
-            return run.obey(command)
+            return run.handle(command)
         except Exception as error:  # whatever a command does, the server goes on
             return "refused", " ".join(str(error).split()) or type(error).__name__
 

@@ -1,4 +1,4 @@
-"""What the commands about rigs share: devices made from a rig file, doubles where it asks for them, and Ctrl-C."""
+"""Ctrl-C, a request to end or a closed terminal, as an event."""
 
 from __future__ import annotations
 
@@ -8,28 +8,7 @@ import threading
 from collections.abc import Iterator
 from types import FrameType
 
-from deformscope.lab.stand_in import stand_in
-from deformscope.rig.rig_file import Rig, RigDevice
-from deformscope.rig.source import RigMember
 from deformscope.terminal import say
-
-
-@contextlib.contextmanager
-def members_of(rig: Rig) -> Iterator[tuple[RigMember, ...]]:
-    """The rig's devices, closed; doubles run for those that the rig wants doubled, until the end of the context."""
-    with contextlib.ExitStack() as stack:
-        yield tuple([stack.enter_context(member_of(entry)) for entry in rig.devices])
-
-
-@contextlib.contextmanager
-def member_of(entry: RigDevice) -> Iterator[RigMember]:
-    """One device of a rig, closed; its double, where the rig wants one, runs until the end of the context.
-
-    Raises InputError where there is none to be made.
-    """
-    stands_in = stand_in(entry.driver.name, entry.config) if entry.double else contextlib.nullcontext(entry.make())
-    with stands_in as device:
-        yield RigMember(entry.name, entry.driver, device, simulated=entry.double, late_ns=entry.late_ns)
 
 
 class Interruption(threading.Event):

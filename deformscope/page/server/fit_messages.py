@@ -1,4 +1,4 @@
-"""What goes between a page and its server while a fit is set on it; part of `deformscope.page.messages`."""
+"""What goes between a page and its server while a fit is set on it; part of `deformscope.page.server.messages`."""
 
 from __future__ import annotations
 

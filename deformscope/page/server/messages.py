@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 
 import msgspec
 
-from deformscope.page.fit_messages import FitSettings, FitState
+from deformscope.page.server.fit_messages import FitSettings, FitState
 
 VERSION = 1
 """Of these messages. A page of another version is refused: it is to be loaded again."""

@@ -13,8 +13,8 @@ from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 from deformscope.frames import ArmFrame, HandFrame, TactileFrame, WrenchFrame
 from deformscope.log.rig.aligned import CONTACT_TIMELINE, AlignedSeries, aligned_rrd
-from deformscope.page.messages import Chapter, Playback
-from deformscope.page.server import RECORDING, PageServer
+from deformscope.page.server.messages import Chapter, Playback
+from deformscope.page.server.page_server import RECORDING, PageServer
 from deformscope.recording.item_rows import Row, read_rows
 from deformscope.recording.items import read_streams
 from deformscope.recording.reader import Replay
@@ -50,7 +50,7 @@ def align_on_page(first: Replay, second: Replay) -> tuple[PageServer, tuple[floa
     begins_ns = min(int(one.since_ns[0]) for one in series)
     ends_ns = max(int(one.since_ns[-1]) for one in series)
     around = Chapter("around the contact", max(AROUND_NS[0], begins_ns), min(AROUND_NS[1], ends_ns))
-    page.desk.show(playback=Playback(CONTACT_TIMELINE, ends_ns, STEP_NS, (around,), from_ns=begins_ns))
+    page.session.show(playback=Playback(CONTACT_TIMELINE, ends_ns, STEP_NS, (around,), from_ns=begins_ns))
     page.open()
     print(page.where, file=sys.stderr, flush=True)
     return page, (contacts_s[0], contacts_s[1])

@@ -11,13 +11,12 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Literal, Protocol
 
-from deformscope.api.fit_beside import FitBeside
-from deformscope.api.page_devices import ShownDevices
-from deformscope.api.rigs import Interruption
 from deformscope.frames import HealthReport, NoteKind, SessionNote, Stream, host_ns
+from deformscope.interruption import Interruption
 from deformscope.log.rig_layout import RigLayout
-from deformscope.page.desk import Desk
-from deformscope.page.messages import (
+from deformscope.page.devices import ShownDevices
+from deformscope.page.fit_panel import FitPanel
+from deformscope.page.server.messages import (
     BeginEpisode,
     DiscardPart,
     EndEpisode,
@@ -30,6 +29,7 @@ from deformscope.page.messages import (
     TareDevice,
     WriteNote,
 )
+from deformscope.page.server.page_session import PageSession
 from deformscope.recording.lateness import RecordingError
 from deformscope.recording.losses import since
 from deformscope.recording.recent import RecentItems, end_with_recent, write_recent
@@ -162,7 +162,7 @@ class PageRecorder:
         ended: Interruption,
         recent: RecentItems | None = None,
         *,
-        fit: FitBeside,
+        fit: FitPanel,
         at_end: Path | None = None,
     ) -> None:
         self._make, self._next_file, self._ended = make, next_file, ended
@@ -179,13 +179,13 @@ class PageRecorder:
         self._failure: Exception | None = None
         self._shown: ShownDevices | None = None
         self.summaries: list[RecordingSummary] = []
-        # Held for moments alone: by the session as it hands over, by the page's server as it obeys.
+        # Held for moments alone: by the session as it hands over, by the page's server as it handles commands.
         self._lock = threading.RLock()
 
     @property
-    def desk(self) -> Desk:
+    def session(self) -> PageSession:
         assert self._watch.page is not None
-        return self._watch.page.desk
+        return self._watch.page.session
 
     def __enter__(self) -> PageRecorder:
         with ExitStack() as stack:
@@ -222,20 +222,20 @@ class PageRecorder:
     # As a session's recorder -----------------------------------------------------------------------------------------
 
     def start_source(self, source: RigSource, lossless: Sequence[str], stages: Sequence[tuple[str, str]]) -> None:
-        """From here on these devices are recorded, and commands are obeyed."""
+        """From here on these devices are recorded, and commands are handled."""
         self._source, self._streams, self._lossless, self._stages = source, source.streams, lossless, stages
         layout = RigLayout(self._streams, tuple(stages))
         self._watch.start(layout, source.start_ns, lossless)
         if self._take is not None:
             self._take.recorder.start(layout, source.start_ns, lossless)
             self._take.begun = True
-        self._shown = ShownDevices(self.desk, self._streams)
+        self._shown = ShownDevices(self.session, self._streams)
         tares = tuple(stream.device for stream in self._streams if hasattr(source.device(stream.device), "zero"))
-        self.desk.attend(self)
-        self.desk.show(tares=tares)
+        self.session.bind(self)
+        self.session.show(tares=tares)
         self._enter()
         assert self._watch.page is not None
-        self._fit.attend(self._watch.page, self._streams, self._found)
+        self._fit.bind(self._watch.page, self._streams, self._found)
 
     def write(self, items: object) -> None:
         """As `Recorder.write`."""
@@ -251,8 +251,8 @@ class PageRecorder:
                 except RecordingError as error:
                     self._lose_file(self._take, error)
         if isinstance(items, Sequence) and self._shown is not None:
-            self._fit.saw(items)
-            self._shown.saw(items)
+            self._fit.on_items(items)
+            self._shown.on_items(items)
             if any(isinstance(item, HealthReport) for item in items):
                 self._show_file()
 
@@ -271,7 +271,7 @@ class PageRecorder:
         """It is ended with what it has, and what is watched goes on without one."""
         self._take, self._failure = None, error
         self._notes.lose_file()
-        self.desk.remark(f"the recording has ended: {error}", bad=True)
+        self.session.remark(f"the recording has ended: {error}", bad=True)
         say(f"deformscope: the recording has ended, the page goes on: {error}")
 
         def end() -> None:
@@ -287,16 +287,16 @@ class PageRecorder:
             changes: dict[str, Any] = {"held_s": None if self._recent is None else self._recent.held_s}
             if self._take is not None:
                 size = self._take.recorder.summary().bytes
-                lasted_s = self.desk.state.now_s - self.desk.state.recorded_since_s
+                lasted_s = self.session.state.now_s - self.session.state.recorded_since_s
                 free = shutil.disk_usage(self._take.path.parent).free
                 changes["recorded_bytes"] = size
                 changes["free_minutes"] = free / (ROOM * size / lasted_s) / 60.0 if size and lasted_s > 1.0 else None
-        self.desk.show(**changes)
+        self.session.show(**changes)
 
     # As a page's run -------------------------------------------------------------------------------------------------
 
-    def obey(self, command: PageCommand) -> tuple[Outcome, str]:
-        """As `PageRun.obey`."""
+    def handle(self, command: PageCommand) -> tuple[Outcome, str]:
+        """As `PageRun.handle`."""
         with self._lock:
             match command:
                 case StopRun():
@@ -330,26 +330,26 @@ class PageRecorder:
     def _enter(self) -> None:
         """Have the state say what goes on, and what can be asked for."""
         take = self._take
-        commands = ["stop", *(["tare"] if self.desk.state.tares else [])]
+        commands = ["stop", *(["tare"] if self.session.state.tares else [])]
         if take is None:
             # stages begin with the first frame: a file that begins later could not be replayed with them
             commands += [] if self._stages or self._work.busy & {"file"} else ["start-recording"]
             commands += [] if self._recent is None or self._work.busy & {"the last seconds"} else ["keep-recent"]
-            self.desk.enter("live", recording="", episode="", commands=tuple(commands), free_minutes=None)
+            self.session.enter("live", recording="", episode="", commands=tuple(commands), free_minutes=None)
             return
         commands += ["write-note", "discard", "begin-episode", *(["end-episode"] if self._notes.episode else [])]
         commands += [] if self._stages else ["stop-recording"]
         changes: dict[str, Any] = {"commands": tuple(commands), "episode": self._notes.episode}
-        if self.desk.state.recording == str(take.path):
-            self.desk.enter("recording", **changes)
+        if self.session.state.recording == str(take.path):
+            self.session.enter("recording", **changes)
         else:
-            self.desk.recording_began(str(take.path), **changes)
+            self.session.recording_began(str(take.path), **changes)
 
     def _found(self, words: str) -> None:
         """What a fit found is said, and a note in what is recorded."""
         with self._lock:
             self._notes.note("note", words)
-        self.desk.remark(words)
+        self.session.remark(words)
 
     def _taken_notes(self) -> list[SessionNote]:
         notes = self._notes.take()
@@ -393,7 +393,7 @@ class PageRecorder:
 
     def _add_summary(self, summary: RecordingSummary) -> None:
         self.summaries.append(summary)
-        self.desk.remark(f"recorded {summary.path} ({summary.bytes / 1e6:.1f} MB)")
+        self.session.remark(f"recorded {summary.path} ({summary.bytes / 1e6:.1f} MB)")
 
     def _keep_recent(self) -> tuple[Outcome, str]:
         assert self._recent is not None
@@ -418,8 +418,8 @@ class PageRecorder:
         return "begun", f"the last {held_s:.1f} s go into {path}"
 
     def _tare(self, name: str) -> tuple[Outcome, str]:
-        if name not in self.desk.state.tares or self._source is None:
-            return "refused", f"expected one of {', '.join(self.desk.state.tares)}; got {name}"
+        if name not in self.session.state.tares or self._source is None:
+            return "refused", f"expected one of {', '.join(self.session.state.tares)}; got {name}"
         if name in self._work.busy:
             return "refused", f"{name} is being tared"
         device: Any = self._source.device(name)
@@ -430,16 +430,16 @@ class PageRecorder:
                 self._notes.note("tare", name)
                 if self._shown is not None:
                     self._shown.tared(name)
-            self.desk.remark(f"{name}: tared")
+            self.session.remark(f"{name}: tared")
 
         self._work.start(name, tare)
         return "begun", f"{name}: its load is taken for zero; let nothing touch it"
 
     def _show_failure(self, what: str) -> None:
-        self.desk.remark(what, bad=True)
+        self.session.remark(what, bad=True)
 
     def _end_work(self, what: str) -> None:
         with self._lock:
             self._work.busy.discard(what)
-            if self.desk.state.phase != "stopped":
+            if self.session.state.phase != "stopped":
                 self._enter()

@@ -1,7 +1,7 @@
 // rerun's web viewer in the middle of the page, and the data to it.
 /* global wasm_bindgen */
 
-import { address } from "./desk.js";
+import { address } from "./session.js";
 
 const CHANNEL = "recording";
 const AGAIN_MS = 1000;

@@ -5,7 +5,7 @@ const AGAIN_MS = [200, 500, 1000, 2000];
 const ALIVE_EVERY_MS = 200;
 const UNLOADED_MS = 500; // so long a page that is loaded again may still hold its own name
 
-export class Desk {
+export class PageSession {
   #link = new Worker("link.js");
   #open = false;
   #id = 0;
@@ -46,7 +46,7 @@ export class Desk {
   }
 
   #connect() {
-    this.#link.postMessage({ connect: address("desk") });
+    this.#link.postMessage({ connect: address("session") });
   }
 
   #send(message) {

@@ -14,12 +14,11 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from deformscope.api.page_devices import ShownDevices
-from deformscope.api.rigs import Interruption
 from deformscope.arrays import FloatArray
 from deformscope.experiments.explore import ExplorationStopped, NextMove
-from deformscope.page.desk import Desk
-from deformscope.page.messages import (
+from deformscope.interruption import Interruption
+from deformscope.page.devices import ShownDevices
+from deformscope.page.server.messages import (
     ForceCurve,
     NextPlace,
     Outcome,
@@ -32,6 +31,7 @@ from deformscope.page.messages import (
     TouchPicked,
     VetoTouch,
 )
+from deformscope.page.server.page_session import PageSession
 from deformscope.robot.supervisor import Fault
 from deformscope.stages.map.exploration import (
     ExplorationStop,
@@ -56,7 +56,7 @@ class PageSteering:
 
     def __init__(
         self,
-        desk: Desk,
+        session: PageSession,
         ended: Interruption,
         clock: Callable[[], int],
         shown: ShownDevices | None = None,
@@ -67,7 +67,7 @@ class PageSteering:
         compliance_m_per_n: float,
         paused: bool = False,
     ) -> None:
-        self.desk = desk
+        self.session = session
         self._ended, self._clock = ended, clock
         self._arm, self._set_force_n, self._budget = arm, set_force_n, budget
         self._compliance_m_per_n = compliance_m_per_n
@@ -80,15 +80,15 @@ class PageSteering:
         self._permitted, self._what = False, ""
         self._shown = shown
         self._lock = threading.RLock()
-        desk.attend(self)
-        desk.enter("idle", "devices open, and are checked", commands=("stop",))
+        session.bind(self)
+        session.enter("idle", "devices open, and are checked", commands=("stop",))
 
     # Before it moves -------------------------------------------------------------------------------------------------
 
     def wait_for_permission(self, touches: str) -> None:
         """Ask on the page as well whether the arm may move. touches: how many, and of what force"""
         self._what = f"{self._arm} goes on by itself: {touches}"
-        self.desk.enter("idle", "press Explore: the arm begins once you confirm it", commands=("stop", "explore"))
+        self.session.enter("idle", "press Explore: the arm begins once you confirm it", commands=("stop", "explore"))
 
     def is_permitted(self) -> bool:
         """Whether somebody at the page has said so."""
@@ -110,7 +110,7 @@ class PageSteering:
             if plan is not None and plan.target_m is not None:
                 x_m, y_m = _floats(plan.target_m)
                 place = NextPlace(x_m, y_m, plan.reason)
-            self.desk.show(next_place=place)
+            self.session.show(next_place=place)
             choice: Future[NextMove] = Future()
             if self._paused:
                 self._choice = choice
@@ -125,15 +125,15 @@ class PageSteering:
             confirm: Future[bool] = Future()
             self._confirm = confirm
             curve = curve_of(forecast)
-            self.desk.show(curve=curve)
+            self.session.show(curve=curve)
             place = f"({100 * curve.x_m:.1f}, {100 * curve.y_m:.1f}) cm"
             what = f"{self._arm} goes to {place} and presses with {self._set_force_n:g} N, along the normal there"
-            self.desk.ask(what, self._confirmed, self._let_be)
+            self.session.ask(what, self._confirmed, self._let_be)
             return confirm
 
     def refuse(self, reason: str) -> None:
         """As `Steering.refuse`."""
-        self.desk.remark(f"no touch there: {reason}", bad=True)
+        self.session.remark(f"no touch there: {reason}", bad=True)
 
     def look(self) -> None:
         """As `Steering.look`."""
@@ -148,19 +148,19 @@ class PageSteering:
 
     def reason_to_stand(self) -> str:
         """In each control period of a motion: why it may not go on, where nobody watches what they confirmed."""
-        return self.desk.absent() if self._by_hand else ""
+        return self.session.absent() if self._by_hand else ""
 
-    def saw(self, results: Sequence[object]) -> None:
+    def on_results(self, results: Sequence[object]) -> None:
         """What the loop found."""
         for result in results:
-            if isinstance(result, TouchEstimate) and (curve := self.desk.state.curve) is not None:
+            if isinstance(result, TouchEstimate) and (curve := self.session.state.curve) is not None:
                 near = np.hypot(result.xyz_m[0] - curve.x_m, result.xyz_m[1] - curve.y_m) < 1e-3
                 shown = felt_beside(curve, result, self._compliance_m_per_n) if near else None
-                self.desk.show(curve=shown)
+                self.session.show(curve=shown)
             elif isinstance(result, SteeringDecision) and result.kind == "held":
                 with self._lock:
                     self._paused = True
-                self.desk.remark(f"the touch was broken off, the arm stands: {result.reason}", bad=True)
+                self.session.remark(f"the touch was broken off, the arm stands: {result.reason}", bad=True)
 
     def show(self, doing: str) -> None:
         """What the robot does, in words."""
@@ -169,8 +169,8 @@ class PageSteering:
 
     # As `PageRun`, from the server -----------------------------------------------------------------------------------
 
-    def obey(self, command: PageCommand) -> tuple[Outcome, str]:
-        """As `PageRun.obey`."""
+    def handle(self, command: PageCommand) -> tuple[Outcome, str]:
+        """As `PageRun.handle`."""
         match command:
             case StopRun():  # first of all, and without waiting for any lock
                 self._ended.by = "from the page"
@@ -201,11 +201,11 @@ class PageSteering:
 
     def _start(self) -> tuple[Outcome, str]:
         if not self._permitted:
-            self.desk.ask(self._what, self._permit, self.desk.remark)
+            self.session.ask(self._what, self._permit, self.session.remark)
             return "begun", "waits for a confirm"
         left = max(self._budget - self._touches, 0)
         what = f"{self._arm} goes on touching by itself, {left} times more at most, with {self._set_force_n:g} N"
-        self.desk.ask(what, self._go_on, self.desk.remark)
+        self.session.ask(what, self._go_on, self.session.remark)
         return "begun", "waits for a confirm"
 
     def _permit(self) -> None:
@@ -244,12 +244,12 @@ class PageSteering:
             if self._confirm is not None:
                 self._confirm.set_result(False)
             self._confirm = None
-        self.desk.show(curve=None)
-        self.desk.remark(reason)
+        self.session.show(curve=None)
+        self.session.remark(reason)
 
     def _enter(self) -> None:
         """Have the state say what goes on, and what can be asked for."""
-        if not self._permitted or self.desk.state.phase == "stopped":
+        if not self._permitted or self.session.state.phase == "stopped":
             return
         commands = ["stop", "explore" if self._paused else "pause"]
         if self._paused and self._choice is not None:
@@ -257,12 +257,12 @@ class PageSteering:
             if self._plan is not None and self._plan.target_m is not None:
                 commands += ["touch-next", "veto"]
         if not self._paused:
-            self.desk.enter("exploring", commands=tuple(commands))
+            self.session.enter("exploring", commands=tuple(commands))
         elif self._choice is None:
-            self.desk.enter("paused", "what is under way ends first", commands=tuple(commands))
+            self.session.enter("paused", "what is under way ends first", commands=tuple(commands))
         else:
             what = f"press Explore, and the arm touches{' on' * bool(self._touches)} by itself; or choose a place"
-            self.desk.enter("paused", what, commands=tuple(commands))
+            self.session.enter("paused", what, commands=tuple(commands))
 
 
 def is_surface(entity: str) -> bool:

@@ -11,8 +11,7 @@ from contextlib import suppress
 import pytest
 from websockets.sync.client import connect
 
-from deformscope.page.desk import BEAT_S, CONFIRM_S, NEXT, Desk
-from deformscope.page.messages import (
+from deformscope.page.server.messages import (
     CancelMove,
     ConfirmMove,
     Outcome,
@@ -22,8 +21,9 @@ from deformscope.page.messages import (
     TareDevice,
     WriteNote,
 )
-from deformscope.page.server import PageServer
-from tests.page.pages import AtDesk, at_desk, netloc, root
+from deformscope.page.server.page_server import PageServer
+from deformscope.page.server.page_session import BEAT_S, CONFIRM_S, NEXT, PageSession
+from tests.page.pages import PageScript, netloc, page_script, root
 from tests.patience import PATIENCE_S
 
 
@@ -33,7 +33,7 @@ class Notebook:
     def __init__(self) -> None:
         self.notes: list[str] = []
 
-    def obey(self, command: PageCommand) -> tuple[Outcome, str]:
+    def handle(self, command: PageCommand) -> tuple[Outcome, str]:
         match command:
             case WriteNote():
                 self.notes.append(command.text)
@@ -47,14 +47,14 @@ class Notebook:
 @pytest.fixture
 def page() -> Iterator[PageServer]:
     with PageServer("bench") as server:
-        server.desk.enter("live", commands=("write-note", "tare", "stop"))
+        server.session.enter("live", commands=("write-note", "tare", "stop"))
         yield server
 
 
 def test_two_pages_see_the_same_and_one_steers(page: PageServer) -> None:
     notebook = Notebook()
-    page.desk.attend(notebook)
-    with at_desk(page, "a") as first, at_desk(page, "b") as second:
+    page.session.bind(notebook)
+    with page_script(page, "a") as first, page_script(page, "b") as second:
         for one in (first, second):
             state = one.until(lambda state: state["pages"] == 2)
             assert (state["title"], state["phase"], state["controls"]) == ("bench", "live", "a")
@@ -69,40 +69,40 @@ def test_two_pages_see_the_same_and_one_steers(page: PageServer) -> None:
         assert second.command("write-note", text="again") == ("done", "noted")
         assert first.command("stop") == ("done", "stopped")  # from any page
         assert notebook.notes == ["touched", "again"]
-    with at_desk(page, "c") as third:  # both are gone: whoever comes steers
+    with page_script(page, "c") as third:  # both are gone: whoever comes steers
         assert third.until(lambda state: state["controls"] == "c")["pages"] == 1
 
 
 def test_what_goes_on_beside_has_its_own_commands() -> None:
-    desk, main, aside = Desk("x"), Notebook(), Notebook()
-    desk.come("a")
-    desk.attend(main)
-    desk.enter("live", commands=("write-note", "stop"))
-    desk.attend_aside(aside)
-    desk.show_aside(("tare",))
-    assert desk.state.commands == ("write-note", "stop", "tare")
-    assert desk.command("a", WriteNote(1, "x")).outcome == "done"
-    assert desk.command("a", TareDevice(2, "tip")).words == "the sensor moves"
+    session, main, aside = PageSession("x"), Notebook(), Notebook()
+    session.come("a")
+    session.bind(main)
+    session.enter("live", commands=("write-note", "stop"))
+    session.bind_secondary(aside)
+    session.show_secondary(("tare",))
+    assert session.state.commands == ("write-note", "stop", "tare")
+    assert session.command("a", WriteNote(1, "x")).outcome == "done"
+    assert session.command("a", TareDevice(2, "tip")).words == "the sensor moves"
     assert (main.notes, aside.notes) == (["x"], [])
-    desk.enter("live", commands=("stop",))  # the one does not know of the other
-    assert list(desk.state.commands) == ["stop", "tare"]
-    desk.show_aside(("write-note",), reason="beside")
-    assert desk.command("a", WriteNote(3, "y")).outcome == "done"
-    assert (desk.state.reason, aside.notes) == ("beside", ["y"])
-    desk.enter("stopped")
-    desk.show_aside(("tare",))
-    assert not desk.state.commands
+    session.enter("live", commands=("stop",))  # the one does not know of the other
+    assert list(session.state.commands) == ["stop", "tare"]
+    session.show_secondary(("write-note",), reason="beside")
+    assert session.command("a", WriteNote(3, "y")).outcome == "done"
+    assert (session.state.reason, aside.notes) == ("beside", ["y"])
+    session.enter("stopped")
+    session.show_secondary(("tare",))
+    assert not session.state.commands
 
 
 def test_through_a_forwarded_port(page: PageServer) -> None:
     """As by ssh -L: the browser's Host and Origin have another port than the server."""
-    page.desk.attend(Notebook())
+    page.session.bind(Notebook())
     with socket.create_server(("127.0.0.1", 0)) as near:
         threading.Thread(target=forward, args=(near, int(netloc(page).split(":")[1])), daemon=True).start()
         other = f"127.0.0.1:{near.getsockname()[1]}"
-        address = f"ws://{other}{root(page)}desk"
+        address = f"ws://{other}{root(page)}session"
         with connect(address, origin=f"http://{other}", proxy=None) as websocket:  # type: ignore[arg-type]
-            assert AtDesk(websocket, "far").command("write-note", text="from afar") == ("done", "noted")
+            assert PageScript(websocket, "far").command("write-note", text="from afar") == ("done", "noted")
 
 
 def forward(near: socket.socket, port: int) -> None:
@@ -123,26 +123,26 @@ def forward(near: socket.socket, port: int) -> None:
 
 
 def test_what_a_command_cannot_do_is_said(page: PageServer) -> None:
-    with at_desk(page, "a") as one:
+    with page_script(page, "a") as one:
         assert one.command("write-note", text="x")[0] == "refused"  # nothing attends yet
-        page.desk.attend(Notebook())
+        page.session.bind(Notebook())
         assert one.command("tare", device="tip") == ("refused", "the sensor moves")
         assert one.command("start-recording") == (
             "refused",
             "no start-recording while it is live; possible: write-note, tare, stop",
         )
-        page.desk.enter("stopped", "by Ctrl-C")
+        page.session.enter("stopped", "by Ctrl-C")
         assert one.until(lambda state: state["phase"] == "stopped")["commands"] == []
         assert one.command("write-note", text="x") == ("refused", "it has stopped: by Ctrl-C")
 
 
 def test_answers_come_at_once(page: PageServer) -> None:
     """Also while the state changes all the time; the median of many, as others have the machine too."""
-    page.desk.attend(Notebook())
-    with at_desk(page, "a") as one:
+    page.session.bind(Notebook())
+    with page_script(page, "a") as one:
         took = []
         for number in range(50):
-            page.desk.remark(f"number {number}")
+            page.session.remark(f"number {number}")
             began = time.monotonic()
             one.command("write-note", text="x")
             took.append(time.monotonic() - began)
@@ -152,51 +152,51 @@ def test_answers_come_at_once(page: PageServer) -> None:
 def test_no_phase_follows_that_may_not() -> None:
     for phase, following in NEXT.items():
         for other in NEXT:
-            desk = Desk()
+            session = PageSession()
             way = {"idle": [], "paused": ["exploring", "paused"]}.get(phase, [phase])
             for step in way:
-                desk.enter(step)  # type: ignore[arg-type]
+                session.enter(step)  # type: ignore[arg-type]
             if other in following or other == phase:
-                desk.enter(other)
-                assert desk.state.phase == other
+                session.enter(other)
+                assert session.state.phase == other
             else:
                 with pytest.raises(ValueError, match="does not follow"):
-                    desk.enter(other)
+                    session.enter(other)
 
 
 def test_remarks_are_the_newest() -> None:
-    desk = Desk()
+    session = PageSession()
     for number in range(1000):
-        desk.remark(f"number {number}", bad=number == 999)
-    remarks = desk.state.remarks
+        session.remark(f"number {number}", bad=number == 999)
+    remarks = session.state.remarks
     assert len(remarks) == 50
     assert (remarks[-1].number, remarks[-1].words, remarks[-1].bad) == (1000, "number 999", True)
 
 
 class Moves:
-    """What waits for a confirm at a desk whose time is set by hand, with two pages at it; `a` has the controls."""
+    """What waits for a confirm at a session whose time is set by hand, with two pages at it; `a` has the controls."""
 
     def __init__(self) -> None:
         self.now_s = 100.0
         self.happened: list[str] = []
-        self.desk = Desk(clock=lambda: self.now_s)
-        self.desk.come("a")
-        self.desk.come("b")
-        self.desk.enter("paused")
+        self.session = PageSession(clock=lambda: self.now_s)
+        self.session.come("a")
+        self.session.come("b")
+        self.session.enter("paused")
         self.ask()
         for page in ("a", "b"):
-            self.desk.beat(page, visible=True)
+            self.session.beat(page, visible=True)
 
     def ask(self) -> int:
         """The number of a move that waits from now on."""
-        self.desk.ask("the arm", lambda: self.happened.append("moved"), self.happened.append)
-        assert self.desk.state.pending is not None
-        return self.desk.state.pending.number
+        self.session.ask("the arm", lambda: self.happened.append("moved"), self.happened.append)
+        assert self.session.state.pending is not None
+        return self.session.state.pending.number
 
     def say(
         self, page: str, number: int, kind: type[ConfirmMove | CancelMove | SeeMove] = ConfirmMove
     ) -> tuple[str, str]:
-        reply = self.desk.command(page, kind(1, number))
+        reply = self.session.command(page, kind(1, number))
         return reply.outcome, reply.words
 
 
@@ -208,13 +208,13 @@ def test_a_move_waits_for_its_confirm() -> None:
     assert moves.say("a", 1) == ("done", "the arm")
     assert moves.say("a", 1)[0] == "refused"  # once, and no more
     assert moves.happened == ["moved"]
-    assert moves.desk.state.pending is None
+    assert moves.session.state.pending is None
 
 
 def test_a_confirm_expires() -> None:
     moves = Moves()
     moves.now_s += CONFIRM_S
-    moves.desk.beat("a", visible=True)
+    moves.session.beat("a", visible=True)
     assert moves.say("a", 1) == ("refused", "it was to be confirmed within 10 s: nothing moves")
     assert moves.happened == ["not confirmed within 10 s: nothing moved"]
 
@@ -223,36 +223,36 @@ def test_the_time_of_a_question_counts_from_when_it_was_drawn_once() -> None:
     """A page that is busy draws it late; whoever then has 10 s to read it has no more."""
     moves = Moves()
     moves.now_s += CONFIRM_S + 5.0
-    moves.desk.beat("a", visible=True)
+    moves.session.beat("a", visible=True)
     assert moves.say("b", 1, SeeMove)[0] == "refused"  # it does not steer
     assert moves.say("a", 1, SeeMove)[0] == "done"
     moves.now_s += CONFIRM_S - 0.1
     assert moves.say("a", 1, SeeMove)[0] == "refused"  # seen before
-    moves.desk.beat("a", visible=True)
+    moves.session.beat("a", visible=True)
     assert moves.say("a", 1) == ("done", "the arm")
     moves.ask()
     assert moves.say("a", 2, SeeMove)[0] == "done"
     moves.now_s += CONFIRM_S
-    moves.desk.beat("a", visible=True)
+    moves.session.beat("a", visible=True)
     assert moves.say("a", 2)[0] == "refused"
     assert moves.happened == ["moved", "not confirmed within 10 s: nothing moved"]
 
 
 def test_what_nobody_answers_is_let_be(monkeypatch: pytest.MonkeyPatch) -> None:
     """Seen or not, by itself; the one who waits next is not."""
-    monkeypatch.setattr("deformscope.page.desk.UNSEEN_S", 0.05)
-    monkeypatch.setattr("deformscope.page.desk.CONFIRM_S", 0.2)
+    monkeypatch.setattr("deformscope.page.server.page_session.UNSEEN_S", 0.05)
+    monkeypatch.setattr("deformscope.page.server.page_session.CONFIRM_S", 0.2)
     let_be = [threading.Event() for _ in range(2)]
-    desk = Desk()
-    desk.come("a")
-    desk.enter("paused")
+    session = PageSession()
+    session.come("a")
+    session.enter("paused")
     for number, waits in enumerate(let_be, 1):
-        desk.ask("the arm", lambda: None, lambda reason, waits=waits: waits.set())  # type: ignore[misc]
+        session.ask("the arm", lambda: None, lambda reason, waits=waits: waits.set())  # type: ignore[misc]
         if number == 2:
-            assert desk.command("a", SeeMove(1, number)).outcome == "done"
+            assert session.command("a", SeeMove(1, number)).outcome == "done"
             assert not waits.wait(0.06)  # as long as what nobody has seen
         assert waits.wait(PATIENCE_S)
-        assert desk.state.pending is None
+        assert session.state.pending is None
 
 
 def test_nothing_else_moves_by_a_confirm() -> None:
@@ -262,7 +262,7 @@ def test_nothing_else_moves_by_a_confirm() -> None:
     assert moves.say("a", 1)[0] == "refused"
     assert moves.say("a", 2, CancelMove) == ("done", "nothing moves")
     assert moves.ask() == 3
-    moves.desk.command("b", TakeControls(1))
+    moves.session.command("b", TakeControls(1))
     assert moves.say("b", 3)[0] == "refused"
     assert moves.happened == [
         "another move was asked for",
@@ -275,34 +275,34 @@ def test_a_page_that_is_not_there_confirms_nothing() -> None:
     moves = Moves()
     moves.now_s += BEAT_S + 0.01
     assert moves.say("a", 1)[0] == "refused"
-    moves.desk.beat("a", visible=False)
+    moves.session.beat("a", visible=False)
     assert moves.say("a", 1) == ("refused", "the page that has the controls is hidden")
-    moves.desk.beat("a", visible=True)
+    moves.session.beat("a", visible=True)
     assert moves.say("a", 1)[0] == "done"
 
 
 def test_whether_the_page_that_steers_is_there() -> None:
     moves = Moves()
-    desk = moves.desk
-    assert desk.absent() == ""
+    session = moves.session
+    assert session.absent() == ""
     moves.now_s += BEAT_S - 0.01
-    assert desk.absent() == ""
+    assert session.absent() == ""
     moves.now_s += 0.02
-    assert desk.absent() == "no heartbeat of the page for 310 ms"
-    desk.beat("b", visible=True)
-    assert desk.absent() != ""  # it does not steer
-    desk.command("b", TakeControls(1))
-    assert desk.absent() == ""
-    desk.leave("b")
-    assert desk.absent() == "no page has the controls"
+    assert session.absent() == "no heartbeat of the page for 310 ms"
+    session.beat("b", visible=True)
+    assert session.absent() != ""  # it does not steer
+    session.command("b", TakeControls(1))
+    assert session.absent() == ""
+    session.leave("b")
+    assert session.absent() == "no page has the controls"
 
 
 def test_heartbeats_get_no_answer(page: PageServer) -> None:
-    page.desk.attend(Notebook())
-    with at_desk(page, "a") as one:
+    page.session.bind(Notebook())
+    with page_script(page, "a") as one:
         one.beat()
         assert one.command("write-note", text="x") == ("done", "noted")
-        assert page.desk.absent() == ""
+        assert page.session.absent() == ""
         one.beat(visible=False)
         one.command("write-note", text="x")
-        assert page.desk.absent() == "the page that has the controls is hidden"
+        assert page.session.absent() == "the page that has the controls is hidden"

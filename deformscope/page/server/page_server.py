@@ -3,7 +3,7 @@
 /TOKEN/               the page, its script and style, all of it known by name before the first request
 /TOKEN/re_viewer...   rerun's web viewer out of the installed wheel
 /TOKEN/recording.rrd  the recording that is played, where one is
-/TOKEN/desk           websocket: the state to the page, commands from it (`deformscope.page.messages`)
+/TOKEN/session           websocket: the state to the page, commands from it (`deformscope.page.server.messages`)
 /TOKEN/data           websocket: pieces of the recording to the viewer in the page, `Drawn` from it
 """
 
@@ -34,11 +34,11 @@ from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from deformscope.errors import InputError
-from deformscope.page.desk import Desk
-from deformscope.page.guard import Guard, GuardedProtocol
-from deformscope.page.messages import LONGEST_MESSAGE, VERSION, Beat, Drawn, Hello, PageCommand, PieceBatch
-from deformscope.page.pieces import PageReader, Pieces
-from deformscope.page.viewer_files import LOOPBACK, NAMES, ViewerFiles
+from deformscope.page.server.guard import Guard, GuardedProtocol
+from deformscope.page.server.messages import LONGEST_MESSAGE, VERSION, Beat, Drawn, Hello, PageCommand, PieceBatch
+from deformscope.page.server.page_session import PageSession
+from deformscope.page.server.pieces import PageReader, Pieces
+from deformscope.page.server.viewer_files import LOOPBACK, NAMES, ViewerFiles
 
 TYPES = {".html": "text/html", ".css": "text/css", ".js": "text/javascript", ".svg": "image/svg+xml"}
 RECORDING = "recording.rrd"
@@ -58,19 +58,19 @@ MessageT = TypeVar("MessageT")
 class PageServer:
     """`with PageServer("lab:bench") as page: print(page.address)`.
 
-    desk: the state that pages show, and the commands they give; pieces: data for the viewer in them
+    session: the state that pages show, and the commands they give; pieces: data for the viewer in them
     recording: a file that they play instead; adjusting: they show a fit that is set on them
     """
 
     def __init__(self, title: str = "", recording: Path | None = None, *, adjusting: bool = False) -> None:
-        self.desk = Desk(title)
+        self.session = PageSession(title)
         self.pieces = Pieces()
         self.address = ""
         self._token = secrets.token_urlsafe(24)
         self._viewer_files = ViewerFiles()
         self._static = {
             file.name: (file.read_bytes(), TYPES["." + file.name.rsplit(".", 1)[1]])
-            for file in (resources.files("deformscope.page") / "static").iterdir()
+            for file in (resources.files("deformscope.page.server") / "static").iterdir()
         }
         self._offered: dict[str, tuple[bytes, str]] = {}
         self._recording = recording
@@ -79,7 +79,7 @@ class PageServer:
         self._static["index.html"] = page.replace(b"<body>", f"<body {marks}".strip().encode() + b">"), media_type
         self._server: uvicorn.Server | None = None
         self._thread: threading.Thread | None = None
-        self._desks: set[WebSocket] = set()
+        self._sessions: set[WebSocket] = set()
         self._viewers: set[WebSocket] = set()
 
     @property
@@ -124,7 +124,7 @@ class PageServer:
     def close(self) -> None:
         """Serve no longer."""
         if self._server is not None and self._thread is not None:
-            if self._desks:
+            if self._sessions:
                 time.sleep(2 * STATE_EVERY_S)  # they get the last state: why it stopped
             self._server.should_exit = True
             self._thread.join(STOP_S)
@@ -135,11 +135,11 @@ class PageServer:
 
     def _app(self) -> Guard:
         routes = [
-            Route("/desk", _only_websocket),
+            Route("/session", _only_websocket),
             Route("/data", _only_websocket),
             Route("/{name}", self._file),
             Route("/", self._file),
-            WebSocketRoute("/desk", self._serve_desk),
+            WebSocketRoute("/session", self._serve_session),
             WebSocketRoute("/data", self._serve_data),
         ]
         app = Starlette(routes=routes)
@@ -164,44 +164,44 @@ class PageServer:
         try:
             size = await asyncio.to_thread(self._viewer_files.size, name)
         except (OSError, InputError) as error:
-            self.desk.remark(f"no viewer: {error}", bad=True)
+            self.session.remark(f"no viewer: {error}", bad=True)
             return PlainTextResponse("no viewer\n", 503)
         headers = {"content-length": str(size), "cache-control": VIEWER_KEPT}
         return StreamingResponse(self._viewer_files.parts(name), media_type=NAMES[name], headers=headers)
 
     # State and commands ----------------------------------------------------------------------------------------------
 
-    async def _serve_desk(self, websocket: WebSocket) -> None:
-        if len(self._desks) >= MOST_PAGES:
+    async def _serve_session(self, websocket: WebSocket) -> None:
+        if len(self._sessions) >= MOST_PAGES:
             await websocket.close(TOO_MANY)
             return
-        async with _served(websocket, self._desks):
+        async with _served(websocket, self._sessions):
             async with asyncio.timeout(HELLO_S):
                 hello = await _received(websocket, _HELLO)
             if hello.version != VERSION:
                 await websocket.close(OTHER_VERSION, "load the page again")
                 return
-            self.desk.come(hello.page)
+            self.session.come(hello.page)
             try:
-                await _first_of(self._send_states(websocket), self._obey(websocket, hello.page))
+                await _first_of(self._send_states(websocket), self._dispatch(websocket, hello.page))
             finally:
-                self.desk.leave(hello.page)
+                self.session.leave(hello.page)
 
     async def _send_states(self, websocket: WebSocket) -> None:
-        with _news(self.desk.watch) as changed:
+        with _news(self.session.watch) as changed:
             while True:
                 changed.clear()
-                await websocket.send_text(_encoded(self.desk.state))
+                await websocket.send_text(_encoded(self.session.state))
                 await asyncio.sleep(STATE_EVERY_S)
                 await changed.wait()
 
-    async def _obey(self, websocket: WebSocket, page: str) -> None:
+    async def _dispatch(self, websocket: WebSocket, page: str) -> None:
         while True:
             command = await _received(websocket, _COMMAND)
             if isinstance(command, Beat):
-                self.desk.beat(page, visible=command.visible)
+                self.session.beat(page, visible=command.visible)
                 continue
-            reply = self.desk.command(page, command)
+            reply = self.session.command(page, command)
             await websocket.send_text(_encoded(reply))
 
     # Data ------------------------------------------------------------------------------------------------------------

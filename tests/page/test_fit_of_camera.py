@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import threading
 from concurrent.futures import Executor, Future
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +15,6 @@ import pytest
 
 pytest.importorskip("rerun")
 
-from deformscope.api import camera_fitting, live_camera
-from deformscope.api.camera_fitting import CameraFitting
-from deformscope.api.live_camera import CameraSubject, camera_of
 from deformscope.arrays import ImageArray
 from deformscope.cli import main
 from deformscope.config import BetaConfig
@@ -25,13 +22,18 @@ from deformscope.config.calibrate import MotionFlags
 from deformscope.config.images import ImageOptions
 from deformscope.errors import InputError
 from deformscope.images import read_image
-from deformscope.page.desk import Desk
-from deformscope.page.messages import FollowCamera, HoldPicture, RunFit, TakeRest
-from deformscope.page.server import PageServer, running_pages
+from deformscope.page import fit as page_fit
+from deformscope.page import fit_command, fit_process
+from deformscope.page.fit import PageFit
+from deformscope.page.fit_command import set_on_page
+from deformscope.page.fit_source import FollowedCamera, ImagesSubject
+from deformscope.page.server.messages import FollowCamera, HoldPicture, RunFit, TakeRest
+from deformscope.page.server.page_server import PageServer, end_pages, running_pages
+from deformscope.page.server.page_session import PageSession
 from deformscope.session import Inline
 from deformscope.stages.msm.quiet import quiet_warp
-from tests.api.test_page_fitting import Watched, beta_of, going_on, typed
-from tests.page.pages import at_desk
+from tests.page.pages import page_script
+from tests.page.test_fit import Watched, beta_of, going_on, in_this_process, typed
 from tests.patience import PATIENCE_S
 
 
@@ -47,32 +49,34 @@ def stretched(index: int) -> ImageArray:
 
 
 class Camera(Watched):
-    """A fit of pictures that a test gives. Its clock and its page's heartbeat are the test's."""
+    """A fit of pictures that a test gives. before: what was shown as the last of them came"""
 
     def __init__(self, folder: Path, beside: Executor | None = None) -> None:
-        self.now_s, self.files, self._changed = 0.0, {}, threading.Condition()
-        self.desk = Desk("test", lambda: self.now_s)
-        self.desk.watch(self._change)
-        self.desk.come("a")
+        self.files, self._changed = {}, threading.Condition()
+        self.session = PageSession("test")
+        self.session.watch(self._change)
         quiet_warp()
         config = beta_of(Path("rig.toml"), images=ImageOptions(roi=(6, 5, 88, 105), grid=(5, 4)))
-        self.subject = CameraSubject("side", "dis", beside or Inline(), lambda: folder)
-        self.subject.saw(stretched(0))
-        self.subject.begin(lambda: "")
-        self.fitting = CameraFitting(self.desk, config, self.subject, self._offer)
+        self.wants = 0
+        self.camera = FollowedCamera("side", stretched(0), "dis", beside or Inline(), lambda: folder, self._want)
+        self.camera.request(lambda: None)
+        subject = ImagesSubject(self.camera.motion())
+        self.fitting = PageFit(config, subject, self._take, self.camera, keeps_last=True)
         self._began = self.fitting.state.settings
 
+    def _want(self) -> None:
+        self.wants += 1
+
     def see(self, index: int) -> ImageArray:
-        image = stretched(index)
-        self.subject.saw(image)
+        shown = self.session.state.fit
+        assert shown is not None
+        self.before, image = shown.pictures, stretched(index)
+        self.camera.on_picture(image)
         return image
 
     def look(self) -> Any:
-        """Somebody has the page before him, from now on: the next picture that is shown."""
-        before = self.desk.state.fit
-        assert before is not None
-        self.desk.beat("a", visible=True)
-        return self.until(lambda fit: fit.pictures != before.pictures)
+        """The state once that picture is shown."""
+        return self.until(lambda fit: fit.pictures != self.before)
 
 
 def camera(folder: Path, beside: Executor | None = None) -> AbstractContextManager[Camera]:
@@ -84,19 +88,18 @@ def test_what_is_held_is_what_its_command_line_gives(tmp_path: Path, capsys: pyt
     with camera(kept) as one:
         began = one.until(lambda fit: fit.aee is not None)
         assert (began.camera, began.following, began.command) == ("side", True, "")
-        assert not one.fitting.drawn_ms
         newest = one.see(3)
         followed = one.look()
         assert followed.command == ""  # nobody has these pictures
         assert len(followed.values) == len(followed.errors) == 13
         one.set(4, beta=0.37)
         one.until(lambda fit: fit.number == 4)
-        one.fitting.obey(HoldPicture(0))
+        one.fitting.handle(HoldPicture(0))
         held = one.until(lambda fit: not fit.following and fit.command)
         one.see(5)  # it goes on, and what is held stays
-        assert set(one.desk.state.commands) >= {"follow-camera", "run-fit"}
-        assert not {"take-rest", "hold-picture"} & set(one.desk.state.commands)
-        one.fitting.obey(RunFit(0))
+        assert set(one.session.state.commands) >= {"follow-camera", "run-fit"}
+        assert not {"take-rest", "hold-picture"} & set(one.session.state.commands)
+        one.fitting.handle(RunFit(0))
         found = one.until(lambda fit: fit.found is not None).found
     assert held.pictures == followed.pictures
     assert (read_image(kept / "rest-1.png") == stretched(0)).all()
@@ -113,9 +116,9 @@ def test_a_whole_fit_and_the_end_hold_what_is_shown(tmp_path: Path) -> None:
         one.until(lambda fit: fit.aee is not None)
         one.see(2)
         one.look()
-        one.fitting.obey(RunFit(0))
+        one.fitting.handle(RunFit(0))
         assert one.until(lambda fit: fit.found is not None).following is False
-        one.fitting.obey(FollowCamera(0))
+        one.fitting.handle(FollowCamera(0))
         one.see(4)
         assert one.look().found is None
     assert one.fitting.result_config.sources == (str(tmp_path / "rest-2.png"), str(tmp_path / "now-2.png"))
@@ -127,21 +130,23 @@ def test_another_picture_can_be_the_one_at_rest(tmp_path: Path) -> None:
         one.until(lambda fit: fit.aee is not None)
         one.see(4)
         moved = one.look()
-        one.fitting.obey(TakeRest(0))
+        one.fitting.handle(TakeRest(0))
         assert one.until(lambda fit: fit.pictures != moved.pictures).aee < 1e-3 < moved.aee
 
 
 def test_a_curve_that_cannot_be_simulated_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    real = camera_fitting.simulate
+    real = page_fit.simulate
 
     def simulate(seen: Any, model: Any, values: Any, body: Any) -> Any:
+        if len(values) == 1:  # what is shown
+            return real(seen, model, values, body)
         raise ArithmeticError("a singular cluster")
 
-    monkeypatch.setattr(camera_fitting, "simulate", simulate)
+    monkeypatch.setattr(page_fit, "simulate", simulate)
     with camera(tmp_path) as one:
         fit = one.until(lambda fit: fit.aee is not None)
         assert (fit.problem, fit.values) == ("no error curve: a singular cluster", ())
-        monkeypatch.setattr(camera_fitting, "simulate", real)
+        monkeypatch.setattr(page_fit, "simulate", real)
         one.see(2)
         fit = one.look()
         assert (fit.problem, len(fit.values)) == ("", 13)
@@ -155,39 +160,38 @@ class Counting(Inline):
         return super().submit(*given, **named)
 
 
-def test_nothing_is_computed_for_nobody(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_picture_is_asked_for_and_computed_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     beside = Counting()
     one = Camera(tmp_path, beside)
-    monkeypatch.setattr("deformscope.api.camera_fitting.QUIET_S", 0.001)
-    assert beside.calls == 1  # to begin with
-    one.see(2)
-    for visible, calls in ((False, 1), (True, 2), (True, 2)):  # the newest is shown once
-        one.desk.beat("a", visible=visible)
+    monkeypatch.setattr(page_fit, "QUIET_S", 0.001)
+
+    def wait() -> tuple[int, int]:
         with one.fitting._news:
             one.fitting._wait()
-        assert beside.calls == calls
-    one.now_s += 1.0  # hidden, frozen or gone: not heard of
-    one.fitting._begin_step(whole=False)
-    one.see(3)
-    with one.fitting._news:
-        one.fitting._wait()
-    assert beside.calls == 2
+        one.fitting._follow(one.camera, holds=False)
+        return one.wants, beside.calls
+
+    assert (one.wants, beside.calls) == (1, 1)  # to begin with
+    assert wait() == (1, 1)  # no picture came
+    one.see(2)
+    assert wait() == (2, 2)
+    assert wait() == (2, 2)
+    assert one.fitting._wants_fit is False
 
 
 def test_what_cannot_be_computed_is_not_asked_for_again_and_again(tmp_path: Path) -> None:
     """A picture of another size, as a camera gives whose mode was changed."""
     beside = Counting()
     one = Camera(tmp_path, beside)
-    one.desk.beat("a", visible=True)
-    one.subject.saw(np.zeros((60, 60, 3), np.uint8))
+    one.camera.on_picture(np.zeros((60, 60, 3), np.uint8))
     for _ in range(3):
-        one.subject.ask(lambda: None)
-        one.fitting._begin_step(whole=False)
+        one.camera.request(lambda: None)
+        one.fitting._follow(one.camera, holds=False)
     assert "60x60 after 100x120" in one.fitting.state.problem
     assert beside.calls == 2
     one.see(3)
-    one.subject.ask(lambda: None)
-    one.fitting._begin_step(whole=False)
+    one.camera.request(lambda: None)
+    one.fitting._follow(one.camera, holds=False)
     assert (beside.calls, one.fitting.state.problem) == (3, "")
 
 
@@ -195,9 +199,9 @@ def test_a_folder_that_could_not_be_made_is_tried_again(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     one = Camera(tmp_path / "file" / "kept")
     with pytest.raises(InputError, match="a folder that can be written to"):
-        one.subject.keep()
+        one.camera.keep()
     (tmp_path / "file").unlink()
-    one.subject.keep()
+    one.camera.keep()
     assert sorted(path.name for path in (tmp_path / "file" / "kept").iterdir()) == ["now-1.png", "rest-1.png"]
 
 
@@ -205,7 +209,7 @@ def test_pictures_that_cannot_be_kept_are_said(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with camera(tmp_path / "file") as one:
         one.until(lambda fit: fit.aee is not None)
-        one.fitting.obey(HoldPicture(0))
+        one.fitting.handle(HoldPicture(0))
         shown = one.until(lambda fit: fit.problem)
         assert "cannot be kept" in shown.problem
         assert shown.following
@@ -224,7 +228,7 @@ def test_a_picture_is_never_shown_with_the_particles_of_another(tmp_path: Path) 
         assert (shown.observed, shown.simulated, shown.aee) == ((), (), None)
         one.set(2)
         assert one.until(lambda fit: fit.number == 2).observed
-        one.subject.saw(np.zeros((60, 60, 3), np.uint8))
+        one.camera.on_picture(np.zeros((60, 60, 3), np.uint8))
         assert "60x60 after 100x120" in one.until(lambda fit: fit.problem).problem
 
 
@@ -260,24 +264,41 @@ def test_a_rig_is_refused_where_nothing_can_be_set(tmp_path: Path, capsys: pytes
 
 
 def test_a_rigs_camera_alone_is_opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    class Beside(dict[str, Inline]):
-        def __init__(self, *given: object) -> None:
-            super().__init__(flow=Inline())
-
-        def __enter__(self) -> Beside:
-            return self
-
-        def __exit__(self, *raised: object) -> None: ...
-
-    monkeypatch.setattr(live_camera, "StageProcesses", Beside)
+    monkeypatch.setattr(fit_process, "beside", in_this_process)
+    monkeypatch.setattr(page_fit, "StageProcesses", lambda *given: nullcontext({"flow": Inline()}))
     arm = '[devices.tip]\ndriver = "optoforce"\nport = "/dev/none"\n'  # nothing of it is there
     config = BetaConfig((str(rig_of(tmp_path, arm, folder_camera(tmp_path))),))
-    with camera_of(config, lambda words, bad: None) as subject:
-        assert (subject.camera, subject.size_px) == ("side", (100.0, 120.0))
+
+    def finish() -> None:
+        with page_script(_page(), "a") as session:
+            fit = session.until(lambda state: state["fit"] and state["fit"]["aee"] is not None)["fit"]
+            assert (fit["camera"], fit["size_px"]) == ("side", [100.0, 120.0])
+            assert session.command("stop")[0] == "begun"
+
+    thread = threading.Thread(target=finish)
+    thread.start()
+    with set_on_page(config, lambda words: None) as (chosen, _):
+        thread.join(PATIENCE_S)
+        assert [Path(source).name for source in chosen.sources] == ["rest-1.png", "now-1.png"]
+    end_pages()
     with (
         pytest.raises(InputError, match="leave it out"),
-        camera_of(BetaConfig(("lab:bench",), motion=MotionFlags(whole_motion=True)), print),
+        set_on_page(BetaConfig(("lab:bench",), motion=MotionFlags(whole_motion=True)), print),
     ):
+        pass
+
+
+def test_a_camera_that_gives_nothing_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(fit_process, "beside", in_this_process)
+    monkeypatch.setattr(page_fit, "StageProcesses", lambda *given: nullcontext({"flow": Inline()}))
+    monkeypatch.setattr(fit_command, "picture_of", lambda item, camera: None)
+    rig = rig_of(tmp_path, folder_camera(tmp_path).replace("loop = true", "loop = false"))
+    with pytest.raises(InputError, match="come to its end"), set_on_page(BetaConfig((str(rig),)), print):
+        pass
+    monkeypatch.setattr(page_fit, "FIRST_S", 0.1)
+    (tmp_path / "other").mkdir()
+    rig = rig_of(tmp_path / "other", folder_camera(tmp_path / "other"))
+    with pytest.raises(InputError, match=r"none within 0\.1 s"), set_on_page(BetaConfig((str(rig),)), print):
         pass
 
 
@@ -295,12 +316,12 @@ def test_the_command_follows_a_camera(camera: str, tmp_path: Path, capsys: pytes
     status: list[int] = []
     thread = threading.Thread(target=lambda: status.append(main(words)))
     thread.start()
-    with at_desk(_page(), "a") as desk, desk.beating():
-        desk.until(lambda state: state["fit"] and state["fit"]["aee"])
-        assert desk.command("hold-picture")[0] == "begun"
-        fit = desk.until(lambda state: not state["fit"]["following"])["fit"]
-        assert desk.command("stop")[0] == "begun"
-        desk.until(lambda state: state["phase"] == "stopped")
+    with page_script(_page(), "a") as session, session.beating():
+        session.until(lambda state: state["fit"] and state["fit"]["aee"])
+        assert session.command("hold-picture")[0] == "begun"
+        fit = session.until(lambda state: not state["fit"]["following"])["fit"]
+        assert session.command("stop")[0] == "begun"
+        session.until(lambda state: state["phase"] == "stopped")
     thread.join(PATIENCE_S)
     assert status == [0], capsys.readouterr().err
     printed = capsys.readouterr()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -16,23 +16,23 @@ import pytest
 
 pytest.importorskip("rerun")
 
-from deformscope.api import fit_beside
-from deformscope.api.afar_fitting import AfarCamera, AfarDesk
-from deformscope.api.camera_fitting import CameraFitting
-from deformscope.api.fit_beside import FitBeside
 from deformscope.api.recordings import OpenRecording
 from deformscope.config import BetaConfig
 from deformscope.config.images import ImageOptions
+from deformscope.errors import InputError
 from deformscope.frames import ColorFrame, DepthFrame, Stream
-from deformscope.page.fit_messages import FitFound, FitSettings, FitState
-from deformscope.page.messages import CloseFit, HoldPicture, OpenFit, RunFit, StopRun, TakeRest
-from deformscope.page.server import PageServer
+from deformscope.page import fit as page_fit
+from deformscope.page import fit_process
+from deformscope.page.fit import run_fit
+from deformscope.page.fit_panel import FitPanel
+from deformscope.page.server.fit_messages import FitFound, FitSettings, FitState
+from deformscope.page.server.messages import CloseFit, HoldPicture, OpenFit, RunFit, StopRun, TakeRest
+from deformscope.page.server.page_server import PageServer
 from deformscope.session import Inline
-from deformscope.stages.msm.quiet import quiet_warp
 from deformscope_drivers.clock import Stamp
-from tests.api.test_camera_fitting import folder_camera, rig_of, stretched
-from tests.api.test_page_fitting import typed
-from tests.page.pages import at_desk
+from tests.page.pages import page_script
+from tests.page.test_fit import typed
+from tests.page.test_fit_of_camera import folder_camera, rig_of, stretched
 from tests.page.test_rig_on_page import WHOLE, started
 from tests.patience import PATIENCE_S
 
@@ -53,11 +53,11 @@ class Beside:
         self.page, self.found = PageServer("bench"), list[str]()
         self.pipes: list[Connection] = []
         self.configs: list[Any] = []
-        monkeypatch.setattr(fit_beside, "beside", self._process)
-        self.page.desk.come("a")
-        self.page.desk.enter("live", commands=("stop", "tare"))
-        self.fit = FitBeside("rig.toml", Path("runs"), "bench")
-        self.fit.attend(self.page, STREAMS, self.found.append)
+        monkeypatch.setattr(fit_process, "beside", self._process)
+        self.page.session.come("a")
+        self.page.session.enter("live", commands=("stop", "tare"))
+        self.fit = FitPanel("rig.toml", Path("runs"), "bench")
+        self.fit.bind(self.page, STREAMS, self.found.append)
 
     @contextmanager
     def _process(self, name: str, target: Any, *, makes_others: bool) -> Iterator[Connection]:
@@ -68,18 +68,20 @@ class Beside:
         ours.close()
 
     def ask(self, command: Any) -> tuple[str, str]:
-        reply = self.page.desk.command("a", command)
+        reply = self.page.session.command("a", command)
         return reply.outcome, reply.words
 
     def see(self, index: int, camera: str = "side") -> None:
-        self.fit.saw([ColorFrame(Stamp(index), index, np.full((2, 2, 3), index, np.uint8), camera), "another item"])
+        self.fit.on_items(
+            [ColorFrame(Stamp(index), index, np.full((2, 2, 3), index, np.uint8), camera), "another item"]
+        )
 
     def until(self, wanted: Any) -> Any:
         came = threading.Event()
-        end = self.page.desk.watch(lambda: came.set() if wanted(self.page.desk.state) else None)
-        assert wanted(self.page.desk.state) or came.wait(PATIENCE_S)
+        end = self.page.session.watch(lambda: came.set() if wanted(self.page.session.state) else None)
+        assert wanted(self.page.session.state) or came.wait(PATIENCE_S)
         end()
-        return self.page.desk.state
+        return self.page.session.state
 
     def opened(self, parameter: Any = "beta", camera: str | None = None) -> Connection:
         count = len(self.pipes)
@@ -113,15 +115,15 @@ STATE = FitState("images", "beta", FitSettings(roi=(1, 2, 3, 4)), camera="side",
 
 
 def test_pictures_go_where_they_are_wanted_and_looked_at(beside: Beside) -> None:
-    desk = beside.page.desk
-    assert list(desk.state.commands) == ["stop", "tare", "open-fit"]
+    session = beside.page.session
+    assert list(session.state.commands) == ["stop", "tare", "open-fit"]
     assert beside.ask(OpenFit(1, "beta", "tip"))[1] == "expected one of side, top, depth; got tip"
     assert beside.ask(HoldPicture(2))[0] == "refused"
     pipe = beside.opened()
-    assert desk.state.fit is not None
-    assert (desk.state.fit.camera, desk.state.fit.cameras) == ("side", ("side", "top", "depth"))
-    assert "takes some seconds" in desk.state.fit.busy
-    assert "set-fit" not in desk.state.commands
+    assert session.state.fit is not None
+    assert (session.state.fit.camera, session.state.fit.cameras) == ("side", ("side", "top", "depth"))
+    assert "takes some seconds" in session.state.fit.busy
+    assert "set-fit" not in session.state.commands
 
     fit = beside.fit._fit
     assert fit is not None
@@ -133,13 +135,19 @@ def test_pictures_go_where_they_are_wanted_and_looked_at(beside: Beside) -> None
         while not fit._wanted:
             threading.Event().wait(0.01)
 
-    desk.beat("a", visible=True)
-    beside.see(1)  # nobody asked for it
+    session.beat("a", visible=True)
+    beside.see(1)  # nobody asked for it yet; it begins with what it sees
+    assert not pipe.poll(0.05)
+    pipe.send(("want",))
+    assert received(pipe)[1][0, 0, 0] == 1
     wants()
-    assert list(desk.state.commands)[2:] == ["open-fit", "close-fit", "set-fit", "hold-picture", "take-rest"]
-    desk.beat("a", visible=False)
+    assert list(session.state.commands)[2:] == ["open-fit", "close-fit", "set-fit", "hold-picture", "take-rest"]
+    session.beat("a", visible=False)
     beside.see(2)  # nobody would look at it
-    desk.beat("a", visible=True)
+    session.beat("a", visible=True)
+    threading.Event().wait(session.state.beat_s + 0.1)
+    beside.see(2)  # frozen or gone: not heard of
+    session.beat("a", visible=True)
     beside.see(3, "top")  # another camera
     beside.see(4)
     beside.see(5)  # it asked for one
@@ -149,15 +157,15 @@ def test_pictures_go_where_they_are_wanted_and_looked_at(beside: Beside) -> None
     assert received(pipe) == ("command", TakeRest(3))
 
     assert beside.ask(CloseFit(4))[0] == "done"
-    assert desk.state.fit is None
-    assert list(desk.state.commands) == ["stop", "tare", "open-fit"]
+    assert session.state.fit is None
+    assert list(session.state.commands) == ["stop", "tare", "open-fit"]
     pipe.send(("want",))
     while not fit._wanted:
         threading.Event().wait(0.01)
     beside.see(6)
     assert beside.ask(OpenFit(5, "beta"))[0] == "done"  # it is as it was left
-    assert desk.state.fit is not None
-    assert desk.state.fit.number == 3
+    assert session.state.fit is not None
+    assert session.state.fit.number == 3
     beside.see(7)
     assert received(pipe)[1][0, 0, 0] == 7
     beside.ended()
@@ -170,10 +178,10 @@ def test_a_depth_cameras_colour_is_taken(beside: Beside) -> None:
     assert fit is not None
     while not fit._wanted:
         threading.Event().wait(0.01)
-    beside.page.desk.beat("a", visible=True)
+    beside.page.session.beat("a", visible=True)
     colour = np.full((2, 2, 3), 9, np.uint8)
     for image in (None, colour):
-        beside.fit.saw([DepthFrame(Stamp(0), 0, np.zeros((2, 2), np.uint16), 1e-3, image, device="depth")])
+        beside.fit.on_items([DepthFrame(Stamp(0), 0, np.zeros((2, 2), np.uint16), 1e-3, image, device="depth")])
     assert (received(pipe)[1] == colour).all()
     beside.ended()
 
@@ -183,7 +191,7 @@ def test_what_was_found_is_said_and_what_ends_it_too(beside: Beside, capsys: pyt
     pipe.send(("fit", STATE, ("set-fit",)))
     found = FitFound("deformscope x", 0.5, 0.4, 0.6, 0.9, 1.0, "weak")
     for busy in ("a", "b"):
-        pipe.send(("fit", msgspec.structs.replace(STATE, found=found, busy=busy), None))
+        pipe.send(("fit", msgspec.structs.replace(STATE, found=found, busy=busy), ("set-fit",)))
     beside.until(lambda state: state.fit is not None and state.fit.busy == "b")
     assert beside.found == ["fit of side: beta 0.5000, 0.400 to 0.600 (90%), weak: deformscope x"]
 
@@ -194,47 +202,41 @@ def test_what_was_found_is_said_and_what_ends_it_too(beside: Beside, capsys: pyt
     assert [one.images.roi for one in beside.configs] == [None, (1, 2, 3, 4)]
     assert [type(one).__name__ for one in beside.configs] == ["BetaConfig", "ThetaConfig"]
 
-    other.send(("ended", "no picture came"))
+    other.send(("end", InputError("pictures of the camera", "none")))
     other.close()
     state = beside.until(lambda state: state.remarks)
-    assert state.remarks[-1].words == "no fit of side any longer: no picture came"
+    assert state.remarks[-1].words == "no fit of side any longer: expected pictures of the camera; got none"
     beside.until(lambda state: state.fit is None)
     again = beside.opened("theta")
     again.close()
     beside.ended()
 
 
-def test_afar_it_is_the_same_fit(tmp_path: Path) -> None:
+def test_in_its_process_it_is_the_same_fit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """In a thread of this process."""
+    monkeypatch.setattr(page_fit, "StageProcesses", lambda *given: nullcontext({"flow": Inline()}))
     ours, theirs = Pipe()
     config = BetaConfig(("rig.toml",), images=ImageOptions(camera="side", roi=(6, 5, 88, 105), grid=(5, 4)))
-    quiet_warp()
-    camera, desk = AfarCamera(config, Inline(), lambda: tmp_path, theirs), AfarDesk(theirs)
-    assert received(ours) == ("want",)
-    assert not ours.poll()  # one at a time
-    camera.saw(stretched(0))
-    camera.begin(lambda: "")
-    fitting = CameraFitting(desk, config, camera, desk.offer)
-    fitting.keeps_last = False
-    assert desk.run is fitting
-    thread = threading.Thread(target=fitting.until_finished)
+    thread = threading.Thread(target=run_fit, args=(config, lambda: tmp_path, False, theirs))
     thread.start()
+    assert received(ours) == ("want",)
+    assert not ours.poll(0.05)  # one at a time
+    ours.send(("picture", stretched(0)))
 
     def until(wanted: Any) -> Any:
         while True:
             kind, *what = received(ours)
             if kind == "fit" and wanted(what[0]):
                 return what[0]
-            if kind == "want":
-                camera.saw(stretched(3))
 
     until(lambda fit: fit.aee and fit.aee < 1e-3)
+    ours.send(("picture", stretched(3)))
     until(lambda fit: fit.aee and fit.aee > 1e-3)
-    fitting.obey(RunFit(0))
-    assert until(lambda fit: fit.found).found.command.startswith(f"deformscope calibrate beta {tmp_path}")
+    ours.send(("command", RunFit(0)))
+    found = until(lambda fit: fit.found).found
+    assert found.command.startswith(f"deformscope calibrate beta {tmp_path}")
     files = sorted(tmp_path.iterdir())
     ours.close()  # nobody reads on
-    fitting.obey(StopRun(0))
     thread.join(PATIENCE_S)
     assert not thread.is_alive()
     assert sorted(tmp_path.iterdir()) == files  # only what was held is kept
@@ -244,7 +246,7 @@ def test_afar_it_is_the_same_fit(tmp_path: Path) -> None:
 def test_a_fit_is_set_while_a_rig_is_recorded(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     rig, file = rig_of(tmp_path, TIP, folder_camera(tmp_path)), tmp_path / "mine.rrd"
     with started("record", str(rig), "--record", str(file), folder=tmp_path) as command:
-        with at_desk(command.page, "a") as one, one.beating():
+        with page_script(command.page, "a") as one, one.beating():
             one.until(lambda state: "open-fit" in state["commands"])
             assert one.command("set-fit", number=1, settings={})[0] == "refused"
             assert one.command("open-fit", parameter="beta", camera="tip")[0] == "refused"

@@ -8,8 +8,8 @@ const STALE_S = 3;
 const MOST_CHANGES = 1000; // of so many, the newest, it is said how long they took to be seen
 const NEAR_PX = 12; // of the screen: a click so near to the first corner closes an outline
 
-// desk: gives commands; say: words that answer them; cover: whether a fit lies over the viewer
-export function startFitting(desk, say, cover) {
+// session: gives commands; say: words that answer them; cover: whether a fit lies over the viewer
+export function startFitting(session, say, cover) {
   const alone = document.body.dataset.fit !== undefined; // there is no viewer
   let parameter = "beta";
   let fit = null;
@@ -53,7 +53,7 @@ export function startFitting(desk, say, cover) {
     const sent = { number: ++number, since_ms: changed_ms };
     flight = sent;
     changed_ms = null;
-    const reply = await desk.command("set-fit", { number: sent.number, settings });
+    const reply = await session.command("set-fit", { number: sent.number, settings });
     if (reply.outcome === "refused" && flight === sent) {
       flight = null;
       say(`not set: ${reply.words}`);
@@ -64,7 +64,7 @@ export function startFitting(desk, say, cover) {
     const after_ms = performance.now() - sent.since_ms;
     waits_ms.push(after_ms);
     waits_ms.splice(0, waits_ms.length - MOST_CHANGES);
-    desk.command("fit-drawn", { number: sent.number, after_ms });
+    session.command("fit-drawn", { number: sent.number, after_ms });
     const rising = [...waits_ms].sort((a, b) => a - b);
     const share = (part) => rising[Math.min(rising.length - 1, Math.floor(part * rising.length))].toFixed(0);
     at("fit-waits").textContent = `slider to picture: p50 ${share(0.5)} ms, p95 ${share(0.95)} ms, ${rising.length} changes`;
@@ -491,7 +491,7 @@ export function startFitting(desk, say, cover) {
   }
   at("fit-cameras").addEventListener("change", async ({ target }) => {
     target.blur();
-    const reply = await desk.command("open-fit", { parameter, camera: target.value });
+    const reply = await session.command("open-fit", { parameter, camera: target.value });
     if (reply.outcome === "refused") {
       say(`not followed: ${reply.words}`);
     }
@@ -530,7 +530,7 @@ export function startFitting(desk, say, cover) {
   async function run() {
     running = flight !== null || changed_ms !== null;
     if (mine && !running) {
-      const reply = await desk.command("run-fit");
+      const reply = await session.command("run-fit");
       if (reply.outcome === "refused") {
         say(`not fitted: ${reply.words}`);
       }

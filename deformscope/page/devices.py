@@ -6,8 +6,8 @@ from collections.abc import Callable, Sequence
 
 from deformscope.arrays import ImageArray
 from deformscope.frames import ColorFrame, DepthFrame, HealthReport, LinkChange, SessionNote, Stream, WrenchFrame
-from deformscope.page.desk import Desk
-from deformscope.page.messages import DeviceState, DriftState
+from deformscope.page.server.messages import DeviceState, DriftState
+from deformscope.page.server.page_session import PageSession
 from deformscope.rig.drift import TareDrift
 from deformscope.session import SessionRecorder, Step
 from deformscope.stages.map.exploration import PhaseStart
@@ -26,30 +26,30 @@ class ShownDevices:
     touching: whether something may touch a force sensor, whose drift is then not known
     """
 
-    def __init__(self, desk: Desk, streams: Sequence[Stream]) -> None:
+    def __init__(self, session: PageSession, streams: Sequence[Stream]) -> None:
         self.touching = False
-        self._desk = desk
+        self._session = session
         self._streams = {stream.device: stream for stream in streams}
         self._drifts: dict[str, TareDrift] = {}
         self._said_s = -1e9
 
     def __call__(self, doing: str) -> None:
         """doing: what the robot does, in words; shown seldom enough for a control period"""
-        now_s = self._desk.state.now_s
+        now_s = self._session.state.now_s
         if now_s - self._said_s >= SHOW_EVERY_S:
             self._said_s = now_s
-            self._desk.show(reason=doing)
+            self._session.show(reason=doing)
 
-    def saw(self, items: Sequence[object]) -> None:
+    def on_items(self, items: Sequence[object]) -> None:
         """All that came, in order."""
         for item in items:
             if isinstance(item, HealthReport):
-                self._desk.show(devices=tuple(self._state(name, health) for name, health in item.devices))
+                self._session.show(devices=tuple(self._state(name, health) for name, health in item.devices))
             elif isinstance(item, WrenchFrame) and not self.touching:
                 self._drifts.setdefault(item.device, TareDrift()).add((item,))
             elif (remark := remark_of(item)) is not None:
                 words, bad = remark
-                self._desk.remark(words, bad=bad)
+                self._session.remark(words, bad=bad)
 
     def tared(self, device: str) -> None:
         """Its drift begins anew."""
@@ -104,7 +104,7 @@ class WatchedDevices:
                     self._line("")
                     say(remark[0])
             if self._shown is not None:
-                self._shown.saw(items)
+                self._shown.on_items(items)
                 self._shown.touching = self._phase not in ("", *UNTOUCHED)
 
 

@@ -7,6 +7,8 @@ import shlex
 import threading
 from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
+from multiprocessing import Pipe
+from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -17,22 +19,25 @@ import pytest
 
 pytest.importorskip("rerun")
 
-from deformscope.api import page_fitting
-from deformscope.api.fit_subject import PairSubject, asked_on_page, not_on_a_page, subject_of
-from deformscope.api.page_fitting import PageFitting
 from deformscope.cli import main, parse
 from deformscope.config import BetaConfig, ThetaConfig
 from deformscope.config.command_line import command_line
 from deformscope.config.images import ImageOptions
 from deformscope.errors import InputError
-from deformscope.page.desk import Desk
-from deformscope.page.fit_messages import FitSettings
-from deformscope.page.messages import FitDrawn, RunFit, SetFit, StopRun, WriteNote
-from deformscope.page.server import PageServer, running_pages
+from deformscope.page import fit, fit_process
+from deformscope.page.fit import VALUES, PageFit
+from deformscope.page.fit_command import set_on_page
+from deformscope.page.fit_process import FitProcess
+from deformscope.page.fit_settings import asked_on_page, not_on_a_page
+from deformscope.page.fit_source import PairSubject, subject_of
+from deformscope.page.server.fit_messages import FitSettings, FitState
+from deformscope.page.server.messages import FitDrawn, RunFit, SetFit, StopRun, WriteNote
+from deformscope.page.server.page_server import PageServer, running_pages
+from deformscope.page.server.page_session import PageSession
 from deformscope.stages.fit.model import Observation
 from deformscope.stages.msm import reference
 from deformscope.stages.msm.quiet import quiet_warp
-from tests.page.pages import at_desk
+from tests.page.pages import page_script
 from tests.patience import PATIENCE_S
 from tests.stages.bodies import pushed
 
@@ -71,16 +76,20 @@ class Watched:
     """A fit on a page without a page; `until` waits for a state."""
 
     def __init__(self, config: BetaConfig | ThetaConfig) -> None:
-        self.desk = Desk("test")
+        self.session = PageSession("test")
         self.files: dict[str, bytes] = {}
         self._changed = threading.Condition()
-        self.desk.watch(self._change)
+        self.session.watch(self._change)
         quiet_warp()
-        self.fitting = PageFitting(self.desk, config, subject_of(config, lambda words: None), self._offer)
+        self.fitting = PageFit(config, subject_of(config, lambda words: None), self._take, keeps_last=True)
         self._began = self.fitting.state.settings
 
-    def _offer(self, name: str, content: bytes, media_type: str) -> None:
-        self.files[name] = content
+    def _take(self, kind: str, *what: Any) -> None:
+        if kind == "file":
+            name, self.files[name], _ = what
+        elif kind == "fit":
+            state, commands = what
+            self.session.enter("adjusting", commands=commands, fit=state)
 
     def _change(self) -> None:
         with self._changed:
@@ -88,18 +97,18 @@ class Watched:
 
     def until(self, wanted: Any) -> Any:
         with self._changed:
-            assert self._changed.wait_for(lambda: wanted(self.desk.state.fit), PATIENCE_S)
-        return self.desk.state.fit
+            assert self._changed.wait_for(lambda: wanted(self.session.state.fit), PATIENCE_S)
+        return self.session.state.fit
 
     def set(self, number: int, **changes: Any) -> None:
         """These settings alone are not as they began."""
-        assert self.fitting.obey(SetFit(0, number, msgspec.structs.replace(self._began, **changes)))[0] == "begun"
+        self.fitting.handle(SetFit(0, number, msgspec.structs.replace(self._began, **changes)))
 
     def fitted(self, number: int, **changes: Any) -> Any:
         """The state with these settings, shown and fitted."""
         self.set(number, **changes)
         self.until(lambda fit: fit.number == number)
-        self.fitting.obey(RunFit(0))
+        self.fitting.handle(RunFit(0))
         return self.until(lambda fit: fit.found is not None or fit.problem)
 
 
@@ -113,12 +122,12 @@ def watched(config: BetaConfig | ThetaConfig) -> AbstractContextManager[Watched]
 @contextmanager
 def going_on(one: AnyWatched) -> Iterator[AnyWatched]:
     """In a thread, until the end of the context, at which it has to finish."""
-    thread = threading.Thread(target=one.fitting.until_finished)
+    thread = threading.Thread(target=one.fitting.run)
     thread.start()
     try:
         yield one
     finally:
-        one.fitting.obey(StopRun(0))
+        one.fitting.handle(StopRun(0))
         thread.join(PATIENCE_S)
         assert not thread.is_alive()
 
@@ -226,22 +235,22 @@ class Counted(PairSubject):
 
 def test_what_is_set_meanwhile_is_simulated_once(pair: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     simulated: list[float] = []
-    real = page_fitting.simulate
+    real = fit.simulate
     monkeypatch.setattr(
-        page_fitting,
+        fit,
         "simulate",
         lambda seen, model, values, body: (simulated.extend(values), real(seen, model, values, body))[1],
     )
-    monkeypatch.setattr(page_fitting, "QUIET_S", PATIENCE_S)
+    monkeypatch.setattr(fit, "QUIET_S", PATIENCE_S)
     config = beta_of(pair)
     quiet_warp()
     subject = Counted(config)
-    fitting = PageFitting(Desk("test"), config, subject, lambda *given: None)
-    thread = threading.Thread(target=fitting.until_finished)
+    fitting = PageFit(config, subject, lambda *given: None)
+    thread = threading.Thread(target=fitting.run)
     thread.start()
     for number in range(1, 41):
-        fitting.obey(SetFit(0, number, FitSettings(held=("top",), beta=number / 100)))
-    fitting.obey(StopRun(0))
+        fitting.handle(SetFit(0, number, FitSettings(held=("top",), beta=number / 100)))
+    fitting.handle(StopRun(0))
     subject.go_on.set()
     thread.join(PATIENCE_S)
     assert not thread.is_alive()
@@ -260,36 +269,67 @@ def test_a_fit_is_left_when_something_else_is_set(pair: Path) -> None:
             real(what, done, total)
 
         one.fitting._note = note  # type: ignore[method-assign]
-        one.fitting.obey(RunFit(0))
+        one.fitting.handle(RunFit(0))
         shown = one.until(lambda fit: fit.number == 7)
         one.fitting._note = real  # type: ignore[method-assign]
         assert shown.found is None
 
 
 def test_a_value_of_the_curve_that_cannot_be_simulated_is_said(pair: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    real = page_fitting.simulate
+    real = fit.simulate
 
     def simulate(seen: Any, model: Any, values: Any, body: Any) -> Any:
         if 0.6 < values[0] < 0.7:
             raise ArithmeticError("a singular cluster")
         return real(seen, model, values, body)
 
-    monkeypatch.setattr(page_fitting, "simulate", simulate)
+    monkeypatch.setattr(fit, "simulate", simulate)
     with watched(beta_of(pair)) as one:
-        fit = one.until(lambda fit: len(fit.values) == page_fitting.VALUES)
-        assert fit.problem.startswith("at beta 0.6")
-        assert fit.problem.endswith(": a singular cluster")
-        assert [0.6 < value < 0.7 for value in fit.values] == [error is None for error in fit.errors]
+        shown = one.until(lambda fit: len(fit.values) == VALUES)
+        assert shown.problem.startswith("at beta 0.6")
+        assert shown.problem.endswith(": a singular cluster")
+        assert [0.6 < value < 0.7 for value in shown.values] == [error is None for error in shown.errors]
         one.set(1, beta=0.3)  # it goes on
         assert one.until(lambda fit: fit.number == 1).aee
 
 
-def test_of_how_long_changes_took_the_newest_are_kept(pair: Path) -> None:
-    with watched(beta_of(pair)) as one:
-        for number in range(page_fitting.MOST_CHANGES + 5):
-            one.fitting.obey(FitDrawn(0, number, float(number)))
-        assert len(one.fitting.drawn_ms) == page_fitting.MOST_CHANGES
-        assert one.fitting.drawn_ms[0] == 5.0
+def test_of_how_long_changes_took_the_newest_are_kept(pair: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(fit_process, "beside", in_this_process)
+    page, config = PageServer("test"), beta_of(pair)
+    page.session.come("a")
+
+    def changed(fit: FitProcess) -> None:
+        if fit.goes_on:
+            page.session.enter("adjusting", commands=fit.commands, fit=fit.state)
+
+    one = FitProcess(config, FitState("pair", "beta", FitSettings()), page, changed, keeps_last=True)
+    page.session.bind(one)
+    came = threading.Event()
+    end = page.session.watch(lambda: came.set() if page.session.state.commands else None)
+    assert came.wait(PATIENCE_S)
+    end()
+    assert page.session.command("a", FitDrawn(0, 9, 120.0)).outcome == "done"
+    assert list(one.drawn_ms) == [120.0]
+    assert page.session.command("a", WriteNote(0, "x")).outcome == "refused"
+    for number in range(fit_process.MOST_CHANGES + 5):
+        one.handle(FitDrawn(0, number, float(number)))
+    assert len(one.drawn_ms) == fit_process.MOST_CHANGES
+    assert one.drawn_ms[0] == 5.0
+    assert page.session.command("a", StopRun(0)).outcome == "begun"
+    assert one.result().sources == config.sources
+
+
+@contextmanager
+def in_this_process(name: str, target: Any, *, makes_others: bool) -> Iterator[Connection]:
+    """As `processes.beside`, in a thread."""
+    ours, theirs = Pipe()
+    thread = threading.Thread(target=target, args=(theirs,))
+    thread.start()
+    yield ours
+    ours.close()
+    thread.join(PATIENCE_S)
+    theirs.close()
+    assert not thread.is_alive()
 
 
 def test_what_cannot_be_simulated_is_said_and_the_picture_stays(frames: Path) -> None:
@@ -304,9 +344,6 @@ def test_what_cannot_be_simulated_is_said_and_the_picture_stays(frames: Path) ->
             assert (shown.simulated, shown.aee) == (before.simulated, before.aee)
         one.set(9)
         assert one.until(lambda fit: fit.number == 9).problem == ""
-        assert one.fitting.obey(FitDrawn(0, 9, 120.0)) == ("done", "")
-        assert list(one.fitting.drawn_ms) == [120.0]
-        assert one.fitting.obey(WriteNote(0, "x"))[0] == "refused"
 
 
 @pytest.mark.parametrize(
@@ -340,13 +377,13 @@ def test_the_command_waits_for_its_page(pair: Path, tmp_path: Path, capsys: pyte
     thread = threading.Thread(target=lambda: status.append(main(words)))
     thread.start()
     page = wait_for_page()
-    with at_desk(page, "a") as desk:
-        fit = desk.until(lambda state: state["fit"] and state["fit"]["aee"] is not None)["fit"]
+    with page_script(page, "a") as session:
+        fit = session.until(lambda state: state["fit"] and state["fit"]["aee"] is not None)["fit"]
         settings = fit["settings"] | {"beta": 0.44, "cluster_size": 4}
-        assert desk.command("set-fit", number=5, settings=settings)[0] == "begun"
-        fit = desk.until(lambda state: state["fit"]["number"] == 5)["fit"]
-        assert desk.command("fit-drawn", number=5, after_ms=80.0)[0] == "done"
-        assert desk.command("stop")[0] == "begun"
+        assert session.command("set-fit", number=5, settings=settings)[0] == "begun"
+        fit = session.until(lambda state: state["fit"]["number"] == 5)["fit"]
+        assert session.command("fit-drawn", number=5, after_ms=80.0)[0] == "done"
+        assert session.command("stop")[0] == "begun"
         thread.join(PATIENCE_S)
     assert status == [0]
     printed = capsys.readouterr()
@@ -375,8 +412,8 @@ def test_what_is_set_on_a_page(pair: Path) -> None:
     assert not_on_a_page(BetaConfig((str(pair), str(pair)))) == "2 files"
     assert not_on_a_page(BetaConfig(("x",), motion=MotionFlags(whole_motion=True)))
     assert not_on_a_page(BetaConfig(("x.npz",), layers=LayersFlags(thickness_m=0.1)))
-    with pytest.raises(InputError, match="2 files"):
-        subject_of(BetaConfig((str(pair), str(pair))), print)
+    with pytest.raises(InputError, match="2 files"), set_on_page(BetaConfig((str(pair), str(pair))), print):
+        pass
     with pytest.raises(InputError, match="--viewer page with --adjust"):
         beta_of(pair, adjust=True)
     with pytest.raises(InputError, match="no --at with"):

@@ -7,8 +7,8 @@ const LEFT = 24;
 const TOP = 6;
 const LET_BE = "let be"; // in the place of what was asked for: nobody confirmed it
 
-// command: sends one, and resolves with whether it was not refused; desk: where the same is done and nobody reads of it
-export function startSteering(command, desk) {
+// command: sends one, and resolves with whether it was not refused; session: where the same is done and nobody reads of it
+export function startSteering(command, session) {
   let state = null;
   let skew_s = 0;
   let answered = 0; // the number of the move that was answered here
@@ -50,7 +50,7 @@ export function startSteering(command, desk) {
   });
   document.addEventListener("viewer", ({ detail }) => {
     const picked = detail.type === "selection_change" && detail.items?.find((item) => item.entity_path && item.position);
-    if (picked && state?.controls === desk.page && state.commands.includes("touch-picked")) {
+    if (picked && state?.controls === session.page && state.commands.includes("touch-picked")) {
       touch("touch-picked", { entity: picked.entity_path, position_m: [...picked.position] });
     }
   });
@@ -72,7 +72,7 @@ export function startSteering(command, desk) {
     const before = state;
     state = next;
     skew_s = performance.now() / 1000 - next.now_s;
-    const mine = next.controls === desk.page && next.phase !== "stopped";
+    const mine = next.controls === session.page && next.phase !== "stopped";
     const waits = mine && next.pending && next.pending.number !== answered;
     if (waits && !dialog.open) {
       at("help").close();
@@ -83,7 +83,7 @@ export function startSteering(command, desk) {
       if (seen !== next.pending.number) {
         seen = next.pending.number;
         // once it is drawn: its time counts from then
-        requestAnimationFrame(() => setTimeout(() => desk.command("seen", { number: seen })));
+        requestAnimationFrame(() => setTimeout(() => session.command("seen", { number: seen })));
       }
     } else if (!waits && dialog.open) {
       dialog.close();

@@ -1,0 +1,89 @@
+"""What the options of `calibrate beta|theta` mean: which frames are read, how they become particles, what is fitted."""
+
+from __future__ import annotations
+
+import dataclasses
+import tomllib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from deformscope.arrays import ImageArray
+from deformscope.config import BetaConfig, ImageOptions, ThetaConfig
+from deformscope.experiments.foam_video import ParticleOptions
+from deformscope.file_io import SAMPLE_SCHEME, sample_path
+from deformscope.files.sources import Source, open_source
+from deformscope.images import read_image
+from deformscope.recording.reader import Replay
+from deformscope.stages.fit.calibrate import FitOptions, Model
+from deformscope.stages.msm.solver import pick_device
+from deformscope.stages.see.particles import outlined
+
+
+def fit_options(config: BetaConfig | ThetaConfig) -> FitOptions:
+    """How the parameter is searched, and of which model."""
+    search = config.search
+    model, bounds = _model(config)
+    return FitOptions(model, bounds, search.method, search.candidates, search.level, config.output.seed, config.at)
+
+
+def _model(config: BetaConfig | ThetaConfig) -> tuple[Model, tuple[float, float]]:
+    device, volume = pick_device(config.search.device), config.search.volume
+    if isinstance(config, BetaConfig):
+        size, theta = config.fitted_cluster_size, config.fitted_theta
+        model = Model("beta", config.mode, size, config.alpha, theta=theta, volume=volume, device=device)
+        return model, config.beta_range
+    size_or_one = config.cluster_size
+    model = Model("theta", config.mode, size_or_one, config.alpha, beta=config.beta, volume=volume, device=device)
+    return model, config.theta_range
+
+
+def images_of(config: BetaConfig | ThetaConfig) -> ImageOptions:
+    """How the images become particles: what was asked for, or what suits a sample."""
+    sources = config.sources
+    if len(sources) == 1 and sources[0].startswith(SAMPLE_SCHEME):
+        return for_sample(sources[0].removeprefix(SAMPLE_SCHEME), config.images)
+    return config.images
+
+
+def sample_images(name: str) -> ImageOptions:
+    """The options that suit a sample that ships, out of its `sample.toml`."""
+    folder = sample_path(name)
+    given = tomllib.loads((folder / "sample.toml").read_text(encoding="utf-8"))
+    names = ("roi", "grid", "spacing_px", "held", "contact", "fps")
+    known: dict[str, Any] = {
+        name: tuple(given[name]) if isinstance(given[name], list) else given[name] for name in names if name in given
+    }
+    return ImageOptions(mask=folder / given["mask"] if "mask" in given else None, **known)
+
+
+def for_sample(name: str, asked: ImageOptions) -> ImageOptions:
+    """What was asked for, with the sample's own particles where nothing was said about them."""
+    known = sample_images(name)
+    particles = (asked.roi, asked.grid, asked.spacing_px, asked.mask, asked.outline, asked.held)
+    if any(value is not None for value in particles):
+        return dataclasses.replace(asked, fps=asked.fps or known.fps)
+    return dataclasses.replace(
+        known, fps=asked.fps or known.fps, stride=asked.stride, flow=asked.flow, px_per_cm=asked.px_per_cm
+    )
+
+
+def particle_options(images: ImageOptions, noise_px: float | None) -> ParticleOptions:
+    """The same as the stages take it."""
+    seeded = (images.roi, images.grid, images.spacing_px, images.held_parts(), images.contact)
+    return ParticleOptions(*seeded, images.flow, images.px_per_cm, noise_px)
+
+
+def opened_images(sources: Sequence[str], images: ImageOptions) -> Source:
+    """What the user named, as a source of frames."""
+    return open_source(sources, stride=images.stride, fps=images.fps, mask=images.mask, camera=images.camera)
+
+
+def mask_of(sources: Sequence[str], images: ImageOptions, size: tuple[int, int]) -> ImageArray | None:
+    """The mask that was named, or that a recording holds, within the outline. size: height, width of the images [px]"""
+    mask: ImageArray | None = None
+    if images.mask is not None:
+        mask = read_image(images.mask)
+    elif len(sources) == 1 and Path(sources[0]).suffix.lower() == ".rrd":
+        mask = Replay(Path(sources[0]), trust=True).mask  # its ledger was compared when it was looked at for pairs
+    return mask if images.outline is None else outlined(mask, images.outline, size)

@@ -1,0 +1,28 @@
+"""Devices made from a rig file, with doubles where it asks for them."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+
+from deformscope.lab.stand_in import stand_in
+from deformscope.rig.rig_file import Rig, RigDevice
+from deformscope.rig.source import RigMember
+
+
+@contextlib.contextmanager
+def members_of(rig: Rig) -> Iterator[tuple[RigMember, ...]]:
+    """The rig's devices, closed; doubles run for those that the rig wants doubled, until the end of the context."""
+    with contextlib.ExitStack() as stack:
+        yield tuple([stack.enter_context(member_of(entry)) for entry in rig.devices])
+
+
+@contextlib.contextmanager
+def member_of(entry: RigDevice) -> Iterator[RigMember]:
+    """One device of a rig, closed; its double, where the rig wants one, runs until the end of the context.
+
+    Raises InputError where there is none to be made.
+    """
+    stands_in = stand_in(entry.driver.name, entry.config) if entry.double else contextlib.nullcontext(entry.make())
+    with stands_in as device:
+        yield RigMember(entry.name, entry.driver, device, simulated=entry.double, late_ns=entry.late_ns)

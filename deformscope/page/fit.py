@@ -1,0 +1,456 @@
+"""A fit that is set on a page, in its own process: what is changed is simulated at once, and the newest change wins.
+
+What is shown while a camera is followed is nobody's file: a picture that is held, also by a whole fit, is written
+together with the one at rest, and the command line names both.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import os
+import shlex
+import threading
+import time
+from collections.abc import Callable
+from multiprocessing.connection import Connection
+from operator import itemgetter
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from deformscope.arrays import FloatArray, ImageArray
+from deformscope.calibration_options import fit_options, images_of
+from deformscope.config import BetaConfig, ThetaConfig
+from deformscope.config.command_line import command_line
+from deformscope.errors import InputError
+from deformscope.experiments.stage_processes import StageProcesses
+from deformscope.page.fit_settings import IN_PICTURE, images_with
+from deformscope.page.fit_source import FitSubject, FollowedCamera, ImagesSubject, subject_of
+from deformscope.page.server.fit_messages import FitFound, FitSettings, FitState, Points
+from deformscope.page.server.messages import (
+    FollowCamera,
+    HoldPicture,
+    PageCommand,
+    RunFit,
+    SetFit,
+    StopRun,
+    TakeRest,
+)
+from deformscope.pictures.evidence import Result, results_png
+from deformscope.stages.fit.at_value import errors_of, simulate
+from deformscope.stages.fit.calibrate import calibrate
+from deformscope.stages.fit.estimate import Comparison, Estimate
+from deformscope.stages.fit.model import Model, Observation
+from deformscope.stages.msm.quiet import quiet_warp
+from deformscope.stages.msm.solver import Msm
+
+NICE = 5
+"""What reads devices and moves a robot goes first; what computes the flow comes after it, at nice 10."""
+FIRST_S = 10.0
+"""So long it waits for the first picture."""
+VALUES, COARSELY = 25, 5
+"""Of the error curve: one after the other while nothing changes, every fifth of them first."""
+QUIET_S = 0.3
+"""It is begun once nothing was changed for so long."""
+SWIFT_S = 0.15
+"""The error curve of a picture that is followed is drawn while it does not take longer."""
+BUSY_EVERY_S = 0.2
+PICTURE_NAMES = 8
+"""So many pictures of a camera can still be asked for: a page draws one together with its particles."""
+COMMANDS = ("stop", "set-fit", "run-fit", "fit-drawn")
+
+
+class _SetAnew(Exception):
+    """Something else was set while a whole fit went on."""
+
+
+class PageFit:
+    """One thread computes, in `run`; another may `handle` what pages ask for.
+
+    config: of the command, with which it begins; subject: what is fitted
+    send: takes ("fit", state, commands that are possible) and ("file", as `PageServer.offer`)
+    camera: that is followed: each of its pictures becomes the subject, until one is held
+    keeps_last: what is shown in the end is held
+    """
+
+    def __init__(
+        self,
+        config: BetaConfig | ThetaConfig,
+        subject: FitSubject,
+        send: Callable[..., None],
+        camera: FollowedCamera | None = None,
+        *,
+        keeps_last: bool = False,
+    ) -> None:
+        self._subject, self._send, self._camera, self._keeps_last = subject, send, camera, keeps_last
+        self._base, self._images = config, images_of(config)
+        self._began = _settings_of(config)
+        self._seen: tuple[object, Observation, dict[str, object]] | None = None
+        self._body: tuple[Model, Observation, Msm] | None = None
+        self._curve: list[float] = []
+        self._curve_s = 0.0
+        self._found: BetaConfig | ThetaConfig | None = None
+        self._news = threading.Condition()
+        self._asked: SetFit | None = SetFit(0, 0, self._began)
+        self._shown = self._asked
+        self._for_camera: TakeRest | HoldPicture | FollowCamera | None = None
+        self._wants_fit = self._finished = False
+        self._busy_s = 0.0
+        self._pictures = time.monotonic_ns() // 10**6  # no page has one of this name from before
+        self.config = config
+        model = fit_options(config)
+        began = FitState(subject.kind, model.model.parameter, self._began, model.bounds, subject.size_px)
+        name = "" if camera is None else camera.name
+        self.state = msgspec.structs.replace(began, camera=name, following=camera is not None)
+        self._show(pictures=self._offer_images())
+
+    def handle(self, command: PageCommand) -> None:
+        """Have `run` do what is asked for."""
+        with self._news:
+            match command:
+                case StopRun():
+                    self._finished = True
+                case SetFit():
+                    self._asked, self._wants_fit = command, False
+                case RunFit():
+                    self._wants_fit = True
+                case TakeRest() | HoldPicture() | FollowCamera():
+                    self._for_camera = command
+            self._news.notify()
+
+    def run(self) -> None:
+        """Simulate and fit what pages ask for, until one of them stops it. `config` is then what was set last."""
+        while True:
+            with self._news:
+                self._wait()
+                asked, fit, finished = self._asked, self._wants_fit, self._finished
+                self._asked = None
+                self._wants_fit = fit and asked is not None  # first what it is to be made of
+            if self._camera is not None:
+                self._follow(self._camera, holds=fit or (finished and self._keeps_last))
+            if asked is not None:
+                self._set(asked)
+            elif finished:
+                return
+            elif fit:
+                self._fit()
+            elif self._curve:
+                self._go_on_with_curve()
+
+    @property
+    def result_config(self) -> BetaConfig | ThetaConfig:
+        """The options that were set last, of files. Raises InputError where pictures of a camera could not be kept."""
+        return self.config if self._camera is None else self._camera.named(self.config)
+
+    @property
+    def command(self) -> str:
+        """What gives the same numbers at a terminal; empty where nothing does yet."""
+        if self.state.following:
+            return ""
+        return shlex.join(command_line(f"calibrate {self.state.parameter}", self.result_config))
+
+    def _wait(self) -> None:
+        """Until there is something to do."""
+        if self._camera is not None and self.state.following:
+            self._camera.request(self._wake)
+            self._news.wait_for(self._is_wanted, QUIET_S)
+        elif not self._curve:
+            self._news.wait_for(self._is_wanted)
+        elif not self.state.values:
+            self._news.wait_for(self._is_wanted, QUIET_S)
+
+    def _wake(self) -> None:
+        with self._news:
+            self._news.notify()
+
+    def _is_wanted(self) -> bool:
+        asked = self._asked is not None or self._wants_fit or self._finished or self._for_camera is not None
+        return asked or (self._camera is not None and self.state.following and self._camera.is_ready)
+
+    # Of a camera -----------------------------------------------------------------------------------------------------
+
+    def _follow(self, camera: FollowedCamera, *, holds: bool) -> None:
+        """Do what was asked for of it; else show its newest picture. holds: what is shown is to stay"""
+        with self._news:
+            command, self._for_camera = self._for_camera, None
+        match command:
+            case TakeRest():
+                camera.take_rest()
+            case FollowCamera():
+                self._show(following=True)
+        if self.state.following and (holds or isinstance(command, HoldPicture)):
+            self._hold(camera)
+        elif self.state.following and camera.is_ready:
+            self._show_newest(camera)
+
+    def _show_newest(self, camera: FollowedCamera) -> None:
+        try:
+            self._subject = ImagesSubject(camera.motion())
+        except Exception as problem:
+            self._show(problem=words_of(problem))
+            return
+        self._seen = self._found = None
+        self._set(self._shown, self._offer_images())
+
+    def _hold(self, camera: FollowedCamera) -> None:
+        """What is shown becomes files."""
+        try:
+            camera.keep()
+        except Exception as problem:
+            self._show(problem=f"the pictures cannot be kept: {words_of(problem)}")
+            return
+        self._show(following=False)
+        self._set(self._shown)
+
+    def _offer_images(self) -> tuple[str, ...]:
+        """The names under which a page finds them; those of a camera do not replace the last ones at once."""
+        self._pictures += 1
+        of = "" if self._camera is None else f"-{self._pictures % PICTURE_NAMES}"
+        names = tuple(f"{name}{of}.jpg" for name in ("rest", "deformed")[: len(self._subject.images)])
+        for name, content in zip(names, self._subject.images, strict=True):
+            self._send("file", name, content, "image/jpeg")
+        return names if self._camera is None else tuple(f"{name}?{self._pictures}" for name in names)
+
+    # What is shown ---------------------------------------------------------------------------------------------------
+
+    def _set(self, asked: SetFit, pictures: tuple[str, ...] = ()) -> None:
+        """Simulate what is asked for, and show it. pictures: that are new"""
+        self._curve, self._shown = [], asked
+        try:
+            self.config = config = self._config_of(asked.settings)
+            seen, body, model = self._prepared(config)
+            value = float(asked.settings.beta if model.parameter == "beta" else asked.settings.theta)
+            found = simulate(seen, model, np.array([value]), body)[0]
+            error = errors_of([seen], value, [found])
+            drawn = self._drawn(seen, found)
+        except Exception as problem:  # whatever is set on a page, the next change may be better
+            gone = dict.fromkeys(("rest", "observed", "simulated", "seen", "held", "values", "errors"), ())
+            new: dict[str, Any] = {**gone, "pictures": pictures, "aee": None, "aee_free": None} if pictures else {}
+            shown = {"settings": asked.settings, "number": asked.number, "command": self.command, "busy": ""}
+            self._show(**shown, problem=words_of(problem), **new)
+            return
+        same = self._found == dataclasses.replace(config, at=None)
+        restless = "" if error.converged else "the simulation does not come to rest with these settings"
+        changes: dict[str, Any] = {"problem": restless, **drawn, **self._begun_curve(seen, body, model)}
+        self._show(
+            **changes,
+            pictures=pictures or self.state.pictures,
+            settings=asked.settings,
+            number=asked.number,
+            command=self.command,
+            aee=error.aee,
+            aee_free=error.aee_free,
+            busy="",
+            found=self.state.found if same else None,
+            picture=self.state.picture if same else "",
+        )
+
+    def _drawn(self, seen: Observation, found: Comparison) -> dict[str, Any]:
+        """Particles as a page draws them."""
+
+        def points(position: FloatArray) -> Points:
+            return tuple((round(x, 2), round(y, 2)) for x, y in self._subject.in_picture(position).tolist())
+
+        across = np.unique(seen.rest[:, 0])
+        spacing = float(np.diff(across).min()) if self._subject.kind == "images" and len(across) > 1 else None
+        shape = None if seen.shape is None or len(seen.shape) != 2 else (seen.shape[0], seen.shape[1])
+        return {
+            "grid": shape,
+            "spacing_px": spacing,
+            "rest": points(found.rest),
+            "observed": points(found.observed),
+            "simulated": points(found.simulated),
+            "seen": tuple(found.seen.tolist()),
+            "held": tuple(found.held.tolist()),
+            "unit": found.unit,
+        }
+
+    def _begun_curve(self, seen: Observation, body: Msm, model: Model) -> dict[str, Any]:
+        """What is known of it at once: while a camera is followed all of it, where that is swift; else nothing yet."""
+        spread = np.linspace(*self.state.bounds, VALUES)
+        self._curve = []
+        nothing: dict[str, Any] = {"values": (), "errors": ()}
+        if not self.state.following:
+            self._curve = [value for first in range(COARSELY) for value in spread.tolist()[first::COARSELY]]
+            return nothing
+        if self._curve_s > SWIFT_S:
+            self._curve_s *= 0.9  # with other settings it may be swifter
+            return nothing
+        began_s, values = time.monotonic(), spread[::2]
+        try:
+            found = simulate(seen, model, values, body)
+            errors = [errors_of([seen], value, [one]).aee for value, one in zip(values.tolist(), found, strict=True)]
+        except Exception as problem:
+            return {**nothing, "problem": f"no error curve: {words_of(problem)}"}
+        self._curve_s = time.monotonic() - began_s
+        return {"values": tuple(values.tolist()), "errors": tuple(errors)}
+
+    def _go_on_with_curve(self) -> None:
+        """One more value, between two looks at what is new; one that cannot be simulated has no error, and is said."""
+        value = self._curve.pop(0)
+        error: float | None = None
+        try:
+            seen, body, model = self._prepared(self.config)
+            error = errors_of([seen], value, simulate(seen, model, np.array([value]), body)).aee
+        except Exception as problem:
+            self._show(problem=f"at {self.state.parameter} {value:.3f}: {words_of(problem)}")
+        known = sorted([*zip(self.state.values, self.state.errors, strict=True), (value, error)], key=itemgetter(0))
+        values, errors = zip(*known, strict=True)
+        self._show(values=values, errors=errors)
+
+    def _fit(self) -> None:
+        """The parameter with its interval, as the command finds it; left where something else is set meanwhile."""
+        try:
+            seen, _, _ = self._prepared(self.config)
+            assert self._seen is not None
+            found = calibrate([seen], fit_options(self.config), settings=self._seen[2], progress=self._note)
+            picture = results_png([Result(found.estimate, found.comparisons[-1:], ("",))])
+            self._send("file", "fit.png", picture, "image/png")
+            self._found = dataclasses.replace(self.config, at=None)
+            self._show(found=found_of(found.estimate, self.command), picture="fit.png", busy="")
+        except _SetAnew:
+            self._show(busy="")
+        except Exception as problem:
+            self._show(problem=words_of(problem), busy="")
+
+    def _note(self, what: str, done: int, total: int) -> None:
+        with self._news:
+            if self._asked is not None or self._finished:
+                raise _SetAnew
+        now_s = time.monotonic()
+        if now_s - self._busy_s > BUSY_EVERY_S:
+            self._busy_s = now_s
+            self._show(busy=f"{what}: {done} of {total}" if total else what)
+
+    def _prepared(self, config: BetaConfig | ThetaConfig) -> tuple[Observation, Msm, Model]:
+        """What was seen, in the model; both are kept while nothing changes that they depend on."""
+        key = config.images, config.search.noise_px
+        if self._seen is None or self._seen[0] != key:
+            seen, used = self._subject.observe(config)
+            self._seen = key, seen, dict(used)
+        _, seen, _ = self._seen
+        model = fit_options(config).model
+        alike = dataclasses.replace(model, beta=0.0, theta=0.0)  # a body has neither
+        if self._body is None or self._body[0] != alike or self._body[1] is not seen:
+            self._body = alike, seen, model.body(seen)
+        return seen, self._body[2], model
+
+    def _config_of(self, asked: FitSettings) -> BetaConfig | ThetaConfig:
+        """The command's options with what was set; those that are as they began stay unsaid. Raises InputError where
+        they do not go together."""
+        config, began = self._base, self._began
+        if any(getattr(asked, name) != getattr(began, name) for name in IN_PICTURE):
+            config = dataclasses.replace(config, images=images_with(self._images, asked))
+        if asked.cluster_size != began.cluster_size:
+            config = dataclasses.replace(config, cluster_size=asked.cluster_size)
+        if isinstance(config, BetaConfig):
+            theta = config.theta if asked.theta == began.theta else asked.theta
+            return dataclasses.replace(config, theta=theta, at=asked.beta)
+        return dataclasses.replace(config, beta=asked.beta, at=asked.theta)
+
+    def _show(self, **changes: Any) -> None:
+        self.state = msgspec.structs.replace(self.state, **changes)
+        more: tuple[str, ...] = ()
+        if self._camera is not None:
+            more = ("take-rest", "hold-picture") if self.state.following else ("follow-camera",)
+        self._send("fit", self.state, (*COMMANDS, *more))
+
+
+def words_of(problem: Exception) -> str:
+    """In a line, for the page."""
+    return " ".join(str(problem).split()) or type(problem).__name__
+
+
+def found_of(estimate: Estimate, command: str) -> FitFound:
+    """A whole fit as a page says it. command: that gives it"""
+    low, high = estimate.interval
+    words = estimate.verdict_text()
+    return FitFound(command, estimate.value, low, high, estimate.level, estimate.aee_free, words)
+
+
+def _settings_of(config: BetaConfig | ThetaConfig) -> FitSettings:
+    """What a page begins with."""
+    images = images_of(config)
+    corners = images.outline or ()
+    beta = config.beta if isinstance(config, ThetaConfig) else 0.5 if config.at is None else config.at
+    theta = config.fitted_theta if isinstance(config, BetaConfig) else 0.5 if config.at is None else config.at
+    return FitSettings(
+        roi=images.roi,
+        grid=images.grid,
+        spacing_px=images.spacing_px,
+        outline=tuple(zip(corners[::2], corners[1::2], strict=True)),
+        held=images.held_parts(),
+        contact=images.contact,
+        cluster_size=config.fitted_cluster_size if isinstance(config, BetaConfig) else config.cluster_size,
+        beta=beta,
+        theta=theta,
+    )
+
+
+# Its process ---------------------------------------------------------------------------------------------------------
+
+
+def run_fit(
+    config: BetaConfig | ThetaConfig, next_folder: Callable[[], Path] | None, keeps_last: bool, pipe: Connection
+) -> None:
+    """Go on until a `StopRun` comes, or the pipe ends. next_folder: for pictures of a camera, None = a fit of files
+
+    The pipe gives ("picture", image) after each ("want",), and ("command", of a page). It is given what a `PageFit`
+    sends, ("note", what is done before that), and ("end", the options set last where keeps_last, or what went wrong).
+    """
+    os.setpriority(os.PRIO_PROCESS, 0, max(NICE, os.getpriority(os.PRIO_PROCESS, 0)))
+    quiet_warp()
+
+    def send(*message: object) -> None:
+        pipe.send(message)
+
+    outcome: BetaConfig | ThetaConfig | Exception | None = None
+    try:
+        with contextlib.ExitStack() as stack:
+            camera: FollowedCamera | None = None
+            if next_folder is None:
+                subject = subject_of(config, lambda words: send("note", words))
+            else:
+                flow = stack.enter_context(StageProcesses(("flow",), quiet_warp))["flow"]
+                send("want")
+                name, method = config.images.camera or "", config.images.flow
+                first = _first_picture(pipe, name)
+                camera = FollowedCamera(name, first, method, flow, next_folder, lambda: send("want"))
+                camera.request(lambda: None)
+                subject = ImagesSubject(camera.motion())
+            fit = PageFit(config, subject, send, camera, keeps_last=keeps_last)
+            threading.Thread(target=_dispatch, args=(pipe, fit, camera), daemon=True).start()
+            fit.run()
+            outcome = fit.result_config if keeps_last else None
+    except Exception as error:  # as it can travel
+        outcome = error if isinstance(error, InputError | OSError) else RuntimeError(words_of(error))
+    with contextlib.suppress(OSError):
+        send("end", outcome)
+
+
+def _first_picture(pipe: Connection, camera: str) -> ImageArray:
+    """Raises InputError where none comes."""
+    if not pipe.poll(FIRST_S):
+        raise InputError("pictures of the camera", f"none within {FIRST_S:g} s", "deformscope doctor RIG", camera)
+    kind, what = pipe.recv()
+    if kind != "picture":
+        raise InputError("pictures of the camera", "the fit was ended", where=camera)
+    image: ImageArray = what
+    return image
+
+
+def _dispatch(pipe: Connection, fit: PageFit, camera: FollowedCamera | None) -> None:
+    """Hand on what comes, until the fit is to end."""
+    what: Any = None
+    while not isinstance(what, StopRun):
+        try:
+            kind, what = pipe.recv()
+        except (EOFError, OSError):
+            kind, what = "command", StopRun(0)
+        if kind == "command":
+            fit.handle(what)
+        elif camera is not None:
+            camera.on_picture(what)

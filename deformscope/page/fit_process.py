@@ -1,0 +1,159 @@
+"""A fit on a page, as the page's side has it: all is computed in a process of its own (`deformscope.page.fit`)."""
+
+from __future__ import annotations
+
+import queue
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from functools import partial
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from deformscope.arrays import ImageArray
+from deformscope.config import BetaConfig, ThetaConfig
+from deformscope.page.server.fit_messages import FitState
+from deformscope.page.server.messages import FitDrawn, Outcome, PageCommand, StopRun, TakeRest
+from deformscope.page.server.page_server import PageServer
+from deformscope.processes import END_S, RENEW_S, beside
+from deformscope.terminal import say
+
+MOST_CHANGES = 1000
+"""Of so many, the newest, it is kept how long they took to be seen."""
+
+
+class FitProcess:
+    """`PageRun` of a fit. Its process asks for a camera's newest picture when it is ready for one; what reads devices
+    hands it over without waiting, and hands over none while nobody looks at the fit.
+
+    config: with which it begins; state: as it was shown last, at first as given; commands: that are possible then
+    changed: is called with it after every change, in the thread that listens to the process
+    next_folder: for pictures of a camera that are held, None = it is a fit of files
+    keeps_last: what is shown in the end is held
+    drawn_ms: from a change on the page until the page has drawn it [ms]
+    """
+
+    def __init__(
+        self,
+        config: BetaConfig | ThetaConfig,
+        state: FitState,
+        page: PageServer,
+        changed: Callable[[FitProcess], None],
+        next_folder: Callable[[], Path] | None = None,
+        *,
+        keeps_last: bool = False,
+    ) -> None:
+        self._target = partial(_fit, config, next_folder, keeps_last)
+        self._page, self._changed = page, changed
+        self.state = state
+        self.commands: tuple[str, ...] = ()
+        self.goes_on = self.is_shown = True
+        self.ending = False
+        self.outcome: BetaConfig | ThetaConfig | Exception | None = RuntimeError("its process has died")
+        self.drawn_ms: deque[float] = deque(maxlen=MOST_CHANGES)
+        self._wanted = self._has_first = False
+        self._newest: ImageArray | None = None
+        self._out: queue.SimpleQueue[tuple[str, object] | None] = queue.SimpleQueue()
+        self.thread = threading.Thread(target=self._listen, name="deformscope-fit", daemon=True)
+        self.thread.start()
+
+    def on_picture(self, image: ImageArray) -> None:
+        """A camera's newest picture. From the thread that takes it, which does not wait."""
+        self._newest = image
+        self._pass_picture()
+
+    def handle(self, command: PageCommand) -> tuple[Outcome, str]:
+        """As `PageRun.handle`."""
+        if isinstance(command, FitDrawn):
+            self.drawn_ms.append(command.after_ms)
+            return "done", ""
+        if isinstance(command, TakeRest) and self._newest is not None:  # what is seen at this moment
+            self._out.put(("picture", self._newest))
+        self._out.put(("command", command))
+        return "begun", ""
+
+    def result(self) -> BetaConfig | ThetaConfig:
+        """The options that were set last, once a page has stopped the fit. Raises what went wrong with it."""
+        while self.thread.is_alive():
+            self.thread.join(RENEW_S)
+        if isinstance(self.outcome, Exception):
+            raise self.outcome
+        assert self.outcome is not None
+        return self.outcome
+
+    def end(self) -> None:
+        """From any thread, at once; `thread` then comes to its end. What gives the numbers is said at the terminal."""
+        if not self.ending:
+            # What has not begun yet handles no command: it ends once its pipe does.
+            self._until_s = time.monotonic() + (END_S if self.commands else 0.0)
+            self.ending, self.is_shown = True, False
+            self._out.put(("command", StopRun(0)))
+            if self.state.command:
+                say(f"as set on the page: {self.state.command}")
+
+    def close(self) -> None:
+        """End it, and wait for its end."""
+        self.end()
+        self.thread.join(3 * END_S)
+
+    def _pass_picture(self) -> None:
+        """To the process where that waits for one: the first in any case, then what somebody looks at."""
+        seen = not self._has_first or (self.is_shown and not self._page.session.absent())
+        if self._wanted and seen and self._newest is not None:
+            self._wanted, self._has_first = False, True
+            self._out.put(("picture", self._newest))
+
+    def _listen(self) -> None:
+        try:
+            with beside("fit", self._target, makes_others=True) as pipe:
+                threading.Thread(target=self._send, args=(pipe,), daemon=True).start()
+                while not self.ending or time.monotonic() < self._until_s:
+                    if not pipe.poll(0.5):
+                        continue
+                    kind, *what = pipe.recv()
+                    if kind == "end":
+                        (self.outcome,) = what
+                        break
+                    self._take(kind, *what)
+        except (EOFError, OSError):
+            pass
+        finally:
+            self.goes_on = False
+            self._out.put(None)
+            self._changed(self)
+
+    def _send(self, pipe: Connection) -> None:
+        while (message := self._out.get()) is not None:
+            try:
+                pipe.send(message)
+            except (OSError, ValueError):  # it has ended
+                return
+
+    def _take(self, kind: str, *what: Any) -> None:
+        """What the process gives."""
+        match kind:
+            case "want":
+                self._wanted = True
+                if not self._has_first:
+                    self._pass_picture()
+            case "note":
+                self._page.session.show(reason=what[0])
+            case "file" if not self.ending:  # else it may be one of another fit's by now
+                self._page.offer(*what)
+            case "fit":
+                state, self.commands = what
+                self.state = msgspec.structs.replace(state, cameras=self.state.cameras)
+                self._changed(self)
+
+
+def _fit(
+    config: BetaConfig | ThetaConfig, next_folder: Callable[[], Path] | None, keeps_last: bool, pipe: Connection
+) -> None:
+    """In the process, which alone loads what simulates."""
+    from deformscope.page.fit import run_fit
+
+    run_fit(config, next_folder, keeps_last, pipe)

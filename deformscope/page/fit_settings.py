@@ -1,0 +1,40 @@
+"""What is set on the page of a fit, and the options of its command."""
+
+from __future__ import annotations
+
+import dataclasses
+import sys
+
+from deformscope.config import BetaConfig, ThetaConfig
+from deformscope.config.images import ImageOptions
+from deformscope.file_io import ending_of
+from deformscope.page.server.fit_messages import FitSettings
+
+IN_PICTURE = ("roi", "grid", "spacing_px", "outline", "contact", "held")
+"""Settings of it."""
+
+
+def images_with(images: ImageOptions, asked: FitSettings) -> ImageOptions:
+    """The options with what was set in the picture. Raises InputError where it does not go together."""
+    outline = tuple(value for corner in asked.outline for value in corner) or None
+    same = {name: getattr(asked, name) for name in ("roi", "grid", "spacing_px", "contact")}
+    images = dataclasses.replace(images, **same, outline=outline, held=None)
+    return images if set(asked.held) == set(images.held_parts()) else dataclasses.replace(images, held=asked.held)
+
+
+def not_on_a_page(config: BetaConfig | ThetaConfig) -> str | None:
+    """What keeps a fit from being set on a page; None = nothing."""
+    pairs = [source for source in config.sources if ending_of(source) == ".npz"]
+    if pairs and len(config.sources) > 1:
+        return f"{len(config.sources)} files"
+    if isinstance(config, BetaConfig) and (config.layers.thickness_m is not None or config.motion.whole_motion):
+        return "--thickness-m or --whole-motion"
+    return None
+
+
+def asked_on_page(config: BetaConfig | ThetaConfig) -> bool:
+    """Whether the fit is to be set on a page: where somebody sits at a terminal, or where it is asked for."""
+    if config.output.viewer != "page":
+        return False
+    terminal = sys.stdin is not None and sys.stdin.isatty() and sys.stdout.isatty()
+    return config.adjust or config.from_rig or (terminal and not_on_a_page(config) is None)

@@ -1,0 +1,208 @@
+"""What a fit on a page is made of: images whose particles are set there, a pair as it is, or what a camera sees."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+from collections.abc import Callable, Mapping
+from concurrent.futures import Future
+from pathlib import Path
+from typing import Literal
+
+import cv2
+import numpy as np
+
+from deformscope.arrays import FloatArray, ImageArray
+from deformscope.calibration_options import images_of, mask_of, opened_images, particle_options
+from deformscope.config import BetaConfig, ThetaConfig
+from deformscope.errors import InputError
+from deformscope.experiments.foam_video import last_pose
+from deformscope.experiments.kept_motion import KeptMotion
+from deformscope.experiments.live_stages import Beside
+from deformscope.file_io import ending_of, make_folder, read_file
+from deformscope.files.pairs import parse_pair
+from deformscope.frames import ColorFrame
+from deformscope.images import encode_jpeg, encode_png
+from deformscope.stages.fit.model import Observation
+from deformscope.stages.see.flow import FlowMethod
+from deformscope.stages.see.particles import clean_mask
+from deformscope_drivers.clock import Stamp
+
+WIDTH_PX, RIM_PX = 800.0, 40.0
+"""Of the picture of a pair."""
+EYE = np.array([[0.87, 0.0], [0.42, -0.3], [0.0, -1.0]])
+"""From x, y, z of a body in space to a picture of it: from the front, a little from the right and above."""
+NICE = 10
+"""Of the process that computes the flow: what a person sets goes first, and so does what reads devices."""
+
+
+class ImagesSubject:
+    """Images whose optical flow is kept. size_px: width, height; images: rest and deformed, as JPEG"""
+
+    kind: Literal["images"] = "images"
+
+    def __init__(self, motion: KeptMotion) -> None:
+        self._motion = motion
+        height, width = motion.first.shape[:2]
+        self.size_px = float(width), float(height)
+        both = (motion.first, motion.last)
+        low = min(float(one.min()) for one in both)
+        high = max(float(one.max()) for one in both)
+        self.images = tuple(encode_jpeg(_eight_bits(one, low, high)) for one in both)
+
+    def observe(self, config: BetaConfig | ThetaConfig) -> tuple[Observation, Mapping[str, object]]:
+        """What was seen with these options, and what a fit records of it. Raises InputError where there is nothing."""
+        images = images_of(config)
+        height, width = self._motion.first.shape[:2]
+        mask = mask_of(config.sources, images, (height, width))
+        particles = particle_options(images, config.search.noise_px)
+        grid, history = self._motion.follow(particles, None if mask is None else clean_mask(mask))
+        return last_pose(grid, history, particles)
+
+    def in_picture(self, position: FloatArray) -> FloatArray:
+        """(K, d) positions of an observation as (K, 2) x, y [px]."""
+        return position
+
+
+class PairSubject:
+    """A pair file, in the plane (y up) or in space (z up). size_px: width, height of its picture; it has no images"""
+
+    kind: Literal["pair"] = "pair"
+    images: tuple[bytes, ...] = ()
+
+    def __init__(self, config: BetaConfig | ThetaConfig) -> None:
+        raw = read_file(config.sources[0], "a pair file (.npz)")
+        self._seen = one = parse_pair(raw, config.sources[0], noise_m=config.search.noise_m)
+        self._eye = EYE if one.rest.shape[1] == 3 else np.array([[1.0, 0.0], [0.0, -1.0]])
+        drawn = np.concatenate([one.rest, one.deformed[np.isfinite(one.deformed).all(axis=1)]]) @ self._eye
+        self._low, size = drawn.min(axis=0), np.ptp(drawn, axis=0)
+        self._scale = (WIDTH_PX - 2 * RIM_PX) / float(size.max())
+        width, height = size * self._scale + 2 * RIM_PX
+        self.size_px = float(width), float(height)
+
+    def observe(self, config: BetaConfig | ThetaConfig) -> tuple[Observation, Mapping[str, object]]:
+        """As `ImagesSubject.observe`."""
+        return self._seen, {}
+
+    def in_picture(self, position: FloatArray) -> FloatArray:
+        """As `ImagesSubject.in_picture`."""
+        return np.asarray((position @ self._eye - self._low) * self._scale + RIM_PX)
+
+
+FitSubject = ImagesSubject | PairSubject
+
+
+def subject_of(config: BetaConfig | ThetaConfig, note: Callable[[str], None]) -> FitSubject:
+    """Of the files that a command's options name. note: of what is done, in words"""
+    if ending_of(config.sources[0]) == ".npz":
+        return PairSubject(config)
+    images = images_of(config)
+    with opened_images(config.sources, images) as source:
+        of = "" if source.count is None else f" of {source.count}"
+        return ImagesSubject(KeptMotion(source, images.flow, lambda done: note(f"optical flow: frame {done}{of}")))
+
+
+class FollowedCamera:
+    """Pictures may come from any thread; all else is for one other.
+
+    name: of the camera; first: its first picture, which shows the thing at rest; method: of the flow
+    flow: computes it in a process, whose OpenCV nothing else uses meanwhile: the same pictures give the same to the
+    last bit
+    next_folder: for pictures that are to be kept; want: asks for the next picture
+    """
+
+    def __init__(
+        self,
+        name: str,
+        first: ImageArray,
+        method: FlowMethod,
+        flow: Beside,
+        next_folder: Callable[[], Path],
+        want: Callable[[], None],
+    ) -> None:
+        self.name = name
+        self._rest = self._newest = first
+        self._method, self._flow, self._next_folder, self._want = method, flow, next_folder, want
+        self._wants = False
+        self._requested: Future[KeptMotion] | None = None
+        self._pair: tuple[ImageArray, ImageArray] | None = None
+        self._shown: KeptMotion | None = None
+        self._folder: Path | None = None
+        self._pairs = 0
+        self._kept: tuple[str, str] | None = None
+
+    def on_picture(self, image: ImageArray) -> None:
+        """It replaces one that was not looked at."""
+        self._wants, self._newest = False, image
+
+    def take_rest(self) -> None:
+        """The newest picture shows the thing at rest."""
+        self._rest, self._requested, self._pair = self._newest, None, None
+
+    def request(self, call: Callable[[], None]) -> None:
+        """Have the motion computed from rest to the newest picture, if that is another than what is shown, and none is
+        being computed; meanwhile the next picture comes. call: once it is there, in any thread"""
+        if not self._wants:
+            self._wants = True
+            self._want()
+        rest, newest = self._rest, self._newest
+        if self._requested is not None or (self._pair and self._pair[0] is rest and self._pair[1] is newest):
+            return
+        self._pair = rest, newest  # also where nothing comes of it: it is not computed again
+        self._requested = self._flow.submit(motion_of, rest, newest, self._method, cv2.getNumThreads())
+        self._requested.add_done_callback(lambda future: call())
+
+    @property
+    def is_ready(self) -> bool:
+        """Whether what was requested is there."""
+        return self._requested is not None and self._requested.done()
+
+    def motion(self) -> KeptMotion:
+        """What was requested, once it is there. Raises what went wrong with it."""
+        requested, self._requested = self._requested, None
+        assert requested is not None
+        assert self._pair is not None
+        motion = requested.result()
+        motion.first, motion.last = self._pair  # these very arrays
+        self._shown, self._kept = motion, None
+        return motion
+
+    def keep(self) -> None:
+        """Write both pictures that are shown as files, without loss. Raises OSError, and InputError where they cannot
+        be written."""
+        if self._kept is not None:
+            return
+        assert self._shown is not None
+        if self._folder is None:
+            folder = self._next_folder()
+            make_folder(folder)
+            self._folder = folder
+        self._pairs += 1
+        rest, now = (self._folder / f"{name}-{self._pairs}.png" for name in ("rest", "now"))
+        rest.write_bytes(encode_png(self._shown.first))
+        now.write_bytes(encode_png(self._shown.last))
+        self._kept = str(rest), str(now)
+
+    def named(self, config: BetaConfig | ThetaConfig) -> BetaConfig | ThetaConfig:
+        """The options, of the files that were kept. Raises InputError where none were."""
+        if self._kept is None:
+            raise InputError("pictures of the camera that are kept", "none", "room and rights in [record] folder")
+        return dataclasses.replace(config, sources=self._kept, images=dataclasses.replace(config.images, camera=None))
+
+
+def motion_of(rest: ImageArray, newest: ImageArray, method: FlowMethod, threads: int) -> KeptMotion:
+    """From one picture to the other, as of two files. threads: of OpenCV. Raises InputError where the sizes differ."""
+    if rest.shape != newest.shape:
+        came = f"{newest.shape[1]}x{newest.shape[0]} after {rest.shape[1]}x{rest.shape[0]}"
+        raise InputError("pictures of one size", came, "take the one at rest again")
+    os.setpriority(os.PRIO_PROCESS, 0, max(NICE, os.getpriority(os.PRIO_PROCESS, 0)))
+    cv2.setNumThreads(threads)
+    pair = [ColorFrame(Stamp(index), index, image) for index, image in enumerate((rest, newest))]
+    return KeptMotion(pair, method, lambda done: None)
+
+
+def _eight_bits(image: ImageArray, low: float, high: float) -> ImageArray:
+    """As a browser shows it: 16 bits are spread over 8."""
+    if image.dtype == np.uint8:
+        return image
+    return ((image.astype(np.float32) - low) * (255.0 / max(high - low, 1.0))).clip(0, 255).astype(np.uint8)
