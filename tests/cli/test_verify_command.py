@@ -39,8 +39,8 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     with Recorder(whole, settings={"seed": 1}) as recorder:
         for frame in frames():
             recorder.write(frame)
-            assert recorder._file is not None
-            recorder._put(recorder._file.flush, 0)  # so that each is a message of its own
+            assert recorder._outputs.file is not None
+            recorder._put(recorder._outputs.file.flush, 0)  # so that each is a message of its own
         written = threading.Event()
         recorder._put(written.set, 0)
         assert written.wait(PATIENCE_S)
