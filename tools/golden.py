@@ -82,9 +82,9 @@ CASES: Mapping[str, Case] = {
         f"calibrate axes sample:pair {QUIET} --json e.json --record e.rrd --picture e.png --report e.html"
     ),
     "field-pair": _of(f"calibrate field sample:pair {QUIET} --json e.json --record e.rrd --picture e.png"),
-    "yield-video": _of(f"calibrate yield sample:video --at 20,39 {QUIET} --json e.json --record e.rrd --picture e.png"),
+    "yield-video": _of(f"calibrate yield sample:video --at 3,5 {QUIET} --json e.json --record e.rrd --picture e.png"),
     "viscous-video": _of(
-        f"calibrate viscous sample:video --at 20,39 {QUIET} --json e.json --record e.rrd --report e.html"
+        f"calibrate viscous sample:video --at 3,5 {QUIET} --json e.json --record e.rrd --report e.html"
     ),
     "flow": _of(f"flow A.png B.png {QUIET} --out f.npz --json e.json --picture e.png --record e.rrd"),
     "explore": _explore(
