@@ -84,7 +84,7 @@ CASES: Mapping[str, Case] = {
     "field-pair": _of(f"calibrate field sample:pair {QUIET} --json e.json --record e.rrd --picture e.png"),
     "yield-video": _of(f"calibrate yield sample:video --at 3,5 {QUIET} --json e.json --record e.rrd --picture e.png"),
     "viscous-video": _of(
-        f"calibrate viscous sample:video --at 3,5 {QUIET} --json e.json --record e.rrd --report e.html"
+        f"calibrate viscous sample:video --at 3,5 {QUIET} --json e.json --record e.rrd --report e.html", refused=True
     ),
     "flow": _of(f"flow A.png B.png {QUIET} --out f.npz --json e.json --picture e.png --record e.rrd"),
     "explore": _explore(
@@ -166,7 +166,7 @@ MASKED_KEYS = re.compile(
 )
 """Of JSON: times, paths, stamps, and what depends on them."""
 MASKED_ROWS = re.compile(
-    r"^\W*(.*git commit|time|recording|supervisor looked|report|model|picture|maps?|written|in \d)"
+    r"^\W*(.*git commit|.* left$|time|recording|supervisor looked|report|model|picture|maps?|written|in \d)"
 )
 MASKED_TEXT = (
     (re.compile(r"/[\w./+-]*/"), "PATH/"),
