@@ -214,7 +214,6 @@ class SqueezeLab:
         grasp: FloatArray | None = None,
         alike: bool = False,
         camera_hz: float = 30.0,
-        hand_hz: float = 50.0,
         camera: DepthViewConfig = CAMERA,
     ) -> None:
         """container: its name begins with its kind, `box` or `cylinder`; others of a kind have other walls
@@ -237,7 +236,7 @@ class SqueezeLab:
             camera=camera,
         )
         self.hand = Sdh(
-            SdhConfig(port="socket://simulated-hand:23", rate_hz=hand_hz),
+            SdhConfig(port="socket://simulated-hand:23", rate_hz=50.0),
             transport=MemoryTransport(self.simulated.hand, self.clock, "simulated hand"),
             clock=self.clock,
         )
