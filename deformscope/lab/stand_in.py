@@ -156,11 +156,6 @@ def _kuka(config: Any) -> Iterator[Device[Any]]:
 
 
 @contextlib.contextmanager
-def _placed(config: Any) -> Iterator[Device[Any]]:
-    yield PlacedArm(config)
-
-
-@contextlib.contextmanager
 def _webcam(config: Any) -> Iterator[Device[Any]]:
     from deformscope.lab.bench_scene import side
 
@@ -174,20 +169,17 @@ def _depth_camera(config: Any) -> Iterator[Device[Any]]:
     yield SyntheticDepthCamera(view, SyntheticDepthConfig(rate_hz=config.fps or 30.0))
 
 
-@contextlib.contextmanager
-def _realsense(config: Any) -> Iterator[Device[Any]]:
-    yield Realsense(config, library="deformscope_drivers.realsense.double")
-
-
 WIRED: dict[str, Callable[[Any], Double]] = {"optoforce": _optoforce, "dsa": _dsa, "sdh": _sdh}
 """Byte-exact doubles, by driver: they go behind any wire."""
 
 _IN_PROCESS: dict[str, Callable[[Any], contextlib.AbstractContextManager[Device[Any]]]] = {
     "jaco": _jaco,
     "kuka": _kuka,
-    "placed": _placed,
+    "placed": lambda config: contextlib.nullcontext(PlacedArm(config)),
     "webcam": _webcam,
     "depth_camera": _depth_camera,
-    "realsense": _realsense,
+    "realsense": lambda config: contextlib.nullcontext(
+        Realsense(config, library="deformscope_drivers.realsense.double")
+    ),
 }
 """Doubles behind the driver's own interface."""
