@@ -17,7 +17,6 @@ from typing import Any, Protocol, TypeVar
 from deformscope.frames import ColorFrame, HealthReport, Item
 
 SummaryT = TypeVar("SummaryT")
-SummaryT_co = TypeVar("SummaryT_co", covariant=True)
 
 BATCH_S = 0.1
 """How long what devices give is gathered before it is recorded together: each call of a recorder's costs its time."""

@@ -30,10 +30,11 @@ from deformscope.lab.creeping_world import CreepingWorld, Relaxation
 from deformscope.lab.scenes import Piece, Scene, initial_modulus_pa
 from deformscope.lab.slab import RigidTip
 from deformscope.lab.slab_world import SlabWorld
-from deformscope.lab.touching import HeldTouch, Sensing, force_curve, held_touch
+from deformscope.lab.touching import Sensing, force_curve
 from deformscope.pictures.report import Table
 from deformscope.stages.poke.contact import ArmCompliance
 from deformscope.stages.poke.creep import CreepVerdict, fit_creep
+from studies.held_touch import HeldTouch, held_touch
 from studies.quantities import KnownEstimate, by, counts, interval_rows, interval_table
 from studies.seeds import reported
 
@@ -82,13 +83,13 @@ def touched(case: CreepCase) -> tuple[HeldTouch, tuple[float, ...]]:
     if case.kind == "elastic":
         relaxation = Relaxation()
     off = max(1.0 + ARM_DOUBT * float(random.standard_normal()), 0.1)
-    sensing = Sensing(arm_n_per_m=ARM_STIFFNESS_N_M / off)
+    sensing, lean = Sensing(arm_n_per_m=ARM_STIFFNESS_N_M / off), 0.0
     if case.kind == "plastic":
         relaxation = replace(relaxation, keeps=random.uniform(*KEEPS))
     elif case.kind in ("slipping", "sticking"):
         lean = random.uniform(*LEANS)
         friction = ROUGH if case.kind == "sticking" else STUCK * lean * random.uniform(*SLIDES_AT)
-        sensing = replace(sensing, lean=lean, friction=friction)
+        sensing = replace(sensing, friction=friction)
     tip, xy_m = RigidTip(radius=TIP_M), 0.5 * np.asarray(scene.size_m)
     made = held_touch(
         CreepingWorld(scene, relaxation),
@@ -98,6 +99,7 @@ def touched(case: CreepCase) -> tuple[HeldTouch, tuple[float, ...]]:
         set_force_n=SET_FORCE_N,
         max_depth_m=DEEPEST_M,
         sensing=sensing,
+        lean=lean,
         random=random,
     )
     rest = np.append(xy_m, scene.thickness_m + TIP_M)

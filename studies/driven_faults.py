@@ -17,7 +17,6 @@ from enum import StrEnum
 import numpy as np
 
 from deformscope.lab.faults import Injected
-from deformscope.lab.springy_foam import SpringyFoam
 from deformscope.lab.touch_lab import TouchLab
 from deformscope.rig.rig_file import Tool
 from deformscope.robot.checks import Check, Preflight
@@ -44,6 +43,7 @@ from studies.fault_study import (
     after_stop,
     run_fault,
 )
+from studies.springy_foam import SpringyFoam
 
 CLEAR_M = 0.08, 0.03
 """A pose that is drawn keeps so far from the table and from itself."""

@@ -14,7 +14,6 @@ import numpy as np
 
 from deformscope.lab.arm_contact import ARM_CYCLE_NS
 from deformscope.lab.faults import ARM, CAMERA, FORCE, Injected, inject
-from deformscope.lab.springy_foam import SpringyFoam
 from deformscope.lab.touch_lab import TouchLab
 from deformscope.rig.rig_file import Tool
 from deformscope.robot.latch import Action
@@ -29,6 +28,7 @@ from deformscope_drivers.arm.errors import NotStopped
 from deformscope_drivers.arm.kinematics import FloatArray, rotation_vector
 from deformscope_drivers.depth_camera.synthetic import View
 from deformscope_drivers.jaco.chains import J2N6S300
+from studies.springy_foam import SpringyFoam
 
 BOX_LOW_M, BOX_HIGH_M = (-0.40, -0.65, 0.02), (0.40, -0.08, 0.40)
 """In the arm's base frame: the air over the table."""

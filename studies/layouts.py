@@ -15,7 +15,6 @@ import numpy as np
 from deformscope.errors import InputError
 from deformscope.lab.arm_contact import ARM_STIFFNESS_N_M
 from deformscope.lab.arms import arm_in_lab
-from deformscope.lab.springy_foam import SpringyFoam
 from deformscope.lab.touch_lab import TouchLab
 from deformscope.rig.rig_file import Tool
 from deformscope.robot.placement import Placement
@@ -38,6 +37,7 @@ from deformscope_drivers.jaco.chains import CHAINS as JACO
 from deformscope_drivers.kuka import KukaConfig, KukaDouble
 from deformscope_drivers.memory import SimulatedClock
 from studies.fault_study import ACCELERATION_DEG_S2
+from studies.springy_foam import SpringyFoam
 
 SIZE_M, TOP_M = (0.6, 0.4), 0.05
 MODULUS_PA = 60e3

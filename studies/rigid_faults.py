@@ -11,7 +11,6 @@ import numpy as np
 
 from deformscope.arrays import FloatArray
 from deformscope.lab.arms import arm_in_lab
-from deformscope.lab.springy_foam import SpringyFoam
 from deformscope.lab.touch_lab import TouchLab
 from deformscope.rig.rig_file import Tool
 from deformscope.robot.checks import Preflight
@@ -27,6 +26,7 @@ from deformscope_drivers.jaco import JacoConfig, JacoDouble
 from deformscope_drivers.kuka import KukaConfig, KukaDouble
 from deformscope_drivers.memory import SimulatedClock
 from studies.fault_study import ACCELERATION_DEG_S2, GRAVITY_LEFT, TORQUE_NOISE_NM
+from studies.springy_foam import SpringyFoam
 
 RIGID_PA, TOP_M, HIGHER_M = 1e9, 0.08, 0.045
 UP = np.array([0.0, 0.0, 1.0])

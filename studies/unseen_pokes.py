@@ -15,8 +15,8 @@ import numpy as np
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.lab.elasticity import ElasticBox
 from deformscope.stages.fit.calibrate import FitOptions, Model, Observation, calibrate
-from deformscope.stages.poke.predictive import predict
 from studies.field_bodies import SPACING_M, lattice
+from studies.predictive import predict
 from studies.random_bodies import CANDIDATES, random_dim
 
 NOISE_M = 1e-4

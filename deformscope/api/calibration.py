@@ -14,6 +14,7 @@ from typing import Any, Literal, TypeAlias, TypedDict, Unpack
 
 import numpy as np
 
+from deformscope.api.calibration_report import poke_tables
 from deformscope.api.result import (
     LibraryResult,
     Note,
@@ -40,6 +41,7 @@ from deformscope.experiments.pair_files import pair_files
 from deformscope.experiments.poke_files import LayersOptions, poke_files
 from deformscope.experiments.whole_motion import MotionOptions, whole_motion
 from deformscope.file_io import ending_of, read_file
+from deformscope.files.model_file import save_model
 from deformscope.files.pairs import parse_pair
 from deformscope.files.sources import DEFAULT_FPS, Source
 from deformscope.frames import ColorFrame, InputFile
@@ -141,8 +143,6 @@ class CalibrationResult(LibraryResult):
 
     def save(self, path: Path | str) -> None:
         """Write `model()` as a file (.npz) that `deformscope predict` takes."""
-        from deformscope.files.model_file import save_model
-
         save_model(self.model(), Path(path))
 
     def picture(self) -> bytes:
@@ -157,8 +157,6 @@ class CalibrationResult(LibraryResult):
         return found | ({"source_problems": list(self.problems)} if self.problems else {})
 
     def tables(self) -> tuple[Table, ...]:
-        from deformscope.api.calibration_report import poke_tables
-
         parameter, rows = self.estimate.parameter, []
         if self.problems:
             rows.append(("SOURCE DAMAGED", "; ".join(self.problems)))

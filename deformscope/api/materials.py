@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
+import msgspec
 import numpy as np
 
 from deformscope.api.calibration import pair_recorder, size_notes
@@ -274,7 +275,8 @@ def run_material_files(
             note(remark)
         with pair_recorder(seen, raws, used, output) as recorder:
             experiment = material_files(lambda: _of_pairs(seen, job, progress))
-            result = MaterialResult(run((), experiment, recorder), _named(raws), settings=used, seed=job.seed)
+            name = ", ".join(name for name, _ in raws)
+            result = MaterialResult(run((), experiment, recorder), name, settings=used, seed=job.seed)
             recorder.write(Step((result.findings(),), frame=0))
         return dataclasses.replace(result, recording=recorder.summary())
     if len(raws) > 1:
@@ -346,10 +348,6 @@ def recorded_files(recording: Replay, name: str) -> list[tuple[str, bytes]]:
     return [(str(recording.path), found[name])] if name in found else []
 
 
-def _named(raws: Sequence[tuple[str, bytes]]) -> str:
-    return ", ".join(name for name, _ in raws)
-
-
 # Forces of a recording -----------------------------------------------------------------------------------------------
 
 
@@ -403,8 +401,6 @@ def replay_material(
     recording: Replay, source: Source, output: OutputOptions, *, progress: Progress | None = None
 ) -> tuple[list[MaterialEstimate], MaterialResult]:
     """What a recording says, and the same fitted again to what it keeps. source: its images"""
-    import msgspec
-
     settings = dict(recording.settings)
     try:
         job = msgspec.convert(settings.pop("material"), MaterialJob)

@@ -298,7 +298,7 @@ def pushes_of(rig: Rig, made: PushedTip) -> MeasuredPushes:
 def solve_force(rig: Rig, made: MeasuredPushes | PushedTip) -> SetupFound:
     """`[tool] R_tip_force` from pushes, and `force_gain` from a known load; noise and drift beside them."""
     pushes = made if isinstance(made, MeasuredPushes) else pushes_of(rig, made)
-    found = mount(pushes.force_n, _nearest_axes(pushes.axis))
+    found = mount(pushes.force_n, pushes.axis / np.linalg.norm(pushes.axis, axis=1, keepdims=True))
     rest = None if pushes.free is None else free_air(pushes.free.time_s, pushes.free.force_n)
     half_deg, turn_deg = np.degrees(found.turn_half_rad), np.degrees(found.turn_rad)
     signs = "as they should be" if np.linalg.det(found.R_tip_force) > 0 else "mirrored: an axis the other way round"
@@ -346,10 +346,6 @@ def solve_force(rig: Rig, made: MeasuredPushes | PushedTip) -> SetupFound:
             "gain": gain,
         },
     )
-
-
-def _nearest_axes(axis: FloatArray) -> FloatArray:
-    return np.asarray(axis / np.linalg.norm(axis, axis=1, keepdims=True))
 
 
 def _free_words(rest: FreeAir) -> Sequence[tuple[str, str]]:

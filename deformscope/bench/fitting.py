@@ -14,6 +14,7 @@ from deformscope.bench.bodies import SHEET_CLUSTERS, sheet
 from deformscope.bench.plan import BenchPlan, Note
 from deformscope.bench.statics import SWEPT
 from deformscope.bench.timing import OURS, Contestant, TimingRow, clock, compare
+from deformscope.stages.msm.fit import fit_beta
 from deformscope.stages.msm.solver import Msm
 
 TRUE_BETA, NOISE = 0.637, 0.02
@@ -29,8 +30,6 @@ Error = Callable[[FloatArray, FloatArray], float]
 
 def fit(plan: BenchPlan, note: Note) -> Iterator[TimingRow]:
     """The same beta found by two methods, and how far each is from the error's minimum."""
-    from deformscope.stages.msm.fit import fit_beta
-
     body = sheet()
     for size in SHEET_CLUSTERS[1:2] if plan.quick else SHEET_CLUSTERS:
         what = f"beta of the {body.named}, clusters of {size}^2"

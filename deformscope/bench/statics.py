@@ -13,6 +13,7 @@ from deformscope.bench.bodies import SHEET_CLUSTERS, BenchBody, counted, cube, p
 from deformscope.bench.plan import BETA, CLUSTER, MIDDLE, BenchPlan, Note, side_of
 from deformscope.bench.timing import OURS, Contestant, TimingRow, clock, compare
 from deformscope.stages.msm.clusters import single
+from deformscope.stages.msm.reduced import OneCluster
 from deformscope.stages.msm.solver import Msm, Relaxed
 
 SWEPT = np.arange(100) * 0.01
@@ -73,8 +74,6 @@ def _relaxing(engine: Msm, body: BenchBody, what: str, beta: FloatArray | float)
 
 def theta(plan: BenchPlan, note: Note) -> Iterator[TimingRow]:
     """The static state of a single quadratic cluster under eq. 3.17, by its moments and by all its particles."""
-    from deformscope.stages.msm.reduced import OneCluster
-
     contestants: list[Contestant] = []
     for side in ONE_CLUSTER_SIDES[:2] if plan.quick else ONE_CLUSTER_SIDES:
         body = cube(side)

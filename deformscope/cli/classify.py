@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from deformscope.cli.common import (
     fit_progress,
@@ -24,16 +23,14 @@ from deformscope.cli.common import (
 )
 from deformscope.config import ClassifyConfig
 from deformscope.config.classify import parse_merges, parse_transfers
-
-if TYPE_CHECKING:
-    from deformscope.stages.squeeze.table import LabelledTable
+from deformscope.session import Step
+from deformscope.stages.squeeze.table import LabelledTable
 
 
 def run(config: ClassifyConfig) -> None:
     """Evaluate, print, draw and write."""
     from deformscope.api.classification import classify_table, options_of, table_from
     from deformscope.files.classifier_file import save_classifier
-    from deformscope.session import Step
 
     table = table_from(
         config.table,
@@ -71,7 +68,6 @@ def _check(config: ClassifyConfig, path: Path, table: LabelledTable) -> None:
     """How a saved classifier does on trials that it has not seen."""
     from deformscope.api.classification import load_classifier
     from deformscope.api.classifier_check import ClassifierCheckResult, check_page
-    from deformscope.session import Step
     from deformscope.stages.squeeze.model_check import check_model
 
     model = load_classifier(path)

@@ -14,17 +14,19 @@ from dataclasses import dataclass
 from functools import partial
 from importlib import resources
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 from deformscope.api.first_day import FirstDayStep, begin, first_day, next_step
+from deformscope.api.setups import setup_of_rig
 from deformscope.cli.common import say, show, write_json
 from deformscope.config import DoctorConfig
 from deformscope.errors import InputError
 from deformscope.lab.rig_members import member_of
-
-if TYPE_CHECKING:
-    from deformscope.rig.rig_file import Rig, RigDevice
-    from deformscope_drivers.health import Health
+from deformscope.rig.rig_file import Rig, RigDevice, load_rig
+from deformscope_drivers.arm import Arm
+from deformscope_drivers.errors import DeviceError
+from deformscope_drivers.health import Health
+from deformscope_drivers.priority import SENDING, may_be_prompt
 
 FREE_BYTES_WANTED = 5 << 30
 FIRST_READING_S = 10.0
@@ -49,8 +51,6 @@ class Unfit(InputError):
 
 def run(config: DoctorConfig) -> None:
     """Check everything, report all of it, and raise Unfit where something fails."""
-    from deformscope.rig.rig_file import load_rig
-
     if config.example:
         name = "rig-doubles.toml" if config.doubles else "rig-example.toml"
         print((resources.files("deformscope") / "lab" / name).read_text(encoding="utf-8"), end="")
@@ -109,8 +109,6 @@ def _minutes(step: FirstDayStep) -> str:
 
 def _found(what: str, look: Callable[[], list[Finding]]) -> list[Finding]:
     """What a look finds; whatever is raised in it is a finding too, and hides none of the others."""
-    from deformscope_drivers.errors import DeviceError
-
     try:
         return look()
     except (InputError, DeviceError, OSError) as error:
@@ -162,8 +160,6 @@ def _exploring(rig: Rig, measured: bool) -> list[Finding]:
     kinds = {entry.driver.kind for entry in rig.devices}
     if "[surface]" not in rig.text or not {"arm", "wrench", "depth"} <= kinds:
         return []
-    from deformscope.api.setups import setup_of_rig
-
     try:
         setup = setup_of_rig(rig)
     except InputError as error:
@@ -202,8 +198,6 @@ def _disk(rig: Rig) -> Finding:
 
 def _real_time(rig: Rig) -> list[Finding]:
     """Whether a robot's threads may run before whatever else the machine computes."""
-    from deformscope_drivers.priority import SENDING, may_be_prompt
-
     if not {"arm", "hand"} & {entry.driver.kind for entry in rig.devices}:
         return []
     if may_be_prompt():
@@ -218,8 +212,6 @@ def _real_time(rig: Rig) -> list[Finding]:
 
 def _device(entry: RigDevice, name: str, seconds: float) -> list[Finding]:
     """Open one device and listen to it."""
-    from deformscope_drivers.arm import Arm
-
     with member_of(entry) as member, member.device as device:
         who_is = device.identity()
         device.next(max(seconds, FIRST_READING_S))

@@ -257,11 +257,11 @@ class Explorer:
 
     def look(self, looked: Callable[[], SurfaceMeasurement]) -> SurfaceEstimate | None:
         """Take the surface before any touch in; None where it could not be seen or fitted."""
-        self._surface = self._stage("surface", lambda: self._seen(looked()))
+        self._surface = self._stage(
+            "surface",
+            lambda: SeenSurface.of(looked(), self.grid, self.options, on_level_layer=self.search.on_level_layer),
+        )
         return None if self._surface is None else self._surface.estimate
-
-    def _seen(self, looked: SurfaceMeasurement) -> SeenSurface:
-        return SeenSurface.of(looked, self.grid, self.options, on_level_layer=self.search.on_level_layer)
 
     # The next touch ---------------------------------------------------------------------------------------------------
 
@@ -346,7 +346,9 @@ class Explorer:
         approach = touched.approach
         before = self.touches[-1].xyz_m[:2] if self.touches else np.zeros(2)
         self.travel_m += float(np.hypot(*(touched.xy_m - before)))
-        contact = self._stage("contact", lambda: self._contact(approach))
+        contact = self._stage(
+            "contact", lambda: fit_contact(approach, self.surface, self.search, self._arm, self._gain_sd)
+        )
         creep, search = None, None
         if contact is not None:
             if not contact.fit.rigid:
@@ -370,9 +372,6 @@ class Explorer:
         truth_m = None if self._truth is None else self._truth.lumps_m
         found = None if search is None else self._stage("lumps", lambda: self.search.inclusions(truth_m))
         return AfterTouch(estimate, maps, found)
-
-    def _contact(self, touched: TouchMeasurement) -> TouchContact:
-        return fit_contact(touched, self.surface, self.search, self._arm, self._gain_sd)
 
     def _sample(
         self, touched: TouchMeasurement, contact: TouchContact, creep: CreepFit | None

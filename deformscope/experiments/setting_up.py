@@ -31,8 +31,6 @@ LOADS = 4
 STILL_M, STILL_DEG = 0.0008, 0.3
 """Greatest motion within that of an arm that is held."""
 TRIES = 5
-WAIT_S = 20.0
-"""For frames of a device, before it is said to be silent."""
 PATIENCE = 400
 """Steps without a frame, of 0.05 s."""
 

@@ -24,6 +24,7 @@ import numpy as np
 import numpy.typing as npt
 
 from deformscope.errors import InputError
+from deformscope.file_io import replacing
 from deformscope.files.arrays_file import Arrays, read_arrays
 from deformscope.stages.squeeze.classifiers import NAMES, Classifier, Linear, Neighbours, Quadratic
 from deformscope.stages.squeeze.components import Scaling
@@ -83,8 +84,6 @@ def _put(arrays: dict[str, npt.NDArray[Any]], prefix: str, name: str, model: Mod
 
 def save_classifier(model: ContentModel, path: Path) -> None:
     """Write a model; a file that stands there is replaced when the new one is complete."""
-    from deformscope.file_io import replacing
-
     with replacing(path) as file:
         np.savez_compressed(file, **classifier_arrays(model))  # type: ignore[arg-type]  # numpy's stub
 

@@ -265,11 +265,6 @@ class ContainerWorld:
         return self._gas.pressure_pa(float(self._state.y[-1]))[0]
 
     @property
-    def squeezed_m3(self) -> float:
-        """Volume that the walls took away since rest."""
-        return float(self._state.y[-1])
-
-    @property
     def torque_nm(self) -> FloatArray:
         """(7,) of the contact about each axis, against growing angles."""
         torque = np.zeros(7)

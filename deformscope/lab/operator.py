@@ -7,13 +7,10 @@ import math
 import threading
 import time
 from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING
 
+from deformscope_drivers.jaco import JacoDouble
 from deformscope_drivers.jaco.structures import TrajectoryPoint
 from deformscope_drivers.sdh.double import Port, SdhDouble
-
-if TYPE_CHECKING:
-    from deformscope_drivers.jaco import JacoDouble
 
 CYCLE_S = 0.01
 ANGULAR_VELOCITY = 8

@@ -77,10 +77,10 @@ class ContainerTruth:
     content, container: their names; fill: share of the height; mass_kg: of all that is squeezed
     contact_ns: when a finger first pressed the wall; steady_ns: from when on the pressing joints turned less than
     `STILL_DEG_S` until they were opened again, or until now; None where there was none (yet)
-    T_hand_container_rest, T_hand_container: (4, 4) before, and now; T_hand_camera: (4, 4)
+    T_hand_container, T_hand_camera: (4, 4)
     force_n, dent_m: (2,) of finger 0 and finger 2: how hard they press, and the most that the wall moved inwards
-    inward_m: (nodes along s, along z) how far the wall stands within the undeformed container, at nodes_m; a content
-    bulges it also before it is touched
+    inward_m: (nodes along s, along z) how far the wall stands within the undeformed container; a content bulges it also
+    before it is touched
     """
 
     content: str
@@ -89,13 +89,11 @@ class ContainerTruth:
     mass_kg: float
     contact_ns: int | None
     steady_ns: int | None
-    T_hand_container_rest: FloatArray
     T_hand_container: FloatArray
     T_hand_camera: FloatArray
     force_n: FloatArray
     dent_m: FloatArray
     inward_m: FloatArray
-    nodes_m: tuple[FloatArray, FloatArray]
 
 
 class SqueezedContainer:
@@ -144,13 +142,11 @@ class SqueezedContainer:
             mass_kg=self.world.mass_kg,
             contact_ns=self._contact_ns,
             steady_ns=self._steady_ns(),
-            T_hand_container_rest=self.draw.T_hand_container,
             T_hand_container=self.world.T_hand_container,
             T_hand_camera=self.view.T_world_camera,
             force_n=self.world.force_n,
             dent_m=self.world.dent_m,
             inward_m=self.world.inward_m(),
-            nodes_m=self.world.nodes_m,
         )
 
     def seen(self) -> View:
@@ -214,7 +210,6 @@ class SqueezeLab:
         grasp: FloatArray | None = None,
         alike: bool = False,
         camera_hz: float = 30.0,
-        hand_hz: float = 50.0,
         camera: DepthViewConfig = CAMERA,
     ) -> None:
         """container: its name begins with its kind, `box` or `cylinder`; others of a kind have other walls
@@ -237,7 +232,7 @@ class SqueezeLab:
             camera=camera,
         )
         self.hand = Sdh(
-            SdhConfig(port="socket://simulated-hand:23", rate_hz=hand_hz),
+            SdhConfig(port="socket://simulated-hand:23", rate_hz=50.0),
             transport=MemoryTransport(self.simulated.hand, self.clock, "simulated hand"),
             clock=self.clock,
         )

@@ -10,11 +10,23 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 from deformscope.errors import InputError
+from deformscope.lab.operator import GraspingHand, moved_by_hand
 from deformscope.processes import beside
 from deformscope.rig.driver_table import DRIVERS
 from deformscope_drivers.clock import monotonic_ns
+from deformscope_drivers.depth_camera import Realsense, SyntheticDepthCamera
+from deformscope_drivers.depth_camera.synthetic import SyntheticDepthConfig
 from deformscope_drivers.device import Device
 from deformscope_drivers.doubles import Double
+from deformscope_drivers.dsa import DsaDouble
+from deformscope_drivers.jaco import Jaco, JacoDouble, JacoState
+from deformscope_drivers.kuka import KukaDouble, UdpWire, open_kuka
+from deformscope_drivers.kuka.port import free_port
+from deformscope_drivers.optoforce.double import OMD_20_SE_40N, OptoforceDouble, Sensors
+from deformscope_drivers.optoforce.protocol import Kind
+from deformscope_drivers.placed import PlacedArm
+from deformscope_drivers.sdh.double import Port
+from deformscope_drivers.webcam import SyntheticCamera, SyntheticCameraConfig
 from deformscope_drivers.wires import LOOPBACK, CanWire, PtyWire, TcpWire, Wire
 
 _numbers = itertools.count(1)
@@ -101,8 +113,6 @@ def _optoforce(config: Any) -> Double:
     """Sensors on a stick that presses foam now and then, as many and as sensitive as the rig file says. They begin at
     rest, so that they can be zeroed when they are opened."""
     from deformscope.lab.bench_scene import PRESS_S, loads
-    from deformscope_drivers.optoforce.double import OMD_20_SE_40N, OptoforceDouble, Sensors
-    from deformscope_drivers.optoforce.protocol import Kind
 
     sensitivities = config.sensitivities or (OMD_20_SE_40N,)
     axes = sensitivities[0].axes
@@ -116,23 +126,15 @@ def _optoforce(config: Any) -> Double:
 
 
 def _dsa(config: Any) -> Double:
-    from deformscope_drivers.dsa import DsaDouble
-
     return DsaDouble(bytes_per_s=None) if config.port.startswith("socket:") else DsaDouble()
 
 
 def _sdh(config: Any) -> Double:
-    from deformscope.lab.operator import GraspingHand
-    from deformscope_drivers.sdh.double import Port
-
     return GraspingHand(Port.RS232 if config.checksummed() else Port.CAN)
 
 
 @contextlib.contextmanager
 def _jaco(config: Any) -> Iterator[Device[Any]]:
-    from deformscope.lab.operator import moved_by_hand
-    from deformscope_drivers.jaco import Jaco, JacoDouble, JacoState
-
     arm = JacoDouble(config.model or "j2n6s300")
     with moved_by_hand(arm) as let_go:
 
@@ -148,25 +150,14 @@ def _jaco(config: Any) -> Iterator[Device[Any]]:
 
 @contextlib.contextmanager
 def _kuka(config: Any) -> Iterator[Device[Any]]:
-    from deformscope_drivers.kuka import KukaDouble, UdpWire, open_kuka
-    from deformscope_drivers.kuka.port import free_port
-
     port = free_port()
     with UdpWire(KukaDouble(config.model, cycle_s=config.cycle_s, again_s=0.5), port):
         yield open_kuka(dataclasses.replace(config, address=LOOPBACK, port=port, controller=""))
 
 
 @contextlib.contextmanager
-def _placed(config: Any) -> Iterator[Device[Any]]:
-    from deformscope_drivers.placed import PlacedArm
-
-    yield PlacedArm(config)
-
-
-@contextlib.contextmanager
 def _webcam(config: Any) -> Iterator[Device[Any]]:
     from deformscope.lab.bench_scene import side
-    from deformscope_drivers.webcam import SyntheticCamera, SyntheticCameraConfig
 
     yield SyntheticCamera(side, SyntheticCameraConfig(rate_hz=config.fps))
 
@@ -174,17 +165,8 @@ def _webcam(config: Any) -> Iterator[Device[Any]]:
 @contextlib.contextmanager
 def _depth_camera(config: Any) -> Iterator[Device[Any]]:
     from deformscope.lab.bench_scene import view
-    from deformscope_drivers.depth_camera import SyntheticDepthCamera
-    from deformscope_drivers.depth_camera.synthetic import SyntheticDepthConfig
 
     yield SyntheticDepthCamera(view, SyntheticDepthConfig(rate_hz=config.fps or 30.0))
-
-
-@contextlib.contextmanager
-def _realsense(config: Any) -> Iterator[Device[Any]]:
-    from deformscope_drivers.depth_camera import Realsense
-
-    yield Realsense(config, library="deformscope_drivers.realsense.double")
 
 
 WIRED: dict[str, Callable[[Any], Double]] = {"optoforce": _optoforce, "dsa": _dsa, "sdh": _sdh}
@@ -193,9 +175,11 @@ WIRED: dict[str, Callable[[Any], Double]] = {"optoforce": _optoforce, "dsa": _ds
 _IN_PROCESS: dict[str, Callable[[Any], contextlib.AbstractContextManager[Device[Any]]]] = {
     "jaco": _jaco,
     "kuka": _kuka,
-    "placed": _placed,
+    "placed": lambda config: contextlib.nullcontext(PlacedArm(config)),
     "webcam": _webcam,
     "depth_camera": _depth_camera,
-    "realsense": _realsense,
+    "realsense": lambda config: contextlib.nullcontext(
+        Realsense(config, library="deformscope_drivers.realsense.double")
+    ),
 }
 """Doubles behind the driver's own interface."""

@@ -40,12 +40,14 @@ class RecordingLayout(ABC):
         """The touch that what devices give next belongs to, after these results at a moment of this touch."""
         return touch
 
-    @abstractmethod
     def prepare(
         self, results: Sequence[object], session_ns: int, place: Place, cell_m: float, failed: list[StageFailure]
     ) -> Batch:
-        """Make results ready, those of one moment.
+        """Make results ready, those of one moment: what a robot that touches gives, unless a layout takes others.
 
         session_ns: when, since the recording's start [ns]; place: on the timelines of an exploration
         cell_m: of maps that do not say it themselves [m]; failed: takes what could not be shown
         """
+        from deformscope.log.exploration.results import prepare_results
+
+        return prepare_results(results, session_ns, place, cell_m=cell_m, failed=failed)

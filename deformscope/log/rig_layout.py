@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -11,9 +10,6 @@ from deformscope.log.layout import RecordingLayout
 
 if TYPE_CHECKING:
     import rerun as rr
-
-    from deformscope.log.rig.columns import Batch, Place
-    from deformscope.stages.map.exploration import StageFailure
 
 RIG = Application("deformscope-rig", devices=True)
 
@@ -39,11 +35,3 @@ class RigLayout(RecordingLayout):
             from deformscope.log.stages import log_stage_streams
 
             log_stage_streams(rec, self.stages, self.streams)
-
-    def prepare(
-        self, results: Sequence[object], session_ns: int, place: Place, cell_m: float, failed: list[StageFailure]
-    ) -> Batch:
-        """Of a robot that moves to calibrate the rig: as those of an exploration."""
-        from deformscope.log.exploration.results import prepare_results
-
-        return prepare_results(results, session_ns, place, cell_m=cell_m, failed=failed)

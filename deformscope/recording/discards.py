@@ -40,7 +40,7 @@ def discard(recording: Path, reason: str, episode: int, notes: Iterable[SessionN
 
     Raises InputError where it has no such episode, or no ledger that fits it.
     """
-    labels = _labels(notes)
+    labels = [note.text for note in notes if note.about == "episode-begin"]
     if not 0 <= episode <= len(labels):
         listed = ", ".join(f"{at} = {label}" for at, label in enumerate(labels, 1)) or "none"
         raise InputError("an episode of the recording", str(episode), f"episodes: {listed}", recording)
@@ -53,10 +53,6 @@ def discard(recording: Path, reason: str, episode: int, notes: Iterable[SessionN
     found = Discard(reason, episode, labels[episode - 1] if episode else "")
     add_discard(recording, {"reason": found.reason, "episode": found.episode, "label": found.label})
     return found
-
-
-def _labels(notes: Iterable[SessionNote]) -> list[str]:
-    return [note.text for note in notes if note.about == "episode-begin"]
 
 
 def _noted(notes: Iterable[SessionNote]) -> list[Discard]:

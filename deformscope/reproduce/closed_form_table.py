@@ -19,7 +19,7 @@ from deformscope.lab.scenes import Scene, built_in, initial_modulus_pa
 from deformscope.lab.session_errors import LabErrors, SessionErrors
 from deformscope.reproduce.table41_runs import MapAfter, TableJob, TableRun
 from deformscope.stages.map.map_score import Z_90, TrueMap, score_map
-from deformscope.stages.map.plan import FieldKernel, PlanOptions, TouchChoice, plan_touch
+from deformscope.stages.map.plan import FieldKernel, PlanOptions, plan_touch
 from deformscope.stages.poke.contact import RIGID_SDS, ArmCompliance
 from deformscope.stages.regions.posterior import RegionPosterior, RegionPrior
 from deformscope.stages.regions.touch_error import LAW_SD
@@ -60,7 +60,8 @@ def run_closed_form(job: TableJob) -> TableRun:
             choice = plan_touch(posterior, FieldKernel(), options, seed=job.seed + len(after))
             if after:
                 spent = time.perf_counter() - start
-                after[-1] = replace(after[-1], compute_s=after[-1].compute_s + spent, unseen=_unseen(choice, options))
+                unseen = choice.missed.probability(options.inclusion_m)
+                after[-1] = replace(after[-1], compute_s=after[-1].compute_s + spent, unseen=unseen)
                 if choice.stop not in (None, "budget") and stop_after is None:
                     stop_after = len(after)
             enough = choice.stop is not None and not (job.go_on and len(after) < job.touches)
@@ -89,10 +90,6 @@ def run_closed_form(job: TableJob) -> TableRun:
                 )
             )
     return TableRun(job, scene.region_count, tuple(after), FORCE_N, stop_after, time.perf_counter() - began)
-
-
-def _unseen(choice: TouchChoice, options: PlanOptions) -> float:
-    return choice.missed.probability(options.inclusion_m)
 
 
 def _truth(scene: Scene) -> TrueMap:

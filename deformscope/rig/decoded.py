@@ -16,9 +16,17 @@ from deformscope.frames import Frame, HealthReport, Item, LinkChange, RawBytes, 
 from deformscope.rig.measured import to_frame
 from deformscope.rig.rig_file import Rig
 from deformscope_drivers.device import RAW_DROPPED
+from deformscope_drivers.dsa.measurer import TactileMeasurer, TactileReading
+from deformscope_drivers.dsa.messages import Id, MatrixInfo
+from deformscope_drivers.dsa.pressure import to_pressure
 from deformscope_drivers.errors import ProtocolViolation
 from deformscope_drivers.framing import FrameDecoder, Skipped
 from deformscope_drivers.health import Health, Link
+from deformscope_drivers.optoforce import protocol as optoforce
+from deformscope_drivers.optoforce.measurement import ForceMeasurer
+from deformscope_drivers.sdh import protocol as sdh
+from deformscope_drivers.sdh.measurer import HandMeasurer
+from deformscope_drivers.transport import CAN_FRAME_BYTES
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,12 +85,8 @@ class OptoforceAgain(Redecoder):
     compares: tuple[str, ...] = ("counts", "force_n", "torque_nm", "overload")
 
     def begin(self) -> FrameDecoder[Any]:
-        from deformscope_drivers.optoforce.measurement import ForceMeasurer
-        from deformscope_drivers.optoforce.protocol import Decoder
-        from deformscope_drivers.transport import CAN_FRAME_BYTES
-
         self._measurer = ForceMeasurer(self.config.sensitivities, self.stream.device)
-        return Decoder(CAN_FRAME_BYTES if self.config.bus else 1)
+        return optoforce.Decoder(CAN_FRAME_BYTES if self.config.bus else 1)
 
     def resume(self) -> None:
         if self.config.zero_at_start:  # the zero point that the DAQ has lost is subtracted by the driver
@@ -90,9 +94,7 @@ class OptoforceAgain(Redecoder):
             self.left_out += ", and forces after the DAQ had lost its zero point"
 
     def measure(self, event: Any, host_ns: int) -> Any:
-        from deformscope_drivers.optoforce.protocol import Reading
-
-        if not isinstance(event, Reading):
+        if not isinstance(event, optoforce.Reading):
             return None
         return self._measurer.measure(event, host_ns, self._measurer.follow(event, host_ns))
 
@@ -103,22 +105,15 @@ class DsaAgain(Redecoder):
     compares = ("counts", "pressure_pa")
 
     def begin(self) -> FrameDecoder[Any]:
-        from deformscope_drivers.dsa.measurer import TactileMeasurer
-
         self._described, self._shapes = 0, [(pad.rows, pad.columns) for pad in self.stream.pads]
         self._measurer = TactileMeasurer()
         return self._measurer.connect()
 
     def send(self, data: bytes) -> None:
-        from deformscope_drivers.dsa.messages import Id
-
         if len(data) > 3 and data[3] == Id.ACQUISITION:
             self._measurer.begin_stream()
 
     def measure(self, event: Any, host_ns: int) -> Any:
-        from deformscope_drivers.dsa.measurer import TactileReading
-        from deformscope_drivers.dsa.messages import MatrixInfo
-
         if isinstance(event, MatrixInfo):
             self._described += 1
             if self._described == len(self._shapes):
@@ -127,8 +122,6 @@ class DsaAgain(Redecoder):
         return found if isinstance(found, TactileReading) else None
 
     def device(self) -> Any:
-        from deformscope_drivers.dsa.pressure import to_pressure
-
         return SimpleNamespace(pressure_pa=lambda reading: to_pressure(reading.pads, self.config.calibration))
 
 
@@ -139,17 +132,12 @@ class SdhAgain(Redecoder):
     compares = ("position_deg", "velocity_deg_s", "temperature_c", "state")
 
     def begin(self) -> FrameDecoder[Any]:
-        from deformscope_drivers.sdh.measurer import HandMeasurer
-        from deformscope_drivers.sdh.protocol import Decoder
-
         self._measurer = HandMeasurer(self.stream.device)
         self.listening = False  # what the line holds at first is dropped
-        return Decoder(checksummed=self.config.checksummed())
+        return sdh.Decoder(checksummed=self.config.checksummed())
 
     def send(self, data: bytes) -> None:
-        from deformscope_drivers.sdh.protocol import END_OF_COMMAND
-
-        self.listening |= data != END_OF_COMMAND
+        self.listening |= data != sdh.END_OF_COMMAND
 
     def measure(self, event: Any, host_ns: int) -> Any:
         try:

@@ -22,6 +22,9 @@ from deformscope.frames import (
 )
 from deformscope.rig.driver_table import Driver
 from deformscope_drivers.device import Device
+from deformscope_drivers.dsa.pressure import to_pressure
+from deformscope_drivers.dsa.texels import TEXEL_MAX
+from deformscope_drivers.optoforce.protocol import Kind as Sensors
 
 FINGER_CLOSED = 6800.0
 """Where a Jaco's finger is closed (protocol reference, section 3)."""
@@ -89,9 +92,6 @@ def _hand(reading: Any, index: int, name: str, device: Any) -> Frame:
 
 
 def _of_tactile(device: Any) -> dict[str, Any]:
-    from deformscope_drivers.dsa.pressure import to_pressure
-    from deformscope_drivers.dsa.texels import TEXEL_MAX
-
     pads = tuple(
         Pad(pad.name, matrix.cells_y, matrix.cells_x, _texel_m(matrix), index, pad.finger, int(pad.part))
         for index, (pad, matrix) in enumerate(zip(device.pads, device.matrices, strict=True))
@@ -105,8 +105,6 @@ def _texel_m(matrix: Any) -> tuple[float, float]:
 
 
 def _of_wrench(device: Any) -> dict[str, Any]:
-    from deformscope_drivers.optoforce.protocol import Kind as Sensors
-
     return {"channels": 4 if device.kind is Sensors.FOUR_CHANNEL else 1, "torques": device.kind is Sensors.SIX_AXIS}
 
 

@@ -7,6 +7,7 @@ TOML, read strictly: a key that nobody knows is an error, since a limit with a t
 from __future__ import annotations
 
 import dataclasses
+import difflib
 import os
 import stat
 import sys
@@ -418,8 +419,6 @@ def _read(kind: Any, given: object, section: str) -> Any:
 
 
 def _check_keys(given: Mapping[str, Any], known: Any, section: str) -> None:
-    import difflib
-
     if unknown := [key for key in given if key not in known]:
         near = difflib.get_close_matches(unknown[0], known, n=1)
         hint = f"{near[0]}" if near else ", ".join(known)

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from deformscope.cli import main
+from deformscope.cli import doctor, main
 from deformscope.cli.common import EXIT_LOSSES
 from deformscope.lab import stand_in
-from deformscope_drivers import kuka, priority
+from deformscope_drivers import kuka
 from tests.cases import slow
 
 DEVICES = ("tip", "pads", "hand", "arm", "camera", "depth")
@@ -188,7 +188,7 @@ def test_what_a_device_remarks_of_itself_is_to_be_looked_at(
 def test_whether_the_robots_threads_may_be_real_time_is_a_row(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, allowed: bool, verdict: str
 ) -> None:
-    monkeypatch.setattr(priority, "may_be_prompt", lambda: allowed)
+    monkeypatch.setattr(doctor, "may_be_prompt", lambda: allowed)
     rig = tmp_path / "rig.toml"
     rig.write_text('[devices.arm]\ndriver = "kuka"\ndouble = true\n', encoding="utf-8")
     main(["doctor", str(rig), "--seconds", "0.1"])

@@ -9,11 +9,11 @@ import pytest
 
 from deformscope.errors import InputError
 from deformscope.lab.faults import ARM, CAMERA, FORCE, WITHIN_S, FaultAt, FaultsToCome, Injected
-from deformscope.lab.springy_foam import SpringyFoam
 from deformscope.lab.touch_lab import TouchLab
 from deformscope.rig.rig_file import Tool
 from deformscope.robot.touch import Phase
 from deformscope_drivers.depth_camera.synthetic import View
+from studies.springy_foam import SpringyFoam
 
 PHASES = (Phase.TRAVEL, Phase.TARE, Phase.APPROACH, Phase.PRESS, Phase.DWELL, Phase.RETREAT)
 

@@ -8,11 +8,11 @@ from scipy.optimize import brentq
 
 from deformscope.lab.arm_contact import ARM_STIFFNESS_N_M
 from deformscope.lab.scenes import SIZE_M
-from deformscope.lab.springy_foam import SpringyFoam
 from deformscope.lab.touch_lab import TouchLab
 from deformscope.rig.rig_file import Tool
 from deformscope.robot.placement import Placement
 from deformscope.robot.setup import T_BASE_SURFACE
+from studies.springy_foam import SpringyFoam
 
 POINT_M = np.array([0.3, 0.2, 0.1])
 

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from deformscope.lab.arms import arm_in_lab
-from deformscope.lab.springy_foam import SpringyFoam
 from deformscope.lab.touch_lab import TouchLab
 from deformscope.rig.rig_file import Tool
 from deformscope.robot import finger
@@ -26,6 +25,7 @@ from deformscope.robot.touch import TouchPlan
 from deformscope_drivers.kuka import KukaConfig
 from deformscope_drivers.memory import SimulatedClock
 from studies.rigid_faults import T_BASE_SURFACE, TOP_M, UP
+from studies.springy_foam import SpringyFoam
 from tests.robot.quick_touch import quick_scene
 
 POINT_M = np.array([0.3, 0.2, TOP_M])

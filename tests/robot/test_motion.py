@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from deformscope.lab.springy_foam import SpringyFoam
 from deformscope.lab.touch_lab import TouchLab
 from deformscope.rig.rig_file import Tool
 from deformscope.robot.checks import Check, Preflight
@@ -24,6 +23,7 @@ from deformscope_drivers.arm.kinematics import Chain, FloatArray, least_singular
 from deformscope_drivers.arms import CHAINS as ARMS
 from deformscope_drivers.jaco.chains import CHAINS, J2N6S300, J2S7S300
 from deformscope_drivers.jaco.structures import PositionType
+from studies.springy_foam import SpringyFoam
 from tests.cases import slow_but
 from tests.robot.quick_touch import quick_scene
 

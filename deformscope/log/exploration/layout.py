@@ -14,9 +14,6 @@ from deformscope.stages.map.exploration import PlannedTouch
 if TYPE_CHECKING:
     import rerun as rr
 
-    from deformscope.log.rig.columns import Batch, Place
-    from deformscope.stages.map.exploration import StageFailure
-
 EXPLORATION = Application("deformscope-exploration", devices=True, robot_moves=True)
 
 
@@ -51,10 +48,3 @@ class ExplorationLayout(RecordingLayout):
     def touch_after(self, results: Sequence[object], touch: int) -> int:
         """What devices give from the plan of a touch on belongs to that touch."""
         return touch + any(isinstance(one, PlannedTouch) and one.target_m is not None for one in results)
-
-    def prepare(
-        self, results: Sequence[object], session_ns: int, place: Place, cell_m: float, failed: list[StageFailure]
-    ) -> Batch:
-        from deformscope.log.exploration.results import prepare_results
-
-        return prepare_results(results, session_ns, place, cell_m=cell_m, failed=failed)

@@ -32,7 +32,7 @@ def rig_blueprint(streams: Sequence[Stream], *, health: bool = True) -> rrb.Blue
 def rig_views(streams: Sequence[Stream], *, with_health: bool = True) -> rrb.Container:
     """Pictures, plots and health of these devices."""
     pictures = [view for stream in streams for view in _pictures(stream)]
-    plots = [view for stream in streams for view in _plots(stream)]
+    plots = [plot_view(path, named(stream, title)) for stream in streams for path, title in plotted(stream)]
     health = [_health(streams)] if streams and with_health else []
     if 1 <= len(pictures) <= FEW and len(plots) <= FEW:
         return _side_by_side(pictures, plots, health)
@@ -99,10 +99,6 @@ def _pictures(stream: Stream) -> list[rrb.View]:
     if stream.kind == "depth":
         return [depth_view(stream)]
     return []
-
-
-def _plots(stream: Stream) -> list[rrb.View]:
-    return [plot_view(path, named(stream, title)) for path, title in plotted(stream)]
 
 
 def named(stream: Stream, what: str) -> str:

@@ -48,7 +48,8 @@ def log_depth(
         *recorded(frames),
     ]
     if any(frame.color is not None for frame in frames):
-        columns += _blobs("DepthFrame:color", [_color_of(frame, lossless) for frame in frames])
+        colors = [b"" if one.color is None else encode_color(one.color, lossless=lossless) for one in frames]
+        columns += _blobs("DepthFrame:color", colors)
     batch.send_columns(root("depth", device), frame_times(frames, start_ns), columns)
     if is_news(shown, device, (*reach, frames[0].depth.shape), frames[0].stamp.host_ns):
         _log_scale(batch, device, frames[0], reach, start_ns)
@@ -90,10 +91,6 @@ def _scale_png(low_m: float, high_m: float, shape: tuple[int, int]) -> bytes:
         thick = max(1, round(2 * size))
         cv2.putText(picture, words, place, cv2.FONT_HERSHEY_SIMPLEX, 0.8 * size, TEXT, thick, cv2.LINE_AA)
     return encode_png(picture)
-
-
-def _color_of(frame: DepthFrame, lossless: bool) -> bytes:
-    return b"" if frame.color is None else encode_color(frame.color, lossless=lossless)
 
 
 def _blobs(component: str, rows: Sequence[bytes]) -> list[rr.ComponentColumn]:

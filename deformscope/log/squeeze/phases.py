@@ -5,7 +5,7 @@ from __future__ import annotations
 import rerun as rr
 
 from deformscope.log.result_batch import ResultBatch
-from deformscope.log.rig.columns import Sink
+from deformscope.log.rig.columns import Sink, states
 from deformscope.pictures.palette import BAD, Rgb
 from deformscope.rows import ENTITIES
 from deformscope.stages.squeeze.trial import SqueezePhase, SqueezeStop
@@ -23,15 +23,12 @@ SQUEEZE_PHASES: dict[str, Rgb] = {
 
 
 def log_squeeze_phases(rec: Sink) -> None:
-    shown = rr.StateConfiguration(values=list(SQUEEZE_PHASES), colors=list(SQUEEZE_PHASES.values()))
-    rec.log(ENTITIES[SqueezePhase], shown, static=True)
+    rec.log(ENTITIES[SqueezePhase], states(SQUEEZE_PHASES), static=True)
 
 
 def log_squeeze_phase(now: ResultBatch, phase: SqueezePhase) -> None:
     if phase.name not in SQUEEZE_PHASES:  # a stop's name says why
-        colors = SQUEEZE_PHASES | {phase.name: BAD}
-        shown = rr.StateConfiguration(values=list(colors), colors=list(colors.values()))
-        now.log_static(ENTITIES[SqueezePhase], shown)
+        now.log_static(ENTITIES[SqueezePhase], states(SQUEEZE_PHASES | {phase.name: BAD}))
     now.show(ENTITIES[SqueezePhase], rr.StateChange(state=phase.name))
 
 

@@ -2,7 +2,6 @@
 
     field = fit_field(places_m, log_stiffness, log_sd)
     found = field.on(grid)                 # mean and deviation on cells of 0.5 cm
-    field.left_out                         # each touch against what the others say of it, in deviations
 
 Each touch comes with its own variance; what touches at one place scatter beyond that is the *nugget*, the same for all.
 A few touches do not identify the hyper-parameters: each has a weak prior (`FieldPrior`), and what they may be is
@@ -148,29 +147,6 @@ class Field:
         """The field at the centres of a grid's cells."""
         found = self.at(grid.centres_m)
         return FieldMap(grid, found.mean.reshape(grid.shape), found.deviation.reshape(grid.shape))
-
-    def covariance(self, places_m: FloatArray, others_m: FloatArray) -> FloatArray:
-        """Posterior covariance (m, k) of the field between places (m, 2) and (k, 2), under the likeliest
-        hyper-parameters: what a planner's variance reduction asks for."""
-        state = max(self.states, key=lambda one: one.share)
-        one, other = (np.atleast_2d(np.asarray(p, dtype=np.float64)) for p in (places_m, others_m))
-        left, right = (
-            solve_triangular(state.factor, state.kernel.between(self.places_m, p) + state.level_sd**2, lower=True)
-            for p in (one, other)
-        )
-        return np.asarray(state.kernel.between(one, other) + state.level_sd**2 - left.T @ right)
-
-    @property
-    def left_out(self) -> FloatArray:
-        """(n,) each touch's value less what all others predict of it, in deviations of that difference, its own noise
-        included: standard normal where the field is right (Rasmussen and Williams 2006, eq. 5.12)."""
-        first, second = np.zeros(len(self.value)), np.zeros(len(self.value))
-        for state in self.states:
-            precision = np.diag(cho_solve((state.factor, True), np.eye(len(self.value))))
-            left = state.weight / precision
-            first += state.share * left
-            second += state.share * (1.0 / precision + left**2)
-        return np.asarray(first / np.sqrt(second - first**2))
 
 
 def fit_field(

@@ -88,11 +88,6 @@ class SparseProcess:
         logs = 2.0 * np.log(np.diag(self._factor)).sum() + 2.0 * np.log(noise).sum() + len(value) * np.log(2.0 * np.pi)
         self.elbo = float(-0.5 * (square + logs + missing))
 
-    @property
-    def size(self) -> int:
-        """How many features stand for the inducing points."""
-        return len(self._pairs)
-
     def at(self, places: FloatArray) -> Believed:
         """Mean above the prior's and deviation at places (m, 2)."""
         mean, variance = self._believe(places, (False, False), self.kernel.sigma_e**2)

@@ -79,34 +79,6 @@ class LatticeClusters(Clusters):
         return _covering(self.corner, self.window).reshape(-1)[self.cell]
 
 
-def from_lists(lists: Sequence[Sequence[int] | IntArray], particle_count: int) -> Clusters:
-    """Free-form clusters, each given by the indices of its particles.
-
-    Raises InputError for an empty cluster, an index out of range or twice in one cluster, or a particle in none.
-    """
-    rows = [np.asarray(row, dtype=np.int64) for row in lists]
-    if not rows:
-        raise InputError("at least one cluster", "none")
-    for number, row in enumerate(rows):
-        if row.ndim != 1 or row.size == 0:
-            raise InputError("clusters of at least one particle", f"cluster {number} with {row.size}")
-        if row.min() < 0 or row.max() >= particle_count:
-            raise InputError(
-                f"particle indices 0 to {particle_count - 1}", f"{row.min()} to {row.max()} in cluster {number}"
-            )
-        if np.unique(row).size != row.size:
-            raise InputError("each particle once in a cluster", f"a repeated index in cluster {number}")
-    clusters = Clusters(rows, particle_count)
-    alone = np.flatnonzero(clusters.cluster_counts() == 0)
-    if alone.size:
-        raise InputError(
-            "every particle in a cluster",
-            f"{alone.size} in none (first: {alone[0]})",
-            "add a cluster that holds them, or leave them out",
-        )
-    return clusters
-
-
 def single(particle_count: int) -> Clusters:
     """One cluster of all particles (Thesis 5.1)."""
     return Clusters([np.arange(particle_count)], particle_count)

@@ -37,7 +37,6 @@ EDGE_RUN_PX = 3
 """So many pixels in a row are the container's, then so many are not: a single missing pixel is no edge."""
 JUMP_M = 0.025
 """Beyond the outline depth is larger by more than that; a table on which the container stands is not."""
-TABLE_NOISE_M = 0.0005
 COARSE_M = 0.0015
 """After a smaller motion all pixels are looked at, and the outline."""
 SETTLED_M = 0.0002
@@ -106,14 +105,12 @@ def track(
     *,
     rest: FloatArray | None = None,
     excluded: BoolArray | None = None,
-    table: FloatArray | None = None,
     options: TrackOptions | None = None,
 ) -> PoseEstimate:
     """The container's pose in a depth image (H, W) [m]; pixels of 0 or NaN saw nothing.
 
     start: (4, 4) T_camera_container to begin at, as of the frame before; rest: (4, 4) for directions that the data do
     not observe, default `start`; excluded: (H, W) pixels of the hand and of the dent
-    table: (4,) unit normal and offset of the plane n x + d = 0 that it stands on, camera frame
     A bad track is a result (`good` False), never an exception. Raises InputError for shapes that do not fit.
     """
     options = options or TrackOptions()
@@ -127,8 +124,8 @@ def track(
     lever = 0.5 * renderer.model.radius_m
     settled, fine, gain = False, False, 1.0
     for _ in range(options.steps):
-        rows = _equations(renderer, depth, usable, pose, table, options.reach_m, fine)
-        motion, _, _ = _solve(rows, pose, rest, lever, table is not None)
+        rows = _equations(renderer, depth, usable, pose, options.reach_m, fine)
+        motion, _, _ = _solve(rows, pose, rest, lever)
         motion = gain * motion
         pose = _moved(pose, motion)
         length = float(np.hypot(np.linalg.norm(motion[:3]), np.linalg.norm(motion[3:]) * lever))
@@ -138,7 +135,7 @@ def track(
         if fine:  # ever less, so that outlines that jump from pixel to pixel do not swing it for ever
             gain = 1.0 / (0.5 + 1.0 / gain)
         fine = fine or length < COARSE_M
-    return _judged(renderer, depth, usable, pose, rest, lever, settled, table, options)
+    return _judged(renderer, depth, usable, pose, rest, lever, settled, options)
 
 
 def locate(
@@ -148,21 +145,19 @@ def locate(
     *,
     yaws_deg: tuple[float, ...] = (0.0, 30.0, -30.0, 60.0, -60.0, 90.0),
     excluded: BoolArray | None = None,
-    table: FloatArray | None = None,
-    options: TrackOptions | None = None,
 ) -> PoseEstimate:
     """The pose of a container that stands about where it is guessed to, turned about its z axis by any of some angles.
 
     guess: (4, 4) T_camera_container, right within a few centimetres. The best of the starts is the one that explains
     the most pixels: those compared times the share that agree.
     """
-    options = options or TrackOptions(reach_m=0.06, steps=40)
+    options = TrackOptions(reach_m=0.06, steps=40)
     found = []
     for yaw in yaws_deg:
         start = np.array(guess, dtype=np.float64)
         start[:3, :3] = start[:3, :3] @ Rotation.from_euler("z", yaw, degrees=True).as_matrix()
-        rough = track(renderer, depth_m, start, excluded=excluded, table=table, options=options)
-        found.append(track(renderer, depth_m, rough.T_camera_container, excluded=excluded, table=table))
+        rough = track(renderer, depth_m, start, excluded=excluded, options=options)
+        found.append(track(renderer, depth_m, rough.T_camera_container, excluded=excluded))
     return max(found, key=lambda one: (one.good, one.agreeing * one.pixels))
 
 
@@ -171,11 +166,10 @@ def _equations(
     depth: FloatArray,
     usable: BoolArray,
     pose: FloatArray,
-    table: FloatArray | None,
     reach_m: float,
     fine: bool,
 ) -> list[_Rows]:
-    """Of the surface, of the outline where it is fine, and of the table where there is one, in this order."""
+    """Of the surface, and of the outline where it is fine, in this order."""
     margin = EDGE_REACH_PX if fine else 0
     left, top, right, bottom = renderer.window(pose, (depth.shape[0], depth.shape[1]), margin)
     every = 1 if fine else 4
@@ -190,8 +184,6 @@ def _equations(
     ]
     if fine:
         rows.append(_edge_rows(renderer, depth, usable, pose, view.depth_m, (left, top)))
-    if table is not None:
-        rows.append(_table_rows(renderer, pose, table))
     return rows
 
 
@@ -302,43 +294,31 @@ def _area(outline: FloatArray) -> float:
     return float(0.5 * (x * np.roll(y, -1) - y * np.roll(x, -1)).sum())
 
 
-def _table_rows(renderer: ModelRenderer, pose: FloatArray, table: FloatArray) -> _Rows:
-    vertices = renderer.model.vertices_m
-    foot = vertices[vertices[:, 2] < vertices[:, 2].min() + 1e-6] @ pose[:3, :3].T
-    normal = np.broadcast_to(np.asarray(table[:3], dtype=np.float64), foot.shape)
-    residual = -((foot + pose[:3, 3]) @ np.asarray(table[:3]) + float(table[3]))
-    deviation = np.full(len(foot), TABLE_NOISE_M * np.sqrt(len(foot)))
-    return _rigid(np.column_stack([normal, np.cross(foot, normal)]), residual, deviation, 1.0)
-
-
 def _rigid(jacobian: FloatArray, residual: FloatArray, deviation: FloatArray, share: float) -> _Rows:
     return _Rows(jacobian, residual, deviation, share, np.zeros((len(residual), 0)))
 
 
 def _solve(
-    rows: list[_Rows], pose: FloatArray, rest: FloatArray, lever: float, table: bool
+    rows: list[_Rows], pose: FloatArray, rest: FloatArray, lever: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """(6,) the motion in the camera frame: along observed directions to the data, along the others to the rest pose.
 
-    Also directions (6, 6) by row in the container frame, and the deviation along each (6,) [m], from images alone
+    Also directions (6, 6) by row in the container frame, and the deviation along each (6,) [m]
     """
     turn = np.zeros((6, 6))
     turn[:3, :3], turn[3:, 3:] = pose[:3, :3], pose[:3, :3] / lever  # from container frame with lever to camera frame
-    total, images, right = np.zeros((6, 6)), np.zeros((6, 6)), np.zeros(6)
-    for number, part in enumerate(rows):
+    total, right = np.zeros((6, 6)), np.zeros(6)
+    for part in rows:
         jacobian = part.jacobian @ turn / part.deviation[:, None]
         residual = part.residual / part.deviation
         square, along = _normal_equations(jacobian, residual, part.bulge / part.deviation[:, None], part.share)
         total += square
         right += along
-        if not (table and number == len(rows) - 1):
-            images += square
     strength, directions = np.linalg.eigh(total)
     known = strength > OBSERVED_M**-2
     to_rest = np.linalg.solve(turn, _between(pose, rest))
     along = np.where(known, (directions.T @ right) / np.maximum(strength, 1e-12), directions.T @ to_rest)
-    strength_of_images, axes = np.linalg.eigh(images)
-    return turn @ (directions @ along), axes.T, 1.0 / np.sqrt(np.maximum(strength_of_images, 1e-12))
+    return turn @ (directions @ along), directions.T, 1.0 / np.sqrt(np.maximum(strength, 1e-12))
 
 
 def _normal_equations(
@@ -396,11 +376,10 @@ def _judged(
     rest: FloatArray,
     lever: float,
     settled: bool,
-    table: FloatArray | None,
     options: TrackOptions,
 ) -> PoseEstimate:
-    rows = _equations(renderer, depth, usable, pose, table, options.reach_m, fine=True)
-    _, directions, deviation = _solve(rows, pose, rest, lever, table is not None)
+    rows = _equations(renderer, depth, usable, pose, options.reach_m, fine=True)
+    _, directions, deviation = _solve(rows, pose, rest, lever)
     shown = _compared(renderer, depth, usable, pose, rows)
     agreeing = float(np.mean(np.abs(shown) < 4.0)) if len(shown) else 0.0
     rms = float(np.sqrt(np.mean(rows[0].residual ** 2))) if rows and len(rows[0].residual) else float("nan")

@@ -12,9 +12,6 @@ import numpy.typing as npt
 THUMB = 1
 """The finger that stands alone. Source: IPA's ROS node, which puts matrices 2 and 3 first and calls them the thumb."""
 
-IPA_ORDER = (2, 3, 4, 5, 0, 1)
-"""Matrices in the order of IPA's ROS messages: thumb, finger 1, finger 2, each proximal, distal."""
-
 FEATURE_CELLS = 36
 FEATURE_FINGERS = (0, 2)
 """The two fingers that turn on the common base. Which two squeezed in the thesis is not said there."""

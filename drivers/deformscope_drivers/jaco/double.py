@@ -432,16 +432,14 @@ class JacoDouble:
     def _set_admittance(self, names: tuple[str, str], given: Sequence[Any]) -> None:
         for name, values in zip(names, given, strict=True):
             cartesian = isinstance(values, structures.CartesianInfo)
-            found = structures.cartesian_values(values) if cartesian else self._joints_of(values)
+            joints = self.chain.joint_count
+            found = structures.cartesian_values(values) if cartesian else structures.actuator_values(values, joints)
             setattr(self._arm.admittance, name, np.array(found))
 
     # Within ----------------------------------------------------------------------------------------------------------
 
     def _supply_a(self) -> float:
         return float(0.7 + np.sum(self._arm.currents_a()))
-
-    def _joints_of(self, actuators: structures.AngularInfo) -> tuple[float, ...]:
-        return structures.actuator_values(actuators, self.chain.joint_count)
 
     def _write_fingers(self, response: structures.AngularPosition | structures.CartesianPosition) -> None:
         response.Fingers.Finger1, response.Fingers.Finger2, response.Fingers.Finger3 = self._arm.fingers

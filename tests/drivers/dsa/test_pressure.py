@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from deformscope_drivers.dsa.messages import MatrixInfo
-from deformscope_drivers.dsa.pads import IPA_ORDER, Pad, Part, thesis_feature
+from deformscope_drivers.dsa.pads import Pad, Part, thesis_feature
 from deformscope_drivers.dsa.pressure import CONTACT_COUNTS, Curve, pad_contact, to_pressure
 
 ZERO = (0.0, 0.0, 0.0)
@@ -114,7 +114,8 @@ def test_pads_by_name() -> None:
         "finger_2_distal",
     ]
     assert [Pad.of_matrix(matrix).matrix for matrix in range(6)] == list(range(6))
-    assert [Pad.of_matrix(matrix).finger for matrix in IPA_ORDER] == [1, 1, 2, 2, 0, 0]
+    ipa_order = (2, 3, 4, 5, 0, 1)  # matrices in IPA's ROS messages: thumb, finger 1, finger 2, each proximal, distal
+    assert [Pad.of_matrix(matrix).finger for matrix in ipa_order] == [1, 1, 2, 2, 0, 0]
 
 
 # The thesis's feature ----------------------------------------------------------------------------------------------

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from deformscope.arrays import FloatArray, IntArray
-from deformscope.errors import InputError
 from deformscope.stages.msm import clusters
 from deformscope.stages.msm.clusters import LatticeClusters
 from tests.stages.bodies import lattice
@@ -106,23 +105,8 @@ def test_windows_are_those_found_cell_by_cell(shape: tuple[int, ...], share: flo
     np.testing.assert_array_equal(np.bincount(found.members, minlength=len(cell)), counts)
 
 
-@pytest.mark.parametrize(
-    ("lists", "words"),
-    [
-        ([], "at least one cluster"),
-        ([[0, 1], []], "at least one particle"),
-        ([[0, 4]], "0 to 3"),
-        ([[0, 1, 1, 2, 3]], "once"),
-        ([[0, 1, 2]], "every particle"),
-    ],
-)
-def test_bad_lists_are_refused(lists: list[list[int]], words: str) -> None:
-    with pytest.raises(InputError, match=words):
-        clusters.from_lists(lists, 4)
-
-
 def test_lists_are_kept_as_given() -> None:
-    found = clusters.from_lists([[3, 1], [0, 1, 2]], 4)
+    found = clusters.Clusters([np.array([3, 1]), np.array([0, 1, 2])], 4)
     assert [row.tolist() for row in found] == [[3, 1], [0, 1, 2]]
 
 

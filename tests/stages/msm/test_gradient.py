@@ -105,7 +105,7 @@ def _build(case: Case, device: str, rounding: FloatArray | float = 0.0) -> Set:
     rest = lattice(case.shape) * (1.0 + rounding)
     grouped: Clusters = clusters.lattice(rest, case.shape, np.arange(len(rest)), case.size)
     if case.kind == "lists":
-        grouped = clusters.from_lists(list(grouped), len(rest))
+        grouped = clusters.Clusters(list(grouped), len(rest))
     near, far = np.flatnonzero(rest[:, 0] <= 0.0), np.flatnonzero(rest[:, 0] >= rest[:, 0].max() - 1e-9)
     held = np.concatenate([near, far[:2]])
     position = rest[held].copy()

@@ -73,7 +73,7 @@ class Body:
         return engine
 
     def as_lists(self, precision: Precision, device: str) -> Msm:
-        lists = clusters.from_lists(list(self.clusters), len(self.rest))
+        lists = clusters.Clusters(list(self.clusters), len(self.rest))
         engine = Msm(self.rest, lists, self.held, mass=self.mass, precision=precision, device=device)
         assert isinstance(engine._body, GeneralBody)
         return engine

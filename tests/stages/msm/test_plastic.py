@@ -27,7 +27,7 @@ def _turn(rng: np.random.Generator, dim: int) -> FloatArray:
 
 def _engine(body: Pushed, device: str, **kind: object) -> Msm:
     """By index lists, as what yields is."""
-    grouped = clusters.from_lists(list(body.clusters(3)), len(body.rest))
+    grouped = clusters.Clusters(list(body.clusters(3)), len(body.rest))
     return Msm(body.rest, grouped, body.held, device=device, **kind)  # type: ignore[arg-type]
 
 
@@ -261,7 +261,7 @@ def test_a_turned_body_flows_as_it_would_have_unturned(device: str, shape: tuple
     np.testing.assert_allclose(engines[1].plastic, engines[0].plastic, rtol=0.0, atol=1e-7)
     rested = Pushed(body.rest @ turn.T, body.shape, body.held, body.held_position @ turn.T)
     other = PlasticMsm(
-        Msm(rested.rest, clusters.from_lists(list(body.clusters(3)), len(rested.rest)), body.held, device=device),
+        Msm(rested.rest, clusters.Clusters(list(body.clusters(3)), len(rested.rest)), body.held, device=device),
         Plasticity(0.04),
     )
     other.load(rested.held_position, 0.6, tolerance=1e-12, settled=1e-6)
@@ -294,9 +294,7 @@ def test_a_sheet_in_space_flows_as_one_in_the_plane(device: str) -> None:
     rng = np.random.default_rng(10)
     flat = pushed((5, 5), rng)
     lists = list(flat.clusters(3))
-    space = Msm(
-        np.pad(flat.rest, [(0, 0), (0, 1)]), clusters.from_lists(lists, len(flat.rest)), flat.held, device=device
-    )
+    space = Msm(np.pad(flat.rest, [(0, 0), (0, 1)]), clusters.Clusters(lists, len(flat.rest)), flat.held, device=device)
     plane, sheet = PlasticMsm(_engine(flat, device), Plasticity(0.04)), PlasticMsm(space, Plasticity(0.04))
     expected = plane.load(flat.held_position, 0.6, tolerance=1e-12, settled=1e-6)
     found = sheet.load(np.pad(flat.held_position, [(0, 0), (0, 1)]), 0.6, tolerance=1e-12, settled=1e-6)

@@ -262,7 +262,7 @@ def test_too_few_particles_for_the_quadratic_terms_leave_the_volume_free() -> No
 
 def test_a_cluster_of_one_particle_has_no_volume_to_keep() -> None:
     rest = lattice((2, 2, 2), 1.0)
-    grouped = clusters.from_lists([[i] for i in range(8)], 8)
+    grouped = clusters.Clusters([np.array([i]) for i in range(8)], 8)
     bases: tuple[reference.Basis, ...] = ("linear", "quadratic")
     for basis in bases:
         body = reference.build_rest(rest, grouped, np.array([], dtype=int), basis=basis)

@@ -282,7 +282,7 @@ def test_masses_weigh_as_in_the_reference(device: str, grouping: str, volume: Vo
     body = pushed((5, 6), rng)
     grouped = body.clusters(3 if grouping != "single" else 9)
     if grouping == "lists":
-        grouped = clusters.from_lists(list(grouped), len(body.rest))
+        grouped = clusters.Clusters(list(grouped), len(body.rest))
     mass = rng.uniform(0.5, 2.0, len(body.rest))
     mass[14] = 100.0
     states = []

@@ -70,20 +70,6 @@ def test_a_flat_face_alone_holds_three_directions_and_the_others_keep_the_rest_p
     np.testing.assert_allclose(off[:3, :3], np.eye(3), atol=1e-4)
 
 
-def test_a_table_holds_the_height_that_a_flat_face_does_not() -> None:
-    wall = ContainerModel.box((3.0, 0.02, 3.0))
-    rest = looking(0.9, 0.0, 90.0)
-    true = moved(rest, np.array([0.0, 0.004, 0.006]), np.zeros(3))
-    up = rest[:3, 2]
-    foot = true[:3, 3] - 1.5 * up
-    plane = np.append(up, -(up @ foot))
-
-    found = track(ModelRenderer(wall, CAMERA), exact(wall, true), rest, table=plane)
-
-    np.testing.assert_allclose((np.linalg.inv(rest) @ found.T_camera_container)[:3, 3], [0.0, 0.004, 0.006], atol=5e-4)
-    assert np.count_nonzero(found.observed) == 3  # by images; the table is no image
-
-
 def test_a_cable_before_the_container_moves_nothing() -> None:
     rest = looking(0.9, 25.0, 60.0)
     depth = exact(BOX, rest)

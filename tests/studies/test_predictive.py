@@ -11,7 +11,7 @@ pytest.importorskip("warp")
 
 from deformscope.arrays import FloatArray
 from deformscope.stages.fit.calibrate import FitOptions, Model, Observation, calibrate
-from deformscope.stages.poke.predictive import predict
+from studies.predictive import predict
 from tests.stages.bodies import Pushed, pushed
 
 NOISE = 2e-4
