@@ -31,8 +31,7 @@ from deformscope.calibration_options import (
     opened_images,
     particle_options,
 )
-from deformscope.config import BetaConfig, ImageOptions, OutputOptions, SearchOptions, ThetaConfig
-from deformscope.config.calibrate import LayersFlags, MotionFlags
+from deformscope.config import BetaConfig, ImageOptions, OutputOptions, ThetaConfig
 from deformscope.config.flags import GridShape, HeldPart, Rectangle, Selectable
 from deformscope.errors import InputError
 from deformscope.experiments.foam_video import ParticleOptions, foam_video
@@ -254,10 +253,14 @@ def calibrate_beta(
     its lattice; whole_motion: fit all frames; options: see `CalibrationOptions`
     Raises InputError for what cannot be used.
     """
-    with python_names():
-        layers, motion = LayersFlags(thickness_m, spacing_m), MotionFlags(whole_motion, tuple(select) or None)
-        own = {"theta": theta, "beta_range": bounds, "layers": layers, "motion": motion}
-        return _calibrate(BetaConfig, source, {"cluster_size": cluster_size, **own}, options)
+    own: dict[str, Any] = {
+        "cluster_size": cluster_size,
+        "theta": theta,
+        "beta_range": bounds,
+        "thickness_m": thickness_m,
+    }
+    own |= {"spacing_m": spacing_m, "whole_motion": whole_motion, "select": tuple(select) or None}
+    return _calibrate(BetaConfig, source, own, options)
 
 
 def calibrate_theta(
@@ -274,28 +277,16 @@ def calibrate_theta(
     cluster_size: default None, one cluster of all particles; beta: fixed; bounds: between which theta is searched
     options: see `CalibrationOptions`. Raises InputError for what cannot be used.
     """
-    with python_names():
-        own = {"cluster_size": cluster_size, "beta": beta, "theta_range": bounds}
-        return _calibrate(ThetaConfig, source, own, options)
+    own = {"cluster_size": cluster_size, "beta": beta, "theta_range": bounds}
+    return _calibrate(ThetaConfig, source, own, options)
 
 
 def _calibrate(
     kind: type[BetaConfig | ThetaConfig], source: object, own: dict[str, Any], options: CalibrationOptions
 ) -> CalibrationResult:
-    """The flags of the command line, each in its group; whatever is left belongs to the command itself."""
-    given: dict[str, Any] = {"viewer": "none", "joint": _together(source), **options}
-    progress = given.pop("progress", None)
-    for name, convert in (("mask", Path), ("record", Path), ("held", tuple), ("outline", tuple)):
-        if given.get(name) is not None:
-            given[name] = convert(given[name])
-    groups = {"images": ImageOptions, "search": SearchOptions, "output": OutputOptions}
-    for name, group in groups.items():
-        mine = {field.name for field in dataclasses.fields(group)} & given.keys()
-        own[name] = group(**{key: given.pop(key) for key in mine})
-    if unknown := given.keys() - {field.name for field in dataclasses.fields(kind)}:
-        raise TypeError(f"unexpected options: {', '.join(sorted(unknown))}")
-    with shown_progress(progress) as note:
-        return calibrate(kind(_names(source), **own, **given), _arrays(source), progress=note)[0]
+    given: dict[str, Any] = {"viewer": "none", "joint": _together(source), **own, **options}
+    with python_names(), shown_progress(given.pop("progress", None)) as note:
+        return calibrate(kind.of(sources=_names(source), **given), _arrays(source), progress=note)[0]
 
 
 def _arrays(source: object) -> Sequence[Any]:
