@@ -23,19 +23,14 @@ from deformscope.stages.see.particles import outlined
 def fit_options(config: BetaConfig | ThetaConfig) -> FitOptions:
     """How the parameter is searched, and of which model."""
     search = config.search
-    model, bounds = _model(config)
-    return FitOptions(model, bounds, search.method, search.candidates, search.level, config.output.seed, config.at)
-
-
-def _model(config: BetaConfig | ThetaConfig) -> tuple[Model, tuple[float, float]]:
-    device, volume = pick_device(config.search.device), config.search.volume
+    known: dict[str, Any] = {"volume": search.volume, "device": pick_device(search.device)}
     if isinstance(config, BetaConfig):
-        size, theta = config.fitted_cluster_size, config.fitted_theta
-        model = Model("beta", config.mode, size, config.alpha, theta=theta, volume=volume, device=device)
-        return model, config.beta_range
-    size_or_one = config.cluster_size
-    model = Model("theta", config.mode, size_or_one, config.alpha, beta=config.beta, volume=volume, device=device)
-    return model, config.theta_range
+        bounds, size = config.beta_range, config.fitted_cluster_size
+        model = Model("beta", config.mode, size, config.alpha, theta=config.fitted_theta, **known)
+    else:
+        bounds = config.theta_range
+        model = Model("theta", config.mode, config.cluster_size, config.alpha, beta=config.beta, **known)
+    return FitOptions(model, bounds, search.method, search.candidates, search.level, config.output.seed, config.at)
 
 
 def images_of(config: BetaConfig | ThetaConfig) -> ImageOptions:

@@ -18,7 +18,7 @@ from deformscope.api.material_words import material_figure, material_table
 from deformscope.api.result import LibraryResult, Note, log_note, open_recorder, recording_rows
 from deformscope.arrays import ImageArray
 from deformscope.calibration_options import for_sample, mask_of, opened_images, particle_options
-from deformscope.config import AxesConfig, FieldConfig, MaterialOptions, OutputOptions, ViscousConfig, YieldConfig
+from deformscope.config import MaterialOptions, OutputOptions, ViscousConfig, YieldConfig
 from deformscope.errors import InputError
 from deformscope.experiments.foam_video import ParticleOptions
 from deformscope.experiments.material_motion import (
@@ -198,25 +198,12 @@ def calibrate_material(
 
 
 def job_of(config: MaterialOptions) -> MaterialJob:
-    """The same without the sources, and what is left behind."""
-    fit = config.fit
-    shared: dict[str, Any] = {
-        "level": fit.level,
-        "seed": config.output.seed,
-        "device": pick_device(fit.device),
-        "noise_m": fit.noise_m,
-    }
-    if isinstance(config, AxesConfig):
-        shared |= {"cluster_size": config.cluster_size, "turn_deg": config.turn_deg, "frame": config.at}
-        return MaterialJob("axes", **shared)
-    if isinstance(config, FieldConfig):
-        return MaterialJob("field", **shared, frame=config.at, force_n=config.force_n)
-    assert isinstance(config, YieldConfig | ViscousConfig)
-    shared |= {"at": config.unloading.at, "released": config.unloading.released or ("contact",)}
-    if isinstance(config, ViscousConfig):
-        return MaterialJob("viscous", **shared)
-    names = ("cluster_size", "beta", "creep", "maximum", "theta")
-    return MaterialJob("yield", **shared, **{name: getattr(config, name) for name in names})
+    """The same without the sources, and what is left behind. What is None takes the job's default."""
+    groups = (config.output, config.fit, getattr(config, "unloading", None), config)
+    given = {one.name: getattr(group, one.name) for group in groups if group for one in dataclasses.fields(group)}
+    known = {one.name: given.get(one.name) for one in dataclasses.fields(MaterialJob)}
+    known |= {"find": type(config).__name__.removesuffix("Config").lower(), "device": pick_device(config.fit.device)}
+    return MaterialJob(**{name: value for name, value in known.items() if value is not None})
 
 
 def run_material_images(
