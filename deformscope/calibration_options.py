@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from deformscope.arrays import ImageArray
-from deformscope.config import BetaConfig, ImageOptions, ThetaConfig
+from deformscope.config import BetaConfig, ImageOptions, MaterialOptions, ThetaConfig
 from deformscope.experiments.foam_video import ParticleOptions
 from deformscope.file_io import SAMPLE_SCHEME, sample_path
 from deformscope.files.sources import Source, open_source
@@ -33,7 +33,7 @@ def fit_options(config: BetaConfig | ThetaConfig) -> FitOptions:
     return FitOptions(model, bounds, search.method, search.candidates, search.level, config.output.seed, config.at)
 
 
-def images_of(config: BetaConfig | ThetaConfig) -> ImageOptions:
+def images_of(config: BetaConfig | ThetaConfig | MaterialOptions) -> ImageOptions:
     """How the images become particles: what was asked for, or what suits a sample."""
     sources = config.sources
     if len(sources) == 1 and sources[0].startswith(SAMPLE_SCHEME):

@@ -17,7 +17,7 @@ from deformscope.api.calibration_report import provenance_sections, settings_sec
 from deformscope.api.material_words import material_figure, material_table
 from deformscope.api.result import LibraryResult, Note, log_note, open_recorder, recording_rows
 from deformscope.arrays import ImageArray
-from deformscope.calibration_options import for_sample, mask_of, opened_images, particle_options
+from deformscope.calibration_options import images_of, mask_of, opened_images, particle_options
 from deformscope.config import MaterialOptions, OutputOptions, ViscousConfig, YieldConfig
 from deformscope.errors import InputError
 from deformscope.experiments.foam_video import ParticleOptions
@@ -36,7 +36,7 @@ from deformscope.experiments.material_motion import (
     yield_of_motion,
 )
 from deformscope.experiments.whole_motion import TrackedMotion
-from deformscope.file_io import SAMPLE_SCHEME, ending_of, read_file
+from deformscope.file_io import ending_of, read_file
 from deformscope.files.motions import parse_motion
 from deformscope.files.pairs import parse_pair
 from deformscope.files.sources import Source
@@ -179,9 +179,7 @@ def calibrate_material(
         return run_material_files(raws, job, settings, config.output, note=note, progress=progress)
     if config.fit.noise_m is not None:
         raise InputError("--noise-px for images", "--noise-m", "give the noise in pixels")
-    images = config.images
-    if len(sources) == 1 and sources[0].startswith(SAMPLE_SCHEME):
-        images = for_sample(sources[0].removeprefix(SAMPLE_SCHEME), images)
+    images = images_of(config)
     timed = isinstance(config, ViscousConfig) or (isinstance(config, YieldConfig) and config.creep != "none")
     stamped = images.fps is not None or (len(sources) == 1 and not Path(sources[0]).is_dir())
     if timed and not stamped:
