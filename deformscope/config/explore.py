@@ -22,6 +22,12 @@ REGION_TOUCHES, LUMP_TOUCHES = 8, 30
 MOST_HOLD_S = 60.0
 BORDER_M, LEAST_BORDER_M = 0.02, 0.01
 """No touch is made so near the surface's edge, unless it is asked for; from where on an edge's law was measured."""
+LumpFlag = Annotated[
+    float | None,
+    flags.one_word("NUMBER", lambda text: 0.01 * flags.positive(text)),
+    arg(name="smallest-lump-cm", help_behavior_hint=""),
+]
+"""Typed in centimetres, kept in metres."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,11 +108,7 @@ class ExploreConfig(ExploreFlags, RecordedOptions):
     """A rig file (.toml), or a simulated scene; --list-scenarios names these."""
     list_scenarios: bool = False
     """Name the simulated scenes, what their seeds draw, and what can go wrong in them; do nothing else."""
-    smallest_lump_m: Annotated[
-        float | None,
-        flags.one_word("NUMBER", lambda text: 0.01 * flags.positive(text)),
-        arg(name="smallest-lump-cm", help_behavior_hint=""),
-    ] = None
+    smallest_lump_m: LumpFlag = None
     """With --goal inclusions: radius of the smallest lump that must not be missed [cm], default 2."""
     smallest_inclusion_m: Annotated[flags.PositiveFlag, arg(name="smallest-inclusion")] = None
     """Radius of the smallest lumps that are sought [m], default 0.06: touched is until one that is there unseen is less
