@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from deformscope.arrays import ImageArray
-from deformscope.config import BetaConfig, ImageOptions, ThetaConfig
+from deformscope.config import BetaConfig, ImageOptions, MaterialOptions, ThetaConfig
 from deformscope.experiments.foam_video import ParticleOptions
 from deformscope.file_io import SAMPLE_SCHEME, sample_path
 from deformscope.files.sources import Source, open_source
@@ -23,22 +23,17 @@ from deformscope.stages.see.particles import outlined
 def fit_options(config: BetaConfig | ThetaConfig) -> FitOptions:
     """How the parameter is searched, and of which model."""
     search = config.search
-    model, bounds = _model(config)
+    known: dict[str, Any] = {"volume": search.volume, "device": pick_device(search.device)}
+    if isinstance(config, BetaConfig):
+        bounds, size = config.beta_range, config.fitted_cluster_size
+        model = Model("beta", config.mode, size, config.alpha, theta=config.fitted_theta, **known)
+    else:
+        bounds = config.theta_range
+        model = Model("theta", config.mode, config.cluster_size, config.alpha, beta=config.beta, **known)
     return FitOptions(model, bounds, search.method, search.candidates, search.level, config.output.seed, config.at)
 
 
-def _model(config: BetaConfig | ThetaConfig) -> tuple[Model, tuple[float, float]]:
-    device, volume = pick_device(config.search.device), config.search.volume
-    if isinstance(config, BetaConfig):
-        size, theta = config.fitted_cluster_size, config.fitted_theta
-        model = Model("beta", config.mode, size, config.alpha, theta=theta, volume=volume, device=device)
-        return model, config.beta_range
-    size_or_one = config.cluster_size
-    model = Model("theta", config.mode, size_or_one, config.alpha, beta=config.beta, volume=volume, device=device)
-    return model, config.theta_range
-
-
-def images_of(config: BetaConfig | ThetaConfig) -> ImageOptions:
+def images_of(config: BetaConfig | ThetaConfig | MaterialOptions) -> ImageOptions:
     """How the images become particles: what was asked for, or what suits a sample."""
     sources = config.sources
     if len(sources) == 1 and sources[0].startswith(SAMPLE_SCHEME):

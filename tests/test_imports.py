@@ -64,12 +64,12 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "recording": ("arrays", "errors", "frames", "images", "log", "page.server", "rows", "session", *STAGES),
     "files": ("arrays", "errors", "file_io", "frames", "images", "recording", *STAGES),
     "experiments": (
-        *("arrays", "capsule", "errors", "files", "frames", "images", "processes", "recording", "rig", "robot"),
-        *("rows", "session", "version", *STAGES),
+        *("arrays", "capsule", "config", "errors", "files", "frames", "images", "processes", "recording", "rig"),
+        *("robot", "rows", "session", "version", *STAGES),
     ),
     "reproduce": (
-        *("api", "arrays", "capsule", "errors", "experiments", "files", "frames", "lab", "log", "pictures", "plain"),
-        *("recording", "rig", "robot", "session", *STAGES),
+        *("api", "arrays", "capsule", "config", "errors", "experiments", "files", "frames", "lab", "log", "pictures"),
+        *("plain", "recording", "rig", "robot", "session", *STAGES),
     ),
     # A GPU machine that has numpy, scipy and warp alone runs it.
     "bench": ("arrays", "bench_cases", "errors", "plain", "version", *STAGES),

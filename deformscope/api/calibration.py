@@ -32,14 +32,13 @@ from deformscope.calibration_options import (
     opened_images,
     particle_options,
 )
-from deformscope.config import BetaConfig, ImageOptions, OutputOptions, SearchOptions, ThetaConfig
-from deformscope.config.calibrate import LayersFlags, MotionFlags
+from deformscope.config import BetaConfig, ImageOptions, OutputOptions, ThetaConfig
 from deformscope.config.flags import GridShape, HeldPart, Rectangle, Selectable
 from deformscope.errors import InputError
 from deformscope.experiments.foam_video import ParticleOptions, foam_video
 from deformscope.experiments.pair_files import pair_files
 from deformscope.experiments.poke_files import LayersOptions, poke_files
-from deformscope.experiments.whole_motion import MotionOptions, whole_motion
+from deformscope.experiments.whole_motion import whole_motion
 from deformscope.file_io import ending_of, read_file
 from deformscope.files.model_file import save_model
 from deformscope.files.pairs import parse_pair
@@ -252,10 +251,14 @@ def calibrate_beta(
     its lattice; whole_motion: fit all frames; options: see `CalibrationOptions`
     Raises InputError for what cannot be used.
     """
-    with python_names():
-        layers, motion = LayersFlags(thickness_m, spacing_m), MotionFlags(whole_motion, tuple(select) or None)
-        own = {"theta": theta, "beta_range": bounds, "layers": layers, "motion": motion}
-        return _calibrate(BetaConfig, source, {"cluster_size": cluster_size, **own}, options)
+    own: dict[str, Any] = {
+        "cluster_size": cluster_size,
+        "theta": theta,
+        "beta_range": bounds,
+        "thickness_m": thickness_m,
+    }
+    own |= {"spacing_m": spacing_m, "whole_motion": whole_motion, "select": tuple(select) or None}
+    return _calibrate(BetaConfig, source, own, options)
 
 
 def calibrate_theta(
@@ -272,28 +275,16 @@ def calibrate_theta(
     cluster_size: default None, one cluster of all particles; beta: fixed; bounds: between which theta is searched
     options: see `CalibrationOptions`. Raises InputError for what cannot be used.
     """
-    with python_names():
-        own = {"cluster_size": cluster_size, "beta": beta, "theta_range": bounds}
-        return _calibrate(ThetaConfig, source, own, options)
+    own = {"cluster_size": cluster_size, "beta": beta, "theta_range": bounds}
+    return _calibrate(ThetaConfig, source, own, options)
 
 
 def _calibrate(
     kind: type[BetaConfig | ThetaConfig], source: object, own: dict[str, Any], options: CalibrationOptions
 ) -> CalibrationResult:
-    """The flags of the command line, each in its group; whatever is left belongs to the command itself."""
-    given: dict[str, Any] = {"viewer": "none", "joint": _together(source), **options}
-    progress = given.pop("progress", None)
-    for name, convert in (("mask", Path), ("record", Path), ("held", tuple), ("outline", tuple)):
-        if given.get(name) is not None:
-            given[name] = convert(given[name])
-    groups = {"images": ImageOptions, "search": SearchOptions, "output": OutputOptions}
-    for name, group in groups.items():
-        mine = {field.name for field in dataclasses.fields(group)} & given.keys()
-        own[name] = group(**{key: given.pop(key) for key in mine})
-    if unknown := given.keys() - {field.name for field in dataclasses.fields(kind)}:
-        raise TypeError(f"unexpected options: {', '.join(sorted(unknown))}")
-    with shown_progress(progress) as note:
-        return calibrate(kind(_names(source), **own, **given), _arrays(source), progress=note)[0]
+    given: dict[str, Any] = {"viewer": "none", "joint": _together(source), **own, **options}
+    with python_names(), shown_progress(given.pop("progress", None)) as note:
+        return calibrate(kind.of(sources=_names(source), **given), _arrays(source), progress=note)[0]
 
 
 def _arrays(source: object) -> Sequence[Any]:
@@ -339,7 +330,10 @@ def calibrate(
         again = "--viewer page; or fit a recording of it (deformscope record)"
         raise InputError("--viewer page with a rig, whose camera is followed there", output.viewer, again, sources[0])
     fit = fit_options(config)
-    layers, motion = _layers(config), _motion(config)
+    layers = _layers(config)
+    select: tuple[Selectable, ...] | None = None
+    if isinstance(config, BetaConfig) and config.motion.whole_motion:
+        select = config.motion.select or ()
     pairs = [source for source in sources if ending_of(source) == ".npz"]
     if pairs and len(pairs) != len(sources):
         other = next(source for source in sources if source not in pairs)
@@ -350,7 +344,7 @@ def calibrate(
         raws = [(path, read_file(path, "a pair file (.npz)")) for path in pairs]
     else:
         raws = [] if given or len(sources) > 1 else _recorded_pairs(sources[0])
-    if raws and motion is not None:
+    if raws and select is not None:
         raise InputError("images with --whole-motion", "pair files", "--joint fits one value to all pairs")
     if raws:
         if pairs and config.images != ImageOptions():
@@ -376,10 +370,9 @@ def calibrate(
         raise InputError("--noise-px for images", "--noise-m", "give the noise in pixels")
     images = images_of(config)
     rated = images.fps is not None or (len(sources) == 1 and not given and not Path(sources[0]).is_dir())
-    if motion is not None and {"alpha", "dt"} & set(motion.select) and not rated:
+    if select is not None and {"alpha", "dt"} & set(select) and not rated:
         raise InputError("--fps with --select alpha or dt", "images that do not say their rate", "--fps 30")
-    particles = particle_options(images, search.noise_px)
-    return [calibrate_images(sources, fit, particles, images, output, motion, given, progress, note, search.fine)]  # type: ignore[arg-type]
+    return [calibrate_images(config, images, fit, select, given, progress, note)]  # type: ignore[arg-type]
 
 
 def _minutes(seconds: float) -> str:
@@ -401,12 +394,6 @@ def _thinned(source: Source, particles: ParticleOptions, every: bool, note: Note
         f"--fine follows all of them, in about {_minutes(count * each_s)}"
     )
     return dataclasses.replace(particles, frames_of=count)
-
-
-def _motion(config: BetaConfig | ThetaConfig) -> MotionOptions | None:
-    if not isinstance(config, BetaConfig) or not config.motion.whole_motion:
-        return None
-    return MotionOptions(config.motion.select or ())
 
 
 def _layers(config: BetaConfig | ThetaConfig) -> LayersOptions | None:
@@ -433,19 +420,17 @@ def _recorded_pairs(source: str) -> list[tuple[str, bytes]]:
 
 
 def calibrate_images(
-    sources: Sequence[str],
-    fit: FitOptions,
-    particles: ParticleOptions,
+    config: BetaConfig | ThetaConfig,
     images: ImageOptions,
-    output: OutputOptions,
-    motion: MotionOptions | None = None,
-    given: Sequence[ImageArray] = (),
-    progress: Progress | None = None,
-    note: Note = log_note,
-    fine: bool = False,
+    fit: FitOptions,
+    select: tuple[Selectable, ...] | None,
+    given: Sequence[ImageArray],
+    progress: Progress | None,
+    note: Note,
 ) -> CalibrationResult:
-    """Fit a sequence of files, or of the images given, and record it where asked. motion: all frames are fitted; fine:
-    all are followed, also where that takes long"""
+    """Fit a sequence of files, or of the images given, and record it where asked. images: how they become particles
+    select: as `run_images` takes it"""
+    sources, particles = config.sources, particle_options(images, config.search.noise_px)
     masked = images.mask is not None or images.outline is not None
     settings = {"sources": list(sources), "stride": images.stride, "fps": images.fps, "mask": masked}
     settings |= {"camera": images.camera} if images.camera is not None else {}
@@ -453,9 +438,9 @@ def calibrate_images(
     opened = _given_images(given, images) if given else opened_images(sources, images)
     with opened as source:
         mask = mask_of(sources, images, source.size)
-        every = fine or motion is not None or images.stride != 1
+        every = config.search.fine or select is not None or images.stride != 1
         particles = _thinned(source, particles, every, note)
-        return run_images(source, mask, fit, particles, settings, output, motion, progress)
+        return run_images(source, mask, fit, particles, settings, config.output, select, progress)
 
 
 def _given_images(given: Sequence[ImageArray], images: ImageOptions) -> Source:
@@ -476,13 +461,14 @@ def run_images(
     particles: ParticleOptions,
     settings: dict[str, Any],
     output: OutputOptions,
-    motion: MotionOptions | None = None,
+    select: tuple[Selectable, ...] | None = None,
     progress: Progress | None = None,
 ) -> CalibrationResult:
-    """One sequence through the loop: the same for files, samples and recordings. motion: all frames are fitted."""
+    """One sequence through the loop: the same for files, samples and recordings. select: all frames are fitted, and
+    that is chosen by held-out error; None = the last frame is"""
     used = settings | {"particles": dataclasses.asdict(particles), "fit": dataclasses.asdict(fit)}
-    if motion is not None:
-        used["motion"] = dataclasses.asdict(motion)
+    if select is not None:
+        used["motion"] = {"select": select}
     region = None if mask is None else clean_mask(mask)
     last: list[ImageArray] = []
 
@@ -498,8 +484,8 @@ def run_images(
             recorder.write(InputFile("mask", encode_png(mask)))
         experiment = (
             foam_video(particles, fit, region, progress)
-            if motion is None
-            else whole_motion(particles, fit, motion, region, progress)
+            if select is None
+            else whole_motion(particles, fit, select, region, progress)
         )
         found = run(frames(), experiment, recorder)
         if problems := source.problems():

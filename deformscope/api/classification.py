@@ -12,7 +12,7 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 
 from deformscope.api.result import LibraryResult, python_names
-from deformscope.config import ClassifyConfig, OutputOptions
+from deformscope.config import ClassifyConfig
 from deformscope.file_io import resolve
 from deformscope.files.classifier_file import load_classifier as _load
 from deformscope.files.classifier_file import save_classifier
@@ -341,31 +341,22 @@ def classify(
     terminal or a notebook; True: always, False: never
     Raises InputError for what cannot be used.
     """
+    names = ("splits", "costly_splits", "curve_splits", "level", "seed")
+    given = {name: value for name, value in locals().items() if name in names}
     with python_names():
-        config = ClassifyConfig(
-            Path(),
-            splits=splits,
-            costly_splits=costly_splits,
-            curve_splits=curve_splits,
-            level=level,
-            output=OutputOptions(seed=seed),
-        )
+        options = options_of(ClassifyConfig.of(table=Path(), **given), tuple(transfer))
         found = table_from(table, modalities=modalities, merge=merge, duplicates=duplicates)
         name = str(table) if isinstance(table, str | Path) else ""
         with shown_progress(progress) as note:
-            return classify_table(found, name, options_of(config, tuple(transfer)), note)
+            return classify_table(found, name, options, note)
 
 
 def options_of(config: ClassifyConfig, transfer: tuple[tuple[str, str], ...]) -> EvaluationOptions:
     """How the flags want it evaluated."""
-    return EvaluationOptions(
-        splits=min(config.splits, QUICK_SPLITS) if config.quick else config.splits,
-        costly_splits=0 if config.quick else config.costly_splits,
-        curve_splits=0 if config.quick else config.curve_splits,
-        level=config.level,
-        seed=config.output.seed,
-        transfer=transfer,
-    )
+    splits = config.splits, config.costly_splits, config.curve_splits
+    if config.quick:
+        splits = min(config.splits, QUICK_SPLITS), 0, 0
+    return EvaluationOptions(*splits, level=config.level, seed=config.output.seed, transfer=transfer)
 
 
 def load_classifier(path: Path | str) -> ContentModel:

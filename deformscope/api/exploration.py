@@ -3,31 +3,29 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal
 
 from deformscope.api.exploration_result import ExplorationResult
 from deformscope.api.exploration_run import explore_on
 from deformscope.api.result import ViewerChoice, python_names
-from deformscope.config import ExploreConfig, OutputOptions
+from deformscope.config import ExploreConfig
+from deformscope.config.explore import BetaModel, Feel, Goal, Pace, Planner
 from deformscope.errors import InputError
 from deformscope.terminal import Say, said_to
-
-Planner = Literal["regions", "integrated-variance", "max-variance", "random-above", "thesis"]
 
 
 def explore(
     rig: str | Path,
     *,
     touches: int | None = None,
-    goal: Literal["regions", "inclusions"] = "regions",
+    goal: Goal = "regions",
     planner: Planner = "regions",
     set_force_n: float | None = None,
     smallest_inclusion_m: float | None = None,
     smallest_lump_m: float | None = None,
-    beta_model: Literal["volume", "thesis", "layers", "none"] | None = None,
-    pace: Literal["careful", "quick"] = "careful",
+    beta_model: BetaModel | None = None,
+    pace: Pace = "careful",
     hold_s: float = 0.0,
-    feel: Literal["apparent", "relaxed", "loss"] = "apparent",
+    feel: Feel = "apparent",
     seed: int = 0,
     record: Path | str | None = None,
     viewer: ViewerChoice = "none",
@@ -49,24 +47,10 @@ def explore(
     terminal or a notebook; True: always, False: never; those of a rig file always, unless there is a function
     Raises InputError for what cannot be used, and SystemExit where the exploration was stopped before its end.
     """
+    given = {name: value for name, value in locals().items() if name not in ("rig", "touches", "progress")}
     simulated = str(rig).startswith("lab:")
     with python_names():
-        config = ExploreConfig(
-            str(rig),
-            touches=touches,
-            goal=goal,
-            smallest_lump_cm=None if smallest_lump_m is None else 100.0 * smallest_lump_m,
-            planner=planner,
-            set_force=set_force_n,
-            smallest_inclusion=smallest_inclusion_m,
-            beta_model=beta_model,
-            pace=pace,
-            hold=hold_s,
-            feel=feel,
-            yes=yes,
-            trust_rig=trust_rig,
-            output=OutputOptions(None, None if record is None else Path(record), viewer, overwrite, seed),
-        )
+        config = ExploreConfig.of(rig=str(rig), budget=touches, **given)
         with said_to(progress if simulated or callable(progress) else True):
             explored = explore_on(config, lambda explored: None)
     if explored is None:

@@ -39,8 +39,6 @@ if TYPE_CHECKING:
     from deformscope.stages.map.exploration import TouchEstimate
 
 
-REGION_TOUCHES, LUMP_TOUCHES = 8, 30
-"""At most, unless asked for otherwise."""
 LUMP_FORCE_N = 5.0
 """Lumps are sought with in the laboratory, unless asked for otherwise: pressed harder, a touch feels deeper."""
 
@@ -71,6 +69,7 @@ def explore_on(config: ExploreConfig, report: Callable[[ExplorationResult], None
 
     Whatever ends it, the arm is halted, and what is known is reported before the recording is closed.
     """
+    from deformscope.config.explore import ExploreFlags
     from deformscope.experiments.explore import DRY_RUN, Exploration
     from deformscope.experiments.measured import SetupGeometry
     from deformscope.experiments.options import DRY_RUN_M, ExploreOptions
@@ -80,26 +79,16 @@ def explore_on(config: ExploreConfig, report: Callable[[ExplorationResult], None
     quiet_warp()
     lumps = config.goal == "inclusions"
     options = ExploreOptions(
-        planner=config.planner,
-        budget=config.touches or (LUMP_TOUCHES if lumps else REGION_TOUCHES),
-        threshold=config.threshold,
-        beta_model=config.beta_model or ("none" if lumps else "thesis" if config.planner == "thesis" else "volume"),
+        **{one.name: getattr(config, one.name) for one in dataclasses.fields(ExploreFlags)},
         seed=config.output.seed,
-        goal=config.goal,
-        inclusion_m=0.01 * (config.smallest_lump_cm or 2.0) if lumps else config.smallest_inclusion or INCLUSION_M,
-        first_m=config.first,
+        inclusion_m=config.smallest_lump_m or 0.02 if lumps else config.smallest_inclusion_m or INCLUSION_M,
         lift_m=DRY_RUN_M if config.dry_run else 0.0,
-        hold_s=config.hold,
-        feel=config.feel,
-        pace=config.pace,
-        relief=config.relief,
-        border_m=config.border,
     )
     faults = [FaultAt.parse(text, options.budget) for text in config.fault]
     opening = setup_of(
         config.rig,
         options,
-        LUMP_FORCE_N if config.set_force is None and lumps and config.rig.startswith(LAB) else config.set_force,
+        LUMP_FORCE_N if config.set_force_n is None and lumps and config.rig.startswith(LAB) else config.set_force_n,
         trusted=config.trust_rig,
         clean=config.clean,
         camera=config.camera,
@@ -143,8 +132,8 @@ def explore_on(config: ExploreConfig, report: Callable[[ExplorationResult], None
 
 def _check_first(config: ExploreConfig, setup: Setup) -> None:
     """Raises InputError for a first touch beside the surface, and for a dry run that somebody would make by hand."""
-    if config.first is not None:
-        (x, y), (width, height) = config.first, setup.size_m
+    if config.first_m is not None:
+        (x, y), (width, height) = config.first_m, setup.size_m
         if not (0.0 < x < width and 0.0 < y < height):
             raise InputError(f"--first on the surface: between 0,0 and {width:g},{height:g} m", f"{x:g},{y:g}")
     if config.dry_run and setup.person is not None:

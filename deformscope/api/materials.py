@@ -18,8 +18,8 @@ from deformscope.api.calibration_report import provenance_sections, settings_sec
 from deformscope.api.material_words import material_figure, material_table
 from deformscope.api.result import LibraryResult, Note, log_note, open_recorder, recording_rows
 from deformscope.arrays import ImageArray
-from deformscope.calibration_options import for_sample, mask_of, opened_images, particle_options
-from deformscope.config import AxesConfig, FieldConfig, MaterialOptions, OutputOptions, ViscousConfig, YieldConfig
+from deformscope.calibration_options import images_of, mask_of, opened_images, particle_options
+from deformscope.config import MaterialOptions, OutputOptions, ViscousConfig, YieldConfig
 from deformscope.errors import InputError
 from deformscope.experiments.foam_video import ParticleOptions
 from deformscope.experiments.material_motion import (
@@ -37,7 +37,7 @@ from deformscope.experiments.material_motion import (
     yield_of_motion,
 )
 from deformscope.experiments.whole_motion import TrackedMotion
-from deformscope.file_io import SAMPLE_SCHEME, ending_of, read_file
+from deformscope.file_io import ending_of, read_file
 from deformscope.files.motions import parse_motion
 from deformscope.files.pairs import parse_pair
 from deformscope.files.sources import Source
@@ -180,9 +180,7 @@ def calibrate_material(
         return run_material_files(raws, job, settings, config.output, note=note, progress=progress)
     if config.fit.noise_m is not None:
         raise InputError("--noise-px for images", "--noise-m", "give the noise in pixels")
-    images = config.images
-    if len(sources) == 1 and sources[0].startswith(SAMPLE_SCHEME):
-        images = for_sample(sources[0].removeprefix(SAMPLE_SCHEME), images)
+    images = images_of(config)
     timed = isinstance(config, ViscousConfig) or (isinstance(config, YieldConfig) and config.creep != "none")
     stamped = images.fps is not None or (len(sources) == 1 and not Path(sources[0]).is_dir())
     if timed and not stamped:
@@ -199,25 +197,12 @@ def calibrate_material(
 
 
 def job_of(config: MaterialOptions) -> MaterialJob:
-    """The same without the sources, and what is left behind."""
-    fit = config.fit
-    shared: dict[str, Any] = {
-        "level": fit.level,
-        "seed": config.output.seed,
-        "device": pick_device(fit.device),
-        "noise_m": fit.noise_m,
-    }
-    if isinstance(config, AxesConfig):
-        shared |= {"cluster_size": config.cluster_size, "turn_deg": config.turn_deg, "frame": config.at}
-        return MaterialJob("axes", **shared)
-    if isinstance(config, FieldConfig):
-        return MaterialJob("field", **shared, frame=config.at, force_n=config.force_n)
-    assert isinstance(config, YieldConfig | ViscousConfig)
-    shared |= {"at": config.unloading.at, "released": config.unloading.released or ("contact",)}
-    if isinstance(config, ViscousConfig):
-        return MaterialJob("viscous", **shared)
-    names = ("cluster_size", "beta", "creep", "maximum", "theta")
-    return MaterialJob("yield", **shared, **{name: getattr(config, name) for name in names})
+    """The same without the sources, and what is left behind. What is None takes the job's default."""
+    groups = (config.output, config.fit, getattr(config, "unloading", None), config)
+    given = {one.name: getattr(group, one.name) for group in groups if group for one in dataclasses.fields(group)}
+    known = {one.name: given.get(one.name) for one in dataclasses.fields(MaterialJob)}
+    known |= {"find": type(config).__name__.removesuffix("Config").lower(), "device": pick_device(config.fit.device)}
+    return MaterialJob(**{name: value for name, value in known.items() if value is not None})
 
 
 def run_material_images(

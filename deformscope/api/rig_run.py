@@ -293,8 +293,7 @@ def record(
     progress: called with each line about devices, links and rates; default: as of `explore`
     Raises InputError for what cannot be used.
     """
-    with python_names():
-        output = OutputOptions(None, None if file is None else Path(file), viewer, overwrite)
-        config = RecordConfig(str(rig), seconds, label, trust_rig, output=output)
+    given = {name: value for name, value in locals().items() if name not in ("rig", "file", "progress")}
     with python_names(), said_to(progress):
+        config = RecordConfig.of(rig=str(rig), record=file, **given)
         return run_rig(config, "none", always_record=True).result

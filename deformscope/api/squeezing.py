@@ -11,7 +11,7 @@ from typing import Any, Literal
 from deformscope.api.result import LibraryResult, ViewerChoice, python_names
 from deformscope.api.squeeze_result import SqueezeResult
 from deformscope.api.squeeze_run import leave, squeeze_on
-from deformscope.config import OutputOptions, SqueezeConfig
+from deformscope.config import SqueezeConfig
 from deformscope.files.squeeze_dataset import SqueezeDataset, TrialEntry
 from deformscope.pictures.report import Table
 from deformscope.stages.squeeze.table import LabelledTable
@@ -48,21 +48,9 @@ def squeeze(
     Raises InputError for what cannot be used, and where the squeeze did not come to its steady state (a data set keeps
     it as discarded, with the reason); KeyboardInterrupt where Ctrl-C ended it.
     """
+    given = {name: value for name, value in locals().items() if name not in ("rig", "progress")}
     with python_names():
-        config = SqueezeConfig(
-            str(rig),
-            content=content,
-            container=container,
-            dataset=None if dataset is None else Path(dataset),
-            keep=keep,
-            model=None if model is None else Path(model),
-            fill=fill,
-            session=session,
-            operator=operator,
-            yes=yes,
-            trust_rig=trust_rig,
-            output=OutputOptions(None, None if record is None else Path(record), viewer, overwrite, seed),
-        )
+        config = SqueezeConfig.of(rig=str(rig), **given)
         with said_to(progress if str(rig).startswith("lab:") or callable(progress) else True):
             return _squeezed(config)
 

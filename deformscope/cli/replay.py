@@ -51,7 +51,7 @@ def run(config: ReplayConfig) -> None:
     from deformscope.api.calibration import calibrate_pair_bytes, run_images
     from deformscope.experiments.foam_video import ParticleOptions
     from deformscope.experiments.poke_files import LayersOptions
-    from deformscope.experiments.whole_motion import MotionOptions
+    from deformscope.experiments.whole_motion import Selectable
     from deformscope.files.sources import Source
     from deformscope.recording.reader import Replay
     from deformscope.stages.fit.calibrate import FitOptions
@@ -89,7 +89,8 @@ def run(config: ReplayConfig) -> None:
     try:
         fit = msgspec.convert(settings.pop("fit"), FitOptions)
         particles = msgspec.convert(settings.pop("particles", {}), ParticleOptions)
-        motion = msgspec.convert(settings.pop("motion"), MotionOptions) if "motion" in settings else None
+        motion = settings.pop("motion", None)
+        select = None if motion is None else msgspec.convert(motion["select"], tuple[Selectable, ...])
     except (KeyError, msgspec.ValidationError) as error:
         raise InputError(
             "a recording of a calibration", f"settings of another kind ({error})", where=config.recording
@@ -115,7 +116,7 @@ def run(config: ReplayConfig) -> None:
                 str(config.recording), lambda: recording.frames(config.pace, _wait), recording.frame_count
             ) as source:
                 mask, output = recording.mask, config.output
-                found = [run_images(source, mask, fit, particles, settings, output, motion, progress)]
+                found = [run_images(source, mask, fit, particles, settings, output, select, progress)]
     show(*found)
     every = [one.to_dict() for one in found]
     write_json(every[0] if len(every) == 1 else every, config.output.json)

@@ -33,7 +33,6 @@ from deformscope.reproduce.cubes import (
     Cube,
     ElementTime,
     Found,
-    Options,
     compared,
     cube_from_pair,
     depths_of,
@@ -54,14 +53,13 @@ def run(config: CubesConfig) -> None:
         began = time.perf_counter()
         cubes, elements = _read(config.pairs) if config.pairs else _make(config.quick)
         made = time.perf_counter()
-        options = Options(config.method, config.level, config.output.seed, config.cluster_size, config.compare)
-        found = _examine(cubes, options, config.workers)
+        found = _examine(cubes, config)
         times = time_rows(model_times(found), elements)
         sems = sem_rows(found)
-        drawn = _draw(config.out, found, options, sems, times)
+        drawn = _draw(config, found, sems, times)
         seconds = {"cubes": made - began, "fits_and_figures": time.perf_counter() - made}
         summary = report(found, sems, times, seconds)
-        overview = Table(_rows(summary, found, options, config.out), caption=f"{len(found)} cubes")
+        overview = Table(_rows(summary, found, config), caption=f"{len(found)} cubes")
         tables = (overview, dict_table(sems, "Spread of theta"), dict_table(times, "Table 3.2"))
         show(Findings((overview,)))
         recorder.write(Step((Findings(tables, pictures_of(drawn)),)))
@@ -83,15 +81,15 @@ def _read(paths: Sequence[Path]) -> tuple[list[Cube], list[ElementTime]]:
     return sorted(cubes, key=lambda cube: (len(cube.seen.rest), cube.poisson, cube.depth)), []
 
 
-def _examine(cubes: Sequence[Cube], options: Options, workers: int | None) -> list[Found]:
-    jobs = [(cube, options, one) for cube, one in zip(cubes, compared(cubes, options), strict=True)]
+def _examine(cubes: Sequence[Cube], config: CubesConfig) -> list[Found]:
+    jobs = [(cube, config, one) for cube, one in zip(cubes, compared(cubes, config), strict=True)]
     # the long ones first, so that none is left alone at the end
     order = sorted(range(len(jobs)), key=lambda place: -len(cubes[place].seen.rest))
-    found = tried(Trials("cubes", _one, [jobs[place] for place in order]), workers)
+    found = tried(Trials("cubes", _one, [jobs[place] for place in order]), config.workers)
     return [one for _, one in sorted(zip(order, found, strict=True), key=lambda pair: pair[0])]
 
 
-def _one(job: tuple[Cube, Options, bool]) -> Found:
+def _one(job: tuple[Cube, CubesConfig, bool]) -> Found:
     return examine(*job)
 
 
@@ -99,13 +97,13 @@ def _one(job: tuple[Cube, Options, bool]) -> Found:
 
 
 def _draw(
-    out: Path,
+    config: CubesConfig,
     found: Sequence[Found],
-    options: Options,
     sems: Sequence[dict[str, object]],
     times: Sequence[dict[str, object]],
 ) -> dict[str, Path]:
     """Draw and write; the pictures by what they show."""
+    out = config.out
     theta, errors = out / "figure-3.10.png", out / "figure-3.11.png"
     figures.draw_theta(theta, found)
     figures.draw_errors(errors, found)
@@ -114,10 +112,10 @@ def _draw(
         name = "theta over the resolution, as it is and with held particles of equal mass"
         drawn[name] = out / "resolution.png"
         figures.draw_resolution(drawn[name], found)
-    if options.compare != "none":
+    if config.compare != "none":
         name = "overlapping clusters beside one cluster"
         drawn[name] = out / "clusters.png"
-        figures.draw_clusters(drawn[name], found, options.cluster_size)
+        figures.draw_clusters(drawn[name], found, config.cluster_size)
     for name, rows in (("cubes.csv", figures.cube_rows(found)), ("sem.csv", sems), ("table-3.2.csv", times)):
         write_rows(out / name, rows)
     return drawn
@@ -167,7 +165,7 @@ def report(
     }
 
 
-def _rows(summary: dict[str, Any], found: Sequence[Found], options: Options, out: Path) -> list[tuple[str, str]]:
+def _rows(summary: dict[str, Any], found: Sequence[Found], config: CubesConfig) -> list[tuple[str, str]]:
     rows = [
         (f"theta at nu {row['poisson']:g}", f"{row['theta']:.4f}{_spread(row)}")
         for row in summary["sem"]
@@ -184,7 +182,7 @@ def _rows(summary: dict[str, Any], found: Sequence[Found], options: Options, out
     verdicts = [one.theta.verdict for one in found]
     rows.append(("verdicts", ", ".join(f"{verdicts.count(name)} {name}" for name in dict.fromkeys(verdicts))))
     if summary["ratio_most"] is not None:
-        name = f"clusters of {options.cluster_size} a side"
+        name = f"clusters of {config.cluster_size} a side"
         rows.append(
             (name, f"at most {summary['ratio_most']:.2f} of one cluster's error at nu >= 0.25, beta fitted too")
         )
@@ -200,7 +198,7 @@ def _rows(summary: dict[str, Any], found: Sequence[Found], options: Options, out
         rows.append(("NOT converged", ", ".join(unsettled)))
     seconds = summary["seconds"]
     rows.append(("took", f"{seconds['cubes']:.1f} s for the cubes, {seconds['fits_and_figures']:.1f} s for the rest"))
-    rows.append(("figures and tables", str(out)))
+    rows.append(("figures and tables", str(config.out)))
     return rows
 
 

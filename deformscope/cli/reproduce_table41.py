@@ -22,8 +22,8 @@ from deformscope.cli.common import (
 )
 from deformscope.cli.study import Trials, tried
 from deformscope.config import Table41Config
+from deformscope.config.explore import Pace
 from deformscope.errors import InputError
-from deformscope.experiments.options import Pace
 from deformscope.lab.scenes import BUILT_IN, built_in
 from deformscope.pictures.figures import write_rows
 from deformscope.pictures.findings import Findings, dict_table

@@ -22,6 +22,7 @@ from deformscope.config.calibrate import (
     YieldConfig,
 )
 from deformscope.config.classify import ClassifyConfig
+from deformscope.config.explore import ExploreConfig
 from deformscope.config.flags import PokeText, parse_poke, parse_pokes
 from deformscope.config.images import FlowConfig, ImageOptions
 from deformscope.config.options import CommandOptions, OutputOptions, RecordedOptions
@@ -42,7 +43,6 @@ from deformscope.config.rigs import (
     DiscardRecordingConfig,
     DoctorConfig,
     DoubleConfig,
-    ExploreConfig,
     ExportConfig,
     LiveConfig,
     RecordConfig,

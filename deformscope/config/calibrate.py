@@ -350,7 +350,7 @@ class AxesConfig(MaterialOptions):
 
     turn_deg: float = 0.0
     """Angle of the material's first axis to x, in the plane of x and y [degrees]; in images y goes down."""
-    at: flags.SomeFlag = None
+    frame: Annotated[flags.SomeFlag, arg(name="at")] = None
     """Of images: the frame that is fitted, counted from 0 after --stride; default: the last one."""
     cluster_size: flags.ClusterFlag = 3
     """Particles along each side of a cluster."""
@@ -361,7 +361,7 @@ class FieldConfig(MaterialOptions):
     """Find how stiff each place of a thing is against the others from one deformation, by images or one pair file:
     smooth or of a few materials, with a beta for each place; with a force, stiffness in N/m."""
 
-    at: flags.SomeFlag = None
+    frame: Annotated[flags.SomeFlag, arg(name="at")] = None
     """Of images: the frame that is fitted, counted from 0 after --stride; default: the last one."""
     force_n: flags.PositiveFlag = None
     """Size of the net force on the held particles that were moved, in that frame [N]; default: the pair file's."""

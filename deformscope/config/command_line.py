@@ -8,7 +8,7 @@ from tyro.conf import Positional
 from tyro.constructors import PrimitiveConstructorSpec
 
 from deformscope.config import flags
-from deformscope.config.options import Flags, marks_of
+from deformscope.config.options import Flags, flags_of, marks_of
 
 LEFT_OUT = frozenset({"viewer", "overwrite", "adjust", "trust_rig"})
 """Flags that say what is shown or opened, not what is computed."""
@@ -39,5 +39,5 @@ def _words(options: Flags) -> list[str]:
         ):
             typed = next((mark for mark in said if isinstance(mark, PrimitiveConstructorSpec)), None)
             as_typed = [str(value)] if typed is None else [str(word) for word in typed.str_from_instance(value)]
-            words += ["--" + field.name.replace("_", "-"), *([] if value is True else as_typed)]
+            words += [flags_of(type(options))[field.name], *([] if value is True else as_typed)]
     return first + words

@@ -6,7 +6,7 @@ import dataclasses
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, TypeVar, get_type_hints
+from typing import Any, Literal, Self, TypeVar, get_args, get_origin, get_type_hints
 
 from deformscope.config import flags
 from deformscope.errors import InputError
@@ -32,6 +32,12 @@ def marks_of(kind: type) -> dict[str, tuple[object, ...]]:
     return {name: getattr(hint, "__metadata__", ()) for name, hint in hints.items()}
 
 
+def flags_of(kind: type) -> dict[str, str]:
+    """The flag of each field: as `arg(name=...)` in its annotation has it, else as the field is called."""
+    names = {name: [getattr(mark, "name", None) for mark in marks] for name, marks in marks_of(kind).items()}
+    return {name: "--" + (next(filter(None, said), None) or name.replace("_", "-")) for name, said in names.items()}
+
+
 class Flags:
     """Flags: each value is checked as its annotation wants it, then together by `check`."""
 
@@ -44,6 +50,24 @@ class Flags:
 
     def check(self) -> None:
         """Raises InputError for values that do not go together."""
+
+    @classmethod
+    def of(cls, **given: Any) -> Self:
+        """Options out of a script's arguments by name, each in its group of flags. Paths may be words, tuples any
+        sequences. Raises TypeError for other names."""
+        own: dict[str, Any] = {}
+        hints = get_type_hints(cls)
+        for field in dataclasses.fields(cls):  # type: ignore[arg-type]  # all that derive from it are dataclasses
+            name, group = field.name, field.default_factory
+            if isinstance(group, type) and issubclass(group, Flags):
+                own[name] = group.of(**{one: given.pop(one) for one in marks_of(group).keys() & given.keys()})
+            elif name in given:
+                kinds, value = (hints[name], *get_args(hints[name])), given.pop(name)
+                convert = Path if Path in kinds else tuple if any(get_origin(kind) is tuple for kind in kinds) else None
+                own[name] = value if value is None or convert is None else convert(value)
+        if given:
+            raise TypeError(f"unexpected options: {', '.join(sorted(given))}")
+        return cls(**own)
 
     def reads(self) -> tuple[str, ...]:
         """The sources, none of which may be written over."""
@@ -58,13 +82,14 @@ class Flags:
 
     def _marked(self, kind: type[MarkT], *, inner: bool = True) -> Iterator[tuple[str, Any, MarkT]]:
         """Flag, value and mark of each field with a value and a mark of this kind; inner: of groups of flags too"""
+        marks, named = marks_of(type(self)), flags_of(type(self))
         for field in dataclasses.fields(self):  # type: ignore[arg-type]  # all that derive from it are dataclasses
             value = getattr(self, field.name)
             if inner and isinstance(value, Flags):
                 yield from value._marked(kind)
-            for mark in marks_of(type(self))[field.name] if value is not None else ():
+            for mark in marks[field.name] if value is not None else ():
                 if isinstance(mark, kind):
-                    yield "--" + field.name.replace("_", "-"), value, mark
+                    yield named[field.name], value, mark
 
 
 class CommandOptions(Flags):

@@ -13,10 +13,10 @@ import numpy as np
 import numpy.typing as npt
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
+from deformscope.config.explore import BORDER_M
 from deformscope.errors import InputError
 from deformscope.experiments.options import (
     ABOVE_M,
-    BORDER_M,
     EDGE_M,
     LOW_SHARE,
     LOW_UNSTATED,

@@ -9,8 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from deformscope.arrays import FloatArray
+from deformscope.config.explore import BORDER_M
 from deformscope.experiments.measured import off_the_border
-from deformscope.experiments.options import BORDER_M, ExploreOptions
+from deformscope.experiments.options import ExploreOptions
 from deformscope.stages.map.exploration import MapEstimate, SurfaceEstimate
 from deformscope.stages.map.measured import SurfaceMeasurement
 from deformscope.stages.map.surface import HeightMap, HeightProcess, fit_surface

@@ -53,13 +53,6 @@ JUDGES_LEAST = 8
 
 
 @dataclass(frozen=True, slots=True)
-class MotionOptions:
-    """How a whole motion is fitted. select: what is chosen by held-out error; the rest stays as asked for."""
-
-    select: tuple[Selectable, ...] = ()
-
-
-@dataclass(frozen=True, slots=True)
 class TrackedMotion:
     """Particles followed through a sequence: the grid, where they are at each frame, and when that is [s]."""
 
@@ -101,12 +94,13 @@ class Selection:
 def whole_motion(
     particles: ParticleOptions,
     fit: FitOptions,
-    options: MotionOptions,
+    asked: tuple[Selectable, ...],
     mask: BoolArray | None = None,
     progress: Progress | None = None,
 ) -> Experiment[Calibration]:
     """Follow particles through the frames that are sent, fit all of them, and simulate every frame.
 
+    asked: what is chosen by held-out error; the rest stays as `fit` and `particles` have it
     mask: (H, W) True where the thing is in the first frame
     """
     times: list[float] = []
@@ -114,7 +108,7 @@ def whole_motion(
     if len(history) < 2:
         raise InputError("at least two frames", "one", "a longer sequence, or a smaller --stride")
     motion = TrackedMotion(grid, history, times)
-    found, way = fit_motion(motion, particles, fit, options, progress)
+    found, way = fit_motion(motion, particles, fit, asked, progress)
     for index, comparison in enumerate(simulated(motion, particles, way, found)):
         yield Step((comparison,), frame=index)
     yield Step((found.estimate,))
@@ -125,11 +119,11 @@ def fit_motion(
     motion: TrackedMotion,
     particles: ParticleOptions,
     fit: FitOptions,
-    options: MotionOptions,
+    asked: tuple[Selectable, ...],
     progress: Progress | None = None,
 ) -> tuple[Calibration, Way]:
     """The fit of all frames, and the way that was chosen for it."""
-    chosen = select(motion, particles, fit, options, progress)
+    chosen = select(motion, particles, fit, asked, progress)
     way = chosen.way
     rows = motion.frames(PARTICLES_IN_ALL // len(motion.grid.rest_px) if way.pace is None else len(motion.history))
     last = motion.history[-1]
@@ -137,7 +131,7 @@ def fit_motion(
         "frames": len(motion.history),
         "frames_fitted": len(rows),
         "whole_motion": True,
-        "select": list(options.select),
+        "select": list(asked),
         "particles": len(motion.grid.rest_px),
         "lost": int(np.count_nonzero(~last.seen)),
         "held": len(way.held),
@@ -177,25 +171,25 @@ def select(
     motion: TrackedMotion,
     particles: ParticleOptions,
     fit: FitOptions,
-    options: MotionOptions,
+    asked: tuple[Selectable, ...],
     progress: Progress | None = None,
 ) -> Selection:
     """Choose what is to be chosen by the error on particles left out."""
-    if not options.select:
+    if not asked:
         return Selection(_ways(motion, particles, fit.model, ())[0], (), "")
-    ways = _ways(motion, particles, fit.model, options.select)
+    ways = _ways(motion, particles, fit.model, asked)
     judged = _judges(motion, ways)
-    static = [choice for choice in ("cluster-size", "held") if choice in options.select]
+    static = [choice for choice in ("cluster-size", "held") if choice in asked]
     tried = _try(motion, particles, fit, ways, judged, "selecting", progress)
     best = _best(tried)
     text = _said_of_static(tried, best, static) if static else []
     table = _rows(tried, best)
-    if "alpha" in options.select or "dt" in options.select:
-        moving = _moving_ways(motion, fit.model, ways[best], options.select)
+    if "alpha" in asked or "dt" in asked:
+        moving = _moving_ways(motion, fit.model, ways[best], asked)
         stepped = _try(motion, particles, fit, moving, judged, "time stepping", progress)
         fastest = _best(stepped)
         still = tried[best][1]
-        text.append(_said_of_pace(stepped, fastest, still, options.select))
+        text.append(_said_of_pace(stepped, fastest, still, asked))
         table += _rows(stepped, fastest)
         if separates(still, stepped[fastest][1]):
             table = [dataclasses.replace(one, chosen=one.chosen and one.alpha is not None) for one in table]

@@ -19,6 +19,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
+from deformscope.config.reproduce import CubesConfig
 from deformscope.errors import InputError
 from deformscope.files.arrays_file import read_arrays
 from deformscope.files.pairs import parse_pair
@@ -26,7 +27,7 @@ from deformscope.lab.elasticity import ElasticBox
 from deformscope.stages.fit.calibrate import calibrate
 from deformscope.stages.fit.distance import distances
 from deformscope.stages.fit.estimate import Curve, Estimate
-from deformscope.stages.fit.model import FitOptions, Method, Model, Observation
+from deformscope.stages.fit.model import FitOptions, Model, Observation
 from deformscope.stages.msm import clusters
 from deformscope.stages.msm.fit import FitBoth, fit_beta_theta
 from deformscope.stages.msm.solver import Msm
@@ -110,18 +111,6 @@ class Found:
     def ratio(self) -> float | None:
         """Error of overlapping clusters over that of the one cluster with theta alone."""
         return None if self.overlapping is None else self.overlapping.aee / self.theta.aee
-
-
-@dataclass(frozen=True, slots=True)
-class Options:
-    """How each cube is fitted. cluster_size: particles a side of the overlapping clusters; compare: which cubes they
-    are fitted to: those of the largest depth of each resolution and ratio, all, or none"""
-
-    method: Method = "sweep"
-    level: float = 0.9
-    seed: int = 0
-    cluster_size: int = 2
-    compare: Literal["deepest", "all", "none"] = "deepest"
 
 
 # The cubes -----------------------------------------------------------------------------------------------------------
@@ -211,12 +200,12 @@ def depths_of(cubes: Sequence[Cube]) -> list[float]:
 # One cube ------------------------------------------------------------------------------------------------------------
 
 
-def examine(cube: Cube, options: Options, compare: bool) -> Found:
+def examine(cube: Cube, options: CubesConfig, compare: bool) -> Found:
     """Everything that is found for one cube; `compare`: with beta fitted too."""
     model = Model("theta", "quadratic", None)
     with threadpool_limits(1):
         began = time.perf_counter()
-        fit = FitOptions(model, (0.0, 1.0), options.method, level=options.level, seed=options.seed)
+        fit = FitOptions(model, (0.0, 1.0), options.method, level=options.level, seed=options.output.seed)
         found = calibrate([cube.seen], fit)
         seconds = time.perf_counter() - began
         curve = dense_curve(cube.seen, model.body(cube.seen), model.beta)
@@ -275,7 +264,7 @@ def equal_share(seen: Observation, beta: float) -> float:
 # All of them ---------------------------------------------------------------------------------------------------------
 
 
-def compared(cubes: Sequence[Cube], options: Options) -> list[bool]:
+def compared(cubes: Sequence[Cube], options: CubesConfig) -> list[bool]:
     """Which cubes overlapping clusters are fitted to."""
     if options.compare != "deepest":
         return [options.compare == "all"] * len(cubes)

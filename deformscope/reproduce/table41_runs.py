@@ -7,8 +7,8 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from deformscope.config.explore import Pace, Relief
 from deformscope.errors import InputError
-from deformscope.experiments.options import Pace, Relief
 from deformscope.plain import plain
 from deformscope.stages.map.map_score import MapScore
 from deformscope.stages.map.plan import Planner

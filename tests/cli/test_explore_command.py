@@ -140,7 +140,7 @@ def test_a_replay_with_another_setting_is_compared(explored: Explored, capsys: p
 
 
 @pytest.mark.parametrize(
-    ("words", "expected"), [("force=2", "KEY one of planner"), ("budget=many", "a value of budget")]
+    ("words", "expected"), [("force=2", "KEY one of budget, goal, planner"), ("budget=many", "a value of budget")]
 )
 def test_a_setting_that_is_none_is_refused(
     words: str, expected: str, explored: Explored, capsys: pytest.CaptureFixture[str]

@@ -127,7 +127,7 @@ def test_what_was_found_is_recorded_without_loss(first: tuple[BumpRobot, Explora
 
 
 def test_it_has_a_planner_of_its_own() -> None:
-    with pytest.raises(InputError, match="goal's own planner"):
+    with pytest.raises(InputError, match="planner of --goal"):
         ExploreOptions(goal="inclusions", planner="max-variance")
 
 

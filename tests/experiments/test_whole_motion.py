@@ -13,7 +13,6 @@ from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 from deformscope.experiments.foam_video import ParticleOptions
 from deformscope.experiments.whole_motion import (
-    MotionOptions,
     Selectable,
     Selection,
     TrackedMotion,
@@ -65,7 +64,7 @@ def sheared(frames: int, *, size: int = 3, pace: Pace | None = None, fps: float 
 
 
 def chosen(motion: TrackedMotion, what: tuple[Selectable, ...], model: Model = MODEL, **particles: object) -> Selection:
-    return select(motion, ParticleOptions(**particles), FitOptions(model), MotionOptions(what))  # type: ignore[arg-type]
+    return select(motion, ParticleOptions(**particles), FitOptions(model), what)  # type: ignore[arg-type]
 
 
 def test_a_wrong_held_set_is_found_out() -> None:
@@ -128,7 +127,7 @@ def test_a_fast_motion_is_fitted_by_time_stepping() -> None:
     motion = sheared(5, pace=Pace(0.25, 2e-3, ()), fps=50.0)
     particles = ParticleOptions()
     fit = FitOptions(Model(), candidates=15)
-    found, way = fit_motion(motion, particles, fit, MotionOptions(("alpha",)))
+    found, way = fit_motion(motion, particles, fit, ("alpha",))
     estimate = found.estimate
     assert estimate.settings["dynamic"] is True
     assert estimate.settings["alpha"] == 0.25
@@ -144,7 +143,7 @@ def test_a_fast_motion_is_fitted_by_time_stepping() -> None:
     assert len(shown) == 6
     assert np.abs(shown[-1].simulated - shown[-1].observed).max() < 6.0 * NOISE_PX
     # taken for a row of static states, the same motion gives another beta
-    static, _ = fit_motion(motion, particles, fit, MotionOptions())
+    static, _ = fit_motion(motion, particles, fit, ())
     assert abs(static.estimate.value - BETA) > 2.0 * abs(estimate.value - BETA)
     assert static.estimate.aee_free > 2.0 * estimate.aee_free
 

@@ -12,6 +12,7 @@ import pytest
 
 pytest.importorskip("warp")
 
+from deformscope.config import CubesConfig
 from deformscope.errors import InputError
 from deformscope.pictures.figures import write_rows
 from deformscope.reproduce import cubes_figures
@@ -20,7 +21,6 @@ from deformscope.reproduce.cubes import (
     Cube,
     Found,
     ModelTime,
-    Options,
     compared,
     cube_from_pair,
     dense_curve,
@@ -43,7 +43,7 @@ MODEL = Model("theta", "quadratic", None)
 def found() -> list[Found]:
     """Cubes of 4^3 and 5^3 at two depths, three Poisson's ratios."""
     cubes, _ = thesis_cubes((0.0, 0.25, 0.45), (4, 5), (0.01, 0.03))
-    options = Options()
+    options = CubesConfig()
     return [examine(cube, options, yes) for cube, yes in zip(cubes, compared(cubes, options), strict=True)]
 
 
@@ -61,7 +61,7 @@ def of_the_model(theta: float, side: int = 5, depth: float = 0.03) -> Cube:
 @pytest.mark.parametrize("method", ["sweep", "gradient"])
 @pytest.mark.parametrize("theta", [0.137, 0.62])
 def test_a_cube_of_the_model_gives_its_theta(method: str, theta: float) -> None:
-    one = examine(of_the_model(theta), Options(method=method), False)  # type: ignore[arg-type]
+    one = examine(of_the_model(theta), CubesConfig(method=method), False)  # type: ignore[arg-type]
 
     assert one.theta.value == pytest.approx(theta, abs=1e-4)
     assert one.theta.interval[0] <= theta + 1e-4
@@ -80,7 +80,7 @@ def test_no_theta_of_a_dense_grid_has_a_lower_error(found: list[Found], method: 
     """The thesis's descent stops where the error changes little; ours may not be above the grid by 0.1 %."""
     for one in found[::3]:
         cube = one.cube
-        again = one if method == "sweep" else examine(cube, Options(method="gradient"), False)
+        again = one if method == "sweep" else examine(cube, CubesConfig(method="gradient"), False)
         position = (
             MODEL.body(cube.seen).relax(cube.seen.deformed[cube.seen.held], 0.99, np.linspace(0.0, 1.0, 2001)).position
         )
@@ -95,7 +95,7 @@ def test_no_theta_of_a_dense_grid_has_a_lower_error(found: list[Found], method: 
 def test_overlapping_clusters_barrel_and_one_cluster_cannot(poisson: float) -> None:
     """One quadratic cluster lacks the cubic terms of a barrel between two equal plates, whatever its beta."""
     (cube,), _ = thesis_cubes((poisson,), (7,), (0.03,))
-    one = examine(cube, Options(), True)
+    one = examine(cube, CubesConfig(), True)
 
     assert one.overlapping is not None
     assert one.one_cluster is not None
@@ -117,7 +117,7 @@ def test_overlapping_clusters_barrel_and_one_cluster_cannot(poisson: float) -> N
 def test_resolution_moves_theta_by_the_share_of_held_particles() -> None:
     """With the same share of mass held, theta of 5^3 and 9^3 agrees far better than with equal masses."""
     (coarse, fine), _ = thesis_cubes((0.25,), (5, 9), (0.03,))
-    values = [examine(cube, Options(), False).theta.value for cube in (coarse, fine)]
+    values = [examine(cube, CubesConfig(), False).theta.value for cube in (coarse, fine)]
     shares = [equal_share(cube.seen, 0.99) for cube in (coarse, fine)]
 
     assert values[0] - values[1] > 0.1
@@ -173,7 +173,7 @@ def test_points_without_a_lattice_and_boxes_have_a_name_too() -> None:
     box = Cube(Observation(rest, deformed, held, np.ones(60, dtype=bool), shape=(3, 4, 5)), 0.2, 0.01, "box")
 
     assert (cloud.resolution, box.resolution) == ("60 particles", "3x4x5")
-    one = examine(cloud, Options(), True)
+    one = examine(cloud, CubesConfig(), True)
     assert one.theta.converged
     assert one.overlapping is not None
 
@@ -232,10 +232,10 @@ def test_a_theta_that_does_not_rise_is_noticed(
 def test_overlapping_clusters_are_fitted_to_the_deepest_of_each_kind() -> None:
     cubes, _ = thesis_cubes((0.1, 0.2), (3, 4), (0.01, 0.02))
 
-    chosen = compared(cubes, Options())
+    chosen = compared(cubes, CubesConfig())
     assert [cube.depth for cube, yes in zip(cubes, chosen, strict=True) if yes] == [0.02] * 4
-    assert sum(compared(cubes, Options(compare="all"))) == 8
-    assert sum(compared(cubes, Options(compare="none"))) == 0
+    assert sum(compared(cubes, CubesConfig(compare="all"))) == 8
+    assert sum(compared(cubes, CubesConfig(compare="none"))) == 0
 
 
 def test_the_dense_curve_is_the_error_in_any_number_of_parts() -> None:
