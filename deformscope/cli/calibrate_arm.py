@@ -10,9 +10,6 @@ from pathlib import Path
 
 import numpy as np
 
-from deformscope.api.moving import Watch, leave, permitted
-from deformscope.api.setting_up import today, write_values
-from deformscope.api.setups import LAB, setup_of
 from deformscope.cli.common import quiet_warp, recorder_of, say, show, status_line, write_json
 from deformscope.config import ArmConfig
 from deformscope.errors import InputError
@@ -27,6 +24,9 @@ from deformscope.log.rig_layout import RIG, RigLayout
 from deformscope.pictures.compliance import compliance_png
 from deformscope.pictures.findings import Findings
 from deformscope.pictures.report import Figure, Table
+from deformscope.runs.moving import Watch, leave, permitted
+from deformscope.runs.setting_up import today, write_values
+from deformscope.runs.setups import LAB, setup_of
 from deformscope.session import RigExperiment, Step, finish
 from deformscope.session import run as run_session
 from deformscope.stages.map.exploration import ExplorationStop

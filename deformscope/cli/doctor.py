@@ -16,11 +16,11 @@ from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from deformscope.api.first_day import FirstDayStep, begin, first_day, next_step
 from deformscope.cli.common import say, show, write_json
 from deformscope.config import DoctorConfig
 from deformscope.errors import InputError
 from deformscope.lab.rig_members import member_of
+from deformscope.runs.first_day import FirstDayStep, begin, first_day, next_step
 
 if TYPE_CHECKING:
     from deformscope.rig.rig_file import Rig, RigDevice
@@ -162,7 +162,7 @@ def _exploring(rig: Rig, measured: bool) -> list[Finding]:
     kinds = {entry.driver.kind for entry in rig.devices}
     if "[surface]" not in rig.text or not {"arm", "wrench", "depth"} <= kinds:
         return []
-    from deformscope.api.setups import setup_of_rig
+    from deformscope.runs.setups import setup_of_rig
 
     try:
         setup = setup_of_rig(rig)

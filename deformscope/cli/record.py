@@ -8,10 +8,10 @@ deformscope live lab:bench --stage tactile --stage beta --viewer page
 
 from __future__ import annotations
 
-from deformscope.api.rig_run import RigRun, run_rig
 from deformscope.cli.common import EXIT_LOSSES, say, show, write_json
 from deformscope.config import LiveConfig, RecordConfig, RigRunOptions
 from deformscope.recording.losses import named
+from deformscope.runs.rig_run import RigRun, run_rig
 
 
 def record(config: RecordConfig) -> int:

@@ -70,13 +70,13 @@ def squeeze_again(recording: Replay) -> SqueezeAgain:
     or a phase is not there."""
     import msgspec
 
-    from deformscope.api.squeeze_run import final_posterior, tactile_posterior
     from deformscope.experiments.squeeze import posterior_of
     from deformscope.experiments.squeeze_features import SqueezeGeometry, trial_features
     from deformscope.experiments.squeeze_frames import SqueezeFrames, SqueezeObserver, TactileSource
     from deformscope.frames import ArmFrame, DepthFrame, HandFrame, TactileFrame
     from deformscope.recording.item_rows import read_rows
     from deformscope.recording.items import read_streams
+    from deformscope.runs.squeeze_run import final_posterior, tactile_posterior
     from deformscope.stages.squeeze.events import EventRule
     from deformscope.stages.squeeze.trial import SqueezePhase
 
@@ -111,8 +111,8 @@ def squeeze_again(recording: Replay) -> SqueezeAgain:
 
 
 def _recorded_model(recording: Replay) -> ContentModel | None:
-    from deformscope.api.squeeze_run import MODEL_INPUT
     from deformscope.files.classifier_file import load_classifier
+    from deformscope.runs.squeeze_run import MODEL_INPUT
 
     content: Any = recording.read_inputs().get(MODEL_INPUT)
     if content is None:

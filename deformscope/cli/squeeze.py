@@ -10,12 +10,12 @@ from __future__ import annotations
 import signal
 from typing import Any
 
-from deformscope.api.moving import signal_word
 from deformscope.api.squeeze_result import hand_words, squeeze_table
-from deformscope.api.squeeze_run import leave, squeeze_on
 from deformscope.cli.common import EXIT_LOSSES, say, show, write_json
 from deformscope.config import SqueezeConfig
 from deformscope.pictures.findings import table_text
+from deformscope.runs.moving import signal_word
+from deformscope.runs.squeeze_run import leave, squeeze_on
 
 
 def run(config: SqueezeConfig) -> int:

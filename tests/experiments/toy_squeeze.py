@@ -11,13 +11,13 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from deformscope.api.setups import SqueezeOpening
 from deformscope.rig.driver_table import DRIVERS
 from deformscope.rig.rig_file import ContainerSection, HandSection, SqueezeSection
 from deformscope.rig.source import RigMember, RigSource
 from deformscope.robot.setup import CameraView
 from deformscope.robot.squeeze_plan import CLOSING_AXES, GripShape, draw_grasp
 from deformscope.robot.squeeze_setup import SqueezeNames, SqueezeSetup, SqueezeTruth
+from deformscope.runs.setups import SqueezeOpening
 from deformscope.stages.see.cloud import Intrinsics
 from deformscope.stages.squeeze.container import ContainerModel, ModelRenderer
 from deformscope_drivers.depth_camera import SyntheticDepthCamera, View
@@ -171,5 +171,5 @@ def use_toy_squeeze(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
         setup = dataclasses.replace(lab.setup, grasp=grasp, **changes)
         return SqueezeOpening(setup, {"lab": "toy"}, content or "rice", container or "box-01")
 
-    monkeypatch.setattr("deformscope.api.squeeze_run.squeeze_setup_of", opening)
+    monkeypatch.setattr("deformscope.runs.squeeze_run.squeeze_setup_of", opening)
     return changes

@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, cast
 
-from deformscope.api.moving import signal_word
+from deformscope.runs.moving import signal_word
 from deformscope.api.recordings import RecordResult
 from deformscope.api.result import ViewerChoice, open_recorder, python_names
 from deformscope.config import OutputOptions, RecordConfig, RigRunOptions

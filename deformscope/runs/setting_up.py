@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import numpy.typing as npt
 
-from deformscope.api.moving import ask_line
-from deformscope.api.setups import table_of
+from deformscope.runs.moving import ask_line
+from deformscope.runs.setups import table_of
 from deformscope.errors import InputError
 from deformscope.experiments.setting_up import Operator, SetupRequest
 from deformscope.file_io import read_file, replacing

@@ -9,9 +9,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from deformscope.api.moving import Watch, ask_line, ask_yes
+from deformscope.runs.moving import Watch, ask_line, ask_yes
 from deformscope.api.result import open_recorder
-from deformscope.api.setups import LAB, squeeze_setup_of
+from deformscope.runs.setups import LAB, squeeze_setup_of
 from deformscope.api.squeeze_result import hand_words, squeeze_table
 from deformscope.errors import InputError
 from deformscope.interruption import until_interrupted
@@ -19,7 +19,7 @@ from deformscope.log.squeeze.layout import SQUEEZE, SqueezeLayout
 from deformscope.terminal import say, status_line
 
 if TYPE_CHECKING:
-    from deformscope.api.setups import SqueezeOpening
+    from deformscope.runs.setups import SqueezeOpening
     from deformscope.arrays import FloatArray
     from deformscope.config import SqueezeConfig
     from deformscope.experiments.squeeze import Squeezed

@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 from deformscope.api.result import LibraryResult, ViewerChoice, python_names
 from deformscope.api.squeeze_result import SqueezeResult
-from deformscope.api.squeeze_run import leave, squeeze_on
+from deformscope.runs.squeeze_run import leave, squeeze_on
 from deformscope.config import OutputOptions, SqueezeConfig
 from deformscope.files.squeeze_dataset import SqueezeDataset, TrialEntry
 from deformscope.pictures.report import Table

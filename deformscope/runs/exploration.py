@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Literal
 
 from deformscope.api.exploration_result import ExplorationResult
-from deformscope.api.exploration_run import explore_on
+from deformscope.runs.exploration_run import explore_on
 from deformscope.api.result import ViewerChoice, python_names
 from deformscope.config import ExploreConfig, OutputOptions
 from deformscope.errors import InputError

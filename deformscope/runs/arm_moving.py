@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from deformscope.api.moving import POLL_S, Watch, ask_yes, leave, signal_word
-from deformscope.api.setups import setup_of, table_of
+from deformscope.runs.moving import POLL_S, Watch, ask_yes, leave, signal_word
+from deformscope.runs.setups import setup_of, table_of
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 from deformscope.experiments.options import ExploreOptions

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from deformscope.api.setting_up import Arrays, SetupFound
+from deformscope.runs.setting_up import Arrays, SetupFound
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.errors import InputError
 from deformscope.experiments.setting_up import BoardViews, ForceReadings, PushedTip, Taps, taps_of

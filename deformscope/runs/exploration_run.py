@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from deformscope.api.exploration_result import NOT_KNOWN, ExplorationResult, LayerThickness, TouchOutcome, TruthScore
-from deformscope.api.moving import Watch, leave, permitted
+from deformscope.runs.moving import Watch, leave, permitted
 from deformscope.api.result import open_recorder
-from deformscope.api.setups import LAB, setup_of
+from deformscope.runs.setups import LAB, setup_of
 from deformscope.errors import InputError
 from deformscope.interruption import until_interrupted
 from deformscope.log.exploration.layout import EXPLORATION, ExplorationLayout
