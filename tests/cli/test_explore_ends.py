@@ -165,7 +165,7 @@ def test_failures_without_end_end_it_in_order(
 
 ROBOT = [f"tests.cli.fake_bench.FakeRobot.{name}" for name in ("look", "touch", "let_move", "carry_out", "reports")]
 RECORDER = [f"deformscope.recording.recorder.Recorder.{name}" for name in ("_take_step", "_take_items")]
-WATCH = ["deformscope.runs.moving.Watch.__call__"]
+WATCH = ["deformscope.runs.skeleton.Watch.__call__"]
 COMMAND = [
     "deformscope.runs.exploration_run._remarks",
     "deformscope.experiments.explore.Exploration.add",

@@ -13,7 +13,7 @@ from deformscope.page.server.messages import ConfirmMove, StartSqueezing, StopRu
 from deformscope.page.server.page_session import PageSession
 from deformscope.page.squeezing import PageSqueezing
 from deformscope.recording.items import read_results
-from deformscope.runs.moving import Watch
+from deformscope.runs.skeleton import Watch
 from deformscope.stages.squeeze.trial import SqueezePhase, SqueezeStop
 from tests.page.pages import page_script
 from tests.page.test_pieces import FakeClock
