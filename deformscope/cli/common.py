@@ -105,12 +105,17 @@ def settings_of(config: RecordedOptions) -> dict[str, object]:
     return {"command": command, **cast("dict[str, object]", plain(config))}
 
 
+def at_terminal() -> bool:
+    """Whether somebody sits there who reads stdout and types."""
+    return sys.stdin is not None and sys.stdin.isatty() and sys.stdout.isatty()
+
+
 def keep_page() -> None:
     """What was shown on a page stays there until Ctrl-C where somebody sits at a terminal; elsewhere, and then, the
     page's server ends."""
     from deformscope.page.server.page_server import end_pages, running_pages
 
-    if sys.stdin is not None and sys.stdin.isatty() and sys.stdout.isatty() and (pages := running_pages()):
+    if at_terminal() and (pages := running_pages()):
         with suppress(KeyboardInterrupt):
             say(f"the page stays until Ctrl-C: {', '.join(page.address for page in pages)}")
             while running_pages():

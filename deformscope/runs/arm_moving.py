@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import os
-import select
-import sys
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import dataclass
@@ -13,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from deformscope.runs.skeleton import POLL_S, ask_yes, leave_arm, open_rig_run, signal_word
+from deformscope.runs.skeleton import leave_arm, open_rig_run, signal_word
+from deformscope.runs.operator import POLL_S, Keys, Operator, terminal_keys
 from deformscope.runs.setups import setup_of, table_of
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
@@ -44,8 +42,6 @@ UPRIGHT = np.array([0.0, 0.0, 1.0])
 NOT_YET = ("plan", "workspace", "calibration", "age", "camera", "tip: in free air", "arm: reach", "arm: first way")
 """Rows of the table of checks that do not matter to an arm that is moved by hand, in small steps, before anything is
 calibrated; those of arm, force sensor and this computer do."""
-Keys = Callable[[], str]
-"""The keys that were pressed since the last call."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -223,28 +219,5 @@ def _carried_out(
 
 
 def _ask(prompt: str, asked: Interruption) -> None:
-    for _ in ask_yes(prompt, asked):
+    for _ in Operator(asked).confirm(prompt):
         pass  # no experiment takes frames meanwhile
-
-
-@contextlib.contextmanager
-def terminal_keys() -> Iterator[Keys]:
-    """The keys of the terminal, each as it is pressed. Raises InputError where there is none."""
-    import termios
-    import tty
-
-    if not sys.stdin.isatty():
-        raise InputError("a terminal, whose keys move the arm", "none", "run it in one")
-    descriptor = sys.stdin.fileno()
-    kept = termios.tcgetattr(descriptor)
-
-    def pressed() -> str:
-        if not select.select([descriptor], [], [], 0.0)[0]:
-            return ""
-        return os.read(descriptor, 64).decode(errors="replace") or LEAVE
-
-    try:
-        tty.setcbreak(descriptor)
-        yield pressed
-    finally:
-        termios.tcsetattr(descriptor, termios.TCSADRAIN, kept)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import datetime
-import sys
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
@@ -13,10 +12,11 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import numpy.typing as npt
 
-from deformscope.runs.skeleton import ask_line, open_rig_run
+from deformscope.runs.operator import Operator, at_terminal
+from deformscope.runs.skeleton import open_rig_run
 from deformscope.runs.setups import table_of
 from deformscope.errors import InputError
-from deformscope.experiments.setting_up import Operator, SetupRequest
+from deformscope.experiments.setting_up import Assistant, SetupRequest
 from deformscope.file_io import read_file, replacing
 from deformscope.files.arrays_file import read_arrays
 from deformscope.interruption import Interruption, until_interrupted
@@ -80,7 +80,7 @@ class Station:
     arm: str
     wrench: str
     camera: str
-    operator: Operator
+    operator: Assistant
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,14 +165,14 @@ def _devices(
     return open_rig(rig, member_of, table, parts.devices), Station(arm, wrench, camera, hand)
 
 
-def _at_terminal(asked: Interruption) -> Operator:
+def _at_terminal(asked: Interruption) -> Assistant:
     """Somebody who reads what to do, does it, and presses Enter."""
-    if not sys.stdin.isatty():
+    if not at_terminal():
         raise InputError("somebody who does what is asked for", "no terminal to ask at", "--measured FILE.npz")
 
     def does(request: SetupRequest) -> RigExperiment[None]:
         say(f"{request.words}; then Enter")
-        yield from ask_line("", asked)
+        yield from Operator(asked).line("")
         _go_on(asked)
 
     return does
@@ -184,7 +184,7 @@ def _go_on(asked: Interruption) -> None:
         raise InputError("an answer to each request", "Ctrl-C: nothing was written", "begin again")
 
 
-def _simulated(hand: SimulatedHand, asked: Interruption) -> Operator:
+def _simulated(hand: SimulatedHand, asked: Interruption) -> Assistant:
     """The laboratory's person, who lets go and taps while frames pass."""
 
     def does(request: SetupRequest) -> RigExperiment[None]:

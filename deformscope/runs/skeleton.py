@@ -4,7 +4,6 @@ stands in the end, and how a run that was stopped leaves."""
 from __future__ import annotations
 
 import contextlib
-import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
@@ -13,6 +12,7 @@ from typing import TYPE_CHECKING, Protocol
 from deformscope.errors import InputError
 from deformscope.log.rig_layout import RigLayout
 from deformscope.page.devices import ShownDevices, WatchedDevices
+from deformscope.runs.operator import Operator
 from deformscope.session import finish
 from deformscope.terminal import say, status_line
 
@@ -37,7 +37,6 @@ HALTS = 3
 """Attempts to halt the arm, each of which an interruption may cut short."""
 SHOW_EVERY = 10
 """Control periods between two words to the user."""
-POLL_S = 0.1
 
 
 @dataclass(slots=True, eq=False)
@@ -190,45 +189,15 @@ def permitted(
             say(f"You will be asked to place the stick, step by step: {touches}. Keep your hands out of the picture.")
         if page is not None and not yes:
             page.wait_for_permission(touches)
-        if not yes and page is None and not sys.stdin.isatty():
-            raise InputError("somebody who says yes", "no terminal to ask at", "--yes")
         if not yes:
             prompt = "Type yes to begin: " if page is None else "Press Explore on the page, or type yes, to begin: "
-            answered = yield from ask_line(prompt, asked, None if page is None else page.is_permitted)
+            yield from Operator(asked, None if page is None else page.is_permitted).confirm(prompt, or_ended=True)
             if asked.is_set():
                 robot.ask_to_stop(signal_word(asked.signal_number))
-            elif answered != "yes":
-                raise InputError("yes", "something else: nothing has moved")
             preflight = yield from ask(CheckFirst(calibrated, places_m))
             if not preflight.passed:
                 say(preflight.table())
     robot.let_move(preflight)
-
-
-def ask_line(prompt: str, asked: Interruption, agreed: Callable[[], bool] | None = None) -> RigExperiment[str]:
-    """What somebody at the terminal says; frames pass meanwhile. Empty once they end it by Ctrl-C, or hang up, and yes
-    once somebody has agreed elsewhere."""
-    import select
-
-    from deformscope.session import Step
-
-    print(prompt, end="", file=sys.stderr, flush=True)
-    listened = [sys.stdin] if agreed is None or sys.stdin.isatty() else []
-    while not asked.is_set():
-        if agreed is not None and agreed():
-            return "yes"
-        if select.select(listened, [], [], POLL_S)[0]:
-            return sys.stdin.readline().strip().lower()
-        yield Step()
-    return ""
-
-
-def ask_yes(prompt: str, asked: Interruption) -> RigExperiment[None]:
-    """As `ask_line`; raises InputError unless somebody says yes."""
-    if not sys.stdin.isatty():
-        raise InputError("somebody who says yes", "no terminal to ask at", "--yes")
-    if (yield from ask_line(prompt, asked)) != "yes":
-        raise InputError("yes", "something else: nothing has moved")
 
 
 def leave_arm(

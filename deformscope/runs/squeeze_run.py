@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 import datetime
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from deformscope.runs import skeleton
-from deformscope.runs.skeleton import ask_line, ask_yes, open_run
+from deformscope.runs.operator import Operator, at_terminal
+from deformscope.runs.skeleton import open_run
 from deformscope.api.result import open_recorder
 from deformscope.runs.setups import LAB, squeeze_setup_of
 from deformscope.api.squeeze_result import hand_words, squeeze_table
@@ -206,12 +206,10 @@ def _permitted(
         if page is not None:
             page.go_on()
     elif page is None:
-        yield from ask_yes("Type yes to begin: ", asked)
+        yield from Operator(asked).confirm("Type yes to begin: ")
     else:
         page.wait_for(f"the hand{' (simulated)' * setup.simulated} will {moves}")
-        prompt = "Press Squeeze on the page, or type yes, to begin: "
-        if (yield from ask_line(prompt, asked, page.is_agreed)) != "yes":
-            raise InputError("yes", f"{asked.by or 'something else'}: nothing has moved")
+        yield from Operator(asked, page.is_agreed).confirm("Press Squeeze on the page, or type yes, to begin: ")
         page.go_on()
 
 
@@ -231,13 +229,13 @@ def _placed(
         f"longest edge, tilted by {grasp.tilt_deg:.0f} deg; nothing may touch the fingertips."
     )
     say(words)
-    if not config.yes or sys.stdin.isatty():
+    if not config.yes or at_terminal():
         if page is None:
-            yield from ask_line("Press Enter when it stands still: ", asked)
+            yield from Operator(asked).line("Press Enter when it stands still: ")
             return
         page.session.remark(words)
         page.wait_for("the hand closes")
-        yield from ask_line("Press Squeeze on the page, or Enter, when it stands still: ", asked, page.is_agreed)
+        yield from Operator(asked, page.is_agreed).line("Press Squeeze on the page, or Enter, when it stands still: ")
         page.go_on()
 
 
