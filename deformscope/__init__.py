@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from deformscope.api.squeeze_result import SqueezeResult
     from deformscope.errors import InputError
     from deformscope.runs.exploration import explore
+    from deformscope.runs.replay import replay
+    from deformscope.runs.replay_result import ReplayResult
     from deformscope.runs.rig_run import record
     from deformscope.runs.squeezing import OpenDataset, open_dataset, squeeze
     from deformscope.stages.msm.solver import Msm
@@ -37,6 +39,8 @@ _NAMES = {
     "api.exploration_result": ("ExplorationResult",),
     "api.prediction": ("PredictionResult", "predict"),
     "api.recordings": ("OpenRecording", "RecordResult", "open_recording"),
+    "runs.replay": ("replay",),
+    "runs.replay_result": ("ReplayResult",),
     "runs.rig_run": ("record",),
     "api.squeeze_result": ("SqueezeResult",),
     "runs.squeezing": ("OpenDataset", "open_dataset", "squeeze"),
@@ -58,6 +62,7 @@ __all__ = [
     "OpenRecording",
     "PredictionResult",
     "RecordResult",
+    "ReplayResult",
     "SqueezeResult",
     "__version__",
     "calibrate_beta",
@@ -70,6 +75,7 @@ __all__ = [
     "open_recording",
     "predict",
     "record",
+    "replay",
     "squeeze",
 ]
 

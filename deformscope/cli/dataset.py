@@ -69,9 +69,9 @@ def _recorded(file: Path) -> tuple[TrialRow, dict[str, Any]]:
     """A recorded trial and its features, computed again; and the features' settings."""
     import msgspec
 
-    from deformscope.cli.replay_squeeze import squeeze_again
     from deformscope.files.squeeze_dataset import TRIALS, TrialEntry, TrialRow
     from deformscope.recording.reader import Replay
+    from deformscope.runs.replay_squeeze import squeeze_again
 
     recording = Replay(file)
     if "squeezed" not in recording.settings:

@@ -10,9 +10,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from deformscope.runs.skeleton import leave_arm, open_rig_run, signal_word
-from deformscope.runs.operator import POLL_S, Keys, Operator, terminal_keys
-from deformscope.runs.setups import setup_of, table_of
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 from deformscope.experiments.options import ExploreOptions
@@ -28,6 +25,9 @@ from deformscope.robot.preflight import check
 from deformscope.robot.robot import Robot, RobotStopped
 from deformscope.robot.setup import RigParts, Setup, only_device, open_rig
 from deformscope.robot.travel import to_above
+from deformscope.runs.operator import POLL_S, Keys, Operator, terminal_keys
+from deformscope.runs.setups import setup_of, table_of
+from deformscope.runs.skeleton import leave_arm, open_rig_run, signal_word
 from deformscope.session import BATCH_S, Inline
 from deformscope.stages.map.exploration import ExplorationStop
 from deformscope.terminal import say

@@ -6,10 +6,10 @@ from pathlib import Path
 from typing import Literal
 
 from deformscope.api.exploration_result import ExplorationResult
-from deformscope.runs.exploration_run import explore_on
 from deformscope.api.result import ViewerChoice, python_names
 from deformscope.config import ExploreConfig, OutputOptions
 from deformscope.errors import InputError
+from deformscope.runs.exploration_run import explore_on
 from deformscope.terminal import Say, said_to
 
 Planner = Literal["regions", "integrated-variance", "max-variance", "random-above", "thesis"]

@@ -12,7 +12,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, cast
 
-from deformscope.runs.skeleton import open_run, signal_word
 from deformscope.api.recordings import RecordResult
 from deformscope.api.result import ViewerChoice, open_recorder, python_names
 from deformscope.config import OutputOptions, RecordConfig, RigRunOptions
@@ -34,6 +33,7 @@ from deformscope.recording.recent import LastRecorder, RecentItems, WatchedRecor
 from deformscope.recording.recorder import Recorder, RecordingSummary
 from deformscope.rig.rig_file import Rig, load_rig
 from deformscope.rig.source import RigSource
+from deformscope.runs.skeleton import open_run, signal_word
 from deformscope.session import run as run_session
 from deformscope.stages.msm.quiet import quiet_warp
 from deformscope.terminal import Say, said_to, say

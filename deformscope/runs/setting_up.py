@@ -12,9 +12,6 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import numpy.typing as npt
 
-from deformscope.runs.operator import Operator, at_terminal
-from deformscope.runs.skeleton import open_rig_run
-from deformscope.runs.setups import table_of
 from deformscope.errors import InputError
 from deformscope.experiments.setting_up import Assistant, SetupRequest
 from deformscope.file_io import read_file, replacing
@@ -27,6 +24,9 @@ from deformscope.pictures.report import Figure, Table
 from deformscope.rig.rig_edit import Values, edited, lines_of
 from deformscope.rig.rig_file import Rig, load_rig
 from deformscope.robot.setup import ROLES, RigParts, only_device, open_rig
+from deformscope.runs.operator import Operator, at_terminal
+from deformscope.runs.setups import table_of
+from deformscope.runs.skeleton import open_rig_run
 from deformscope.session import RigExperiment, Step, run
 from deformscope.terminal import say
 
@@ -141,9 +141,7 @@ def written_lines(found: SetupFound) -> str:
 # Devices and the person at them ---------------------------------------------------------------------------------------
 
 
-def _devices(
-    rig: Rig, task: SetupTask[Any], asked: Interruption
-) -> tuple[AbstractContextManager[RigSource], Station]:
+def _devices(rig: Rig, task: SetupTask[Any], asked: Interruption) -> tuple[AbstractContextManager[RigSource], Station]:
     """The devices, closed, and who stands there: a person at a terminal, or the laboratory's."""
     if not rig.surface.scene:
         devices = {kind: only_device(rig, kind, "to measure with") for kind in task.needs}

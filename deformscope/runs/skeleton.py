@@ -84,9 +84,7 @@ def open_run(
 
 def open_rig_run(devices: AbstractContextManager[RigSource], recorder: Recorder) -> AbstractContextManager[OpenRun]:
     """As `open_run`, recorded as a rig's devices are."""
-    return open_run(
-        devices, recorder, lambda source: recorder.start(RigLayout(tuple(source.streams)), source.start_ns)
-    )
+    return open_run(devices, recorder, lambda source: recorder.start(RigLayout(tuple(source.streams)), source.start_ns))
 
 
 def say_failures(failures: Mapping[str, str]) -> None:

@@ -8,19 +8,18 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from deformscope.runs import skeleton
-from deformscope.runs.operator import Operator, at_terminal
-from deformscope.runs.skeleton import open_run
 from deformscope.api.result import open_recorder
-from deformscope.runs.setups import LAB, squeeze_setup_of
 from deformscope.api.squeeze_result import hand_words, squeeze_table
 from deformscope.errors import InputError
 from deformscope.interruption import until_interrupted
 from deformscope.log.squeeze.layout import SQUEEZE, SqueezeLayout
+from deformscope.runs import skeleton
+from deformscope.runs.operator import Operator, at_terminal
+from deformscope.runs.setups import LAB, squeeze_setup_of
+from deformscope.runs.skeleton import open_run
 from deformscope.terminal import say
 
 if TYPE_CHECKING:
-    from deformscope.runs.setups import SqueezeOpening
     from deformscope.arrays import FloatArray
     from deformscope.config import SqueezeConfig
     from deformscope.experiments.squeeze import Squeezed
@@ -33,6 +32,7 @@ if TYPE_CHECKING:
     from deformscope.recording.recorder import Recorder
     from deformscope.rig.source import RigSource
     from deformscope.robot.squeeze_setup import SqueezeSetup
+    from deformscope.runs.setups import SqueezeOpening
     from deformscope.session import RigExperiment
     from deformscope.stages.squeeze.model import ContentModel
     from deformscope.stages.squeeze.trial import SqueezeStop
@@ -349,7 +349,7 @@ def _found(
 
 
 def leave(squeezed: SqueezeOutcome) -> None:
-    """Raises InputError with the reason and what to see to, where it was stopped; SystemExit where somebody ended it."""
+    """Where it was stopped, raises InputError with the reason and what to see to, SystemExit if somebody ended it."""
     if squeezed.stop is None:
         return
     state, path = f"; the hand {hand_words(squeezed.found)}", squeezed.found["recording"]
