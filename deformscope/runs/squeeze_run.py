@@ -172,7 +172,7 @@ def _run(
             truth = setup.truth()
             ended["truth"] = {
                 name: (when_ns - source.start_ns) / 1e9 if when_ns else None
-                for name, when_ns in (("first_s", truth.first_ns), ("steady_s", truth.steady_ns))
+                for name, when_ns in (("first_s", truth.contact_ns), ("steady_s", truth.steady_ns))
             }
     observed.rest()
     ended["losses"] = run.losses()
