@@ -18,14 +18,16 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from deformscope.api.calibration import CalibrationResult, calibrate_beta, calibrate_theta
     from deformscope.api.classification import ClassificationResult, classify, load_classifier
-    from deformscope.api.exploration import explore
     from deformscope.api.exploration_result import ExplorationResult
     from deformscope.api.prediction import PredictionResult, predict
     from deformscope.api.recordings import OpenRecording, RecordResult, open_recording
-    from deformscope.api.rig_run import record
     from deformscope.api.squeeze_result import SqueezeResult
-    from deformscope.api.squeezing import OpenDataset, open_dataset, squeeze
     from deformscope.errors import InputError
+    from deformscope.runs.exploration import explore
+    from deformscope.runs.replay import replay
+    from deformscope.runs.replay_result import ReplayResult
+    from deformscope.runs.rig_run import record
+    from deformscope.runs.squeezing import OpenDataset, open_dataset, squeeze
     from deformscope.stages.msm.solver import Msm
     from deformscope.stages.see.flow import dense_flow
     from deformscope.version import __version__
@@ -33,13 +35,15 @@ if TYPE_CHECKING:
 _NAMES = {
     "api.calibration": ("CalibrationResult", "calibrate_beta", "calibrate_theta"),
     "api.classification": ("ClassificationResult", "classify", "load_classifier"),
-    "api.exploration": ("explore",),
+    "runs.exploration": ("explore",),
     "api.exploration_result": ("ExplorationResult",),
     "api.prediction": ("PredictionResult", "predict"),
     "api.recordings": ("OpenRecording", "RecordResult", "open_recording"),
-    "api.rig_run": ("record",),
+    "runs.replay": ("replay",),
+    "runs.replay_result": ("ReplayResult",),
+    "runs.rig_run": ("record",),
     "api.squeeze_result": ("SqueezeResult",),
-    "api.squeezing": ("OpenDataset", "open_dataset", "squeeze"),
+    "runs.squeezing": ("OpenDataset", "open_dataset", "squeeze"),
     "errors": ("InputError",),
     "stages.msm.solver": ("Msm",),
     "stages.see.flow": ("dense_flow",),
@@ -58,6 +62,7 @@ __all__ = [
     "OpenRecording",
     "PredictionResult",
     "RecordResult",
+    "ReplayResult",
     "SqueezeResult",
     "__version__",
     "calibrate_beta",
@@ -70,6 +75,7 @@ __all__ = [
     "open_recording",
     "predict",
     "record",
+    "replay",
     "squeeze",
 ]
 

@@ -87,12 +87,28 @@ LAYERS: dict[str, tuple[str, ...]] = {
         *("interruption", "lab", "log", "page.server", "pictures", "processes", "recording", "rig", "robot"),
         *("session", "terminal", *STAGES),
     ),
-    # What the commands compute, with doubles from the laboratory where they are asked for.
+    # Computations on files, arrays and recordings, and the results of all.
     "api": (
         *("arrays", "calibration_options", "config", "errors", "experiments", "file_io", "files", "frames", "images"),
-        *("interruption", "lab", "log", "page", "page.server", "pictures", "plain", "processes", "recording", "rig"),
-        *("results", "robot", "session", "terminal", "version"),
-        *STAGES,
+        *("lab", "log", "pictures", "plain", "recording", "results", "session", "terminal", "version", *STAGES),
+    ),
+    # What drives devices or a recording, with doubles from the laboratory where they are asked for.
+    "runs": (
+        *(
+            "api",
+            "arrays",
+            "config",
+            "errors",
+            "experiments",
+            "file_io",
+            "files",
+            "frames",
+            "interruption",
+            "lab",
+            "log",
+        ),
+        *("page", "pictures", "plain", "processes", "recording", "results", "rig", "robot", "session", "terminal"),
+        *("version", *STAGES),
     ),
 }
 """What each folder may import of the others, also inside functions and for type checking. Nothing imports `cli`."""

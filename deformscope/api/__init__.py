@@ -1,4 +1,5 @@
-"""What the commands compute, as functions: files, arrays and options in, results that print and show themselves out.
+"""Calibrations, classifications and predictions, as functions: files, arrays and options in, results that print and
+show themselves out; and the results of what `deformscope.runs` drives.
 
-`deformscope/__init__.py` exports what a script needs of it; `deformscope.cli` puts flags before it and words after it.
+`deformscope/__init__.py` exports what a script needs of both; `deformscope.cli` puts flags before and words after.
 """

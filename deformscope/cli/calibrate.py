@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 
 from deformscope.api.calibration import CalibrationResult, calibrate
 from deformscope.api.calibration_report import calibration_page
-from deformscope.cli.common import EXIT_LOSSES, fit_progress, say, show, write_file, write_json
+from deformscope.cli.common import EXIT_LOSSES, at_terminal, fit_progress, say, show, write_file, write_json
 from deformscope.config import BetaConfig, ThetaConfig
 from deformscope.files.model_file import save_model
 from deformscope.page.fit_settings import asked_on_page
@@ -23,7 +23,7 @@ from deformscope.stages.fit.estimate import Estimate
 
 def run(config: BetaConfig | ThetaConfig) -> int:
     """Fit, print the tables, write what was asked for. Returns the command's exit status."""
-    if asked_on_page(config):
+    if asked_on_page(config, at_terminal=at_terminal()):
         from deformscope.page.fit_command import set_on_page
 
         with set_on_page(config, say) as (chosen, show_on_page):

@@ -10,10 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from deformscope.api.moving import Watch, leave, permitted
-from deformscope.api.setting_up import today, write_values
-from deformscope.api.setups import LAB, setup_of
-from deformscope.cli.common import quiet_warp, recorder_of, say, show, status_line, write_json
+from deformscope.cli.common import quiet_warp, recorder_of, say, show, write_json
 from deformscope.config import ArmConfig
 from deformscope.errors import InputError
 from deformscope.experiments.arm_compliance import SURE_SD, ArmGive, GiveTouch, arm_give, touch_rigid
@@ -23,11 +20,14 @@ from deformscope.experiments.robot_geometry import FromFrames
 from deformscope.experiments.touching_robot import TouchingRobot, touching_robot
 from deformscope.interruption import until_interrupted
 from deformscope.log.findings import RigFindings
-from deformscope.log.rig_layout import RIG, RigLayout
+from deformscope.log.rig_layout import RIG
 from deformscope.pictures.compliance import compliance_png
 from deformscope.pictures.findings import Findings
 from deformscope.pictures.report import Figure, Table
-from deformscope.session import RigExperiment, Step, finish
+from deformscope.runs.setting_up import today, write_values
+from deformscope.runs.setups import LAB, setup_of
+from deformscope.runs.skeleton import leave_arm, open_rig_run, permitted
+from deformscope.session import RigExperiment, Step
 from deformscope.session import run as run_session
 from deformscope.stages.map.exploration import ExplorationStop
 from deformscope.stages.poke.contact import ArmCompliance
@@ -49,15 +49,13 @@ def run(config: ArmConfig) -> None:
     with (
         until_interrupted() as asked,
         recorder_of(config, RIG, real_time=setup.runs_itself) as recorder,
-        setup.open_source() as source,
-        status_line() as show_line,
+        open_rig_run(setup.open_source(), recorder) as opened,
     ):
-        recorder.start(RigLayout(tuple(source.streams)), source.start_ns)
-        watch = Watch(asked, show_line)
+        watch = opened.watch(asked)
 
         def found_one(one: GiveTouch) -> None:
             made.append(one)
-            show_line("")
+            opened.line("")
             give = 1e3 * one.found.compliance_m_per_n
             say(f"touch {len(made)}: {give:.3f} mm/N, pressed with {one.peak_force_n:.2f} N")
 
@@ -66,20 +64,19 @@ def run(config: ArmConfig) -> None:
             yield from permitted(robot, setup, options, known, asked, yes=config.yes, places_m=xy_m[None])
             yield from touch_rigid(FromFrames(robot.geometry, options), options, xy_m, config.touches, found_one)
 
-        with touching_robot(setup, source, options, watch) as robot, watch.halts(robot):
+        with touching_robot(setup, opened.source, options, watch) as robot, watch.halts(robot):
             try:
-                run_session(source, touching(robot), recorder, robot)
+                run_session(opened.source, touching(robot), recorder, robot)
             except ExplorationStopped as error:
                 stop = error.stop
                 recorder.stopped_because(f"{stop.kind}: {stop.reason}")
         found = None if stop is not None else arm_give(made)
         if found is not None:
             shown = _findings(found, f"{config.rig} at ({100 * xy_m[0]:.0f}, {100 * xy_m[1]:.0f}) cm")
-            recorder.write(Step((RigFindings(shown, tuple(source.streams)),)))
+            recorder.write(Step((RigFindings(shown, tuple(opened.source.streams)),)))
             show(shown)
-        finish(source, recorder)
     if stop is not None:
-        leave(stop, len(made), asked.signal_number, recorder.summary().path, arm_stopped=watch.arm_stopped)
+        leave_arm(stop, len(made), asked, recorder.summary().path, arm_stopped=watch.arm_stopped)
     if found is not None and config.write and not config.rig.startswith(LAB):
         known = {"compliance_m_per_n": found.compliance_m_per_n, "compliance_sd": found.compliance_sd}
         write_values(Path(config.rig), {"tool": known, "calibrated.arm": {"date": today()}})

@@ -16,23 +16,6 @@ from typing import TypeVar
 import cv2
 import numpy as np
 
-from deformscope.api.first_day import first_day, next_step
-from deformscope.api.setting_up import SetupTask, Station, set_up, written_lines
-from deformscope.api.setup_solving import (
-    MeasuredCamera,
-    TouchedCorners,
-    camera_arrays,
-    force_arrays,
-    place_arrays,
-    recorded_taps,
-    solve_camera,
-    solve_force,
-    solve_place,
-    solve_time,
-    solve_tip,
-    time_arrays,
-    tip_arrays,
-)
 from deformscope.cli.common import recorder_of, say, show, write_file, write_json
 from deformscope.config import CameraConfig, ForceConfig, PlaceConfig, SetupOptions, TimeConfig, TipConfig
 from deformscope.errors import InputError
@@ -47,6 +30,23 @@ from deformscope.frames import ArmFrame, ColorFrame, DepthFrame
 from deformscope.log.rig_layout import RIG
 from deformscope.rig.rig_file import load_rig
 from deformscope.robot.setup import only_device
+from deformscope.runs.first_day import first_day, next_step
+from deformscope.runs.setting_up import SetupTask, Station, set_up, written_lines
+from deformscope.runs.setup_solving import (
+    MeasuredCamera,
+    TouchedCorners,
+    camera_arrays,
+    force_arrays,
+    place_arrays,
+    recorded_taps,
+    solve_camera,
+    solve_force,
+    solve_place,
+    solve_time,
+    solve_tip,
+    time_arrays,
+    tip_arrays,
+)
 from deformscope.session import RigExperiment
 from deformscope.stages.setup.board import CharucoSpec, board_image
 

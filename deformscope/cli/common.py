@@ -6,7 +6,7 @@ import json
 import os
 import sys
 import time
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from pathlib import Path
@@ -41,21 +41,6 @@ _json_stream: ContextVar[TextIO | None] = ContextVar("json_stream", default=None
 
 
 # Words and tables ----------------------------------------------------------------------------------------------------
-
-
-class Different(InputError):
-    """What was computed again is not what was recorded."""
-
-
-def check_same(before: object, now: object, recording: Path, leave_out: Collection[str] = ()) -> None:
-    """Raises Different where two results differ in a bit. leave_out: fields that may"""
-    from deformscope.rows import differing
-
-    if type(before) is not type(now):
-        raise Different(f"a {type(before).__name__}, as recorded", f"a {type(now).__name__}", where=recording)
-    if (name := differing(before, now, leave_out)) is not None:
-        came = f"another {name} of {type(before).__name__}"
-        raise Different("the recorded numbers, to the last bit", came, where=recording)
 
 
 def console() -> Console:
@@ -105,12 +90,17 @@ def settings_of(config: RecordedOptions) -> dict[str, object]:
     return {"command": command, **cast("dict[str, object]", plain(config))}
 
 
+def at_terminal() -> bool:
+    """Whether somebody sits there who reads stdout and types."""
+    return sys.stdin is not None and sys.stdin.isatty() and sys.stdout.isatty()
+
+
 def keep_page() -> None:
     """What was shown on a page stays there until Ctrl-C where somebody sits at a terminal; elsewhere, and then, the
     page's server ends."""
     from deformscope.page.server.page_server import end_pages, running_pages
 
-    if sys.stdin is not None and sys.stdin.isatty() and sys.stdout.isatty() and (pages := running_pages()):
+    if at_terminal() and (pages := running_pages()):
         with suppress(KeyboardInterrupt):
             say(f"the page stays until Ctrl-C: {', '.join(page.address for page in pages)}")
             while running_pages():

@@ -69,9 +69,9 @@ def _recorded(file: Path) -> tuple[TrialRow, dict[str, Any]]:
     """A recorded trial and its features, computed again; and the features' settings."""
     import msgspec
 
-    from deformscope.cli.replay_squeeze import squeeze_again
     from deformscope.files.squeeze_dataset import TRIALS, TrialEntry, TrialRow
     from deformscope.recording.reader import Replay
+    from deformscope.runs.replay_squeeze import squeeze_again
 
     recording = Replay(file)
     if "squeezed" not in recording.settings:
@@ -93,8 +93,8 @@ def _dataset(folder: Path, settings: dict[str, Any] | None = None) -> SqueezeDat
 
 
 def _show(folder: Path, target: str | None, *, trials: bool = False) -> None:
-    from deformscope.api.squeezing import dataset_table
     from deformscope.pictures.findings import table_text
+    from deformscope.runs.squeezing import dataset_table
 
     entries = _dataset(folder).entries()
     show(table_text(dataset_table(folder, entries, trials=trials)))

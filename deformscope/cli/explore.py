@@ -28,8 +28,8 @@ def run(config: ExploreConfig) -> int:
     if config.list_scenarios:
         _list()
         return 0
-    from deformscope.api.exploration_run import explore_on
     from deformscope.recording.losses import named
+    from deformscope.runs.exploration_run import explore_on
 
     outputs = _Outputs(config)
     explored = explore_on(config, outputs.write)

@@ -49,7 +49,7 @@ class SetupRequest:
     axis: tuple[float, float, float] | None = None
 
 
-Operator = Callable[[SetupRequest], RigExperiment[None]]
+Assistant = Callable[[SetupRequest], RigExperiment[None]]
 """Who does what is asked; frames pass meanwhile."""
 
 
@@ -124,7 +124,7 @@ def _span_s(frames: Sequence[Frame]) -> float:
     return (frames[-1].stamp.host_ns - frames[0].stamp.host_ns) / 1e9 if len(frames) > 1 else -1.0
 
 
-def _held(operator: Operator, request: SetupRequest, arm: str, note: Callable[[str], None]) -> RigExperiment[HeldArm]:
+def _held(operator: Assistant, request: SetupRequest, arm: str, note: Callable[[str], None]) -> RigExperiment[HeldArm]:
     """Where the arm is held after a request; asked again while it moves."""
     for _ in range(TRIES):
         yield from operator(request)
@@ -137,7 +137,7 @@ def _held(operator: Operator, request: SetupRequest, arm: str, note: Callable[[s
 
 
 def touch_corners(
-    operator: Operator, arm: str, corners: Sequence[int], note: Callable[[str], None]
+    operator: Assistant, arm: str, corners: Sequence[int], note: Callable[[str], None]
 ) -> RigExperiment[FloatArray]:
     """(n, 4, 4) poses of the arm's end with the tip on each corner."""
     poses = []
@@ -148,7 +148,7 @@ def touch_corners(
     return np.array(poses)
 
 
-def tilt_about_tip(operator: Operator, arm: str, count: int, note: Callable[[str], None]) -> RigExperiment[FloatArray]:
+def tilt_about_tip(operator: Assistant, arm: str, count: int, note: Callable[[str], None]) -> RigExperiment[FloatArray]:
     """(n, 4, 4) poses of the arm's end, turned about a ball that stays in its place."""
     poses = []
     for number in range(count):
@@ -186,7 +186,7 @@ class PushedTip:
 
 
 def push_tip(
-    operator: Operator,
+    operator: Assistant,
     arm: str,
     wrench: str,
     repeats: int,
@@ -254,7 +254,7 @@ class Taps:
     y: FloatArray
 
 
-def tap_tip(operator: Operator, wrench: str, other: str, kind: type[Frame]) -> RigExperiment[Taps]:
+def tap_tip(operator: Assistant, wrench: str, other: str, kind: type[Frame]) -> RigExperiment[Taps]:
     """What the force sensor and another device give while the tip is tapped."""
     words = "within the next eight seconds tap the tip from below with a finger, firmly, five times at uneven times"
     wanted: dict[str, type[Frame]] = {wrench: WrenchFrame, other: kind}
@@ -310,7 +310,7 @@ class BoardViews:
 
 
 def view_board(
-    operator: Operator, arm: str, camera: str, board: CharucoSpec, count: int, note: Callable[[str], None]
+    operator: Assistant, arm: str, camera: str, board: CharucoSpec, count: int, note: Callable[[str], None]
 ) -> RigExperiment[BoardViews]:
     """So many views of a board that the arm carries, and more until the arm was turned about two axes; views without
     the board do not count."""

@@ -20,7 +20,6 @@ from deformscope.robot.squeeze_setup import (
     SqueezeNames,
     SqueezeParts,
     SqueezeSetup,
-    SqueezeTruth,
 )
 
 KINDS = {"box": "cardboard box", "cylinder": "plastic cylinder"}
@@ -83,7 +82,7 @@ def container_lab(
         placed=True,
         simulated=True,
         runs_itself=False,
-        truth=lambda: SqueezeTruth.of(lab.truth()),
+        truth=lab.truth,
         clock=lab.clock,
         wait_until=lab.wait_until,
     )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import sys
 
 from deformscope.config import BetaConfig, ThetaConfig
 from deformscope.config.images import ImageOptions
@@ -32,9 +31,8 @@ def not_on_a_page(config: BetaConfig | ThetaConfig) -> str | None:
     return None
 
 
-def asked_on_page(config: BetaConfig | ThetaConfig) -> bool:
+def asked_on_page(config: BetaConfig | ThetaConfig, *, at_terminal: bool) -> bool:
     """Whether the fit is to be set on a page: where somebody sits at a terminal, or where it is asked for."""
     if config.output.viewer != "page":
         return False
-    terminal = sys.stdin is not None and sys.stdin.isatty() and sys.stdout.isatty()
-    return config.adjust or config.from_rig or (terminal and not_on_a_page(config) is None)
+    return config.adjust or config.from_rig or (at_terminal and not_on_a_page(config) is None)

@@ -325,15 +325,16 @@ def _check_offsets(rig: Rig, devices: tuple[RigDevice, ...]) -> None:
             raise InputError(least, came, "a faster link, or a longer ..._silent_s in [workspace]", rig.name)
 
 
-def only_device(rig: Rig, kind: str, use: str = "to explore with") -> RigDevice:
-    """The one device of a kind. use: what it is wanted for; raises InputError where there is none, or several"""
-    found = [entry for entry in rig.devices if entry.driver.kind == kind]
-    if kind == "depth" and rig.camera.device:
-        found = [entry for entry in found if entry.name == rig.camera.device]
+def only_device(rig: Rig, kind: str, use: str = "to explore with", name: str = "", driver: str = "") -> RigDevice:
+    """The one device of a kind. use: what it is wanted for; name, driver: of it, empty = any (of a depth camera, as
+    `[camera]` says); raises InputError where there is none, or several"""
+    name = rig.camera.device or "" if kind == "depth" else name
+    drivers = [one for one, known in DRIVERS.items() if known.kind == kind and driver in ("", one)]
+    found = [one for one in rig.devices if one.driver.name in drivers and name in ("", one.name)]
     if len(found) != 1:
         came = "none" if not found else ", ".join(entry.name for entry in found)
-        drivers = " or ".join(f'"{name}"' for name, driver in DRIVERS.items() if driver.kind == kind)
-        raise InputError(f"one device with driver = {drivers}, {use}", came, "the rig file", rig.name)
+        named = " or ".join(f'"{one}"' for one in drivers)
+        raise InputError(f"one device with driver = {named}, {use}", came, "the rig file", rig.name)
     return found[0]
 
 

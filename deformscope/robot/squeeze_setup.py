@@ -33,22 +33,9 @@ class SqueezeNames:
     arm: str = ""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class SqueezeTruth:
-    """What a simulated squeeze really was, on the laboratory's clock: first_ns of the first contact, steady_ns from
-    when the fingers stood still; 0 = not yet"""
-
-    first_ns: int
-    steady_ns: int
-
-    @classmethod
-    def of(cls, truth: TrueMoments) -> SqueezeTruth:
-        """From what a simulated laboratory knows; None of it = 0, not yet."""
-        return cls(truth.contact_ns or 0, truth.steady_ns or 0)
-
-
 class TrueMoments(Protocol):
-    """What a laboratory knows of a squeeze; None = not yet."""
+    """What a laboratory knows of a squeeze, on its clock: the first contact, and from when the fingers stood still;
+    None = not yet."""
 
     @property
     def contact_ns(self) -> int | None: ...
@@ -94,13 +81,13 @@ class SqueezeParts:
     def of(cls, rig: Rig, seed: int) -> SqueezeParts:
         """Raises InputError, which names what is missing, or what does not go together."""
         cameras = any(entry.driver.kind == "depth" for entry in rig.devices)
-        carried = rig.hand.T_arm_hand is not None
+        carried, use = rig.hand.T_arm_hand is not None, "to squeeze with"
         parts = cls(
             rig,
-            _one_of(rig, "sdh", ""),
-            _one_of(rig, "dsa", rig.hand.tactile),
-            only_device(rig, "depth", "to squeeze with") if cameras else None,
-            _one_of(rig, "jaco", "", "for [hand] T_arm_hand") if carried else None,
+            only_device(rig, "hand", use),
+            only_device(rig, "tactile", use, rig.hand.tactile),
+            only_device(rig, "depth", use) if cameras else None,
+            only_device(rig, "arm", "for [hand] T_arm_hand", driver="jaco") if carried else None,
             draw_grasp(rig.container, rig.squeeze, seed),
         )
         together = [entry for entry in (parts.hand, parts.tactile, parts.camera, parts.arm) if entry is not None]
@@ -147,7 +134,7 @@ class SqueezeSetup:
     placed: bool = False
     simulated: bool = False
     runs_itself: bool = True
-    truth: Callable[[], SqueezeTruth] | None = None
+    truth: Callable[[], TrueMoments] | None = None
     clock: Clock = monotonic_ns
     wait_until: Waits = sleep_until
 
@@ -162,50 +149,44 @@ def squeeze_setup(
     double: makes a device of the rig that no container is simulated around, or its double
     container: between the doubles; the hand stands at it already, and it brings the pose and projection of its camera
     """
-    rig = parts.rig
-    open_source = partial(open_rig, rig, double, container, parts.around)
-    camera, seen = parts.camera, rig.camera
-    names = SqueezeNames(parts.hand.name, parts.tactile.name, "" if camera is None else camera.name)
-    if container is not None:
-        lens = container.intrinsics
-        return SqueezeSetup(
-            names=names,
-            hand=rig.hand,
-            container=rig.container,
-            squeeze=rig.squeeze,
-            camera=CameraView((lens.fx_px, lens.fy_px), (lens.cx_px, lens.cy_px), rate_hz=container.camera_hz),
-            open_source=open_source,
-            grasp=parts.grasp,
-            T_camera_hand=np.asarray(np.linalg.inv(container.T_hand_camera)),
-            placed=True,
-            simulated=True,
-            runs_itself=container.runs_itself,
-            truth=lambda: SqueezeTruth.of(container.truth()),
-            clock=container.clock,
-            wait_until=container.wait_until,
-        )
-    fps = None if camera is None else camera.config.fps
-    return SqueezeSetup(
-        names=replace(names, arm="" if parts.arm is None else parts.arm.name),
+    rig, seen = parts.rig, parts.rig.camera
+    arm, camera = parts.arm, parts.camera
+    setup = SqueezeSetup(
+        names=SqueezeNames(
+            parts.hand.name,
+            parts.tactile.name,
+            "" if camera is None else camera.name,
+            "" if arm is None or container is not None else arm.name,
+        ),
         hand=rig.hand,
         container=rig.container,
         squeeze=rig.squeeze,
-        camera=CameraView(seen.focal_px, seen.center_px, seen.distortion, rate_hz=float(fps or CAMERA_HZ)),
-        open_source=open_source,
+        camera=CameraView(
+            seen.focal_px,
+            seen.center_px,
+            seen.distortion,
+            rate_hz=float((None if camera is None else camera.config.fps) or CAMERA_HZ),
+        ),
+        open_source=partial(open_rig, rig, double, container, parts.around),
         grasp=parts.grasp,
         T_camera_hand=_transform(rig.hand.T_camera_hand),
-        T_arm_hand=_transform(rig.hand.T_arm_hand),
-        T_arm_camera=_transform(seen.T_arm_camera),
+    )
+    if container is None:
+        poses = _transform(rig.hand.T_arm_hand), _transform(seen.T_arm_camera)
+        return replace(setup, T_arm_hand=poses[0], T_arm_camera=poses[1])
+    lens = container.intrinsics
+    return replace(
+        setup,
+        camera=CameraView((lens.fx_px, lens.fy_px), (lens.cx_px, lens.cy_px), rate_hz=container.camera_hz),
+        T_camera_hand=np.asarray(np.linalg.inv(container.T_hand_camera)),
+        placed=True,
+        simulated=True,
+        runs_itself=container.runs_itself,
+        truth=container.truth,
+        clock=container.clock,
+        wait_until=container.wait_until,
     )
 
 
 def _transform(rows: tuple[tuple[float, ...], ...] | None) -> FloatArray | None:
     return None if rows is None else np.array(rows, np.float64)
-
-
-def _one_of(rig: Rig, driver: str, name: str, what_for: str = "to squeeze with") -> RigDevice:
-    found = [entry for entry in rig.devices if entry.driver.name == driver and name in ("", entry.name)]
-    if len(found) != 1:
-        came = "none" if not found else ", ".join(entry.name for entry in found)
-        raise InputError(f'one device with driver = "{driver}", {what_for}', came, "the rig file", rig.name)
-    return found[0]

@@ -15,8 +15,8 @@ from deformscope.api.exploration_result import (
     TruthScore,
     beta_words,
 )
-from deformscope.api.exploration_run import _said
 from deformscope.pictures.words import ENDED, claim_words, ended_words, verdict_words
+from deformscope.runs.exploration_run import _said
 from deformscope.session import Step
 from deformscope.stages.map.exploration import PlannedTouch
 from deformscope.stages.map.plan import StopReason

@@ -11,7 +11,6 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 
-from deformscope.api.setups import Opening
 from deformscope.arrays import FloatArray
 from deformscope.experiments.explore import Look
 from deformscope.experiments.options import ExploreOptions
@@ -23,6 +22,7 @@ from deformscope.robot.checks import Check, Preflight
 from deformscope.robot.placement import Placement
 from deformscope.robot.setup import CameraView, Setup
 from deformscope.robot.touch import Phase
+from deformscope.runs.setups import Opening
 from deformscope.session import Inline, Moment, Step
 from deformscope.stages.map.exploration import PhaseStart
 from deformscope.stages.map.measured import SurfaceMeasurement, TouchMeasurement
@@ -166,7 +166,7 @@ def use_fake_bench(monkeypatch: pytest.MonkeyPatch) -> FakeBench:
         options = dataclasses.replace(options, cell_m=CELL_M, beta_model="none")
         return Opening(bench.setup, options, {"scene": name})
 
-    monkeypatch.setattr("deformscope.api.exploration_run.setup_of", setup_of)
+    monkeypatch.setattr("deformscope.runs.exploration_run.setup_of", setup_of)
     monkeypatch.setattr("deformscope.experiments.touching_robot.touching_robot", bench.robot)
     monkeypatch.setattr("deformscope.experiments.beside.FromFrames", lambda geometry, options: AsMeasured(SIZE_M))
     use_coarse_maps(monkeypatch)

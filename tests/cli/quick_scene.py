@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from deformscope.api.setups import Opening, setup_of
 from deformscope.arrays import FloatArray
 from deformscope.experiments.options import ExploreOptions
 from deformscope.images import encode_png
@@ -19,6 +18,7 @@ from deformscope.lab.layer_world import LayerWorld
 from deformscope.lab.scenes import Scene
 from deformscope.lab.slab import RigidTip
 from deformscope.robot.touch import TouchPlan
+from deformscope.runs.setups import Opening, setup_of
 from deformscope.stages.regions.posterior import RegionPosterior
 
 CELL_M = 0.02
@@ -43,7 +43,7 @@ def use_quick_scene(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("deformscope.lab.scene_lab.slab_world", _Layers)
     near = partial(TouchPlan, slow_within_m=0.01, far_speed_m_s=0.05, travel_speed_m_s=0.15)
     monkeypatch.setattr("deformscope.experiments.measured.TouchPlan", near)
-    monkeypatch.setattr("deformscope.api.exploration_run.setup_of", _coarse_setup_of)
+    monkeypatch.setattr("deformscope.runs.exploration_run.setup_of", _coarse_setup_of)
 
 
 def _coarse_setup_of(name: str, options: ExploreOptions, set_force_n: float | None, **flags: Any) -> Opening:

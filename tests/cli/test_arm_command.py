@@ -13,11 +13,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deformscope.api import arm_moving
 from deformscope.cli import main
 from deformscope.config import JogConfig
 from deformscope.lab import stand_in
 from deformscope.recording.recorder import Recorder
+from deformscope.runs import arm_moving
 from deformscope_drivers.arm.hosted import HostedArm
 from deformscope_drivers.jaco.chains import J2N6S300
 from deformscope_drivers.jaco.config import JacoConfig

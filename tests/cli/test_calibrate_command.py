@@ -215,7 +215,7 @@ def test_replay_compares_numbers(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     (one,) = read_estimates(Replay(recorded))
-    monkeypatch.setattr("deformscope.cli.replay.read_estimates", lambda _: [dataclasses.replace(one, **change(one))])
+    monkeypatch.setattr("deformscope.runs.replay.read_estimates", lambda _: [dataclasses.replace(one, **change(one))])
     main(["replay", str(recorded), "--viewer", "none"])
     assert expected in capsys.readouterr().err
 

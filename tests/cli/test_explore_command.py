@@ -20,7 +20,6 @@ import numpy as np
 import pytest
 
 from deformscope.cli import main
-from deformscope.cli.replay_exploration import recorded_inputs
 from deformscope.errors import InputError
 from deformscope.experiments.touching_robot import TouchingRobot
 from deformscope.frames import ArmFrame, DepthFrame, Item, WrenchFrame
@@ -34,6 +33,7 @@ from deformscope.rig.source import RigSource
 from deformscope.robot.robot import Robot
 from deformscope.robot.supervisor import SafetyVerdict, Supervisor
 from deformscope.robot.touch import Phase
+from deformscope.runs.replay_exploration import recorded_inputs
 from deformscope.stages.map.exploration import ExplorationStop, PhaseStart
 from deformscope.stages.map.measured import LookFrames, TouchFrames
 from deformscope_drivers.clock import Stamp

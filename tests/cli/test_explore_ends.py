@@ -165,9 +165,9 @@ def test_failures_without_end_end_it_in_order(
 
 ROBOT = [f"tests.cli.fake_bench.FakeRobot.{name}" for name in ("look", "touch", "let_move", "carry_out", "reports")]
 RECORDER = [f"deformscope.recording.recorder.Recorder.{name}" for name in ("_take_step", "_take_items")]
-WATCH = ["deformscope.api.moving.Watch.__call__"]
+WATCH = ["deformscope.runs.skeleton.Watch.__call__"]
 COMMAND = [
-    "deformscope.api.exploration_run._remarks",
+    "deformscope.runs.exploration_run._remarks",
     "deformscope.experiments.explore.Exploration.add",
     f"{EXPLORER}.ExplorationStages.touch",
 ]

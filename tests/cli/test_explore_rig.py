@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from deformscope.api.setups import setup_of_rig
 from deformscope.cli import main
 from deformscope.errors import InputError
 from deformscope.frames import Frame
@@ -25,6 +24,7 @@ from deformscope.robot.placement import reach
 from deformscope.robot.robot import Robot, RobotStopped
 from deformscope.robot.setup import RigParts
 from deformscope.robot.supervisor import Fault, SafetyVerdict
+from deformscope.runs.setups import setup_of_rig
 from deformscope.stages.regions.touches import MapGrid
 from deformscope_drivers.errors import SettingsRefused
 from deformscope_drivers.jaco.chains import J2N6S300

@@ -11,11 +11,11 @@ from typing import Any
 
 import pytest
 
-from deformscope.api.moving import permitted
 from deformscope.errors import InputError
 from deformscope.experiments.options import ExploreOptions
 from deformscope.interruption import until_interrupted
 from deformscope.robot.checks import Check, Preflight
+from deformscope.runs.skeleton import permitted
 from deformscope.session import Inline, Step, run
 
 WELL, BAD = (Preflight((Check("arm: still", passed, "at rest", "what came"),)) for passed in (True, False))

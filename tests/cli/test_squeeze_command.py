@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from deformscope.api.setups import SqueezeOpening
 from deformscope.cli import main
 from deformscope.files.classifier_file import save_classifier
 from deformscope.files.squeeze_dataset import SqueezeDataset
 from deformscope.robot.squeeze_plan import draw_grasp
 from deformscope.robot.squeeze_setup import SqueezeSetup
+from deformscope.runs.setups import SqueezeOpening
 from deformscope.stages.squeeze.model import ContentModel, fit_model
 from deformscope.stages.squeeze.table import LabelledTable
 from tests.experiments.toy_squeeze import ToySqueeze, limits
@@ -38,7 +38,7 @@ def toy(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
             setup = dataclasses.replace(setup, grasp=grasp)
         return SqueezeOpening(setup, {"lab": "toy"}, content or "rice", container or "box-01")
 
-    monkeypatch.setattr("deformscope.api.squeeze_run.squeeze_setup_of", opening)
+    monkeypatch.setattr("deformscope.runs.squeeze_run.squeeze_setup_of", opening)
     return changes
 
 

@@ -75,9 +75,9 @@ def test_events_are_within_two_sample_periods_of_the_truth(good: Session) -> Non
     found = good.found.features
     assert found is not None
     truth, events = good.lab.truth, found.events
-    assert abs(events.first_ns - truth.first_ns) <= 2e9 * events.tactile_period_s
+    assert abs(events.first_ns - truth.contact_ns) <= 2e9 * events.tactile_period_s
     assert abs(events.steady_ns - truth.steady_ns) <= 2e9 * max(events.tactile_period_s, events.hand_period_s)
-    assert events.first_interval_ns[0] <= truth.first_ns <= events.first_interval_ns[1]
+    assert events.first_interval_ns[0] <= truth.contact_ns <= events.first_interval_ns[1]
     assert events.steady_interval_ns[0] <= truth.steady_ns <= events.steady_interval_ns[1]
 
 

@@ -5,19 +5,20 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import pytest
 
-from deformscope.api.setups import SqueezeOpening
 from deformscope.rig.driver_table import DRIVERS
 from deformscope.rig.rig_file import ContainerSection, HandSection, SqueezeSection
 from deformscope.rig.source import RigMember, RigSource
 from deformscope.robot.setup import CameraView
 from deformscope.robot.squeeze_plan import CLOSING_AXES, GripShape, draw_grasp
-from deformscope.robot.squeeze_setup import SqueezeNames, SqueezeSetup, SqueezeTruth
+from deformscope.robot.squeeze_setup import SqueezeNames, SqueezeSetup
+from deformscope.runs.setups import SqueezeOpening
 from deformscope.stages.see.cloud import Intrinsics
 from deformscope.stages.squeeze.container import ContainerModel, ModelRenderer
 from deformscope_drivers.depth_camera import SyntheticDepthCamera, View
@@ -34,6 +35,14 @@ POLL_NS = 2_000_000
 PAD_SHAPES = [(14, 6), (13, 6)] * 3
 T_CAMERA_HAND = np.array([[0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, -0.1], [1.0, 0.0, 0.0, 0.6], [0.0, 0.0, 0.0, 1.0]])
 """The camera looks along the hand's x axis at the pad of finger 2."""
+
+
+@dataclass(frozen=True)
+class ToyTruth:
+    """As `robot.squeeze_setup.TrueMoments`; 0 = not yet."""
+
+    contact_ns: int
+    steady_ns: int
 
 
 class ToySqueeze:
@@ -76,7 +85,7 @@ class ToySqueeze:
                 SyntheticDepthCamera(lambda time_s: view, config, clock=self.clock),  # type: ignore[dict-item]
             )
         self.camera = camera
-        self.truth = SqueezeTruth(0, 0)
+        self.truth = ToyTruth(0, 0)
         self.at: list[tuple[int, Callable[[], None]]] = []
 
     def obstruct(self) -> None:
@@ -136,10 +145,10 @@ class ToySqueeze:
     def _look(self) -> None:
         """When what really happens does."""
         angle, now_ns = self.angle(), self.clock()
-        if not self.truth.first_ns and angle > self.contact_deg:
-            self.truth = SqueezeTruth(now_ns, 0)
-        elif self.truth.first_ns and not self.truth.steady_ns and angle >= self.contact_deg + self.gives_deg - 1e-9:
-            self.truth = SqueezeTruth(self.truth.first_ns, now_ns)
+        if not self.truth.contact_ns and angle > self.contact_deg:
+            self.truth = ToyTruth(now_ns, 0)
+        elif self.truth.contact_ns and not self.truth.steady_ns and angle >= self.contact_deg + self.gives_deg - 1e-9:
+            self.truth = ToyTruth(self.truth.contact_ns, now_ns)
 
     def _pressures(self, time_s: float) -> list[npt.NDArray[np.float64]]:
         angles = [axis.position_deg for axis in self.hand_double.motion.axes]
@@ -171,5 +180,5 @@ def use_toy_squeeze(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
         setup = dataclasses.replace(lab.setup, grasp=grasp, **changes)
         return SqueezeOpening(setup, {"lab": "toy"}, content or "rice", container or "box-01")
 
-    monkeypatch.setattr("deformscope.api.squeeze_run.squeeze_setup_of", opening)
+    monkeypatch.setattr("deformscope.runs.squeeze_run.squeeze_setup_of", opening)
     return changes

@@ -406,9 +406,10 @@ def test_what_is_set_on_a_page(pair: Path) -> None:
     from deformscope.config.options import OutputOptions
 
     paged = OutputOptions(viewer="page")
-    assert not asked_on_page(beta_of(pair))
-    assert not asked_on_page(beta_of(pair, output=paged))  # nobody sits at a terminal here
-    assert asked_on_page(beta_of(pair, output=paged, adjust=True))
+    assert not asked_on_page(beta_of(pair), at_terminal=True)
+    assert not asked_on_page(beta_of(pair, output=paged), at_terminal=False)
+    assert asked_on_page(beta_of(pair, output=paged), at_terminal=True)
+    assert asked_on_page(beta_of(pair, output=paged, adjust=True), at_terminal=False)
     assert not_on_a_page(BetaConfig((str(pair), str(pair)))) == "2 files"
     assert not_on_a_page(BetaConfig(("x",), motion=MotionFlags(whole_motion=True)))
     assert not_on_a_page(BetaConfig(("x.npz",), layers=LayersFlags(thickness_m=0.1)))

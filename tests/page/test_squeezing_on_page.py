@@ -7,13 +7,13 @@ from typing import Any
 
 import pytest
 
-from deformscope.api.moving import Watch
 from deformscope.interruption import Interruption
 from deformscope.page.devices import ShownDevices
 from deformscope.page.server.messages import ConfirmMove, StartSqueezing, StopRun
 from deformscope.page.server.page_session import PageSession
 from deformscope.page.squeezing import PageSqueezing
 from deformscope.recording.items import read_results
+from deformscope.runs.skeleton import Watch
 from deformscope.stages.squeeze.trial import SqueezePhase, SqueezeStop
 from tests.page.pages import page_script
 from tests.page.test_pieces import FakeClock

@@ -10,7 +10,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from deformscope.api import moving
 from deformscope.experiments.explore import ExplorationStopped
 from deformscope.experiments.touching_robot import CheckFirst
 from deformscope.interruption import Interruption
@@ -33,6 +32,7 @@ from deformscope.robot.latch import Action
 from deformscope.robot.robot import MotionHeld, RobotStopped, TipVelocity
 from deformscope.robot.supervisor import Fault
 from deformscope.robot.touch import TouchEnding, TouchRecord, run_touch
+from deformscope.runs import operator, skeleton
 from deformscope.stages.map.exploration import PlannedTouch, TouchForecast
 from studies.fault_study import FaultScene, make_scene
 from tests.log.synthetic_exploration import touch
@@ -99,7 +99,7 @@ def planned(x_m: float = 0.15) -> PlannedTouch:
 def test_the_page_asks_for_a_finger_on_the_tip_before_the_arm_may_move() -> None:
     steered = Steered(begun=False)
     nothing = SimpleNamespace()
-    first = next(moving.permitted(nothing, nothing, nothing, {}, steered.ended, yes=True, page=steered.steering))  # type: ignore[arg-type]
+    first = next(skeleton.permitted(nothing, nothing, nothing, {}, steered.ended, yes=True, page=steered.steering))  # type: ignore[arg-type]
     assert isinstance(first.command, CheckFirst)
     assert first.command.ask_finger is not None
     first.command.ask_finger(FINGER)
@@ -108,11 +108,11 @@ def test_the_page_asks_for_a_finger_on_the_tip_before_the_arm_may_move() -> None
 
 def test_a_real_arm_begins_once_somebody_confirms_it_on_the_page(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sys.stdin", SimpleNamespace(isatty=lambda: False))  # nobody sits at a terminal
-    monkeypatch.setattr(moving, "POLL_S", 0.0)
+    monkeypatch.setattr(operator, "POLL_S", 0.0)
     steered = Steered(begun=False)
     assert (steered.session.state.phase, steered.session.state.commands) == ("idle", ("stop",))
     steered.steering.wait_for_permission("up to 8 touches of 3 N")
-    question = moving.ask_line("?", steered.ended, steered.steering.is_permitted)
+    question = operator.Operator(steered.ended, steered.steering.is_permitted).line("?")
     next(question)
     assert steered.say(StartExploring)[0] == "begun"
     next(question)
@@ -141,7 +141,7 @@ def presses(count: int) -> list[int]:
 def pressed(scene: FaultScene, at: int, *, looked: bool) -> int:
     """The same for a stop in a period of a motion. looked: whether the supervisor has looked in it"""
     steered, robot = Steered(), scene.robot
-    watch, periods, received = moving.Watch(steered.ended, lambda words: None), itertools.count(), list[int]()
+    watch, periods, received = skeleton.Watch(steered.ended, lambda words: None), itertools.count(), list[int]()
     watch.robot = _Watched(scene)
 
     def cycled(*seen: object) -> None:

@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import os
-import select
-import sys
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import dataclass
@@ -13,14 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from deformscope.api.moving import POLL_S, Watch, ask_yes, leave, signal_word
-from deformscope.api.setups import setup_of, table_of
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 from deformscope.experiments.options import ExploreOptions
 from deformscope.interruption import Interruption, until_interrupted
 from deformscope.lab.rig_members import member_of
-from deformscope.log.rig_layout import RigLayout
 from deformscope.rig.rig_file import load_rig
 from deformscope.robot.advice import where_it_stands
 from deformscope.robot.checks import Preflight
@@ -31,9 +25,12 @@ from deformscope.robot.preflight import check
 from deformscope.robot.robot import Robot, RobotStopped
 from deformscope.robot.setup import RigParts, Setup, only_device, open_rig
 from deformscope.robot.travel import to_above
-from deformscope.session import BATCH_S, Inline, finish
+from deformscope.runs.operator import POLL_S, Keys, Operator, terminal_keys
+from deformscope.runs.setups import setup_of, table_of
+from deformscope.runs.skeleton import leave_arm, open_rig_run, signal_word
+from deformscope.session import BATCH_S, Inline
 from deformscope.stages.map.exploration import ExplorationStop
-from deformscope.terminal import say, status_line
+from deformscope.terminal import say
 from deformscope_drivers.errors import DeviceError
 from deformscope_drivers.priority import STEERING, be_prompt
 
@@ -45,8 +42,6 @@ UPRIGHT = np.array([0.0, 0.0, 1.0])
 NOT_YET = ("plan", "workspace", "calibration", "age", "camera", "tip: in free air", "arm: reach", "arm: first way")
 """Rows of the table of checks that do not matter to an arm that is moved by hand, in small steps, before anything is
 calibrated; those of arm, force sensor and this computer do."""
-Keys = Callable[[], str]
-"""The keys that were pressed since the last call."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -97,7 +92,7 @@ def home(config: HomeConfig) -> None:
                 if asked.is_set() and not arm.stopped_because:
                     arm.halt(signal_word(asked.signal_number))
         if asked.is_set():
-            leave(None, 0, asked.signal_number, None)
+            leave_arm(None, 0, asked, None)
         going.result()
 
 
@@ -179,19 +174,17 @@ def _moved(
     Where devices have threads of their own, the robot has one too: what they give is recorded in this one.
     """
     setup = setup_of(config.rig, ExploreOptions(), None, trusted=config.trust_rig).setup
-    with until_interrupted() as asked, setup.open_source() as source, status_line() as show:
-        recorder.start(RigLayout(tuple(source.streams)), source.start_ns)
-        watch = Watch(asked, show)
-        robot = setup.robot(source, lambda seen, verdict: watch())
+    with until_interrupted() as asked, open_rig_run(setup.open_source(), recorder) as opened:
+        watch = opened.watch(asked)
+        robot = setup.robot(opened.source, lambda seen, verdict: watch())
         with watch.halts(_Moved(robot)), ThreadPoolExecutor(1, "robot") as beside:
             pool = beside if setup.runs_itself else Inline()
             moving = pool.submit(_carried_out, config, setup, robot, work, leave_out, asked)
             while not moving.done():
-                recorder.write(source.take(BATCH_S))
+                recorder.write(opened.source.take(BATCH_S))
             stop = moving.result()
-        finish(source, recorder)
     if stop is not None:
-        leave(stop, 0, asked.signal_number, recorder.summary().path, arm_stopped=watch.arm_stopped)
+        leave_arm(stop, 0, asked, recorder.summary().path, arm_stopped=watch.arm_stopped)
     return robot.center_m
 
 
@@ -226,28 +219,5 @@ def _carried_out(
 
 
 def _ask(prompt: str, asked: Interruption) -> None:
-    for _ in ask_yes(prompt, asked):
+    for _ in Operator(asked).confirm(prompt):
         pass  # no experiment takes frames meanwhile
-
-
-@contextlib.contextmanager
-def terminal_keys() -> Iterator[Keys]:
-    """The keys of the terminal, each as it is pressed. Raises InputError where there is none."""
-    import termios
-    import tty
-
-    if not sys.stdin.isatty():
-        raise InputError("a terminal, whose keys move the arm", "none", "run it in one")
-    descriptor = sys.stdin.fileno()
-    kept = termios.tcgetattr(descriptor)
-
-    def pressed() -> str:
-        if not select.select([descriptor], [], [], 0.0)[0]:
-            return ""
-        return os.read(descriptor, 64).decode(errors="replace") or LEAVE
-
-    try:
-        tty.setcbreak(descriptor)
-        yield pressed
-    finally:
-        termios.tcsetattr(descriptor, termios.TCSADRAIN, kept)

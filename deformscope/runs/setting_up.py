@@ -2,33 +2,32 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import datetime
-import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import numpy.typing as npt
 
-from deformscope.api.moving import ask_line
-from deformscope.api.setups import table_of
 from deformscope.errors import InputError
-from deformscope.experiments.setting_up import Operator, SetupRequest
+from deformscope.experiments.setting_up import Assistant, SetupRequest
 from deformscope.file_io import read_file, replacing
 from deformscope.files.arrays_file import read_arrays
 from deformscope.interruption import Interruption, until_interrupted
 from deformscope.lab.rig_members import member_of
 from deformscope.log.findings import RigFindings
-from deformscope.log.rig_layout import RigLayout
 from deformscope.pictures.findings import Findings
 from deformscope.pictures.report import Figure, Table
 from deformscope.rig.rig_edit import Values, edited, lines_of
-from deformscope.rig.rig_file import Rig, RigDevice, load_rig
-from deformscope.robot.setup import RigParts, only_device, open_rig
-from deformscope.session import RigExperiment, Step, finish, run
+from deformscope.rig.rig_file import Rig, load_rig
+from deformscope.robot.setup import ROLES, RigParts, only_device, open_rig
+from deformscope.runs.operator import Operator, at_terminal
+from deformscope.runs.setups import table_of
+from deformscope.runs.skeleton import open_rig_run
+from deformscope.session import RigExperiment, Step, run
 from deformscope.terminal import say
 
 if TYPE_CHECKING:
@@ -81,7 +80,7 @@ class Station:
     arm: str
     wrench: str
     camera: str
-    operator: Operator
+    operator: Assistant
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,12 +111,12 @@ def set_up(config: SetupOptions, task: SetupTask[M], recorder: Recorder) -> Setu
         found = task.solve(rig, made)
         recorder.write(Step((found.findings(rig.name),)))
     else:
-        with until_interrupted() as asked, _open(rig, task, asked) as (source, station):
-            recorder.start(RigLayout(tuple(source.streams)), source.start_ns)
-            made = run(source, task.measure(station), recorder)
-            found = task.solve(rig, made)
-            recorder.write(Step((RigFindings(found.findings(rig.name), tuple(source.streams)),)))
-            finish(source, recorder)
+        with until_interrupted() as asked:
+            devices, station = _devices(rig, task, asked)
+            with open_rig_run(devices, recorder) as opened:
+                made = run(opened.source, task.measure(station), recorder)
+                found = task.solve(rig, made)
+                recorder.write(Step((RigFindings(found.findings(rig.name), tuple(opened.source.streams)),)))
     if config.write:
         write_values(Path(config.rig), found.dated)
     return found
@@ -142,45 +141,36 @@ def written_lines(found: SetupFound) -> str:
 # Devices and the person at them ---------------------------------------------------------------------------------------
 
 
-@contextlib.contextmanager
-def _open(rig: Rig, task: SetupTask[Any], asked: Interruption) -> Iterator[tuple[RigSource, Station]]:
-    """The devices, open, and who stands there: a person at a terminal, or the laboratory's."""
-    if rig.surface.scene:
-        from deformscope.lab.hidden import SimulatedHand
+def _devices(rig: Rig, task: SetupTask[Any], asked: Interruption) -> tuple[AbstractContextManager[RigSource], Station]:
+    """The devices, closed, and who stands there: a person at a terminal, or the laboratory's."""
+    if not rig.surface.scene:
+        devices = {kind: only_device(rig, kind, "to measure with") for kind in task.needs}
+        arm, wrench, camera = (devices[kind].name if kind in devices else "" for kind in ROLES)
+        measured = dataclasses.replace(rig, devices=tuple(devices.values()))
+        return open_rig(measured, member_of, None, ()), Station(arm, wrench, camera, _at_terminal(asked))
+    from deformscope.lab.hidden import SimulatedHand
 
-        parts = RigParts.of(rig)
-        table, hidden = table_of(parts)
-        assert table is not None
-        if hidden is None:
-            came = "doubles that are where the file says"
-            raise InputError(
-                "something to find out", came, "hidden = 1 in [surface]: drawn, and to be calibrated", rig.name
-            )
-        with open_rig(rig, member_of, table, parts.devices) as source:
-            arm, wrench, camera = parts.devices
-            hand = SimulatedHand(hidden, table, table.size_m)
-            yield source, Station(arm.name, wrench.name, camera.name, _simulated(hand, asked))
-        return
-    devices = {kind: only_device(rig, kind, "to measure with") for kind in task.needs}
-    used = tuple(devices.values())
-    names = {kind: entry.name for kind, entry in devices.items()}
-    with open_rig(_with(rig, used), member_of, None, ()) as source:
-        played = [names.get(kind, "") for kind in ("arm", "wrench", "depth")]
-        yield source, Station(played[0], played[1], played[2], _at_terminal(asked))
+    parts = RigParts.of(rig)
+    table, hidden = table_of(parts)
+    assert table is not None
+    if hidden is None:
+        came = "doubles that are where the file says"
+        raise InputError(
+            "something to find out", came, "hidden = 1 in [surface]: drawn, and to be calibrated", rig.name
+        )
+    arm, wrench, camera = (entry.name for entry in parts.devices)
+    hand = _simulated(SimulatedHand(hidden, table, table.size_m), asked)
+    return open_rig(rig, member_of, table, parts.devices), Station(arm, wrench, camera, hand)
 
 
-def _with(rig: Rig, devices: tuple[RigDevice, ...]) -> Rig:
-    return dataclasses.replace(rig, devices=devices)
-
-
-def _at_terminal(asked: Interruption) -> Operator:
+def _at_terminal(asked: Interruption) -> Assistant:
     """Somebody who reads what to do, does it, and presses Enter."""
-    if not sys.stdin.isatty():
+    if not at_terminal():
         raise InputError("somebody who does what is asked for", "no terminal to ask at", "--measured FILE.npz")
 
     def does(request: SetupRequest) -> RigExperiment[None]:
         say(f"{request.words}; then Enter")
-        yield from ask_line("", asked)
+        yield from Operator(asked).line("")
         _go_on(asked)
 
     return does
@@ -192,7 +182,7 @@ def _go_on(asked: Interruption) -> None:
         raise InputError("an answer to each request", "Ctrl-C: nothing was written", "begin again")
 
 
-def _simulated(hand: SimulatedHand, asked: Interruption) -> Operator:
+def _simulated(hand: SimulatedHand, asked: Interruption) -> Assistant:
     """The laboratory's person, who lets go and taps while frames pass."""
 
     def does(request: SetupRequest) -> RigExperiment[None]:

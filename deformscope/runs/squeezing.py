@@ -10,10 +10,10 @@ from typing import Any, Literal
 
 from deformscope.api.result import LibraryResult, ViewerChoice, python_names
 from deformscope.api.squeeze_result import SqueezeResult
-from deformscope.api.squeeze_run import leave, squeeze_on
 from deformscope.config import SqueezeConfig
 from deformscope.files.squeeze_dataset import SqueezeDataset, TrialEntry
 from deformscope.pictures.report import Table
+from deformscope.runs.squeeze_run import leave, squeeze_on
 from deformscope.stages.squeeze.table import LabelledTable
 from deformscope.terminal import Say, said_to
 

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from deformscope.api.setting_up import Arrays, SetupFound
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.errors import InputError
 from deformscope.experiments.setting_up import BoardViews, ForceReadings, PushedTip, Taps, taps_of
@@ -18,6 +17,7 @@ from deformscope.pictures.setup import off_figure, offset_figure
 from deformscope.rig.rig_edit import TomlValue
 from deformscope.rig.rig_file import Rig
 from deformscope.robot.placement import Placement
+from deformscope.runs.setting_up import Arrays, SetupFound
 from deformscope.stages.setup.board import CharucoSpec
 from deformscope.stages.setup.camera import KnownLens, camera_from_views, doubt_at
 from deformscope.stages.setup.force import FreeAir, force_gain, free_air, hanging_weight, mount

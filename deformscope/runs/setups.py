@@ -112,10 +112,10 @@ def setup_of(
 
 def setup_of_rig(rig: Rig, seed: int = 0) -> Setup:
     """The setup of a rig file, closed. Raises InputError, which names what it lacks."""
-    from deformscope.api.placing import PersonAtTerminal
     from deformscope.lab.arm_contact import ARM_DOUBT, ARM_STIFFNESS_N_M
     from deformscope.lab.rig_members import member_of
     from deformscope.robot.setup import RigParts, rig_setup
+    from deformscope.runs.operator import PersonAtTerminal
 
     parts = RigParts.of(rig)
     table = table_of(parts, seed)[0]

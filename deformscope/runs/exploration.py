@@ -5,11 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 from deformscope.api.exploration_result import ExplorationResult
-from deformscope.api.exploration_run import explore_on
 from deformscope.api.result import ViewerChoice, python_names
 from deformscope.config import ExploreConfig
 from deformscope.config.explore import BetaModel, Feel, Goal, Pace, Planner
 from deformscope.errors import InputError
+from deformscope.runs.exploration_run import explore_on
 from deformscope.terminal import Say, said_to
 
 

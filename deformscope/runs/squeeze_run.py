@@ -4,22 +4,22 @@ from __future__ import annotations
 
 import dataclasses
 import datetime
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from deformscope.api.moving import Watch, ask_line, ask_yes
 from deformscope.api.result import open_recorder
-from deformscope.api.setups import LAB, squeeze_setup_of
 from deformscope.api.squeeze_result import hand_words, squeeze_table
 from deformscope.errors import InputError
 from deformscope.interruption import until_interrupted
 from deformscope.log.squeeze.layout import SQUEEZE, SqueezeLayout
-from deformscope.terminal import say, status_line
+from deformscope.runs import skeleton
+from deformscope.runs.operator import Operator, at_terminal
+from deformscope.runs.setups import LAB, squeeze_setup_of
+from deformscope.runs.skeleton import open_run
+from deformscope.terminal import say
 
 if TYPE_CHECKING:
-    from deformscope.api.setups import SqueezeOpening
     from deformscope.arrays import FloatArray
     from deformscope.config import SqueezeConfig
     from deformscope.experiments.squeeze import Squeezed
@@ -30,7 +30,9 @@ if TYPE_CHECKING:
     from deformscope.page.devices import ShownDevices
     from deformscope.page.squeezing import PageSqueezing
     from deformscope.recording.recorder import Recorder
+    from deformscope.rig.source import RigSource
     from deformscope.robot.squeeze_setup import SqueezeSetup
+    from deformscope.runs.setups import SqueezeOpening
     from deformscope.session import RigExperiment
     from deformscope.stages.squeeze.model import ContentModel
     from deformscope.stages.squeeze.trial import SqueezeStop
@@ -45,26 +47,19 @@ recordings of lab:containers."""
 @dataclasses.dataclass(frozen=True, slots=True)
 class SqueezeOutcome:
     """What a squeeze left. found: as in the JSON; features: None where it was stopped; stop: why it was
-
-    signal_number: of who ended it, 0 = nobody, or somebody by other means: by, in words
-    """
+    asked: who ended it, where somebody did"""
 
     found: dict[str, Any]
     features: TrialFeatures | None
     stop: SqueezeStop | None
-    signal_number: int
-    by: str = ""
+    asked: Interruption
 
     @property
     def interrupted(self) -> bool:
         """Whether that is why it ended."""
         from deformscope.robot.squeeze_supervisor import SqueezeFault
 
-        return (
-            (self.signal_number != 0 or self.by != "")
-            and self.stop is not None
-            and self.stop.kind == SqueezeFault.ASKED
-        )
+        return self.asked.is_set() and self.stop is not None and self.stop.kind == SqueezeFault.ASKED
 
 
 def squeeze_on(config: SqueezeConfig, report: Callable[[dict[str, Any]], None]) -> SqueezeOutcome:
@@ -112,7 +107,7 @@ def squeeze_on(config: SqueezeConfig, report: Callable[[dict[str, Any]], None]) 
         from deformscope.page.squeezing import show_squeezed
 
         show_squeezed(recorder.page.session, squeeze_table(result).rows)
-    return SqueezeOutcome(result, found.features, found.stop, asked.signal_number, asked.by)
+    return SqueezeOutcome(result, found.features, found.stop, asked)
 
 
 def _run(
@@ -129,30 +124,29 @@ def _run(
     from deformscope.experiments.squeeze_frames import ObservedRecorder, SqueezeFrames, SqueezeObserver, TactileSource
     from deformscope.experiments.squeezing_hand import SqueezingHand, computing_beside, rule_of
     from deformscope.frames import InputFile
-    from deformscope.page.devices import ShownDevices, WatchedDevices
-    from deformscope.recording.losses import losses_of
-    from deformscope.session import finish
     from deformscope.session import run as run_session
 
     setup = opening.setup
     ended: dict[str, Any] = {"losses": {}, "start_ns": 0}
-    with setup.open_source() as source, status_line() as show:
+    names, geometry = setup.names, SqueezeGeometry.of(setup)
+
+    def start(source: RigSource) -> None:
         ended["start_ns"] = source.start_ns
-        names = setup.names
-        tactile = TactileSource.of(source.streams, names.tactile, setup.hand.fingers)
-        frames = SqueezeFrames(tactile, names.hand, names.camera, rule_of(setup))
-        observer = SqueezeObserver(frames, setup.hand.tactile_end, None if model is None else tactile_posterior(model))
-        geometry = SqueezeGeometry.of(setup)
-        around = around_px(geometry)
-        fingertips = names.tactile, tuple(tactile.pads)
-        layout = SqueezeLayout(source.streams, *fingertips, names.camera, around, named=model is not None)
+        pads = tuple(TactileSource.of(source.streams, names.tactile, setup.hand.fingers).pads)
+        around, named = around_px(geometry), model is not None
+        layout = SqueezeLayout(source.streams, names.tactile, pads, names.camera, around, named=named)
         recorder.start(layout, source.start_ns)
         if config.model is not None:
             recorder.write(InputFile(MODEL_INPUT, config.model.read_bytes()))
-        shown = None if recorder.page is None else ShownDevices(recorder.page.session, source.streams)
-        observed = ObservedRecorder(WatchedDevices(recorder, shown, show), observer)
-        page = _page(config, recorder, asked, shown)
-        watch = Watch(asked, show, *(() if page is None else (page.show,)))
+
+    with open_run(setup.open_source(), recorder, start) as run:
+        source = run.source
+        tactile = TactileSource.of(source.streams, names.tactile, setup.hand.fingers)
+        frames = SqueezeFrames(tactile, names.hand, names.camera, rule_of(setup))
+        observer = SqueezeObserver(frames, setup.hand.tactile_end, None if model is None else tactile_posterior(model))
+        page = _page(config, recorder, asked, run.show_devices(recorder))
+        run.recorded = observed = ObservedRecorder(run.recorded, observer)
+        watch = run.watch(asked, page)
 
         def looked_after() -> None:
             if page is not None and watch.robot is not None and (why := page.reason_to_stand()):
@@ -178,12 +172,10 @@ def _run(
             truth = setup.truth()
             ended["truth"] = {
                 name: (when_ns - source.start_ns) / 1e9 if when_ns else None
-                for name, when_ns in (("first_s", truth.first_ns), ("steady_s", truth.steady_ns))
+                for name, when_ns in (("first_s", truth.contact_ns), ("steady_s", truth.steady_ns))
             }
-        ended["losses"] = losses_of(finish(source, observed))
-        observed.rest()
-    for name, reason in source.failures.items():
-        say(f"deformscope: device {name} failed: {reason}")
+    observed.rest()
+    ended["losses"] = run.losses()
     return ended
 
 
@@ -214,12 +206,10 @@ def _permitted(
         if page is not None:
             page.go_on()
     elif page is None:
-        yield from ask_yes("Type yes to begin: ", asked)
+        yield from Operator(asked).confirm("Type yes to begin: ")
     else:
         page.wait_for(f"the hand{' (simulated)' * setup.simulated} will {moves}")
-        prompt = "Press Squeeze on the page, or type yes, to begin: "
-        if (yield from ask_line(prompt, asked, page.is_agreed)) != "yes":
-            raise InputError("yes", f"{asked.by or 'something else'}: nothing has moved")
+        yield from Operator(asked, page.is_agreed).confirm("Press Squeeze on the page, or type yes, to begin: ")
         page.go_on()
 
 
@@ -239,13 +229,13 @@ def _placed(
         f"longest edge, tilted by {grasp.tilt_deg:.0f} deg; nothing may touch the fingertips."
     )
     say(words)
-    if not config.yes or sys.stdin.isatty():
+    if not config.yes or at_terminal():
         if page is None:
-            yield from ask_line("Press Enter when it stands still: ", asked)
+            yield from Operator(asked).line("Press Enter when it stands still: ")
             return
         page.session.remark(words)
         page.wait_for("the hand closes")
-        yield from ask_line("Press Squeeze on the page, or Enter, when it stands still: ", asked, page.is_agreed)
+        yield from Operator(asked, page.is_agreed).line("Press Squeeze on the page, or Enter, when it stands still: ")
         page.go_on()
 
 
@@ -359,10 +349,9 @@ def _found(
 
 
 def leave(squeezed: SqueezeOutcome) -> None:
-    """Raises InputError with the reason and what to see to, where it was stopped."""
-    stop = squeezed.stop
-    if stop is None:
+    """Where it was stopped, raises InputError with the reason and what to see to, SystemExit if somebody ended it."""
+    if squeezed.stop is None:
         return
-    came = f"{stop.kind} ({stop.reason.split(' | ')[0]}); the hand {hand_words(squeezed.found)}"
-    hint = f"see to {stop.advice}, then squeeze again" if stop.advice else "squeeze again"
-    raise InputError("a squeeze that comes to its steady state", came, hint, squeezed.found["recording"] or "")
+    state, path = f"; the hand {hand_words(squeezed.found)}", squeezed.found["recording"]
+    expected, again = "a squeeze that comes to its steady state", "squeeze again"
+    skeleton.leave(squeezed.stop, state, squeezed.asked, path, expected, again, ended=squeezed.interrupted)

@@ -12,15 +12,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from deformscope.api.exploration_result import NOT_KNOWN, ExplorationResult, LayerThickness, TouchOutcome, TruthScore
-from deformscope.api.moving import Watch, leave, permitted
 from deformscope.api.result import open_recorder
-from deformscope.api.setups import LAB, setup_of
 from deformscope.errors import InputError
 from deformscope.interruption import until_interrupted
 from deformscope.log.exploration.layout import EXPLORATION, ExplorationLayout
 from deformscope.results.render import to_line
+from deformscope.runs.setups import LAB, setup_of
+from deformscope.runs.skeleton import leave_arm, open_run, permitted
 from deformscope.stages.msm.quiet import quiet_warp
-from deformscope.terminal import say, status_line
+from deformscope.terminal import say
 from deformscope.version import __version__
 
 if TYPE_CHECKING:
@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from deformscope.page.devices import ShownDevices
     from deformscope.page.steering import PageSteering
     from deformscope.recording.recorder import Recorder
+    from deformscope.rig.source import RigSource
     from deformscope.robot.setup import Setup
     from deformscope.session import RigExperiment, Step
     from deformscope.stages.map.exploration import TouchEstimate
@@ -125,8 +126,8 @@ def explore_on(config: ExploreConfig, report: Callable[[ExplorationResult], None
         say(f"dry run: {found.stop.reason}; the arm stands. Without --dry-run it touches.")
         return explored
     if found.stop is not None or asked.is_set():
-        stands, by = ending.arm_stopped, asked.by
-        leave(found.stop, len(found.touches), asked.signal_number, recorder.summary().path, arm_stopped=stands, by=by)
+        path, stands = recorder.summary().path, ending.arm_stopped
+        leave_arm(found.stop, len(found.touches), asked, path, arm_stopped=stands)
     return explored
 
 
@@ -154,24 +155,22 @@ def _run(
     from deformscope.experiments.beside import stages_beside
     from deformscope.experiments.explore import explore
     from deformscope.experiments.touching_robot import touching_robot
-    from deformscope.page.devices import ShownDevices, WatchedDevices
     from deformscope.pictures.apart import drawing_apart
-    from deformscope.recording.losses import losses_of
-    from deformscope.session import finish, run
+    from deformscope.session import run as run_session
 
-    with setup.open_source() as source, status_line() as show:
+    def start(source: RigSource) -> None:
         ending.start_ns = source.start_ns
         truth = setup.truth is not None and setup.truth.labels is not None
         mapped, lumps = "energy loss" if options.feel == "loss" else "stiffness", options.goal == "inclusions"
         base_from_surface = setup.placement.T_base_surface
         layout = ExplorationLayout(source.streams, setup.size_m, base_from_surface, truth, lumps, mapped)
         recorder.start(layout, source.start_ns)
-        shown = None if recorder.page is None else ShownDevices(recorder.page.session, source.streams)
-        page = _steering(config, setup, options, recorder, asked, shown)
-        watched = WatchedDevices(recorder, shown, show)
-        watch = Watch(asked, show, *(() if page is None else (page.show,)))
+
+    with open_run(setup.open_source(), recorder, start) as run:
+        page = _steering(config, setup, options, recorder, asked, run.show_devices(recorder))
+        watch = run.watch(asked, page)
         with (
-            touching_robot(setup, source, options, watch) as robot,
+            touching_robot(setup, run.source, options, watch) as robot,
             stages_beside(setup, options) as (beside, stage),
             drawing_apart() if setup.runs_itself else nullcontext(),
         ):
@@ -182,15 +181,13 @@ def _run(
                     permit = _permitted(robot, setup, options, asked, ending, yes=config.yes, page=page)
                     if page is not None:
                         robot.reason_to_stand = page.reason_to_stand
-                    experiment = _said(explore(setup.clock, stage, found, permit, page), show, options.budget, page)
-                    run(source, experiment, watched, robot, beside)
+                    experiment = _said(explore(setup.clock, stage, found, permit, page), run.line, options.budget, page)
+                    run_session(run.source, experiment, run.recorded, robot, beside)
             finally:
                 ending.arm_stopped, ending.gaps_s = watch.arm_stopped, robot.gaps_s
                 ending.largest_force_n = robot.largest_force_n
-                ending.session_s = (setup.clock() - source.start_ns) / 1e9
-        ending.losses = losses_of(finish(source, watched))
-    for name, reason in source.failures.items():
-        say(f"deformscope: device {name} failed: {reason}")
+                ending.session_s = (setup.clock() - ending.start_ns) / 1e9
+    ending.losses = run.losses()
 
 
 def _permitted(

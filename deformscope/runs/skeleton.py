@@ -1,14 +1,20 @@
-"""What commands that move a robot share: the question before it moves, Ctrl-C, and that the arm stands in the end."""
+"""What every run shares: devices opened, recorded and closed; the question before a robot moves, Ctrl-C, that the robot
+stands in the end, and how a run that was stopped leaves."""
 
 from __future__ import annotations
 
 import contextlib
-import sys
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
 from deformscope.errors import InputError
-from deformscope.terminal import say
+from deformscope.log.rig_layout import RigLayout
+from deformscope.page.devices import ShownDevices, WatchedDevices
+from deformscope.runs.operator import Operator
+from deformscope.session import finish
+from deformscope.terminal import say, status_line
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -16,17 +22,75 @@ if TYPE_CHECKING:
     from deformscope.arrays import FloatArray
     from deformscope.experiments.options import ExploreOptions
     from deformscope.experiments.touching_robot import TouchingRobot
+    from deformscope.frames import HealthReport
     from deformscope.interruption import Interruption
+    from deformscope.page.squeezing import PageSqueezing
     from deformscope.page.steering import PageSteering
+    from deformscope.recording.recorder import Recorder
+    from deformscope.rig.source import RigSource
     from deformscope.robot.setup import Setup
-    from deformscope.session import RigExperiment
+    from deformscope.session import RigExperiment, SessionRecorder
     from deformscope.stages.map.exploration import ExplorationStop
+    from deformscope.stages.squeeze.trial import SqueezeStop
 
 HALTS = 3
 """Attempts to halt the arm, each of which an interruption may cut short."""
 SHOW_EVERY = 10
 """Control periods between two words to the user."""
-POLL_S = 0.1
+
+
+@dataclass(slots=True, eq=False)
+class OpenRun:
+    """A run whose devices are open and recorded.
+
+    line: shows one line, which the next replaces; recorded: what the session writes to; last: the devices as they were
+    closed, None before
+    """
+
+    source: RigSource
+    line: Callable[[str], None]
+    recorded: SessionRecorder
+    last: HealthReport | None = None
+
+    def watch(self, asked: Interruption, page: PageSteering | PageSqueezing | None = None) -> Watch:
+        """What is called in every control period of its robot."""
+        return Watch(asked, self.line, *(() if page is None else (page.show,)))
+
+    def show_devices(self, recorder: Recorder) -> ShownDevices | None:
+        """From here on, say alarms at the terminal, and show on the recorder's page how devices are; None without."""
+        shown = None if recorder.page is None else ShownDevices(recorder.page.session, self.source.streams)
+        self.recorded = WatchedDevices(recorder, shown, self.line)
+        return shown
+
+    def losses(self) -> dict[str, dict[str, float]]:
+        """Of each device that lost something, once they are closed; says which of them failed."""
+        from deformscope.recording.losses import losses_of
+
+        say_failures(self.source.failures)
+        return {} if self.last is None else losses_of(self.last)
+
+
+@contextlib.contextmanager
+def open_run(
+    devices: AbstractContextManager[RigSource], recorder: SessionRecorder, start: Callable[[RigSource], None]
+) -> Iterator[OpenRun]:
+    """The devices, open; closed in the end, and all that came until then recorded. start: starts the recorder"""
+    with devices as source, status_line() as line:
+        start(source)
+        run = OpenRun(source, line, recorder)
+        yield run
+        run.last = finish(source, run.recorded)
+
+
+def open_rig_run(devices: AbstractContextManager[RigSource], recorder: Recorder) -> AbstractContextManager[OpenRun]:
+    """As `open_run`, recorded as a rig's devices are."""
+    return open_run(devices, recorder, lambda source: recorder.start(RigLayout(tuple(source.streams)), source.start_ns))
+
+
+def say_failures(failures: Mapping[str, str]) -> None:
+    """Reasons of the devices that failed, by name."""
+    for name, reason in failures.items():
+        say(f"deformscope: device {name} failed: {reason}")
 
 
 class WatchedRobot(Protocol):
@@ -123,72 +187,53 @@ def permitted(
             say(f"You will be asked to place the stick, step by step: {touches}. Keep your hands out of the picture.")
         if page is not None and not yes:
             page.wait_for_permission(touches)
-        if not yes and page is None and not sys.stdin.isatty():
-            raise InputError("somebody who says yes", "no terminal to ask at", "--yes")
         if not yes:
             prompt = "Type yes to begin: " if page is None else "Press Explore on the page, or type yes, to begin: "
-            answered = yield from ask_line(prompt, asked, None if page is None else page.is_permitted)
+            yield from Operator(asked, None if page is None else page.is_permitted).confirm(prompt, or_ended=True)
             if asked.is_set():
                 robot.ask_to_stop(signal_word(asked.signal_number))
-            elif answered != "yes":
-                raise InputError("yes", "something else: nothing has moved")
             preflight = yield from ask(CheckFirst(calibrated, places_m))
             if not preflight.passed:
                 say(preflight.table())
     robot.let_move(preflight)
 
 
-def ask_line(prompt: str, asked: Interruption, agreed: Callable[[], bool] | None = None) -> RigExperiment[str]:
-    """What somebody at the terminal says; frames pass meanwhile. Empty once they end it by Ctrl-C, or hang up, and yes
-    once somebody has agreed elsewhere."""
-    import select
-
-    from deformscope.session import Step
-
-    print(prompt, end="", file=sys.stderr, flush=True)
-    listened = [sys.stdin] if agreed is None or sys.stdin.isatty() else []
-    while not asked.is_set():
-        if agreed is not None and agreed():
-            return "yes"
-        if select.select(listened, [], [], POLL_S)[0]:
-            return sys.stdin.readline().strip().lower()
-        yield Step()
-    return ""
-
-
-def ask_yes(prompt: str, asked: Interruption) -> RigExperiment[None]:
-    """As `ask_line`; raises InputError unless somebody says yes."""
-    if not sys.stdin.isatty():
-        raise InputError("somebody who says yes", "no terminal to ask at", "--yes")
-    if (yield from ask_line(prompt, asked)) != "yes":
-        raise InputError("yes", "something else: nothing has moved")
-
-
-def leave(
-    stop: ExplorationStop | None,
-    touched: int,
-    signal_number: int,
-    recording: Path | None,
-    *,
-    arm_stopped: bool = True,
-    by: str = "",
+def leave_arm(
+    stop: ExplorationStop | None, touched: int, asked: Interruption, recording: Path | None, *, arm_stopped: bool = True
 ) -> None:
-    """End the command as the stop demands: with the reason and what to do, or by the signal's own exit status. by: who
-    asked, where that was no signal"""
-    import signal
-
+    """As `leave`, after so many touches."""
     from deformscope.robot.supervisor import Fault
 
     stands = "the arm stands" if arm_stopped else "THE ARM COULD NOT BE STOPPED: look at it, use its emergency stop"
-    touches = f"after {touched} touch{'es' * (touched != 1)}"
-    if stop is None or stop.kind == Fault.ASKED:
+    state = f" after {touched} touch{'es' * (touched != 1)}; {stands}"
+    ended = stop is None or stop.kind == Fault.ASKED
+    leave(stop, state, asked, recording, "an exploration that comes to its end", "explore again", ended=ended)
+
+
+def leave(
+    stop: ExplorationStop | SqueezeStop | None,
+    state: str,
+    asked: Interruption,
+    recording: Path | None,
+    expected: str,
+    again: str,
+    *,
+    ended: bool,
+) -> None:
+    """End the command as the stop demands: with the reason and what to do, or by the signal's own exit status.
+
+    state: how far it came and whether the robot stands; ended: somebody asked for it
+    """
+    import signal
+
+    advice = f"see to {stop.advice}" if stop is not None and stop.advice else ""
+    if ended or stop is None:
         kept = "" if recording is None else f"; the recording is whole: {recording}"
-        presses = f"; see to {stop.advice}" if stop is not None and stop.advice else ""
-        say(f"deformscope: ended {by or f'by {signal_word(signal_number)}'} {touches}; {stands}{presses}{kept}")
-        raise SystemExit(128 + (signal_number or signal.SIGINT))
-    hint = f"see to {stop.advice}, then explore again" if stop.advice else "explore again"
-    came = f"{stop.kind} ({stop.reason.split(' | ')[0]}) {touches}; {stands}"
-    raise InputError("an exploration that comes to its end", came, hint, recording or "")
+        by = asked.by or f"by {signal_word(asked.signal_number)}"
+        say(f"deformscope: ended {by}{state}{advice and f'; {advice}'}{kept}")
+        raise SystemExit(128 + (asked.signal_number or signal.SIGINT))
+    came = f"{stop.kind} ({stop.reason.split(' | ')[0]}){state}"
+    raise InputError(expected, came, f"{advice}, then {again}" if advice else again, recording or "")
 
 
 def signal_word(number: int) -> str:

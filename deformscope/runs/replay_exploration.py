@@ -1,4 +1,4 @@
-"""`deformscope replay` of an exploration: from its recorded depth images, wire forces and states of the arm, once more
+"""A replay of an exploration: from its recorded depth images, wire forces and states of the arm, once more
 all that was computed of them: surface, plans with their maps, touches, maps; each equal to the last bit."""
 
 from __future__ import annotations
@@ -8,9 +8,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_type_hints
 
-from deformscope.cli.common import Different, check_same, console, say, show_table, write_json
 from deformscope.config import ReplayConfig
 from deformscope.errors import InputError
+from deformscope.pictures.report import Table
+from deformscope.runs.replay_result import Different, ReplayResult, compare
 
 if TYPE_CHECKING:
     from deformscope.page.server.page_server import PageServer
@@ -32,7 +33,7 @@ LATER = (
 """Older recordings do not have these."""
 
 
-def replay_exploration(recording: Replay, config: ReplayConfig, page: PageServer | None = None) -> None:
+def replay_exploration(recording: Replay, config: ReplayConfig, page: PageServer | None = None) -> ReplayResult:
     """Compute and compare; raises Different. A stage that failed when it was recorded is reported, not computed again:
     whether it fails may hang on the machine. page: that plays it, and has other settings' results beside the recorded
     """
@@ -83,23 +84,25 @@ def replay_exploration(recording: Replay, config: ReplayConfig, page: PageServer
     run([], explored, computed, AtOnce(RecordedRobot(given)))
     again = [one for one in computed.results if isinstance(one, kinds)]
     if changes:
-        _show_beside(recorded, again, changes, config, page)
         if page is not None:
             from deformscope.page.playback import lay_beside
 
             lay_beside(page, recording, rows, again, geometry.size_m, _set_words(changes))
-        return
+        return _beside(recorded, again, changes, path, page)
     for fresh in (one for one in explorer.failures if one not in failed):
         raise Different("the recorded numbers", failed_words(fresh), where=path)
-    if len(recorded) > len(again) or (len(recorded) < len(again) and not recording.outcome.get("stopped")):
-        raise Different(f"{len(recorded)} results as recorded", str(len(again)), where=path)
-    for before, now in zip(recorded, again, strict=False):
-        check_same(before, now, path, (*TRUTH, *(name for name in LATER if getattr(before, name, None) is None)))
-    for one in failed:
-        say(f"failed when it was recorded: {failed_words(one)}")
+    cut_short = bool(recording.outcome.get("stopped"))
+    compare(recorded, again, path, _may_differ, cut_short=cut_short)
     start = "measurements" if measured else "depth images, forces and states of the arm"
-    console().print(f"replay: {len(recorded)} results from {start}, identical to the recorded numbers")
-    write_json({"results": len(recorded), "identical": True, "failures": failed}, config.output.json)
+    return ReplayResult(
+        {"results": len(recorded), "identical": True, "failures": failed},
+        verdict=f"replay: {len(recorded)} results from {start}, identical to the recorded numbers",
+        notes=tuple(f"failed when it was recorded: {failed_words(one)}" for one in failed),
+    )
+
+
+def _may_differ(before: object) -> tuple[str, ...]:
+    return (*TRUTH, *(name for name in LATER if getattr(before, name, None) is None))
 
 
 class _Heard:
@@ -128,9 +131,9 @@ def _changes(words: Sequence[str], kind: type) -> dict[str, Any]:
     return found
 
 
-def _show_beside(
-    recorded: list[Any], again: list[Any], changes: dict[str, Any], config: ReplayConfig, page: PageServer | None
-) -> None:
+def _beside(
+    recorded: list[Any], again: list[Any], changes: dict[str, Any], path: Path, page: PageServer | None
+) -> ReplayResult:
     """What comes of other settings, beside what was recorded; the robot touched where the recorded ones sent it."""
     from deformscope.pictures.words import claim_words, verdict_words
     from deformscope.stages.map.exploration import MapEstimate, TouchEstimate
@@ -148,12 +151,11 @@ def _show_beside(
     before, now = rows(recorded), rows(again)
     changed = _set_words(changes)
     beside = [(name, f"{now.get(name, 'not computed')}; recorded: {before.get(name, 'none')}") for name in before | now]
-    show_table(f"{config.recording} with {changed}", beside)
     if page is not None:  # the newest is above
         for name, words in reversed(beside):
             page.session.remark(f"{name}, with {changed}: {words}")
     found = {"identical": None, "set": changes, "recorded": before, "computed": now}
-    write_json(found, config.output.json)
+    return ReplayResult(found, (Table(beside, caption=f"{path} with {changed}"),))
 
 
 def _set_words(changes: dict[str, Any]) -> str:

@@ -1,4 +1,4 @@
-"""`deformscope replay` of a squeeze: from its recorded tactile frames, angles and depth images, once more all that was
+"""A replay of a squeeze: from its recorded tactile frames, angles and depth images, once more all that was
 computed of them: pressures, events, tracked container, features, posteriors; each equal to the last bit."""
 
 from __future__ import annotations
@@ -8,11 +8,10 @@ import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from deformscope.cli.common import Different, check_same, console, say, write_json
 from deformscope.errors import InputError
+from deformscope.runs.replay_result import Different, ReplayResult, compare
 
 if TYPE_CHECKING:
-    from deformscope.config import ReplayConfig
     from deformscope.experiments.squeeze_features import TrialFeatures
     from deformscope.recording.reader import Replay
     from deformscope.stages.squeeze.model import ContentModel
@@ -30,13 +29,12 @@ class SqueezeAgain:
     failure: str = ""
 
 
-def replay_squeeze(recording: Replay, config: ReplayConfig) -> None:
+def replay_squeeze(recording: Replay) -> ReplayResult:
     """Compute and compare; raises Different."""
-
     from deformscope.recording.items import read_results
     from deformscope.stages.squeeze.trial import SqueezeStop
 
-    path = config.recording
+    path = recording.path
     again = squeeze_again(recording)
     kinds = tuple(dict.fromkeys(map(type, again.results)))
     stops = [one.item for one in read_results(path, (SqueezeStop,), trust=True)]
@@ -45,18 +43,17 @@ def replay_squeeze(recording: Replay, config: ReplayConfig) -> None:
         before = _by_frame([one.item for one in read_results(path, (kind,), trust=True)])
         now = _by_frame([one for one in again.results if type(one) is kind])
         last = max(before, default=-1)
-        if any(frame not in now for frame in before) or any(frame not in before for frame in now if frame <= last):
-            raise Different(f"{len(before)} {kind.__name__} as recorded", str(len(now)), where=path)
-        for frame, first in before.items():
-            check_same(first, now[frame], path)
+        within = [now[frame] for frame in sorted(now) if frame in before or frame <= last]
+        compare([before[frame] for frame in sorted(before)], within, path, what=kind.__name__)
         compared += len(before)
     if again.failure and not stops:
         raise Different("the recorded features", again.failure, where=path)
-    for stop in stops:
-        say(f"stopped when it was recorded: {stop.kind}: {stop.reason}")
     counted = ", ".join(kind.__name__ for kind in kinds)
-    console().print(f"replay: {compared} results from raw frames ({counted}), identical to the recorded numbers")
-    write_json({"results": compared, "identical": True, "stopped": stops}, config.output.json)
+    return ReplayResult(
+        {"results": compared, "identical": True, "stopped": stops},
+        verdict=f"replay: {compared} results from raw frames ({counted}), identical to the recorded numbers",
+        notes=tuple(f"stopped when it was recorded: {stop.kind}: {stop.reason}" for stop in stops),
+    )
 
 
 def _by_frame(results: list[Any]) -> dict[int, Any]:
@@ -70,13 +67,13 @@ def squeeze_again(recording: Replay) -> SqueezeAgain:
     or a phase is not there."""
     import msgspec
 
-    from deformscope.api.squeeze_run import final_posterior, tactile_posterior
     from deformscope.experiments.squeeze import posterior_of
     from deformscope.experiments.squeeze_features import SqueezeGeometry, trial_features
     from deformscope.experiments.squeeze_frames import SqueezeFrames, SqueezeObserver, TactileSource
     from deformscope.frames import ArmFrame, DepthFrame, HandFrame, TactileFrame
     from deformscope.recording.item_rows import read_rows
     from deformscope.recording.items import read_streams
+    from deformscope.runs.squeeze_run import final_posterior, tactile_posterior
     from deformscope.stages.squeeze.events import EventRule
     from deformscope.stages.squeeze.trial import SqueezePhase
 
@@ -111,8 +108,8 @@ def squeeze_again(recording: Replay) -> SqueezeAgain:
 
 
 def _recorded_model(recording: Replay) -> ContentModel | None:
-    from deformscope.api.squeeze_run import MODEL_INPUT
     from deformscope.files.classifier_file import load_classifier
+    from deformscope.runs.squeeze_run import MODEL_INPUT
 
     content: Any = recording.read_inputs().get(MODEL_INPUT)
     if content is None:

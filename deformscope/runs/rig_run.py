@@ -12,7 +12,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, cast
 
-from deformscope.api.moving import signal_word
 from deformscope.api.recordings import RecordResult
 from deformscope.api.result import ViewerChoice, open_recorder, python_names
 from deformscope.config import OutputOptions, RecordConfig, RigRunOptions
@@ -34,7 +33,7 @@ from deformscope.recording.recent import LastRecorder, RecentItems, WatchedRecor
 from deformscope.recording.recorder import Recorder, RecordingSummary
 from deformscope.rig.rig_file import Rig, load_rig
 from deformscope.rig.source import RigSource
-from deformscope.session import finish
+from deformscope.runs.skeleton import open_run, signal_word
 from deformscope.session import run as run_session
 from deformscope.stages.msm.quiet import quiet_warp
 from deformscope.terminal import Say, said_to, say
@@ -88,24 +87,30 @@ def run_rig(config: RigRunOptions, auto: Literal["none", "native"], *, always_re
         members_of(rig) as members,
     ):
         say(f"opening {', '.join(member.name for member in members)}")
-        with RigSource(members, raw=rig.record.raw) as source:
+        stages: tuple[Stage, ...] = ()
+
+        def start(source: RigSource) -> None:
+            nonlocal stages
             stages = () if options is None else _stages(options, source.streams)
             shown = [(stage.name, stage.device) for stage in stages]
             if isinstance(recorder, PageRecorder):
                 recorder.start_source(source, rig.record.lossless, shown)
             else:
                 recorder.start(RigLayout(source.streams, tuple(shown)), source.start_ns, rig.record.lossless)
+
+        with open_run(RigSource(members, raw=rig.record.raw), recorder, start) as opened:
             what = f"holding the last {config.keep_last:g} s for" if at_end else "recording into"
             say(f"{what} {file}: Ctrl-C ends it" if file else "watching: Ctrl-C ends it")
-            end = _Ending(asked, config.seconds, source)
+            end = _Ending(asked, config.seconds, opened.source)
             lossless = options is not None and options.lossless
-            counts = run_session(source, live_stages(stages, beside, end, lossless=lossless), recorder)
-            last = finish(source, recorder)
-            if at_end and recent is not None and (taken := recent.taken()) is not None:
-                last = since(last, taken[0])  # as the recording has it
-            failures = dict(source.failures)
-            why = end.reason + "".join(f"; {name} failed: {reason}" for name, reason in failures.items())
-            recorder.stopped_because(why)
+            counts = run_session(opened.source, live_stages(stages, beside, end, lossless=lossless), recorder)
+        last = opened.last
+        assert last is not None
+        if at_end and recent is not None and (taken := recent.taken()) is not None:
+            last = since(last, taken[0])  # as the recording has it
+        failures = dict(opened.source.failures)
+        why = end.reason + "".join(f"; {name} failed: {reason}" for name, reason in failures.items())
+        recorder.stopped_because(why)
     files = recorder.summaries if isinstance(recorder, PageRecorder) else None
     result = _result(config, recorder.summary(), last, failures, why, counts, files)
     return RigRun(result, failures, end.reason, end.early_by)

@@ -1,0 +1,216 @@
+"""A recording computed again: the same stages on its inputs, compared with its numbers; of a rig, its bytes decoded
+again and compared with its frames."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from deformscope.api.result import ViewerChoice, python_names
+from deformscope.config import OutputOptions, ReplayConfig
+from deformscope.errors import InputError
+from deformscope.pictures.report import Table
+from deformscope.pictures.words import failed_words
+from deformscope.recording.item_rows import read_rows
+from deformscope.recording.items import ITEMS, read_estimates, read_streams
+from deformscope.recording.reader import Replay
+from deformscope.runs.operator import wait_for_enter
+from deformscope.runs.replay_result import Different, ReplayResult, compare
+from deformscope.stages.msm.quiet import quiet_warp
+from deformscope.terminal import Progress, shown_progress
+
+if TYPE_CHECKING:
+    from deformscope.files.sources import Source
+    from deformscope.stages.fit.estimate import Estimate
+
+CUT_SHORT = "the recording holds no result (its run was cut short): nothing to compare with"
+
+
+def replay(
+    path: Path | str,
+    *,
+    settings: Mapping[str, object] | None = None,
+    record: Path | str | None = None,
+    viewer: ViewerChoice = "none",
+    overwrite: bool = False,
+    progress: Progress | bool | None = None,
+) -> ReplayResult:
+    """Compute a recording again from its inputs, and compare with the numbers that it holds.
+
+    settings: other ones than recorded, of an exploration, by name; what comes of them is not compared to the bit
+    progress: as of `calibrate_beta`
+    Raises InputError where the numbers differ, or for what cannot be used.
+    """
+    changes = tuple(f"{name}={value}" for name, value in (settings or {}).items())
+    with python_names(), shown_progress(progress) as note:
+        output = OutputOptions(None, None if record is None else Path(record), viewer, overwrite)
+        found = replay_on(ReplayConfig(Path(path), set=changes, output=output), note)
+        if found.different is not None:
+            raise found.different
+    return found
+
+
+def replay_on(config: ReplayConfig, progress: Progress | None = None) -> ReplayResult:
+    """As the options say. Raises `Different` for numbers that are not as recorded, unless the result says so."""
+    quiet_warp()
+    recording = Replay(config.recording)
+    settings = recording.settings
+    if config.beside is not None:
+        return _align(recording, Replay(config.beside), config)
+    page = None
+    if config.output.viewer == "page" and settings.keys() & {"explore", "squeezed", "rig"}:
+        from deformscope.page.playback import play_on_page
+
+        page = play_on_page(config.recording)
+    if "explore" in settings:
+        from deformscope.runs.replay_exploration import replay_exploration
+
+        return replay_exploration(recording, config, page)
+    if "squeezed" in settings:
+        from deformscope.runs.replay_squeeze import replay_squeeze
+
+        return replay_squeeze(recording)
+    if config.set:
+        raise InputError("--set with a recorded exploration", "a recording of another kind", where=config.recording)
+    if "rig" in settings:
+        return _replay_rig(recording)
+    recorded, found = (_material if "material" in settings else _fits)(recording, config, progress)
+    every = [one.to_dict() for one in found]
+    result = ReplayResult(every[0] if len(every) == 1 else every, tuple(found), CUT_SHORT)
+    if not recorded:
+        return result
+    estimates = [one.estimate for one in found]
+    distance = None if "material" in settings else _distance
+    try:  # the settings name the machine's own device
+        worst = compare(recorded, estimates, config.recording, lambda before: ("settings",), distance=distance)
+    except Different as error:
+        return dataclasses.replace(result, verdict="", different=error)
+    same = "identical to" if worst is None else f"within {worst:.1g} (of the interval or error) of"
+    return dataclasses.replace(result, verdict=f"replay: {same} the recorded numbers")
+
+
+def _frames(recording: Replay, config: ReplayConfig) -> Source:
+    from deformscope.files.sources import Source
+
+    return Source(
+        str(config.recording),
+        lambda: recording.frames(config.pace, lambda frame: wait_for_enter(f"frame {frame.index}")),
+        recording.frame_count,
+    )
+
+
+def _material(
+    recording: Replay, config: ReplayConfig, progress: Progress | None
+) -> tuple[Sequence[Any], Sequence[Any]]:
+    """What was found of a material, as recorded and computed again."""
+    from deformscope.api.materials import replay_material
+
+    recorded, found = replay_material(recording, _frames(recording, config), config.output, progress=progress)
+    return recorded[:1], [found]
+
+
+def _fits(recording: Replay, config: ReplayConfig, progress: Progress | None) -> tuple[Sequence[Any], Sequence[Any]]:
+    """Estimates of a calibration, as recorded and computed again."""
+    import msgspec
+
+    from deformscope.api.calibration import calibrate_pair_bytes, run_images
+    from deformscope.experiments.foam_video import ParticleOptions
+    from deformscope.experiments.poke_files import LayersOptions
+    from deformscope.experiments.whole_motion import Selectable
+    from deformscope.stages.fit.calibrate import FitOptions
+    from deformscope.stages.msm.solver import pick_device
+
+    settings = dict(recording.settings)
+    try:
+        fit = msgspec.convert(settings.pop("fit"), FitOptions)
+        particles = msgspec.convert(settings.pop("particles", {}), ParticleOptions)
+        motion = settings.pop("motion", None)
+        select = None if motion is None else msgspec.convert(motion["select"], tuple[Selectable, ...])
+    except (KeyError, msgspec.ValidationError) as error:
+        raise InputError(
+            "a recording of a calibration", f"settings of another kind ({error})", where=config.recording
+        ) from error
+    if fit.model.device != "cpu":  # the recording's GPU may not be here
+        fit = dataclasses.replace(fit, model=dataclasses.replace(fit.model, device=pick_device("auto")))
+    recorded = read_estimates(recording)
+    if not (pairs := recording.read_pair_bytes()):
+        with _frames(recording, config) as source:
+            return recorded, [
+                run_images(source, recording.mask, fit, particles, settings, config.output, select, progress)
+            ]
+    names = list(settings.get("sources", [])) or [f"pair {index}" for index in range(len(pairs))]
+    return recorded, calibrate_pair_bytes(
+        list(zip(names, pairs, strict=True)),
+        fit,
+        config.output,
+        noise_m=settings.get("noise_m"),
+        joint=bool(settings.get("joint")),
+        layers=msgspec.convert(settings["layers"], LayersOptions) if "layers" in settings else None,
+        progress=progress,
+    )
+
+
+def _distance(before: Estimate, now: Estimate) -> float:
+    """The largest difference of two estimates' headline numbers, in the units of `CLOSE`."""
+    same = ("parameter", "unit", "metres_per_unit")
+    if any(getattr(before, name) != getattr(now, name) for name in same):
+        return math.inf
+    low, high = before.interval
+    width = max(high - low, 1e-6)
+    ends = zip((before.value, low, high), (now.value, *now.interval), strict=True)
+    errors = ((before.aee, now.aee), (before.aee_free, now.aee_free))
+    return max(*(abs(b - n) / width for b, n in ends), *(abs(b - n) / max(abs(b), 1e-12) for b, n in errors))
+
+
+def _align(first: Replay, second: Replay, config: ReplayConfig) -> ReplayResult:
+    """Show two recordings on a page, both from their first contact on; raises InputError where one has none."""
+    from deformscope.page.aligned import align_on_page
+
+    if config.output.viewer != "page" or config.set or config.output.record is not None:
+        raise InputError("--beside with --viewer page, without --set or --record", "other options")
+    _, contacts_s = align_on_page(first, second)
+    paths = first.path, second.path
+    rows = [(str(path), f"first contact at {at_s:.3f} s") for path, at_s in zip(paths, contacts_s, strict=True)]
+    table = Table(rows, caption="two recordings from their first contact on")
+    return ReplayResult({"beside": paths, "first_contact_s": contacts_s}, (table,))
+
+
+def _replay_rig(recording: Replay) -> ReplayResult:
+    """`different` where a frame is not what its bytes give, or a stage's result not what its frames give."""
+    from deformscope.experiments.replay_stages import replay_stages
+    from deformscope.rig.decoded import compare_with_bytes
+    from deformscope.rig.rig_file import parse_rig
+
+    settings, path = recording.settings, recording.path
+    rig = parse_rig(settings["rig"], settings.get("rig_name", "rig"))
+    items = (row.item for row in read_rows(recording, ITEMS, lambda encoded, which: encoded))
+    found = compare_with_bytes(rig, read_streams(path, trust=True), items)
+    rows = []
+    for one in found:
+        result = f"{one.compared} of {one.frames} frames decoded again" if one.compared else f"{one.frames} frames"
+        result += f"; DIFFERENT: {one.difference}" if one.difference else ", identical" if one.compared else ""
+        rows.append((one.device, result + (f"; not compared: {one.left_out}" if one.left_out else "")))
+    report: dict[str, Any] = {"devices": [dataclasses.asdict(one) for one in found], "identical": True}
+    different: Different | None = None
+    notes: tuple[str, ...] = ()
+    if "stages" in settings:
+        stages = replay_stages(path, trust=True)
+        wrong = {name: share for name, share in stages.different.items() if share > 0.0}
+        words = {name: f"DIFFERENT by {share:.2g}" for name, share in wrong.items()}
+        rows += [(f"stage {name}", words.get(name, "computed again, identical")) for name in stages.different]
+        rows += [("failed when recorded", failed_words(one)) for one in stages.failures]
+        report["stages"] = dataclasses.asdict(stages)
+        notes = (f"replay: {stages.results} results of stages computed again, identical to the recorded ones",)
+        if wrong:
+            came = ", ".join(f"{name} that differs by {share:.2g}" for name, share in wrong.items())
+            different = Different("the recorded results of every stage, to the last bit", came, where=path)
+    if differences := [one.difference for one in found if one.difference]:
+        more = f" (and of {len(differences) - 1} more devices)" if len(differences) > 1 else ""
+        different = Different("frames as their bytes give them", differences[0] + more, where=path)
+    report["identical"] = different is None
+    verdict = f"replay: {sum(one.compared for one in found)} frames decoded again, identical to the recorded ones"
+    shown = (Table(rows, caption=f"replay of {path}"),)
+    return ReplayResult(report, shown, verdict, notes, different)

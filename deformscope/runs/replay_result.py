@@ -1,0 +1,80 @@
+"""What came of a replay, and how recorded results are compared with those computed again."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from deformscope.api.result import LibraryResult
+from deformscope.errors import InputError
+from deformscope.pictures.report import Figure, Table
+from deformscope.rows import differing
+
+CLOSE = 0.01
+"""Largest difference that another machine's arithmetic may make: of the value and its interval as a share of the
+interval's width, of an error as a share of itself. On one machine there is none."""
+
+
+class Different(InputError):
+    """What was computed again is not what was recorded."""
+
+
+@dataclass(frozen=True, slots=True)
+class ReplayResult(LibraryResult):
+    """What was computed again of a recording.
+
+    found: the JSON of `deformscope replay`, a list where several pairs were fitted; shown: results with their tables
+    verdict: how it compares with what was recorded; notes: what failed or stopped when it was recorded
+    different: what differs, where the results are known all the same, else None
+    """
+
+    found: Any
+    shown: tuple[LibraryResult | Table, ...] = ()
+    verdict: str = ""
+    notes: tuple[str, ...] = ()
+    different: Different | None = None
+
+    def as_json(self) -> Any:
+        return self.found
+
+    def tables(self) -> tuple[Table, ...]:
+        shown = [(one,) if isinstance(one, Table) else one.tables() for one in self.shown]
+        said = [("", words) for words in (*self.notes, self.verdict) if words]
+        return (*(table for tables in shown for table in tables), *([Table(said, caption="replay")] if said else []))
+
+    def figures(self) -> tuple[Figure, ...]:
+        return tuple(figure for one in self.shown if not isinstance(one, Table) for figure in one.figures())
+
+
+def compare(
+    recorded: Sequence[object],
+    computed: Sequence[object],
+    path: Path,
+    leave_out: Callable[[object], Collection[str]] = lambda before: (),
+    *,
+    what: str = "results",
+    cut_short: bool = False,
+    distance: Callable[[Any, Any], float] | None = None,
+) -> float | None:
+    """Raises Different unless each recorded result is as computed, to the last bit. path: of the recording
+
+    leave_out: fields of a result that may differ; cut_short: more may have been computed than was recorded
+    distance: of two results that differ, where less than `CLOSE` may; returns the largest, None = to the last bit
+    """
+    if len(recorded) > len(computed) or (len(recorded) < len(computed) and not cut_short):
+        raise Different(f"{len(recorded)} {what} as recorded", str(len(computed)), where=path)
+    found: list[float] = []
+    for before, now in zip(recorded, computed, strict=False):
+        if type(before) is not type(now):
+            raise Different(f"a {type(before).__name__}, as recorded", f"a {type(now).__name__}", where=path)
+        if (name := differing(before, now, leave_out(before))) is not None:
+            if distance is None:
+                came = f"another {name} of {type(before).__name__}"
+                raise Different("the recorded numbers, to the last bit", came, where=path)
+            found.append(distance(before, now))
+    if found and max(found) > CLOSE:
+        came = f"numbers that differ by {max(found):.1%} of the interval or error"
+        raise Different("the recorded numbers", came, "the versions in the recording's properties", path)
+    return max(found, default=None)
