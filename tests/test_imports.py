@@ -50,7 +50,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "stages.map": (
         *("arrays", "errors", "results", "stages.msm", "stages.see", "stages.fit", "stages.regions", "stages.poke"),
     ),
-    "stages.squeeze": ("arrays", "capsule", "errors", "processes", "stages.see"),
+    "stages.squeeze": ("arrays", "capsule", "errors", "processes", "results", "stages.see"),
     "stages.setup": ("arrays", "errors"),
     "pictures": ("arrays", "errors", "images", "plain", "processes", "results", *STAGES),
     "log": ("arrays", "frames", "images", "pictures", "plain", "rows", *STAGES),
@@ -65,7 +65,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "files": ("arrays", "errors", "file_io", "frames", "images", "recording", *STAGES),
     "experiments": (
         *("arrays", "capsule", "errors", "files", "frames", "images", "processes", "recording", "rig", "robot"),
-        *("rows", "session", "version", *STAGES),
+        *("results", "rows", "session", "version", *STAGES),
     ),
     "reproduce": (
         *("api", "arrays", "capsule", "errors", "experiments", "files", "frames", "lab", "log", "pictures", "plain"),
