@@ -145,3 +145,13 @@ def test_touches_are_counted_and_the_time_left_is_said(capsys: pytest.CaptureFix
     assert said[2].startswith("touch 2 of at most 12, at (15, 20) cm: because; some ")
     assert said[2].endswith(" s to go for all 12")
     assert said[-1] == "no further touch: all touches that were allowed are made"
+
+
+def test_touches_stand_in_a_table_of_what_was_measured_of_any() -> None:
+    touches = tuple(TouchOutcome(touch(number), 1.0, None, [], False) for number in range(2))
+    _, table = found_with(touches=touches).tables()
+    assert table.names == ("touch", "stiffness", "dent", "modulus")
+    assert [row[0] for row in table.rows] == ["1", "2"]
+    assert all("N/mm (" in str(row[1]) for row in table.rows)
+    assert len(found_with(touches=()).tables()) == 1
+    assert '<th scope="col">stiffness</th>' in found_with(touches=touches).findings().html()

@@ -69,6 +69,7 @@ class TouchEstimate:
     contact_m: float
     stiffness_n_per_mm: float = field(
         metadata=reported(
+            "stiffness",
             key="apparent_stiffness_n_per_mm",
             unit="N/mm",
             words=lambda touch: touch.stiffness_text + (f" ({touch.interval_text})" if touch.interval_text else ""),
@@ -85,13 +86,15 @@ class TouchEstimate:
     level_n_per_mm: float | None = field(default=None, metadata=reported(unit="N/mm"))
 
     @property
-    @derived(key=None, line="dent {}", caption="{}")
+    @derived("dent", key=None, line="dent {}", caption="{}")
     def dent_text(self) -> str:
         """The dent and the force that made it; the force alone where no contact was fitted."""
         force = f"{self.peak_force_n:.2f} N"
         return f"{1e3 * self.depth_m:.1f} mm at {force}" if self.usable else force
 
-    modulus_pa: float | None = field(metadata=reported(unit="Pa", scale=1e-3, shown_unit="kPa", caption="modulus {}"))
+    modulus_pa: float | None = field(
+        metadata=reported("modulus", unit="Pa", scale=1e-3, shown_unit="kPa", caption="modulus {}")
+    )
     modulus_interval_pa: tuple[float, float] | None = field(default=None, metadata=reported(unit="Pa"))
     depth_m: float = field(metadata=reported(unit="m"))
     peak_force_n: float = field(metadata=reported(unit="N"))
