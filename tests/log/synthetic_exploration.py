@@ -241,8 +241,24 @@ def small_results() -> tuple[Result, ...]:
     labels[:, 3:] = 1
     cloud = np.ones((3, 3))
     touch = TouchEstimate(
-        *(0, at, np.array([0.0, 0.0, 1.0]), way, way, way, 0.0, 1.0, (0.9, 1.1), False, None, 0.01, 3.0),
-        *(None, None, "", cloud, cloud),
+        number=0,
+        xyz_m=at,
+        normal=np.array([0.0, 0.0, 1.0]),
+        approach_m=way,
+        approach_n=way,
+        fitted_n=way,
+        contact_m=0.0,
+        stiffness_n_per_mm=1.0,
+        stiffness_interval=(0.9, 1.1),
+        rigid=False,
+        modulus_pa=None,
+        depth_m=0.01,
+        peak_force_n=3.0,
+        beta=None,
+        beta_interval=None,
+        beta_verdict="",
+        observed_m=cloud,
+        simulated_m=cloud,
     )
     levels, intervals, rigid = np.ones(2), np.ones((2, 2)), np.zeros(2, np.bool_)
     maps = MapEstimate(
