@@ -81,8 +81,24 @@ def touch() -> TouchEstimate:
     way, at = np.linspace(0.0, 0.01, 9), np.zeros(3)
     cloud = np.zeros((0, 3))
     return TouchEstimate(
-        *(0, at, np.array([0.0, 0.0, 1.0]), way, way * 200, way * 200, 0.001, 0.4, (0.3, 0.5), False, None, 0.009, 2.0),
-        *(None, None, "not asked for", cloud, cloud),
+        number=0,
+        xyz_m=at,
+        normal=np.array([0.0, 0.0, 1.0]),
+        approach_m=way,
+        approach_n=way * 200,
+        fitted_n=way * 200,
+        contact_m=0.001,
+        stiffness_n_per_mm=0.4,
+        stiffness_interval=(0.3, 0.5),
+        rigid=False,
+        modulus_pa=None,
+        depth_m=0.009,
+        peak_force_n=2.0,
+        beta=None,
+        beta_interval=None,
+        beta_verdict="not asked for",
+        observed_m=cloud,
+        simulated_m=cloud,
     )
 
 
