@@ -50,7 +50,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "stages.map": (
         *("arrays", "errors", "results", "stages.msm", "stages.see", "stages.fit", "stages.regions", "stages.poke"),
     ),
-    "stages.squeeze": ("arrays", "capsule", "errors", "processes", "stages.see"),
+    "stages.squeeze": ("arrays", "capsule", "errors", "processes", "results", "stages.see"),
     "stages.setup": ("arrays", "errors"),
     "pictures": ("arrays", "errors", "images", "plain", "processes", "results", *STAGES),
     "log": ("arrays", "frames", "images", "pictures", "plain", "rows", *STAGES),
@@ -64,8 +64,8 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "recording": ("arrays", "errors", "frames", "images", "log", "page.server", "rows", "session", *STAGES),
     "files": ("arrays", "errors", "file_io", "frames", "images", "recording", *STAGES),
     "experiments": (
-        *("arrays", "capsule", "config", "errors", "files", "frames", "images", "processes", "recording", "rig"),
-        *("robot", "rows", "session", "version", *STAGES),
+        *("arrays", "capsule", "config", "errors", "files", "frames", "images", "processes", "recording", "results"),
+        *("rig", "robot", "rows", "session", "version", *STAGES),
     ),
     "reproduce": (
         *("api", "arrays", "capsule", "config", "errors", "experiments", "files", "frames", "lab", "log", "pictures"),
@@ -107,8 +107,8 @@ LAYERS: dict[str, tuple[str, ...]] = {
             "lab",
             "log",
         ),
-        *("page", "pictures", "plain", "processes", "recording", "results", "rig", "robot", "session", "terminal"),
-        *("version", *STAGES),
+        *("page", "page.server", "pictures", "plain", "recording", "results", "rig", "robot", "rows", "session"),
+        *("terminal", "version", *STAGES),
     ),
 }
 """What each folder may import of the others, also inside functions and for type checking. Nothing imports `cli`."""

@@ -261,11 +261,11 @@ def replayed(name: str, base: Path, folder: Path) -> list[str]:
     """How what the base recorded replays with this checkout's code, where that differs from how it did at the base."""
     found: list[str] = []
     for number, line in enumerate(CASES[name].lines):
-        recording = base / shlex.split(line)[1]
-        if not line.startswith("replay ") or not recording.exists():
+        recording = base / (*shlex.split(line), "")[1]
+        if not line.startswith("replay ") or not recording.is_file():
             continue
         folder.mkdir(parents=True, exist_ok=True)
-        for path in (recording, recording.with_name(recording.name + ".ledger")):
+        for path in base.glob(f"{recording.name}*"):
             (folder / path.name).write_bytes(path.read_bytes())
         came, was = typed(f"{line} --overwrite", ROOT, folder), (base / f"{number}.printed").read_text(encoding="utf-8")
         came = came.replace(f"$ {line} --overwrite", f"$ {line}")

@@ -16,7 +16,7 @@ from deformscope.pictures.report import Figure, Table
 from deformscope.pictures.words import claim_words, counted, ended_words, failed_words, travel_words
 from deformscope.recording.losses import named
 from deformscope.results.declared import derived, quantities, reported
-from deformscope.results.render import Rows, to_json, to_words, units_of
+from deformscope.results.render import Rows, to_columns, to_json, to_words, units_of
 from deformscope.stages.map.exploration import (
     LumpMissed,
     LumpsFound,
@@ -185,7 +185,10 @@ class ExplorationResult(LibraryResult):
         return to_json(self)
 
     def tables(self) -> tuple[Table, ...]:
-        return (Table(self.rows(), caption=self.scenario),)
+        names, rows = to_columns([one.touch for one in self.touches])
+        touches = [(str(number), *row) for number, row in enumerate(rows, start=1)]
+        found = Table(self.rows(), caption=self.scenario)
+        return (found, Table(touches, ("touch", *names), "Touches")) if touches else (found,)
 
     def figures(self) -> tuple[Figure, ...]:
         return (Figure(png, f"Maps of {self.scenario}"),) if (png := self.png) else ()

@@ -7,22 +7,19 @@ deformscope squeeze lab:containers --model contents.npz --seed 5
 
 from __future__ import annotations
 
-from typing import Any
-
-from deformscope.api.squeeze_result import squeeze_table
+from deformscope.api.squeeze_result import SqueezeResult
 from deformscope.cli.common import EXIT_LOSSES, show, write_json
 from deformscope.config import SqueezeConfig
-from deformscope.pictures.findings import table_text
 from deformscope.runs.squeeze_run import leave, squeeze_on
 
 
 def run(config: SqueezeConfig) -> int:
     """Squeeze, keep, report. Returns the command's exit status."""
 
-    def report(found: dict[str, Any]) -> None:
-        write_json(found, config.output.json)
-        show(table_text(squeeze_table(found)))
+    def report(result: SqueezeResult) -> None:
+        write_json(result.as_json(), config.output.json)
+        show(result)
 
     squeezed = squeeze_on(config, report)
     leave(squeezed)
-    return EXIT_LOSSES if squeezed.found["losses"] and squeezed.found["recording"] is not None else 0
+    return EXIT_LOSSES if squeezed.result.losses and squeezed.result.recording is not None else 0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ from deformscope.capsule import Capsule
 from deformscope.errors import InputError
 from deformscope.experiments.squeeze_frames import SqueezeFrames, frame_ns
 from deformscope.frames import DepthFrame, HandFrame
+from deformscope.results.declared import reported
 from deformscope.rig.squeeze_sections import ContainerSection, HandSection
 from deformscope.robot.mesh_files import read_meshes
 from deformscope.robot.setup import CameraView
@@ -119,7 +120,7 @@ class TrialFeatures:
     is known of them; vision_series: (k, 121) the small change of depth every 0.1 s since first contact, None = none"""
 
     events: SqueezeEvents
-    features: SqueezeFeatures
+    features: SqueezeFeatures = field(metadata=reported(flat=True))
     tracked: tuple[tuple[int, TrackedContainer], ...] = ()
     poses: tuple[PoseEstimate, ...] = ()
     vision_series: FloatArray | None = None

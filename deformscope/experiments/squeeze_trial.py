@@ -11,7 +11,7 @@ from deformscope.experiments.squeezing_hand import rule_of
 from deformscope.files.squeeze_dataset import TrialEntry, TrialRow
 from deformscope.robot.squeeze_setup import SqueezeSetup
 from deformscope.stages.squeeze.patch import SIDE_PX
-from deformscope.stages.squeeze.physical import PHYSICAL
+from deformscope.stages.squeeze.trial import PHYSICAL
 from deformscope.version import __version__
 
 

@@ -137,6 +137,8 @@ def touch_estimate(
         modulus_interval_pa=None if modulus is None else modulus.interval_pa,
         depth_m=nan if fit is None else fit.dent_m(fit.peak_force_n),
         peak_force_n=float(force_n.max()) if fit is None else fit.peak_force_n,
+        peak_rate_n_per_s=None if fit is None else fit.peak_rate_n_per_s,
+        peak_rate_interval_n_per_s=None if fit is None else fit.peak_rate_interval_n_per_s,
         beta=beta.value,
         beta_interval=beta.interval,
         beta_verdict=beta.verdict,

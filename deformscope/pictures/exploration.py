@@ -78,7 +78,7 @@ def gain_png(plan: PlannedTouch, cell_m: float, contacts_m: FloatArray | None = 
 
 def force_png(touch: TouchEstimate, name: str = "") -> bytes:
     """Force over the depth of the tip, the fitted law, and where contact began. name: instead of the touch's number"""
-    return _one(lambda axes: draw_force(axes, touch, name), (0.14, 0.155, 0.8, 0.62))
+    return _one(lambda axes: draw_force(axes, touch, name), (0.14, 0.155, 0.8, 0.57))
 
 
 def section_png(touch: TouchEstimate) -> bytes:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Literal, cast
 
 from deformscope.plain import plain
@@ -103,6 +103,15 @@ def to_rows(result: Any, *names: str) -> Rows:
     declared = {one.name: one for one in quantities(type(result))}
     shown = [(declared[name].label, _words(result, declared[name])) for name in names]
     return [row for row in shown if row[1]]
+
+
+def to_columns(results: Sequence[Any]) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+    """Results of one kind below each other: the names of all quantities that have one and are known of any of them, and
+    of each result what is shown of these."""
+    kind = quantities(type(results[0])) if results else ()
+    shown = {one.label: [_words(result, one) for result in results] for one in kind if one.label}
+    known = {label: words for label, words in shown.items() if any(words)}
+    return tuple(known), [*zip(*known.values(), strict=True)]
 
 
 def to_line(result: Any, kind: Literal["line", "caption"] = "line") -> str:

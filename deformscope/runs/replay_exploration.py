@@ -23,6 +23,8 @@ LATER = (
     "isopleths",
     "gain_unit",
     "speed_m_s",
+    "peak_rate_n_per_s",
+    "peak_rate_interval_n_per_s",
     "modulus_interval_pa",
     "level_modulus_pa",
     "level_modulus_interval_pa",

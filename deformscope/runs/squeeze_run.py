@@ -9,12 +9,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from deformscope.api.result import open_recorder
-from deformscope.api.squeeze_result import hand_words, squeeze_table
+from deformscope.api.squeeze_result import SqueezeResult
 from deformscope.errors import InputError
 from deformscope.interruption import until_interrupted
 from deformscope.log.squeeze.layout import SQUEEZE, SqueezeLayout
 from deformscope.runs import skeleton
-from deformscope.runs.operator import Operator, at_terminal
+from deformscope.runs.operator import RobotOperator, at_terminal
 from deformscope.runs.setups import LAB, squeeze_setup_of
 from deformscope.runs.skeleton import open_run
 from deformscope.terminal import say
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from deformscope.arrays import FloatArray
     from deformscope.config import SqueezeConfig
     from deformscope.experiments.squeeze import Squeezed
-    from deformscope.experiments.squeeze_features import TrialFeatures
     from deformscope.experiments.squeeze_frames import Predict
     from deformscope.files.squeeze_dataset import SqueezeDataset, TrialEntry
     from deformscope.interruption import Interruption
@@ -35,7 +34,6 @@ if TYPE_CHECKING:
     from deformscope.runs.setups import SqueezeOpening
     from deformscope.session import RigExperiment
     from deformscope.stages.squeeze.model import ContentModel
-    from deformscope.stages.squeeze.trial import SqueezeStop
 
 MODEL_INPUT = "model.npz"
 """The model, as an input in the recording."""
@@ -46,12 +44,9 @@ recordings of lab:containers."""
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class SqueezeOutcome:
-    """What a squeeze left. found: as in the JSON; features: None where it was stopped; stop: why it was
-    asked: who ended it, where somebody did"""
+    """What a squeeze left. asked: who ended it, where somebody did"""
 
-    found: dict[str, Any]
-    features: TrialFeatures | None
-    stop: SqueezeStop | None
+    result: SqueezeResult
     asked: Interruption
 
     @property
@@ -59,10 +54,11 @@ class SqueezeOutcome:
         """Whether that is why it ended."""
         from deformscope.robot.squeeze_supervisor import SqueezeFault
 
-        return self.asked.is_set() and self.stop is not None and self.stop.kind == SqueezeFault.ASKED
+        stop = self.result.stop
+        return self.asked.is_set() and stop is not None and stop.kind == SqueezeFault.ASKED
 
 
-def squeeze_on(config: SqueezeConfig, report: Callable[[dict[str, Any]], None]) -> SqueezeOutcome:
+def squeeze_on(config: SqueezeConfig, report: Callable[[SqueezeResult], None]) -> SqueezeOutcome:
     """Squeeze, with the laboratory or the devices of a rig file; keep the trial; report what was found."""
     from deformscope.experiments.squeeze import Squeezed
     from deformscope.experiments.squeeze_trial import entry_of, feature_settings, recorded_settings, row_of
@@ -101,13 +97,30 @@ def squeeze_on(config: SqueezeConfig, report: Callable[[dict[str, Any]], None]) 
     entry = _finished(entry, found, ended, dataset, path)
     if dataset is not None:
         SqueezeDataset(dataset.folder, feature_settings(opening.setup)).add([row_of(entry, found.features)])
-    result = _found(config, opening, entry, found, ended) | {"dataset": config.dataset, "recording": path}
+    result = SqueezeResult(
+        rig=config.rig,
+        simulated=opening.setup.simulated,
+        trial=entry.trial,
+        content=entry.content,
+        content_given=bool(config.content),
+        container=entry.container,
+        stop=found.stop,
+        start_ns=ended["start_ns"],
+        computed=found.features,
+        answer=found.posterior,
+        hand_stands=ended["hand_stands"],
+        limits_restored=ended["limits_restored"],
+        losses=ended["losses"],
+        truth=ended.get("truth"),
+        dataset=config.dataset,
+        recording=path,
+    )
     report(result)
     if recorder.page is not None:
         from deformscope.page.squeezing import show_squeezed
 
-        show_squeezed(recorder.page.session, squeeze_table(result).rows)
-    return SqueezeOutcome(result, found.features, found.stop, asked)
+        show_squeezed(recorder.page.session, result.rows())
+    return SqueezeOutcome(result, asked)
 
 
 def _run(
@@ -206,10 +219,10 @@ def _permitted(
         if page is not None:
             page.go_on()
     elif page is None:
-        yield from Operator(asked).confirm("Type yes to begin: ")
+        yield from RobotOperator(asked).confirm("Type yes to begin: ")
     else:
         page.wait_for(f"the hand{' (simulated)' * setup.simulated} will {moves}")
-        yield from Operator(asked, page.is_agreed).confirm("Press Squeeze on the page, or type yes, to begin: ")
+        yield from RobotOperator(asked, page.is_agreed).confirm("Press Squeeze on the page, or type yes, to begin: ")
         page.go_on()
 
 
@@ -231,11 +244,13 @@ def _placed(
     say(words)
     if not config.yes or at_terminal():
         if page is None:
-            yield from Operator(asked).line("Press Enter when it stands still: ")
+            yield from RobotOperator(asked).line("Press Enter when it stands still: ")
             return
         page.session.remark(words)
         page.wait_for("the hand closes")
-        yield from Operator(asked, page.is_agreed).line("Press Squeeze on the page, or Enter, when it stands still: ")
+        yield from RobotOperator(asked, page.is_agreed).line(
+            "Press Squeeze on the page, or Enter, when it stands still: "
+        )
         page.go_on()
 
 
@@ -312,46 +327,14 @@ def _size_words(setup: SqueezeSetup) -> str:
     return f"a recording of some {TRIAL_S:g} s will take about {bytes_s * TRIAL_S / 1e6:.0f} MB"
 
 
-def _found(
-    config: SqueezeConfig, opening: SqueezeOpening, entry: TrialEntry, found: Squeezed, ended: dict[str, Any]
-) -> dict[str, Any]:
-    """What the JSON says of a squeeze."""
-    from deformscope.stages.squeeze.physical import PHYSICAL
-
-    computed, posterior, stop = found.features, found.posterior, found.stop
-    result: dict[str, Any] = {
-        "rig": config.rig,
-        "simulated": opening.setup.simulated,
-        "trial": entry.trial,
-        "content": entry.content,
-        "content_given": bool(config.content),
-        "container": entry.container,
-        "discarded": None if stop is None else dataclasses.asdict(stop),
-    }
-    if computed is not None:
-        events, features, start_ns = computed.events, computed.features, ended["start_ns"]
-        result["events"] = {
-            "first_s": entry.first_s,
-            "first_interval_s": [(when - start_ns) / 1e9 for when in events.first_interval_ns],
-            "steady_s": entry.steady_s,
-            "steady_interval_s": [(when - start_ns) / 1e9 for when in events.steady_interval_ns],
-        }
-        result["features"] = {name: len(values) for name, values in computed.modalities.items()}
-        result["physical"] = dict(zip(PHYSICAL, features.physical.tolist(), strict=True))
-        result |= {"vision_missing": features.missing, "vision_reason": features.reason}
-        result["vision_noise_m"] = features.noise_m
-        result["patch_width_m"] = features.patch_width_m
-    if posterior is not None:
-        result |= {"named": posterior.content, "named_by": posterior.modality}
-        result["posterior"] = dict(zip(posterior.labels, posterior.probability.tolist(), strict=True))
-    result |= {name: ended[name] for name in ("hand_stands", "limits_restored", "losses")}
-    return result | {"truth": ended.get("truth")}
-
-
 def leave(squeezed: SqueezeOutcome) -> None:
     """Where it was stopped, raises InputError with the reason and what to see to, SystemExit if somebody ended it."""
-    if squeezed.stop is None:
+    result = squeezed.result
+    if result.stop is None:
         return
-    state, path = f"; the hand {hand_words(squeezed.found)}", squeezed.found["recording"]
-    expected, again = "a squeeze that comes to its steady state", "squeeze again"
-    skeleton.leave(squeezed.stop, state, squeezed.asked, path, expected, again, ended=squeezed.interrupted)
+    state, expected, again = (
+        f"; the hand {result.hand_text}",
+        "a squeeze that comes to its steady state",
+        "squeeze again",
+    )
+    skeleton.leave(result.stop, state, squeezed.asked, result.recording, expected, again, ended=squeezed.interrupted)

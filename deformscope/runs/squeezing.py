@@ -56,17 +56,11 @@ def squeeze(
 
 
 def _squeezed(config: SqueezeConfig) -> SqueezeResult:
-    from deformscope.pictures.depth_change import depth_change_png
-
     squeezed = squeeze_on(config, lambda result: None)
     if squeezed.interrupted:
         raise KeyboardInterrupt
     leave(squeezed)
-    computed = squeezed.features
-    assert computed is not None  # else it was stopped
-    change = computed.features
-    png = b"" if change.vision is None else depth_change_png(change.vision, change.patch_width_m, change.missing)
-    return SqueezeResult(squeezed.found, computed.modalities, png)
+    return squeezed.result
 
 
 # A data set ----------------------------------------------------------------------------------------------------------

@@ -16,7 +16,8 @@ from deformscope.api.exploration_result import (
     beta_words,
 )
 from deformscope.pictures.words import ENDED, claim_words, ended_words, verdict_words
-from deformscope.runs.exploration_run import _said
+from deformscope.results.render import to_line
+from deformscope.runs.exploration_run import _remarks, _said
 from deformscope.session import Step
 from deformscope.stages.map.exploration import PlannedTouch
 from deformscope.stages.map.plan import StopReason
@@ -145,3 +146,26 @@ def test_touches_are_counted_and_the_time_left_is_said(capsys: pytest.CaptureFix
     assert said[2].startswith("touch 2 of at most 12, at (15, 20) cm: because; some ")
     assert said[2].endswith(" s to go for all 12")
     assert said[-1] == "no further touch: all touches that were allowed are made"
+
+
+def test_touches_stand_in_a_table_of_what_was_measured_of_any() -> None:
+    touches = tuple(TouchOutcome(touch(number), 1.0, None, [], False) for number in range(2))
+    _, table = found_with(touches=touches).tables()
+    assert table.names == ("touch", "stiffness", "dent", "modulus", "peak force rate")
+    assert [row[0] for row in table.rows] == ["1", "2"]
+    assert all("N/mm (" in str(row[1]) for row in table.rows)
+    assert len(found_with(touches=()).tables()) == 1
+    assert '<th scope="col">stiffness</th>' in found_with(touches=touches).findings().html()
+
+
+def test_the_peak_force_rate_of_a_touch_is_shown_with_its_interval_everywhere() -> None:
+    measured, without = touch(0), dataclasses.replace(touch(0), peak_rate_n_per_s=None, peak_rate_interval_n_per_s=None)
+    found = found_with(touches=(TouchOutcome(measured, 1.0, None, [], False),))
+    (one,) = found.to_dict()["touches"]
+
+    assert (one["peak_rate_n_per_s"], one["peak_rate_interval_n_per_s"]) == (6.0, [5.5, 6.5])
+    assert found.to_dict()["units"]["peak_rate_n_per_s"] == "N/s"
+    assert "<td>6 N/s (5.5 to 6.5)</td>" in found.findings().html()
+    assert "peak force rate 6 N/s (5.5 to 6.5)" in next(_remarks(measured, 1, 3, 1.0))
+    assert "peak rate 6 N/s (5.5 to 6.5)" in to_line(measured, "caption")
+    assert "rate" not in next(_remarks(without, 1, 3, 1.0)) + to_line(without, "caption")

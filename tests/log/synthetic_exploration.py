@@ -123,6 +123,8 @@ def touch(number: int) -> TouchEstimate:
         modulus_pa=None if number == 3 else 37_000.0 * stiffness / SOFT,
         depth_m=depth_m,
         peak_force_n=3.02,
+        peak_rate_n_per_s=None if number == 3 else 6.0,
+        peak_rate_interval_n_per_s=None if number == 3 else (5.5, 6.5),
         beta=None if number == 0 else 0.12 + 0.03 * number,
         beta_interval=None if number == 0 else (0.0, 0.3),
         beta_verdict="" if number == 0 else "at-bound",

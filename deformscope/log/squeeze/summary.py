@@ -9,7 +9,6 @@ import rerun as rr
 
 from deformscope.log.result_batch import ResultBatch
 from deformscope.stages.squeeze.events import SqueezeEvents
-from deformscope.stages.squeeze.physical import PHYSICAL
 from deformscope.stages.squeeze.trial import SqueezeFeatures
 
 MEASURED = "display/squeeze/measured"
@@ -32,7 +31,7 @@ def log_measured(now: ResultBatch, results: Sequence[object]) -> None:
             took_s = (one.steady_ns - one.first_ns) / 1e9
             rows.append(("steady state", f"{took_s:.2f} s later, \u00b1{steady_ms:.0f} ms"))
         if isinstance(one, SqueezeFeatures):
-            rows += _physical(dict(zip(PHYSICAL, one.physical.tolist(), strict=True)))
+            rows += _physical(one.by_name)
             change = f"none: {one.reason or 'no camera'}"
             if one.vision is not None:
                 change = f"{100 * (1.0 - one.missing):.0f} % of {100 * one.patch_width_m:.1f} cm"

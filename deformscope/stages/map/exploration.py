@@ -51,6 +51,8 @@ class TouchEstimate:
     stiffness_n_per_mm, stiffness_interval: apparent, at the set force; rigid: a lower bound
     modulus_pa, modulus_interval_pa: corrected for the tip and the layer, None = rigid, or thickness not known
     depth_m, peak_force_n: of the dent
+    peak_rate_n_per_s, peak_rate_interval_n_per_s: at which the force rose fastest on the way in (`contact.peak_rate`),
+    None where too few samples say so
     beta, beta_interval, beta_verdict: of the MSM fitted to the dent, None = not fitted
     observed_m: (k, 3) raw points around the dent; simulated_m: (p, 3) particles of the fitted model there
     speed_m_s: at which the tip came down in contact, None = not known: foam that creeps is the stiffer the faster
@@ -69,6 +71,7 @@ class TouchEstimate:
     contact_m: float
     stiffness_n_per_mm: float = field(
         metadata=reported(
+            "stiffness",
             key="apparent_stiffness_n_per_mm",
             unit="N/mm",
             words=lambda touch: touch.stiffness_text + (f" ({touch.interval_text})" if touch.interval_text else ""),
@@ -85,16 +88,30 @@ class TouchEstimate:
     level_n_per_mm: float | None = field(default=None, metadata=reported(unit="N/mm"))
 
     @property
-    @derived(key=None, line="dent {}", caption="{}")
+    @derived("dent", key=None, line="dent {}", caption="{}")
     def dent_text(self) -> str:
         """The dent and the force that made it; the force alone where no contact was fitted."""
         force = f"{self.peak_force_n:.2f} N"
         return f"{1e3 * self.depth_m:.1f} mm at {force}" if self.usable else force
 
-    modulus_pa: float | None = field(metadata=reported(unit="Pa", scale=1e-3, shown_unit="kPa", caption="modulus {}"))
+    modulus_pa: float | None = field(
+        metadata=reported("modulus", unit="Pa", scale=1e-3, shown_unit="kPa", caption="modulus {}")
+    )
     modulus_interval_pa: tuple[float, float] | None = field(default=None, metadata=reported(unit="Pa"))
     depth_m: float = field(metadata=reported(unit="m"))
     peak_force_n: float = field(metadata=reported(unit="N"))
+    peak_rate_n_per_s: float | None = field(
+        default=None,
+        metadata=reported(
+            "peak force rate",
+            unit="N/s",
+            shown_unit="N/s",
+            interval="peak_rate_interval_n_per_s",
+            line="peak force rate {}",
+            caption="peak rate {}",
+        ),
+    )
+    peak_rate_interval_n_per_s: tuple[float, float] | None = field(default=None, metadata=reported(unit="N/s"))
     beta: float | None = field(
         metadata=reported(
             unit="1", words=lambda touch: "" if touch.beta_verdict == NOT_ASKED else touch.beta_text, caption="{}"

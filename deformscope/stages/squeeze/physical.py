@@ -14,23 +14,8 @@ from scipy import stats
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 from deformscope.stages.see.tactile import tactile_contact
+from deformscope.stages.squeeze.trial import PHYSICAL
 
-PHYSICAL = (
-    "force_n",
-    "contact_area_m2",
-    "center_x_m",
-    "center_y_m",
-    "orientation_rad",
-    "elongation",
-    "peak_pa",
-    "indentation_m",
-    "onset_rate_n_per_s",
-    "stiffness_n_per_m",
-    "stiffness_low_n_per_m",
-    "stiffness_high_n_per_m",
-    "relaxation",
-)
-"""In the order of `Physical.values`. Forces, areas, centres, orientations and peaks are means over the fingers."""
 LEVEL = 0.9
 LEAST_INDENTATION_M = 2e-4
 """Over less than that a slope of force over indentation says nothing."""

@@ -3,9 +3,27 @@ its content is taken for."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from deformscope.arrays import FloatArray
+from deformscope.results.declared import derived, reported
+
+PHYSICAL = (
+    "force_n",
+    "contact_area_m2",
+    "center_x_m",
+    "center_y_m",
+    "orientation_rad",
+    "elongation",
+    "peak_pa",
+    "indentation_m",
+    "onset_rate_n_per_s",
+    "stiffness_n_per_m",
+    "stiffness_low_n_per_m",
+    "stiffness_high_n_per_m",
+    "relaxation",
+)
+"""Physical features, in this order. Forces, areas, centres, orientations and peaks are means over the fingers."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,21 +81,28 @@ class SqueezeFeatures:
     11) means of its blocks; None where there is none. missing: share of NaN in vision; noise_m: deviation of one of its
     pixels; reason: why there is none
     patch_px: (2,) column and row of its middle; patch_width_m: on the container's surface
-    physical: (n,) in the order of `physical.PHYSICAL`, NaN where it could not be measured
+    physical: (n,) in the order of `PHYSICAL`, NaN where it could not be measured
     series_s: (k,) times since F_first, every 0.1 s [s]; series: (k, 72) tactile cells then
     """
 
     tactile: FloatArray
     physical: FloatArray
+
+    @property
+    @derived(key="physical")
+    def by_name(self) -> dict[str, float]:
+        """The physical features by their names in `PHYSICAL`."""
+        return dict(zip(PHYSICAL, self.physical.tolist(), strict=True))
+
     series_s: FloatArray
     series: FloatArray
     vision: FloatArray | None = None
     vision_small: FloatArray | None = None
-    missing: float = 1.0
+    missing: float = field(default=1.0, metadata=reported(key="vision_missing"))
+    reason: str = field(default="", metadata=reported(key="vision_reason"))
+    noise_m: float | None = field(default=None, metadata=reported(key="vision_noise_m"))
     patch_px: FloatArray | None = None
-    patch_width_m: float = 0.0
-    reason: str = ""
-    noise_m: float | None = None
+    patch_width_m: float = field(default=0.0, metadata=reported())
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,15 +114,23 @@ class ContentPosterior:
     """
 
     since_s: float
-    modality: str
+
+    @property
+    @derived(key="named")
+    def content(self) -> str:
+        """The most probable one."""
+        return self.labels[int(self.probability.argmax())]
+
+    modality: str = field(metadata=reported(key="named_by"))
     labels: tuple[str, ...]
     probability: FloatArray
     index: int
 
     @property
-    def content(self) -> str:
-        """The most probable one."""
-        return self.labels[int(self.probability.argmax())]
+    @derived(key="posterior")
+    def shares(self) -> dict[str, float]:
+        """The probability of each content, by label."""
+        return dict(zip(self.labels, self.probability.tolist(), strict=True))
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,6 +13,7 @@ from deformscope.stages.poke.contact import (
     calibrate_compliance,
     fit_approach,
     layer_modulus,
+    peak_rate,
 )
 
 NORMAL = np.array([0.3, -0.2, 1.2])
@@ -78,6 +79,28 @@ def test_a_threshold_for_contact_makes_a_sphere_look_15_to_20_percent_stiffer_an
 
     assert 0.15 <= np.mean(taken) <= 0.20
     assert abs(np.mean(fitted)) < 0.01
+
+
+@pytest.mark.parametrize("force_sd_n", [0.005, 0.02, 0.05])
+def test_the_peak_rate_of_a_ramp_is_its_slope_and_its_interval_holds_it_in_90_percent(force_sd_n: float) -> None:
+    # a flat tip at 10 mm/s into what dents by 4 mm at 3 N
+    fits = [fit_approach(*approach(seed, 0.004, "flat", force_sd_n=force_sd_n), tip="flat") for seed in range(300)]
+    rates, ends = [fit.peak_rate_n_per_s for fit in fits], [fit.peak_rate_interval_n_per_s for fit in fits]
+
+    assert np.mean(np.array(rates, float)) == pytest.approx(7.5, rel=0.015)
+    inside = np.mean([end is not None and end[0] <= 7.5 <= end[1] for end in ends])
+    assert 0.85 <= inside <= 0.95  # three deviations of a share of 0.9 in 300
+
+
+def test_the_peak_rate_is_taken_where_the_force_rises_fastest_and_not_from_too_few_samples() -> None:
+    time = np.cumsum(np.where(np.arange(120) % 3, 0.01, 0.02))  # samples need not be evenly spaced
+    force = np.interp(time, [0.5, 1.0, 1.2], [0.0, 1.0, 3.0])
+    rate, interval = peak_rate(time, force, 0.01)
+    assert rate == pytest.approx(10.0)
+    assert interval is not None
+    assert interval[0] < 10.0 < interval[1]
+    assert peak_rate(time[:10], force[:10], 0.01)[0] == 0.0
+    assert peak_rate(time[:9], force[:9], 0.01) == (None, None)
 
 
 def test_slack_before_contact_changes_nothing() -> None:

@@ -7,7 +7,8 @@ import pytest
 
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
-from deformscope.stages.squeeze.physical import PHYSICAL, physical_features, pressure_axis
+from deformscope.stages.squeeze.physical import physical_features, pressure_axis
+from deformscope.stages.squeeze.trial import PHYSICAL
 
 TEXEL = (0.0034, 0.0034)
 AREA = TEXEL[0] * TEXEL[1]
