@@ -145,7 +145,7 @@ class _Layer(LargeStrain):
         return float(force), float(internal[self._pushed_up].sum()), float(moved[entered > 0.0].max(initial=0.0))
 
 
-def _changes(basis: Any) -> tuple[FloatArray, FloatArray]:
+def _changes(basis: Basis) -> tuple[FloatArray, FloatArray]:
     """(elements, points, functions, 9) change of the deformation gradient with each function's share, and (..., 2) of
     the place."""
     ring = basis.global_coordinates()[0]
@@ -158,7 +158,7 @@ def _changes(basis: Any) -> tuple[FloatArray, FloatArray]:
     return change.reshape(*move.shape[:3], 9), move
 
 
-def _sums(basis: Any, shares: FloatArray, first: FloatArray, second: FloatArray, ring: FloatArray) -> tuple[Any, Any]:
+def _sums(basis: Basis, shares: FloatArray, first: FloatArray, second: FloatArray, ring: FloatArray) -> tuple[Any, Any]:
     """(N,) and (N, N): the derivatives first (elements, points, k, 1) and second (..., k, k) by what `shares`
     (elements, points, functions, k) give for each degree of freedom, summed over the rings [N, N/m]."""
     weight = (2.0 * np.pi * ring * basis.dx)[..., None, None]

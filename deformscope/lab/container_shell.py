@@ -30,6 +30,7 @@ import numpy as np
 from scipy.sparse import bmat, csr_array, kron
 from scipy.sparse.linalg import splu
 from skfem import Basis, BilinearForm, ElementLineHermite, LinearForm, MeshLine
+from skfem.element import DiscreteField
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.lab.container_constants import BOX_M, CARDBOARD, CYLINDER_M, PLASTIC, Wall
@@ -279,11 +280,11 @@ class _Line:
         return total
 
 
-def _d(u: Any) -> Any:
+def _d(u: DiscreteField) -> Any:
     return u.grad[0]
 
 
-def _dd(u: Any) -> Any:
+def _dd(u: DiscreteField) -> Any:
     return u.hess[0, 0]
 
 

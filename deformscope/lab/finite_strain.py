@@ -9,12 +9,13 @@ half is computed.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from skfem import Basis, BilinearForm, ElementQuad2, ElementVector, LinearForm, MeshQuad, condense, solve
+from skfem.element import DiscreteField
 from skfem.helpers import grad
 
 from deformscope.arrays import FloatArray, IntArray
@@ -235,11 +236,11 @@ class _Half(LargeStrain):
         )
 
 
-def _inner_force(v: Any, w: Any) -> Any:
+def _inner_force(v: DiscreteField, w: Mapping[str, FloatArray]) -> Any:
     return np.einsum("ij...,ij...->...", w["stress"], grad(v))
 
 
-def _stiffness(u: Any, v: Any, w: Any) -> Any:
+def _stiffness(u: DiscreteField, v: DiscreteField, w: Mapping[str, FloatArray]) -> Any:
     return np.einsum("ij...,ijkl...,kl...->...", grad(v), w["tangent"], grad(u), optimize=True)
 
 

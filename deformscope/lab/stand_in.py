@@ -7,7 +7,7 @@ import dataclasses
 import itertools
 from collections.abc import Callable, Iterator
 from multiprocessing.connection import Connection
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from deformscope.errors import InputError
 from deformscope.processes import beside
@@ -17,11 +17,21 @@ from deformscope_drivers.device import Device
 from deformscope_drivers.doubles import Double
 from deformscope_drivers.wires import LOOPBACK, CanWire, PtyWire, TcpWire, Wire
 
+if TYPE_CHECKING:
+    from deformscope_drivers.depth_camera import DepthCameraConfig, RealsenseConfig
+    from deformscope_drivers.dsa import DsaConfig
+    from deformscope_drivers.jaco import JacoConfig
+    from deformscope_drivers.kuka import KukaConfig
+    from deformscope_drivers.optoforce import OptoforceConfig
+    from deformscope_drivers.placed import PlacedArmConfig
+    from deformscope_drivers.sdh import SdhConfig
+    from deformscope_drivers.webcam import WebcamConfig
+
 _numbers = itertools.count(1)
 
 
 @contextlib.contextmanager
-def stand_in(driver: str, config: Any) -> Iterator[Device[Any]]:
+def stand_in(driver: str, config: object) -> Iterator[Device[Any]]:
     """A device of this driver, closed, that a running double is behind; it runs until the end of the context.
 
     config: as for the real device; wherever it says that the device is, the double is reached alike, and no
@@ -58,7 +68,7 @@ def wire_of(driver: str, config: Any, bus: str) -> Iterator[Wire]:
 
 
 @contextlib.contextmanager
-def _wire_beside(driver: str, config: Any) -> Iterator[str]:
+def _wire_beside(driver: str, config: object) -> Iterator[str]:
     """The same behind a pseudo terminal or a socket, in a process of its own, as a device does not take this one's time
     either. Yields its port."""
     with beside(f"double of {driver}", serve, driver, config) as pipe:
@@ -69,7 +79,7 @@ def _wire_beside(driver: str, config: Any) -> Iterator[str]:
         yield port
 
 
-def serve(pipe: Connection, driver: str, config: Any) -> None:
+def serve(pipe: Connection, driver: str, config: object) -> None:
     """Send the port of a running double, and run it until the pipe ends."""
     with wire_of(driver, config, "") as wire, contextlib.suppress(EOFError, OSError):
         pipe.send(wire.port)
@@ -89,7 +99,7 @@ def _of_any_serial(config: Any) -> Any:
     return dataclasses.replace(config, serial=type(config)().serial) if hasattr(config, "serial") else config
 
 
-def config_bus(config: Any) -> str:
+def config_bus(config: object) -> str:
     """The CAN bus that a configuration names; empty where it names none, or its device knows none."""
     return str(getattr(config, "bus", ""))
 
@@ -97,7 +107,7 @@ def config_bus(config: Any) -> str:
 # What each double is like ---------------------------------------------------------------------------------------------
 
 
-def _optoforce(config: Any) -> Double:
+def _optoforce(config: OptoforceConfig) -> Double:
     """Sensors on a stick that presses foam now and then, as many and as sensitive as the rig file says. They begin at
     rest, so that they can be zeroed when they are opened."""
     from deformscope.lab.bench_scene import PRESS_S, loads
@@ -115,13 +125,13 @@ def _optoforce(config: Any) -> Double:
     return OptoforceDouble(Sensors(kind, scene, sensitivities))
 
 
-def _dsa(config: Any) -> Double:
+def _dsa(config: DsaConfig) -> Double:
     from deformscope_drivers.dsa import DsaDouble
 
     return DsaDouble(bytes_per_s=None) if config.port.startswith("socket:") else DsaDouble()
 
 
-def _sdh(config: Any) -> Double:
+def _sdh(config: SdhConfig) -> Double:
     from deformscope.lab.operator import GraspingHand
     from deformscope_drivers.sdh.double import Port
 
@@ -129,7 +139,7 @@ def _sdh(config: Any) -> Double:
 
 
 @contextlib.contextmanager
-def _jaco(config: Any) -> Iterator[Device[Any]]:
+def _jaco(config: JacoConfig) -> Iterator[Device[Any]]:
     from deformscope.lab.operator import moved_by_hand
     from deformscope_drivers.jaco import Jaco, JacoDouble, JacoState
 
@@ -147,7 +157,7 @@ def _jaco(config: Any) -> Iterator[Device[Any]]:
 
 
 @contextlib.contextmanager
-def _kuka(config: Any) -> Iterator[Device[Any]]:
+def _kuka(config: KukaConfig) -> Iterator[Device[Any]]:
     from deformscope_drivers.kuka import KukaDouble, UdpWire, open_kuka
     from deformscope_drivers.kuka.port import free_port
 
@@ -157,14 +167,14 @@ def _kuka(config: Any) -> Iterator[Device[Any]]:
 
 
 @contextlib.contextmanager
-def _placed(config: Any) -> Iterator[Device[Any]]:
+def _placed(config: PlacedArmConfig) -> Iterator[Device[Any]]:
     from deformscope_drivers.placed import PlacedArm
 
     yield PlacedArm(config)
 
 
 @contextlib.contextmanager
-def _webcam(config: Any) -> Iterator[Device[Any]]:
+def _webcam(config: WebcamConfig) -> Iterator[Device[Any]]:
     from deformscope.lab.bench_scene import side
     from deformscope_drivers.webcam import SyntheticCamera, SyntheticCameraConfig
 
@@ -172,7 +182,7 @@ def _webcam(config: Any) -> Iterator[Device[Any]]:
 
 
 @contextlib.contextmanager
-def _depth_camera(config: Any) -> Iterator[Device[Any]]:
+def _depth_camera(config: DepthCameraConfig) -> Iterator[Device[Any]]:
     from deformscope.lab.bench_scene import view
     from deformscope_drivers.depth_camera import SyntheticDepthCamera
     from deformscope_drivers.depth_camera.synthetic import SyntheticDepthConfig
@@ -181,7 +191,7 @@ def _depth_camera(config: Any) -> Iterator[Device[Any]]:
 
 
 @contextlib.contextmanager
-def _realsense(config: Any) -> Iterator[Device[Any]]:
+def _realsense(config: RealsenseConfig) -> Iterator[Device[Any]]:
     from deformscope_drivers.depth_camera import Realsense
 
     yield Realsense(config, library="deformscope_drivers.realsense.double")

@@ -274,7 +274,7 @@ class Spoiled:
         """As `JacoDouble.function`."""
         asked = self._arm.function(name)
 
-        def called(*arguments: Any) -> int:
+        def called(*arguments: object) -> int:
             self.waits()
             if name == "SendBasicTrajectory" and np.any(self.turning_rad_s):
                 self._turn(_structure(arguments[0]))

@@ -12,6 +12,7 @@ from deformscope.arrays import FloatArray
 from deformscope.pictures.figures import COLOURS, canvas, png_of
 from deformscope.stages.squeeze.evaluation import Evaluation
 from deformscope.stages.squeeze.groupings import Grouping
+from deformscope.stages.squeeze.intervals import Estimated
 from deformscope.stages.squeeze.scores import ClassificationScore
 from deformscope.stages.squeeze.table import LabelledTable
 
@@ -178,7 +179,7 @@ def curve_png(found: Evaluation) -> bytes:
     return png_of(figure, DPI)
 
 
-def _reach(found: Sequence[Any]) -> FloatArray:
+def _reach(found: Sequence[Estimated]) -> FloatArray:
     """(2, n) how far intervals reach below and above their values."""
     value = np.array([one.value for one in found])
     ends = np.array([one.interval for one in found])

@@ -106,5 +106,5 @@ def arrays_size(result: object) -> int:
 
 
 @functools.cache
-def _field_names(kind: Any) -> tuple[str, ...]:
+def _field_names(kind: type[Any]) -> tuple[str, ...]:
     return tuple(field.name for field in dataclasses.fields(kind))

@@ -89,7 +89,7 @@ class OptoforceAgain(Redecoder):
             self.compares = ("counts", "overload")
             self.left_out += ", and forces after the DAQ had lost its zero point"
 
-    def measure(self, event: Any, host_ns: int) -> Any:
+    def measure(self, event: object, host_ns: int) -> Any:
         from deformscope_drivers.optoforce.protocol import Reading
 
         if not isinstance(event, Reading):
@@ -184,7 +184,7 @@ def compare_with_bytes(rig: Rig, streams: Sequence[Stream], items: Iterable[Item
 class _Check:
     """One device's bytes and frames, which belong together by their time of arrival."""
 
-    def __init__(self, stream: Stream, config: Any) -> None:
+    def __init__(self, stream: Stream, config: object) -> None:
         self.health: Health | None = None
         self._stream = stream
         known = REDECODERS.get(stream.driver)
@@ -242,7 +242,7 @@ class _Check:
                 self._difference = ""
         return DeviceComparison(stream.device, stream.driver, self._frames, self._compared, left_out, self._difference)
 
-    def _decode(self, again: Redecoder, events: Iterable[Any]) -> Iterator[Frame]:
+    def _decode(self, again: Redecoder, events: Iterable[object]) -> Iterator[Frame]:
         for event in events:
             if isinstance(event, Skipped):
                 self._skipped += event.count
@@ -274,7 +274,7 @@ class _Check:
             self._difference = f"a frame in the bytes of {at}, which was not recorded"
 
 
-def _same(one: Any, other: Any) -> bool:
+def _same(one: object, other: object) -> bool:
     """To the last bit; nan is nan."""
     if isinstance(one, tuple) and isinstance(other, tuple):
         return len(one) == len(other) and all(map(_same, one, other))

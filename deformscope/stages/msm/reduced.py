@@ -157,7 +157,7 @@ class OneCluster:
         span = np.zeros((d, d))
         span[:, : cluster.span.shape[1]] = cluster.span
 
-        def rows(values: FloatArray, dtype: Any = kk.basis_vec) -> Any:
+        def rows(values: FloatArray, dtype: type[Any] = kk.basis_vec) -> Any:
             return wp.array(np.ascontiguousarray(values), dtype=dtype, device=self.device)
 
         body.mode = rows(mode.T)
@@ -306,7 +306,7 @@ class OneCluster:
 class _Work:
     """Rows in and results out for `size` candidates, and the launches on them, recorded once."""
 
-    def __init__(self, body: OneCluster, rest: Any, size: int) -> None:
+    def __init__(self, body: OneCluster, rest: object, size: int) -> None:
         self.body, self.rest, self.size = body, rest, size
         self.row_in = self._zeros(size, body._k.row_width)
         self.row: FloatArray = self.row_in.numpy()  # on the CPU the array itself
@@ -320,23 +320,23 @@ class _Work:
         return self._run(*self._differentiate)
 
     @functools.cached_property
-    def _relax(self) -> tuple[Any, Any]:
+    def _relax(self) -> tuple[wp.Launch, wp.array[wp.float64]]:
         return self._recorded(self.body._k.relax, self._zeros(self.size, self.body._k.result_width))
 
     @functools.cached_property
-    def _differentiate(self) -> tuple[Any, Any]:
+    def _differentiate(self) -> tuple[wp.Launch, wp.array[wp.float64]]:
         return self._recorded(self.body._k.differentiate, self._zeros(self.size, 2, self.body._k.result_width))
 
     def _zeros(self, *shape: int) -> Any:
         return wp.zeros(shape, dtype=wp.float64, device=self.body.device)
 
-    def _recorded(self, kernel: Any, out: Any) -> tuple[Any, Any]:
+    def _recorded(self, kernel: wp.Kernel, out: wp.array[wp.float64]) -> tuple[wp.Launch, wp.array[wp.float64]]:
         """A launch, which costs a fifth when it is recorded, and its result."""
         inputs = [self.rest, self.row_in]
         launch = wp.launch(kernel, self.size, inputs, [out], device=self.body.device, record_cmd=True)
         return launch, out
 
-    def _run(self, launch: Any, out: Any) -> FloatArray:
+    def _run(self, launch: wp.Launch, out: wp.array[wp.float64]) -> FloatArray:
         if self.body.device != "cpu":
             self.row_in.assign(self.row)
         launch.launch()

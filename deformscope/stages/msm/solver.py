@@ -14,14 +14,14 @@ import warp as wp
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.errors import InputError
-from deformscope.stages.msm.body import Body, BodyRest, Parameters
+from deformscope.stages.msm.body import Body, BodyRest, Operator, Parameters
 from deformscope.stages.msm.cluster_functions import BY_BETA, BY_THETA, NONE, PROJECT, SCALE
 from deformscope.stages.msm.clusters import Clusters, LatticeClusters, held_mask, spacing
 from deformscope.stages.msm.general import GeneralBody
 from deformscope.stages.msm.iteration import Anderson, Ended, Newton, halves
 from deformscope.stages.msm.iteration_kernels import CONVERGED, DIVERGED, iteration_kernels_for
 from deformscope.stages.msm.lattice import LatticeBody, lattice_edges
-from deformscope.stages.msm.layout import Layout, upload
+from deformscope.stages.msm.layout import Field, upload
 from deformscope.stages.msm.material_body import MaterialBody
 from deformscope.stages.msm.materials import AxisBeta
 from deformscope.stages.msm.reduced import OneCluster
@@ -93,18 +93,18 @@ class Gradient:
 class Moving:
     """The state of time stepping, on the device: displacements now and one step before, for B bodies."""
 
-    def __init__(self, operator: Any) -> None:
+    def __init__(self, operator: Operator) -> None:
         self.last_dt = 0.0
         self._settle_in(operator)
 
-    def _settle_in(self, operator: Any) -> None:
-        self.operator = operator
-        self.layout: Layout = operator.layout
+    def _settle_in(self, operator: Operator) -> None:
+        self.operator: Any = operator
+        self.layout = operator.layout
         self.pair = self.layout.field(2 * operator.dim)
         self.swapped = False
         self.ran_away = self.layout.each(np.zeros(1), int)
 
-    def move_to(self, operator: Any) -> None:
+    def move_to(self, operator: Operator) -> None:
         """The same state, stepped by another operator."""
         now, last = (self.layout.get(each, operator.dim) for each in (self.u, self.before))
         ran_away = self.diverged
@@ -114,11 +114,11 @@ class Moving:
         self.ran_away = self.layout.each(ran_away.astype(np.float64), int)
 
     @property
-    def u(self) -> Any:
+    def u(self) -> Field:
         return halves(self.pair)[int(self.swapped)]
 
     @property
-    def before(self) -> Any:
+    def before(self) -> Field:
         return halves(self.pair)[int(not self.swapped)]
 
     @property
@@ -219,7 +219,7 @@ class Msm:
             self._variants[key] = self.variant(axes=axes)
         return self._variants[key]
 
-    def _build(self, scalar: Any) -> Body:
+    def _build(self, scalar: type[Any]) -> Body:
         if self._axes is not None or self._plastic:
             return MaterialBody(
                 self._particles,
@@ -712,7 +712,7 @@ class _Stepping:
         for _ in range(steps):
             self._one(self.motion)
 
-    def _one(self, motion: Any) -> None:
+    def _one(self, motion: object) -> None:
         state = self.state
         state.operator.step(state.u, state.before, motion, self.parameters, self.running, state.ran_away)
         state.swapped = not state.swapped

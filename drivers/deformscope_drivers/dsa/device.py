@@ -298,7 +298,7 @@ class Dsa(StreamDevice[TactileReading]):
             for matrix, one in [*self._by_matrix(name, value).items(), *set_since.items()]:
                 apply(matrix, one, False)
 
-    def _by_matrix(self, name: str, value: Any) -> dict[int | None, Any]:
+    def _by_matrix(self, name: str, value: object) -> dict[int | None, Any]:
         if not isinstance(value, tuple):
             return {} if value is None else {None: value}
         if len(value) != len(self._matrices):
