@@ -181,7 +181,7 @@ def to_columns(items: Sequence[object], leave_out: Collection[str] = ()) -> dict
 
 
 def to_components(item: object, leave_out: Collection[str] = ()) -> dict[str, npt.NDArray[Any]]:
-    """One object's components, by field: their values, flat."""
+    """One object's components by field: (n,) values each, flat."""
     columns = to_columns([item], leave_out)
     return {name: column.values.to_numpy(zero_copy_only=False) for name, column in columns.items()}
 

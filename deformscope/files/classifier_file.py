@@ -40,7 +40,7 @@ KINDS: dict[str, type[Classifier]] = {
 
 
 def classifier_arrays(model: ContentModel) -> dict[str, npt.NDArray[Any]]:
-    """A model as the arrays of its file."""
+    """A model as the arrays of its file, by name; shapes as in `_take` and `_member`."""
     arrays: dict[str, npt.NDArray[Any]] = {"fusion.weight": model.fusion.weight, "fusion.offset": model.fusion.offset}
     described: dict[str, Any] = {
         "labels": model.labels,

@@ -31,7 +31,8 @@ class PushedArm(Protocol):
     """An arm that can be pushed (`JacoDouble`)."""
 
     @property
-    def T_base_end_effector(self) -> FloatArray: ...
+    def T_base_end_effector(self) -> FloatArray:
+        """(4, 4) pose of the arm's end [m]."""
 
     def push(self, wrench: npt.ArrayLike) -> None: ...
 

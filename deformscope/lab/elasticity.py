@@ -245,6 +245,8 @@ def dissected(nodes: FloatArray, axes: tuple[FloatArray, ...]) -> IntArray:
     tolerance = 1e-6 * min(float(np.diff(axis).min()) for axis in axes)
 
     def parted(some: IntArray) -> list[IntArray]:
+        """The nodes at indices (n,) in the order of elimination: parts on both sides of a plane of nodes, then that
+        plane."""
         if len(some) <= 3 * LEAF:
             return [some]
         place = nodes[some]

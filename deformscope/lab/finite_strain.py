@@ -98,7 +98,7 @@ class LargeStrain(ABC):
     free: IntArray
 
     def push(self, state: FloatArray, start: float, end: float) -> FloatArray:
-        """From one depth to another, in one load step or in as many as it takes."""
+        """The state (2 n,) [m] at depth `end`, from that at `start` [m], in one load step or in as many as it takes."""
         reached, step = start, end - start
         while reached < end:
             step = min(step, end - reached)
@@ -217,7 +217,7 @@ class _Half(LargeStrain):
         return _INNER_FORCE.assemble(self.basis, stress=stress), _STIFFNESS.assemble(self.basis, tangent=tangent)
 
     def result(self, state: FloatArray, depth: float) -> PressedBlock:
-        """What is reported of a state."""
+        """Forces [N] and displacements of a state (2 n,) [m] at a depth [m]."""
         force, _ = self._assemble(state)
         vertical = self.axis == 1
         moved = state.reshape(-1, 2)

@@ -126,7 +126,8 @@ class RayCamera:
         return depth, facing, hit["geometry_ids"].numpy().astype(np.int64)
 
     def cover(self, capsule: Capsule, depth: FloatArray, seen: npt.NDArray[np.uint8], facing: FloatArray) -> None:
-        """Put a capsule of the robot into a picture wherever it is nearer."""
+        """Draw a capsule of the robot into a picture (h, w) wherever it is nearer. depth: as `_length` counts it; seen:
+        what each pixel shows; facing: cosine between ray and surface normal"""
         part = self.window(capsule)
         ray, length = self.ray[part], self._length[part]
         entered, normal = _enter(capsule, self.T_world_camera[:3, 3], ray, length)

@@ -322,6 +322,7 @@ def _draw_cut(axes: Axes, comparison: Comparison, shown: CloseUp) -> None:
     base = float(rest[line, 2].mean())
 
     def drawn(position: FloatArray, rows: IntArray | slice) -> tuple[FloatArray, FloatArray]:
+        """x and height above the base of some positions (n, 3), in the units of the axes."""
         return position[rows, 0] * scale, (position[rows, 2] - base) * factor
 
     seen = line[comparison.seen[line]]

@@ -420,7 +420,8 @@ less sure; the true ones, where these are known, and over them the outline of th
 
 
 def stiffness_range(stiffness: FloatArray) -> tuple[float, float]:
-    """The ends of a logarithmic scale that holds these values, of those that a reader can remember."""
+    """The ends of a logarithmic scale that holds these values, any shape [N/mm], both 1, 2 or 5 times a power of
+    ten."""
     known = stiffness[np.isfinite(stiffness) & (stiffness > LEAST)]
     if not known.size:
         return 0.1, 1.0
@@ -433,7 +434,7 @@ def stiffness_range(stiffness: FloatArray) -> tuple[float, float]:
 
 
 def loss_range(loss: FloatArray) -> float:
-    """The end of a scale from 0 that holds these shares."""
+    """The end of a scale from 0 that holds these shares of lost energy, any shape [-]; at most 1."""
     return min(_round_up(100.0 * loss) / 100.0, 1.0)
 
 

@@ -261,6 +261,7 @@ def _in_residuals(search: Search, best: int, inference: Inference, rival: float 
     tried = np.append(spread, search.tried.parameter[best])
 
     def simulate(shapes: Sequence[FloatArray]) -> list[FloatArray]:
+        """States (B, K, d) of each observation whose particles are prescribed as in shapes (K, d)."""
         each = zip(search.seen, search.bodies, shapes, strict=True)
         return [search.relax(body, shape[one.held], tried, None).settled for one, body, shape in each]
 

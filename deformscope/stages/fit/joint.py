@@ -196,8 +196,8 @@ class _Joint:
     def narrowed(
         self, progress: Progress | None, *, explain: bool
     ) -> tuple[FloatArray, FloatArray, FloatArray, list[float]]:
-        """The grid that resolves the posterior, its logarithm, and for each parameter by how many standard deviations
-        it separates the likeliest value of the whole range from the least likely."""
+        """The grid that resolves the posterior, beta (b,) and theta (t,), its logarithm (b, t), and for each parameter
+        by how many standard deviations it separates the likeliest value of the whole range from the least likely."""
         b, t, total = self.over(self.ends, self.options.theta_bounds, explain=explain)
         rise = [float(np.sqrt(2.0 * np.ptp(total.max(axis=axis)))) for axis in (1, 0)]
         for zoom in range(ZOOMS):
@@ -301,6 +301,7 @@ class _Joint:
         return float(-np.log1p(-low)), float(-np.log1p(-high))
 
     def shrink(self, stretched: FloatArray) -> FloatArray:
+        """beta (n,) of values of -log(1 - beta), within its bounds."""
         return beta_of(stretched, self.options.beta_bounds)
 
     def _response(self, part: Residuals, beta: float, theta: float, base: FloatArray) -> FloatArray:

@@ -49,7 +49,7 @@ EFFECT = 0.02
 def correct_held(search: Search, candidates: int, seed: int) -> tuple[IntArray, ...]:
     """Find the held particles that are off, put them where the free ones show them to be, and search again.
 
-    Gives the particles of each observation; their positions in `search.seen` are the estimated ones, not observed.
+    Gives their indices (n,) by observation; their positions in `search.seen` are the estimated ones, not observed.
     """
     off = [np.zeros(len(one.held), dtype=bool) for one in search.seen]
     for _ in range(ROUNDS):
@@ -100,7 +100,7 @@ def _steps(
     found = part.errors.products(base, response, _few_hypotheses(part.errors.hypotheses))
 
     def fitted(which: Sequence[int]) -> tuple[float, FloatArray]:
-        """The log likelihood where these columns are fitted, and their multiples."""
+        """The log likelihood where these columns of the response are fitted, and the factor (n,) of each."""
         rows = np.asarray(which)
         square = found.product[:, rows[:, None], rows]
         little = 1e-10 * np.trace(square, axis1=1, axis2=2) + 1e-300  # columns may be alike, or do nothing

@@ -71,10 +71,11 @@ class FieldPrior:
     level_sd: float = 2.0
 
     def median(self) -> FloatArray:
-        """Logarithms of the three medians."""
+        """(3,) natural logarithms of the prior medians of sigma_e, length [m] and nugget."""
         return np.log([self.sigma_e, self.length_m, self.nugget])
 
     def spread(self) -> FloatArray:
+        """(3,) standard deviations of the three logarithms in the prior."""
         return np.array([self.sigma_e_spread, self.length_spread, self.nugget_spread])
 
 
@@ -254,7 +255,7 @@ class _Fit:
         )
 
     def likelihood(self, x: FloatArray) -> tuple[float, FloatArray]:
-        """Log marginal likelihood and its slopes by log sigma_e, log length and log nugget."""
+        """Log marginal likelihood at x (3,), the logarithms of sigma_e, length [m] and nugget, and its slopes (3,)."""
         signal, noise, covariance = self._covariance(x)
         factor = cholesky(covariance, lower=True)
         weight = cho_solve((factor, True), self.left)

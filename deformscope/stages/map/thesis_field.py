@@ -76,7 +76,7 @@ class ThesisField:
 
     @property
     def isopleths(self) -> FloatArray:
-        """Rising levels of beta that divide the field: halfway between touches that are apart."""
+        """(k,) rising levels of beta that divide the field: halfway between touches that are apart."""
         betas = np.sort(self.touches)
         gaps = np.flatnonzero(np.diff(betas) > APART)
         return np.asarray(0.5 * (betas[gaps] + betas[gaps + 1]))

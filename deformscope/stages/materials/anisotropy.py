@@ -295,7 +295,8 @@ class _AxisFit:
         return found
 
     def aee(self, simulated: FloatArray) -> float:
-        """Average Euclidean error over all observed particles, the held ones, which have none, included."""
+        """Average Euclidean error of simulated coordinates (n,) over all observed particles, in their unit of length;
+        the held ones, which have none, are included."""
         total, count, first = 0.0, 0, 0
         for s, j in zip(self.seen, self.judged, strict=True):
             size = int(j.sum()) * s.rest.shape[1]

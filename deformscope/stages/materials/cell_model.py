@@ -34,7 +34,8 @@ NU_STEP = 1e-4
 
 
 def lattice_cells(shape: tuple[int, ...], cell: IntArray) -> IntArray:
-    """(C, 2^d) the particles at each cell's corners, of the cells that have all of them."""
+    """(C, 2^d) the particles at each cell's corners, of the cells that have all of them. cell: (K,) place of each
+    particle in a lattice of `shape`"""
     index = np.full(int(np.prod(shape)), -1)
     index[cell] = np.arange(len(cell))
     grid = index.reshape(shape)

@@ -126,7 +126,7 @@ class Description:
         return p, low, high
 
     def contrast(self, edges: IntArray, sds: float) -> tuple[float, tuple[float, float]]:
-        """Stiffest over softest, and its interval."""
+        """Stiffest over softest, and its interval of `sds` standard deviations. edges: (n, 2) neighbouring clusters"""
         p, root = self.point.at[:-1], self.root[:-1]
         if self.label[0] >= 0:
             pure = self._pure(edges)

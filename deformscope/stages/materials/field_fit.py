@@ -144,12 +144,12 @@ class FieldFit:
         return np.asarray(-np.logaddexp(0.0, -at[:-1]) if self.law == "beta" else at[:-1])
 
     def nu(self, at: FloatArray) -> float:
-        """Poisson's ratio: the last parameter, bent where it comes near its bounds (a ratio that is cut off there has
-        no derivative, and the fit does not settle)."""
+        """Poisson's ratio of parameters (p,): the last one, bent where it comes near its bounds (a ratio that is cut
+        off there has no derivative, and the fit does not settle)."""
         return self._half * (1.0 + float(np.tanh(at[-1] / self._half - 1.0)))
 
     def nu_sd(self, at: FloatArray, sd: float) -> float:
-        """Deviation of Poisson's ratio, of that of its parameter."""
+        """Standard deviation of Poisson's ratio at parameters (p,), of that of the last one."""
         return self._bend(at) * sd
 
     @property
@@ -179,7 +179,7 @@ class FieldFit:
         return np.asarray(np.linalg.cholesky(total + 1e-9 * np.eye(len(total))))
 
     def fit(self, prior: StiffnessPrior, noise: NoiseModel, start: FloatArray | None = None) -> FieldPoint:
-        """The likeliest parameters under a prior and a noise."""
+        """The likeliest parameters (p,) under a prior and a noise. start: (p,), from which they are sought"""
         z: FloatArray = np.zeros(prior.root.shape[1])
         if start is not None:
             z = np.asarray(np.linalg.lstsq(prior.root, start - prior.mean, rcond=1e-6)[0])

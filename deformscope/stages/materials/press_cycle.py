@@ -171,7 +171,8 @@ def _cycle(
 
 
 def frames_to_fit(cycle: PressCycle, most: int, *, between: bool) -> IntArray:
-    """At most so many frames, rising: even along the way down, with the loaded, the unloaded and the last one.
+    """Indices (n,) of at most so many frames, rising: even along the way down, with the loaded, the unloaded and the
+    last one.
 
     The first frame, at rest, is none of them: a history of loads depends on the way, not on how long it took. between:
     also along the way back, which what flows with time wants; where a tool lifts, particles are followed least well

@@ -200,7 +200,7 @@ class _RecoveryLaw:
             self._force_sd = np.hypot(FORCE_SD, force_sd_n / most)
 
     def widen(self, best: FloatArray, branches: int) -> None:
-        """Take what the best fit leaves as noise, and that neighbours share it."""
+        """Take what the best fit (p,) leaves as noise, and that neighbours share it."""
         off = self.residuals(best[None], branches)[0][: len(self._amplitude) - self._released]
         if len(off) <= len(best):
             return
@@ -210,7 +210,7 @@ class _RecoveryLaw:
         self.sd *= size * float(shared)
 
     def best(self, branches: int, *, kept: bool, start: FloatArray | None = None) -> FloatArray:
-        """The likeliest parameters. start: from which they are sought"""
+        """The likeliest parameters (p,) of so many branches. start: (p,), from which they are sought"""
         if start is None:
             apart = np.linspace(-0.7, 0.7, branches) if branches > 1 else np.zeros(branches)
             parts = [np.full(branches, np.log(STRENGTH_MEDIAN)), self._log_time + self._time_spread * apart, [0.0, 0.5]]

@@ -110,7 +110,8 @@ class Operator(ABC):
         return wp.zeros(rows * self.cluster_stride, dtype=self.layout.scalar, device=self.layout.device)
 
     def motion(self, alpha: float, going_on: float, push: FloatArray, *, stepping: bool = True) -> Any:
-        """What a time step needs: see `lattice_kernels.motion_for`."""
+        """What a time step needs: see `lattice_kernels.motion_for`. push: (d,) displacement by the acceleration in a
+        step, in particle spacings"""
         motion = self.arrays.Motion()
         motion.stepping = int(stepping)
         motion.alpha, motion.going_on = alpha, going_on

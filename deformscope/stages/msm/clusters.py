@@ -34,10 +34,12 @@ class Clusters:
 
     @property
     def members(self) -> IntArray:
+        """(n,) the particles of all clusters, one cluster after the other."""
         return self._packed[0]
 
     @property
     def offsets(self) -> IntArray:
+        """(C + 1,) where each cluster begins in `members`, and the end."""
         return self._packed[1]
 
     @property
@@ -76,11 +78,12 @@ class LatticeClusters(Clusters):
         return int(np.count_nonzero(self.corner))
 
     def cluster_counts(self) -> IntArray:
+        """(K,) the number of clusters that each particle is in."""
         return _covering(self.corner, self.window).reshape(-1)[self.cell]
 
 
 def from_lists(lists: Sequence[Sequence[int] | IntArray], particle_count: int) -> Clusters:
-    """Free-form clusters, each given by the indices of its particles.
+    """Free-form clusters, each given by the indices (n,) of its particles.
 
     Raises InputError for an empty cluster, an index out of range or twice in one cluster, or a particle in none.
     """
@@ -144,8 +147,8 @@ def lattice(rest: FloatArray, shape: Sequence[int], cell: IntArray, size: int) -
 
 
 def nearest(rest: FloatArray, member_count: int) -> Clusters:
-    """One cluster around each particle: itself and its nearest neighbours, `member_count` in all (points without a
-    lattice). Equal clusters are kept once."""
+    """One cluster around each of the particles (K, d): itself and its nearest neighbours, `member_count` in all (points
+    without a lattice). Equal clusters are kept once."""
     count = min(member_count, len(rest))
     _, index = cKDTree(rest).query(rest, k=count)
     rows = np.unique(np.sort(np.asarray(index).reshape(len(rest), count), axis=1), axis=0)
@@ -205,7 +208,8 @@ def held_mask(particle_count: int, held: IntArray) -> BoolArray:
 
 
 def spacing(rest: FloatArray) -> float:
-    """Median distance to the nearest neighbour: the length that makes everything dimensionless."""
+    """Median distance of points (K, d) to the nearest neighbour, in their unit: the length that makes everything
+    dimensionless."""
     distance, _ = cKDTree(rest).query(rest, k=2)
     return float(np.median(distance[:, 1]))
 

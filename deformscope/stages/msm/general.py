@@ -138,10 +138,12 @@ class GeneralOperator(Operator):
         self._finish(u, self._star, motion, running, before, ran_away)
 
     def cluster_values(self, values: FloatArray) -> Field:
+        """(B, C) one value for each cluster, as the kernels read them."""
         layout = self.layout
         return upload(self.by_group(values).transpose(0, 2, 1), layout.scalar, layout.device, 2 * layout.width)
 
     def cluster_gradient(self, adjoint: Field) -> FloatArray:
+        """(B, C): see `Operator.cluster_gradient`."""
         body, d = self.body, self.dim
         maps = self._cluster_fields(self.maps, d + d * body.terms)[:, :, d:]
         maps = maps.reshape(*maps.shape[:2], body.terms, d)

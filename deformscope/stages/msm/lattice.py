@@ -302,12 +302,14 @@ class LatticeOperator(Operator):
         return fields
 
     def cluster_values(self, values: FloatArray) -> Field:
+        """(B, C) one value for each cluster, as the kernels read them."""
         layout = self.layout
         host = np.zeros((layout.groups, layout.group // layout.abreast, layout.abreast))
         host[:, self.body.clusters_at, :] = self.by_group(values).transpose(0, 2, 1)
         return upload(host, layout.scalar, layout.device, 2 * layout.width)
 
     def cluster_gradient(self, adjoint: Field) -> FloatArray:
+        """(B, C): see `Operator.cluster_gradient`."""
         axes = self.dim
         maps = self._cluster_fields(self.maps, self.dim * (1 + axes))
         body = self.body

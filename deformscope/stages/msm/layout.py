@@ -100,7 +100,8 @@ def widths(candidates: int, scalar: type[Any], device: str, *, cells_in_lanes: b
 
 
 def upload(values: FloatArray | IntArray, dtype: type[Any], device: str, spare: int = 0) -> Field:
-    """Numbers on a device, in rows of the first axis, flat; `spare` more at the end, for lanes that reach over it."""
+    """Numbers of any shape (rows, ...) on a device, flat, row after row; `spare` more at the end, for lanes that reach
+    over it."""
     host = np.ascontiguousarray(values).reshape(-1)
     if spare:
         host = np.concatenate([host, np.zeros(spare, dtype=host.dtype)])

@@ -241,7 +241,8 @@ class OneCluster:
         *,
         volume: Volume = "scale",
     ) -> ReducedSensitivity:
-        """How static states change with beta and theta (implicit differentiation, with Newton's own matrix)."""
+        """How static states change with beta and theta, (B,) or one (implicit differentiation, with Newton's own
+        matrix)."""
         work = self._filled(len(equilibrium.transform), held, beta, theta, 0.0, 0, volume)
         work.start[:] = equilibrium.transform.reshape(len(work.start), -1) / self.radius
         result = work.differentiate()
@@ -314,9 +315,11 @@ class _Work:
         self.held, self.start = self.row[:, k.HELD : split], self.row[:, split:]
 
     def relax(self) -> FloatArray:
+        """(B, result_width) static states of the rows, as `reduced_kernels` lays them out."""
         return self._run(*self._relax)
 
     def differentiate(self) -> FloatArray:
+        """(B, 2, result_width) their derivatives by beta and theta, laid out alike."""
         return self._run(*self._differentiate)
 
     @functools.cached_property

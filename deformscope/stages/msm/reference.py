@@ -136,7 +136,8 @@ def quadratic_basis(q: FloatArray, mass: FloatArray) -> FloatArray:
 
 
 def rotation(a_pq: FloatArray, rest_size: float) -> FloatArray:
-    """R of the polar decomposition (eq. 3.9), always proper: maximises tr(R^T A_pq) over rotations.
+    """R (d, d) of the polar decomposition (eq. 3.9) of A_pq (d, d), always proper: maximises tr(R^T A_pq) over
+    rotations.
 
     rest_size: trace of the rest moments; in the plane, below `NO_ROTATION` of it every rotation is as good, and R = I.
     """

@@ -67,7 +67,7 @@ class Relaxed:
 
     @property
     def settled(self) -> FloatArray:
-        """`position`, NaN where it did not converge."""
+        """`position` (B, K, d), NaN where it did not converge."""
         return np.asarray(np.where(self.converged[:, None, None], self.position, np.nan))
 
 
@@ -678,7 +678,8 @@ class _Stepping:
         )
 
     def run_moving(self, steps: int, before: FloatArray, after: FloatArray) -> None:
-        """The next `steps` steps, on which the held displacements go from before to after."""
+        """The next `steps` steps, on which the displacements of held particles go from `before` to `after`, (B, h,
+        d)."""
         if self.places is None:
             self.run(steps)
             return

@@ -250,6 +250,7 @@ class Profile:
 
     @property
     def beta(self) -> FloatArray:
+        """(n,) beta of each pair, from -log(1 - beta)."""
         return beta_of(self.stretched, self.fit.beta_range)
 
     def _take(self, stretched: FloatArray) -> None:

@@ -80,7 +80,7 @@ class Partitions:
         return len(self.family)
 
     def take(self, index: IntArray | BoolArray) -> Partitions:
-        """Those maps."""
+        """The maps at these indices (n,), or where a mask (B,) is true."""
         return Partitions(self.regions, self.size_m, self.family[index], self.latent[index], self.double[index])
 
     def join(self, other: Partitions) -> Partitions:

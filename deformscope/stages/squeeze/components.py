@@ -57,7 +57,7 @@ class Space:
 
     @property
     def few(self) -> tuple[FloatArray, FloatArray]:
-        """Both sides on the components that hold `EXPLAINED` of the variance."""
+        """(n, kept) and (m, kept): training and test points on the components that hold `EXPLAINED` of the variance."""
         return self.train[:, : self.kept], self.test[:, : self.kept]
 
 

@@ -92,7 +92,7 @@ class ContentModel:
 
 
 def checked(name: str, features: FloatArray, model: ModalityModel) -> FloatArray:
-    """The same features. Raises InputError for what does not fit the model."""
+    """The same features (n, columns). Raises InputError for what does not fit the model."""
     if features.ndim != 2 or features.shape[1] != model.columns:
         raise InputError(f"(n, {model.columns}) features in {name}, as in training", f"shape {features.shape}")
     if np.isinf(features).any():

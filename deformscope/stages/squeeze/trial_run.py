@@ -67,7 +67,8 @@ def sides_of(
     split: Split,
     fused: Sequence[tuple[str, ...]],
 ) -> dict[str, Sides]:
-    """Every modality by itself, and joined ones: early fusion, standardised columns side by side."""
+    """Every modality (trials, columns) by itself, and joined ones: early fusion, standardised columns side by side.
+    missing: (trials,) by modality"""
     scaled: dict[str, tuple[IntArray, IntArray, FloatArray, FloatArray]] = {}
     for name, values in features.items():
         train, test = split.train[~missing[name][split.train]], split.test[~missing[name][split.test]]
