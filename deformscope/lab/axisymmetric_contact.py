@@ -90,7 +90,7 @@ class _Layer(LargeStrain):
         self._change, self._move = _changes(self.basis)[0], _changes(self._top)[1]
 
     def _begin(self, state: FloatArray, reached: float, depth: float) -> FloatArray:
-        """The foam moved in proportion."""
+        """A start for depth [m]: the displacements (n,) at depth `reached`, scaled in proportion."""
         self._depth_m = depth
         return state * (depth / reached) if reached > 0.0 else state
 
@@ -171,7 +171,7 @@ def _sums(basis: Basis, shares: FloatArray, first: FloatArray, second: FloatArra
 
 
 def _graded(even: float, end: float, size: float) -> FloatArray:
-    """Borders from 0 to `end`: `size` apart as far as `even`, then farther and farther."""
+    """(n,) element borders from 0 to `end` [m]: `size` apart as far as `even`, then farther and farther."""
     borders = list(np.linspace(0.0, even, max(2, round(even / size)) + 1))
     step = size
     while borders[-1] + 1.5 * GROWTH * step < end:

@@ -117,7 +117,7 @@ def _foam() -> BoolArray:
 
 @cache
 def _dent() -> FloatArray:
-    """How deep it is at each pixel, 0 to 1."""
+    """(h, w) depth of the dent at each pixel, as a share of the deepest, 0 to 1."""
     rows, columns = _grid()
     away = np.hypot(rows - MIDDLE_PX[0], columns - MIDDLE_PX[1])
     dent: FloatArray = (np.exp(-away / DENT_PX) * _foam()).astype(np.float32)
@@ -138,7 +138,7 @@ def _background() -> FloatArray:
 
 @cache
 def _texture() -> FloatArray:
-    """Yellow foam with dark specks on a grey table."""
+    """(h, w, 3) RGB of yellow foam with dark specks on a grey table."""
     colours = np.where(_foam()[..., None], np.array(FOAM_RGB, np.float32), np.array(TABLE_RGB, np.float32))
     texture: FloatArray = (colours * _light()).astype(np.float32)
     return texture

@@ -186,7 +186,7 @@ class Shell:
         return fields, rows @ fields
 
     def _free_fields(self) -> list[BoolArray]:
-        """Unknowns of w, v, u that are not held."""
+        """Masks (n,) of the unknowns that are not held, of w, v and u; of w alone for a box."""
         along, up = self._along.size, self._up.size
         w = np.ones((along, up), dtype=bool)
         w[:, [0, up - 2]] = False  # the rims

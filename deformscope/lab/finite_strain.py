@@ -132,7 +132,8 @@ class LargeStrain(ABC):
         return None
 
     def _line_search(self, state: FloatArray, step: FloatArray, slope: float) -> FloatArray | None:
-        """The longest of 1, 1/2, 1/4... of a step that lowers the energy as its slope lets expect (Armijo 1966)."""
+        """The state (n,) after the longest of 1, 1/2, 1/4... of a step (n,) that lowers the energy as its slope lets
+        expect (Armijo 1966); None where none does."""
         if slope >= 0.0:  # no descent: the tangent is not positive definite here
             return None
         energy = self._energy(state)
@@ -153,7 +154,8 @@ class LargeStrain(ABC):
 
     @abstractmethod
     def _smallest_volume(self, state: FloatArray) -> float:
-        """Of what was 1 at rest; not above 0 where something is turned inside out."""
+        """The smallest ratio of an element's volume in state (n,) to that at rest; not above 0 where something is
+        turned inside out."""
 
     @abstractmethod
     def _energy(self, state: FloatArray) -> float: ...
@@ -189,7 +191,7 @@ class _Half(LargeStrain):
         self.free: IntArray = self.basis.complement_dofs(self.prescribed)
 
     def _begin(self, state: FloatArray, reached: float, depth: float) -> FloatArray:
-        """The clamp moved, and the rest along with it as the tangent says."""
+        """The state (n,) [m] with the clamp moved to a depth [m], and the rest along with it as the tangent says."""
         force, tangent = self._assemble(state)
         step = np.zeros_like(state)
         step[self.pushed] = -depth - state[self.pushed]
@@ -248,7 +250,7 @@ _INNER_FORCE, _STIFFNESS = LinearForm(_inner_force), BilinearForm(_stiffness)
 
 
 def _graded(edge: float, end: float, size: float) -> FloatArray:
-    """Element borders from 0 to `end` with one at `edge`: `size` as far as two edges out, then twice that."""
+    """(n,) element borders from 0 to `end` with one at `edge` [m]: `size` as far as two edges out, then twice that."""
     inner = np.linspace(0.0, edge, max(2, round(edge / size)) + 1)
     turn = min(2.0 * edge, end)
     near = np.linspace(edge, turn, max(2, round((turn - edge) / size)) + 1)

@@ -211,7 +211,7 @@ class SimulatedHand:
         raise InputError("a place that the arm reaches", f"{center_m.round(3).tolist()} m", "another hidden number")
 
     def _reach(self, T_base_ee: FloatArray, starts: int = 12) -> bool:
-        """Bring the arm's end there by hand; whether it goes there."""
+        """Bring the arm's end by hand to a pose (4, 4) in the base frame [m]; whether it can be there."""
         body = self._table.body
         if isinstance(body, StandDouble):
             body.put(T_base_ee)

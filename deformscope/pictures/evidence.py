@@ -444,7 +444,8 @@ def _quartered(corners: FloatArray) -> FloatArray:
 
 
 def _frame(axes: Axes, comparison: Comparison, image: ImageArray | None, shown: CloseUp | None = None) -> float:
-    """Limits, labels and the image below; the factor that turns a position into what is drawn."""
+    """Set limits and labels, and draw the image (h, w) or (h, w, 3) below; the factor that turns a position into what
+    is drawn."""
     scale, unit = _length_unit(comparison)
     if shown is not None:
         low, high = shown.low[:2] * scale, shown.high[:2] * scale

@@ -484,7 +484,7 @@ def _number_log_bar(bar: Colorbar, low: float, high: float) -> None:
 
 
 def _draw_levels(axes: Axes, values: FloatArray, cell_m: float, unit: str) -> None:
-    """A few lines of equal value."""
+    """Draw three lines of equal value over a map (rows, columns)."""
     if not float(np.nanmax(values) - np.nanmin(values)) > 0:
         return
     rows, columns = values.shape
@@ -508,7 +508,8 @@ def _label_colors(labels: IntArray) -> FloatArray:
 
 
 def _matched(truth: IntArray, found: IntArray) -> IntArray:
-    """The truth's labels, renamed so that a region has the colour of the found one that it overlaps the most."""
+    """The truth's labels (rows, columns), renamed so that a region has the colour of the found one that it overlaps the
+    most."""
     from scipy.optimize import linear_sum_assignment
 
     there, found_labels = np.unique(truth), np.unique(found)
@@ -526,7 +527,7 @@ def _matched(truth: IntArray, found: IntArray) -> IntArray:
 
 
 def _draw_outline(axes: Axes, labels: IntArray, cell_m: float, color: str, width: float = 1.4) -> None:
-    """Lines between cells of different labels, along the cells' edges."""
+    """Draw lines between cells of different labels (rows, columns), along the cells' edges."""
     from matplotlib.collections import LineCollection
 
     lines = LineCollection(list(100 * region_edges(labels, cell_m)), colors=color, linewidths=width)
@@ -574,7 +575,7 @@ def _draw_contacts(axes: Axes, contacts_m: FloatArray, tip_radius_m: float, *, p
 
 
 def _draw_excluded(axes: Axes, excluded: BoolArray, cell_m: float) -> None:
-    """Grey with stripes, crisp at the cells' edges."""
+    """Draw the excluded cells (rows, columns) grey with stripes, crisp at the cells' edges."""
     from matplotlib.colors import to_rgb
 
     if not excluded.any():

@@ -381,7 +381,7 @@ class _Joint:
         best: tuple[float, float],
         explanations: Sequence[Explanation],
     ) -> tuple[float, tuple[float, float]] | None:
-        """k over draws of the joint posterior."""
+        """Stiffness k with its interval over draws of the joint posterior. beta: (b,); theta: (t,); density: (b, t)"""
         if all(one.force_n is None for one in self.seen):
             return None
         over = (density * np.gradient(beta)[:, None] * np.gradient(theta)).ravel()

@@ -79,7 +79,7 @@ def correct_held(search: Search, candidates: int, seed: int) -> tuple[IntArray, 
 
 
 def _beside(search: Search, best: int) -> IntArray:
-    """Candidates below and above the best one."""
+    """(2,) indices of the candidates below and above the best one."""
     low, high = (search.stretch(bound) for bound in search.bounds)
     step = EFFECT * (high - low)
     place = min(max(search.stretch(float(search.tried.parameter[best])), low + step), high - step)
@@ -134,7 +134,7 @@ def _steps(
 
 
 def _few_hypotheses(every: NoiseHypotheses) -> IntArray:
-    """Rows of those that stand for all."""
+    """(n,) indices of the hypotheses that stand for all."""
     sizes = np.unique(every.size)[1::SIZES]
     some = (every.field == CORRELATIONS.index("matern")) & np.isin(every.length, LENGTHS) & np.isin(every.size, sizes)
     return np.flatnonzero(some | (every.size == 0.0))

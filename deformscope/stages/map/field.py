@@ -267,7 +267,8 @@ class _Fit:
         return float(value), np.array(slope)
 
     def _covariance(self, x: FloatArray) -> tuple[FloatArray, float, FloatArray]:
-        """Of the field, the nugget's variance, and of what was measured: with the unknown level and all noise."""
+        """Covariance (n, n) of the field at the touches, the nugget's variance, and covariance (n, n) of what was
+        measured, with the unknown level and all noise. x: (3,) as in `likelihood`"""
         sigma_e, length, nugget = np.exp(x)
         signal = sigma_e**2 * np.exp(-0.5 * self.square / length**2)
         covariance = signal + self.prior.level_sd**2
@@ -290,8 +291,8 @@ class _Fit:
     def _around(
         self, at: FloatArray, free: BoolArray, low: FloatArray, high: FloatArray, cost: Cost
     ) -> list[tuple[FloatArray, float]]:
-        """Hyper-parameters to average over and their shares: the likeliest, and points around it on a sphere of the
-        posterior's deviations, weighed as for a Gaussian and then by what the posterior is there (Rue et al. 2009,
+        """Hyper-parameters (3,) to average over and their shares: the likeliest, and points around it on a sphere of
+        the posterior's deviations, weighed as for a Gaussian and then by what the posterior is there (Rue et al. 2009,
         6.5: a central composite design)."""
         which = np.flatnonzero(free)
         size = len(which)

@@ -569,7 +569,7 @@ def _doubted(with_read: FloatArray, own: FloatArray) -> FloatArray:
 
 
 def _spaced(low: float, high: float, cell: float) -> FloatArray:
-    """From end to end, about a cell apart."""
+    """(n,) coordinates from `low` to `high`, about a cell apart, in their unit."""
     return np.linspace(low, high, max(2, round((high - low) / cell) + 1))
 
 

@@ -175,8 +175,8 @@ class _Search:
         )
 
     def _first(self, start: FloatArray, free_noise: bool) -> FloatArray:
-        """Where to start from: the best of a few lengths, from long to short, each with the noise that neighbours show,
-        and with less, since a surface that is rough between neighbours looks like noise."""
+        """(3,) logarithms to start from: the best of a few lengths, from long to short, each with the noise that
+        neighbours show, and with less, since a surface that is rough between neighbours looks like noise."""
         length, best, at = 0.5 * self.limits[1] / LONGEST, -np.inf, start
         while True:
             length = max(length, self.limits[0])
@@ -199,7 +199,7 @@ class _Search:
         count = len(self.free.value) + len(self.known.value)
 
         def cost(x: FloatArray) -> tuple[float, FloatArray]:
-            """Negative log posterior and its slopes, a point."""
+            """Negative log posterior at x (3,) and its slopes (3,), each divided by the number of points."""
             self.trials += 1
             sigma_e, length, scale = np.exp(x)
             found = basis.trial(*weighed, sigma_e, length, scale)

@@ -83,7 +83,7 @@ def beta_cells(corner: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def _elasticity(d: int, nu: float) -> FloatArray:
-    """Stresses of strains, at modulus 1; plane stress in the plane."""
+    """(3, 3) or (6, 6) stresses of strains (engineering shear) at Young's modulus 1; plane stress for d = 2."""
     if d == 2:
         return np.array([[1.0, nu, 0.0], [nu, 1.0, 0.0], [0.0, 0.0, 0.5 * (1.0 - nu)]]) / (1.0 - nu**2)
     shear = 0.5 / (1.0 + nu)

@@ -296,8 +296,8 @@ def _described(
 
 
 def _materials(fit: FieldFit, found: list[Description], edges: IntArray, count: int) -> list[Description]:
-    """So many materials, with borders that were found from several beginnings, the likeliest first; none where there
-    are fewer. found: the smooth field, and fewer materials"""
+    """Descriptions by so many materials, with borders that were found from several beginnings, the likeliest first;
+    none where there are fewer. found: the smooth field, and fewer materials; edges: (n, 2) neighbouring cells"""
     smooth, noise = found[0], max(found, key=lambda one: one.weight).noise
     p, weight = smooth.point.at[:-1], 1.0 / np.maximum((smooth.root[:-1] ** 2).sum(axis=1), 1e-12)
     begun = [levels_of(p, weight, count)]

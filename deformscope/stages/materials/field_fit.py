@@ -265,8 +265,9 @@ def in_whole_cells(seen: Observation) -> Observation:
 
 
 def _beside_tool(seen: Observation, cells: IntArray) -> IntArray:
-    """Particles next to a tool that covers a part of a face. Cells as coarse as particles cannot follow what happens at
-    its edge, which falls anywhere between two: what was seen around it is prescribed instead."""
+    """Indices (n,) of particles next to a tool that covers a part of a face, by cells (C, 2^d). Cells as coarse as
+    particles cannot follow what happens at its edge, which falls anywhere between two: what was seen around it is
+    prescribed instead."""
     touched = np.isin(np.arange(len(seen.rest)), seen.touched)
     for axis in seen.rest.T:
         near = 1e-3 * np.ptp(axis)

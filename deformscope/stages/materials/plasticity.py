@@ -203,7 +203,8 @@ class _Profile:
 def _ends(
     grid: FloatArray, excess: FloatArray, inside: IntArray, value: float, limit: float
 ) -> tuple[float, float | None]:
-    """Where the excess crosses the limit on either side of the value; None above where it never does."""
+    """The yield strains, out of a grid (n,), at which the excess (n,) crosses the limit on either side of the value;
+    None above where it never does."""
     if not inside.size:
         return value, value
 
@@ -342,7 +343,7 @@ class _YieldFit:
         return np.array(rows)
 
     def _creeps(self) -> FloatArray:
-        """Rates that a motion of this many frames and this length can separate."""
+        """(n,) creep rates that a motion of this many frames and this length can separate, per unit of its duration."""
         assert self.motion.duration is not None
         return np.geomspace(0.1 / self.motion.duration.sum(), 1.0 / self.motion.duration.min(), CREEPS + 2)
 
@@ -442,7 +443,7 @@ class _YieldFit:
         return _Profile(grid, squares, excess)
 
     def _freed(self, best: Minimum, away: FloatArray) -> FloatArray:
-        """What is left of a change when beta and creep adapt as well as they can."""
+        """What is left of a change (n,) of the coordinates when beta and creep adapt as well as they can."""
         others = best.jacobian[:, 1:]
         if not others.shape[1]:
             return away
@@ -537,7 +538,8 @@ class _YieldFit:
     def _in_residuals(
         self, best: Minimum, rows: IntArray, frames: Sequence[Observation], simulated: FloatArray
     ) -> Iterator[Doubt]:
-        """What histories with other axes, and with two betas, show of the residuals of the best."""
+        """Doubts that histories with other axes, and with two betas, show in the residuals of the best. rows: (n,)
+        frames"""
         strain, beta, creep = self.numbers(best.at[None])
         tried = np.append(self.shrink(np.linspace(0.1, 3.0, TURNED)), beta)
         betas, count = np.tile(tried, 2), 2 * len(tried)

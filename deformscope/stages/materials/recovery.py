@@ -129,7 +129,7 @@ def _verdict(share: FloatArray, kept: FloatArray, weight: FloatArray) -> Recover
 
 
 def _begin(amplitude: FloatArray) -> int:
-    """The frame before it moves."""
+    """Index of the frame before it moves, of an amplitude (T,)."""
     return max(0, int(np.flatnonzero(amplitude > 0.02 * amplitude.max())[0]) - 1)
 
 

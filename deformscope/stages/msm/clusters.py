@@ -215,7 +215,8 @@ def spacing(rest: FloatArray) -> float:
 
 
 def _particle_at(shape: tuple[int, ...], cell: IntArray) -> IntArray:
-    """The particle of each cell (shape), -1 where there is none."""
+    """The particle of each cell of a lattice of `shape`, -1 where there is none. cell: (K,) flat index of each
+    particle's cell"""
     found = np.full(shape, -1, dtype=np.int64)
     found.reshape(-1)[cell] = np.arange(len(cell))
     return found
@@ -244,7 +245,8 @@ def _windows_along(values: IntArray, width: int, axis: int) -> IntArray:
 
 
 def _covering(corner: BoolArray, window: tuple[int, ...]) -> IntArray:
-    """(shape) how many clusters each cell is in."""
+    """How many clusters each cell is in, an array of the shape of `corner` (one or more axes), a mask of the clusters'
+    first cells."""
     padded = np.pad(corner.astype(np.int64), [(w - 1, 0) for w in window])
     return _window_sums(padded, window)
 

@@ -195,7 +195,7 @@ class PlasticMsm:
         return np.zeros(self.size, dtype=bool) if self._moving is None else self._moving.diverged
 
     def _plain(self, beta: FloatArray | float | AxisBeta, theta: FloatArray | float) -> FloatArray | float:
-        """beta as the variant takes it."""
+        """beta as the variant takes it: one or (B,), or of an `AxisBeta` (B, 1, d)."""
         axes = self.body._axes
         if not isinstance(beta, AxisBeta):
             if axes is not None:

@@ -296,7 +296,8 @@ class _TipContact:
         return found
 
     def _touching(self, touched: BoolArray, along: FloatArray, position: FloatArray, depth: float) -> bool:
-        """Update which particles touch a round tip: it pulls at none, and none is within it. Whether that changed."""
+        """Update which particles (n,) touch a round tip: it pulls at none, and none is within it. Whether that changed.
+        along: (touched,) reactions; position: (K, d)"""
         if not self.round_tip:
             return False
         scene = self.scene

@@ -283,7 +283,7 @@ class OneCluster:
         max_iterations: int,
         volume: Volume,
     ) -> _Work:
-        """The rows of `size` candidates, in scratch that calls of one size share."""
+        """The rows of `size` candidates, in scratch that calls of one size share. beta, theta: (B,), or one for all"""
         work = self._work.get((size, volume))
         if work is None:
             work = self._work[size, volume] = _Work(self, self._bodies[volume], size)

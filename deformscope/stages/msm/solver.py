@@ -206,7 +206,7 @@ class Msm:
         self._particles = BodyRest(self.rest / self.scale, self.mass, self.free, counts, metric)
 
     def _along(self, beta: AxisBeta, theta: FloatArray | float) -> Msm:
-        """The variant for betas along these axes, kept for the next call."""
+        """The variant for betas along these axes, kept for the next call. theta: (B,) or one, all 0"""
         axes = np.asarray(beta.axes)
         if len(axes) != self.dim:
             raise ValueError(f"expected betas along {self.dim} axes; got {len(axes)}")
@@ -483,7 +483,8 @@ class Msm:
         theta: FloatArray | float,
         volume: Volume,
     ) -> None:
-        """Derivative of the goals into the method's residual; by theta also where that is 0, without conservation."""
+        """Derivative of the goals at positions (B, K, d) into the method's residual; by theta also where that is 0,
+        without conservation."""
         if by == BY_THETA and method.volume == NONE:
             conserving = self._at(position, beta, theta, volume, method_kind=Newton, conserving=True)
             conserving.derive(by)
@@ -501,7 +502,7 @@ class Msm:
         conserving: bool = False,
         method_kind: type[Newton] | None = None,
     ) -> Any:
-        """The method, evaluated at `position`.
+        """The method, evaluated at positions (B, K, d).
 
         conserving: with volume conservation though theta is 0; method_kind: which, where it only is to be evaluated
         """
@@ -646,7 +647,7 @@ class _Stepping:
             self._hold(held_u)
 
     def _find(self, held: IntArray) -> None:
-        """Where the held particles of all candidates stand in memory."""
+        """Find where the held particles (h,) of all candidates stand in memory."""
         layout, operator = self.state.layout, self.state.operator
         self.kernels = (
             operator.resident if operator.threads else iteration_kernels_for(operator.dim, layout.scalar, layout.width)

@@ -254,7 +254,7 @@ class Profile:
         return beta_of(self.stretched, self.fit.beta_range)
 
     def _take(self, stretched: FloatArray) -> None:
-        """Simulate these values of -log(1 - beta), none of which was before."""
+        """Simulate values (n,) of -log(1 - beta), none of which was before."""
         law = self.fit.best.law
         laws = [dataclasses.replace(law, beta=float(beta)) for beta in beta_of(stretched, self.fit.beta_range)]
         reaction, errors = [], []

@@ -230,7 +230,7 @@ def _line(latent: FloatArray, kind: Family, xy_m: FloatArray, size_m: tuple[floa
 
 
 def _between(limits: tuple[float, float], latent: FloatArray) -> FloatArray:
-    """Evenly between the limits in the logarithm, from a normal number."""
+    """Values of any shape, evenly between the limits in the logarithm, of standard normal numbers (...,)."""
     low, high = np.log(limits)
     return cast(FloatArray, np.exp(low + (high - low) * ndtr(latent)))
 

@@ -411,8 +411,8 @@ class RegionPosterior:
         return rigid & (level > self._rigid_bound - RIGID_SDS * self.prior.rigid_sd)
 
     def _draw(self, one: _Particles, count: int, readings: _Readings) -> tuple[Partitions, FloatArray, FloatArray]:
-        """`count` maps in proportion to their weights, their levels and covariances under one scatter each, which is
-        drawn in proportion to its probability given the map."""
+        """`count` maps in proportion to their weights, their levels (count, r) and covariances (count, r, r) under one
+        scatter each, which is drawn in proportion to its probability given the map."""
         maps = one.maps.take(_systematic(np.exp(one.log_weight), count, 0.5))
         shares = maps.shares(readings.xy_m, self.prior.blur_m)
         logs = _by_scatter(shares, readings, self.prior)
@@ -719,8 +719,8 @@ def _update(
 
 
 def _effective(log_weight: FloatArray, maps: Partitions) -> float:
-    """How much of them weighted maps are worth, as a share (Kong 1992): family by family of the first curve, as they
-    are kept, in proportion to their weights."""
+    """The number of independent maps that weighted ones (n,) are worth, as a share (Kong 1992): family by family of the
+    first curve, as they are kept, in proportion to their weights."""
     weight, family = np.exp(log_weight - log_weight.max()), maps.family[:, 0]
     each, squares = (np.bincount(family, one) for one in (weight, weight**2))
     number = np.maximum(np.bincount(family) * squares, 1e-300)
@@ -728,8 +728,8 @@ def _effective(log_weight: FloatArray, maps: Partitions) -> float:
 
 
 def _kept(log_weight: FloatArray, family: IntArray, count: int, start: float) -> tuple[IntArray, FloatArray]:
-    """About `count` indices, and what each weighs then: of each family in proportion to the cube root of its weight,
-    and in it to its maps' weights.
+    """About `count` indices (n,), and the log weight of each then: of each family in proportion to the cube root of its
+    weight, and in it to its maps' weights.
 
     What is improbable now may be what explains later touches; from the few maps that its weight is worth it would come
     back as copies of one, with an evidence that is wrong by factors.

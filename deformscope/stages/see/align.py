@@ -86,7 +86,7 @@ def align(points: FloatArray, solids: Sequence[PosedSolid]) -> Alignment | None:
 
 
 def _evenly(points: FloatArray, most: int) -> FloatArray:
-    """So many of them at most."""
+    """At most so many of the points (n, 3), evenly spaced in their order."""
     return points[np.linspace(0, len(points) - 1, min(len(points), most)).astype(np.int64)]
 
 

@@ -99,7 +99,7 @@ def clusters(table: LabelledTable, seed: int) -> Mapping[str, Grouping]:
 
 
 def _two(points: FloatArray) -> FloatArray:
-    """The first two columns, a column of zeros where there is one alone."""
+    """(n, 2) first two columns of points (n, d), a column of zeros where there is one alone."""
     return np.pad(points, ((0, 0), (0, max(0, 2 - points.shape[1]))))[:, :2]
 
 

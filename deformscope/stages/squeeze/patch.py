@@ -144,7 +144,7 @@ def median_of(values: FloatArray) -> FloatArray:
 
 
 def _local_median(change: FloatArray) -> FloatArray:
-    """Of the window around each pixel."""
+    """(h, w) median of the `LOCAL_PX` window around each pixel of an image (h, w); NaN are left out."""
     windows = sliding_window_view(np.pad(change, LOCAL_PX // 2, constant_values=np.nan), (LOCAL_PX, LOCAL_PX))
     return median_of(np.moveaxis(windows.reshape(*change.shape, -1), -1, 0))
 

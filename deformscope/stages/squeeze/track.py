@@ -175,7 +175,8 @@ def _equations(
     reach_m: float,
     fine: bool,
 ) -> list[_Rows]:
-    """Of the surface, of the outline where it is fine, and of the table where there is one, in this order."""
+    """Equations of the surface, of the outline where it is fine, and of the table where there is one, in this order.
+    depth: (h, w) [m]; usable: (h, w); pose: (4, 4) [m]"""
     margin = EDGE_REACH_PX if fine else 0
     left, top, right, bottom = renderer.window(pose, (depth.shape[0], depth.shape[1]), margin)
     every = 1 if fine else 4
@@ -367,8 +368,8 @@ def _bulges(jacobian: FloatArray, residual: FloatArray, bulge: FloatArray, weigh
 
 
 def _tukey(residual: FloatArray, cut: float = 4.685) -> FloatArray:
-    """Weights of residuals in deviations (Tukey's biweight); the deviation is taken from them where it is larger than
-    assumed, so that a start beside the pose is drawn to it."""
+    """Weights (n,) of residuals (n,) in deviations (Tukey's biweight); the deviation is taken from them where it is
+    larger than assumed, so that a start beside the pose is drawn to it."""
     if not len(residual):
         return residual
     scale = max(1.4826 * float(np.median(np.abs(residual))), 1.0)
@@ -433,9 +434,9 @@ def _judged(
 def _compared(
     renderer: ModelRenderer, depth: FloatArray, usable: BoolArray, pose: FloatArray, rows: list[_Rows]
 ) -> FloatArray:
-    """Differences of depth in deviations at the container's pixels, those of the background included: where the model
-    is and the container is not, the track is wrong. What stands before it, as a cable, is left out, and how far walls
-    bulge is taken into account. rows: the equations there"""
+    """(n,) differences of depth in deviations at the container's pixels, those of the background included: where the
+    model is and the container is not, the track is wrong. What stands before it, as a cable, is left out, and how far
+    walls bulge is taken into account. rows: the equations there"""
     left, top, right, bottom = renderer.window(pose, (depth.shape[0], depth.shape[1]), EDGE_REACH_PX)
     column, row = np.meshgrid(np.arange(left, right), np.arange(top, bottom))
     if not column.size or not rows:

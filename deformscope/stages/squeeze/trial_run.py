@@ -114,7 +114,7 @@ def _joined(
 
 
 def _common(rows: Sequence[IntArray]) -> IntArray:
-    """Rows in all of them, sorted, as each of them is."""
+    """(n,) trials that are in all of these index arrays (n,), sorted, as each of them is."""
     found = rows[0]
     for more in rows[1:]:
         found = np.intersect1d(found, more)
@@ -197,7 +197,8 @@ def late_fusion(
 
 
 def _costly(name: Costly, sides: Sides, target: IntArray, classes: int, seed: int) -> Answers:
-    """scikit-learn's gradient boosting or Gaussian process, on raw columns where there are few, else on components."""
+    """scikit-learn's gradient boosting or Gaussian process, on raw columns where there are few, else on components.
+    target: (trials,) class of each"""
     raw = 0 < sides.scaled_train.shape[1] <= FEW_COLUMNS
     few = sides.space.few
     train, test = (sides.scaled_train, sides.scaled_test) if raw else few

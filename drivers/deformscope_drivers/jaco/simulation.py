@@ -344,12 +344,13 @@ class Admittance:
 
 
 def _beyond(push: FloatArray, least: FloatArray, most: FloatArray) -> FloatArray:
-    """What of a push drives the admittance: nothing below the least, no more than the most."""
+    """(n,) part of a push [N, Nm] that drives the admittance: nothing below `least`, no more than `most`, (n,) each."""
     size = np.abs(push)
     return np.where(size < least, 0.0, np.sign(push) * np.minimum(size, most))
 
 
 def _admit(rates: FloatArray, push: FloatArray, inertia: FloatArray, damping: FloatArray) -> FloatArray:
-    """One cycle of inertia * acceleration + damping * rate = push, solved for its end so that it cannot ring."""
+    """(n,) rates after one cycle of inertia * acceleration + damping * rate = push, solved for its end so that it
+    cannot ring."""
     moved: FloatArray = (inertia * rates + push * CYCLE_S) / np.maximum(inertia + damping * CYCLE_S, 1e-9)
     return moved
