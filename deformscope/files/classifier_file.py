@@ -186,6 +186,7 @@ def _pool(found: Arrays, prefix: str, members: int, classes: int) -> Pool:
 
 
 def _array(found: Arrays, name: str, kinds: str, shape: tuple[int | None, ...]) -> npt.NDArray[Any]:
+    """The array of this name. shape: as it must be, (p, None) with any number of columns. Raises ValueError."""
     value = found[name]
     fits = value.ndim == len(shape) and all(
         want is None or want == got for want, got in zip(shape, value.shape, strict=True)

@@ -116,6 +116,7 @@ class _Layer(LargeStrain):
         return np.maximum(self._radius_m - distance, 0.0), away / distance, distance
 
     def _energy(self, state: FloatArray) -> float:
+        """Energy of state (n,) stored in the foam and in the contact's penalty [J]."""
         stretch = np.linalg.svd(self._gradient(state), compute_uv=False)
         stored = (self.law.energy(np.moveaxis(stretch, -1, 0)) * self._ring * self.basis.dx).sum()
         entered, _, _ = self._entered(state)
@@ -123,6 +124,7 @@ class _Layer(LargeStrain):
         return float(2.0 * np.pi * (stored + pushed))
 
     def _assemble(self, state: FloatArray) -> tuple[FloatArray, Any]:
+        """Forces (n,) [N] and tangent (n, n) [N/m] of state (n,) [m]."""
         f = self._gradient(state)
         stress, tangent = stress_and_tangent(self.law, f.reshape(-1, 3, 3))
         stress, tangent = stress.reshape(*f.shape[:2], 9, 1), tangent.reshape(*f.shape[:2], 9, 9)

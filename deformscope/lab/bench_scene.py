@@ -104,12 +104,14 @@ def _light() -> FloatArray:
 
 @cache
 def _grid() -> tuple[FloatArray, FloatArray]:
+    """(480, 640) row and (480, 640) column of every pixel."""
     rows, columns = np.mgrid[0:HEIGHT_PX, 0:WIDTH_PX].astype(np.float32)
     return rows, columns
 
 
 @cache
 def _foam() -> BoolArray:
+    """(480, 640) pixels that show foam."""
     rows, columns = _grid()
     top, bottom, left, right = FOAM_PX
     return (rows > top) & (rows < bottom) & (columns > left) & (columns < right)
@@ -126,6 +128,7 @@ def _dent() -> FloatArray:
 
 @cache
 def _stick() -> BoolArray:
+    """(480, 640) pixels that show the stick."""
     rows, columns = _grid()
     stick: BoolArray = np.hypot(rows - MIDDLE_PX[0], columns - MIDDLE_PX[1]) < STICK_PX
     return stick
@@ -133,6 +136,7 @@ def _stick() -> BoolArray:
 
 @cache
 def _background() -> FloatArray:
+    """(480, 640) distance of foam and table [m]."""
     return np.where(_foam(), FOAM_M, TABLE_M).astype(np.float32)
 
 

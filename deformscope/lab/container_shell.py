@@ -66,7 +66,7 @@ class ContainerShape:
 
     @property
     def area_m2(self) -> float:
-        """Of its cross-section."""
+        """Area of the container's cross-section [m2]."""
         x, y, _ = self.half_m
         return 4.0 * x * y if self.kind == "box" else float(np.pi * x * x)
 
@@ -294,6 +294,7 @@ def _corners(shape: ContainerShape) -> tuple[float, float, float, float]:
 
 
 def _around(shape: ContainerShape) -> FloatArray:
+    """(n,) nodes along the perimeter [m], finer where fingers press."""
     if shape.kind == "cylinder":
         half = shape.perimeter_m / 2
         low, first, second, third = -FINE_HALF_M, FINE_HALF_M, half - FINE_HALF_M, half + FINE_HALF_M
@@ -306,6 +307,7 @@ def _around(shape: ContainerShape) -> FloatArray:
 
 
 def _upwards(shape: ContainerShape) -> FloatArray:
+    """(n,) nodes along the height [m], finer around the middle."""
     half = shape.half_m[2]
     outer = round((half - FINE_HALF_M) / COARSE_M)
     inner = round(2 * FINE_HALF_M / FINE_M)

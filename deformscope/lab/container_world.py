@@ -165,6 +165,7 @@ class _Finger:
 
 
 def _texels() -> tuple[FloatArray, FloatArray, FloatArray]:
+    """(78,) along, (78,) across and (78,) recess of the texels of a pad in the finger's frame [m]."""
     pitch = TEXEL_PITCH_MM * 1e-3
     row, column = np.divmod(np.arange(TEXELS), COLUMNS)
     across = (column - (COLUMNS - 1) / 2) * pitch

@@ -158,7 +158,8 @@ class LargeStrain(ABC):
         turned inside out."""
 
     @abstractmethod
-    def _energy(self, state: FloatArray) -> float: ...
+    def _energy(self, state: FloatArray) -> float:
+        """Energy of state (n,), which equilibrium makes least."""
 
     @abstractmethod
     def _assemble(self, state: FloatArray) -> tuple[FloatArray, Any]:

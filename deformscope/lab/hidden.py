@@ -147,7 +147,7 @@ class SimulatedHand:
         self._parked = table.body.T_base_end_effector
 
     def do(self, kind: str, number: int, axis: tuple[float, float, float] | None) -> None:
-        """What a request says, at once."""
+        """Carry out a request to the operator at once: a pose of the arm or of the board."""
         self._table.push_tip(np.zeros(3))
         self._table.show_board(kind == "view")
         match kind:
@@ -195,6 +195,7 @@ class SimulatedHand:
         return self._rig.placement.tool.radius_m
 
     def _off(self, sd_m: tuple[float, ...]) -> FloatArray:
+        """(3,) a random error with these standard deviations [m]."""
         return np.asarray(np.array(sd_m) * self._random.standard_normal(3))
 
     def _park(self) -> None:

@@ -54,7 +54,7 @@ class DepthViewConfig:
 
     @property
     def intrinsics(self) -> Intrinsics:
-        """Its projection."""
+        """Focal lengths and centre of the camera [px]."""
         focal = self.focal_px * self.width / 640.0
         return Intrinsics(focal, focal, 0.5 * (self.width - 1), 0.5 * (self.height - 1))
 

@@ -190,7 +190,7 @@ class SlabWorld:
         return patch
 
     def _made(self, xy_m: FloatArray, reach_m: FloatArray, fine_m: FloatArray) -> Patch:
-        """As `Patch`."""
+        """A patch of the slab's mesh, with arguments as for `Patch`."""
         return Patch(self.scene, xy_m, reach_m, fine_m)
 
     def press(self, tip: RigidTip, center_m: FloatArray) -> Contact:

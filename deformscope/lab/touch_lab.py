@@ -120,7 +120,7 @@ class TouchLab:
 
     @property
     def functions(self) -> Spoiled:
-        """Its vendor's functions; raises TypeError as `arm_double` does."""
+        """Functions of the arm's vendor, which can be disturbed; raises TypeError as `arm_double` does."""
         self.arm_double  # noqa: B018
         assert self._jaco is not None
         return self._jaco[1]

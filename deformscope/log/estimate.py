@@ -65,6 +65,7 @@ def _log_error(rec: rr.RecordingStream, length: FloatArray, free: BoolArray, uni
 
 
 def _log_flat(rec: rr.RecordingStream, comparison: Comparison, length: FloatArray, canvas: Canvas, end: float) -> None:
+    """Log particles and errors of a flat body. length: (K,) error of each particle, NaN where not seen"""
     radius = canvas.spacing
     finite = np.isfinite(comparison.simulated).all(axis=1)
     if not canvas.image:  # a sequence has logged both already, frame by frame
@@ -224,7 +225,7 @@ def _deep_bar(comparison: Comparison, end: float) -> list[tuple[float, str, Rgb]
 
 
 def _heights(canvas: Canvas) -> str:
-    """That heights are drawn out, where they are."""
+    """Words for a title on how many times heights are drawn out; empty where they are not."""
     times = canvas.scale[2] if canvas.scale else 1.0
     return f", heights drawn {times:g} times" if times > 1.0 else ""
 

@@ -28,7 +28,7 @@ class ResultBatch:
         self._batch.show(path, self._times, entity)
 
     def log_static(self, path: str, entity: rr.AsComponents) -> None:
-        """What holds throughout, known only now."""
+        """Log an entity that holds at all times but is known only now."""
         self._batch.log(path, entity, static=True)
 
     def record(self, result: object) -> None:

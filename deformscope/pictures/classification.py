@@ -36,7 +36,7 @@ PADS, PAD_SIDE = 36, 6
 
 
 def class_colors(count: int) -> list[Any]:
-    """As distinct as so many can be."""
+    """(count,) colours, as distinct as so many can be."""
     if count <= len(COLOURS):
         return list(COLOURS[:count])
     from matplotlib import colormaps
@@ -89,6 +89,7 @@ def mean_images_png(table: LabelledTable, modality: str) -> bytes:
 
 
 def _mean(values: FloatArray) -> FloatArray:
+    """Mean of values (n, ...) over the first axis without NaN; NaN where there is nothing else."""
     known = ~np.isnan(values)
     count = known.sum(axis=0)
     return np.where(count > 0, np.where(known, values, 0.0).sum(axis=0) / np.maximum(count, 1), np.nan)

@@ -286,6 +286,7 @@ def _draw_particles(figure: Figure, place: SubplotSpec, result: Result, index: i
 
 
 def _draw_flat_particles(axes: Any, comparison: Comparison, image: ImageArray | None) -> None:
+    """Draw rest, observed and simulated positions with their errors. image: (h, w) or (h, w, 3), below them"""
     from matplotlib.collections import LineCollection
 
     scale = _frame(axes, comparison, image)
@@ -391,6 +392,8 @@ def _draw_errors(figure: Figure, place: SubplotSpec, result: Result, index: int)
 def _draw_flat_errors(
     axes: Any, comparison: Comparison, error: FloatArray, end: float, image: ImageArray | None, shown: CloseUp | None
 ) -> None:
+    """Draw the error (K,) over the area of a flat body or of a surface, with a ring around the largest. end: of its
+    scale"""
     known = np.flatnonzero(_known(comparison))
     if shown is not None:
         known = np.intersect1d(known, shown.holds(comparison.rest))
@@ -414,6 +417,7 @@ def _draw_flat_errors(
 
 
 def _draw_deep_errors(axes: Axes3D, comparison: Comparison, error: FloatArray, end: float) -> None:
+    """Draw the error (K,) over the skin of a body in space. end: of its scale"""
     import matplotlib as mpl
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
@@ -491,6 +495,7 @@ def _length_unit(comparison: Comparison) -> tuple[float, str]:
 
 
 def _known(comparison: Comparison) -> BoolArray:
+    """(K,) particles that were seen and whose simulated position is finite."""
     return (
         comparison.seen & np.isfinite(comparison.observed).all(axis=1) & np.isfinite(comparison.simulated).all(axis=1)
     )

@@ -329,6 +329,7 @@ def draw_section(axes: Axes, touch: TouchEstimate) -> None:
 
 
 def _near(points: FloatArray, at: FloatArray) -> FloatArray:
+    """Those of points (n, 3) within `SECTION_CM` of a place (2 or 3,) in the plane [m]."""
     return points[np.linalg.norm(points[:, :2] - at[:2], axis=1) <= SECTION_CM * 1e-2] if len(points) else points
 
 
@@ -453,6 +454,7 @@ def _draw_map(
     high: float | None = None,
     norm: Any = None,
 ) -> None:
+    """Draw a map (rows, columns) of square cells with its colour bar; low, high or norm: of its colours."""
     from matplotlib.ticker import FuncFormatter, MaxNLocator
 
     limits: dict[str, Any] = {} if norm is not None else {"vmin": low, "vmax": high}
@@ -494,6 +496,7 @@ def _draw_levels(axes: Axes, values: FloatArray, cell_m: float, unit: str) -> No
 
 
 def _draw_labels(axes: Axes, tints: FloatArray, sure: FloatArray, cell_m: float) -> None:
+    """Draw labels in their colours (rows, columns, 3), paler where less sure (rows, columns)."""
     blended = 1.0 + (tints - 1.0) * sure[..., None]
     axes.imshow(blended, origin="lower", extent=_extent(sure.shape, cell_m), interpolation="nearest")
     _label_axes(axes)

@@ -220,7 +220,7 @@ class _Check:
                 self._decoded += self._decode(self._again, self._decoder.feed(item.data))
 
     def result(self) -> DeviceComparison:
-        """Once all has come."""
+        """The comparison of all that was taken, once nothing more comes."""
         self._settle()
         if self._recorded:  # their bytes never came
             self._now_ns = self._recorded[-1].stamp.arrived_ns
@@ -275,7 +275,7 @@ class _Check:
 
 
 def _same(one: object, other: object) -> bool:
-    """To the last bit; nan is nan."""
+    """Whether two values are equal to the last bit, where nan equals nan."""
     if isinstance(one, tuple) and isinstance(other, tuple):
         return len(one) == len(other) and all(map(_same, one, other))
     if isinstance(one, np.ndarray) and isinstance(other, np.ndarray):

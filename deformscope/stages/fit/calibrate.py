@@ -271,7 +271,7 @@ def _in_residuals(search: Search, best: int, inference: Inference, rival: float 
 
 
 def _two_betas(search: Search, best: int, inference: Inference, rival: float = np.inf) -> Iterator[Doubt]:
-    """What simulations with two betas show of them."""
+    """Doubts that simulations with two betas show."""
     model = search.model
     positions = [position[best] for position in search.tried.positions]
     beta, _ = search.values(float(search.tried.parameter[best]))

@@ -296,7 +296,7 @@ class _Joint:
 
     @property
     def ends(self) -> tuple[float, float]:
-        """Of -log(1 - beta)."""
+        """Lowest and highest -log(1 - beta)."""
         low, high = self.options.beta_bounds
         return float(-np.log1p(-low)), float(-np.log1p(-high))
 
@@ -305,6 +305,8 @@ class _Joint:
         return beta_of(stretched, self.options.beta_bounds)
 
     def _response(self, part: Residuals, beta: float, theta: float, base: FloatArray) -> FloatArray:
+        """The effect of one observation's held positions at base (K, d): see `Residuals.response`."""
+
         def relax(held: FloatArray, start: FloatArray, tolerance: float) -> Relaxed:
             return part.body.relax(held, beta, theta, volume="project", start=start, tolerance=tolerance)
 
@@ -312,11 +314,13 @@ class _Joint:
 
     @staticmethod
     def _ends(grid: FloatArray, alive: FloatArray) -> tuple[float, float]:
+        """The ends of the grid (n,) that hold what is alive (n,), one step wider where the grid goes on."""
         inside = np.flatnonzero(alive)
         return float(grid[max(inside[0] - 1, 0)]), float(grid[min(inside[-1] + 1, len(grid) - 1)])
 
     @staticmethod
     def _flat(beta: FloatArray, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """beta and theta (b * t,) of every pair out of (b,) and (t,)."""
         b, t = np.meshgrid(beta, theta, indexing="ij")
         return b.ravel(), t.ravel()
 

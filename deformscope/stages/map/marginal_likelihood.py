@@ -193,6 +193,8 @@ class _Search:
             length /= COARSE
 
     def _climb(self, start: FloatArray, bounds: FloatArray, ends: tuple[float, float]) -> tuple[FloatArray, float]:
+        """The likeliest logarithms (3,) within bounds (3, 2) from a start (3,), and their log posterior. ends: lengths
+        [m]"""
         basis = HilbertBasis(self.middle, self.half, *ends)
         weighed = self._weighed(basis)
         free = bounds[:, 0] < bounds[:, 1]

@@ -70,7 +70,7 @@ class ThesisField:
         return Believed(mean, np.sqrt(variance.clip(0.0)))
 
     def on(self, grid: MapGrid) -> FieldMap:
-        """At the centres of a grid's cells."""
+        """Mean and deviation at the centres of a grid's cells."""
         found = self.at(grid.centres_m)
         return FieldMap(grid, found.mean.reshape(grid.shape), found.deviation.reshape(grid.shape))
 

@@ -307,6 +307,8 @@ class _AxisFit:
         return total / count
 
     def _relax(self, beta: AxisBeta, held: Sequence[FloatArray], size: int) -> FloatArray:
+        """(B, n) simulated coordinates that are judged, NaN where a simulation did not converge. held: (B, h, d) by
+        observation"""
         parts = []
         for row, (body, judged) in enumerate(zip(self.bodies, self.judged, strict=True)):
             found = body.relax(held[row], beta, start=self.starts[row])

@@ -171,20 +171,24 @@ class CellModel:
         )
 
     def _cells(self, nu: float) -> FloatArray:
+        """Stiffness of each cell's particles (C or 1, 2^d d, 2^d d) at modulus 1 and Poisson's ratio nu."""
         return elastic_cells(self.corner, nu) if self._fixed_cells is None else self._fixed_cells[0]
 
     def _assembled(self, each: FloatArray) -> csc_array:
+        """(K d, K d) sum of the cells' matrices (C, 2^d d, 2^d d)."""
         rows = np.repeat(self.dof, self.dof.shape[1], axis=1)
         columns = np.tile(self.dof, (1, self.dof.shape[1]))
         size = self.count * self.d
         return csc_array((each.ravel(), (rows.ravel(), columns.ravel())), shape=(size, size))
 
     def _columns(self, loads: FloatArray) -> FloatArray:
+        """(K d, C) each cell's load (2^d d,) as a column of its own."""
         found = np.zeros((self.count * self.d, len(loads)))
         found[self.dof, np.arange(len(loads))[:, None]] = loads
         return found
 
     def _solved(self, factors: object, load: FloatArray) -> FloatArray:
+        """Displacements (K d, ...) of loads (K d, ...) with factors of the free unknowns' matrix; 0 where held."""
         found = np.zeros(load.shape)
         found[self.free] = -factors.solve(load[self.free])  # type: ignore[attr-defined]
         return found

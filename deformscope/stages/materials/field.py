@@ -370,6 +370,7 @@ def _hidden(fit: FieldFit, noise: NoiseModel, one: Description) -> list[Descript
 
 
 def _softest_first(label: IntArray, p: FloatArray) -> IntArray:
+    """(C,) labels renumbered from the softest material, 0. p: (C,) log stiffness"""
     level = np.array([p[label == k].mean() for k in range(label.max() + 1)])
     return np.asarray(level.argsort().argsort()[label])
 

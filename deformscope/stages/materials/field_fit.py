@@ -124,6 +124,8 @@ class FieldFit:
         return self._with_common(root)
 
     def _with_common(self, root: FloatArray) -> StiffnessPrior:
+        """The prior of parameters (C + 1,): of cells with root (C, q), and of Poisson's ratio; of `beta`, a level that
+        all share."""
         count, own = root.shape
         full = np.zeros((count + 1, own + 1))
         full[:count, :own], full[count, own] = root, NU_SPREAD
@@ -157,6 +159,7 @@ class FieldFit:
         return 0.45 if self.displacement.shape[1] == 2 else 0.245
 
     def _bend(self, at: FloatArray) -> float:
+        """Slope of Poisson's ratio by its parameter, the last of (p,)."""
         return 1.0 - float(np.tanh(at[-1] / self._half - 1.0)) ** 2
 
     def noise_root(self, reach: float, response: FloatArray) -> FloatArray:
@@ -279,6 +282,7 @@ def _beside_tool(seen: Observation, cells: IntArray) -> IntArray:
 
 
 def _cells_of(seen: Observation) -> IntArray:
+    """(C, 2^d) particles at the corners of each cell. Raises InputError where particles are on no lattice."""
     if seen.shape is None or seen.cell is None:
         hint = "give `shape` (last axis fastest), and `cell` where the lattice has holes"
         raise InputError("particles on a lattice", "points without one", hint)

@@ -376,12 +376,13 @@ class _YieldFit:
 
     @property
     def least_noise(self) -> float:
-        """What was stated, or what numbers can resolve."""
+        """Deviation of a coordinate's noise, as stated, and no less than numbers can resolve, in the unit of
+        positions."""
         return max(self.motion.noise or 0.0, self.resolved)
 
     @property
     def resolved(self) -> float:
-        """What numbers can resolve."""
+        """The smallest difference of coordinates that numbers of this precision can resolve, in their unit."""
         return 10.0 * TOLERANCE[self.body.precision] * self.body.extent
 
     def prescribed(self) -> list[FloatArray]:

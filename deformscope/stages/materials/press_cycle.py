@@ -166,6 +166,7 @@ def find_cycle(
 def _cycle(
     course: FloatArray, loaded: int, unloaded: int, source: Literal["displacement", "force", "given"]
 ) -> PressCycle:
+    """The cycle of a course (T,) of the load, with the share of it that is left once unloaded."""
     kept = float(course[unloaded] / course[loaded]) if course[loaded] else 0.0
     return PressCycle(loaded=loaded, unloaded=unloaded, course=course, kept=kept, source=source)
 

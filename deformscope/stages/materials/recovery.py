@@ -120,6 +120,7 @@ def _per_unit(stiffness: FloatArray, weight: FloatArray, largest: float, level: 
 
 
 def _verdict(share: FloatArray, kept: FloatArray, weight: FloatArray) -> RecoveryVerdict:
+    """The verdict of draws. share, kept: (n,) lost by flow, kept for good; weight: (n,)"""
     viscous, plastic = (float(weight[one > NOTICED].sum()) for one in (share, kept))
     if viscous >= SURE:
         return "viscoplastic" if plastic >= SURE else "viscous"
@@ -302,6 +303,7 @@ class _RecoveryLaw:
         return after + kept[:, None] * most + offset, scale * np.maximum(force[:, 1:], 0.0)
 
     def _log_times(self, at: FloatArray, branches: int) -> FloatArray:
+        """(n, branches) log times of the branches, within their limits, of parameters (n, p)."""
         return np.asarray(np.clip(at[:, branches : 2 * branches], *self._limits))
 
     def _has_set(self, at: FloatArray, branches: int) -> bool:

@@ -29,6 +29,7 @@ class Clusters:
 
     @cached_property
     def _packed(self) -> tuple[IntArray, IntArray]:
+        """(n,) particles of all clusters, one after the other, and (C + 1,) where each begins."""
         offsets = np.concatenate([[0], np.cumsum([len(row) for row in self._rows])])
         return np.concatenate(self._rows).astype(np.int32), offsets.astype(np.int32)
 
@@ -67,6 +68,7 @@ class LatticeClusters(Clusters):
 
     @cached_property
     def _packed(self) -> tuple[IntArray, IntArray]:
+        """(n,) particles of all clusters, one after the other, and (C + 1,) where each begins."""
         rows = _windows(_particle_at(self.shape, self.cell), self.window)
         rows = rows.reshape(-1, int(np.prod(self.window)))[self.corner[_fitting(self.shape, self.window)].reshape(-1)]
         present = rows >= 0
@@ -232,6 +234,7 @@ def _fitting(shape: tuple[int, ...], window: tuple[int, ...]) -> tuple[slice, ..
 
 
 def _window_sums(values: IntArray, window: tuple[int, ...]) -> IntArray:
+    """Sums of values (any axes) over windows of this size; each axis is shorter by its width less 1."""
     for axis, width in enumerate(window):
         values = _windows_along(values, width, axis)
     return values
@@ -252,6 +255,8 @@ def _covering(corner: BoolArray, window: tuple[int, ...]) -> IntArray:
 
 
 def _adopt(rest: FloatArray, alone: IntArray, directions: int) -> list[IntArray]:
+    """A cluster (n,) for each particle that is in none: itself and neighbours enough to span all directions of (K,
+    d)."""
     tree = cKDTree(rest)
     adopted = []
     for particle in alone:

@@ -210,6 +210,7 @@ class PlasticMsm:
     def _parameters(
         self, held_position: FloatArray, beta: FloatArray | float | AxisBeta, theta: FloatArray | float
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Held displacements (B, h, d) in particle spacings, beta (B, ...) and theta (B,)."""
         held_u, beta_b, theta_b = self.body._candidates(held_position, self._plain(beta, theta), theta)
         if len(beta_b) not in (1, self.size):
             raise ValueError(f"expected {self.size} candidates, or one for all; got {len(beta_b)}")

@@ -269,6 +269,7 @@ class OneCluster:
         return by_beta, by_theta
 
     def _expanded(self, transform: FloatArray, translation: FloatArray) -> FloatArray:
+        """(B, K, d) what transforms (B, d, terms) and translations (B, d) make of the basis at rest."""
         out = self.basis @ transform.transpose(0, 2, 1)
         out += translation[:, None]
         return np.asarray(out)
@@ -340,6 +341,7 @@ class _Work:
         return launch, out
 
     def _run(self, launch: wp.Launch, out: wp.array[wp.float64]) -> FloatArray:
+        """(B, ...) results of a recorded launch on the rows."""
         if self.body.device != "cpu":
             self.row_in.assign(self.row)
         launch.launch()

@@ -86,6 +86,7 @@ def build_rest(
 
 
 def _rest_cluster(position: FloatArray, mass: FloatArray, index: IntArray, basis: Basis) -> RestCluster:
+    """Rest data of the cluster of particles (n,), of positions (K, d) and masses (K,)."""
     m = mass[index]
     t0 = np.average(position[index], axis=0, weights=m)
     q = position[index] - t0

@@ -359,11 +359,13 @@ class Msm:
 
     @staticmethod
     def _kind(theta: FloatArray, size: int, volume: Volume) -> tuple[type[Newton] | type[Anderson], int, int]:
+        """The method for theta (B,): its class, how many candidates, and how volume is conserved."""
         if not theta.any():
             return Newton, size, NONE
         return (Newton if volume == "project" else Anderson), size, VOLUMES[volume]
 
     def _relaxed(self, u: FloatArray, ended: Ended) -> Relaxed:
+        """The states at displacements (B, K, d) in particle spacings, in the unit of `rest`."""
         return Relaxed(
             position=self.rest + u * self.scale,
             residual=ended.norm * self.scale,
@@ -399,6 +401,7 @@ class Msm:
         return Relaxed(position, found.residual, found.error, found.iterations, found.converged, found.diverged)
 
     def _all_held(self, held_position: FloatArray, size: int) -> Relaxed:
+        """The states where every particle is prescribed. held_position: (B, h, d)"""
         position = np.broadcast_to(self.rest, (size, *self.rest.shape)).copy()
         position[:, self.held] = held_position
         none = np.zeros(size)
@@ -664,6 +667,7 @@ class _Stepping:
         self.places = upload(places, int, layout.device)
 
     def _hold(self, held_u: FloatArray) -> None:
+        """Put the held displacements (B, h, d), in particle spacings, into the state now and before."""
         layout, state = self.state.layout, self.state
         held_u = np.broadcast_to(held_u, (layout.candidates, *held_u.shape[1:]))
         wp.launch(

@@ -517,6 +517,7 @@ def _hold_out(posed: Sequence[PosedPoke], law: Law, beta_range: tuple[float, flo
 
 
 def _rms(residual: FloatArray) -> float:
+    """Root mean square length of residuals (n, 3), in their unit; NaN of none."""
     return float(np.sqrt(np.mean(np.sum(residual**2, axis=1)))) if len(residual) else float("nan")
 
 

@@ -94,7 +94,7 @@ class Partitions:
         )
 
     def instead(self, changed: BoolArray, by: Partitions) -> Partitions:
-        """Those of `by` where `changed` (n,), else these."""
+        """Maps of `by` where `changed` (n,), else these."""
         return Partitions(
             self.regions,
             self.size_m,

@@ -98,7 +98,7 @@ class RegionPrior:
 
     @property
     def any_level_sd(self) -> float:
-        """Of one level by itself."""
+        """Standard deviation of the level of one region by itself, in log stiffness."""
         return float(np.hypot(self.level_sd, self.common_sd))
 
 
@@ -237,7 +237,7 @@ class RegionPosterior:
         return cls(grid, prior or RegionPrior(), (), particles, particle_count, seed)
 
     def with_touch(self, touch: StiffnessSample) -> RegionPosterior:
-        """After one more touch."""
+        """The posterior after one more touch."""
         touches = (*self.touches, touch)
         readings = _readings(touches, self.prior)
         particles = []
@@ -249,7 +249,7 @@ class RegionPosterior:
 
     @cached_property
     def probability(self) -> dict[str, float]:
-        """Of "1", "2", "3" regions and of "gradual"."""
+        """Probability of "1", "2", "3" regions and of "gradual"."""
         logs = self._joint_logs
         shares = np.maximum(np.exp(logs - logsumexp(logs)), 1e-9)  # nothing is certain
         return dict(zip(("1", "2", "3", "gradual"), shares.tolist(), strict=True))

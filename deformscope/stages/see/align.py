@@ -112,12 +112,14 @@ def _step(points: FloatArray, foot: FloatArray, normal: FloatArray, T_so_far: Fl
 
 
 def _rotation(vector: FloatArray) -> FloatArray:
+    """(3, 3) of a rotation vector (3,) [rad]."""
     from scipy.spatial.transform import Rotation
 
     return np.asarray(Rotation.from_rotvec(vector).as_matrix())
 
 
 def _rotation_vector(rotation: FloatArray) -> FloatArray:
+    """Rotation vector (3,) [rad] of (3, 3)."""
     from scipy.spatial.transform import Rotation
 
     return np.asarray(Rotation.from_matrix(rotation).as_rotvec())

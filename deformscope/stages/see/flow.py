@@ -95,6 +95,7 @@ class _Featured:
 
 
 def _featured(grey: FloatArray, method: FlowMethod) -> _Featured:
+    """An image (h, w), 0 to 255, with its features where the method uses them."""
     grey8 = np.clip(np.rint(grey), 0, 255).astype(np.uint8)
     if method == "farneback":
         return _Featured(grey, grey8, np.zeros((0, 2)), None)
@@ -164,6 +165,7 @@ def _coarse(a: _Featured, b: _Featured) -> FloatArray:
 
 
 def _dis(a8: Image, b8: Image, start: FloatArray | None) -> FloatArray:
+    """(h, w, 2) flow [px] by DIS. start: (h, w, 2), from which it is sought"""
     dis: Any = cv2.DISOpticalFlow.create(cv2.DISOpticalFlow_PRESET_MEDIUM)
     # Gradients alone, held together more firmly: lighting may change, and noise weighs less.
     dis.setVariationalRefinementDelta(0.0)
@@ -355,4 +357,5 @@ def _shrink(image: FloatArray, by: int = 2) -> FloatArray:
 
 
 def _enlarge(image: FloatArray, shape: tuple[int, ...]) -> FloatArray:
+    """An image (h, w) or (h, w, c) of another size, interpolated linearly."""
     return np.asarray(cv2.resize(image, (shape[1], shape[0]), interpolation=cv2.INTER_LINEAR))

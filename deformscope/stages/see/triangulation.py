@@ -89,6 +89,7 @@ def raster(rest: FloatArray, place: FloatArray, value: FloatArray, cells: int) -
 
 
 def _short(simplices: IntArray, rest: FloatArray) -> IntArray:
+    """(n, d + 1) simplices that bridge nothing."""
     return np.asarray(simplices[_kept(simplices, rest)])
 
 

@@ -117,6 +117,7 @@ def _start(A: FloatArray, B: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def _nearest(matrix: FloatArray) -> FloatArray:
+    """(3, 3) rotation nearest to a matrix."""
     left, _, right = np.linalg.svd(matrix)
     return np.asarray(left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right)
 

@@ -81,7 +81,7 @@ def described(table: LabelledTable) -> dict[str, tuple[IntArray, FloatArray, Flo
 
 
 def clusters(table: LabelledTable, seed: int) -> Mapping[str, Grouping]:
-    """Of each modality, and of all joined."""
+    """Clusters found in each modality, and in all joined."""
     from sklearn.cluster import KMeans
     from sklearn.metrics import adjusted_rand_score
 
@@ -104,7 +104,7 @@ def _two(points: FloatArray) -> FloatArray:
 
 
 def normality(table: LabelledTable) -> Mapping[str, Normality]:
-    """Of each modality, and of all joined."""
+    """Tests of normality of each modality, and of all joined."""
     found = {}
     for name, (rows, points, _) in described(table).items():
         target = table.target[rows]

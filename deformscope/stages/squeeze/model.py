@@ -149,6 +149,8 @@ def fit_model(
 def _fit_modality(
     values: FloatArray, rows: IntArray, target: IntArray, classes: int, group: IntArray | None, seed: int
 ) -> tuple[ModalityModel, FloatArray, BoolArray]:
+    """The model of a modality of values (trials, p), fitted to rows (n,), with its log posteriors and which are
+    known."""
     scaling = fit_scaling(values[rows])
     scaled = scaling.apply(values[rows])
     directions, variance = loadings(scaled)

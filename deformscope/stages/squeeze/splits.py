@@ -40,6 +40,7 @@ def draw(protocol: Protocol, table: LabelledTable, count: int, seed: int) -> lis
 
 
 def _random(target: IntArray, group: IntArray, rng: np.random.Generator) -> BoolArray:
+    """(trials,) which are tested: a random share of all, at least one."""
     count = len(target)
     tested = np.zeros(count, dtype=bool)
     tested[rng.permutation(count)[: min(max(1, round(TEST_SHARE * count)), count - 1)]] = True

@@ -304,6 +304,8 @@ def _area(outline: FloatArray) -> float:
 
 
 def _table_rows(renderer: ModelRenderer, pose: FloatArray, table: FloatArray) -> _Rows:
+    """Equations that put the model's foot on the table. pose: (4, 4) [m]; table: (4,) plane, unit normal and offset
+    [m]"""
     vertices = renderer.model.vertices_m
     foot = vertices[vertices[:, 2] < vertices[:, 2].min() + 1e-6] @ pose[:3, :3].T
     normal = np.broadcast_to(np.asarray(table[:3], dtype=np.float64), foot.shape)
@@ -313,6 +315,7 @@ def _table_rows(renderer: ModelRenderer, pose: FloatArray, table: FloatArray) ->
 
 
 def _rigid(jacobian: FloatArray, residual: FloatArray, deviation: FloatArray, share: float) -> _Rows:
+    """Equations of rigid motion alone. jacobian: (n, 6); residual, deviation: (n,) [m]"""
     return _Rows(jacobian, residual, deviation, share, np.zeros((len(residual), 0)))
 
 
@@ -383,6 +386,7 @@ def _between(pose: FloatArray, other: FloatArray) -> FloatArray:
 
 
 def _moved(pose: FloatArray, motion: FloatArray) -> FloatArray:
+    """The pose (4, 4) after a motion (6,): translation [m], then rotation vector [rad]."""
     moved = pose.copy()
     moved[:3, 3] += motion[:3]
     moved[:3, :3] = Rotation.from_rotvec(motion[3:]).as_matrix() @ pose[:3, :3]

@@ -214,6 +214,7 @@ def _costly(name: Costly, sides: Sides, target: IntArray, classes: int, seed: in
 
 
 def _boosting(train: FloatArray, target: IntArray, test: FloatArray, seed: int) -> FloatArray:
+    """(n, classes) probabilities of test points (n, d) by gradient boosting of training points (m, d)."""
     from sklearn.ensemble import HistGradientBoostingClassifier
 
     model = HistGradientBoostingClassifier(
@@ -228,6 +229,7 @@ def _boosting(train: FloatArray, target: IntArray, test: FloatArray, seed: int) 
 
 
 def _gaussian_process(train: FloatArray, target: IntArray, test: FloatArray, seed: int) -> FloatArray:
+    """(n, classes) probabilities of test points (n, d) by a Gaussian process over training points (m, d)."""
     from scipy.spatial.distance import pdist
     from sklearn.gaussian_process import GaussianProcessClassifier
     from sklearn.gaussian_process.kernels import RBF, ConstantKernel

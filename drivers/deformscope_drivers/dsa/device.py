@@ -432,7 +432,7 @@ class Dsa(StreamDevice[TactileReading]):
                     self._publish(reading)
 
     def _begin(self) -> None:
-        """As the configuration says, whatever was set since."""
+        """Take the settings of the configuration, whatever was set since, and begin the stream."""
         self._settings = _WantedSettings(self.config.streaming, self.config.rle)
         self._measurer = TactileMeasurer()
         self._measured_ns = 0

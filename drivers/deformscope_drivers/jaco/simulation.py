@@ -266,6 +266,8 @@ class SimulatedArm:
         self.links = self.chain.forward(self.joints_deg)
 
     def _move_fingers(self, target: FloatArray) -> None:
+        """Move the fingers one cycle towards a target (n,), no faster than they can and no farther than what they
+        grip."""
         step = FINGER_SPEED * CYCLE_S
         self.fingers = np.minimum(self.fingers + np.clip(target - self.fingers, -step, step), self.grip)
 
