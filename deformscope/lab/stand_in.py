@@ -86,7 +86,7 @@ def serve(pipe: Connection, driver: str, config: object) -> None:
         pipe.recv()
 
 
-def reaching(config: Any, port: str, *, is_bus: bool = False) -> Any:
+def reaching(config: object, port: str, *, is_bus: bool = False) -> Any:
     """The configuration, for the double at the other end of a wire."""
     links = {"port": port}
     if hasattr(config, "bus"):

@@ -49,8 +49,9 @@ class Redecoder(ABC):
     late_answers = False
     compares: tuple[str, ...]
 
-    def __init__(self, config: Any, stream: Stream) -> None:
-        self.config, self.stream = config, stream
+    def __init__(self, config: object, stream: Stream) -> None:
+        self.config: Any = config
+        self.stream = stream
 
     @abstractmethod
     def begin(self) -> FrameDecoder[Any]:

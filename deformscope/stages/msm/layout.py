@@ -79,9 +79,9 @@ class Layout:
         dtype = self.scalar if dtype is None else dtype
         return wp.array(filled.astype(_dtype(dtype)), dtype=dtype, device=self.device)
 
-    def refill(self, array: Any, values: FloatArray) -> None:
+    def refill(self, array: Field, values: FloatArray) -> None:
         """Numbers of the candidates, (B,), into what `each` made."""
-        if array.device.is_cpu:
+        if self.device.startswith("cpu"):
             view = array.numpy()
             view[: len(values)] = values
             view[len(values) :] = values[-1]
