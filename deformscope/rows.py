@@ -12,7 +12,7 @@ from __future__ import annotations
 import dataclasses
 import enum
 import json
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence, Sized
 from dataclasses import dataclass
 from functools import cache
 from itertools import chain
@@ -181,7 +181,7 @@ def to_columns(items: Sequence[object], leave_out: Collection[str] = ()) -> dict
 
 
 def to_components(item: object, leave_out: Collection[str] = ()) -> dict[str, npt.NDArray[Any]]:
-    """One object's components, by field: their values, flat."""
+    """One object's components by field: (n,) values each, flat."""
     columns = to_columns([item], leave_out)
     return {name: column.values.to_numpy(zero_copy_only=False) for name, column in columns.items()}
 
@@ -238,11 +238,11 @@ def from_json(kind: type[T], text: str) -> T:
     return msgspec.convert(json.loads(text), kind, dec_hook=_as_given)
 
 
-def _as_given(wanted: type[Any], value: Any) -> Any:
+def _as_given(wanted: type[Any], value: object) -> Any:
     return value if wanted is object else wanted(value)
 
 
-def _plain(value: Any) -> Any:
+def _plain(value: object) -> Any:
     return value.item() if isinstance(value, np.generic) else str(value)
 
 
@@ -279,11 +279,11 @@ def _field(name: str, hint: Any) -> _Field:
     return _Field(name, "json", kind, optional)
 
 
-def _is_array(kind: Any) -> bool:
+def _is_array(kind: object) -> bool:
     return get_origin(kind) is np.ndarray
 
 
-def _is_enum(kind: Any) -> bool:
+def _is_enum(kind: object) -> bool:
     return isinstance(kind, type) and issubclass(kind, enum.Enum)
 
 
@@ -358,7 +358,7 @@ def _shapes(shapes: Sequence[Sequence[int]]) -> Column:
     return Column(pa.array(np.fromiter(chain.from_iterable(shapes), np.int64)), _lengths(shapes))
 
 
-def _lengths(rows: Sequence[Any]) -> IntArray:
+def _lengths(rows: Sequence[Sized]) -> IntArray:
     return np.fromiter(map(len, rows), np.int64, len(rows))
 
 

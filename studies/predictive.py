@@ -81,7 +81,7 @@ def predict(
 
 
 def _motion(deformed: FloatArray, rest: FloatArray, which: BoolArray) -> float:
-    """Root mean square displacement of a coordinate."""
+    """Root mean square displacement of a coordinate of the particles (K, d) at `which`, in their unit."""
     return float(np.sqrt(np.mean((deformed - rest)[which] ** 2)))
 
 

@@ -29,7 +29,7 @@ LATTICE_CELLS = 10_000_000
 
 
 def read_arrays(raw: bytes, expected: str, where: object = "") -> dict[str, npt.NDArray[Any]]:
-    """All arrays in a file's bytes.
+    """All arrays in a file's bytes, by name, as they are stored: of any shape.
 
     expected, where: what the file should be, and its name, for messages. Raises InputError for bytes that are no such
     file or damaged. Nothing is allocated that the bytes cannot fill.
@@ -68,7 +68,7 @@ def _array(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> npt.NDArray[Any]
 
 
 def numbers(found: Arrays, name: str) -> npt.NDArray[np.float64]:
-    """Numbers of any shape."""
+    """The array of this name as float64, of any shape."""
     if found[name].dtype.kind not in "fiu":
         raise InputError(f"numbers in {name}", str(found[name].dtype))
     return found[name].astype(np.float64)
@@ -82,7 +82,7 @@ def sized(found: Arrays, name: str, count: int) -> npt.NDArray[Any]:
 
 
 def indices(found: Arrays, name: str, count: int) -> npt.NDArray[np.int64]:
-    """Distinct indices below `count`; a boolean array of that length will do as well."""
+    """(n,) distinct indices below `count`, of an array of them or of a mask (count,)."""
     value = found[name]
     if value.dtype == np.bool_ and value.shape == (count,):
         return np.flatnonzero(value)

@@ -41,7 +41,7 @@ KINDS: dict[str, type[Classifier]] = {
 
 
 def classifier_arrays(model: ContentModel) -> dict[str, npt.NDArray[Any]]:
-    """A model as the arrays of its file."""
+    """A model as the arrays of its file, by name; shapes as in `_take` and `_member`."""
     arrays: dict[str, npt.NDArray[Any]] = {"fusion.weight": model.fusion.weight, "fusion.offset": model.fusion.offset}
     described: dict[str, Any] = {
         "labels": model.labels,
@@ -185,6 +185,7 @@ def _pool(found: Arrays, prefix: str, members: int, classes: int) -> Pool:
 
 
 def _array(found: Arrays, name: str, kinds: str, shape: tuple[int | None, ...]) -> npt.NDArray[Any]:
+    """The array of this name. shape: as it must be, (p, None) with any number of columns. Raises ValueError."""
     value = found[name]
     fits = value.ndim == len(shape) and all(
         want is None or want == got for want, got in zip(shape, value.shape, strict=True)

@@ -40,6 +40,7 @@ def _motion(found: Arrays, noise_m: float | None) -> Motion:
 
 
 def _held(found: Arrays, motion: npt.NDArray[Any]) -> npt.NDArray[np.bool_]:
+    """(T, K) which particles are prescribed in each frame, of such a mask or of indices of particles."""
     if found["held"].dtype == np.bool_ and found["held"].shape == motion.shape[:2]:
         return found["held"].copy()
     held = np.zeros(motion.shape[:2], dtype=bool)
@@ -48,6 +49,7 @@ def _held(found: Arrays, motion: npt.NDArray[Any]) -> npt.NDArray[np.bool_]:
 
 
 def _duration(found: Arrays, frames: int) -> npt.NDArray[np.float64] | None:
+    """(T,) duration of each step [s], the last one twice; None where the file has none."""
     if "dt" not in found:
         return None
     dt = numbers(found, "dt").reshape(-1)

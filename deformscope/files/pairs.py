@@ -89,6 +89,7 @@ def _observation(found: Arrays, noise_m: float | None) -> Observation:
 def _force(
     found: Arrays, rest: npt.NDArray[Any], deformed: npt.NDArray[Any], held: npt.NDArray[Any]
 ) -> tuple[float | None, npt.NDArray[Any] | None]:
+    """The force [N] and the indices (n,) of the particles that it presses; None, None where the file has none."""
     if "force_n" not in found:
         return None, None
     force = abs(float(numbers(found, "force_n").reshape(-1)[0])) if found["force_n"].size else float("nan")
@@ -103,6 +104,7 @@ def _force(
 
 
 def _tip_at(found: Arrays, dim: int) -> npt.NDArray[Any] | None:
+    """(d,) place of the tip [m]; None where the file has none."""
     if "tip_at_m" not in found:
         return None
     at = numbers(found, "tip_at_m").reshape(-1)

@@ -188,7 +188,7 @@ def _images(paths: list[Path], name: str, stride: int, fps: float | None, mask: 
 
 
 def _alike(images: Iterable[tuple[ImageArray, Path]]) -> Iterator[ImageArray]:
-    """Passes on images of one size, depth and channel count; refuses the first that differs."""
+    """Images (h, w) or (h, w, channels) of one size, depth and channel count; refuses the first that differs."""
     first: tuple[ImageArray, Path] | None = None
     for image, path in images:
         first = first or (image, path)

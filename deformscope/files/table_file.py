@@ -54,7 +54,7 @@ def read_table(path: Path) -> LabelledTable:
 
 
 def table_of_arrays(found: Mapping[str, npt.NDArray[Any]]) -> LabelledTable:
-    """From arrays by name."""
+    """A table of arrays by name: features (trials, columns), series (trials, steps, columns), texts (trials,)."""
     if "label" not in found:
         raise InputError("`label` in the table", ", ".join(sorted(found)) or "nothing", HOW)
     about = {name: _texts(found[name], name) for name in ABOUT if name in found}

@@ -31,7 +31,8 @@ class PushedArm(Protocol):
     """An arm that can be pushed (`JacoDouble`)."""
 
     @property
-    def T_base_end_effector(self) -> FloatArray: ...
+    def T_base_end_effector(self) -> FloatArray:
+        """(4, 4) pose of the arm's end [m]."""
 
     def push(self, wrench: npt.ArrayLike) -> None: ...
 
@@ -107,6 +108,8 @@ class ArmContact:
         self._hit = now_ns, now_ns + round(duration_s * 1e9), np.asarray(force_n, dtype=float)
 
     def _kinematic(self) -> FloatArray:
+        """(4, 4) pose of the tip's centre in the surface frame by the arm's joints, without the arm's compliance
+        [m]."""
         return self._placement.T_surface_center(self._arm.T_base_end_effector)
 
     def _end_m(self) -> FloatArray:

@@ -17,13 +17,13 @@ from deformscope.robot.placement import Placement, best_joints
 from deformscope_drivers.arm import Arm
 from deformscope_drivers.arm.kinematics import Chain, FloatArray
 from deformscope_drivers.clock import Clock, monotonic_ns
-from deformscope_drivers.jaco import Jaco, JacoDouble
+from deformscope_drivers.jaco import Jaco, JacoConfig, JacoDouble
 from deformscope_drivers.jaco.chains import CHAINS as JACO
-from deformscope_drivers.kuka import Kuka, KukaDouble, UdpWire, open_kuka
+from deformscope_drivers.kuka import Kuka, KukaConfig, KukaDouble, UdpWire, open_kuka
 from deformscope_drivers.kuka.chains import CHAINS as KUKA
 from deformscope_drivers.kuka.port import free_port
 from deformscope_drivers.memory import MemoryTransport, SimulatedClock
-from deformscope_drivers.placed import PlacedArm, StandDouble
+from deformscope_drivers.placed import PlacedArm, PlacedArmConfig, StandDouble
 from deformscope_drivers.wires import LOOPBACK
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -77,7 +77,7 @@ class SimulatedPerson:
 
 def arm_in_lab(
     driver: str,
-    config: Any,
+    config: object,
     placement: Placement,
     places_m: Sequence[FloatArray],
     clock: Clock = monotonic_ns,
@@ -96,13 +96,17 @@ def start_deg(chain: Chain, placement: Placement, places_m: Sequence[FloatArray]
     return found
 
 
-def _jaco(config: Any, placement: Placement, places_m: Sequence[FloatArray], clock: Clock, seed: int) -> ArmInLab:
+def _jaco(
+    config: JacoConfig, placement: Placement, places_m: Sequence[FloatArray], clock: Clock, seed: int
+) -> ArmInLab:
     chain = JACO[config.model or "j2n6s300"]
     double = JacoDouble(chain.name, clock, start_deg=start_deg(chain, placement, places_m))
     return ArmInLab(Jaco(config, double, clock=clock), double)
 
 
-def _kuka(config: Any, placement: Placement, places_m: Sequence[FloatArray], clock: Clock, seed: int) -> ArmInLab:
+def _kuka(
+    config: KukaConfig, placement: Placement, places_m: Sequence[FloatArray], clock: Clock, seed: int
+) -> ArmInLab:
     """On the host's clock behind a port of this host, and answered as a controller is."""
     chain = KUKA[config.model]
     begin_deg = start_deg(chain, placement, places_m)
@@ -115,7 +119,9 @@ def _kuka(config: Any, placement: Placement, places_m: Sequence[FloatArray], clo
     return ArmInLab(open_kuka(here), double, wire=UdpWire(double, port))
 
 
-def _placed(config: Any, placement: Placement, places_m: Sequence[FloatArray], clock: Clock, seed: int) -> ArmInLab:
+def _placed(
+    config: PlacedArmConfig, placement: Placement, places_m: Sequence[FloatArray], clock: Clock, seed: int
+) -> ArmInLab:
     arm = PlacedArm(config, clock=clock)
     stand = StandDouble(arm.T_base_end_effector)
     return ArmInLab(arm, stand, SimulatedPerson(stand, seed))

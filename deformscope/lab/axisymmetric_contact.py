@@ -90,7 +90,7 @@ class _Layer(LargeStrain):
         self._change, self._move = _changes(self.basis)[0], _changes(self._top)[1]
 
     def _begin(self, state: FloatArray, reached: float, depth: float) -> FloatArray:
-        """The foam moved in proportion."""
+        """A start for depth [m]: the displacements (n,) at depth `reached`, scaled in proportion."""
         self._depth_m = depth
         return state * (depth / reached) if reached > 0.0 else state
 
@@ -116,6 +116,7 @@ class _Layer(LargeStrain):
         return np.maximum(self._radius_m - distance, 0.0), away / distance, distance
 
     def _energy(self, state: FloatArray) -> float:
+        """Energy of state (n,) stored in the foam and in the contact's penalty [J]."""
         stretch = np.linalg.svd(self._gradient(state), compute_uv=False)
         stored = (self.law.energy(np.moveaxis(stretch, -1, 0)) * self._ring * self.basis.dx).sum()
         entered, _, _ = self._entered(state)
@@ -123,6 +124,7 @@ class _Layer(LargeStrain):
         return float(2.0 * np.pi * (stored + pushed))
 
     def _assemble(self, state: FloatArray) -> tuple[FloatArray, Any]:
+        """Forces (n,) [N] and tangent (n, n) [N/m] of state (n,) [m]."""
         f = self._gradient(state)
         stress, tangent = stress_and_tangent(self.law, f.reshape(-1, 3, 3))
         stress, tangent = stress.reshape(*f.shape[:2], 9, 1), tangent.reshape(*f.shape[:2], 9, 9)
@@ -145,7 +147,7 @@ class _Layer(LargeStrain):
         return float(force), float(internal[self._pushed_up].sum()), float(moved[entered > 0.0].max(initial=0.0))
 
 
-def _changes(basis: Any) -> tuple[FloatArray, FloatArray]:
+def _changes(basis: Basis) -> tuple[FloatArray, FloatArray]:
     """(elements, points, functions, 9) change of the deformation gradient with each function's share, and (..., 2) of
     the place."""
     ring = basis.global_coordinates()[0]
@@ -158,7 +160,7 @@ def _changes(basis: Any) -> tuple[FloatArray, FloatArray]:
     return change.reshape(*move.shape[:3], 9), move
 
 
-def _sums(basis: Any, shares: FloatArray, first: FloatArray, second: FloatArray, ring: FloatArray) -> tuple[Any, Any]:
+def _sums(basis: Basis, shares: FloatArray, first: FloatArray, second: FloatArray, ring: FloatArray) -> tuple[Any, Any]:
     """(N,) and (N, N): the derivatives first (elements, points, k, 1) and second (..., k, k) by what `shares`
     (elements, points, functions, k) give for each degree of freedom, summed over the rings [N, N/m]."""
     weight = (2.0 * np.pi * ring * basis.dx)[..., None, None]
@@ -171,7 +173,7 @@ def _sums(basis: Any, shares: FloatArray, first: FloatArray, second: FloatArray,
 
 
 def _graded(even: float, end: float, size: float) -> FloatArray:
-    """Borders from 0 to `end`: `size` apart as far as `even`, then farther and farther."""
+    """(n,) element borders from 0 to `end` [m]: `size` apart as far as `even`, then farther and farther."""
     borders = list(np.linspace(0.0, even, max(2, round(even / size)) + 1))
     step = size
     while borders[-1] + 1.5 * GROWTH * step < end:

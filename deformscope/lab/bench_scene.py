@@ -104,12 +104,14 @@ def _light() -> FloatArray:
 
 @cache
 def _grid() -> tuple[FloatArray, FloatArray]:
+    """(480, 640) row and (480, 640) column of every pixel."""
     rows, columns = np.mgrid[0:HEIGHT_PX, 0:WIDTH_PX].astype(np.float32)
     return rows, columns
 
 
 @cache
 def _foam() -> BoolArray:
+    """(480, 640) pixels that show foam."""
     rows, columns = _grid()
     top, bottom, left, right = FOAM_PX
     return (rows > top) & (rows < bottom) & (columns > left) & (columns < right)
@@ -117,7 +119,7 @@ def _foam() -> BoolArray:
 
 @cache
 def _dent() -> FloatArray:
-    """How deep it is at each pixel, 0 to 1."""
+    """(h, w) depth of the dent at each pixel, as a share of the deepest, 0 to 1."""
     rows, columns = _grid()
     away = np.hypot(rows - MIDDLE_PX[0], columns - MIDDLE_PX[1])
     dent: FloatArray = (np.exp(-away / DENT_PX) * _foam()).astype(np.float32)
@@ -126,6 +128,7 @@ def _dent() -> FloatArray:
 
 @cache
 def _stick() -> BoolArray:
+    """(480, 640) pixels that show the stick."""
     rows, columns = _grid()
     stick: BoolArray = np.hypot(rows - MIDDLE_PX[0], columns - MIDDLE_PX[1]) < STICK_PX
     return stick
@@ -133,12 +136,13 @@ def _stick() -> BoolArray:
 
 @cache
 def _background() -> FloatArray:
+    """(480, 640) distance of foam and table [m]."""
     return np.where(_foam(), FOAM_M, TABLE_M).astype(np.float32)
 
 
 @cache
 def _texture() -> FloatArray:
-    """Yellow foam with dark specks on a grey table."""
+    """(h, w, 3) RGB of yellow foam with dark specks on a grey table."""
     colours = np.where(_foam()[..., None], np.array(FOAM_RGB, np.float32), np.array(TABLE_RGB, np.float32))
     texture: FloatArray = (colours * _light()).astype(np.float32)
     return texture

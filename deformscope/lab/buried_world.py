@@ -126,7 +126,7 @@ def _moduli_pa(scene: Scene, ball: BuriedBall, corner_m: FloatArray) -> tuple[Fl
 
 
 def _beside(middle: float, half: float, side: float) -> FloatArray:
-    """Corners along one axis of the slab: even around the middle, farther apart beyond."""
+    """(n,) element borders along one axis of the slab [m]: even around the middle, farther apart beyond."""
     count = int(np.ceil(half / ELEMENT_M))
     outer, step = [count * ELEMENT_M], ELEMENT_M
     while outer[-1] < side:
@@ -138,7 +138,7 @@ def _beside(middle: float, half: float, side: float) -> FloatArray:
 
 
 def _upward(thickness_m: float, bottom_m: float) -> FloatArray:
-    """Corners along z: even from the surface to below the ball, farther apart below."""
+    """(n,) element borders along z [m]: even from the surface to below the ball, farther apart below."""
     depths, step = [0.0, UPPER_M, 2.0 * UPPER_M], ELEMENT_M
     while depths[-1] < thickness_m:
         if depths[-1] > thickness_m - bottom_m:

@@ -30,6 +30,7 @@ import numpy as np
 from scipy.sparse import bmat, csr_array, kron
 from scipy.sparse.linalg import splu
 from skfem import Basis, BilinearForm, ElementLineHermite, LinearForm, MeshLine
+from skfem.element import DiscreteField
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.lab.container_constants import BOX_M, CARDBOARD, CYLINDER_M, PLASTIC, Wall
@@ -65,7 +66,7 @@ class ContainerShape:
 
     @property
     def area_m2(self) -> float:
-        """Of its cross-section."""
+        """Area of the container's cross-section [m2]."""
         x, y, _ = self.half_m
         return 4.0 * x * y if self.kind == "box" else float(np.pi * x * x)
 
@@ -185,7 +186,7 @@ class Shell:
         return fields, rows @ fields
 
     def _free_fields(self) -> list[BoolArray]:
-        """Unknowns of w, v, u that are not held."""
+        """Masks (n,) of the unknowns that are not held, of w, v and u; of w alone for a box."""
         along, up = self._along.size, self._up.size
         w = np.ones((along, up), dtype=bool)
         w[:, [0, up - 2]] = False  # the rims
@@ -279,11 +280,11 @@ class _Line:
         return total
 
 
-def _d(u: Any) -> Any:
+def _d(u: DiscreteField) -> Any:
     return u.grad[0]
 
 
-def _dd(u: Any) -> Any:
+def _dd(u: DiscreteField) -> Any:
     return u.hess[0, 0]
 
 
@@ -293,6 +294,7 @@ def _corners(shape: ContainerShape) -> tuple[float, float, float, float]:
 
 
 def _around(shape: ContainerShape) -> FloatArray:
+    """(n,) nodes along the perimeter [m], finer where fingers press."""
     if shape.kind == "cylinder":
         half = shape.perimeter_m / 2
         low, first, second, third = -FINE_HALF_M, FINE_HALF_M, half - FINE_HALF_M, half + FINE_HALF_M
@@ -305,6 +307,7 @@ def _around(shape: ContainerShape) -> FloatArray:
 
 
 def _upwards(shape: ContainerShape) -> FloatArray:
+    """(n,) nodes along the height [m], finer around the middle."""
     half = shape.half_m[2]
     outer = round((half - FINE_HALF_M) / COARSE_M)
     inner = round(2 * FINE_HALF_M / FINE_M)

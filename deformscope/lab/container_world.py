@@ -139,7 +139,7 @@ class _Finger:
     stands still, and how far within the wall."""
 
     def __init__(self, number: int, T_container_hand: FloatArray) -> None:
-        """number: 0 or 1, of `SQUEEZING`"""
+        """number: 0 or 1, of `SQUEEZING`; T_container_hand: (4, 4) pose of the hand [m]"""
         self.kind = FINGERS[SQUEEZING[number]]
         self.side = (1, -1)[number]
         self.axes = AXES[number]
@@ -165,6 +165,7 @@ class _Finger:
 
 
 def _texels() -> tuple[FloatArray, FloatArray, FloatArray]:
+    """(78,) along, (78,) across and (78,) recess of the texels of a pad in the finger's frame [m]."""
     pitch = TEXEL_PITCH_MM * 1e-3
     row, column = np.divmod(np.arange(TEXELS), COLUMNS)
     across = (column - (COLUMNS - 1) / 2) * pitch
@@ -364,7 +365,8 @@ class ContainerWorld:
         return depth, slope
 
     def _approach(self, number: int, points: FloatArray) -> None:
-        """A finger comes near: its texels get their places on the wall."""
+        """Set where a finger's texels lie on the wall once it is near. points: (n, 3) of the texels in the container's
+        frame [m]"""
         finger = self._fingers[number]
         s_m, z_m, normal, on_wall = self.shape.under(points - (self._state.slid_m, 0.0, 0.0), finger.side)
         if not on_wall.any():
@@ -381,7 +383,8 @@ class ContainerWorld:
         self._state.y[own] = rows @ (self._fields @ self._state.loads)
 
     def _solved(self, depth: FloatArray, slope: FloatArray, step_s: float) -> tuple[_Balance, _Tangent]:
-        """The balance at the end of a step, for texels at these depths."""
+        """The balance of forces at the end of a time step. depth, slope: (156,) and (156, 4), as `_reached` gives
+        them"""
         before, count, patches = self._state, 2 * TEXELS, self._patches
         y, slid = before.y.copy(), before.slid_m
         cover = PAD_STIFFNESS_PA_M * TEXEL_M2

@@ -54,7 +54,7 @@ class Relaxation:
 
     @property
     def share(self) -> float:
-        """Of the modulus that relaxes in all."""
+        """Share of the modulus that relaxes, all branches together."""
         return sum(self.shares)
 
 

@@ -96,7 +96,7 @@ class DepthView(RayCamera):
         return Rendered(depth, np.rint(color).astype(np.uint8), seen, facing)
 
     def _all(self, vertex: FloatArray) -> Rendered:
-        """Foam and table, without the robot."""
+        """The picture of foam and table without the robot. vertex: (n, 3) of the foam's surface in the world [m]"""
         foam, edge = _triangles(*self._grid)
         low, high = -TABLE_M, np.asarray(self.scene.size_m) + TABLE_M
         corners = np.array([[low, low, 0.0], [high[0], low, 0.0], [high[0], high[1], 0.0], [low, high[1], 0.0]])
@@ -106,7 +106,8 @@ class DepthView(RayCamera):
         return Rendered(depth, np.zeros((*depth.shape, 3), np.uint8), seen, facing)
 
     def _dented(self, displaced: FloatArray) -> Rendered:
-        """As `_all`, but cast again only where the surface has moved, unless that is at its edge."""
+        """As `_all` with the surface moved by displacements (n, 3) [m], but cast again only where it has moved, unless
+        that is at its edge."""
         moved = (np.abs(displaced).max(axis=1) > STILL_M).reshape(self._grid)
         if not moved.any():
             return self._still
@@ -129,7 +130,8 @@ class DepthView(RayCamera):
 
 
 def _triangles(columns: int, rows: int) -> tuple[npt.NDArray[np.uint32], IntArray]:
-    """Those of a grid and of its sides, down to as many feet as its edge has vertices; those vertices, in a ring."""
+    """(n, 3) triangles of a grid and of its sides, which reach down to a foot below each vertex of its edge; and the
+    indices (e,) of these vertices, in a ring."""
     number = np.arange(columns * rows).reshape(columns, rows)
     edge = np.concatenate([number[:-1, 0], number[-1, :-1], number[:0:-1, -1], number[0, :0:-1]])
     foot = number.size + np.arange(len(edge))

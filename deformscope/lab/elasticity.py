@@ -137,6 +137,7 @@ class ElasticBox:
         return whole
 
     def _per_element(self, value: PerElement) -> FloatArray:
+        """(elements,) one number for each element."""
         given = np.asarray(value(self.centres) if callable(value) else value, dtype=np.float64)
         if given.ndim and given.shape != (len(self.centres),):
             raise InputError(f"one number, or {len(self.centres)}, one an element", str(given.shape))
@@ -185,6 +186,7 @@ class HeldBox:
         return Solved(given.reshape(shape), force.reshape(shape))
 
     def _solve(self, right: FloatArray) -> FloatArray:
+        """(n, k) solutions of the free unknowns for right-hand sides (n, k)."""
         if not len(self._free):
             return right
         if self._factors is not None:
@@ -245,6 +247,8 @@ def dissected(nodes: FloatArray, axes: tuple[FloatArray, ...]) -> IntArray:
     tolerance = 1e-6 * min(float(np.diff(axis).min()) for axis in axes)
 
     def parted(some: IntArray) -> list[IntArray]:
+        """The nodes at indices (n,) in the order of elimination: parts on both sides of a plane of nodes, then that
+        plane."""
         if len(some) <= 3 * LEAF:
             return [some]
         place = nodes[some]

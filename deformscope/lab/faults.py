@@ -38,7 +38,7 @@ class Injected(StrEnum):
 
     @property
     def word(self) -> str:
-        """As on the command line: force-silent."""
+        """The fault as it is named on the command line: force-silent."""
         return self.name.lower().replace("_", "-")
 
 
@@ -153,7 +153,7 @@ class FaultsToCome:
 
     @property
     def waiting(self) -> tuple[FaultAt, ...]:
-        """Those whose moment has not come."""
+        """The faults whose moment has not come."""
         return tuple(fault for fault, *_ in self._waiting)
 
     def _strike(self, fault: FaultAt, random: np.random.Generator) -> None:

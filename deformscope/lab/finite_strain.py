@@ -9,12 +9,13 @@ half is computed.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from skfem import Basis, BilinearForm, ElementQuad2, ElementVector, LinearForm, MeshQuad, condense, solve
+from skfem.element import DiscreteField
 from skfem.helpers import grad
 
 from deformscope.arrays import FloatArray, IntArray
@@ -97,7 +98,7 @@ class LargeStrain(ABC):
     free: IntArray
 
     def push(self, state: FloatArray, start: float, end: float) -> FloatArray:
-        """From one depth to another, in one load step or in as many as it takes."""
+        """The state (2 n,) [m] at depth `end`, from that at `start` [m], in one load step or in as many as it takes."""
         reached, step = start, end - start
         while reached < end:
             step = min(step, end - reached)
@@ -131,7 +132,8 @@ class LargeStrain(ABC):
         return None
 
     def _line_search(self, state: FloatArray, step: FloatArray, slope: float) -> FloatArray | None:
-        """The longest of 1, 1/2, 1/4... of a step that lowers the energy as its slope lets expect (Armijo 1966)."""
+        """The state (n,) after the longest of 1, 1/2, 1/4... of a step (n,) that lowers the energy as its slope lets
+        expect (Armijo 1966); None where none does."""
         if slope >= 0.0:  # no descent: the tangent is not positive definite here
             return None
         energy = self._energy(state)
@@ -152,10 +154,12 @@ class LargeStrain(ABC):
 
     @abstractmethod
     def _smallest_volume(self, state: FloatArray) -> float:
-        """Of what was 1 at rest; not above 0 where something is turned inside out."""
+        """The smallest ratio of an element's volume in state (n,) to that at rest; not above 0 where something is
+        turned inside out."""
 
     @abstractmethod
-    def _energy(self, state: FloatArray) -> float: ...
+    def _energy(self, state: FloatArray) -> float:
+        """Energy of state (n,), which equilibrium makes least."""
 
     @abstractmethod
     def _assemble(self, state: FloatArray) -> tuple[FloatArray, Any]:
@@ -188,7 +192,7 @@ class _Half(LargeStrain):
         self.free: IntArray = self.basis.complement_dofs(self.prescribed)
 
     def _begin(self, state: FloatArray, reached: float, depth: float) -> FloatArray:
-        """The clamp moved, and the rest along with it as the tangent says."""
+        """The state (n,) [m] with the clamp moved to a depth [m], and the rest along with it as the tangent says."""
         force, tangent = self._assemble(state)
         step = np.zeros_like(state)
         step[self.pushed] = -depth - state[self.pushed]
@@ -216,7 +220,7 @@ class _Half(LargeStrain):
         return _INNER_FORCE.assemble(self.basis, stress=stress), _STIFFNESS.assemble(self.basis, tangent=tangent)
 
     def result(self, state: FloatArray, depth: float) -> PressedBlock:
-        """What is reported of a state."""
+        """Forces [N] and displacements of a state (2 n,) [m] at a depth [m]."""
         force, _ = self._assemble(state)
         vertical = self.axis == 1
         moved = state.reshape(-1, 2)
@@ -235,11 +239,11 @@ class _Half(LargeStrain):
         )
 
 
-def _inner_force(v: Any, w: Any) -> Any:
+def _inner_force(v: DiscreteField, w: Mapping[str, FloatArray]) -> Any:
     return np.einsum("ij...,ij...->...", w["stress"], grad(v))
 
 
-def _stiffness(u: Any, v: Any, w: Any) -> Any:
+def _stiffness(u: DiscreteField, v: DiscreteField, w: Mapping[str, FloatArray]) -> Any:
     return np.einsum("ij...,ijkl...,kl...->...", grad(v), w["tangent"], grad(u), optimize=True)
 
 
@@ -247,7 +251,7 @@ _INNER_FORCE, _STIFFNESS = LinearForm(_inner_force), BilinearForm(_stiffness)
 
 
 def _graded(edge: float, end: float, size: float) -> FloatArray:
-    """Element borders from 0 to `end` with one at `edge`: `size` as far as two edges out, then twice that."""
+    """(n,) element borders from 0 to `end` with one at `edge` [m]: `size` as far as two edges out, then twice that."""
     inner = np.linspace(0.0, edge, max(2, round(edge / size)) + 1)
     turn = min(2.0 * edge, end)
     near = np.linspace(edge, turn, max(2, round((turn - edge) / size)) + 1)

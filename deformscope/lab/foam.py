@@ -55,7 +55,7 @@ class Foam:
         return f"{self.density:g}/{self.hardness:g}"
 
     def law(self) -> OgdenFoam:
-        """Its law [Pa]."""
+        """The foam's Ogden law [Pa]."""
         most = 1.0 - 1.4 * self.density / SOLID_KG_M3
         stiffer = (1.0 - DENSIFIED_STRAIN) / (most - DENSIFIED_STRAIN)
         pressed = 1.0 - DENSIFIED_STRAIN

@@ -147,7 +147,7 @@ class SimulatedHand:
         self._parked = table.body.T_base_end_effector
 
     def do(self, kind: str, number: int, axis: tuple[float, float, float] | None) -> None:
-        """What a request says, at once."""
+        """Carry out a request to the operator at once: a pose of the arm or of the board."""
         self._table.push_tip(np.zeros(3))
         self._table.show_board(kind == "view")
         match kind:
@@ -195,6 +195,7 @@ class SimulatedHand:
         return self._rig.placement.tool.radius_m
 
     def _off(self, sd_m: tuple[float, ...]) -> FloatArray:
+        """(3,) a random error with these standard deviations [m]."""
         return np.asarray(np.array(sd_m) * self._random.standard_normal(3))
 
     def _park(self) -> None:
@@ -211,7 +212,7 @@ class SimulatedHand:
         raise InputError("a place that the arm reaches", f"{center_m.round(3).tolist()} m", "another hidden number")
 
     def _reach(self, T_base_ee: FloatArray, starts: int = 12) -> bool:
-        """Bring the arm's end there by hand; whether it goes there."""
+        """Bring the arm's end by hand to a pose (4, 4) in the base frame [m]; whether it can be there."""
         body = self._table.body
         if isinstance(body, StandDouble):
             body.put(T_base_ee)

@@ -93,7 +93,7 @@ class _Shared:
                 return links
 
     def put_links(self, T_base_links: FloatArray) -> None:
-        """By its one writer."""
+        """Write the poses of the arm's links, (k, 4, 4) in the base frame [m]; by one writer alone."""
         links = T_base_links.ravel().tolist()  # first: who reads waits for what comes between
         self._version.value += 1
         self._links[:] = links
@@ -225,6 +225,7 @@ class _RemoteArm:
 
     @property
     def T_base_end_effector(self) -> FloatArray:
+        """(4, 4) pose of the arm's end [m]."""
         return np.asarray(self._shared.T_base_links[-1])
 
     def push(self, wrench: npt.ArrayLike) -> None:
@@ -244,6 +245,7 @@ def _feel(pipe: Connection, table: _Table, shared: _Shared, sensitivity: Sensiti
     contact = ArmContact(world, _RemoteArm(shared), table.placement, monotonic_ns)
 
     def load(time_s: float) -> FloatArray:
+        """(3,) force on the sensor in the tip's frame [N], with the sensor's faults where the table has any."""
         felt = contact.load(time_s)
         return felt if table.hidden is None else np.asarray(table.hidden.felt(felt, time_s), np.float64)
 

@@ -54,7 +54,7 @@ class DepthViewConfig:
 
     @property
     def intrinsics(self) -> Intrinsics:
-        """Its projection."""
+        """Focal lengths and centre of the camera [px]."""
         focal = self.focal_px * self.width / 640.0
         return Intrinsics(focal, focal, 0.5 * (self.width - 1), 0.5 * (self.height - 1))
 
@@ -126,7 +126,8 @@ class RayCamera:
         return depth, facing, hit["geometry_ids"].numpy().astype(np.int64)
 
     def cover(self, capsule: Capsule, depth: FloatArray, seen: npt.NDArray[np.uint8], facing: FloatArray) -> None:
-        """Put a capsule of the robot into a picture wherever it is nearer."""
+        """Draw a capsule of the robot into a picture (h, w), changed in place, wherever it is nearer. depth: along the
+        view [m]; seen: what each pixel shows; facing: cosine between ray and surface normal"""
         part = self.window(capsule)
         ray, length = self.ray[part], self._length[part]
         entered, normal = _enter(capsule, self.T_world_camera[:3, 3], ray, length)
@@ -138,7 +139,7 @@ class RayCamera:
     def cover_solids(
         self, solids: Sequence[PosedSolid], depth: FloatArray, seen: npt.NDArray[np.uint8], facing: FloatArray
     ) -> None:
-        """Put solids of the robot into a picture wherever they are nearer."""
+        """Draw solids of the robot into a picture (h, w), changed in place, wherever they are nearer: see `cover`."""
         meshes = [(one.vertices_m, one.solid.triangles) for one in solids]
         corners = np.concatenate([vertices for vertices, _ in meshes])
         inside = (corners - self.T_world_camera[:3, 3]) @ self.T_world_camera[:3, 2] > NEAREST_M
@@ -192,7 +193,8 @@ def _enter(capsule: Capsule, eye: FloatArray, ray: FloatArray, length: FloatArra
 
 
 def _nearest_root(a: FloatArray, half_b: FloatArray, c: float) -> FloatArray:
-    """The smaller root above 0 of a t^2 + 2 b t + c, inf where there is none; the eye is outside: c > 0."""
+    """The smaller root above 0 of a t^2 + 2 b t + c for a, b of one shape (...,), inf where there is none; the eye is
+    outside: c > 0."""
     inside = half_b**2 - a * c
     meets: BoolArray = (inside >= 0.0) & (half_b < 0.0) & (a > 0.0)
     # c / q, the form without cancellation

@@ -67,7 +67,8 @@ class RobotBody:
         return (*stick, *self._cable(placement, T_base_links)), self._truth.solids(placement, T_base_links)
 
     def _cable(self, placement: Placement, T_base_links: FloatArray) -> tuple[Capsule, ...]:
-        """It hangs between its ends, and sways anew in each picture."""
+        """Capsules along the cable, which hangs between its ends and sways anew in each picture. T_base_links: (k, 4,
+        4) [m]"""
         T = placement.T_surface_base @ T_base_links[-1]
         along = np.linspace(0.0, 1.0, CABLE_PIECES + 1)
         knots = np.linspace(0.0, 1.0, len(CABLE_M))

@@ -137,7 +137,7 @@ class SceneLab:
         )
 
     def _relaxation(self, xy_m: FloatArray) -> Relaxation:
-        """Of the foam at a place (2,) [m]."""
+        """Relaxation of the foam at a place (2,) in the surface frame [m]."""
         label = int(self.scene.label(xy_m))
         if label < 0:
             return Relaxation()

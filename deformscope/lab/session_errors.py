@@ -74,7 +74,7 @@ class LabErrors:
         )
 
     def plain(self) -> dict[str, Any]:
-        """For JSON."""
+        """The fields as a dict that JSON can hold."""
         return dataclasses.asdict(self)
 
 

@@ -116,7 +116,7 @@ def press(
 
 
 def _hold(box: ElasticBox, under: BoolArray, rise: FloatArray, depth: float, *, bonded: bool) -> Solved:
-    """The ground glued, the nodes under the tip pressed down by depth - rise."""
+    """Static state with the ground glued, and the nodes under the tip (n,) pressed down by depth - rise [m]."""
     held = np.zeros(box.nodes.shape, dtype=bool)
     held[box.plane(2, 0.0)] = True
     held[under] |= np.array([bonded, bonded, True])
@@ -135,7 +135,8 @@ def _ball(
     *,
     bonded: bool,
 ) -> tuple[FloatArray, float, float]:
-    """A ball touches the nodes that it would overlap, and pulls at none: rounds until that is so."""
+    """A ball touches the nodes that it would overlap, and pulls at none: rounds until that is so. upper: (n,) mask of
+    the nodes that it may touch; aside: (n, 2) of every node from the ball's middle [m]"""
     away = np.linalg.norm(aside, axis=1)
     rise = np.where(away < radius, radius - np.sqrt(np.maximum(radius**2 - away**2, 0.0)), np.inf)
     candidate = upper & np.isfinite(rise)
@@ -157,7 +158,7 @@ def _ball(
 
 
 def _graded(middle: float, half: float, fine: float, reach: float, side: float, *, even: bool) -> FloatArray:
-    """Corners along one axis of the slab: even under the tip, growing beyond its edge."""
+    """(n,) element borders along one axis of the slab [m]: even under the tip, growing beyond its edge."""
     count = max(2, round(half / fine))
     inner = np.linspace(-half, half, 2 * count + 1)
     if not even:
@@ -174,7 +175,7 @@ def _graded(middle: float, half: float, fine: float, reach: float, side: float, 
 
 
 def _downward(thickness: float, fine: float) -> FloatArray:
-    """Corners along z: closest below the surface."""
+    """(n,) element borders along z [m], rising: closest below the surface."""
     depths, step = [0.0], 0.7 * fine
     while depths[-1] < thickness:
         depths.append(depths[-1] + step)

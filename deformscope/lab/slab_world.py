@@ -190,7 +190,7 @@ class SlabWorld:
         return patch
 
     def _made(self, xy_m: FloatArray, reach_m: FloatArray, fine_m: FloatArray) -> Patch:
-        """As `Patch`."""
+        """A patch of the slab's mesh, with arguments as for `Patch`."""
         return Patch(self.scene, xy_m, reach_m, fine_m)
 
     def press(self, tip: RigidTip, center_m: FloatArray) -> Contact:
@@ -320,7 +320,8 @@ def _frame(normal: FloatArray) -> FloatArray:
 
 
 def _spread(middle: float, half: float, fine: float, reach: float, side: float) -> FloatArray:
-    """Corners along one axis of the slab: even around the middle, farther apart beyond, ending at the slab's sides."""
+    """(n,) element borders along one axis of the slab [m]: even around the middle, farther apart beyond, ending at the
+    slab's sides."""
     count = int(np.ceil(half / fine - 1e-6))
     outer, step = [count * fine], fine
     while outer[-1] < half + reach:
@@ -333,7 +334,7 @@ def _spread(middle: float, half: float, fine: float, reach: float, side: float) 
 
 
 def _downward(thickness: float, fine: float) -> FloatArray:
-    """Corners along z: closest below the surface."""
+    """(n,) element borders along z [m], rising: closest below the surface."""
     depths, step = [0.0], fine
     while depths[-1] < thickness:
         depths.append(depths[-1] + step)

@@ -185,7 +185,7 @@ class SqueezedContainer:
         return steady_ns
 
     def _felt(self, _: float) -> list[npt.NDArray[np.float64]]:
-        """Pressures on the six pads."""
+        """Pressures (rows, columns) on the six pads [Pa]."""
         pads: list[npt.NDArray[np.float64]] = [
             np.zeros((matrix.cells_y, matrix.cells_x)) for matrix in self.pads.matrices
         ]

@@ -7,7 +7,7 @@ import dataclasses
 import itertools
 from collections.abc import Callable, Iterator
 from multiprocessing.connection import Connection
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from deformscope.errors import InputError
 from deformscope.lab.operator import GraspingHand, moved_by_hand
@@ -29,11 +29,20 @@ from deformscope_drivers.sdh.double import Port
 from deformscope_drivers.webcam import SyntheticCamera, SyntheticCameraConfig
 from deformscope_drivers.wires import LOOPBACK, CanWire, PtyWire, TcpWire, Wire
 
+if TYPE_CHECKING:
+    from deformscope_drivers.depth_camera import DepthCameraConfig
+    from deformscope_drivers.dsa import DsaConfig
+    from deformscope_drivers.jaco import JacoConfig
+    from deformscope_drivers.kuka import KukaConfig
+    from deformscope_drivers.optoforce import OptoforceConfig
+    from deformscope_drivers.sdh import SdhConfig
+    from deformscope_drivers.webcam import WebcamConfig
+
 _numbers = itertools.count(1)
 
 
 @contextlib.contextmanager
-def stand_in(driver: str, config: Any) -> Iterator[Device[Any]]:
+def stand_in(driver: str, config: object) -> Iterator[Device[Any]]:
     """A device of this driver, closed, that a running double is behind; it runs until the end of the context.
 
     config: as for the real device; wherever it says that the device is, the double is reached alike, and no
@@ -70,7 +79,7 @@ def wire_of(driver: str, config: Any, bus: str) -> Iterator[Wire]:
 
 
 @contextlib.contextmanager
-def _wire_beside(driver: str, config: Any) -> Iterator[str]:
+def _wire_beside(driver: str, config: object) -> Iterator[str]:
     """The same behind a pseudo terminal or a socket, in a process of its own, as a device does not take this one's time
     either. Yields its port."""
     with beside(f"double of {driver}", serve, driver, config) as pipe:
@@ -81,14 +90,14 @@ def _wire_beside(driver: str, config: Any) -> Iterator[str]:
         yield port
 
 
-def serve(pipe: Connection, driver: str, config: Any) -> None:
+def serve(pipe: Connection, driver: str, config: object) -> None:
     """Send the port of a running double, and run it until the pipe ends."""
     with wire_of(driver, config, "") as wire, contextlib.suppress(EOFError, OSError):
         pipe.send(wire.port)
         pipe.recv()
 
 
-def reaching(config: Any, port: str, *, is_bus: bool = False) -> Any:
+def reaching(config: object, port: str, *, is_bus: bool = False) -> Any:
     """The configuration, for the double at the other end of a wire."""
     links = {"port": port}
     if hasattr(config, "bus"):
@@ -101,7 +110,7 @@ def _of_any_serial(config: Any) -> Any:
     return dataclasses.replace(config, serial=type(config)().serial) if hasattr(config, "serial") else config
 
 
-def config_bus(config: Any) -> str:
+def config_bus(config: object) -> str:
     """The CAN bus that a configuration names; empty where it names none, or its device knows none."""
     return str(getattr(config, "bus", ""))
 
@@ -109,7 +118,7 @@ def config_bus(config: Any) -> str:
 # What each double is like ---------------------------------------------------------------------------------------------
 
 
-def _optoforce(config: Any) -> Double:
+def _optoforce(config: OptoforceConfig) -> Double:
     """Sensors on a stick that presses foam now and then, as many and as sensitive as the rig file says. They begin at
     rest, so that they can be zeroed when they are opened."""
     from deformscope.lab.bench_scene import PRESS_S, loads
@@ -125,16 +134,16 @@ def _optoforce(config: Any) -> Double:
     return OptoforceDouble(Sensors(kind, scene, sensitivities))
 
 
-def _dsa(config: Any) -> Double:
+def _dsa(config: DsaConfig) -> Double:
     return DsaDouble(bytes_per_s=None) if config.port.startswith("socket:") else DsaDouble()
 
 
-def _sdh(config: Any) -> Double:
+def _sdh(config: SdhConfig) -> Double:
     return GraspingHand(Port.RS232 if config.checksummed() else Port.CAN)
 
 
 @contextlib.contextmanager
-def _jaco(config: Any) -> Iterator[Device[Any]]:
+def _jaco(config: JacoConfig) -> Iterator[Device[Any]]:
     arm = JacoDouble(config.model or "j2n6s300")
     with moved_by_hand(arm) as let_go:
 
@@ -149,21 +158,21 @@ def _jaco(config: Any) -> Iterator[Device[Any]]:
 
 
 @contextlib.contextmanager
-def _kuka(config: Any) -> Iterator[Device[Any]]:
+def _kuka(config: KukaConfig) -> Iterator[Device[Any]]:
     port = free_port()
     with UdpWire(KukaDouble(config.model, cycle_s=config.cycle_s, again_s=0.5), port):
         yield open_kuka(dataclasses.replace(config, address=LOOPBACK, port=port, controller=""))
 
 
 @contextlib.contextmanager
-def _webcam(config: Any) -> Iterator[Device[Any]]:
+def _webcam(config: WebcamConfig) -> Iterator[Device[Any]]:
     from deformscope.lab.bench_scene import side
 
     yield SyntheticCamera(side, SyntheticCameraConfig(rate_hz=config.fps))
 
 
 @contextlib.contextmanager
-def _depth_camera(config: Any) -> Iterator[Device[Any]]:
+def _depth_camera(config: DepthCameraConfig) -> Iterator[Device[Any]]:
     from deformscope.lab.bench_scene import view
 
     yield SyntheticDepthCamera(view, SyntheticDepthConfig(rate_hz=config.fps or 30.0))

@@ -120,7 +120,7 @@ class TouchLab:
 
     @property
     def functions(self) -> Spoiled:
-        """Its vendor's functions; raises TypeError as `arm_double` does."""
+        """Functions of the arm's vendor, which can be disturbed; raises TypeError as `arm_double` does."""
         self.arm_double  # noqa: B018
         assert self._jaco is not None
         return self._jaco[1]
@@ -274,7 +274,7 @@ class Spoiled:
         """As `JacoDouble.function`."""
         asked = self._arm.function(name)
 
-        def called(*arguments: Any) -> int:
+        def called(*arguments: object) -> int:
             self.waits()
             if name == "SendBasicTrajectory" and np.any(self.turning_rad_s):
                 self._turn(_structure(arguments[0]))

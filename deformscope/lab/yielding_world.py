@@ -65,7 +65,7 @@ def force_share(yields: int, poisson: float, radius_m: float, thickness_m: float
 
 @functools.lru_cache(maxsize=64)
 def _shares(yields: int, poisson: float, radius_m: float, steps: int) -> Callable[[float], FloatArray]:
-    """The share over depth, 1 at none."""
+    """The share of the elastic force that is left, as a function of depth [m]; 1 at none."""
     thickness_m = steps * THICKNESS_STEP_M
     depth_m = np.array([depth for depth in DEPTHS_M if depth < 0.5 * thickness_m])
     share = force_share(yields, poisson, radius_m, thickness_m, depth_m)

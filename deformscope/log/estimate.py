@@ -52,7 +52,8 @@ def log_comparison(rec: rr.RecordingStream, comparison: Comparison, canvas: Canv
 
 
 def _log_error(rec: rr.RecordingStream, length: FloatArray, free: BoolArray, unit: str) -> None:
-    """The average Euclidean error of this moment, over all seen particles (Thesis eq. 3.18) and over the free ones."""
+    """Log the average Euclidean error of this moment, over all seen particles (Thesis eq. 3.18) and over the free ones.
+    length: (K,) error of each particle [unit], NaN where not seen; free: (K,)"""
     known = np.isfinite(length)
     for name, label, color, chosen in (
         ("aee", f"all particles [{unit}]", OBSERVED, known),
@@ -64,6 +65,7 @@ def _log_error(rec: rr.RecordingStream, length: FloatArray, free: BoolArray, uni
 
 
 def _log_flat(rec: rr.RecordingStream, comparison: Comparison, length: FloatArray, canvas: Canvas, end: float) -> None:
+    """Log particles and errors of a flat body. length: (K,) error of each particle, NaN where not seen"""
     radius = canvas.spacing
     finite = np.isfinite(comparison.simulated).all(axis=1)
     if not canvas.image:  # a sequence has logged both already, frame by frame
@@ -95,7 +97,7 @@ def _log_flat(rec: rr.RecordingStream, comparison: Comparison, length: FloatArra
 def _log_flat_heat(
     rec: rr.RecordingStream, comparison: Comparison, length: FloatArray, canvas: Canvas, end: float
 ) -> None:
-    """The error between the particles, as an image over their area, and a ring around the largest."""
+    """Log the error between the particles, as an image over their area, and a ring around the largest. length: (K,)"""
     known = np.isfinite(length)
     if not known.any():
         rec.log("heat", rr.Clear(recursive=True))
@@ -133,7 +135,8 @@ def _worst(comparison: Comparison, length: FloatArray) -> str:
 
 
 def _log_deep(rec: rr.RecordingStream, comparison: Comparison, length: FloatArray, canvas: Canvas, end: float) -> None:
-    """Of a surface, what the picture holds; what lies beyond goes into the recording alone, where no view shows it."""
+    """Log a body in space: of a surface, what the picture holds; what lies beyond goes into the recording alone, where
+    no view shows it. length: (K,) error of each particle"""
     radius, surface = canvas.spacing, bool(canvas.scale)
     inside = _inside(comparison, canvas)
     log_place(rec, canvas, *(f"particles/{name}" for name in ("rest", "observed", "simulated", "net")))
@@ -186,7 +189,7 @@ def _net(comparison: Comparison, inside: BoolArray, longest: float) -> IntArray:
 def _log_deep_heat(
     rec: rr.RecordingStream, comparison: Comparison, length: FloatArray, canvas: Canvas, end: float
 ) -> None:
-    """The error over the surface or the skin; where there is none, the particles alone."""
+    """Log the error over the surface or the skin; where there is none, the particles alone. length: (K,)"""
     known = np.flatnonzero(np.isfinite(length) & _inside(comparison, canvas))
     if not known.size:
         rec.log("heat", rr.Clear(recursive=True))
@@ -222,7 +225,7 @@ def _deep_bar(comparison: Comparison, end: float) -> list[tuple[float, str, Rgb]
 
 
 def _heights(canvas: Canvas) -> str:
-    """That heights are drawn out, where they are."""
+    """Words for a title on how many times heights are drawn out; empty where they are not."""
     times = canvas.scale[2] if canvas.scale else 1.0
     return f", heights drawn {times:g} times" if times > 1.0 else ""
 

@@ -43,7 +43,7 @@ class Merged:
             growing.parts, growing.bytes = [], 0
 
     def rest(self) -> Iterator[Chunk]:
-        """What is left, in the end."""
+        """The chunks that have not been given out yet; none is kept."""
         for growing in self._growing.values():
             if growing.parts:
                 yield _joined(growing.parts)

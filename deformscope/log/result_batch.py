@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import Any, ParamSpec
 
 import numpy as np
+import numpy.typing as npt
 import rerun as rr
 
 from deformscope.log.rig.columns import Batch, moments, recorded
@@ -27,7 +28,7 @@ class ResultBatch:
         self._batch.show(path, self._times, entity)
 
     def log_static(self, path: str, entity: rr.AsComponents) -> None:
-        """What holds throughout, known only now."""
+        """Log an entity that holds at all times but is known only now."""
         self._batch.log(path, entity, static=True)
 
     def record(self, result: object) -> None:
@@ -38,11 +39,13 @@ class ResultBatch:
         """What `draw`, a function of a module, makes of what is given: a PNG."""
         self.show(path, rr.EncodedImage(contents=drawn(draw, *given, **named), media_type="image/png"))
 
-    def show_points(self, path: str, points: Any, colors: Any, radius: float, labels: list[str] | None = None) -> None:
+    def show_points(
+        self, path: str, points: npt.ArrayLike, colors: npt.ArrayLike, radius: float, labels: list[str] | None = None
+    ) -> None:
         """points: (n, 3); colors: one, or (n, 3)"""
         named: dict[str, Any] = {} if labels is None else {"labels": labels, "show_labels": True}
         self.show(path, rr.Points3D(np.asarray(points, np.float32), colors=colors, radii=radius, **named))
 
-    def show_lines(self, path: str, strips: Any, color: Any, radius: float) -> None:
+    def show_lines(self, path: str, strips: npt.ArrayLike, color: npt.ArrayLike, radius: float) -> None:
         """strips: (n, 2 or more, 3)"""
         self.show(path, rr.LineStrips3D(np.asarray(strips, np.float32), colors=color, radii=radius))

@@ -24,7 +24,7 @@ def canvas_of(frame: ColorFrame) -> Canvas:
 
 
 def range_of(image: ImageArray) -> tuple[float, float]:
-    """The darkest and the brightest of an image."""
+    """The darkest and the brightest value of an image (h, w) or (h, w, 3), at least 1 apart."""
     return float(image.min()), max(float(image.max()), float(image.min()) + 1.0)
 
 

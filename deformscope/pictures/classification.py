@@ -12,6 +12,7 @@ from deformscope.arrays import FloatArray
 from deformscope.pictures.figures import COLOURS, canvas, png_of
 from deformscope.stages.squeeze.evaluation import Evaluation
 from deformscope.stages.squeeze.groupings import Grouping
+from deformscope.stages.squeeze.intervals import Estimated
 from deformscope.stages.squeeze.scores import ClassificationScore
 from deformscope.stages.squeeze.table import LabelledTable
 
@@ -35,7 +36,7 @@ PADS, PAD_SIDE = 36, 6
 
 
 def class_colors(count: int) -> list[Any]:
-    """As distinct as so many can be."""
+    """(count,) colours, as distinct as so many can be."""
     if count <= len(COLOURS):
         return list(COLOURS[:count])
     from matplotlib import colormaps
@@ -88,6 +89,7 @@ def mean_images_png(table: LabelledTable, modality: str) -> bytes:
 
 
 def _mean(values: FloatArray) -> FloatArray:
+    """Mean of values (n, ...) over the first axis without NaN; NaN where there is nothing else."""
     known = ~np.isnan(values)
     count = known.sum(axis=0)
     return np.where(count > 0, np.where(known, values, 0.0).sum(axis=0) / np.maximum(count, 1), np.nan)
@@ -178,7 +180,7 @@ def curve_png(found: Evaluation) -> bytes:
     return png_of(figure, DPI)
 
 
-def _reach(found: Sequence[Any]) -> FloatArray:
+def _reach(found: Sequence[Estimated]) -> FloatArray:
     """(2, n) how far intervals reach below and above their values."""
     value = np.array([one.value for one in found])
     ends = np.array([one.interval for one in found])

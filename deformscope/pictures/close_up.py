@@ -38,6 +38,7 @@ class CloseUp:
 
     @property
     def middle(self) -> FloatArray:
+        """(d,) middle of the region, in the frame and unit of `low` and `high`."""
         return np.asarray(0.5 * (self.low + self.high))
 
     def holds(self, position: FloatArray) -> IntArray:

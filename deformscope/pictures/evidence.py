@@ -7,14 +7,14 @@ from __future__ import annotations
 
 import math
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import PurePath
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from deformscope.arrays import FloatArray, ImageArray
+from deformscope.arrays import BoolArray, FloatArray, ImageArray, IntArray
 from deformscope.pictures.close_up import CloseUp, close_up
 from deformscope.pictures.figures import canvas, png_of
 from deformscope.pictures.palette import HELD, OBSERVED, REST, SIMULATED, hexadecimal, readable, round_up
@@ -25,6 +25,8 @@ from deformscope.stages.see.triangulation import spacing_of, triangulate
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from matplotlib.gridspec import GridSpecBase, SubplotSpec
+    from mpl_toolkits.mplot3d import Axes3D
 
 ERROR, INTERVAL, MINIMUM, POSTERIOR = "#1f5fd0", "#9db8e8", "#d92b2b", "#5b3fa0"
 """Of the charts: the curve, the shaded interval, the marked minimum, the density."""
@@ -157,7 +159,7 @@ def _rows(results: Sequence[Result]) -> list[tuple[int, int]]:
     return [every[row] for row in sorted(np.argsort(size)[::-1][:MOST_ROWS].tolist())]
 
 
-def _one(result: Result, index: int, draw: Any) -> bytes:
+def _one(result: Result, index: int, draw: Callable[[Figure, SubplotSpec, Result, int], None]) -> bytes:
     figure = canvas(6.2, 4.6, layout="constrained")
     draw(figure, figure.add_gridspec(1, 1)[0, 0], result, index)
     return png_of(figure, DPI)
@@ -167,7 +169,7 @@ def _one(result: Result, index: int, draw: Any) -> bytes:
 
 
 def _draw_evidence(
-    figure: Figure, grid: Any, estimate: Estimate, *, titled: bool = True, size: int = 11, width: int = 62
+    figure: Figure, grid: GridSpecBase, estimate: Estimate, *, titled: bool = True, size: int = 11, width: int = 62
 ) -> None:
     """The curve in the upper three of five rows, the posterior below it; all for the curve where there is none."""
     if estimate.posterior is None:
@@ -269,7 +271,7 @@ def _error_at(estimate: Estimate) -> float:
 # Particles -----------------------------------------------------------------------------------------------------------
 
 
-def _draw_particles(figure: Figure, place: Any, result: Result, index: int) -> None:
+def _draw_particles(figure: Figure, place: SubplotSpec, result: Result, index: int) -> None:
     comparison = result.comparisons[index]
     if comparison.rest.shape[1] == 2:
         axes = figure.add_subplot(place)
@@ -284,6 +286,7 @@ def _draw_particles(figure: Figure, place: Any, result: Result, index: int) -> N
 
 
 def _draw_flat_particles(axes: Any, comparison: Comparison, image: ImageArray | None) -> None:
+    """Draw rest, observed and simulated positions with their errors. image: (h, w) or (h, w, 3), below them"""
     from matplotlib.collections import LineCollection
 
     scale = _frame(axes, comparison, image)
@@ -319,7 +322,8 @@ def _draw_cut(axes: Axes, comparison: Comparison, shown: CloseUp) -> None:
     factor, unit = readable(comparison.unit, float(np.ptp(heights)) if heights.size else 0.0)
     base = float(rest[line, 2].mean())
 
-    def drawn(position: FloatArray, rows: Any) -> tuple[FloatArray, FloatArray]:
+    def drawn(position: FloatArray, rows: IntArray | slice) -> tuple[FloatArray, FloatArray]:
+        """x and height above the base of some positions (n, 3), in the units of the axes."""
         return position[rows, 0] * scale, (position[rows, 2] - base) * factor
 
     seen = line[comparison.seen[line]]
@@ -338,7 +342,7 @@ def _draw_cut(axes: Axes, comparison: Comparison, shown: CloseUp) -> None:
     _legend_below(axes)
 
 
-def _draw_deep_particles(axes: Any, comparison: Comparison) -> None:
+def _draw_deep_particles(axes: Axes3D, comparison: Comparison) -> None:
     from mpl_toolkits.mplot3d.art3d import Line3DCollection
 
     scale = _deep_frame(axes, comparison)
@@ -356,7 +360,7 @@ def _draw_deep_particles(axes: Any, comparison: Comparison) -> None:
 # Where the model is wrong --------------------------------------------------------------------------------------------
 
 
-def _draw_errors(figure: Figure, place: Any, result: Result, index: int) -> None:
+def _draw_errors(figure: Figure, place: SubplotSpec, result: Result, index: int) -> None:
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
 
@@ -388,6 +392,8 @@ def _draw_errors(figure: Figure, place: Any, result: Result, index: int) -> None
 def _draw_flat_errors(
     axes: Any, comparison: Comparison, error: FloatArray, end: float, image: ImageArray | None, shown: CloseUp | None
 ) -> None:
+    """Draw the error (K,) over the area of a flat body or of a surface, with a ring around the largest. end: of its
+    scale"""
     known = np.flatnonzero(_known(comparison))
     if shown is not None:
         known = np.intersect1d(known, shown.holds(comparison.rest))
@@ -410,7 +416,8 @@ def _draw_flat_errors(
         axes.scatter(*place[worst], s=1.6 * size, facecolors="none", edgecolors="white", linewidths=0.7, zorder=5)
 
 
-def _draw_deep_errors(axes: Any, comparison: Comparison, error: FloatArray, end: float) -> None:
+def _draw_deep_errors(axes: Axes3D, comparison: Comparison, error: FloatArray, end: float) -> None:
+    """Draw the error (K,) over the skin of a body in space. end: of its scale"""
     import matplotlib as mpl
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
@@ -441,7 +448,8 @@ def _quartered(corners: FloatArray) -> FloatArray:
 
 
 def _frame(axes: Axes, comparison: Comparison, image: ImageArray | None, shown: CloseUp | None = None) -> float:
-    """Limits, labels and the image below; the factor that turns a position into what is drawn."""
+    """Set limits and labels, and draw the image (h, w) or (h, w, 3) below; the factor that turns a position into what
+    is drawn."""
     scale, unit = _length_unit(comparison)
     if shown is not None:
         low, high = shown.low[:2] * scale, shown.high[:2] * scale
@@ -467,7 +475,7 @@ def _frame(axes: Axes, comparison: Comparison, image: ImageArray | None, shown: 
     return scale
 
 
-def _deep_frame(axes: Any, comparison: Comparison) -> float:
+def _deep_frame(axes: Axes3D, comparison: Comparison) -> float:
     scale, unit = _length_unit(comparison)
     every = np.concatenate([comparison.observed[comparison.seen], comparison.simulated]) * scale
     low, high = np.nanmin(every, axis=0), np.nanmax(every, axis=0)
@@ -486,7 +494,8 @@ def _length_unit(comparison: Comparison) -> tuple[float, str]:
     return (1e3, "mm") if size < 0.1 else (1e2, "cm") if size < 3.0 else (1.0, "m")
 
 
-def _known(comparison: Comparison) -> Any:
+def _known(comparison: Comparison) -> BoolArray:
+    """(K,) particles that were seen and whose simulated position is finite."""
     return (
         comparison.seen & np.isfinite(comparison.observed).all(axis=1) & np.isfinite(comparison.simulated).all(axis=1)
     )
@@ -499,7 +508,7 @@ def _mark(axes: Axes, comparison: Comparison, scale: float, shown: CloseUp | Non
     return float(np.clip((0.42 * 72.0 * inch) ** 2, 4.0, 110.0))
 
 
-def _legend_below(axes: Any) -> None:
+def _legend_below(axes: Axes) -> None:
     axes.legend(
         fontsize=9, loc="upper center", bbox_to_anchor=(0.5, 0.0), borderaxespad=3.9, ncols=5, frameon=False,
         handletextpad=0.3,

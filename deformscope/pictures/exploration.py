@@ -10,7 +10,7 @@ import functools
 import math
 import textwrap
 from collections.abc import Callable, Sequence
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -31,6 +31,10 @@ from deformscope.pictures.words import (
 )
 from deformscope.results.render import to_line
 from deformscope.stages.map.exploration import LumpsFound, MapEstimate, PlannedTouch, SurfaceEstimate, TouchEstimate
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.colorbar import Colorbar
 
 RECORDED, OTHER = (0, 114, 178), (213, 94, 0)
 """Of what was recorded, and of what other settings make of it; distinct to colour-blind readers too."""
@@ -122,10 +126,10 @@ def result_png(maps: MapEstimate, title: str = "", lumps: LumpsFound | None = No
     """The whole result in one picture: both fields with their deviations, the regions, and the truth where known; where
     lumps are sought, they and what may be missed in the place of beta."""
     figure = canvas(3 * WIDE, 2 * HIGH + 0.5)
-    second: tuple[Callable[[Any, MapEstimate], None], ...] = (draw_beta, draw_beta_deviation)
+    second: tuple[Callable[[Axes, MapEstimate], None], ...] = (draw_beta, draw_beta_deviation)
     if lumps is not None:
         second = (lambda axes, _: draw_lumps(axes, lumps), lambda axes, _: draw_missed(axes, lumps))
-    drawings: tuple[tuple[Callable[[Any, MapEstimate], None], ...], ...] = (
+    drawings: tuple[tuple[Callable[[Axes, MapEstimate], None], ...], ...] = (
         (functools.partial(draw_stiffness, path=True), second[0], draw_regions),
         (draw_stiffness_deviation, second[1], draw_truth),
     )
@@ -143,7 +147,7 @@ def result_png(maps: MapEstimate, title: str = "", lumps: LumpsFound | None = No
 # One drawing a quantity ----------------------------------------------------------------------------------------------
 
 
-def draw_stiffness(axes: Any, maps: MapEstimate, *, path: bool = False) -> None:
+def draw_stiffness(axes: Axes, maps: MapEstimate, *, path: bool = False) -> None:
     from matplotlib.colors import LogNorm
 
     if maps.loss is not None:
@@ -156,14 +160,14 @@ def draw_stiffness(axes: Any, maps: MapEstimate, *, path: bool = False) -> None:
     _draw_contacts(axes, maps.contacts_m, maps.tip_radius_m, path=path)
 
 
-def draw_stiffness_deviation(axes: Any, maps: MapEstimate) -> None:
+def draw_stiffness_deviation(axes: Axes, maps: MapEstimate) -> None:
     percent = 100.0 * np.expm1(maps.stiffness_log_sd if maps.loss_log_sd is None else maps.loss_log_sd)
     _draw_map(axes, percent, maps.cell_m, DEVIATION, "[%]", low=0.0, high=_round_up(percent))
     _draw_contacts(axes, maps.contacts_m, maps.tip_radius_m)
     _title(axes, f"Deviation of the {maps.mapped}", "one standard deviation upwards")
 
 
-def draw_beta(axes: Any, maps: MapEstimate) -> None:
+def draw_beta(axes: Axes, maps: MapEstimate) -> None:
     _title(axes, "Beta", "shape parameter of the fitted model")
     if maps.beta is None:
         _say(axes, "no beta yet", maps.labels.shape, maps.cell_m)
@@ -174,7 +178,7 @@ def draw_beta(axes: Any, maps: MapEstimate) -> None:
     _draw_contacts(axes, maps.contacts_m, maps.tip_radius_m)
 
 
-def draw_beta_deviation(axes: Any, maps: MapEstimate) -> None:
+def draw_beta_deviation(axes: Axes, maps: MapEstimate) -> None:
     _title(axes, "Deviation of beta", "one standard deviation")
     if maps.beta_sd is None:
         _say(axes, "no beta yet", maps.labels.shape, maps.cell_m)
@@ -183,7 +187,7 @@ def draw_beta_deviation(axes: Any, maps: MapEstimate) -> None:
     _draw_contacts(axes, maps.contacts_m, maps.tip_radius_m)
 
 
-def draw_regions(axes: Any, maps: MapEstimate) -> None:
+def draw_regions(axes: Axes, maps: MapEstimate) -> None:
     if not maps.region_count:
         _title(axes, "No regions", f"the {maps.mapped} changes smoothly (probability {maps.probability:.2f})")
         _say(axes, "", maps.labels.shape, maps.cell_m)
@@ -198,7 +202,7 @@ def draw_regions(axes: Any, maps: MapEstimate) -> None:
     _title(axes, title, "the paler, the less sure")
 
 
-def draw_truth(axes: Any, maps: MapEstimate) -> None:
+def draw_truth(axes: Axes, maps: MapEstimate) -> None:
     if maps.truth_labels is None:
         _title(axes, "Truth", "")
         _say(axes, "not known", maps.labels.shape, maps.cell_m)
@@ -212,7 +216,7 @@ def draw_truth(axes: Any, maps: MapEstimate) -> None:
     _title(axes, f"Truth: {counted(len(np.unique(truth)), 'region')}", f"{score}line: as found")
 
 
-def draw_lumps(axes: Any, lumps: LumpsFound) -> None:
+def draw_lumps(axes: Axes, lumps: LumpsFound) -> None:
     from matplotlib.patches import Circle
 
     _draw_map(axes, 100.0 * lumps.covered, lumps.cell_m, GAIN, "[%]", low=0.0, high=100.0)
@@ -226,7 +230,7 @@ def draw_lumps(axes: Any, lumps: LumpsFound) -> None:
     _title(axes, found_words(lumps).capitalize(), f"probability that a lump lies below; black: found{truth}")
 
 
-def draw_missed(axes: Any, lumps: LumpsFound) -> None:
+def draw_missed(axes: Axes, lumps: LumpsFound) -> None:
     names = [f"{100.0 * radius:.3g}" for radius in lumps.size_m]
     wanted = lumps.size_m >= lumps.smallest_m
     axes.bar(names, 100.0 * lumps.missed, color=np.where(wanted, REGIONS[5], EXCLUDED))
@@ -237,7 +241,7 @@ def draw_missed(axes: Any, lumps: LumpsFound) -> None:
     _title(axes, "A lump that is missed", words)
 
 
-def draw_gain(axes: Any, plan: PlannedTouch, cell_m: float, contacts_m: FloatArray | None = None) -> None:
+def draw_gain(axes: Axes, plan: PlannedTouch, cell_m: float, contacts_m: FloatArray | None = None) -> None:
     if plan.gain is not None:
         open_gain = np.where(plan.excluded, np.nan, plan.gain)
         unit = "[-]" if plan.gain_unit is None else f"[{plan.gain_unit.replace('label', 'share of the map corrected')}]"
@@ -258,7 +262,7 @@ def draw_gain(axes: Any, plan: PlannedTouch, cell_m: float, contacts_m: FloatArr
         _title(axes, "No further touch", ended_words(plan.stop_reason) if plan.stop_reason else plan.reason)
 
 
-def draw_height(axes: Any, surface: SurfaceEstimate) -> None:
+def draw_height(axes: Axes, surface: SurfaceEstimate) -> None:
     low, high = _height_range(surface.height_m * 1e3)
     _draw_map(axes, surface.height_m * 1e3, surface.cell_m, HEIGHT, "[mm]", low=low, high=high)
     _draw_levels(axes, surface.deviation_m * 1e3, surface.cell_m, "mm")
@@ -272,7 +276,7 @@ def _height_range(height_mm: FloatArray) -> tuple[float, float]:
     return low - more, high + more
 
 
-def draw_force(axes: Any, touch: TouchEstimate, name: str = "") -> None:
+def draw_force(axes: Axes, touch: TouchEstimate, name: str = "") -> None:
     name = name or f"Touch {touch.number + 1}"
     if not touch.usable:
         _title(axes, f"{name}: {touch.stiffness_text}", f"{touch.dent_text}; {touch.beta_text}")
@@ -298,7 +302,7 @@ def draw_force(axes: Any, touch: TouchEstimate, name: str = "") -> None:
     _title(axes, f"{name}: {touch.stiffness_text}", to_line(touch, "caption"))
 
 
-def draw_section(axes: Any, touch: TouchEstimate) -> None:
+def draw_section(axes: Axes, touch: TouchEstimate) -> None:
     for color, name, points in (
         (hexadecimal(OBSERVED), "observed", touch.observed_m),
         (hexadecimal(SIMULATED), "simulated", _near(touch.simulated_m, touch.xyz_m)),
@@ -325,6 +329,7 @@ def draw_section(axes: Any, touch: TouchEstimate) -> None:
 
 
 def _near(points: FloatArray, at: FloatArray) -> FloatArray:
+    """Those of points (n, 3) within `SECTION_CM` of a place (2 or 3,) in the plane [m]."""
     return points[np.linalg.norm(points[:, :2] - at[:2], axis=1) <= SECTION_CM * 1e-2] if len(points) else points
 
 
@@ -344,7 +349,7 @@ def _rings(away_cm: FloatArray, height_mm: FloatArray) -> tuple[FloatArray, Floa
     return away, height
 
 
-def draw_regions_beside(axes: Any, recorded: MapEstimate, other: MapEstimate, name: str) -> None:
+def draw_regions_beside(axes: Axes, recorded: MapEstimate, other: MapEstimate, name: str) -> None:
     from matplotlib.lines import Line2D
 
     beside = ((recorded, RECORDED, 4.0, "recorded"), (other, OTHER, 1.4, name))  # seen both, where they are the same
@@ -361,7 +366,7 @@ def draw_regions_beside(axes: Any, recorded: MapEstimate, other: MapEstimate, na
 
 
 def draw_touches_beside(
-    axes: Any, quantity: str, recorded: Sequence[TouchEstimate], other: Sequence[TouchEstimate], name: str
+    axes: Axes, quantity: str, recorded: Sequence[TouchEstimate], other: Sequence[TouchEstimate], name: str
 ) -> None:
     from matplotlib.ticker import MaxNLocator
 
@@ -382,7 +387,7 @@ def draw_touches_beside(
     axes.grid(alpha=0.3)
 
 
-def _legend_above(axes: Any, title: str, handles: Sequence[Any]) -> None:
+def _legend_above(axes: Axes, title: str, handles: Sequence[Any]) -> None:
     """Names of what is drawn, below a title and above the axes."""
     names = [textwrap.fill(handle.get_label(), 46) for handle in handles]
     above: dict[str, Any] = {"loc": "lower left", "bbox_to_anchor": (-0.03, 1.0), "frameon": False, "alignment": "left"}
@@ -400,7 +405,7 @@ def _with_interval(touch: TouchEstimate, quantity: str) -> tuple[float, float, f
     return (value, low, high) if np.isfinite(high) else (value, value, value)  # a lower bound
 
 
-MAP_DRAWINGS: dict[str, Callable[[Any, MapEstimate], None]] = {
+MAP_DRAWINGS: dict[str, Callable[[Axes, MapEstimate], None]] = {
     "stiffness": draw_stiffness,
     "stiffness_deviation": draw_stiffness_deviation,
     "beta": draw_beta,
@@ -416,7 +421,8 @@ less sure; the true ones, where these are known, and over them the outline of th
 
 
 def stiffness_range(stiffness: FloatArray) -> tuple[float, float]:
-    """The ends of a logarithmic scale that holds these values, of those that a reader can remember."""
+    """The ends of a logarithmic scale that holds these values, any shape [N/mm], both 1, 2 or 5 times a power of
+    ten."""
     known = stiffness[np.isfinite(stiffness) & (stiffness > LEAST)]
     if not known.size:
         return 0.1, 1.0
@@ -429,7 +435,7 @@ def stiffness_range(stiffness: FloatArray) -> tuple[float, float]:
 
 
 def loss_range(loss: FloatArray) -> float:
-    """The end of a scale from 0 that holds these shares."""
+    """The end of a scale from 0 that holds these shares of lost energy, any shape [-]; at most 1."""
     return min(_round_up(100.0 * loss) / 100.0, 1.0)
 
 
@@ -438,7 +444,7 @@ def _round_up(values: FloatArray) -> float:
 
 
 def _draw_map(
-    axes: Any,
+    axes: Axes,
     values: FloatArray,
     cell_m: float,
     colors: str,
@@ -448,9 +454,10 @@ def _draw_map(
     high: float | None = None,
     norm: Any = None,
 ) -> None:
+    """Draw a map (rows, columns) of square cells with its colour bar; low, high or norm: of its colours."""
     from matplotlib.ticker import FuncFormatter, MaxNLocator
 
-    limits = {} if norm is not None else {"vmin": low, "vmax": high}
+    limits: dict[str, Any] = {} if norm is not None else {"vmin": low, "vmax": high}
     shown = axes.imshow(
         values, origin="lower", extent=_extent(values.shape, cell_m), cmap=colors, interpolation="nearest",
         norm=norm, **limits,
@@ -466,7 +473,7 @@ def _draw_map(
         _number_log_bar(bar, norm.vmin, norm.vmax)
 
 
-def _number_log_bar(bar: Any, low: float, high: float) -> None:
+def _number_log_bar(bar: Colorbar, low: float, high: float) -> None:
     from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
     steps = (1.0, 2.0, 5.0) if high / low > 4 else (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0)
@@ -478,8 +485,8 @@ def _number_log_bar(bar: Any, low: float, high: float) -> None:
     bar.ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
 
 
-def _draw_levels(axes: Any, values: FloatArray, cell_m: float, unit: str) -> None:
-    """A few lines of equal value."""
+def _draw_levels(axes: Axes, values: FloatArray, cell_m: float, unit: str) -> None:
+    """Draw three lines of equal value over a map (rows, columns)."""
     if not float(np.nanmax(values) - np.nanmin(values)) > 0:
         return
     rows, columns = values.shape
@@ -488,7 +495,8 @@ def _draw_levels(axes: Any, values: FloatArray, cell_m: float, unit: str) -> Non
     axes.clabel(lines, fmt=lambda value: f"{value:g} {unit}", fontsize=8)
 
 
-def _draw_labels(axes: Any, tints: FloatArray, sure: FloatArray, cell_m: float) -> None:
+def _draw_labels(axes: Axes, tints: FloatArray, sure: FloatArray, cell_m: float) -> None:
+    """Draw labels in their colours (rows, columns, 3), paler where less sure (rows, columns)."""
     blended = 1.0 + (tints - 1.0) * sure[..., None]
     axes.imshow(blended, origin="lower", extent=_extent(sure.shape, cell_m), interpolation="nearest")
     _label_axes(axes)
@@ -503,7 +511,8 @@ def _label_colors(labels: IntArray) -> FloatArray:
 
 
 def _matched(truth: IntArray, found: IntArray) -> IntArray:
-    """The truth's labels, renamed so that a region has the colour of the found one that it overlaps the most."""
+    """The truth's labels (rows, columns), renamed so that a region has the colour of the found one that it overlaps the
+    most."""
     from scipy.optimize import linear_sum_assignment
 
     there, found_labels = np.unique(truth), np.unique(found)
@@ -520,8 +529,8 @@ def _matched(truth: IntArray, found: IntArray) -> IntArray:
     return renamed
 
 
-def _draw_outline(axes: Any, labels: IntArray, cell_m: float, color: str, width: float = 1.4) -> None:
-    """Lines between cells of different labels, along the cells' edges."""
+def _draw_outline(axes: Axes, labels: IntArray, cell_m: float, color: str, width: float = 1.4) -> None:
+    """Draw lines between cells of different labels (rows, columns), along the cells' edges."""
     from matplotlib.collections import LineCollection
 
     lines = LineCollection(list(100 * region_edges(labels, cell_m)), colors=color, linewidths=width)
@@ -537,7 +546,7 @@ def region_edges(labels: IntArray, cell_m: float) -> FloatArray:
     return np.concatenate([upright, level]) * cell_m
 
 
-def _draw_contacts(axes: Any, contacts_m: FloatArray, tip_radius_m: float, *, path: bool = False) -> None:
+def _draw_contacts(axes: Axes, contacts_m: FloatArray, tip_radius_m: float, *, path: bool = False) -> None:
     """Touches in their order; the circle is the tip's size."""
     from matplotlib.collections import EllipseCollection
     from matplotlib.patheffects import withStroke
@@ -568,8 +577,8 @@ def _draw_contacts(axes: Any, contacts_m: FloatArray, tip_radius_m: float, *, pa
         )  # fmt: skip
 
 
-def _draw_excluded(axes: Any, excluded: BoolArray, cell_m: float) -> None:
-    """Grey with stripes, crisp at the cells' edges."""
+def _draw_excluded(axes: Axes, excluded: BoolArray, cell_m: float) -> None:
+    """Draw the excluded cells (rows, columns) grey with stripes, crisp at the cells' edges."""
     from matplotlib.colors import to_rgb
 
     if not excluded.any():
@@ -582,7 +591,7 @@ def _draw_excluded(axes: Any, excluded: BoolArray, cell_m: float) -> None:
     axes.imshow(drawn, origin="lower", extent=_extent(excluded.shape, cell_m), interpolation="nearest", zorder=2)
 
 
-def _draw_keys(axes: Any, maps: MapEstimate) -> None:
+def _draw_keys(axes: Axes, maps: MapEstimate) -> None:
     """Each region's stiffness, and loss where it is mapped, in its place."""
     from matplotlib.patheffects import withStroke
 
@@ -615,13 +624,13 @@ def _extent(shape: tuple[int, ...], cell_m: float) -> tuple[float, float, float,
     return 0.0, shape[1] * cell_m * 100, 0.0, shape[0] * cell_m * 100
 
 
-def _label_axes(axes: Any) -> None:
+def _label_axes(axes: Axes) -> None:
     axes.set_xlabel("x [cm]", fontsize=10, labelpad=1)
     axes.set_ylabel("y [cm]", fontsize=10, labelpad=1)
     axes.tick_params(labelsize=10)
 
 
-def _say(axes: Any, words: str, shape: tuple[int, ...] = (), cell_m: float = 0.0) -> None:
+def _say(axes: Axes, words: str, shape: tuple[int, ...] = (), cell_m: float = 0.0) -> None:
     """Words where there is no map, on the same ground."""
     axes.set_facecolor("#eef0f3")
     axes.text(0.5, 0.5, words, transform=axes.transAxes, ha="center", va="center", fontsize=13, color="#70757d")
@@ -633,7 +642,7 @@ def _say(axes: Any, words: str, shape: tuple[int, ...] = (), cell_m: float = 0.0
         axes.set(xticks=[], yticks=[])
 
 
-def _title(axes: Any, title: str, words: str) -> None:
+def _title(axes: Axes, title: str, words: str) -> None:
     wrapped = textwrap.wrap(words, 52, break_on_hyphens=False)[:ROWS_OF_WORDS]
     axes.text(
         0.0, 1.03, "\n".join(wrapped), transform=axes.transAxes, fontsize=10, va="bottom", ha="left", color="#3b4048"
@@ -653,7 +662,7 @@ def _headline(maps: MapEstimate) -> str:
 # Figures -------------------------------------------------------------------------------------------------------------
 
 
-def _one(draw: Callable[[Any], None], place: tuple[float, float, float, float] = PLACE) -> bytes:
+def _one(draw: Callable[[Axes], None], place: tuple[float, float, float, float] = PLACE) -> bytes:
     """place: of the axes in the picture: left, bottom, width, height, shares of it"""
     figure = canvas(WIDE, HIGH)  # no layout engine: it takes longer than the drawing
     axes = figure.add_axes(place)

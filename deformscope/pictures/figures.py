@@ -7,7 +7,7 @@ import io
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -18,12 +18,14 @@ COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#0
 LINES = ("-", "--", ":", "-.")
 
 
-def canvas(width: float, height: float, **options: Any) -> Figure:
+def canvas(
+    width: float, height: float, *, dpi: float | None = None, layout: Literal["constrained"] | None = None
+) -> Figure:
     """An empty figure [inch], drawn off screen whatever display there is."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    made = Figure(figsize=(width, height), **options)
+    made = Figure(figsize=(width, height), dpi=dpi, layout=layout)
     FigureCanvasAgg(made)
     return made
 

@@ -130,6 +130,8 @@ def yield_png(found: YieldEstimate, motion: Motion) -> bytes:
     frames = np.flatnonzero(motion.judged.any(axis=1))
 
     def apart(states: FloatArray) -> FloatArray:
+        """(frames,) root mean square distance of states (frames, K, d) from the observed particles, in the unit
+        shown."""
         square = np.where(motion.judged, np.sum((states - motion.position) ** 2, axis=2), np.nan)[frames]
         return np.asarray(scale * np.sqrt(np.nanmean(square, axis=1)))
 

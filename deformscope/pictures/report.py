@@ -78,7 +78,7 @@ class Section:
 
 
 def escape(text: str, quote: bool = True) -> str:
-    """As HTML, whatever it was made of."""
+    """Printable text, escaped for HTML."""
     return html.escape(printable(text), quote)
 
 

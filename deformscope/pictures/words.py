@@ -11,7 +11,7 @@ from deformscope.stages.poke.creep import CreepFit
 
 
 def counted(number: int, word: str) -> str:
-    """As in "1 touch", "2 touches"."""
+    """A number with its noun, as in "1 touch", "2 touches"."""
     ending = "es" if word.endswith("ch") else "s"
     return f"{number} {word}{'' if number == 1 else ending}"
 
@@ -48,7 +48,7 @@ def stiffness_kind(maps: MapEstimate) -> str:
 
 
 def travel_words(travel_m: float) -> str:
-    """How far it was over the surface."""
+    """How far the tip has moved over the surface, in words."""
     return f"travel {travel_m:.2f} m over the surface"
 
 

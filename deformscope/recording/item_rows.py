@@ -15,7 +15,7 @@ from deformscope.images import decode_image
 from deformscope.rows import ENTITIES, FRAMES, IMAGES, OF_DEVICES, from_components
 
 if TYPE_CHECKING:
-    from pyarrow import RecordBatch
+    from pyarrow import ListArray, RecordBatch
     from rerun.chunk import Chunk
 
 _PART = re.compile(r"(?:[^/\\]|\\.)+")
@@ -154,7 +154,7 @@ def _field_of(component: str, kind: type) -> str:
     return known.removeprefix(ours) if known.startswith(ours) else ""
 
 
-def _cells(column: Any) -> list[Any]:
+def _cells(column: ListArray) -> list[Any]:
     """One array a row, or one list of words; None where there is nothing."""
     values, offsets = column.values, column.offsets.to_numpy()
     if str(values.type) == "string":

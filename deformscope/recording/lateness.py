@@ -40,7 +40,7 @@ def writes_are_held_up() -> bool:
 
 
 def _waits(task: Path) -> bool:
-    """For something else than more to write."""
+    """Whether a thread waits for something else than more to write, as for a disk."""
     state = (task / "stat").read_text().rpartition(") ")[2][:1]
     where = (task / "wchan").read_text().strip()
     return state == "D" or (state == "S" and where not in ("", "0") and "futex" not in where)
@@ -58,7 +58,7 @@ class Lateness:
         self._looks = self._held_up = 0
 
     def look(self, waiting_bytes: int) -> None:
-        """From the thread that hands jobs over."""
+        """Note how many bytes wait; called from the thread that hands jobs over."""
         if waiting_bytes < self._late_bytes:
             self._began = None
             return

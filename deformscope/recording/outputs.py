@@ -39,7 +39,7 @@ class Outputs:
         self.show(lambda live: live.send(batch, lasting=True), size, lasting=True)
 
     def keep(self, batch: Batch) -> None:
-        """To the file alone."""
+        """Send a batch to the file alone."""
         if self.file is not None:
             self.file.send(batch)
 
@@ -59,19 +59,19 @@ class Encoder(Protocol):
     """Makes what is recorded ready for rerun, in the writer's thread, and hands it to the outputs."""
 
     def write_items(self, items: Sequence[Item], size: int) -> None:
-        """Of devices, files or cameras."""
+        """Write items of devices, files or cameras."""
 
     def write_step(self, step: Step, size: int) -> None:
-        """Its results."""
+        """Write the results of a step."""
 
     def write_input(self, given: InputFile) -> None:
-        """To the file alone: no view shows it."""
+        """Write an input file to the recording's file alone: no view shows it."""
 
     def write_overdue(self) -> None:
-        """What has been gathered for long enough."""
+        """Write the items that have been gathered for long enough."""
 
     def write_rest(self) -> None:
-        """What is left of it, in the end."""
+        """Write the items that are still gathered, at the end."""
 
 
 def open_window(application: str, recording_id: str, properties: Mapping[str, object]) -> LiveFeed[LiveStream]:

@@ -69,7 +69,7 @@ class PictureEncoder:
         self._outputs.log(log, size)
 
     def write_input(self, given: InputFile) -> None:
-        """At the frame before it."""
+        """Write an input file at the time of the frame before it."""
         from deformscope.log.rig import prepare_input
 
         times = self._times(None)

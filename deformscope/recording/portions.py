@@ -44,12 +44,12 @@ class Portions:
             yield from self.rest()
 
     def overdue(self) -> Iterator[tuple[list[Item], int]]:
-        """What has waited long enough."""
+        """The gathered items, once they have waited for `GATHER_S`."""
         if time.monotonic() - self._since >= GATHER_S:
             yield from self.rest()
 
     def rest(self) -> Iterator[tuple[list[Item], int]]:
-        """What is left."""
+        """The gathered items that are left."""
         if self._items:
             items, self._items, self._bytes = self._items, [], 0
             yield items, self._touch
@@ -106,5 +106,5 @@ def arrays_size(result: object) -> int:
 
 
 @functools.cache
-def _field_names(kind: Any) -> tuple[str, ...]:
+def _field_names(kind: type[Any]) -> tuple[str, ...]:
     return tuple(field.name for field in dataclasses.fields(kind))

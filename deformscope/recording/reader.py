@@ -118,7 +118,7 @@ class Replay:
 
     @property
     def mask(self) -> ImageArray | None:
-        """The recorded mask image, if there was one."""
+        """The recorded mask image (h, w); None where there is none."""
         found = self.read_inputs().get("mask")
         return None if found is None else decode_image(found, self.path)
 

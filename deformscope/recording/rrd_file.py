@@ -112,7 +112,7 @@ class RecordingFile:
                 part(self._merged_stream)
 
     def write_properties(self, name: str, values: Mapping[str, object]) -> None:
-        """Of the whole recording."""
+        """Write named values as properties of the whole recording."""
         import rerun as rr
 
         self._log(lambda rec: rec.send_property(name, rr.AnyValues(True, **values)))

@@ -72,7 +72,7 @@ class CalibratedSection:
         return {one if offset_s >= 0.0 else other: round(1e9 * abs(offset_s))}
 
     def ages(self, today: datetime.date | None = None) -> dict[str, CalibrationAge]:
-        """Of all that were measured, by name."""
+        """How old each measured calibration is, by name."""
         now = today if today is not None else datetime.datetime.now(tz=datetime.UTC).date()
         found = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
         return {

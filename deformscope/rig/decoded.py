@@ -57,8 +57,9 @@ class Redecoder(ABC):
     late_answers = False
     compares: tuple[str, ...]
 
-    def __init__(self, config: Any, stream: Stream) -> None:
-        self.config, self.stream = config, stream
+    def __init__(self, config: object, stream: Stream) -> None:
+        self.config: Any = config
+        self.stream = stream
 
     @abstractmethod
     def begin(self) -> FrameDecoder[Any]:
@@ -93,7 +94,7 @@ class OptoforceAgain(Redecoder):
             self.compares = ("counts", "overload")
             self.left_out += ", and forces after the DAQ had lost its zero point"
 
-    def measure(self, event: Any, host_ns: int) -> Any:
+    def measure(self, event: object, host_ns: int) -> Any:
         if not isinstance(event, optoforce.Reading):
             return None
         return self._measurer.measure(event, host_ns, self._measurer.follow(event, host_ns))
@@ -172,7 +173,7 @@ def compare_with_bytes(rig: Rig, streams: Sequence[Stream], items: Iterable[Item
 class _Check:
     """One device's bytes and frames, which belong together by their time of arrival."""
 
-    def __init__(self, stream: Stream, config: Any) -> None:
+    def __init__(self, stream: Stream, config: object) -> None:
         self.health: Health | None = None
         self._stream = stream
         known = REDECODERS.get(stream.driver)
@@ -208,7 +209,7 @@ class _Check:
                 self._decoded += self._decode(self._again, self._decoder.feed(item.data))
 
     def result(self) -> DeviceComparison:
-        """Once all has come."""
+        """The comparison of all that was taken, once nothing more comes."""
         self._settle()
         if self._recorded:  # their bytes never came
             self._now_ns = self._recorded[-1].stamp.arrived_ns
@@ -230,7 +231,7 @@ class _Check:
                 self._difference = ""
         return DeviceComparison(stream.device, stream.driver, self._frames, self._compared, left_out, self._difference)
 
-    def _decode(self, again: Redecoder, events: Iterable[Any]) -> Iterator[Frame]:
+    def _decode(self, again: Redecoder, events: Iterable[object]) -> Iterator[Frame]:
         for event in events:
             if isinstance(event, Skipped):
                 self._skipped += event.count
@@ -262,8 +263,8 @@ class _Check:
             self._difference = f"a frame in the bytes of {at}, which was not recorded"
 
 
-def _same(one: Any, other: Any) -> bool:
-    """To the last bit; nan is nan."""
+def _same(one: object, other: object) -> bool:
+    """Whether two values are equal to the last bit, where nan equals nan."""
     if isinstance(one, tuple) and isinstance(other, tuple):
         return len(one) == len(other) and all(map(_same, one, other))
     if isinstance(one, np.ndarray) and isinstance(other, np.ndarray):

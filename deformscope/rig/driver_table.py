@@ -26,7 +26,7 @@ class Driver:
     doubled: bool = True
     probed: bool = False
 
-    def make(self, config: Any) -> Any:
+    def make(self, config: object) -> Any:
         """A device with this configuration, closed."""
         return self._find(self.device)(config)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -26,11 +26,20 @@ from deformscope_drivers.dsa.pressure import to_pressure
 from deformscope_drivers.dsa.texels import TEXEL_MAX
 from deformscope_drivers.optoforce.protocol import Kind as Sensors
 
+if TYPE_CHECKING:
+    from deformscope_drivers.arm import Arm, ArmState
+    from deformscope_drivers.depth_camera import DepthImage
+    from deformscope_drivers.dsa import Dsa, TactileReading
+    from deformscope_drivers.dsa.messages import MatrixInfo
+    from deformscope_drivers.optoforce import ForceMeasurement, Optoforce
+    from deformscope_drivers.sdh import HandReading
+    from deformscope_drivers.webcam import ColorImage
+
 FINGER_CLOSED = 6800.0
 """Where a Jaco's finger is closed (protocol reference, section 3)."""
 
 
-def to_frame(kind: Kind, reading: Any, index: int, name: str, device: Any) -> Frame:
+def to_frame(kind: Kind, reading: object, index: int, name: str, device: object) -> Frame:
     """A driver's reading as a frame. index: its place in the device's stream; name: of the device in its rig"""
     return _FRAMES[kind](reading, index, name, device)
 
@@ -43,20 +52,20 @@ def describe(name: str, driver: Driver, device: Device[Any], *, simulated: bool)
     return stream if known is None else dataclasses.replace(stream, **known(device))
 
 
-def _color(reading: Any, index: int, name: str, device: Any) -> Frame:
+def _color(reading: ColorImage, index: int, name: str, device: object) -> Frame:
     return ColorFrame(reading.stamp, index, reading.image, name)
 
 
-def _depth(reading: Any, index: int, name: str, device: Any) -> Frame:
+def _depth(reading: DepthImage, index: int, name: str, device: object) -> Frame:
     return DepthFrame(reading.stamp, index, reading.depth, reading.unit_m, reading.color, name)
 
 
-def _tactile(reading: Any, index: int, name: str, device: Any) -> Frame:
+def _tactile(reading: TactileReading, index: int, name: str, device: Dsa) -> Frame:
     counts = np.concatenate([pad.ravel() for pad in reading.pads])
     return TactileFrame(reading.stamp, index, counts, tuple(device.pressure_pa(reading)), name)
 
 
-def _wrench(reading: Any, index: int, name: str, device: Any) -> Frame:
+def _wrench(reading: ForceMeasurement, index: int, name: str, device: object) -> Frame:
     counts = np.array(reading.counts, np.int64)
     known = reading.per_count is not None
     force_n = reading.force_n if known else np.full((len(counts), 3), np.nan)
@@ -66,7 +75,7 @@ def _wrench(reading: Any, index: int, name: str, device: Any) -> Frame:
     )
 
 
-def _arm(reading: Any, index: int, name: str, device: Any) -> Frame:
+def _arm(reading: ArmState, index: int, name: str, device: object) -> Frame:
     force_n, torque_nm = np.array(reading.wrench[:3]), np.array(reading.wrench[3:])
     return ArmFrame(
         stamp=reading.stamp,
@@ -84,14 +93,14 @@ def _arm(reading: Any, index: int, name: str, device: Any) -> Frame:
     )
 
 
-def _hand(reading: Any, index: int, name: str, device: Any) -> Frame:
+def _hand(reading: HandReading, index: int, name: str, device: object) -> Frame:
     temperature_c = np.full(9, np.nan) if reading.temperature_c is None else np.array(reading.temperature_c)
     states = tuple(state.name.lower() for state in reading.state)
     position_deg, velocity_deg_s = np.array(reading.position_deg), np.array(reading.velocity_deg_s)
     return HandFrame(reading.stamp, index, position_deg, velocity_deg_s, temperature_c, states, name)
 
 
-def _of_tactile(device: Any) -> dict[str, Any]:
+def _of_tactile(device: Dsa) -> dict[str, Any]:
     pads = tuple(
         Pad(pad.name, matrix.cells_y, matrix.cells_x, _texel_m(matrix), index, pad.finger, int(pad.part))
         for index, (pad, matrix) in enumerate(zip(device.pads, device.matrices, strict=True))
@@ -100,15 +109,15 @@ def _of_tactile(device: Any) -> dict[str, Any]:
     return {"pads": pads, "full_scale_pa": float(max(map(np.max, full)))}
 
 
-def _texel_m(matrix: Any) -> tuple[float, float]:
+def _texel_m(matrix: MatrixInfo) -> tuple[float, float]:
     return matrix.texel_width_mm / 1e3, matrix.texel_height_mm / 1e3
 
 
-def _of_wrench(device: Any) -> dict[str, Any]:
+def _of_wrench(device: Optoforce) -> dict[str, Any]:
     return {"channels": 4 if device.kind is Sensors.FOUR_CHANNEL else 1, "torques": device.kind is Sensors.SIX_AXIS}
 
 
-def _of_arm(device: Any) -> dict[str, Any]:
+def _of_arm(device: Arm[Any]) -> dict[str, Any]:
     return {"urdf": device.urdf}
 
 

@@ -398,7 +398,7 @@ def _device(name: str, given: object, trusted: bool, late_ns: int) -> RigDevice:
     return RigDevice(name, driver, _read(driver.config_class(), rest, section), double, trusted, late_ns)
 
 
-def _read(kind: Any, given: object, section: str) -> Any:
+def _read(kind: type[Any], given: object, section: str) -> Any:
     """A section as its dataclass, strictly: known keys, right types, values that its checks accept."""
     import msgspec
 
@@ -418,7 +418,7 @@ def _read(kind: Any, given: object, section: str) -> Any:
         raise InputError(f"{section} that its driver accepts", _line(error)) from error
 
 
-def _check_keys(given: Mapping[str, Any], known: Any, section: str) -> None:
+def _check_keys(given: Mapping[str, object], known: Sequence[str], section: str) -> None:
     if unknown := [key for key in given if key not in known]:
         near = difflib.get_close_matches(unknown[0], known, n=1)
         hint = f"{near[0]}" if near else ", ".join(known)

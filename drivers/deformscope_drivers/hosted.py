@@ -53,7 +53,7 @@ class HostedProcess:
         """Of the process that was started; None where none runs."""
         return None if self._process is None else self._process.pid
 
-    def start(self, serve: Callable[..., None], *settings: Any, quiet: bool = False) -> None:
+    def start(self, serve: Callable[..., None], *settings: object, quiet: bool = False) -> None:
         """Start the process and have it run `serve(channel, *settings)`. quiet: its error output is dropped too"""
         ours, theirs = Pipe()
         with theirs:
@@ -80,7 +80,7 @@ class HostedProcess:
                     raise error
         return None
 
-    def send(self, *message: Any) -> None:
+    def send(self, *message: object) -> None:
         """Send a message: its kind, then what belongs to it. Raises ProcessEnded."""
         try:
             with self._sending:
@@ -134,7 +134,7 @@ class Channel:
     def __init__(self, connection: Connection) -> None:
         self._connection, self._sending = connection, threading.Lock()
 
-    def send(self, *message: Any) -> None:
+    def send(self, *message: object) -> None:
         """One to a program that has ended is dropped: `poll` and `receive` notice that."""
         with self._sending, contextlib.suppress(OSError):
             self._connection.send(message)
@@ -159,7 +159,7 @@ def hosted_environment() -> dict[str, str]:
     return os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
 
 
-def ask_hosted(ask: Callable[..., None], *settings: Any, timeout_s: float) -> Any:
+def ask_hosted(ask: Callable[..., None], *settings: object, timeout_s: float) -> Any:
     """What `ask(channel, *settings)` reports as opened, in a process that is ended after it; None where the process
     crashes or does not answer in time. Raises the DeviceError that it raises there."""
     process = HostedProcess("an answer", ask.__module__, None)

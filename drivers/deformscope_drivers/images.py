@@ -13,5 +13,5 @@ QUEUE_IMAGES = 64
 
 
 def fingerprint(image: NDArray[np.uint8] | NDArray[np.uint16]) -> Hashable:
-    """The same for the same picture; a sensor's noise alone makes two pictures differ."""
+    """A checksum of an image's bytes (h, w) or (h, w, 3); a sensor's noise alone makes two pictures differ."""
     return zlib.crc32(np.ascontiguousarray(image).data.cast("B"))

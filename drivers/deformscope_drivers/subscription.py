@@ -100,7 +100,7 @@ class Subscription(Generic[T]):
         return lost
 
     def end(self, error: BaseException | None = None) -> None:
-        """For the device: nothing more will come."""
+        """Called by the device when nothing more will come. error: why"""
         with self._changed:
             self._ended = True
             self._error = self._error or error

@@ -50,12 +50,12 @@ def log_no_dent(now: ResultBatch) -> None:
 
 
 def _near(points: FloatArray) -> FloatArray:
-    """Those that are shown, of points relative to the contact."""
+    """Those of points (n, 3), relative to the contact [m], that are shown."""
     return points[(np.abs(points[:, :2]) <= HALF_M + 1e-6).all(axis=1)]
 
 
 def _top(particles: FloatArray) -> FloatArray:
-    """Those with no other above them: what a camera could see of a body made of layers."""
+    """Those of particles (n, 3) with no other above them: what a camera could see of a body made of layers."""
     if len(particles) < 2:
         return particles
     flat = cKDTree(particles[:, :2])

@@ -35,7 +35,7 @@ TARGET_TOP_M = 0.12
 
 
 def log_base(rec: Sink, stream: Stream, base_from_surface: FloatArray) -> None:
-    """Where an arm's base stands. base_from_surface: (4, 4)"""
+    """Log the pose of an arm's base. base_from_surface: (4, 4) [m]"""
     assert stream.urdf is not None
     surface_from_base = np.linalg.inv(base_from_surface)
     stands = rr.Transform3D(
@@ -135,6 +135,7 @@ def _normals(surface: SurfaceEstimate) -> FloatArray:
 
 
 def _colors(name: str, share: FloatArray) -> ColorArray:
+    """(n, 3) RGB 0 to 255 of shares (n,) from 0 to 1, by a colour map of this name."""
     import matplotlib as mpl
 
     tints: ColorArray = mpl.colormaps[name](np.clip(share, 0.0, 1.0), bytes=True)[:, :3]

@@ -47,10 +47,10 @@ def blueprint_of(
     timeline: str = "session",
     *,
     play: Literal["following", "paused"] | None = "following",
-    **more: Any,
+    fps: float | None = None,
 ) -> rrb.Blueprint:
-    """Views over a timeline, without rerun's panels. more: of the time panel"""
-    time = rrb.TimePanel(timeline=timeline, state="collapsed", play_state=play, **more)
+    """Views over a timeline, without rerun's panels. fps: frames a second at which it plays"""
+    time = rrb.TimePanel(timeline=timeline, state="collapsed", play_state=play, fps=fps)
     return rrb.Blueprint(views, rrb.BlueprintPanel(state="hidden"), rrb.SelectionPanel(state="hidden"), time)
 
 

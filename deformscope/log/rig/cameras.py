@@ -56,7 +56,8 @@ def log_depth(
 
 
 def _range(depth: ImageArray, unit_m: float) -> tuple[float, float]:
-    """The nearest and farthest that colours show apart, in the image's own unit: whole steps, so that they stay put."""
+    """The nearest and farthest that colours show apart of an image (h, w), in its own unit: whole steps, so that they
+    stay put."""
     seen = depth[::LOOK_EVERY, ::LOOK_EVERY]
     seen = seen[seen > 0]
     if not seen.size:

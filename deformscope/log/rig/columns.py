@@ -70,7 +70,7 @@ class Batch:
         self._place = place
 
     def send_columns(self, path: str, times: Sequence[rr.TimeColumn], columns: Columns) -> None:
-        """As that of a stream."""
+        """Keep columns until `send`, as `rr.RecordingStream.send_columns` takes them."""
         ready = list(columns)
         when = list(times) if self._place is None else self._place.moved(times)
         self.parts.append((path, Chunk.from_columns(path, when, ready)))
@@ -82,7 +82,7 @@ class Batch:
         self.send_columns(path, times, columns)
 
     def log(self, path: str, entity: rr.AsComponents, *, static: bool) -> None:
-        """As that of a stream."""
+        """Keep an entity until `send`, as `rr.RecordingStream.log` takes it."""
         self.parts.append((path, lambda rec: rec.log(path, entity, static=static)))
 
     def send(self, rec: rr.RecordingStream, visible: Callable[[str], bool] | None = None) -> None:

@@ -36,7 +36,7 @@ def thinned(items: Sequence[Item]) -> list[Item]:
 
 
 def _shown(group: list[Any]) -> Sequence[Item]:
-    """Of the items of one kind and device."""
+    """Those to be shown of the items of one kind and device."""
     match newest := group[-1]:
         case ColorFrame():
             return [dataclasses.replace(newest, image=_smaller(newest.image, COLOR_WIDTH, cv2.INTER_AREA))]
@@ -73,6 +73,7 @@ def extremes(frames: Sequence[FrameT], most: int, value: Callable[[FrameT], floa
 
 
 def _smaller(image: ImageArray, width: int, interpolation: int) -> ImageArray:
+    """An image (h, w) or (h, w, 3) made no wider than `width` px."""
     height, wide = image.shape[:2]
     if wide <= width:
         return image

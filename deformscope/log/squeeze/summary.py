@@ -42,7 +42,7 @@ def log_measured(now: ResultBatch, results: Sequence[object]) -> None:
 
 
 def _physical(of: dict[str, float]) -> list[tuple[str, str]]:
-    """Those that a person can picture."""
+    """Rows of name and value with unit, of the physical features that a person can picture."""
     named = (
         ("force of a finger", "force_n", 1.0, "N"),
         ("contact area", "contact_area_m2", 1e4, "cm\u00b2"),

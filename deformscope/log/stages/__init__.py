@@ -76,7 +76,7 @@ def prepare_stage_results(
 def _log_tables(
     batch: Batch, results: Sequence[StageResult], start_ns: int, latest: dict[str, StageResult], *, newest_alone: bool
 ) -> None:
-    """What was known with every result."""
+    """Log a table of all that was known with every result."""
     ordered = sorted(results, key=lambda one: one.host_ns)
     tables = []
     for one in ordered:

@@ -70,7 +70,7 @@ def log_moments(batch: Batch, group: StageGroup) -> None:
 
 
 def _above(points: FloatArray, spacing: float) -> FloatArray:
-    """Over the middle of a lattice."""
+    """(2,) place of a label over the middle of lattice points (n, 2) [px]."""
     low, high = points.min(axis=0), points.max(axis=0)
     return np.array([0.5 * (low[0] + high[0]), low[1] - 0.8 * spacing])
 
@@ -80,6 +80,6 @@ def _label(batch: Batch, path: str, place: FloatArray, words: str, when: Sequenc
 
 
 def _spacing(points: FloatArray) -> float:
-    """Between neighbouring columns or rows of a lattice, whichever is nearer."""
+    """Distance between neighbouring columns or rows of lattice points (n, 2), whichever is less [px]."""
     steps = [np.diff(np.unique(np.round(points[:, axis], 3))) for axis in (0, 1)]
     return float(min((step.min() for step in steps if step.size), default=10.0))

@@ -175,8 +175,9 @@ def calibrate(
 
 
 def _put_held_right(fit: Search, options: FitOptions) -> tuple[Search, tuple[IntArray, ...], list[Doubt]]:
-    """A search with the held particles that are off put right, which they are, and the doubt where two materials do as
-    well; the search as it was where two materials, or axes put right, explain the residuals better."""
+    """A search with the held particles that are off put right, their indices (n,) in each observation, and the doubt
+    where two materials do as well; the search as it was where two materials, or axes put right, explain the residuals
+    better."""
     as_stated = fit.only(np.arange(len(fit.seen)), fit.weight)
     none = tuple(np.zeros(0, dtype=np.int64) for _ in fit.seen)
     if any(one.noise is None for one in fit.seen):  # a misfit would pass for it
@@ -261,6 +262,7 @@ def _in_residuals(search: Search, best: int, inference: Inference, rival: float 
     tried = np.append(spread, search.tried.parameter[best])
 
     def simulate(shapes: Sequence[FloatArray]) -> list[FloatArray]:
+        """States (B, K, d) of each observation whose particles are prescribed as in shapes (K, d)."""
         each = zip(search.seen, search.bodies, shapes, strict=True)
         return [search.relax(body, shape[one.held], tried, None).settled for one, body, shape in each]
 
@@ -269,7 +271,7 @@ def _in_residuals(search: Search, best: int, inference: Inference, rival: float 
 
 
 def _two_betas(search: Search, best: int, inference: Inference, rival: float = np.inf) -> Iterator[Doubt]:
-    """What simulations with two betas show of them."""
+    """Doubts that simulations with two betas show."""
     model = search.model
     positions = [position[best] for position in search.tried.positions]
     beta, _ = search.values(float(search.tried.parameter[best]))
@@ -317,7 +319,8 @@ def explained(seen: Sequence[Observation], simulated: Sequence[FloatArray]) -> f
 def _stiffness(
     fit: Search, best: int, supported: BoolArray, inferred: Inferred, level: float
 ) -> tuple[float, tuple[float, float]] | None:
-    """k and its interval over all that the parameter may be, with the force's noise and the model's misfit."""
+    """Stiffness k and its interval over all candidates that are supported, a mask (B,), with the force's noise and the
+    model's misfit."""
     inside = np.flatnonzero(supported)
     inside = np.unique([*inside[:: max(1, inside.size // 12)], *inside[-1:]]).astype(np.int64)
     parameter = fit.tried.parameter[inside]

@@ -211,6 +211,7 @@ def mirrored(rest: FloatArray, deformed: FloatArray, known: BoolArray) -> Iterat
     """Whether deformed (K, d), known (K,), is rest (K, d) mirrored: with columns swapped, or the sign of one turned."""
 
     def left(shape: FloatArray) -> float:
+        """Sum of squared distances of the deformed particles from a shape (K, d) moved as a rigid body."""
         return float(np.sum((rigid_positions(shape, deformed, known) - deformed)[known] ** 2))
 
     mirror = np.ones(rest.shape[1])
@@ -262,6 +263,8 @@ def swapped_axes(
     each = np.ones(len(seen)) if weight is None else weight
 
     def left(matrix: FloatArray) -> tuple[float, float]:
+        """Least squared error of the model, and its share of that of a rigid body, with the rest shapes changed by a
+        matrix (d, d)."""
         by_model: FloatArray = np.zeros(1)
         by_rigid = 0.0
         shapes = [one.rest + (one.deformed - one.rest) @ matrix.T for one in seen]

@@ -68,6 +68,7 @@ class MovingSearch(Search):
         self.rows = np.arange(len(self.seen))
 
     def only(self, rows: IntArray, weight: FloatArray) -> Search:
+        """As `Search.only`. rows: (n,) frames; weight: (n,) of each"""
         some = super().only(rows, weight)
         assert isinstance(some, MovingSearch)
         some.rows = self.rows[rows]
@@ -76,6 +77,7 @@ class MovingSearch(Search):
     def states(
         self, parameter: FloatArray, start: Sequence[FloatArray] | None, progress: Callable[[int, int], None] | None
     ) -> list[Relaxed]:
+        """As `Search.states`: parameter (B,); each state (B, K, d), stepped through time from rest."""
         body = self.bodies[0]
         beta, theta = self.values(parameter)
         held = np.stack([one.deformed[one.held] for one in self.every])

@@ -105,7 +105,7 @@ class Posterior:
         return float(np.interp(value, self.parameter, self.cumulative()))
 
     def quantile(self, share: FloatArray | float) -> FloatArray:
-        """Values below which these shares of the mass lie."""
+        """Values of the parameter below which these shares (n,) of the posterior's mass lie."""
         mass = self.cumulative()
         rising = np.concatenate([[True], np.diff(mass) > 0.0])
         return np.asarray(np.interp(share, mass[rising], self.parameter[rising]))

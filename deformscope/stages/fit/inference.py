@@ -139,7 +139,7 @@ class Inference:
     def _explain(
         self, row: int, residual: FloatArray, mix: FloatArray, responses: Sequence[FloatArray], share: FloatArray
     ) -> FloatArray:
-        """By all that the residuals are: identifies their causes."""
+        """(f,) log likelihood by all that the residuals are: identifies their causes."""
         part = self.parts[row]
         each = [part.errors.evidence(residual, response, part.chosen, mix) for response in responses]
         mixed = [np.sum(share[:, None] * np.stack(some), axis=0) for some in zip(*map(_fields, each), strict=True)]
@@ -150,7 +150,8 @@ class Inference:
     def _summarise(
         self, row: int, residual: FloatArray, mix: FloatArray, responses: Sequence[FloatArray], share: FloatArray
     ) -> FloatArray:
-        """By what of the residuals the parameter can change, given their causes: identifies the parameter."""
+        """(f,) log likelihood by what of the residuals the parameter can change, given their causes: identifies the
+        parameter."""
         part = self.parts[row]
         residual = np.tensordot(mix, residual, 1)
         onto = part.summary(residual)
@@ -170,7 +171,7 @@ class Inference:
 
 
 def _nodes(width: float) -> IntArray:
-    """The knots at which what held positions do is found anew: few over a (stretched) range in which it changes
+    """(n,) knots at which the effect of held positions is found anew: few over a (stretched) range in which it changes
     little."""
     count = 1 + int(np.searchsorted(NODES_FROM, width))
     return np.array([[KNOTS // 2], [0, KNOTS - 1], [0, KNOTS // 2, KNOTS - 1]][count - 1])

@@ -196,8 +196,8 @@ class _Joint:
     def narrowed(
         self, progress: Progress | None, *, explain: bool
     ) -> tuple[FloatArray, FloatArray, FloatArray, list[float]]:
-        """The grid that resolves the posterior, its logarithm, and for each parameter by how many standard deviations
-        it separates the likeliest value of the whole range from the least likely."""
+        """The grid that resolves the posterior, beta (b,) and theta (t,), its logarithm (b, t), and for each parameter
+        by how many standard deviations it separates the likeliest value of the whole range from the least likely."""
         b, t, total = self.over(self.ends, self.options.theta_bounds, explain=explain)
         rise = [float(np.sqrt(2.0 * np.ptp(total.max(axis=axis)))) for axis in (1, 0)]
         for zoom in range(ZOOMS):
@@ -296,14 +296,17 @@ class _Joint:
 
     @property
     def ends(self) -> tuple[float, float]:
-        """Of -log(1 - beta)."""
+        """Lowest and highest -log(1 - beta)."""
         low, high = self.options.beta_bounds
         return float(-np.log1p(-low)), float(-np.log1p(-high))
 
     def shrink(self, stretched: FloatArray) -> FloatArray:
+        """beta (n,) of values of -log(1 - beta), within its bounds."""
         return beta_of(stretched, self.options.beta_bounds)
 
     def _response(self, part: Residuals, beta: float, theta: float, base: FloatArray) -> FloatArray:
+        """The effect of one observation's held positions at base (K, d): see `Residuals.response`."""
+
         def relax(held: FloatArray, start: FloatArray, tolerance: float) -> Relaxed:
             return part.body.relax(held, beta, theta, volume="project", start=start, tolerance=tolerance)
 
@@ -311,11 +314,13 @@ class _Joint:
 
     @staticmethod
     def _ends(grid: FloatArray, alive: FloatArray) -> tuple[float, float]:
+        """The ends of the grid (n,) that hold what is alive (n,), one step wider where the grid goes on."""
         inside = np.flatnonzero(alive)
         return float(grid[max(inside[0] - 1, 0)]), float(grid[min(inside[-1] + 1, len(grid) - 1)])
 
     @staticmethod
     def _flat(beta: FloatArray, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """beta and theta (b * t,) of every pair out of (b,) and (t,)."""
         b, t = np.meshgrid(beta, theta, indexing="ij")
         return b.ravel(), t.ravel()
 
@@ -380,7 +385,7 @@ class _Joint:
         best: tuple[float, float],
         explanations: Sequence[Explanation],
     ) -> tuple[float, tuple[float, float]] | None:
-        """k over draws of the joint posterior."""
+        """Stiffness k with its interval over draws of the joint posterior. beta: (b,); theta: (t,); density: (b, t)"""
         if all(one.force_n is None for one in self.seen):
             return None
         over = (density * np.gradient(beta)[:, None] * np.gradient(theta)).ravel()

@@ -141,7 +141,7 @@ def shared_noise(residual: FloatArray, parameters: int, held: FloatArray, tried:
 
 
 def deviation_of(residual: FloatArray, parameters: int) -> float:
-    """Noise of one number, from what a fit left."""
+    """Standard deviation of one number, from the residual (n,) of a fit of so many parameters, in its unit."""
     return float(np.sqrt(residual @ residual / max(residual.size - parameters, 1)))
 
 

@@ -49,7 +49,7 @@ EFFECT = 0.02
 def correct_held(search: Search, candidates: int, seed: int) -> tuple[IntArray, ...]:
     """Find the held particles that are off, put them where the free ones show them to be, and search again.
 
-    Gives the particles of each observation; their positions in `search.seen` are the estimated ones, not observed.
+    Gives their indices (n,) by observation; their positions in `search.seen` are the estimated ones, not observed.
     """
     off = [np.zeros(len(one.held), dtype=bool) for one in search.seen]
     for _ in range(ROUNDS):
@@ -79,7 +79,7 @@ def correct_held(search: Search, candidates: int, seed: int) -> tuple[IntArray, 
 
 
 def _beside(search: Search, best: int) -> IntArray:
-    """Candidates below and above the best one."""
+    """(2,) indices of the candidates below and above the best one."""
     low, high = (search.stretch(bound) for bound in search.bounds)
     step = EFFECT * (high - low)
     place = min(max(search.stretch(float(search.tried.parameter[best])), low + step), high - step)
@@ -100,7 +100,7 @@ def _steps(
     found = part.errors.products(base, response, _few_hypotheses(part.errors.hypotheses))
 
     def fitted(which: Sequence[int]) -> tuple[float, FloatArray]:
-        """The log likelihood where these columns are fitted, and their multiples."""
+        """The log likelihood where these columns of the response are fitted, and the factor (n,) of each."""
         rows = np.asarray(which)
         square = found.product[:, rows[:, None], rows]
         little = 1e-10 * np.trace(square, axis1=1, axis2=2) + 1e-300  # columns may be alike, or do nothing
@@ -134,7 +134,7 @@ def _steps(
 
 
 def _few_hypotheses(every: NoiseHypotheses) -> IntArray:
-    """Rows of those that stand for all."""
+    """(n,) indices of the hypotheses that stand for all."""
     sizes = np.unique(every.size)[1::SIZES]
     some = (every.field == CORRELATIONS.index("matern")) & np.isin(every.length, LENGTHS) & np.isin(every.size, sizes)
     return np.flatnonzero(some | (every.size == 0.0))

@@ -108,7 +108,7 @@ class Measured:
     loose: BoolArray | None = None
 
     def some(self, pick: IntArray) -> Measured:
-        """With some of the free particles alone."""
+        """The same of the free particles at indices (n,) alone."""
         noise = None if self.noise is None else self.noise[pick]
         return dataclasses.replace(self, rest=self.rest[pick], noise=noise)
 
@@ -383,7 +383,7 @@ def shared_over(points: FloatArray, residual: FloatArray, spacing: float) -> flo
 
 
 def correlation(field: int, scaled_distance: FloatArray) -> FloatArray:
-    """Of one of `CORRELATIONS` at distances in units of its length."""
+    """The correlation of errors at distances of any shape, in units of its length. field: index in `CORRELATIONS`"""
     if CORRELATIONS[field] == "exponential":
         return np.asarray(np.exp(-scaled_distance))
     if CORRELATIONS[field] == "gaussian":

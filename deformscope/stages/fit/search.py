@@ -50,7 +50,7 @@ class Search:
         self.tried = Tried(positions=[np.empty((0, *s.rest.shape)) for s in self.seen])
 
     def simulate(self, parameter: FloatArray, progress: Progress | None = None, what: str = "simulating") -> None:
-        """Relax every candidate for every observation, starting from the nearest one known."""
+        """Relax candidates (B,) of the sought parameter for every observation, starting from the nearest one known."""
         parameter = np.atleast_1d(np.asarray(parameter, dtype=np.float64))
         converged = np.ones(len(parameter), dtype=bool)
         usable = np.ones(len(parameter), dtype=bool)
@@ -93,7 +93,7 @@ class Search:
         return [found[row] for row in range(len(self.seen))]
 
     def only(self, rows: IntArray, weight: FloatArray) -> Search:
-        """The same search over some of the observations, with what was tried so far."""
+        """The same search over the observations at rows (n,), weighted by `weight` (n,), with what was tried so far."""
         some = copy.copy(self)
         some.seen = [self.seen[row] for row in rows]
         some.bodies = [self.bodies[row] for row in rows]
@@ -102,7 +102,7 @@ class Search:
         return some
 
     def rows_of(self, parameter: FloatArray, progress: Progress | None = None) -> IntArray:
-        """Where these candidates stand among those tried; what has not been simulated yet is."""
+        """Indices (B,) of these candidates (B,) among those tried; what has not been simulated yet is."""
         known = np.abs(parameter[:, None] - self.tried.parameter).min(axis=1) <= 1e-13
         if not known.all():
             self.simulate(parameter[~known], progress, "interval")
@@ -125,15 +125,15 @@ class Search:
         )
 
     def values(self, parameter: FloatArray | float) -> tuple[FloatArray, FloatArray]:
-        """beta and theta of these parameters."""
+        """beta and theta (B,) of candidates (B,)."""
         given, other = np.asarray(parameter, np.float64), np.ones(np.shape(parameter))
         if self.model.parameter == "beta":
             return given, self.model.theta * other
         return self.model.beta * other, given
 
     def error(self) -> FloatArray:
-        """AEE of every candidate tried over all observed particles of all observations, each with its weight; NaN where
-        not usable."""
+        """(B,) average Euclidean error of every candidate tried over all observed particles of all observations, each
+        with its weight, in their unit of length; NaN where not usable."""
         total = np.zeros(len(self.tried.parameter))
         count = 0.0
         for seen, position, weight in zip(self.seen, self.tried.positions, self.weight, strict=True):
@@ -142,7 +142,7 @@ class Search:
         return np.where(self.tried.usable, total / count, np.nan)
 
     def each_best(self) -> FloatArray:
-        """The value of the lowest error of each observation by itself, out of the candidates tried."""
+        """(observations,) the value of the lowest error of each observation by itself, out of the candidates tried."""
         some = [self.only(np.array([row]), np.ones(1)).error() for row in range(len(self.seen))]
         return np.array([self.tried.parameter[int(np.nanargmin(error))] for error in some])
 
@@ -250,12 +250,14 @@ class Search:
         return float(-np.log1p(-parameter)) if self.model.parameter == "beta" else float(parameter)
 
     def shrink(self, stretched: FloatArray | float) -> FloatArray:
+        """The parameter (n,) of stretched values, -log(1 - beta) for beta and theta itself, within its bounds."""
         value = np.asarray(stretched, dtype=np.float64)
         return beta_of(value, self.bounds) if self.model.parameter == "beta" else np.clip(value, *self.bounds)
 
 
 def beta_of(stretched: FloatArray, bounds: tuple[float, float]) -> FloatArray:
-    """beta of values of -log(1 - beta), within its bounds and exactly at them: verdicts ask if they are reached."""
+    """beta (n,) of values of -log(1 - beta), within its bounds and exactly at them: verdicts ask if they are
+    reached."""
     low, high = bounds
     inner = np.where(stretched <= -np.log1p(-low), low, np.clip(-np.expm1(-stretched), low, high))
     return np.asarray(np.where(stretched >= -np.log1p(-high), high, inner))

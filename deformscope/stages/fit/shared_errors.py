@@ -64,12 +64,12 @@ class Shared:
     near: float
 
     def matrix(self, rows: IntArray) -> FloatArray:
-        """C of some frames."""
+        """(n, n) correlation C of the errors of frames (n,)."""
         lag = np.abs(rows[:, None] - rows)
         return np.where(lag == 0, 1.0, self.far + (1.0 - self.far) * self.near ** np.maximum(lag, 1))
 
     def bound(self, rows: IntArray) -> FloatArray:
-        """C of some frames, as much larger as its mean may be."""
+        """(n, n) correlation C of frames (n,), as much larger as its mean may be."""
         likely = self.matrix(rows)
         return np.asarray(likely + (self.most - self.mean) / (1.0 - self.mean) * (1.0 - likely))
 
@@ -166,7 +166,7 @@ def weights(information: FloatArray, rows: IntArray, shared: Shared) -> FloatArr
 
 
 def for_posterior(found: Together) -> tuple[IntArray, FloatArray]:
-    """The frames that the posterior is taken from, and their weights among themselves."""
+    """Indices (n,) of the frames that the posterior is taken from, and their weights (n,) among themselves."""
     rows = np.flatnonzero(found.weight >= WEIGHT_LEAST * found.weight.max())
     if rows.size > FRAMES_IN_POSTERIOR:
         rows = rows[np.linspace(0, rows.size - 1, FRAMES_IN_POSTERIOR).round().astype(int)]

@@ -82,7 +82,8 @@ def splits(seen: Observation, grouped: Clusters) -> list[BodySplit]:
 
 
 def _lumps(middles: FloatArray, others: Sequence[BodySplit], unit: str) -> list[BodySplit]:
-    """A share of the clusters, those nearest to one of some places that are far from each other."""
+    """Splits of the clusters, whose middles are (C, d), into those nearest to one of some places far from each other
+    and the others."""
     found: list[BodySplit] = []
     away = np.linalg.norm(middles - middles.mean(axis=0), axis=1)
     for _ in range(LUMPS):
@@ -136,8 +137,8 @@ def gains(local: Sequence[Local]) -> FloatArray:
 
 
 def _highest(likelihood: Callable[[FloatArray], FloatArray], flat: FloatArray, columns: Sequence[int]) -> float:
-    """The highest log likelihood that the residual, the first row of flat, reaches less multiples of some of the
-    derivatives in the others, by Newton's steps."""
+    """The highest log likelihood that the residual, the first row of flat (1 + q, n), reaches less multiples of some of
+    the derivatives in the others, by Newton's steps."""
 
     def taken(multiple: FloatArray) -> FloatArray:
         mix = np.zeros((len(multiple), len(flat)))
@@ -177,7 +178,8 @@ def _stencil(q: int) -> FloatArray:
 
 
 def _peak(stencil: FloatArray, value: FloatArray) -> FloatArray:
-    """Where the quadratic through values at a stencil is highest; where it bends up, along its slope."""
+    """(q,) where the quadratic through values (s,) at a stencil (s, q) is highest; where it bends up, along its
+    slope."""
     q = stencil.shape[1]
     middle, up, down = value[0], value[1 : 2 * q + 1 : 2], value[2 : 2 * q + 2 : 2]
     slope = 0.5 * (up - down)

@@ -49,7 +49,7 @@ def pooled(log_evidence: Sequence[float], weight: Sequence[FloatArray]) -> Float
 
 
 def median_and_interval(value: FloatArray, weight: FloatArray, level: float = 0.9) -> tuple[float, tuple[float, float]]:
-    """Median and interval of weighted draws."""
+    """Median and interval of draws (n,) with weights (n,), in the unit of the draws."""
     order = np.argsort(value)
     below = np.cumsum(weight[order]) / weight.sum()
     tail = round(0.5 * (1.0 - level), 12)

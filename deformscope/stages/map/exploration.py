@@ -494,7 +494,7 @@ class StageFailure:
 
     @classmethod
     def of(cls, stage: str, touch: int, error: Exception) -> StageFailure:
-        """What an error says of itself."""
+        """The failure of a stage at a touch, from the error that it raised."""
         words = " ".join(str(error).split())
         kind = "" if isinstance(error, InputError) else type(error).__name__ + ": " * bool(words)
         return cls(stage=stage, touch=touch, reason=kind + words, trace="".join(traceback.format_exception(error)))

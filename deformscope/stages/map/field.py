@@ -70,10 +70,11 @@ class FieldPrior:
     level_sd: float = 2.0
 
     def median(self) -> FloatArray:
-        """Logarithms of the three medians."""
+        """(3,) natural logarithms of the prior medians of sigma_e, length [m] and nugget."""
         return np.log([self.sigma_e, self.length_m, self.nugget])
 
     def spread(self) -> FloatArray:
+        """(3,) standard deviations of the three logarithms in the prior."""
         return np.array([self.sigma_e_spread, self.length_spread, self.nugget_spread])
 
 
@@ -230,7 +231,7 @@ class _Fit:
         )
 
     def likelihood(self, x: FloatArray) -> tuple[float, FloatArray]:
-        """Log marginal likelihood and its slopes by log sigma_e, log length and log nugget."""
+        """Log marginal likelihood at x (3,), the logarithms of sigma_e, length [m] and nugget, and its slopes (3,)."""
         signal, noise, covariance = self._covariance(x)
         factor = cholesky(covariance, lower=True)
         weight = cho_solve((factor, True), self.left)
@@ -242,7 +243,8 @@ class _Fit:
         return float(value), np.array(slope)
 
     def _covariance(self, x: FloatArray) -> tuple[FloatArray, float, FloatArray]:
-        """Of the field, the nugget's variance, and of what was measured: with the unknown level and all noise."""
+        """Covariance (n, n) of the field at the touches, the nugget's variance, and covariance (n, n) of what was
+        measured, with the unknown level and all noise. x: (3,) as in `likelihood`"""
         sigma_e, length, nugget = np.exp(x)
         signal = sigma_e**2 * np.exp(-0.5 * self.square / length**2)
         covariance = signal + self.prior.level_sd**2
@@ -265,8 +267,8 @@ class _Fit:
     def _around(
         self, at: FloatArray, free: BoolArray, low: FloatArray, high: FloatArray, cost: Cost
     ) -> list[tuple[FloatArray, float]]:
-        """Hyper-parameters to average over and their shares: the likeliest, and points around it on a sphere of the
-        posterior's deviations, weighed as for a Gaussian and then by what the posterior is there (Rue et al. 2009,
+        """Hyper-parameters (3,) to average over and their shares: the likeliest, and points around it on a sphere of
+        the posterior's deviations, weighed as for a Gaussian and then by what the posterior is there (Rue et al. 2009,
         6.5: a central composite design)."""
         which = np.flatnonzero(free)
         size = len(which)

@@ -71,7 +71,8 @@ class HilbertBasis:
 
     @staticmethod
     def size(half: FloatArray, shortest: float, longest: float) -> float:
-        """About how many sines such a basis has."""
+        """About how many sines a basis has. half: (2,) half sizes of the region; shortest, longest: correlation lengths
+        [m]"""
         return float(np.pi / 4.0 * np.prod(2.0 * (half + EDGE * longest) / np.pi * HIGHEST / shortest))
 
     def weigh(self, places: FloatArray, value: FloatArray, noise: FloatArray) -> Weighed:

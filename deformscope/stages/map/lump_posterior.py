@@ -250,7 +250,7 @@ class LeftOver:
 
     @classmethod
     def of(cls, touches: Sequence[StiffnessSample]) -> LeftOver:
-        """Where no lump was found."""
+        """Residuals of the touches while no lump is assumed."""
         bent = np.array([HERTZ if touch.exponent is None else touch.exponent for touch in touches])
         bent_sd = np.array([NOT_KNOWN if touch.exponent is None else touch.exponent_sd for touch in touches])
         # a stiffness as of the same exponent in every touch is off by nothing that its exponent is off by
@@ -290,7 +290,7 @@ class LeftOver:
 
     @property
     def bent_sd(self) -> float:
-        """Of one more touch's exponent."""
+        """Standard deviation of one more touch's exponent [-]."""
         return float(np.sqrt(np.median(np.diag(self.bent_noise)))) if len(self.read) else EXPECTED_EXPONENT_SD
 
 
@@ -357,7 +357,7 @@ class LumpPosterior:
         self.radii_m = prior.radii_m(grid.size_m)
 
     def with_touch(self, touch: StiffnessSample) -> LumpPosterior:
-        """After one more touch."""
+        """The posterior after one more touch."""
         return LumpPosterior(self.grid, self.prior, (*self.touches, touch))
 
     @cached_property
@@ -491,7 +491,7 @@ class LumpPosterior:
 
     @property
     def scatter(self) -> float:
-        """Of the foam's log stiffness, a deviation."""
+        """Standard deviation of the foam's log stiffness from place to place."""
         return float(np.sqrt(self.state.backgrounds @ [one.scatter**2 for one in BACKGROUNDS]))
 
     # As maps ----------------------------------------------------------------------------------------------------------
@@ -569,7 +569,7 @@ def _doubted(with_read: FloatArray, own: FloatArray) -> FloatArray:
 
 
 def _spaced(low: float, high: float, cell: float) -> FloatArray:
-    """From end to end, about a cell apart."""
+    """(n,) coordinates from `low` to `high`, about a cell apart, in their unit."""
     return np.linspace(low, high, max(2, round((high - low) / cell) + 1))
 
 

@@ -159,6 +159,7 @@ def boundary_distance(found: IntArray, truth: IntArray, cell_m: float) -> float 
 
 
 def _boundary(labels: IntArray) -> BoolArray:
+    """(rows, columns) cells whose label differs from the cell above or left of it."""
     edge = np.zeros(labels.shape, dtype=bool)
     edge[1:] |= labels[1:] != labels[:-1]
     edge[:, 1:] |= labels[:, 1:] != labels[:, :-1]

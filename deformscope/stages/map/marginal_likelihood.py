@@ -175,8 +175,8 @@ class _Search:
         )
 
     def _first(self, start: FloatArray, free_noise: bool) -> FloatArray:
-        """Where to start from: the best of a few lengths, from long to short, each with the noise that neighbours show,
-        and with less, since a surface that is rough between neighbours looks like noise."""
+        """(3,) logarithms to start from: the best of a few lengths, from long to short, each with the noise that
+        neighbours show, and with less, since a surface that is rough between neighbours looks like noise."""
         length, best, at = 0.5 * self.limits[1] / LONGEST, -np.inf, start
         while True:
             length = max(length, self.limits[0])
@@ -193,13 +193,15 @@ class _Search:
             length /= COARSE
 
     def _climb(self, start: FloatArray, bounds: FloatArray, ends: tuple[float, float]) -> tuple[FloatArray, float]:
+        """The likeliest logarithms (3,) within bounds (3, 2) from a start (3,), and their log posterior. ends: lengths
+        [m]"""
         basis = HilbertBasis(self.middle, self.half, *ends)
         weighed = self._weighed(basis)
         free = bounds[:, 0] < bounds[:, 1]
         count = len(self.free.value) + len(self.known.value)
 
         def cost(x: FloatArray) -> tuple[float, FloatArray]:
-            """Negative log posterior and its slopes, a point."""
+            """Negative log posterior at x (3,) and its slopes (3,), each divided by the number of points."""
             self.trials += 1
             sigma_e, length, scale = np.exp(x)
             found = basis.trial(*weighed, sigma_e, length, scale)

@@ -363,8 +363,8 @@ def _stop(
     variance: FloatArray,
     lumps: Missed,
 ) -> StopReason | None:
-    """Why no further touch is made. While the number of regions is in doubt, or lumps may be there unseen, only the
-    budget and the reach end it."""
+    """Why no further touch is made, None while one is. While the number of regions is in doubt, or lumps may be there
+    unseen, only the budget and the reach end it. gain: (n,) of each place, NaN where no touch is allowed"""
     if made >= options.budget:
         return "budget"
     if not np.isfinite(gain).any():

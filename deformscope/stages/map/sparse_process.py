@@ -41,6 +41,7 @@ class Axis:
         self._onto = vector[:, kept][:, ::-1] / np.sqrt(self.eigenvalue)
 
     def _kernel(self, x: FloatArray) -> FloatArray:
+        """(n, nodes) correlation of coordinates (n,) with the inducing nodes of an axis [m]."""
         return np.asarray(np.exp(-0.5 * ((x[:, None] - self.nodes) / self.length) ** 2))
 
     def features(self, x: FloatArray) -> FloatArray:
@@ -111,6 +112,7 @@ class SparseProcess:
         return mean, variance
 
     def _features(self, places: FloatArray, slope: tuple[bool, bool] = (False, False)) -> FloatArray:
+        """(n, features) features of places (n, 2) [m], or their slopes along the axes where `slope` is true [1/m]."""
         x, y = (
             axis.slopes(places[:, d]) if slope[d] else axis.features(places[:, d]) for d, axis in enumerate(self.axes)
         )

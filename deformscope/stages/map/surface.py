@@ -149,7 +149,7 @@ def fit_surface(
 def _learned(
     free: Points, known: Points, given: Given, low: FloatArray, high: FloatArray, start: Learned | None = None
 ) -> tuple[Learned, SparseProcess]:
-    """Hyper-parameters, and the process with them."""
+    """Hyper-parameters, and the process with them. low, high: (2,) corners of the box that holds the points [m]"""
     learned = learn(free, known, given, start)
     _check_box(learned.kernel, low, high)
     process = SparseProcess(

@@ -70,13 +70,13 @@ class ThesisField:
         return Believed(mean, np.sqrt(variance.clip(0.0)))
 
     def on(self, grid: MapGrid) -> FieldMap:
-        """At the centres of a grid's cells."""
+        """Mean and deviation at the centres of a grid's cells."""
         found = self.at(grid.centres_m)
         return FieldMap(grid, found.mean.reshape(grid.shape), found.deviation.reshape(grid.shape))
 
     @property
     def isopleths(self) -> FloatArray:
-        """Rising levels of beta that divide the field: halfway between touches that are apart."""
+        """(k,) rising levels of beta that divide the field: halfway between touches that are apart."""
         betas = np.sort(self.touches)
         gaps = np.flatnonzero(np.diff(betas) > APART)
         return np.asarray(0.5 * (betas[gaps] + betas[gaps + 1]))

@@ -154,7 +154,7 @@ def fit_touch(
 
 
 def _around(after: FloatArray, touch: BallContact, thickness: float) -> FloatArray:
-    """The points that the fit compares, without those of the ball."""
+    """Those of the points (n, 3) [m] around a touch that the fit compares. Raises InputError where they are too few."""
     after = np.asarray(after, dtype=np.float64)
     if after.ndim != 2 or after.shape[1] != 3 or not np.isfinite(after).all():
         raise InputError("finite points (n, 3) [m]", f"shape {after.shape}")
@@ -185,7 +185,8 @@ def _at_rest(
 
 
 def _contact(touch: BallContact) -> tuple[FloatArray, FloatArray]:
-    """The patch under the ball, at rest, and where the ball has pushed it."""
+    """(n, 3) points of the patch under the ball at rest [m], and their displacements (n, 3) [m] where the ball has
+    pushed them."""
     radius = contact_radius_m(touch.radius_m, touch.depth_m)
     away = radius * np.arange(1, RINGS + 1) / RINGS
     angle = 2.0 * np.pi * np.arange(SPOKES) / SPOKES

@@ -295,7 +295,8 @@ class _AxisFit:
         return found
 
     def aee(self, simulated: FloatArray) -> float:
-        """Average Euclidean error over all observed particles, the held ones, which have none, included."""
+        """Average Euclidean error of simulated coordinates (n,) over all observed particles, in their unit of length;
+        the held ones, which have none, are included."""
         total, count, first = 0.0, 0, 0
         for s, j in zip(self.seen, self.judged, strict=True):
             size = int(j.sum()) * s.rest.shape[1]
@@ -306,6 +307,8 @@ class _AxisFit:
         return total / count
 
     def _relax(self, beta: AxisBeta, held: Sequence[FloatArray], size: int) -> FloatArray:
+        """(B, n) simulated coordinates that are judged, NaN where a simulation did not converge. held: (B, h, d) by
+        observation"""
         parts = []
         for row, (body, judged) in enumerate(zip(self.bodies, self.judged, strict=True)):
             found = body.relax(held[row], beta, start=self.starts[row])

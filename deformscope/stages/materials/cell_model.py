@@ -34,7 +34,8 @@ NU_STEP = 1e-4
 
 
 def lattice_cells(shape: tuple[int, ...], cell: IntArray) -> IntArray:
-    """(C, 2^d) the particles at each cell's corners, of the cells that have all of them."""
+    """(C, 2^d) the particles at each cell's corners, of the cells that have all of them. cell: (K,) place of each
+    particle in a lattice of `shape`"""
     index = np.full(int(np.prod(shape)), -1)
     index[cell] = np.arange(len(cell))
     grid = index.reshape(shape)
@@ -82,7 +83,7 @@ def beta_cells(corner: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def _elasticity(d: int, nu: float) -> FloatArray:
-    """Stresses of strains, at modulus 1; plane stress in the plane."""
+    """(3, 3) or (6, 6) stresses of strains (engineering shear) at Young's modulus 1; plane stress for d = 2."""
     if d == 2:
         return np.array([[1.0, nu, 0.0], [nu, 1.0, 0.0], [0.0, 0.0, 0.5 * (1.0 - nu)]]) / (1.0 - nu**2)
     shear = 0.5 / (1.0 + nu)
@@ -170,20 +171,24 @@ class CellModel:
         )
 
     def _cells(self, nu: float) -> FloatArray:
+        """Stiffness of each cell's particles (C or 1, 2^d d, 2^d d) at modulus 1 and Poisson's ratio nu."""
         return elastic_cells(self.corner, nu) if self._fixed_cells is None else self._fixed_cells[0]
 
     def _assembled(self, each: FloatArray) -> csc_array:
+        """(K d, K d) sum of the cells' matrices (C, 2^d d, 2^d d)."""
         rows = np.repeat(self.dof, self.dof.shape[1], axis=1)
         columns = np.tile(self.dof, (1, self.dof.shape[1]))
         size = self.count * self.d
         return csc_array((each.ravel(), (rows.ravel(), columns.ravel())), shape=(size, size))
 
     def _columns(self, loads: FloatArray) -> FloatArray:
+        """(K d, C) each cell's load (2^d d,) as a column of its own."""
         found = np.zeros((self.count * self.d, len(loads)))
         found[self.dof, np.arange(len(loads))[:, None]] = loads
         return found
 
     def _solved(self, factors: object, load: FloatArray) -> FloatArray:
+        """Displacements (K d, ...) of loads (K d, ...) with factors of the free unknowns' matrix; 0 where held."""
         found = np.zeros(load.shape)
         found[self.free] = -factors.solve(load[self.free])  # type: ignore[attr-defined]
         return found

@@ -126,7 +126,7 @@ class Description:
         return p, low, high
 
     def contrast(self, edges: IntArray, sds: float) -> tuple[float, tuple[float, float]]:
-        """Stiffest over softest, and its interval."""
+        """Stiffest over softest, and its interval of `sds` standard deviations. edges: (n, 2) neighbouring clusters"""
         p, root = self.point.at[:-1], self.root[:-1]
         if self.label[0] >= 0:
             pure = self._pure(edges)
@@ -296,8 +296,8 @@ def _described(
 
 
 def _materials(fit: FieldFit, found: list[Description], edges: IntArray, count: int) -> list[Description]:
-    """So many materials, with borders that were found from several beginnings, the likeliest first; none where there
-    are fewer. found: the smooth field, and fewer materials"""
+    """Descriptions by so many materials, with borders that were found from several beginnings, the likeliest first;
+    none where there are fewer. found: the smooth field, and fewer materials; edges: (n, 2) neighbouring cells"""
     smooth, noise = found[0], max(found, key=lambda one: one.weight).noise
     p, weight = smooth.point.at[:-1], 1.0 / np.maximum((smooth.root[:-1] ** 2).sum(axis=1), 1e-12)
     begun = [levels_of(p, weight, count)]
@@ -370,6 +370,7 @@ def _hidden(fit: FieldFit, noise: NoiseModel, one: Description) -> list[Descript
 
 
 def _softest_first(label: IntArray, p: FloatArray) -> IntArray:
+    """(C,) labels renumbered from the softest material, 0. p: (C,) log stiffness"""
     level = np.array([p[label == k].mean() for k in range(label.max() + 1)])
     return np.asarray(level.argsort().argsort()[label])
 

@@ -124,6 +124,8 @@ class FieldFit:
         return self._with_common(root)
 
     def _with_common(self, root: FloatArray) -> StiffnessPrior:
+        """The prior of parameters (C + 1,): of cells with root (C, q), and of Poisson's ratio; of `beta`, a level that
+        all share."""
         count, own = root.shape
         full = np.zeros((count + 1, own + 1))
         full[:count, :own], full[count, own] = root, NU_SPREAD
@@ -144,12 +146,12 @@ class FieldFit:
         return np.asarray(-np.logaddexp(0.0, -at[:-1]) if self.law == "beta" else at[:-1])
 
     def nu(self, at: FloatArray) -> float:
-        """Poisson's ratio: the last parameter, bent where it comes near its bounds (a ratio that is cut off there has
-        no derivative, and the fit does not settle)."""
+        """Poisson's ratio of parameters (p,): the last one, bent where it comes near its bounds (a ratio that is cut
+        off there has no derivative, and the fit does not settle)."""
         return self._half * (1.0 + float(np.tanh(at[-1] / self._half - 1.0)))
 
     def nu_sd(self, at: FloatArray, sd: float) -> float:
-        """Deviation of Poisson's ratio, of that of its parameter."""
+        """Standard deviation of Poisson's ratio at parameters (p,), of that of the last one."""
         return self._bend(at) * sd
 
     @property
@@ -157,6 +159,7 @@ class FieldFit:
         return 0.45 if self.displacement.shape[1] == 2 else 0.245
 
     def _bend(self, at: FloatArray) -> float:
+        """Slope of Poisson's ratio by its parameter, the last of (p,)."""
         return 1.0 - float(np.tanh(at[-1] / self._half - 1.0)) ** 2
 
     def noise_root(self, reach: float, response: FloatArray) -> FloatArray:
@@ -179,7 +182,7 @@ class FieldFit:
         return np.asarray(np.linalg.cholesky(total + 1e-9 * np.eye(len(total))))
 
     def fit(self, prior: StiffnessPrior, noise: NoiseModel, start: FloatArray | None = None) -> FieldPoint:
-        """The likeliest parameters under a prior and a noise."""
+        """The likeliest parameters (p,) under a prior and a noise. start: (p,), from which they are sought"""
         z: FloatArray = np.zeros(prior.root.shape[1])
         if start is not None:
             z = np.asarray(np.linalg.lstsq(prior.root, start - prior.mean, rcond=1e-6)[0])
@@ -265,8 +268,9 @@ def in_whole_cells(seen: Observation) -> Observation:
 
 
 def _beside_tool(seen: Observation, cells: IntArray) -> IntArray:
-    """Particles next to a tool that covers a part of a face. Cells as coarse as particles cannot follow what happens at
-    its edge, which falls anywhere between two: what was seen around it is prescribed instead."""
+    """Indices (n,) of particles next to a tool that covers a part of a face, by cells (C, 2^d). Cells as coarse as
+    particles cannot follow what happens at its edge, which falls anywhere between two: what was seen around it is
+    prescribed instead."""
     touched = np.isin(np.arange(len(seen.rest)), seen.touched)
     for axis in seen.rest.T:
         near = 1e-3 * np.ptp(axis)
@@ -278,6 +282,7 @@ def _beside_tool(seen: Observation, cells: IntArray) -> IntArray:
 
 
 def _cells_of(seen: Observation) -> IntArray:
+    """(C, 2^d) particles at the corners of each cell. Raises InputError where particles are on no lattice."""
     if seen.shape is None or seen.cell is None:
         hint = "give `shape` (last axis fastest), and `cell` where the lattice has holes"
         raise InputError("particles on a lattice", "points without one", hint)

@@ -203,7 +203,8 @@ class _Profile:
 def _ends(
     grid: FloatArray, excess: FloatArray, inside: IntArray, value: float, limit: float
 ) -> tuple[float, float | None]:
-    """Where the excess crosses the limit on either side of the value; None above where it never does."""
+    """The yield strains, out of a grid (n,), at which the excess (n,) crosses the limit on either side of the value;
+    None above where it never does."""
     if not inside.size:
         return value, value
 
@@ -289,9 +290,11 @@ class _YieldFit:
         return np.asarray(states[:, self.judged].reshape(len(states), -1))
 
     def stretched(self, beta: FloatArray | float) -> FloatArray:
+        """-log(1 - beta) of betas of any shape."""
         return np.asarray(-np.log1p(-np.asarray(beta)))
 
     def shrink(self, stretched: FloatArray | float) -> FloatArray:
+        """beta of values of -log(1 - beta), any shape, at most `BETA_LIMIT`."""
         return np.asarray(np.clip(-np.expm1(-np.asarray(stretched, dtype=np.float64)), 0.0, BETA_LIMIT))
 
     # -- searching -------------------------------------------------------------------------------------------------
@@ -331,6 +334,7 @@ class _YieldFit:
         return states[0], float(largest[0])
 
     def bounds(self, largest: float) -> FloatArray:
+        """(p, 2) lowest and highest of each fitted parameter: log yield strain, -log(1 - beta), log creep rate."""
         rows = [np.log([LEAST_SHARE * largest, 1.5 * largest])]
         if self.fits_beta:
             rows.append(np.array([0.0, float(self.stretched(BETA_LIMIT))]))
@@ -339,7 +343,7 @@ class _YieldFit:
         return np.array(rows)
 
     def _creeps(self) -> FloatArray:
-        """Rates that a motion of this many frames and this length can separate."""
+        """(n,) creep rates that a motion of this many frames and this length can separate, per unit of its duration."""
         assert self.motion.duration is not None
         return np.geomspace(0.1 / self.motion.duration.sum(), 1.0 / self.motion.duration.min(), CREEPS + 2)
 
@@ -372,12 +376,13 @@ class _YieldFit:
 
     @property
     def least_noise(self) -> float:
-        """What was stated, or what numbers can resolve."""
+        """Deviation of a coordinate's noise, as stated, and no less than numbers can resolve, in the unit of
+        positions."""
         return max(self.motion.noise or 0.0, self.resolved)
 
     @property
     def resolved(self) -> float:
-        """What numbers can resolve."""
+        """The smallest difference of coordinates that numbers of this precision can resolve, in their unit."""
         return 10.0 * TOLERANCE[self.body.precision] * self.body.extent
 
     def prescribed(self) -> list[FloatArray]:
@@ -416,7 +421,8 @@ class _YieldFit:
         return float(count / worth) * (1.0 + (frames - 1) * min(alike, 1.0))
 
     def grid(self, best: Minimum, noise: Noise, largest: float) -> FloatArray:
-        """Yield strains around the best, some standard errors wide, and some beyond, up to what never yields."""
+        """(n,) yield strains [-] around the best, some standard errors wide, and some beyond, up to what never
+        yields."""
         error = float(np.sqrt(max(noise.covariance(best.jacobian)[0, 0], 0.0)))
         reach = float(np.clip(5.0 * error, 0.02, 3.0))
         low, high = np.log(LEAST_SHARE * largest), np.log(1.05 * largest)
@@ -424,6 +430,7 @@ class _YieldFit:
         return np.unique(np.exp([*near, *np.linspace(low, high, 15), best.at[0]]))
 
     def profile(self, best: Minimum, noise: Noise, grid: FloatArray) -> _Profile:
+        """Squared error and its excess at yield strains (n,), the other parameters refitted in linear approximation."""
         at = np.repeat(best.at[None], len(grid), axis=0)
         at[:, 0] = np.log(grid)
         simulated = self.simulate(at)
@@ -437,7 +444,7 @@ class _YieldFit:
         return _Profile(grid, squares, excess)
 
     def _freed(self, best: Minimum, away: FloatArray) -> FloatArray:
-        """What is left of a change when beta and creep adapt as well as they can."""
+        """What is left of a change (n,) of the coordinates when beta and creep adapt as well as they can."""
         others = best.jacobian[:, 1:]
         if not others.shape[1]:
             return away
@@ -446,12 +453,14 @@ class _YieldFit:
         return np.asarray(away + others @ step)
 
     def excess(self, best: Minimum, noise: Noise, other: FloatArray, squares: float) -> float:
-        """By how many noise variances another simulation's squared error exceeds the least one."""
+        """By how many noise variances another simulation's squared error exceeds the least one. other: (n,) simulated
+        coordinates"""
         return float(squares - best.squares) / noise.variance_along(other - best.simulated)
 
     # -- results ---------------------------------------------------------------------------------------------------
 
     def beta(self, best: Minimum, half: FloatArray) -> Parameter:
+        """beta with its interval. half: (p,) half widths of the intervals of the fitted parameters"""
         if not self.fits_beta:
             given = float(self.options.beta or 0.0)
             return Parameter(given, (given, given), given=True)
@@ -459,6 +468,8 @@ class _YieldFit:
         return Parameter(float(self.shrink(best.at[1])), (float(low), float(high)))
 
     def creep(self, best: Minimum, half: FloatArray) -> Parameter | None:
+        """Creep rate with its interval, None where there is none. half: (p,) half widths of the fitted parameters'
+        intervals"""
         if self.options.creep == "none":
             return None
         if not self.fits_creep:
@@ -528,7 +539,8 @@ class _YieldFit:
     def _in_residuals(
         self, best: Minimum, rows: IntArray, frames: Sequence[Observation], simulated: FloatArray
     ) -> Iterator[Doubt]:
-        """What histories with other axes, and with two betas, show of the residuals of the best."""
+        """Doubts that histories with other axes, and with two betas, show in the residuals of the best. rows: (n,)
+        frames"""
         strain, beta, creep = self.numbers(best.at[None])
         tried = np.append(self.shrink(np.linspace(0.1, 3.0, TURNED)), beta)
         betas, count = np.tile(tried, 2), 2 * len(tried)
@@ -591,7 +603,8 @@ class _YieldFit:
         yield from two_materials([body], float(beta[0]), BETA_LIMIT)
 
     def aee(self, simulated: FloatArray) -> float:
-        """Average Euclidean error over all observed particles of all frames, held ones included."""
+        """Average Euclidean error of simulated coordinates (n,) over all observed particles of all frames, held ones
+        included, in their unit of length."""
         d = self.motion.rest.shape[1]
         distance = np.linalg.norm((simulated - self.observed).reshape(-1, d), axis=1)
         return float(distance.sum() / np.isfinite(self.motion.position).all(axis=2).sum())

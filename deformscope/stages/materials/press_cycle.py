@@ -166,12 +166,14 @@ def find_cycle(
 def _cycle(
     course: FloatArray, loaded: int, unloaded: int, source: Literal["displacement", "force", "given"]
 ) -> PressCycle:
+    """The cycle of a course (T,) of the load, with the share of it that is left once unloaded."""
     kept = float(course[unloaded] / course[loaded]) if course[loaded] else 0.0
     return PressCycle(loaded=loaded, unloaded=unloaded, course=course, kept=kept, source=source)
 
 
 def frames_to_fit(cycle: PressCycle, most: int, *, between: bool) -> IntArray:
-    """At most so many frames, rising: even along the way down, with the loaded, the unloaded and the last one.
+    """Indices (n,) of at most so many frames, rising: even along the way down, with the loaded, the unloaded and the
+    last one.
 
     The first frame, at rest, is none of them: a history of loads depends on the way, not on how long it took. between:
     also along the way back, which what flows with time wants; where a tool lifts, particles are followed least well

@@ -120,6 +120,7 @@ def _per_unit(stiffness: FloatArray, weight: FloatArray, largest: float, level: 
 
 
 def _verdict(share: FloatArray, kept: FloatArray, weight: FloatArray) -> RecoveryVerdict:
+    """The verdict of draws. share, kept: (n,) lost by flow, kept for good; weight: (n,)"""
     viscous, plastic = (float(weight[one > NOTICED].sum()) for one in (share, kept))
     if viscous >= SURE:
         return "viscoplastic" if plastic >= SURE else "viscous"
@@ -129,7 +130,7 @@ def _verdict(share: FloatArray, kept: FloatArray, weight: FloatArray) -> Recover
 
 
 def _begin(amplitude: FloatArray) -> int:
-    """The frame before it moves."""
+    """Index of the frame before it moves, of an amplitude (T,)."""
     return max(0, int(np.flatnonzero(amplitude > 0.02 * amplitude.max())[0]) - 1)
 
 
@@ -200,7 +201,7 @@ class _RecoveryLaw:
             self._force_sd = np.hypot(FORCE_SD, force_sd_n / most)
 
     def widen(self, best: FloatArray, branches: int) -> None:
-        """Take what the best fit leaves as noise, and that neighbours share it."""
+        """Take what the best fit (p,) leaves as noise, and that neighbours share it."""
         off = self.residuals(best[None], branches)[0][: len(self._amplitude) - self._released]
         if len(off) <= len(best):
             return
@@ -210,7 +211,7 @@ class _RecoveryLaw:
         self.sd *= size * float(shared)
 
     def best(self, branches: int, *, kept: bool, start: FloatArray | None = None) -> FloatArray:
-        """The likeliest parameters. start: from which they are sought"""
+        """The likeliest parameters (p,) of so many branches. start: (p,), from which they are sought"""
         if start is None:
             apart = np.linspace(-0.7, 0.7, branches) if branches > 1 else np.zeros(branches)
             parts = [np.full(branches, np.log(STRENGTH_MEDIAN)), self._log_time + self._time_spread * apart, [0.0, 0.5]]
@@ -302,6 +303,7 @@ class _RecoveryLaw:
         return after + kept[:, None] * most + offset, scale * np.maximum(force[:, 1:], 0.0)
 
     def _log_times(self, at: FloatArray, branches: int) -> FloatArray:
+        """(n, branches) log times of the branches, within their limits, of parameters (n, p)."""
         return np.asarray(np.clip(at[:, branches : 2 * branches], *self._limits))
 
     def _has_set(self, at: FloatArray, branches: int) -> bool:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import warp as wp
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
-from deformscope.stages.msm.layout import Layout, upload
+from deformscope.stages.msm.layout import Field, Layout, upload
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,8 +36,8 @@ class Parameters:
     beta_stride: 0, or with a beta for each cluster the numbers from one group of candidates to the next
     """
 
-    beta: Any
-    theta: Any
+    beta: Field
+    theta: Field
     beta_stride: int
     volume: int
 
@@ -57,7 +58,7 @@ class RestArrays:
     lift: FloatArray
 
 
-def rest_struct(functions: Any, arrays: RestArrays, stride: int, scalar: Any, device: str) -> Any:
+def rest_struct(functions: SimpleNamespace, arrays: RestArrays, stride: int, scalar: Any, device: str) -> Any:
     """Rest data as `cluster_functions` reads it, rows `stride` numbers apart."""
     rest = functions.FitRest()
     n, d = arrays.a_qq.shape[:2]
@@ -93,8 +94,9 @@ class Operator(ABC):
 
     beta_stride: int
 
-    def __init__(self, body: Any, layout: Layout, arrays: Any, cluster_stride: int) -> None:
-        self.body, self.layout, self.arrays, self.cluster_stride = body, layout, arrays, cluster_stride
+    def __init__(self, body: Body, layout: Layout, arrays: Any, cluster_stride: int) -> None:
+        self.body: Any = body
+        self.layout, self.arrays, self.cluster_stride = layout, arrays, cluster_stride
         self.dim, self.metric = body.dim, arrays.metric
         self.threads = 0
         self.resident: Any = None
@@ -103,12 +105,13 @@ class Operator(ABC):
         self.still = self.motion(1.0, 0.0, np.zeros(self.dim), stepping=False)
         self._kept: dict[int, Any] = {}
 
-    def cluster_field(self, rows: int) -> Any:
+    def cluster_field(self, rows: int) -> Field:
         """`rows` rows of 0."""
         return wp.zeros(rows * self.cluster_stride, dtype=self.layout.scalar, device=self.layout.device)
 
     def motion(self, alpha: float, going_on: float, push: FloatArray, *, stepping: bool = True) -> Any:
-        """What a time step needs: see `lattice_kernels.motion_for`."""
+        """What a time step needs: see `lattice_kernels.motion_for`. push: (d,) displacement by the acceleration in a
+        step, in particle spacings"""
         motion = self.arrays.Motion()
         motion.stepping = int(stepping)
         motion.alpha, motion.going_on = alpha, going_on
@@ -142,32 +145,36 @@ class Operator(ABC):
         filled = np.concatenate([values, np.repeat(values[-1:], groups * abreast - len(values), 0)])
         return filled.reshape(groups, abreast, *values.shape[1:])
 
-    def launch(self, kernel: Any, items: int, inputs: list[Any], outputs: list[Any] | None = None) -> None:
+    def launch(self, kernel: wp.Kernel, items: int, inputs: list[Any], outputs: list[Any] | None = None) -> None:
         """A kernel over so many items of every group."""
         dim = (self.layout.groups, items)
         wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs or [], device=self.layout.device)
 
     @abstractmethod
-    def residual(self, u: Any, out: Any, parameters: Parameters, running: Any, kept: Any = None, what: int = 0) -> None:
+    def residual(
+        self, u: Field, out: Field, parameters: Parameters, running: Field, kept: object = None, what: int = 0
+    ) -> None:
         """goal - u of every free particle into `out`; with `what` BY_BETA or BY_THETA the derivative of the goals.
 
         kept: where to leave what `change` needs (None: nowhere)
         """
 
     @abstractmethod
-    def change(self, direction: Any, out: Any, parameters: Parameters, running: Any, kept: Any) -> None:
+    def change(self, direction: Field, out: Field, parameters: Parameters, running: Field, kept: object) -> None:
         """J p - p for a direction p of the free particles, where `residual` was last evaluated."""
 
     @abstractmethod
-    def step(self, u: Any, before: Any, motion: Any, parameters: Parameters, running: Any, ran_away: Any) -> None:
+    def step(
+        self, u: Field, before: Field, motion: object, parameters: Parameters, running: Field, ran_away: Field
+    ) -> None:
         """One time step; `before` becomes the new displacement."""
 
     @abstractmethod
-    def cluster_values(self, values: FloatArray) -> Any:
+    def cluster_values(self, values: FloatArray) -> Field:
         """(B, C) one value for each cluster, as the kernels read them."""
 
     @abstractmethod
-    def cluster_gradient(self, adjoint: Any) -> FloatArray:
+    def cluster_gradient(self, adjoint: Field) -> FloatArray:
         """(B, C) sum over each cluster's particles of m_i <adjoint_i, d goal_i / d beta_c>.
 
         The derivative of the goals by beta is what `residual` gave last.
@@ -177,8 +184,9 @@ class Operator(ABC):
 class Body(ABC):
     """Rest data of a body on a device. Lengths in particle spacings."""
 
-    def __init__(self, dim: int, scalar: Any, device: str) -> None:
-        self.dim, self.scalar, self.device = dim, scalar, device
+    def __init__(self, dim: int, scalar: type[Any], device: str) -> None:
+        self.dim, self.device = dim, device
+        self.scalar: Any = scalar
         self._arrays: dict[int, Any] = {}
 
     def arrays(self, width: int) -> Any:
@@ -194,4 +202,4 @@ class Body(ABC):
     def layout(self, candidates: int) -> Layout: ...
 
     @abstractmethod
-    def operator(self, layout: Layout) -> Any: ...
+    def operator(self, layout: Layout) -> Operator: ...

@@ -29,15 +29,18 @@ class Clusters:
 
     @cached_property
     def _packed(self) -> tuple[IntArray, IntArray]:
+        """(n,) particles of all clusters, one after the other, and (C + 1,) where each begins."""
         offsets = np.concatenate([[0], np.cumsum([len(row) for row in self._rows])])
         return np.concatenate(self._rows).astype(np.int32), offsets.astype(np.int32)
 
     @property
     def members(self) -> IntArray:
+        """(n,) the particles of all clusters, one cluster after the other."""
         return self._packed[0]
 
     @property
     def offsets(self) -> IntArray:
+        """(C + 1,) where each cluster begins in `members`, and the end."""
         return self._packed[1]
 
     @property
@@ -65,6 +68,7 @@ class LatticeClusters(Clusters):
 
     @cached_property
     def _packed(self) -> tuple[IntArray, IntArray]:
+        """(n,) particles of all clusters, one after the other, and (C + 1,) where each begins."""
         rows = _windows(_particle_at(self.shape, self.cell), self.window)
         rows = rows.reshape(-1, int(np.prod(self.window)))[self.corner[_fitting(self.shape, self.window)].reshape(-1)]
         present = rows >= 0
@@ -76,6 +80,7 @@ class LatticeClusters(Clusters):
         return int(np.count_nonzero(self.corner))
 
     def cluster_counts(self) -> IntArray:
+        """(K,) the number of clusters that each particle is in."""
         return _covering(self.corner, self.window).reshape(-1)[self.cell]
 
 
@@ -116,8 +121,8 @@ def lattice(rest: FloatArray, shape: Sequence[int], cell: IntArray, size: int) -
 
 
 def nearest(rest: FloatArray, member_count: int) -> Clusters:
-    """One cluster around each particle: itself and its nearest neighbours, `member_count` in all (points without a
-    lattice). Equal clusters are kept once."""
+    """One cluster around each of the particles (K, d): itself and its nearest neighbours, `member_count` in all (points
+    without a lattice). Equal clusters are kept once."""
     count = min(member_count, len(rest))
     _, index = cKDTree(rest).query(rest, k=count)
     rows = np.unique(np.sort(np.asarray(index).reshape(len(rest), count), axis=1), axis=0)
@@ -177,13 +182,15 @@ def held_mask(particle_count: int, held: IntArray) -> BoolArray:
 
 
 def spacing(rest: FloatArray) -> float:
-    """Median distance to the nearest neighbour: the length that makes everything dimensionless."""
+    """Median distance of points (K, d) to the nearest neighbour, in their unit: the length that makes everything
+    dimensionless."""
     distance, _ = cKDTree(rest).query(rest, k=2)
     return float(np.median(distance[:, 1]))
 
 
 def _particle_at(shape: tuple[int, ...], cell: IntArray) -> IntArray:
-    """The particle of each cell (shape), -1 where there is none."""
+    """The particle of each cell of a lattice of `shape`, -1 where there is none. cell: (K,) flat index of each
+    particle's cell"""
     found = np.full(shape, -1, dtype=np.int64)
     found.reshape(-1)[cell] = np.arange(len(cell))
     return found
@@ -199,6 +206,7 @@ def _fitting(shape: tuple[int, ...], window: tuple[int, ...]) -> tuple[slice, ..
 
 
 def _window_sums(values: IntArray, window: tuple[int, ...]) -> IntArray:
+    """Sums of values (any axes) over windows of this size; each axis is shorter by its width less 1."""
     for axis, width in enumerate(window):
         values = _windows_along(values, width, axis)
     return values
@@ -212,12 +220,15 @@ def _windows_along(values: IntArray, width: int, axis: int) -> IntArray:
 
 
 def _covering(corner: BoolArray, window: tuple[int, ...]) -> IntArray:
-    """(shape) how many clusters each cell is in."""
+    """How many clusters each cell is in, an array of the shape of `corner` (one or more axes), a mask of the clusters'
+    first cells."""
     padded = np.pad(corner.astype(np.int64), [(w - 1, 0) for w in window])
     return _window_sums(padded, window)
 
 
 def _adopt(rest: FloatArray, alone: IntArray, directions: int) -> list[IntArray]:
+    """A cluster (n,) for each particle that is in none: itself and neighbours enough to span all directions of (K,
+    d)."""
     tree = cKDTree(rest)
     adopted = []
     for particle in alone:

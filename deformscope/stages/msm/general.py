@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import warp as wp
 
 from deformscope.arrays import FloatArray
 from deformscope.stages.msm import general_kernels as k
@@ -12,14 +13,14 @@ from deformscope.stages.msm import reference
 from deformscope.stages.msm.body import Body, BodyRest, Operator, Parameters, RestArrays, rest_struct
 from deformscope.stages.msm.cluster_functions import GOAL, cluster_functions_for
 from deformscope.stages.msm.clusters import Clusters
-from deformscope.stages.msm.layout import Layout, upload, widths
+from deformscope.stages.msm.layout import Field, Layout, upload, widths
 from deformscope.stages.msm.reference import Basis
 
 
 class GeneralBody(Body):
     """A body of any clusters and basis."""
 
-    def __init__(self, rest: BodyRest, clusters: Clusters, basis: Basis, scalar: Any, device: str) -> None:
+    def __init__(self, rest: BodyRest, clusters: Clusters, basis: Basis, scalar: type[Any], device: str) -> None:
         d = rest.position.shape[1]
         super().__init__(d, scalar, device)
         self.terms = d if basis == "linear" else {2: 5, 3: 9}[d]
@@ -73,16 +74,16 @@ class GeneralBody(Body):
     def operator(self, layout: Layout) -> GeneralOperator:
         return GeneralOperator(self, layout, self.arrays(layout.width))
 
-    def _make_arrays(self, width: int) -> _GeneralArrays:
-        return _GeneralArrays(self, width)
+    def _make_arrays(self, width: int) -> GeneralArrays:
+        return GeneralArrays(self, width)
 
-    def lists(self, struct: Any) -> Any:
+    def lists(self, struct: object) -> Any:
         for name, value in self._lists.items():
             setattr(struct, name, value)
         return struct
 
 
-class _GeneralArrays:
+class GeneralArrays:
     """Rest data on the device, for lanes of one width."""
 
     def __init__(self, body: GeneralBody, width: int) -> None:
@@ -100,7 +101,7 @@ class _GeneralArrays:
 class GeneralOperator(Operator):
     """Goals of clusters given as lists."""
 
-    def __init__(self, body: GeneralBody, layout: Layout, arrays: _GeneralArrays) -> None:
+    def __init__(self, body: GeneralBody, layout: Layout, arrays: GeneralArrays) -> None:
         clusters = body.cluster_count
         super().__init__(body, layout, arrays, layout.groups * clusters * layout.abreast + layout.width)
         lists = body.lists(arrays.kernels.Lists())
@@ -113,18 +114,20 @@ class GeneralOperator(Operator):
         self._star = layout.field(self.dim)
 
     def residual(
-        self, u: Any, out: Any, parameters: Parameters, running: Any, kept: Any = None, what: int = GOAL
+        self, u: Field, out: Field, parameters: Parameters, running: Field, kept: object = None, what: int = GOAL
     ) -> None:
         kept = self.unkept() if kept is None else kept
         self._fit(self.arrays.kernels.fit_clusters, u, parameters, running, kept, what)
         star = u if what == GOAL else self._zero()
         self._finish(star, star, self.still, running, out, self._nothing)
 
-    def change(self, direction: Any, out: Any, parameters: Parameters, running: Any, kept: Any) -> None:
+    def change(self, direction: Field, out: Field, parameters: Parameters, running: Field, kept: object) -> None:
         self._fit(self.arrays.kernels.fit_changes, direction, parameters, running, kept, GOAL)
         self._finish(direction, direction, self.still, running, out, self._nothing)
 
-    def step(self, u: Any, before: Any, motion: Any, parameters: Parameters, running: Any, ran_away: Any) -> None:
+    def step(
+        self, u: Field, before: Field, motion: object, parameters: Parameters, running: Field, ran_away: Field
+    ) -> None:
         self.launch(
             self.arrays.kernels.predict,
             self.body.particle_count,
@@ -134,11 +137,13 @@ class GeneralOperator(Operator):
         self._fit(self.arrays.kernels.fit_clusters, self._star, parameters, running, self.unkept(), GOAL)
         self._finish(u, self._star, motion, running, before, ran_away)
 
-    def cluster_values(self, values: FloatArray) -> Any:
+    def cluster_values(self, values: FloatArray) -> Field:
+        """(B, C) one value for each cluster, as the kernels read them."""
         layout = self.layout
         return upload(self.by_group(values).transpose(0, 2, 1), layout.scalar, layout.device, 2 * layout.width)
 
-    def cluster_gradient(self, adjoint: Any) -> FloatArray:
+    def cluster_gradient(self, adjoint: Field) -> FloatArray:
+        """(B, C): see `Operator.cluster_gradient`."""
         body, d = self.body, self.dim
         maps = self._cluster_fields(self.maps, d + d * body.terms)[:, :, d:]
         maps = maps.reshape(*maps.shape[:2], body.terms, d)
@@ -147,19 +152,21 @@ class GeneralOperator(Operator):
         each = np.einsum("bmd,bmtd,mt->bm", pull, maps[:, cluster_of], body.member_basis)
         return np.asarray(np.add.reduceat(each, body.offsets[:-1], axis=1))
 
-    def _cluster_fields(self, field: Any, rows: int) -> FloatArray:
+    def _cluster_fields(self, field: Field, rows: int) -> FloatArray:
         """(B, C, rows) of a field of clusters."""
         layout = self.layout
         host = np.asarray(field.numpy(), dtype=np.float64).reshape(rows, self.cluster_stride)
         body = host[:, : self.cluster_stride - layout.width].reshape(rows, layout.groups, -1, layout.abreast)
         return body.transpose(1, 3, 2, 0).reshape(-1, self.body.cluster_count, rows)[: layout.candidates]
 
-    def _zero(self) -> Any:
+    def _zero(self) -> Field:
         if not hasattr(self, "_zeros"):
             self._zeros = self.layout.field(self.dim)
         return self._zeros
 
-    def _fit(self, kernel: Any, u: Any, parameters: Parameters, running: Any, kept: Any, what: int) -> None:
+    def _fit(
+        self, kernel: wp.Kernel, u: Field, parameters: Parameters, running: Field, kept: object, what: int
+    ) -> None:
         self.launch(
             kernel,
             self.body.cluster_count,
@@ -170,7 +177,7 @@ class GeneralOperator(Operator):
             [self.maps],
         )
 
-    def _finish(self, u: Any, star: Any, motion: Any, running: Any, out: Any, ran_away: Any) -> None:
+    def _finish(self, u: Field, star: Field, motion: object, running: Field, out: Field, ran_away: Field) -> None:
         self.launch(
             self.arrays.kernels.finish,
             self.body.particle_count,

@@ -15,7 +15,7 @@ import warp as wp
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.stages.msm import iteration_kernels as k
 from deformscope.stages.msm.body import Body, BodyRest, Parameters
-from deformscope.stages.msm.layout import upload
+from deformscope.stages.msm.layout import Field, upload
 
 Progress = Callable[[int], None]
 
@@ -102,7 +102,7 @@ class Iteration:
                 setattr(state, name, self.layout.each(zero, int if dtype is wp.int32 else dtype))
         return state
 
-    def parts(self, rows: int) -> Any:
+    def parts(self, rows: int) -> Field:
         count = rows * self.layout.groups * self.span.parts * self.layout.width
         return wp.zeros(count, dtype=wp.float64, device=self.layout.device)
 
@@ -122,16 +122,16 @@ class Iteration:
     def _parameters_changed(self) -> None:
         """The recorded launches hold other arrays than those in use."""
 
-    def derive_goals(self, by: int, out: Any) -> None:
+    def derive_goals(self, by: int, out: Field) -> None:
         """Derivative of every free particle's goal by beta or theta at `u` into `out`."""
         self.operator.residual(self.u, out, self.parameters, self._every_group, what=by)
 
     def launch(
-        self, kernel: Any, dim: tuple[int, ...] | int, inputs: list[Any], outputs: list[Any] | None = None
+        self, kernel: wp.Kernel, dim: tuple[int, ...] | int, inputs: list[Any], outputs: list[Any] | None = None
     ) -> None:
         wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs or [], device=self.layout.device)
 
-    def all_groups(self) -> Any:
+    def all_groups(self) -> Field:
         return wp.full(self.layout.groups, 1, dtype=int, device=self.layout.device)
 
 
@@ -421,7 +421,7 @@ def set_first(array: Any, value: float) -> None:
         array.fill_(value)
 
 
-def halves(pair: Any) -> tuple[Any, Any]:
+def halves(pair: Field) -> tuple[Field, Field]:
     """The two fields of a field of twice the rows."""
     rows = pair.shape[0] // 2
     return pair[:rows], pair[rows:]

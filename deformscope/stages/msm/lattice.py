@@ -12,7 +12,7 @@ from deformscope.stages.msm import lattice_kernels as k
 from deformscope.stages.msm.body import Body, BodyRest, Operator, Parameters, RestArrays, rest_struct
 from deformscope.stages.msm.cluster_functions import GOAL, cluster_functions_for
 from deformscope.stages.msm.clusters import FLAT_MOMENT_RATIO, LatticeClusters
-from deformscope.stages.msm.layout import Layout, upload, widths
+from deformscope.stages.msm.layout import Field, Layout, upload, widths
 from deformscope.stages.msm.resident_kernels import THREADS, resident_kernels_for
 
 REGULAR = 1e-6
@@ -43,7 +43,9 @@ class LatticeBody(Body):
 
     terms: int
 
-    def __init__(self, rest: BodyRest, clusters: LatticeClusters, edges: FloatArray, scalar: Any, device: str) -> None:
+    def __init__(
+        self, rest: BodyRest, clusters: LatticeClusters, edges: FloatArray, scalar: type[Any], device: str
+    ) -> None:
         d = self.terms = rest.position.shape[1]
         super().__init__(d, scalar, device)
         shape = (*(1,) * (3 - len(clusters.shape)), *clusters.shape)
@@ -259,15 +261,15 @@ class LatticeOperator(Operator):
             self.threads = THREADS[layout.scalar]
 
     def residual(
-        self, u: Any, out: Any, parameters: Parameters, running: Any, kept: Any = None, what: int = GOAL
+        self, u: Field, out: Field, parameters: Parameters, running: Field, kept: object = None, what: int = GOAL
     ) -> None:
         kept = self.unkept() if kept is None else kept
         self._goals(u, out, self.fields(parameters, what), running, kept, changing=False)
 
-    def change(self, direction: Any, out: Any, parameters: Parameters, running: Any, kept: Any) -> None:
+    def change(self, direction: Field, out: Field, parameters: Parameters, running: Field, kept: object) -> None:
         self._goals(direction, out, self.fields(parameters), running, kept, changing=True)
 
-    def _goals(self, u: Any, out: Any, fields: Any, running: Any, kept: Any, *, changing: bool) -> None:
+    def _goals(self, u: Field, out: Field, fields: object, running: Field, kept: object, *, changing: bool) -> None:
         a, layout = self.arrays, self.layout
         if a.kernels is None:
             wp.launch(
@@ -282,7 +284,9 @@ class LatticeOperator(Operator):
         self._fit(a.kernels.fit_changes if changing else a.kernels.fit_clusters, fields, running, kept)
         self._spread(fields, self.still, running, u, u, out, self._nothing)
 
-    def step(self, u: Any, before: Any, motion: Any, parameters: Parameters, running: Any, ran_away: Any) -> None:
+    def step(
+        self, u: Field, before: Field, motion: object, parameters: Parameters, running: Field, ran_away: Field
+    ) -> None:
         fields = self.fields(parameters)
         self._windows(fields, motion, running, u, before)
         self._fit(self.arrays.kernels.fit_clusters, fields, running, self.unkept())
@@ -297,13 +301,15 @@ class LatticeOperator(Operator):
         fields.beta_stride, fields.volume, fields.what = parameters.beta_stride, parameters.volume, what
         return fields
 
-    def cluster_values(self, values: FloatArray) -> Any:
+    def cluster_values(self, values: FloatArray) -> Field:
+        """(B, C) one value for each cluster, as the kernels read them."""
         layout = self.layout
         host = np.zeros((layout.groups, layout.group // layout.abreast, layout.abreast))
         host[:, self.body.clusters_at, :] = self.by_group(values).transpose(0, 2, 1)
         return upload(host, layout.scalar, layout.device, 2 * layout.width)
 
-    def cluster_gradient(self, adjoint: Any) -> FloatArray:
+    def cluster_gradient(self, adjoint: Field) -> FloatArray:
+        """(B, C): see `Operator.cluster_gradient`."""
         axes = self.dim
         maps = self._cluster_fields(self.maps, self.dim * (1 + axes))
         body = self.body
@@ -315,7 +321,7 @@ class LatticeOperator(Operator):
         kept = np.concatenate([each[:, body.corner] for each in sums], axis=-1)
         return np.asarray(np.einsum("bcr,bcr->bc", maps, kept))
 
-    def _cluster_fields(self, field: Any, rows: int) -> FloatArray:
+    def _cluster_fields(self, field: Field, rows: int) -> FloatArray:
         """(B, C, rows) of a field of clusters."""
         layout = self.layout
         host = np.asarray(field.numpy(), dtype=np.float64).reshape(rows, layout.stride)
@@ -324,7 +330,7 @@ class LatticeOperator(Operator):
         return body.transpose(1, 3, 2, 0).reshape(-1, len(self.body.clusters_at), rows)[: layout.candidates]
 
     def stay_stepping(
-        self, pair: Any, swapped: bool, motion: Any, parameters: Parameters, steps: int, ran_away: Any
+        self, pair: Field, swapped: bool, motion: object, parameters: Parameters, steps: int, ran_away: Field
     ) -> None:
         """`steps` time steps in one launch, of the displacement and the one before in the halves of `pair`."""
         a, layout = self.arrays, self.layout
@@ -340,7 +346,14 @@ class LatticeOperator(Operator):
         )
 
     def stay_relaxing(
-        self, parameters: Parameters, kept: Any, span: Any, state: Any, most: int, limit: int, arrays: list[Any]
+        self,
+        parameters: Parameters,
+        kept: object,
+        span: object,
+        state: object,
+        most: int,
+        limit: int,
+        arrays: list[Any],
     ) -> Any:
         """The command for up to `limit` evaluations of Newton's steps in one launch.
 
@@ -359,18 +372,20 @@ class LatticeOperator(Operator):
             record_cmd=True,
         )
 
-    def _windows(self, fields: Any, motion: Any, running: Any, u: Any, before: Any) -> None:
+    def _windows(self, fields: object, motion: object, running: Field, u: Field, before: Field) -> None:
         kk, grid = self.arrays.kernels, self.grid
         first = grid.items_windows if self.arrays.window else grid.items_plane
         self.launch(kk.windows_fast, first, [grid, fields, motion, running, u, before])
         if not self.arrays.window:
             self.launch(kk.windows_middle, grid.items_windows, [grid, fields, running])
 
-    def _fit(self, kernel: Any, fields: Any, running: Any, kept: Any) -> None:
+    def _fit(self, kernel: wp.Kernel, fields: object, running: Field, kept: object) -> None:
         grid = self.grid
         self.launch(kernel, grid.items_fit, [grid, self.arrays.site, self.arrays.rest, kept, fields, running])
 
-    def _spread(self, fields: Any, motion: Any, running: Any, u: Any, before: Any, out: Any, ran_away: Any) -> None:
+    def _spread(
+        self, fields: object, motion: object, running: Field, u: Field, before: Field, out: Field, ran_away: Field
+    ) -> None:
         kk, grid = self.arrays.kernels, self.grid
         if self.dim == 3:
             self.launch(kk.spread_slow, grid.items_slow, [grid, fields, running])

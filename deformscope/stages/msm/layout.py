@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import warp as wp
 
 from deformscope.arrays import FloatArray, IntArray
+
+Field: TypeAlias = "wp.array[Any]"
+"""Numbers on a device, of a scalar type that is chosen at run time."""
 
 LANES = {wp.float32: 16, wp.float64: 8}
 """Numbers that a CPU's vector units take side by side; a width that the machine lacks is taken in parts."""
@@ -46,11 +49,11 @@ class Layout:
         """Lanes' worths of numbers in a group."""
         return -(-self.group // self.width)
 
-    def field(self, rows: int) -> Any:
+    def field(self, rows: int) -> Field:
         """`rows` rows of 0."""
         return wp.zeros(rows * self.stride, dtype=self.scalar, device=self.device)
 
-    def put(self, values: FloatArray, into: Any) -> None:
+    def put(self, values: FloatArray, into: Field) -> None:
         """(B or 1, K, d) into a field's particles; the last candidate fills what is left of its group."""
         d = values.shape[2]
         host = np.zeros((d, self.stride), dtype=_dtype(self.scalar))
@@ -62,23 +65,23 @@ class Layout:
         body[:, :, self.place, :] = filled.reshape(self.groups, self.abreast, -1, d).transpose(3, 0, 2, 1)
         into.assign(host.reshape(-1))
 
-    def get(self, field: Any, rows: int) -> FloatArray:
+    def get(self, field: Field, rows: int) -> FloatArray:
         """The particles of a field, (B, K, rows) float64."""
         host = np.asarray(field.numpy(), dtype=np.float64).reshape(rows, self.stride)
         body = host[:, self.front : self.front + self.groups * self.group].reshape(rows, self.groups, -1, self.abreast)
         found = body[:, :, self.place, :].transpose(1, 3, 2, 0)
         return found.reshape(-1, len(self.place), rows)[: self.candidates]
 
-    def each(self, values: FloatArray, dtype: Any = None) -> Any:
+    def each(self, values: FloatArray, dtype: type[Any] | None = None) -> Field:
         """One number for each candidate, (B,); the last one is repeated to the end."""
         filled = np.full(self.groups * self.abreast + self.width, values[-1], dtype=np.float64)
         filled[: len(values)] = values
         dtype = self.scalar if dtype is None else dtype
         return wp.array(filled.astype(_dtype(dtype)), dtype=dtype, device=self.device)
 
-    def refill(self, array: Any, values: FloatArray) -> None:
+    def refill(self, array: Field, values: FloatArray) -> None:
         """Numbers of the candidates, (B,), into what `each` made."""
-        if array.device.is_cpu:
+        if self.device.startswith("cpu"):
             view = array.numpy()
             view[: len(values)] = values
             view[len(values) :] = values[-1]
@@ -86,7 +89,7 @@ class Layout:
             array.assign(self.each(values))
 
 
-def widths(candidates: int, scalar: Any, device: str, *, cells_in_lanes: bool) -> tuple[int, int]:
+def widths(candidates: int, scalar: type[Any], device: str, *, cells_in_lanes: bool) -> tuple[int, int]:
     """Width and candidates abreast for a device: plain numbers on a GPU, lanes on a CPU."""
     if not device.startswith("cpu"):
         return 1, 1
@@ -96,13 +99,14 @@ def widths(candidates: int, scalar: Any, device: str, *, cells_in_lanes: bool) -
     return (width, 1) if cells_in_lanes else (1, 1)
 
 
-def upload(values: FloatArray | IntArray, dtype: Any, device: str, spare: int = 0) -> Any:
-    """Numbers on a device, in rows of the first axis, flat; `spare` more at the end, for lanes that reach over it."""
+def upload(values: FloatArray | IntArray, dtype: type[Any], device: str, spare: int = 0) -> Field:
+    """Numbers of any shape (rows, ...) on a device, flat, row after row; `spare` more at the end, for lanes that reach
+    over it."""
     host = np.ascontiguousarray(values).reshape(-1)
     if spare:
         host = np.concatenate([host, np.zeros(spare, dtype=host.dtype)])
     return wp.array(host.astype(_dtype(dtype)), dtype=dtype, device=device)
 
 
-def _dtype(scalar: Any) -> Any:
+def _dtype(scalar: type[Any]) -> Any:
     return {wp.float32: np.float32, wp.float64: np.float64, int: np.int32}[scalar]

@@ -10,8 +10,8 @@ import warp as wp
 from deformscope.arrays import FloatArray
 from deformscope.stages.msm.body import BodyRest, Parameters
 from deformscope.stages.msm.clusters import Clusters
-from deformscope.stages.msm.general import GeneralBody, GeneralOperator
-from deformscope.stages.msm.layout import Layout, upload
+from deformscope.stages.msm.general import GeneralArrays, GeneralBody, GeneralOperator
+from deformscope.stages.msm.layout import Field, Layout, upload
 from deformscope.stages.msm.material_kernels import material_kernels_for
 from deformscope.stages.msm.materials import axis_weights
 from deformscope.stages.msm.reference import Basis
@@ -25,7 +25,7 @@ class MaterialBody(GeneralBody):
         rest: BodyRest,
         clusters: Clusters,
         basis: Basis,
-        scalar: Any,
+        scalar: type[Any],
         device: str,
         *,
         axes: FloatArray | None,
@@ -66,7 +66,7 @@ class MaterialBody(GeneralBody):
 class MaterialOperator(GeneralOperator):
     """Goals of a `MaterialBody`, with S^p of its clusters."""
 
-    def __init__(self, body: MaterialBody, layout: Layout, arrays: Any) -> None:
+    def __init__(self, body: MaterialBody, layout: Layout, arrays: GeneralArrays) -> None:
         super().__init__(body, layout, arrays)
         self.material_body = body
         self.kernels = material_kernels_for(body.dim, body.terms, body.scalar, layout.width)
@@ -79,7 +79,7 @@ class MaterialOperator(GeneralOperator):
         self._all = wp.full(layout.groups, 1, dtype=int, device=layout.device)
         self.law: Any = None
 
-    def cluster_values(self, values: FloatArray) -> Any:
+    def cluster_values(self, values: FloatArray) -> Field:
         """A beta for each cluster (B, C); along each axis (B, C or 1, d): W and C as the kernels read them."""
         if self.material_body.axes is None:
             return super().cluster_values(values)
@@ -102,7 +102,7 @@ class MaterialOperator(GeneralOperator):
         """What `flow` goes by, (B,) each; share: of S - I that flows at once."""
         self.law = [self.layout.each(each) for each in (yield_strain, share, maximum)]
 
-    def flow(self, u: Any, *, stop: bool) -> None:
+    def flow(self, u: Field, *, stop: bool) -> None:
         """S^p flows by the fits at displacements u."""
         self.launch(
             self.kernels.flow,
@@ -115,13 +115,15 @@ class MaterialOperator(GeneralOperator):
         """Of the last flow, (B, C) each: the largest change of an entry of S^p, and |S - I|_2 before it."""
         return self._cluster_fields(self._moved, 1)[..., 0], self._cluster_fields(self._size, 1)[..., 0]
 
-    def step(self, u: Any, before: Any, motion: Any, parameters: Parameters, running: Any, ran_away: Any) -> None:
+    def step(
+        self, u: Field, before: Field, motion: object, parameters: Parameters, running: Field, ran_away: Field
+    ) -> None:
         """One time step, and the flow of S^p by the fits that its goals were made of."""
         super().step(u, before, motion, parameters, running, ran_away)
         if self.law is not None:
             self.flow(self._star, stop=False)
 
-    def _pack(self, values: FloatArray) -> Any:
+    def _pack(self, values: FloatArray) -> Field:
         """(B, C, rows) as fields of clusters are laid out; the last candidate fills what is left of its group."""
         layout = self.layout
         rows = self.by_group(values).transpose(3, 0, 2, 1)
@@ -129,6 +131,8 @@ class MaterialOperator(GeneralOperator):
         host[:, : self.cluster_stride - layout.width] = rows.reshape(values.shape[2], -1)
         return upload(host, layout.scalar, layout.device)
 
-    def _fit(self, kernel: Any, u: Any, parameters: Parameters, running: Any, kept: Any, what: int) -> None:
+    def _fit(
+        self, kernel: wp.Kernel, u: Field, parameters: Parameters, running: Field, kept: object, what: int
+    ) -> None:
         ours = self.kernels.fit_clusters if kernel is self.arrays.kernels.fit_clusters else self.kernels.fit_changes
         super()._fit(ours, u, parameters, running, kept, what)

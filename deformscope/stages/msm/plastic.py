@@ -195,7 +195,7 @@ class PlasticMsm:
         return np.zeros(self.size, dtype=bool) if self._moving is None else self._moving.diverged
 
     def _plain(self, beta: FloatArray | float | AxisBeta, theta: FloatArray | float) -> FloatArray | float:
-        """beta as the variant takes it."""
+        """beta as the variant takes it: one or (B,), or of an `AxisBeta` (B, 1, d)."""
         axes = self.body._axes
         if not isinstance(beta, AxisBeta):
             if axes is not None:
@@ -210,6 +210,7 @@ class PlasticMsm:
     def _parameters(
         self, held_position: FloatArray, beta: FloatArray | float | AxisBeta, theta: FloatArray | float
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Held displacements (B, h, d) in particle spacings, beta (B, ...) and theta (B,)."""
         held_u, beta_b, theta_b = self.body._candidates(held_position, self._plain(beta, theta), theta)
         if len(beta_b) not in (1, self.size):
             raise ValueError(f"expected {self.size} candidates, or one for all; got {len(beta_b)}")

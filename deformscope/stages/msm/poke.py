@@ -200,7 +200,7 @@ class PokedBody:
 
 
 def hold(scene: PokeSetup, touched: IntArray, law: Law, precision: Precision, device: str) -> Msm:
-    """The scene's body with the fixed and the touched particles held, in this order."""
+    """The scene's body with the fixed and the touched particles held, in this order. touched: (n,) indices"""
     held = np.concatenate([scene.fixed, touched])
     return Msm(scene.rest, scene.clusters, held, basis=law.basis, precision=precision, device=device)
 
@@ -257,6 +257,7 @@ class _TipContact:
         self.round_tip = bool((gap[np.isfinite(gap)] > 1e-6 * scene.spacing).any())
 
     def run(self, depth: float, start: FloatArray | None) -> Pressed:
+        """The body pressed to a depth [m]. start: (K, d) positions from which its static state is sought"""
         scene, k = self.scene, self.stiffness
         slide = np.zeros((len(scene.open), len(scene.toward)))
         touched = self.gap < depth if self.round_tip else np.isfinite(self.gap)
@@ -295,7 +296,8 @@ class _TipContact:
         return found
 
     def _touching(self, touched: BoolArray, along: FloatArray, position: FloatArray, depth: float) -> bool:
-        """Update which particles touch a round tip: it pulls at none, and none is within it. Whether that changed."""
+        """Update which particles (n,) touch a round tip: it pulls at none, and none is within it. Whether that changed.
+        along: (touched,) reactions; position: (K, d)"""
         if not self.round_tip:
             return False
         scene = self.scene

@@ -157,7 +157,7 @@ class OneCluster:
         span = np.zeros((d, d))
         span[:, : cluster.span.shape[1]] = cluster.span
 
-        def rows(values: FloatArray, dtype: Any = kk.basis_vec) -> Any:
+        def rows(values: FloatArray, dtype: type[Any] = kk.basis_vec) -> Any:
             return wp.array(np.ascontiguousarray(values), dtype=dtype, device=self.device)
 
         body.mode = rows(mode.T)
@@ -241,7 +241,8 @@ class OneCluster:
         *,
         volume: Volume = "scale",
     ) -> ReducedSensitivity:
-        """How static states change with beta and theta (implicit differentiation, with Newton's own matrix)."""
+        """How static states change with beta and theta, (B,) or one (implicit differentiation, with Newton's own
+        matrix)."""
         work = self._filled(len(equilibrium.transform), held, beta, theta, 0.0, 0, volume)
         work.start[:] = equilibrium.transform.reshape(len(work.start), -1) / self.radius
         result = work.differentiate()
@@ -268,6 +269,7 @@ class OneCluster:
         return by_beta, by_theta
 
     def _expanded(self, transform: FloatArray, translation: FloatArray) -> FloatArray:
+        """(B, K, d) what transforms (B, d, terms) and translations (B, d) make of the basis at rest."""
         out = self.basis @ transform.transpose(0, 2, 1)
         out += translation[:, None]
         return np.asarray(out)
@@ -282,7 +284,7 @@ class OneCluster:
         max_iterations: int,
         volume: Volume,
     ) -> _Work:
-        """The rows of `size` candidates, in scratch that calls of one size share."""
+        """The rows of `size` candidates, in scratch that calls of one size share. beta, theta: (B,), or one for all"""
         work = self._work.get((size, volume))
         if work is None:
             work = self._work[size, volume] = _Work(self, self._bodies[volume], size)
@@ -306,7 +308,7 @@ class OneCluster:
 class _Work:
     """Rows in and results out for `size` candidates, and the launches on them, recorded once."""
 
-    def __init__(self, body: OneCluster, rest: Any, size: int) -> None:
+    def __init__(self, body: OneCluster, rest: object, size: int) -> None:
         self.body, self.rest, self.size = body, rest, size
         self.row_in = self._zeros(size, body._k.row_width)
         self.row: FloatArray = self.row_in.numpy()  # on the CPU the array itself
@@ -314,29 +316,32 @@ class _Work:
         self.held, self.start = self.row[:, k.HELD : split], self.row[:, split:]
 
     def relax(self) -> FloatArray:
+        """(B, result_width) static states of the rows, as `reduced_kernels` lays them out."""
         return self._run(*self._relax)
 
     def differentiate(self) -> FloatArray:
+        """(B, 2, result_width) their derivatives by beta and theta, laid out alike."""
         return self._run(*self._differentiate)
 
     @functools.cached_property
-    def _relax(self) -> tuple[Any, Any]:
+    def _relax(self) -> tuple[wp.Launch, wp.array[wp.float64]]:
         return self._recorded(self.body._k.relax, self._zeros(self.size, self.body._k.result_width))
 
     @functools.cached_property
-    def _differentiate(self) -> tuple[Any, Any]:
+    def _differentiate(self) -> tuple[wp.Launch, wp.array[wp.float64]]:
         return self._recorded(self.body._k.differentiate, self._zeros(self.size, 2, self.body._k.result_width))
 
     def _zeros(self, *shape: int) -> Any:
         return wp.zeros(shape, dtype=wp.float64, device=self.body.device)
 
-    def _recorded(self, kernel: Any, out: Any) -> tuple[Any, Any]:
+    def _recorded(self, kernel: wp.Kernel, out: wp.array[wp.float64]) -> tuple[wp.Launch, wp.array[wp.float64]]:
         """A launch, which costs a fifth when it is recorded, and its result."""
         inputs = [self.rest, self.row_in]
         launch = wp.launch(kernel, self.size, inputs, [out], device=self.body.device, record_cmd=True)
         return launch, out
 
-    def _run(self, launch: Any, out: Any) -> FloatArray:
+    def _run(self, launch: wp.Launch, out: wp.array[wp.float64]) -> FloatArray:
+        """(B, ...) results of a recorded launch on the rows."""
         if self.body.device != "cpu":
             self.row_in.assign(self.row)
         launch.launch()

@@ -86,6 +86,7 @@ def build_rest(
 
 
 def _rest_cluster(position: FloatArray, mass: FloatArray, index: IntArray, basis: Basis) -> RestCluster:
+    """Rest data of the cluster of particles (n,), of positions (K, d) and masses (K,)."""
     m = mass[index]
     t0 = np.average(position[index], axis=0, weights=m)
     q = position[index] - t0
@@ -136,7 +137,8 @@ def quadratic_basis(q: FloatArray, mass: FloatArray) -> FloatArray:
 
 
 def rotation(a_pq: FloatArray, rest_size: float) -> FloatArray:
-    """R of the polar decomposition (eq. 3.9), always proper: maximises tr(R^T A_pq) over rotations.
+    """R (d, d) of the polar decomposition (eq. 3.9) of A_pq (d, d), always proper: maximises tr(R^T A_pq) over
+    rotations.
 
     rest_size: trace of the rest moments; in the plane, below `NO_ROTATION` of it every rotation is as good, and R = I.
     """

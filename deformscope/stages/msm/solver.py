@@ -14,14 +14,14 @@ import warp as wp
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.errors import InputError
-from deformscope.stages.msm.body import Body, BodyRest, Parameters
+from deformscope.stages.msm.body import Body, BodyRest, Operator, Parameters
 from deformscope.stages.msm.cluster_functions import BY_BETA, BY_THETA, NONE, PROJECT, SCALE
 from deformscope.stages.msm.clusters import Clusters, LatticeClusters, held_mask, spacing
 from deformscope.stages.msm.general import GeneralBody
 from deformscope.stages.msm.iteration import Anderson, Ended, Newton, halves
 from deformscope.stages.msm.iteration_kernels import CONVERGED, DIVERGED, iteration_kernels_for
 from deformscope.stages.msm.lattice import LatticeBody, lattice_edges
-from deformscope.stages.msm.layout import Layout, upload
+from deformscope.stages.msm.layout import Field, upload
 from deformscope.stages.msm.material_body import MaterialBody
 from deformscope.stages.msm.materials import AxisBeta
 from deformscope.stages.msm.reduced import OneCluster
@@ -67,7 +67,7 @@ class Relaxed:
 
     @property
     def settled(self) -> FloatArray:
-        """`position`, NaN where it did not converge."""
+        """`position` (B, K, d), NaN where it did not converge."""
         return np.asarray(np.where(self.converged[:, None, None], self.position, np.nan))
 
 
@@ -93,18 +93,18 @@ class Gradient:
 class Moving:
     """The state of time stepping, on the device: displacements now and one step before, for B bodies."""
 
-    def __init__(self, operator: Any) -> None:
+    def __init__(self, operator: Operator) -> None:
         self.last_dt = 0.0
         self._settle_in(operator)
 
-    def _settle_in(self, operator: Any) -> None:
-        self.operator = operator
-        self.layout: Layout = operator.layout
+    def _settle_in(self, operator: Operator) -> None:
+        self.operator: Any = operator
+        self.layout = operator.layout
         self.pair = self.layout.field(2 * operator.dim)
         self.swapped = False
         self.ran_away = self.layout.each(np.zeros(1), int)
 
-    def move_to(self, operator: Any) -> None:
+    def move_to(self, operator: Operator) -> None:
         """The same state, stepped by another operator."""
         now, last = (self.layout.get(each, operator.dim) for each in (self.u, self.before))
         ran_away = self.diverged
@@ -114,11 +114,11 @@ class Moving:
         self.ran_away = self.layout.each(ran_away.astype(np.float64), int)
 
     @property
-    def u(self) -> Any:
+    def u(self) -> Field:
         return halves(self.pair)[int(self.swapped)]
 
     @property
-    def before(self) -> Any:
+    def before(self) -> Field:
         return halves(self.pair)[int(not self.swapped)]
 
     @property
@@ -206,7 +206,7 @@ class Msm:
         self._particles = BodyRest(self.rest / self.scale, self.mass, self.free, counts, metric)
 
     def _along(self, beta: AxisBeta, theta: FloatArray | float) -> Msm:
-        """The variant for betas along these axes, kept for the next call."""
+        """The variant for betas along these axes, kept for the next call. theta: (B,) or one, all 0"""
         axes = np.asarray(beta.axes)
         if len(axes) != self.dim:
             raise ValueError(f"expected betas along {self.dim} axes; got {len(axes)}")
@@ -219,7 +219,7 @@ class Msm:
             self._variants[key] = self.variant(axes=axes)
         return self._variants[key]
 
-    def _build(self, scalar: Any) -> Body:
+    def _build(self, scalar: type[Any]) -> Body:
         if self._axes is not None or self._plastic:
             return MaterialBody(
                 self._particles,
@@ -359,11 +359,13 @@ class Msm:
 
     @staticmethod
     def _kind(theta: FloatArray, size: int, volume: Volume) -> tuple[type[Newton] | type[Anderson], int, int]:
+        """The method for theta (B,): its class, how many candidates, and how volume is conserved."""
         if not theta.any():
             return Newton, size, NONE
         return (Newton if volume == "project" else Anderson), size, VOLUMES[volume]
 
     def _relaxed(self, u: FloatArray, ended: Ended) -> Relaxed:
+        """The states at displacements (B, K, d) in particle spacings, in the unit of `rest`."""
         return Relaxed(
             position=self.rest + u * self.scale,
             residual=ended.norm * self.scale,
@@ -399,6 +401,7 @@ class Msm:
         return Relaxed(position, found.residual, found.error, found.iterations, found.converged, found.diverged)
 
     def _all_held(self, held_position: FloatArray, size: int) -> Relaxed:
+        """The states where every particle is prescribed. held_position: (B, h, d)"""
         position = np.broadcast_to(self.rest, (size, *self.rest.shape)).copy()
         position[:, self.held] = held_position
         none = np.zeros(size)
@@ -483,7 +486,8 @@ class Msm:
         theta: FloatArray | float,
         volume: Volume,
     ) -> None:
-        """Derivative of the goals into the method's residual; by theta also where that is 0, without conservation."""
+        """Derivative of the goals at positions (B, K, d) into the method's residual; by theta also where that is 0,
+        without conservation."""
         if by == BY_THETA and method.volume == NONE:
             conserving = self._at(position, beta, theta, volume, method_kind=Newton, conserving=True)
             conserving.derive(by)
@@ -501,7 +505,7 @@ class Msm:
         conserving: bool = False,
         method_kind: type[Newton] | None = None,
     ) -> Any:
-        """The method, evaluated at `position`.
+        """The method, evaluated at positions (B, K, d).
 
         conserving: with volume conservation though theta is 0; method_kind: which, where it only is to be evaluated
         """
@@ -646,7 +650,7 @@ class _Stepping:
             self._hold(held_u)
 
     def _find(self, held: IntArray) -> None:
-        """Where the held particles of all candidates stand in memory."""
+        """Find where the held particles (h,) of all candidates stand in memory."""
         layout, operator = self.state.layout, self.state.operator
         self.kernels = (
             operator.resident if operator.threads else iteration_kernels_for(operator.dim, layout.scalar, layout.width)
@@ -663,6 +667,7 @@ class _Stepping:
         self.places = upload(places, int, layout.device)
 
     def _hold(self, held_u: FloatArray) -> None:
+        """Put the held displacements (B, h, d), in particle spacings, into the state now and before."""
         layout, state = self.state.layout, self.state
         held_u = np.broadcast_to(held_u, (layout.candidates, *held_u.shape[1:]))
         wp.launch(
@@ -678,7 +683,8 @@ class _Stepping:
         )
 
     def run_moving(self, steps: int, before: FloatArray, after: FloatArray) -> None:
-        """The next `steps` steps, on which the held displacements go from before to after."""
+        """The next `steps` steps, on which the displacements of held particles go from `before` to `after`, (B, h,
+        d)."""
         if self.places is None:
             self.run(steps)
             return
@@ -712,7 +718,7 @@ class _Stepping:
         for _ in range(steps):
             self._one(self.motion)
 
-    def _one(self, motion: Any) -> None:
+    def _one(self, motion: object) -> None:
         state = self.state
         state.operator.step(state.u, state.before, motion, self.parameters, self.running, state.ran_away)
         state.swapped = not state.swapped

@@ -76,6 +76,7 @@ def predict_seen(model: FittedModel, poke: SeenPoke, *, device: str = "cpu") -> 
 
 
 def _near(poke: SeenPoke) -> IntArray:
+    """(n,) points of a poke within `NEAR_M` of its tip, as seen from above."""
     half = 0.5 * np.asarray(poke.tip.size if len(poke.tip.size) == 2 else poke.tip.size * 2)
     away = np.maximum(np.abs(poke.points[:, :2] - poke.at[:2]) - half, 0.0)
     return np.flatnonzero(np.linalg.norm(away, axis=1) <= NEAR_M + 1e-9)

@@ -94,7 +94,7 @@ class CreepDraws:
         return [one.name for one in fields(cls) if one.name not in ("log_evidence", "weight")]
 
     def some(self, random: np.random.Generator, count: int) -> CreepDraws:
-        """So many of them, by their weight."""
+        """So many draws, picked in proportion to their weight."""
         at = random.choice(len(self.weight), count, p=self.weight / self.weight.sum())
         others = {name: getattr(self, name)[at] for name in self._parameters()}
         return CreepDraws(log_evidence=self.log_evidence, weight=np.full(count, 1.0 / count), **others)

@@ -58,7 +58,8 @@ class MeasuredSurface:
 
     @functools.cached_property
     def _plane(self) -> tuple[FloatArray, float]:
-        """Coefficients of z = a x + b y + c, and the largest distance of a point from it."""
+        """(3,) coefficients of z = a x + b y + c fitted to the points, and their root mean square distance from it
+        along z, in their unit."""
         ones = np.ones((len(self.points), 1))
         found, *_ = np.linalg.lstsq(np.hstack([self.points[:, :2], ones]), self.points[:, 2], rcond=None)
         left = self.points[:, 2] - self.points[:, :2] @ found[:2] - found[2]

@@ -38,7 +38,7 @@ MOST_SHARE = 0.85
 
 
 def contact_radius(dent_m: float, tip_radius_m: float) -> float:
-    """Of a ball's contact (Hertz 1882) [m]."""
+    """Radius of a ball's contact (Hertz 1882) [m]."""
     return float(np.sqrt(dent_m * tip_radius_m))
 
 

@@ -250,10 +250,11 @@ class Profile:
 
     @property
     def beta(self) -> FloatArray:
+        """(n,) beta of each pair, from -log(1 - beta)."""
         return beta_of(self.stretched, self.fit.beta_range)
 
     def _take(self, stretched: FloatArray) -> None:
-        """Simulate these values of -log(1 - beta), none of which was before."""
+        """Simulate values (n,) of -log(1 - beta), none of which was before."""
         law = self.fit.best.law
         laws = [dataclasses.replace(law, beta=float(beta)) for beta in beta_of(stretched, self.fit.beta_range)]
         reaction, errors = [], []

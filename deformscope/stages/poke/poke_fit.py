@@ -480,7 +480,7 @@ def _fit_size(
     settled: dict[int, PokedBody],
     tick: Callable[[int], None],
 ) -> ShapeFit:
-    """settled: takes in the state of every poke; tick: as `fit_shape` takes it"""
+    """shaped: (n,) pokes that are fitted; settled: takes in the state of every poke; tick: as `fit_shape` takes it"""
     law, good = fit_shape(posed, beta_range=beta_range, theta=theta, tick=tick)
     own = dict(zip(shaped.tolist(), posed, strict=True))
     reaction, error, left = np.empty(count), [], []
@@ -505,7 +505,8 @@ def _fit_size(
 
 
 def _hold_out(posed: Sequence[PosedPoke], law: Law, beta_range: tuple[float, float], theta: float | None) -> FloatArray:
-    """Surface error of each poke with beta and theta fitted to the others."""
+    """(pokes,) surface error of each poke, as a share of its depth, with beta and theta fitted to the others; NaN of a
+    single one."""
     error = np.full(len(posed), np.nan)
     if len(posed) > 1:
         for place, left in enumerate(posed):
@@ -516,11 +517,12 @@ def _hold_out(posed: Sequence[PosedPoke], law: Law, beta_range: tuple[float, flo
 
 
 def _rms(residual: FloatArray) -> float:
+    """Root mean square length of residuals (n, 3), in their unit; NaN of none."""
     return float(np.sqrt(np.mean(np.sum(residual**2, axis=1)))) if len(residual) else float("nan")
 
 
 def _spread(pokes: Sequence[SeenPoke]) -> IntArray:
-    """At most `MOST_SHAPES` pokes, each as far from those before as can be; the deepest first."""
+    """Indices (n,) of at most `MOST_SHAPES` pokes, each as far from those before as can be; the deepest first."""
     chosen = [int(np.argmax([poke.depth for poke in pokes]))]
     place = np.array([poke.at for poke in pokes])
     while len(chosen) < min(MOST_SHAPES, len(pokes)):

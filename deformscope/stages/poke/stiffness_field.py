@@ -174,11 +174,13 @@ class StiffnessField:
 
     @staticmethod
     def _quantile(mixture: _Mixture, share: float, extra: float = 0.0) -> FloatArray:
+        """(n,) stiffness at a share of the probability, of mixtures of log stiffness."""
         wide = OWN_SCALE * np.sqrt(mixture.variance + extra**2)
         below: Callable[[FloatArray], FloatArray] = partial(stdtr, FREEDOM)
         return np.exp(quantile(mixture.mean, wide, mixture.weight, share, below=below))
 
     def _mixture(self, place: FloatArray, contact_m: float | None) -> _Mixture:
+        """The mixture that log stiffness is at places (n, 2). contact_m: radius of the contact that asks [m]"""
         value = np.log(self.stiffness)
         if len(value) == 1:
             flat = np.full((1, len(place)), value[0])

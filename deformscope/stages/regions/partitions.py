@@ -80,7 +80,7 @@ class Partitions:
         return len(self.family)
 
     def take(self, index: IntArray | BoolArray) -> Partitions:
-        """Those maps."""
+        """The maps at these indices (n,), or where a mask (B,) is true."""
         return Partitions(self.regions, self.size_m, self.family[index], self.latent[index], self.double[index])
 
     def join(self, other: Partitions) -> Partitions:
@@ -94,7 +94,7 @@ class Partitions:
         )
 
     def instead(self, changed: BoolArray, by: Partitions) -> Partitions:
-        """Those of `by` where `changed` (n,), else these."""
+        """Maps of `by` where `changed` (n,), else these."""
         return Partitions(
             self.regions,
             self.size_m,
@@ -230,7 +230,7 @@ def _line(latent: FloatArray, kind: Family, xy_m: FloatArray, size_m: tuple[floa
 
 
 def _between(limits: tuple[float, float], latent: FloatArray) -> FloatArray:
-    """Evenly between the limits in the logarithm, from a normal number."""
+    """Values of any shape, evenly between the limits in the logarithm, of standard normal numbers (...,)."""
     low, high = np.log(limits)
     return cast(FloatArray, np.exp(low + (high - low) * ndtr(latent)))
 

@@ -98,7 +98,7 @@ class RegionPrior:
 
     @property
     def any_level_sd(self) -> float:
-        """Of one level by itself."""
+        """Standard deviation of the level of one region by itself, in log stiffness."""
         return float(np.hypot(self.level_sd, self.common_sd))
 
 
@@ -237,7 +237,7 @@ class RegionPosterior:
         return cls(grid, prior or RegionPrior(), (), particles, particle_count, seed)
 
     def with_touch(self, touch: StiffnessSample) -> RegionPosterior:
-        """After one more touch."""
+        """The posterior after one more touch."""
         touches = (*self.touches, touch)
         readings = _readings(touches, self.prior)
         particles = []
@@ -249,7 +249,7 @@ class RegionPosterior:
 
     @cached_property
     def probability(self) -> dict[str, float]:
-        """Of "1", "2", "3" regions and of "gradual"."""
+        """Probability of "1", "2", "3" regions and of "gradual"."""
         logs = self._joint_logs
         shares = np.maximum(np.exp(logs - logsumexp(logs)), 1e-9)  # nothing is certain
         return dict(zip(("1", "2", "3", "gradual"), shares.tolist(), strict=True))
@@ -411,8 +411,8 @@ class RegionPosterior:
         return rigid & (level > self._rigid_bound - RIGID_SDS * self.prior.rigid_sd)
 
     def _draw(self, one: _Particles, count: int, readings: _Readings) -> tuple[Partitions, FloatArray, FloatArray]:
-        """`count` maps in proportion to their weights, their levels and covariances under one scatter each, which is
-        drawn in proportion to its probability given the map."""
+        """`count` maps in proportion to their weights, their levels (count, r) and covariances (count, r, r) under one
+        scatter each, which is drawn in proportion to its probability given the map."""
         maps = one.maps.take(_systematic(np.exp(one.log_weight), count, 0.5))
         shares = maps.shares(readings.xy_m, self.prior.blur_m)
         logs = _by_scatter(shares, readings, self.prior)
@@ -719,8 +719,8 @@ def _update(
 
 
 def _effective(log_weight: FloatArray, maps: Partitions) -> float:
-    """How much of them weighted maps are worth, as a share (Kong 1992): family by family of the first curve, as they
-    are kept, in proportion to their weights."""
+    """The number of independent maps that weighted ones (n,) are worth, as a share (Kong 1992): family by family of the
+    first curve, as they are kept, in proportion to their weights."""
     weight, family = np.exp(log_weight - log_weight.max()), maps.family[:, 0]
     each, squares = (np.bincount(family, one) for one in (weight, weight**2))
     number = np.maximum(np.bincount(family) * squares, 1e-300)
@@ -728,8 +728,8 @@ def _effective(log_weight: FloatArray, maps: Partitions) -> float:
 
 
 def _kept(log_weight: FloatArray, family: IntArray, count: int, start: float) -> tuple[IntArray, FloatArray]:
-    """About `count` indices, and what each weighs then: of each family in proportion to the cube root of its weight,
-    and in it to its maps' weights.
+    """About `count` indices (n,), and the log weight of each then: of each family in proportion to the cube root of its
+    weight, and in it to its maps' weights.
 
     What is improbable now may be what explains later touches; from the few maps that its weight is worth it would come
     back as copies of one, with an evidence that is wrong by factors.

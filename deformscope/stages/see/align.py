@@ -86,7 +86,7 @@ def align(points: FloatArray, solids: Sequence[PosedSolid]) -> Alignment | None:
 
 
 def _evenly(points: FloatArray, most: int) -> FloatArray:
-    """So many of them at most."""
+    """At most so many of the points (n, 3), evenly spaced in their order."""
     return points[np.linspace(0, len(points) - 1, min(len(points), most)).astype(np.int64)]
 
 
@@ -112,12 +112,14 @@ def _step(points: FloatArray, foot: FloatArray, normal: FloatArray, T_so_far: Fl
 
 
 def _rotation(vector: FloatArray) -> FloatArray:
+    """(3, 3) of a rotation vector (3,) [rad]."""
     from scipy.spatial.transform import Rotation
 
     return np.asarray(Rotation.from_rotvec(vector).as_matrix())
 
 
 def _rotation_vector(rotation: FloatArray) -> FloatArray:
+    """Rotation vector (3,) [rad] of (3, 3)."""
     from scipy.spatial.transform import Rotation
 
     return np.asarray(Rotation.from_matrix(rotation).as_rotvec())

@@ -95,6 +95,7 @@ class _Featured:
 
 
 def _featured(grey: FloatArray, method: FlowMethod) -> _Featured:
+    """An image (h, w), 0 to 255, with its features where the method uses them."""
     grey8 = np.clip(np.rint(grey), 0, 255).astype(np.uint8)
     if method == "farneback":
         return _Featured(grey, grey8, np.zeros((0, 2)), None)
@@ -135,7 +136,8 @@ def _flow(a: _Featured, b: _Featured, method: FlowMethod) -> FlowField:
 
 
 def _stretch(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Both images on 0..255 by one common scaling, so that 12 bits in 16 keep their contrast and the pair its ratio."""
+    """Both images (h, w) on 0..255 by one common scaling, so that 12 bits in 16 keep their contrast and the pair its
+    ratio."""
     low, high = np.percentile(np.stack([a, b]), (0.1, 99.9))
     if not (np.isfinite(low) and np.isfinite(high)):
         raise InputError("finite grey values", "NaN or infinity in an image")
@@ -149,7 +151,8 @@ def _stretch(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def _coarse(a: _Featured, b: _Featured) -> FloatArray:
-    """DIS, once from rest and once from feature matches; each pixel takes the flow under which its window fits."""
+    """(h, w, 2) flow [px] by DIS, once from rest and once from feature matches; each pixel takes the flow under which
+    its window fits."""
     a8, b8 = a.grey8, b.grey8
     flow = _dis(a8, b8, None)
     start = _from_features(a, b)
@@ -162,6 +165,7 @@ def _coarse(a: _Featured, b: _Featured) -> FloatArray:
 
 
 def _dis(a8: Image, b8: Image, start: FloatArray | None) -> FloatArray:
+    """(h, w, 2) flow [px] by DIS. start: (h, w, 2), from which it is sought"""
     dis: Any = cv2.DISOpticalFlow.create(cv2.DISOpticalFlow_PRESET_MEDIUM)
     # Gradients alone, held together more firmly: lighting may change, and noise weighs less.
     dis.setVariationalRefinementDelta(0.0)
@@ -265,7 +269,8 @@ def _refine(a: FloatArray, b: FloatArray, flow: FloatArray) -> FlowField:
 
 
 def _alike(a: FloatArray, b: FloatArray, inside: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Both images without their local mean, `b` with the local contrast of `a`, so that light may change."""
+    """Both images (h, w) without their local mean, `b` with the local contrast of `a`, so that light may change.
+    inside: (h, w) 1 where known"""
     known = _wide_blur(inside, 20.0) + 1e-3
     a, b = ((x - _wide_blur(x * inside, 20.0) / known) * inside for x in (a, b))
     gain = (_wide_blur(a * a, 20.0) + 1e-4) / (_wide_blur(b * b, 20.0) + 1e-4)
@@ -291,7 +296,8 @@ def _smooth(u: FloatArray, weight: FloatArray, variance: FloatArray) -> tuple[Fl
 
 
 def _certain_blur(u: FloatArray, weight: FloatArray, sigma: float) -> FloatArray:
-    """Normalised Gaussian smoothing, twice, the second time of what the first took away: quadratics pass unchanged."""
+    """Normalised Gaussian smoothing of u (h, w, c) by weights (h, w), twice, the second time of what the first took
+    away: quadratics pass unchanged. sigma: [px]"""
     w = weight[:, :, None]
     norm = _blur(weight, sigma)[:, :, None]
     once = _blur(w * u, sigma) / norm
@@ -334,21 +340,22 @@ def _blur(image: FloatArray, sigma: float) -> FloatArray:
 
 
 def _window_means(sigma: float, *images: FloatArray) -> list[FloatArray]:
-    """Gaussian means of full images on the half grid; sigma in half-grid pixels."""
+    """Gaussian means of full images (h, w) on the half grid; sigma in half-grid pixels."""
     return [_blur(_shrink(image), sigma) for image in images]
 
 
 def _wide_blur(image: FloatArray, sigma: float) -> FloatArray:
-    """A Gaussian blur worked out on a coarser grid."""
+    """A Gaussian blur of an image (h, w), worked out on a coarser grid. sigma: [px]"""
     coarse = max(1, int(sigma / 4))
     return _enlarge(_blur(_shrink(image, coarse), sigma / coarse), image.shape)
 
 
 def _shrink(image: FloatArray, by: int = 2) -> FloatArray:
-    """Means over `by` x `by` px."""
+    """Means of an image (h, w) or (h, w, c) over `by` x `by` px."""
     height, width = image.shape[:2]
     return np.asarray(cv2.resize(image, (-(-width // by), -(-height // by)), interpolation=cv2.INTER_AREA))
 
 
 def _enlarge(image: FloatArray, shape: tuple[int, ...]) -> FloatArray:
+    """An image (h, w) or (h, w, c) of another size, interpolated linearly."""
     return np.asarray(cv2.resize(image, (shape[1], shape[0]), interpolation=cv2.INTER_LINEAR))

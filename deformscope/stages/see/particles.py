@@ -204,7 +204,7 @@ def _bounding_box(mask: BoolArray | None, height: int, width: int) -> Rect:
 
 
 def select_held(grid: ParticleGrid, groups: Sequence[str], contact: Rect | None = None) -> IntArray:
-    """Sorted indices of the particles whose position will be prescribed.
+    """Sorted indices (n,) of the particles whose position will be prescribed.
 
     top, bottom, left, right: the outermost lattice row or column that has any particle; border: those four together;
     contact: the particles that lie at rest inside `contact`

@@ -89,11 +89,12 @@ def raster(rest: FloatArray, place: FloatArray, value: FloatArray, cells: int) -
 
 
 def _short(simplices: IntArray, rest: FloatArray) -> IntArray:
+    """(n, d + 1) simplices that bridge nothing."""
     return np.asarray(simplices[_kept(simplices, rest)])
 
 
 def _kept(simplices: IntArray, rest: FloatArray) -> IntArray:
-    """Rows of the simplices that bridge nothing, by their edges at rest."""
+    """Rows (n,) of the simplices (s, d + 1) that bridge nothing, by their edges at rest (K, d)."""
     corners = rest[simplices]
     pairs = list(combinations(range(simplices.shape[1]), 2))
     edge = np.max([np.linalg.norm(corners[:, a] - corners[:, b], axis=1) for a, b in pairs], axis=0)

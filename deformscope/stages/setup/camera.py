@@ -72,6 +72,7 @@ def _all(
 
 
 def _poses(views: Sequence[SeenBoard], known: KnownLens, board: CharucoSpec) -> FloatArray:
+    """(n, 4, 4) pose of the board in the camera's frame in each view [m]."""
     return np.array([board_pose(view, known.focal_px, known.center_px, known.distortion, board) for view in views])
 
 

@@ -101,7 +101,8 @@ def _off(A: FloatArray, B: FloatArray, X: FloatArray, Y: FloatArray) -> FloatArr
 
 
 def _start(A: FloatArray, B: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """X and Y in closed form: rotations from the null space of R_A R_Y = R_X R_B, then translations (Li 2010)."""
+    """X and Y (4, 4) in closed form, of A and B (n, 4, 4): rotations from the null space of R_A R_Y = R_X R_B, then
+    translations (Li 2010)."""
     rows = []
     for a, b in zip(A[:, :3, :3], B[:, :3, :3], strict=True):
         rows.append(np.hstack([np.kron(np.eye(3), b.T), -np.kron(a, np.eye(3))]))  # vec(R_X) then vec(R_Y), by rows
@@ -116,6 +117,7 @@ def _start(A: FloatArray, B: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def _nearest(matrix: FloatArray) -> FloatArray:
+    """(3, 3) rotation nearest to a matrix."""
     left, _, right = np.linalg.svd(matrix)
     return np.asarray(left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right)
 

@@ -95,7 +95,8 @@ def _explained(
 
 
 def _peak(signal: FloatArray) -> float:
-    """How far it goes, in deviations at rest: as most of the time, and so that a few taps do not count."""
+    """The largest deviation of a signal (n,) from its median, in robust standard deviations of it: as most of the time,
+    so that a few taps do not count."""
     off = np.abs(np.asarray(signal, np.float64) - np.median(signal))
     rest = 1.4826 * float(np.median(off))
     return float(off.max()) / max(rest, 1e-12 * float(off.max()) + 1e-300)

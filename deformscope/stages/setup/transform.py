@@ -74,7 +74,7 @@ class TransformEstimate:
         return deviation(self.T, T)
 
     def holds(self, T: FloatArray, level: float = LEVEL) -> bool:
-        """Whether the region of this level, an ellipsoid over all six together, holds another transform."""
+        """Whether the region of this level, an ellipsoid over all six together, holds another transform (4, 4)."""
         off = self.deviation(T)
         squared = float(off @ np.linalg.solve(self.covariance, off)) / len(off)
         return squared <= float(stats.f.ppf(level, len(off), self.dof))
@@ -137,7 +137,7 @@ def judged(value: FloatArray, inverse: FloatArray, left_over: FloatArray, prior:
 
 
 def transform_of(found: LeastSquares, T_start: FloatArray, first: int = 0) -> TransformEstimate:
-    """The transform whose deviation from T_start is six of a fit's values, from the first on.
+    """The transform whose deviation from T_start (4, 4) is six of a fit's values, from the first on.
 
     The covariance is of a deviation from the estimate: for the small turns that a fit ends with, those of its values.
     """

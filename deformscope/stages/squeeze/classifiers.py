@@ -172,7 +172,8 @@ def pooled_covariance(about: FloatArray, free: int) -> FloatArray:
 
 def fit_quadratic(points: FloatArray, target: IntArray, classes: int) -> Quadratic:
     """Each class's covariance is weighed with the pooled one as if d + 2 more points had been seen of that: the mean of
-    an inverse Wishart posterior. A class of few points rests on the pooled one."""
+    an inverse Wishart posterior. A class of few points rests on the pooled one. points: (n, d) features; target: (n,)
+    class of each"""
     count, mean, about = _moments(points, target, classes)
     size = points.shape[1]
     pooled = pooled_covariance(about, len(points) - int((count > 0).sum()))
@@ -186,7 +187,8 @@ def fit_quadratic(points: FloatArray, target: IntArray, classes: int) -> Quadrat
 
 def fit_linear(points: FloatArray, target: IntArray, classes: int, share: float | None = None) -> Linear:
     """Linear discriminant analysis with a shrunk pooled covariance, all classes equally likely before; on the largest
-    `LINEAR_COMPONENTS`. share: of the unit matrix, default `linear_share`"""
+    `LINEAR_COMPONENTS`. share: of the unit matrix, default `linear_share`. points: (n, d) features; target: (n,) class
+    of each"""
     points = points[:, :LINEAR_COMPONENTS]
     share = linear_share(points, target, classes) if share is None else share
     count, mean, about = _moments(points, target, classes)
@@ -197,7 +199,8 @@ def fit_linear(points: FloatArray, target: IntArray, classes: int, share: float 
 
 
 def linear_share(points: FloatArray, target: IntArray, classes: int) -> float:
-    """The share of the unit matrix in the covariance that has the least log loss on points left out one by one.
+    """The share of the unit matrix in the covariance that has the least log loss on points (n, d) of classes (n,) left
+    out one by one.
 
     Ledoit and Wolf's share, which serves the covariance, is far too small for classification where a few directions
     have most of the variance. Leaving a point out takes a a^T from the covariance, a being the point about its class,
@@ -247,7 +250,8 @@ def usable(name: Name, raw: int) -> bool:
 def fitter(
     name: Name, points: FloatArray, target: IntArray, classes: int
 ) -> Callable[[FloatArray, IntArray, int], Quadratic | Linear]:
-    """What fits a Gaussian classifier of that name to some of the points, with the settings that suit all of them."""
+    """What fits a Gaussian classifier of that name to some of the points (n, d), with the settings that suit all of
+    them. target: (n,) class of each"""
     if name == "linear":
         return partial(fit_linear, share=linear_share(points, target, classes))
     return fit_quadratic

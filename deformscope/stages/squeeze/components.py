@@ -57,7 +57,7 @@ class Space:
 
     @property
     def few(self) -> tuple[FloatArray, FloatArray]:
-        """Both sides on the components that hold `EXPLAINED` of the variance."""
+        """(n, kept) and (m, kept): training and test points on the components that hold `EXPLAINED` of the variance."""
         return self.train[:, : self.kept], self.test[:, : self.kept]
 
 
@@ -111,6 +111,6 @@ def project(train: FloatArray, test: FloatArray, gram: FloatArray | None = None)
 
 
 def _falling(variance: FloatArray) -> IntArray:
-    """Indices of eigenvalues that are no rounding, the largest first."""
+    """Indices (n,) of the eigenvalues that are not due to rounding, the largest first."""
     order = np.argsort(variance)[::-1]
     return order[variance[order] > FLAT * max(float(variance[order[0]]), 1e-300)] if order.size else order

@@ -226,7 +226,7 @@ class _Runner:
         by_group: bool,
         features: Mapping[str, FloatArray] | None = None,
     ) -> dict[Key, list[Answers]]:
-        """Outcomes of each method, split by split. features: instead of the table's"""
+        """Outcomes of each method, split by split. features: (trials, columns) by modality, instead of the table's"""
         shown = self.table.modalities if features is None else features
         missing = self.missing if features is None else {k: absent(v) for k, v in shown.items()}
         apart = self.group if by_group else None

@@ -75,7 +75,7 @@ class OnsetDetector:
 
     @property
     def first_ns(self) -> int:
-        """By the first finger in contact, 0 before."""
+        """When the first finger came into contact [ns], 0 before."""
         return min((one for one in self.finger_ns if one), default=0)
 
     def feed(self, time_ns: int, sums: FloatArray) -> bool:
@@ -124,6 +124,7 @@ class StillDetector:
         return self.steady_ns > 0
 
     def _moved(self, now: FloatArray) -> bool:
+        """Whether an axis has moved within the window, of positions now (axes,) [deg]."""
         every = np.stack([now, *(one for _, one in self._window)])
         return bool((np.ptp(every, axis=0) > self._rule.still_deg).any())
 

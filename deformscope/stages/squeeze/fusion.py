@@ -49,6 +49,7 @@ class Pool:
         return log_softmax(self._score(logs, present))
 
     def _score(self, logs: FloatArray, present: BoolArray) -> FloatArray:
+        """(n, classes) weighted log posteriors of modalities (m, n, classes), where they are present (m, n)."""
         score: FloatArray = np.einsum("mnc,mc->nc", np.where(present[..., None], logs, 0.0), self.weight)
         return score + self.offset
 

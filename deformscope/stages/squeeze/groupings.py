@@ -81,7 +81,7 @@ def described(table: LabelledTable) -> dict[str, tuple[IntArray, FloatArray, Flo
 
 
 def clusters(table: LabelledTable, seed: int) -> Mapping[str, Grouping]:
-    """Of each modality, and of all joined."""
+    """Clusters found in each modality, and in all joined."""
     from sklearn.cluster import KMeans
     from sklearn.metrics import adjusted_rand_score
 
@@ -99,12 +99,12 @@ def clusters(table: LabelledTable, seed: int) -> Mapping[str, Grouping]:
 
 
 def _two(points: FloatArray) -> FloatArray:
-    """The first two columns, a column of zeros where there is one alone."""
+    """(n, 2) first two columns of points (n, d), a column of zeros where there is one alone."""
     return np.pad(points, ((0, 0), (0, max(0, 2 - points.shape[1]))))[:, :2]
 
 
 def normality(table: LabelledTable) -> Mapping[str, Normality]:
-    """Of each modality, and of all joined."""
+    """Tests of normality of each modality, and of all joined."""
     found = {}
     for name, (rows, points, _) in described(table).items():
         target = table.target[rows]

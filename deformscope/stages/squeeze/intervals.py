@@ -55,7 +55,8 @@ def corrected_deviation(values: FloatArray, ratio: float) -> float:
 
 
 def over_splits(values: FloatArray, ratio: float, level: float) -> Estimated:
-    """The mean over splits with its corrected interval; of shares see `share_over_splits`."""
+    """The mean of values (J,) over splits with its corrected interval, in their unit; of shares see
+    `share_over_splits`."""
     found = values[np.isfinite(values)]
     if not found.size:
         return Estimated(float("nan"), (float("nan"), float("nan")))
@@ -65,8 +66,8 @@ def over_splits(values: FloatArray, ratio: float, level: float) -> Estimated:
 
 
 def share_of(values: FloatArray, worth: float, level: float) -> Estimated:
-    """The mean of shares over splits, as if seen in so many independent trials (`trials_worth`): the more is right, the
-    higher are both ends of the interval."""
+    """The mean of shares (J,) over splits, as if seen in so many independent trials (`trials_worth`): the more is
+    right, the higher are both ends of the interval."""
     mean = float(np.mean(values[np.isfinite(values)])) if np.isfinite(values).any() else float("nan")
     return Estimated(mean, wilson(mean, worth, level))
 
@@ -90,8 +91,8 @@ def trials_worth(size: IntArray, tested: float = 1.0, splits: int = 1, ratio: fl
 
 
 def difference(one: FloatArray, other: FloatArray, ratio: float, level: float) -> tuple[Estimated, float]:
-    """Mean of one - other over the same splits with its interval, and the two-sided p-value of the corrected resampled
-    t-test (Nadeau and Bengio 2003)."""
+    """Mean of one - other, (J,) over the same splits, with its interval, and the two-sided p-value of the corrected
+    resampled t-test (Nadeau and Bengio 2003)."""
     apart = one - other
     apart = apart[np.isfinite(apart)]
     found = over_splits(apart, ratio, level)

@@ -92,7 +92,7 @@ class ContentModel:
 
 
 def checked(name: str, features: FloatArray, model: ModalityModel) -> FloatArray:
-    """The same features. Raises InputError for what does not fit the model."""
+    """The same features (n, columns). Raises InputError for what does not fit the model."""
     if features.ndim != 2 or features.shape[1] != model.columns:
         raise InputError(f"(n, {model.columns}) features in {name}, as in training", f"shape {features.shape}")
     if np.isinf(features).any():
@@ -149,6 +149,8 @@ def fit_model(
 def _fit_modality(
     values: FloatArray, rows: IntArray, target: IntArray, classes: int, group: IntArray | None, seed: int
 ) -> tuple[ModalityModel, FloatArray, BoolArray]:
+    """The model of a modality of values (trials, p), fitted to rows (n,), with its log posteriors and which are
+    known."""
     scaling = fit_scaling(values[rows])
     scaled = scaling.apply(values[rows])
     directions, variance = loadings(scaled)

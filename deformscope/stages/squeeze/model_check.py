@@ -100,7 +100,8 @@ def _score(
     names: tuple[str, ...],
     level: float,
 ) -> ClassificationScore:
-    """As that of an evaluation, for trials that each were answered once."""
+    """The score as that of an evaluation, for trials that each were answered once. posterior: (n, classes); rows: (n,)
+    of the table"""
     target = np.array([model.labels.index(one) for one in table.label[rows]])
     answer = posterior.argmax(axis=1)
     right, sure = answer == target, posterior.max(axis=1)
@@ -140,8 +141,9 @@ def _score(
 
 
 def _calibrated(posterior: FloatArray, score: ClassificationScore, seed: int) -> float:
-    """Answers are drawn that are right as often as their posteriors say. The distance from the diagonal is the sum over
-    the bins of (right - expected)^2 over its variance."""
+    """p-value of the calibration of a posterior (n, classes). Answers are drawn that are right as often as their
+    posteriors say. The distance from the diagonal is the sum over the bins of (right - expected)^2 over its
+    variance."""
     sure = posterior.max(axis=1)
     bins = len(score.reliability.count)
     place = np.minimum((sure * bins).astype(int), bins - 1)

@@ -37,6 +37,7 @@ def outline_px(model: ContainerModel, camera: Intrinsics, T_camera_container: Fl
 
 
 def _places(corners: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Corners without repetition, as meshes may have one for each face, and which of them each is."""
+    """Corners (n, 3) without repetition, as meshes may have one for each face, and the index (n,) of each among
+    these."""
     _, first, at = np.unique(np.round(corners, 7), axis=0, return_index=True, return_inverse=True)
     return corners[first], np.ravel(at)

@@ -144,7 +144,7 @@ def median_of(values: FloatArray) -> FloatArray:
 
 
 def _local_median(change: FloatArray) -> FloatArray:
-    """Of the window around each pixel."""
+    """(h, w) median of the `LOCAL_PX` window around each pixel of an image (h, w); NaN are left out."""
     windows = sliding_window_view(np.pad(change, LOCAL_PX // 2, constant_values=np.nan), (LOCAL_PX, LOCAL_PX))
     return median_of(np.moveaxis(windows.reshape(*change.shape, -1), -1, 0))
 
@@ -188,6 +188,7 @@ def around(center_px: FloatArray, shape: tuple[int, int], radius_px: float) -> B
 
 
 def _block_means(change: FloatArray) -> FloatArray:
+    """(SMALL, SMALL) means over blocks of an image (h, w) without NaN."""
     edge = np.rint(np.linspace(0, len(change), SMALL + 1)).astype(int)
     count = np.add.reduceat(np.add.reduceat(np.isfinite(change), edge[:-1], axis=0, dtype=int), edge[:-1], axis=1)
     total = np.add.reduceat(np.add.reduceat(np.nan_to_num(change), edge[:-1], axis=0), edge[:-1], axis=1)

@@ -101,7 +101,8 @@ def pressure_axis(pressure_pa: FloatArray, texel_m: tuple[float, float]) -> tupl
 
 
 def _orientation(pads: Sequence[FloatArray], texel_m: tuple[float, float]) -> tuple[float, float]:
-    """Mean over pads; angles are averaged doubled, since an axis has no sense, and weighted by elongation."""
+    """Angle [rad] and elongation of the pressure on pads (rows, columns), means over pads; angles are averaged doubled,
+    since an axis has no sense, and weighted by elongation."""
     found = [pressure_axis(pad, texel_m) for pad in pads]
     kept = [(angle, elongation) for angle, elongation in found if np.isfinite(angle)]
     if not kept:
@@ -111,7 +112,7 @@ def _orientation(pads: Sequence[FloatArray], texel_m: tuple[float, float]) -> tu
 
 
 def _onset_rate(time: FloatArray, force: FloatArray) -> float:
-    """Up to half of the force."""
+    """Mean rate of the force (n,) [N] over time (n,) [s] up to half of its last value [N/s]."""
     half = int(np.argmax(force >= 0.5 * force[-1]))
     if half < 1 or not time[half] > time[0]:
         return float("nan")
@@ -134,7 +135,7 @@ def _slope(depth: FloatArray, force: FloatArray) -> tuple[float, float, float]:
 
 
 def _relaxation(force: FloatArray) -> float:
-    """Of the force at steady state; the end is the mean of the last quarter."""
+    """Share of the first force (n,) at steady state that is lost at the end, the mean of the last quarter."""
     if len(force) < 4 or not force[0] > 0.0:
         return float("nan")
     return float(1.0 - force[-max(len(force) // 4, 1) :].mean() / force[0])

@@ -81,7 +81,7 @@ class ClassificationScore:
 
 
 def accuracy_of(outcome: Answers, target: IntArray) -> float:
-    """Share of the tested trials whose class was named; NaN where none was tested."""
+    """Share of the tested trials whose class was named; NaN where none was tested. target: (trials,) true class"""
     return float((outcome.answer == target[outcome.rows]).mean()) if len(outcome.rows) else float("nan")
 
 
@@ -112,7 +112,7 @@ def worth_of(
 
 
 def cluster_sizes(group: TextArray | None, rows: IntArray) -> IntArray:
-    """How many of these trials are in each group; each is one where there are no groups."""
+    """(groups,) how many of the trials at rows (n,) are in each group; each is one where there are no groups."""
     return np.ones(len(rows), np.int64) if group is None else np.unique(group[rows], return_counts=True)[1]
 
 

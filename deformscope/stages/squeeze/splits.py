@@ -40,6 +40,7 @@ def draw(protocol: Protocol, table: LabelledTable, count: int, seed: int) -> lis
 
 
 def _random(target: IntArray, group: IntArray, rng: np.random.Generator) -> BoolArray:
+    """(trials,) which are tested: a random share of all, at least one."""
     count = len(target)
     tested = np.zeros(count, dtype=bool)
     tested[rng.permutation(count)[: min(max(1, round(TEST_SHARE * count)), count - 1)]] = True
@@ -47,7 +48,8 @@ def _random(target: IntArray, group: IntArray, rng: np.random.Generator) -> Bool
 
 
 def _stratified(target: IntArray, group: IntArray, rng: np.random.Generator) -> BoolArray:
-    """Of each class its share, rounded up or down by chance; one trial at least stays to train."""
+    """(trials,) which are tested: of each class its share, rounded up or down by chance; one trial at least stays to
+    train."""
     tested = np.zeros(len(target), dtype=bool)
     for one in range(int(target.max()) + 1):
         rows = rng.permutation(np.flatnonzero(target == one))
@@ -59,7 +61,8 @@ def _stratified(target: IntArray, group: IntArray, rng: np.random.Generator) -> 
 
 
 def _by_group(target: IntArray, group: IntArray, rng: np.random.Generator) -> BoolArray:
-    """Of the groups of each class their share, at least one; one group at least of each class stays to train.
+    """(trials,) which are tested: of the groups of each class their share, at least one; one group at least of each
+    class stays to train.
 
     That holds where a group has one class (a container) and where it has all (a session).
     """

@@ -101,7 +101,7 @@ class LabelledTable:
         return absent(self.modalities[modality])
 
     def rows(self, chosen: BoolArray | IntArray) -> LabelledTable:
-        """Some of the trials."""
+        """The trials at these indices (n,), or where a mask (trials,) is true."""
         return LabelledTable(
             self.label[chosen],
             None if self.group is None else self.group[chosen],

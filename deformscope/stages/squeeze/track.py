@@ -169,7 +169,8 @@ def _equations(
     reach_m: float,
     fine: bool,
 ) -> list[_Rows]:
-    """Of the surface, and of the outline where it is fine, in this order."""
+    """Equations of the surface, and of the outline where it is fine, in this order. depth: (h, w) [m]; usable: (h, w);
+    pose: (4, 4) [m]"""
     margin = EDGE_REACH_PX if fine else 0
     left, top, right, bottom = renderer.window(pose, (depth.shape[0], depth.shape[1]), margin)
     every = 1 if fine else 4
@@ -295,6 +296,7 @@ def _area(outline: FloatArray) -> float:
 
 
 def _rigid(jacobian: FloatArray, residual: FloatArray, deviation: FloatArray, share: float) -> _Rows:
+    """Equations of rigid motion alone. jacobian: (n, 6); residual, deviation: (n,) [m]"""
     return _Rows(jacobian, residual, deviation, share, np.zeros((len(residual), 0)))
 
 
@@ -347,8 +349,8 @@ def _bulges(jacobian: FloatArray, residual: FloatArray, bulge: FloatArray, weigh
 
 
 def _tukey(residual: FloatArray, cut: float = 4.685) -> FloatArray:
-    """Weights of residuals in deviations (Tukey's biweight); the deviation is taken from them where it is larger than
-    assumed, so that a start beside the pose is drawn to it."""
+    """Weights (n,) of residuals (n,) in deviations (Tukey's biweight); the deviation is taken from them where it is
+    larger than assumed, so that a start beside the pose is drawn to it."""
     if not len(residual):
         return residual
     scale = max(1.4826 * float(np.median(np.abs(residual))), 1.0)
@@ -362,6 +364,7 @@ def _between(pose: FloatArray, other: FloatArray) -> FloatArray:
 
 
 def _moved(pose: FloatArray, motion: FloatArray) -> FloatArray:
+    """The pose (4, 4) after a motion (6,): translation [m], then rotation vector [rad]."""
     moved = pose.copy()
     moved[:3, 3] += motion[:3]
     moved[:3, :3] = Rotation.from_rotvec(motion[3:]).as_matrix() @ pose[:3, :3]
@@ -412,9 +415,9 @@ def _judged(
 def _compared(
     renderer: ModelRenderer, depth: FloatArray, usable: BoolArray, pose: FloatArray, rows: list[_Rows]
 ) -> FloatArray:
-    """Differences of depth in deviations at the container's pixels, those of the background included: where the model
-    is and the container is not, the track is wrong. What stands before it, as a cable, is left out, and how far walls
-    bulge is taken into account. rows: the equations there"""
+    """(n,) differences of depth in deviations at the container's pixels, those of the background included: where the
+    model is and the container is not, the track is wrong. What stands before it, as a cable, is left out, and how far
+    walls bulge is taken into account. rows: the equations there"""
     left, top, right, bottom = renderer.window(pose, (depth.shape[0], depth.shape[1]), EDGE_REACH_PX)
     column, row = np.meshgrid(np.arange(left, right), np.arange(top, bottom))
     if not column.size or not rows:

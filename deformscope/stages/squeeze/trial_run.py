@@ -67,7 +67,8 @@ def sides_of(
     split: Split,
     fused: Sequence[tuple[str, ...]],
 ) -> dict[str, Sides]:
-    """Every modality by itself, and joined ones: early fusion, standardised columns side by side."""
+    """Every modality (trials, columns) by itself, and joined ones: early fusion, standardised columns side by side.
+    missing: (trials,) by modality"""
     scaled: dict[str, tuple[IntArray, IntArray, FloatArray, FloatArray]] = {}
     for name, values in features.items():
         train, test = split.train[~missing[name][split.train]], split.test[~missing[name][split.test]]
@@ -113,7 +114,7 @@ def _joined(
 
 
 def _common(rows: Sequence[IntArray]) -> IntArray:
-    """Rows in all of them, sorted, as each of them is."""
+    """(n,) trials that are in all of these index arrays (n,), sorted, as each of them is."""
     found = rows[0]
     for more in rows[1:]:
         found = np.intersect1d(found, more)
@@ -196,7 +197,8 @@ def late_fusion(
 
 
 def _costly(name: Costly, sides: Sides, target: IntArray, classes: int, seed: int) -> Answers:
-    """scikit-learn's gradient boosting or Gaussian process, on raw columns where there are few, else on components."""
+    """scikit-learn's gradient boosting or Gaussian process, on raw columns where there are few, else on components.
+    target: (trials,) class of each"""
     raw = 0 < sides.scaled_train.shape[1] <= FEW_COLUMNS
     few = sides.space.few
     train, test = (sides.scaled_train, sides.scaled_test) if raw else few
@@ -212,6 +214,7 @@ def _costly(name: Costly, sides: Sides, target: IntArray, classes: int, seed: in
 
 
 def _boosting(train: FloatArray, target: IntArray, test: FloatArray, seed: int) -> FloatArray:
+    """(n, classes) probabilities of test points (n, d) by gradient boosting of training points (m, d)."""
     from sklearn.ensemble import HistGradientBoostingClassifier
 
     model = HistGradientBoostingClassifier(
@@ -226,6 +229,7 @@ def _boosting(train: FloatArray, target: IntArray, test: FloatArray, seed: int) 
 
 
 def _gaussian_process(train: FloatArray, target: IntArray, test: FloatArray, seed: int) -> FloatArray:
+    """(n, classes) probabilities of test points (n, d) by a Gaussian process over training points (m, d)."""
     from scipy.spatial.distance import pdist
     from sklearn.gaussian_process import GaussianProcessClassifier
     from sklearn.gaussian_process.kernels import RBF, ConstantKernel

@@ -35,7 +35,7 @@ WAITING_S = 0.1
 class HostedArm(Arm[ArmState]):
     """Any arm of this package, opened in another process: `HostedArm(Jaco, JacoConfig(...))`."""
 
-    def __init__(self, kind: type[Arm[Any]], config: Any, *, reconnect: Reconnect | None = RECONNECT) -> None:
+    def __init__(self, kind: type[Arm[Any]], config: object, *, reconnect: Reconnect | None = RECONNECT) -> None:
         """kind: the driver's class, made there of config alone"""
         self.config = config
         self._kind = kind
@@ -127,7 +127,7 @@ class HostedArm(Arm[ArmState]):
             raise
         return state
 
-    def ask(self, name: str, *arguments: Any, timeout_s: float = ANSWER_S) -> Any:
+    def ask(self, name: str, *arguments: object, timeout_s: float = ANSWER_S) -> Any:
         """Have a method of the arm called there, and give what it returns; raises what it raises. Threads do not wait
         for one another's answers."""
         self._require_open()

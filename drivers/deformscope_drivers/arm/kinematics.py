@@ -265,6 +265,7 @@ class Chain:
         return ended_deg, ended_error, steps
 
     def _joints(self, joints_deg: npt.ArrayLike) -> FloatArray:
+        """(..., n) joint angles [deg], checked."""
         joints = np.asarray(joints_deg, dtype=float)
         if joints.shape[-1:] != (self.joint_count,):
             raise ValueError(f"{self.name} has {self.joint_count} joints; came an array of shape {joints.shape}")
@@ -409,15 +410,18 @@ def cross(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 def _rotation_x(angle_rad: float) -> FloatArray:
+    """(3, 3) rotation about x."""
     c, s = np.cos(angle_rad), np.sin(angle_rad)
     return np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
 
 
 def _rotation_y(angle_rad: float) -> FloatArray:
+    """(3, 3) rotation about y."""
     c, s = np.cos(angle_rad), np.sin(angle_rad)
     return np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
 
 
 def _rotation_z(angle_rad: float) -> FloatArray:
+    """(3, 3) rotation about z."""
     c, s = np.cos(angle_rad), np.sin(angle_rad)
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])

@@ -60,7 +60,7 @@ class TriangulatingSensor:
     def _bled(
         self, disparity: NDArray[np.float64], seen: NDArray[np.bool_], random: np.random.Generator
     ) -> NDArray[np.float64]:
-        """Disparities, those next to a jump taken from a neighbour."""
+        """(h, w) disparities [px], those next to a jump taken from a neighbour."""
         if not self.bleeding:
             return disparity
         reach = [step for step in range(-self.bleeding, self.bleeding + 1) if step]
@@ -72,8 +72,9 @@ class TriangulatingSensor:
         return np.where(edge, disparity + share * (taken - disparity), disparity)
 
     def _shadowed(self, disparity: NDArray[np.float64], seen: NDArray[np.bool_], lens_px: float) -> NDArray[np.bool_]:
-        """What the projector, or the other imager, does not reach: it stands to the right, and something nearer lies
-        between. A pixel is lost where one to the right of it comes to lie at its place, or left of that, over there."""
+        """(h, w) pixels that the projector, or the other imager, does not reach: it stands to the right, and something
+        nearer lies between. A pixel is lost where one to the right of it comes to lie at its place, or left of that,
+        over there."""
         column = np.arange(disparity.shape[1])
         there = np.where(seen, column - disparity * (lens_px / self.focal_px), np.inf)
         nearest = np.minimum.accumulate(there[:, ::-1], axis=1)[:, ::-1]

@@ -298,7 +298,7 @@ class Dsa(StreamDevice[TactileReading]):
             for matrix, one in [*self._by_matrix(name, value).items(), *set_since.items()]:
                 apply(matrix, one, False)
 
-    def _by_matrix(self, name: str, value: Any) -> dict[int | None, Any]:
+    def _by_matrix(self, name: str, value: object) -> dict[int | None, Any]:
         if not isinstance(value, tuple):
             return {} if value is None else {None: value}
         if len(value) != len(self._matrices):
@@ -432,7 +432,7 @@ class Dsa(StreamDevice[TactileReading]):
                     self._publish(reading)
 
     def _begin(self) -> None:
-        """As the configuration says, whatever was set since."""
+        """Take the settings of the configuration, whatever was set since, and begin the stream."""
         self._settings = _WantedSettings(self.config.streaming, self.config.rle)
         self._measurer = TactileMeasurer()
         self._measured_ns = 0

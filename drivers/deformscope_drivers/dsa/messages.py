@@ -283,7 +283,7 @@ class Layout(NamedTuple):
             values = (*values[:8], values[8:11], values[11:14], *values[14:])
         return self.kind(*values)
 
-    def pack(self, message: Any) -> bytes:
+    def pack(self, message: Command | Reply) -> bytes:
         """The payload that holds a message."""
         return self.fields.pack(*_flat(astuple(message)))
 

@@ -60,6 +60,7 @@ def thesis_feature(pads: Sequence[TexelValues], fingers: tuple[int, int] = FEATU
 
 
 def _first_cells(pads: Sequence[TexelValues], pad: Pad) -> npt.NDArray[np.float64]:
+    """(FEATURE_CELLS,) first texels of a pad, row after row."""
     if pad.matrix >= len(pads):
         raise ValueError(f"expected a sensor with a {pad.name} pad (matrix {pad.matrix}); got {len(pads)} matrices")
     cells = np.asarray(pads[pad.matrix], np.float64).ravel()

@@ -52,6 +52,7 @@ class GraspScene:
         return [self._pad(index, closing, time_s) for index in range(len(self._grids))]
 
     def _pad(self, index: int, closing: float, time_s: float) -> npt.NDArray[np.float64]:
+        """(rows, columns) pressure on a pad [Pa]."""
         distal = index % 2 == 1
         held = max(0.0, closing - (0.1 if distal else 0.5)) / (0.9 if distal else 0.5)
         drift = 0.8 * np.array([math.sin(0.7 * time_s + self._phases[index]), math.cos(0.5 * time_s)])

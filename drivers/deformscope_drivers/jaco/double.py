@@ -446,6 +446,6 @@ class JacoDouble:
 
 
 def _write_joints(response: structures.AngularPosition, values: FloatArray) -> None:
-    """As the arm does: a joint that it has not is not written."""
+    """Write the values (n,) of the joints that the arm has; as with the arm, those that it lacks are not written."""
     for index, value in enumerate(values, 1):
         setattr(response.Actuators, f"Actuator{index}", value)

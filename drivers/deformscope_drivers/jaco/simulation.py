@@ -266,6 +266,8 @@ class SimulatedArm:
         self.links = self.chain.forward(self.joints_deg)
 
     def _move_fingers(self, target: FloatArray) -> None:
+        """Move the fingers one cycle towards a target (n,), no faster than they can and no farther than what they
+        grip."""
         step = FINGER_SPEED * CYCLE_S
         self.fingers = np.minimum(self.fingers + np.clip(target - self.fingers, -step, step), self.grip)
 
@@ -344,12 +346,13 @@ class Admittance:
 
 
 def _beyond(push: FloatArray, least: FloatArray, most: FloatArray) -> FloatArray:
-    """What of a push drives the admittance: nothing below the least, no more than the most."""
+    """(n,) part of a push [N, Nm] that drives the admittance: nothing below `least`, no more than `most`, (n,) each."""
     size = np.abs(push)
     return np.where(size < least, 0.0, np.sign(push) * np.minimum(size, most))
 
 
 def _admit(rates: FloatArray, push: FloatArray, inertia: FloatArray, damping: FloatArray) -> FloatArray:
-    """One cycle of inertia * acceleration + damping * rate = push, solved for its end so that it cannot ring."""
+    """(n,) rates after one cycle of inertia * acceleration + damping * rate = push, solved for its end so that it
+    cannot ring."""
     moved: FloatArray = (inertia * rates + push * CYCLE_S) / np.maximum(inertia + damping * CYCLE_S, 1e-9)
     return moved

@@ -145,6 +145,7 @@ class Kuka(Arm[ArmState]):
 
     @property
     def _zero(self) -> FloatArray:
+        """(n,) joint corrections of an arm that keeps still [deg]."""
         return np.zeros(self._chain.joint_count)
 
     def _hear(self, corrections_deg: FloatArray | None, within_s: float = SILENCE_S) -> RobMessage:

@@ -133,7 +133,7 @@ class OptoforceDouble:
 
     @property
     def filter(self) -> Filter:
-        """Its low-pass filter."""
+        """The low-pass filter that is set."""
         return self._settings.filter
 
     @property

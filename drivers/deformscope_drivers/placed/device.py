@@ -82,7 +82,7 @@ class PlacedArm(Arm[ArmState]):
         raise self._no_commands("an arm that moves by itself")
 
     def stop(self) -> None:
-        """It stands by itself."""
+        """Nothing to stop: the arm stands by itself. Raises NotConnected where it is not open."""
         self._require_open()
 
     def halt(self, reason: str) -> None:

@@ -16,6 +16,7 @@ class StandDouble:
 
     @property
     def T_base_end_effector(self) -> FloatArray:
+        """(4, 4) pose of the end effector in the base frame [m]."""
         return self._T_base_end_effector
 
     def put(self, T_base_end_effector: npt.ArrayLike) -> None:

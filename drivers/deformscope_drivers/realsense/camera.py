@@ -10,6 +10,7 @@ from __future__ import annotations
 import threading
 import time
 from dataclasses import dataclass
+from types import ModuleType
 from typing import Any
 
 from deformscope_drivers.clock import Unwrap
@@ -59,7 +60,7 @@ class ListedRealsense:
     trouble: str = ""
 
 
-def listed(rs: Any) -> list[ListedRealsense]:
+def listed(rs: ModuleType) -> list[ListedRealsense]:
     """The cameras that are plugged in; one with its trouble where the library cannot look at all."""
     try:
         return [_described(rs, device) for device in rs.context().query_devices()]
@@ -70,7 +71,7 @@ def listed(rs: Any) -> list[ListedRealsense]:
 class RealsenseCamera:
     """A camera that streams, set as asked. Raises DeviceError."""
 
-    def __init__(self, settings: RealsenseSettings, rs: Any) -> None:
+    def __init__(self, settings: RealsenseSettings, rs: ModuleType) -> None:
         self._rs, self._settings = rs, settings
         self._context = rs.context()
         self._device, self._known = self._choose()
@@ -205,7 +206,7 @@ class RealsenseCamera:
             self._put(rs.option.depth_units, settings.unit_m, f"steps of {settings.unit_m:g} m", UNIT_STEP_M)
         return float(self._sensor.get_depth_scale())
 
-    def _put(self, option: Any, value: float, expected: str, off: float) -> None:
+    def _put(self, option: object, value: float, expected: str, off: float) -> None:
         try:
             self._sensor.set_option(option, value)
             came = self._sensor.get_option(option)
@@ -278,7 +279,7 @@ class RealsenseCamera:
     def _registers(self) -> bool:
         return self._settings.color and self._settings.registered
 
-    def _stream(self, stream: Any) -> Any:
+    def _stream(self, stream: object) -> Any:
         return self._profile.get_stream(stream).as_video_stream_profile()
 
     # Called by the library's threads ---------------------------------------------------------------------------------
@@ -291,7 +292,7 @@ class RealsenseCamera:
         self._notes.append(" ".join(str(note.get_description()).split()))
 
 
-def _described(rs: Any, device: Any) -> ListedRealsense:
+def _described(rs: ModuleType, device: Any) -> ListedRealsense:
     names = rs.camera_info
     try:
         return ListedRealsense(
@@ -308,7 +309,7 @@ def _troubled(error: RuntimeError) -> ListedRealsense:
     return ListedRealsense("", trouble=" ".join(str(error).split()))
 
 
-def _info(rs: Any, device: Any, info: Any) -> str:
+def _info(rs: ModuleType, device: Any, info: object) -> str:
     return str(device.get_info(info)) if device.supports(info) else ""
 
 

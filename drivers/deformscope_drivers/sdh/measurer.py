@@ -46,6 +46,7 @@ class HandMeasurer:
         return None
 
     def _known_states(self, values: FloatArray) -> tuple[AxisState, ...]:
+        """The states of axes (n,); raises ProtocolViolation for one that is not known."""
         try:
             return tuple(AxisState(int(value)) for value in values)
         except ValueError as error:

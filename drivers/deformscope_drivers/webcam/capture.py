@@ -109,6 +109,7 @@ class OpencvCapture:
         return round(milliseconds * 1000) if milliseconds > 0 else None
 
     def retrieve(self) -> NDArray[np.uint8] | None:
+        """The picture that was grabbed, (h, w, 3) RGB; None where it cannot be decoded."""
         decoded, image = self._capture.retrieve()
         if not decoded or image.ndim != 3 or image.shape[2] != 3:
             return None

@@ -9,7 +9,7 @@ from abc import abstractmethod
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, Self
+from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,9 @@ from deformscope_drivers.errors import NotConnected
 from deformscope_drivers.images import QUEUE_IMAGES
 from deformscope_drivers.pacing import Pacer
 from deformscope_drivers.webcam.image import ColorImage
+
+if TYPE_CHECKING:
+    import cv2
 
 DEFAULT_FPS = 30.0
 IMAGE_SUFFIXES = frozenset({".bmp", ".jpeg", ".jpg", ".png", ".ppm", ".tif", ".tiff", ".webp"})
@@ -176,7 +179,7 @@ class ImageFolder(Playback):
 class _VideoPictures:
     """The pictures of an opened `cv2.VideoCapture`; not a generator, which is closed only once it was started."""
 
-    def __init__(self, capture: Any) -> None:
+    def __init__(self, capture: cv2.VideoCapture) -> None:
         self._capture = capture
         self._unreadable = 0
 
