@@ -25,7 +25,7 @@ from deformscope.robot.preflight import check
 from deformscope.robot.robot import Robot, RobotStopped
 from deformscope.robot.setup import RigParts, Setup, only_device, open_rig
 from deformscope.robot.travel import to_above
-from deformscope.runs.operator import POLL_S, Keys, Operator, terminal_keys
+from deformscope.runs.operator import POLL_S, Keys, RunOperator, terminal_keys
 from deformscope.runs.setups import setup_of, table_of
 from deformscope.runs.skeleton import leave_arm, open_rig_run, signal_word
 from deformscope.session import BATCH_S, Inline
@@ -219,5 +219,5 @@ def _carried_out(
 
 
 def _ask(prompt: str, asked: Interruption) -> None:
-    for _ in Operator(asked).confirm(prompt):
+    for _ in RunOperator(asked).confirm(prompt):
         pass  # no experiment takes frames meanwhile

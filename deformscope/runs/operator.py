@@ -25,7 +25,7 @@ Keys = Callable[[], str]
 
 
 @dataclass(frozen=True, slots=True)
-class Operator:
+class RunOperator:
     """Who is asked before a robot moves.
 
     asked: set once somebody wants the run to end; agreed: somebody has agreed at the page, None without one

@@ -24,7 +24,7 @@ from deformscope.pictures.report import Figure, Table
 from deformscope.rig.rig_edit import Values, edited, lines_of
 from deformscope.rig.rig_file import Rig, load_rig
 from deformscope.robot.setup import ROLES, RigParts, only_device, open_rig
-from deformscope.runs.operator import Operator, at_terminal
+from deformscope.runs.operator import RunOperator, at_terminal
 from deformscope.runs.setups import table_of
 from deformscope.runs.skeleton import open_rig_run
 from deformscope.session import RigExperiment, Step, run
@@ -170,7 +170,7 @@ def _at_terminal(asked: Interruption) -> Assistant:
 
     def does(request: SetupRequest) -> RigExperiment[None]:
         say(f"{request.words}; then Enter")
-        yield from Operator(asked).line("")
+        yield from RunOperator(asked).line("")
         _go_on(asked)
 
     return does

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Protocol
 from deformscope.errors import InputError
 from deformscope.log.rig_layout import RigLayout
 from deformscope.page.devices import ShownDevices, WatchedDevices
-from deformscope.runs.operator import Operator
+from deformscope.runs.operator import RunOperator
 from deformscope.session import finish
 from deformscope.terminal import say, status_line
 
@@ -189,7 +189,7 @@ def permitted(
             page.wait_for_permission(touches)
         if not yes:
             prompt = "Type yes to begin: " if page is None else "Press Explore on the page, or type yes, to begin: "
-            yield from Operator(asked, None if page is None else page.is_permitted).confirm(prompt, or_ended=True)
+            yield from RunOperator(asked, None if page is None else page.is_permitted).confirm(prompt, or_ended=True)
             if asked.is_set():
                 robot.ask_to_stop(signal_word(asked.signal_number))
             preflight = yield from ask(CheckFirst(calibrated, places_m))

@@ -14,7 +14,7 @@ from deformscope.errors import InputError
 from deformscope.interruption import until_interrupted
 from deformscope.log.squeeze.layout import SQUEEZE, SqueezeLayout
 from deformscope.runs import skeleton
-from deformscope.runs.operator import Operator, at_terminal
+from deformscope.runs.operator import RunOperator, at_terminal
 from deformscope.runs.setups import LAB, squeeze_setup_of
 from deformscope.runs.skeleton import open_run
 from deformscope.terminal import say
@@ -206,10 +206,10 @@ def _permitted(
         if page is not None:
             page.go_on()
     elif page is None:
-        yield from Operator(asked).confirm("Type yes to begin: ")
+        yield from RunOperator(asked).confirm("Type yes to begin: ")
     else:
         page.wait_for(f"the hand{' (simulated)' * setup.simulated} will {moves}")
-        yield from Operator(asked, page.is_agreed).confirm("Press Squeeze on the page, or type yes, to begin: ")
+        yield from RunOperator(asked, page.is_agreed).confirm("Press Squeeze on the page, or type yes, to begin: ")
         page.go_on()
 
 
@@ -231,11 +231,13 @@ def _placed(
     say(words)
     if not config.yes or at_terminal():
         if page is None:
-            yield from Operator(asked).line("Press Enter when it stands still: ")
+            yield from RunOperator(asked).line("Press Enter when it stands still: ")
             return
         page.session.remark(words)
         page.wait_for("the hand closes")
-        yield from Operator(asked, page.is_agreed).line("Press Squeeze on the page, or Enter, when it stands still: ")
+        yield from RunOperator(asked, page.is_agreed).line(
+            "Press Squeeze on the page, or Enter, when it stands still: "
+        )
         page.go_on()
 
 

@@ -112,7 +112,7 @@ def test_a_real_arm_begins_once_somebody_confirms_it_on_the_page(monkeypatch: py
     steered = Steered(begun=False)
     assert (steered.session.state.phase, steered.session.state.commands) == ("idle", ("stop",))
     steered.steering.wait_for_permission("up to 8 touches of 3 N")
-    question = operator.Operator(steered.ended, steered.steering.is_permitted).line("?")
+    question = operator.RunOperator(steered.ended, steered.steering.is_permitted).line("?")
     next(question)
     assert steered.say(StartExploring)[0] == "begun"
     next(question)
