@@ -94,21 +94,9 @@ LAYERS: dict[str, tuple[str, ...]] = {
     ),
     # What drives devices or a recording, with doubles from the laboratory where they are asked for.
     "runs": (
-        *(
-            "api",
-            "arrays",
-            "config",
-            "errors",
-            "experiments",
-            "file_io",
-            "files",
-            "frames",
-            "interruption",
-            "lab",
-            "log",
-        ),
-        *("page", "page.server", "pictures", "plain", "recording", "results", "rig", "robot", "rows", "session"),
-        *("terminal", "version", *STAGES),
+        *("api", "arrays", "config", "errors", "experiments", "file_io", "files", "frames", "interruption", "lab"),
+        *("log", "page", "page.server", "pictures", "plain", "recording", "results", "rig", "robot", "rows"),
+        *("session", "terminal", "version", *STAGES),
     ),
 }
 """What each folder may import of the others, also inside functions and for type checking. Nothing imports `cli`."""

@@ -105,7 +105,8 @@ class RigSource:
             raise
         if failures:
             self.close()
-            name, error = next(iter(failures.items()))
+            name = next(member.name for member in self._members if member.name in failures)  # not whichever is first
+            error = failures[name]
             if not isinstance(error, DeviceError | OSError):
                 raise error
             raise InputError.about(error, f"device {name}") from error
