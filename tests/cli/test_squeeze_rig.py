@@ -202,7 +202,7 @@ def test_ctrl_c_on_the_hosts_clock(
     ("old", "new", "words"),
     [
         ("double = true\nport", "port", "hand, pads, depth all real or all doubled"),
-        ("double = true\n", "", "expected a port that is there"),
+        ("double = true\n", "", "expected a CAN bus"),
         ('driver = "sdh"\ndouble = true\nbus = "socketcan:can0"\nrate_hz = 50', 'driver = "webcam"', 'driver = "sdh"'),
         ("[container]\n", "[container]\nsize_m = [0.05, 0.05, 0.1]\n", "that are simulated: box of [0.06, 0.09, 0.16]"),
         ("[container]\n", '[container]\nshape = "cylinder"\nsize_m = [0.07, 0.07, 0.16]\n', "as cylinder-07"),
