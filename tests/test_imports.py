@@ -52,7 +52,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
     ),
     "stages.squeeze": ("arrays", "capsule", "errors", "processes", "results", "stages.see"),
     "stages.setup": ("arrays", "errors"),
-    "pictures": ("arrays", "errors", "images", "plain", "processes", "results", *STAGES),
+    "pictures": ("arrays", "errors", "images", "processes", "results", *STAGES),
     "log": ("arrays", "frames", "images", "pictures", "plain", "rows", *STAGES),
     "rig": ("errors", "frames"),
     "robot": ("arrays", "capsule", "errors", "rig", "solid"),
