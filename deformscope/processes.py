@@ -124,7 +124,9 @@ def _begin_modestly(begin: Callable[..., None], *given: Any) -> None:
 
 
 @contextlib.contextmanager
-def beside(name: str, target: Callable[..., None], *arguments: Any, makes_others: bool = False) -> Iterator[Connection]:
+def child_process(
+    name: str, target: Callable[..., None], *arguments: Any, makes_others: bool = False
+) -> Iterator[Connection]:
     """Run `target(pipe, *arguments)` in such a process, which is to end when the pipe does; yields the other end.
 
     makes_others: it may have processes of its own

@@ -130,10 +130,10 @@ def run(
     experiment: Generator[Step, Any, SummaryT],
     recorder: SessionRecorder,
     robot: SessionRobot | None = None,
-    beside: Executor | None = None,
+    executor: Executor | None = None,
 ) -> SummaryT:
-    """Drive one experiment over one source to its end and return its summary. beside: computes; None = `Inline`"""
-    beside = beside or Inline()
+    """Drive one experiment over one source to its end and return its summary. executor: computes; None = `Inline`"""
+    executor = executor or Inline()
     frames = iter(source) if isinstance(source, Iterable) else None
     waiting: Future[Any] | None = None
     heeded = False
@@ -163,7 +163,7 @@ def run(
         while True:
             write(step)
             if isinstance(step.command, Compute):
-                waiting = _started(beside, step.command)
+                waiting = _started(executor, step.command)
             elif isinstance(step.command, Future):
                 waiting = step.command
             elif step.command is not None and robot is not None:
@@ -186,10 +186,10 @@ def run(
         return summary
 
 
-def _started(beside: Executor, command: Compute) -> Future[Any]:
+def _started(executor: Executor, command: Compute) -> Future[Any]:
     """A computation under way; one that cannot begin has failed."""
     try:
-        return beside.submit(command.call, *command.arguments)
+        return executor.submit(command.call, *command.arguments)
     except Exception as error:
         return Inline().submit(_raise, error)
 

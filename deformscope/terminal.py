@@ -39,7 +39,7 @@ def is_watched() -> bool:
 
 
 @contextmanager
-def said_to(progress: Say | bool | None) -> Iterator[None]:
+def messages_to(progress: Say | bool | None) -> Iterator[None]:
     """What a call of the library says within: to this function; True: to stderr; None: there where it is watched;
     False: to nobody."""
     shown = is_watched() if progress is None else progress
@@ -70,7 +70,7 @@ def status_line() -> Iterator[Callable[[str], None]]:
 
 @contextmanager
 def shown_progress(progress: Progress | bool | None) -> Iterator[Progress | None]:
-    """How a call of the library reports long work: by this function; otherwise as `said_to` takes it."""
+    """How a call of the library reports long work: by this function; otherwise as `messages_to` takes it."""
     if callable(progress):
         yield progress
     elif is_watched() if progress is None else progress:

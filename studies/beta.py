@@ -158,9 +158,9 @@ class _Errors:
         self.jump = SPACING_M * rng.uniform(*OUTLIERS, (count, 1)) * _directions(rng, count, d)
         self.until = rng.uniform(*LOST, (count, 1))
         self.off = np.zeros((count, d))
-        misheld = rng.choice(body.held)
-        self.off[misheld] = SPACING_M * what.off * _directions(rng, 1, d)[0]
-        self.bad[misheld] = what.off > 0.0
+        displaced = rng.choice(body.held)
+        self.off[displaced] = SPACING_M * what.off * _directions(rng, 1, d)[0]
+        self.bad[displaced] = what.off > 0.0
 
     def _noise(self) -> FloatArray:
         what, rng, rest = self.what, self.rng, self.body.rest

@@ -33,7 +33,7 @@ from deformscope.lab.slab_world import SlabWorld
 from deformscope.lab.touching import Sensing, force_curve
 from deformscope.pictures.report import Table
 from deformscope.stages.poke.contact import ArmCompliance
-from deformscope.stages.poke.creep import CreepVerdict, fit_creep
+from deformscope.stages.poke.creep import CreepBehaviour, fit_creep
 from studies.held_touch import HeldTouch, held_touch
 from studies.quantities import KnownEstimate, by, counts, interval_rows, interval_table
 from studies.seeds import reported
@@ -182,7 +182,7 @@ def report(options: CreepCoverageConfig, seconds: float, tried: Sequence[KnownEs
     tables = [
         interval_table(some, "touches", f"{kind} touches, held for {options.hold:g} s") for kind, some in lines.items()
     ]
-    names = get_args(CreepVerdict)
+    names = get_args(CreepBehaviour)
     taken = [(kind, *(some.get(name, 0) for name in names)) for kind, some in verdicts.items()]
     tables.append(Table(taken, ("touches of", *names), "what they were taken for"))
     return StudyReport(tables, {"hold_s": options.hold, "rows": lines, "verdicts": verdicts})

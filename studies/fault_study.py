@@ -22,7 +22,7 @@ from deformscope.robot.preflight import check
 from deformscope.robot.readings import PERIOD_NS, RobotObservation
 from deformscope.robot.robot import Robot
 from deformscope.robot.setup import T_BASE_SURFACE
-from deformscope.robot.supervisor import Fault, Limits, SafetyVerdict
+from deformscope.robot.supervisor import Fault, Limits, SafetyDecision
 from deformscope.robot.touch import TouchPlan, run_touch
 from deformscope_drivers.arm.errors import NotStopped
 from deformscope_drivers.arm.kinematics import FloatArray, rotation_vector
@@ -180,7 +180,7 @@ def run_fault(seed: int, injected: Injected) -> FaultRun:
     lab, robot = scene.lab, scene.robot
     cycles: list[ArmCycle] = []
     state = {"at_ns": -1, "matters_ns": -1, "moving": 0}
-    verdicts: list[SafetyVerdict] = []
+    verdicts: list[SafetyDecision] = []
     turned_deg: list[float] = []
 
     def strike() -> None:
@@ -190,7 +190,7 @@ def run_fault(seed: int, injected: Injected) -> FaultRun:
             state["matters_ns"] = lab.clock()
         inject(lab, injected, random)
 
-    def watcher(seen: RobotObservation, verdict: SafetyVerdict) -> None:
+    def watcher(seen: RobotObservation, verdict: SafetyDecision) -> None:
         if injected in CAMERA and robot.camera_needed and state["at_ns"] < 0 and not lab.scheduled:
             lab.schedule(lab.clock() + round(random.uniform(0.0, 0.3) * 1e9), strike)
         if injected in AS_IT_MOVES and state["at_ns"] >= 0 > state["matters_ns"] and robot.moving:
@@ -218,7 +218,7 @@ def _judge(
     seed: int,
     injected: Injected,
     state: dict[str, int],
-    verdicts: list[SafetyVerdict],
+    verdicts: list[SafetyDecision],
     turned_deg: list[float],
     cycles: list[ArmCycle],
     lab: TouchLab,

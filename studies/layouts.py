@@ -21,7 +21,7 @@ from deformscope.robot.placement import Placement
 from deformscope.robot.preflight import check
 from deformscope.robot.readings import RobotObservation
 from deformscope.robot.robot import Robot, RobotStopped
-from deformscope.robot.supervisor import Fault, Limits, SafetyVerdict
+from deformscope.robot.supervisor import Fault, Limits, SafetyDecision
 from deformscope.robot.touch import TouchEnding, TouchPlan, run_touch
 from deformscope_drivers.arm.kinematics import (
     Chain,
@@ -146,7 +146,7 @@ class _Looks:
         self._robot, self._periods = robot, 0
         self._before: FloatArray | None = None
 
-    def __call__(self, seen: RobotObservation, verdict: SafetyVerdict) -> None:
+    def __call__(self, seen: RobotObservation, verdict: SafetyDecision) -> None:
         self._periods += 1
         joints_deg = np.array(self._robot.pose.joints_deg)
         before, self._before = self._before, joints_deg

@@ -16,8 +16,8 @@ from scipy.special import ndtr
 from deformscope.arrays import FloatArray
 from deformscope.lab.scenes import BURIED_SIZE_M, built_in
 from deformscope.lab.session_errors import LabErrors
-from deformscope.stages.map.lump_posterior import FOUND, LEVEL_SD, LumpGuesses
-from deformscope.stages.poke.lump_footprint import contrast_share
+from deformscope.stages.map.inclusion_posterior import FOUND, LEVEL_SD, InclusionHypotheses
+from deformscope.stages.poke.inclusion_footprint import contrast_share
 
 OWN_SD, EXPONENT_OWN_SD = 0.005, 0.024
 """Of one touch of 5 N with the laboratory's sensors: log stiffness, and exponent."""
@@ -34,14 +34,16 @@ def limit(scatter_sd: float, *, lumps: int = 40, seed: int = 0, exponent: bool =
     shares = []
     for number in range(seed, seed + lumps):
         x, y, radius_m, depth_m = built_in("buried", number).lumps_m[0]
-        one = LumpGuesses(*(np.array([part]) for part in ((x, y), radius_m, depth_m, contrast_share(TIMES), 1.0)))
+        one = InclusionHypotheses(
+            *(np.array([part]) for part in ((x, y), radius_m, depth_m, contrast_share(TIMES), 1.0))
+        )
         apart = _deviations(one, scatter_sd, exponent)
         # log odds are normal, and half their variance on average
         shares.append(float(ndtr((0.5 * apart**2 - need) / apart)))
     return float(np.mean(shares))
 
 
-def _deviations(lump: LumpGuesses, scatter_sd: float, exponent: bool) -> float:
+def _deviations(lump: InclusionHypotheses, scatter_sd: float, exponent: bool) -> float:
     """By how many deviations the readings with a lump lie from those without."""
     places = _lattice(*SPREAD)
     every = _lattice(*(round((side - 2.0 * BORDER_M) / CELL_M) + 1 for side in BURIED_SIZE_M))
@@ -52,7 +54,7 @@ def _deviations(lump: LumpGuesses, scatter_sd: float, exponent: bool) -> float:
     return float(np.sqrt(_separation2(places, lump, scatter_sd, exponent)))
 
 
-def _separation2(places_m: FloatArray, lump: LumpGuesses, scatter_sd: float, exponent: bool) -> float:
+def _separation2(places_m: FloatArray, lump: InclusionHypotheses, scatter_sd: float, exponent: bool) -> float:
     """Square of `_deviations` of touches at places (t, 2)."""
     felt = lump.shifts(places_m, CONTACT_M)
     apart2 = ((places_m[:, None] - places_m) ** 2).sum(axis=-1)

@@ -32,7 +32,7 @@ from deformscope.lab.session_errors import LabErrors
 from deformscope.pictures.report import Table
 from deformscope.reproduce.surface_robot import LabRobot, explore_at_once
 from deformscope.stages.map.exploration import LumpsFound, PlannedTouch
-from deformscope.stages.map.lump_posterior import DEEP_M
+from deformscope.stages.map.inclusion_posterior import DEEP_M
 from studies.lump_limit import limit
 from studies.quantities import Quantity, Rate, Row, band, by, number, of_cases, rows, table
 from studies.seeds import reported

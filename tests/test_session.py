@@ -124,8 +124,8 @@ def test_frames_go_on_while_something_is_computed(made: Callable[[], Any]) -> No
         found: int = yield from ask(Compute(slow, (1,)), ("began",), Moment(5, 1))
         return found
 
-    with made() as beside:
-        assert run(rig, computing(), notes, beside=beside) == 2
+    with made() as executor:
+        assert run(rig, computing(), notes, executor=executor) == 2
     assert notes.said[0] == (("began",), 5, 1)
     assert rig.count >= (1 if inline else 3)
 
@@ -186,8 +186,8 @@ def test_a_robot_that_stops_by_itself_ends_what_is_computed() -> None:
         answer: object = yield from ask("wait")
         return answer
 
-    with ThreadPoolExecutor(1) as beside:
-        assert run(Rig(), computing(), Notes(), robot, beside) == "done: wait"
+    with ThreadPoolExecutor(1) as executor:
+        assert run(Rig(), computing(), Notes(), robot, executor) == "done: wait"
 
 
 def test_what_keeps_a_rig_from_being_recorded_ends_the_session() -> None:

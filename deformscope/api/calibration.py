@@ -47,8 +47,8 @@ from deformscope.frames import ColorFrame, InputFile
 from deformscope.images import encode_png
 from deformscope.log.application import IMAGES, PAIR, PAIR_3D
 from deformscope.pictures.evidence import Result, results_png
+from deformscope.pictures.messages import estimate_tables
 from deformscope.pictures.report import Figure, Table
-from deformscope.pictures.words import estimate_tables
 from deformscope.recording.reader import Replay
 from deformscope.recording.recorder import Recorder, RecordingSummary
 from deformscope.session import run
@@ -60,7 +60,7 @@ from deformscope.stages.msm.clusters import rank
 from deformscope.stages.msm.poke import Law
 from deformscope.stages.msm.quiet import quiet_warp
 from deformscope.stages.poke.fitted import FittedModel, from_pair
-from deformscope.stages.poke.poke_estimate import PokesFound
+from deformscope.stages.poke.poke_estimate import PokesResult
 from deformscope.stages.see.particles import clean_mask
 from deformscope.terminal import shown_progress
 from deformscope.version import __version__
@@ -96,7 +96,7 @@ class CalibrationResult(LibraryResult):
     estimate: Estimate
     shown: Result
     name: str = ""
-    pokes: PokesFound | None = None
+    pokes: PokesResult | None = None
     pair: tuple[Observation, Model] | None = None
     recording: RecordingSummary | None = None
     problems: tuple[str, ...] = ()
@@ -542,7 +542,7 @@ def calibrate_pair_bytes(
     if layers is not None:
         settings["layers"] = dataclasses.asdict(layers)
     with pair_recorder(seen, raws, settings, output) as recorder:
-        pokes: PokesFound | None = None
+        pokes: PokesResult | None = None
         found: list[Calibration] = []
         if layers is not None:
             provenance = {"deformscope": __version__, "sources": names, "layers": settings["layers"]}

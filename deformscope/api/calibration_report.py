@@ -17,19 +17,19 @@ from deformscope.pictures.evidence import (
     where_wrong,
 )
 from deformscope.pictures.findings import cell_text
+from deformscope.pictures.messages import estimate_rows, format_length, reason_rows
 from deformscope.pictures.report import Code, Figure, Part, ReportVerdict, Section, Table, html_report
-from deformscope.pictures.words import estimate_rows, length_words, reason_rows
 from deformscope.plain import plain
 from deformscope.recording import provenance
 from deformscope.stages.fit.estimate import Estimate
-from deformscope.stages.poke.poke_estimate import PokeRow, PokesFound
+from deformscope.stages.poke.poke_estimate import PokeRow, PokesResult
 
 MOST_SHOWN = 24
 """Comparisons whose pictures go into a report."""
 
 
 def calibration_page(
-    results: Sequence[Result], *, seed: int, settings: Mapping[str, object], pokes: PokesFound | None = None
+    results: Sequence[Result], *, seed: int, settings: Mapping[str, object], pokes: PokesResult | None = None
 ) -> str:
     """All that was found, with pictures, settings and provenance, as one HTML page. settings: of the command, beside
     those of the estimates"""
@@ -37,7 +37,7 @@ def calibration_page(
 
 
 def calibration_sections(
-    results: Sequence[Result], *, seed: int, settings: Mapping[str, object], pokes: PokesFound | None = None
+    results: Sequence[Result], *, seed: int, settings: Mapping[str, object], pokes: PokesResult | None = None
 ) -> list[Section]:
     """The parts of a report on calibrations: verdicts first, then numbers, pictures, and how it was done."""
     several = len(results) > 1
@@ -111,7 +111,7 @@ def _overview(results: Sequence[Result]) -> Table:
     for one in results:
         found = one.estimate
         low, high = found.interval
-        interval, error = f"{low:.4g} to {high:.4g}", length_words(found, found.aee_free)
+        interval, error = f"{low:.4g} to {high:.4g}", format_length(found, found.aee_free)
         rows.append((_name(one), f"{found.value:.4g}", interval, found.verdict_text(), error))
     first = results[0].estimate
     return Table(rows, ("pair", first.parameter, f"{first.level:.0%} interval", "verdict", "error, free particles"))
@@ -120,7 +120,7 @@ def _overview(results: Sequence[Result]) -> Table:
 def _evidence(result: Result) -> list[Part]:
     found = result.estimate
     rows = estimate_rows(found)
-    rows.insert(-1, ("error, nearest particle", length_words(found, found.nearest)))
+    rows.insert(-1, ("error, nearest particle", format_length(found, found.nearest)))
     caption = (
         f"Above: mean distance between observed and simulated particles over {found.parameter}, with the estimate. "
         f"Below: the posterior on the same axis; shaded the {found.level:.0%} interval."
@@ -141,7 +141,7 @@ def _pictures(result: Result, count: int) -> list[Part]:
     return parts
 
 
-def poke_tables(found: PokesFound) -> tuple[Table, Table]:
+def poke_tables(found: PokesResult) -> tuple[Table, Table]:
     """Each poke, and the cluster sizes that were tried."""
     columns: dict[str, Callable[[PokeRow], str]] = {
         "middle of the touched points x, y [m]": lambda one: ", ".join(f"{v:.3g}" for v in one.xy_m),

@@ -54,7 +54,7 @@ class ClassificationResult(LibraryResult):
         return self.evaluation.best.accuracy.interval
 
     def __repr__(self) -> str:
-        return f"<{accuracy_words(self.evaluation.best)}>"
+        return f"<{format_accuracy(self.evaluation.best)}>"
 
     def model(self, progress: Progress | None = None) -> ContentModel:
         """A classifier trained on all trials; `predict_proba` names contents from new features."""
@@ -130,14 +130,14 @@ class ClassificationResult(LibraryResult):
         table = found.table
         sizes = [int((table.label == one).sum()) for one in table.classes]
         rows: list[tuple[str, str]] = [
-            ("result", accuracy_words(found.best)),
+            ("result", format_accuracy(found.best)),
             ("trials", f"{len(table)} of {len(table.classes)} classes, {min(sizes)} to {max(sizes)} each"),
         ]
         if table.group is not None:
             rows.append(("groups", str(len(np.unique(table.group)))))
         rows += [(name, f"{values.shape[1]} features") for name, values in table.modalities.items()]
         if len(table.fused[0]) > 1:
-            rows.append(("fusion", fusion_words(found)))
+            rows.append(("fusion", format_fusion(found)))
         rows += [("note", one) for one in found.notes]
         return (
             Table(rows, caption=f"Contents of {self.name}" if self.name else "Contents"),
@@ -154,23 +154,23 @@ class ClassificationResult(LibraryResult):
         )
 
 
-def accuracy_words(score: ClassificationScore) -> str:
+def format_accuracy(score: ClassificationScore) -> str:
     """Accuracy with its interval, and what naming the most frequent class would reach."""
     low, high = score.accuracy.interval
     return (
         f"{score.accuracy.value:.1%} right ({score.level:.0%} interval {low:.1%} to {high:.1%}), chance "
-        f"{score.chance:.1%}: {score.modality}, {score.method}, {score.splits} {split_words(score)}"
+        f"{score.chance:.1%}: {score.modality}, {score.method}, {score.splits} {format_split(score)}"
     )
 
 
-def split_words(score: ClassificationScore) -> str:
+def format_split(score: ClassificationScore) -> str:
     """What was split."""
     if score.pair is not None:
         return f"transfer from {score.pair[0]} to {score.pair[1]}"
     return {"random": "random splits", "stratified": "stratified splits", "group": "splits by group"}[score.protocol]
 
 
-def fusion_words(found: Evaluation) -> str:
+def format_fusion(found: Evaluation) -> str:
     """Whether late fusion is worth it, class by class: in words that the intervals allow."""
     names = found.table.fused[0]
     singles = {name: found.score(name, "pooled") for name in names}
@@ -218,7 +218,7 @@ def score_tables(found: Evaluation, *, every: bool = True) -> tuple[Table, ...]:
     made, others = [], []
     for what in dict.fromkeys((one.protocol, one.pair) for one in found.scores):
         mine = [one for one in found.scores if (one.protocol, one.pair) == what]
-        words = split_words(mine[0])
+        words = format_split(mine[0])
         if every or what[0] == found.protocol:
             caption = f"{words[0].upper()}{words[1:]}, chance {mine[0].chance:.1%}"
             made.append(Table([_row(one) for one in mine], names, caption))

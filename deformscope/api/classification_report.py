@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from deformscope.api.calibration_report import provenance_sections
-from deformscope.api.classification import ClassificationResult, accuracy_words, fusion_words, score_tables
+from deformscope.api.classification import ClassificationResult, format_accuracy, format_fusion, score_tables
 from deformscope.pictures import classification as pictures
 from deformscope.pictures.palette import GOOD, IDLE, WARN, hexadecimal
 from deformscope.pictures.report import Figure, Part, ReportVerdict, Section, Table, html_report
@@ -109,7 +109,7 @@ def _sections(
     ]
     if len(found.table.fused[0]) > 1:
         sections.append(
-            Section("Fusion", [f"{_sentence(fusion_words(found))}.", *of("fusion", "fused"), _weights(model)])
+            Section("Fusion", [f"{_sentence(format_fusion(found))}.", *of("fusion", "fused"), _weights(model)])
         )
     if found.comparisons:
         sections.append(Section("Comparisons", [_comparisons(found)]))
@@ -151,7 +151,7 @@ def _verdict(found: Evaluation) -> ReportVerdict:
     color = GOOD if low > best.chance else WARN if best.accuracy.value > best.chance else IDLE
     known = "better than chance" if low > best.chance else "NOT distinguishable from chance"
     words = (f"Contents are known {known}.", *(f"Note: {one}." for one in found.notes))
-    return ReportVerdict(_sentence(accuracy_words(best)), words, hexadecimal(color))
+    return ReportVerdict(_sentence(format_accuracy(best)), words, hexadecimal(color))
 
 
 def _sentence(words: str) -> str:

@@ -28,8 +28,8 @@ class ClassifierCheckResult(LibraryResult):
         check, score = self.check, self.check.score
         rows = [
             ("accuracy", f"{_words(score)}, chance {score.chance:.1%}, {score.trials.sum()} of {self.trials} trials"),
-            ("promised", promise_words(check)),
-            ("calibration", calibration_words(check)),
+            ("promised", format_promise(check)),
+            ("calibration", format_calibration(check)),
             *((f"{name} alone", _words(one)) for name, one in check.alone.items()),
         ]
         return (
@@ -89,7 +89,7 @@ def _words(score: ClassificationScore) -> str:
     )
 
 
-def promise_words(check: ModelCheck) -> str:
+def format_promise(check: ModelCheck) -> str:
     """Whether the accuracy is what the model's file promises."""
     if check.promised is None or check.expected is None:
         return "nothing: the file holds no accuracy"
@@ -99,7 +99,7 @@ def promise_words(check: ModelCheck) -> str:
     return f"{verdict}: {promised}; {{:.1%}} to {{:.1%}} expected of so many trials".format(*check.expected)
 
 
-def calibration_words(check: ModelCheck) -> str:
+def format_calibration(check: ModelCheck) -> str:
     """Whether the posteriors mean what they say."""
     verdict = "inside" if check.calibration_kept else "NOT inside"
     return (
@@ -113,7 +113,7 @@ def check_page(result: ClassifierCheckResult, seed: int, settings: Mapping[str, 
     """As one HTML page."""
     check = result.check
     well = check.calibration_kept and (check.promised is None or check.kept)
-    words = (f"Promised: {promise_words(check)}.", f"Calibration: {calibration_words(check)}.")
+    words = (f"Promised: {format_promise(check)}.", f"Calibration: {format_calibration(check)}.")
     verdict = ReportVerdict(_words(check.score), words, hexadecimal(GOOD if well else WARN))
     sections = [Section("", [verdict, *result.tables()]), Section("Answers", list(result.figures()))]
     return html_report(

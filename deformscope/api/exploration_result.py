@@ -12,17 +12,17 @@ import numpy as np
 from deformscope.api.result import LibraryResult
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.experiments.options import SHALLOW_M
+from deformscope.pictures.messages import counted, format_claim, format_failure, format_stop, format_travel
 from deformscope.pictures.report import Figure, Table
-from deformscope.pictures.words import claim_words, counted, ended_words, failed_words, travel_words
 from deformscope.recording.losses import named
 from deformscope.results.declared import derived, quantities, reported
-from deformscope.results.render import Rows, to_columns, to_json, to_words, units_of
+from deformscope.results.render import Rows, format_value, to_columns, to_json, units_of
 from deformscope.stages.map.exploration import (
-    LumpMissed,
+    DetectionLimit,
     LumpsFound,
     MapEstimate,
     MapRegion,
-    Missed,
+    MissProbability,
     StageFailure,
     TouchEstimate,
 )
@@ -87,7 +87,7 @@ class ExplorationResult(LibraryResult):
     @derived()
     def units(self) -> dict[str, str]:
         """Of what the JSON holds."""
-        return units_of((ExplorationResult, LayerThickness, TouchEstimate, MapRegion, Missed, LumpMissed))
+        return units_of((ExplorationResult, LayerThickness, TouchEstimate, MapRegion, DetectionLimit, MissProbability))
 
     set_force_n: float = field(metadata=reported(unit="N"))
     more_force_n: float | None = field(metadata=reported(unit="N"))
@@ -141,7 +141,7 @@ class ExplorationResult(LibraryResult):
     supervisor_gaps_ms: dict[str, float] | None = field(metadata=reported())
     stop_reason: str = field(metadata=reported())
     lumps: LumpsFound | None = field(metadata=reported(key="inclusions"))
-    missed: Missed | None = field(metadata=reported())
+    missed: DetectionLimit | None = field(metadata=reported())
     arm_stands: bool = field(metadata=reported())
     failures: tuple[StageFailure, ...] = field(metadata=reported())
     losses: dict[str, dict[str, float]] = field(metadata=reported())
@@ -203,7 +203,7 @@ class ExplorationResult(LibraryResult):
             kind = f"gradual: no regions, the {'energy loss' if self.feel == 'loss' else 'stiffness'} changes smoothly"
         if self.regions_by == "beta":
             kind += " between isopleths of beta"
-        return f"{kind} ({claim_words(self.verdict_probability)}{self._rival()})"
+        return f"{kind} ({format_claim(self.verdict_probability)}{self._rival()})"
 
     def _rival(self) -> str:
         """What else is likely, where the verdict is in doubt; what stiffness says, where the regions are beta's."""
@@ -218,7 +218,7 @@ class ExplorationResult(LibraryResult):
     def rows(self) -> Rows:
         """What was found, as names and values."""
         rows = [("verdict", self.verdict_text)]
-        rows += [(f"region {number}", self._region_words(one)) for number, one in enumerate(self.regions, start=1)]
+        rows += [(f"region {number}", self._format_region(one)) for number, one in enumerate(self.regions, start=1)]
         if self.levelled_m is not None:
             level = f"converted to that of a level layer {100.0 * self.levelled_m:.2g} cm thick"
             rows.append(("stiffness", f"{level}; the JSON has each touch as it was measured, too"))
@@ -232,14 +232,14 @@ class ExplorationResult(LibraryResult):
         elif truth is not None and not truth.region_count:
             rows.append(("truth", "no regions: the stiffness changes smoothly"))
         if felt := [one.touch for one in self.touches if one.touch.beta is not None]:
-            rows.append(("beta", beta_words(felt)))
+            rows.append(("beta", format_betas(felt)))
         if self.lumps is not None:
             rows += self.lumps.rows
         rows += self._missed_rows()
-        rows += [("failed", failed_words(one)) for one in self.failures]
+        rows += [("failed", format_failure(one)) for one in self.failures]
         rows += [
-            ("touches", f"{len(self.touches)}, {travel_words(self.travel_m)}"),
-            ("ended", ended_words(self.stop_reason)),
+            ("touches", f"{len(self.touches)}, {format_travel(self.travel_m)}"),
+            ("ended", format_stop(self.stop_reason)),
             ("contact force", self.force_text),
             ("arm", "at rest" if self.arm_stands else "COULD NOT BE STOPPED: use its emergency stop"),
         ]
@@ -254,12 +254,12 @@ class ExplorationResult(LibraryResult):
             rows.append(("recording", str(self.recording)))
         return rows
 
-    def _region_words(self, region: MapRegion) -> str:
+    def _format_region(self, region: MapRegion) -> str:
         loss = f"{region.loss_text} of a touch's energy; " if region.loss_text else ""
         if region.rigid:
             return f"{loss}{region.level_text} N/mm (a lower bound: hardly dented)"
         low, high = region.stiffness_interval_n_per_mm
-        modulus = f"; modulus {to_words(region, 'modulus_pa')}" if region.modulus_pa is not None else ""
+        modulus = f"; modulus {format_value(region, 'modulus_pa')}" if region.modulus_pa is not None else ""
         return f"{loss}{region.level_text} N/mm ({low:.3g} to {high:.3g}) at {self.set_force_n:g} N{modulus}"
 
     def _missed_rows(self) -> Rows:
@@ -287,7 +287,7 @@ class ExplorationResult(LibraryResult):
         return f"set to {self.set_force_n:g} N{more}; largest: measured {self.measured_max_force_n:.2f} N{true}"
 
 
-def beta_words(touches: Sequence[TouchEstimate]) -> str:
+def format_betas(touches: Sequence[TouchEstimate]) -> str:
     """What beta says, over the touches that have one."""
     values = [one.beta for one in touches if one.beta is not None]
     low, high = min(values), max(values)

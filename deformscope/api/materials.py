@@ -15,7 +15,7 @@ import numpy as np
 
 from deformscope.api.calibration import pair_recorder, size_notes
 from deformscope.api.calibration_report import provenance_sections, settings_section
-from deformscope.api.material_words import material_figure, material_table
+from deformscope.api.material_report import material_figure, material_table
 from deformscope.api.result import LibraryResult, Note, log_note, open_recorder, recording_rows
 from deformscope.arrays import ImageArray
 from deformscope.calibration_options import images_of, mask_of, opened_images, particle_options
@@ -24,7 +24,7 @@ from deformscope.errors import InputError
 from deformscope.experiments.foam_video import ParticleOptions
 from deformscope.experiments.material_motion import (
     MaterialEstimate,
-    MaterialFound,
+    MaterialFit,
     UnloadingOptions,
     axes_of_pairs,
     field_of_pair,
@@ -130,7 +130,7 @@ class MaterialResult(LibraryResult):
     problems: what of the source is damaged; settings, seed: what decides the result
     """
 
-    found: MaterialFound
+    found: MaterialFit
     name: str = ""
     recording: RecordingSummary | None = None
     problems: tuple[str, ...] = ()
@@ -278,14 +278,14 @@ def run_material_files(
     return dataclasses.replace(result, recording=recorder.summary())
 
 
-def _of_pairs(seen: Sequence[Observation], job: MaterialJob, progress: Progress | None) -> MaterialFound:
+def _of_pairs(seen: Sequence[Observation], job: MaterialJob, progress: Progress | None) -> MaterialFit:
     if job.find == "field":
         one = seen[0] if job.force_n is None else dataclasses.replace(seen[0], force_n=job.force_n)
         return field_of_pair(one, job.level, job.seed, job.device, progress)
     return axes_of_pairs(seen, job.model(), job.directions(seen[0].rest.shape[1]), job.level, job.seed, progress)
 
 
-def _of_motion(motion: Motion, job: MaterialJob, progress: Progress | None) -> MaterialFound:
+def _of_motion(motion: Motion, job: MaterialJob, progress: Progress | None) -> MaterialFit:
     if job.find == "yield":
         return yield_of_motion(motion, job.yield_options(), progress)
     return recovery_of_motion(motion, job.level, job.seed)
@@ -293,18 +293,18 @@ def _of_motion(motion: Motion, job: MaterialJob, progress: Progress | None) -> M
 
 def _finder(
     job: MaterialJob, particles: ParticleOptions, unloading: UnloadingOptions, progress: Progress | None
-) -> Callable[[TrackedMotion], MaterialFound]:
-    def pose(tracked: TrackedMotion) -> MaterialFound:
+) -> Callable[[TrackedMotion], MaterialFit]:
+    def pose(tracked: TrackedMotion) -> MaterialFit:
         frame, seen = pose_of(tracked, particles, job.frame)
         found = _of_pairs([seen], job, progress)
         settings = found.estimate.settings | {"frame": frame, "frames": len(tracked.history)}
         estimate = dataclasses.replace(found.estimate, settings=settings)
-        return MaterialFound(estimate, ((frame, found.comparisons[0][1]),))
+        return MaterialFit(estimate, ((frame, found.comparisons[0][1]),))
 
-    def yielding(tracked: TrackedMotion) -> MaterialFound:
+    def yielding(tracked: TrackedMotion) -> MaterialFit:
         return yield_of_camera(tracked, particles, unloading, job.yield_options(), progress)
 
-    def viscous(tracked: TrackedMotion) -> MaterialFound:
+    def viscous(tracked: TrackedMotion) -> MaterialFit:
         return recovery_of_camera(tracked, particles, unloading, job.level, job.seed)
 
     return {"axes": pose, "field": pose, "yield": yielding, "viscous": viscous}[job.find]

@@ -58,7 +58,7 @@ class PredictionResult(LibraryResult):
 
     def __repr__(self) -> str:
         force = "no force" if self.force_n is None else f"{self.force_n:.4g} N"
-        return f"<poke {poke_words(self.prediction.poke)}: {1e3 * self.depth_m:.4g} mm, {force}>"
+        return f"<poke {format_poke(self.prediction.poke)}: {1e3 * self.depth_m:.4g} mm, {force}>"
 
     def as_json(self) -> dict[str, Any]:
         found = self.prediction
@@ -97,7 +97,7 @@ class PredictionResult(LibraryResult):
         rows.append(("touched", f"{len(found.touched)} particles"))
         rows += _beyond(found)
         rows.append(("converged", "yes" if found.converged else "NO: do not rely on it"))
-        return (Table(rows, caption=f"Poke {poke_words(found.poke)}"),)
+        return (Table(rows, caption=f"Poke {format_poke(found.poke)}"),)
 
     def figures(self) -> tuple[Figure, ...]:
         return (Figure(dents_png([self.prediction], []), "A cut through the dent along x"),)
@@ -143,7 +143,7 @@ def together_table(found: PooledPokes) -> Table:
     return Table(rows, caption=f"Against {found.pokes} measured pokes")
 
 
-def poke_words(poke: Poke) -> str:
+def format_poke(poke: Poke) -> str:
     """Where, and with what tip."""
     place = ", ".join(f"{v:.3g}" for v in poke.at)
     size = " x ".join(f"{1e3 * side:.3g}" for side in poke.tip.size)

@@ -13,7 +13,13 @@ import numpy as np
 from deformscope.cli.common import quiet_warp, recorder_of, say, show, write_json
 from deformscope.config import ArmConfig
 from deformscope.errors import InputError
-from deformscope.experiments.arm_compliance import SURE_SD, ArmGive, GiveTouch, arm_give, touch_rigid
+from deformscope.experiments.arm_compliance import (
+    SURE_SD,
+    CombinedCompliance,
+    ComplianceTouch,
+    combine_compliance,
+    touch_rigid,
+)
 from deformscope.experiments.explore import ExplorationStopped
 from deformscope.experiments.options import ExploreOptions
 from deformscope.experiments.robot_geometry import FromFrames
@@ -44,7 +50,7 @@ def run(config: ArmConfig) -> None:
         width, height = setup.size_m
         came = f"{xy_m[0]:g},{xy_m[1]:g}"
         raise InputError(f"--at on the surface: between 0,0 and {width:g},{height:g} m", came)
-    made: list[GiveTouch] = []
+    made: list[ComplianceTouch] = []
     stop: ExplorationStop | None = None
     with (
         until_interrupted() as asked,
@@ -53,7 +59,7 @@ def run(config: ArmConfig) -> None:
     ):
         watch = opened.watch(asked)
 
-        def found_one(one: GiveTouch) -> None:
+        def found_one(one: ComplianceTouch) -> None:
             made.append(one)
             opened.line("")
             give = 1e3 * one.found.compliance_m_per_n
@@ -70,7 +76,7 @@ def run(config: ArmConfig) -> None:
             except ExplorationStopped as error:
                 stop = error.stop
                 recorder.stopped_because(f"{stop.kind}: {stop.reason}")
-        found = None if stop is not None else arm_give(made)
+        found = None if stop is not None else combine_compliance(made)
         if found is not None:
             shown = _findings(found, f"{config.rig} at ({100 * xy_m[0]:.0f}, {100 * xy_m[1]:.0f}) cm")
             recorder.write(Step((RigFindings(shown, tuple(opened.source.streams)),)))
@@ -83,7 +89,7 @@ def run(config: ArmConfig) -> None:
     write_json(found, config.output.json)
 
 
-def _findings(found: ArmGive, where: str) -> Findings:
+def _findings(found: CombinedCompliance, where: str) -> Findings:
     rows = [
         ("compliance", f"{1e3 * found.compliance_m_per_n:.3f} mm/N, give or take {1e3 * found.compliance_sd:.3f}"),
         ("camera", f"sees the surface {1e3 * found.off_m:+.1f} mm from where the arm meets it"),

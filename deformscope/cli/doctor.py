@@ -33,7 +33,7 @@ FIRST_READING_S = 10.0
 """A camera, or a double on a busy machine, may take seconds to begin."""
 TRY = "deformscope devices lists what is plugged in; double = true runs a simulated one in its place"
 NOT_HOMED = "it was not homed since it was switched on, and refuses to move | try: deformscope arm home RIG"
-Verdict = Literal["ok", "look", "FAIL"]
+CheckStatus = Literal["ok", "look", "FAIL"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +41,7 @@ class Finding:
     """One thing that was checked. what: its name; verdict: `look` = works, but read it; told: in words"""
 
     what: str
-    verdict: Verdict
+    verdict: CheckStatus
     told: str
 
 
@@ -192,7 +192,7 @@ def _disk(rig: Rig) -> Finding:
     while not folder.exists():
         folder = folder.parent
     free = shutil.disk_usage(folder).free
-    verdict: Verdict = "ok" if free > FREE_BYTES_WANTED else "look"
+    verdict: CheckStatus = "ok" if free > FREE_BYTES_WANTED else "look"
     return Finding("disk", verdict, f"{free / 1e9:.1f} GB free for {rig.record.folder}")
 
 

@@ -14,7 +14,7 @@ from deformscope.cli.common import say
 from deformscope.config import DoubleConfig
 from deformscope.errors import InputError
 from deformscope.interruption import until_interrupted
-from deformscope.lab.stand_in import WIRED, wire_of
+from deformscope.lab.double_device import WIRED, wire_of
 from deformscope.rig.driver_table import DRIVERS
 from deformscope.rig.rig_file import load_rig
 from deformscope_drivers.announce import announced

@@ -31,8 +31,8 @@ from deformscope.config import BothConfig, MaterialOptions
 from deformscope.files.pairs import parse_pair
 from deformscope.pictures.findings import Findings
 from deformscope.pictures.material_figures import joint_png
+from deformscope.pictures.messages import reason_rows
 from deformscope.pictures.report import Figure, Table
-from deformscope.pictures.words import reason_rows
 from deformscope.session import Step
 from deformscope.stages.fit.estimate import converged_text, explained_text
 from deformscope.stages.fit.joint import JointEstimate, JointOptions, calibrate_both

@@ -17,7 +17,7 @@ from deformscope.errors import InputError
 from deformscope.recording.facts import Facts, read_facts, run_rrd, salvage
 from deformscope.recording.ledger import ledger_path, read_counts, write_ledger
 from deformscope.recording.lock import is_being_written
-from deformscope.recording.losses import in_words
+from deformscope.recording.losses import to_text
 from deformscope.recording.reader import RRD_MAGIC
 from deformscope.recording.rrd_file import write_outcome
 from deformscope.recording.target import remove_strays
@@ -93,7 +93,7 @@ def _report(config: RecoverConfig, path: Path, out: Path, facts: Facts, damage: 
         ("recovered", f"{out} ({out.stat().st_size / 1e6:.1f} MB), with its ledger"),
         ("there is", f"everything {until}"),
         *((name, str(count)) for name, count in sorted(facts.counts.items())),
-        *((f"{name} lost", in_words(lost)) for name, lost in sorted(facts.losses.items())),
+        *((f"{name} lost", to_text(lost)) for name, lost in sorted(facts.losses.items())),
         ("lost", ", ".join(f"{count} {name}" for name, count in missing.items()) or "what came after"),
         *((("damage", f"{damage}: nothing behind it can be read"),) if damage else ()),
         ("original", f"{path}: as it was"),

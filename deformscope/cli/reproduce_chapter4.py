@@ -31,8 +31,8 @@ from deformscope.reproduce.chapter4 import (
     FoamDent,
     Scenario,
     explore_scenario,
-    in_words,
     press_foam,
+    to_text,
 )
 from deformscope.reproduce.chapter4_figures import draw_betas, draw_dents, draw_fields
 from deformscope.session import Step
@@ -75,7 +75,7 @@ def _write(foams: Sequence[FoamDent], explored: Sequence[Scenario], config: Chap
     draw_dents(foams, out / "figure46.png")
     draw_fields([one for one in explored if one.seed == 0], out / "figure47.png")
     runs = [_run(one) for one in explored]
-    why = in_words(foams, explored)
+    why = to_text(foams, explored)
     summary = {"betas": betas, "table": rows, "why": why, "explorations": runs}
     write_json(summary, str(out / "chapter4.json"))
     write_json(summary, config.output.json)

@@ -24,7 +24,7 @@ from deformscope.config import ContainersConfig
 if TYPE_CHECKING:
     from deformscope.api.classification import ClassificationResult
     from deformscope.files.squeeze_dataset import SqueezeDataset
-    from deformscope.reproduce.container_findings import FindingBeside
+    from deformscope.reproduce.container_findings import FindingComparison
     from deformscope.reproduce.containers import SqueezeJob
     from deformscope.stages.squeeze.table import LabelledTable
 
@@ -32,7 +32,7 @@ KEPT_TOGETHER = 40
 """Trials that are written together: each writing takes seconds."""
 THREE = {"liquid": ("water", "yogurt"), "granular": ("flour", "rice")}
 """The thesis's three classes, beside `empty`."""
-BESIDE_WORDS = (
+COMPARISON_TEXT = (
     "The thesis squeezed real cartons; these are simulated ones, whose constants come from handbooks and were fixed "
     "before any classifier ran on them. Nearest neighbours on components as in the thesis, with 90 % intervals; unlike "
     "there, whole containers are left out of the training."
@@ -42,7 +42,7 @@ BESIDE_WORDS = (
 def run(config: ContainersConfig) -> None:
     """Squeeze what is not there yet, evaluate, draw the figures, and put the thesis's statements beside ours."""
     from deformscope.files.squeeze_dataset import SqueezeDataset
-    from deformscope.reproduce.container_findings import findings_beside
+    from deformscope.reproduce.container_findings import compare_findings
     from deformscope.reproduce.containers import squeeze_jobs
     from deformscope.session import Step
 
@@ -57,7 +57,7 @@ def run(config: ContainersConfig) -> None:
             "five": _evaluated(table, config, "five"),
             "three": _evaluated(table.merged(THREE), config, "three"),
         }
-        beside = findings_beside(*(one.evaluation for one in results.values()))
+        beside = compare_findings(*(one.evaluation for one in results.values()))
         for name, result in results.items():
             recorder.write(Step((result.findings(),), frame=0))
             _report(result, config, name, beside)
@@ -107,7 +107,9 @@ def _evaluated(table: LabelledTable, config: ContainersConfig, name: str) -> Cla
         return classify_table(boxes, f"lab:containers, {name} classes", options, bar, beyond=table)
 
 
-def _report(result: ClassificationResult, config: ContainersConfig, name: str, beside: Sequence[FindingBeside]) -> None:
+def _report(
+    result: ClassificationResult, config: ContainersConfig, name: str, beside: Sequence[FindingComparison]
+) -> None:
     """Figures, the page and the classifier of one set of classes."""
     from deformscope.api.classification_report import classification_page, classification_pictures
     from deformscope.files.classifier_file import save_classifier
@@ -121,7 +123,7 @@ def _report(result: ClassificationResult, config: ContainersConfig, name: str, b
     for picture, png in drawn.items():
         write_file(folder / f"{picture}.png", png)
     rows = [(one.thesis, one.ours) for one in beside]
-    compared = Section("The thesis and the laboratory", [BESIDE_WORDS, Table(rows, ("thesis", "here"))])
+    compared = Section("The thesis and the laboratory", [COMPARISON_TEXT, Table(rows, ("thesis", "here"))])
     page = classification_page(result, model, drawn, settings_of(config), compared)
     write_file(folder / "index.html", page.encode())
     save_classifier(model, folder / "contents.npz")

@@ -31,8 +31,8 @@ from deformscope.reproduce import cubes as study
 from deformscope.reproduce import cubes_figures as figures
 from deformscope.reproduce.cubes import (
     Cube,
+    CubeResult,
     ElementTime,
-    Found,
     compared,
     cube_from_pair,
     depths_of,
@@ -81,7 +81,7 @@ def _read(paths: Sequence[Path]) -> tuple[list[Cube], list[ElementTime]]:
     return sorted(cubes, key=lambda cube: (len(cube.seen.rest), cube.poisson, cube.depth)), []
 
 
-def _examine(cubes: Sequence[Cube], config: CubesConfig) -> list[Found]:
+def _examine(cubes: Sequence[Cube], config: CubesConfig) -> list[CubeResult]:
     jobs = [(cube, config, one) for cube, one in zip(cubes, compared(cubes, config), strict=True)]
     # the long ones first, so that none is left alone at the end
     order = sorted(range(len(jobs)), key=lambda place: -len(cubes[place].seen.rest))
@@ -89,7 +89,7 @@ def _examine(cubes: Sequence[Cube], config: CubesConfig) -> list[Found]:
     return [one for _, one in sorted(zip(order, found, strict=True), key=lambda pair: pair[0])]
 
 
-def _one(job: tuple[Cube, CubesConfig, bool]) -> Found:
+def _one(job: tuple[Cube, CubesConfig, bool]) -> CubeResult:
     return examine(*job)
 
 
@@ -98,7 +98,7 @@ def _one(job: tuple[Cube, CubesConfig, bool]) -> Found:
 
 def _draw(
     config: CubesConfig,
-    found: Sequence[Found],
+    found: Sequence[CubeResult],
     sems: Sequence[dict[str, object]],
     times: Sequence[dict[str, object]],
 ) -> dict[str, Path]:
@@ -122,7 +122,7 @@ def _draw(
 
 
 def report(
-    found: Sequence[Found],
+    found: Sequence[CubeResult],
     sems: Sequence[dict[str, object]],
     times: Sequence[dict[str, object]],
     seconds: dict[str, float],
@@ -165,7 +165,7 @@ def report(
     }
 
 
-def _rows(summary: dict[str, Any], found: Sequence[Found], config: CubesConfig) -> list[tuple[str, str]]:
+def _rows(summary: dict[str, Any], found: Sequence[CubeResult], config: CubesConfig) -> list[tuple[str, str]]:
     rows = [
         (f"theta at nu {row['poisson']:g}", f"{row['theta']:.4f}{_spread(row)}")
         for row in summary["sem"]
@@ -208,7 +208,7 @@ def _spread(row: dict[str, Any]) -> str:
     return f", SEM {row['sem']:.4f} over {row['cubes']} cubes{_beside(row['sem_thesis'], 'thesis')}"
 
 
-def _drift(sems: Sequence[dict[str, Any]], found: Sequence[Found]) -> list[tuple[str, str]]:
+def _drift(sems: Sequence[dict[str, Any]], found: Sequence[CubeResult]) -> list[tuple[str, str]]:
     """SEM over resolutions at the largest depth, also where the held particles' share of mass is the same."""
     depth = depth_name(depths_of([one.cube for one in found])[-1])
     deepest = [row for row in sems if row["by"] == "depth" and row["of"] == depth and row["cubes"] > 1]

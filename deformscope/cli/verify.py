@@ -15,7 +15,7 @@ from deformscope.recording.discards import Discard
 from deformscope.recording.facts import Facts, read_facts, run_rrd
 from deformscope.recording.ledger import check_ledger, read_counts
 from deformscope.recording.lock import is_being_written
-from deformscope.recording.losses import in_words, named
+from deformscope.recording.losses import named, to_text
 from deformscope.recording.reader import check_magic
 
 WHOLE = "every byte is as it was recorded"
@@ -106,7 +106,7 @@ def _rows(
         ("run", f"{ended}{reached}" + (f"; ended {stopped}" if stopped else "")),
         *(("discarded", str(Discard(**one))) for one in facts.discarded),
         *((name, str(count)) for name, count in sorted(counts.items()) if count),
-        *((f"{name} lost", in_words(facts.losses.get(name, {})) or "nothing") for name in sorted(devices)),
+        *((f"{name} lost", to_text(facts.losses.get(name, {})) or "nothing") for name in sorted(devices)),
     ]
 
 

@@ -17,7 +17,7 @@ Goal = Literal["regions", "inclusions"]
 Pace = Literal["careful", "quick"]
 Planner = Literal["regions", "integrated-variance", "max-variance", "random-above", "thesis"]
 Relief = Literal["seen", "stated"]
-REGION_TOUCHES, LUMP_TOUCHES = 8, 30
+REGION_TOUCHES, INCLUSION_TOUCHES = 8, 30
 """At most, unless asked for otherwise."""
 MOST_HOLD_S = 60.0
 BORDER_M, LEAST_BORDER_M = 0.02, 0.01
@@ -72,7 +72,7 @@ class ExploreFlags(Flags):
     def __post_init__(self) -> None:
         lumps = self.goal == "inclusions"
         if self.budget is None:
-            object.__setattr__(self, "budget", LUMP_TOUCHES if lumps else REGION_TOUCHES)
+            object.__setattr__(self, "budget", INCLUSION_TOUCHES if lumps else REGION_TOUCHES)
         if self.beta_model is None:
             model = "none" if lumps else "thesis" if self.planner == "thesis" else "volume"
             object.__setattr__(self, "beta_model", model)

@@ -28,7 +28,7 @@ COMMON_SD = 0.05
 
 
 @dataclass(frozen=True, slots=True)
-class GiveTouch:
+class ComplianceTouch:
     """One touch of something rigid. seen_m, met_m: height of the surface as the camera sees it, and as the arm meets it
     [m, surface frame]"""
 
@@ -39,14 +39,14 @@ class GiveTouch:
 
 
 @dataclass(frozen=True, slots=True)
-class ArmGive:
+class CombinedCompliance:
     """compliance_m_per_n: mean of the touches; compliance_sd: what is not known of it, the scatter between touches
     included [m/N]; dome: mean dent of the tip itself at 1 N, which grows with the power 2/3 of the force [m/N^(2/3)],
     not in the compliance
     off_m: the camera sees the surface so much higher than the arm meets it [m], off_sd_m: its scatter
     """
 
-    touches: tuple[GiveTouch, ...]
+    touches: tuple[ComplianceTouch, ...]
     compliance_m_per_n: float
     compliance_sd: float
     off_m: float
@@ -59,7 +59,7 @@ def touch_rigid(
     options: ExploreOptions,
     xy_m: FloatArray,
     touches: int,
-    found_one: Callable[[GiveTouch], None],
+    found_one: Callable[[ComplianceTouch], None],
 ) -> RigExperiment[None]:
     """The experiment that touches a place (2,) [m] of something rigid so often, after a look at it.
 
@@ -85,10 +85,10 @@ def touch_rigid(
                 f"a dent of {1e3 * found.dome:.2f} mm at 1 N that stiffens as it grows, as foam's",
                 "a block of steel or stone, firmly on the surface",
             )
-        found_one(GiveTouch(found, law.peak_force_n, height_m, met_m))
+        found_one(ComplianceTouch(found, law.peak_force_n, height_m, met_m))
 
 
-def arm_give(touches: list[GiveTouch]) -> ArmGive:
+def combine_compliance(touches: list[ComplianceTouch]) -> CombinedCompliance:
     """What the touches give together. Raises InputError without any."""
     if not touches:
         raise InputError("a touch or more", "none")
@@ -100,4 +100,4 @@ def arm_give(touches: list[GiveTouch]) -> ArmGive:
     off = np.array([one.seen_m - one.met_m for one in touches])
     off_sd = float(off.std(ddof=1)) if len(off) > 1 else 0.0
     dome = np.mean([one.found.dome for one in touches])
-    return ArmGive(tuple(touches), float(each.mean()), sd, float(off.mean()), off_sd, float(dome))
+    return CombinedCompliance(tuple(touches), float(each.mean()), sd, float(off.mean()), off_sd, float(dome))

@@ -99,7 +99,7 @@ NEEDS: dict[StageName, tuple[Kind, ...]] = {
     "contact": ("wrench", "arm"),
 }
 """The kinds of devices that a stage takes its frames from; its results belong to the first."""
-BESIDE: dict[StageName, Literal["first", "previous"]] = {"flow": "previous", "beta": "first"}
+REFERENCE: dict[StageName, Literal["first", "previous"]] = {"flow": "previous", "beta": "first"}
 """Which image stages take beside the newest."""
 
 
@@ -172,7 +172,7 @@ class Stage:
         """What picks its frames out of all that comes."""
         if self.name == "contact":
             return ApproachChooser(self.options.wrench, self.options.arm)
-        return NewestFrame(self.device, BESIDE.get(self.name, ""))
+        return NewestFrame(self.device, REFERENCE.get(self.name, ""))
 
     def packed(self, frames: Sequence[Frame]) -> Any:
         """What a process computes from, made of the frames that a result will name."""
@@ -198,16 +198,16 @@ class Chooser(Protocol):
 class NewestFrame:
     """The newest frame of a device; with it the first of all, or the one that was taken before."""
 
-    def __init__(self, device: str, beside: Literal["", "first", "previous"] = "") -> None:
+    def __init__(self, device: str, reference: Literal["", "first", "previous"] = "") -> None:
         self.skipped = 0
-        self._device, self._beside = device, beside
+        self._device, self._reference = device, reference
         self._other: Frame | None = None
         self._newest: Frame | None = None
 
     def see(self, item: Item) -> None:
         if not isinstance(item, Frame) or item.device != self._device:
             return
-        if self._beside and self._other is None:
+        if self._reference and self._other is None:
             self._other = item
             return
         self.skipped += self._newest is not None
@@ -218,7 +218,7 @@ class NewestFrame:
         if newest is None:
             return None
         frames = (newest,) if self._other is None else (self._other, newest)
-        if self._beside == "previous":
+        if self._reference == "previous":
             self._other = newest
         return frames
 

@@ -21,10 +21,10 @@ from deformscope.experiments.options import PLAN_CELL_M
 from deformscope.experiments.robot_geometry import Touch
 from deformscope.session import Answer, Compute, Inline, Moment, RigExperiment, Step, ask
 from deformscope.stages.map.exploration import (
+    DetectionLimit,
     ExplorationStop,
     LumpsFound,
     MapEstimate,
-    Missed,
     PhaseStart,
     PlannedTouch,
     StageFailure,
@@ -173,7 +173,7 @@ class Exploration:
     region_probability: dict[str, float] | None = None
     travel_m: float = 0.0
     stop_reason: str = ""
-    missed: Missed | None = None
+    missed: DetectionLimit | None = None
     lumps: LumpsFound | None = None
     started: int = 0
     asked: list[int] = field(default_factory=list)

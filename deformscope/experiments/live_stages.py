@@ -1,7 +1,7 @@
 """Stages that run while devices do: items of a rig in, results out, computed beside the loop that takes the items.
 
-    with StageProcesses(options.names, quiet_warp) as beside:
-        counts = session.run(rig, live_stages(stages_of(options, streams), beside, ended), recorder)
+    with StageProcesses(options.names, quiet_warp) as executors:
+        counts = session.run(rig, live_stages(stages_of(options, streams), executors, ended), recorder)
 
 The newest frame wins: while a stage computes, frames pass it by, and are counted. An image is computed on as it is
 recorded (decoded from JPEG), and a result names the frames that it rests on: `replay_stages` computes every result of a
@@ -31,8 +31,8 @@ SOON_S = 0.02
 """How long what devices give is gathered while stages wait for it: a frame is not kept waiting longer."""
 
 
-class Beside(Protocol):
-    """Computes beside the loop."""
+class StageExecutor(Protocol):
+    """Computes a stage while the loop goes on."""
 
     def submit(self, function: Callable[..., Any], /, *arguments: Any) -> Future[Any]: ...
 
@@ -56,7 +56,7 @@ class StageCounts:
         counts = {"frames": self.frames, "results": self.results, "failures": self.failures, "skipped": self.skipped}
         return {**counts, "lag_ms": lag}
 
-    def in_words(self) -> str:
+    def to_text(self) -> str:
         """The same in a line."""
         failed = f", {self.failures} of them FAILED" if self.failures else ""
         lag = ""
@@ -68,17 +68,17 @@ class StageCounts:
 
 def live_stages(
     stages: Sequence[Stage],
-    beside: Mapping[str, Beside],
+    executors: Mapping[str, StageExecutor],
     ended: Callable[[Sequence[Item]], bool],
     *,
     lossless: bool = False,
 ) -> RigExperiment[dict[str, StageCounts]]:
     """The experiment that passes on what comes to stages, and gives the `StageResult`s that came; returns the counts.
 
-    beside: what computes each stage, by its name: each has its own, so that none waits for another; ended: sees every
-    batch, and says when it is over; lossless: colour images are recorded as they are
+    executors: what computes each stage, by its name: each has its own, so that none waits for another; ended: sees
+    every batch, and says when it is over; lossless: colour images are recorded as they are
     """
-    running = [_Running(stage, beside[stage.name], lossless) for stage in stages]
+    running = [_Running(stage, executors[stage.name], lossless) for stage in stages]
     given = yield Step(batch_s=SOON_S)
     over = False
     while not over:
@@ -95,9 +95,9 @@ def live_stages(
 class _Running:
     """A stage, what it computes now, and what became of its frames so far."""
 
-    def __init__(self, stage: Stage, beside: Beside, lossless: bool) -> None:
+    def __init__(self, stage: Stage, executors: StageExecutor, lossless: bool) -> None:
         self.stage = stage
-        self._beside, self._lossless = beside, lossless
+        self._executor, self._lossless = executors, lossless
         self._chooser = stage.chooser()
         self._counts = StageCounts()
         self._skipped = 0
@@ -116,7 +116,7 @@ class _Running:
             return
         self._frames = frames
         self._skipped, self._chooser.skipped = self._chooser.skipped, 0
-        self._future = self._beside.submit(compute_beside, self.stage, self.stage.packed(frames), self._lossless)
+        self._future = self._executor.submit(compute_stage, self.stage, self.stage.packed(frames), self._lossless)
 
     def result(self) -> StageResult | None:
         """The result where it has come."""
@@ -158,7 +158,7 @@ def used_frames(frames: Sequence[Frame]) -> tuple[UsedFrames, ...]:
     return tuple(found)
 
 
-def compute_beside(stage: Stage, packed: Any, lossless: bool) -> tuple[object, int]:
+def compute_stage(stage: Stage, packed: Any, lossless: bool) -> tuple[object, int]:
     """A stage's result of live frames, and when it was there [ns]. What fails is a result too."""
     from deformscope.experiments.device_stages import compute
 

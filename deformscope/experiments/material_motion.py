@@ -58,7 +58,7 @@ class UnloadingOptions:
 
 
 @dataclass(frozen=True, slots=True)
-class MaterialFound:
+class MaterialFit:
     """What was found. comparisons: of some frames, by their index; motion: what was fitted, where it was one"""
 
     estimate: MaterialEstimate
@@ -67,8 +67,8 @@ class MaterialFound:
 
 
 def material_video(
-    particles: ParticleOptions, find: Callable[[TrackedMotion], MaterialFound], mask: BoolArray | None = None
-) -> Experiment[MaterialFound]:
+    particles: ParticleOptions, find: Callable[[TrackedMotion], MaterialFit], mask: BoolArray | None = None
+) -> Experiment[MaterialFit]:
     """Follow particles through the frames that are sent, fit, and show every frame beside the fit.
 
     mask: (H, W) True where the thing is in the first frame
@@ -80,13 +80,13 @@ def material_video(
     return (yield from _shown(find(TrackedMotion(grid, history, times))))
 
 
-def material_files(find: Callable[[], MaterialFound]) -> Experiment[MaterialFound]:
+def material_files(find: Callable[[], MaterialFit]) -> Experiment[MaterialFit]:
     """The same of pairs or a motion as files, which have no images."""
     yield Step()
     return (yield from _shown(find()))
 
 
-def _shown(found: MaterialFound) -> Experiment[MaterialFound]:
+def _shown(found: MaterialFit) -> Experiment[MaterialFit]:
     for frame, comparison in found.comparisons:
         yield Step((comparison,), frame=frame)
     yield Step((found.estimate,), frame=0)
@@ -98,7 +98,7 @@ def _shown(found: MaterialFound) -> Experiment[MaterialFound]:
 
 def axes_of_pairs(
     seen: Sequence[Observation], model: Model, axes: FloatArray, level: float, seed: int, progress: Progress | None
-) -> MaterialFound:
+) -> MaterialFit:
     """One fit to all pairs, each of which is a place on the `frame` timeline."""
     estimate = fit_axes(seen, model, axes=axes, level=level, seed=seed, progress=progress)
     law = AxisBeta(estimate.value, estimate.axes)
@@ -107,13 +107,13 @@ def axes_of_pairs(
         Comparison(one.rest, one.deformed, position, one.observed, one.held, one.unit)
         for one, position in zip(seen, simulated, strict=True)
     )
-    return MaterialFound(estimate, tuple(enumerate(compared)))
+    return MaterialFit(estimate, tuple(enumerate(compared)))
 
 
-def field_of_pair(seen: Observation, level: float, seed: int, device: str, progress: Progress | None) -> MaterialFound:
+def field_of_pair(seen: Observation, level: float, seed: int, device: str, progress: Progress | None) -> MaterialFit:
     """How stiff each place is against the others."""
     estimate, comparison = fit_field(seen, level=level, seed=seed, device=device, progress=progress)
-    return MaterialFound(estimate, ((0, comparison),))
+    return MaterialFit(estimate, ((0, comparison),))
 
 
 def pose_of(tracked: TrackedMotion, particles: ParticleOptions, frame: int | None) -> tuple[int, Observation]:
@@ -190,10 +190,10 @@ def _durations(time_s: FloatArray) -> FloatArray:
 # Yielding ------------------------------------------------------------------------------------------------------------
 
 
-def yield_of_motion(motion: Motion, options: YieldOptions, progress: Progress | None) -> MaterialFound:
+def yield_of_motion(motion: Motion, options: YieldOptions, progress: Progress | None) -> MaterialFit:
     """All frames of a motion file."""
     estimate = fit_yield(motion, options, progress)
-    return MaterialFound(estimate, _beside(motion, estimate.simulated), motion)
+    return MaterialFit(estimate, _beside(motion, estimate.simulated), motion)
 
 
 def yield_of_camera(
@@ -202,7 +202,7 @@ def yield_of_camera(
     unloading: UnloadingOptions,
     options: YieldOptions,
     progress: Progress | None,
-) -> MaterialFound:
+) -> MaterialFit:
     """Some frames are fitted; what was found is then simulated at every one."""
     motion, cycle = camera_motion(tracked, particles, unloading)
     time_s = np.asarray(tracked.times)
@@ -214,7 +214,7 @@ def yield_of_camera(
     every = np.arange(1, len(time_s))
     later = some_frames(motion, every, time_s)
     shown = _beside(later, simulate_yielding(later, options, estimate), first=1)
-    return MaterialFound(estimate, shown, fitted)
+    return MaterialFit(estimate, shown, fitted)
 
 
 def _beside(motion: Motion, states: FloatArray, first: int = 0) -> tuple[tuple[int, Comparison], ...]:
@@ -238,7 +238,7 @@ def _beside(motion: Motion, states: FloatArray, first: int = 0) -> tuple[tuple[i
 # Recovery ------------------------------------------------------------------------------------------------------------
 
 
-def recovery_of_motion(motion: Motion, level: float, seed: int) -> MaterialFound:
+def recovery_of_motion(motion: Motion, level: float, seed: int) -> MaterialFit:
     """Of a motion file: what is held at its deepest and no longer at the end was let go, from then on."""
     if motion.duration is None:
         raise InputError("the time between frames", "none", "give `dt` [s] in the file")
@@ -262,7 +262,7 @@ def recovery_of_motion(motion: Motion, level: float, seed: int) -> MaterialFound
 
 def recovery_of_camera(
     tracked: TrackedMotion, particles: ParticleOptions, unloading: UnloadingOptions, level: float, seed: int
-) -> MaterialFound:
+) -> MaterialFit:
     """What a camera followed, with a force where it was recorded."""
     motion, cycle = camera_motion(tracked, particles, unloading)
     return _recovery(motion, cycle, np.asarray(tracked.times), unloading.force, level, seed)
@@ -276,7 +276,7 @@ def _recovery(
     level: float,
     seed: int,
     first: int = 0,
-) -> MaterialFound:
+) -> MaterialFit:
     moved = motion.position - motion.rest
     amplitude, deepest, known = share_of_push(moved)
     shape = moved[deepest, known]
@@ -310,7 +310,7 @@ def _recovery(
     rise = np.where(known[:, None], moved[deepest], np.nan)
     states = motion.rest + size[:, None, None] * rise
     every = _beside(motion, states, first)
-    return MaterialFound(estimate, every[max(0, -first) :], motion)
+    return MaterialFit(estimate, every[max(0, -first) :], motion)
 
 
 def _watched(found: RecoveryEstimate) -> list[Doubt]:

@@ -35,7 +35,7 @@ from deformscope.robot.touch import STILL_S, TouchPlan, centers_of, forces_at
 from deformscope.robot.travel import NotThere, find_way
 from deformscope.stages.map.measured import LookFrames, SurfaceMeasurement, TouchFrames, TouchMeasurement
 from deformscope.stages.poke.contact import ArmCompliance
-from deformscope.stages.poke.layer_seen import BESIDE_M, WITHIN_M, TableSeen, table_beside
+from deformscope.stages.poke.layer_seen import AROUND_M, WITHIN_M, TableSeen, find_table
 from deformscope.stages.regions.touch_error import TouchErrorModel
 from deformscope.stages.regions.touches import MapGrid
 from deformscope.stages.see.cloud import Box, Intrinsics, Perceived, perceive
@@ -219,11 +219,11 @@ class SetupGeometry:
     def _table(self, looked: Looked, box: Box) -> TableSeen | None:
         """What the surface lies on, as it is seen beside it."""
         used = looked.used
-        low = (box.low_m[0] - BESIDE_M, box.low_m[1] - BESIDE_M, -WITHIN_M)
-        around = Box(low, (box.high_m[0] + BESIDE_M, box.high_m[1] + BESIDE_M, box.high_m[2]))
+        low = (box.low_m[0] - AROUND_M, box.low_m[1] - AROUND_M, -WITHIN_M)
+        around = Box(low, (box.high_m[0] + AROUND_M, box.high_m[1] + AROUND_M, box.high_m[2]))
         pose, depth_m = looked.data.arm[used.arm_ns], looked.data.depth_m
         clouds = [self._perceived(depth_m[int(when)], pose, used, around, VIEW_CELL_M) for when in used.depth_ns]
-        return table_beside(np.concatenate([cloud.points_m for cloud in clouds]), self.size_m)
+        return find_table(np.concatenate([cloud.points_m for cloud in clouds]), self.size_m)
 
     def touch(self, touched: Touched) -> TouchMeasurement:
         """What arm and force sensor gave, without the dent."""

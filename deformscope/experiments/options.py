@@ -19,7 +19,7 @@ from deformscope.experiments.quantity import (
     StiffnessAtReferenceSpeed,
 )
 from deformscope.experiments.search import InclusionSearch, RegionSearch, SurfaceSearch, ThesisSearch
-from deformscope.stages.map.lump_posterior import LumpPosterior, LumpPrior
+from deformscope.stages.map.inclusion_posterior import InclusionPosterior, InclusionPrior
 from deformscope.stages.map.plan import INCLUSION_M, PlanOptions
 from deformscope.stages.regions.posterior import RegionPosterior, RegionPrior
 from deformscope.stages.regions.touch_error import TouchErrorModel
@@ -51,7 +51,7 @@ class ExploreOptions(ExploreFlags):
     set_force_n, max_depth_m: of a touch; tip_radius_m: of its ball; thickness_m: of the foam; cell_m: of the maps; seed
     standoff_m: of the tip above the surface before and after a touch, and above all that it crosses
     go_on: touch until the budget is spent, even where the plan says enough (for studies)
-    inclusion_m: radius of the smallest lumps that are sought
+    inclusion_m: radius of the smallest inclusions that are sought
     lift_m: all touches are made so far above the surface, where nothing is met: a dry run
     tangential: while it presses the tip is "held" on the surface's normal, or "free" to follow forces across it
     thickness_stated: else thickness_m says where to look for the surface, and nothing more
@@ -118,10 +118,10 @@ class ExploreOptions(ExploreFlags):
         """What is sought on a surface, before any touch. error: of touches' stiffness"""
         error = self.quantity.error(error)
         if self.goal == "inclusions":
-            prior = LumpPrior(
+            prior = InclusionPrior(
                 smallest_m=self.inclusion_m, tip_radius_m=self.tip_radius_m, set_force_n=self.set_force_n, error=error
             )
-            return InclusionSearch(LumpPosterior(grid, prior))
+            return InclusionSearch(InclusionPosterior(grid, prior))
         posterior = RegionPosterior.before_touches(grid, RegionPrior(error=error), seed=self.seed)
         search = ThesisSearch if self.planner == "thesis" else RegionSearch
         return search(posterior, self.seed)

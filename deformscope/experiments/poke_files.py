@@ -13,7 +13,7 @@ from deformscope.stages.fit.model import FitOptions, Observation
 from deformscope.stages.fit.plausible import check_poke
 from deformscope.stages.fit.search import Progress
 from deformscope.stages.poke.layers import MeasuredSurface
-from deformscope.stages.poke.poke_estimate import PokesFound, conclude
+from deformscope.stages.poke.poke_estimate import PokesResult, conclude
 from deformscope.stages.poke.poke_fit import fit_pokes, seen_poke, spacing_for
 
 
@@ -38,7 +38,7 @@ def poke_files(
     provenance: Mapping[str, object],
     progress: Progress | None = None,
     note: Callable[[int, float, float], None] = lambda particles, spacing_m, finest_m: None,
-) -> Experiment[PokesFound]:
+) -> Experiment[PokesResult]:
     """Fit all pokes of one surface together. Each poke is one place on the `frame` timeline.
 
     note: called before the fit with the lattice's particles, its spacing, and the one it has without `most_particles`

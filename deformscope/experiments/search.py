@@ -15,8 +15,8 @@ import numpy as np
 from deformscope.arrays import FloatArray
 from deformscope.stages.map.exploration import LumpsFound, MapEstimate
 from deformscope.stages.map.field import BETA_PRIOR, fit_field, levels_of
-from deformscope.stages.map.lump_plan import plan_lump_touch
-from deformscope.stages.map.lump_posterior import LumpPosterior
+from deformscope.stages.map.inclusion_plan import plan_inclusion_touch
+from deformscope.stages.map.inclusion_posterior import InclusionPosterior
 from deformscope.stages.map.map_score import boundary_distance, match_regions
 from deformscope.stages.map.plan import FieldKernel, TouchChoice, plan_touch
 from deformscope.stages.map.thesis_field import FIRST_SHARE, ThesisField, contoured
@@ -40,7 +40,7 @@ class SurfaceSearch(ABC):
     first_share: where to touch first, in shares of the surface; None = where it says most
     """
 
-    posterior: RegionPosterior | LumpPosterior
+    posterior: RegionPosterior | InclusionPosterior
     exponent_sd: ClassVar[float] = EXPONENT_SD
     least_share: ClassVar[float] = LOADED
     on_level_layer: ClassVar[bool] = False
@@ -61,8 +61,8 @@ class SurfaceSearch(ABC):
 
     @abstractmethod
     def planner(self, touches: int) -> Callable[..., TouchChoice]:
-        """Chooses the next touch; its arguments are those of `plan_lump_touch` but for the posterior. touches: made so
-        far, usable or not"""
+        """Chooses the next touch; its arguments are those of `plan_inclusion_touch` but for the posterior. touches:
+        made so far, usable or not"""
 
     def sample(self, xy_m: FloatArray, fit: ContactFit) -> StiffnessSample:
         """The stiffness that a contact at a place (2,) [m] gave."""
@@ -86,7 +86,7 @@ class SurfaceSearch(ABC):
         return maps
 
     def inclusions(self, truth_m: FloatArray | None) -> LumpsFound | None:
-        """The inclusions found; None where none are sought. truth_m: as of `LumpPosterior.lumps`"""
+        """The inclusions found; None where none are sought. truth_m: as of `InclusionPosterior.inclusions`"""
         return None
 
 
@@ -152,13 +152,13 @@ class ThesisSearch(RegionSearch):
 class InclusionSearch(SurfaceSearch):
     """For inclusions below a surface that shows nothing: they show in stiffness and exponent of contacts."""
 
-    posterior: LumpPosterior
+    posterior: InclusionPosterior
     exponent_sd = FREE_EXPONENT_SD
     least_share = LEAST_SHARE
     on_level_layer = True
 
     def planner(self, touches: int) -> Callable[..., TouchChoice]:
-        return partial(plan_lump_touch, self.posterior)
+        return partial(plan_inclusion_touch, self.posterior)
 
     def sample(self, xy_m: FloatArray, fit: ContactFit) -> StiffnessSample:
         """With the exponent, which was left free."""
@@ -170,4 +170,4 @@ class InclusionSearch(SurfaceSearch):
         )
 
     def inclusions(self, truth_m: FloatArray | None) -> LumpsFound:
-        return self.posterior.lumps(truth_m)
+        return self.posterior.inclusions(truth_m)

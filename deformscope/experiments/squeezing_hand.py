@@ -63,14 +63,14 @@ class SqueezeEnded(InputError):
 
 
 @contextlib.contextmanager
-def computing_beside(setup: SqueezeSetup, hand: SqueezingHand) -> Iterator[Executor]:
+def feature_executor(setup: SqueezeSetup, hand: SqueezingHand) -> Iterator[Executor]:
     """What computes the features. Devices that go on by themselves are not waited for: hand and features then have a
     thread each."""
     if not setup.runs_itself:
         yield Inline()
         return
-    with hand.in_a_thread(), ThreadPoolExecutor(1, "features") as beside:
-        yield beside
+    with hand.in_a_thread(), ThreadPoolExecutor(1, "features") as executor:
+        yield executor
 
 
 def rule_of(setup: SqueezeSetup) -> EventRule:

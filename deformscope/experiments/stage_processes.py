@@ -20,7 +20,7 @@ from deformscope.experiments.device_stages import (
     StageName,
     compute,
 )
-from deformscope.experiments.live_stages import Beside
+from deformscope.experiments.live_stages import StageExecutor
 from deformscope.processes import SPAWN, follow_parent, starting
 from deformscope.stages.map.surface import fit_surface
 from deformscope.stages.regions.touches import MapGrid
@@ -36,16 +36,16 @@ class StageProcesses:
     def __init__(self, names: Sequence[StageName], start_engine: Callable[[], None]) -> None:
         """start_engine: starts what simulates, in the process of a stage that does"""
         self._names, self._start_engine = names, start_engine
-        self.beside: dict[str, StageProcess] = {}
+        self.executors: dict[str, StageProcess] = {}
 
-    def __enter__(self) -> Mapping[str, Beside]:
-        self.beside = {name: StageProcess(name, self._start_engine) for name in self._names}
-        for process in self.beside.values():
+    def __enter__(self) -> Mapping[str, StageExecutor]:
+        self.executors = {name: StageProcess(name, self._start_engine) for name in self._names}
+        for process in self.executors.values():
             process.wait()
-        return self.beside
+        return self.executors
 
     def __exit__(self, kind: type[BaseException] | None, *raised: object) -> None:
-        for process in self.beside.values():
+        for process in self.executors.values():
             process.close()
 
 

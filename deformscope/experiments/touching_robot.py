@@ -281,7 +281,7 @@ class TouchingRobot:
         return [places[int(np.argmax(places @ way))] for way in ((1, 1), (1, -1), (-1, 1), (-1, -1))]
 
     @property
-    def forces_words(self) -> str:
+    def format_forces(self) -> str:
         """What a touch presses with, in words."""
         set_n, more_n = self._options.set_force_n, self.geometry.more_force_n(self._options)
         return f"{set_n:g} N" + ("" if more_n is None else f", {more_n:g} N where that makes a dent below 2 mm")

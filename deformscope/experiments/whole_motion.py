@@ -182,14 +182,14 @@ def select(
     static = [choice for choice in ("cluster-size", "held") if choice in asked]
     tried = _try(motion, particles, fit, ways, judged, "selecting", progress)
     best = _best(tried)
-    text = _said_of_static(tried, best, static) if static else []
+    text = _static_messages(tried, best, static) if static else []
     table = _rows(tried, best)
     if "alpha" in asked or "dt" in asked:
         moving = _moving_ways(motion, fit.model, ways[best], asked)
         stepped = _try(motion, particles, fit, moving, judged, "time stepping", progress)
         fastest = _best(stepped)
         still = tried[best][1]
-        text.append(_said_of_pace(stepped, fastest, still, asked))
+        text.append(_pace_message(stepped, fastest, still, asked))
         table += _rows(stepped, fastest)
         if separates(still, stepped[fastest][1]):
             table = [dataclasses.replace(one, chosen=one.chosen and one.alpha is not None) for one in table]
@@ -311,7 +311,7 @@ def _rows(tried: Sequence[Trial], best: int) -> list[Choice]:
     return rows
 
 
-def _said_of_static(tried: Sequence[Trial], best: int, choices: Sequence[str]) -> list[str]:
+def _static_messages(tried: Sequence[Trial], best: int, choices: Sequence[str]) -> list[str]:
     """Whether the data determine each choice."""
     way, out = tried[best]
     said = []
@@ -328,7 +328,7 @@ def _said_of_static(tried: Sequence[Trial], best: int, choices: Sequence[str]) -
     return said
 
 
-def _said_of_pace(tried: Sequence[Trial], best: int, still: HeldOut, choices: Sequence[Selectable]) -> str:
+def _pace_message(tried: Sequence[Trial], best: int, still: HeldOut, choices: Sequence[Selectable]) -> str:
     """Whether the data determine alpha and dt at all, and which values fit as well as the best."""
     out = tried[best][1]
     names = " and ".join(choice for choice in ("alpha", "dt") if choice in choices)

@@ -6,7 +6,7 @@ the foam enters it by about a five hundredth of its radius where it is pressed h
 `deformscope.lab.finite_strain`.
 
 Forces scale with the law's moduli, so that what large strain does is one number at each depth: the force over that of
-foam of the same modulus that stays linear (`deformscope.lab.yielding_world`).
+foam of the same modulus that stays linear (`deformscope.lab.plateau_world`).
 """
 
 from __future__ import annotations

@@ -3,8 +3,8 @@
     world = slab_world(built_in("buried", seed=3))      # `SlabWorld` where nothing is buried
     world.press(tip, center_m)                          # as any
 
-What a tip feels within its own width needs elements of 1.5 mm, which a mesh as wide and as deep as a lump's effect
-cannot have. So the surface's compliance is that of the patch without the ball (`slab_world`), plus what the ball
+What a tip feels within its own width needs elements of 1.5 mm, which a mesh as wide and as deep as an inclusion's
+effect cannot have. So the surface's compliance is that of the patch without the ball (`slab_world`), plus what the ball
 changes of it: the difference of two solutions of the whole slab on one mesh, with the ball and without, of elements of
 5 mm around the ball, wider elsewhere. That difference is smooth, since the ball lies a centimetre deep or more, and its
 mesh's errors at the surface are the same in both. The two are factorised once for a slab; a press costs what it costs
@@ -21,9 +21,9 @@ from skfem import Basis, ElementHex1, MeshHex
 
 from deformscope.arrays import FloatArray
 from deformscope.lab.elasticity import dissected, stiffness_of
+from deformscope.lab.plateau_world import PlateauWorld
 from deformscope.lab.scenes import BuriedBall, Scene
 from deformscope.lab.slab_world import Contact, Patch, SlabWorld
-from deformscope.lab.yielding_world import YieldingWorld
 
 ELEMENT_M, AROUND, GROWTH = 0.005, 1.5, 1.5
 """Size of the elements around the ball, up to so many of its radii from its middle, and their growth beyond."""
@@ -37,7 +37,7 @@ def slab_world(scene: Scene) -> SlabWorld:
     """A scene's foam, to be pressed anywhere."""
     if scene.buried is not None:
         return BuriedWorld(scene, scene.buried)
-    return YieldingWorld(scene) if any(piece.yields for piece in scene.pieces) else SlabWorld(scene)
+    return PlateauWorld(scene) if any(piece.plateau_exponent for piece in scene.pieces) else SlabWorld(scene)
 
 
 class BuriedWorld(SlabWorld):

@@ -32,7 +32,7 @@ class LayerWorld:
     """
 
     def __init__(self, scene: Scene, radius_m: float) -> None:
-        if any(piece.relaxes or piece.keeps or piece.yields for piece in scene.pieces):
+        if any(piece.relaxes or piece.keeps or piece.plateau_exponent for piece in scene.pieces):
             raise InputError(
                 "foam that neither creeps nor yields, on the host's clock", scene.name, f"explore lab:{scene.name}"
             )

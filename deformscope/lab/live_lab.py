@@ -22,11 +22,11 @@ from deformscope.errors import InputError
 from deformscope.lab.arm_contact import ARM_CYCLE_NS, ArmContact
 from deformscope.lab.arms import ArmBody, arm_in_lab
 from deformscope.lab.depth_view import DepthView
-from deformscope.lab.hidden import BoardPicture, HiddenRig
 from deformscope.lab.layer_world import LayerWorld
+from deformscope.lab.randomized_rig import BoardPicture, RandomizedRig
 from deformscope.lab.ray_camera import DepthViewConfig
 from deformscope.lab.scenes import Scene, built_in
-from deformscope.processes import SPAWN, beside
+from deformscope.processes import SPAWN, child_process
 from deformscope.rig.rig_file import RigDevice
 from deformscope.robot.by_hand import Person
 from deformscope.robot.description import AS_CAPSULES, RobotDescription
@@ -60,7 +60,7 @@ class _Table:
     seed: int
     placement: Placement
     T_surface_camera: npt.NDArray[np.floating] | None
-    hidden: HiddenRig | None = None
+    randomized: RandomizedRig | None = None
     described: RobotDescription = AS_CAPSULES
 
 
@@ -124,15 +124,15 @@ class LiveLab:
         arm: RigDevice,
         *,
         T_surface_camera: npt.NDArray[np.floating] | None = None,
-        hidden: HiddenRig | None = None,
+        randomized: RandomizedRig | None = None,
         described: RobotDescription = AS_CAPSULES,
     ) -> None:
         """arm, described: of the rig file; T_surface_camera: (4, 4), default where the scene is seen well
-        hidden: where things truly are; None = as placement and T_surface_camera say"""
-        if hidden is not None:
-            placement, T_surface_camera = hidden.placement, hidden.T_surface_camera
+        randomized: where things truly are; None = as placement and T_surface_camera say"""
+        if randomized is not None:
+            placement, T_surface_camera = randomized.placement, randomized.T_surface_camera
         self.size_m, self.truth = scene.size_m, Truth(scene.regions)
-        self._table = _Table(scene.name, scene.seed, placement, T_surface_camera, hidden, described)
+        self._table = _Table(scene.name, scene.seed, placement, T_surface_camera, randomized, described)
         self.arm = arm_in_lab(arm.driver.name, arm.config, placement, start_places_m(scene), seed=scene.seed)
         self.view = DepthView(scene, CAMERA, T_surface_camera)
         self._shared = _Shared(self.arm.body.T_base_links)
@@ -186,11 +186,11 @@ class LiveLab:
             return self.arm.arm
         if entry.driver.kind == "wrench":
             sensitivity = (config.sensitivities or (OMD_20_SE_40N,))[0]
-            pipe = stack.enter_context(beside("simulated table", _feel, self._table, self._shared, sensitivity))
+            pipe = stack.enter_context(child_process("simulated table", _feel, self._table, self._shared, sensitivity))
             on_pipe = dataclasses.replace(config, port=_first(pipe), bus="", serial="", sensitivity=sensitivity)
             return entry.driver.make(on_pipe)  # type: ignore[no-any-return]
         rate_hz = float(config.fps or PICTURES_HZ)
-        pipe = stack.enter_context(beside("simulated table", _look, self._table, self._shared, rate_hz))
+        pipe = stack.enter_context(child_process("simulated table", _look, self._table, self._shared, rate_hz))
         synthetic = SyntheticDepthConfig(
             name="simulated table", missing=0.02, seed=self._table.seed, intrinsics=self.view.intrinsics, silence_s=5.0
         )
@@ -247,7 +247,7 @@ def _feel(pipe: Connection, table: _Table, shared: _Shared, sensitivity: Sensiti
     def load(time_s: float) -> FloatArray:
         """(3,) force on the sensor in the tip's frame [N], with the sensor's faults where the table has any."""
         felt = contact.load(time_s)
-        return felt if table.hidden is None else np.asarray(table.hidden.felt(felt, time_s), np.float64)
+        return felt if table.randomized is None else np.asarray(table.randomized.felt(felt, time_s), np.float64)
 
     double = OptoforceDouble(Sensors(scene=load, sensitivity=sensitivity, seed=table.seed))
     with PtyWire(double) as wire:
@@ -277,8 +277,8 @@ def _look(pipe: Connection, table: _Table, shared: _Shared, rate_hz: float) -> N
         links = shared.T_base_links
         capsules = arm_shape(table.placement, links, center, description=table.described)
         exact = view.render(moved, capsules, table.described.solids(table.placement, links))
-        if table.hidden is not None and shared.board.value:
-            T_surface_board = table.placement.T_surface_base @ links[-1] @ table.hidden.T_ee_board
+        if table.randomized is not None and shared.board.value:
+            T_surface_board = table.placement.T_surface_base @ links[-1] @ table.randomized.T_ee_board
             board.put_into(exact.color, view.intrinsics, np.linalg.inv(view.surface_from_camera) @ T_surface_board)
         try:
             pipe.send(View(exact.depth_m, exact.color))

@@ -18,10 +18,10 @@ from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 from deformscope.lab.container_constants import PA_PER_COUNT
 from deformscope.lab.container_view import CAMERA, camera_pose
+from deformscope.lab.double_device import reaching
 from deformscope.lab.live_lab import pass_pictures
 from deformscope.lab.ray_camera import DepthViewConfig
 from deformscope.lab.squeeze_lab import ContainerTruth, SqueezedContainer, camera_config, members
-from deformscope.lab.stand_in import reaching
 from deformscope.processes import SPAWN, follow_parent, starting
 from deformscope.rig.rig_file import RigDevice
 from deformscope.rig.source import RigSource

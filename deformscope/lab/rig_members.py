@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Iterator
 
-from deformscope.lab.stand_in import stand_in
+from deformscope.lab.double_device import double_device
 from deformscope.rig.rig_file import Rig, RigDevice
 from deformscope.rig.source import RigMember
 
@@ -23,6 +23,6 @@ def member_of(entry: RigDevice) -> Iterator[RigMember]:
 
     Raises InputError where there is none to be made.
     """
-    stands_in = stand_in(entry.driver.name, entry.config) if entry.double else contextlib.nullcontext(entry.make())
+    stands_in = double_device(entry.driver.name, entry.config) if entry.double else contextlib.nullcontext(entry.make())
     with stands_in as device:
         yield RigMember(entry.name, entry.driver, device, simulated=entry.double, late_ns=entry.late_ns)

@@ -76,7 +76,7 @@ class SceneLab:
         self._world = slab_world(foam)
         if any(piece.relaxes or piece.keeps for piece in scene.pieces):
             self._world = CreepingWorld(foam, self._relaxation)
-            if any(piece.yields for piece in scene.pieces):
+            if any(piece.plateau_exponent for piece in scene.pieces):
                 raise InputError("foams that yield, or that creep", scene.name, "two-60y20-150y20, two-60c30-150")
         self._tip = RigidTip(radius=tip_radius_m)
         self._contact: Contact | None = None

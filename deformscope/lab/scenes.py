@@ -19,7 +19,7 @@ then 37, 68 and 93 kPa. (The secant modulus, 4.6, 8.5 and 11.6 kPa, would let 3 
 `strip`, `patches`, `wavy`, `zigzag`, `ring`, `bumpy`, `thin-thick`, with one `wedge`, `step`, `egg-crate` and with a
 third for the lump `lump`, where a letter is a number of newtons or `rigid`. `60c30` is foam of 60 N that creeps: 30 %
 of its modulus relaxes, with a time constant of 1 s; `60p20` and `60c30p20` keep 20 % of each dent for good. `60y20`
-yields: its stress tends to a plateau near a twentieth of its modulus (Ogden's law, `deformscope.lab.yielding_world`).
+yields: its stress tends to a plateau near a twentieth of its modulus (Ogden's law, `deformscope.lab.plateau_world`).
 
 `buried-A-B` is a foam of A with a ball of B glued into it, which does not reach the surface, and `empty-A` the same
 foam with nothing in it: smaller and thicker slabs (`BURIED`).
@@ -175,15 +175,15 @@ Labels = Callable[[FloatArray], IntArray]
 @dataclass(frozen=True, slots=True)
 class Piece:
     """One material. name: hardness in N, or "rigid"; modulus_pa: its Young's modulus [Pa], before it relaxes; relaxes:
-    share of it that does; keeps: share of each dent that stays; yields: Ogden's exponent, about modulus over plateau,
-    0 = it stays linear"""
+    share of it that does; keeps: share of each dent that stays; plateau_exponent: Ogden's exponent, about modulus over
+    plateau, 0 = it stays linear"""
 
     name: str
     modulus_pa: float
     rigid: bool = False
     relaxes: float = 0.0
     keeps: float = 0.0
-    yields: int = 0
+    plateau_exponent: int = 0
 
     @classmethod
     def named(cls, name: str, times: float = 1.0) -> Piece:
@@ -191,11 +191,13 @@ class Piece:
         yields), times a factor, or "rigid"."""
         if name == "rigid":
             return cls(name, RIGID_PA, rigid=True)
-        linear, _, yields = name.partition("y")
+        linear, _, plateau_exponent = name.partition("y")
         creeping, _, keeps = linear.partition("p")
         hardness, _, relaxes = creeping.partition("c")
         modulus_pa = times * initial_modulus_pa(float(hardness))
-        return cls(name, modulus_pa, False, 0.01 * float(relaxes or 0), 0.01 * float(keeps or 0), int(yields or 0))
+        return cls(
+            name, modulus_pa, False, 0.01 * float(relaxes or 0), 0.01 * float(keeps or 0), int(plateau_exponent or 0)
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -369,7 +371,7 @@ def built_in(name: str, seed: int = 0) -> Scene:
 def _buried(name: str, seed: int, pieces: tuple[str, ...], drawn: dict[str, float]) -> Scene:
     """A foam whose surface shows nothing, with a ball in it or not."""
     foam, *balls = (Piece.named(piece, drawn["hardness"]) for piece in pieces)
-    if foam.yields or any(ball.yields for ball in balls):
+    if foam.plateau_exponent or any(ball.plateau_exponent for ball in balls):
         raise InputError("foam with a ball in it that does not yield", repr(name), "homogeneous-60y20, buried-60-600")
     level = Scene(name, seed, (foam,), drawn, BURIED_SIZE_M, BURIED_THICKNESS_M, _modulus=_even(foam.modulus_pa))
     if not balls:

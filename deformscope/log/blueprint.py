@@ -86,7 +86,7 @@ def _bounds(canvas: Canvas) -> rrb.VisualBounds2D:
     """The picture and its legend."""
     (x0, y0), (x1, y1) = canvas.low[:2], canvas.high[:2]
     margin = 0.02 * max(x1 - x0, y1 - y0) + canvas.rim
-    if canvas.legend_beside:
+    if canvas.has_side_legend:
         x1 += COLUMN_SHARE * (x1 - x0)
     else:
         y1 += ROW_SHARE * max(x1 - x0, y1 - y0)

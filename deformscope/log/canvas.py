@@ -13,7 +13,7 @@ from deformscope.pictures.palette import Rgb, colors, readable
 
 TEXT: Rgb = (225, 225, 225)
 
-BESIDE_FROM = 3.5
+SIDE_LEGEND_FROM = 3.5
 """Height over width from which the legend stands beside the picture rather than below it."""
 COLUMN_SHARE, ROW_SHARE = 0.8, 0.14
 """What the legend takes beside the picture, of its width, or below it, of its longer side."""
@@ -52,9 +52,9 @@ class Canvas:
         return self.high[1] - self.low[1]
 
     @property
-    def legend_beside(self) -> bool:
+    def has_side_legend(self) -> bool:
         """Whether the legend stands beside the picture: only where that is tall and narrow."""
-        return self.height > BESIDE_FROM * self.width
+        return self.height > SIDE_LEGEND_FROM * self.width
 
     def around(self, position: FloatArray) -> Canvas:
         """This canvas, knowing where the particles are. position: (K, d), NaN where unknown."""
@@ -68,7 +68,7 @@ class Canvas:
 
     def slot(self, place: float, row: int = 0) -> tuple[float, float]:
         """Where the legend's entry number `place`, 0 to 4, stands, outside the picture [unit of the picture]."""
-        if self.legend_beside:
+        if self.has_side_legend:
             return self.low[0] + self.width * (1.25 + 0.45 * row), self.low[1] + self.height * (0.06 + 0.06 * place)
         below = (0.25 + 0.5 * row) * ROW_SHARE * max(self.width, self.height) + self.rim
         return self.low[0] + self.width * (0.1 + 0.2 * place), self.high[1] + below
@@ -129,12 +129,12 @@ def log_labels(rec: rr.RecordingStream, path: str, canvas: Canvas, labels: Seque
 def log_color_bar(rec: rr.RecordingStream, path: str, canvas: Canvas, end: float, unit: str) -> None:
     """A row of coloured marks from 0 to `end` [unit], with its numbers."""
     share = np.linspace(0, 1, 21)
-    points = [canvas.slot(4 * float(1 - at if canvas.legend_beside else at)) for at in share]
+    points = [canvas.slot(4 * float(1 - at if canvas.has_side_legend else at)) for at in share]
     rec.log(path, rr.Points2D(points, radii=canvas.mark, colors=colors(share), draw_order=58.0))
     factor, shown = readable(unit, end)
     numbers = []
     for at in (0.0, 0.5, 1.0):
-        x, y = canvas.slot(4 * (1 - at if canvas.legend_beside else at))
+        x, y = canvas.slot(4 * (1 - at if canvas.has_side_legend else at))
         numbers.append((x, y, f"{end * at * factor:g} {shown}"))
     log_labels(rec, f"{path}/number", canvas, numbers)
 

@@ -10,7 +10,7 @@ import numpy.typing as npt
 import rerun as rr
 
 from deformscope.log.rig.columns import Batch, moments, recorded
-from deformscope.pictures.apart import drawn
+from deformscope.pictures.render_process import render
 from deformscope.rows import ENTITIES
 
 P = ParamSpec("P")
@@ -37,7 +37,7 @@ class ResultBatch:
 
     def show_png(self, path: str, draw: Callable[P, bytes], *given: P.args, **named: P.kwargs) -> None:
         """What `draw`, a function of a module, makes of what is given: a PNG."""
-        self.show(path, rr.EncodedImage(contents=drawn(draw, *given, **named), media_type="image/png"))
+        self.show(path, rr.EncodedImage(contents=render(draw, *given, **named), media_type="image/png"))
 
     def show_points(
         self, path: str, points: npt.ArrayLike, colors: npt.ArrayLike, radius: float, labels: list[str] | None = None

@@ -29,7 +29,7 @@ from deformscope.errors import InputError
 from deformscope.experiments.stage_processes import StageProcesses
 from deformscope.page.fit_settings import IN_PICTURE, images_with
 from deformscope.page.fit_source import FitSubject, FollowedCamera, ImagesSubject, subject_of
-from deformscope.page.server.fit_messages import FitFound, FitSettings, FitState, Points
+from deformscope.page.server.fit_messages import FitResult, FitSettings, FitState, Points
 from deformscope.page.server.messages import (
     FollowCamera,
     HoldPicture,
@@ -190,7 +190,7 @@ class PageFit:
         try:
             self._subject = ImagesSubject(camera.motion())
         except Exception as problem:
-            self._show(problem=words_of(problem))
+            self._show(problem=format_error(problem))
             return
         self._seen = self._found = None
         self._set(self._shown, self._offer_images())
@@ -200,7 +200,7 @@ class PageFit:
         try:
             camera.keep()
         except Exception as problem:
-            self._show(problem=f"the pictures cannot be kept: {words_of(problem)}")
+            self._show(problem=f"the pictures cannot be kept: {format_error(problem)}")
             return
         self._show(following=False)
         self._set(self._shown)
@@ -230,7 +230,7 @@ class PageFit:
             gone = dict.fromkeys(("rest", "observed", "simulated", "seen", "held", "values", "errors"), ())
             new: dict[str, Any] = {**gone, "pictures": pictures, "aee": None, "aee_free": None} if pictures else {}
             shown = {"settings": asked.settings, "number": asked.number, "command": self.command, "busy": ""}
-            self._show(**shown, problem=words_of(problem), **new)
+            self._show(**shown, problem=format_error(problem), **new)
             return
         same = self._found == dataclasses.replace(config, at=None)
         restless = "" if error.converged else "the simulation does not come to rest with these settings"
@@ -284,7 +284,7 @@ class PageFit:
             found = simulate(seen, model, values, body)
             errors = [errors_of([seen], value, [one]).aee for value, one in zip(values.tolist(), found, strict=True)]
         except Exception as problem:
-            return {**nothing, "problem": f"no error curve: {words_of(problem)}"}
+            return {**nothing, "problem": f"no error curve: {format_error(problem)}"}
         self._curve_s = time.monotonic() - began_s
         return {"values": tuple(values.tolist()), "errors": tuple(errors)}
 
@@ -296,7 +296,7 @@ class PageFit:
             seen, body, model = self._prepared(self.config)
             error = errors_of([seen], value, simulate(seen, model, np.array([value]), body)).aee
         except Exception as problem:
-            self._show(problem=f"at {self.state.parameter} {value:.3f}: {words_of(problem)}")
+            self._show(problem=f"at {self.state.parameter} {value:.3f}: {format_error(problem)}")
         known = sorted([*zip(self.state.values, self.state.errors, strict=True), (value, error)], key=itemgetter(0))
         values, errors = zip(*known, strict=True)
         self._show(values=values, errors=errors)
@@ -314,7 +314,7 @@ class PageFit:
         except _SetAnew:
             self._show(busy="")
         except Exception as problem:
-            self._show(problem=words_of(problem), busy="")
+            self._show(problem=format_error(problem), busy="")
 
     def _note(self, what: str, done: int, total: int) -> None:
         with self._news:
@@ -359,16 +359,16 @@ class PageFit:
         self._send("fit", self.state, (*COMMANDS, *more))
 
 
-def words_of(problem: Exception) -> str:
+def format_error(problem: Exception) -> str:
     """In a line, for the page."""
     return " ".join(str(problem).split()) or type(problem).__name__
 
 
-def found_of(estimate: Estimate, command: str) -> FitFound:
+def found_of(estimate: Estimate, command: str) -> FitResult:
     """A whole fit as a page says it. command: that gives it"""
     low, high = estimate.interval
     words = estimate.verdict_text()
-    return FitFound(command, estimate.value, low, high, estimate.level, estimate.aee_free, words)
+    return FitResult(command, estimate.value, low, high, estimate.level, estimate.aee_free, words)
 
 
 def _settings_of(config: BetaConfig | ThetaConfig) -> FitSettings:
@@ -426,7 +426,7 @@ def run_fit(
             fit.run()
             outcome = fit.result_config if keeps_last else None
     except Exception as error:  # as it can travel
-        outcome = error if isinstance(error, InputError | OSError) else RuntimeError(words_of(error))
+        outcome = error if isinstance(error, InputError | OSError) else RuntimeError(format_error(error))
     with contextlib.suppress(OSError):
         send("end", outcome)
 

@@ -14,7 +14,7 @@ from deformscope.frames import Stream
 from deformscope.page.devices import picture_of
 from deformscope.page.fit_process import FitProcess
 from deformscope.page.fit_settings import images_with
-from deformscope.page.server.fit_messages import FitFound, FitSettings, FitState
+from deformscope.page.server.fit_messages import FitResult, FitSettings, FitState
 from deformscope.page.server.messages import CloseFit, OpenFit, Outcome, PageCommand
 from deformscope.page.server.page_server import PageServer
 
@@ -31,7 +31,7 @@ class FitPanel:
         self._images = images or ImageOptions()
         self._cameras: tuple[str, ...] = ()
         self._fit: FitProcess | None = None
-        self._reported: FitFound | None = None
+        self._reported: FitResult | None = None
 
     def bind(self, page: PageServer, streams: Sequence[Stream], found: Callable[[str], None]) -> None:
         """From now on a page can open it, where there is a camera. found: is given each whole fit, in words"""
@@ -111,11 +111,11 @@ class FitPanel:
         if fit.is_shown:
             self._show(fit, shown=True)
         if fit.state.found not in (None, self._reported):
-            self._found(_in_words(fit.state))
+            self._found(_to_text(fit.state))
         self._reported = fit.state.found
 
 
-def _in_words(state: FitState) -> str:
+def _to_text(state: FitState) -> str:
     found = state.found
     assert found is not None
     between = f"{found.low:.3f} to {found.high:.3f} ({found.level:.0%})"

@@ -19,7 +19,7 @@ from deformscope.config import BetaConfig, ThetaConfig
 from deformscope.page.server.fit_messages import FitState
 from deformscope.page.server.messages import FitDrawn, Outcome, PageCommand, StopRun, TakeRest
 from deformscope.page.server.page_server import PageServer
-from deformscope.processes import END_S, RENEW_S, beside
+from deformscope.processes import END_S, RENEW_S, child_process
 from deformscope.terminal import say
 
 MOST_CHANGES = 1000
@@ -109,7 +109,7 @@ class FitProcess:
 
     def _listen(self) -> None:
         try:
-            with beside("fit", self._target, makes_others=True) as pipe:
+            with child_process("fit", self._target, makes_others=True) as pipe:
                 threading.Thread(target=self._send, args=(pipe,), daemon=True).start()
                 while not self.ending or time.monotonic() < self._until_s:
                     if not pipe.poll(0.5):

@@ -16,9 +16,9 @@ from deformscope.arrays import FloatArray, ImageArray
 from deformscope.calibration_options import images_of, mask_of, opened_images, particle_options
 from deformscope.config import BetaConfig, ThetaConfig
 from deformscope.errors import InputError
+from deformscope.experiments.cached_flow import CachedFlow
 from deformscope.experiments.foam_video import last_pose
-from deformscope.experiments.kept_motion import KeptMotion
-from deformscope.experiments.live_stages import Beside
+from deformscope.experiments.live_stages import StageExecutor
 from deformscope.file_io import ending_of, make_folder, read_file
 from deformscope.files.pairs import parse_pair
 from deformscope.frames import ColorFrame
@@ -41,7 +41,7 @@ class ImagesSubject:
 
     kind: Literal["images"] = "images"
 
-    def __init__(self, motion: KeptMotion) -> None:
+    def __init__(self, motion: CachedFlow) -> None:
         self._motion = motion
         height, width = motion.first.shape[:2]
         self.size_px = float(width), float(height)
@@ -99,7 +99,7 @@ def subject_of(config: BetaConfig | ThetaConfig, note: Callable[[str], None]) ->
     images = images_of(config)
     with opened_images(config.sources, images) as source:
         of = "" if source.count is None else f" of {source.count}"
-        return ImagesSubject(KeptMotion(source, images.flow, lambda done: note(f"optical flow: frame {done}{of}")))
+        return ImagesSubject(CachedFlow(source, images.flow, lambda done: note(f"optical flow: frame {done}{of}")))
 
 
 class FollowedCamera:
@@ -116,7 +116,7 @@ class FollowedCamera:
         name: str,
         first: ImageArray,
         method: FlowMethod,
-        flow: Beside,
+        flow: StageExecutor,
         next_folder: Callable[[], Path],
         want: Callable[[], None],
     ) -> None:
@@ -124,9 +124,9 @@ class FollowedCamera:
         self._rest = self._newest = first
         self._method, self._flow, self._next_folder, self._want = method, flow, next_folder, want
         self._wants = False
-        self._requested: Future[KeptMotion] | None = None
+        self._requested: Future[CachedFlow] | None = None
         self._pair: tuple[ImageArray, ImageArray] | None = None
-        self._shown: KeptMotion | None = None
+        self._shown: CachedFlow | None = None
         self._folder: Path | None = None
         self._pairs = 0
         self._kept: tuple[str, str] | None = None
@@ -157,7 +157,7 @@ class FollowedCamera:
         """Whether what was requested is there."""
         return self._requested is not None and self._requested.done()
 
-    def motion(self) -> KeptMotion:
+    def motion(self) -> CachedFlow:
         """What was requested, once it is there. Raises what went wrong with it."""
         requested, self._requested = self._requested, None
         assert requested is not None
@@ -190,7 +190,7 @@ class FollowedCamera:
         return dataclasses.replace(config, sources=self._kept, images=dataclasses.replace(config.images, camera=None))
 
 
-def motion_of(rest: ImageArray, newest: ImageArray, method: FlowMethod, threads: int) -> KeptMotion:
+def motion_of(rest: ImageArray, newest: ImageArray, method: FlowMethod, threads: int) -> CachedFlow:
     """From one picture to the other, as of two files. threads: of OpenCV. Raises InputError where the sizes differ."""
     if rest.shape != newest.shape:
         came = f"{newest.shape[1]}x{newest.shape[0]} after {rest.shape[1]}x{rest.shape[0]}"
@@ -198,7 +198,7 @@ def motion_of(rest: ImageArray, newest: ImageArray, method: FlowMethod, threads:
     os.setpriority(os.PRIO_PROCESS, 0, max(NICE, os.getpriority(os.PRIO_PROCESS, 0)))
     cv2.setNumThreads(threads)
     pair = [ColorFrame(Stamp(index), index, image) for index, image in enumerate((rest, newest))]
-    return KeptMotion(pair, method, lambda done: None)
+    return CachedFlow(pair, method, lambda done: None)
 
 
 def _eight_bits(image: ImageArray, low: float, high: float) -> ImageArray:

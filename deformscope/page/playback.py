@@ -32,7 +32,7 @@ def play_on_page(path: Path) -> PageServer:
     return page
 
 
-def lay_beside(
+def show_comparison(
     page: PageServer,
     recording: Replay,
     recorded: Sequence[Row],
@@ -68,7 +68,7 @@ def chapters_of(rows: list[Row], until_ns: int) -> list[Chapter]:
     for row, following in pairwise([*begun, None]):
         assert row is not None
         end_ns = until_ns if following is None else following.session_ns
-        found.append(Chapter(_touch_words(row), row.session_ns, end_ns))
+        found.append(Chapter(_format_touch(row), row.session_ns, end_ns))
     squeezed = [row for row in rows if isinstance(row.item, SqueezePhase)]
     for row, following in pairwise([*squeezed, None]):
         assert row is not None
@@ -87,6 +87,6 @@ def chapters_of(rows: list[Row], until_ns: int) -> list[Chapter]:
     return sorted(found, key=lambda chapter: chapter.from_ns)
 
 
-def _touch_words(row: Row) -> str:
+def _format_touch(row: Row) -> str:
     name = str(row.item.name)
     return f"touch {row.touch}" if name == "travel" else name

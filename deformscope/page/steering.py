@@ -155,7 +155,7 @@ class PageSteering:
         for result in results:
             if isinstance(result, TouchEstimate) and (curve := self.session.state.curve) is not None:
                 near = np.hypot(result.xyz_m[0] - curve.x_m, result.xyz_m[1] - curve.y_m) < 1e-3
-                shown = felt_beside(curve, result, self._compliance_m_per_n) if near else None
+                shown = add_measured(curve, result, self._compliance_m_per_n) if near else None
                 self.session.show(curve=shown)
             elif isinstance(result, SteeringDecision) and result.kind == "held":
                 with self._lock:
@@ -280,7 +280,7 @@ def curve_of(forecast: TouchForecast) -> ForceCurve:
     return ForceCurve(x_m, y_m, known, _floats(forecast.force_n), depth, low, high)
 
 
-def felt_beside(curve: ForceCurve, touch: TouchEstimate, compliance_m_per_n: float) -> ForceCurve:
+def add_measured(curve: ForceCurve, touch: TouchEstimate, compliance_m_per_n: float) -> ForceCurve:
     """The same with what was felt: the dent without what the arm itself yields, from contact to the largest force."""
     if not touch.usable:
         return msgspec.structs.replace(curve, words="felt: no stiffness came of it")

@@ -18,17 +18,17 @@ import numpy.typing as npt
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.images import encode_png
 from deformscope.pictures.figures import canvas, png_of
-from deformscope.pictures.palette import OBSERVED, SIMULATED, hexadecimal, round_up
-from deformscope.pictures.words import (
-    claim_words,
+from deformscope.pictures.messages import (
     counted,
-    ended_words,
-    found_words,
-    iou_words,
+    format_claim,
+    format_inclusions,
+    format_iou,
+    format_stop,
+    format_travel,
+    format_verdict,
     stiffness_kind,
-    travel_words,
-    verdict_words,
 )
+from deformscope.pictures.palette import OBSERVED, SIMULATED, hexadecimal, round_up
 from deformscope.results.render import to_line
 from deformscope.stages.map.exploration import LumpsFound, MapEstimate, PlannedTouch, SurfaceEstimate, TouchEstimate
 
@@ -95,40 +95,41 @@ def height_png(surface: SurfaceEstimate) -> bytes:
     return _one(lambda axes: draw_height(axes, surface))
 
 
-def regions_beside_png(recorded: MapEstimate, other: MapEstimate, name: str) -> bytes:
+def region_comparison_png(recorded: MapEstimate, other: MapEstimate, name: str) -> bytes:
     """Where the regions end: of a recorded map, and of the one that other settings give. name: of these"""
-    return _one(lambda axes: draw_regions_beside(axes, recorded, other, name), (0.12, 0.12, 0.84, 0.62))
+    return _one(lambda axes: draw_region_comparison(axes, recorded, other, name), (0.12, 0.12, 0.84, 0.62))
 
 
-def touches_beside_png(
+def touch_comparison_png(
     quantity: Literal["stiffness", "beta"], recorded: Sequence[TouchEstimate], other: Sequence[TouchEstimate], name: str
 ) -> bytes:
     """What each touch gave, with its interval: as recorded, and with other settings. name: of these"""
-    return _one(lambda axes: draw_touches_beside(axes, quantity, recorded, other, name), (0.16, 0.14, 0.8, 0.62))
+    return _one(lambda axes: draw_touch_comparison(axes, quantity, recorded, other, name), (0.16, 0.14, 0.8, 0.62))
 
 
-def words_png(words: str) -> bytes:
+def text_png(words: str) -> bytes:
     """Words where there is nothing to draw yet."""
     return _one(lambda axes: _say(axes, words))
 
 
-def lumps_png(lumps: LumpsFound) -> bytes:
-    """How probably each cell lies above a lump, those that were found, and the true ones where these are known."""
-    return _one(lambda axes: draw_lumps(axes, lumps))
+def inclusions_png(lumps: LumpsFound) -> bytes:
+    """How probably each cell lies above an inclusion, those that were found, and the true ones where these are
+    known."""
+    return _one(lambda axes: draw_inclusions(axes, lumps))
 
 
-def missed_png(lumps: LumpsFound) -> bytes:
-    """How probably a lump of each size is missed."""
-    return _one(lambda axes: draw_missed(axes, lumps), (0.15, 0.155, 0.8, 0.62))
+def miss_probability_png(lumps: LumpsFound) -> bytes:
+    """How probably an inclusion of each size is missed."""
+    return _one(lambda axes: draw_miss_probability(axes, lumps), (0.15, 0.155, 0.8, 0.62))
 
 
 def result_png(maps: MapEstimate, title: str = "", lumps: LumpsFound | None = None) -> bytes:
     """The whole result in one picture: both fields with their deviations, the regions, and the truth where known; where
-    lumps are sought, they and what may be missed in the place of beta."""
+    inclusions are sought, they and what may be missed in the place of beta."""
     figure = canvas(3 * WIDE, 2 * HIGH + 0.5)
     second: tuple[Callable[[Axes, MapEstimate], None], ...] = (draw_beta, draw_beta_deviation)
     if lumps is not None:
-        second = (lambda axes, _: draw_lumps(axes, lumps), lambda axes, _: draw_missed(axes, lumps))
+        second = (lambda axes, _: draw_inclusions(axes, lumps), lambda axes, _: draw_miss_probability(axes, lumps))
     drawings: tuple[tuple[Callable[[Axes, MapEstimate], None], ...], ...] = (
         (functools.partial(draw_stiffness, path=True), second[0], draw_regions),
         (draw_stiffness_deviation, second[1], draw_truth),
@@ -198,7 +199,7 @@ def draw_regions(axes: Axes, maps: MapEstimate) -> None:
     _draw_outline(axes, maps.labels, maps.cell_m, "black")
     _draw_contacts(axes, maps.contacts_m, maps.tip_radius_m)
     _draw_keys(axes, maps)
-    title = f"{verdict_words(maps)} found ({claim_words(maps.claimed)})"
+    title = f"{format_verdict(maps)} found ({format_claim(maps.claimed)})"
     _title(axes, title, "the paler, the less sure")
 
 
@@ -212,11 +213,11 @@ def draw_truth(axes: Axes, maps: MapEstimate) -> None:
     _draw_labels(axes, drawn, np.ones(truth.shape), maps.cell_m)
     _draw_outline(axes, maps.labels, maps.cell_m, "black")
     _draw_contacts(axes, maps.contacts_m, maps.tip_radius_m)
-    score = f"{iou_words(maps)}; " if maps.iou is not None else ""
+    score = f"{format_iou(maps)}; " if maps.iou is not None else ""
     _title(axes, f"Truth: {counted(len(np.unique(truth)), 'region')}", f"{score}line: as found")
 
 
-def draw_lumps(axes: Axes, lumps: LumpsFound) -> None:
+def draw_inclusions(axes: Axes, lumps: LumpsFound) -> None:
     from matplotlib.patches import Circle
 
     _draw_map(axes, 100.0 * lumps.covered, lumps.cell_m, GAIN, "[%]", low=0.0, high=100.0)
@@ -227,10 +228,10 @@ def draw_lumps(axes: Axes, lumps: LumpsFound) -> None:
     for x, y, radius, style, color in circles:
         axes.add_patch(Circle((x, y), radius, fill=False, ls=style, ec=color, lw=2.2))
     truth = "" if lumps.truth_m is None else "; red: the true ones"
-    _title(axes, found_words(lumps).capitalize(), f"probability that a lump lies below; black: found{truth}")
+    _title(axes, format_inclusions(lumps).capitalize(), f"probability that a lump lies below; black: found{truth}")
 
 
-def draw_missed(axes: Axes, lumps: LumpsFound) -> None:
+def draw_miss_probability(axes: Axes, lumps: LumpsFound) -> None:
     names = [f"{100.0 * radius:.3g}" for radius in lumps.size_m]
     wanted = lumps.size_m >= lumps.smallest_m
     axes.bar(names, 100.0 * lumps.missed, color=np.where(wanted, REGIONS[5], EXCLUDED))
@@ -259,7 +260,7 @@ def draw_gain(axes: Axes, plan: PlannedTouch, cell_m: float, contacts_m: FloatAr
         axes.plot(*at, "+", color=TARGET, ms=20, mew=2.8, zorder=8)
         _title(axes, f"Next touch at ({at[0]:.1f}, {at[1]:.1f}) cm", plan.reason)
     else:
-        _title(axes, "No further touch", ended_words(plan.stop_reason) if plan.stop_reason else plan.reason)
+        _title(axes, "No further touch", format_stop(plan.stop_reason) if plan.stop_reason else plan.reason)
 
 
 def draw_height(axes: Axes, surface: SurfaceEstimate) -> None:
@@ -349,7 +350,7 @@ def _rings(away_cm: FloatArray, height_mm: FloatArray) -> tuple[FloatArray, Floa
     return away, height
 
 
-def draw_regions_beside(axes: Axes, recorded: MapEstimate, other: MapEstimate, name: str) -> None:
+def draw_region_comparison(axes: Axes, recorded: MapEstimate, other: MapEstimate, name: str) -> None:
     from matplotlib.lines import Line2D
 
     beside = ((recorded, RECORDED, 4.0, "recorded"), (other, OTHER, 1.4, name))  # seen both, where they are the same
@@ -357,7 +358,7 @@ def draw_regions_beside(axes: Axes, recorded: MapEstimate, other: MapEstimate, n
     handles = []
     for maps, color, width, whose in beside:
         _draw_outline(axes, maps.labels, maps.cell_m, hexadecimal(color), width)
-        words = f"{whose}: {verdict_words(maps)} ({claim_words(maps.claimed)})"
+        words = f"{whose}: {format_verdict(maps)} ({format_claim(maps.claimed)})"
         handles.append(Line2D([], [], color=hexadecimal(color), lw=width, label=words))
     _draw_contacts(axes, recorded.contacts_m, recorded.tip_radius_m)
     matched = _matched(other.labels, recorded.labels) if recorded.region_count and other.region_count else other.labels
@@ -365,7 +366,7 @@ def draw_regions_beside(axes: Axes, recorded: MapEstimate, other: MapEstimate, n
     _legend_above(axes, f"Regions: {100 * same:.0f} % of the surface the same", handles)
 
 
-def draw_touches_beside(
+def draw_touch_comparison(
     axes: Axes, quantity: str, recorded: Sequence[TouchEstimate], other: Sequence[TouchEstimate], name: str
 ) -> None:
     from matplotlib.ticker import MaxNLocator
@@ -655,7 +656,7 @@ def _title(axes: Axes, title: str, words: str) -> None:
 
 
 def _headline(maps: MapEstimate) -> str:
-    said = [counted(maps.touches, "touch"), verdict_words(maps), iou_words(maps), travel_words(maps.travel_m)]
+    said = [counted(maps.touches, "touch"), format_verdict(maps), format_iou(maps), format_travel(maps.travel_m)]
     return ", ".join(one for one in said if one)
 
 

@@ -67,7 +67,7 @@ def losses_of(report: HealthReport) -> dict[str, dict[str, float]]:
     return {name: lost for name, lost in found.items() if lost}
 
 
-def in_words(lost: Mapping[str, float]) -> str:
+def to_text(lost: Mapping[str, float]) -> str:
     """One device's losses in a line; empty where there are none."""
     parts = []
     silent_s, by_time = lost.get("silent_s", 0.0), int(lost.get("readings_by_time", 0))
@@ -85,4 +85,4 @@ def in_words(lost: Mapping[str, float]) -> str:
 
 def named(losses: Mapping[str, Mapping[str, float]]) -> str:
     """All devices' losses in one line."""
-    return "; ".join(f"{device}: {in_words(lost)}" for device, lost in losses.items())
+    return "; ".join(f"{device}: {to_text(lost)}" for device, lost in losses.items())

@@ -26,9 +26,9 @@ from deformscope.experiments.search import ThesisSearch
 from deformscope.lab.scenes import built_in
 from deformscope.lab.slab import RigidTip
 from deformscope.lab.slab_world import SlabWorld
-from deformscope.reproduce.foams import order_words
+from deformscope.reproduce.foams import format_order
 from deformscope.reproduce.surface_robot import LabRobot, explore_at_once
-from deformscope.stages.map.gaussian_process import Believed
+from deformscope.stages.map.gaussian_process import ProcessPrediction
 from deformscope.stages.map.map_score import match_regions
 from deformscope.stages.map.thesis_field import ThesisField, contoured
 from deformscope.stages.map.touch_beta import (
@@ -220,8 +220,8 @@ class _Heights:
     def __init__(self, points_m: FloatArray) -> None:
         self._between = LinearNDInterpolator(points_m[:, :2], points_m[:, 2])
 
-    def at(self, places_m: FloatArray) -> Believed:
-        return Believed(np.asarray(self._between(places_m)), np.zeros(len(places_m)))
+    def at(self, places_m: FloatArray) -> ProcessPrediction:
+        return ProcessPrediction(np.asarray(self._between(places_m)), np.zeros(len(places_m)))
 
 
 def _exact(world: SlabWorld, at: FloatArray, middle_m: float, radius_m: float) -> SeenDent:
@@ -239,11 +239,11 @@ SAME = 0.02
 """Betas of foams that differ by no more count as the same: two steps of the sweep (Algorithm 3)."""
 
 
-def in_words(foams: Sequence[FoamDent], explored: Sequence[Scenario]) -> list[str]:
+def to_text(foams: Sequence[FoamDent], explored: Sequence[Scenario]) -> list[str]:
     """What figure 4.5 and the explorations show, each sentence from their numbers."""
     as_many = sum(len(one.contacts_m) == SCENARIOS[one.scene][0] for one in explored)
     made = f"As many touches as in the thesis in {as_many} of {len(explored)} explorations."
-    return [*_trends(foams), made, *(_field_words(name, explored) for name in explored[0].fields)]
+    return [*_trends(foams), made, *(_format_field(name, explored) for name in explored[0].fields)]
 
 
 def _trends(foams: Sequence[FoamDent]) -> list[str]:
@@ -255,13 +255,13 @@ def _trends(foams: Sequence[FoamDent]) -> list[str]:
         betas.setdefault(same[0].hold, []).append(np.array([one.beta for one in same]))
     words = []
     for hold, sizes in betas.items():
-        changes = Counter(order_words(one, SAME) for one in sizes).most_common()
+        changes = Counter(format_order(one, SAME) for one in sizes).most_common()
         said = ", ".join(f"{change} at {count} of {len(sizes)} cluster sizes" for change, count in changes)
         words.append(f"By {hold}, beta is {np.min(sizes):.2f} to {np.max(sizes):.2f}; it {said}.")
     return words
 
 
-def _field_words(name: str, explored: Sequence[Scenario]) -> str:
+def _format_field(name: str, explored: Sequence[Scenario]) -> str:
     """Of one way to model the dents: how many regions it finds, and between which betas."""
     fields = [(one.fields[name], int(one.truth.max()) + 1) for one in explored]
     right = sum(found.regions == count for found, count in fields)

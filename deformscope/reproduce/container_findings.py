@@ -22,35 +22,35 @@ TEST_OVER_TRAIN = 0.3 / 0.7
 
 
 @dataclass(frozen=True, slots=True)
-class FindingBeside:
+class FindingComparison:
     """thesis: what it reports; ours: what the laboratory shows, with intervals"""
 
     thesis: str
     ours: str
 
 
-def findings_beside(five: Evaluation, three: Evaluation) -> list[FindingBeside]:
+def compare_findings(five: Evaluation, three: Evaluation) -> list[FindingComparison]:
     """The thesis's statements, each with ours. five: of all contents; three: of empty, liquid, granular"""
     touch, vision, both = (five.score(name, "knn") for name in (TOUCH, VISION, BOTH))
     return [
-        FindingBeside("Vision is most informative for water.", _better(five, touch, vision, ("water",))),
-        FindingBeside(
+        FindingComparison("Vision is most informative for water.", _better(five, touch, vision, ("water",))),
+        FindingComparison(
             "Of three classes, touch is better for empty and granular contents.",
             _better(three, three.score(TOUCH, "knn"), three.score(VISION, "knn"), ("empty", "granular")),
         ),
-        FindingBeside("Yogurt is felt as flour or as water.", _named(five, touch, "yogurt")),
-        FindingBeside(
+        FindingComparison("Yogurt is felt as flour or as water.", _named(five, touch, "yogurt")),
+        FindingComparison(
             "Rice and flour are seen as yogurt.", f"{_named(five, vision, 'rice')} {_named(five, vision, 'flour')}"
         ),
-        FindingBeside(
+        FindingComparison(
             f"Contents next to one another ({', '.join(HARDNESS)}) are confused with one another.",
             f"By touch {_neighbours(five, touch)}, by vision {_neighbours(five, vision)}; 40 % is chance.",
         ),
-        FindingBeside(
+        FindingComparison(
             "Nearest neighbours do better than QDA.",
             "; ".join(_versus(five, (name, "knn"), (name, "qda")) for name in (TOUCH, VISION)) + ".",
         ),
-        FindingBeside(
+        FindingComparison(
             "Early fusion does not always help: it gains for water, and loses 4 points of touch for yogurt and empty.",
             f"{_versus(five, (BOTH, 'knn'), (TOUCH, 'knn'))}; of touch, "
             + ", ".join(
@@ -59,7 +59,7 @@ def findings_beside(five: Evaluation, three: Evaluation) -> list[FindingBeside]:
             )
             + ".",
         ),
-        FindingBeside(
+        FindingComparison(
             "Raw touch with the small image gains 4.6 points over both on components.",
             f"{_versus(five, (RAW, 'knn-raw'), (BOTH, 'knn'))}.",
         ),

@@ -82,7 +82,7 @@ class ElementTime:
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
+class CubeResult:
     """What was found for one cube.
 
     theta: the calibration; curve: the dense grid's errors, thinned; grid_theta, grid_aee: its lowest [m]
@@ -200,7 +200,7 @@ def depths_of(cubes: Sequence[Cube]) -> list[float]:
 # One cube ------------------------------------------------------------------------------------------------------------
 
 
-def examine(cube: Cube, options: CubesConfig, compare: bool) -> Found:
+def examine(cube: Cube, options: CubesConfig, compare: bool) -> CubeResult:
     """Everything that is found for one cube; `compare`: with beta fitted too."""
     model = Model("theta", "quadratic", None)
     with threadpool_limits(1):
@@ -216,7 +216,7 @@ def examine(cube: Cube, options: CubesConfig, compare: bool) -> Found:
             one = _fit_both(cube.seen, body, (model.beta, found.estimate.value), "scale")
             small = Model("theta", "linear", options.cluster_size, volume="project").body(cube.seen)
             both = _fit_both(cube.seen, small, (0.9, 0.5), "project")
-        return Found(
+        return CubeResult(
             cube=cube,
             theta=found.estimate,
             simulated=found.comparisons[0].simulated,
@@ -297,9 +297,9 @@ class Spread:
     equal_share_sem: float
 
 
-def spreads(found: Sequence[Found], of: Callable[[Cube], str] = lambda _: "") -> list[Spread]:
+def spreads(found: Sequence[CubeResult], of: Callable[[Cube], str] = lambda _: "") -> list[Spread]:
     """Mean and SEM of theta for each Poisson's ratio and each value of `of` (figure 3.10 a, b and c)."""
-    groups: dict[tuple[float, str], list[Found]] = {}
+    groups: dict[tuple[float, str], list[CubeResult]] = {}
     for one in found:
         groups.setdefault((one.cube.poisson, of(one.cube)), []).append(one)
     return [
@@ -315,7 +315,7 @@ def spreads(found: Sequence[Found], of: Callable[[Cube], str] = lambda _: "") ->
     ]
 
 
-def rises(found: Sequence[Found], *, to_bound: bool = False) -> bool:
+def rises(found: Sequence[CubeResult], *, to_bound: bool = False) -> bool:
     """Whether theta rises strictly with Poisson's ratio at every resolution and depth.
 
     to_bound: where theta has reached the end of its range it need not rise any more
@@ -342,9 +342,9 @@ class ModelTime:
     theta: float
 
 
-def model_times(found: Sequence[Found], repeats: int = 15) -> list[ModelTime]:
+def model_times(found: Sequence[CubeResult], repeats: int = 15) -> list[ModelTime]:
     """Times of the model for each resolution, medians of `repeats`."""
-    every: dict[str, list[Found]] = {}
+    every: dict[str, list[CubeResult]] = {}
     for one in found:
         every.setdefault(one.cube.resolution, []).append(one)
     times = []

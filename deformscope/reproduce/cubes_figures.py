@@ -10,7 +10,7 @@ import numpy as np
 
 from deformscope.arrays import IntArray
 from deformscope.pictures.figures import COLOURS, LINES, figure
-from deformscope.reproduce.cubes import Cube, ElementTime, Found, ModelTime, Spread, depth_of, depths_of, spreads
+from deformscope.reproduce.cubes import Cube, CubeResult, ElementTime, ModelTime, Spread, depth_of, depths_of, spreads
 
 THESIS_SEM = {
     "all settings": {0.1: "< 0.015", 0.25: "< 0.015"},
@@ -28,7 +28,7 @@ def depth_name(depth: float) -> str:
     return f"{100.0 * depth:.3g} cm"
 
 
-def grouped_spreads(found: Sequence[Found]) -> dict[str, list[Spread]]:
+def grouped_spreads(found: Sequence[CubeResult]) -> dict[str, list[Spread]]:
     """Figure 3.10's three groupings: over all settings, over depths, over resolutions."""
     depths = depths_of([one.cube for one in found])
     finer = sorted(found, key=lambda one: len(one.cube.seen.rest))
@@ -43,7 +43,7 @@ def grouped_spreads(found: Sequence[Found]) -> dict[str, list[Spread]]:
 # Figures -------------------------------------------------------------------------------------------------------------
 
 
-def draw_theta(path: Path, found: Sequence[Found]) -> None:
+def draw_theta(path: Path, found: Sequence[CubeResult]) -> None:
     """Figure 3.10: theta against Poisson's ratio, mean and SEM over all settings, over depths, over resolutions."""
     groups = grouped_spreads(found)
     titles = (
@@ -73,7 +73,7 @@ def draw_theta(path: Path, found: Sequence[Found]) -> None:
         axes[0, 0].set_ylabel("theta")
 
 
-def draw_errors(path: Path, found: Sequence[Found]) -> None:
+def draw_errors(path: Path, found: Sequence[CubeResult]) -> None:
     """Figure 3.11: error against theta, a panel for each Poisson's ratio above 0; dots are the estimates."""
     cubes = [one.cube for one in found]
     ratios = sorted({cube.poisson for cube in cubes if cube.poisson > 0.0}) or sorted({c.poisson for c in cubes})
@@ -94,7 +94,7 @@ def draw_errors(path: Path, found: Sequence[Found]) -> None:
         axes.flat[0].legend(handles=handles, fontsize="small", ncols=2)
 
 
-def draw_resolution(path: Path, found: Sequence[Found]) -> None:
+def draw_resolution(path: Path, found: Sequence[CubeResult]) -> None:
     """Why theta drifts with resolution: with equal masses, and where the held particles weigh the same share."""
     depths = depths_of([one.cube for one in found])
     deepest = [one for one in found if depth_of(one.cube, depths) == depths[-1]]
@@ -123,7 +123,7 @@ def draw_resolution(path: Path, found: Sequence[Found]) -> None:
         panel.figure.legend(handles=handles, loc="outside lower center", ncols=2, fontsize="small")
 
 
-def draw_clusters(path: Path, found: Sequence[Found], cluster_size: int) -> None:
+def draw_clusters(path: Path, found: Sequence[CubeResult], cluster_size: int) -> None:
     """Errors of one cluster and of overlapping ones, and the side of the cube that separates them the most."""
     some = [one for one in found if one.overlapping is not None and one.one_cluster is not None]
     resolutions = list(dict.fromkeys(one.cube.resolution for one in some))
@@ -155,7 +155,7 @@ def draw_clusters(path: Path, found: Sequence[Found], cluster_size: int) -> None
             _draw_side(right, max(sided, key=lambda one: (one.theta.aee, len(one.cube.seen.rest))), many)
 
 
-def _draw_side(panel: Any, one: Found, many: str) -> None:
+def _draw_side(panel: Any, one: CubeResult, many: str) -> None:
     """The middle line of a side, from plate to plate, as it is and as both models have it."""
     assert one.overlapping is not None
     row, along, out = side_line(one.cube)
@@ -198,7 +198,7 @@ def _line(style: Any, colour: str, label: str, marker: str = "") -> Any:
 # Tables --------------------------------------------------------------------------------------------------------------
 
 
-def cube_rows(found: Sequence[Found]) -> list[dict[str, object]]:
+def cube_rows(found: Sequence[CubeResult]) -> list[dict[str, object]]:
     """One row a cube."""
     rows = []
     for one in found:
@@ -214,7 +214,7 @@ def cube_rows(found: Sequence[Found]) -> list[dict[str, object]]:
     return rows
 
 
-def sem_rows(found: Sequence[Found]) -> list[dict[str, object]]:
+def sem_rows(found: Sequence[CubeResult]) -> list[dict[str, object]]:
     """Mean and SEM of theta in each grouping of figure 3.10, beside what the thesis says of its own."""
     rows: list[dict[str, object]] = []
     for group, some in grouped_spreads(found).items():

@@ -235,12 +235,12 @@ def trend(results: Sequence[FoamResult], source: Source, held: Held, cluster_siz
     if low <= high:
         summary = f"no trend: any beta from {low:.2f} to {high:.2f} fits all"
     else:
-        summary = order_words(value)
+        summary = format_order(value)
     common = (low, high) if low <= high else None
     return Trend(source, held, cluster_size, float(value[0] - value[-1]), correlation, common, summary)
 
 
-def order_words(value: FloatArray, same: float = 0.0) -> str:
+def format_order(value: FloatArray, same: float = 0.0) -> str:
     """How values (n,) of foams change, the softest first; same: that they may differ by and count as one."""
     steps = np.diff(value)
     if np.ptp(value) <= same:

@@ -43,7 +43,7 @@ def figure_3_14(results: Sequence[FoamResult], trends: Sequence[Trend], held: He
             _with_interval(values, result, "true", held, size, colour, 2.0)
         curve.set(title=f"clusters {size} x {size}", xlabel="beta", xlim=(-0.02, 1.0))
         curve.set_ylim(bottom=0.0)
-        found = _in_words(next(t for t in trends if (t.source, t.held, t.cluster_size) == ("flow", held, size)))
+        found = _to_text(next(t for t in trends if (t.source, t.held, t.cluster_size) == ("flow", held, size)))
         values.set(xlabel="hardness [N]  (density/hardness)", ylim=(-0.03, 1.03))
         values.set_title(found, fontsize=9)
         _hardness_ticks(values, results)
@@ -170,7 +170,7 @@ def _with_interval(
     axis.errorbar(result.foam.hardness + shift, one.value, yerr=off, fmt="o", color=colour, mfc=face, capsize=3)
 
 
-def _in_words(one: Trend) -> str:
+def _to_text(one: Trend) -> str:
     correlation = "" if one.rank_correlation is None else f"; rank correlation {one.rank_correlation:+.1f}"
     return f"softest - firmest {one.drop:+.2f}{correlation}\n{one.told}"
 

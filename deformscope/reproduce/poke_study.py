@@ -19,7 +19,7 @@ from deformscope.stages.fit.search import Progress
 from deformscope.stages.msm.poke import Tip
 from deformscope.stages.poke.comparison import PokeComparison
 from deformscope.stages.poke.layers import MeasuredSurface
-from deformscope.stages.poke.poke_estimate import PokesFound, conclude
+from deformscope.stages.poke.poke_estimate import PokesResult, conclude
 from deformscope.stages.poke.poke_fit import fit_pokes, seen_poke
 
 GRID = 0.01
@@ -86,7 +86,7 @@ class Studied:
     """plan; what was found of the fitted pokes; the unseen ones."""
 
     plan: PokeStudyPlan
-    found: PokesFound
+    found: PokesResult
     unseen: tuple[PokeComparison, ...]
 
 

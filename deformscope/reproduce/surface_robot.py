@@ -120,7 +120,7 @@ class LabRobot:
         self._clock = clock
         self.errors = (errors or LabErrors.none()).draw([options.seed, scene.seed])
         self.scene = self.errors.slab(scene)
-        if any(piece.yields for piece in scene.pieces):
+        if any(piece.plateau_exponent for piece in scene.pieces):
             raise InputError("foam that stays linear", scene.name, f"deformscope explore lab:{scene.name}")
         foam = self.errors.foam(scene)
         self.size_m = scene.size_m

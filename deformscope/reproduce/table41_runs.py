@@ -45,7 +45,7 @@ class MapAfter:
     form: as the planner reckons); compute_s: from this touch to the next target
     log_stiffness, log_sd, rigid: what the last touch measured [N/mm], at `xy_m`; felt_log_stiffness: what it would have
     measured without noise; touch_covered: whether its 90 % interval holds that, None where it is rigid
-    unseen: probability that lumps of the size that is sought are there unseen, None where it was not computed
+    unseen: probability that inclusions of the size that is sought are there unseen, None where it was not computed
     """
 
     touches: int

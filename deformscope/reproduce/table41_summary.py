@@ -40,8 +40,8 @@ def summarise(runs: Sequence[TableRun], touches: int) -> dict[str, Any]:
     gradual: shares. levels_covered: share of the levels in their intervals, over `levels_runs` layouts whose number is
     right; field_covered: mean share of cells; touches_covered: share of the touches so far that are not rigid
     stopped: share in which the plan said enough by itself; wrong, wrong_claimed: mean share of the surface with a wrong
-    label, found and expected; unseen: probability that lumps are there unseen, median, and unseen_missed, over layouts
-    whose smallest region was not found
+    label, found and expected; unseen: probability that inclusions are there unseen, median, and unseen_missed, over
+    layouts whose smallest region was not found
     unmet_m: radius of the largest disc of another material that no touch would have met, median
     None where there is nothing to report
     """

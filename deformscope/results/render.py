@@ -93,7 +93,7 @@ def _nested(value: Any) -> Any:
     return value
 
 
-def to_words(result: Any, name: str) -> str:
+def format_value(result: Any, name: str) -> str:
     """One quantity as it is shown: number, unit and interval; empty where it is not known."""
     return _words(result, next(one for one in quantities(type(result)) if one.name == name))
 

@@ -40,7 +40,7 @@ SETTLE_PERIODS, HOLD_PERIODS = 20, 30
 """Control periods after a person has said that the stick stands, before and while it is looked at: 0.2 s in which a
 hand lets go, and the mean of 0.3 s. Shorter, the hand's force is measured too; longer, a touch in a dozen steps takes
 longer."""
-BESIDE_M = 0.03
+MOST_CORRECTION_M = 0.03
 """A height further from what was asked for is a slip, as of cm for mm, and is asked again: corrections are of a few
 millimetres. Larger believes slips; smaller refuses true heights where a stick was put down roughly."""
 AGAIN = "a height in mm, as the scale shows it, or nothing where it is as asked for: "
@@ -214,11 +214,11 @@ class PlacedRun(TouchRun):
 
 def height_m_of(answer: str, asked_m: float) -> float | None:
     """The height above the table [m] that an answer in mm gives; an empty answer = as requested. None where it is no
-    number, or more than BESIDE_M from the request."""
+    number, or more than MOST_CORRECTION_M from the request."""
     if not answer:
         return asked_m
     with contextlib.suppress(ValueError):
         height_m = float(answer.replace(",", ".")) / 1e3
-        if abs(height_m - asked_m) < BESIDE_M:
+        if abs(height_m - asked_m) < MOST_CORRECTION_M:
             return height_m
     return None

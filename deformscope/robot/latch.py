@@ -30,7 +30,7 @@ Alarm = tuple[Action, FaultT, str]
 
 
 @dataclass(frozen=True)
-class Verdict(Generic[FaultT]):
+class Decision(Generic[FaultT]):
     """What to do, and why. fault: the enumeration's NONE while it goes on; time_ns: of the judgement that found it"""
 
     action: Action
@@ -49,11 +49,11 @@ class LatchingSupervisor(Generic[FaultT]):
         late_ns: a judgement so long after the last one came late: the host was busy, and those who read the devices
         perhaps too. No silence is held against a device then, once and not twice in a row.
         """
-        self._go_on: Verdict[FaultT] = Verdict(Action.GO_ON, none)
+        self._go_on: Decision[FaultT] = Decision(Action.GO_ON, none)
         self._verdict, self._late_ns = self._go_on, late_ns
 
     @property
-    def verdict(self) -> Verdict[FaultT]:
+    def verdict(self) -> Decision[FaultT]:
         """The last one, or the one that holds."""
         return self._verdict
 
@@ -66,7 +66,7 @@ class LatchingSupervisor(Generic[FaultT]):
         self._verdict = self._go_on
         self.start(now_ns)
 
-    def stop(self, fault: FaultT, reason: str, now_ns: int) -> Verdict[FaultT]:
+    def stop(self, fault: FaultT, reason: str, now_ns: int) -> Decision[FaultT]:
         """Stop for what is in no reading: a person asks for it, or a command was refused, and the next would be too."""
         return self._latch([(Action.STOP, fault, reason)], now_ns)
 
@@ -80,8 +80,8 @@ class LatchingSupervisor(Generic[FaultT]):
         age_s = (self._judged_ns - newest_ns) / 1e9
         return age_s if age_s > limit_s and not self._excused else 0.0
 
-    def _latch(self, alarms: Iterable[Alarm[FaultT]], now_ns: int) -> Verdict[FaultT]:
+    def _latch(self, alarms: Iterable[Alarm[FaultT]], now_ns: int) -> Decision[FaultT]:
         for action, fault, reason in alarms:
             if _SEVERITY[action] > _SEVERITY[self._verdict.action]:
-                self._verdict = Verdict(action, fault, reason, now_ns)
+                self._verdict = Decision(action, fault, reason, now_ns)
         return self._verdict

@@ -22,7 +22,7 @@ from deformscope.robot.latch import Action
 from deformscope.robot.motion import CommandedRotation, JointMotion, rates_for_twist, within_limits
 from deformscope.robot.placement import Placement
 from deformscope.robot.readings import PERIOD_NS, ArmSample, CameraSample, ForceSample, RobotObservation
-from deformscope.robot.supervisor import FORCE_FAULTS, Fault, Limits, SafetyVerdict, Supervisor
+from deformscope.robot.supervisor import FORCE_FAULTS, Fault, Limits, SafetyDecision, Supervisor
 from deformscope_drivers.arm import Arm, ArmState, JointVelocity
 from deformscope_drivers.arm.kinematics import Chain, FloatArray, cross
 from deformscope_drivers.clock import Clock, monotonic_ns
@@ -38,14 +38,14 @@ VALID_PERIODS = 4
 """A velocity ends by itself unless it is set again within so many control periods."""
 
 
-Watch = Callable[[RobotObservation, SafetyVerdict], None]
+Watch = Callable[[RobotObservation, SafetyDecision], None]
 """Called with what was seen and judged in each control period."""
 
 
 class RobotStopped(Exception):
     """The supervisor has stopped the robot. verdict: why"""
 
-    def __init__(self, verdict: SafetyVerdict) -> None:
+    def __init__(self, verdict: SafetyDecision) -> None:
         super().__init__(f"the robot was stopped: {verdict.fault}: {verdict.reason}")
         self.verdict = verdict
 
@@ -306,7 +306,7 @@ class Robot:
 
     # Within ----------------------------------------------------------------------------------------------------------
 
-    def _report_to_watch(self, verdict: SafetyVerdict) -> None:
+    def _report_to_watch(self, verdict: SafetyDecision) -> None:
         """Call `watch`; where it fails, as when a recording cannot be written, halt the arm and raise its error."""
         if self.watch is None:
             return

@@ -18,10 +18,10 @@ from deformscope.rig.squeeze_sections import HandSection, SqueezeSection
 from deformscope.robot.robot import Waits, taken
 from deformscope.robot.squeeze_plan import CLOSING_AXES, GripShape
 from deformscope.robot.squeeze_supervisor import (
+    SqueezeDecision,
     SqueezeFault,
     SqueezeObservation,
     SqueezeSupervisor,
-    SqueezeVerdict,
 )
 from deformscope_drivers.clock import Clock
 from deformscope_drivers.dsa import Dsa
@@ -69,7 +69,7 @@ class FingertipFrame:
 class SqueezeStopped(Exception):
     """The supervisor has stopped the hand. verdict: why"""
 
-    def __init__(self, verdict: SqueezeVerdict) -> None:
+    def __init__(self, verdict: SqueezeDecision) -> None:
         super().__init__(f"the hand was stopped: {verdict.fault}: {verdict.reason}")
         self.verdict = verdict
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from deformscope.arrays import FloatArray
 from deformscope.rig.squeeze_sections import SqueezeSection
-from deformscope.robot.latch import Action, LatchingSupervisor, Verdict
+from deformscope.robot.latch import Action, Decision, LatchingSupervisor
 from deformscope.robot.squeeze_plan import CLOSING_AXES
 from deformscope_drivers.sdh.kinematics import fingertips
 
@@ -80,7 +80,7 @@ class SqueezeObservation:
     lost: tuple[tuple[SqueezeFault, str], ...] = ()
 
 
-SqueezeVerdict = Verdict[SqueezeFault]
+SqueezeDecision = Decision[SqueezeFault]
 
 
 class SqueezeSupervisor(LatchingSupervisor[SqueezeFault]):
@@ -105,7 +105,7 @@ class SqueezeSupervisor(LatchingSupervisor[SqueezeFault]):
         """The fingertips are in contact: how much closer they come from here on is limited (`over_squeeze_m`)."""
         self._contact_gap_m = self._gap_m
 
-    def judge(self, seen: SqueezeObservation) -> SqueezeVerdict:
+    def judge(self, seen: SqueezeObservation) -> SqueezeDecision:
         """The verdict on what came in the last control period."""
         self._begin(seen.now_ns)
         tactile = self._tactile(seen) if self._closing else []

@@ -16,7 +16,7 @@ from deformscope.errors import InputError
 from deformscope.rig.rig_file import Workspace
 from deformscope.robot.clearance import ArmBox, ArmClearance
 from deformscope.robot.collision import CollisionWatch, CurrentWatch
-from deformscope.robot.latch import Action, Alarm, LatchingSupervisor, Verdict
+from deformscope.robot.latch import Action, Alarm, Decision, LatchingSupervisor
 from deformscope.robot.readings import ArmSample, CameraSample, ForceSample, RobotObservation
 from deformscope_drivers.arm.kinematics import Chain, FloatArray, rotation_vector
 
@@ -139,7 +139,7 @@ class Limits:
         )
 
 
-SafetyVerdict = Verdict[Fault]
+SafetyDecision = Decision[Fault]
 
 SPEED_OVER_NS = 40_000_000
 """Poses this far apart give the speed: four control periods. Over less, the resolution of the reported joints looks
@@ -220,7 +220,7 @@ class Supervisor(LatchingSupervisor[Fault]):
         commanded_m_s: float = 0.0,
         commanded_rotation: FloatArray | None = None,
         camera_needed: bool = False,
-    ) -> SafetyVerdict:
+    ) -> SafetyDecision:
         """What to do now.
 
         commanded_m_s: the speed asked for since the last call; commanded_rotation: (3, 3) of the arm's end in the base

@@ -10,7 +10,7 @@ from deformscope.config import ExploreConfig
 from deformscope.config.explore import BetaModel, Feel, Goal, Pace, Planner
 from deformscope.errors import InputError
 from deformscope.runs.exploration_run import explore_on
-from deformscope.terminal import Say, said_to
+from deformscope.terminal import Say, messages_to
 
 
 def explore(
@@ -51,7 +51,7 @@ def explore(
     simulated = str(rig).startswith("lab:")
     with python_names():
         config = ExploreConfig.of(rig=str(rig), budget=touches, **given)
-        with said_to(progress if simulated or callable(progress) else True):
+        with messages_to(progress if simulated or callable(progress) else True):
             explored = explore_on(config, lambda explored: None)
     if explored is None:
         raise InputError("an exploration", "none: it ended before the arm could move")

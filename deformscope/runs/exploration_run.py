@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from deformscope.stages.map.exploration import TouchEstimate
 
 
-LUMP_FORCE_N = 5.0
+INCLUSION_FORCE_N = 5.0
 """Lumps are sought with in the laboratory, unless asked for otherwise: pressed harder, a touch feels deeper."""
 
 
@@ -89,7 +89,9 @@ def explore_on(config: ExploreConfig, report: Callable[[ExplorationResult], None
     opening = setup_of(
         config.rig,
         options,
-        LUMP_FORCE_N if config.set_force_n is None and lumps and config.rig.startswith(LAB) else config.set_force_n,
+        INCLUSION_FORCE_N
+        if config.set_force_n is None and lumps and config.rig.startswith(LAB)
+        else config.set_force_n,
         trusted=config.trust_rig,
         clean=config.clean,
         camera=config.camera,
@@ -152,10 +154,10 @@ def _run(
     ending: ExplorationEnd,
 ) -> None:
     """Open the devices, explore, close them; `found` and `ending` hold what is known, also where this raises."""
-    from deformscope.experiments.beside import stages_beside
     from deformscope.experiments.explore import explore
+    from deformscope.experiments.stage_executor import stage_executor
     from deformscope.experiments.touching_robot import touching_robot
-    from deformscope.pictures.apart import drawing_apart
+    from deformscope.pictures.render_process import render_process
     from deformscope.session import run as run_session
 
     def start(source: RigSource) -> None:
@@ -171,8 +173,8 @@ def _run(
         watch = run.watch(asked, page)
         with (
             touching_robot(setup, run.source, options, watch) as robot,
-            stages_beside(setup, options) as (beside, stage),
-            drawing_apart() if setup.runs_itself else nullcontext(),
+            stage_executor(setup, options) as (beside, stage),
+            render_process() if setup.runs_itself else nullcontext(),
         ):
             try:
                 with watch.halts(robot):
@@ -288,14 +290,14 @@ def _for_page(result: object) -> bool:
 
 def _remarks(result: object, made: int, budget: int, spent_s: float) -> Iterator[str]:
     """What is printed of a result. made: touches so far, of `budget` at most; spent_s: on them [s]"""
-    from deformscope.pictures.words import (
-        claim_words,
-        creep_words,
-        ended_words,
-        failed_words,
-        found_words,
-        iou_words,
-        verdict_words,
+    from deformscope.pictures.messages import (
+        format_claim,
+        format_creep,
+        format_failure,
+        format_inclusions,
+        format_iou,
+        format_stop,
+        format_verdict,
     )
     from deformscope.stages.map.exploration import (
         LumpsFound,
@@ -309,7 +311,7 @@ def _remarks(result: object, made: int, budget: int, spent_s: float) -> Iterator
 
     if isinstance(result, PlannedTouch):
         if result.target_m is None or result.stop_reason:
-            yield f"no further touch: {ended_words(result.stop_reason) if result.stop_reason else result.reason}"
+            yield f"no further touch: {format_stop(result.stop_reason) if result.stop_reason else result.reason}"
         else:
             left = f"; some {spent_s / made * (budget - made):.0f} s to go for all {budget}" if made else ""
             yield f"touch {made + 1} of at most {budget}, at {_cm(result.target_m)} cm: {result.reason}{left}"
@@ -323,16 +325,16 @@ def _remarks(result: object, made: int, budget: int, spent_s: float) -> Iterator
         yield f"  measured at {_cm(result.xyz_m[:2])} cm: {to_line(result)}"
         if result.creep is not None:
             at = "" if result.speed_m_s is None else f", felt at {1e3 * result.speed_m_s:.2g} mm/s"
-            yield f"  creep{at}: {creep_words(result.creep)}"
+            yield f"  creep{at}: {format_creep(result.creep)}"
     elif isinstance(result, MapEstimate):
-        truth = f", {iou_words(result)}" if iou_words(result) else ""
-        yield f"  map so far: {verdict_words(result)} ({claim_words(result.claimed)}){truth}"
+        truth = f", {format_iou(result)}" if format_iou(result) else ""
+        yield f"  map so far: {format_verdict(result)} ({format_claim(result.claimed)}){truth}"
     elif isinstance(result, LumpsFound):
         smallest = f"{100.0 * result.smallest_m:g} cm radius or more"
         missed = f"is missed with a probability of {result.missed_smallest:.1%}"
-        yield f"  {found_words(result)}; one of {smallest} {missed}"
+        yield f"  {format_inclusions(result)}; one of {smallest} {missed}"
     elif isinstance(result, StageFailure):
-        yield f"deformscope: {failed_words(result)}"
+        yield f"deformscope: {format_failure(result)}"
 
 
 def _cm(xy_m: Any) -> str:

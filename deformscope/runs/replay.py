@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 from deformscope.api.result import ViewerChoice, python_names
 from deformscope.config import OutputOptions, ReplayConfig
 from deformscope.errors import InputError
+from deformscope.pictures.messages import format_failure
 from deformscope.pictures.report import Table
-from deformscope.pictures.words import failed_words
 from deformscope.recording.item_rows import read_rows
 from deformscope.recording.items import ITEMS, read_estimates, read_streams
 from deformscope.recording.reader import Replay
@@ -201,7 +201,7 @@ def _replay_rig(recording: Replay) -> ReplayResult:
         wrong = {name: share for name, share in stages.different.items() if share > 0.0}
         words = {name: f"DIFFERENT by {share:.2g}" for name, share in wrong.items()}
         rows += [(f"stage {name}", words.get(name, "computed again, identical")) for name in stages.different]
-        rows += [("failed when recorded", failed_words(one)) for one in stages.failures]
+        rows += [("failed when recorded", format_failure(one)) for one in stages.failures]
         report["stages"] = dataclasses.asdict(stages)
         notes = (f"replay: {stages.results} results of stages computed again, identical to the recorded ones",)
         if wrong:

@@ -53,7 +53,7 @@ def replay_exploration(recording: Replay, config: ReplayConfig, page: PageServer
     from deformscope.experiments.measured import SetupGeometry
     from deformscope.experiments.options import ExploreOptions
     from deformscope.experiments.robot_geometry import AsMeasured, FromFrames
-    from deformscope.pictures.words import failed_words
+    from deformscope.pictures.messages import format_failure
     from deformscope.recording.items import read_results
     from deformscope.session import run
     from deformscope.stages.map.exploration import (
@@ -87,19 +87,19 @@ def replay_exploration(recording: Replay, config: ReplayConfig, page: PageServer
     again = [one for one in computed.results if isinstance(one, kinds)]
     if changes:
         if page is not None:
-            from deformscope.page.playback import lay_beside
+            from deformscope.page.playback import show_comparison
 
-            lay_beside(page, recording, rows, again, geometry.size_m, _set_words(changes))
+            show_comparison(page, recording, rows, again, geometry.size_m, _format_settings(changes))
         return _beside(recorded, again, changes, path, page)
     for fresh in (one for one in explorer.failures if one not in failed):
-        raise Different("the recorded numbers", failed_words(fresh), where=path)
+        raise Different("the recorded numbers", format_failure(fresh), where=path)
     cut_short = bool(recording.outcome.get("stopped"))
     compare(recorded, again, path, _may_differ, cut_short=cut_short)
     start = "measurements" if measured else "depth images, forces and states of the arm"
     return ReplayResult(
         {"results": len(recorded), "identical": True, "failures": failed},
         verdict=f"replay: {len(recorded)} results from {start}, identical to the recorded numbers",
-        notes=tuple(f"failed when it was recorded: {failed_words(one)}" for one in failed),
+        notes=tuple(f"failed when it was recorded: {format_failure(one)}" for one in failed),
     )
 
 
@@ -137,7 +137,7 @@ def _beside(
     recorded: list[Any], again: list[Any], changes: dict[str, Any], path: Path, page: PageServer | None
 ) -> ReplayResult:
     """What comes of other settings, beside what was recorded; the robot touched where the recorded ones sent it."""
-    from deformscope.pictures.words import claim_words, verdict_words
+    from deformscope.pictures.messages import format_claim, format_verdict
     from deformscope.stages.map.exploration import MapEstimate, TouchEstimate
 
     def rows(results: list[Any]) -> dict[str, str]:
@@ -147,11 +147,11 @@ def _beside(
                 beta = "no beta" if one.beta is None else f"beta {one.beta:.2f}"
                 found[f"touch {one.number + 1}"] = f"{one.stiffness_text} ({one.interval_text}), {beta}"
             elif isinstance(one, MapEstimate):
-                found["map"] = f"{verdict_words(one)} ({claim_words(one.claimed)})"
+                found["map"] = f"{format_verdict(one)} ({format_claim(one.claimed)})"
         return found
 
     before, now = rows(recorded), rows(again)
-    changed = _set_words(changes)
+    changed = _format_settings(changes)
     beside = [(name, f"{now.get(name, 'not computed')}; recorded: {before.get(name, 'none')}") for name in before | now]
     if page is not None:  # the newest is above
         for name, words in reversed(beside):
@@ -160,7 +160,7 @@ def _beside(
     return ReplayResult(found, (Table(beside, caption=f"{path} with {changed}"),))
 
 
-def _set_words(changes: dict[str, Any]) -> str:
+def _format_settings(changes: dict[str, Any]) -> str:
     return ", ".join(f"{name} = {value}" for name, value in changes.items())
 
 

@@ -28,7 +28,7 @@ from deformscope.page.fit_panel import FitPanel
 from deformscope.page.recorder import PageRecorder
 from deformscope.pictures.report import Table
 from deformscope.plain import plain
-from deformscope.recording.losses import in_words, losses_of, lost_by, since
+from deformscope.recording.losses import losses_of, lost_by, since, to_text
 from deformscope.recording.recent import LastRecorder, RecentItems, WatchedRecorder
 from deformscope.recording.recorder import Recorder, RecordingSummary
 from deformscope.rig.rig_file import Rig, load_rig
@@ -36,7 +36,7 @@ from deformscope.rig.source import RigSource
 from deformscope.runs.skeleton import open_run, signal_word
 from deformscope.session import run as run_session
 from deformscope.stages.msm.quiet import quiet_warp
-from deformscope.terminal import Say, said_to, say
+from deformscope.terminal import Say, messages_to, say
 from deformscope_drivers.health import Health
 
 if TYPE_CHECKING:
@@ -246,8 +246,8 @@ def _result(
 ) -> RecordResult:
     """What was recorded, device by device, as a table and as JSON. files: begun and ended from a page"""
     devices = dict(last.devices)
-    rows = [(name, _in_words(health, failures.get(name))) for name, health in devices.items()]
-    rows += [(f"stage {name}", counts.in_words()) for name, counts in stages.items()]
+    rows = [(name, _to_text(health, failures.get(name))) for name, health in devices.items()]
+    rows += [(f"stage {name}", counts.to_text()) for name, counts in stages.items()]
     rows.append(("ended", ended))
     for one in [summary] if files is None else files:
         if one.path is not None:
@@ -269,10 +269,10 @@ def _result(
     return RecordResult(cast("dict[str, Any]", plain(found)), Table(rows, caption=config.label or config.rig))
 
 
-def _in_words(health: Health, failure: str | None) -> str:
+def _to_text(health: Health, failure: str | None) -> str:
     """What came of a device, what it lost, and why where it is known."""
     why = f"FAILED: {failure}" if failure else health.reason
-    return ", ".join(part for part in (f"{health.received} readings", in_words(lost_by(health)), why) if part)
+    return ", ".join(part for part in (f"{health.received} readings", to_text(lost_by(health)), why) if part)
 
 
 def _variant(rig: Rig, stages: Sequence[str]) -> str:
@@ -299,6 +299,6 @@ def record(
     Raises InputError for what cannot be used.
     """
     given = {name: value for name, value in locals().items() if name not in ("rig", "file", "progress")}
-    with python_names(), said_to(progress):
+    with python_names(), messages_to(progress):
         config = RecordConfig.of(rig=str(rig), record=file, **given)
         return run_rig(config, "none", always_record=True).result

@@ -32,7 +32,7 @@ from deformscope.terminal import say
 
 if TYPE_CHECKING:
     from deformscope.config import SetupOptions
-    from deformscope.lab.hidden import SimulatedHand
+    from deformscope.lab.randomized_rig import SimulatedHand
     from deformscope.recording.recorder import Recorder
     from deformscope.rig.source import RigSource
 
@@ -43,7 +43,7 @@ TAPS_S = (0.9, 1.3, 0.7, 1.6, 1.0)
 
 
 @dataclass(frozen=True, slots=True)
-class SetupFound:
+class RigCalibrationResult:
     """What was found.
 
     kind: place, tip, camera, force or time; values: for the rig file; rows: of the table, names and values
@@ -95,11 +95,11 @@ class SetupTask(Generic[M]):
     needs: tuple[str, ...]
     measure: Callable[[Station], RigExperiment[M]]
     arrays: Callable[[Arrays], M]
-    solve: Callable[[Rig, M], SetupFound]
+    solve: Callable[[Rig, M], RigCalibrationResult]
     recorded: Callable[[Path], M] | None = None
 
 
-def set_up(config: SetupOptions, task: SetupTask[M], recorder: Recorder) -> SetupFound:
+def set_up(config: SetupOptions, task: SetupTask[M], recorder: Recorder) -> RigCalibrationResult:
     """Measure, or read what was measured; solve; write it into the rig file unless that is not wanted."""
     rig = load_rig(config.rig, trusted=config.trust_rig)
     if config.measured is not None:
@@ -133,7 +133,7 @@ def write_values(path: Path, values: Values) -> None:
     say(f"written into {path}: {', '.join(f'[{section}]' for section in values)}")
 
 
-def written_lines(found: SetupFound) -> str:
+def written_lines(found: RigCalibrationResult) -> str:
     """What is written, as lines of a rig file."""
     return lines_of(found.dated)
 
@@ -148,18 +148,18 @@ def _devices(rig: Rig, task: SetupTask[Any], asked: Interruption) -> tuple[Abstr
         arm, wrench, camera = (devices[kind].name if kind in devices else "" for kind in ROLES)
         measured = dataclasses.replace(rig, devices=tuple(devices.values()))
         return open_rig(measured, member_of, None, ()), Station(arm, wrench, camera, _at_terminal(asked))
-    from deformscope.lab.hidden import SimulatedHand
+    from deformscope.lab.randomized_rig import SimulatedHand
 
     parts = RigParts.of(rig)
-    table, hidden = table_of(parts)
+    table, randomized = table_of(parts)
     assert table is not None
-    if hidden is None:
+    if randomized is None:
         came = "doubles that are where the file says"
         raise InputError(
             "something to find out", came, "hidden = 1 in [surface]: drawn, and to be calibrated", rig.name
         )
     arm, wrench, camera = (entry.name for entry in parts.devices)
-    hand = _simulated(SimulatedHand(hidden, table, table.size_m), asked)
+    hand = _simulated(SimulatedHand(randomized, table, table.size_m), asked)
     return open_rig(rig, member_of, table, parts.devices), Station(arm, wrench, camera, hand)
 
 
@@ -191,7 +191,7 @@ def _simulated(hand: SimulatedHand, asked: Interruption) -> Assistant:
         say(f"{request.words} (a simulated person {does_so})")
         hand.do(request.kind, request.number, request.axis)
         if request.kind == "tap":
-            from deformscope.lab.hidden import TAP_S
+            from deformscope.lab.randomized_rig import TAP_S
 
             for pause_s in TAPS_S:
                 yield Step(batch_s=pause_s)

@@ -17,7 +17,7 @@ from deformscope.pictures.setup import off_figure, offset_figure
 from deformscope.rig.rig_edit import TomlValue
 from deformscope.rig.rig_file import Rig
 from deformscope.robot.placement import Placement
-from deformscope.runs.setting_up import Arrays, SetupFound
+from deformscope.runs.setting_up import Arrays, RigCalibrationResult
 from deformscope.stages.setup.board import CharucoSpec
 from deformscope.stages.setup.camera import KnownLens, camera_from_views, doubt_at
 from deformscope.stages.setup.force import FreeAir, force_gain, free_air, hanging_weight, mount
@@ -83,14 +83,14 @@ def _numbered(count: int) -> list[str]:
 # The tip --------------------------------------------------------------------------------------------------------------
 
 
-def solve_tip(rig: Rig, T_base_ee: FloatArray) -> SetupFound:
+def solve_tip(rig: Rig, T_base_ee: FloatArray) -> RigCalibrationResult:
     """`[tool] T_ee_tip` from tilts."""
     made = pivot(T_base_ee)
     T_tip = np.array(made.T_ee_center.T)
     if rig.tool.tip == "sphere":
         T_tip[:3, 3] += rig.tool.radius_m * T_tip[:3, 2]
     caption = "How far each tilt has the ball from its place"
-    return SetupFound(
+    return RigCalibrationResult(
         "tip",
         {"tool": {"T_ee_tip": _matrix(T_tip)}, "calibrated.tip": intervals(made.T_ee_center)},
         (
@@ -130,7 +130,7 @@ class TouchedCorners:
     corner: IntArray
 
 
-def solve_place(rig: Rig, touched: TouchedCorners) -> SetupFound:
+def solve_place(rig: Rig, touched: TouchedCorners) -> RigCalibrationResult:
     """`[surface] T_arm_surface` and sides, and the box of `[workspace]`, from corners."""
     placement = Placement(np.eye(4), rig.tool)
     centers = touched.T_base_ee @ placement.T_ee_center
@@ -140,7 +140,7 @@ def solve_place(rig: Rig, touched: TouchedCorners) -> SetupFound:
     made = place(centers[:, :3, 3], touched.corner, placement.center_offset_m, up, tip_sd_m=tip_sd_m)
     size = tuple(round(float(side), 4) for side in made.size_m)
     names = [CORNER_NAMES[one] for one in touched.corner]
-    return SetupFound(
+    return RigCalibrationResult(
         "place",
         {
             "surface": {"T_arm_surface": _matrix(made.T_arm_surface.T), "size_m": size},
@@ -188,7 +188,7 @@ class MeasuredCamera:
     places: tuple[FloatArray, FloatArray] | None = None
 
 
-def solve_camera(rig: Rig, measured: MeasuredCamera, board: CharucoSpec, *, measure_lens: bool) -> SetupFound:
+def solve_camera(rig: Rig, measured: MeasuredCamera, board: CharucoSpec, *, measure_lens: bool) -> RigCalibrationResult:
     """`[camera] T_arm_camera`, the lens where it was sought, and how far off it may be where the surface is."""
     camera = rig.camera
     values: dict[str, Any] = {}
@@ -225,7 +225,7 @@ def solve_camera(rig: Rig, measured: MeasuredCamera, board: CharucoSpec, *, meas
         rows.append(("lens", f"focal length {values['focal_px'][0]:.1f}, {values['focal_px'][1]:.1f} px"))
     if doubt_m > DOUBT_AT_MOST_M:
         rows.append(("note", "too far off to leave the stick out of what it sees: more views, turned further"))
-    return SetupFound(
+    return RigCalibrationResult(
         "camera",
         {"camera": values, "calibrated.camera": intervals(estimate)},
         tuple(rows),
@@ -295,7 +295,7 @@ def pushes_of(rig: Rig, made: PushedTip) -> MeasuredPushes:
     return MeasuredPushes(made.force_n, axes, made.free, R_base_tip, felt, made.load_n, made.loaded_n)
 
 
-def solve_force(rig: Rig, made: MeasuredPushes | PushedTip) -> SetupFound:
+def solve_force(rig: Rig, made: MeasuredPushes | PushedTip) -> RigCalibrationResult:
     """`[tool] R_tip_force` from pushes, and `force_gain` from a known load; noise and drift beside them."""
     pushes = made if isinstance(made, MeasuredPushes) else pushes_of(rig, made)
     found = mount(pushes.force_n, pushes.axis / np.linalg.norm(pushes.axis, axis=1, keepdims=True))
@@ -308,7 +308,7 @@ def solve_force(rig: Rig, made: MeasuredPushes | PushedTip) -> SetupFound:
         ("z", "out of the stick" if found.R_tip_force[2, 2] > 0 else "into the stick: its sign is turned round"),
     ]
     if rest is not None:
-        rows += _free_words(rest)
+        rows += _format_free_air(rest)
     weight = None
     if len(pushes.turned_n):
         weight = hanging_weight(pushes.turned_n, pushes.R_base_tip, found.R_tip_force)
@@ -321,7 +321,7 @@ def solve_force(rig: Rig, made: MeasuredPushes | PushedTip) -> SetupFound:
         dated["half_gain"] = round(gain.half, 5)
         off = f"{100.0 * (gain.gain - 1.0):+.1f} %, give or take {100.0 * gain.half:.1f}"
         rows.append(("gain", f"{off}: the sensor under {pushes.load_n:g} N"))
-    return SetupFound(
+    return RigCalibrationResult(
         "force",
         {
             "tool": tool,
@@ -348,7 +348,7 @@ def solve_force(rig: Rig, made: MeasuredPushes | PushedTip) -> SetupFound:
     )
 
 
-def _free_words(rest: FreeAir) -> Sequence[tuple[str, str]]:
+def _format_free_air(rest: FreeAir) -> Sequence[tuple[str, str]]:
     worst = int(np.argmax(np.abs(rest.drift_n_per_min)))
     drift, half = rest.drift_n_per_min[worst], rest.drift_half[worst]
     return (
@@ -367,12 +367,12 @@ def force_arrays(found: Arrays, load_n: float | None = None) -> MeasuredPushes:
 # Clocks ---------------------------------------------------------------------------------------------------------------
 
 
-def solve_time(rig: Rig, taps: Taps, device: str, beside: str) -> SetupFound:
+def solve_time(rig: Rig, taps: Taps, device: str, beside: str) -> RigCalibrationResult:
     """By how much a device is late, beside a force sensor; their names in the rig."""
     found = time_offset(taps.x_time_s, taps.x, taps.y_time_s, taps.y)
     half_s = 0.5 * (found.high_s - found.low_s)
     late_ms, low_ms, high_ms = 1e3 * found.offset_s, 1e3 * found.low_s, 1e3 * found.high_s
-    return SetupFound(
+    return RigCalibrationResult(
         "time",
         {
             "calibrated.time": {

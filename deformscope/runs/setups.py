@@ -11,8 +11,8 @@ from deformscope.errors import InputError
 
 if TYPE_CHECKING:
     from deformscope.experiments.options import ExploreOptions
-    from deformscope.lab.hidden import HiddenRig
     from deformscope.lab.live_lab import LiveLab
+    from deformscope.lab.randomized_rig import RandomizedRig
     from deformscope.lab.touch_lab import TouchLab
     from deformscope.rig.rig_file import Rig
     from deformscope.robot.description import Removal
@@ -125,28 +125,28 @@ def setup_of_rig(rig: Rig, seed: int = 0) -> Setup:
     return rig_setup(parts, member_of, table, (1.0 / ARM_STIFFNESS_N_M, ARM_DOUBT / ARM_STIFFNESS_N_M))
 
 
-def table_of(parts: RigParts, seed: int = 0) -> tuple[LiveLab | None, HiddenRig | None]:
+def table_of(parts: RigParts, seed: int = 0) -> tuple[LiveLab | None, RandomizedRig | None]:
     """The simulated table of a rig with a scene, closed, and where things truly are on it, where that is hidden."""
     from deformscope.lab import live_lab
-    from deformscope.lab.hidden import HiddenRig
+    from deformscope.lab.randomized_rig import RandomizedRig
     from deformscope.lab.scenes import built_in
 
     surface = parts.rig.surface
     if not surface.scene:
         return None, None
     scene = built_in(surface.scene, seed)
-    hidden = None
+    randomized = None
     if surface.hidden is not None:
-        hidden = HiddenRig.draw(surface.hidden, parts.rig.tool, scene.size_m, scene.thickness_m)
+        randomized = RandomizedRig.draw(surface.hidden, parts.rig.tool, scene.size_m, scene.thickness_m)
     table = live_lab.LiveLab(
         scene,
         parts.placement,
         parts.devices[0],
         T_surface_camera=parts.T_surface_camera,
-        hidden=hidden,
+        randomized=randomized,
         described=parts.described,
     )
-    return table, hidden
+    return table, randomized
 
 
 CONTAINERS = f"{LAB}containers"

@@ -177,7 +177,7 @@ def permitted(
     preflight = yield from ask(CheckFirst(calibrated, places_m, ask_finger))
     say(preflight.table())
     if not setup.simulated and preflight.passed:
-        touches = f"up to {options.budget} touches of {robot.forces_words}"
+        touches = f"up to {options.budget} touches of {robot.format_forces}"
         if setup.person is None:
             say(
                 f"The arm will now move by itself: {touches}.\n"

@@ -78,7 +78,7 @@ def squeeze_on(config: SqueezeConfig, report: Callable[[SqueezeResult], None]) -
         file = dataset.recording_path(entry.trial)
         file.parent.mkdir(parents=True, exist_ok=True)
     if file is not None:
-        say(_size_words(opening.setup))
+        say(_format_size(opening.setup))
     found = Squeezed()
     settings = {"seed": seed, **opening.settings, "trial": dataclasses.asdict(entry)}
     with (
@@ -135,7 +135,7 @@ def _run(
     from deformscope.experiments.squeeze import squeeze
     from deformscope.experiments.squeeze_features import SqueezeGeometry, around_px
     from deformscope.experiments.squeeze_frames import ObservedRecorder, SqueezeFrames, SqueezeObserver, TactileSource
-    from deformscope.experiments.squeezing_hand import SqueezingHand, computing_beside, rule_of
+    from deformscope.experiments.squeezing_hand import SqueezingHand, feature_executor, rule_of
     from deformscope.frames import InputFile
     from deformscope.session import run as run_session
 
@@ -177,7 +177,7 @@ def _run(
             None if setup.placed else _placed(config, setup, asked, page),
         )
         try:
-            with computing_beside(setup, hand) as beside, watch.halts(hand):
+            with feature_executor(setup, hand) as beside, watch.halts(hand):
                 run_session(source, experiment, observed, hand, beside)
         finally:
             ended |= {"hand_stands": hand.stands, "limits_restored": hand.restored}
@@ -320,7 +320,7 @@ def _finished(
     )
 
 
-def _size_words(setup: SqueezeSetup) -> str:
+def _format_size(setup: SqueezeSetup) -> str:
     """What a recording will take."""
     pixels = 640 * 480 if setup.names.camera else 0
     bytes_s = 30 * TACTILE_BYTES + setup.camera.rate_hz * pixels * 2 * DEPTH_SHARE

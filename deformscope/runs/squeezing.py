@@ -15,7 +15,7 @@ from deformscope.files.squeeze_dataset import SqueezeDataset, TrialEntry
 from deformscope.pictures.report import Table
 from deformscope.runs.squeeze_run import leave, squeeze_on
 from deformscope.stages.squeeze.table import LabelledTable
-from deformscope.terminal import Say, said_to
+from deformscope.terminal import Say, messages_to
 
 # One squeeze ---------------------------------------------------------------------------------------------------------
 
@@ -51,7 +51,7 @@ def squeeze(
     given = {name: value for name, value in locals().items() if name not in ("rig", "progress")}
     with python_names():
         config = SqueezeConfig.of(rig=str(rig), **given)
-        with said_to(progress if str(rig).startswith("lab:") or callable(progress) else True):
+        with messages_to(progress if str(rig).startswith("lab:") or callable(progress) else True):
             return _squeezed(config)
 
 

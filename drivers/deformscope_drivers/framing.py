@@ -31,7 +31,7 @@ class Skipped:
 
 
 @dataclass(frozen=True, slots=True)
-class Found(Generic[EventT]):
+class GoodFrame(Generic[EventT]):
     """A good frame: what it says, and its length in bytes."""
 
     event: EventT
@@ -79,7 +79,7 @@ class FrameDecoder(ABC, Generic[EventT]):
         buffer's length where there is none."""
 
     @abstractmethod
-    def _parse(self, buffer: bytes, start: int) -> Found[EventT] | Refused | None:
+    def _parse(self, buffer: bytes, start: int) -> GoodFrame[EventT] | Refused | None:
         """The frame that starts there; None = more bytes are needed, of which there is a bound."""
 
     def _scan(self, buffer: bytes, *, ended: bool) -> tuple[list[EventT | Skipped], int]:
@@ -92,7 +92,7 @@ class FrameDecoder(ABC, Generic[EventT]):
                 break
             if start > refused_from:
                 events.append(Skipped(start - refused_from, reason))
-            if isinstance(frame, Found):
+            if isinstance(frame, GoodFrame):
                 events.append(frame.event)
                 at = refused_from = start + frame.length
                 reason = NOISE

@@ -37,7 +37,7 @@ PERIOD_NS = 10_000_000
 class FakeRobot:
     """Looks and touches at once. moving: what the arm does; halts: why it was told to stand"""
 
-    forces_words = "3 N"
+    format_forces = "3 N"
     doing = ""
     gaps_s = np.full(9, 0.01)
     largest_force_n = 3.1
@@ -168,7 +168,9 @@ def use_fake_bench(monkeypatch: pytest.MonkeyPatch) -> FakeBench:
 
     monkeypatch.setattr("deformscope.runs.exploration_run.setup_of", setup_of)
     monkeypatch.setattr("deformscope.experiments.touching_robot.touching_robot", bench.robot)
-    monkeypatch.setattr("deformscope.experiments.beside.FromFrames", lambda geometry, options: AsMeasured(SIZE_M))
+    monkeypatch.setattr(
+        "deformscope.experiments.stage_executor.FromFrames", lambda geometry, options: AsMeasured(SIZE_M)
+    )
     use_coarse_maps(monkeypatch)
     monkeypatch.setattr("deformscope.experiments.seen_surface.fit_surface", _surface)
     return bench

@@ -15,9 +15,9 @@ import pytest
 
 from deformscope.lab.arms import ArmBody, arm_in_lab
 from deformscope.lab.depth_view import DepthView
-from deformscope.lab.hidden import BoardPicture, HiddenRig
 from deformscope.lab.layer_world import LayerWorld
 from deformscope.lab.live_lab import CAMERA, start_places_m
+from deformscope.lab.randomized_rig import BoardPicture, RandomizedRig
 from deformscope.lab.scenes import Scene
 from deformscope.lab.touch_lab import TouchLab
 from deformscope.rig.rig_file import RigDevice
@@ -46,13 +46,13 @@ class SimulatedTable:
         arm: RigDevice,
         *,
         T_surface_camera: npt.NDArray[np.floating] | None = None,
-        hidden: HiddenRig | None = None,
+        randomized: RandomizedRig | None = None,
         described: RobotDescription = AS_CAPSULES,
     ) -> None:
         self._described = described
-        if hidden is not None:
-            placement, T_surface_camera = hidden.placement, hidden.T_surface_camera
-        self.clock, self._placement, self._hidden = clock, placement, hidden
+        if randomized is not None:
+            placement, T_surface_camera = randomized.placement, randomized.T_surface_camera
+        self.clock, self._placement, self._randomized = clock, placement, randomized
         self._board, self._picture = False, BoardPicture()
         self.size_m, self.truth = scene.size_m, Truth(scene.regions)
         self.view = DepthView(scene, CAMERA, T_surface_camera)
@@ -84,7 +84,7 @@ class SimulatedTable:
             camera_config=camera_config,
             arm=self._arm,
             force_config=force_config,
-            as_felt=None if self._hidden is None else self._hidden.felt,
+            as_felt=None if self._randomized is None else self._randomized.felt,
         )
         made = {"arm": self.lab.arm, "wrench": self.lab.force, "depth": self.lab.camera}
         yield {entry.name: made[entry.driver.kind] for entry in entries}
@@ -117,8 +117,8 @@ class SimulatedTable:
         links, center = self.lab.body.T_base_links, self.lab.contact.center_m
         capsules = arm_shape(self._placement, links, center, description=self._described)
         exact = self.view.render(moved, capsules, self._described.solids(self._placement, links))
-        if self._board and self._hidden is not None:
-            T_surface_board = self._placement.T_surface_base @ links[-1] @ self._hidden.T_ee_board
+        if self._board and self._randomized is not None:
+            T_surface_board = self._placement.T_surface_base @ links[-1] @ self._randomized.T_ee_board
             T_camera_board = np.linalg.inv(self.view.surface_from_camera) @ T_surface_board
             self._picture.put_into(exact.color, self.view.intrinsics, T_camera_board)
         return View(exact.depth_m, exact.color)

@@ -15,7 +15,7 @@ import pytest
 
 from deformscope.cli import main
 from deformscope.config import JogConfig
-from deformscope.lab import stand_in
+from deformscope.lab import double_device
 from deformscope.recording.recorder import Recorder
 from deformscope.runs import arm_moving
 from deformscope_drivers.arm.hosted import HostedArm
@@ -153,7 +153,7 @@ def unhomed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[str, Path]
     def opened(config: object) -> Iterator[HostedArm]:
         yield HostedArm(Unhomed, JacoConfig(library=str(calls)))
 
-    monkeypatch.setitem(stand_in._IN_PROCESS, "jaco", opened)
+    monkeypatch.setitem(double_device._IN_PROCESS, "jaco", opened)
     path = tmp_path / "rig.toml"
     path.write_text('[devices.arm]\ndriver = "jaco"\ndouble = true\n')
     return str(path), calls

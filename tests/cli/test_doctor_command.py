@@ -11,7 +11,7 @@ import pytest
 
 from deformscope.cli import doctor, main
 from deformscope.cli.common import EXIT_LOSSES
-from deformscope.lab import stand_in
+from deformscope.lab import double_device
 from deformscope_drivers import kuka
 from tests.cases import slow
 
@@ -83,7 +83,7 @@ def test_devices_that_fail_are_rows_among_the_others(
 def test_whatever_a_device_raises_is_a_row(
     example: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    whole = stand_in._wire_beside
+    whole = double_device._wire_process
 
     def fail(driver: str, config: object) -> contextlib.AbstractContextManager[str]:
         if driver == "dsa":
@@ -92,7 +92,7 @@ def test_whatever_a_device_raises_is_a_row(
 
     path = tmp_path / "rig.toml"
     path.write_text(doubled(example))
-    monkeypatch.setattr(stand_in, "_wire_beside", fail)
+    monkeypatch.setattr(double_device, "_wire_process", fail)
 
     status, found = verdicts(path, capsys)
 

@@ -31,7 +31,7 @@ from deformscope.recording.ledger import check_ledger
 from deformscope.recording.rrd_file import RecordingFile
 from deformscope.rig.source import RigSource
 from deformscope.robot.robot import Robot
-from deformscope.robot.supervisor import SafetyVerdict, Supervisor
+from deformscope.robot.supervisor import SafetyDecision, Supervisor
 from deformscope.robot.touch import Phase
 from deformscope.runs.replay_exploration import recorded_inputs
 from deformscope.stages.map.exploration import ExplorationStop, PhaseStart
@@ -318,7 +318,7 @@ def test_over_the_slowest_link_that_is_let_it_explores_with_the_stick_as_command
         lab.call_s = 0.004
         labs.append(lab)
 
-    def report(robot: Robot, verdict: SafetyVerdict) -> None:
+    def report(robot: Robot, verdict: SafetyDecision) -> None:
         aside_deg.append(turned_aside_deg(robot, labs[-1]))
         reported(robot, verdict)
 

@@ -23,7 +23,7 @@ from deformscope.robot.latch import Action
 from deformscope.robot.placement import reach
 from deformscope.robot.robot import Robot, RobotStopped
 from deformscope.robot.setup import RigParts
-from deformscope.robot.supervisor import Fault, SafetyVerdict
+from deformscope.robot.supervisor import Fault, SafetyDecision
 from deformscope.runs.setups import setup_of_rig
 from deformscope.stages.regions.touches import MapGrid
 from deformscope_drivers.errors import SettingsRefused
@@ -214,7 +214,7 @@ def test_a_rig_that_cannot_explore_is_refused_in_one_line(
         ),
         (
             Robot,
-            RobotStopped(SafetyVerdict(Action.STOP, Fault.ARM_SILENT, "no state")),
+            RobotStopped(SafetyDecision(Action.STOP, Fault.ARM_SILENT, "no state")),
             "arm silent: no state | try: see to",
         ),
     ],

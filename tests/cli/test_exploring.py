@@ -24,7 +24,7 @@ WELL, BAD = (Preflight((Check("arm: still", passed, "at rest", "what came"),)) f
 class Asked:
     """A robot that was checked."""
 
-    forces_words = "3 N"
+    format_forces = "3 N"
 
     def __init__(self, *checked: Preflight) -> None:
         self.checked = list(checked)

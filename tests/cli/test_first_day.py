@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from deformscope.cli import main
-from deformscope.lab.hidden import HiddenRig
+from deformscope.lab.randomized_rig import RandomizedRig
 from deformscope.rig.rig_edit import Values, edited
 from deformscope.rig.rig_file import load_rig
 from deformscope.robot.placement import Placement
@@ -29,13 +29,13 @@ def doctors_next(rig: Path, capsys: pytest.CaptureFixture[str]) -> str:
     return str(json.loads(capsys.readouterr().out)["next"])
 
 
-def check_found(rig: Path, hidden: HiddenRig) -> None:
+def check_found(rig: Path, randomized: RandomizedRig) -> None:
     """Every transform inside its interval."""
     made = load_rig(rig)
-    truth = hidden.placement
+    truth = randomized.placement
     found = Placement(np.array(made.surface.T_arm_surface), made.tool)
     section = made.calibrated
-    camera = truth.T_base_surface @ hidden.T_surface_camera
+    camera = truth.T_base_surface @ randomized.T_surface_camera
     assert made.camera.T_arm_camera is not None
     for name, one, other in (
         ("tip", found.T_ee_center, truth.T_ee_center),
@@ -50,7 +50,7 @@ def check_found(rig: Path, hidden: HiddenRig) -> None:
     assert made.tool.R_tip_force is not None
     # the sensor's axes to the arm's end, whichever way the tip's frame is turned about the stick
     ours = found.T_ee_center[:3, :3] @ made.tool.R_tip_force
-    theirs = truth.T_ee_center[:3, :3] @ hidden.R_tip_force
+    theirs = truth.T_ee_center[:3, :3] @ randomized.R_tip_force
     between = ours @ theirs.T
     assert np.linalg.det(between) == pytest.approx(1.0, abs=1e-6)
     turned_deg = np.degrees(np.arccos(np.clip(0.5 * (np.trace(between) - 1.0), -1.0, 1.0)))
@@ -58,13 +58,13 @@ def check_found(rig: Path, hidden: HiddenRig) -> None:
     assert turned_deg <= section.force.half_deg[2] + 1.5
 
 
-def truth_of(hidden: HiddenRig) -> Values:
+def truth_of(randomized: RandomizedRig) -> Values:
     """What the rig file would say if everything were known."""
-    truth = hidden.placement
+    truth = randomized.placement
     return {
-        "tool": {"T_ee_tip": truth.tool.T_ee_tip or (), "R_tip_force": hidden.R_tip_force.tolist()},
+        "tool": {"T_ee_tip": truth.tool.T_ee_tip or (), "R_tip_force": randomized.R_tip_force.tolist()},
         "surface": {"T_arm_surface": truth.T_base_surface.tolist()},
-        "camera": {"T_arm_camera": (truth.T_base_surface @ hidden.T_surface_camera).tolist()},
+        "camera": {"T_arm_camera": (truth.T_base_surface @ randomized.T_surface_camera).tolist()},
     }
 
 
@@ -76,15 +76,15 @@ def test_a_load_on_a_scale_gives_the_gain_of_a_sensor_that_nobody_knows(
     assert main(["doctor", "--example", "--doubles"]) == 0
     rig = tmp_path / "rig.toml"
     rig.write_text(capsys.readouterr().out.replace("hidden = 1 ", f"hidden = {HIDDEN} "))
-    _, hidden = table_of(RigParts.of(load_rig(rig)))
-    assert hidden is not None
-    rig.write_text(edited(rig.read_text(), truth_of(hidden)))
+    _, randomized = table_of(RigParts.of(load_rig(rig)))
+    assert randomized is not None
+    rig.write_text(edited(rig.read_text(), truth_of(randomized)))
     use_a_simulated_clock(monkeypatch)
     assert main(["calibrate", "force", str(rig), "--weight", "5", "--record", str(tmp_path / "force.rrd")]) == 0
     made = load_rig(rig)
     assert made.calibrated.force is not None
-    assert abs(made.tool.force_gain - hidden.force_gain) <= (made.calibrated.force.half_gain or 0.0) < 0.02
-    assert abs(hidden.force_gain - 1.0) > 0.001
+    assert abs(made.tool.force_gain - randomized.force_gain) <= (made.calibrated.force.half_gain or 0.0) < 0.02
+    assert abs(randomized.force_gain - 1.0) > 0.001
 
 
 @pytest.mark.slow
@@ -133,14 +133,14 @@ def test_doctor_s_list_leads_from_an_empty_file_to_an_exploration(
             assert main(["verify", str(recording)]) == 0
     assert done == ["tip", "place", "camera", "force"]
     parts = RigParts.of(load_rig(rig))
-    _, hidden = table_of(parts)
-    assert hidden is not None
-    check_found(rig, hidden)
+    _, randomized = table_of(parts)
+    assert randomized is not None
+    check_found(rig, randomized)
 
     with monkeypatch.context() as simulated:
         use_a_simulated_clock(simulated)
         known = tmp_path / "known.toml"
-        known.write_text(edited(rig.read_text(), truth_of(hidden)))
+        known.write_text(edited(rig.read_text(), truth_of(randomized)))
         overlaps = []
         for name in (following.split()[-1], str(known)):
             found = tmp_path / "found.json"

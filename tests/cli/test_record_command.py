@@ -298,7 +298,7 @@ def test_a_damaged_ledger_is_told(recorded: Path, tmp_path: Path, capsys: pytest
 def test_a_device_that_is_gone_is_named_with_what_it_cost(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from deformscope.lab.stand_in import wire_of
+    from deformscope.lab.double_device import wire_of
     from deformscope.rig.driver_table import DRIVERS
     from deformscope.rig.source import RigSource
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from deformscope_drivers.framing import Found, FrameDecoder, Refused, Skipped, find_start
+from deformscope_drivers.framing import FrameDecoder, GoodFrame, Refused, Skipped, find_start
 
 
 class Toy(FrameDecoder[str]):
@@ -14,7 +14,7 @@ class Toy(FrameDecoder[str]):
     def _find(self, buffer: bytes, start: int) -> int:
         return find_start(buffer, start, b"<<")
 
-    def _parse(self, buffer: bytes, start: int) -> Found[str] | Refused | None:
+    def _parse(self, buffer: bytes, start: int) -> GoodFrame[str] | Refused | None:
         if len(buffer) < start + 3:
             return None
         length = buffer[start + 2]
@@ -25,7 +25,7 @@ class Toy(FrameDecoder[str]):
         text = buffer[start + 3 : start + 3 + length]
         if sum(text) & 0xFF != buffer[start + 3 + length]:
             return Refused("checksum")
-        return Found(text.decode("latin-1"), length + 4)
+        return GoodFrame(text.decode("latin-1"), length + 4)
 
 
 def frame(text: bytes) -> bytes:

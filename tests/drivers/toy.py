@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from deformscope_drivers.clock import ClockFit, Stamp, Unwrap
 from deformscope_drivers.device import StreamDevice
 from deformscope_drivers.doubles import Line
-from deformscope_drivers.framing import Found, FrameDecoder, Refused, find_start
+from deformscope_drivers.framing import FrameDecoder, GoodFrame, Refused, find_start
 
 PERIOD_NS = 2_000_000
 
@@ -42,14 +42,14 @@ class ToyDecoder(FrameDecoder[Count | Set]):
     def _find(self, buffer: bytes, start: int) -> int:
         return min(find_start(buffer, start, b"#"), find_start(buffer, start, b"!"))
 
-    def _parse(self, buffer: bytes, start: int) -> Found[Count | Set] | Refused | None:
+    def _parse(self, buffer: bytes, start: int) -> GoodFrame[Count | Set] | Refused | None:
         if len(buffer) < start + 4:
             return None
         body = buffer[start + 1 : start + 3]
         if sum(body) & 0xFF != buffer[start + 3]:
             return Refused("checksum")
         kind = Count if buffer[start : start + 1] == b"#" else Set
-        return Found(kind(int.from_bytes(body, "big")), 4)
+        return GoodFrame(kind(int.from_bytes(body, "big")), 4)
 
 
 class ToyDouble:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from deformscope.errors import InputError
-from deformscope.experiments.arm_compliance import COMMON_SD, GiveTouch, arm_give, touch_rigid
+from deformscope.experiments.arm_compliance import COMMON_SD, ComplianceTouch, combine_compliance, touch_rigid
 from deformscope.experiments.explore import AtOnce
 from deformscope.experiments.options import ExploreOptions
 from deformscope.experiments.robot_geometry import AsMeasured, Touch
@@ -48,8 +48,8 @@ class RigidTable:
         return TouchMeasurement(xy_m, normal, np.arange(250) * 0.01, place_m, felt_n, np.zeros((0, 3)), True)
 
 
-def touched(table: RigidTable, touches: int) -> list[GiveTouch]:
-    made: list[GiveTouch] = []
+def touched(table: RigidTable, touches: int) -> list[ComplianceTouch]:
+    made: list[ComplianceTouch] = []
     recorder: Any = SimpleNamespace(write=lambda step: None)
     geometry, place_m = AsMeasured(table.size_m), np.array([0.15, 0.1])
     run([], touch_rigid(geometry, ExploreOptions(), place_m, touches, made.append), recorder, AtOnce(table))
@@ -59,7 +59,7 @@ def touched(table: RigidTable, touches: int) -> list[GiveTouch]:
 def test_it_is_found_again_and_so_is_where_the_camera_is_off() -> None:
     made = touched(RigidTable(), 3)
 
-    found = arm_give(made)
+    found = combine_compliance(made)
 
     assert len(found.touches) == 3
     assert found.compliance_m_per_n == pytest.approx(GIVES_M_PER_N, rel=0.02)
@@ -70,7 +70,7 @@ def test_it_is_found_again_and_so_is_where_the_camera_is_off() -> None:
 def test_touches_that_differ_are_told() -> None:
     made = touched(RigidTable(scatter=0.2), 8)
 
-    found = arm_give(made)
+    found = combine_compliance(made)
 
     each = np.array([one.found.compliance_m_per_n for one in made])
     assert found.compliance_sd > 0.9 * each.std(ddof=1) / np.sqrt(8)
@@ -79,7 +79,7 @@ def test_touches_that_differ_are_told() -> None:
 
 def test_nothing_tells_nothing() -> None:
     with pytest.raises(InputError):
-        arm_give([])
+        combine_compliance([])
 
 
 class FoamTable(RigidTable):
@@ -112,7 +112,7 @@ class DomedTable(RigidTable):
 def test_a_rubber_dome_on_a_stiff_arm_is_no_foam_and_not_the_arm_s(stiffness_n_per_mm: float) -> None:
     """At 3 N it yields 0.36 mm, an arm of 10 N/mm 0.3 mm. The two laws are much alike: the interval says so."""
     gives_m_per_n = 1e-3 / stiffness_n_per_mm
-    found = arm_give(touched(DomedTable(gives_m_per_n), 4))
+    found = combine_compliance(touched(DomedTable(gives_m_per_n), 4))
 
     assert abs(found.compliance_m_per_n - gives_m_per_n) < 2.0 * found.compliance_sd
     assert found.compliance_sd < 2e-5
@@ -123,7 +123,7 @@ def test_a_rubber_dome_on_a_stiff_arm_is_no_foam_and_not_the_arm_s(stiffness_n_p
 
 
 def test_a_rigid_tip_has_no_dome() -> None:
-    assert arm_give(touched(RigidTable(), 3)).dome < 1e-5
+    assert combine_compliance(touched(RigidTable(), 3)).dome < 1e-5
 
 
 def test_foam_is_not_taken_for_something_rigid() -> None:

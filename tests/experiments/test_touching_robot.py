@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 from deformscope.errors import InputError
-from deformscope.experiments.beside import exploration_stages
 from deformscope.experiments.measured import SetupGeometry, highest_m
 from deformscope.experiments.options import ExploreOptions
+from deformscope.experiments.stage_executor import exploration_stages
 from deformscope.experiments.touching_robot import TouchingRobot, check_center, reported_lens
 from deformscope.lab.ray_camera import FOAM
 from deformscope.lab.scene_lab import SceneLab
@@ -85,7 +85,7 @@ def test_it_never_plans_to_press_up_to_the_soft_stop(
     assert plan.tangential == "held"
     free = ExploreOptions(set_force_n=set_n, tangential="free")
     assert robot.geometry.plan(np.array([0.3, 0.2]), 0.05, UP, None, free).tangential == "free"
-    assert robot.forces_words.startswith(told)
+    assert robot.format_forces.startswith(told)
 
 
 def test_more_is_left_out_around_the_stick_where_the_cameras_place_is_in_doubt() -> None:

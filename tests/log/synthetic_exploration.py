@@ -10,10 +10,10 @@ import numpy as np
 from deformscope.arrays import FloatArray
 from deformscope.rows import Result
 from deformscope.stages.map.exploration import (
+    DetectionLimit,
     ExplorationStop,
     LumpsFound,
     MapEstimate,
-    Missed,
     PhaseStart,
     PlannedTouch,
     StageFailure,
@@ -34,7 +34,7 @@ CONTACTS_M = np.array(
     ]
 )
 
-MISSED = Missed(0.13, np.array([0.13, 0.2]), np.array([0.03, 0.06]), np.array([0.46, 0.31]), 2.0, 0.5)
+MISSED = DetectionLimit(0.13, np.array([0.13, 0.2]), np.array([0.03, 0.06]), np.array([0.46, 0.31]), 2.0, 0.5)
 Y, X = (np.mgrid[:ROWS, :COLUMNS] + 0.5) * CELL_M
 EDGE_M = 0.3 - 0.15 * (Y - 0.2)
 TRUTH = (EDGE_M < X).astype(np.int64)

@@ -294,7 +294,7 @@ def test_a_value_of_the_curve_that_cannot_be_simulated_is_said(pair: Path, monke
 
 
 def test_of_how_long_changes_took_the_newest_are_kept(pair: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(fit_process, "beside", in_this_process)
+    monkeypatch.setattr(fit_process, "child_process", in_this_process)
     page, config = PageServer("test"), beta_of(pair)
     page.session.come("a")
 
@@ -321,7 +321,7 @@ def test_of_how_long_changes_took_the_newest_are_kept(pair: Path, monkeypatch: p
 
 @contextmanager
 def in_this_process(name: str, target: Any, *, makes_others: bool) -> Iterator[Connection]:
-    """As `processes.beside`, in a thread."""
+    """As `processes.child_process`, in a thread."""
     ours, theirs = Pipe()
     thread = threading.Thread(target=target, args=(theirs,))
     thread.start()

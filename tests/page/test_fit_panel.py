@@ -25,7 +25,7 @@ from deformscope.page import fit as page_fit
 from deformscope.page import fit_process
 from deformscope.page.fit import run_fit
 from deformscope.page.fit_panel import FitPanel
-from deformscope.page.server.fit_messages import FitFound, FitSettings, FitState
+from deformscope.page.server.fit_messages import FitResult, FitSettings, FitState
 from deformscope.page.server.messages import CloseFit, HoldPicture, OpenFit, RunFit, StopRun, TakeRest
 from deformscope.page.server.page_server import PageServer
 from deformscope.session import Inline
@@ -53,7 +53,7 @@ class Beside:
         self.page, self.found = PageServer("bench"), list[str]()
         self.pipes: list[Connection] = []
         self.configs: list[Any] = []
-        monkeypatch.setattr(fit_process, "beside", self._process)
+        monkeypatch.setattr(fit_process, "child_process", self._process)
         self.page.session.come("a")
         self.page.session.enter("live", commands=("stop", "tare"))
         self.fit = FitPanel("rig.toml", Path("runs"), "bench")
@@ -189,7 +189,7 @@ def test_a_depth_cameras_colour_is_taken(beside: Beside) -> None:
 def test_what_was_found_is_said_and_what_ends_it_too(beside: Beside, capsys: pytest.CaptureFixture[str]) -> None:
     pipe = beside.opened()
     pipe.send(("fit", STATE, ("set-fit",)))
-    found = FitFound("deformscope x", 0.5, 0.4, 0.6, 0.9, 1.0, "weak")
+    found = FitResult("deformscope x", 0.5, 0.4, 0.6, 0.9, 1.0, "weak")
     for busy in ("a", "b"):
         pipe.send(("fit", msgspec.structs.replace(STATE, found=found, busy=busy), ("set-fit",)))
     beside.until(lambda state: state.fit is not None and state.fit.busy == "b")

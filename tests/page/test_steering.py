@@ -26,7 +26,7 @@ from deformscope.page.server.messages import (
     VetoTouch,
 )
 from deformscope.page.server.page_session import CONFIRM_S, PageSession
-from deformscope.page.steering import PageSteering, curve_of, felt_beside, is_surface
+from deformscope.page.steering import PageSteering, add_measured, curve_of, is_surface
 from deformscope.robot.finger import FINGER
 from deformscope.robot.latch import Action
 from deformscope.robot.robot import MotionHeld, RobotStopped, TipVelocity
@@ -382,7 +382,7 @@ def test_another_page_takes_over_and_what_waited_is_let_be() -> None:
 
 def test_felt_stands_beside_expected() -> None:
     felt = touch(1)
-    curve = felt_beside(curve_of(FORECAST), felt, compliance_m_per_n=0.0)
+    curve = add_measured(curve_of(FORECAST), felt, compliance_m_per_n=0.0)
     assert curve.depth_mm == (0.0, 1.0, 2.0, 3.0)
     assert f"felt {felt.stiffness_n_per_mm:.2g} N/mm, " in curve.words
     assert "1 N/mm (0.5 to 2)" in curve.words

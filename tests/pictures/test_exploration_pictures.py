@@ -123,7 +123,9 @@ def test_a_scale_holds_its_values_and_ends_at_round_ones(ends: tuple[float, floa
 def test_lumps_are_drawn_where_they_are_and_said_in_words(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pictures, "DPI", 50)
     none, two = synthetic.lumps(truth=False), synthetic.lumps((0.2, 0.1, 0.02), (0.45, 0.3, 0.03))
-    plain, shown, missed = map(decoded, (pictures.lumps_png(none), pictures.lumps_png(two), pictures.missed_png(two)))
+    plain, shown, missed = map(
+        decoded, (pictures.inclusions_png(none), pictures.inclusions_png(two), pictures.miss_probability_png(two))
+    )
     assert not np.array_equal(plain, shown)
     assert missed.std() > 10
     assert decoded(pictures.result_png(MAPS, "Lumps", two)).std() > 10

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from deformscope.reproduce.container_findings import HARDNESS, findings_beside
+from deformscope.reproduce.container_findings import HARDNESS, compare_findings
 from deformscope.stages.squeeze.evaluation import Evaluation, EvaluationOptions, evaluate
 from deformscope.stages.squeeze.table import LabelledTable
 
@@ -27,7 +27,7 @@ def evaluated(*, blind: bool = False) -> tuple[Evaluation, Evaluation]:
 
 @pytest.mark.parametrize("blind", [False, True])
 def test_vision_is_best_for_water_where_it_is(blind: bool) -> None:
-    ours = {one.thesis: one.ours for one in findings_beside(*evaluated(blind=blind))}
+    ours = {one.thesis: one.ours for one in compare_findings(*evaluated(blind=blind))}
 
     water = ours["Vision is most informative for water."]
     assert ("Water: vision is better" in water) is not blind
@@ -38,7 +38,7 @@ def test_vision_is_best_for_water_where_it_is(blind: bool) -> None:
 
 
 def test_neighbours_in_hardness_are_confused_by_touch() -> None:
-    ours = [one.ours for one in findings_beside(*evaluated(blind=True))]
+    ours = [one.ours for one in compare_findings(*evaluated(blind=True))]
 
     neighbours = next(words for words in ours if "name a neighbour" in words)
     share = float(neighbours.split("%")[0].removeprefix("By touch "))

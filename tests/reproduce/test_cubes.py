@@ -19,7 +19,7 @@ from deformscope.reproduce import cubes_figures
 from deformscope.reproduce.cubes import (
     SIDE_M,
     Cube,
-    Found,
+    CubeResult,
     ModelTime,
     compared,
     cube_from_pair,
@@ -40,7 +40,7 @@ MODEL = Model("theta", "quadratic", None)
 
 
 @pytest.fixture(scope="module")
-def found() -> list[Found]:
+def found() -> list[CubeResult]:
     """Cubes of 4^3 and 5^3 at two depths, three Poisson's ratios."""
     cubes, _ = thesis_cubes((0.0, 0.25, 0.45), (4, 5), (0.01, 0.03))
     options = CubesConfig()
@@ -69,14 +69,14 @@ def test_a_cube_of_the_model_gives_its_theta(method: str, theta: float) -> None:
     assert one.theta.converged
 
 
-def test_theta_rises_with_poissons_ratio_from_nothing_to_all(found: list[Found]) -> None:
+def test_theta_rises_with_poissons_ratio_from_nothing_to_all(found: list[CubeResult]) -> None:
     assert rises(found)
     assert all(one.theta.value == 0.0 for one in found if one.cube.poisson == 0.0)
     assert all(one.theta.converged for one in found)
 
 
 @pytest.mark.parametrize("method", ["sweep", "gradient"])
-def test_no_theta_of_a_dense_grid_has_a_lower_error(found: list[Found], method: str) -> None:
+def test_no_theta_of_a_dense_grid_has_a_lower_error(found: list[CubeResult], method: str) -> None:
     """The thesis's descent stops where the error changes little; ours may not be above the grid by 0.1 %."""
     for one in found[::3]:
         cube = one.cube
@@ -186,7 +186,7 @@ def test_standard_error_of_the_mean() -> None:
     assert np.isnan(standard_error([1.0]))
 
 
-def test_spreads_group_by_ratio_and_by_what_is_asked(found: list[Found]) -> None:
+def test_spreads_group_by_ratio_and_by_what_is_asked(found: list[CubeResult]) -> None:
     of_all = spreads(found)
     of_each = spreads(found, lambda cube: cube.resolution)
 
@@ -211,7 +211,7 @@ def test_spreads_group_by_ratio_and_by_what_is_asked(found: list[Found]) -> None
     ],
 )
 def test_a_theta_that_does_not_rise_is_noticed(
-    found: list[Found], values: list[float], strictly: bool, to_bound: bool
+    found: list[CubeResult], values: list[float], strictly: bool, to_bound: bool
 ) -> None:
     """At one resolution alone, in any order; at the end of the range it need not rise if that is allowed."""
     fine = [one for one in found if one.cube.resolution == "5^3"]
@@ -249,7 +249,7 @@ def test_the_dense_curve_is_the_error_in_any_number_of_parts() -> None:
 # Files ---------------------------------------------------------------------------------------------------------------
 
 
-def test_figures_and_tables_are_drawn(found: list[Found], tmp_path: Path) -> None:
+def test_figures_and_tables_are_drawn(found: list[CubeResult], tmp_path: Path) -> None:
     cubes_figures.draw_theta(tmp_path / "a.png", found)
     cubes_figures.draw_errors(tmp_path / "b.png", found)
     cubes_figures.draw_clusters(tmp_path / "c.png", found, 2)

@@ -10,7 +10,7 @@ import numpy as np
 
 from deformscope.arrays import FloatArray
 from deformscope.results.declared import derived, quantities, reported
-from deformscope.results.render import ReportedResult, to_line, to_rows, to_words, units_of
+from deformscope.results.render import ReportedResult, format_value, to_line, to_rows, units_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +70,7 @@ def test_json_is_in_the_order_of_the_declarations_and_made_of_what_json_has() ->
 
 
 def test_words_have_number_unit_and_interval() -> None:
-    assert to_words(ONE, "depth_m") == "3.4 mm (3.0 to 4.0)"
+    assert format_value(ONE, "depth_m") == "3.4 mm (3.0 to 4.0)"
     assert to_rows(ONE, "verdict_text", "speed_m_s", "force", "error") == [
         ("verdict", "sure"),
         ("force", "no force"),
@@ -82,7 +82,7 @@ def test_words_have_number_unit_and_interval() -> None:
 def test_a_force_per_length_follows_the_scale() -> None:
     scaled = Shown(depth_m=0.1, ends_m=(0.0, 1.0), force=Ends(2.0, (1.0, 3.0)), metres_per_unit=0.5)
     assert scaled.as_json()["force"] == {"value": 4.0, "interval": [2.0, 6.0]}
-    assert to_words(scaled, "force") == "0.004 N/mm (0.002 to 0.006)"
+    assert format_value(scaled, "force") == "0.004 N/mm (0.002 to 0.006)"
     assert scaled.as_json()["error_m"] == 1.0
 
 

@@ -18,7 +18,7 @@ import pytest
 from deformscope.errors import InputError
 from deformscope.experiments.live_stages import live_stages
 from deformscope.frames import Frame, HealthReport, Item, LinkChange, RawBytes, TactileFrame, WrenchFrame, host_ns
-from deformscope.lab.stand_in import stand_in, wire_of
+from deformscope.lab.double_device import double_device, wire_of
 from deformscope.recording.losses import losses_of, named
 from deformscope.rig.driver_table import DRIVERS
 from deformscope.rig.source import RigMember, RigSource
@@ -35,7 +35,7 @@ from tests.patience import PATIENCE_S
 @contextlib.contextmanager
 def doubled(driver: str, name: str, **settings: object) -> Iterator[RigMember]:
     config = DRIVERS[driver].config_class()(**settings)
-    with stand_in(driver, config) as device:
+    with double_device(driver, config) as device:
         yield RigMember(name, DRIVERS[driver], device, simulated=True)
 
 

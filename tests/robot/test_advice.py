@@ -8,7 +8,7 @@ import pytest
 from deformscope.robot.advice import ADVICE, advice, where_it_stands
 from deformscope.robot.readings import RobotObservation
 from deformscope.robot.robot import RobotStopped
-from deformscope.robot.supervisor import Fault, SafetyVerdict
+from deformscope.robot.supervisor import Fault, SafetyDecision
 from deformscope.robot.touch import TouchEnding, run_touch
 from tests.robot.quick_touch import quick_scene
 
@@ -26,7 +26,7 @@ def test_who_is_told_of_a_stop_in_contact_is_told_how_hard_the_tip_presses(fault
     scene = quick_scene(3)
     robot = scene.robot
 
-    def watch(seen: RobotObservation, verdict: SafetyVerdict) -> None:
+    def watch(seen: RobotObservation, verdict: SafetyDecision) -> None:
         if scene.lab.contact.force_n[2] > 2.0:
             robot.supervisor.stop(fault, "as asked for", seen.now_ns)
 

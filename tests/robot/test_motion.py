@@ -16,7 +16,7 @@ from deformscope.robot.motion import CommandedRotation, rates_for_twist, to_sing
 from deformscope.robot.placement import best_joints
 from deformscope.robot.readings import RobotObservation
 from deformscope.robot.robot import JointRates, Robot, RobotStopped, TipVelocity
-from deformscope.robot.supervisor import Fault, Limits, SafetyVerdict
+from deformscope.robot.supervisor import Fault, Limits, SafetyDecision
 from deformscope.robot.touch import Phase, run_touch
 from deformscope.robot.travel import move_joints, move_tip
 from deformscope_drivers.arm.kinematics import Chain, FloatArray, least_singular, off_course
@@ -64,7 +64,7 @@ class Bench:
         self.robot.cycle()
         self.robot.let_move(PASSED)
 
-    def _watch(self, seen: RobotObservation, verdict: SafetyVerdict) -> None:
+    def _watch(self, seen: RobotObservation, verdict: SafetyDecision) -> None:
         self.poses.append(self.lab.arm_double.T_base_end_effector)
 
     def until_stopped(self, command: TipVelocity | JointRates) -> Fault:
@@ -139,7 +139,7 @@ def test_through_a_whole_touch_the_stick_is_within_a_degree_of_the_normal() -> N
     phases: list[Phase] = []
     tilts_deg: list[float] = []
 
-    def watch(seen: RobotObservation, verdict: SafetyVerdict) -> None:
+    def watch(seen: RobotObservation, verdict: SafetyDecision) -> None:
         if phases and phases[-1] is not Phase.TRAVEL:
             stick = scene.robot.placement.T_surface_center(scene.lab.arm_double.T_base_end_effector)[:3, 2]
             tilts_deg.append(float(np.degrees(np.arccos(-stick @ scene.plan.normal))))

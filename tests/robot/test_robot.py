@@ -14,7 +14,7 @@ from deformscope.robot.latch import Action
 from deformscope.robot.preflight import check
 from deformscope.robot.readings import RobotObservation
 from deformscope.robot.robot import RobotStopped, TipVelocity
-from deformscope.robot.supervisor import Fault, Limits, SafetyVerdict
+from deformscope.robot.supervisor import Fault, Limits, SafetyDecision
 from deformscope.robot.travel import step
 from studies.fault_study import FaultScene, make_scene
 
@@ -49,7 +49,7 @@ def way_m(scene: FaultScene, seconds: float) -> float:
 def test_who_asks_to_stop_is_heard_in_the_same_period() -> None:
     scene = moving()
 
-    def ask(seen: RobotObservation, verdict: SafetyVerdict) -> None:
+    def ask(seen: RobotObservation, verdict: SafetyDecision) -> None:
         scene.robot.ask_to_stop("Ctrl-C")
 
     scene.robot.watch = ask
@@ -93,7 +93,7 @@ def test_a_fault_is_not_covered_by_a_wish_to_stop() -> None:
 def test_the_arm_is_halted_before_a_failing_watcher_is_heard() -> None:
     scene = moving()
 
-    def fail(seen: RobotObservation, verdict: SafetyVerdict) -> None:
+    def fail(seen: RobotObservation, verdict: SafetyDecision) -> None:
         raise OSError("the disk is full")
 
     scene.robot.watch = fail
@@ -111,7 +111,7 @@ def test_what_comes_after_a_stop_is_seen_and_moves_nothing() -> None:
     scene.robot.ask_to_stop("enough")
     with pytest.raises(RobotStopped):
         scene.robot.cycle(UP)
-    seen: list[tuple[RobotObservation, SafetyVerdict]] = []
+    seen: list[tuple[RobotObservation, SafetyDecision]] = []
     scene.robot.watch = lambda observation, verdict: seen.append((observation, verdict))
     began_ns = scene.lab.clock()
 

@@ -10,7 +10,7 @@ import pytest
 from deformscope.errors import InputError
 from deformscope.robot.latch import Action
 from deformscope.robot.readings import ArmSample, CameraSample, ForceSample, RobotObservation
-from deformscope.robot.supervisor import Fault, Limits, SafetyVerdict, Supervisor
+from deformscope.robot.supervisor import Fault, Limits, SafetyDecision, Supervisor
 from deformscope_drivers.arm.kinematics import rotation_from_rpy, transform
 from deformscope_drivers.jaco.chains import J2N6S300
 
@@ -28,7 +28,7 @@ def arm(time_ns: int, x_m: float = 0.0, *, joints: float | None = None, fifo: in
     return ArmSample(time_ns, pose, (x_m if joints is None else joints,), fifo)
 
 
-def judged(supervisor: Supervisor, now_ns: int, **changed: object) -> SafetyVerdict:
+def judged(supervisor: Supervisor, now_ns: int, **changed: object) -> SafetyDecision:
     commanded = float(changed.pop("commanded_m_s", 0.0))  # type: ignore[arg-type]
     needed = bool(changed.pop("camera_needed", False))
     rotation: Any = changed.pop("commanded_rotation", None)

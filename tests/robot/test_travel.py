@@ -16,7 +16,7 @@ from deformscope.robot.clearance import ArmClearance
 from deformscope.robot.placement import Placement, best_joints, towards
 from deformscope.robot.readings import RobotObservation
 from deformscope.robot.setup import T_BASE_SURFACE
-from deformscope.robot.supervisor import Limits, SafetyVerdict
+from deformscope.robot.supervisor import Limits, SafetyDecision
 from deformscope.robot.touch import Phase, TouchPlan, run_touch
 from deformscope.robot.travel import PASSED_M, REACHED_M, NotThere, TravelWay, find_way, to_above
 from deformscope_drivers.jaco.chains import J2N6S300
@@ -45,7 +45,7 @@ def test_it_crosses_no_lower_than_told_and_hardly_higher(scene: FaultScene, abov
     phases: list[tuple[Phase, int]] = []
     track: list[np.ndarray] = []
 
-    def watch(seen: RobotObservation, verdict: SafetyVerdict) -> None:
+    def watch(seen: RobotObservation, verdict: SafetyDecision) -> None:
         if phases and phases[-1][0] is Phase.TRAVEL:
             track.append(robot.center_m)
 

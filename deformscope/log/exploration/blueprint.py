@@ -9,7 +9,7 @@ import rerun.blueprint as rrb
 
 from deformscope.frames import Stream
 from deformscope.log.exploration.dent import DENT
-from deformscope.log.exploration.display import FORCE, GAIN, HEIGHT, LUMPS, LUMPS_SUMMARY, MAPS, MISSED, SECTION
+from deformscope.log.exploration.display import FORCE, GAIN, HEIGHT, INCLUSIONS_SUMMARY, LUMPS, MAPS, MISSED, SECTION
 from deformscope.log.exploration.scene import SCENE, SURFACE_FRAME
 from deformscope.log.exploration.summary import SUMMARY
 from deformscope.log.rig.blueprint import FLOOR, LEGEND, blueprint_of, depth_view, named
@@ -49,7 +49,7 @@ def exploration_blueprint(
     """The views of an exploration with these devices.
 
     size_m: of the surface along x and y; truth: whether it is known: else the surface's height stands in its place
-    lumps: whether lumps are sought: they stand in the place of beta
+    lumps: whether inclusions are sought: they stand in the place of beta
     tabs: most views behind others, for a page, which has panels at both sides and may have to draw without a GPU
     compared: other settings, whose results are shown with the recorded ones (`tabs` alone); mapped: by what regions are
     told apart
@@ -60,7 +60,7 @@ def exploration_blueprint(
         maps |= {"beta": _picture(LUMPS, "Lumps"), "beta_deviation": _picture(MISSED, "What may be missed")}
     gain, force = _picture(GAIN, "Why the next touch goes there"), _picture(FORCE, "Force over depth")
     truly = maps["truth"] if truth else _picture(HEIGHT, "Surface")
-    words = LUMPS_SUMMARY if lumps else SUMMARY
+    words = INCLUSIONS_SUMMARY if lumps else SUMMARY
     summary = rrb.TextDocumentView(contents=[f"+ /{words}"], origin=words, name="What is known")
     if tabs:
         fields = rrb.Tabs(maps["stiffness"], maps["stiffness_deviation"], maps["beta"], maps["beta_deviation"])

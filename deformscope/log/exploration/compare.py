@@ -17,7 +17,7 @@ from deformscope.log.exploration.scene import LINE_M, SCENE
 from deformscope.log.result_batch import ResultBatch
 from deformscope.log.rig.columns import Batch
 from deformscope.pictures import exploration as pictures
-from deformscope.pictures.words import verdict_words
+from deformscope.pictures.messages import format_verdict
 from deformscope.stages.map.exploration import MapEstimate, SurfaceEstimate, TouchEstimate
 
 ABOVE_M, APART_M = 0.002, 0.07
@@ -56,16 +56,16 @@ def _batch_of(recorded: Sequence[tuple[int, object]], again: Sequence[object], n
     maps = {one.touches: one for one in again if isinstance(one, MapEstimate)}
     surface = next((one for _, one in recorded if isinstance(one, SurfaceEstimate)), None)
     for path in (COMPARED_REGIONS, *COMPARED_TOUCHES.values()):
-        ResultBatch(batch, 0).show_png(path, pictures.words_png, "no touch yet")
+        ResultBatch(batch, 0).show_png(path, pictures.text_png, "no touch yet")
     for session_ns, result in recorded:
         now = ResultBatch(batch, session_ns)
         if isinstance(result, TouchEstimate):
             before.append(result)
             now_known = [one for one in others if one.number <= result.number]
             for quantity, path in COMPARED_TOUCHES.items():
-                now.show_png(path, pictures.touches_beside_png, quantity, before, now_known, name)
+                now.show_png(path, pictures.touch_comparison_png, quantity, before, now_known, name)
         elif isinstance(result, MapEstimate) and (other := maps.get(result.touches)) is not None:
-            now.show_png(COMPARED_REGIONS, pictures.regions_beside_png, result, other, name)
+            now.show_png(COMPARED_REGIONS, pictures.region_comparison_png, result, other, name)
             _log_edges(now, (result, other), name, surface)
     return batch
 
@@ -88,5 +88,5 @@ def _log_edges(
         path = f"{SCENE}/beside/{('recorded', 'other')[place]}"
         now.show_lines(path, lines, color, WIDTHS_M[place])
         y_m = one.labels.shape[0] * one.cell_m
-        words = f"{whose}: {verdict_words(one)}"
+        words = f"{whose}: {format_verdict(one)}"
         now.show_points(f"{path}/name", np.array([[0.0, y_m, (1 + place) * APART_M]]), color, 2 * LINE_M, [words])

@@ -8,8 +8,8 @@ from deformscope.arrays import FloatArray
 from deformscope.log.result_batch import ResultBatch
 from deformscope.log.rig.columns import Sink, states
 from deformscope.pictures import exploration as pictures
+from deformscope.pictures.messages import counted, format_failure, format_inclusions
 from deformscope.pictures.palette import BAD, Rgb
-from deformscope.pictures.words import counted, failed_words, found_words
 from deformscope.rows import ENTITIES
 from deformscope.stages.map.exploration import (
     ExplorationStop,
@@ -24,7 +24,7 @@ from deformscope.stages.map.exploration import (
 
 HEIGHT, GAIN = "display/surface/height", "display/plan/gain"
 FORCE, SECTION = "display/touch/force", "display/touch/section"
-LUMPS, MISSED, LUMPS_SUMMARY = (f"display/lumps/{what}" for what in ("map", "missed", "summary"))
+LUMPS, MISSED, INCLUSIONS_SUMMARY = (f"display/lumps/{what}" for what in ("map", "missed", "summary"))
 MAPS = {f"display/maps/{quantity}": quantity for quantity in pictures.MAP_DRAWINGS}
 
 PHASES: dict[str, Rgb] = {
@@ -48,7 +48,7 @@ PHASES: dict[str, Rgb] = {
 def log_nothing_known(now: ResultBatch) -> None:
     """Words where there will be pictures."""
     for path, words in {**dict.fromkeys([*MAPS, FORCE, SECTION], "no touch yet"), GAIN: "no plan yet"}.items():
-        now.show_png(path, pictures.words_png, words)
+        now.show_png(path, pictures.text_png, words)
 
 
 def log_height(now: ResultBatch, surface: SurfaceEstimate) -> None:
@@ -60,12 +60,12 @@ def log_maps(now: ResultBatch, maps: MapEstimate) -> None:
         now.show_png(path, pictures.map_png, quantity, maps)
 
 
-def log_lumps(now: ResultBatch, lumps: LumpsFound) -> None:
-    now.show_png(LUMPS, pictures.lumps_png, lumps)
-    now.show_png(MISSED, pictures.missed_png, lumps)
+def log_inclusions(now: ResultBatch, lumps: LumpsFound) -> None:
+    now.show_png(LUMPS, pictures.inclusions_png, lumps)
+    now.show_png(MISSED, pictures.miss_probability_png, lumps)
     text = "\n\n".join(f"**{name}**: {words}" for name, words in lumps.rows)
-    title = f"# {found_words(lumps)} after {counted(len(lumps.contacts_m), 'touch')}"
-    now.show(LUMPS_SUMMARY, rr.TextDocument(f"{title}\n\n{text}", media_type=rr.MediaType.MARKDOWN))
+    title = f"# {format_inclusions(lumps)} after {counted(len(lumps.contacts_m), 'touch')}"
+    now.show(INCLUSIONS_SUMMARY, rr.TextDocument(f"{title}\n\n{text}", media_type=rr.MediaType.MARKDOWN))
 
 
 def log_gain(now: ResultBatch, plan: PlannedTouch, cell_m: float, contacts_m: FloatArray | None) -> None:
@@ -89,7 +89,7 @@ def log_phase(now: ResultBatch, phase: PhaseStart) -> None:
 
 def log_failed(now: ResultBatch, failed: StageFailure) -> None:
     """What failed on a touch, with where in the code."""
-    _error(now, StageFailure, f"{failed_words(failed)}\n{failed.trace}".strip())
+    _error(now, StageFailure, f"{format_failure(failed)}\n{failed.trace}".strip())
 
 
 def log_stopped(now: ResultBatch, stop: ExplorationStop) -> None:

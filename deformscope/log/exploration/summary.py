@@ -6,13 +6,13 @@ import numpy as np
 import rerun as rr
 
 from deformscope.log.result_batch import ResultBatch
-from deformscope.pictures.words import (
-    claim_words,
+from deformscope.pictures.messages import (
     counted,
-    iou_words,
+    format_claim,
+    format_iou,
+    format_travel,
+    format_verdict,
     stiffness_kind,
-    travel_words,
-    verdict_words,
 )
 from deformscope.stages.map.exploration import MapEstimate
 
@@ -34,12 +34,12 @@ def _show(now: ResultBatch, text: str) -> None:
 
 def summary(maps: MapEstimate) -> str:
     """Markdown: the verdict first, then the regions and the numbers."""
-    verdict = verdict_words(maps)
-    scored = f"; **{iou_words(maps)}**" if maps.iou is not None else ""
+    verdict = format_verdict(maps)
+    scored = f"; **{format_iou(maps)}**" if maps.iou is not None else ""
     lines = [
-        f"# {verdict[0].upper()}{verdict[1:]} ({claim_words(maps.claimed)})",
+        f"# {verdict[0].upper()}{verdict[1:]} ({format_claim(maps.claimed)})",
         "",
-        f"after **{counted(maps.touches, 'touch')}**, {travel_words(maps.travel_m)}",
+        f"after **{counted(maps.touches, 'touch')}**, {format_travel(maps.travel_m)}",
         "",
         f"{100 * float(np.mean(maps.label_probability > SURE)):.0f} % of the cells are sure (p > {SURE:g}){scored}",
         "",

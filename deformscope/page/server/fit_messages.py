@@ -35,7 +35,7 @@ class FitSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     theta: Share = 0.0
 
 
-class FitFound(msgspec.Struct, frozen=True):
+class FitResult(msgspec.Struct, frozen=True):
     """A whole fit. command: what gives it; value, low, high: of the parameter, at this level; aee_free: average error
     of the free particles there; verdict: in words"""
 
@@ -85,7 +85,7 @@ class FitState(msgspec.Struct, frozen=True):
     values: tuple[float, ...] = ()
     errors: tuple[float | None, ...] = ()
     busy: str = ""
-    found: FitFound | None = None
+    found: FitResult | None = None
     picture: str = ""
     camera: str = ""
     following: bool = False

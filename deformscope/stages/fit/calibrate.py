@@ -42,9 +42,9 @@ from deformscope.stages.fit.estimate import (
 )
 from deformscope.stages.fit.force import contact_stiffness, stiffness_interval
 from deformscope.stages.fit.inference import Inference, Inferred
-from deformscope.stages.fit.misheld import HELD_GAIN, correct_held, held_off
 from deformscope.stages.fit.model import FitOptions, Model, Observation
 from deformscope.stages.fit.outliers import LeftOut, left_out_json, without_outliers
+from deformscope.stages.fit.prescribed_offset import HELD_GAIN, correct_held, held_off
 from deformscope.stages.fit.search import Progress, Search
 from deformscope.stages.fit.shared_errors import for_posterior, together
 from deformscope.stages.fit.two_materials import FittedBody, two_materials

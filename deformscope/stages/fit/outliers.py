@@ -56,8 +56,8 @@ of white or shared noise as many as without."""
 @dataclass(frozen=True, slots=True)
 class LeftOut:
     """Particles of one observation that were left out. lost: stayed behind on the way that the model expects; wrong:
-    anywhere else; held: prescribed ones that are not where they are said to be (`misheld`). (m,) indices of the
-    observation's particles"""
+    anywhere else; held: prescribed ones that are not where they are said to be (`prescribed_offset`). (m,) indices of
+    the observation's particles"""
 
     lost: IntArray
     wrong: IntArray

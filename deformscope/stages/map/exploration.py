@@ -15,7 +15,7 @@ import numpy as np
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.errors import InputError
 from deformscope.results.declared import derived, reported
-from deformscope.results.render import to_words
+from deformscope.results.render import format_value
 from deformscope.stages.poke.creep import CreepFit
 
 NOT_ASKED = "not asked for"
@@ -191,7 +191,7 @@ class MapRegion:
     @property
     def loss_text(self) -> str:
         """What it loses of a touch's energy; empty where it was not mapped."""
-        return "" if self.loss is None else f"loses {to_words(self, 'loss')}"
+        return "" if self.loss is None else f"loses {format_value(self, 'loss')}"
 
     @property
     def modulus_text(self) -> str:
@@ -289,20 +289,20 @@ class MapEstimate:
 
 
 @dataclass(frozen=True, slots=True)
-class LumpMissed:
-    """With which probability a lump of a radius [m] is missed."""
+class MissProbability:
+    """With which probability an inclusion of a radius [m] is missed."""
 
     radius_m: float = field(metadata=reported(unit="m"))
     probability: float = field(metadata=reported())
 
 
 @dataclass(frozen=True, slots=True)
-class Missed:
+class DetectionLimit:
     """What the touches so far may have missed.
 
     untouched_m, untouched_at_m: radius and centre (2,) of the largest circle on the surface without a touch [m]
-    lump_radius_m: (n,) of lumps that fit on the surface, rising [m]; lump_probability: (n,) that there is one of these
-    which no touch has felt; it was `prior` before any touch
+    lump_radius_m: (n,) of inclusions that fit on the surface, rising [m]; lump_probability: (n,) that there is one of
+    these which no touch has felt; it was `prior` before any touch
     contrast: they are so many times as stiff, or as soft, as what is around them
     deepest_m: from the surface to their uppermost points, at most; None = they reach from top to bottom
     """
@@ -317,27 +317,27 @@ class Missed:
 
     @property
     @derived()
-    def lumps(self) -> list[LumpMissed]:
+    def lumps(self) -> list[MissProbability]:
         """Each size with its probability."""
-        return [*map(LumpMissed, self.lump_radius_m, self.lump_probability)]
+        return [*map(MissProbability, self.lump_radius_m, self.lump_probability)]
 
     def probability(self, radius_m: float) -> float:
-        """Of lumps of one of these radii [m]; 0 where they do not fit."""
+        """Of inclusions of one of these radii [m]; 0 where they do not fit."""
         return float(self.lump_probability[self.lump_radius_m == radius_m].sum())
 
 
 @dataclass(frozen=True, slots=True)
 class LumpsFound:
-    """What the touches so far say of lumps below a surface that shows nothing (`stages.map.lump_posterior`).
+    """What the touches so far say of inclusions below a surface that shows nothing (`stages.map.inclusion_posterior`).
 
     centre_m: (k, 2) middles of those that were found; within_m: (k,) distance from it within which each lies in 90 %
     radius_m: (k,), radius_interval_m: (k, 2) of 90 % [m]; stiff: (k,) rather than soft; probability: (k,) of each
     depth: of each `shallow` (the uppermost point at most `deep_m` down), `deep`, or empty where it cannot be told
-    covered: (rows, columns) probability that a cell lies above a lump, found or not; cell_m: of that map
-    size_m: (n,) radii, rising [m]; missed: (n,) probability of a lump of each that is not among those found, were lumps
-    of this radius alone there; missed_smallest: the largest of these from the radius `smallest_m` on
-    prior, contrast, deepest_m: what is taken for granted: a lump is there with `prior` before any touch, `contrast`
-    times as stiff or as soft as the foam or more, and its uppermost point at most so deep [m]
+    covered: (rows, columns) probability that a cell lies above an inclusion, found or not; cell_m: of that map
+    size_m: (n,) radii, rising [m]; missed: (n,) probability of an inclusion of each that is not among those found, were
+    inclusions of this radius alone there; missed_smallest: the largest of these from the radius `smallest_m` on
+    prior, contrast, deepest_m: what is taken for granted: an inclusion is there with `prior` before any touch,
+    `contrast` times as stiff or as soft as the foam or more, and its uppermost point at most so deep [m]
     scatter: deviation of log stiffness within the foam; contacts_m: (n, 2) touches so far
     truth_m: (m, 4) where it is known: x, y, radius, depth of each [m]
     """
@@ -363,9 +363,9 @@ class LumpsFound:
 
     @property
     @derived(key="missed")
-    def missed_each(self) -> list[LumpMissed]:
+    def missed_each(self) -> list[MissProbability]:
         """Each size with its probability."""
-        return [*map(LumpMissed, self.size_m, self.missed)]
+        return [*map(MissProbability, self.size_m, self.missed)]
 
     smallest_m: float = field(metadata=reported())
     missed_smallest: float = field(metadata=reported())
@@ -380,14 +380,14 @@ class LumpsFound:
     @property
     @derived()
     def truth(self) -> list[dict[str, Any]]:
-        """Each true lump; empty where these are not known."""
+        """Each true inclusion; empty where these are not known."""
         known = () if self.truth_m is None else self.truth_m
         return [{"centre_m": one[:2], "radius_m": one[2], "depth_m": one[3]} for one in known]
 
     @property
     @derived(key="words")
     def rows(self) -> list[tuple[str, str]]:
-        """Every lump that was found, and what may be missed, as names and values."""
+        """Every inclusion that was found, and what may be missed, as names and values."""
         rows = []
         for number in range(len(self)):
             x, y = 100.0 * self.centre_m[number]
@@ -436,7 +436,7 @@ class PlannedTouch:
     excluded: BoolArray
     reason: str
     stop_reason: str = ""
-    missed: Missed | None = None
+    missed: DetectionLimit | None = None
     gain_unit: str | None = None
 
 

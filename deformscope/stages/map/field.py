@@ -21,7 +21,7 @@ from threadpoolctl import threadpool_limits
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.errors import InputError
-from deformscope.stages.map.gaussian_process import Believed, Kernel
+from deformscope.stages.map.gaussian_process import Kernel, ProcessPrediction
 from deformscope.stages.poke.contact import Z_90
 from deformscope.stages.regions.touch_error import SCATTER_MEDIAN
 from deformscope.stages.regions.touches import MapGrid
@@ -130,7 +130,7 @@ class Field:
     at_bound: tuple[str, ...]
     states: tuple[_State, ...]
 
-    def at(self, places_m: FloatArray) -> Believed:
+    def at(self, places_m: FloatArray) -> ProcessPrediction:
         """Mean (m,) and deviation (m,) of the field at places (m, 2) [m] (Thesis eq. 4.3 and 4.4)."""
         places = np.atleast_2d(np.asarray(places_m, dtype=np.float64))
         first, second = np.zeros(len(places)), np.zeros(len(places))
@@ -142,7 +142,7 @@ class Field:
                 variance = state.kernel.sigma_e**2 + state.level_sd**2 - np.sum(whitened**2, axis=0)
                 first += state.share * mean
                 second += state.share * (variance.clip(0.0) + mean**2)
-        return Believed(first + self.level, np.sqrt((second - first**2).clip(0.0)))
+        return ProcessPrediction(first + self.level, np.sqrt((second - first**2).clip(0.0)))
 
     def on(self, grid: MapGrid) -> FieldMap:
         """The field at the centres of a grid's cells."""

@@ -50,7 +50,7 @@ class Kernel:
 
 
 @dataclass(frozen=True, slots=True)
-class Believed:
+class ProcessPrediction:
     """Values at places, as a process predicts them. mean, deviation: (n,), of the process itself, without noise"""
 
     mean: FloatArray

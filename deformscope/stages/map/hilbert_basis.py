@@ -28,7 +28,7 @@ MOST_SINES = 1600
 
 
 @dataclass(frozen=True, slots=True)
-class Weighed:
+class WeightedBasis:
     """What points say whose noise is known up to one factor. gram: (m, m), onto: (m,), square: sums over points of
     basis products, of value times basis, and of squared values, each by 1 / noise^2; log_noise: sum of log noise^2;
     count: points"""
@@ -50,7 +50,7 @@ class ListedPoints:
 
 
 @dataclass(frozen=True, slots=True)
-class Trial:
+class LogLikelihood:
     """Log marginal likelihood and its slopes by log sigma_e, log length and log of the noise's scale."""
 
     value: float
@@ -75,7 +75,7 @@ class HilbertBasis:
         [m]"""
         return float(np.pi / 4.0 * np.prod(2.0 * (half + EDGE * longest) / np.pi * HIGHEST / shortest))
 
-    def weigh(self, places: FloatArray, value: FloatArray, noise: FloatArray) -> Weighed:
+    def weigh(self, places: FloatArray, value: FloatArray, noise: FloatArray) -> WeightedBasis:
         """Sums up points (n, 2) with values (n,) and noise (n,), a deviation."""
         weight = 1.0 / noise**2
         angle = 0.5 * np.pi * (places - self.middle + self.wall) / self.wall
@@ -89,7 +89,9 @@ class HilbertBasis:
         gram /= 4.0 * np.prod(self.wall)
         onto = (sine[0].T @ ((weight * value)[:, None] * sine[1]))[first, second] / np.sqrt(np.prod(self.wall))
         log_noise = float(2.0 * np.log(noise).sum())
-        return Weighed(gram=gram, onto=onto, square=float(weight @ value**2), log_noise=log_noise, count=len(value))
+        return WeightedBasis(
+            gram=gram, onto=onto, square=float(weight @ value**2), log_noise=log_noise, count=len(value)
+        )
 
     def list(self, places: FloatArray, value: FloatArray, noise: FloatArray) -> ListedPoints:
         """Points (k, 2) as they are, with values (k,) and noise (k,)."""
@@ -97,7 +99,9 @@ class HilbertBasis:
         sine = np.prod(np.sin(angle[:, None] * self.number), axis=2) / np.sqrt(np.prod(self.wall))
         return ListedPoints(sine / noise[:, None], value / noise, float(2.0 * np.log(noise).sum()))
 
-    def trial(self, free: Weighed, known: ListedPoints, sigma_e: float, length: float, scale: float) -> Trial:
+    def trial(
+        self, free: WeightedBasis, known: ListedPoints, sigma_e: float, length: float, scale: float
+    ) -> LogLikelihood:
         """The log marginal likelihood; the noise of the free points is multiplied by `scale`, of the known ones not."""
         density = 2.0 * np.pi * (sigma_e * length) ** 2 * np.exp(-0.5 * length**2 * self.frequency2)
         root = np.sqrt(density)
@@ -111,7 +115,7 @@ class HilbertBasis:
         onto = by * root * free.onto + listed.T @ known.value
         factor, failed = dpotrf(inner, lower=1, clean=1, overwrite_a=1)
         if failed:
-            return Trial(-np.inf, np.zeros(3))
+            return LogLikelihood(-np.inf, np.zeros(3))
         weight = cho_solve((factor, True), onto, check_finite=False)
         logs = free.log_noise + known.log_noise - free.count * np.log(by) + 2.0 * np.log(np.diag(factor)).sum()
         count = free.count + len(known.value)
@@ -128,7 +132,7 @@ class HilbertBasis:
             by_density @ (2.0 - length**2 * self.frequency2),
             by * left + uncertain - free.count,
         ]
-        return Trial(float(value), np.array(slope))
+        return LogLikelihood(float(value), np.array(slope))
 
 
 def _numbers(wall: FloatArray, highest: float) -> IntArray:

@@ -17,7 +17,7 @@ from scipy.spatial import cKDTree
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 from deformscope.stages.map.gaussian_process import Kernel
-from deformscope.stages.map.hilbert_basis import MOST_SINES, HilbertBasis, ListedPoints, Weighed
+from deformscope.stages.map.hilbert_basis import MOST_SINES, HilbertBasis, ListedPoints, WeightedBasis
 
 FLOOR_M = 1e-6
 """Heights are not distinguished below this [m]: constant ones still have a scale."""
@@ -59,7 +59,7 @@ HOPELESS = 1e9
 
 
 @dataclass(frozen=True, slots=True)
-class Points:
+class Observations:
     """places: (n, 2) [m]; value: (n,) above the mean [m]; noise: (n,) its deviation [m]"""
 
     places: FloatArray
@@ -68,7 +68,7 @@ class Points:
 
 
 @dataclass(frozen=True, slots=True)
-class Given:
+class FixedHyperparameters:
     """Hyper-parameters that the user fixed; None: to be learned."""
 
     sigma_e: float | None = None
@@ -77,7 +77,7 @@ class Given:
 
 
 @dataclass(frozen=True, slots=True)
-class Learned:
+class Hyperparameters:
     """kernel; noise_scale: what the free points' noise is multiplied by; log_likelihood: marginal, of all points
     at_bound: which of "sigma_e", "length", "noise_scale" came to rest at a bound of what was searched
     trials: how often the likelihood was found"""
@@ -92,7 +92,9 @@ class Learned:
 NAMES = ("sigma_e", "length", "noise_scale")
 
 
-def learn(free: Points, known: Points, given: Given, start: Learned | None = None) -> Learned:
+def learn(
+    free: Observations, known: Observations, given: FixedHyperparameters, start: Hyperparameters | None = None
+) -> Hyperparameters:
     """The likeliest hyper-parameters. free: points whose noise is known up to one factor; known: whose noise is known.
 
     start: what was learned of nearly the same points, if anything; else a few lengths are looked at first
@@ -102,7 +104,7 @@ def learn(free: Points, known: Points, given: Given, start: Learned | None = Non
     if not len(free.value):
         given = dataclasses.replace(given, noise_scale=1.0)
     if given.sigma_e is not None and given.sigma_w is not None and given.noise_scale is not None:
-        return Learned(
+        return Hyperparameters(
             kernel=Kernel(given.sigma_e, given.sigma_w),
             noise_scale=given.noise_scale,
             log_likelihood=float("nan"),
@@ -116,7 +118,7 @@ def learn(free: Points, known: Points, given: Given, start: Learned | None = Non
 
 
 class _Search:
-    def __init__(self, free: Points, known: Points, middle: FloatArray, half: FloatArray) -> None:
+    def __init__(self, free: Observations, known: Observations, middle: FloatArray, half: FloatArray) -> None:
         self.free, self.known, self.middle, self.half = free, known, middle, half
         self.trials = 0
         longest = LONGEST * max(2.0 * float(half.max()), FLOOR_M)
@@ -129,7 +131,7 @@ class _Search:
         self.scale = noise / float(np.median(free.noise)) if len(free.noise) else 1.0
         self.scales = np.log([max(float(value.std()), noise, FLOOR_M), 0.25 * longest / LONGEST, self.scale])
 
-    def run(self, given: Given, before: Learned | None) -> Learned:
+    def run(self, given: FixedHyperparameters, before: Hyperparameters | None) -> Hyperparameters:
         length = None if given.sigma_w is None else Kernel(1.0, given.sigma_w).length_m
         if length is not None and HilbertBasis.size(self.half, length / RANGE[0], length * RANGE[1]) > 4 * MOST_SINES:
             raise InputError(
@@ -166,7 +168,7 @@ class _Search:
             if f is None and (x <= a + NEAR_BOUND or x >= b - NEAR_BOUND)
         ]
         sigma_e, length, scale = (float(x) for x in np.exp(at))
-        return Learned(
+        return Hyperparameters(
             kernel=Kernel.of_length(sigma_e, length),
             noise_scale=scale,
             log_likelihood=value,
@@ -216,13 +218,13 @@ class _Search:
         away = np.where(free, (x - self.scales) / PRIOR_SPREAD, 0.0)
         return x, float(0.5 * away @ away - found.fun * count)
 
-    def _weighed(self, basis: HilbertBasis) -> tuple[Weighed, ListedPoints]:
+    def _weighed(self, basis: HilbertBasis) -> tuple[WeightedBasis, ListedPoints]:
         free, known = self.free, self.known
         listed = basis.list(known.places, known.value, known.noise)
         return basis.weigh(free.places, free.value, free.noise), listed
 
 
-def roughness(points: Points) -> float:
+def roughness(points: Observations) -> float:
     """A robust deviation of the noise [m]: of each height from the mean of its nearest neighbours' [m]."""
     count = min(NEIGHBOURS, len(points.value) - 1)
     if count < 2:

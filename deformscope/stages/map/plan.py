@@ -4,8 +4,8 @@
 field of beta, whose variance alone ends it (`thesis_field`); `max-variance`: the largest variance;
 `integrated-variance`: the largest drop of the mean variance (active learning Cohn, 1996); `regions`, the default:
 touches that fill the space first; then those that are expected to put most of the map's labels right, by showing where
-the regions' borders run, or a lump that the map does not show (`inclusions`), or by repeating a touch that may be off.
-All of these per second.
+the regions' borders run, or an inclusion that the map does not show (`detection_limit`), or by repeating a touch that
+may be off. All of these per second.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from threadpoolctl import threadpool_limits
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.errors import InputError
-from deformscope.stages.map.exploration import Missed
-from deformscope.stages.map.inclusions import LUMP_RADII_M, Lumps, missed
+from deformscope.stages.map.detection_limit import INCLUSION_RADII_M, UnseenInclusions, detection_limit
+from deformscope.stages.map.exploration import DetectionLimit
 from deformscope.stages.map.thesis_field import SIGMA_E, ThesisField
 from deformscope.stages.regions.posterior import RegionHypotheses, RegionPosterior, Repeats, labels_of
 from deformscope.stages.regions.touch_error import TouchErrorModel
@@ -40,13 +40,13 @@ CONTENDERS = 100
 """Places, those most informative about the map per second, for which the gain in labels is worked out."""
 
 INCLUSION_M = 0.06
-"""Radius of the smallest lumps that are sought unless others are asked for."""
+"""Radius of the smallest inclusions that are sought unless others are asked for."""
 
 LARGER = (1.0, 1.4, 2.0)
-"""Lumps that are sought, in units of the smallest."""
+"""Inclusions that are sought, in units of the smallest."""
 
-LUMP_WORTH = 0.5
-"""Share of the labels that are put right where a lump is found: without it, the number of regions is wrong."""
+INCLUSION_WORTH = 0.5
+"""Share of the labels that are put right where an inclusion is found: without it, the number of regions is wrong."""
 
 LABEL_CELL_M = 0.025
 LEVEL_WORTH = 0.02
@@ -76,9 +76,10 @@ class PlanOptions:
     threshold: of variance, as a share of the field's variance before any touch (Th, thesis 4.2)
     least_gain: where less is to be gained it stops: of the share of cells with the right label; sure: the probability
     from which the number of regions is no longer in doubt; budget: touches in all
-    inclusion_m: radius of the smallest lumps that are sought; unmet: probability that one is there unseen, from which
-    on enough is known of them. `sure`, `unmet` and `least_gain` were chosen on tuning seeds (`studies.seeds`)
-    missed: where lumps alone are sought: probability of a missed one, below which enough is known (`lump_plan`)
+    inclusion_m: radius of the smallest inclusions that are sought; unmet: probability that one is there unseen, from
+    which on enough is known of them. `sure`, `unmet` and `least_gain` were chosen on tuning seeds (`studies.seeds`)
+    missed: where inclusions alone are sought: probability of a missed one, below which enough is known
+    (`inclusion_plan`)
     """
 
     planner: Planner = "regions"
@@ -122,7 +123,7 @@ class TouchChoice:
     cost_s: FloatArray
     excluded: IntArray
     reason: str
-    missed: Missed
+    missed: DetectionLimit
 
 
 def plan_touch(
@@ -165,7 +166,7 @@ def plan_touch(
             score = np.where(variance / before > options.threshold, order, -1.0)
         else:
             gain, unit, score = _gain(posterior, kernel, options, places, allowed, touched, variance, cost)
-        lumps = missed(posterior, made, {*LUMP_RADII_M, options.inclusion_m})
+        lumps = detection_limit(posterior, made, {*INCLUSION_RADII_M, options.inclusion_m})
     stop = _stop(posterior, options, len(made), gain, unit, variance[allowed] / before, lumps)
 
     target, reason = None, f"stopped: {stop}"
@@ -327,7 +328,7 @@ def _gain(
         return drop, "mean variance", drop / cost
     gain = np.full(len(places), np.nan)
     if allowed.any():
-        gain[allowed] = _lump_gain(posterior, options.inclusion_m, places[allowed])
+        gain[allowed] = _inclusion_gain(posterior, options.inclusion_m, places[allowed])
         # a search for the boundaries of what nothing speaks for would only stall
         if posterior.probability["1"] <= 0.5:
             touches = posterior.repeats(places[allowed], 0.5 * options.cell_m)
@@ -335,10 +336,10 @@ def _gain(
     return gain, "label", gain / cost
 
 
-def _lump_gain(posterior: RegionPosterior, smallest_m: float, places: FloatArray) -> FloatArray:
-    """(p,) what a touch is expected to add to the labels by showing a lump."""
-    chance = [Lumps(posterior, times * smallest_m).gain(places) for times in LARGER]
-    return cast(FloatArray, LUMP_WORTH * np.mean(chance, axis=0))
+def _inclusion_gain(posterior: RegionPosterior, smallest_m: float, places: FloatArray) -> FloatArray:
+    """(p,) what a touch is expected to add to the labels by showing an inclusion."""
+    chance = [UnseenInclusions(posterior, times * smallest_m).gain(places) for times in LARGER]
+    return cast(FloatArray, INCLUSION_WORTH * np.mean(chance, axis=0))
 
 
 def _region_gain(posterior: RegionPosterior, touches: Repeats, cost: FloatArray) -> FloatArray:
@@ -361,10 +362,10 @@ def _stop(
     gain: FloatArray,
     unit: str,
     variance: FloatArray,
-    lumps: Missed,
+    lumps: DetectionLimit,
 ) -> StopReason | None:
-    """Why no further touch is made, None while one is. While the number of regions is in doubt, or lumps may be there
-    unseen, only the budget and the reach end it. gain: (n,) of each place, NaN where no touch is allowed"""
+    """Why no further touch is made, None while one is. While the number of regions is in doubt, or inclusions may be
+    there unseen, only the budget and the reach end it. gain: (n,) of each place, NaN where no touch is allowed"""
     if made >= options.budget:
         return "budget"
     if not np.isfinite(gain).any():

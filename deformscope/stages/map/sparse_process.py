@@ -11,7 +11,7 @@ import numpy as np
 from scipy.linalg import cho_solve, cholesky, solve_triangular
 
 from deformscope.arrays import FloatArray, IntArray
-from deformscope.stages.map.gaussian_process import Believed, Kernel
+from deformscope.stages.map.gaussian_process import Kernel, ProcessPrediction
 
 SPACING = 0.45
 """Distance of inducing points in lengths of the kernel: between them the prior's variance is short by 1e-8."""
@@ -89,16 +89,18 @@ class SparseProcess:
         logs = 2.0 * np.log(np.diag(self._factor)).sum() + 2.0 * np.log(noise).sum() + len(value) * np.log(2.0 * np.pi)
         self.elbo = float(-0.5 * (square + logs + missing))
 
-    def at(self, places: FloatArray) -> Believed:
+    def at(self, places: FloatArray) -> ProcessPrediction:
         """Mean above the prior's and deviation at places (m, 2)."""
         mean, variance = self._believe(places, (False, False), self.kernel.sigma_e**2)
-        return Believed(mean, np.sqrt(variance))
+        return ProcessPrediction(mean, np.sqrt(variance))
 
-    def slopes(self, places: FloatArray) -> Believed:
+    def slopes(self, places: FloatArray) -> ProcessPrediction:
         """Mean and deviation (m, 2) of the slopes along x and y at places (m, 2)."""
         prior = (self.kernel.sigma_e / self.kernel.length_m) ** 2
         found = [self._believe(places, along, prior) for along in ((True, False), (False, True))]
-        return Believed(np.column_stack([one[0] for one in found]), np.sqrt(np.column_stack([one[1] for one in found])))
+        return ProcessPrediction(
+            np.column_stack([one[0] for one in found]), np.sqrt(np.column_stack([one[1] for one in found]))
+        )
 
     def _believe(self, places: FloatArray, slope: tuple[bool, bool], prior: float) -> tuple[FloatArray, FloatArray]:
         """Mean and variance (m,) of the process, or of its slope along one axis."""

@@ -17,8 +17,8 @@ from threadpoolctl import threadpool_limits
 
 from deformscope.arrays import BoolArray, FloatArray
 from deformscope.errors import InputError
-from deformscope.stages.map.gaussian_process import Believed, Kernel
-from deformscope.stages.map.marginal_likelihood import Given, Learned, Points, learn
+from deformscope.stages.map.gaussian_process import Kernel, ProcessPrediction
+from deformscope.stages.map.marginal_likelihood import FixedHyperparameters, Hyperparameters, Observations, learn
 from deformscope.stages.map.sparse_process import SPACING, SparseProcess
 from deformscope.stages.regions.touches import MapGrid
 
@@ -53,7 +53,7 @@ class HeightProcess:
     `learned.log_likelihood` both approximations hold
     """
 
-    learned: Learned
+    learned: Hyperparameters
     level_m: float
     noise_m: FloatArray
     used: BoolArray
@@ -65,18 +65,18 @@ class HeightProcess:
     def kernel(self) -> Kernel:
         return self.learned.kernel
 
-    def at(self, places_m: FloatArray) -> Believed:
+    def at(self, places_m: FloatArray) -> ProcessPrediction:
         """Height (m,) and its deviation at places (m, 2) [m] (Thesis eq. 4.3 and 4.4)."""
         with threadpool_limits(1):
             found = self.process.at(np.atleast_2d(np.asarray(places_m, dtype=np.float64)))
-        return Believed(found.mean + self.level_m, found.deviation)
+        return ProcessPrediction(found.mean + self.level_m, found.deviation)
 
     def on(self, grid: MapGrid) -> HeightMap:
         """Heights at the centres of a grid's cells."""
         found = self.at(grid.centres_m)
         return HeightMap(grid, found.mean.reshape(grid.shape), found.deviation.reshape(grid.shape))
 
-    def slopes(self, places_m: FloatArray) -> Believed:
+    def slopes(self, places_m: FloatArray) -> ProcessPrediction:
         """Slopes (m, 2) along x and y and their deviation at places (m, 2) [m/m]."""
         with threadpool_limits(1):
             return self.process.slopes(np.atleast_2d(np.asarray(places_m, dtype=np.float64)))
@@ -115,12 +115,12 @@ def fit_surface(
     if len(free.value) + len(known.value) < FEWEST:
         raise InputError(f"{FEWEST} surface points at least", f"{len(free.value) + len(known.value)}")
     level = float(free.value.mean() if len(free.value) else known.value.mean())
-    free, known = (Points(one.places, one.value - level, one.noise) for one in (free, known))
+    free, known = (Observations(one.places, one.value - level, one.noise) for one in (free, known))
     places = np.concatenate([free.places, known.places])
     low, high = places.min(axis=0), places.max(axis=0)
     if within_m is not None:
         low, high = np.minimum(low, within_m[0]), np.maximum(high, within_m[1])
-    given = Given(sigma_e_m, sigma_w_m, noise_scale)
+    given = FixedHyperparameters(sigma_e_m, sigma_w_m, noise_scale)
     if sigma_w_m is not None:
         _check_box(Kernel(1.0, sigma_w_m), low, high)
     used = np.ones(len(free.value), dtype=bool)
@@ -133,7 +133,7 @@ def fit_surface(
             if (inside == used).all() or inside.sum() + len(known.value) < FEWEST:
                 break
             used = inside
-            some = Points(free.places[used], free.value[used], free.noise[used])
+            some = Observations(free.places[used], free.value[used], free.noise[used])
             learned, process = _learned(some, known, given, low, high, learned)
     return HeightProcess(
         learned=learned,
@@ -147,8 +147,13 @@ def fit_surface(
 
 
 def _learned(
-    free: Points, known: Points, given: Given, low: FloatArray, high: FloatArray, start: Learned | None = None
-) -> tuple[Learned, SparseProcess]:
+    free: Observations,
+    known: Observations,
+    given: FixedHyperparameters,
+    low: FloatArray,
+    high: FloatArray,
+    start: Hyperparameters | None = None,
+) -> tuple[Hyperparameters, SparseProcess]:
     """Hyper-parameters, and the process with them. low, high: (2,) corners of the box that holds the points [m]"""
     learned = learn(free, known, given, start)
     _check_box(learned.kernel, low, high)
@@ -173,10 +178,10 @@ def _check_box(kernel: Kernel, low: FloatArray, high: FloatArray) -> None:
         )
 
 
-def _checked(points: FloatArray | None, noise: FloatArray | None, default: float | None) -> Points:
+def _checked(points: FloatArray | None, noise: FloatArray | None, default: float | None) -> Observations:
     """Places, heights and noise of points (n, 3); none: no points."""
     if points is None:
-        return Points(np.zeros((0, 2)), np.zeros(0), np.zeros(0))
+        return Observations(np.zeros((0, 2)), np.zeros(0), np.zeros(0))
     points = np.asarray(points, dtype=np.float64)
     if points.ndim != 2 or points.shape[1] != 3:
         raise InputError("points (n, 3) [m]", f"shape {points.shape}")
@@ -191,4 +196,4 @@ def _checked(points: FloatArray | None, noise: FloatArray | None, default: float
         raise InputError("finite points", "NaN or infinity", "drop those points")
     if not (np.isfinite(noise).all() and (noise > 0.0).all()):
         raise InputError("noise above 0 [m]", f"{noise.min():g}")
-    return Points(points[:, :2], points[:, 2], noise)
+    return Observations(points[:, :2], points[:, 2], noise)

@@ -20,7 +20,7 @@ from threadpoolctl import threadpool_limits
 
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.stages.map.field import FieldMap
-from deformscope.stages.map.gaussian_process import Believed, Kernel
+from deformscope.stages.map.gaussian_process import Kernel, ProcessPrediction
 from deformscope.stages.regions.touches import MapGrid
 
 SIGMA_E, SIGMA_W_M, SIGMA_N = 1.0, 0.6, 0.05
@@ -56,18 +56,18 @@ class ThesisField:
             dented=(*self.dented, len(dented_m)),
         )
 
-    def at(self, places_m: FloatArray) -> Believed:
+    def at(self, places_m: FloatArray) -> ProcessPrediction:
         """Mean (m,) and deviation (m,) at places (m, 2) [m] (Thesis eq. 4.3 and 4.4)."""
         kernel = Kernel(SIGMA_E, SIGMA_W_M)
         if not len(self.places_m):
-            return Believed(np.zeros(len(places_m)), np.full(len(places_m), SIGMA_E))
+            return ProcessPrediction(np.zeros(len(places_m)), np.full(len(places_m), SIGMA_E))
         with threadpool_limits(1):
             own = kernel.between(self.places_m, self.places_m) + SIGMA_N**2 * np.eye(len(self.places_m))
             factor = cholesky(own, lower=True)
             across = kernel.between(self.places_m, places_m)
             mean = across.T @ cho_solve((factor, True), self.beta)
             variance = SIGMA_E**2 - np.sum(solve_triangular(factor, across, lower=True) ** 2, axis=0)
-        return Believed(mean, np.sqrt(variance.clip(0.0)))
+        return ProcessPrediction(mean, np.sqrt(variance.clip(0.0)))
 
     def on(self, grid: MapGrid) -> FieldMap:
         """Mean and deviation at the centres of a grid's cells."""

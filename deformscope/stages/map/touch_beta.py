@@ -20,7 +20,7 @@ from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 from deformscope.stages.fit.distance import nearest_error
 from deformscope.stages.fit.estimate import Curve, Estimate
-from deformscope.stages.map.gaussian_process import Believed
+from deformscope.stages.map.gaussian_process import ProcessPrediction
 from deformscope.stages.map.surface import HeightProcess
 from deformscope.stages.msm import clusters
 from deformscope.stages.msm.poke import Law, PokeSetup, Tip, hold, settle
@@ -60,7 +60,7 @@ THESIS_NOTE = (
 class SurfaceHeights(Protocol):
     """A surface that is known where it is asked for, such as a `HeightProcess`."""
 
-    def at(self, places_m: FloatArray) -> Believed: ...
+    def at(self, places_m: FloatArray) -> ProcessPrediction: ...
 
 
 @dataclass(frozen=True, slots=True)

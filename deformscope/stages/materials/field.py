@@ -28,7 +28,7 @@ from deformscope.stages.fit.doubts import little_explained, not_converged, order
 from deformscope.stages.fit.estimate import Comparison, Doubt, limited
 from deformscope.stages.fit.model import Model, Observation
 from deformscope.stages.fit.search import Progress
-from deformscope.stages.materials.field_estimate import WEAK_FACTOR, FieldEstimate, FieldVerdict, place_verdicts
+from deformscope.stages.materials.field_estimate import WEAK_FACTOR, FieldEstimate, FieldKind, place_verdicts
 from deformscope.stages.materials.field_fit import (
     LEAST_MOTION,
     FieldFit,
@@ -193,7 +193,7 @@ def fit_field(
     reasons = [*not_converged(chosen.point.converged), *_large_strain(fit), *_part_of_a_face(fit)]
     reasons += little_explained(explained, left_is_noise=chosen.misfit < 2.0)
     verdicts = tuple(limited(one, reasons) for one in place_verdicts(np.exp(interval)))
-    kind: FieldVerdict = "gradual" if chosen.label[0] < 0 else "materials" if chosen.label.max() > 0 else "uniform"
+    kind: FieldKind = "gradual" if chosen.label[0] < 0 else "materials" if chosen.label.max() > 0 else "uniform"
     determined = np.mean([one != "unidentified" for one in verdicts]) >= DETERMINED_LEAST
     contrasts = [one.contrast(edges, sds)[1] for one in held]
     if kind == "uniform" and max(high for _, high in contrasts) > WEAK_FACTOR:

@@ -12,7 +12,7 @@ from deformscope.results.declared import derived, reported
 from deformscope.results.render import ReportedResult
 from deformscope.stages.fit.estimate import Doubt, LengthUnit, Verdict, converged_text, explained_text
 
-FieldVerdict = Literal["uniform", "materials", "gradual", "unidentified"]
+FieldKind = Literal["uniform", "materials", "gradual", "unidentified"]
 
 IDENTIFIED_FACTOR, WEAK_FACTOR = 1.5, 2.5
 """A place whose interval spans less than these factors is identified, or weak."""
@@ -48,7 +48,7 @@ class FieldEstimate(ReportedResult):
 
     parameter: ClassVar[str] = "field"
 
-    verdict: FieldVerdict = field(metadata=reported())
+    verdict: FieldKind = field(metadata=reported())
     reasons: tuple[Doubt, ...] = field(metadata=reported())
     level: float = field(metadata=reported())
     ratio: float = field(metadata=reported("stiffest over softest", key="ratio.value", interval="ratio_interval"))

@@ -24,7 +24,7 @@ from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 from deformscope.stages.fit.relaxation import mean_relaxation_s
 from deformscope.stages.fit.weighted_draws import draw_about, median_and_interval, pooled
-from deformscope.stages.materials.recovery_estimate import Number, RecoveryEstimate, RecoveryVerdict
+from deformscope.stages.materials.recovery_estimate import Number, RecoveryBehaviour, RecoveryEstimate
 
 STRENGTH_MEDIAN, STRENGTH_SPREAD = 0.2, 0.9
 """Log-normal prior of a branch's strength, as `stages.poke.creep` has it."""
@@ -119,7 +119,7 @@ def _per_unit(stiffness: FloatArray, weight: FloatArray, largest: float, level: 
     return Number(*median_and_interval(stiffness / largest, weight, level))
 
 
-def _verdict(share: FloatArray, kept: FloatArray, weight: FloatArray) -> RecoveryVerdict:
+def _verdict(share: FloatArray, kept: FloatArray, weight: FloatArray) -> RecoveryBehaviour:
     """The verdict of draws. share, kept: (n,) lost by flow, kept for good; weight: (n,)"""
     viscous, plastic = (float(weight[one > NOTICED].sum()) for one in (share, kept))
     if viscous >= SURE:

@@ -10,7 +10,7 @@ from deformscope.results.declared import derived, reported
 from deformscope.results.render import ReportedResult
 from deformscope.stages.fit.estimate import Doubt, LengthUnit
 
-RecoveryVerdict = Literal["elastic", "viscous", "plastic", "viscoplastic", "unidentified"]
+RecoveryBehaviour = Literal["elastic", "viscous", "plastic", "viscoplastic", "unidentified"]
 
 
 MOTION_ALONE = "unidentified: motion alone does not determine it; record a force beside the images"
@@ -44,7 +44,7 @@ class RecoveryEstimate(ReportedResult):
 
     share: Number = field(metadata=reported("share of the modulus that relaxes", flat=True, digits=".1%"))
     level: float = field(metadata=reported())
-    verdict: RecoveryVerdict = field(metadata=reported())
+    verdict: RecoveryBehaviour = field(metadata=reported())
     reasons: tuple[Doubt, ...] = field(metadata=reported())
     explained: float = field(
         metadata=reported(

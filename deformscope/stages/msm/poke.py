@@ -61,7 +61,7 @@ class Tip:
             return self.size[0] * self.size[-1]
         return float(np.pi / 4.0 * self.size[0] ** 2)
 
-    def rise(self, beside: FloatArray, spacing: float = 0.0) -> FloatArray:
+    def rise(self, lateral_offsets: FloatArray, spacing: float = 0.0) -> FloatArray:
         """How far its surface lies behind its foremost point at places beside its axis (n, d - 1) [m]; inf beyond it.
 
         spacing: of the particles at these places: a disc then takes in those just outside its rim, so that the area
@@ -69,9 +69,11 @@ class Tip:
         """
         grace = 1.0 + 1e-6
         if self.shape == "flat":
-            half = 0.5 * np.asarray(self.size if beside.shape[1] == len(self.size) else self.size[:1] * beside.shape[1])
-            return np.where((np.abs(beside) <= half * grace).all(axis=1), 0.0, np.inf)
-        radius, away = 0.5 * self.size[0], np.linalg.norm(beside, axis=1)
+            half = 0.5 * np.asarray(
+                self.size if lateral_offsets.shape[1] == len(self.size) else self.size[:1] * lateral_offsets.shape[1]
+            )
+            return np.where((np.abs(lateral_offsets) <= half * grace).all(axis=1), 0.0, np.inf)
+        radius, away = 0.5 * self.size[0], np.linalg.norm(lateral_offsets, axis=1)
         if self.shape == "disc":
             return np.where(away <= radius * grace + 0.25 * spacing, 0.0, np.inf)
         inside = away < radius
@@ -140,7 +142,7 @@ class Pressed:
     converged: bool
 
 
-def beside(rest: FloatArray, at: FloatArray, toward: FloatArray) -> FloatArray:
+def lateral_offsets(rest: FloatArray, at: FloatArray, toward: FloatArray) -> FloatArray:
     """Places (K, d - 1) of particles across a tip's direction, measured from its axis."""
     across = np.delete(np.eye(len(toward)), int(np.abs(toward).argmax()), axis=0)
     across = across - np.outer(across @ toward, toward)
@@ -172,11 +174,11 @@ def press(
     """
     if poke.force is not None and not stiffness:
         raise InputError("a depth, or a model that knows its stiffness", "a force", "fit the model with force_n")
-    rise = poke.tip.rise(beside(scene.rest[scene.open], poke.at, scene.toward), scene.spacing)
+    rise = poke.tip.rise(lateral_offsets(scene.rest[scene.open], poke.at, scene.toward), scene.spacing)
     level = (scene.rest[scene.open] - poke.at) @ scene.toward
     reached = np.isfinite(rise)
     if not reached.any():
-        aside = np.linalg.norm(beside(scene.rest[scene.open], poke.at, scene.toward), axis=1)
+        aside = np.linalg.norm(lateral_offsets(scene.rest[scene.open], poke.at, scene.toward), axis=1)
         if aside.min() > scene.spacing + 0.5 * poke.tip.width:
             raise InputError("a poke on the body", f"one {aside.min() - 0.5 * poke.tip.width:.3g} m beside it")
         reached = aside == aside.min()

@@ -41,7 +41,7 @@ from deformscope.stages.poke.creep_law import MOST_BRANCHES, CreepDraws, CreepLa
 from deformscope.stages.poke.permanent_set import kept_share
 from deformscope.stages.poke.slip import SlipFit, fit_slip
 
-CreepVerdict = Literal["elastic", "viscous", "plastic", "slipping", "unidentified"]
+CreepBehaviour = Literal["elastic", "viscous", "plastic", "slipping", "unidentified"]
 
 ELASTIC_MOST = 0.03
 """Share of the modulus that may relax in a foam that counts as elastic: what arm's scatter and law leave open."""
@@ -91,7 +91,7 @@ class CreepFit:
     loss_interval: tuple[float, float] | None
     held_s: float
     speed_m_s: float
-    verdict: CreepVerdict
+    verdict: CreepBehaviour
     why: str = ""
     viscous: float | None = None
     plastic: float | None = None
@@ -202,7 +202,7 @@ def _at_reference(draws: CreepDraws, speed_m_s: float) -> FloatArray:
     return log_softer(speed_m_s) - log_softer(REFERENCE_SPEED_M_S)
 
 
-def _verdict(viscous: float, plastic: float | None, slip: SlipFit) -> tuple[CreepVerdict, str]:
+def _verdict(viscous: float, plastic: float | None, slip: SlipFit) -> tuple[CreepBehaviour, str]:
     """What a touch met, and why it is taken for that."""
     if slip.probability > SURE:
         where = f"once the force across was {slip.friction:.2g} of the force"

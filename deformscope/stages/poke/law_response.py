@@ -3,9 +3,9 @@
     to_log, to_exponent = law_response()
     log, exponent = to_log @ shifts, to_exponent @ shifts        # shifts (3,) of log stiffness under CONTACTS
 
-A lump below the surface is felt the more, the wider the contact has grown, and so is an edge beside it: what they add
-to log stiffness grows with the force, and the exponent of F = k (z - z0)^p with it. A foam whose modulus varies from
-place to place has the same exponent everywhere. To first order, of samples that are even in depth (`contact`).
+An inclusion below the surface is felt the more, the wider the contact has grown, and so is an edge beside it: what they
+add to log stiffness grows with the force, and the exponent of F = k (z - z0)^p with it. A foam whose modulus varies
+from place to place has the same exponent everywhere. To first order, of samples that are even in depth (`contact`).
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """How thick the foam is that is touched, and by what that is known: said, or seen from its top and the table beside it.
 
-table = table_beside(points_m, size_m=(0.6, 0.4))            # None where the camera sees none
+table = find_table(points_m, size_m=(0.6, 0.4))            # None where the camera sees none
 known_layer(heights_m, table, stated_m=None, relief=True)     # its thickness is None: it is not known
 """
 
@@ -13,7 +13,7 @@ import numpy as np
 from deformscope.arrays import FloatArray
 from deformscope.stages.poke.contact import Z_90, layer_modulus
 
-BESIDE_M, MARGIN_M = 0.10, 0.02
+AROUND_M, MARGIN_M = 0.10, 0.02
 """The table counts from so far beside the surface on, where its sides are not seen any more, and until so far."""
 WITHIN_M = 0.02
 """What is farther than that from z = 0 is not taken for the table."""
@@ -45,10 +45,10 @@ class KnownLayer:
     uneven: bool = False
 
 
-def table_beside(points_m: FloatArray, size_m: tuple[float, float]) -> TableSeen | None:
+def find_table(points_m: FloatArray, size_m: tuple[float, float]) -> TableSeen | None:
     """The table, from points (n, 3) in the surface frame; None where too few of them are beside the surface."""
     off = np.maximum(-points_m[:, :2], points_m[:, :2] - np.asarray(size_m)).max(axis=1)
-    height = points_m[(off > MARGIN_M) & (off < BESIDE_M) & (np.abs(points_m[:, 2]) < WITHIN_M), 2]
+    height = points_m[(off > MARGIN_M) & (off < AROUND_M) & (np.abs(points_m[:, 2]) < WITHIN_M), 2]
     if len(height) < FEWEST:
         return None
     low, middle, high = np.quantile(height, (0.16, 0.5, 0.84))

@@ -32,7 +32,7 @@ from deformscope.stages.poke.fitted import FittedModel, Rival
 from deformscope.stages.poke.poke_fit import DOWN, PokesFit, PosedPoke
 from deformscope.stages.poke.stiffness_field import fit_field
 
-BESIDE = (-0.9, -0.45, -0.2, 0.0, 0.2, 0.45, 0.9)
+NEIGHBOUR_STEPS = (-0.9, -0.45, -0.2, 0.0, 0.2, 0.45, 0.9)
 """Values of -log(1 - beta) beside the estimate at which the error curve is taken."""
 
 NEXT_TO = 0.01
@@ -83,7 +83,7 @@ class PokeRow:
 
 
 @dataclass(frozen=True, slots=True)
-class PokesFound:
+class PokesResult:
     """The estimate, a comparison of the surface for each poke that beta was fitted to, the fit, and the model."""
 
     estimate: Estimate
@@ -159,7 +159,7 @@ def continuum(law: Law, stiffness: float, spacing: float) -> tuple[float, float]
 
 def conclude(
     fit: PokesFit, *, level: float, settings: Mapping[str, object], provenance: Mapping[str, object]
-) -> PokesFound:
+) -> PokesResult:
     """The estimate of beta, whose interval allows for theta, noise and misfit, and the model.
 
     The misfit of several pokes is of one kind and does not average out: their likelihoods are averaged, not multiplied.
@@ -221,7 +221,7 @@ def conclude(
         identifiability=identified,
         reasons=reasons,
     )
-    return PokesFound(estimate=estimate, comparisons=comparisons, fit=fit, model=model)
+    return PokesResult(estimate=estimate, comparisons=comparisons, fit=fit, model=model)
 
 
 class Profile:
@@ -239,7 +239,7 @@ class Profile:
         self.stretched = np.empty(0)
         self.residual: list[FloatArray] = [np.empty((0, len(one.places), 3)) for one in fit.posed]
         self.reaction, self.errors = np.empty((0, len(fit.posed))), np.empty((0, len(fit.posed)))
-        self._take(values_beside(float(-np.log1p(-law.beta)), low, high))
+        self._take(neighbouring_values(float(-np.log1p(-law.beta)), low, high))
         for place, end in ((0, low), (-1, high)):
             taken = self.stretched[place]
             # an error that is still so low at the end of what was taken: values beyond it may be likely
@@ -308,10 +308,10 @@ class Profile:
         return Posterior(beta, density), float(np.sqrt(2.0 * (value.max() - value.min())))
 
 
-def values_beside(at: float, low: float, high: float) -> FloatArray:
-    """The values `BESIDE` one of -log(1 - beta) that lie in [low, high], rising, the ends in place of what lies beyond
-    them or next to them: no two are so close that their difference is rounding."""
-    values = at + np.array(BESIDE)
+def neighbouring_values(at: float, low: float, high: float) -> FloatArray:
+    """The values `NEIGHBOUR_STEPS` from one of -log(1 - beta) that lie in [low, high], rising, the ends in place of
+    what lies beyond them or next to them: no two are so close that their difference is rounding."""
+    values = at + np.array(NEIGHBOUR_STEPS)
     next_to = min(NEXT_TO, 0.25 * (high - low))
     inner = values[(values > low + next_to) & (values < high - next_to)]
     ends = [end for end, there in ((low, values[0] <= low + next_to), (high, values[-1] >= high - next_to)) if there]

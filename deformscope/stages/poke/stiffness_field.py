@@ -239,7 +239,7 @@ class StiffnessField:
             sd=FREE_SD,
             length_m=FREE_LENGTH_M,
         )
-        return self._posterior.beside(kernel, FREE_SHARE)
+        return self._posterior.with_smooth_field(kernel, FREE_SHARE)
 
     @property
     def _scale(self) -> float:

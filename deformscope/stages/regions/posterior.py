@@ -27,7 +27,7 @@ from deformscope.stages.regions.partitions import Partitions, draw, propose
 from deformscope.stages.regions.touch_error import SCATTER_SHARED, TouchErrorModel
 from deformscope.stages.regions.touches import MapGrid, StiffnessSample
 
-RegionVerdict = Literal["regions", "gradual"]
+RegionMapKind = Literal["regions", "gradual"]
 SurfaceKind = Literal["uniform", "materials", "gradual"]
 """The same with one region by a name of its own."""
 
@@ -120,7 +120,7 @@ class RegionMap:
     """
 
     grid: MapGrid
-    verdict: RegionVerdict
+    verdict: RegionMapKind
     region_count: int
     probability: dict[str, float]
     labels: IntArray
@@ -254,7 +254,7 @@ class RegionPosterior:
         shares = np.maximum(np.exp(logs - logsumexp(logs)), 1e-9)  # nothing is certain
         return dict(zip(("1", "2", "3", "gradual"), shares.tolist(), strict=True))
 
-    def beside(self, kernel: SmoothKernel, share: float) -> tuple[tuple[SmoothField, float], ...]:
+    def with_smooth_field(self, kernel: SmoothKernel, share: float) -> tuple[tuple[SmoothField, float], ...]:
         """One more smooth hypothesis, of this prior probability: its fields, and how probable each is among all."""
         fields = self._fields(kernel)
         logs = np.log(share) + np.array([one.log_evidence for one in fields])
@@ -279,7 +279,7 @@ class RegionPosterior:
         return int(np.argmax([self.probability[str(k)] for k in range(1, MOST_REGIONS + 1)])) + 1
 
     @property
-    def verdict(self) -> RegionVerdict:
+    def verdict(self) -> RegionMapKind:
         return "gradual" if self.probability["gradual"] > 0.5 else "regions"
 
     @property

@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 from deformscope.arrays import BoolArray, FloatArray
 from deformscope.errors import InputError
 from deformscope.stages.see.align import as_seen
-from deformscope.stages.see.robot import NO_ROBOT, PosedRobot, beside_robot, measured
+from deformscope.stages.see.robot import NO_ROBOT, PosedRobot, measured, outside_robot
 
 TACTILE_POINTS = 10
 """Virtual points on the tip (Thesis 4.4)."""
@@ -191,7 +191,7 @@ def perceive(
     inside = within(points, box)
     points = points[inside]
     cropped = seen - len(points)
-    kept = beside_robot(points, robot, depth_m, inside)
+    kept = outside_robot(points, robot, depth_m, inside)
     taken = int(np.count_nonzero(~kept))
     points = points[kept]
     kept = not_alone(points)

@@ -45,11 +45,11 @@ class PosedRobot:
 NO_ROBOT = PosedRobot()
 
 
-def beside_robot(points: FloatArray, robot: PosedRobot, depth_m: FloatArray, used: BoolArray) -> BoolArray:
+def outside_robot(points: FloatArray, robot: PosedRobot, depth_m: FloatArray, used: BoolArray) -> BoolArray:
     """(n,) points that are not the robot's. depth_m: (H, W) that they are from [m]; used: (m,) which of the pixels that
     saw something, row by row, they are"""
-    kept = beside_capsules(points, robot.capsules, margin_m=robot.margin_m)
-    kept[kept] = beside_solids(points[kept], robot.solids, margin_m=robot.solid_margin_m + robot.margin_m)
+    kept = outside_capsules(points, robot.capsules, margin_m=robot.margin_m)
+    kept[kept] = outside_solids(points[kept], robot.solids, margin_m=robot.solid_margin_m + robot.margin_m)
     if robot.mixes:
         mixed = at_jumps(depth_m)[measured(depth_m)][used]
         kept[kept] = standing(points[kept], mixed[kept])
@@ -61,7 +61,7 @@ def measured(depth_m: FloatArray) -> BoolArray:
     return np.asarray(np.isfinite(depth_m) & (np.asarray(depth_m) > 0.0))
 
 
-def beside_capsules(points: FloatArray, links: Sequence[Capsule], *, margin_m: float = 0.01) -> BoolArray:
+def outside_capsules(points: FloatArray, links: Sequence[Capsule], *, margin_m: float = 0.01) -> BoolArray:
     """(n,) points that lie outside every link by more than a margin [m]."""
     outside = np.ones(len(points), dtype=bool)
     if not len(points):
@@ -78,7 +78,7 @@ def beside_capsules(points: FloatArray, links: Sequence[Capsule], *, margin_m: f
     return outside
 
 
-def beside_solids(points: FloatArray, solids: Sequence[PosedSolid], *, margin_m: float) -> BoolArray:
+def outside_solids(points: FloatArray, solids: Sequence[PosedSolid], *, margin_m: float) -> BoolArray:
     """(n,) points that lie outside every solid by more than a margin [m]."""
     outside = np.ones(len(points), dtype=bool)
     if not solids or not len(points):

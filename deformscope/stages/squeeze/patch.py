@@ -19,7 +19,7 @@ from deformscope.arrays import BoolArray, FloatArray
 from deformscope.capsule import Capsule
 from deformscope.errors import InputError
 from deformscope.stages.see.cloud import Intrinsics, axial_noise_m
-from deformscope.stages.see.robot import beside_capsules
+from deformscope.stages.see.robot import outside_capsules
 from deformscope.stages.squeeze.bulge import BULGE_M
 from deformscope.stages.squeeze.container import ModelRenderer, ModelView
 from deformscope.stages.squeeze.track import FLATTEST, JUMP_M
@@ -162,7 +162,7 @@ def hand_pixels(
         z = depth[row, column]
         pixel = np.column_stack([column, row])
         point = np.column_stack([(pixel - camera.centre_px) / camera.focal_px * z[:, None], z])
-        covered[row, column] |= ~beside_capsules(point, [link], margin_m=margin_m)
+        covered[row, column] |= ~outside_capsules(point, [link], margin_m=margin_m)
     return covered
 
 

@@ -22,7 +22,7 @@ from deformscope_drivers.dsa.measurer import TactileMeasurer, TactileReading
 from deformscope_drivers.dsa.pads import Pad
 from deformscope_drivers.dsa.pressure import FloatArray, PadContact, pad_contact, to_pressure
 from deformscope_drivers.dsa.protocol import Decoder, encode, single, stop, stream
-from deformscope_drivers.dsa.timestamps import TimestampVerdict
+from deformscope_drivers.dsa.timestamps import TimestampStatus
 from deformscope_drivers.errors import (
     CommandRefused,
     DeviceError,
@@ -257,7 +257,7 @@ class Dsa(StreamDevice[TactileReading]):
 
     def _measure(self, event: messages.Reading | messages.Reply, host_ns: int) -> Iterable[TactileReading]:
         found = self._measurer.measure(event, host_ns)
-        if found is TimestampVerdict.JUMPED:
+        if found is TimestampStatus.JUMPED:
             self._count_refused("timestamp")
         if not isinstance(found, TactileReading):
             return []

@@ -13,7 +13,7 @@ import numpy as np
 from deformscope_drivers.clock import ClockFit, Stamp, Unwrap
 from deformscope_drivers.dsa import messages
 from deformscope_drivers.dsa.protocol import Decoder
-from deformscope_drivers.dsa.timestamps import TimestampGate, TimestampVerdict
+from deformscope_drivers.dsa.timestamps import TimestampGate, TimestampStatus
 
 TICK_NS = 1e6
 
@@ -63,18 +63,18 @@ class TactileMeasurer:
 
     def measure(
         self, event: messages.Reading | messages.Reply, host_ns: int
-    ) -> TactileReading | TimestampVerdict | None:
+    ) -> TactileReading | TimestampStatus | None:
         """The reading in a packet; REPEATED or JUMPED where its time refuses it; None where it is no frame, or one left
         over from before the matrices were known. host_ns: when it arrived [ns]"""
         if not isinstance(event, messages.Reading) or not self._shapes:
             return None
         verdict = self._gate.check(event.timestamp_ms)
-        if verdict is TimestampVerdict.REPEATED:
+        if verdict is TimestampStatus.REPEATED:
             self.repeated += 1
             return verdict
-        if verdict is TimestampVerdict.JUMPED:
+        if verdict is TimestampStatus.JUMPED:
             return verdict
-        if verdict is TimestampVerdict.RESTARTED:
+        if verdict is TimestampStatus.RESTARTED:
             self.restarts += 1
             self._restart_clock()
         ticks = self._unwrap(event.timestamp_ms, host_ns)

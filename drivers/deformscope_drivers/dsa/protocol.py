@@ -35,7 +35,7 @@ from deformscope_drivers.dsa.messages import (
     Reply,
 )
 from deformscope_drivers.dsa.texels import decode_raw, decode_rle, encode_raw, encode_rle
-from deformscope_drivers.framing import EventT, Found, FrameDecoder, Refused, find_start
+from deformscope_drivers.framing import EventT, FrameDecoder, GoodFrame, Refused, find_start
 from deformscope_drivers.framing import Skipped as Skipped
 from deformscope_drivers.weiss_crc import crc16
 
@@ -87,7 +87,7 @@ class _DsaDecoder(FrameDecoder[EventT]):
     def _find(self, buffer: bytes, start: int) -> int:
         return find_start(buffer, start, PREAMBLE)
 
-    def _parse(self, buffer: bytes, start: int) -> Found[EventT] | Refused | None:
+    def _parse(self, buffer: bytes, start: int) -> GoodFrame[EventT] | Refused | None:
         if len(buffer) < start + _HEAD.size:
             id_came = len(buffer) > start + len(PREAMBLE)
             return Refused("id") if id_came and not self._knows(buffer[start + len(PREAMBLE)]) else None
@@ -104,7 +104,7 @@ class _DsaDecoder(FrameDecoder[EventT]):
             buffer[end - _CRC_BYTES : end], "little"
         )
         event = self._event(id, buffer[payload_at : payload_at + length], intact)
-        return event if isinstance(event, Refused) else Found(event, end - start)
+        return event if isinstance(event, Refused) else GoodFrame(event, end - start)
 
     @abstractmethod
     def _knows(self, id: int) -> bool:

@@ -10,7 +10,7 @@ STEP_MAX_MS = 1000
 _WRAP = 1 << 32
 
 
-class TimestampVerdict(Enum):
+class TimestampStatus(Enum):
     """What a frame's time says about it."""
 
     NEW = "new"
@@ -34,17 +34,17 @@ class TimestampGate:
         """Forget what was seen: the next frame is new, whatever its time."""
         self._last = self._suspect = None
 
-    def check(self, timestamp_ms: int) -> TimestampVerdict:
+    def check(self, timestamp_ms: int) -> TimestampStatus:
         """timestamp_ms: 32 bits, may wrap around."""
         if timestamp_ms == self._last:
-            return TimestampVerdict.REPEATED
+            return TimestampStatus.REPEATED
         if self._last is None or _goes_on(self._last, timestamp_ms):
-            verdict = TimestampVerdict.NEW
+            verdict = TimestampStatus.NEW
         elif self._suspect is not None and _goes_on(self._suspect, timestamp_ms):
-            verdict = TimestampVerdict.RESTARTED
+            verdict = TimestampStatus.RESTARTED
         else:
             self._suspect = timestamp_ms
-            return TimestampVerdict.JUMPED
+            return TimestampStatus.JUMPED
         self._last, self._suspect = timestamp_ms, None
         return verdict
 

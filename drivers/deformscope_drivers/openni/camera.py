@@ -129,7 +129,7 @@ class OpenniCamera:
         if came != asked or (stream.sensor is Sensor.DEPTH and came.pixel_format not in UNITS_M):
             kind = stream.sensor.name.lower()
             raise SettingsRefused(
-                f"{kind} {_in_words(asked)}", _in_words(came), "another size, rate or unit", settings.uri
+                f"{kind} {_to_text(asked)}", _to_text(came), "another size, rate or unit", settings.uri
             )
 
 
@@ -189,7 +189,7 @@ def _message(depth: Frame, host_ns: int, color: Frame | None) -> FrameMessage:
     return FrameMessage(host_ns, depth.timestamp_us, index, width, height, color.width, color.height, data, color.data)
 
 
-def _in_words(mode: Mode) -> str:
+def _to_text(mode: Mode) -> str:
     form = (
         PixelFormat(mode.pixel_format).name if mode.pixel_format in set(PixelFormat) else f"format {mode.pixel_format}"
     )

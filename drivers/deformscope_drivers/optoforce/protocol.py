@@ -26,7 +26,7 @@ from enum import Enum, IntEnum
 from functools import lru_cache
 from typing import Generic, TypeVar
 
-from deformscope_drivers.framing import Found, FrameDecoder, Refused
+from deformscope_drivers.framing import FrameDecoder, GoodFrame, Refused
 from deformscope_drivers.framing import Skipped as Skipped
 
 HEADER_SIZE = 4
@@ -241,7 +241,7 @@ class _OptoforceDecoder(FrameDecoder[EventT]):
         found = self._search(buffer, start)
         return found.start() if found else len(buffer)
 
-    def _parse(self, buffer: bytes, start: int) -> Found[EventT] | Refused | None:
+    def _parse(self, buffer: bytes, start: int) -> GoodFrame[EventT] | Refused | None:
         packet = self._packets.get(buffer[start : start + HEADER_SIZE])
         if packet is None:
             return None
@@ -254,7 +254,7 @@ class _OptoforceDecoder(FrameDecoder[EventT]):
         if event is None:
             return Refused("content")
         behind = buffer[end : end + -packet.length % self._fill_to]
-        return Found(event, packet.length + len(behind) - len(behind.lstrip(b"\0")))
+        return GoodFrame(event, packet.length + len(behind) - len(behind.lstrip(b"\0")))
 
 
 class Decoder(_OptoforceDecoder[Reply]):

@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 import struct
 
-from deformscope_drivers.framing import Found, Refused
+from deformscope_drivers.framing import GoodFrame, Refused
 from deformscope_drivers.sdh.codes import AXIS_COUNT, CODES, ERRORS, MEASURED_COUNT, NAMES
 from deformscope_drivers.sdh.events import Command, ErrorReply, Event, Reading, ValueReply
 from deformscope_drivers.weiss_crc import crc16
@@ -51,7 +51,7 @@ def encode_reply(event: Reading | ValueReply | ErrorReply, *, checksummed: bool)
     return _sealed(head + _VALUES.pack(*values), checksummed)
 
 
-def parse_reply(buffer: bytes, start: int, checksummed: bool | None) -> Found[Event] | Refused | None:
+def parse_reply(buffer: bytes, start: int, checksummed: bool | None) -> GoodFrame[Event] | Refused | None:
     """The reply whose code stands at `start`; checksummed: None = as its length says."""
     body = _body(buffer, start, {_REPLY_LENGTH: AXIS_COUNT}, checksummed)
     if not isinstance(body, bytes):
@@ -74,10 +74,10 @@ def parse_reply(buffer: bytes, start: int, checksummed: bool | None) -> Found[Ev
         event = Reading(name, values)
     else:
         event = ValueReply(name, values[:count])
-    return Found(event, 2 + length)
+    return GoodFrame(event, 2 + length)
 
 
-def parse_request(buffer: bytes, start: int, checksummed: bool | None) -> Found[Command] | Refused | None:
+def parse_request(buffer: bytes, start: int, checksummed: bool | None) -> GoodFrame[Command] | Refused | None:
     """The request whose code stands at `start`, seen by the hand."""
     body = _body(buffer, start, _REQUEST_LENGTHS, checksummed)
     if not isinstance(body, bytes):
@@ -86,7 +86,7 @@ def parse_request(buffer: bytes, start: int, checksummed: bool | None) -> Found[
     values = body[3 : 3 + _VALUES.size]
     if count != (AXIS_COUNT if length > 1 + CHECKSUM_SIZE else 0):
         return Refused("count")
-    return Found(Command(NAMES[code], _VALUES.unpack(values) if count else ()), 2 + length)
+    return GoodFrame(Command(NAMES[code], _VALUES.unpack(values) if count else ()), 2 + length)
 
 
 def _sealed(message: bytes, checksummed: bool) -> bytes:

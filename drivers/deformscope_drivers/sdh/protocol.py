@@ -14,7 +14,7 @@ import re
 from dataclasses import dataclass
 from typing import Final
 
-from deformscope_drivers.framing import NOISE, Found, FrameDecoder, Refused, Skipped
+from deformscope_drivers.framing import NOISE, FrameDecoder, GoodFrame, Refused, Skipped
 from deformscope_drivers.sdh import ascii as text
 from deformscope_drivers.sdh import binary
 from deformscope_drivers.sdh.codes import CODES
@@ -94,14 +94,14 @@ class Decoder(FrameDecoder[Event]):
                 return at - 1 if at > start and buffer[at - 1 : at].isalpha() else at
         return end
 
-    def _parse(self, buffer: bytes, start: int) -> Found[Event] | Refused | None:
+    def _parse(self, buffer: bytes, start: int) -> GoodFrame[Event] | Refused | None:
         if buffer[start] >= binary.FIRST_CODE:
             return binary.parse_reply(buffer, start, self._checksummed)
         line = _line(buffer, start)
-        if not isinstance(line, Found):
+        if not isinstance(line, GoodFrame):
             return line
         try:
-            return Found(text.decode_reply(line.event), line.length)
+            return GoodFrame(text.decode_reply(line.event), line.length)
         except text.BadLine as error:
             return Refused(error.reason)
 
@@ -129,22 +129,24 @@ class CommandDecoder(FrameDecoder[Received]):
     def _find(self, buffer: bytes, start: int) -> int:
         return start
 
-    def _parse(self, buffer: bytes, start: int) -> Found[Received] | Refused | None:
+    def _parse(self, buffer: bytes, start: int) -> GoodFrame[Received] | Refused | None:
         if binary.FIRST_CODE <= buffer[start] <= binary.LAST_CODE:
             request = binary.parse_request(buffer, start, self._checksummed)
-            return Found(Received(request.event, True), request.length) if isinstance(request, Found) else request
+            return (
+                GoodFrame(Received(request.event, True), request.length) if isinstance(request, GoodFrame) else request
+            )
         line = _line(buffer, start)
-        if not isinstance(line, Found):
+        if not isinstance(line, GoodFrame):
             return line
         content = line.event.strip()
         try:
             received = Received(text.decode_command(content)) if content else Received(None, reason="empty")
         except text.BadLine as error:
             received = Received(None, reason=error.reason)
-        return Found(received, line.length)
+        return GoodFrame(received, line.length)
 
 
-def _line(buffer: bytes, start: int) -> Found[str] | Refused | None:
+def _line(buffer: bytes, start: int) -> GoodFrame[str] | Refused | None:
     r"""The text of the line that starts there, with the breaks before it; None = its \n has not come."""
     begin = _end_of(_BREAKS, buffer, start, len(buffer))
     end = _end_of(_PRINTABLE, buffer, begin, begin + text.LINE_MAX + 1)
@@ -157,7 +159,7 @@ def _line(buffer: bytes, start: int) -> Found[str] | Refused | None:
         return Refused(NOISE)
     if buffer[at] != 0x0A:
         return Refused("line")
-    return Found(buffer[begin:end].decode("ascii"), at + 1 - start)
+    return GoodFrame(buffer[begin:end].decode("ascii"), at + 1 - start)
 
 
 def _end_of(pattern: re.Pattern[bytes], buffer: bytes, start: int, end: int) -> int:

@@ -177,8 +177,8 @@ def apply(config: WebcamConfig, capture: Capture, where: str) -> None:
             wrong.append((setting, value, came))
     if wrong:
         raise SettingsRefused(
-            ", ".join(_in_words(setting, value) for setting, value, _ in wrong),
-            ", ".join(_in_words(setting, came) for setting, _, came in wrong),
+            ", ".join(_to_text(setting, value) for setting, value, _ in wrong),
+            ", ".join(_to_text(setting, came) for setting, _, came in wrong),
             f"v4l2-ctl -d {where} --list-formats-ext --list-ctrls",
             where,
         )
@@ -199,7 +199,7 @@ def to_fourcc(text: str) -> int:
     return int.from_bytes(text.encode("ascii"), "little")
 
 
-def _in_words(setting: Setting, value: float | None) -> str:
+def _to_text(setting: Setting, value: float | None) -> str:
     name = setting.name.lower().replace("_", " ")
     if value is None:
         return f"no {name}"

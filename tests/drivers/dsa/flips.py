@@ -21,7 +21,7 @@ import numpy.typing as npt
 from deformscope_drivers.dsa.double import DsaDouble
 from deformscope_drivers.dsa.messages import FRAME_RLE, Ack, Command, Id, Reading, Reply
 from deformscope_drivers.dsa.protocol import PREAMBLE, CommandDecoder, Decoder, Faulty, encode, stop
-from deformscope_drivers.dsa.timestamps import TimestampGate, TimestampVerdict
+from deformscope_drivers.dsa.timestamps import TimestampGate, TimestampStatus
 from deformscope_drivers.framing import Skipped
 from deformscope_drivers.weiss_crc import crc16
 
@@ -79,7 +79,7 @@ class Subject:
     def _time_jumps(self, timestamp_ms: int) -> bool:
         gate = TimestampGate()
         gate.check(int.from_bytes(self.packet[6:10], "little") - FRAME_PERIOD_MS)
-        return gate.check(timestamp_ms) is not TimestampVerdict.NEW
+        return gate.check(timestamp_ms) is not TimestampStatus.NEW
 
 
 def syndromes(packet: bytes) -> npt.NDArray[np.uint16]:

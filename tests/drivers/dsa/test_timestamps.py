@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from deformscope_drivers.dsa.timestamps import STEP_MAX_MS, TimestampGate, TimestampVerdict
+from deformscope_drivers.dsa.timestamps import STEP_MAX_MS, TimestampGate, TimestampStatus
 
-NEW, REPEATED, JUMPED, RESTARTED = map(TimestampVerdict, ("new", "repeated", "jumped", "restarted"))
+NEW, REPEATED, JUMPED, RESTARTED = map(TimestampStatus, ("new", "repeated", "jumped", "restarted"))
 
 
 @pytest.mark.parametrize(
@@ -26,7 +26,7 @@ NEW, REPEATED, JUMPED, RESTARTED = map(TimestampVerdict, ("new", "repeated", "ju
         ([0, 60_000, 60_033], [NEW, JUMPED, RESTARTED]),  # a pause of a minute costs one frame
     ],
 )
-def test_frames_in_turn(times: list[int], verdicts: list[TimestampVerdict]) -> None:
+def test_frames_in_turn(times: list[int], verdicts: list[TimestampStatus]) -> None:
     gate = TimestampGate()
 
     assert [gate.check(time) for time in times] == verdicts

@@ -9,13 +9,13 @@ import pytest
 from scipy.stats import norm
 
 from deformscope.errors import InputError
-from deformscope.stages.map.inclusions import Lumps
+from deformscope.stages.map.detection_limit import UnseenInclusions
 from deformscope.stages.map.plan import (
     ALLOWED,
     AT_BORDER,
     INCLUSION_M,
+    INCLUSION_WORTH,
     LARGER,
-    LUMP_WORTH,
     OUT_OF_REACH,
     PLANNERS,
     TOUCHED_BEFORE,
@@ -163,7 +163,7 @@ def test_it_fills_the_space_first_and_looks_for_lumps_while_there_is_one_materia
     plan = plan_touch(one_material, KERNEL, PlanOptions())
     assert plan.target_m is not None
     assert "one material so far" in plan.reason
-    assert Lumps(one_material, INCLUSION_M).gain(plan.target_m[None])[0] > 0.05
+    assert UnseenInclusions(one_material, INCLUSION_M).gain(plan.target_m[None])[0] > 0.05
 
 
 def test_lumps_are_sought_where_there_are_two_materials_too(halves: RegionPosterior) -> None:
@@ -171,8 +171,8 @@ def test_lumps_are_sought_where_there_are_two_materials_too(halves: RegionPoster
     plan = plan_touch(halves, KERNEL, PlanOptions())
     away = np.array([0.09, 0.21])
     here = int(np.hypot(*(plan.grid.centres_m - away).T).argmin())
-    chance = [Lumps(halves, times * INCLUSION_M).gain(away[None])[0] for times in LARGER]
-    assert plan.gain.ravel()[here] >= LUMP_WORTH * np.mean(chance) > 0.004
+    chance = [UnseenInclusions(halves, times * INCLUSION_M).gain(away[None])[0] for times in LARGER]
+    assert plan.gain.ravel()[here] >= INCLUSION_WORTH * np.mean(chance) > 0.004
     assert plan_touch(halves, KERNEL, PlanOptions(sure=0.1, least_gain=1.0, threshold=0.0)).stop is None
 
 

@@ -146,7 +146,7 @@ def test_the_thesiss_model_holds_its_lowest_point_and_says_what_its_trend_is(lev
 @pytest.mark.slow  # kernels of lists in single precision
 def test_the_thesiss_model_finds_its_own_beta(level: HeightProcess) -> None:
     """A surface made by that very model, deep enough for a single layer to feel beta."""
-    from deformscope.stages.map.gaussian_process import Believed
+    from deformscope.stages.map.gaussian_process import ProcessPrediction
     from deformscope.stages.msm import clusters
     from deformscope.stages.msm.solver import Msm
     from deformscope.stages.regions.touches import MapGrid
@@ -162,8 +162,8 @@ def test_the_thesiss_model_finds_its_own_beta(level: HeightProcess) -> None:
     heights = body.relax(at[None], np.array([0.8]), np.array([0.0])).position[0, :, 2]
 
     class Made:
-        def at(self, places: FloatArray) -> Believed:
-            return Believed(heights, np.zeros(225))
+        def at(self, places: FloatArray) -> ProcessPrediction:
+            return ProcessPrediction(heights, np.zeros(225))
 
     found = thesis_beta(dent_of(level, Made(), AT))
     assert found.beta == pytest.approx(0.8, abs=0.12)

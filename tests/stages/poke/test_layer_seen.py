@@ -7,7 +7,7 @@ import pytest
 
 from deformscope.arrays import FloatArray
 from deformscope.stages.poke.contact import layer_modulus
-from deformscope.stages.poke.layer_seen import KnownLayer, TableSeen, known_layer, modulus_of, table_beside
+from deformscope.stages.poke.layer_seen import KnownLayer, TableSeen, find_table, known_layer, modulus_of
 
 SIZE_M = (0.6, 0.4)
 LEVEL = np.full(50, 0.05)
@@ -23,7 +23,7 @@ def around(height_m: float, noise_m: float = 0.0) -> FloatArray:
 
 @pytest.mark.parametrize("height_m", [0.0, -0.004, 0.006])
 def test_table_is_seen_beside_the_surface_as_high_as_it_is(height_m: float) -> None:
-    found = table_beside(around(height_m, 1e-3), SIZE_M)
+    found = find_table(around(height_m, 1e-3), SIZE_M)
     assert found is not None
     assert found.height_m == pytest.approx(height_m, abs=1e-4)
     assert found.sd_m == pytest.approx(1e-3, rel=0.1)
@@ -32,9 +32,9 @@ def test_table_is_seen_beside_the_surface_as_high_as_it_is(height_m: float) -> N
 def test_no_table_is_made_up_from_the_surface_or_from_what_stands_beside_it() -> None:
     points = around(0.0)
     on_it = (points[:, :2] > 0.0).all(axis=1) & (points[:, :2] < SIZE_M).all(axis=1)
-    assert table_beside(points[on_it], SIZE_M) is None
-    assert table_beside(around(0.05), SIZE_M) is None
-    assert table_beside(np.zeros((0, 3)), SIZE_M) is None
+    assert find_table(points[on_it], SIZE_M) is None
+    assert find_table(around(0.05), SIZE_M) is None
+    assert find_table(np.zeros((0, 3)), SIZE_M) is None
 
 
 def test_stated_thickness_is_that_of_a_level_surface_and_the_seen_one_counts_where_it_is_uneven() -> None:

@@ -15,7 +15,7 @@ from deformscope.arrays import FloatArray
 from deformscope.stages.fit.search import beta_of
 from deformscope.stages.msm.poke import Law, Tip
 from deformscope.stages.poke.layers import MeasuredSurface
-from deformscope.stages.poke.poke_estimate import Profile, conclude, values_beside
+from deformscope.stages.poke.poke_estimate import Profile, conclude, neighbouring_values
 from deformscope.stages.poke.poke_fit import PokesFit, SeenPoke, ShapeFit, fit_pokes, seen_poke
 from tests.stages.pokes import SPACING, poked, surface
 
@@ -89,11 +89,13 @@ def test_no_value_is_simulated_twice() -> None:
 
 
 def test_values_beside_keep_off_the_ends() -> None:
-    np.testing.assert_allclose(values_beside(1.0, 0.0, 3.0), 1.0 + np.array([-0.9, -0.45, -0.2, 0.0, 0.2, 0.45, 0.9]))
+    np.testing.assert_allclose(
+        neighbouring_values(1.0, 0.0, 3.0), 1.0 + np.array([-0.9, -0.45, -0.2, 0.0, 0.2, 0.45, 0.9])
+    )
     for at in (0.45, 0.45 + 1e-15, 2.1 - 1e-12):
-        values = values_beside(at, 0.0, 2.3)
+        values = neighbouring_values(at, 0.0, 2.3)
         assert np.diff(values).min() > 0.009
-    np.testing.assert_array_equal(values_beside(0.5, 0.4999, 0.5001)[[0, -1]], [0.4999, 0.5001])
+    np.testing.assert_array_equal(neighbouring_values(0.5, 0.4999, 0.5001)[[0, -1]], [0.4999, 0.5001])
 
 
 def test_bounds_are_met_exactly() -> None:

@@ -21,7 +21,7 @@ from deformscope.stages.see.cloud import (
     tactile_points,
     within,
 )
-from deformscope.stages.see.robot import PosedRobot, beside_capsules
+from deformscope.stages.see.robot import PosedRobot, outside_capsules
 
 CAMERA = Intrinsics((300.0, 310.0), (80.0, 60.0))
 BOX = Box((0.0, 0.0, -0.1), (0.6, 0.4, 0.3))
@@ -90,10 +90,10 @@ def test_links_take_exactly_the_points_of_the_arm() -> None:
     points = rng.uniform([0.25, 0.15, -0.05], [0.35, 0.3, 0.35], size=(5000, 3))
     fine = link.start_m + np.linspace(0, 1, 4001)[:, None] * (link.end_m - link.start_m)
     away = np.min([np.linalg.norm(points - one, axis=1) for one in fine], axis=0)
-    outside = beside_capsules(points, [link], margin_m=0.005)
+    outside = outside_capsules(points, [link], margin_m=0.005)
     np.testing.assert_array_equal(outside, away > 0.017)
     ball = Capsule(np.zeros(3), np.zeros(3), 0.01)
-    assert beside_capsules(np.array([[0.0, 0.0, 0.016], [0.0, 0.0, 0.014]]), [ball], margin_m=0.005).tolist() == [
+    assert outside_capsules(np.array([[0.0, 0.0, 0.016], [0.0, 0.0, 0.014]]), [ball], margin_m=0.005).tolist() == [
         True,
         False,
     ]
@@ -132,7 +132,7 @@ def test_perceiving_keeps_the_surface_alone() -> None:
     stick = Capsule(np.array([0.3, 0.2, 0.06]), np.array([0.3, 0.2, 0.25]), 0.01)
     depth[40:60, 78:83] *= 0.9  # something nearer, where the stick is seen
     hidden = back_project(np.where(np.isin(np.arange(120), np.arange(40, 60))[:, None], depth, 0.0), CAMERA, transform)
-    on_the_stick = ~beside_capsules(hidden, [stick], margin_m=0.01)
+    on_the_stick = ~outside_capsules(hidden, [stick], margin_m=0.01)
     found = perceive(depth, CAMERA, transform, BOX, robot=PosedRobot([stick], margin_m=0.01), cell_m=0.005)
     assert found.seen == 120 * 160
     assert found.robot >= np.count_nonzero(on_the_stick) > 0

@@ -6,7 +6,7 @@ import numpy as np
 import open3d as o3d
 
 from deformscope.solid import PosedSolid, Solid
-from deformscope.stages.see.robot import EDGE_PX, HOVER_M, PosedRobot, at_jumps, beside_robot, beside_solids, standing
+from deformscope.stages.see.robot import EDGE_PX, HOVER_M, PosedRobot, at_jumps, outside_robot, outside_solids, standing
 from deformscope_drivers.arm.kinematics import rotation_from_rpy, transform
 
 BALL = o3d.geometry.TriangleMesh.create_sphere(0.03, resolution=60)
@@ -20,11 +20,11 @@ def test_solids_take_the_points_within_their_margin_wherever_they_are() -> None:
     away = np.linalg.norm(points[:, None] - middles, axis=2).min(axis=1)
     sure = np.abs(away - 0.04) > 1e-4  # a ball of flat triangles
 
-    outside = beside_solids(points, posed, margin_m=0.01)
+    outside = outside_solids(points, posed, margin_m=0.01)
 
     np.testing.assert_array_equal(outside[sure], (away > 0.04)[sure])
-    assert beside_solids(points, [], margin_m=0.01).all()
-    assert beside_solids(np.zeros((0, 3)), posed, margin_m=0.01).shape == (0,)
+    assert outside_solids(points, [], margin_m=0.01).all()
+    assert outside_solids(np.zeros((0, 3)), posed, margin_m=0.01).shape == (0,)
 
 
 def test_jumps_reach_as_far_as_pixels_are_mixed() -> None:
@@ -61,6 +61,6 @@ def test_mixed_depths_are_looked_at_only_where_the_robots_shape_is_known() -> No
     points = np.column_stack([*(one.ravel() for one in np.meshgrid(np.arange(10), np.arange(10))), 0.8 - depth.ravel()])
     points[:, :2] *= 0.002
     used = np.ones(100, dtype=bool)
-    assert beside_robot(points, PosedRobot(), depth, used).all()
-    kept = beside_robot(points, PosedRobot(mixes=True), depth, used)
+    assert outside_robot(points, PosedRobot(), depth, used).all()
+    kept = outside_robot(points, PosedRobot(mixes=True), depth, used)
     np.testing.assert_array_equal(kept.reshape(10, 10), depth > 0.7)

@@ -8,7 +8,7 @@ import pytest
 from deformscope.capsule import Capsule
 from deformscope.errors import InputError
 from deformscope.stages.see.cloud import Intrinsics
-from deformscope.stages.see.robot import beside_capsules
+from deformscope.stages.see.robot import outside_capsules
 from deformscope.stages.squeeze.container import ContainerModel, ModelRenderer
 from deformscope.stages.squeeze.patch import depth_change, filled, hand_pixels
 from tests.stages.squeeze.views import BOX, CAMERA, CYLINDER, NOISE, PIXELS, SHAPE, looking, squeezed
@@ -138,6 +138,6 @@ def test_a_links_pixels_are_those_of_its_points_wherever_it_is() -> None:
         link = Capsule(ends[0], ends[1], random.uniform(0.01, 0.2))
         aside = (np.stack([column, row], axis=-1) - camera.centre_px) / camera.focal_px
         point = np.concatenate([aside, np.ones((120, 160, 1))], axis=-1) * depth[..., None]
-        within = ~beside_capsules(point.reshape(-1, 3), [link], margin_m=0.008).reshape(120, 160)
+        within = ~outside_capsules(point.reshape(-1, 3), [link], margin_m=0.008).reshape(120, 160)
 
         np.testing.assert_array_equal(hand_pixels(depth, camera, [link]), within)

@@ -1,4 +1,4 @@
-"""What a lump below the surface does to touches above it."""
+"""What an inclusion below the surface does to touches above it."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from deformscope.errors import InputError
-from deformscope.stages.poke.lump_footprint import (
+from deformscope.stages.poke.inclusion_footprint import (
     POISSON,
     contact_radius,
     contrast_share,
     energy_density,
     footprint,
-    lump_shift,
+    inclusion_shift,
 )
 
 CONTACT_M = 0.009
@@ -55,14 +55,14 @@ def test_as_finite_elements_have_it() -> None:
     for tuning): what touches right above, 1, 2 and 3 cm beside it felt; within 0.3 of the most, and a tenth deep."""
     measured = [[0.2427, 0.1954, 0.0989, 0.0355], [0.0922, 0.0787, 0.0493, 0.0236]]
     felt = footprint(0.01019, np.array([0.02]), np.array([0.01, 0.02]), np.array([0.0, 0.01, 0.02, 0.03]))[0]
-    shift = lump_shift(contrast_share(10.0), felt)
+    shift = inclusion_shift(contrast_share(10.0), felt)
     np.testing.assert_allclose(shift[0], measured[0], atol=0.3 * measured[0][0])
     np.testing.assert_allclose(shift[1], measured[1], atol=0.1 * measured[1][0])
 
 
 def test_a_lump_and_its_opposite_shift_by_about_as_much() -> None:
     felt = footprint(CONTACT_M, np.array([0.02]), np.array([0.02]), np.array([0.0]))
-    assert lump_shift(-1.0, felt) == pytest.approx(-lump_shift(1.0, felt), rel=0.1)
+    assert inclusion_shift(-1.0, felt) == pytest.approx(-inclusion_shift(1.0, felt), rel=0.1)
 
 
 def test_it_refuses_what_cannot_be() -> None:

@@ -10,8 +10,8 @@ from multiprocessing.connection import Connection
 from typing import TYPE_CHECKING, Any
 
 from deformscope.errors import InputError
-from deformscope.lab.operator import GraspingHand, moved_by_hand
-from deformscope.processes import beside
+from deformscope.lab.fake_operator import GraspingHand, moved_by_hand
+from deformscope.processes import child_process
 from deformscope.rig.driver_table import DRIVERS
 from deformscope_drivers.clock import monotonic_ns
 from deformscope_drivers.depth_camera import Realsense, SyntheticDepthCamera
@@ -42,7 +42,7 @@ _numbers = itertools.count(1)
 
 
 @contextlib.contextmanager
-def stand_in(driver: str, config: object) -> Iterator[Device[Any]]:
+def double_device(driver: str, config: object) -> Iterator[Device[Any]]:
     """A device of this driver, closed, that a running double is behind; it runs until the end of the context.
 
     config: as for the real device; wherever it says that the device is, the double is reached alike, and no
@@ -52,7 +52,7 @@ def stand_in(driver: str, config: object) -> Iterator[Device[Any]]:
         with wire_of(driver, config, f"virtual:double-{next(_numbers)}") as wire:
             yield DRIVERS[driver].make(reaching(config, wire.port, is_bus=wire.is_bus))
     elif driver in WIRED:
-        with _wire_beside(driver, config) as port:
+        with _wire_process(driver, config) as port:
             yield DRIVERS[driver].make(reaching(config, port))
     else:
         with _IN_PROCESS[driver](_of_any_serial(config)) as device:
@@ -79,10 +79,10 @@ def wire_of(driver: str, config: Any, bus: str) -> Iterator[Wire]:
 
 
 @contextlib.contextmanager
-def _wire_beside(driver: str, config: object) -> Iterator[str]:
+def _wire_process(driver: str, config: object) -> Iterator[str]:
     """The same behind a pseudo terminal or a socket, in a process of its own, as a device does not take this one's time
     either. Yields its port."""
-    with beside(f"double of {driver}", serve, driver, config) as pipe:
+    with child_process(f"double of {driver}", serve, driver, config) as pipe:
         try:
             port: str = pipe.recv()
         except EOFError as error:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from deformscope.experiments.material_motion import MaterialEstimate, MaterialFound
+from deformscope.experiments.material_motion import MaterialEstimate, MaterialFit
 from deformscope.pictures.material_figures import axes_png, field_png, recovery_png, yield_png
+from deformscope.pictures.messages import reason_rows
 from deformscope.pictures.report import Figure, Table
-from deformscope.pictures.words import reason_rows
-from deformscope.results.render import Rows, to_rows, to_words
+from deformscope.results.render import Rows, format_value, to_rows
 from deformscope.stages.fit.estimate import Doubt
 from deformscope.stages.materials.axis_estimate import ACROSS_VIEW, AxisEstimate
 from deformscope.stages.materials.field_estimate import FieldEstimate
@@ -27,7 +27,7 @@ def material_table(found: MaterialEstimate, name: str) -> Table:
     return Table(_recovery_rows(found), caption=f"Recovery of {name} ({found.level:.0%} intervals)")
 
 
-def material_figure(found: MaterialFound) -> Figure:
+def material_figure(found: MaterialFit) -> Figure:
     """The evidence."""
     estimate = found.estimate
     if isinstance(estimate, AxisEstimate):
@@ -60,7 +60,7 @@ def _axes_rows(found: AxisEstimate) -> Rows:
         *rows,
         ("anisotropy", f"{differ} (one beta would leave so much error with probability {found.p_isotropic:.2g})"),
         *to_rows(found, "beta"),
-        ("error, axes / one beta", f"{to_words(found, 'aee')} / {to_words(found, 'aee_isotropic')}"),
+        ("error, axes / one beta", f"{format_value(found, 'aee')} / {format_value(found, 'aee_isotropic')}"),
         *to_rows(found, "noise", "explained", "converged"),
     ]
 
@@ -89,7 +89,7 @@ def _yield_rows(found: YieldEstimate) -> Rows:
         ("verdict", f"{found.verdict}: {meaning[found.verdict]}"),
         *reason_rows(found.reasons),
         *to_rows(found, "largest_strain", "beta", "creep", "set"),
-        ("error, yielding / elastic", f"{to_words(found, 'aee')} / {to_words(found, 'elastic_aee')}"),
+        ("error, yielding / elastic", f"{format_value(found, 'aee')} / {format_value(found, 'elastic_aee')}"),
         *to_rows(found, "explained"),
         *_unloading(found.settings),
         *to_rows(found, "converged"),
@@ -146,7 +146,7 @@ def _field_rows(found: FieldEstimate) -> Rows:
             for name, likely, error in zip(found.tried, found.probability, found.held_out, strict=True)
         ],
         *to_rows(found, "noise"),
-        ("error, elastic / beta", f"{to_words(found, 'aee')} / {to_words(found, 'beta_aee')}"),
+        ("error, elastic / beta", f"{format_value(found, 'aee')} / {format_value(found, 'beta_aee')}"),
         *to_rows(found, "explained", "converged"),
     ]
 
@@ -163,7 +163,7 @@ def _recovery_rows(found: RecoveryEstimate) -> Rows:
     return [
         *to_rows(found, "share"),
         *(to_rows(found, "time_s") if relaxes else [("mean relaxation time", "nothing that relaxes is sure")]),
-        ("permanent set", f"{to_words(found, 'set')} of the push"),
+        ("permanent set", f"{format_value(found, 'set')} of the push"),
         ("verdict", f"{found.verdict}: {_lowered(found.reasons) or meaning}"),
         *reason_rows(found.reasons),
         *to_rows(found, "instant", "relaxed", "largest"),

@@ -1,16 +1,16 @@
-"""What touches say of lumps below a surface that shows nothing: where they are, how large, and what may be missed.
+"""What touches say of inclusions below a surface that shows nothing: where they are, how large, and what may be missed.
 
-A touch's log stiffness is one level, plus what the lumps add to it (`stages.poke.lump_footprint`), plus what the foam
-varies by: a Gaussian field whose deviation, length and share of each touch's own are not known (`Background`). Its
-exponent shows more: what lies below is felt the more the wider the contact grows (`stages.poke.law_response`), while
-foam whose modulus varies from place to place has the same exponent everywhere. A lump is one of a grid of hypotheses:
-its middle, its radius, its depth and its contrast, each as likely as another before any touch; the level is flat, and
-backgrounds are summed over. Where the touches say that there is one, and where, it counts as found; the next is sought
-in what is left, with the doubt about the first.
+A touch's log stiffness is one level, plus what the inclusions add to it (`stages.poke.inclusion_footprint`), plus what
+the foam varies by: a Gaussian field whose deviation, length and share of each touch's own are not known (`Background`).
+Its exponent shows more: what lies below is felt the more the wider the contact grows (`stages.poke.law_response`),
+while foam whose modulus varies from place to place has the same exponent everywhere. An inclusion is one of a grid of
+hypotheses: its middle, its radius, its depth and its contrast, each as likely as another before any touch; the level is
+flat, and backgrounds are summed over. Where the touches say that there is one, and where, it counts as found; the next
+is sought in what is left, with the doubt about the first.
 
-What is taken for granted, and stated with every result: before any touch a lump is as likely as not; lumps are balls
-4 times as stiff or as soft as the foam, or more, whose uppermost point is at most 2 cm deep, all of each within the
-field. What is weaker or deeper may be there at any probability.
+What is taken for granted, and stated with every result: before any touch an inclusion is as likely as not; inclusions
+are balls 4 times as stiff or as soft as the foam, or more, whose uppermost point is at most 2 cm deep, all of each
+within the field. What is weaker or deeper may be there at any probability.
 """
 
 from __future__ import annotations
@@ -29,36 +29,36 @@ from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.errors import InputError
 from deformscope.stages.map.exploration import LumpsFound
 from deformscope.stages.poke.contact import EXPONENT
+from deformscope.stages.poke.inclusion_footprint import contact_radius, contrast_share, footprint, inclusion_shift
 from deformscope.stages.poke.law_response import CONTACTS, law_response
-from deformscope.stages.poke.lump_footprint import contact_radius, contrast_share, footprint, lump_shift
 from deformscope.stages.regions.posterior import RegionMap
 from deformscope.stages.regions.touch_error import LAW_SD, TouchErrorModel
 from deformscope.stages.regions.touches import MapGrid, StiffnessSample
 
 EXISTS = 0.5
-"""Probability before any touch that there is a lump: as likely as not. The same of a further one."""
+"""Probability before any touch that there is an inclusion: as likely as not. The same of a further one."""
 RADII_M = (0.01, 0.015, 0.02, 0.025, 0.03, 0.04)
 DEPTHS_M = (0.005, 0.01, 0.015, 0.02)
 """Of the uppermost points."""
 DEEP_M = 0.0125
-"""A lump is called deep where its uppermost point is farther down, shallow where it is not."""
+"""An inclusion is called deep where its uppermost point is farther down, shallow where it is not."""
 TIMES = (4.0, 20.0)
 """How many times as stiff, or as soft."""
 SCATTERS = (0.004, 0.008, 0.016, 0.032, 0.064, 0.12)
 """Deviations of log stiffness that are summed over, each as likely: from cast foam to 12 %."""
 LENGTHS_M = (0.025, 0.04, 0.065, 0.1)
-"""Over which foam varies, likewise: some centimetres. What varies over less than a lump does is one."""
+"""Over which foam varies, likewise: some centimetres. What varies over less than an inclusion does is one."""
 APART = (0.0, 0.03, 0.3)
 """Shares of the scatter's variance that are each touch's own, likewise: from none, in foam that varies smoothly."""
 FOOTPRINT_DOUBT = 0.15
-"""Of what a lump does to a touch, as a share of it, in all touches alike: the footprint is no better."""
+"""Of what an inclusion does to a touch, as a share of it, in all touches alike: the footprint is no better."""
 LEVEL_SD, LEAST_SD = 3.0, 0.002
 HERTZ = EXPONENT["sphere"]
 STIFFER, STIFFER_SD = 0.16, 0.03
 """By how much the exponent of a ball is larger on foam whose log stiffness is larger by 1, where it sinks less, and the
 deviation of that."""
 BENT = 0.62
-"""What finite elements' exponents rise by over a lump, over what `law_response` says: their foam is a layer."""
+"""What finite elements' exponents rise by over an inclusion, over what `law_response` says: their foam is a layer."""
 EXPONENT_LEAST_SD, EXPONENT_LEVEL_SD, EXPECTED_EXPONENT_SD, NOT_KNOWN = 0.005, 1.0, 0.025, 10.0
 """Deviations of exponents: of a touch, however well it is fitted; of the foam's; of a touch before any was made; of one
 that was not fitted."""
@@ -69,8 +69,8 @@ CENTRE_CELL_M, MOST_CENTRES = 0.01, 700
 ASIDE_M = np.append(np.arange(0.0, 0.08, 0.004), [0.08, 0.1, 0.12, 0.2, 2.0])
 """Distances at which the footprint is computed; between them it is interpolated."""
 FOUND, LOCALISED = 0.95, 0.9
-"""A lump counts as found where it is that likely, and its middle that likely within its radius of where it is said to
-be."""
+"""An inclusion counts as found where it is that likely, and its middle that likely within its radius of where it is
+said to be."""
 SURE_DEPTH = 0.9
 MOST_FOUND = 5
 Z_90 = 1.6449
@@ -78,7 +78,7 @@ Z_90 = 1.6449
 
 @dataclass(frozen=True, slots=True)
 class Background:
-    """How foam without lumps varies: a Gaussian field of log stiffness.
+    """How foam without inclusions varies: a Gaussian field of log stiffness.
 
     scatter: its deviation; length_m: over which it changes (squared exponential); apart: share of its variance that is
     each touch's own
@@ -109,8 +109,8 @@ BACKGROUNDS = tuple(
 
 
 @dataclass(frozen=True, slots=True)
-class LumpPrior:
-    """smallest_m: radius of the lumps that must not be missed [m]; tip_radius_m, set_force_n: of touches;
+class InclusionPrior:
+    """smallest_m: radius of the inclusions that must not be missed [m]; tip_radius_m, set_force_n: of touches;
     error: of touches; what scatters is taken from `BACKGROUNDS`"""
 
     smallest_m: float = 0.02
@@ -123,7 +123,7 @@ class LumpPrior:
             raise InputError("lumps of a radius from 0.5 to 10 cm", f"{100 * self.smallest_m:g} cm")
 
     def radii_m(self, size_m: tuple[float, float]) -> tuple[float, ...]:
-        """(r,) of lumps that are thought of, rising: those that fit on the surface."""
+        """(r,) of inclusions that are thought of, rising: those that fit on the surface."""
         every = sorted({*RADII_M, self.smallest_m, 1.5 * self.smallest_m})
         fitting = tuple(one for one in every if 2.0 * one + CENTRE_CELL_M <= min(size_m))
         if self.smallest_m not in fitting:
@@ -133,10 +133,11 @@ class LumpPrior:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class LumpGuesses:
-    """Lumps that there may be, of every kind at every place: `j` of them.
+class InclusionHypotheses:
+    """Inclusions that there may be, of every kind at every place: `j` of them.
 
-    centre_m: (j, 2); radius_m, depth_m, share: (j,) (`lump_footprint.contrast_share`); weight: (j,) prior, 1 in all
+    centre_m: (j, 2); radius_m, depth_m, share: (j,) (`inclusion_footprint.contrast_share`); weight: (j,) prior, 1 in
+    all
     """
 
     centre_m: FloatArray
@@ -146,7 +147,7 @@ class LumpGuesses:
     weight: FloatArray
 
     @classmethod
-    def on(cls, size_m: tuple[float, float], radii_m: Sequence[float]) -> LumpGuesses:
+    def on(cls, size_m: tuple[float, float], radii_m: Sequence[float]) -> InclusionHypotheses:
         """On a surface: each radius as likely, and of each radius every place, depth and contrast; of a place one after
         the other."""
         cell_m = max(CENTRE_CELL_M, float(np.sqrt(size_m[0] * size_m[1] / MOST_CENTRES)))
@@ -170,7 +171,7 @@ class LumpGuesses:
     def __len__(self) -> int:
         return len(self.weight)
 
-    def shifts(self, places_m: FloatArray, contact_m: float) -> LumpShifts:
+    def shifts(self, places_m: FloatArray, contact_m: float) -> InclusionShifts:
         """What each does to touches at places (p, 2)."""
         to_log, to_exponent = law_response()
         log, exponent = (np.empty((len(places_m), len(self))) for _ in range(2))
@@ -182,7 +183,7 @@ class LumpGuesses:
             depths, of_depth = np.unique(depth_m, return_inverse=True)
             felt = np.stack(
                 [
-                    lump_shift(
+                    inclusion_shift(
                         share[:, None], footprint(one * contact_m, np.array([radius_m]), depths, ASIDE_M)[0][of_depth]
                     )
                     for one in CONTACTS
@@ -195,12 +196,12 @@ class LumpGuesses:
                 table = np.tensordot(weights, felt, axes=1).T  # (aside, kind)
                 between = table[after - 1] * (1.0 - part[..., None]) + table[after] * part[..., None]
                 out[:, mine] = between.reshape(len(places_m), len(mine))
-        return LumpShifts(log, BENT * exponent)
+        return InclusionShifts(log, BENT * exponent)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class LumpShifts:
-    """What lumps do to touches: log, exponent: (p, j) what each adds to the log stiffness of a touch, and to its
+class InclusionShifts:
+    """What inclusions do to touches: log, exponent: (p, j) what each adds to the log stiffness of a touch, and to its
     exponent beyond what that of any foam as stiff is"""
 
     log: FloatArray
@@ -208,8 +209,8 @@ class LumpShifts:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class FoundLump:
-    """A lump that the touches speak for.
+class FoundInclusion:
+    """An inclusion that the touches speak for.
 
     centre_m: (2,) its middle; within_m: distance from it within which it lies in 90 %; radius_m, radius_interval_m: of
     90 % [m]; stiff: rather than soft; probability: that there is one
@@ -235,7 +236,7 @@ class FoundLump:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LeftOver:
-    """What the lumps that were found leave of t touches.
+    """What the inclusions that were found leave of t touches.
 
     places_m: (t, 2); read: (t,) log stiffness, less what was found; noise: (t, t) its covariance, but for scatter and
     level; bent: (t,) exponents, less what was found and what goes with stiffness; bent_noise: (t, t) its covariance,
@@ -250,7 +251,7 @@ class LeftOver:
 
     @classmethod
     def of(cls, touches: Sequence[StiffnessSample]) -> LeftOver:
-        """Residuals of the touches while no lump is assumed."""
+        """Residuals of the touches while no inclusion is assumed."""
         bent = np.array([HERTZ if touch.exponent is None else touch.exponent for touch in touches])
         bent_sd = np.array([NOT_KNOWN if touch.exponent is None else touch.exponent_sd for touch in touches])
         # a stiffness as of the same exponent in every touch is off by nothing that its exponent is off by
@@ -265,8 +266,8 @@ class LeftOver:
         places = np.array([touch.xy_m for touch in touches]).reshape(-1, 2)
         return cls(places_m=places, read=read, noise=noise, bent=bent - STIFFER * about, bent_noise=bent_noise)
 
-    def without(self, felt: LumpShifts, weight: FloatArray) -> LeftOver:
-        """Less a lump of the posterior (j,), with the doubt about it."""
+    def without(self, felt: InclusionShifts, weight: FloatArray) -> LeftOver:
+        """Less an inclusion of the posterior (j,), with the doubt about it."""
 
         def less(each: FloatArray) -> tuple[FloatArray, FloatArray]:
             """(t,) mean of the shifts (t, j), and (t, t) the doubt about them."""
@@ -283,7 +284,7 @@ class LeftOver:
         )
 
     def exponents_whitened(self, lumps: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(t,), (t, j) the exponents, and what lumps (t, j) add to them, in independent deviations."""
+        """(t,), (t, j) the exponents, and what inclusions (t, j) add to them, in independent deviations."""
         root = np.linalg.cholesky(self.bent_noise + EXPONENT_LEVEL_SD**2)
         whitened = solve_triangular(root, np.column_stack([self.bent, lumps]), lower=True)
         return whitened[:, 0], whitened[:, 1:]
@@ -294,8 +295,8 @@ class LeftOver:
         return float(np.sqrt(np.median(np.diag(self.bent_noise)))) if len(self.read) else EXPECTED_EXPONENT_SD
 
 
-class LumpState:
-    """What is known after the lumps that were found: whether there is one more.
+class InclusionState:
+    """What is known after the inclusions that were found: whether there is one more.
 
     odds_log: (j,) logarithm of each guess's likelihood over that of none; open: (j,) guesses that stay apart from all
     that were found; posterior: (j,) of one more, its kinds and places, 1 in all; exists: that there is one more, of
@@ -303,11 +304,13 @@ class LumpState:
     backgrounds: (b,) posterior of `BACKGROUNDS`
     """
 
-    def __init__(self, guesses: LumpGuesses, felt: LumpShifts, left: LeftOver, open_: BoolArray) -> None:
+    def __init__(
+        self, hypotheses: InclusionHypotheses, felt: InclusionShifts, left: LeftOver, open_: BoolArray
+    ) -> None:
         """felt: of the touches"""
         self.left, self.open = left, open_
-        self._guesses = guesses
-        none, one = np.zeros(len(BACKGROUNDS)), np.zeros((len(BACKGROUNDS), len(guesses)))
+        self._hypotheses = hypotheses
+        none, one = np.zeros(len(BACKGROUNDS)), np.zeros((len(BACKGROUNDS), len(hypotheses)))
         bare, lumps = left.exponents_whitened(felt.exponent)
         bent, bent_own = bare @ lumps, (lumps**2).sum(axis=0)
         root = np.linalg.cholesky(left.noise + LEVEL_SD**2)
@@ -323,7 +326,7 @@ class LumpState:
             none[some] = 0.5 * (np.log(weight).sum(axis=1) - weight @ bare**2) - constant
             one[some] = _doubted((weight * bare) @ lumps + bent, weight @ lumps**2 + bent_own)
         self.odds_log = logsumexp(one + none[:, None], axis=0) - logsumexp(none)
-        weight = np.where(open_, guesses.weight, 0.0)
+        weight = np.where(open_, hypotheses.weight, 0.0)
         self.posterior, log_odds = _normalised(weight, self.odds_log)
         self.exists = float(expit(log_odds + np.log(EXISTS / (1.0 - EXISTS))))
         joint = self.exists * _shares(one + none[:, None], self.posterior) + (1.0 - self.exists) * np.exp(
@@ -338,31 +341,31 @@ class LumpState:
 
     def missed(self, some: BoolArray) -> float:
         """Probability that there is one more of some of the guesses (j,), were these all that there can be."""
-        weight = np.where(self.open & some, self._guesses.weight, 0.0)
+        weight = np.where(self.open & some, self._hypotheses.weight, 0.0)
         if not weight.sum() > 0.0:
             return 0.0
-        whole = self._guesses.weight[some].sum()
+        whole = self._hypotheses.weight[some].sum()
         log_odds = np.log(max(weight.sum() / whole, 1e-300)) + _normalised(weight, self.odds_log)[1]
         return float(expit(log_odds + np.log(EXISTS / (1.0 - EXISTS))))
 
 
-class LumpPosterior:
-    """What touches of a surface say of lumps in it; each touch makes another one.
+class InclusionPosterior:
+    """What touches of a surface say of inclusions in it; each touch makes another one.
 
-    touches; found: lumps, in the order in which they explain most; state: of what is left
+    touches; found: inclusions, in the order in which they explain most; state: of what is left
     """
 
-    def __init__(self, grid: MapGrid, prior: LumpPrior, touches: tuple[StiffnessSample, ...] = ()) -> None:
+    def __init__(self, grid: MapGrid, prior: InclusionPrior, touches: tuple[StiffnessSample, ...] = ()) -> None:
         self.grid, self.prior, self.touches = grid, prior, touches
         self.radii_m = prior.radii_m(grid.size_m)
 
-    def with_touch(self, touch: StiffnessSample) -> LumpPosterior:
+    def with_touch(self, touch: StiffnessSample) -> InclusionPosterior:
         """The posterior after one more touch."""
-        return LumpPosterior(self.grid, self.prior, (*self.touches, touch))
+        return InclusionPosterior(self.grid, self.prior, (*self.touches, touch))
 
     @cached_property
-    def guesses(self) -> LumpGuesses:
-        return LumpGuesses.on(self.grid.size_m, self.radii_m)
+    def hypotheses(self) -> InclusionHypotheses:
+        return InclusionHypotheses.on(self.grid.size_m, self.radii_m)
 
     @property
     def places_m(self) -> FloatArray:
@@ -379,54 +382,56 @@ class LumpPosterior:
         return contact_radius(min(dent_m, self.prior.tip_radius_m), self.prior.tip_radius_m)
 
     @cached_property
-    def felt(self) -> LumpShifts:
+    def felt(self) -> InclusionShifts:
         """What each guess does to the touches."""
-        return self.guesses.shifts(self.places_m, self.contact_m)
+        return self.hypotheses.shifts(self.places_m, self.contact_m)
 
     @cached_property
-    def _search(self) -> tuple[tuple[FoundLump, ...], LumpState]:
-        guesses, felt, left = self.guesses, self.felt, LeftOver.of(self.touches)
-        found: list[FoundLump] = []
-        open_ = np.ones(len(guesses), dtype=bool)
+    def _search(self) -> tuple[tuple[FoundInclusion, ...], InclusionState]:
+        hypotheses, felt, left = self.hypotheses, self.felt, LeftOver.of(self.touches)
+        found: list[FoundInclusion] = []
+        open_ = np.ones(len(hypotheses), dtype=bool)
         while True:
-            state = LumpState(guesses, felt, left, open_)
+            state = InclusionState(hypotheses, felt, left, open_)
             one = self._found(state)
             if one is None or len(found) == MOST_FOUND:
                 return tuple(found), state
             found.append(one)
             left = left.without(felt, one.posterior)
-            open_ = open_ & (np.linalg.norm(guesses.centre_m - one.centre_m, axis=1) > guesses.radius_m + one.radius_m)
+            open_ = open_ & (
+                np.linalg.norm(hypotheses.centre_m - one.centre_m, axis=1) > hypotheses.radius_m + one.radius_m
+            )
 
     @property
-    def found(self) -> tuple[FoundLump, ...]:
+    def found(self) -> tuple[FoundInclusion, ...]:
         return self._search[0]
 
     @property
-    def state(self) -> LumpState:
+    def state(self) -> InclusionState:
         return self._search[1]
 
-    def _found(self, state: LumpState) -> FoundLump | None:
-        """The lump that is left, where there is one, and its place is known."""
-        guesses, weight = self.guesses, state.posterior
+    def _found(self, state: InclusionState) -> FoundInclusion | None:
+        """The inclusion that is left, where there is one, and its place is known."""
+        hypotheses, weight = self.hypotheses, state.posterior
         if state.exists < FOUND:
             return None
-        centre = weight @ guesses.centre_m
-        away = np.linalg.norm(guesses.centre_m - centre, axis=1)
-        radius_m = float(weight @ guesses.radius_m)
+        centre = weight @ hypotheses.centre_m
+        away = np.linalg.norm(hypotheses.centre_m - centre, axis=1)
+        radius_m = float(weight @ hypotheses.radius_m)
         if weight[away <= radius_m].sum() < LOCALISED:
             return None
         order = np.argsort(away, kind="stable")
         within_m = float(away[order][np.searchsorted(np.cumsum(weight[order]), 0.9)])
-        shares = np.array([weight[guesses.radius_m == one].sum() for one in self.radii_m])
-        above = guesses.shifts(centre[None], self.contact_m).log[0]
-        return FoundLump(
+        shares = np.array([weight[hypotheses.radius_m == one].sum() for one in self.radii_m])
+        above = hypotheses.shifts(centre[None], self.contact_m).log[0]
+        return FoundInclusion(
             centre_m=centre,
             within_m=max(within_m, 0.5 * CENTRE_CELL_M),
             radius_m=radius_m,
             radius_interval_m=_interval(np.array(self.radii_m), shares),
-            stiff=bool(weight[guesses.share > 0.0].sum() > 0.5),
+            stiff=bool(weight[hypotheses.share > 0.0].sum() > 0.5),
             probability=state.exists,
-            deep=float(weight[guesses.depth_m > DEEP_M].sum()),
+            deep=float(weight[hypotheses.depth_m > DEEP_M].sum()),
             log_shift=float(weight @ above),
             posterior=weight,
         )
@@ -440,12 +445,13 @@ class LumpPosterior:
 
     @cached_property
     def missed(self) -> FloatArray:
-        """(r,) probability that there is a further lump of each of `radii_m`, were lumps of this radius alone there."""
-        return np.array([self.state.missed(self.guesses.radius_m == one) for one in self.radii_m])
+        """(r,) probability that there is a further inclusion of each of `radii_m`, were inclusions of this radius alone
+        there."""
+        return np.array([self.state.missed(self.hypotheses.radius_m == one) for one in self.radii_m])
 
     @cached_property
     def covered(self) -> FloatArray:
-        """(rows, columns) probability that a cell lies above a lump, found or not."""
+        """(rows, columns) probability that a cell lies above an inclusion, found or not."""
         centres, clear = self.grid.centres_m, np.ones(len(self.grid.centres_m))
         for weight in (
             *(one.posterior * one.probability for one in self.found),
@@ -456,14 +462,14 @@ class LumpPosterior:
 
     def _above(self, weight: FloatArray, cells_m: FloatArray) -> FloatArray:
         """(c,) weight (j,) of the guesses that cells (c, 2) lie above."""
-        guesses, found = self.guesses, np.zeros(len(cells_m))
+        hypotheses, found = self.hypotheses, np.zeros(len(cells_m))
         for radius_m in self.radii_m:
-            mine = guesses.radius_m == radius_m
-            centre, of_centre = np.unique(guesses.centre_m[mine], axis=0, return_inverse=True)
+            mine = hypotheses.radius_m == radius_m
+            centre, of_centre = np.unique(hypotheses.centre_m[mine], axis=0, return_inverse=True)
             found += (cdist(cells_m, centre) < radius_m) @ np.bincount(of_centre.ravel(), weight[mine])
         return found
 
-    def lumps(self, truth_m: FloatArray | None = None) -> LumpsFound:
+    def inclusions(self, truth_m: FloatArray | None = None) -> LumpsFound:
         """What is reported. truth_m: where it is known"""
         found = self.found
         return LumpsFound(
@@ -498,18 +504,19 @@ class LumpPosterior:
 
     @property
     def probability(self) -> dict[str, float]:
-        """Of the number of regions: the foam and the lumps, those that were found or one more."""
+        """Of the number of regions: the foam and the inclusions, those that were found or one more."""
         count, more = len(self.found) + 1, self.state.exists
         return {str(count): 1.0 - more, str(count + 1): more}
 
     def region_map(self) -> RegionMap:
-        """Foam and found lumps as regions, softest first; the field is the foam's with what found lumps add to it."""
+        """Foam and found inclusions as regions, softest first; the field is the foam's with what found inclusions add
+        to it."""
         found, cells = self.found, self.grid.centres_m
         field_log, variance = self._foam(cells)
         level, sd = [float(field_log.mean())], [float(np.sqrt(variance.mean()))]
         labels, sure = np.zeros(len(cells), dtype=np.int64), 1.0 - self.covered.ravel()
         for number, one in enumerate(found, start=1):
-            felt = self.guesses.shifts(np.vstack([cells[::4], one.centre_m]), self.contact_m).log
+            felt = self.hypotheses.shifts(np.vstack([cells[::4], one.centre_m]), self.contact_m).log
             mean = felt @ one.posterior
             doubt = np.maximum(felt**2 @ one.posterior - mean**2, 0.0) + (FOOTPRINT_DOUBT * mean) ** 2
             at = np.linalg.norm(cells - one.centre_m, axis=1)
@@ -543,7 +550,7 @@ class LumpPosterior:
         )
 
     def _foam(self, places_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(p,), (p,) mean and variance of the foam's log stiffness at places (p, 2), lumps left out."""
+        """(p,), (p,) mean and variance of the foam's log stiffness at places (p, 2), inclusions left out."""
         weights, spare = self.kriging(places_m)
         return weights @ self.state.left.read, spare
 
@@ -562,7 +569,7 @@ class LumpPosterior:
 
 
 def _doubted(with_read: FloatArray, own: FloatArray) -> FloatArray:
-    """(s, j) log likelihood ratio of lumps to none, whose effect is off by a factor, of deviation FOOTPRINT_DOUBT
+    """(s, j) log likelihood ratio of inclusions to none, whose effect is off by a factor, of deviation FOOTPRINT_DOUBT
     about 1. with_read, own: (s, j) products of their effects with the readings and with themselves, in deviations"""
     sure = FOOTPRINT_DOUBT**-2
     return np.asarray(0.5 * ((with_read + sure) ** 2 / (own + sure) - sure - np.log1p(own / sure)))

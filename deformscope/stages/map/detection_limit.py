@@ -1,8 +1,9 @@
-"""What touches may have missed: the largest circle without a touch, and lumps that the map does not show.
+"""What touches may have missed: the largest circle without a touch, and inclusions that the map does not show.
 
-A lump is a disc of some radius, twice as stiff or twice as soft as what is around it, whose centre may be anywhere on
-the surface as long as all of it lies there, each place as likely. The touches are taken to read as the map explains
-them: against a lump at a place then speaks what they would have felt of it (its share under a contact, as of any
+An inclusion is a disc of some radius, twice as stiff or twice as soft as what is around it, whose centre may be
+anywhere on the surface as long as all of it lies there, each place as likely. The touches are taken to read as the map
+explains
+them: against an inclusion at a place then speaks what they would have felt of it (its share under a contact, as of any
 region), in deviations of theirs. So a touch inside excludes it, and one at its rim leaves it open. What is rigid has no
 lumps: twice as stiff or as soft is as rigid to the arm, and no touch there would show one.
 """
@@ -18,24 +19,24 @@ from scipy.spatial.distance import cdist
 from scipy.special import ndtr
 
 from deformscope.arrays import FloatArray
-from deformscope.stages.map.exploration import Missed
+from deformscope.stages.map.exploration import DetectionLimit
 from deformscope.stages.regions.posterior import RegionPosterior
 from deformscope.stages.regions.touches import MapGrid
 
-LUMP_PRIOR = 0.5
-"""Probability before any touch that there is a lump: as likely as not."""
+INCLUSION_PRIOR = 0.5
+"""Probability before any touch that there is an inclusion: as likely as not."""
 
-LUMP_CONTRAST = 2.0
+INCLUSION_CONTRAST = 2.0
 """How many times the apparent stiffness of what is around it, or how many times less."""
 
-LUMP_RADII_M = (0.03, 0.045, 0.06, 0.085, 0.12)
+INCLUSION_RADII_M = (0.03, 0.045, 0.06, 0.085, 0.12)
 """Radii for which it is reported what may have been missed."""
 
 CENTRE_CELL_M = 0.02
 
 
-class Lumps:
-    """Lumps of one radius that may be there unseen, after the touches.
+class UnseenInclusions:
+    """Inclusions of one radius that may be there unseen, after the touches.
 
     probability: that there is one; weight: (c,) that it is at each of the centres, of 1 in all
     """
@@ -46,7 +47,7 @@ class Lumps:
         centres = MapGrid(posterior.grid.size_m, CENTRE_CELL_M).centres_m
         self._centres = centres[(np.minimum(centres, size - centres) >= radius_m).all(axis=1)]
         self.weight = np.full(len(self._centres), 1.0 / max(len(self._centres), 1))
-        self.probability = LUMP_PRIOR if len(self._centres) else 0.0
+        self.probability = INCLUSION_PRIOR if len(self._centres) else 0.0
         if not len(self._centres) or not posterior.touches:
             return
         places = np.array([touch.xy_m for touch in posterior.touches])
@@ -56,33 +57,36 @@ class Lumps:
         ratio *= soft
         unmet = float(ratio.sum() / max(soft.sum(), 1.0))  # less than one centre is no place
         self.weight = ratio / max(float(ratio.sum()), 1e-300)  # so many touches may leave nothing at all
-        self.probability = LUMP_PRIOR * unmet / (LUMP_PRIOR * unmet + 1.0 - LUMP_PRIOR)
+        self.probability = INCLUSION_PRIOR * unmet / (INCLUSION_PRIOR * unmet + 1.0 - INCLUSION_PRIOR)
 
     def gain(self, places_m: FloatArray) -> FloatArray:
-        """(p,) probability that a touch at places (p, 2) is the first to show a lump."""
+        """(p,) probability that a touch at places (p, 2) is the first to show an inclusion."""
         return cast(FloatArray, self.probability * (1.0 - self._unfelt(places_m, self._noise_sd)) @ self.weight)
 
     def _unfelt(self, places_m: FloatArray, sd: FloatArray | float) -> FloatArray:
-        """(p, c) how likely touches at places (p, 2) are to read as without a lump at each centre, if it is there."""
+        """(p, c) how likely touches at places (p, 2) are to read as without an inclusion at each centre, if it is
+        there."""
         share = ndtr((self._radius_m - cdist(places_m, self._centres)) / self._blur_m)
-        return cast(FloatArray, np.exp(-0.5 * (np.log(LUMP_CONTRAST) * share / sd) ** 2))
+        return cast(FloatArray, np.exp(-0.5 * (np.log(INCLUSION_CONTRAST) * share / sd) ** 2))
 
 
-def missed(posterior: RegionPosterior, made_m: FloatArray, radii_m: Iterable[float] = LUMP_RADII_M) -> Missed:
+def detection_limit(
+    posterior: RegionPosterior, made_m: FloatArray, radii_m: Iterable[float] = INCLUSION_RADII_M
+) -> DetectionLimit:
     """What may have been missed. made_m: (n, 2) where it was touched, also where that gave nothing [m]"""
     size, centres = np.asarray(posterior.grid.size_m), posterior.grid.centres_m
     circle = np.minimum(centres, size - centres).min(axis=1)
     if len(made_m):
         circle = np.minimum(circle, KDTree(made_m).query(centres)[0])
     at = int(circle.argmax())
-    lumps = [(radius, Lumps(posterior, radius)) for radius in sorted(set(radii_m))]
+    lumps = [(radius, UnseenInclusions(posterior, radius)) for radius in sorted(set(radii_m))]
     fitting = [(radius, one.probability) for radius, one in lumps if len(one.weight)]
     radii, probabilities = np.array(fitting).reshape(-1, 2).T
-    return Missed(
+    return DetectionLimit(
         untouched_m=float(circle[at]),
         untouched_at_m=centres[at],
         lump_radius_m=radii,
         lump_probability=probabilities,
-        contrast=LUMP_CONTRAST,
-        prior=LUMP_PRIOR,
+        contrast=INCLUSION_CONTRAST,
+        prior=INCLUSION_PRIOR,
     )

@@ -16,13 +16,13 @@ def counted(number: int, word: str) -> str:
     return f"{number} {word}{'' if number == 1 else ending}"
 
 
-def verdict_words(maps: MapEstimate) -> str:
+def format_verdict(maps: MapEstimate) -> str:
     """How many regions there are, if any."""
     between = "" if maps.isopleths is None else " between isopleths of beta"
     return "gradual: no regions" if maps.verdict == "gradual" else counted(maps.region_count, "region") + between
 
 
-def claim_words(probability: float | None) -> str:
+def format_claim(probability: float | None) -> str:
     """How sure a verdict is; None: it comes from a rule that has no probability."""
     return "the thesis's rule gives no probability" if probability is None else f"probability {probability:.2f}"
 
@@ -37,7 +37,7 @@ ENDED = {
 """Why a plan makes no further touch, by its stop reason (`stages.map.plan.StopReason`)."""
 
 
-def ended_words(stop_reason: str) -> str:
+def format_stop(stop_reason: str) -> str:
     """Why no further touch was made; reasons that are no plan's are in words already."""
     return ENDED.get(stop_reason, stop_reason or "before its plan was carried out")
 
@@ -47,17 +47,17 @@ def stiffness_kind(maps: MapEstimate) -> str:
     return "apparent" if maps.levelled_m is None else f"as on a level layer {100 * maps.levelled_m:.2g} cm thick"
 
 
-def travel_words(travel_m: float) -> str:
+def format_travel(travel_m: float) -> str:
     """How far the tip has moved over the surface, in words."""
     return f"travel {travel_m:.2f} m over the surface"
 
 
-def iou_words(maps: MapEstimate) -> str:
+def format_iou(maps: MapEstimate) -> str:
     """How good the map is, and against what; empty where the truth is not known."""
     return "" if maps.iou is None else f"IoU {maps.iou:.3f} with the truth"
 
 
-def creep_words(creep: CreepFit) -> str:
+def format_creep(creep: CreepFit) -> str:
     """What a hold said of the foam's creep."""
     loss = "" if creep.loss is None else f", a touch loses {creep.loss:.0%} of its energy"
     if creep.verdict == "elastic":
@@ -73,12 +73,12 @@ def creep_words(creep: CreepFit) -> str:
     return f"{creep.verdict}: {relaxed}, {share}{loss}"
 
 
-def found_words(lumps: LumpsFound) -> str:
-    """How many lumps were found."""
+def format_inclusions(lumps: LumpsFound) -> str:
+    """How many inclusions were found."""
     return counted(len(lumps), "lump") if len(lumps) else "no lump found"
 
 
-def failed_words(failed: StageFailure) -> str:
+def format_failure(failed: StageFailure) -> str:
     """What failed, and why."""
     where = f"touch {failed.touch}: " if failed.touch else ""
     return f"{where}{failed.stage} failed: {failed.reason}"
@@ -110,9 +110,9 @@ def estimate_rows(estimate: Estimate) -> list[tuple[str, str]]:
         ("verdict", estimate.verdict_text()),
         *reason_rows(estimate.reasons, besides=estimate.verdict_text()),
         ("stiffness", estimate.stiffness_text()),
-        ("error, all particles", length_words(estimate, estimate.aee)),
-        ("error, free particles", length_words(estimate, estimate.aee_free)),
-        ("noise of a position", length_words(estimate, found.get("noise"))),
+        ("error, all particles", format_length(estimate, estimate.aee)),
+        ("error, free particles", format_length(estimate, estimate.aee_free)),
+        ("noise of a position", format_length(estimate, found.get("noise"))),
     ]
     if estimate.explained is not None:
         rows.append(("explained", explained_text(estimate.explained)))
@@ -146,7 +146,7 @@ def _frames_text(estimate: Estimate) -> str:
     return f"{found['frames_fitted']}, worth {worth:.2g} of the best one ({shared})"
 
 
-def length_words(estimate: Estimate, value: object) -> str:
+def format_length(estimate: Estimate, value: object) -> str:
     """A length in pixels where it was measured in them, and in millimetres where the scale is known."""
     if not isinstance(value, float):
         return "not known"

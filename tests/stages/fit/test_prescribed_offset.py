@@ -24,28 +24,28 @@ def fit(off: float, *, noise: float | None = NOISE, held_measured: bool | None =
     still = Observation(body.rest, body.rest, body.held, every, **lattice_of)  # type: ignore[arg-type]
     model = Model(cluster_size=3)
     deformed = model.body(still).relax(body.held_position, BETA).position[0] + rng.normal(0.0, NOISE, body.rest.shape)
-    misheld = int(body.held[2])
-    deformed[misheld] += off * SPACING_M * np.array([0.6, -0.8])
+    displaced = int(body.held[2])
+    deformed[displaced] += off * SPACING_M * np.array([0.6, -0.8])
     stated = None if noise is None else np.full(count, noise)
     seen = Observation(body.rest, deformed, body.held, every, noise=stated, **lattice_of)  # type: ignore[arg-type]
-    return calibrate([seen], FitOptions(model, candidates=30)), misheld
+    return calibrate([seen], FitOptions(model, candidates=30)), displaced
 
 
 @pytest.mark.parametrize(("noise", "held_measured"), [(NOISE, None), (NOISE, False)])
 def test_a_held_particle_that_is_off_is_named_and_put_right(noise: float, held_measured: bool | None) -> None:
-    found, misheld = fit(0.3, noise=noise, held_measured=held_measured)
-    assert found.left_out[0].held.tolist() == [misheld]
+    found, displaced = fit(0.3, noise=noise, held_measured=held_measured)
+    assert found.left_out[0].held.tolist() == [displaced]
     low, high = found.estimate.interval
     assert low <= BETA <= high
     assert high - low < 0.5
-    moved = found.comparisons[0].observed[misheld] - found.comparisons[0].rest[misheld]
+    moved = found.comparisons[0].observed[displaced] - found.comparisons[0].rest[displaced]
     np.testing.assert_allclose(moved, 0.0, atol=0.1 * SPACING_M)
-    assert not found.comparisons[0].seen[misheld]
+    assert not found.comparisons[0].seen[displaced]
     (reason,) = [one for one in found.estimate.reasons if one.code == "held-off"]
-    assert reason.text.startswith(f"held particle {misheld} seems to be 0.00")
+    assert reason.text.startswith(f"held particle {displaced} seems to be 0.00")
     assert reason.allows is None
     assert found.estimate.as_json()["settings"]["left_out"] == [  # type: ignore[index]
-        {"lost": [], "wrong": [], "held": [misheld]}
+        {"lost": [], "wrong": [], "held": [displaced]}
     ]
 
 

@@ -7,8 +7,8 @@ import signal
 
 import pytest
 
-from deformscope.pictures.apart import drawing_apart, drawn
-from deformscope.pictures.exploration import words_png
+from deformscope.pictures.exploration import text_png
+from deformscope.pictures.render_process import render, render_process
 
 
 def own_process() -> bytes:
@@ -20,14 +20,14 @@ def without_width() -> bytes:
 
 
 def test_a_picture_is_the_same_drawn_apart_and_here() -> None:
-    here = drawn(words_png, "no touch yet")
-    assert drawn(own_process) == own_process()
-    with drawing_apart():
-        there = drawn(own_process)
+    here = render(text_png, "no touch yet")
+    assert render(own_process) == own_process()
+    with render_process():
+        there = render(own_process)
         assert there != own_process()
-        assert drawn(words_png, "no touch yet") == here
+        assert render(text_png, "no touch yet") == here
         with pytest.raises(ZeroDivisionError, match="no width"):  # as if drawn here
-            drawn(without_width)
+            render(without_width)
         os.kill(int(there), signal.SIGKILL)
-        assert drawn(words_png, "no touch yet") == here
-    assert drawn(own_process) == own_process()
+        assert render(text_png, "no touch yet") == here
+    assert render(own_process) == own_process()

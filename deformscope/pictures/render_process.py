@@ -20,7 +20,7 @@ _process: Executor | None = None
 
 
 @contextlib.contextmanager
-def drawing_apart() -> Iterator[None]:
+def render_process() -> Iterator[None]:
     """Within it `drawn` draws in a process of low priority."""
     global _process
     with computing(_warm_up) as _process:
@@ -30,7 +30,7 @@ def drawing_apart() -> Iterator[None]:
             _process = None
 
 
-def drawn(draw: Callable[P, bytes], *given: P.args, **named: P.kwargs) -> bytes:
+def render(draw: Callable[P, bytes], *given: P.args, **named: P.kwargs) -> bytes:
     """What `draw`, a function of a module, gives; drawn here where no process is there for it, or it has ended."""
     if (process := _process) is not None:
         with contextlib.suppress(BrokenProcessPool, CancelledError, RuntimeError):
@@ -40,4 +40,4 @@ def drawn(draw: Callable[P, bytes], *given: P.args, **named: P.kwargs) -> bytes:
 
 def _warm_up() -> None:
     """Fonts are looked up with the first picture."""
-    exploration.words_png("warm")
+    exploration.text_png("warm")

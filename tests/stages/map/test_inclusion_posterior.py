@@ -1,4 +1,5 @@
-"""Lumps below a surface that shows nothing: what touches say of them, where to touch next, and when it is enough."""
+"""Inclusions below a surface that shows nothing: what touches say of them, where to touch next, and when it is
+enough."""
 
 from __future__ import annotations
 
@@ -10,21 +11,28 @@ import pytest
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 from deformscope.lab.session_errors import LabErrors
-from deformscope.stages.map import lump_posterior
-from deformscope.stages.map.lump_plan import plan_lump_touch
-from deformscope.stages.map.lump_posterior import EXISTS, HERTZ, STIFFER, LumpGuesses, LumpPosterior, LumpPrior
+from deformscope.stages.map import inclusion_posterior
+from deformscope.stages.map.inclusion_plan import plan_inclusion_touch
+from deformscope.stages.map.inclusion_posterior import (
+    EXISTS,
+    HERTZ,
+    STIFFER,
+    InclusionHypotheses,
+    InclusionPosterior,
+    InclusionPrior,
+)
 from deformscope.stages.map.plan import PlanOptions
-from deformscope.stages.poke.lump_footprint import contrast_share, footprint, lump_shift
+from deformscope.stages.poke.inclusion_footprint import contrast_share, footprint, inclusion_shift
 from deformscope.stages.regions.touches import MapGrid, StiffnessSample
 
 GRID = MapGrid((0.2, 0.2))
-PRIOR = LumpPrior(set_force_n=5.0)
+PRIOR = InclusionPrior(set_force_n=5.0)
 LEVEL, NOISE = float(np.log(0.52)), 0.005
 Foam = Callable[[FloatArray], float]
 
 
 def foam(*lumps: tuple[float, float, float, float, float], seed: int = 0) -> Foam:
-    """Log stiffness of a touch; each lump: x, y, radius, depth [m] and how many times as stiff."""
+    """Log stiffness of a touch; each inclusion: x, y, radius, depth [m] and how many times as stiff."""
     random = np.random.default_rng(seed)
 
     def felt(xy_m: FloatArray) -> float:
@@ -32,7 +40,7 @@ def foam(*lumps: tuple[float, float, float, float, float], seed: int = 0) -> Foa
         for x, y, radius, depth, times in lumps:
             aside = np.array([np.hypot(xy_m[0] - x, xy_m[1] - y)])
             share = footprint(0.0098, np.array([radius]), np.array([depth]), aside)
-            log += float(lump_shift(contrast_share(times), share)[0, 0, 0])
+            log += float(inclusion_shift(contrast_share(times), share)[0, 0, 0])
         return log
 
     return felt
@@ -44,9 +52,9 @@ def scattering(foam_: Foam, sd: float, seed: int) -> Foam:
     return lambda xy_m: foam_(xy_m) + float(errors.scatter(xy_m))
 
 
-def touched(at: FloatArray, felt: Foam) -> LumpPosterior:
+def touched(at: FloatArray, felt: Foam) -> InclusionPosterior:
     samples = (StiffnessSample(xy_m, felt(xy_m), float(np.hypot(NOISE, 0.02))) for xy_m in at)
-    return LumpPosterior(GRID, PRIOR, tuple(samples))
+    return InclusionPosterior(GRID, PRIOR, tuple(samples))
 
 
 def lattice(step_m: float) -> FloatArray:
@@ -54,11 +62,11 @@ def lattice(step_m: float) -> FloatArray:
     return np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
 
 
-def sought(felt: Foam, budget: int = 30) -> tuple[LumpPosterior, str]:
+def sought(felt: Foam, budget: int = 30) -> tuple[InclusionPosterior, str]:
     """Touched as planned, until it stops; and why."""
-    posterior = LumpPosterior(GRID, PRIOR)
+    posterior = InclusionPosterior(GRID, PRIOR)
     while True:
-        choice = plan_lump_touch(posterior, PlanOptions(budget=budget))
+        choice = plan_inclusion_touch(posterior, PlanOptions(budget=budget))
         if choice.stop is not None or choice.target_m is None:
             return posterior, str(choice.stop)
         sample = StiffnessSample(choice.target_m, felt(choice.target_m), float(np.hypot(NOISE, 0.02)))
@@ -66,7 +74,7 @@ def sought(felt: Foam, budget: int = 30) -> tuple[LumpPosterior, str]:
 
 
 def test_before_any_touch_it_is_the_prior() -> None:
-    before = LumpPosterior(GRID, PRIOR)
+    before = InclusionPosterior(GRID, PRIOR)
     np.testing.assert_allclose(before.missed, EXISTS)
     assert not before.found
     assert before.missed_smallest == pytest.approx(EXISTS)
@@ -99,7 +107,7 @@ def test_a_lump_is_found_where_it_is_whatever_the_order_of_the_touches() -> None
 
 
 def test_foam_that_scatters_smoothly_is_learned_and_a_lump_told_from_it() -> None:
-    """Over 4 cm, by 6 %, without a lump and with one, 20 % at most: fields touched on a lattice of 2.8 cm."""
+    """Over 4 cm, by 6 %, without an inclusion and with one, 20 % at most: fields touched on a lattice of 2.8 cm."""
     at, found, alarms, scatter = lattice(0.028), 0, 0, []
     for seed in range(1000, 1004):
         lump = (0.08 + 0.01 * (seed - 1000), 0.085, 0.02, 0.012, 10.0)
@@ -115,13 +123,13 @@ def test_foam_that_scatters_smoothly_is_learned_and_a_lump_told_from_it() -> Non
 def test_the_exponent_tells_a_lump_from_foam_as_stiff() -> None:
     """What is felt the more the harder the tip presses lies below; foam that is stiffer is as much so at any force."""
     at, felt = lattice(0.035), scattering(foam((0.1, 0.1, 0.02, 0.015, 10.0)), 0.1, 1004)
-    guess = LumpGuesses(*(np.array([one]) for one in ((0.1, 0.1), 0.02, 0.015, contrast_share(10.0), 1.0)))
+    guess = InclusionHypotheses(*(np.array([one]) for one in ((0.1, 0.1), 0.02, 0.015, contrast_share(10.0), 1.0)))
     sd, logs = float(np.hypot(NOISE, 0.02)), [felt(xy_m) for xy_m in at]
 
-    def given(rises: FloatArray) -> LumpPosterior:
+    def given(rises: FloatArray) -> InclusionPosterior:
         each = zip(at, logs, HERTZ + STIFFER * (np.array(logs) - LEVEL) + rises, strict=True)
         samples = (StiffnessSample(xy_m, log, sd, exponent=bent, exponent_sd=0.024) for xy_m, log, bent in each)
-        return LumpPosterior(GRID, PRIOR, tuple(samples))
+        return InclusionPosterior(GRID, PRIOR, tuple(samples))
 
     assert not given(np.zeros(len(at))).found
     (one,) = given(guess.shifts(at, 0.0098).exponent[:, 0]).found
@@ -143,7 +151,7 @@ def test_a_search_finds_a_stiff_one_and_a_soft_one() -> None:
 
 def test_a_search_of_foam_alone_ends_without_one_or_at_its_budget(monkeypatch: pytest.MonkeyPatch) -> None:
     for name, value in (("MOST_CENTRES", 250), ("DEPTHS_M", (0.01, 0.02)), ("TIMES", (4.0, 50.0))):
-        monkeypatch.setattr(lump_posterior, name, value)  # quick
+        monkeypatch.setattr(inclusion_posterior, name, value)  # quick
     posterior, stop = sought(foam())
     assert (stop, posterior.found) == ("no lump missed", ())
     assert posterior.missed_smallest < 0.05
@@ -154,16 +162,16 @@ def test_a_search_of_foam_alone_ends_without_one_or_at_its_budget(monkeypatch: p
 
 def test_it_refuses_lumps_that_do_not_fit() -> None:
     with pytest.raises(InputError, match="radius from"):
-        LumpPrior(smallest_m=0.2)
+        InclusionPrior(smallest_m=0.2)
     with pytest.raises(InputError, match="smallest lumps fit"):
-        LumpPosterior(MapGrid((0.1, 0.1)), LumpPrior(smallest_m=0.06))
+        InclusionPosterior(MapGrid((0.1, 0.1)), InclusionPrior(smallest_m=0.06))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("scatters", [False, True])
 def test_what_it_says_of_missed_lumps_is_right_on_its_own_prior(scatters: bool) -> None:
-    """Fields drawn from the prior, half with a lump of 2 cm radius, some touches each: as many lumps are not found as
-    it says, within three deviations. In even foam, and in foam that varies by 2 to 10 % over 4 cm."""
+    """Fields drawn from the prior, half with an inclusion of 2 cm radius, some touches each: as many inclusions are not
+    found as it says, within three deviations. In even foam, and in foam that varies by 2 to 10 % over 4 cm."""
     random = np.random.default_rng(1000)
     said, missed = [], []
     for seed in range(120):

@@ -32,42 +32,44 @@ MODULUS_PA = 1e5
 """Any: forces of both laws are in proportion to it."""
 
 
-class YieldingWorld(SlabWorld):
-    """A scene some of whose foams yield (`Piece.yields`)."""
+class PlateauWorld(SlabWorld):
+    """A scene some of whose foams yield (`Piece.plateau_exponent`)."""
 
     def press(self, tip: RigidTip, center_m: FloatArray) -> Contact:
         """As `SlabWorld.press`, of a ball."""
         contact = super().press(tip, center_m)
         label = int(self.scene.label(contact.center_m[:2]))
-        yields = self.scene.pieces[label].yields if label >= 0 else 0
-        if not yields or not len(contact.node) or tip.radius is None:
+        plateau_exponent = self.scene.pieces[label].plateau_exponent if label >= 0 else 0
+        if not plateau_exponent or not len(contact.node) or tip.radius is None:
             return contact
         height_m = float(self.scene.foam_height_m(contact.center_m[:2]))
         steps = max(1, round(height_m / THICKNESS_STEP_M))
-        share = _shares(yields, self.scene.poisson, tip.radius, steps)(contact.depth_m)
+        share = _shares(plateau_exponent, self.scene.poisson, tip.radius, steps)(contact.depth_m)
         lost_n = (1.0 - float(share)) * float(contact.node_force_n.sum())
         return replace(contact, force_n=contact.force_n - lost_n * contact.normal)
 
 
-def force_share(yields: int, poisson: float, radius_m: float, thickness_m: float, depth_m: FloatArray) -> FloatArray:
+def force_share(
+    plateau_exponent: int, poisson: float, radius_m: float, thickness_m: float, depth_m: FloatArray
+) -> FloatArray:
     """(n,) force of foam that yields over that of linear foam of the same modulus, at depths (n,) [m] of a ball.
 
-    yields: Ogden's exponent: the plateau is near the modulus over this
+    plateau_exponent: Ogden's exponent: the plateau is near the modulus over this
     """
     linear = SlabWorld(Scene("level", 0, (Piece("", MODULUS_PA),), {}, thickness_m=thickness_m, poisson=poisson))
     middle, tip = 0.5 * np.asarray(linear.scene.size_m), RigidTip(radius=radius_m)
     stays_n = [
         linear.press(tip, np.array([*middle, thickness_m + radius_m - depth])).normal_force_n for depth in depth_m
     ]
-    law = OgdenFoam((0.5 * MODULUS_PA / (1.0 + poisson),), (float(yields),), poisson)
+    law = OgdenFoam((0.5 * MODULUS_PA / (1.0 + poisson),), (float(plateau_exponent),), poisson)
     return np.asarray(press_ball(law, radius_m, thickness_m, list(depth_m)).force_n / np.array(stays_n))
 
 
 @functools.lru_cache(maxsize=64)
-def _shares(yields: int, poisson: float, radius_m: float, steps: int) -> Callable[[float], FloatArray]:
+def _shares(plateau_exponent: int, poisson: float, radius_m: float, steps: int) -> Callable[[float], FloatArray]:
     """The share of the elastic force that is left, as a function of depth [m]; 1 at none."""
     thickness_m = steps * THICKNESS_STEP_M
     depth_m = np.array([depth for depth in DEPTHS_M if depth < 0.5 * thickness_m])
-    share = force_share(yields, poisson, radius_m, thickness_m, depth_m)
+    share = force_share(plateau_exponent, poisson, radius_m, thickness_m, depth_m)
     over = PchipInterpolator([0.0, *depth_m], [1.0, *share])
     return lambda depth: over(np.clip(depth, 0.0, depth_m[-1]))

@@ -1,9 +1,10 @@
-"""Where to touch next for lumps, and when enough is known: `explore --goal inclusions`.
+"""Where to touch next for inclusions, and when enough is known: `explore --goal inclusions`.
 
-While nothing is felt: the place whose touch most lowers the probability that a lump is missed, for the second: of every
-lump that is still thought of, how far apart its reading there and that of the foam alone are expected to be, in
-deviations of what the other touches leave open. Where one is felt: the place that says most about which lump it is.
-It stops where a lump of the smallest size, and of any larger one, is missed with less than `PlanOptions.missed`.
+While nothing is felt: the place whose touch most lowers the probability that an inclusion is missed, for the second: of
+every inclusion that is still thought of, how far apart its reading there and that of the foam alone are expected to be,
+in deviations of what the other touches leave open. Where one is felt: the place that says most about which inclusion it
+is. It stops where an inclusion of the smallest size, and of any larger one, is missed with less than
+`PlanOptions.missed`.
 """
 
 from __future__ import annotations
@@ -15,23 +16,23 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
-from deformscope.stages.map.exploration import Missed
-from deformscope.stages.map.lump_posterior import DEPTHS_M, EXISTS, TIMES, LumpPosterior
+from deformscope.stages.map.exploration import DetectionLimit
+from deformscope.stages.map.inclusion_posterior import DEPTHS_M, EXISTS, TIMES, InclusionPosterior
 from deformscope.stages.map.plan import ALLOWED, PlanOptions, StopReason, TouchChoice, exclusions
 from deformscope.stages.regions.touches import MapGrid
 
 FELT = 0.6
-"""From this probability of a lump on, the next touch is to tell which it is."""
+"""From this probability of an inclusion on, the next touch is to tell which it is."""
 FEWEST = 3
 """Touches before it stops."""
 AT_ONCE = 64
-"""Places that are weighed at once, with some 50 000 lumps each: no more memory than that takes."""
+"""Places that are weighed at once, with some 50 000 inclusions each: no more memory than that takes."""
 LEAST_VARIANCE = 2e-5
 """Of a reading, however well it is known: 0.4 %."""
 
 
-def plan_lump_touch(
-    posterior: LumpPosterior,
+def plan_inclusion_touch(
+    posterior: InclusionPosterior,
     options: PlanOptions,
     *,
     tip_m: FloatArray | None = None,
@@ -50,10 +51,12 @@ def plan_lump_touch(
         allowed, gain = excluded == ALLOWED, np.full(len(places), np.nan)
         if allowed.any():
             some = np.array_split(places[allowed], -(-int(allowed.sum()) // AT_ONCE))
-            gain[allowed] = np.concatenate([(told if felt else shown)(posterior, one) for one in some])
+            gain[allowed] = np.concatenate(
+                [(information_gain if felt else detection_probability)(posterior, one) for one in some]
+            )
         return excluded, gain, options.touch_s + np.hypot(*(places - tip).T) / options.speed_m_s
 
-    missed = _missed(posterior, made)
+    missed = _detection_limit(posterior, made)
     excluded, gain, cost = weighed(places, options.cell_m)
     allowed = excluded == ALLOWED
     stop = _stop(posterior, options, len(made), allowed)
@@ -81,36 +84,36 @@ def plan_lump_touch(
     )
 
 
-def shown(posterior: LumpPosterior, places_m: FloatArray) -> FloatArray:
-    """(p,) probability that touches at places (p, 2) are the first to show a lump of the size that is missed most
+def detection_probability(posterior: InclusionPosterior, places_m: FloatArray) -> FloatArray:
+    """(p,) probability that touches at places (p, 2) are the first to show an inclusion of the size that is missed most
     probably, of those that must not be."""
     radii = np.array(posterior.radii_m)
     worst = radii[int(np.where(radii >= posterior.prior.smallest_m, posterior.missed, -1.0).argmax())]
-    weight = np.where(posterior.guesses.radius_m == worst, posterior.state.posterior, 0.0)
+    weight = np.where(posterior.hypotheses.radius_m == worst, posterior.state.posterior, 0.0)
     weight = posterior.missed_smallest * weight / max(float(weight.sum()), 1e-300)
     apart2 = sum(one**2 for one in _readings(posterior, places_m))
     return cast(FloatArray, -np.expm1(-0.5 * apart2) @ weight)
 
 
-def told(posterior: LumpPosterior, places_m: FloatArray) -> FloatArray:
-    """(p,) about how many nats touches at places (p, 2) say about which lump there is, if any."""
+def information_gain(posterior: InclusionPosterior, places_m: FloatArray) -> FloatArray:
+    """(p,) about how many nats touches at places (p, 2) say about which inclusion there is, if any."""
     state = posterior.state
     weight = state.exists * state.posterior
     spread = sum(one**2 @ weight - (one @ weight) ** 2 for one in _readings(posterior, places_m))
     return cast(FloatArray, 0.5 * np.log1p(np.maximum(spread, 0.0)))
 
 
-def _readings(posterior: LumpPosterior, places_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(p, j), (p, j) by how much each lump is expected to change stiffness and exponent of a touch at places (p, 2),
-    beyond what it changed of the earlier ones, in deviations of theirs."""
+def _readings(posterior: InclusionPosterior, places_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(p, j), (p, j) by how much each inclusion is expected to change stiffness and exponent of a touch at places (p,
+    2), beyond what it changed of the earlier ones, in deviations of theirs."""
     weights, variance = posterior.kriging(places_m)
-    felt, left = posterior.guesses.shifts(places_m, posterior.contact_m), posterior.state.left
+    felt, left = posterior.hypotheses.shifts(places_m, posterior.contact_m), posterior.state.left
     apart = (felt.log - weights @ posterior.felt.log) / np.sqrt(variance + LEAST_VARIANCE)[:, None]
     earlier = posterior.felt.exponent.mean(axis=0) if len(posterior.touches) else 0.0
     return apart, (felt.exponent - earlier) / left.bent_sd
 
 
-def _stop(posterior: LumpPosterior, options: PlanOptions, made: int, allowed: BoolArray) -> StopReason | None:
+def _stop(posterior: InclusionPosterior, options: PlanOptions, made: int, allowed: BoolArray) -> StopReason | None:
     if made >= options.budget:
         return "budget"
     if not allowed.any():
@@ -120,14 +123,14 @@ def _stop(posterior: LumpPosterior, options: PlanOptions, made: int, allowed: Bo
     return None
 
 
-def _missed(posterior: LumpPosterior, made_m: FloatArray) -> Missed:
+def _detection_limit(posterior: InclusionPosterior, made_m: FloatArray) -> DetectionLimit:
     size, centres = np.asarray(posterior.grid.size_m), posterior.grid.centres_m
     circle = np.minimum(centres, size - centres).min(axis=1)
     if len(made_m):
         circle = np.minimum(circle, KDTree(made_m).query(centres)[0])
     at = int(circle.argmax())
     radii = np.array(posterior.radii_m)
-    return Missed(
+    return DetectionLimit(
         untouched_m=float(circle[at]),
         untouched_at_m=centres[at],
         lump_radius_m=radii,
@@ -138,7 +141,7 @@ def _missed(posterior: LumpPosterior, made_m: FloatArray) -> Missed:
     )
 
 
-def _why(posterior: LumpPosterior, felt: bool, gain: float, cost_s: float) -> str:
+def _why(posterior: InclusionPosterior, felt: bool, gain: float, cost_s: float) -> str:
     """Why here, in words."""
     smallest = f"a lump of {100 * posterior.prior.smallest_m:g} cm radius or more"
     unseen = f"{smallest} is missed with a probability of {posterior.missed_smallest:.0%}"

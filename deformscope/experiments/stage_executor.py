@@ -1,4 +1,4 @@
-"""Where the stages of an exploration are computed: beside its loop in a process of their own, or within it."""
+"""Where the stages of an exploration are computed: in a child process, or within its loop."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def exploration_stages(geometry: SetupGeometry, options: ExploreOptions, truth: 
 
 
 @contextlib.contextmanager
-def stages_beside(setup: Setup, options: ExploreOptions) -> Iterator[tuple[Executor, Stage]]:
+def stage_executor(setup: Setup, options: ExploreOptions) -> Iterator[tuple[Executor, Stage]]:
     """What computes, and how to have a stage computed there; its state lasts until the end of the context.
 
     Devices that go on by themselves are not to be waited for: then it is a process of its own, with one thread of BLAS

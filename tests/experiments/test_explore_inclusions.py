@@ -17,7 +17,7 @@ from deformscope.experiments.robot_geometry import AsMeasured, Touch
 from deformscope.robot.setup import Truth
 from deformscope.rows import differing, from_components, to_components
 from deformscope.session import run
-from deformscope.stages.map import lump_posterior
+from deformscope.stages.map import inclusion_posterior
 from deformscope.stages.map.exploration import LumpsFound, MapEstimate, PlannedTouch
 from deformscope.stages.map.measured import SurfaceMeasurement, TouchMeasurement
 from deformscope.stages.poke.contact import ArmCompliance
@@ -85,7 +85,7 @@ def few_guesses() -> Iterator[None]:
     """A tenth of the lumps that are thought of: quick, and enough for a bump like this one."""
     with pytest.MonkeyPatch.context() as patch:
         for name, value in (("MOST_CENTRES", 250), ("DEPTHS_M", (0.01, 0.02)), ("TIMES", (4.0, 50.0))):
-            patch.setattr(lump_posterior, name, value)
+            patch.setattr(inclusion_posterior, name, value)
         yield
 
 

@@ -13,9 +13,9 @@ from deformscope.api.exploration_result import (
     LayerThickness,
     TouchOutcome,
     TruthScore,
-    beta_words,
+    format_betas,
 )
-from deformscope.pictures.words import ENDED, claim_words, ended_words, verdict_words
+from deformscope.pictures.messages import ENDED, format_claim, format_stop, format_verdict
 from deformscope.results.render import to_line
 from deformscope.runs.exploration_run import _remarks, _said
 from deformscope.session import Step
@@ -105,8 +105,8 @@ def test_the_thesiss_rule_has_no_probability_of_its_own() -> None:
     maps = dataclasses.replace(maps_after(2), isopleths=np.zeros(0), region_count=1, probability=4e-7)
     assert maps.claimed is None
     assert maps.mapped == "beta"
-    assert verdict_words(maps) == "1 region between isopleths of beta"
-    assert claim_words(maps.claimed) == "the thesis's rule gives no probability"
+    assert format_verdict(maps) == "1 region between isopleths of beta"
+    assert format_claim(maps.claimed) == "the thesis's rule gives no probability"
     share = {"1": 4e-7, "2": 0.93, "3": 0.05, "gradual": 0.02}
     found = found_with(estimate=maps, probability=share)
     rule = "1 region between isopleths of beta (the thesis's rule gives no probability"
@@ -124,15 +124,15 @@ def test_the_thesiss_rule_has_no_probability_of_its_own() -> None:
     ],
 )
 def test_what_beta_says_follows_its_values(betas: tuple[float, ...], verdict: str, words: str) -> None:
-    said = beta_words([dataclasses.replace(touch(0), beta=beta, beta_verdict=verdict) for beta in betas])
+    said = format_betas([dataclasses.replace(touch(0), beta=beta, beta_verdict=verdict) for beta in betas])
     assert said.startswith(words)
     assert ("stiffness decides" in said) == (betas == (0.93, 0.95))
 
 
 def test_every_reason_of_a_plan_has_words() -> None:
     assert set(ENDED) == set(StopReason.__args__)  # type: ignore[attr-defined]
-    assert ended_words("stopped: link lost") == "stopped: link lost"
-    assert ended_words("")
+    assert format_stop("stopped: link lost") == "stopped: link lost"
+    assert format_stop("")
 
 
 def test_touches_are_counted_and_the_time_left_is_said(capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,15 +1,16 @@
-"""What a lump below the surface does to touches above it: its footprint on apparent stiffness.
+"""What an inclusion below the surface does to touches above it: its footprint on apparent stiffness.
 
-    shift = lump_shift(contrast_share(10.0), footprint(contact_m, radii_m, depths_m, aside_m))    # of log stiffness
+    shift = inclusion_shift(contrast_share(10.0), footprint(contact_m, radii_m, depths_m, aside_m))    # of log
+    stiffness
 
 A ball of radius R presses with Hertz's pressure on a circle of radius a; what the foam below stores of the work is the
 energy density of a half-space under that pressure (Boussinesq's stresses, Johnson 1985, eq. 3.20, summed over the
-circle). A lump changes the dent by its share in twice that energy over force times dent (to first order, exactly:
+circle). An inclusion changes the dent by its share in twice that energy over force times dent (to first order, exactly:
 reciprocity), times what an inclusion answers to a strain that is even over it, of which Eshelby (1957) gives for a ball
 of the same Poisson's ratio 0.2: h = (c - 1) / (1 + (c - 1) / 2) of c times the modulus; a rigid one 2, a hole -2.
 
-So the footprint is as wide as lump, depth and contact make it, and no constant of it is fitted but CALIBRATED. What it
-leaves out: the strain is not even over the lump, nor is the foam a half-space.
+So the footprint is as wide as inclusion, depth and contact make it, and no constant of it is fitted but CALIBRATED.
+What it leaves out: the strain is not even over the inclusion, nor is the foam a half-space.
 """
 
 from __future__ import annotations
@@ -32,9 +33,9 @@ CONTACT_STEP = 0.02
 NEAREST, FARTHEST, NODES = 0.1, 60.0, 70
 """Of the energy's grid, in contact radii, and its nodes each way."""
 ACROSS = 9
-"""Points across a lump, of a lattice in it."""
+"""Points across an inclusion, of a lattice in it."""
 MOST_SHARE = 0.85
-"""No lump takes more of a dent."""
+"""No inclusion takes more of a dent."""
 
 
 def contact_radius(dent_m: float, tip_radius_m: float) -> float:
@@ -43,21 +44,22 @@ def contact_radius(dent_m: float, tip_radius_m: float) -> float:
 
 
 def contrast_share(times: float) -> float:
-    """h of a lump so many times as stiff as what is around it; below 0 where it is softer."""
+    """h of an inclusion so many times as stiff as what is around it; below 0 where it is softer."""
     if not times >= 0.0:
         raise InputError("a ratio of moduli, 0 or more", f"{times}")
     return 2.0 * (1.0 - 2.0 / (times + 1.0))
 
 
-def lump_shift(share: FloatArray | float, footprint: FloatArray) -> FloatArray:
+def inclusion_shift(share: FloatArray | float, footprint: FloatArray) -> FloatArray:
     """(...,) what is added to log stiffness at a set force; share: h; footprint: of the same shape"""
     return np.asarray(-np.log1p(-np.minimum(CALIBRATED * share * footprint, MOST_SHARE)))
 
 
 def footprint(contact_m: float, radii_m: FloatArray, depths_m: FloatArray, aside_m: FloatArray) -> FloatArray:
-    """(r, d, s) share of a dent that comes of the foam in the place of a lump, before any contrast.
+    """(r, d, s) share of a dent that comes of the foam in the place of an inclusion, before any contrast.
 
-    contact_m: radius of the contact; radii_m: (r,) of lumps; depths_m: (d,) from the surface to their uppermost points;
+    contact_m: radius of the contact; radii_m: (r,) of inclusions; depths_m: (d,) from the surface to their uppermost
+    points;
     aside_m: (s,) from the touch to above their middles, all [m]
     """
     if not contact_m > 0.0:

@@ -11,11 +11,11 @@ from deformscope.errors import InputError
 from deformscope.lab.axisymmetric_contact import _Layer, press_ball
 from deformscope.lab.layer_world import LayerWorld
 from deformscope.lab.ogden import OgdenFoam
+from deformscope.lab.plateau_world import PlateauWorld, force_share
 from deformscope.lab.scene_lab import SceneLab
 from deformscope.lab.scenes import Piece, built_in
 from deformscope.lab.slab import RigidTip
 from deformscope.lab.slab_world import SlabWorld
-from deformscope.lab.yielding_world import YieldingWorld, force_share
 
 RADIUS_M, THICKNESS_M, POISSON = 0.01, 0.05, 0.2
 TIP = RigidTip(radius=RADIUS_M)
@@ -89,9 +89,9 @@ def test_a_slab_that_yields_takes_the_share_and_one_that_does_not_is_as_before(m
         asked.append((yields, poisson, radius_m, thickness_m))
         return 1.0 - 40.0 * depth_m
 
-    monkeypatch.setattr("deformscope.lab.yielding_world.force_share", share)
+    monkeypatch.setattr("deformscope.lab.plateau_world.force_share", share)
     scene = built_in("two-61y19-150", seed=1000)
-    yielding, linear = YieldingWorld(scene), SlabWorld(scene)
+    yielding, linear = PlateauWorld(scene), SlabWorld(scene)
     cells = scene.cells_m().reshape(-1, 2)
     for label, expected in ((0, 1.0 - 40.0 * 0.004), (1, 1.0)):
         inside = cells[scene.label(cells) == label]
@@ -112,9 +112,9 @@ def test_foam_that_yields_gives_way_the_deeper_the_more() -> None:
 
 
 def test_names_of_scenes_say_what_yields() -> None:
-    assert Piece.named("60y20").yields == 20
+    assert Piece.named("60y20").plateau_exponent == 20
     assert Piece.named("60y20").modulus_pa == Piece.named("60").modulus_pa
-    assert [piece.yields for piece in built_in("two-60y20-150").pieces] == [20, 0]
+    assert [piece.plateau_exponent for piece in built_in("two-60y20-150").pieces] == [20, 0]
     for name in ("homogeneous-60y", "homogeneous-60c30y20", "homogeneous-60y20c30", "homogeneous-60y0"):
         with pytest.raises(InputError, match="a scene"):
             built_in(name)

@@ -39,7 +39,7 @@ TAP_N, TAP_S = 4.0, 0.04
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class HiddenRig:
+class RandomizedRig:
     """Where things truly are.
 
     placement: surface, arm and tip; R_tip_force: (3, 3) forces in the sensor's axes to the tip's; force_gain: as the
@@ -54,7 +54,7 @@ class HiddenRig:
     force_gain: float = 1.0
 
     @classmethod
-    def draw(cls, number: int, tool: Tool, size_m: tuple[float, float], thickness_m: float) -> HiddenRig:
+    def draw(cls, number: int, tool: Tool, size_m: tuple[float, float], thickness_m: float) -> RandomizedRig:
         """The rig of a number. tool: whose radii are measured with a caliper, and true"""
         random = np.random.default_rng([number, 0x81D])
         T = np.array(T_BASE_SURFACE)
@@ -141,7 +141,7 @@ class SimulatedHand:
     Raises InputError where the arm does not reach what is asked for.
     """
 
-    def __init__(self, rig: HiddenRig, table: HandledTable, size_m: tuple[float, float], seed: int = 0) -> None:
+    def __init__(self, rig: RandomizedRig, table: HandledTable, size_m: tuple[float, float], seed: int = 0) -> None:
         self._rig, self._table, self._size_m = rig, table, size_m
         self._random = np.random.default_rng([seed, 0x9E6])
         self._parked = table.body.T_base_end_effector

@@ -112,7 +112,7 @@ def test_other_settings_are_drawn_beside_the_recorded_in_two_colours_and_named()
     recorded_maps = synthetic.maps(4)
     other = dataclasses.replace(recorded_maps, labels=np.zeros_like(recorded_maps.labels), region_count=1)
     axes: Any = canvas(4.0, 3.0).add_axes((0.1, 0.1, 0.8, 0.7))
-    pictures.draw_regions_beside(axes, recorded_maps, other, "threshold = 0.5")
+    pictures.draw_region_comparison(axes, recorded_maps, other, "threshold = 0.5")
     handles = axes.get_legend().legend_handles
     names = [text.get_text() for text in axes.get_legend().get_texts()]
     assert names[0].startswith(f"recorded: {recorded_maps.region_count} regions")
@@ -124,7 +124,7 @@ def test_other_settings_are_drawn_beside_the_recorded_in_two_colours_and_named()
     touches = [synthetic.touch(number) for number in range(3)]
     softer = [dataclasses.replace(one, stiffness_n_per_mm=one.stiffness_n_per_mm / 2) for one in touches]
     axes = canvas(4.0, 3.0).add_axes((0.1, 0.1, 0.8, 0.7))
-    pictures.draw_touches_beside(axes, "stiffness", touches, softer, "x")
+    pictures.draw_touch_comparison(axes, "stiffness", touches, softer, "x")
     assert [text.get_text() for text in axes.get_legend().get_texts()] == ["recorded", "x"]
     drawn = [container.lines[0].get_ydata() for container in axes.containers]
     assert drawn[1] == pytest.approx(drawn[0] / 2)

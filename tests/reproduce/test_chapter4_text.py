@@ -7,12 +7,12 @@ import dataclasses
 from pathlib import Path
 
 import deformscope
-from deformscope.reproduce.chapter4 import HOLDS, FoamDent, Scenario, in_words
+from deformscope.reproduce.chapter4 import HOLDS, FoamDent, Scenario, to_text
 from tests.reproduce.test_chapter4 import made_foam, made_scenario
 
 ROOT = Path(deformscope.__file__).parent
 SAYS = sorted({*ROOT.glob("reproduce/*.py"), *ROOT.glob("cli/reproduce_*.py"), *ROOT.parent.glob("studies/*.py")})
-QUOTED = "FindingBeside"
+QUOTED = "FindingComparison"
 """Its first argument is the thesis's statement; the second is computed."""
 METHOD = ("The thesis squeezed real cartons; these are simulated ones",)
 """How sentences begin that say what was done, whatever came of it."""
@@ -56,9 +56,9 @@ def with_field_betas(scenario: Scenario, betas: tuple[float, ...], regions: int)
 def test_chapter_4_in_words_follows_its_numbers() -> None:
     found = [made_scenario("two-150-rigid", 4)]
     foams = [made_foam(30), made_foam(60), made_foam(150)]
-    falling = in_words([with_betas(foam, 3.0 / foam.hardness_n) for foam in foams], found)
-    rising = in_words([with_betas(foam, 0.004 * foam.hardness_n) for foam in foams], found)
-    same, one = in_words(foams, found), in_words(foams[:1], found)
+    falling = to_text([with_betas(foam, 3.0 / foam.hardness_n) for foam in foams], found)
+    rising = to_text([with_betas(foam, 0.004 * foam.hardness_n) for foam in foams], found)
+    same, one = to_text(foams, found), to_text(foams[:1], found)
 
     of_hold = [next(line for line in words if line.startswith(f"By {HOLDS[0]},")) for words in (falling, rising, same)]
     assert "falls with firmness at 5 of 5 cluster sizes" in of_hold[0]
@@ -70,7 +70,7 @@ def test_chapter_4_in_words_follows_its_numbers() -> None:
 
 def test_chapter_4_says_where_betas_are_at_the_sweeps_end() -> None:
     found = made_scenario("two-150-rigid", 4)
-    apart, ended = in_words([], [found]), in_words([], [with_field_betas(found, (0.0, 0.0, 0.0, 0.0), 1)])
+    apart, ended = to_text([], [found]), to_text([], [with_field_betas(found, (0.0, 0.0, 0.0, 0.0), 1)])
     assert "As many touches as in the thesis in 1 of 1 explorations." in apart
     assert "With layers, 1 of 1 explorations have as many regions as there are; beta is 0.00 to 0.70." in apart
     (layers,) = [line for line in ended if line.startswith("With layers")]

@@ -15,7 +15,7 @@ MOST_BYTES = 2 << 30
 """Of flow that is kept."""
 
 
-class KeptMotion:
+class CachedFlow:
     """first, last: images; follow particles with `follow`.
 
     frames: in order; method: of the flow; note: called with the number of frames taken so far
