@@ -161,7 +161,7 @@ SLOW = ("reproduce-cubes", "reproduce-chapter4", "reproduce-containers")
 """Minutes each: left out unless `--only` names them or `--all` asks for them."""
 
 MASKED_KEYS = re.compile(
-    r"^(seconds|compute_s|session_s|ended_s|recording|recordings|version|versions|git.*|created|began|host|machine|path"
+    r"^(seconds|slowest_s|compute_s|session_s|ended_s|recording|recordings|version|versions|git.*|created|began|host|machine|path"
     r"|report|dataset|model|trial|time|elapsed.*|python|platform|digest.*|sha256|bytes|size.*|stamp.*|session)$"
 )
 """Of JSON: times, paths, stamps, and what depends on them."""
