@@ -24,7 +24,7 @@ BORDER_M, LEAST_BORDER_M = 0.02, 0.01
 """No touch is made so near the surface's edge, unless it is asked for; from where on an edge's law was measured."""
 LumpFlag = Annotated[
     float | None,
-    flags.one_word("NUMBER", lambda text: 0.01 * flags.positive(text)),
+    flags.one_word("NUMBER", lambda text: 0.01 * flags.positive(text), lambda m: f"{100.0 * m:g}"),
     arg(name="smallest-lump-cm", help_behavior_hint=""),
 ]
 """Typed in centimetres, kept in metres."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from deformscope.arrays import FloatArray
 from deformscope.config import flags
-from deformscope.config.explore import BORDER_M, REGION_TOUCHES, ExploreFlags, Relief
+from deformscope.config.explore import BORDER_M, REGION_TOUCHES, BetaModel, ExploreFlags, Relief
 from deformscope.errors import InputError
 from deformscope.experiments.quantity import (
     ApparentStiffness,
@@ -57,7 +57,8 @@ class ExploreOptions(ExploreFlags):
     thickness_stated: else thickness_m says where to look for the surface, and nothing more
     """
 
-    budget: int = REGION_TOUCHES
+    budget: flags.ManyFlag = REGION_TOUCHES
+    beta_model: BetaModel = "volume"
     relief: Relief = "stated"
     set_force_n: float = 3.0
     max_depth_m: float = 0.015

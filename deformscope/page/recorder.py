@@ -51,14 +51,19 @@ class _FileTake:
     before: HealthReport | None = None
     begun: bool = False
 
-    def write(self, items: object, source: RigSource | None, lossless: Sequence[str]) -> None:
-        """Record what the devices of this source gave; a file that begins meanwhile begins with the first of it."""
+    def write(
+        self, items: object, source: RigSource | None, streams: tuple[Stream, ...], lossless: Sequence[str]
+    ) -> None:
+        """Record what the devices of this source gave; a file that begins meanwhile begins with the first of it.
+
+        streams: of the devices as they were opened; one that is being connected anew may not know its kind
+        """
         if isinstance(items, Sequence):
             if not self.begun and items:
                 assert source is not None
                 self.before, self.begun = source.look(), True
                 start_ns = min(map(host_ns, items)) - source.latest_ns  # what comes later may be put back so far
-                self.recorder.start(RigLayout(source.streams), start_ns, lossless)
+                self.recorder.start(RigLayout(streams), start_ns, lossless)
             if self.before is not None:
                 before = self.before
                 items = [since(item, before) if isinstance(item, HealthReport) else item for item in items]
@@ -247,7 +252,7 @@ class PageRecorder:
                 items = [*items, *self._taken_notes()]
             if self._take is not None:
                 try:
-                    self._take.write(items, self._source, self._lossless)
+                    self._take.write(items, self._source, self._streams, self._lossless)
                 except RecordingError as error:
                     self._lose_file(self._take, error)
         if isinstance(items, Sequence) and self._shown is not None:
@@ -376,7 +381,8 @@ class PageRecorder:
         assert take is not None
         self._notes.end()
         if take.begun and self._source is not None:
-            take.write([*self._taken_notes(), self._source.look()], self._source, self._lossless)
+            last = [*self._taken_notes(), self._source.look()]
+            take.write(last, self._source, self._streams, self._lossless)
         self._take = None
         self._work.start("file", lambda: self._close_file(take))
         self._enter()

@@ -31,7 +31,7 @@ class DeviceError(Exception):
         super().__init__(" | ".join(parts))
 
     @classmethod
-    def to_text(cls, words: str) -> Self:
+    def from_text(cls, words: str) -> Self:
         """An error that another process reported in words, as one of this one."""
         error = cls.__new__(cls)
         Exception.__init__(error, words)
@@ -39,7 +39,7 @@ class DeviceError(Exception):
 
     def __reduce__(self) -> tuple[Callable[[str], Self], tuple[str], dict[str, object]]:
         """Its words and attributes: a process of a pool hands its errors over so."""
-        return self.to_text, (str(self),), self.__dict__
+        return self.from_text, (str(self),), self.__dict__
 
 
 class NotConnected(DeviceError):

@@ -135,9 +135,16 @@ class Channel:
         self._connection, self._sending = connection, threading.Lock()
 
     def send(self, *message: object) -> None:
-        """One to a program that has ended is dropped: `poll` and `receive` notice that."""
+        """One to a program that has ended is dropped: `poll` and `receive` notice that. An error of a class that has no
+        name there arrives in the words of this one, as a DeviceError: it must not end what moves an arm."""
         with self._sending, contextlib.suppress(OSError):
-            self._connection.send(message)
+            try:
+                self._connection.send(message)
+            except OSError:
+                raise
+            except Exception:  # of several classes, where something cannot be sent
+                parts = (DeviceError.from_text(str(one)) if isinstance(one, Exception) else one for one in message)
+                self._connection.send(tuple(parts))
 
     def receive(self) -> tuple[Any, ...]:
         """Wait for the next message. Raises EOFError or OSError when the program has ended."""

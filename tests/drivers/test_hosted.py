@@ -9,7 +9,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from deformscope_drivers.errors import CommandRefused, LinkLost
+from deformscope_drivers.errors import CommandRefused, DeviceError, LinkLost
 from deformscope_drivers.hosted import Channel, HostedProcess, ProcessEnded, ask_hosted
 from tests.patience import PATIENCE_S
 
@@ -26,6 +26,10 @@ def refuse(channel: Channel) -> None:
 
 def lose(channel: Channel) -> None:
     raise LinkLost("a camera", "none (unplugged?)")
+
+
+def refuse_by_a_class_of_its_own(channel: Channel) -> None:
+    raise type("OfVendor", (LinkLost,), {})("an arm that answers", "silence", "look at its cable")
 
 
 def hang(channel: Channel) -> None:
@@ -59,6 +63,13 @@ def test_an_error_crosses_with_its_class_and_its_code(process: HostedProcess) ->
     with pytest.raises(CommandRefused, match=r"error 7 \(no\)") as caught:
         process.opened(PATIENCE_S)
     assert caught.value.code == 7
+
+
+def test_an_error_that_has_no_name_elsewhere_crosses_in_words(process: HostedProcess) -> None:
+    process.start(refuse_by_a_class_of_its_own)
+
+    with pytest.raises(DeviceError, match=r"an arm that answers; got silence \| try: look at its cable"):
+        process.opened(PATIENCE_S)
 
 
 def test_a_link_that_is_lost_while_opening_is_not_taken_for_the_end_of_the_process(process: HostedProcess) -> None:

@@ -201,7 +201,8 @@ def fit_approach(
 def peak_rate(
     time_s: FloatArray, force_n: FloatArray, force_sd_n: float
 ) -> tuple[float, tuple[float, float]] | tuple[None, None]:
-    """The largest rate at which a force (n,) rose [N/s] and its 90 % interval; None of fewer than RATE_SAMPLES samples.
+    """The largest rate at which a force (n,) rose [N/s] and its 90 % interval; None of fewer than RATE_SAMPLES samples,
+    or where no such row of them lasts: times that repeat, as after a stall, tell no rate.
 
     A rate is the slope of a straight line through RATE_SAMPLES samples in a row, by least squares (the first derivative
     of Savitzky and Golay 1964): where the force bends, the mean over them. The steepest of many noisy slopes is too
@@ -211,6 +212,10 @@ def peak_rate(
     if len(time_s) < RATE_SAMPLES:
         return None, None
     windows = np.lib.stride_tricks.sliding_window_view(np.stack([time_s, force_n]), RATE_SAMPLES, axis=1)[:, ::2]
+    lasts = (np.ptp(windows[0, :, ::2], axis=1) > 0.0) & (np.ptp(windows[0, :, 1::2], axis=1) > 0.0)
+    if not lasts.any():
+        return None, None
+    windows = windows[:, lasts]
 
     def slopes(samples: slice) -> tuple[FloatArray, FloatArray]:
         time, force = windows[0, :, samples], windows[1, :, samples]

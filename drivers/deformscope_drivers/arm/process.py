@@ -25,7 +25,7 @@ CALLS = frozenset({"stop", "halt", "acknowledge_stop", "home"})
 LONG = frozenset({"home"})
 """Of these, what takes seconds."""
 UNATTENDED_S = 1.0
-"""During a long call whoever waits for it says so every 0.1 s (`hosted.WAITING_S`); after this nobody does."""
+"""During a long call whoever waits for it says so every 0.1 s (`arm.hosted.WAITING_S`); after this nobody does."""
 
 
 def serve(channel: Channel, kind: type[Arm[Any]], config: Any) -> None:

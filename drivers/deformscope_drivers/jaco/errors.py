@@ -153,6 +153,7 @@ def _vendor_error(line: str) -> type[VendorError]:
 
 VENDOR_ERRORS = {error.vendor_code: error for error in map(_vendor_error, _CODES.strip().splitlines())}
 """The exception of each code."""
+globals().update({error.__name__: error for error in VENDOR_ERRORS.values()})  # each crosses processes by its name
 NoDeviceFound = VENDOR_ERRORS[1015]
 CommunicationTimeout = VENDOR_ERRORS[1022]
 CommLayerMissing = VENDOR_ERRORS[2002]

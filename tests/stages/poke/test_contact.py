@@ -103,6 +103,18 @@ def test_the_peak_rate_is_taken_where_the_force_rises_fastest_and_not_from_too_f
     assert peak_rate(time[:9], force[:9], 0.01) == (None, None)
 
 
+def test_times_that_repeat_tell_no_peak_rate_and_hide_no_other() -> None:
+    time = 0.01 * np.arange(40.0)
+    force = 3.0 * time
+    stalled = np.concatenate([np.full(20, time[0]), time])
+
+    rate, interval = peak_rate(stalled, np.concatenate([np.zeros(20), force]), 0.001)
+
+    assert rate == pytest.approx(3.0, rel=1e-3)
+    assert interval is not None
+    assert peak_rate(np.zeros(20), np.zeros(20), 0.001) == (None, None)
+
+
 def test_slack_before_contact_changes_nothing() -> None:
     short, long = (fit_approach(*approach(3, 0.0066, slack_m=slack)) for slack in (0.002, 0.04))
     assert short.log_stiffness == pytest.approx(long.log_stiffness, abs=3.0 * np.hypot(short.log_sd, long.log_sd))
