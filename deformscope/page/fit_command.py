@@ -80,8 +80,8 @@ def _set(
         next_folder = partial(new_recording, Path(rig.record.folder), name, "")
     began = FitState("images", "beta" if isinstance(config, BetaConfig) else "theta", FitSettings())
     fit = FitProcess(config, began, page, changed, next_folder, keeps_last=True)
-    page.session.bind(fit)
     try:
+        page.session.bind(fit.start())
         if camera is not None:
             follow(camera, fit, page.session)
         return fit.result(), fit.state

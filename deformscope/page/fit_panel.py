@@ -91,7 +91,7 @@ class FitPanel:
             busy=f"the fit of {camera} begins, which takes some seconds",
         )
         next_folder = partial(new_recording, self._folder, f"{self._name}-{camera}", "")
-        self._fit = FitProcess(config, began, self._page, self._changed, next_folder)
+        self._fit = FitProcess(config, began, self._page, self._changed, next_folder).start()
         self._show(self._fit, shown=True)
         return "begun", f"of {camera}"
 

@@ -59,7 +59,11 @@ class FitProcess:
         self._newest: ImageArray | None = None
         self._out: queue.SimpleQueue[tuple[str, object] | None] = queue.SimpleQueue()
         self.thread = threading.Thread(target=self._listen, name="deformscope-fit", daemon=True)
+
+    def start(self) -> FitProcess:
+        """Begin. What is interrupted meanwhile can still be closed."""
         self.thread.start()
+        return self
 
     def on_picture(self, image: ImageArray) -> None:
         """A camera's newest picture. From the thread that takes it, which does not wait."""
@@ -98,7 +102,8 @@ class FitProcess:
     def close(self) -> None:
         """End it, and wait for its end."""
         self.end()
-        self.thread.join(3 * END_S)
+        if self.thread.ident is not None:
+            self.thread.join(3 * END_S)
 
     def _pass_picture(self) -> None:
         """To the process where that waits for one: the first in any case, then what somebody looks at."""

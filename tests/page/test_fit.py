@@ -302,7 +302,7 @@ def test_of_how_long_changes_took_the_newest_are_kept(pair: Path, monkeypatch: p
         if fit.goes_on:
             page.session.enter("adjusting", commands=fit.commands, fit=fit.state)
 
-    one = FitProcess(config, FitState("pair", "beta", FitSettings()), page, changed, keeps_last=True)
+    one = FitProcess(config, FitState("pair", "beta", FitSettings()), page, changed, keeps_last=True).start()
     page.session.bind(one)
     came = threading.Event()
     end = page.session.watch(lambda: came.set() if page.session.state.commands else None)

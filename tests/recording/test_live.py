@@ -367,7 +367,7 @@ def test_no_data_follows_for_a_window_that_ended_as_it_opened(tmp_path: Path, mo
 # A real viewer -------------------------------------------------------------------------------------------------------
 
 RECORDING = """
-    import os, signal, sys, time
+    import os, signal, sys, threading, time
     from pathlib import Path
     from deformscope.recording import live, outputs, recorder
     from tests.log import synthetic
@@ -379,7 +379,9 @@ RECORDING = """
         for frame in synthetic.frames(60):
             made.write(frame)
             if frame.index == 20:
-                feed = made._outputs.feed
+                given, feed = threading.Event(), made._outputs.feed
+                made._put(given.set, 0)  # once the writer has handed over what came before
+                given.wait()
                 while feed._unconfirmed or feed._jobs:
                     time.sleep(0.005)
                 os.kill(started[0].pid, signal.Signals[sys.argv[2]])
