@@ -236,15 +236,12 @@ def unusable_touch(number: int) -> TouchEstimate:
     return dataclasses.replace(told, depth_m=nan, modulus_pa=None, beta=None, beta_interval=None, fitted_n=unfitted)
 
 
-def small_results() -> tuple[Result, ...]:
-    """One of each kind."""
-    field, way, at = np.ones((4, 6)), np.linspace(0.0, 0.01, 5), np.zeros(3)
-    labels = np.zeros((4, 6), np.int64)
-    labels[:, 3:] = 1
-    cloud = np.ones((3, 3))
-    touch = TouchEstimate(
+def bare_touch() -> TouchEstimate:
+    """A touch to which no beta was fitted, with nothing seen around its dent."""
+    way, nothing = np.linspace(0.0, 0.01, 5), np.zeros((0, 3))
+    return TouchEstimate(
         number=0,
-        xyz_m=at,
+        xyz_m=np.zeros(3),
         normal=np.array([0.0, 0.0, 1.0]),
         approach_m=way,
         approach_n=way,
@@ -259,9 +256,18 @@ def small_results() -> tuple[Result, ...]:
         beta=None,
         beta_interval=None,
         beta_verdict="",
-        observed_m=cloud,
-        simulated_m=cloud,
+        observed_m=nothing,
+        simulated_m=nothing,
     )
+
+
+def small_results() -> tuple[Result, ...]:
+    """One of each kind."""
+    field, at = np.ones((4, 6)), np.zeros(3)
+    labels = np.zeros((4, 6), np.int64)
+    labels[:, 3:] = 1
+    cloud = np.ones((3, 3))
+    touch = dataclasses.replace(bare_touch(), observed_m=cloud, simulated_m=cloud)
     levels, intervals, rigid = np.ones(2), np.ones((2, 2)), np.zeros(2, np.bool_)
     maps = MapEstimate(
         *(1, 0.005, field, field, field, field, labels, field, 2, "regions", 0.9, levels, intervals, rigid),

@@ -23,6 +23,7 @@ from deformscope.stages.fit.moment import MomentFit
 from deformscope.stages.map.exploration import StageFailure, SurfaceEstimate, TouchEstimate
 from deformscope.stages.see.arrows import FlowArrows
 from deformscope.stages.see.tactile import TactileContact, tactile_contact
+from tests.log.synthetic_exploration import bare_touch
 
 START_NS = 1_000
 PADS = tuple(Pad(f"{name}_distal", 4, 3, (3.4e-3, 2.0e-3), at, at, 1) for at, name in enumerate(("thumb", "finger_0")))
@@ -78,27 +79,18 @@ def fields(result: Any) -> dict[str, Any]:
 
 
 def touch() -> TouchEstimate:
-    way, at = np.linspace(0.0, 0.01, 9), np.zeros(3)
-    cloud = np.zeros((0, 3))
-    return TouchEstimate(
-        number=0,
-        xyz_m=at,
-        normal=np.array([0.0, 0.0, 1.0]),
+    way = np.linspace(0.0, 0.01, 9)
+    return dataclasses.replace(
+        bare_touch(),
         approach_m=way,
         approach_n=way * 200,
         fitted_n=way * 200,
         contact_m=0.001,
         stiffness_n_per_mm=0.4,
         stiffness_interval=(0.3, 0.5),
-        rigid=False,
-        modulus_pa=None,
         depth_m=0.009,
         peak_force_n=2.0,
-        beta=None,
-        beta_interval=None,
         beta_verdict="not asked for",
-        observed_m=cloud,
-        simulated_m=cloud,
     )
 
 
