@@ -22,7 +22,7 @@ from deformscope.errors import InputError
 from deformscope.lab.rig_members import member_of
 from deformscope.rig.rig_file import Rig, RigDevice, load_rig
 from deformscope.runs.first_day import FirstDayStep, begin, first_day, next_step
-from deformscope.runs.setups import setup_of_rig
+from deformscope.runs.opened_devices import setup_of_rig
 from deformscope_drivers.arm import Arm
 from deformscope_drivers.errors import DeviceError
 from deformscope_drivers.health import Health

@@ -17,7 +17,7 @@ from deformscope.errors import InputError
 from deformscope.interruption import until_interrupted
 from deformscope.log.exploration.layout import EXPLORATION, ExplorationLayout
 from deformscope.results.render import to_line
-from deformscope.runs.setups import LAB, setup_of
+from deformscope.runs.opened_devices import LAB, setup_of
 from deformscope.runs.skeleton import leave_arm, open_run, permitted
 from deformscope.stages.msm.quiet import quiet_warp
 from deformscope.terminal import say
