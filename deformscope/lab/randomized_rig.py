@@ -136,7 +136,7 @@ class HandledTable(Protocol):
 
 
 class SimulatedHand:
-    """Does what is asked for at a table, by the kind of the request (`experiments.setting_up`); never quite exactly.
+    """Does what is asked for at a table, by the kind of the request (`experiments.rig_calibration`); never quite exactly.
 
     Raises InputError where the arm does not reach what is asked for.
     """

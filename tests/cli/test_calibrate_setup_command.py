@@ -11,11 +11,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from deformscope.cli import main
-from deformscope.experiments.setting_up import ForceReadings, PushedTip
+from deformscope.experiments.rig_calibration import ForceReadings, PushedTip
 from deformscope.rig.rig_file import load_rig, parse_rig
 from deformscope.robot.placement import Placement
+from deformscope.runs.calibration_solvers import solve_force
 from deformscope.runs.first_day import first_day, next_step
-from deformscope.runs.setup_solving import solve_force
 from deformscope.stages.setup.transform import rigid
 
 RIG = """# mine

@@ -11,13 +11,13 @@ import numpy as np
 
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.errors import InputError
-from deformscope.experiments.setting_up import BoardViews, ForceReadings, PushedTip, Taps, taps_of
+from deformscope.experiments.rig_calibration import BoardViews, ForceReadings, PushedTip, Taps, taps_of
 from deformscope.frames import ArmFrame, ColorFrame, DepthFrame, Frame, WrenchFrame
 from deformscope.pictures.setup import off_figure, offset_figure
 from deformscope.rig.rig_edit import TomlValue
 from deformscope.rig.rig_file import Rig
 from deformscope.robot.placement import Placement
-from deformscope.runs.setting_up import Arrays, RigCalibrationResult
+from deformscope.runs.rig_calibration import Arrays, RigCalibrationResult
 from deformscope.stages.setup.board import CharucoSpec
 from deformscope.stages.setup.camera import KnownLens, camera_from_views, doubt_at
 from deformscope.stages.setup.force import FreeAir, force_gain, free_air, hanging_weight, mount
