@@ -45,7 +45,7 @@ from deformscope.runs.calibration_solvers import (
     time_arrays,
     tip_arrays,
 )
-from deformscope.runs.first_day import first_day, next_step
+from deformscope.runs.commissioning import commissioning_steps, next_step
 from deformscope.runs.rig_calibration import SetupTask, Station, set_up, written_lines
 from deformscope.session import RigExperiment
 from deformscope.stages.setup.board import CharucoSpec, board_image
@@ -152,6 +152,8 @@ def _done(config: SetupOptions, task: SetupTask[M]) -> None:
     if config.picture is not None:
         write_file(config.picture, found.figure.png)
         say(f"picture: {config.picture}")
-    if config.write and (following := next_step(first_day(load_rig(config.rig, trusted=config.trust_rig), config.rig))):
+    if config.write and (
+        following := next_step(commissioning_steps(load_rig(config.rig, trusted=config.trust_rig), config.rig))
+    ):
         say(f"next: {following.command}")
     write_json({"kind": found.kind, **found.found}, config.output.json)
