@@ -21,7 +21,7 @@ from deformscope.config import DoctorConfig
 from deformscope.errors import InputError
 from deformscope.lab.rig_members import member_of
 from deformscope.rig.rig_file import Rig, RigDevice, load_rig
-from deformscope.runs.commissioning import CommissioningStep, begin, commissioning_steps, next_step
+from deformscope.runs.commissioning import RigStep, begin, commissioning_steps, next_step
 from deformscope.runs.opened_devices import setup_of_rig
 from deformscope_drivers.arm import Arm
 from deformscope_drivers.errors import DeviceError
@@ -89,20 +89,20 @@ def run(config: DoctorConfig) -> None:
         raise Unfit("a rig that works", f"trouble with {', '.join(failed)}", hint, config.rig)
 
 
-def _nothing_yet(name: str) -> CommissioningStep | None:
+def _nothing_yet(name: str) -> RigStep | None:
     """The first step of all, for a file that is empty."""
     path = Path(name).expanduser()
     return begin(name) if path.is_file() and not path.read_text(encoding="utf-8", errors="replace").strip() else None
 
 
-def _list_of(steps: tuple[CommissioningStep, ...], following: str) -> str:
+def _list_of(steps: tuple[RigStep, ...], following: str) -> str:
     """The way to an exploration, step by step, and what comes next."""
     width = max(len(step.what) for step in steps)
     lines = ["", *(f"{step.state:<8} {step.what:<{width}}  {step.words}{_minutes(step)}" for step in steps)]
     return "\n".join([*lines, *([f"next: {following}"] if following else [])])
 
 
-def _minutes(step: CommissioningStep) -> str:
+def _minutes(step: RigStep) -> str:
     """What it takes, of a step that is not done."""
     return f" (about {step.minutes} min)" if step.minutes and step.state != "done" else ""
 

@@ -33,7 +33,7 @@ from deformscope_drivers.arms import chain_of
 from deformscope_drivers.clock import Clock, monotonic_ns
 from deformscope_drivers.device import Device
 from deformscope_drivers.errors import DeviceError
-from deformscope_drivers.placed.config import PLACED
+from deformscope_drivers.manual_arm.config import MANUAL
 
 ROLES = ("arm", "wrench", "depth")
 """Kinds of the arm, of the force sensor at its end, and of the camera."""
@@ -342,7 +342,7 @@ def description_of(rig: Rig, arm: RigDevice) -> RobotDescription:
     """What [shape] says of the robot. Raises InputError, which says what is wrong with it."""
     if rig.shape == ShapeSection():
         return AS_CAPSULES
-    model = PLACED if arm.driver.name == "placed" else arm.config.model
+    model = MANUAL if arm.driver.name == "placed" else arm.config.model
     if model is None:
         raise InputError('model = "..." of the arm, beside [shape]', "none", 'model = "j2n6s300"', arm.name)
     try:
