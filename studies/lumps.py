@@ -324,12 +324,12 @@ def report(options: LumpCoverageConfig, seconds: float, outcomes: Sequence[LumpO
     tables = [table(lines, QUANTITIES, title)]
     if foams:
         tables.append(table(foams, FOAM_QUANTITIES, "By the scatter of the foam, after all touches"))
-    tables.append(Table(list(_words(found).items()), caption="Of those that were found"))
+    tables.append(Table(list(_format_counts(found).items()), caption="Of those that were found"))
     ends = [seeds.start, seeds.stop - 1]
     return StudyReport(tables, {"seeds": ends, "rows": lines, "foams": foams, "details": found, "searches": outcomes})
 
 
-def _words(counted: dict[str, float]) -> dict[str, str]:
+def _format_counts(counted: dict[str, float]) -> dict[str, str]:
     return {
         "touches until found, median": f"{counted['touches_to_find']:.3g}, at most {counted['most_to_find']:.3g}",
         "touches made": f"{counted['touches_with']:.3g} with a lump, {counted['touches_without']:.3g} without (means)",

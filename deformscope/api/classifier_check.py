@@ -27,10 +27,13 @@ class ClassifierCheckResult(LibraryResult):
     def tables(self) -> tuple[Table, ...]:
         check, score = self.check, self.check.score
         rows = [
-            ("accuracy", f"{_words(score)}, chance {score.chance:.1%}, {score.trials.sum()} of {self.trials} trials"),
+            (
+                "accuracy",
+                f"{_format_score(score)}, chance {score.chance:.1%}, {score.trials.sum()} of {self.trials} trials",
+            ),
             ("promised", format_promise(check)),
             ("calibration", format_calibration(check)),
-            *((f"{name} alone", _words(one)) for name, one in check.alone.items()),
+            *((f"{name} alone", _format_score(one)) for name, one in check.alone.items()),
         ]
         return (
             Table(rows, caption=self.name),
@@ -83,7 +86,7 @@ class ClassifierCheckResult(LibraryResult):
         }
 
 
-def _words(score: ClassificationScore) -> str:
+def _format_score(score: ClassificationScore) -> str:
     return "{:.1%} right ({:.0%} interval {:.1%} to {:.1%})".format(
         score.accuracy.value, score.level, *score.accuracy.interval
     )
@@ -114,7 +117,7 @@ def check_page(result: ClassifierCheckResult, seed: int, settings: Mapping[str, 
     check = result.check
     well = check.calibration_kept and (check.promised is None or check.kept)
     words = (f"Promised: {format_promise(check)}.", f"Calibration: {format_calibration(check)}.")
-    verdict = ReportVerdict(_words(check.score), words, hexadecimal(GOOD if well else WARN))
+    verdict = ReportVerdict(_format_score(check.score), words, hexadecimal(GOOD if well else WARN))
     sections = [Section("", [verdict, *result.tables()]), Section("Answers", list(result.figures()))]
     return html_report(
         f"A classifier on new trials: {result.name}", [*sections, *provenance_sections(seed=seed, settings=settings)]

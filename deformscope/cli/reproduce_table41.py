@@ -158,7 +158,7 @@ def _tables(
     layouts = f"{rows[0]['layouts']} layouts a scene: median [share at 0.85 or more]"
     tables = [Table(every, caption=f"IoU of regions after {counts} touches, {layouts}")]
     for count in [count for count in looked_at if count >= 8] or looked_at[-1:]:
-        after = [(f"{scene} {planner}", _words(at[scene, planner, count])) for scene, planner in keys]
+        after = [(f"{scene} {planner}", _format_row(at[scene, planner, count])) for scene, planner in keys]
         tables.append(Table(after, caption=f"After {count} touches at most"))
     if compared:
         ratios = [
@@ -185,7 +185,7 @@ def _ious(rows: Sequence[dict[str, Any]]) -> str:
     return ", ".join(f"{row['iou']:.2f} [{row['good']:.2f}]" for row in rows)
 
 
-def _words(row: dict[str, Any]) -> str:
+def _format_row(row: dict[str, Any]) -> str:
     named = (("found", "smallest found"), ("rigid_found", "rigid found"), ("ordered", "order right"))
     parts = [f"verdict and number right {row['right']:.2f}"]
     parts += [f"{words} {row[name]:.2f}" for name, words in named if row[name] is not None]

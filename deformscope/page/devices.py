@@ -31,13 +31,13 @@ class ShownDevices:
         self._session = session
         self._streams = {stream.device: stream for stream in streams}
         self._drifts: dict[str, TareDrift] = {}
-        self._said_s = -1e9
+        self._shown_s = -1e9
 
     def __call__(self, doing: str) -> None:
         """doing: what the robot does, in words; shown seldom enough for a control period"""
         now_s = self._session.state.now_s
-        if now_s - self._said_s >= SHOW_EVERY_S:
-            self._said_s = now_s
+        if now_s - self._shown_s >= SHOW_EVERY_S:
+            self._shown_s = now_s
             self._session.show(reason=doing)
 
     def on_items(self, items: Sequence[object]) -> None:

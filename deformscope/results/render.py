@@ -95,13 +95,13 @@ def _nested(value: Any) -> Any:
 
 def format_value(result: Any, name: str) -> str:
     """One quantity as it is shown: number, unit and interval; empty where it is not known."""
-    return _words(result, next(one for one in quantities(type(result)) if one.name == name))
+    return _format(result, next(one for one in quantities(type(result)) if one.name == name))
 
 
 def to_rows(result: Any, *names: str) -> Rows:
     """Quantities by their labels, each with what is shown of it; those that are not known are left out."""
     declared = {one.name: one for one in quantities(type(result))}
-    shown = [(declared[name].label, _words(result, declared[name])) for name in names]
+    shown = [(declared[name].label, _format(result, declared[name])) for name in names]
     return [row for row in shown if row[1]]
 
 
@@ -109,7 +109,7 @@ def to_columns(results: Sequence[Any]) -> tuple[tuple[str, ...], list[tuple[str,
     """Results of one kind below each other: the names of all quantities that have one and are known of any of them, and
     of each result what is shown of these."""
     kind = quantities(type(results[0])) if results else ()
-    shown = {one.label: [_words(result, one) for result in results] for one in kind if one.label}
+    shown = {one.label: [_format(result, one) for result in results] for one in kind if one.label}
     known = {label: words for label, words in shown.items() if any(words)}
     return tuple(known), [*zip(*known.values(), strict=True)]
 
@@ -117,7 +117,7 @@ def to_columns(results: Sequence[Any]) -> tuple[tuple[str, ...], list[tuple[str,
 def to_line(result: Any, kind: Literal["line", "caption"] = "line") -> str:
     """What matters most, in a line: all quantities that have a place in it, and are known."""
     shown = [(getattr(one, kind), one) for one in quantities(type(result))]
-    known = [(form, words) for form, one in shown if form and (words := _words(result, one))]
+    known = [(form, words) for form, one in shown if form and (words := _format(result, one))]
     return ", ".join(form.format(words) for form, words in known)
 
 
@@ -128,7 +128,7 @@ def length_scale(unit: str, metres_per_unit: float | None) -> tuple[float, str]:
     return (1.0, "px") if metres_per_unit is None else (1e3 * metres_per_unit, "mm")
 
 
-def _words(result: Any, one: Quantity) -> str:
+def _format(result: Any, one: Quantity) -> str:
     value = _value(result, one)
     if one.words is not None:
         return one.words(result)

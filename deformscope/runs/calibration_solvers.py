@@ -60,7 +60,7 @@ def _json(estimate: TransformEstimate) -> dict[str, Any]:
     }
 
 
-def _words(estimate: TransformEstimate) -> tuple[tuple[str, str], ...]:
+def _format_transform(estimate: TransformEstimate) -> tuple[tuple[str, str], ...]:
     half = estimate.half()
     at, turn = 1e3 * half[:3], np.degrees(half[3:])
     return (
@@ -95,7 +95,7 @@ def solve_tip(rig: Rig, T_base_ee: FloatArray) -> RigCalibrationResult:
         {"tool": {"T_ee_tip": _matrix(T_tip)}, "calibrated.tip": intervals(made.T_ee_center)},
         (
             ("ball's centre", "on the arm's end"),
-            *_words(made.T_ee_center),
+            *_format_transform(made.T_ee_center),
             ("ball", f"stays within {1e3 * made.pivot_sd_m:.2f} mm"),
         ),
         off_figure(
@@ -149,7 +149,7 @@ def solve_place(rig: Rig, touched: TouchedCorners) -> RigCalibrationResult:
         },
         (
             ("surface", "in the arm's base frame"),
-            *_words(made.T_arm_surface),
+            *_format_transform(made.T_arm_surface),
             (
                 "sides",
                 f"{1e3 * size[0]:.1f} x {1e3 * size[1]:.1f} mm, give or take {1e3 * made.size_half_m.max():.1f} mm",
@@ -218,7 +218,7 @@ def solve_camera(rig: Rig, measured: MeasuredCamera, board: CharucoSpec, *, meas
     values["doubt_m"] = round(min(doubt_m, DOUBT_AT_MOST_M), 4)
     rows = [
         ("camera", "in the arm's base frame"),
-        *_words(estimate),
+        *_format_transform(estimate),
         ("where the surface is", f"within {1e3 * doubt_m:.1f} mm"),
     ]
     if "lens" in extra:

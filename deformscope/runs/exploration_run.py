@@ -183,7 +183,8 @@ def _run(
                     permit = _permitted(robot, setup, options, asked, ending, yes=config.yes, page=page)
                     if page is not None:
                         robot.reason_to_stand = page.reason_to_stand
-                    experiment = _said(explore(setup.clock, stage, found, permit, page), run.line, options.budget, page)
+                    experiment = explore(setup.clock, stage, found, permit, page)
+                    experiment = _with_messages(experiment, run.line, options.budget, page)
                     run_session(run.source, experiment, run.recorded, robot, beside)
             finally:
                 ending.arm_stopped, ending.gaps_s = watch.arm_stopped, robot.gaps_s
@@ -246,7 +247,7 @@ def _say_on_page(recorder: Recorder, explored: ExplorationResult) -> None:
     recorder.page.session.enter("stopped", f"{known['verdict']}; touches: {known['touches']}; {known['ended']}")
 
 
-def _said(
+def _with_messages(
     experiment: RigExperiment[None], show: Callable[[str], None], budget: int, page: PageSteering | None = None
 ) -> RigExperiment[None]:
     """The same experiment; what it finds is printed, and shown on the page, as it comes. budget: touches at most"""
