@@ -24,7 +24,7 @@ from tyro.conf import arg
 from deformscope.arrays import FloatArray
 from deformscope.cli.study import Study, StudyOptions, StudyReport, Trials
 from deformscope.config import flags
-from deformscope.experiments.explorer import Explorer
+from deformscope.experiments.explorer import ExplorationStages, Explorer, UnseenSurface
 from deformscope.experiments.options import ExploreOptions
 from deformscope.experiments.robot_geometry import AsMeasured
 from deformscope.lab.scenes import built_in
@@ -119,12 +119,13 @@ def seek(case: LumpCase) -> LumpOutcome:
             thickness_m=scene.thickness_m,
         )
         robot = LabRobot(scene, options, sees=False, errors=LabErrors.none() if case.clean else LabErrors())
-        explorer = Explorer(scene.size_m, options, robot.arm, robot.truth)
+        unseen = UnseenSurface(scene.size_m, options, robot.arm, robot.truth)
+        stages = ExplorationStages(unseen, AsMeasured(scene.size_m, robot.reachable))
         heard = _HeardLumps()
-        explore_at_once(robot, explorer, AsMeasured(scene.size_m, robot.reachable), heard)
+        explore_at_once(robot, stages, heard)
     truth = tuple(map(float, scene.lumps_m[0])) if len(scene.lumps_m) else None
     foam_sd = robot.errors.scatter_sd
-    return _outcome(case, truth, foam_sd, heard, explorer, time.perf_counter() - began)  # type: ignore[arg-type]
+    return _outcome(case, truth, foam_sd, heard, stages.explorer, time.perf_counter() - began)  # type: ignore[arg-type]
 
 
 class _HeardLumps:

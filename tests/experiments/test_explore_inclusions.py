@@ -11,7 +11,7 @@ import pytest
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 from deformscope.experiments.explore import AtOnce, Exploration, RecordedRobot, explore, within_loop
-from deformscope.experiments.explorer import ExplorationStages, Explorer
+from deformscope.experiments.explorer import ExplorationStages, UnseenSurface
 from deformscope.experiments.options import ExploreOptions
 from deformscope.experiments.robot_geometry import AsMeasured, Touch
 from deformscope.robot.setup import Truth
@@ -68,15 +68,15 @@ class Heard:
 
 def explored(robot: BumpRobot | RecordedRobot) -> tuple[Exploration, list[object]]:
     truth = Truth(None, np.array([[*LUMP_M, RADIUS_M, 0.015]]))
-    explorer = Explorer(SIZE_M, OPTIONS, ArmCompliance(), truth)
+    stages = ExplorationStages(UnseenSurface(SIZE_M, OPTIONS, ArmCompliance(), truth), AsMeasured(SIZE_M))
     found, heard = Exploration(), Heard()
     run(
         [],
-        explore(lambda: 0, within_loop(ExplorationStages(explorer, AsMeasured(SIZE_M))), found),
+        explore(lambda: 0, within_loop(stages), found),
         heard,
         AtOnce(robot),
     )
-    assert not explorer.failures
+    assert not stages.explorer.failures
     return found, heard.results
 
 
