@@ -40,11 +40,13 @@ def _by_key(result: Any) -> dict[str, Any]:
             inside |= lengths(key, value, result.unit, result.metres_per_unit)
         elif one.flat:
             inside |= cast("dict[str, Any]", plain(_nested(value)))
+        elif one.interval_key:
+            inside |= {key: getattr(value, "value", None), one.interval_key: getattr(value, "interval", None)}
         elif one.per_length:
             metres = 1.0 if result.unit == "m" else result.metres_per_unit
             inside[key] = None if metres is None else _times(value, 1.0 / metres)
         else:
-            inside[key] = _json(one, value)
+            inside |= dict.fromkeys((key, one.older_key or key), _json(one, value))
     return found
 
 
@@ -108,10 +110,21 @@ def to_rows(result: Any, *names: str) -> Rows:
 def to_columns(results: Sequence[Any]) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
     """Results of one kind below each other: the names of all quantities that have one and are known of any of them, and
     of each result what is shown of these."""
-    kind = quantities(type(results[0])) if results else ()
-    shown = {one.label: [_format(result, one) for result in results] for one in kind if one.label}
-    known = {label: words for label, words in shown.items() if any(words)}
-    return tuple(known), [*zip(*known.values(), strict=True)]
+    shown: list[tuple[str, list[str]]] = []
+    for one in quantities(type(results[0])) if results else ():
+        if one.label and one.interval_key:
+            parts = [_numbers(getattr(result, one.name), one.digits) for result in results]
+            shown += (one.label, [number for number, *_ in parts]), ("interval", [f"{a} to {b}" for _, a, b in parts])
+        elif one.label:
+            shown.append((one.label, [_format(result, one) for result in results]))
+    known = [(label, words) for label, words in shown if any(words)]
+    return tuple(label for label, _ in known), [*zip(*(words for _, words in known), strict=True)]
+
+
+def _numbers(value: Any, digits: str, scale: float = 1.0, ends: Sequence[float] | None = None) -> list[str]:
+    """A number and, where it has an interval, the ends."""
+    ends = getattr(value, "interval", None) if ends is None else ends
+    return [f"{scale * each:{digits}}" for each in (getattr(value, "value", value), *(() if ends is None else ends))]
 
 
 def to_line(result: Any, kind: Literal["line", "caption"] = "line") -> str:
@@ -141,9 +154,7 @@ def _format(result: Any, one: Quantity) -> str:
         scale, unit = length_scale(result.unit, result.metres_per_unit)
     if one.per_length:
         scale, unit = 1.0 / scale, f"N/{unit}"
-    ends = getattr(result, one.interval) if one.interval else getattr(value, "interval", None)
-    number, *around = (
-        f"{scale * each:{one.digits}}" for each in (getattr(value, "value", value), *(() if ends is None else ends))
-    )
+    ends = getattr(result, one.interval) if one.interval else None
+    number, *around = _numbers(value, one.digits, scale, ends)
     between = " ({} to {})".format(*around) if around else ""
     return f"{number}{unit and f' {unit}'}{between}"
