@@ -34,7 +34,7 @@ from deformscope.experiments.touch_fit import (
 from deformscope.robot.setup import Truth
 from deformscope.robot.travel import NotThere
 from deformscope.stages.map.exploration import (
-    LumpsFound,
+    InclusionsResult,
     MapEstimate,
     PlannedTouch,
     StageFailure,
@@ -52,7 +52,7 @@ from deformscope.stages.regions.touch_error import TouchErrorModel
 from deformscope.stages.regions.touches import MapGrid, StiffnessSample
 
 StageResult = TypeVar("StageResult")
-Result = SurfaceEstimate | TouchEstimate | MapEstimate | LumpsFound | PlannedTouch | TouchForecast | StageFailure
+Result = SurfaceEstimate | TouchEstimate | MapEstimate | InclusionsResult | PlannedTouch | TouchForecast | StageFailure
 VETO_M = 0.03
 """A veto leaves out what is so near."""
 SEEN_M = 0.01
@@ -207,7 +207,7 @@ class AfterTouch:
 
     estimate: TouchEstimate
     maps: MapEstimate | None
-    inclusions: LumpsFound | None
+    inclusions: InclusionsResult | None
 
 
 class UnseenSurface:
@@ -280,7 +280,7 @@ class Explorer:
     # The next touch ---------------------------------------------------------------------------------------------------
 
     def next(self, reachable: BoolArray | None = None) -> PlannedTouch | None:
-        """Where to touch next, and why; None where that could not be planned."""
+        """Where to touch next, and why; None where that could not be planned. reachable: (rows, columns) mask"""
         return self._stage("plan", lambda: self._plan(reachable))
 
     def _plan(self, reachable: BoolArray | None) -> PlannedTouch:
@@ -353,7 +353,8 @@ class Explorer:
     # A touch ----------------------------------------------------------------------------------------------------------
 
     def touch(self, touched: TouchMeasurement, dent: Callable[[], FloatArray] | None = None) -> AfterTouch:
-        """Take a touch in, and map what is known then. dent: computes its `after_m`, where that is not known yet"""
+        """Take a touch in, and map what is known then. dent: computes its `after_m` (n, 3) [m], where that is not known
+        yet"""
         self._touch = len(self.touches) + 1
         if dent is not None and (after_m := self._stage("dent", dent)) is not None:
             touched = dataclasses.replace(touched, after_m=after_m)

@@ -310,8 +310,11 @@ class TouchingRobot:
         return Looked(used, FrameData(_depths_m(pictures), {pose.time_ns: pose}, {}))
 
     def touch(self, plan: TouchPlan, xy_m: FloatArray) -> Callable[[], Touched]:
-        """Go there, touch along the normal, keep the pictures of the dent, come back; what is returned puts together
-        what was measured. Raises ExplorationStopped, and TouchHeld where it was broken off: the arm then stands."""
+        """Go to a place (2,) [m], touch along the normal, keep the pictures of the dent, come back; what is returned
+        puts together what was measured.
+
+        Raises ExplorationStopped, and TouchHeld where it was broken off: the arm then stands.
+        """
         robot = self._robot
         robot.start()
         dents: list[tuple[DepthImage, ArmSample]] = []

@@ -120,7 +120,7 @@ def remark_of(item: object) -> tuple[str, bool] | None:
 
 
 def picture_of(item: object, camera: str) -> ImageArray | None:
-    """What this camera saw, in colour; None for any other item."""
+    """The image (H, W, 3) of this camera, in colour; None for any other item."""
     if not isinstance(item, ColorFrame | DepthFrame) or item.device != camera:
         return None
     return item.image if isinstance(item, ColorFrame) else item.color

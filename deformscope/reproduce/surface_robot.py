@@ -142,7 +142,7 @@ class LabRobot:
         self._random = np.random.default_rng([options.seed, scene.seed])
 
     def reachable(self, grid: MapGrid) -> BoolArray:
-        """All but a margin at the border."""
+        """(rows, columns) mask of all cells but a margin at the border."""
         return off_the_border(grid, self._options.border_m)
 
     def look(self) -> SurfaceMeasurement:

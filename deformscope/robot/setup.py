@@ -175,7 +175,8 @@ class SimulatedTable(SimulatedDevices, Protocol):
     truth: Truth
 
     @property
-    def T_surface_camera(self) -> FloatArray: ...
+    def T_surface_camera(self) -> FloatArray:
+        """(4, 4) [m]."""
 
     @property
     def max_force_n(self) -> float: ...
@@ -183,7 +184,8 @@ class SimulatedTable(SimulatedDevices, Protocol):
     @property
     def person(self) -> Person | None: ...
 
-    def push_tip(self, force_n: FloatArray) -> None: ...
+    def push_tip(self, force_n: FloatArray) -> None:
+        """With (3,) [N] in the surface frame."""
 
 
 @contextmanager

@@ -84,7 +84,7 @@ def _numbered(count: int) -> list[str]:
 
 
 def solve_tip(rig: Rig, T_base_ee: FloatArray) -> RigCalibrationResult:
-    """`[tool] T_ee_tip` from tilts."""
+    """`[tool] T_ee_tip` from tilts (n, 4, 4) of the arm's end in the base frame [m]."""
     made = pivot(T_base_ee)
     T_tip = np.array(made.T_ee_center.T)
     if rig.tool.tip == "sphere":
