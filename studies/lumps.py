@@ -31,7 +31,7 @@ from deformscope.lab.scenes import built_in
 from deformscope.lab.session_errors import LabErrors
 from deformscope.pictures.report import Table
 from deformscope.reproduce.surface_robot import LabRobot, explore_at_once
-from deformscope.stages.map.exploration import LumpsFound, PlannedTouch
+from deformscope.stages.map.exploration import InclusionsResult, PlannedTouch
 from deformscope.stages.map.inclusion_posterior import DEEP_M
 from studies.lump_limit import limit
 from studies.quantities import Quantity, Rate, Row, band, by, number, of_cases, rows, table
@@ -132,12 +132,12 @@ class _HeardLumps:
     """A recorder that keeps what was found after each touch."""
 
     def __init__(self) -> None:
-        self.found: list[LumpsFound] = []
+        self.found: list[InclusionsResult] = []
         self.stop = ""
 
     def write(self, items: object) -> None:
         for one in getattr(items, "results", ()):
-            if isinstance(one, LumpsFound):
+            if isinstance(one, InclusionsResult):
                 self.found.append(one)
             elif isinstance(one, PlannedTouch):
                 self.stop = one.stop_reason
@@ -179,7 +179,7 @@ def _outcome(
     )
 
 
-def _off_m(found: LumpsFound, truth: tuple[float, float, float, float] | None) -> FloatArray:
+def _off_m(found: InclusionsResult, truth: tuple[float, float, float, float] | None) -> FloatArray:
     """(k,) from the middles that were found to the true one; none without a truth."""
     return np.zeros(0) if truth is None else np.asarray(np.linalg.norm(found.centre_m - truth[:2], axis=1))
 
@@ -231,8 +231,8 @@ class LumpCoverageConfig(StudyOptions):
     """Hardness of the foam [N]."""
     lump: Annotated[str, arg(metavar="N|rigid")] = "600"
     """Hardness of the lump [N]."""
-    smallest_lump_cm: Annotated[float, arg(metavar="CM")] = 2.0
-    """Radius of the smallest lump that must not be missed [cm]."""
+    smallest_inclusion: Annotated[float, arg(metavar="M")] = 0.02
+    """Radius of the smallest inclusion that must not be missed [m]."""
     set_force: Annotated[float, arg(metavar="N")] = 5.0
     """Force to press with [N]."""
     errors: bool = False
@@ -244,7 +244,7 @@ def trials(options: LumpCoverageConfig) -> list[Trials[LumpCase, LumpOutcome]]:
     scenes = f"buried-{options.foam}-{options.lump}", f"empty-{options.foam}"
     for scene in scenes:
         built_in(scene)
-    smallest_m, clean = 0.01 * options.smallest_lump_cm, not options.errors
+    smallest_m, clean = options.smallest_inclusion, not options.errors
     cases = [
         LumpCase(scene, seed, options.touches, clean, smallest_m, options.set_force)
         for seed in reported(options.objects, options.output.seed)

@@ -57,7 +57,7 @@ def replay_exploration(recording: Replay, config: ReplayConfig, page: PageServer
     from deformscope.recording.items import read_results
     from deformscope.session import run
     from deformscope.stages.map.exploration import (
-        LumpsFound,
+        InclusionsResult,
         MapEstimate,
         PlannedTouch,
         StageFailure,
@@ -71,7 +71,7 @@ def replay_exploration(recording: Replay, config: ReplayConfig, page: PageServer
     changes = _changes(config.set, ExploreOptions)
     options = dataclasses.replace(msgspec.convert(settings["explore"], ExploreOptions), **changes)
     geometry = SetupGeometry.from_json(settings.get("setup", {}))
-    kinds = (SurfaceEstimate, PlannedTouch, TouchEstimate, MapEstimate, LumpsFound)
+    kinds = (SurfaceEstimate, PlannedTouch, TouchEstimate, MapEstimate, InclusionsResult)
     rows = list(read_results(path, kinds, trust=True))
     recorded = [row.item for row in rows]
     failed = [row.item for row in read_results(path, (StageFailure,), trust=True)]

@@ -18,7 +18,7 @@ from deformscope.robot.setup import Truth
 from deformscope.rows import differing, from_components, to_components
 from deformscope.session import run
 from deformscope.stages.map import inclusion_posterior
-from deformscope.stages.map.exploration import LumpsFound, MapEstimate, PlannedTouch
+from deformscope.stages.map.exploration import InclusionsResult, MapEstimate, PlannedTouch
 from deformscope.stages.map.measured import SurfaceMeasurement, TouchMeasurement
 from deformscope.stages.poke.contact import ArmCompliance
 
@@ -113,7 +113,7 @@ def test_the_lump_is_found_and_it_stops_by_itself(first: tuple[BumpRobot, Explor
 def test_the_recorded_touches_give_the_same_to_the_last_bit(first: tuple[BumpRobot, Exploration, list[object]]) -> None:
     robot, _, results = first
     _, again = explored(RecordedRobot(list(robot.given)))
-    kinds = (LumpsFound, PlannedTouch, MapEstimate)
+    kinds = (InclusionsResult, PlannedTouch, MapEstimate)
     before, now = ([one for one in some if isinstance(one, kinds)] for some in (results, again))
     assert len(before) == len(now) > 10
     assert all(differing(one, other) is None for one, other in zip(before, now, strict=True))
@@ -123,7 +123,7 @@ def test_what_was_found_is_recorded_without_loss(first: tuple[BumpRobot, Explora
     _, found, _ = first
     lumps = found.lumps
     assert lumps is not None
-    assert differing(lumps, from_components(LumpsFound, to_components(lumps))) is None
+    assert differing(lumps, from_components(InclusionsResult, to_components(lumps))) is None
 
 
 def test_it_has_a_planner_of_its_own() -> None:
