@@ -30,8 +30,8 @@ from deformscope.log.rig_layout import RIG
 from deformscope.pictures.compliance import compliance_png
 from deformscope.pictures.findings import Findings
 from deformscope.pictures.report import Figure, Table
-from deformscope.runs.setting_up import today, write_values
-from deformscope.runs.setups import LAB, setup_of
+from deformscope.runs.opened_devices import LAB, setup_of
+from deformscope.runs.rig_calibration import today, write_values
 from deformscope.runs.skeleton import leave_arm, open_rig_run, permitted
 from deformscope.session import RigExperiment, Step
 from deformscope.session import run as run_session

@@ -19,7 +19,7 @@ import numpy as np
 from deformscope.cli.common import recorder_of, say, show, write_file, write_json
 from deformscope.config import CameraConfig, ForceConfig, PlaceConfig, SetupOptions, TimeConfig, TipConfig
 from deformscope.errors import InputError
-from deformscope.experiments.setting_up import (
+from deformscope.experiments.rig_calibration import (
     push_tip,
     tap_tip,
     tilt_about_tip,
@@ -30,9 +30,7 @@ from deformscope.frames import ArmFrame, ColorFrame, DepthFrame
 from deformscope.log.rig_layout import RIG
 from deformscope.rig.rig_file import load_rig
 from deformscope.robot.setup import only_device
-from deformscope.runs.first_day import first_day, next_step
-from deformscope.runs.setting_up import SetupTask, Station, set_up, written_lines
-from deformscope.runs.setup_solving import (
+from deformscope.runs.calibration_solvers import (
     MeasuredCamera,
     TouchedCorners,
     camera_arrays,
@@ -47,6 +45,8 @@ from deformscope.runs.setup_solving import (
     time_arrays,
     tip_arrays,
 )
+from deformscope.runs.commissioning import commissioning_steps, next_step
+from deformscope.runs.rig_calibration import SetupTask, Station, set_up, written_lines
 from deformscope.session import RigExperiment
 from deformscope.stages.setup.board import CharucoSpec, board_image
 
@@ -152,6 +152,8 @@ def _done(config: SetupOptions, task: SetupTask[M]) -> None:
     if config.picture is not None:
         write_file(config.picture, found.figure.png)
         say(f"picture: {config.picture}")
-    if config.write and (following := next_step(first_day(load_rig(config.rig, trusted=config.trust_rig), config.rig))):
+    if config.write and (
+        following := next_step(commissioning_steps(load_rig(config.rig, trusted=config.trust_rig), config.rig))
+    ):
         say(f"next: {following.command}")
     write_json({"kind": found.kind, **found.found}, config.output.json)

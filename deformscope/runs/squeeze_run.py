@@ -14,8 +14,8 @@ from deformscope.errors import InputError
 from deformscope.interruption import until_interrupted
 from deformscope.log.squeeze.layout import SQUEEZE, SqueezeLayout
 from deformscope.runs import skeleton
+from deformscope.runs.opened_devices import LAB, squeeze_setup_of
 from deformscope.runs.operator import at_terminal
-from deformscope.runs.setups import LAB, squeeze_setup_of
 from deformscope.runs.skeleton import agree, open_run
 from deformscope.terminal import say
 
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from deformscope.page.squeezing import PageSqueezing
     from deformscope.recording.recorder import Recorder
     from deformscope.robot.squeeze_setup import SqueezeSetup
-    from deformscope.runs.setups import SqueezeOpening
+    from deformscope.runs.opened_devices import SqueezeOpening
     from deformscope.session import RigExperiment
     from deformscope.stages.squeeze.model import ContentModel
 
