@@ -68,8 +68,8 @@ LAYERS: dict[str, tuple[str, ...]] = {
         *("rig", "robot", "rows", "session", "version", *STAGES),
     ),
     "reproduce": (
-        *("api", "arrays", "capsule", "config", "errors", "experiments", "files", "frames", "lab", "log", "pictures"),
-        *("plain", "recording", "rig", "robot", "session", *STAGES),
+        *("api", "arrays", "capsule", "config", "errors", "experiments", "files", "frames", "images", "lab", "log"),
+        *("pictures", "plain", "recording", "rig", "robot", "session", *STAGES),
     ),
     # A GPU machine that has numpy, scipy and warp alone runs it.
     "bench": ("arrays", "bench_cases", "errors", "plain", "version", *STAGES),
