@@ -66,8 +66,8 @@ def run(config: ClassifyConfig) -> None:
 
 def _check(config: ClassifyConfig, path: Path, table: LabelledTable) -> None:
     """How a saved classifier does on trials that it has not seen."""
-    from deformscope.api.classification import load_classifier
     from deformscope.api.classifier_check import ClassifierCheckResult, check_page
+    from deformscope.files.classifier_file import load_classifier
     from deformscope.stages.squeeze.model_check import check_model
 
     model = load_classifier(path)

@@ -271,7 +271,7 @@ def fit_moment(
         explained=nan,
     )
     try:
-        held, _ = hold_what_is_seen(grid, tracked, particles, particles.contact_rect)
+        held, _ = hold_what_is_seen(grid, tracked, particles.held, particles.contact_rect)
         found = calibrate([observe(grid, tracked, held, particles)], fit)
     except InputError as error:
         return dataclasses.replace(nothing, verdict_text=f"unidentified: {error}")
