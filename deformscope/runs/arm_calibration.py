@@ -81,10 +81,11 @@ def calibrate_arm(
             except ExplorationStopped as error:
                 stop = error.stop
                 recorder.stopped_because(f"{stop.kind}: {stop.reason}")
+        found = None
         if stop is None:
             found = _result(combine_compliance(made), f"({100 * xy_m[0]:.0f}, {100 * xy_m[1]:.0f}) cm")
             recorder.write(Step((RigFindings(found.findings(config.rig), tuple(opened.source.streams)),)))
-    if stop is not None:
+    if found is None:
         leave_arm(stop, len(made), asked, recorder.summary().path, arm_stopped=watch.arm_stopped)
     if config.write and not config.rig.startswith(LAB):
         write_values(Path(config.rig), found.dated)

@@ -7,7 +7,7 @@ import contextlib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, NoReturn, Protocol
 
 from deformscope.errors import InputError
 from deformscope.log.rig_layout import RigLayout
@@ -201,7 +201,7 @@ def permitted(
 
 def leave_arm(
     stop: ExplorationStop | None, touched: int, asked: Interruption, recording: Path | None, *, arm_stopped: bool = True
-) -> None:
+) -> NoReturn:
     """As `leave`, after so many touches."""
     from deformscope.robot.supervisor import Fault
 
@@ -220,7 +220,7 @@ def leave(
     again: str,
     *,
     ended: bool,
-) -> None:
+) -> NoReturn:
     """End the command as the stop demands: with the reason and what to do, or by the signal's own exit status.
 
     state: how far it came and whether the robot stands; ended: somebody asked for it
