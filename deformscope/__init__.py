@@ -16,7 +16,6 @@ import importlib
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from deformscope.api.classification import ClassificationResult
     from deformscope.errors import InputError
     from deformscope.library import (
         calibrate_beta,
@@ -32,6 +31,7 @@ if TYPE_CHECKING:
         squeeze,
     )
     from deformscope.runs.calibration import CalibrationResult
+    from deformscope.runs.classification import ClassificationResult
     from deformscope.runs.datasets import OpenDataset
     from deformscope.runs.exploration_result import ExplorationResult
     from deformscope.runs.prediction import PredictionResult
@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from deformscope.version import __version__
 
 _NAMES = {
-    "api.classification": "ClassificationResult",
+    "runs.classification": "ClassificationResult",
     "errors": "InputError",
     "library": "calibrate_beta calibrate_theta classify explore load_classifier open_dataset open_recording predict"
     " record replay squeeze",

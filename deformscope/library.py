@@ -15,12 +15,12 @@ from deformscope.errors import InputError
 from deformscope.terminal import Progress, Say, messages_to, shown_progress
 
 if TYPE_CHECKING:
-    from deformscope.api.classification import ClassificationResult, TableSource
     from deformscope.arrays import FloatArray, ImageArray
     from deformscope.config import BetaConfig, ThetaConfig
     from deformscope.config.explore import BetaModel, Feel, Goal, Pace, Planner
     from deformscope.config.flags import Selectable, TipName
     from deformscope.runs.calibration import CalibrationResult, PairArrays
+    from deformscope.runs.classification import ClassificationResult, TableSource
     from deformscope.runs.datasets import OpenDataset
     from deformscope.runs.exploration_result import ExplorationResult
     from deformscope.runs.prediction import ModelSource, PredictionResult
@@ -306,8 +306,8 @@ def classify(
     """
     names = ("splits", "costly_splits", "curve_splits", "level", "seed")
     given = {name: value for name, value in locals().items() if name in names}
-    from deformscope.api.classification import classify_table, options_of, table_from
     from deformscope.config import ClassifyConfig
+    from deformscope.runs.classification import classify_table, options_of, table_from
 
     with _python_names():
         options = options_of(ClassifyConfig.of(table=Path(), **given), tuple(transfer))

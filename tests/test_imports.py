@@ -83,19 +83,14 @@ LAYERS: dict[str, tuple[str, ...]] = {
         *("interruption", "lab", "log", "page.server", "pictures", "processes", "recording", "rig", "robot"),
         *("session", "terminal", *STAGES),
     ),
-    # Computations on files, arrays and recordings, and the results of all.
-    "api": (
-        *("arrays", "config", "errors", "experiments", "file_io", "files", "frames", "images"),
-        *("lab", "log", "pictures", "plain", "recording", "results", "runs", "session", "terminal", "version", *STAGES),
-    ),
-    # What drives devices or a recording, with doubles from the laboratory where they are asked for.
+    # From options to results, with devices, files or a recording, and doubles where they are asked for.
     "runs": (
         *("arrays", "config", "errors", "experiments", "file_io", "files", "frames", "images", "interruption", "lab"),
         *("log", "page", "page.server", "pictures", "plain", "recording", "results", "rig", "robot", "rows"),
         *("session", "terminal", "version", *STAGES),
     ),
     # The functions behind `import deformscope`.
-    "library": ("api", "arrays", "config", "errors", "file_io", "files", "runs", "terminal", *STAGES),
+    "library": ("arrays", "config", "errors", "file_io", "files", "runs", "terminal", *STAGES),
 }
 """What each folder may import of the others, also inside functions and for type checking. Nothing imports `cli`."""
 FORBIDDEN = {

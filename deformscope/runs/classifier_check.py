@@ -6,11 +6,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from deformscope.api.classification import score_entry
 from deformscope.pictures import classification as pictures
 from deformscope.pictures.palette import GOOD, WARN, hexadecimal
 from deformscope.pictures.report import Figure, ReportVerdict, Section, Table, html_report
 from deformscope.runs.calibration_report import provenance_sections
+from deformscope.runs.classification import score_entry
 from deformscope.runs.result import LibraryResult
 from deformscope.stages.squeeze.model_check import ModelCheck
 from deformscope.stages.squeeze.scores import ClassificationScore
