@@ -139,7 +139,6 @@ class CalibrateOptions(RecordedOptions):
         return any(map(_names_rig, self.sources))
 
     def check(self) -> None:
-        check_arrays(self.sources, self.images, self.search.noise_px, "pair files")
         if self.adjust and self.output.viewer != "page":
             raise InputError("--viewer page with --adjust", self.output.viewer)
         if not self.from_rig:

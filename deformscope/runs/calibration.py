@@ -16,6 +16,7 @@ import numpy as np
 
 from deformscope.arrays import FloatArray, ImageArray
 from deformscope.config import BetaConfig, ImageOptions, OutputOptions, ThetaConfig
+from deformscope.config.calibrate import check_arrays
 from deformscope.config.flags import Selectable
 from deformscope.errors import InputError
 from deformscope.experiments.calibration_inputs import (
@@ -192,6 +193,7 @@ def calibrate(
     if config.from_rig:
         again = "--viewer page; or fit a recording of it (deformscope record)"
         raise InputError("--viewer page with a rig, whose camera is followed there", output.viewer, again, sources[0])
+    check_arrays(sources, config.images, search.noise_px, "pair files")  # a page sets both until its fit is made
     fit = fit_options(config)
     layers = _layers(config)
     select: tuple[Selectable, ...] | None = None
