@@ -146,7 +146,6 @@ def explore(
     planner: Planner = "regions",
     set_force_n: float | None = None,
     smallest_inclusion_m: float | None = None,
-    smallest_lump_m: float | None = None,
     beta_model: BetaModel | None = None,
     pace: Pace = "careful",
     hold_s: float = 0.0,
@@ -162,11 +161,11 @@ def explore(
     """Map how soft a surface is: look, touch where it says most about the map, map, and again.
 
     rig: a rig file (.toml), or a simulated scene (`lab:NAME`); touches: at most, default 8, or 30 for inclusions
-    goal: regions of one stiffness each, or inclusions: lumps below the surface; smallest_lump_m: radius of the smallest
-    that must not be missed, default 0.02; set_force_n: at most 5 N
-    smallest_inclusion_m: radius of the smallest lumps that are sought, default 0.06; pace: quick = low and fast over
-    what is known of the surface; hold_s: of each touch, from which it says how the foam creeps; feel: what is mapped:
-    stiffness at once, stiffness when all has relaxed, or the share of its energy that a touch loses
+    goal: regions of one stiffness each, or inclusions below the surface; smallest_inclusion_m: radius of the smallest
+    that are sought, default 0.06, for inclusions 0.02; set_force_n: at most 5 N
+    pace: quick = low and fast over what is known of the surface; hold_s: of each touch, from which it says how the foam
+    creeps; feel: what is mapped: stiffness at once, stiffness when all has relaxed, or the share of its energy that a
+    touch loses
     record: a recording to make (.rrd); yes: let a real arm move, once the checks have passed, without asking
     progress: called with each line about checks and touches; default: they are printed on stderr where that is a
     terminal or a notebook; True: always, False: never; those of a rig file always, unless there is a function

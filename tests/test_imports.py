@@ -281,7 +281,7 @@ def test_a_driver_in_a_users_script_loads_nothing_of_ours() -> None:
 import sys
 import deformscope_drivers.dsa, deformscope_drivers.sdh, deformscope_drivers.optoforce, deformscope_drivers.jaco
 import deformscope_drivers.webcam, deformscope_drivers.depth_camera
-import deformscope_drivers.kuka, deformscope_drivers.placed
+import deformscope_drivers.kuka, deformscope_drivers.manual_arm
 import deformscope_drivers.wires, deformscope_drivers.ports
 heavy = "rerun warp open3d sklearn scipy cv2 matplotlib skfem pyarrow rich tyro deformscope pytest".split()
 print(sorted(set(heavy) & set(sys.modules)))

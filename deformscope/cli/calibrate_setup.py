@@ -21,8 +21,8 @@ from deformscope.log.rig_layout import RIG
 from deformscope.rig.rig_file import load_rig
 from deformscope.runs.arm_calibration import calibrate_arm, opening_of
 from deformscope.runs.calibration_tasks import TASKS
-from deformscope.runs.first_day import first_day, next_step
-from deformscope.runs.setting_up import set_up, written_lines
+from deformscope.runs.commissioning import commissioning_steps, next_step
+from deformscope.runs.rig_calibration import set_up, written_lines
 from deformscope.stages.setup.board import CharucoSpec, board_image
 
 
@@ -43,7 +43,9 @@ def run(config: SetupOptions) -> None:
     if config.picture is not None:
         write_file(config.picture, found.figure.png)
         say(f"picture: {config.picture}")
-    if config.write and (following := next_step(first_day(load_rig(config.rig, trusted=config.trust_rig), config.rig))):
+    if config.write and (
+        following := next_step(commissioning_steps(load_rig(config.rig, trusted=config.trust_rig), config.rig))
+    ):
         say(f"next: {following.command}")
     write_json({"kind": found.kind, **found.found}, config.output.json)
 

@@ -73,7 +73,8 @@ def opened_images(sources: Sequence[str], images: ImageOptions) -> Source:
 
 
 def mask_of(sources: Sequence[str], images: ImageOptions, size: tuple[int, int]) -> ImageArray | None:
-    """The mask that was named, or that a recording holds, within the outline. size: height, width of the images [px]"""
+    """The mask (H, W[, 3]) that was named, or that a recording holds, within the outline. size: H, W of the images
+    [px]"""
     mask: ImageArray | None = None
     if images.mask is not None:
         mask = read_image(images.mask)

@@ -414,7 +414,7 @@ def _contact(stage: Stage, packed: Any) -> TouchEstimate:
 def fit_contact(
     approach: ApproachReadings, T_ee_tip: FloatArray, set_force_n: float, arm: ArmCompliance, tip: TipKind
 ) -> TouchEstimate:
-    """The law of an approach, along the way that the tip took while it pressed.
+    """The law of an approach, along the way that the tip took while it pressed. T_ee_tip: (4, 4) [m]
 
     Raises InputError where the arm did not press, and where the law cannot be fitted.
     """

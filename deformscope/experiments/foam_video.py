@@ -119,7 +119,7 @@ def track(
 def hold_what_is_seen(
     grid: ParticleGrid, last: Tracked, parts: Sequence[str], contact: Rect | None
 ) -> tuple[IntArray, list[str]]:
-    """Indices of the held particles whose motion is known, and the parts that had to be taken elsewhere.
+    """(n,) indices of the held particles whose motion is known, and the parts that had to be taken elsewhere.
 
     Particles lost on the way are prescribed nowhere, hence free. A part that was lost altogether (the specimen's end
     has left the image) is held at the outermost row or column still seen: what is beyond moves with it.
@@ -143,7 +143,7 @@ def hold_what_is_seen(
 
 
 def observe(grid: ParticleGrid, last: Tracked, held: IntArray, particles: ParticleOptions) -> Observation:
-    """The last pose as an observation [px]."""
+    """The last pose as an observation [px]. held: (n,) indices of particles"""
     given = particles.noise_px is not None
     noise = np.full(len(grid.rest_px), particles.noise_px) if given else last.noise_px
     return Observation(

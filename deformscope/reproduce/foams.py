@@ -251,7 +251,7 @@ def format_order(value: FloatArray, same: float = 0.0) -> str:
 
 
 def rank_correlation(a: FloatArray, b: FloatArray) -> float | None:
-    """Spearman's; None where either does not vary, or of fewer than three."""
+    """Spearman's [-] of values (n,) and (n,); None where either does not vary, or of fewer than three."""
     if len(a) < 3:
         return None
     ranks = [rankdata(np.round(x, 6)) for x in (a, b)]

@@ -25,8 +25,8 @@ from deformscope.log.findings import RigFindings
 from deformscope.pictures.compliance import compliance_png
 from deformscope.pictures.report import Figure
 from deformscope.plain import plain
-from deformscope.runs.setting_up import RigCalibrationResult, write_values
-from deformscope.runs.setups import LAB, Opening, setup_of
+from deformscope.runs.opened_devices import LAB, Opening, setup_of
+from deformscope.runs.rig_calibration import RigCalibrationResult, write_values
 from deformscope.runs.skeleton import leave_arm, open_rig_run, permitted
 from deformscope.session import RigExperiment, Step
 from deformscope.session import run as run_session

@@ -187,7 +187,8 @@ def calibrate(
     note: Note = log_note,
     progress: Progress | None = None,
 ) -> list[CalibrationResult]:
-    """Fit what the options name, or what is given as arrays; one result, or one for each of several pairs."""
+    """Fit what the options name, or pairs or images (H, W[, 3]) [0..255] that are given; one result, or one for each of
+    several pairs."""
     quiet_warp()
     sources, search, output = config.sources, config.search, config.output
     if config.from_rig:
@@ -285,8 +286,8 @@ def calibrate_images(
     progress: Progress | None,
     note: Note,
 ) -> CalibrationResult:
-    """Fit a sequence of files, or of the images given, and record it where asked. images: how they become particles
-    select: as `run_images` takes it"""
+    """Fit a sequence of files, or of the images (H, W[, 3]) given, and record it where asked. images: how they become
+    particles; select: as `run_images` takes it"""
     sources, particles = config.sources, particle_options(images, config.search.noise_px)
     masked = images.mask is not None or images.outline is not None
     settings = {"sources": list(sources), "stride": images.stride, "fps": images.fps, "mask": masked}
@@ -321,8 +322,8 @@ def run_images(
     select: tuple[Selectable, ...] | None = None,
     progress: Progress | None = None,
 ) -> CalibrationResult:
-    """One sequence through the loop: the same for files, samples and recordings. select: all frames are fitted, and
-    that is chosen by held-out error; None = the last frame is"""
+    """One sequence through the loop: the same for files, samples and recordings. mask: (H, W) [px], 0 = not the body
+    select: all frames are fitted, and that is chosen by held-out error; None = the last frame is"""
     used = settings | {"particles": dataclasses.asdict(particles), "fit": dataclasses.asdict(fit)}
     if select is not None:
         used["motion"] = {"select": select}

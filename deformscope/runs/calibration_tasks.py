@@ -9,7 +9,7 @@ import numpy as np
 
 from deformscope.config import CameraConfig, ForceConfig, PlaceConfig, TimeConfig, TipConfig
 from deformscope.errors import InputError
-from deformscope.experiments.setting_up import (
+from deformscope.experiments.rig_calibration import (
     push_tip,
     tap_tip,
     tilt_about_tip,
@@ -19,8 +19,7 @@ from deformscope.experiments.setting_up import (
 from deformscope.frames import ArmFrame, ColorFrame, DepthFrame
 from deformscope.rig.rig_file import load_rig
 from deformscope.robot.setup import only_device
-from deformscope.runs.setting_up import SetupTask, Station
-from deformscope.runs.setup_solving import (
+from deformscope.runs.calibration_solvers import (
     MeasuredCamera,
     TouchedCorners,
     camera_arrays,
@@ -35,6 +34,7 @@ from deformscope.runs.setup_solving import (
     time_arrays,
     tip_arrays,
 )
+from deformscope.runs.rig_calibration import SetupTask, Station
 from deformscope.session import RigExperiment
 from deformscope.stages.setup.board import CharucoSpec
 from deformscope.terminal import say

@@ -63,10 +63,10 @@ def dataset_table(folder: Path, entries: Sequence[TrialEntry], *, trials: bool =
     recorded = sum(bool(one.recording) for one in entries)
     rows.append(("in all", f"{len(entries)} trials, {recorded} with recordings"))
     if trials:
-        rows += [(one.trial, _words(one)) for one in entries]
+        rows += [(one.trial, _format_entry(one)) for one in entries]
     return Table(rows, caption=str(folder))
 
 
-def _words(entry: TrialEntry) -> str:
+def _format_entry(entry: TrialEntry) -> str:
     left_out = "" if entry.discarded is None else f", left out: {entry.discarded}"
     return f"{entry.content} in {entry.container}, {entry.recorded_at}{left_out}"

@@ -183,7 +183,8 @@ def poke_of(text: PokeText, model: FittedModel) -> Poke:
 
 
 def arrays_of(every: Sequence[Prediction]) -> Mapping[str, np.ndarray]:
-    """Every particle of every poke, as the command's file has them."""
+    """Of every poke the (K, d) particles at rest and deformed, in the unit of the model, and the indices (s,), (m,) of
+    the surface and of what the tip touches: as the command's file has them."""
     arrays: dict[str, np.ndarray] = {}
     for index, one in enumerate(every):
         arrays[f"rest_{index}"], arrays[f"deformed_{index}"] = one.rest, one.position

@@ -17,7 +17,7 @@ from deformscope.cli import main
 from deformscope.config import JogConfig
 from deformscope.lab import double_device
 from deformscope.recording.recorder import Recorder
-from deformscope.runs import arm_moving
+from deformscope.runs import arm_commands
 from deformscope_drivers.arm.hosted import HostedArm
 from deformscope_drivers.errors import DeviceError
 from deformscope_drivers.jaco.chains import J2N6S300
@@ -75,7 +75,7 @@ def typed(presses: list[tuple[int, str]]) -> Iterator[str]:
 def jogged(rig: Path, presses: list[tuple[int, str]]) -> np.ndarray:
     keys = typed(presses)
     recorder: Recorder = NoRecorder()  # type: ignore[assignment]
-    return np.asarray(arm_moving.jog(JogConfig(str(rig)), recorder, lambda: next(keys)))
+    return np.asarray(arm_commands.jog(JogConfig(str(rig)), recorder, lambda: next(keys)))
 
 
 def test_keys_move_the_tip_a_step_each(rig: Path) -> None:
@@ -117,7 +117,7 @@ def test_a_device_that_fails_at_closing_is_said(
     jogged(rig, [(5, "q")])
     assert capsys.readouterr().err.count(said) == 1
     with pytest.raises(StopIteration):  # whatever ends it
-        arm_moving.jog(JogConfig(str(rig)), NoRecorder(), iter(["d"]).__next__)  # type: ignore[arg-type]
+        arm_commands.jog(JogConfig(str(rig)), NoRecorder(), iter(["d"]).__next__)  # type: ignore[arg-type]
     assert capsys.readouterr().err.count(said) == 1
 
 

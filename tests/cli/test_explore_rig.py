@@ -24,7 +24,7 @@ from deformscope.robot.placement import reach
 from deformscope.robot.robot import Robot, RobotStopped
 from deformscope.robot.setup import RigParts
 from deformscope.robot.supervisor import Fault, SafetyDecision
-from deformscope.runs.setups import setup_of_rig
+from deformscope.runs.opened_devices import setup_of_rig
 from deformscope.stages.regions.touches import MapGrid
 from deformscope_drivers.errors import SettingsRefused
 from deformscope_drivers.jaco.chains import J2N6S300

@@ -239,7 +239,8 @@ def fitted_law(fit: ContactFit, arm: ArmCompliance, along_m: FloatArray) -> Floa
 def calibrate_compliance(
     time_s: FloatArray, position_m: FloatArray, force_n: FloatArray, normal: FloatArray, *, set_force_n: float = 3.0
 ) -> ArmCompliance:
-    """How the arm yields, from an approach to a rigid block (arguments as in `fit_approach`).
+    """How the arm yields, from an approach to a rigid block. Arguments as in `fit_approach`: (n,) [s], (n, 3) [m],
+    (n, 3) [N], (3,).
 
     z = z0 + c F + d F^(2/3): what a force sensor's rubber dome yields itself (Hertz 1882) is not the arm's, where it
     is DOME_SDS of its deviations or more.
