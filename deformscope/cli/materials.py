@@ -14,8 +14,6 @@ deformscope calibrate viscous press.mp4 --grid 9x15 --held bottom,contact --cont
 
 from __future__ import annotations
 
-from deformscope.api.calibration import pair_recorder, size_notes
-from deformscope.api.materials import calibrate_material, material_page
 from deformscope.cli.common import (
     EXIT_LOSSES,
     fit_progress,
@@ -33,6 +31,8 @@ from deformscope.pictures.findings import Findings
 from deformscope.pictures.material_figures import joint_png
 from deformscope.pictures.messages import value_rows
 from deformscope.pictures.report import Figure, Table
+from deformscope.runs.calibration import pair_recorder, size_notes
+from deformscope.runs.materials import calibrate_material, material_page
 from deformscope.session import Step
 from deformscope.stages.fit.estimate import converged_text, explained_text
 from deformscope.stages.fit.joint import JointEstimate, JointOptions, calibrate_both

@@ -215,7 +215,7 @@ def _ways(motion: TrackedMotion, particles: ParticleOptions, model: Model, choic
     ways: list[Way] = []
     for parts in held_sets(particles) if "held" in choices else [particles.held]:
         try:
-            held, moved = hold_what_is_seen(motion.grid, last, dataclasses.replace(particles, held=parts), contact)
+            held, moved = hold_what_is_seen(motion.grid, last, parts, contact)
         except InputError:
             if not ways:  # what was asked for
                 raise

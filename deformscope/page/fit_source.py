@@ -13,10 +13,10 @@ import cv2
 import numpy as np
 
 from deformscope.arrays import FloatArray, ImageArray
-from deformscope.calibration_options import images_of, mask_of, opened_images, particle_options
 from deformscope.config import BetaConfig, ThetaConfig
 from deformscope.errors import InputError
 from deformscope.experiments.cached_flow import CachedFlow
+from deformscope.experiments.calibration_inputs import images_of, mask_of, opened_images, particle_options
 from deformscope.experiments.foam_video import last_pose
 from deformscope.experiments.live_stages import StageExecutor
 from deformscope.file_io import ending_of, make_folder, read_file

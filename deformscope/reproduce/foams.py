@@ -196,7 +196,7 @@ def _observation(
     """The last pose as the flow saw it, or as it was, with the force on the particles held below the clamp."""
     contact = select_held(grid, ("contact",), particles.contact_rect)
     if source == "flow":
-        held, _ = hold_what_is_seen(grid, last, particles, particles.contact_rect)
+        held, _ = hold_what_is_seen(grid, last, particles.held, particles.contact_rect)
         seen = observe(grid, last, held, particles)
         return dataclasses.replace(seen, force_n=force_n, contact=np.intersect1d(contact, held))
     exact = dataclasses.replace(last, position_px=true, seen=np.ones(len(true), dtype=bool))

@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from deformscope.api.exploration_result import NOT_KNOWN, ExplorationResult, LayerThickness, TouchOutcome, TruthScore
-from deformscope.api.result import open_recorder
 from deformscope.errors import InputError
 from deformscope.interruption import until_interrupted
 from deformscope.log.exploration.layout import EXPLORATION, ExplorationLayout
 from deformscope.results.render import to_line
+from deformscope.runs.exploration_result import NOT_KNOWN, ExplorationResult, LayerThickness, TouchOutcome, TruthScore
 from deformscope.runs.opened_devices import LAB, setup_of
+from deformscope.runs.result import open_recorder
 from deformscope.runs.skeleton import leave_arm, open_run, permitted
 from deformscope.stages.msm.quiet import quiet_warp
 from deformscope.terminal import say

@@ -7,7 +7,7 @@ import contextlib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol, TypeVar
+from typing import TYPE_CHECKING, NoReturn, Protocol, TypeVar
 
 from deformscope.errors import InputError
 from deformscope.log.rig_layout import RigLayout
@@ -76,18 +76,18 @@ class OpenRun:
         return make(session, shown)
 
     def losses(self) -> dict[str, dict[str, float]]:
-        """Of each device that lost something, once they are closed; says which of them failed."""
+        """Of each device that lost something, once they are closed."""
         from deformscope.recording.losses import losses_of
 
-        say_failures(self.source.failures)
         return {} if self.last is None else losses_of(self.last)
 
 
 @contextlib.contextmanager
 def open_run(devices: AbstractContextManager[RigSource], recorder: SessionRecorder) -> Iterator[OpenRun]:
-    """The devices, open; closed in the end, and all that came until then recorded. What opens them starts the
-    recorder."""
-    with devices as source, status_line() as line:
+    """The devices, open; closed in the end, and all that came until then recorded. Which of them failed, at closing
+    too, is printed whatever ends the run. What opens them starts the recorder."""
+    with contextlib.ExitStack() as closed, devices as source, status_line() as line:
+        closed.callback(lambda: _say_failures(source.failures))
         run = OpenRun(source, line, recorder)
         yield run
         run.last = finish(source, run.recorded)
@@ -101,7 +101,7 @@ def open_rig_run(devices: AbstractContextManager[RigSource], recorder: Recorder)
         yield run
 
 
-def say_failures(failures: Mapping[str, str]) -> None:
+def _say_failures(failures: Mapping[str, str]) -> None:
     """Reasons of the devices that failed, by name."""
     for name, reason in failures.items():
         say(f"deformscope: device {name} failed: {reason}")
@@ -232,7 +232,7 @@ def agree(
 
 def leave_arm(
     stop: ExplorationStop | None, touched: int, asked: Interruption, recording: Path | None, *, arm_stopped: bool = True
-) -> None:
+) -> NoReturn:
     """As `leave`, after so many touches."""
     from deformscope.robot.supervisor import Fault
 
@@ -251,7 +251,7 @@ def leave(
     again: str,
     *,
     ended: bool,
-) -> None:
+) -> NoReturn:
     """End the command as the stop demands: with the reason and what to do, or by the signal's own exit status.
 
     state: how far it came and whether the robot stands; ended: somebody asked for it

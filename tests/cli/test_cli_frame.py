@@ -21,9 +21,9 @@ import pytest
 pytest.importorskip("tyro")
 
 from deformscope import cli, config
-from deformscope.api.result import resolve_viewer
 from deformscope.cli import common
 from deformscope.errors import InputError
+from deformscope.runs.result import resolve_viewer
 from tests.patience import PATIENCE_S
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -244,6 +244,23 @@ def test_faults_are_for_simulated_scenes(rig: Path, capsys: pytest.CaptureFixtur
     assert "lab:two-60-150" in capsys.readouterr().err
 
 
+@pytest.mark.usefixtures("simulated_clock")
+def test_the_compliance_of_an_arm_is_measured_and_written_into_its_rig_file(rig: Path, tmp_path: Path) -> None:
+    before = '"two-60-150"', "compliance_m_per_n = 2e-4\ncompliance_sd = 2e-5"
+    rig.write_text(rig.read_text().replace(before[0], '"homogeneous-rigid"').replace(before[1], ""))
+    found, recording = tmp_path / "a.json", tmp_path / "a.rrd"
+
+    assert main(["calibrate", "arm", str(rig), "--touches", "1", "--json", str(found), "--record", str(recording)]) == 0
+
+    measured, written = json.loads(found.read_text()), load_rig(rig)
+    assert measured["kind"] == "arm"
+    assert len(measured["touches"]) == 1
+    assert written.tool.compliance_m_per_n == pytest.approx(measured["compliance_m_per_n"], rel=1e-6)
+    assert written.tool.compliance_sd == pytest.approx(measured["compliance_sd"], rel=1e-6)
+    assert written.calibrated.arm is not None
+    assert main(["verify", str(recording)]) == 0
+
+
 @pytest.mark.parametrize("at", ["9,9", "-0.1,0.2", "0.3,0.41"])
 def test_an_arm_is_not_sent_beside_the_surface(at: str, rig: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["calibrate", "arm", str(rig), f"--at={at}", "--yes"]) == 2

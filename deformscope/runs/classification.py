@@ -1,4 +1,4 @@
-"""What is in a container: `deformscope.classify`, for tables of one's own and data sets of squeezes."""
+"""What is in a container: how well it is known, for tables of one's own and data sets of squeezes."""
 
 from __future__ import annotations
 
@@ -11,22 +11,20 @@ from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
-from deformscope.api.result import LibraryResult, python_names
 from deformscope.config import ClassifyConfig
 from deformscope.file_io import resolve
-from deformscope.files.classifier_file import load_classifier as _load
 from deformscope.files.classifier_file import save_classifier
 from deformscope.files.squeeze_dataset import SqueezeDataset
 from deformscope.files.table_file import read_table, table_of_arrays
 from deformscope.pictures import classification as pictures
 from deformscope.pictures.report import Figure, Table
 from deformscope.results.render import to_columns, to_json
+from deformscope.runs.result import LibraryResult
 from deformscope.stages.squeeze.evaluation import Evaluation, EvaluationOptions, ModalityComparison, Progress, evaluate
 from deformscope.stages.squeeze.model import ContentModel, fit_model
 from deformscope.stages.squeeze.scores import ClassificationScore
 from deformscope.stages.squeeze.table import LabelledTable, refuse_duplicates, without_duplicates
 from deformscope.stages.squeeze.trial_run import joined_name
-from deformscope.terminal import shown_progress
 from deformscope.version import __version__
 
 QUICK_SPLITS = 30
@@ -265,49 +263,9 @@ def table_from(
     return table
 
 
-def classify(
-    table: TableSource,
-    *,
-    modalities: Sequence[str] | None = None,
-    merge: Mapping[str, Sequence[str]] | None = None,
-    transfer: Sequence[tuple[str, str]] = (),
-    splits: int = 200,
-    costly_splits: int = 10,
-    curve_splits: int = 40,
-    duplicates: Literal["refuse", "drop"] = "refuse",
-    level: float = 0.9,
-    seed: int = 0,
-    progress: Progress | bool | None = None,
-) -> ClassificationResult:
-    """How well the content is known from each modality, and from all of them fused.
-
-    table: a file, or `label (N,)`, optional `group (N,)` and (N, ...) features by modality; modalities: these alone
-    merge: classes that become one; transfer: (trained, tested) patterns of kinds or groups of containers
-    splits: 70/30, random, stratified and by group; costly_splits: of boosting and the Gaussian process, 0 = without
-    curve_splits: of the learning curve and the steps of a squeeze; duplicates: what happens to equal trials
-    progress: called with what is done, how much of it, and of how much; default: shown on stderr where that is a
-    terminal or a notebook; True: always, False: never
-    Raises InputError for what cannot be used.
-    """
-    names = ("splits", "costly_splits", "curve_splits", "level", "seed")
-    given = {name: value for name, value in locals().items() if name in names}
-    with python_names():
-        options = options_of(ClassifyConfig.of(table=Path(), **given), tuple(transfer))
-        found = table_from(table, modalities=modalities, merge=merge, duplicates=duplicates)
-        name = str(table) if isinstance(table, str | Path) else ""
-        with shown_progress(progress) as note:
-            return classify_table(found, name, options, note)
-
-
 def options_of(config: ClassifyConfig, transfer: tuple[tuple[str, str], ...]) -> EvaluationOptions:
     """How the flags want it evaluated."""
     splits = config.splits, config.costly_splits, config.curve_splits
     if config.quick:
         splits = min(config.splits, QUICK_SPLITS), 0, 0
     return EvaluationOptions(*splits, level=config.level, seed=config.output.seed, transfer=transfer)
-
-
-def load_classifier(path: Path | str) -> ContentModel:
-    """A classifier that `deformscope classify --save` or `ClassificationResult.save` has written: its `labels`, and
-    `predict_proba({modality: (n, p) features})`. Raises InputError for any other file."""
-    return _load(Path(path))

@@ -6,12 +6,12 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from deformscope.api.calibration_report import provenance_sections
-from deformscope.api.classification import ClassificationResult, format_accuracy, format_fusion, score_tables
 from deformscope.pictures import classification as pictures
 from deformscope.pictures.palette import GOOD, IDLE, WARN, hexadecimal
 from deformscope.pictures.report import Figure, Part, ReportVerdict, Section, Table, html_report
 from deformscope.results.render import to_columns
+from deformscope.runs.calibration_report import provenance_sections
+from deformscope.runs.classification import ClassificationResult, format_accuracy, format_fusion, score_tables
 from deformscope.stages.squeeze.evaluation import Evaluation
 from deformscope.stages.squeeze.groupings import ALPHA
 from deformscope.stages.squeeze.model import ContentModel

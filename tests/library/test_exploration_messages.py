@@ -8,15 +8,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from deformscope.api.exploration_result import (
+from deformscope.pictures.messages import ENDED, format_claim, format_stop, format_verdict
+from deformscope.results.render import to_line
+from deformscope.runs.exploration_result import (
     ExplorationResult,
     LayerThickness,
     TouchOutcome,
     TruthScore,
     format_betas,
 )
-from deformscope.pictures.messages import ENDED, format_claim, format_stop, format_verdict
-from deformscope.results.render import to_line
 from deformscope.runs.exploration_run import _remarks, _with_messages
 from deformscope.session import Step
 from deformscope.stages.map.exploration import PlannedTouch

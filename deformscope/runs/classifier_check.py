@@ -6,13 +6,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from deformscope.api.calibration_report import provenance_sections
-from deformscope.api.classification import format_right
-from deformscope.api.result import LibraryResult
 from deformscope.pictures import classification as pictures
 from deformscope.pictures.palette import GOOD, WARN, hexadecimal
 from deformscope.pictures.report import Figure, ReportVerdict, Section, Table, html_report
 from deformscope.results.render import to_json
+from deformscope.runs.calibration_report import provenance_sections
+from deformscope.runs.classification import format_right
+from deformscope.runs.result import LibraryResult
 from deformscope.stages.squeeze.model_check import ModelCheck
 from deformscope.stages.squeeze.scores import ClassificationScore
 

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from deformscope.api.result import LibraryResult
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.experiments.options import SHALLOW_M
 from deformscope.pictures.messages import counted, format_claim, format_failure, format_stop, format_travel
@@ -17,6 +16,7 @@ from deformscope.pictures.report import Figure, Table
 from deformscope.recording.losses import named
 from deformscope.results.declared import derived, quantities, reported
 from deformscope.results.render import Rows, format_value, to_columns, to_json, units_of
+from deformscope.runs.result import LibraryResult
 from deformscope.stages.map.exploration import (
     DetectionLimit,
     InclusionsResult,
