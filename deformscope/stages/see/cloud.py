@@ -91,7 +91,8 @@ def not_alone(points: FloatArray, *, neighbours: int = 20, ratio: float = 2.0) -
     """(n,) points that are no statistical outliers: whose mean distance to their nearest neighbours is at most the mean
     of all points' plus `ratio` deviations (Rusu et al. 2008).
 
-    Few points (no more than `neighbours`) are all kept.
+    Few points (no more than `neighbours`) are all kept. Open3D has the same rule and takes a third of the
+    time, but lets no other thread run meanwhile (0.5 s for 100 000 points on a busy machine).
     """
     if len(points) <= neighbours:
         return np.ones(len(points), dtype=bool)

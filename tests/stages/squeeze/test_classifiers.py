@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from sklearn.base import BaseEstimator
+from sklearn.covariance import empirical_covariance, ledoit_wolf, shrunk_covariance
 from sklearn.datasets import load_digits
 from sklearn.decomposition import PCA
 from sklearn.discriminant_analysis import LinearDiscriminantAnalysis, QuadraticDiscriminantAnalysis
 from sklearn.neighbors import KNeighborsClassifier
+from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
 from deformscope.arrays import FloatArray, IntArray
@@ -68,16 +71,68 @@ def test_what_was_not_measured_becomes_the_mean_of_the_training_side() -> None:
     np.testing.assert_allclose(scaling.apply(np.array([[np.nan, 8.0]])), [[0.0, 2.0]])
 
 
-@pytest.mark.parametrize("k", [1, 3, 5])
-def test_neighbours_answer_as_scikit_learns(k: int) -> None:
-    train, truth, test, _ = sides()
-    logs = Neighbours(train, truth, k, 10).log_posterior(test)
-    theirs = KNeighborsClassifier(k).fit(train, truth)
-    share = theirs.predict_proba(test)
-    clear = np.sort(share, axis=1)[:, -1] > np.sort(share, axis=1)[:, -2]
+class Pooled(BaseEstimator):
+    """A class's covariance weighed with the pooled one, for scikit-learn's QDA."""
 
-    np.testing.assert_array_equal(logs.argmax(axis=1)[clear], theirs.predict(test)[clear])
-    np.testing.assert_allclose(np.exp(logs), (k * share + 0.1) / (k + 1), atol=2e-3)
+    def __init__(self, pooled: FloatArray, weight: float) -> None:
+        self.pooled, self.weight = pooled, weight
+
+    def fit(self, x: FloatArray) -> None:
+        scatter = empirical_covariance(x) * len(x)
+        self.covariance_ = (scatter + self.weight * self.pooled) / (len(x) - 1 + self.weight)
+
+
+class Unbiased(BaseEstimator):
+    """A class's covariance with a share of the unit matrix, for scikit-learn's LDA."""
+
+    def __init__(self, share: float) -> None:
+        self.share = share
+
+    def fit(self, x: FloatArray) -> None:
+        self.covariance_ = shrunk_covariance(np.cov(x.T), self.share)
+
+
+@pytest.mark.parametrize("name", ["knn", "qda", "linear"])
+@pytest.mark.parametrize("columns", [12, 90])
+def test_the_pipelines_are_scikit_learns_with_the_same_shrinkage(name: str, columns: int) -> None:
+    # more and fewer columns than the 45 training points; classes of equal size, as scikit-learn's LDA weighs by class
+    table = blobs(classes=3, each=25, columns=columns, apart=1.0, seed=6)
+    x, y = table.modalities["touch"], table.target
+    inside = np.tile(np.arange(25) < 15, 3)
+    train, truth, test = x[inside], y[inside], x[~inside]
+    scaling = fit_scaling(train)
+    space = project(scaling.apply(train), scaling.apply(test))
+    one, other = space.few
+
+    reduction = make_pipeline(StandardScaler(), PCA(0.8, svd_solver="full")).fit(train)
+    theirs_one, theirs_other = reduction.transform(train), reduction.transform(test)
+    signs = np.sign((one * theirs_one).sum(axis=0))
+    np.testing.assert_allclose(other, signs * theirs_other, atol=1e-9)
+    even = np.full(3, 1 / 3)
+    if name == "knn":
+        ours = Neighbours(one, truth, 5, 3).log_posterior(other)
+        weights = 1.0 + 1e-3 * 0.5 ** np.arange(5)
+        knn = KNeighborsClassifier(5, weights=lambda distance: np.tile(weights, (len(distance), 1)))
+        share = knn.fit(theirs_one, truth).predict_proba(theirs_other)
+        expected = (share * weights.sum() + 1 / 3) / (weights.sum() + 1)
+    elif name == "qda":
+        ours = fit_quadratic(one, truth, 3).log_posterior(other)
+        about = np.concatenate([theirs_one[truth == c] - theirs_one[truth == c].mean(axis=0) for c in range(3)])
+        size = theirs_one.shape[1]
+        pooled = ledoit_wolf(about, assume_centered=True)[0] * len(truth) / (len(truth) - 3)
+        pooled += 1e-9 * np.trace(pooled) / size * np.eye(size)
+        qda = QuadraticDiscriminantAnalysis(
+            solver="eigen", covariance_estimator=Pooled(pooled, size + 2.0), priors=even, tol=0.0
+        )
+        expected = qda.fit(theirs_one, truth).predict_proba(theirs_other)
+    else:
+        ours = fit_linear(one, truth, 3, 0.2).log_posterior(other)
+        lda = LinearDiscriminantAnalysis(solver="lsqr", covariance_estimator=Unbiased(0.2), priors=even)
+        expected = lda.fit(theirs_one, truth).predict_proba(theirs_other)
+
+    assert np.ptp(expected, axis=0).min() > 0.3
+    assert expected.min() > 1e-8  # none that ours would raise to its least posterior
+    np.testing.assert_allclose(np.exp(ours), expected, rtol=0.0, atol=1e-9)
 
 
 def test_the_number_of_neighbours_is_the_thesis_or_what_does_best_on_points_left_out() -> None:
