@@ -22,6 +22,12 @@ REGION_TOUCHES, INCLUSION_TOUCHES = 8, 30
 MOST_HOLD_S = 60.0
 BORDER_M, LEAST_BORDER_M = 0.02, 0.01
 """No touch is made so near the surface's edge, unless it is asked for; from where on an edge's law was measured."""
+BetaGridFlag = Annotated[
+    float,
+    arg(name="beta-grid", metavar="M"),
+    flags.Rule(lambda grid: 0.002 <= grid <= 0.02, "a {flag} of 0.002 to 0.02 m"),
+]
+BetaStepFlag = Annotated[float, flags.Rule(lambda step: 0.001 <= step <= 0.5, "a {flag} of 0.001 to 0.5")]
 LumpFlag = Annotated[
     float | None,
     flags.one_word("NUMBER", lambda text: 0.01 * flags.positive(text), lambda m: f"{100.0 * m:g}"),
@@ -46,7 +52,9 @@ class ExploreFlags(Flags):
     variance, or all of chapter 4 as the thesis has it: its field of beta, from --first (default: a preset place), any
     place above --threshold until none is, and regions along isopleths."""
     threshold: float = 0.06
-    """Variance, as a share of that before any touch, below which a place needs no touch (Th of the thesis)."""
+    """Variance, as a share of that before any touch, below which a place needs no touch (Th of the thesis). With
+    --planner thesis this and the kernel's width alone decide how many touches are made: sigma_w, which the thesis does
+    not print, is 0.6 m here, such that one foam of 60 x 40 cm takes the thesis's 3."""
     hold_s: Annotated[float, arg(name="hold", metavar="S")] = 0.0
     """Hold the force of each touch for so long [s], and report how the foam creeps: stiffness at once and relaxed,
     relaxation time, energy that a touch loses. 8 s tell times of 0.2 to 5 s."""
@@ -68,6 +76,11 @@ class ExploreFlags(Flags):
     beta_model: BetaModel | None = None
     """What beta is fitted with: layers below the surface (volume, default), the thesis's sweep with one held particle
     of a single layer (thesis, default of --planner thesis) or of layers, or none."""
+    beta_grid_m: BetaGridFlag = 0.005
+    """How far apart the particles of the thesis's sweep are, and with --planner thesis the places whose variance is
+    looked at [m]; the thesis's own is the default."""
+    beta_step: BetaStepFlag | None = 0.01
+    """Step of the thesis's sweep of beta, from 0 to below 1; the thesis's own is the default."""
 
     def __post_init__(self) -> None:
         lumps = self.goal == "inclusions"
@@ -116,6 +129,9 @@ class ExploreConfig(ExploreFlags, RecordedOptions):
     set_force_n: Annotated[flags.ForceFlag, arg(name="set-force")] = None
     """Force to press with [N], 5 N at most; default: the rig file's target_force_n, which is 3 N unless it says. Where
     it makes a dent below 2 mm, 5/3 of it (5 N at most) is pressed with."""
+    tangential: Literal["held", "free"] | None = None
+    """While it presses, hold the tip on the surface's normal, or let it follow forces across it, as chapter 4 does;
+    default: as [touch] of the rig file says, in a simulated scene held, with --planner thesis free."""
     dry_run: bool = False
     """Make the first touch 10 cm above the surface, where nothing is met, and end."""
     fault: Annotated[

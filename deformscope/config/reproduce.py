@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 from tyro.conf import OmitArgPrefixes, arg
 
 from deformscope.config import flags
+from deformscope.config.explore import BetaGridFlag, BetaStepFlag
 from deformscope.config.options import CommandOptions, OutputOptions, RecordedOptions, ViewOptions, either
 
 
@@ -99,14 +100,18 @@ class Table41Config(RecordedOptions):
 
 @dataclass(frozen=True, slots=True)
 class Chapter4Config(RecordedOptions):
-    """Thesis chapter 4 by its own rules: figure 4.5 (beta over hardness, by how the model is held and the size of its
-    clusters), 4.6 (dents of foams), 4.7 (fields of beta, isopleths, variance, truth) and table 4.1 with the number of
-    touches at Th. Some 10 minutes on two cores."""
+    """Thesis chapter 4 by its own rules: figure 4.4 (what the sweep of beta is given), 4.5 (beta over hardness, by how
+    the model is held and the size of its clusters), 4.6 (dents of foams), 4.7 (fields of beta, isopleths, variance,
+    truth) and table 4.1 with the number of touches at Th. Some 15 minutes on two cores."""
 
     out: flags.Folder = Path("runs/chapter4")
     """Folder for the figures (PNG), tables (CSV) and chapter4.json; files there are replaced."""
     seeds: flags.ManyFlag = 3
     """Layouts of each scenario, from seed 0 on; figure 4.7 shows the first."""
+    beta_grid_m: BetaGridFlag = 0.005
+    """How far apart the particles are, and the places whose variance is looked at [m]; default: the thesis's."""
+    beta_step: BetaStepFlag = 0.01
+    """Step of the sweep of beta, from 0 to below 1; default: the thesis's."""
     quick: bool = False
     """One foam and one scenario."""
     workers: flags.SomeFlag = None

@@ -48,11 +48,11 @@ def fit_beta(
         return _rigid(touched, options) if as_thesis else BetaEstimate("rigid: no dent to fit")
     ball, thickness_m = _ball(touched, fit, arm, options.tip_radius_m), surface.layer.thickness_m
     if options.beta_model == "thesis":
-        return _swept(touched, ball, surface, None)
+        return _swept(touched, ball, surface, None, options)
     if thickness_m is None:
         return BetaEstimate("not fitted: the foam's thickness is not known")
     if options.beta_model == "layers":
-        return _swept(touched, ball, surface, thickness_m)
+        return _swept(touched, ball, surface, thickness_m, options)
     found = fit_touch(surface.process, touched.after_m, ball, thickness_m=thickness_m)
     made = BetaEstimate(
         found.estimate.verdict,
@@ -63,7 +63,7 @@ def fit_beta(
     )
     if not as_thesis:
         return made
-    dent = _dent(touched, ball, surface)
+    dent = _dent(touched, ball, surface, options.beta_grid_m)
     return dataclasses.replace(made, dented_m=dent.dented_m, dent=dent)
 
 
@@ -89,10 +89,15 @@ def _ball(touched: TouchMeasurement, fit: ContactFit, arm: ArmCompliance, radius
 
 
 def _swept(
-    touched: TouchMeasurement, ball: BallContact, surface: SeenSurface, thickness_m: float | None
+    touched: TouchMeasurement,
+    ball: BallContact,
+    surface: SeenSurface,
+    thickness_m: float | None,
+    options: ExploreOptions,
 ) -> BetaEstimate:
     """By the thesis's sweep. thickness_m: of the layers below the surface; None: a single layer"""
-    swept = thesis_beta(_dent(touched, ball, surface), thickness_m=thickness_m)
+    dent = _dent(touched, ball, surface, options.beta_grid_m)
+    swept = thesis_beta(dent, thickness_m=thickness_m, step=options.beta_step)
     return BetaEstimate(
         f"thesis: {swept.note}",
         value=swept.beta,
@@ -102,9 +107,9 @@ def _swept(
     )
 
 
-def _dent(touched: TouchMeasurement, ball: BallContact, surface: SeenSurface) -> SeenDent:
+def _dent(touched: TouchMeasurement, ball: BallContact, surface: SeenSurface, cell_m: float) -> SeenDent:
     """The dent as the thesis has it: the touch surface's own process, with virtual points where the ball is."""
     tactile = tactile_points(ball.lowest_m, ball.radius_m, ball.depth_m, normal=touched.normal)
     near = np.abs(touched.after_m[:, :2] - touched.xy_m).max(axis=1) < THESIS_ROI_M
     pressed = fit_surface(touched.after_m[near], known_m=tactile, known_noise_m=np.full(len(tactile), TACTILE_NOISE_M))
-    return dent_of(surface.process, pressed, touched.xy_m)
+    return dent_of(surface.process, pressed, touched.xy_m, cell_m)

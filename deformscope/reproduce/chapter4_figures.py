@@ -11,6 +11,7 @@ import numpy as np
 from deformscope.arrays import FloatArray
 from deformscope.pictures.figures import COLOURS, canvas, figure
 from deformscope.reproduce.chapter4 import CLUSTER_SIZES, HOLDS, SCENARIOS, BetaField, FoamDent, Scenario
+from deformscope.stages.see.cloud import tactile_points
 
 LINE_WIDTH, DPI = 1.6, 130
 TICKS_CM = (-5, 0, 5)
@@ -93,6 +94,36 @@ def draw_dents(foams: Sequence[FoamDent], path: Path) -> None:
         axes.set_box_aspect(None, zoom=0.85)
         axes.view_init(elev=22.0, azim=-60.0)
     drawn.savefig(path, dpi=DPI, bbox_inches="tight")
+
+
+def draw_clouds(foam: FoamDent, path: Path) -> None:
+    """Figure 4.4: the surface before the touch and under it on the sweep's grid, as the Gaussian process has it; the
+    camera's own points, the virtual ones on the ball, and the particle that is held."""
+    low, high = 1e3 * foam.dent.after[:, 2].min(), 1e3 * foam.dent.before[:, 2].max()
+    lowest, (x, y) = int(np.argmax(foam.dent.sunk_m)), foam.dent.before[:, :2].mean(axis=0)
+    to_cm = np.array([1e2, 1e2, 1e3])
+    drawn = canvas(11.0, 4.8, layout="constrained")
+    ball = foam.ball
+    tactile = np.zeros((0, 3)) if ball is None else tactile_points(ball.lowest_m, ball.radius_m, ball.depth_m)
+    for number, (points, title) in enumerate(
+        ((foam.dent.before, "before: P0"), (foam.dent.after, "under touch: Pt")), 1
+    ):
+        axes: Any = drawn.add_subplot(1, 2, number, projection="3d", computed_zorder=False)
+        shown = (points - [x, y, 0.0]) * to_cm
+        axes.scatter(*shown.T, c=shown[:, 2], cmap="viridis", vmin=low, vmax=high, s=7, label="surface on the grid")
+        if points is foam.dent.after:
+            cloud, virtual = ((some - [x, y, 0.0]) * to_cm for some in (foam.seen_m, tactile))
+            axes.scatter(*cloud.T, c="0.55", s=1.5, label="points of the camera", zorder=0)
+            axes.scatter(*virtual.T, c=COLOURS[1], s=26, label="virtual points on the ball", zorder=3)
+            axes.scatter(*shown[[lowest]].T, c="red", marker="*", s=110, label="held particle x_h", zorder=4)
+        axes.set(zlim=(low - 1.0, high + 1.0), xlabel="x [cm]", ylabel="y [cm]", zlabel="height [mm]")
+        axes.set_title(
+            f"{title}, H = {foam.hardness_n:g} N" + (f", F = {ball.force_n:.2f} N" if ball and number == 2 else "")
+        )
+        axes.view_init(elev=18.0, azim=-60.0)
+        axes.legend(fontsize=7, loc="upper left")
+    drawn.colorbar(drawn.axes[0].collections[0], ax=drawn.axes, shrink=0.6, label="height [mm]")
+    drawn.savefig(path, dpi=DPI)
 
 
 def draw_fields(scenarios: Sequence[Scenario], path: Path) -> None:
