@@ -356,7 +356,8 @@ def options_of(config: ClassifyConfig, transfer: tuple[tuple[str, str], ...]) ->
     splits = config.splits, config.costly_splits, config.curve_splits
     if config.quick:
         splits = min(config.splits, QUICK_SPLITS), 0, 0
-    return EvaluationOptions(*splits, level=config.level, seed=config.output.seed, transfer=transfer)
+    given = {"level": config.level, "seed": config.output.seed, "plain_qda": config.plain_qda}
+    return EvaluationOptions(*splits, transfer=transfer, **given)
 
 
 def load_classifier(path: Path | str) -> ContentModel:

@@ -47,7 +47,7 @@ def run(config: Chapter4Config) -> None:
     hardnesses = HARDNESSES_N[1:2] if config.quick else HARDNESSES_N
     scenes = list(SCENARIOS)[:1] if config.quick else list(SCENARIOS)
     jobs = [(scene, seed) for seed in range(1 if config.quick else config.seeds) for scene in scenes]
-    sweep = ThesisSweep(config.beta_grid_m, config.beta_step)
+    sweep = ThesisSweep(config.beta_grid_m, config.beta_step, config.sigma_w_m)
     with recorder_of(config) as recorder:
         foams = tried(Trials("foams", partial(press_foam, sweep=sweep), hardnesses), config.workers)
         explored = tried(Trials("exploring", partial(explore_scenario, sweep=sweep), jobs), config.workers)

@@ -28,6 +28,11 @@ BetaGridFlag = Annotated[
     flags.Rule(lambda grid: 0.002 <= grid <= 0.02, "a {flag} of 0.002 to 0.02 m"),
 ]
 BetaStepFlag = Annotated[float, flags.Rule(lambda step: 0.001 <= step <= 0.5, "a {flag} of 0.001 to 0.5")]
+SigmaWFlag = Annotated[
+    float,
+    arg(name="sigma-w", metavar="M"),
+    flags.Rule(lambda width: 0.05 <= width <= 10.0, "a {flag} of 0.05 to 10 m"),
+]
 LumpFlag = Annotated[
     float | None,
     flags.one_word("NUMBER", lambda text: 0.01 * flags.positive(text), lambda m: f"{100.0 * m:g}"),
@@ -52,9 +57,7 @@ class ExploreFlags(Flags):
     variance, or all of chapter 4 as the thesis has it: its field of beta, from --first (default: a preset place), any
     place above --threshold until none is, and regions along isopleths."""
     threshold: float = 0.06
-    """Variance, as a share of that before any touch, below which a place needs no touch (Th of the thesis). With
-    --planner thesis this and the kernel's width alone decide how many touches are made: sigma_w, which the thesis does
-    not print, is 0.6 m here, such that one foam of 60 x 40 cm takes the thesis's 3."""
+    """Variance, as a share of that before any touch, below which a place needs no touch (Th of the thesis)."""
     hold_s: Annotated[float, arg(name="hold", metavar="S")] = 0.0
     """Hold the force of each touch for so long [s], and report how the foam creeps: stiffness at once and relaxed,
     relaxation time, energy that a touch loses. 8 s tell times of 0.2 to 5 s."""
@@ -79,8 +82,12 @@ class ExploreFlags(Flags):
     beta_grid_m: BetaGridFlag = 0.005
     """How far apart the particles of the thesis's sweep are, and with --planner thesis the places whose variance is
     looked at [m]; the thesis's own is the default."""
-    beta_step: BetaStepFlag | None = 0.01
+    beta_step: BetaStepFlag = 0.01
     """Step of the thesis's sweep of beta, from 0 to below 1; the thesis's own is the default."""
+    sigma_w_m: SigmaWFlag = 0.5
+    """Width of the kernel of --planner thesis [m]. With --threshold it alone decides how many touches are made, n of
+    table 4.1, whatever they find. The thesis does not print it; the default is such that 60 x 40 cm of one foam take
+    its 3 touches."""
 
     def __post_init__(self) -> None:
         lumps = self.goal == "inclusions"

@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 from tyro.conf import OmitArgPrefixes, arg
 
 from deformscope.config import flags
-from deformscope.config.explore import BetaGridFlag, BetaStepFlag
+from deformscope.config.explore import BetaGridFlag, BetaStepFlag, SigmaWFlag
 from deformscope.config.options import CommandOptions, OutputOptions, RecordedOptions, ViewOptions, either
 
 
@@ -38,6 +38,17 @@ class CubesConfig(RecordedOptions):
 
     def check(self) -> None:
         either("--pairs", "--quick", self.pairs, self.quick)
+
+
+@dataclass(frozen=True, slots=True)
+class ShapesConfig(RecordedOptions):
+    """What beta and theta do to a body: figures 3.5, 3.7, 3.8 and 3.13 of the thesis, and with --record a recording
+    whose timelines are beta and theta, to be scrubbed; Algorithm 2 as printed beside the sweep and the gradient. Some
+    seconds."""
+
+    out: flags.Folder = Path("runs/shapes")
+    """Folder for the figures (PNG) and tables (CSV); files there are replaced."""
+    output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,6 +123,8 @@ class Chapter4Config(RecordedOptions):
     """How far apart the particles are, and the places whose variance is looked at [m]; default: the thesis's."""
     beta_step: BetaStepFlag = 0.01
     """Step of the sweep of beta, from 0 to below 1; default: the thesis's."""
+    sigma_w_m: SigmaWFlag = 0.5
+    """Width of the field's kernel [m], which makes the number of touches (`deformscope explore --help`)."""
     quick: bool = False
     """One foam and one scenario."""
     workers: flags.SomeFlag = None

@@ -30,7 +30,7 @@ from deformscope.reproduce.foams import format_order
 from deformscope.reproduce.surface_robot import LabRobot, explore_at_once
 from deformscope.stages.map.gaussian_process import ProcessPrediction
 from deformscope.stages.map.map_score import match_regions
-from deformscope.stages.map.thesis_field import ThesisField, contoured
+from deformscope.stages.map.thesis_field import FINE_SIGMA_W_M, ThesisField, contoured
 from deformscope.stages.map.touch_beta import (
     COARSE_GRID_M,
     THESIS_GRID_M,
@@ -77,10 +77,12 @@ AROUND_M = 2.0 * THESIS_SIDE_M
 
 @dataclass(frozen=True, slots=True)
 class ThesisSweep:
-    """grid_m: between particles, and between places whose variance is looked at; step: of the swept beta"""
+    """grid_m: between particles, and between places whose variance is looked at; step: of the swept beta; sigma_w_m: of
+    the field's kernel"""
 
     grid_m: float = THESIS_GRID_M
     step: float = THESIS_STEP
+    sigma_w_m: float = FINE_SIGMA_W_M
 
 
 @dataclass(frozen=True, slots=True)
@@ -203,6 +205,7 @@ def explore_scenario(job: tuple[str, int], sweep: ThesisSweep | None = None) -> 
             thickness_m=scene.thickness_m,
             beta_grid_m=sweep.grid_m,
             beta_step=sweep.step,
+            sigma_w_m=sweep.sigma_w_m,
         )
         robot = LabRobot(scene, options)
         explorer = Explorer(scene.size_m, options, robot.arm, robot.truth)
@@ -212,7 +215,7 @@ def explore_scenario(job: tuple[str, int], sweep: ThesisSweep | None = None) -> 
         layers = explorer.search.thesis
         dents = [beta.dent for beta in explorer.betas if beta.value is not None]
         counts = np.cumsum(layers.dented)
-        single = ThesisField()
+        single = ThesisField(width_m=sweep.sigma_w_m)
         for dent, places_m in zip(dents, np.split(layers.places_m, counts[:-1]), strict=True):
             single = single.with_touch(places_m, 0.0 if dent is None else thesis_beta(dent, step=sweep.step).beta)
     fields = {"layers": _field(layers, truth), "single layer": _field(single, truth)}

@@ -113,7 +113,7 @@ def draw_clouds(foam: FoamDent, path: Path) -> None:
         axes.scatter(*shown.T, c=shown[:, 2], cmap="viridis", vmin=low, vmax=high, s=7, label="surface on the grid")
         if points is foam.dent.after:
             cloud, virtual = ((some - [x, y, 0.0]) * to_cm for some in (foam.seen_m, tactile))
-            axes.scatter(*cloud.T, c="0.55", s=1.5, label="points of the camera", zorder=0)
+            axes.scatter(*cloud.T, c="0.4", s=1.0, alpha=0.3, label="points of the camera", zorder=0)
             axes.scatter(*virtual.T, c=COLOURS[1], s=26, label="virtual points on the ball", zorder=3)
             axes.scatter(*shown[[lowest]].T, c="red", marker="*", s=110, label="held particle x_h", zorder=4)
         axes.set(zlim=(low - 1.0, high + 1.0), xlabel="x [cm]", ylabel="y [cm]", zlabel="height [mm]")
@@ -140,7 +140,7 @@ def draw_fields(scenarios: Sequence[Scenario], path: Path) -> None:
             row[0].text(x, y + LABEL_CM, hardness if hardness == "rigid" else f"{hardness} N", ha="center", va="center")
         row[0].set_title(f"{one.scene}: truth")
         for panel, (model, found) in zip(row[1:3], one.fields.items(), strict=True):
-            image = panel.imshow(found.mean, origin="lower", extent=extent, cmap="viridis", vmin=0.0, vmax=0.9)
+            image = panel.imshow(found.mean, origin="lower", extent=extent, cmap="viridis", vmin=0.0, vmax=1.0)
             _isopleths(panel, found, extent)
             regions = "region" if found.regions == 1 else "regions"
             panel.set_title(f"beta, {model}: {found.regions} {regions} of {SCENARIOS.get(one.scene, (0, 0))[1]}")
@@ -150,6 +150,7 @@ def draw_fields(scenarios: Sequence[Scenario], path: Path) -> None:
         drawn.colorbar(image, ax=row[3], shrink=0.85)
         for panel in (row[0], row[3]):
             _contacts(panel, 1e2 * one.contacts_m, "white" if panel is row[3] else "black")
+        row[0].set_ylabel("y [cm]")
         for panel in row:
             panel.set(xlim=extent[:2], ylim=extent[2:])
             panel.tick_params(labelsize=7)

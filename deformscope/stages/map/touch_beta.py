@@ -239,9 +239,9 @@ def dent_of(
     return SeenDent(before, after, grid.shape, cell_m)
 
 
-def swept_betas(step: float | None) -> FloatArray:
-    """(b,) what the sweep tries: 0, step, 2 step... below 1 (Algorithm 3); None: the coarse sweep."""
-    return np.linspace(*BOUNDS, COARSE_CANDIDATES) if step is None else step * np.arange(np.ceil(1.0 / step - 1e-9))
+def swept_betas(step: float) -> FloatArray:
+    """(b,) what the sweep tries: 0, step, 2 step... below 1 (Algorithm 3); with a step of 0 the coarse sweep."""
+    return step * np.arange(np.ceil(1.0 / step - 1e-9)) if step else np.linspace(*BOUNDS, COARSE_CANDIDATES)
 
 
 @dataclass(frozen=True, slots=True)
@@ -271,7 +271,7 @@ def thesis_beta(
     *,
     thickness_m: float | None = None,
     cluster_size: int | None = CLUSTER_SIZE,
-    step: float | None = None,
+    step: float = 0.0,
 ) -> ThesisBeta:
     """beta as in Thesis 4.3, 4.4 and Algorithm 3: the lowest point of the surface under touch is held, beta is swept.
 
