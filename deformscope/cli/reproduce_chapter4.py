@@ -7,6 +7,7 @@ deformscope reproduce chapter4 --quick --out figures --json -
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -28,10 +29,10 @@ from deformscope.pictures.findings import Findings, dict_table
 from deformscope.pictures.report import Table
 from deformscope.reproduce.chapter4 import (
     HARDNESSES_N,
+    OWN,
     SCENARIOS,
     FoamDent,
     Scenario,
-    ThesisSweep,
     explore_scenario,
     press_foam,
     to_text,
@@ -47,10 +48,10 @@ def run(config: Chapter4Config) -> None:
     hardnesses = HARDNESSES_N[1:2] if config.quick else HARDNESSES_N
     scenes = list(SCENARIOS)[:1] if config.quick else list(SCENARIOS)
     jobs = [(scene, seed) for seed in range(1 if config.quick else config.seeds) for scene in scenes]
-    sweep = ThesisSweep(config.beta_grid_m, config.beta_step, config.sigma_w_m)
+    own = replace(OWN, beta_grid_m=config.beta_grid_m, beta_step=config.beta_step, sigma_w_m=config.sigma_w_m)
     with recorder_of(config) as recorder:
-        foams = tried(Trials("foams", partial(press_foam, sweep=sweep), hardnesses), config.workers)
-        explored = tried(Trials("exploring", partial(explore_scenario, sweep=sweep), jobs), config.workers)
+        foams = tried(Trials("foams", partial(press_foam, own=own), hardnesses), config.workers)
+        explored = tried(Trials("exploring", partial(explore_scenario, own=own), jobs), config.workers)
         recorder.write(Step((_write(foams, explored, config),)))
 
 

@@ -60,7 +60,7 @@ def run(config: CubesConfig) -> None:
         seconds = {"cubes": made - began, "fits_and_figures": time.perf_counter() - made}
         summary = report(found, sems, times, seconds)
         overview = Table(_rows(summary, found, config), caption=f"{len(found)} cubes")
-        searched = dict_table(figures.search_summary(found), "Searches for theta on the same cubes")
+        searched = Table(figures.search_summary(figures.search_rows(found)), caption="Searches for theta, same cubes")
         tables = (overview, dict_table(sems, "Spread of theta"), dict_table(times, "Table 3.2"), searched)
         show(Findings((overview, searched)))
         recorder.write(Step((Findings(tables, pictures_of(drawn)),)))
@@ -197,7 +197,7 @@ def _rows(summary: dict[str, Any], found: Sequence[CubeResult], config: CubesCon
             took += _beside(row["thesis_comsol_ms"], "thesis's COMSOL")
             took += f", of which direct solver {row['elements_direct_ms']:.0f} ms"
             took += _beside(row["thesis_sofa_ds_ms"], "thesis's SOFA-DS")
-            took += f"; 25 conjugate gradients {row['elements_cg25_ms']:.2g} ms"
+            took += f"; 25 conjugate gradients {row['elements_cg25_ms']:.3g} ms"
             took += _beside(row["thesis_sofa_cg_ms"], "thesis's SOFA-CG")
             took += f", which leave {row['elements_cg25_left']:.0%} of the load"
         rows.append((row["resolution"], took))

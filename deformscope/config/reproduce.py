@@ -42,12 +42,9 @@ class CubesConfig(RecordedOptions):
 
 @dataclass(frozen=True, slots=True)
 class ShapesConfig(RecordedOptions):
-    """What beta and theta do to a body: figures 3.5, 3.7, 3.8 and 3.13 of the thesis, and with --record a recording
-    whose timelines are beta and theta, to be scrubbed; Algorithm 2 as printed beside the sweep and the gradient. Some
-    seconds."""
+    """What beta and theta do to a body (figures 3.5, 3.7 and 3.13 of the thesis): with --record or --viewer, static
+    states whose timelines are beta and theta, to be scrubbed. Some seconds."""
 
-    out: flags.Folder = Path("runs/shapes")
-    """Folder for the figures (PNG) and tables (CSV); files there are replaced."""
     output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
 
 

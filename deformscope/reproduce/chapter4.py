@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal, get_args
 
 import numpy as np
@@ -75,14 +75,10 @@ AROUND_M = 2.0 * THESIS_SIDE_M
 """Material points of the exact dent lie this far across, 2.5 mm apart."""
 
 
-@dataclass(frozen=True, slots=True)
-class ThesisSweep:
-    """grid_m: between particles, and between places whose variance is looked at; step: of the swept beta; sigma_w_m: of
-    the field's kernel"""
-
-    grid_m: float = THESIS_GRID_M
-    step: float = THESIS_STEP
-    sigma_w_m: float = FINE_SIGMA_W_M
+OWN = ExploreOptions(
+    planner="thesis", beta_model="layers", beta_grid_m=THESIS_GRID_M, beta_step=THESIS_STEP, sigma_w_m=FINE_SIGMA_W_M
+)
+"""The thesis's own rules, but for layers below its single one, which stands beside them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,19 +106,12 @@ class FoamDent:
 
 
 def press_foam(
-    hardness_n: int, cluster_sizes: Sequence[int | None] = CLUSTER_SIZES, sweep: ThesisSweep | None = None
+    hardness_n: int, cluster_sizes: Sequence[int | None] = CLUSTER_SIZES, own: ExploreOptions = OWN
 ) -> FoamDent:
     """Touch a foam in its middle, and fit beta in every way."""
-    sweep = sweep or ThesisSweep()
     with threadpool_limits(1):
         scene = built_in(f"homogeneous-{hardness_n}", 0)
-        options = ExploreOptions(
-            planner="thesis",
-            beta_model="thesis",
-            thickness_m=scene.thickness_m,
-            beta_grid_m=sweep.grid_m,
-            beta_step=sweep.step,
-        )
+        options = replace(own, beta_model="thesis", thickness_m=scene.thickness_m)
         robot = LabRobot(scene, options)
         explorer = Explorer(scene.size_m, options, robot.arm, robot.truth)
         explorer.look(robot.look)
@@ -136,7 +125,7 @@ def press_foam(
         level = thickness - found.depth_m
         ball = BallContact(np.append(at, level), radius, found.depth_m, found.peak_force_n)
         world = SlabWorld(robot.scene)
-        exact = _exact(world, at, level + radius, radius, sweep.grid_m)
+        exact = _exact(world, at, level + radius, radius, own.beta_grid_m)
         betas: list[HeldBeta] = []
         for size in cluster_sizes:
             for hold, seen, below in (
@@ -144,7 +133,7 @@ def press_foam(
                 (HOLDS[1], dent, thickness),
                 (HOLDS[2], exact, thickness),
             ):
-                swept = thesis_beta(seen, thickness_m=below, cluster_size=size, step=sweep.step)
+                swept = thesis_beta(seen, thickness_m=below, cluster_size=size, step=own.beta_step)
                 betas.append(HeldBeta(hold, size, swept.beta, swept.error_m))
             if size is not None:
                 ours = fit_touch(
@@ -188,25 +177,15 @@ class BetaField:
     iou: float
 
 
-def explore_scenario(job: tuple[str, int], sweep: ThesisSweep | None = None) -> Scenario:
+def explore_scenario(job: tuple[str, int], own: ExploreOptions = OWN) -> Scenario:
     """Explore a scene from a seed until its variance is below Th; the field by layers, and that of a single layer from
     the same dents: where is touched does not depend on beta."""
     name, seed = job
-    sweep = sweep or ThesisSweep()
     with threadpool_limits(1):
         scene = built_in(name, seed)
         if (truth := scene.regions) is None:
             raise InputError("a scene with regions", name, "two-60-150")
-        options = ExploreOptions(
-            planner="thesis",
-            beta_model="layers",
-            budget=MOST_TOUCHES,
-            seed=seed,
-            thickness_m=scene.thickness_m,
-            beta_grid_m=sweep.grid_m,
-            beta_step=sweep.step,
-            sigma_w_m=sweep.sigma_w_m,
-        )
+        options = replace(own, budget=MOST_TOUCHES, seed=seed, thickness_m=scene.thickness_m)
         robot = LabRobot(scene, options)
         explorer = Explorer(scene.size_m, options, robot.arm, robot.truth)
         found = Exploration()
@@ -215,9 +194,9 @@ def explore_scenario(job: tuple[str, int], sweep: ThesisSweep | None = None) -> 
         layers = explorer.search.thesis
         dents = [beta.dent for beta in explorer.betas if beta.value is not None]
         counts = np.cumsum(layers.dented)
-        single = ThesisField(width_m=sweep.sigma_w_m)
+        single = ThesisField(width_m=own.sigma_w_m)
         for dent, places_m in zip(dents, np.split(layers.places_m, counts[:-1]), strict=True):
-            single = single.with_touch(places_m, 0.0 if dent is None else thesis_beta(dent, step=sweep.step).beta)
+            single = single.with_touch(places_m, 0.0 if dent is None else thesis_beta(dent, step=own.beta_step).beta)
     fields = {"layers": _field(layers, truth), "single layer": _field(single, truth)}
     return Scenario(
         scene=name,

@@ -99,27 +99,23 @@ def draw_dents(foams: Sequence[FoamDent], path: Path) -> None:
 def draw_clouds(foam: FoamDent, path: Path) -> None:
     """Figure 4.4: the surface before the touch and under it on the sweep's grid, as the Gaussian process has it; the
     camera's own points, the virtual ones on the ball, and the particle that is held."""
-    low, high = 1e3 * foam.dent.after[:, 2].min(), 1e3 * foam.dent.before[:, 2].max()
-    lowest, (x, y) = int(np.argmax(foam.dent.sunk_m)), foam.dent.before[:, :2].mean(axis=0)
-    to_cm = np.array([1e2, 1e2, 1e3])
-    drawn = canvas(11.0, 4.8, layout="constrained")
-    ball = foam.ball
+    dent, ball, to_cm = foam.dent, foam.ball, np.array([1e2, 1e2, 1e3])
+    low, high = 1e3 * dent.after[:, 2].min(), 1e3 * dent.before[:, 2].max()
+    middle = np.append(dent.before[:, :2].mean(axis=0), 0.0)
     tactile = np.zeros((0, 3)) if ball is None else tactile_points(ball.lowest_m, ball.radius_m, ball.depth_m)
-    for number, (points, title) in enumerate(
-        ((foam.dent.before, "before: P0"), (foam.dent.after, "under touch: Pt")), 1
-    ):
-        axes: Any = drawn.add_subplot(1, 2, number, projection="3d", computed_zorder=False)
-        shown = (points - [x, y, 0.0]) * to_cm
-        axes.scatter(*shown.T, c=shown[:, 2], cmap="viridis", vmin=low, vmax=high, s=7, label="surface on the grid")
-        if points is foam.dent.after:
-            cloud, virtual = ((some - [x, y, 0.0]) * to_cm for some in (foam.seen_m, tactile))
+    drawn = canvas(11.0, 4.8, layout="constrained")
+    for number, points in enumerate((dent.before, dent.after)):
+        axes: Any = drawn.add_subplot(1, 2, 1 + number, projection="3d", computed_zorder=False)
+        x, y, z = ((points - middle) * to_cm).T
+        axes.scatter(x, y, z, c=z, cmap="viridis", vmin=low, vmax=high, s=7, label="surface on the grid")
+        if number:
+            cloud, virtual = ((some - middle) * to_cm for some in (foam.seen_m, tactile))
             axes.scatter(*cloud.T, c="0.4", s=1.0, alpha=0.3, label="points of the camera", zorder=0)
             axes.scatter(*virtual.T, c=COLOURS[1], s=26, label="virtual points on the ball", zorder=3)
-            axes.scatter(*shown[[lowest]].T, c="red", marker="*", s=110, label="held particle x_h", zorder=4)
+            held = [int(np.argmax(dent.sunk_m))]
+            axes.scatter(x[held], y[held], z[held], c="red", marker="*", s=110, label="held particle x_h", zorder=4)
         axes.set(zlim=(low - 1.0, high + 1.0), xlabel="x [cm]", ylabel="y [cm]", zlabel="height [mm]")
-        axes.set_title(
-            f"{title}, H = {foam.hardness_n:g} N" + (f", F = {ball.force_n:.2f} N" if ball and number == 2 else "")
-        )
+        axes.set_title(f"{('before: P0', 'under touch: Pt')[number]}, foam of {foam.hardness_n:g} N")
         axes.view_init(elev=18.0, azim=-60.0)
         axes.legend(fontsize=7, loc="upper left")
     drawn.colorbar(drawn.axes[0].collections[0], ax=drawn.axes, shrink=0.6, label="height [mm]")

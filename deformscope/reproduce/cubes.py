@@ -30,7 +30,7 @@ from deformscope.stages.fit.calibrate import calibrate
 from deformscope.stages.fit.distance import distances
 from deformscope.stages.fit.estimate import Curve, Estimate
 from deformscope.stages.fit.model import FitOptions, Model, Observation
-from deformscope.stages.msm import clusters, reference
+from deformscope.stages.msm import clusters
 from deformscope.stages.msm.fit import FitBoth, fit_beta_theta
 from deformscope.stages.msm.solver import Msm
 
@@ -359,13 +359,12 @@ def rises(found: Sequence[CubeResult], *, to_bound: bool = False) -> bool:
 @dataclass(frozen=True, slots=True)
 class ModelTime:
     """What MSM takes at one resolution [s]. step: one time step of one quadratic cluster; static: its static state;
-    theta: theta with its interval, mean over cubes; numpy_step: a step of `stages.msm.reference`"""
+    theta: theta with its interval, mean over cubes"""
 
     resolution: str
     step: float
     static: float
     theta: float
-    numpy_step: float = float("nan")
 
 
 def model_times(found: Sequence[CubeResult], repeats: int = 15) -> list[ModelTime]:
@@ -382,12 +381,7 @@ def model_times(found: Sequence[CubeResult], repeats: int = 15) -> list[ModelTim
             _median(functools.partial(body.step, body.start(), held, model.beta, theta, steps=STEPS), repeats) / STEPS
         )
         static = _median(functools.partial(body.relax, held, model.beta, theta), repeats)
-        rest = reference.build_rest(seen.rest, clusters.single(len(seen.rest)), seen.held, basis="quadratic")
-        by_numpy = functools.partial(
-            reference.step, seen.rest, np.zeros_like(seen.rest), rest, held, beta=model.beta, theta=theta
-        )
-        spent = float(np.mean([one.seconds for one in group]))
-        times.append(ModelTime(name, step, static, spent, _median(by_numpy, repeats)))
+        times.append(ModelTime(name, step, static, float(np.mean([one.seconds for one in group]))))
     return times
 
 

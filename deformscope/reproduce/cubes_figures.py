@@ -241,33 +241,24 @@ def sem_rows(found: Sequence[CubeResult]) -> list[dict[str, object]]:
     return rows
 
 
-def search_rows(found: Sequence[CubeResult]) -> list[dict[str, object]]:
-    """One row a cube and a search."""
-    return [
-        {"poisson": one.cube.poisson, "resolution": one.cube.resolution, "depth_m": one.cube.depth, **asdict(ended)}
-        for one in found
-        for ended in one.searches
-    ]
-
-
-def search_summary(found: Sequence[CubeResult]) -> list[dict[str, object]]:
-    """Of each search over all cubes: evaluations, seconds, and how far its theta is from that of the lowest error."""
-    rows: list[dict[str, object]] = []
-    for ended in zip(*(one.searches for one in found), strict=True):
-        off = [abs(one.value - cube.theta.value) for one, cube in zip(ended, found, strict=True)]
-        count = [one.evaluations for one in ended]
-        rows.append(
-            {
-                "search": ended[0].search,
-                "evaluations, median": float(np.median(count)),
-                "most": max(count),
-                "seconds, median": float(np.median([one.seconds for one in ended])),
-                "theta off, median": float(np.median(off)),
-                "largest": max(off),
-                "off by .05 or more": f"{sum(one >= 0.05 for one in off)} of {len(off)}",
-            }
-        )
+def search_rows(found: Sequence[CubeResult]) -> list[dict[str, Any]]:
+    """One row a cube and a search. theta_off: distance from that of the lowest error"""
+    rows = []
+    for one in found:
+        named = {"poisson": one.cube.poisson, "resolution": one.cube.resolution, "depth_m": one.cube.depth}
+        rows += [{**named, **asdict(by), "theta_off": abs(by.value - one.theta.value)} for by in one.searches]
     return rows
+
+
+def search_summary(rows: Sequence[dict[str, Any]]) -> list[tuple[str, str]]:
+    """Of each search over all cubes: what it needs, and how far off its theta is."""
+    said = []
+    for name in dict.fromkeys(row["search"] for row in rows):
+        some = [row for row in rows if row["search"] == name]
+        count, off = (np.array([row[of] for row in some]) for of in ("evaluations", "theta_off"))
+        words = f"{np.median(count):.0f} static states ({count.max()} at most), theta off by {np.median(off):.4f}"
+        said.append((name, f"{words} ({off.max():.3f} at most, .05 or more in {(off >= 0.05).sum()} of {len(off)})"))
+    return said
 
 
 def time_rows(ours: Sequence[ModelTime], elements: Sequence[ElementTime]) -> list[dict[str, object]]:
@@ -281,7 +272,6 @@ def time_rows(ours: Sequence[ModelTime], elements: Sequence[ElementTime]) -> lis
             {
                 "resolution": one.resolution,
                 "msm_step_ms": 1e3 * one.step,
-                "msm_numpy_step_ms": 1e3 * one.numpy_step,
                 "msm_static_ms": 1e3 * one.static,
                 "msm_theta_ms": 1e3 * one.theta,
                 "elements_ms": None if fem is None else 1e3 * (fem.assemble_s + fem.solve_s),

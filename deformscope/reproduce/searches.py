@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from deformscope.stages.fit.distance import distances
@@ -17,7 +18,7 @@ STEP = 0.01
 @dataclass(frozen=True, slots=True)
 class SearchOutcome:
     """search: how it was sought; value: found; aee_m: error there (eq. 3.18); evaluations: static states that were
-    computed; seconds; stopped: why it ended, "" for a sweep"""
+    computed; seconds; stopped: why a descent ended"""
 
     search: str
     value: float
@@ -28,39 +29,29 @@ class SearchOutcome:
 
 
 def compare_searches(seen: Observation, model: Model, bounds: tuple[float, float]) -> tuple[SearchOutcome, ...]:
-    """Algorithm 3 by itself, and refined; the descent that `calibrate --method gradient` makes; Algorithm 2 as printed,
-    from the middle of the range."""
+    """Algorithm 3; the descent that `calibrate --method gradient` makes; Algorithm 2 as printed, from the middle of the
+    range."""
     found = []
-    began = time.perf_counter()
-    sweep = Search([seen], model, bounds)
-    sweep.sweep(round((bounds[1] - bounds[0]) / STEP) + 1, None)
-    found.append(_outcome("sweep (Algorithm 3)", sweep, began))
-    sweep.refine()
-    found.append(_outcome("sweep, refined", sweep, began))
-    began = time.perf_counter()
-    gradient = Search([seen], model, bounds)
-    stopped = gradient.descend(None)
-    found.append(_outcome("gradient", gradient, began, stopped))
-    began = time.perf_counter()
-    printed = Search([seen], model, bounds)
-    at = {"start": seen.rest}
+    steps = round((bounds[1] - bounds[0]) / STEP) + 1
+    ours: dict[str, Callable[[Search], str | None]] = {
+        "sweep (Algorithm 3)": lambda search: search.sweep(steps, None),
+        "gradient": lambda search: search.descend(None),
+    }
+    for name, seek in ours.items():
+        began, search = time.perf_counter(), Search([seen], model, bounds)
+        stopped, best, error = seek(search) or "", search.best(), search.error()
+        spent = time.perf_counter() - began
+        found.append(
+            SearchOutcome(name, float(search.tried.parameter[best]), float(error[best]), len(error), spent, stopped)
+        )
+    began, body, at = time.perf_counter(), model.body(seen), seen.rest
 
     def error_cm(value: float) -> float:
-        state = printed.relax(printed.bodies[0], seen.deformed[seen.held], value, at["start"])
-        at["start"] = state.position[0]
-        return 100.0 * float(distances(state.position[0, seen.observed], seen.deformed[seen.observed]).mean())
+        nonlocal at
+        at = search.relax(body, seen.deformed[seen.held], value, at).position[0]
+        return 100.0 * float(distances(at[seen.observed], seen.deformed[seen.observed]).mean())
 
     ended = fixed_step_descent(error_cm, 0.5 * sum(bounds), bounds)
-    seconds = time.perf_counter() - began
-    found.append(
-        SearchOutcome(
-            "Algorithm 2 as printed", ended.value, 0.01 * ended.error, ended.evaluations, seconds, ended.stopped
-        )
-    )
-    return tuple(found)
-
-
-def _outcome(name: str, search: Search, began: float, stopped: str = "") -> SearchOutcome:
-    best, error = search.best(), search.error()
-    value, aee = float(search.tried.parameter[best]), float(error[best])
-    return SearchOutcome(name, value, aee, len(error), time.perf_counter() - began, stopped)
+    spent = time.perf_counter() - began
+    printed = ended.value, 0.01 * ended.error, ended.evaluations, spent, ended.stopped
+    return (*found, SearchOutcome("Algorithm 2 as printed", *printed))

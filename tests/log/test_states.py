@@ -8,63 +8,63 @@ import numpy as np
 import pytest
 from rerun.chunk import RrdReader
 
+from deformscope.arrays import FloatArray
 from deformscope.cli import main
 from deformscope.reproduce import shapes
 from deformscope.stages.msm import reference
-from deformscope.stages.msm.state_sweep import PressedLattice, sweep_states
 
 
-def rows(path: Path, entity: str, timeline: str, component: str) -> dict[int, np.ndarray]:
-    """What stands at each step of a timeline."""
+def rows(path: Path, entity: str, timeline: str, component: str = "Points2D:positions") -> dict[int, FloatArray]:
+    """What stands at each step of a timeline; nothing of it stands on another one."""
     found = {}
     for chunk in RrdReader(path).stream():
         if chunk.entity_path == f"/{entity}" and not chunk.is_static:
             assert chunk.timeline_names == [timeline]
             batch = chunk.to_record_batch()
-            for step, values in zip(
-                batch.column(timeline).to_pylist(), batch.column(component).to_pylist(), strict=True
-            ):
-                found[step] = np.array(values)
+            steps, values = (batch.column(name).to_pylist() for name in (timeline, component))
+            found |= {step: np.array(value) for step, value in zip(steps, values, strict=True)}
     return found
 
 
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("shapes")
-    path = folder / "msm.rrd"
-    flags = ["--record", str(path), "--out", str(folder / "out"), "--viewer", "none"]
-    assert main(["reproduce", "shapes", *flags]) == 0
-    assert {one.name for one in (folder / "out").iterdir()} == {
-        *(f"figure-3.{number}.png" for number in (5, 7, 8, 13)),
-        *("searches.csv", "states.csv"),
-    }
+    path = tmp_path_factory.mktemp("shapes") / "msm.rrd"
+    assert main(["reproduce", "shapes", "--record", str(path), "--viewer", "none"]) == 0
     return path
 
 
-def free(lattice: PressedLattice, position: np.ndarray) -> np.ndarray:
+def free(body: shapes.Body, position: FloatArray) -> FloatArray:
     """(n, 2) of the particles that are looked at and not held."""
-    return lattice.seen(position)[~np.isin(lattice.shown, lattice.held)]
+    held = np.isin(np.arange(len(position)), body.seen.held)[:, None] * np.ones(position.shape[1])
+    return body.side(position)[body.side(held)[..., 0] == 0]
 
 
 def test_the_sheet_stands_at_every_beta_as_an_independent_solve_has_it(recording: Path) -> None:
-    lattice = shapes.sheet()
-    found = rows(recording, "beta/clusters-of-3-x-3-one-particle-pressed/particles", "beta", "Points2D:positions")
-    rest = reference.build_rest(lattice.rest, lattice.clusters, lattice.held)
+    body = shapes.sheet()
+    seen = body.seen
+    found = rows(recording, "beta/clusters-of-3-x-3-one-particle-pressed/particles", "beta")
+    rest = reference.build_rest(seen.rest, body.model.grouping(seen), seen.held)
 
     assert sorted(found) == list(range(100))
     for step in (0, 37, 80):
-        solved = reference.relax(rest, lattice.target, beta=step / 100.0)[0]
-        np.testing.assert_allclose(found[step], free(lattice, solved), atol=1e-6)
+        solved = reference.relax(rest, seen.deformed[seen.held], beta=step / 100.0)[0]
+        np.testing.assert_allclose(found[step], free(body, solved), atol=1e-6)
 
 
-def test_the_cube_stands_at_every_theta_as_it_is_solved_anew(recording: Path) -> None:
-    lattice = shapes.cube()
-    found = rows(recording, "theta/middle-layer-of-a-cube-pressed-by-3-cm/particles", "theta", "Points2D:positions")
+def test_the_cube_stands_at_every_theta_as_an_independent_solve_has_it(recording: Path) -> None:
+    body = shapes.cube()
+    seen, name = body.seen, "theta/middle-layer-of-a-cube-pressed-by-3-cm"
+    found, volume = (
+        rows(recording, f"{name}/particles", "theta"),
+        rows(recording, f"plot/{name}", "theta", "Scalars:scalars"),
+    )
+    rest = reference.build_rest(seen.rest, body.model.grouping(seen), seen.held, basis="quadratic")
 
-    assert sorted(found) == list(range(101))
-    for step in (0, 30, 99):
-        alone = sweep_states(lattice, "theta", np.array([step / 100.0]), shapes.CUBE_BETA)
-        np.testing.assert_allclose(found[step], free(lattice, alone.position[0]), atol=1e-6)
-    volume = rows(recording, "plot/size/theta/middle-layer-of-a-cube-pressed-by-3-cm", "theta", "Scalars:scalars")
+    assert sorted(found) == sorted(volume) == list(range(101))
+    for step in (0, 30):
+        solved = reference.relax(
+            rest, seen.deformed[seen.held], beta=shapes.CUBE_BETA, theta=step / 100.0, tolerance=1e-8
+        )[0]
+        np.testing.assert_allclose(found[step], free(body, solved), atol=1e-5)
     assert volume[0].item() == pytest.approx(70.0, abs=1e-3)
     assert volume[99].item() > 90.0

@@ -1,8 +1,7 @@
 """Algorithm 2 of the thesis as it is printed: fixed steps down a numerical slope, with its early stops.
 
-Print and text leave four things open, which are settled here: the error is in centimetres, as in Thesis figure 3.11;
-the slope is a central difference; it stops where the slope's size is below epsilon; it begins in the middle of the
-range, where it stays.
+What print and text leave open: the error is in centimetres, as in Thesis figure 3.11; the slope is a central
+difference; it stops where the slope's size is below epsilon; and it stays in the range.
 """
 
 from __future__ import annotations

@@ -244,9 +244,7 @@ def linear_share(points: FloatArray, target: IntArray, classes: int) -> float:
 
 def columns_of(name: Name, kept: int) -> int | None:
     """So many components a classifier of that name takes; None = all."""
-    return {"knn": kept, "qda": kept, "knn-raw": None, "qda-raw": None, "linear": LINEAR_COMPONENTS, "qda-plain": kept}[
-        name
-    ]
+    return {"knn-raw": None, "qda-raw": None, "linear": LINEAR_COMPONENTS}.get(name, kept)
 
 
 def usable(name: Name, raw: int) -> bool:
