@@ -110,11 +110,12 @@ def draw_theta() -> bytes:
     """Figure 3.7: (a) at rest, (b) to (d) pressed from above with falling theta."""
     sweep = cube().sweep(0.01 * np.arange(101))
     drawn = canvas(15.0, 4.2, layout="constrained")
-    panels = drawn.subplots(1, 1 + len(THETAS), sharey=True)
+    panels = drawn.subplots(1, 1 + len(THETAS), sharex=True, sharey=True)
     _draw(panels[0], sweep, sweep.rest, "(a) at rest")
     for panel, name, theta in zip(panels[1:], "bcd", THETAS, strict=True):
         volume = float(np.interp(theta, sweep.value, sweep.measure))
         _draw(panel, sweep, _at(sweep, theta), f"({name}) theta = {theta:g}: {volume:.0f} % of the volume")
+    panels[0].set(xlim=(-1.5, 11.5))
     panels[1].legend(fontsize=7, loc="upper right")
     drawn.suptitle(f"one quadratic cluster, beta = {CUBE_BETA:g}", fontsize=9)
     return png_of(drawn, DPI)

@@ -22,17 +22,11 @@ REGION_TOUCHES, INCLUSION_TOUCHES = 8, 30
 MOST_HOLD_S = 60.0
 BORDER_M, LEAST_BORDER_M = 0.02, 0.01
 """No touch is made so near the surface's edge, unless it is asked for; from where on an edge's law was measured."""
-BetaGridFlag = Annotated[
-    float,
-    arg(name="beta-grid", metavar="M"),
-    flags.Rule(lambda grid: 0.002 <= grid <= 0.02, "a {flag} of 0.002 to 0.02 m"),
-]
+_GRID = flags.Rule(lambda grid: 0.002 <= grid <= 0.02, "a {flag} of 0.002 to 0.02 m")
+BetaGridFlag = Annotated[float, arg(name="beta-grid", metavar="M"), _GRID]
 BetaStepFlag = Annotated[float, flags.Rule(lambda step: 0.001 <= step <= 0.5, "a {flag} of 0.001 to 0.5")]
-SigmaWFlag = Annotated[
-    float,
-    arg(name="sigma-w", metavar="M"),
-    flags.Rule(lambda width: 0.05 <= width <= 10.0, "a {flag} of 0.05 to 10 m"),
-]
+_WIDTH = flags.Rule(lambda width: 0.05 <= width <= 10.0, "a {flag} of 0.05 to 10 m")
+SigmaWFlag = Annotated[float, arg(name="sigma-w", metavar="M"), _WIDTH]
 LumpFlag = Annotated[
     float | None,
     flags.one_word("NUMBER", lambda text: 0.01 * flags.positive(text), lambda m: f"{100.0 * m:g}"),

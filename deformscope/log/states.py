@@ -8,7 +8,7 @@ import rerun.blueprint as rrb
 
 from deformscope.log.blueprint import PAPER
 from deformscope.log.canvas import TEXT
-from deformscope.log.rig.blueprint import LEGEND, blueprint_of
+from deformscope.log.rig.blueprint import blueprint_of
 from deformscope.pictures.palette import HELD, JOINTS, REST, SIMULATED
 from deformscope.stages.msm.state_sweep import StateSweep, StateSweeps
 
@@ -16,6 +16,7 @@ STEPS = 100
 """Of a parameter's timeline from 0 to 1, which counts whole steps."""
 FPS = 20.0
 UNIT_M, MARGIN = 0.01, 0.12
+"""Of the ruler; around a body, as a share of its size."""
 
 
 def log_states(rec: rr.RecordingStream, states: StateSweeps) -> None:
@@ -24,11 +25,11 @@ def log_states(rec: rr.RecordingStream, states: StateSweeps) -> None:
     for number, sweep in enumerate(states.sweeps):
         _log_sweep(rec, sweep)
         rec.log(f"plot/{_path(sweep)}", rr.SeriesLines(names=sweep.name, colors=JOINTS[number]), static=True)
-    named = {sweep.over: f"{sweep.over}: {sweep.measured}" for sweep in states.sweeps}
-    plots = [
-        rrb.TimeSeriesView(origin=f"/plot/{over}", name=title, plot_legend=LEGEND) for over, title in titles.items()
-    ]
-    below = rrb.Horizontal(*plots, rrb.TextDocumentView(origin="/guide", name="What there is to see"))
+    title = "; ".join({f"{sweep.over}: {sweep.measured}": None for sweep in states.sweeps})
+    legend = rrb.PlotLegend(corner=rrb.Corner2D.RightBottom)
+    plot = rrb.TimeSeriesView(origin="/plot", name=title, plot_legend=legend)
+    guide = rrb.TextDocumentView(origin="/guide", name="What there is to see")
+    below = rrb.Horizontal(plot, guide, column_shares=[2, 1])
     root = rrb.Vertical(rrb.Horizontal(*map(_view, states.sweeps)), below, row_shares=[3, 2])
     rec.send_blueprint(blueprint_of(root, states.sweeps[0].over, play="paused", fps=FPS))
 

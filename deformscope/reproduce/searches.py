@@ -11,8 +11,7 @@ from deformscope.stages.fit.fixed_step import fixed_step_descent
 from deformscope.stages.fit.model import Model, Observation
 from deformscope.stages.fit.search import Search
 
-STEP = 0.01
-"""Of Algorithm 3."""
+STEP = 0.01  # of Algorithm 3
 
 
 @dataclass(frozen=True, slots=True)
