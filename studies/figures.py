@@ -17,8 +17,9 @@ import numpy as np
 
 from deformscope.arrays import FloatArray
 from deformscope.cli.common import make_folder
-from deformscope.cli.study import Study, StudyOptions, StudyReport, Trials
+from deformscope.cli.study import Study, StudyReport, Trials
 from deformscope.config import flags
+from deformscope.config.reproduce import StudyOptions
 from deformscope.pictures.figures import COLOURS, canvas, png_of
 from deformscope.pictures.findings import dict_table
 from deformscope.pictures.report import Figure
@@ -37,7 +38,7 @@ KNOWN_BETA, NOISE_M = 0.7, 2e-4
 
 
 @dataclass(frozen=True, slots=True)
-class FigureOptions(StudyOptions):
+class FiguresConfig(StudyOptions):
     """Draw them."""
 
     out: flags.Folder = Path("runs/figures")
@@ -55,7 +56,7 @@ def search_known(seed: int) -> tuple[SearchOutcome, ...]:
     return compare_searches(seen, body.model, (0.0, float(BETAS[-1])))
 
 
-def report(options: FigureOptions, _: float, searched: Sequence[tuple[SearchOutcome, ...]]) -> StudyReport:
+def report(options: FiguresConfig, _: float, searched: Sequence[tuple[SearchOutcome, ...]]) -> StudyReport:
     make_folder(options.out)
     drawn = {
         "3.5": (draw_beta(), "A body whose ends are held, by beta"),
@@ -191,8 +192,8 @@ def _finish(panel: Any, title: str) -> None:
     panel.grid(alpha=0.25)
 
 
-def trials(options: FigureOptions) -> list[Trials[int, tuple[SearchOutcome, ...]]]:
+def trials(options: FiguresConfig) -> list[Trials[int, tuple[SearchOutcome, ...]]]:
     return [Trials("searches", search_known, [options.output.seed])]
 
 
-STUDY = Study(FigureOptions, trials, report)
+STUDY = Study(FiguresConfig, trials, report)
