@@ -25,7 +25,7 @@ from deformscope.pictures.findings import dict_table
 from deformscope.pictures.report import Figure
 from deformscope.reproduce.cubes import Cube, thesis_cubes
 from deformscope.reproduce.searches import SearchOutcome, compare_searches
-from deformscope.reproduce.shapes import BETAS, CUBE_BETA, Body, column, cube, sheet
+from deformscope.reproduce.shapes import BETAS, CUBE_BETA, HeldLattice, column, cube, sheet
 from deformscope.stages.msm.clusters import held_mask
 from deformscope.stages.msm.state_sweep import StateSweep
 
@@ -71,7 +71,7 @@ def report(options: FiguresConfig, _: float, searched: Sequence[tuple[SearchOutc
     return StudyReport([dict_table(rows, caption)], rows, figures, files)
 
 
-def pushed(body: Body, beta: float) -> tuple[FloatArray, FloatArray]:
+def pushed(body: HeldLattice, beta: float) -> tuple[FloatArray, FloatArray]:
     """(K, 2) where a sheet on its ground comes to rest under a push down on the middle three of its top, the fixed
     point of x = g(x + f dt^2 / m) with alpha = 1; and (3, 2) where these are at rest."""
     rest, (columns, rows) = body.seen.rest, body.shape

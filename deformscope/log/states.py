@@ -12,6 +12,13 @@ from deformscope.log.rig.blueprint import blueprint_of
 from deformscope.pictures.palette import HELD, JOINTS, REST, SIMULATED
 from deformscope.stages.msm.state_sweep import StateSweep, StateSweeps
 
+GUIDE = """\
+### What beta and theta do
+
+Particles are held where they are yellow, come to rest where they are red, and were where they are green. Scrub the
+timeline **beta** or **theta**: the bottom left chooses it, and it counts hundredths (37 is 0.37). A body moves on the
+timeline that its view's title begins with, and rests on the other.
+"""
 STEPS = 100
 """Of a parameter's timeline from 0 to 1, which counts whole steps."""
 FPS = 20.0
@@ -21,7 +28,8 @@ UNIT_M, MARGIN = 0.01, 0.12
 
 def log_states(rec: rr.RecordingStream, states: StateSweeps) -> None:
     """Each body's particles, net and number at each value of its parameter; on the other's timeline it rests."""
-    rec.log("guide", rr.TextDocument(states.text, media_type=rr.MediaType.MARKDOWN), static=True)
+    text = "\n".join([GUIDE, *(f"- {sweep.to_text()}" for sweep in states.sweeps)])
+    rec.log("guide", rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN), static=True)
     for number, sweep in enumerate(states.sweeps):
         _log_sweep(rec, sweep)
         rec.log(f"plot/{_path(sweep)}", rr.SeriesLines(names=sweep.name, colors=JOINTS[number]), static=True)

@@ -26,7 +26,7 @@ ENDS: dict[Basis, tuple[float, tuple[float, float]]] = {
 
 
 @dataclass(frozen=True, slots=True)
-class Body:
+class HeldLattice:
     """A lattice of which some particles are held elsewhere, and its model. seen: its observation, in which only these
     have moved; shape: of the lattice"""
 
@@ -62,16 +62,16 @@ def lattice(*shape: int, spacing_m: float = SPACING_M) -> FloatArray:
     return np.stack(axes, axis=-1).reshape(-1, len(shape))
 
 
-def _body(name: str, shape: tuple[int, ...], model: Model, rest: FloatArray, target: FloatArray) -> Body:
+def _body(name: str, shape: tuple[int, ...], model: Model, rest: FloatArray, target: FloatArray) -> HeldLattice:
     """Particles (K, d) at rest, held where their targets (K, d) are no NaN."""
     held = np.flatnonzero(np.isfinite(target[:, 0]))
     deformed = np.where(np.isfinite(target), target, rest)
     everyone = np.ones(len(rest), dtype=bool)
     seen = Observation(rest, deformed, held, everyone, shape=shape, cell=np.arange(len(rest)), held_measured=False)
-    return Body(name, seen, model, shape)
+    return HeldLattice(name, seen, model, shape)
 
 
-def column(basis: Basis) -> Body:
+def column(basis: Basis) -> HeldLattice:
     """Figure 3.5: one cluster in the plane, its bottom held, its top held elsewhere."""
     rest = lattice(6, 12)
     top = rest[:, 1] == rest[:, 1].max()
@@ -83,7 +83,7 @@ def column(basis: Basis) -> Body:
     return _body(f"one cluster, {basis}", (6, 12), Model("beta", basis, None), rest, target)
 
 
-def sheet() -> Body:
+def sheet() -> HeldLattice:
     """Figure 3.13: 15 x 7 particles as in experiment 3.B, the ground held, the middle of the top pressed down."""
     rest = lattice(15, 7)
     target = np.where(rest[:, 1:] == 0.0, rest, np.nan)
@@ -91,7 +91,7 @@ def sheet() -> Body:
     return _body("clusters of 3 x 3, one particle pressed", (15, 7), Model("beta", "linear", 3), rest, target)
 
 
-def cube(side: int = CUBE_SIDE) -> Body:
+def cube(side: int = CUBE_SIDE) -> HeldLattice:
     """Figure 3.7: the cube of experiment 3.A, one quadratic cluster, pressed from above."""
     rest = lattice(side, side, side, spacing_m=SIDE_M / (side - 1))
     bottom, top = rest[:, 2:] < 1e-9, rest[:, 2:] > SIDE_M - 1e-9

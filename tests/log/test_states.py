@@ -33,7 +33,7 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def free(body: shapes.Body, position: FloatArray) -> FloatArray:
+def free(body: shapes.HeldLattice, position: FloatArray) -> FloatArray:
     """(n, 2) of the particles that are looked at and not held."""
     held = np.isin(np.arange(len(position)), body.seen.held)[:, None] * np.ones(position.shape[1])
     return body.side(position)[body.side(held)[..., 0] == 0]

@@ -7,12 +7,12 @@ import pytest
 
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
-from deformscope.reproduce.shapes import Body, column, cube, sheet
+from deformscope.reproduce.shapes import HeldLattice, column, cube, sheet
 from deformscope.stages.msm import reference
 from studies.figures import pushed, search_known
 
 
-def solved(body: Body, beta: float) -> FloatArray:
+def solved(body: HeldLattice, beta: float) -> FloatArray:
     """(K, d) by `reference`, which shares no code with the solver."""
     seen, model = body.seen, body.model
     rest = reference.build_rest(seen.rest, model.grouping(seen), seen.held, basis=model.basis)
