@@ -34,7 +34,7 @@ def log_states(rec: rr.RecordingStream, states: StateSweeps) -> None:
         _log_sweep(rec, sweep)
         rec.log(f"plot/{_path(sweep)}", rr.SeriesLines(names=sweep.name, colors=JOINTS[number]), static=True)
     title = "; ".join({f"{sweep.over}: {sweep.measured}": None for sweep in states.sweeps})
-    legend = rrb.PlotLegend(corner=rrb.Corner2D.RightBottom)
+    legend = rrb.PlotLegend(corner=rrb.Corner2D.LeftBottom)
     plot = rrb.TimeSeriesView(origin="/plot", name=title, plot_legend=legend)
     guide = rrb.TextDocumentView(origin="/guide", name="What there is to see")
     below = rrb.Horizontal(plot, guide, column_shares=[2, 1])
