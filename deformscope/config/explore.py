@@ -12,6 +12,7 @@ from deformscope.config.options import Flags, OutputOptions, RecordedOptions
 from deformscope.errors import InputError
 
 BetaModel = Literal["volume", "thesis", "layers", "none"]
+Detail = Literal["full", "lean"]
 Feel = Literal["apparent", "relaxed", "loss"]
 Goal = Literal["regions", "inclusions"]
 Pace = Literal["careful", "quick"]
@@ -76,6 +77,10 @@ class ExploreFlags(Flags):
     """Width of the kernel of --planner thesis [m]. With --threshold it alone decides how many touches are made, n of
     table 4.1, whatever they find. The thesis does not print it; the default is such that 60 x 40 cm of one foam take
     its 3 touches."""
+    detail: Detail = "full"
+    """What a recording has beside devices, estimates and maps. full: also which pixels were used, and by which rule the
+    others were removed, the surface under each touch, the error over beta, what was trained with what weight, force
+    and pose at the force's rate, frames and maps in space. lean: none of these."""
 
     def __post_init__(self) -> None:
         inclusions = self.goal == "inclusions"

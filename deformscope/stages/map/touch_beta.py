@@ -11,7 +11,7 @@ at its bound for every modulus: the verdict `at-bound` is the normal answer.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
@@ -210,12 +210,14 @@ class SeenDent:
     """A square of the surface around a touch, on a grid, before it and under it (Thesis 4.4).
 
     before, after: (p, 3) at the same places [m]; shape: (rows, columns); cell_m: how far apart they are
+    sd_m: (p,) deviation of the heights under it
     """
 
     before: FloatArray
     after: FloatArray
     shape: tuple[int, int]
     cell_m: float = COARSE_GRID_M
+    sd_m: FloatArray = field(default_factory=lambda: np.zeros(0))
 
     @property
     def sunk_m(self) -> FloatArray:
@@ -236,8 +238,9 @@ def dent_of(
     latter with the tactile points; cell_m: of the grid"""
     grid = MapGrid((THESIS_SIDE_M, THESIS_SIDE_M), cell_m)
     places_m = np.asarray(place_m)[:2] - 0.5 * THESIS_SIDE_M + grid.centres_m
-    before, after = (np.column_stack([places_m, one.at(places_m).mean]) for one in (world, touched))
-    return SeenDent(before, after, grid.shape, cell_m)
+    rest, under = world.at(places_m), touched.at(places_m)
+    before, after = (np.column_stack([places_m, one.mean]) for one in (rest, under))
+    return SeenDent(before, after, grid.shape, cell_m, under.deviation)
 
 
 def swept_betas(step: float) -> FloatArray:
