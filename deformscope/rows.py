@@ -53,6 +53,7 @@ from deformscope.stages.map.exploration import (
 )
 from deformscope.stages.map.measured import LookFrames, SurfaceMeasurement, TouchFrames, TouchMeasurement
 from deformscope.stages.squeeze.events import SqueezeEvents
+from deformscope.stages.squeeze.placement import ContainerSighting, HandPlacement
 from deformscope.stages.squeeze.trial import (
     ContentPosterior,
     FingertipPressure,
@@ -91,6 +92,8 @@ SqueezeResult = (
     | FingertipPressure
     | TrackedContainer
     | ContentPosterior
+    | ContainerSighting
+    | HandPlacement
 )
 """What comes of a squeeze."""
 
@@ -116,6 +119,8 @@ ENTITIES: dict[type, str] = {
     FingertipPressure: "squeeze/fingertips",
     TrackedContainer: "squeeze/container",
     ContentPosterior: "squeeze/content",
+    ContainerSighting: "squeeze/sighting",
+    HandPlacement: "squeeze/placement",
     HealthReport: "health",
     SessionNote: "note",
     InputFile: "input",

@@ -28,7 +28,9 @@ def toy(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     """The command squeezes toy containers: a content is a stiffness."""
     changes: dict[str, Any] = {"setup": {}, "lab": {"camera": False}}
 
-    def opening(name: str, content: str, container: str, session: str, seed: int, *, trusted: bool) -> SqueezeOpening:
+    def opening(
+        name: str, content: str, container: str, session: str, seed: int, *, trusted: bool, place: str
+    ) -> SqueezeOpening:
         stiffness = {"rice": 400.0, "empty": 100.0}.get(content, 250.0)
         lab = ToySqueeze(stiffness_pa_deg=stiffness, gives_deg=2.0 + 0.1 * (seed % 7), **changes["lab"])
         LABS.append(lab)
