@@ -59,9 +59,7 @@ class SqueezeConfig(RecordedOptions):
     T_arm_camera, [surface] T_arm_surface and the box of [workspace]."""
     grasp: Annotated[
         tuple[float, float, float] | None,
-        flags.one_word(
-            "MM,DEG,DEG", flags.numbers("along in mm,tilt and turn in degrees", "5,0,180"), flags.joined(",")
-        ),
+        flags.one_word("MM,DEG,DEG", flags.numbers("along in mm,tilt,turn in degrees", "5,0,180"), flags.joined(",")),
         flags.unset,
     ] = None
     """With --place jaco or kuka: grasp there instead of drawing: so far above the middle of the longest edge [mm],

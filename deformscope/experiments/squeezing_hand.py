@@ -9,7 +9,15 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 from deformscope.errors import InputError
-from deformscope.experiments.squeeze_frames import AIR, OPEN, SqueezeObserver
+from deformscope.experiments.squeeze_frames import (
+    AIR,
+    OPEN,
+    Predict,
+    SqueezeFrames,
+    SqueezeObserver,
+    TactileSource,
+)
+from deformscope.experiments.touching_robot import without_long_pauses
 from deformscope.rig.source import RigSource
 from deformscope.robot.squeeze_plan import CLOSING_AXES, GripShape
 from deformscope.robot.squeeze_robot import SqueezeRobot, SqueezeStopped
@@ -69,7 +77,8 @@ def feature_executor(setup: SqueezeSetup, hand: SqueezingHand) -> Iterator[Execu
     if not setup.runs_itself:
         yield Inline()
         return
-    with hand.in_a_thread(), ThreadPoolExecutor(1, "features") as executor:
+    calm = contextlib.nullcontext() if setup.placing is None else without_long_pauses()  # an arm's periods are shorter
+    with calm, hand.in_a_thread(), ThreadPoolExecutor(1, "features") as executor:
         yield executor
 
 
@@ -89,13 +98,21 @@ class CarryingArm(Protocol):
     def halt(self, reason: str) -> bool: ...
 
 
+def observer_of(setup: SqueezeSetup, source: RigSource, predict: Predict | None = None) -> SqueezeObserver:
+    """What takes in what its open devices give. predict: as of `SqueezeObserver`"""
+    names = setup.names
+    tactile = TactileSource.of(source.streams, names.tactile, setup.hand.fingers)
+    frames = SqueezeFrames(tactile, names.hand, names.camera, rule_of(setup))
+    return SqueezeObserver(frames, setup.hand.tactile_end, predict)
+
+
 class SqueezingHand:
     """The hand over the devices of an open source; a `SessionRobot`.
 
     arm: carries out what is no command of the hand, None = nothing does
 
     on_cycle: called in every control period; on_phase: with each phase as it begins
-    observer: is informed of each phase, and takes what devices gave while nothing runs by itself
+    observer: is informed of each phase
     """
 
     def __init__(
@@ -139,9 +156,9 @@ class SqueezingHand:
         return Inline().submit(self._do, command)
 
     def reports(self) -> list[Step]:
-        """What began, and what there is to show, since the last call."""
+        """What began since the last call."""
         taken, self._reports = self._reports, []
-        return [*taken, *self._observer.reports()]
+        return taken
 
     @contextlib.contextmanager
     def in_a_thread(self) -> Iterator[None]:

@@ -25,7 +25,7 @@ from deformscope.lab.container_shell import ContainerShape
 from deformscope.lab.container_view import PALM, ContainerView, finger_capsules
 from deformscope.lab.container_world import TEXEL_M2, ContainerWorld
 from deformscope.lab.ray_camera import DepthViewConfig, looking_at
-from deformscope.lab.squeeze_lab import NAMES, SqueezedContainer, SqueezeLab, members
+from deformscope.lab.squeeze_lab import NAMES, ContainerCase, SqueezedContainer, SqueezeLab, members
 from deformscope.lab.touch_lab import Spoiled
 from deformscope.rig.driver_table import DRIVERS
 from deformscope.rig.rig_file import Workspace
@@ -33,6 +33,7 @@ from deformscope.rig.source import RigMember, RigSource
 from deformscope.robot.placement import Placement, best_joints
 from deformscope.robot.shape import LINK_RADIUS_M
 from deformscope_drivers.arm.kinematics import Chain, transform
+from deformscope_drivers.clock import Clock
 from deformscope_drivers.depth_camera import View
 from deformscope_drivers.device import Device
 from deformscope_drivers.dsa.pads import Pad, Part
@@ -41,6 +42,7 @@ from deformscope_drivers.jaco.chains import J2N6S300
 from deformscope_drivers.kuka import Kuka, KukaConfig, KukaDouble
 from deformscope_drivers.kuka.chains import CHAINS as KUKA
 from deformscope_drivers.memory import MemoryTransport
+from deformscope_drivers.sdh.double import Port
 
 T_ARM_HAND: Final = transform(np.eye(3), (0.0, 0.0, 0.02))
 """Hand to the arm's end: on a plate of 2 cm."""
@@ -66,10 +68,10 @@ class StandingContainer(SqueezedContainer):
     blind: the camera gives no depth; injected_n: (3,) something presses the pads of each finger with [N]
     """
 
-    def __init__(self, arm: ArmInLab, T_base_table: FloatArray, **known: Any) -> None:
-        super().__init__(**known)
+    def __init__(self, arm: ArmInLab, T_base_table: FloatArray, case: ContainerCase, clock: Clock) -> None:
+        super().__init__(case, clock, Port.TCP)
         self.body, self._T_table_base = arm.body, np.asarray(np.linalg.inv(T_base_table))
-        random = np.random.default_rng([known["seed"], 0x1A])
+        random = np.random.default_rng([case.seed, 0x1A])
         place = np.array([*random.uniform(-SPREAD_M, SPREAD_M, 2), self.shape.half_m[2]])
         turn = Rotation.from_euler("z", random.uniform(-TURNED_DEG, TURNED_DEG), degrees=True).as_matrix()
         self._stood: FloatArray = transform(turn, place)
@@ -210,14 +212,14 @@ class CarriedHandLab(SqueezeLab):
 
     simulated: StandingContainer
 
-    def __init__(self, arm: str, content: str, container: str, *, placement: Placement, **known: Any) -> None:
-        self._driver, self.placement, self._known = arm, placement, (content, container)
+    def __init__(self, arm: str, placement: Placement, case: ContainerCase, camera_hz: float) -> None:
+        self._driver, self.placement = arm, placement
         self.chain = chain_of_arm(arm)
         self.functions: Spoiled | None = None
         self.scheduled: list[tuple[int, Any]] = []
-        super().__init__(content, container, camera=CAMERA, **known)
+        super().__init__(replace(case, camera=CAMERA), camera_hz)
 
-    def _made(self, **known: Any) -> StandingContainer:
+    def _made(self, case: ContainerCase) -> StandingContainer:
         start_deg = ready_deg(self.chain, self.placement)
         if self._driver == "jaco":
             double = JacoDouble(self.chain.name, self.clock, start_deg=start_deg)
@@ -230,7 +232,7 @@ class CarriedHandLab(SqueezeLab):
             wire = MemoryTransport(kuka, self.clock, "simulated KUKA")
             made = ArmInLab(Kuka(KukaConfig(), wire, clock=self.clock), kuka)
         self.arm = made.arm
-        return StandingContainer(made, self.placement.T_base_surface, **known)
+        return StandingContainer(made, self.placement.T_base_surface, case, self.clock)
 
     def open(self) -> None:
         super().open()

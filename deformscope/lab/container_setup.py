@@ -20,7 +20,7 @@ from deformscope.lab.carried_hand import (
 )
 from deformscope.lab.container_constants import CONTENTS
 from deformscope.lab.container_shell import SHAPES, ContainerShape
-from deformscope.lab.squeeze_lab import NAMES, SqueezeLab, container_of
+from deformscope.lab.squeeze_lab import NAMES, ContainerCase, SqueezeLab, container_of
 from deformscope.rig.squeeze_sections import ContainerSection, HandSection, SqueezeSection
 from deformscope.robot.placement import Placement
 from deformscope.robot.placing import PlacingSetup, hand_tool
@@ -65,7 +65,7 @@ def container_lab(
 ) -> ContainerLab:
     """content, container: empty = drawn; session: its number is that of the room's temperature
 
-    camera_hz, alike: as for `SqueezeLab`; arm: `jaco` or `kuka`, which places the hand; empty = none
+    camera_hz, alike: as for `SqueezeLab`, `ContainerCase`; arm: `jaco` or `kuka`, which places the hand; empty = none
     Raises InputError for a content or a container that is not known.
     """
     content, container = _drawn(content, container, "box", seed)
@@ -75,15 +75,8 @@ def container_lab(
     if arm:
         return _carried(arm, content, container, section, squeeze, _session_number(session), seed, camera_hz)
     grasp = draw_grasp(section, squeeze, seed)
-    lab = SqueezeLab(
-        content,
-        container,
-        seed=seed,
-        session=_session_number(session),
-        grasp=grasp.T_hand_container,
-        alike=alike,
-        camera_hz=camera_hz,
-    )
+    case = ContainerCase(content, container, seed, _session_number(session), grasp.T_hand_container, alike)
+    lab = SqueezeLab(case, camera_hz)
     seen = lab.view.intrinsics
 
     setup = SqueezeSetup(
@@ -120,7 +113,7 @@ def _carried(
     section = dataclasses.replace(section, T_hand_container=tuple(tuple(map(float, row)) for row in middle))
     T_base_table = T_BASE_TABLE[arm]
     placement = Placement(T_base_table, hand_tool(T_ARM_HAND, GripShape.of(section, squeeze)))
-    lab = CarriedHandLab(arm, content, container, placement=placement, seed=seed, session=session, camera_hz=camera_hz)
+    lab = CarriedHandLab(arm, placement, ContainerCase(content, container, seed, session), camera_hz)
     lens = lab.view.intrinsics
     setup = SqueezeSetup(
         names=SqueezeNames(*CARRIED_NAMES),
@@ -171,14 +164,8 @@ def rig_container(parts: SqueezeParts, content: str, container: str, session: st
         came = f"{container} with [container] shape = {section.shape!r}"
         raise InputError(f"a container named after its shape, as {section.shape}-07", came, where=parts.rig.name)
     fps = None if parts.camera is None else parts.camera.config.fps
-    lab = LiveSqueezeLab(
-        content,
-        container,
-        seed=seed,
-        session=_session_number(session),
-        grasp=parts.grasp.T_hand_container,
-        camera_hz=float(fps or PICTURES_HZ),
-    )
+    case = ContainerCase(content, container, seed, _session_number(session), parts.grasp.T_hand_container)
+    lab = LiveSqueezeLab(case, float(fps or PICTURES_HZ))
     return RigContainer(lab, content, container)
 
 

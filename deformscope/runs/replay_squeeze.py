@@ -94,10 +94,8 @@ def squeeze_again(recording: Replay) -> SqueezeAgain:
     for row in rows:
         if isinstance(row.item, SqueezePhase):
             observer.phase(row.item.name, row.session_ns + start_ns)
-    for row in rows:
-        if not isinstance(row.item, SqueezePhase):
-            observer.observe([row.item])
-    found = SqueezeAgain([result for step in observer.reports() for result in step.results])
+    steps = [observer.observe(row.item) for row in rows if not isinstance(row.item, SqueezePhase)]
+    found = SqueezeAgain([result for step in filter(None, steps) for result in step.results])
     found.results += sighted_again(recording, [row.item for row in rows], geometry)
     placements = [one.item for one in read_results(path, (HandPlacement,), trust=True)]
     if placements:

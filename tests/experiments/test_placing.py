@@ -10,8 +10,8 @@ import pytest
 from deformscope.experiments.placing import Placing, PlacingArm
 from deformscope.experiments.squeeze import Squeezed, squeeze
 from deformscope.experiments.squeeze_features import SqueezeGeometry
-from deformscope.experiments.squeeze_frames import ObservedRecorder, SqueezeFrames, SqueezeObserver, TactileSource
-from deformscope.experiments.squeezing_hand import SqueezingHand, rule_of
+from deformscope.experiments.squeeze_frames import ObservedRecorder
+from deformscope.experiments.squeezing_hand import SqueezingHand, observer_of
 from deformscope.lab.carried_hand import CarriedHandLab
 from deformscope.lab.container_setup import container_lab
 from deformscope.recording.recorder import Recorder
@@ -40,14 +40,12 @@ class Trial:
     def go(self, grasp: RandomGrasp | None = None) -> Squeezed:
         setup = self.setup
         with setup.open_source() as source:
-            tactile = TactileSource.of(source.streams, setup.names.tactile, setup.hand.fingers)
-            frames = SqueezeFrames(tactile, setup.names.hand, setup.names.camera, rule_of(setup))
-            observer = SqueezeObserver(frames, "first", None)
+            observer = observer_of(setup, source)
             self.hand = hand = SqueezingHand(setup, source, observer)
             hand.on_phase = self._began
             hand.arm = arm = PlacingArm(setup, source, hand.begin, hand.cycled)
             geometry = SqueezeGeometry.of(setup)
-            placing = Placing(setup, frames, geometry, arm, self.seed, self.found, self.permit, grasp)
+            placing = Placing(setup, observer.frames, geometry, arm, self.seed, self.found, self.permit, grasp)
             experiment = squeeze(
                 setup.clock,
                 observer,

@@ -16,7 +16,6 @@ import pytest
 
 pytest.importorskip("rerun")
 
-from deformscope.api.recordings import OpenRecording
 from deformscope.config import BetaConfig
 from deformscope.config.images import ImageOptions
 from deformscope.errors import InputError
@@ -28,6 +27,7 @@ from deformscope.page.fit_panel import FitPanel
 from deformscope.page.server.fit_messages import FitResult, FitSettings, FitState
 from deformscope.page.server.messages import CloseFit, HoldPicture, OpenFit, RunFit, StopRun, TakeRest
 from deformscope.page.server.page_server import PageServer
+from deformscope.runs.recordings import OpenRecording
 from deformscope.session import Inline
 from deformscope_drivers.clock import Stamp
 from tests.page.pages import page_script
@@ -209,6 +209,24 @@ def test_what_was_found_is_said_and_what_ends_it_too(beside: Beside, capsys: pyt
     beside.until(lambda state: state.fit is None)
     again = beside.opened("theta")
     again.close()
+    beside.ended()
+
+
+def test_a_result_is_said_once_also_where_another_fit_begins_meanwhile(beside: Beside) -> None:
+    found = FitResult("deformscope x", 0.5, 0.4, 0.6, 0.9, 1.0, "weak")
+    first = beside.opened()
+    first.send(("fit", msgspec.structs.replace(STATE, found=found), ("set-fit",)))
+    beside.until(lambda state: state.fit is not None and state.fit.found == found)
+    ending = beside.fit._fit
+    assert ending is not None
+    second = beside.opened(camera="top")
+    second.send(("fit", msgspec.structs.replace(STATE, camera="top", busy="new"), ("set-fit",)))
+    beside.until(lambda state: state.fit is not None and state.fit.busy == "new")
+    first.send(("fit", msgspec.structs.replace(STATE, found=found, busy="ends"), ("set-fit",)))
+    first.send(("end", None))
+    ending.thread.join(PATIENCE_S)
+    assert ending.state.busy == "ends"
+    assert len(beside.found) == 1
     beside.ended()
 
 

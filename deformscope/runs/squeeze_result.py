@@ -7,11 +7,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from deformscope.api.result import LibraryResult
 from deformscope.arrays import FloatArray
 from deformscope.pictures.report import Figure, Table
 from deformscope.results.declared import derived, reported
 from deformscope.results.render import Rows, to_json
+from deformscope.runs.result import LibraryResult
 
 if TYPE_CHECKING:
     from deformscope.experiments.squeeze_features import TrialFeatures
