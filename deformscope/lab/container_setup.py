@@ -128,7 +128,7 @@ def _carried(
         simulated=True,
         runs_itself=False,
         truth=lab.truth,
-        placing=PlacingSetup(lab.chain, placement, workspace_of(T_base_table), {}, {}),
+        placing=PlacingSetup(lab.chain, placement, workspace_of(T_base_table), {}),
         clock=lab.clock,
         wait_until=lab.wait_until,
     )

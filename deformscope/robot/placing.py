@@ -47,15 +47,12 @@ STEP_DEG = 2.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlacingSetup:
-    """The arm that places a hand. chain: of its joints; placement: of arm, table and hand; workspace: its limits
-
-    calibrated: what has to be known before it moves, by name, and whether it is; ages: of what was measured
-    """
+    """The arm that places a hand. chain: of its joints; placement: of arm, table and hand; workspace: its limits; ages:
+    of what was measured"""
 
     chain: Chain
     placement: Placement
     workspace: Workspace
-    calibrated: dict[str, bool]
     ages: dict[str, CalibrationAge]
 
     def limits(self, squeeze: SqueezeSection, camera_hz: float) -> Limits:

@@ -233,7 +233,7 @@ def placing_of(parts: SqueezeParts) -> PlacingSetup:
         raise InputError('model = "..." of the arm, for --place', "none", 'model = "j2n6s300"', rig.name)
     tool = hand_tool(T_arm_hand, GripShape.of(rig.container, rig.squeeze))
     return PlacingSetup(
-        chain, Placement(np.asarray(T_base_table, np.float64), tool), rig.workspace, {}, dict(rig.calibrated.ages())
+        chain, Placement(np.asarray(T_base_table, np.float64), tool), rig.workspace, dict(rig.calibrated.ages())
     )
 
 

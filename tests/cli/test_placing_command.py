@@ -19,11 +19,6 @@ from deformscope.stages.squeeze.placement import ContainerSighting, HandPlacemen
 from tests.patience import PATIENCE_S
 
 
-def test_a_grasp_that_a_person_chose_needs_an_arm(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["squeeze", "lab:containers", "--content", "rice", "--grasp", "5,0,0"]) == 2
-    assert "--grasp with --place jaco or kuka" in capsys.readouterr().err
-
-
 def test_an_arm_that_a_rig_lacks_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     rig = tmp_path / "rig.toml"
     hand = '[devices.hand]\ndriver = "sdh"\nport = "/dev/null"\n[devices.pads]\ndriver = "dsa"\nport = "/dev/zero"\n'

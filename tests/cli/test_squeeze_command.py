@@ -204,7 +204,7 @@ def test_a_model_names_the_content_while_it_is_squeezed(tmp_path: Path) -> None:
         ([], "--content NAME, or --model MODEL"),
         (["--content", "rice", "--dataset", "d"], "--content and --container with --dataset"),
         (["--content", "a/b"], "a name of letters, digits"),
-        (["--content", "rice", "--place", "jaco"], "no --place (a person places the hand, or moves its arm"),
+        (["--content", "rice", "--grasp", "5,0,0"], "--grasp with --place jaco or kuka"),
     ],
 )
 def test_what_makes_no_trial_is_refused_in_one_line(

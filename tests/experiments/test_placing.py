@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+import rerun as rr
 
 from deformscope.experiments.placing import Placing, PlacingArm
 from deformscope.experiments.squeeze import Squeezed, squeeze
@@ -14,9 +15,11 @@ from deformscope.experiments.squeeze_frames import ObservedRecorder
 from deformscope.experiments.squeezing_hand import SqueezingHand, observer_of
 from deformscope.lab.carried_hand import CarriedHandLab
 from deformscope.lab.container_setup import container_lab
+from deformscope.log.squeeze.results import prepare_squeeze_results
 from deformscope.recording.recorder import Recorder
 from deformscope.robot.checks import Preflight
 from deformscope.robot.squeeze_plan import RandomGrasp, draw_grasps, grasp_at
+from deformscope.rows import differing, from_components, to_components
 from deformscope.session import RigExperiment, run
 
 S = 1_000_000_000
@@ -226,3 +229,15 @@ def test_a_grasp_that_a_person_chose_is_taken() -> None:
     assert found.placement.seed == -1
     assert found.placement.along_m == 0.005
     assert found.placement.refused == ("",)
+
+
+def test_what_is_recorded_is_read_again_as_it_was_and_is_shown(good: Trial) -> None:
+    results = [*good.found.sightings, good.found.placement]
+    for result in results:
+        again = from_components(type(result), to_components(result))
+        assert differing(result, again) is None
+    rec = rr.RecordingStream("deformscope-test")
+    memory = rec.memory_recording()
+    prepare_squeeze_results(results, 0, None).send(rec)
+    rec.flush(timeout_sec=10.0)
+    assert memory.num_msgs() > len(results)
