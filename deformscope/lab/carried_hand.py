@@ -6,7 +6,7 @@ Frames: the table's (z = 0 on it, y away from the arm) is the world's here; `Con
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from typing import Any, Final
@@ -206,6 +206,21 @@ def _aligned(T_hand_container: FloatArray, shape: ContainerShape) -> FloatArray:
     return np.asarray(T_hand_container @ transform(Rotation.from_euler("z", turn).as_matrix(), np.zeros(3)))
 
 
+class _Wire(MemoryTransport):
+    """A wire whose reader lets the other devices' time pass while it waits, as it does when an arm is opened.
+
+    passes: until a moment [ns]
+    """
+
+    passes: Callable[[int], None]
+
+    def read(self, timeout_s: float) -> bytes:
+        until_ns = self._clock() + round(max(timeout_s, 0.0) * 1e9)
+        while not (data := super().read(0.0)) and self._clock() < until_ns:
+            self.passes(min(self._clock() + ARM_POLL_NS, until_ns))
+        return data
+
+
 class CarriedHandLab(SqueezeLab):
     """`SqueezeLab` with an arm, `jaco` or `kuka`; arm: its device, closed; functions: of a Jaco's vendor, which can be
     disturbed; scheduled: what happens at moments of the clock"""
@@ -229,7 +244,8 @@ class CarriedHandLab(SqueezeLab):
         else:
             kuka = KukaDouble(self.chain.name, start_deg=start_deg)
             kuka.sends_currents = True
-            wire = MemoryTransport(kuka, self.clock, "simulated KUKA")
+            wire = _Wire(kuka, self.clock, "simulated KUKA")
+            wire.passes = super().wait_until
             made = ArmInLab(Kuka(KukaConfig(), wire, clock=self.clock), kuka)
         self.arm = made.arm
         return StandingContainer(made, self.placement.T_base_surface, case, self.clock)

@@ -268,7 +268,7 @@ class SqueezeLab:
         while (now_ns := self.clock()) < until_ns:
             self.clock.advance_to(min((now_ns // POLL_NS + 1) * POLL_NS, until_ns))
             self.simulated.hand.position_deg(self.clock())
-            self._poll(self._devices)
+            self._poll(self._three)
 
     def _poll(self, devices: Iterable[Device[Any]]) -> None:
         for device in devices:

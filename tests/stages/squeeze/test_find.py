@@ -104,8 +104,8 @@ def test_half_hidden_it_is_found_near_where_it_was_and_too_little_of_it_is_not_k
 
 
 def test_a_box_turned_about_its_middle_is_told() -> None:
-    before = find_container(points(BOX, pose(0.0, 0.0, 0.0, BOX), 1), "box")
-    after = find_container(points(BOX, pose(0.0, 0.0, 12.0, BOX), 2), "box")
-    change = compare(before, after)
+    size = tuple(2.0 * side for side in BOX.half_m)
+    seen = [points(BOX, pose(0.0, 0.0, turn_deg, BOX), 1) for turn_deg in (0.0, 12.0)]
+    change = compare(*(matches(find_container(one, "box"), size) for one in seen))
     assert change.kind == "moved"
     assert np.degrees(change.turned_rad) == pytest.approx(12.0, abs=1.0)
