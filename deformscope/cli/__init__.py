@@ -78,6 +78,9 @@ COMMANDS: dict[str, Command] = {
     "reproduce cubes": _command(
         "theta of cubes of known Poisson's ratio (Thesis 3.A)", "CubesConfig", "reproduce_cubes"
     ),
+    "reproduce shapes": _command(
+        "what beta and theta do to a body, to be scrubbed (Thesis 3.4)", "ShapesConfig", "reproduce_shapes"
+    ),
     "reproduce foams": _command("experiment 3.B: beta of five virtual foams", "FoamsConfig", "reproduce_foams"),
     "reproduce pokes": _command(
         "pokes that were not fitted, predicted, on slabs of known truth", "PokesConfig", "reproduce_pokes"
@@ -363,10 +366,6 @@ _CONVERSIONS = (
 )
 
 
-_NOT_DONE = {"--place": "a person places the hand, or moves its arm by the joystick: none moves by itself there"}
-"""Flags that people look for, and why there are none."""
-
-
 def _usage_error(boxed: str, prog: str) -> InputError:
     """One line out of tyro's box, whose sections are parted by rules: title, what is wrong, hints."""
     lines = [_FRAME.sub("", line) for line in boxed.splitlines()]
@@ -392,9 +391,6 @@ def _usage_error(boxed: str, prog: str) -> InputError:
     if found := re.match(r"Unrecognized options: (.*)", text):
         meant = re.search(r"Perhaps you meant:\s+(--[\w-]+)", " ".join(body))
         unknown = found[1].replace(", ", " ")
-        flag = re.split("[ =]", unknown)[0]
-        if flag in _NOT_DONE:
-            return InputError(f"no {flag} ({_NOT_DONE[flag]})", unknown, "leave it out")
         return InputError(f"only known flags for {prog}", unknown, meant[1] if meant else help_hint)
     return _UsageError(text or "the command line was not understood", help_hint)
 

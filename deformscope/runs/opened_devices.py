@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from deformscope.errors import InputError
 
@@ -52,12 +52,14 @@ def setup_of(
     camera: str = "plain",
     robot: str = "plain",
     removal: Removal | None = None,
+    tangential: Literal["held", "free"] | None = None,
 ) -> Opening:
     """The setup of `lab:NAME` or of a rig file, closed.
 
     set_force_n: None = as the rig file says; trusted: as for `deformscope.rig.rig_file.load_rig`; clean: the laboratory
     keeps nothing from the estimator; camera: what its camera measures by; robot: what it
-    sees of the robot; removal: how that is taken out of its pictures
+    sees of the robot; removal: how that is taken out of its pictures; tangential: of a touch, None = as the rig file
+    says, in the laboratory free where `options` are the thesis's
     """
     if name.startswith(LAB):
         from deformscope.experiments.measured import highest_m
@@ -69,7 +71,8 @@ def setup_of(
         from deformscope.robot.description import AS_CAPSULES
 
         scene = built_in(name.removeprefix(LAB), options.seed)
-        options = dataclasses.replace(options, thickness_m=scene.thickness_m)
+        across = tangential or ("free" if options.planner == "thesis" else "held")
+        options = dataclasses.replace(options, thickness_m=scene.thickness_m, tangential=across)
         if set_force_n is not None:
             options = dataclasses.replace(options, set_force_n=set_force_n)
         parked_m = highest_m(options)
@@ -104,7 +107,7 @@ def setup_of(
         tip_radius_m=rig.tool.radius_m,
         thickness_m=rig.surface.top_m,
         thickness_stated=rig.surface.thickness_m is not None,
-        tangential=rig.touch.tangential,
+        tangential=tangential or rig.touch.tangential,
     )
     settings = {"rig": rig.text, "rig_name": rig.name, "scene": rig.surface.scene}
     return Opening(setup_of_rig(rig, options.seed), options, settings)
@@ -164,16 +167,17 @@ class SqueezeOpening:
 
 
 def squeeze_setup_of(
-    name: str, content: str, container: str, session: str, seed: int, *, trusted: bool
+    name: str, content: str, container: str, session: str, seed: int, *, trusted: bool, place: str = "person"
 ) -> SqueezeOpening:
     """The setup of lab:containers or of a rig file, whose doubles squeeze a simulated container.
 
-    content, container: empty = drawn, where they are simulated
+    content, container: empty = drawn, where they are simulated; place: who places the hand: person, jaco or kuka
     """
     if name == CONTAINERS:
         from deformscope.lab.container_setup import container_lab
 
-        made = container_lab(content, container, session, seed)
+        arm = "" if place == "person" else place
+        made = container_lab(content, container, session, seed, arm=arm)
         return SqueezeOpening(made.setup, {"lab": CONTAINERS}, made.content, made.container)
     if name.startswith(LAB):
         raise InputError(CONTAINERS + ", or a rig file", repr(name), CONTAINERS)
@@ -184,9 +188,9 @@ def squeeze_setup_of(
 
     rig = load_rig(name, trusted=trusted)
     settings = {"rig": rig.text, "rig_name": rig.name}
-    parts = SqueezeParts.of(rig, seed)
+    parts = SqueezeParts.of(rig, seed, place)
     if not parts.simulated:
-        return SqueezeOpening(squeeze_setup(parts, member_of), settings, content, container)
+        return SqueezeOpening(squeeze_setup(parts, member_of, place=place), settings, content, container)
     between = rig_container(parts, content, container, session, seed)
     setup = squeeze_setup(parts, member_of, between.simulated)
     return SqueezeOpening(setup, settings, between.content, between.container)
