@@ -48,6 +48,7 @@ from deformscope.config.rigs import (
     RecordConfig,
     RecoverConfig,
     ReplayConfig,
+    ReportConfig,
     RigRunOptions,
     VerifyConfig,
 )

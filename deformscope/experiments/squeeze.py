@@ -66,7 +66,7 @@ def squeeze(
         return
     yield from ask(HandWait(0.0))  # what the devices gave last is taken in
     try:
-        computed: TrialFeatures = yield from ask(Compute(trial_features, (frames, geometry)))
+        computed: TrialFeatures = yield from ask(Compute(trial_features, (frames, geometry), "features"))
         posterior = None if name is None else posterior_of(computed, name)
     except Exception as error:
         words = " ".join(str(error).split())

@@ -12,8 +12,9 @@ person looks at.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
+from typing import Any
 
 import rerun as rr
 
@@ -25,7 +26,7 @@ from deformscope.log.squeeze.content import log_content, log_not_named
 from deformscope.log.squeeze.fingertips import FORCE, Fingertips, log_fingertips
 from deformscope.log.squeeze.phases import log_squeeze_phase, log_squeeze_phases, log_squeeze_stop
 from deformscope.log.squeeze.summary import log_measured, log_not_measured
-from deformscope.log.views import Views, views_of
+from deformscope.log.views import Registered, ShownStage, Views, of_run, views_of
 from deformscope.pictures.palette import JOINTS
 from deformscope.stages.squeeze.events import SqueezeEvents
 from deformscope.stages.squeeze.trial import (
@@ -36,6 +37,11 @@ from deformscope.stages.squeeze.trial import (
     SqueezeStop,
     TrackedContainer,
 )
+
+
+def _sees(settings: Mapping[str, Any]) -> bool:
+    """Whether a squeeze has a depth camera, by its recording's settings."""
+    return bool(settings["squeezed"]["names"]["camera"])
 
 
 def log_squeeze_start(rec: rr.RecordingStream, fingertips: Fingertips | None) -> None:
@@ -69,12 +75,37 @@ def prepare_squeeze_results(results: Sequence[object], session_ns: int, fingerti
 
 def squeeze_views(fingertips: Fingertips | None) -> Views[ResultBatch]:
     """What shows each result; events stand in the table of `log_measured`."""
+    pads = () if fingertips is None else (partial(log_fingertips, fingertips=fingertips),)
     return {
-        SqueezePhase: (log_squeeze_phase,),
-        SqueezeStop: (log_squeeze_stop,),
-        FingertipPressure: () if fingertips is None else (partial(log_fingertips, fingertips=fingertips),),
-        TrackedContainer: (log_container,),
-        SqueezeFeatures: (log_change,),
-        ContentPosterior: (log_content,),
-        SqueezeEvents: (),
+        SqueezePhase: Registered(of_run("phase", "what the hand does", asked=""), (log_squeeze_phase,)),
+        SqueezeStop: Registered(of_run("stopped", "why it ended before its time"), (log_squeeze_stop,)),
+        FingertipPressure: Registered(
+            (ShownStage("fingertips", 2, "force, area, centre and axis of pressure (fig. 2.4)"),), pads
+        ),
+        TrackedContainer: Registered(
+            (
+                ShownStage(
+                    "track", 2, "pose of the rigid model in a depth image (fig. 2.8)", asked="a camera", expected=_sees
+                ),
+            ),
+            (log_container,),
+        ),
+        SqueezeFeatures: Registered(
+            (
+                ShownStage("features", 2, "tactile and physical features at steady state (fig. 2.7)"),
+                ShownStage(
+                    "depth change", 2, "data minus model (fig. 2.6)", field="vision", asked="a camera", expected=_sees
+                ),
+            ),
+            (log_change,),
+        ),
+        ContentPosterior: Registered(
+            (
+                ShownStage(
+                    "posterior", 2, "probability of each content", asked="--model", expected=lambda settings: False
+                ),
+            ),
+            (log_content,),
+        ),
+        SqueezeEvents: Registered((ShownStage("events", 2, "first contact and steady state"),)),
     }

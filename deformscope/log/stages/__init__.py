@@ -11,7 +11,8 @@ A result stands at the time, and at the place on `frame`, of the newest frame th
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import rerun as rr
@@ -23,7 +24,7 @@ from deformscope.log.stages.over_image import log_flow_arrows, log_moments
 from deformscope.log.stages.pads import log_pads, log_pads_stream
 from deformscope.log.stages.summary import summary
 from deformscope.log.stages.views import PLOTS, WORDS
-from deformscope.log.views import Views, views_of
+from deformscope.log.views import Registered, ShownStage, Views, views_of
 from deformscope.pictures.exploration import force_png, height_png
 from deformscope.pictures.palette import JOINTS
 from deformscope.stages.fit.moment import MomentFit
@@ -102,13 +103,38 @@ def _log_pictures(batch: Batch, stage: str, group: StageGroup, pngs: Sequence[by
     batch.send_columns(f"display/stage/{stage}", times, columns)
 
 
+def _live(name: str, chapter: int, gives: str, field: str) -> tuple[ShownStage]:
+    def expected(settings: Mapping[str, Any]) -> bool:
+        return name in settings.get("stages", {}).get("names", ())
+
+    return (ShownStage(name, chapter, gives, f"stage/{name}", field=field, asked=f"--stage {name}", expected=expected),)
+
+
 STAGE_VIEWS: Views[Batch] = {
-    FlowArrows: (log_flow_arrows,),
-    MomentFit: (log_moments,),
-    TactileContact: (log_pads,),
-    SurfaceEstimate: (_log_surfaces,),
-    TouchEstimate: (_log_contacts,),
-    StageFailure: (),
+    FlowArrows: Registered(_live("flow", 3, "optical flow between the images used", "flow_px"), (log_flow_arrows,)),
+    MomentFit: Registered(
+        _live("beta", 3, "observed and simulated particles, and beta (eq. 3.13)", "rest_px"), (log_moments,)
+    ),
+    TactileContact: Registered(
+        _live("tactile", 2, "force, area and centre of pressure of each pad", "force_n"), (log_pads,)
+    ),
+    SurfaceEstimate: Registered(
+        _live("surface", 4, "height and deviation of the surface (eq. 4.3, 4.4)", "height_m"), (_log_surfaces,)
+    ),
+    TouchEstimate: Registered(_live("contact", 4, "force over depth of an approach", "approach_m"), (_log_contacts,)),
+    StageFailure: Registered(
+        (
+            ShownStage(
+                "failed",
+                0,
+                "a stage that failed",
+                "stage",
+                field="reason",
+                asked="where one did",
+                expected=lambda settings: False,
+            ),
+        )
+    ),
 }
 """What shows the results of each type, those of one device together (`StageGroup`); a failure stands in the table."""
 
