@@ -6,9 +6,9 @@ deformscope report run.rrd --out run.html
 
 from __future__ import annotations
 
-from deformscope.api.recording_report import report_recording
 from deformscope.cli.common import check_writable, say, show, write_file, write_json
 from deformscope.config import ReportConfig
+from deformscope.runs.recording_report import report_recording
 
 
 def run(config: ReportConfig) -> None:

@@ -15,7 +15,7 @@ from deformscope.files.classifier_file import save_classifier
 from deformscope.files.squeeze_dataset import SqueezeDataset
 from deformscope.robot.squeeze_plan import draw_grasp
 from deformscope.robot.squeeze_setup import SqueezeSetup
-from deformscope.runs.setups import SqueezeOpening
+from deformscope.runs.opened_devices import SqueezeOpening
 from deformscope.stages.squeeze.model import ContentModel, fit_model
 from deformscope.stages.squeeze.table import LabelledTable
 from tests.experiments.toy_squeeze import ToySqueeze, limits

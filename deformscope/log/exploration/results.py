@@ -15,7 +15,7 @@ What a touch measured is at the frame of its dent. `deformscope.recording.items`
     display/plan/gain                     why the next touch goes where it goes
     display/touch/force|section           force over depth; the dent's height over the distance from the contact
     display/summary                       what is known, in words
-    display/lumps/map|missed|summary      where lumps are sought: which were found, what may be missed, in words
+    display/lumps/map|missed|summary      where inclusions are sought: which were found, what may be missed, in words
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ from deformscope.log.views import Registered, ShownStage, Views, of_run, views_o
 from deformscope.stages.map.exploration import (
     DISPLAY,
     ExplorationStop,
-    LumpsFound,
+    InclusionsResult,
     MapEstimate,
     PhaseStart,
     PlannedTouch,
@@ -190,12 +190,13 @@ def exploration_views(touch: int, maps: MapEstimate | None, cell_m: float) -> Vi
         SurfaceEstimate: Registered(SURFACE, (partial(log_surface, colored=touch == 0), log_height)),
         TouchEstimate: Registered(TOUCH, (log_contact, log_dent, log_curves, _log_no_forecast)),
         MapEstimate: Registered(MAPS, (log_stiffness, log_maps, log_summary)),
-        LumpsFound: Registered(
+        InclusionsResult: Registered(
             (
                 ShownStage(
-                    "lumps",
+                    "inclusions",
                     4,
-                    "lumps below the surface, and what may be missed",
+                    "inclusions below the surface, and what may be missed",
+                    costs=("lumps",),
                     asked="--goal inclusions",
                     expected=lambda settings: bool(settings["explore"]["goal"] == "inclusions"),
                 ),

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy import stats
 
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.errors import InputError
+from deformscope.results.declared import derived, reported
 from deformscope.stages.squeeze.intervals import Estimated, Interval, share_among_new, trials_worth, wilson
 from deformscope.stages.squeeze.model import ContentModel
 from deformscope.stages.squeeze.scores import ClassificationScore, balanced_worth, cluster_sizes, reliability_of
@@ -33,15 +34,16 @@ class ModelCheck:
     labels: tuple[str, ...]
     score: ClassificationScore
     alone: Mapping[str, ClassificationScore]
-    promised: Estimated | None
-    expected: Interval | None
+    promised: Estimated | None = field(metadata=reported(interval_key="promised_interval"))
+    expected: Interval | None = field(metadata=reported(key="expected_interval"))
     inside: tuple[int, int]
-    calibrated: float
+    calibrated: float = field(metadata=reported(key="calibrated_p"))
 
     @property
-    def kept(self) -> bool:
-        """Whether the accuracy is one that is expected of so many trials, were the promise right."""
-        return self.expected is not None and self.expected[0] <= self.score.accuracy.value <= self.expected[1]
+    @derived(key="promise_kept")
+    def kept(self) -> bool | None:
+        """Whether the accuracy is one that is expected of so many trials, were the promise right; None without one."""
+        return None if self.expected is None else self.expected[0] <= self.score.accuracy.value <= self.expected[1]
 
     @property
     def calibration_kept(self) -> bool:

@@ -1,0 +1,450 @@
+"""Beta or theta of images and of pairs of shapes: the same for files, recordings, samples and arrays."""
+
+from __future__ import annotations
+
+import dataclasses
+import io
+import shutil
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from deformscope.arrays import FloatArray, ImageArray
+from deformscope.config import BetaConfig, ImageOptions, OutputOptions, ThetaConfig
+from deformscope.config.calibrate import check_arrays
+from deformscope.config.flags import Selectable
+from deformscope.errors import InputError
+from deformscope.experiments.calibration_inputs import (
+    fit_options,
+    images_of,
+    mask_of,
+    opened_images,
+    particle_options,
+)
+from deformscope.experiments.foam_video import ParticleOptions, foam_video
+from deformscope.experiments.pair_files import pair_files
+from deformscope.experiments.poke_files import LayersOptions, poke_files
+from deformscope.experiments.whole_motion import whole_motion
+from deformscope.file_io import ending_of, read_file
+from deformscope.files.model_file import save_model
+from deformscope.files.pairs import parse_pair
+from deformscope.files.sources import DEFAULT_FPS, Source
+from deformscope.frames import ColorFrame, InputFile
+from deformscope.images import encode_png
+from deformscope.log.application import IMAGES, PAIR, PAIR_3D
+from deformscope.pictures.evidence import Result, results_png
+from deformscope.pictures.messages import estimate_tables
+from deformscope.pictures.report import Figure, Table
+from deformscope.recording.reader import Replay
+from deformscope.recording.recorder import Recorder, RecordingSummary
+from deformscope.runs.calibration_report import poke_tables
+from deformscope.runs.result import (
+    LibraryResult,
+    Note,
+    log_note,
+    open_recorder,
+    recording_rows,
+)
+from deformscope.session import run
+from deformscope.stages.fit.calibrate import Calibration, FitOptions, Model, Observation
+from deformscope.stages.fit.estimate import Comparison, Doubt, Estimate, Verdict
+from deformscope.stages.fit.plausible import size_note
+from deformscope.stages.fit.search import Progress
+from deformscope.stages.msm.clusters import rank
+from deformscope.stages.msm.poke import Law
+from deformscope.stages.msm.quiet import quiet_warp
+from deformscope.stages.poke.fitted import FittedModel, from_pair
+from deformscope.stages.poke.poke_estimate import PokesResult
+from deformscope.stages.see.particles import clean_mask
+from deformscope.version import __version__
+from deformscope_drivers.clock import Stamp
+
+PairArrays: TypeAlias = Mapping[str, Any]
+"""A pair by name, as in a pair file: `rest (K, d)`, `deformed (K, d)` [m], `held (n,)`, and what else one holds."""
+
+FLOW_S_PER_PX = 3e-6
+"""Flow both ways between two frames takes about so long on two cores [s/px]: 0.9 s at 640x480."""
+FOLLOWED_S, FEWEST_FRAMES = 45.0, 16
+"""Frames of a long sequence are followed for so long, but no fewer than these; the fit takes the rest of a minute."""
+LAYERS_S, MOST_PARTICLES = 9e-5, 11_000
+"""A fit of layers takes about so long for each cluster size and particle to the power 4 / 3 [s], and has so many
+particles by default."""
+FLAT_SURFACE = "note: a flat surface by itself hardly feels beta; --thickness-m fits the material below it"
+
+
+@dataclass(frozen=True, slots=True)
+class CalibrationResult(LibraryResult):
+    """What `calibrate_beta` or `calibrate_theta` found.
+
+    estimate: value, interval, verdicts, error curve; shown: observed and simulated particles
+    name: of the source; pokes: of a surface, where layers below it were fitted
+    pair: the observation and the model's settings that `model` is made of, where it was one pair
+    recording: what was recorded; problems: what of the source is damaged
+    settings, seed: what decides the result
+    """
+
+    estimate: Estimate
+    shown: Result
+    name: str = ""
+    pokes: PokesResult | None = None
+    pair: tuple[Observation, Model] | None = None
+    recording: RecordingSummary | None = None
+    problems: tuple[str, ...] = ()
+    settings: Mapping[str, object] = dataclasses.field(default_factory=dict)
+    seed: int = 0
+
+    @property
+    def value(self) -> float:
+        """The parameter with the lowest error."""
+        return self.estimate.value
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """Within which the parameter lies, at the estimate's level."""
+        return self.estimate.interval
+
+    @property
+    def verdict(self) -> Verdict:
+        """What the data allow to say of the parameter."""
+        return self.estimate.verdict
+
+    @property
+    def reasons(self) -> tuple[Doubt, ...]:
+        """Why the parameter is to be doubted, and what it holds for; those that lower the verdict first."""
+        return self.estimate.reasons
+
+    def __repr__(self) -> str:
+        low, high = self.interval
+        return f"<{self.estimate.parameter} {self.value:.4g}, {low:.4g} to {high:.4g}: {self.verdict}>"
+
+    def model(self) -> FittedModel:
+        """A model that `deformscope.predict` can poke. Raises InputError where the source has no scale in metres."""
+        if self.pokes is not None:
+            return self.pokes.model
+        if self.pair is None:
+            raise InputError("a result of one pair, or of pokes of a surface", "one of images or of several pairs")
+        (seen, model), found = self.pair, self.estimate
+        beta, theta = (found.value, model.theta) if model.parameter == "beta" else (model.beta, found.value)
+        law = Law(beta, theta, model.cluster_size, model.basis, model.volume)
+        stiffness = None if found.stiffness is None else found.stiffness[0]
+        error_m = found.aee_free * (found.metres_per_unit or 1.0)
+        return from_pair(seen, law, stiffness, error_m, {"deformscope": __version__, "sources": [self.name]})
+
+    def save(self, path: Path | str) -> None:
+        """Write `model()` as a file (.npz) that `deformscope predict` takes."""
+        save_model(self.model(), Path(path))
+
+    def picture(self) -> bytes:
+        """Particles, where the model is wrong, error curve and posterior, as PNG."""
+        return results_png([self.shown])
+
+    def as_json(self) -> dict[str, Any]:
+        found = self.estimate.as_json()
+        if self.pokes is not None:
+            found |= {"pokes": self.pokes.rows(), "tried": self.pokes.tried_json()}
+            found |= {"field": self.pokes.model.field_kind, "model": None}
+        return found | ({"source_problems": list(self.problems)} if self.problems else {})
+
+    def tables(self) -> tuple[Table, ...]:
+        parameter, rows = self.estimate.parameter, []
+        if self.problems:
+            rows.append(("SOURCE DAMAGED", "; ".join(self.problems)))
+        if self.recording is not None:
+            rows += recording_rows(self.recording)
+            if self.recording.path is not None:
+                rows.append(("to look at it", f"{rerun_command()} {self.recording.path}"))
+        title = f"{parameter} of {self.name}" if self.name else f"Estimate of {parameter}"
+        first, *others = estimate_tables(self.estimate, title)
+        tables = [Table([*first.rows, *rows], caption=first.caption), *others]
+        if self.pokes is not None:
+            tables += poke_tables(self.pokes)
+        return tuple(tables)
+
+    def figures(self) -> tuple[Figure, ...]:
+        return (Figure(self.picture(), self.estimate.verdict_text()),)
+
+
+def rerun_command() -> str:
+    """How this user starts rerun's viewer: by name where it is on the PATH, else beside this Python."""
+    beside = Path(sys.executable).with_name("rerun")
+    if shutil.which("rerun") is not None or not beside.exists():
+        return "rerun"
+    try:
+        return str(beside.relative_to(Path.cwd()))
+    except ValueError:
+        return str(beside)
+
+
+def calibrate(
+    config: BetaConfig | ThetaConfig,
+    given: Sequence[PairArrays] | Sequence[ImageArray] = (),
+    *,
+    note: Note = log_note,
+    progress: Progress | None = None,
+) -> list[CalibrationResult]:
+    """Fit what the options name, or pairs or images (H, W[, 3]) [0..255] that are given; one result, or one for each of
+    several pairs."""
+    quiet_warp()
+    sources, search, output = config.sources, config.search, config.output
+    if config.from_rig:
+        again = "--viewer page; or fit a recording of it (deformscope record)"
+        raise InputError("--viewer page with a rig, whose camera is followed there", output.viewer, again, sources[0])
+    check_arrays(sources, config.images, search.noise_px, "pair files")  # a page sets both until its fit is made
+    fit = fit_options(config)
+    layers = _layers(config)
+    select: tuple[Selectable, ...] | None = None
+    if isinstance(config, BetaConfig) and config.motion.whole_motion:
+        select = config.motion.select or ()
+    if given and isinstance(given[0], Mapping):
+        raws = [(name, _pair_bytes(one)) for name, one in zip(sources, given, strict=True)]  # type: ignore[arg-type]
+    elif ending_of(sources[0]) == ".npz":
+        raws = [(path, read_file(path, "a pair file (.npz)")) for path in sources]
+    else:
+        raws = [] if given or len(sources) > 1 else _recorded_pairs(sources[0])
+    if raws and select is not None:
+        raise InputError("images with --whole-motion", "pair files", "--joint fits one value to all pairs")
+    if raws:
+        save = config.model.save is not None
+        if save and layers is None and len(raws) > 1:
+            expected = "one pair file with --save, or --thickness-m with several pokes of a surface"
+            raise InputError(expected, str(len(raws)))
+        return calibrate_pair_bytes(
+            raws, fit, output, noise_m=search.noise_m, joint=search.joint, layers=layers, note=note, progress=progress
+        )
+    for flag, used in (
+        ("--thickness-m", layers is not None),
+        ("--save", config.model.save is not None),
+        ("--joint", search.joint),
+    ):
+        if used:
+            raise InputError(f"pair files with {flag}", "images", f"leave out {flag}")
+    if search.noise_m is not None:
+        raise InputError("--noise-px for images", "--noise-m", "give the noise in pixels")
+    images = images_of(config)
+    rated = images.fps is not None or (len(sources) == 1 and not given and not Path(sources[0]).is_dir())
+    if select is not None and {"alpha", "dt"} & set(select) and not rated:
+        raise InputError("--fps with --select alpha or dt", "images that do not say their rate", "--fps 30")
+    return [calibrate_images(config, images, fit, select, given, progress, note)]  # type: ignore[arg-type]
+
+
+def _minutes(seconds: float) -> str:
+    return f"{max(seconds, 10.0):.0f} s" if seconds < 90.0 else f"{seconds / 60.0:.0f} min"
+
+
+def _thinned(source: Source, particles: ParticleOptions, every: bool, note: Note) -> ParticleOptions:
+    """A long sequence is followed in as many frames as take about a minute, unless all are asked for; what takes long
+    says so before it begins."""
+    each_s, count = FLOW_S_PER_PX * float(np.prod(source.size)), source.count or 0
+    if count <= (most := max(FEWEST_FRAMES, round(FOLLOWED_S / each_s))):
+        return particles
+    if every:
+        note(f"{count} frames are followed, which takes about {_minutes(count * each_s)} on two cores")
+        return particles
+    source.thin(most)
+    note(
+        f"{most} of {count} frames are followed, evenly spread, in about {_minutes(most * each_s)} on two cores; "
+        f"--fine follows all of them, in about {_minutes(count * each_s)}"
+    )
+    return dataclasses.replace(particles, frames_of=count)
+
+
+def _layers(config: BetaConfig | ThetaConfig) -> LayersOptions | None:
+    if not isinstance(config, BetaConfig) or config.layers.thickness_m is None:
+        return None
+    most = None if config.search.fine else MOST_PARTICLES
+    own = {"cluster_size": config.cluster_size, "theta": config.theta, "most_particles": most}
+    return LayersOptions(**config.layers.shared(LayersOptions) | own)
+
+
+def _pair_bytes(pair: PairArrays) -> bytes:
+    """As in a pair file, so that what is recorded can be replayed."""
+    file = io.BytesIO()
+    np.savez(file, allow_pickle=False, **{name: np.asarray(value) for name, value in pair.items()})
+    return file.getvalue()
+
+
+def _recorded_pairs(source: str) -> list[tuple[str, bytes]]:
+    if Path(source).suffix.lower() != ".rrd":
+        return []
+    return [(f"{source}, pair {index}", raw) for index, raw in enumerate(Replay(Path(source)).read_pair_bytes())]
+
+
+# Images --------------------------------------------------------------------------------------------------------------
+
+
+def calibrate_images(
+    config: BetaConfig | ThetaConfig,
+    images: ImageOptions,
+    fit: FitOptions,
+    select: tuple[Selectable, ...] | None,
+    given: Sequence[ImageArray],
+    progress: Progress | None,
+    note: Note,
+) -> CalibrationResult:
+    """Fit a sequence of files, or of the images (H, W[, 3]) given, and record it where asked. images: how they become
+    particles; select: as `run_images` takes it"""
+    sources, particles = config.sources, particle_options(images, config.search.noise_px)
+    masked = images.mask is not None or images.outline is not None
+    settings = {"sources": list(sources), "stride": images.stride, "fps": images.fps, "mask": masked}
+    settings |= {"camera": images.camera} if images.camera is not None else {}
+    settings |= {"outline": list(images.outline)} if images.outline is not None else {}
+    opened = _given_images(given, images) if given else opened_images(sources, images)
+    with opened as source:
+        mask = mask_of(sources, images, source.size)
+        every = config.search.fine or select is not None or images.stride != 1
+        particles = _thinned(source, particles, every, note)
+        return run_images(source, mask, fit, particles, settings, config.output, select, progress)
+
+
+def _given_images(given: Sequence[ImageArray], images: ImageOptions) -> Source:
+    kept = list(given)[:: images.stride]
+    if kept and any(one.shape != kept[0].shape or one.dtype != kept[0].dtype for one in kept):
+        raise InputError("images of one size and type", "several", "crop them alike")
+    if kept and (kept[0].dtype not in (np.uint8, np.uint16) or kept[0].ndim not in (2, 3)):
+        raise InputError("images (H, W) or (H, W, 3) of uint8 or uint16", f"{kept[0].dtype} {kept[0].shape}")
+    period_ns = 1e9 * images.stride / (images.fps or DEFAULT_FPS)
+    frames = [ColorFrame(Stamp(round(index * period_ns)), index, image) for index, image in enumerate(kept)]
+    return Source("images", lambda: iter(frames), len(frames))
+
+
+def run_images(
+    source: Source,
+    mask: ImageArray | None,
+    fit: FitOptions,
+    particles: ParticleOptions,
+    settings: dict[str, Any],
+    output: OutputOptions,
+    select: tuple[Selectable, ...] | None = None,
+    progress: Progress | None = None,
+) -> CalibrationResult:
+    """One sequence through the loop: the same for files, samples and recordings. mask: (H, W) [px], 0 = not the body
+    select: all frames are fitted, and that is chosen by held-out error; None = the last frame is"""
+    used = settings | {"particles": dataclasses.asdict(particles), "fit": dataclasses.asdict(fit)}
+    if select is not None:
+        used["motion"] = {"select": select}
+    region = None if mask is None else clean_mask(mask)
+    experiment = (
+        foam_video(particles, fit, region, progress)
+        if select is None
+        else whole_motion(particles, fit, select, region, progress)
+    )
+    last: list[ImageArray] = []
+    with images_recorder(source, mask, used, output) as recorder:
+        found = run(frames_of(source, progress, last), experiment, recorder)
+    shown = Result(found.estimate, found.comparisons[-1:], ("",), last[0])
+    recording, problems = recorder.summary(), tuple(source.problems())
+    return CalibrationResult(
+        found.estimate, shown, recording=recording, problems=problems, settings=used, seed=output.seed
+    )
+
+
+def frames_of(source: Source, progress: Progress | None, last: list[ImageArray] | None = None) -> Iterator[ColorFrame]:
+    """All of a sequence, said to `progress` as they are done. last: where it is given, it is kept as the last image"""
+    for done, frame in enumerate(source):
+        if last is not None:
+            last[:] = [frame.image]
+        yield frame
+        if progress is not None:
+            progress("frames", done + 1, source.count or 0)
+
+
+@contextmanager
+def images_recorder(
+    source: Source, mask: ImageArray | None, settings: Mapping[str, object], output: OutputOptions
+) -> Iterator[Recorder]:
+    """Records a sequence, its mask, and in the end what of the source is damaged."""
+    with open_recorder(output, settings, IMAGES) as recorder:
+        if mask is not None:
+            recorder.write(InputFile("mask", encode_png(mask)))
+        yield recorder
+        if problems := source.problems():
+            recorder.stopped_because(f"with what could be read of {source.name}: {'; '.join(problems)}")
+
+
+# Pairs ---------------------------------------------------------------------------------------------------------------
+
+
+def size_notes(rest: Sequence[FloatArray]) -> list[str]:
+    """Remarks on bodies (K, d) that are unusually large, if their positions are metres."""
+    return [one for one in dict.fromkeys(map(size_note, rest)) if one is not None]
+
+
+def calibrate_pair_bytes(
+    raws: Sequence[tuple[str, bytes]],
+    fit: FitOptions,
+    output: OutputOptions,
+    *,
+    noise_m: float | None = None,
+    joint: bool = False,
+    layers: LayersOptions | None = None,
+    note: Note = log_note,
+    progress: Progress | None = None,
+) -> list[CalibrationResult]:
+    """Fit pairs given by name and content: the same for files and recordings.
+
+    layers: all are pokes of one surface, fitted together with the material below it
+    """
+    seen = [parse_pair(raw, name, noise_m=noise_m) for name, raw in raws]
+    for remark in size_notes([one.rest for one in seen]):
+        note(remark)
+    if layers is None and any(one.rest.shape[1] == 3 and rank(one.rest) == 2 for one in seen):
+        note(FLAT_SURFACE)
+
+    def say_before(particles: int, spacing_m: float, finest_m: float) -> None:
+        sizes = 3 if layers is None or layers.cluster_size is None else 1
+        if (seconds := LAYERS_S * sizes * particles ** (4 / 3)) > 10.0:
+            words = f"{particles} particles, {1e3 * spacing_m:.2g} mm apart: the fit takes about {_minutes(seconds)}"
+            finer = f"; --fine sets them {1e3 * finest_m:.2g} mm apart" if spacing_m > finest_m else ""
+            note(f"{words} on two cores{finer}")
+
+    names = [name for name, _ in raws]
+    settings: dict[str, Any] = {"sources": names, "noise_m": noise_m, "joint": joint, "fit": dataclasses.asdict(fit)}
+    if layers is not None:
+        settings["layers"] = dataclasses.asdict(layers)
+    with pair_recorder(seen, raws, settings, output) as recorder:
+        pokes: PokesResult | None = None
+        found: list[Calibration] = []
+        if layers is not None:
+            provenance = {"deformscope": __version__, "sources": names, "layers": settings["layers"]}
+            experiment = poke_files(seen, fit, layers, provenance=provenance, progress=progress, note=say_before)
+            pokes = run((), experiment, recorder)
+        else:
+            found = run((), pair_files(seen, fit, joint=joint, progress=progress), recorder)
+
+    def result(
+        estimate: Estimate, comparisons: tuple[Comparison, ...], called: Sequence[str], name: str
+    ) -> CalibrationResult:
+        shown, recording = Result(estimate, comparisons, tuple(called)), recorder.summary()
+        return CalibrationResult(estimate, shown, name, pokes, None, recording, (), settings, output.seed)
+
+    if pokes is not None:
+        name = names[0] if len(names) == 1 else f"{len(names)} pokes"
+        return [result(pokes.estimate, pokes.comparisons, [names[index] for index in pokes.fit.shaped], name)]
+    if joint:
+        return [result(found[0].estimate, found[0].comparisons, names, "all pairs")]
+    return [
+        dataclasses.replace(result(one.estimate, one.comparisons, [name], name), pair=(pair, fit.model))
+        for name, pair, one in zip(names, seen, found, strict=True)
+    ]
+
+
+@contextmanager
+def pair_recorder(
+    seen: Sequence[Observation],
+    raws: Sequence[tuple[str, bytes]],
+    settings: Mapping[str, object],
+    output: OutputOptions,
+) -> Iterator[Recorder]:
+    """Records pairs, their files as they were among them."""
+    planes = {one.rest.shape[1] for one in seen}
+    with open_recorder(output, settings, PAIR if planes == {2} else PAIR_3D) as recorder:
+        if recorder.active and len(planes) > 1:
+            raise InputError("pairs all in the plane, or all in space, in one recording", "both", "two commands")
+        for index, (_, raw) in enumerate(raws):
+            recorder.write(InputFile(f"pair/{index}", raw))
+        yield recorder

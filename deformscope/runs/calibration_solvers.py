@@ -1,0 +1,429 @@
+"""From what was measured of a rig's set-up to values for its file, with their intervals, a table and a picture."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from deformscope.arrays import FloatArray, IntArray
+from deformscope.errors import InputError
+from deformscope.experiments.rig_calibration import BoardViews, ForceReadings, PushedTip, Taps, taps_of
+from deformscope.frames import ArmFrame, ColorFrame, DepthFrame, Frame, WrenchFrame
+from deformscope.pictures.setup import off_figure, offset_figure
+from deformscope.rig.rig_edit import TomlValue
+from deformscope.rig.rig_file import Rig
+from deformscope.robot.placement import Placement
+from deformscope.runs.rig_calibration import Arrays, RigCalibrationResult
+from deformscope.stages.setup.board import CharucoSpec
+from deformscope.stages.setup.camera import KnownLens, camera_from_views, doubt_at
+from deformscope.stages.setup.force import FreeAir, force_gain, free_air, hanging_weight, mount
+from deformscope.stages.setup.hand_eye import camera_from_touches, hand_eye
+from deformscope.stages.setup.place import CORNER_NAMES, place
+from deformscope.stages.setup.timing import time_offset
+from deformscope.stages.setup.tip import pivot
+from deformscope.stages.setup.transform import LEVEL, TransformEstimate
+
+T95 = 1.7
+"""Half of a 90 % interval in deviations, roughly: Student's t of some measurements."""
+DOUBT_AT_MOST_M = 0.03
+"""What a rig file takes."""
+
+
+def intervals(estimate: TransformEstimate) -> dict[str, Any]:
+    """For the rig file: half widths."""
+    half = estimate.half()
+    return {"half_m": _plain(half[:3], 6), "half_deg": _plain(np.degrees(half[3:]), 4)}
+
+
+def _plain(values: FloatArray, digits: int) -> tuple[float, ...]:
+    return tuple(round(float(value), digits) for value in values)
+
+
+def _matrix(T: FloatArray) -> tuple[tuple[float, ...], ...]:
+    """Rows for the rig file; the rounding keeps a rotation one to 1e-9."""
+    return tuple(tuple(float(f"{value:.10g}") + 0.0 for value in row) for row in T)
+
+
+def _json(estimate: TransformEstimate) -> dict[str, Any]:
+    half = estimate.half()
+    return {
+        "T": estimate.T,
+        "half_m": half[:3],
+        "half_deg": np.degrees(half[3:]),
+        "level": LEVEL,
+        "covariance": estimate.covariance,
+        "dof": estimate.dof,
+    }
+
+
+def _format_transform(estimate: TransformEstimate) -> tuple[tuple[str, str], ...]:
+    half = estimate.half()
+    at, turn = 1e3 * half[:3], np.degrees(half[3:])
+    return (
+        (
+            "at",
+            ", ".join(f"{axis} {1e3 * value:.1f}" for axis, value in zip("xyz", estimate.T[:3, 3], strict=True))
+            + " mm",
+        ),
+        (
+            "give or take",
+            f"{at[0]:.1f}, {at[1]:.1f}, {at[2]:.1f} mm; {turn[0]:.2f}, {turn[1]:.2f}, {turn[2]:.2f} degrees",
+        ),
+    )
+
+
+def _numbered(count: int) -> list[str]:
+    return [str(one + 1) for one in range(count)]
+
+
+# The tip --------------------------------------------------------------------------------------------------------------
+
+
+def solve_tip(rig: Rig, T_base_ee: FloatArray) -> RigCalibrationResult:
+    """`[tool] T_ee_tip` from tilts (n, 4, 4) of the arm's end in the base frame [m]."""
+    made = pivot(T_base_ee)
+    T_tip = np.array(made.T_ee_center.T)
+    if rig.tool.tip == "sphere":
+        T_tip[:3, 3] += rig.tool.radius_m * T_tip[:3, 2]
+    caption = "How far each tilt has the ball from its place"
+    return RigCalibrationResult(
+        "tip",
+        {"tool": {"T_ee_tip": _matrix(T_tip)}, "calibrated.tip": intervals(made.T_ee_center)},
+        (
+            ("ball's centre", "on the arm's end"),
+            *_format_transform(made.T_ee_center),
+            ("ball", f"stays within {1e3 * made.pivot_sd_m:.2f} mm"),
+        ),
+        off_figure(
+            1e3 * made.off_m, _numbered(len(made.off_m)), "mm", 1e3 * made.pivot_sd_m, each="tilt", caption=caption
+        ),
+        {"T_ee_center": _json(made.T_ee_center), "pivot_m": made.pivot_m, "pivot_sd_m": made.pivot_sd_m},
+    )
+
+
+def tip_arrays(found: Arrays) -> FloatArray:
+    """T_base_ee (n, 4, 4)."""
+    return _array(found, "T_base_ee", (4, 4))
+
+
+def _array(found: Arrays, name: str, shape: tuple[int, ...]) -> FloatArray:
+    if name not in found:
+        raise InputError(f"{name} in the file", ", ".join(sorted(found)) or "nothing")
+    value = np.asarray(found[name], np.float64)
+    if value.shape[1:] != shape:
+        raise InputError(f"{name} of shape {('n', *shape)}", str(value.shape))
+    return value
+
+
+# The place ------------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TouchedCorners:
+    """T_base_ee: (n, 4, 4) of the arm's end with the tip on corners; corner: (n,) which"""
+
+    T_base_ee: FloatArray
+    corner: IntArray
+
+
+def solve_place(rig: Rig, touched: TouchedCorners) -> RigCalibrationResult:
+    """`[surface] T_arm_surface` and sides, and the box of `[workspace]`, from corners."""
+    placement = Placement(np.eye(4), rig.tool)
+    centers = touched.T_base_ee @ placement.T_ee_center
+    up = -centers[:, :3, 2].mean(axis=0)
+    tip = rig.calibrated.tip
+    tip_sd_m = max(tip.half_m) / T95 if tip is not None and tip.half_m else 0.0
+    made = place(centers[:, :3, 3], touched.corner, placement.center_offset_m, up, tip_sd_m=tip_sd_m)
+    size = tuple(round(float(side), 4) for side in made.size_m)
+    names = [CORNER_NAMES[one] for one in touched.corner]
+    return RigCalibrationResult(
+        "place",
+        {
+            "surface": {"T_arm_surface": _matrix(made.T_arm_surface.T), "size_m": size},
+            "workspace": {"low_m": _plain(made.low_m, 3), "high_m": _plain(made.high_m, 3)},
+            "calibrated.place": {**intervals(made.T_arm_surface), "half_size_m": _plain(made.size_half_m, 5)},
+        },
+        (
+            ("surface", "in the arm's base frame"),
+            *_format_transform(made.T_arm_surface),
+            (
+                "sides",
+                f"{1e3 * size[0]:.1f} x {1e3 * size[1]:.1f} mm, give or take {1e3 * made.size_half_m.max():.1f} mm",
+            ),
+            ("corners", f"touched within {1e3 * made.touch_sd_m:.2f} mm"),
+        ),
+        off_figure(
+            1e3 * made.corner_off_m,
+            names,
+            "mm",
+            1e3 * made.touch_sd_m,
+            each="corner, in the order touched",
+            caption="How far each touch is from its corner",
+        ),
+        {"T_arm_surface": _json(made.T_arm_surface), "size_m": made.size_m, "size_half_m": made.size_half_m},
+    )
+
+
+def place_arrays(found: Arrays) -> TouchedCorners:
+    """T_base_ee (n, 4, 4) and corner (n,)."""
+    poses, corner = _array(found, "T_base_ee", (4, 4)), _array(found, "corner", ()).astype(int)
+    if len(poses) != len(corner) or not ((corner >= 0) & (corner < len(CORNER_NAMES))).all():
+        raise InputError("a corner from 0 to 3 for each pose", f"{corner.tolist()}")
+    return TouchedCorners(poses, corner)
+
+
+# The camera -----------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MeasuredCamera:
+    """One of three: views of a board; T_base_ee with T_camera_board (n, 4, 4); places touched and seen (n, 3) [m]"""
+
+    views: BoardViews | None = None
+    poses: tuple[FloatArray, FloatArray] | None = None
+    places: tuple[FloatArray, FloatArray] | None = None
+
+
+def solve_camera(rig: Rig, measured: MeasuredCamera, board: CharucoSpec, *, measure_lens: bool) -> RigCalibrationResult:
+    """`[camera] T_arm_camera`, the lens where it was sought, and how far off it may be where the surface is."""
+    camera = rig.camera
+    values: dict[str, Any] = {}
+    extra: dict[str, Any] = {}
+    if measured.places is not None:
+        touches = camera_from_touches(*measured.places)
+        estimate, off_m, sd_m = touches.T_arm_camera, touches.off_m, touches.sd_m
+    else:
+        if measured.views is not None:
+            known = None
+            if camera.focal_px is not None and camera.center_px is not None and not measure_lens:
+                known = KnownLens(camera.focal_px, camera.center_px, camera.distortion)
+            views = measured.views
+            both = camera_from_views(views.T_base_ee, views.seen, views.size_px, board, known)
+            found, lens = both.mount, both.lens
+            if lens is not None:
+                values |= {"focal_px": _plain(lens.focal_px, 3), "center_px": _plain(lens.center_px, 3)}
+                values["distortion"] = _plain(lens.distortion, 6)
+                extra["lens"] = lens
+        else:
+            assert measured.poses is not None
+            found = hand_eye(*measured.poses)
+        estimate, off_m = found.T_arm_camera, np.linalg.norm(found.off[:, :3], axis=1)
+        sd_m = float(np.sqrt((off_m**2).mean()))
+    values["T_arm_camera"] = _matrix(estimate.T)
+    doubt_m = doubt_at(estimate, _middle(rig))
+    values["doubt_m"] = round(min(doubt_m, DOUBT_AT_MOST_M), 4)
+    rows = [
+        ("camera", "in the arm's base frame"),
+        *_format_transform(estimate),
+        ("where the surface is", f"within {1e3 * doubt_m:.1f} mm"),
+    ]
+    if "lens" in extra:
+        rows.append(("lens", f"focal length {values['focal_px'][0]:.1f}, {values['focal_px'][1]:.1f} px"))
+    if doubt_m > DOUBT_AT_MOST_M:
+        rows.append(("note", "too far off to leave the stick out of what it sees: more views, turned further"))
+    return RigCalibrationResult(
+        "camera",
+        {"camera": values, "calibrated.camera": intervals(estimate)},
+        tuple(rows),
+        off_figure(
+            1e3 * off_m,
+            _numbered(len(off_m)),
+            "mm",
+            1e3 * sd_m,
+            each="place" if measured.places is not None else "view",
+            caption="How far what each shows is from what the arm says",
+        ),
+        {"T_arm_camera": _json(estimate), "doubt_m": doubt_m, **extra},
+    )
+
+
+def _middle(rig: Rig) -> FloatArray:
+    """(3,) of the surface in the base frame [m]; of where one usually is, if that is not known yet."""
+    from deformscope.robot.setup import T_BASE_SURFACE
+
+    T = T_BASE_SURFACE if rig.surface.T_arm_surface is None else np.array(rig.surface.T_arm_surface)
+    width, height = rig.surface.size_m
+    return np.asarray(T @ [0.5 * width, 0.5 * height, rig.surface.top_m, 1.0])[:3]
+
+
+def camera_arrays(found: Arrays) -> MeasuredCamera:
+    """T_base_ee with T_camera_board, or touched_m with seen_m."""
+    if "touched_m" in found:
+        return MeasuredCamera(places=_pair(_array(found, "touched_m", (3,)), _array(found, "seen_m", (3,))))
+    return MeasuredCamera(poses=_pair(_array(found, "T_base_ee", (4, 4)), _array(found, "T_camera_board", (4, 4))))
+
+
+def _pair(first: FloatArray, second: FloatArray) -> tuple[FloatArray, FloatArray]:
+    if len(first) != len(second):
+        raise InputError("as many of one as of the other", f"{len(first)} and {len(second)}")
+    return first, second
+
+
+# The force sensor -----------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MeasuredPushes:
+    """force_n, axis: (n, 3) felt [N], and of the tip on the world, tip frame; free: None = not measured
+    R_base_tip: (m, 3, 3) how the tip was turned in free air; turned_n: (m, 3) what was felt then [N]
+    load_n: a known load, None = none; loaded_n: (k, 3) what was felt under it beyond free air [N]"""
+
+    force_n: FloatArray
+    axis: FloatArray
+    free: ForceReadings | None = None
+    R_base_tip: FloatArray = field(default_factory=lambda: np.zeros((0, 3, 3)))
+    turned_n: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
+    load_n: float | None = None
+    loaded_n: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
+
+
+def pushes_of(rig: Rig, made: PushedTip) -> MeasuredPushes:
+    """With the axes in the tip's frame, which tip and place give."""
+    if rig.surface.T_arm_surface is None or rig.tool.T_ee_tip is None:
+        lacks = "place" if rig.surface.T_arm_surface is None else "tip"
+        raise InputError("a rig file with tip and place", f"no {lacks}", f"deformscope calibrate {lacks} RIG first")
+    placement = Placement(np.array(rig.surface.T_arm_surface, np.float64), rig.tool)
+    R_surface_tip = placement.T_surface_center(np.asarray(made.T_base_ee, np.float64))[:3, :3]
+    held = np.concatenate([made.T_base_ee[None], made.tilted]) if len(made.tilted) else made.tilted
+    felt = np.concatenate([made.free.force_n.mean(axis=0)[None], made.tilted_n]) if len(made.tilted) else made.tilted_n
+    R_base_tip = (held @ placement.T_ee_center)[:, :3, :3]
+    axes = -made.axis @ R_surface_tip
+    return MeasuredPushes(made.force_n, axes, made.free, R_base_tip, felt, made.load_n, made.loaded_n)
+
+
+def solve_force(rig: Rig, made: MeasuredPushes | PushedTip) -> RigCalibrationResult:
+    """`[tool] R_tip_force` from pushes, and `force_gain` from a known load; noise and drift beside them."""
+    pushes = made if isinstance(made, MeasuredPushes) else pushes_of(rig, made)
+    found = mount(pushes.force_n, pushes.axis / np.linalg.norm(pushes.axis, axis=1, keepdims=True))
+    rest = None if pushes.free is None else free_air(pushes.free.time_s, pushes.free.force_n)
+    half_deg, turn_deg = np.degrees(found.turn_half_rad), np.degrees(found.turn_rad)
+    signs = "as they should be" if np.linalg.det(found.R_tip_force) > 0 else "mirrored: an axis the other way round"
+    rows = [
+        ("turned", f"by {turn_deg:.1f} degrees about the stick, give or take {half_deg:.1f}"),
+        ("axes", signs),
+        ("z", "out of the stick" if found.R_tip_force[2, 2] > 0 else "into the stick: its sign is turned round"),
+    ]
+    if rest is not None:
+        rows += _format_free_air(rest)
+    weight = None
+    if len(pushes.turned_n):
+        weight = hanging_weight(pushes.turned_n, pushes.R_base_tip, found.R_tip_force)
+        rows.append(("hangs on it", f"{weight.weight_n:.2f} N, give or take {weight.weight_half_n:.2f}"))
+    tool: dict[str, TomlValue] = {"R_tip_force": _matrix(found.R_tip_force)}
+    dated: dict[str, TomlValue] = {"half_deg": (0.0, 0.0, round(float(half_deg), 3))}
+    gain = None if pushes.load_n is None else force_gain(pushes.loaded_n, pushes.load_n)
+    if gain is not None:
+        tool |= {"force_gain": round(gain.gain, 5), "force_gain_sd": round(gain.sd, 5)}
+        dated["half_gain"] = round(gain.half, 5)
+        off = f"{100.0 * (gain.gain - 1.0):+.1f} %, give or take {100.0 * gain.half:.1f}"
+        rows.append(("gain", f"{off}: the sensor under {pushes.load_n:g} N"))
+    return RigCalibrationResult(
+        "force",
+        {
+            "tool": tool,
+            "calibrated.force": dated,
+        },
+        tuple(rows),
+        off_figure(
+            np.degrees(np.abs(found.off_rad)),
+            _numbered(len(found.off_rad)),
+            "deg",
+            np.degrees(found.push_sd_rad),
+            each="push across the stick",
+            caption="How far each push is from its direction",
+        ),
+        {
+            "R_tip_force": found.R_tip_force,
+            "turn_deg": turn_deg,
+            "half_deg": half_deg,
+            "level": LEVEL,
+            "free_air": rest,
+            "weight": weight,
+            "gain": gain,
+        },
+    )
+
+
+def _format_free_air(rest: FreeAir) -> Sequence[tuple[str, str]]:
+    worst = int(np.argmax(np.abs(rest.drift_n_per_min)))
+    drift, half = rest.drift_n_per_min[worst], rest.drift_half[worst]
+    return (
+        ("in free air", f"{np.linalg.norm(rest.tare_n):.2f} N, noise {1e3 * rest.noise_n.max():.1f} mN"),
+        ("drift", f"{drift:+.2f} N a minute at most, give or take {half:.2f}"),
+    )
+
+
+def force_arrays(found: Arrays, load_n: float | None = None) -> MeasuredPushes:
+    """force_n and axis (n, 3); with a known load [N] loaded_n (k, 3)."""
+    force_n, axis = _pair(_array(found, "force_n", (3,)), _array(found, "axis", (3,)))
+    loaded_n = np.zeros((0, 3)) if load_n is None else _array(found, "loaded_n", (3,))
+    return MeasuredPushes(force_n, axis, load_n=load_n, loaded_n=loaded_n)
+
+
+# Clocks ---------------------------------------------------------------------------------------------------------------
+
+
+def solve_time(rig: Rig, taps: Taps, device: str, beside: str) -> RigCalibrationResult:
+    """By how much a device is late, beside a force sensor; their names in the rig."""
+    found = time_offset(taps.x_time_s, taps.x, taps.y_time_s, taps.y)
+    half_s = 0.5 * (found.high_s - found.low_s)
+    late_ms, low_ms, high_ms = 1e3 * found.offset_s, 1e3 * found.low_s, 1e3 * found.high_s
+    return RigCalibrationResult(
+        "time",
+        {
+            "calibrated.time": {
+                "offset_s": round(found.offset_s, 5),
+                "half_s": round(half_s, 5),
+                "device": device,
+                "beside": beside,
+            }
+        },
+        (
+            (f"{device} late", f"{late_ms:+.1f} ms beside {beside}, between {low_ms:.1f} and {high_ms:.1f} ms"),
+            ("taps", f"explain {100 * found.share:.0f} % of it"),
+        ),
+        offset_figure(found, device, beside),
+        {
+            "device": device,
+            "beside": beside,
+            "offset_s": found.offset_s,
+            "low_s": found.low_s,
+            "high_s": found.high_s,
+            "share": found.share,
+            "level": LEVEL,
+        },
+    )
+
+
+def time_arrays(found: Arrays) -> Taps:
+    """x_time_s, x, y_time_s, y."""
+    return Taps(*(_array(found, name, ()) for name in ("x_time_s", "x", "y_time_s", "y")))
+
+
+RECORDED_AT_MOST_S = 120.0
+"""Of a recording with taps: all of it is compared at every offset."""
+
+
+def recorded_taps(path: Path, wrench: str, device: str, kind: type[ArmFrame | DepthFrame | ColorFrame]) -> Taps:
+    """Of a recording of a force sensor and another device, by their names in it.
+
+    Raises InputError where one is missing, or where it is too long.
+    """
+    from deformscope.recording.items import read_items
+
+    frames: dict[str, list[Frame]] = {wrench: [], device: []}
+    for item in read_items(path, kinds=(WrenchFrame, kind)):
+        if isinstance(item, Frame) and item.device in frames:
+            frames[item.device].append(item)
+            first_ns = frames[item.device][0].stamp.arrived_ns
+            if (long_s := (item.stamp.arrived_ns - first_ns) / 1e9) > RECORDED_AT_MOST_S:
+                expected = f"a recording of {RECORDED_AT_MOST_S:g} s at most"
+                raise InputError(expected, f"{long_s:.0f} s and more", "record the taps alone", path)
+    missing = [name for name, some in frames.items() if not some]
+    if missing:
+        raise InputError(f"frames of {wrench} and {device}", f"none of {' and '.join(missing)}", where=path)
+    return taps_of(frames[wrench], frames[device])

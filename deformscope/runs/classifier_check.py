@@ -1,0 +1,110 @@
+"""What comes of a saved classifier on new trials: `deformscope classify TABLE --model MODEL`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from deformscope.pictures import classification as pictures
+from deformscope.pictures.palette import GOOD, WARN, hexadecimal
+from deformscope.pictures.report import Figure, ReportVerdict, Section, Table, html_report
+from deformscope.results.render import to_json
+from deformscope.runs.calibration_report import provenance_sections
+from deformscope.runs.classification import format_right
+from deformscope.runs.result import LibraryResult
+from deformscope.stages.squeeze.model_check import ModelCheck
+from deformscope.stages.squeeze.scores import ClassificationScore
+
+
+@dataclass(frozen=True, slots=True)
+class ClassifierCheckResult(LibraryResult):
+    """How a trained classifier does on trials that it has not seen. trials: their number; name: of table and model"""
+
+    check: ModelCheck
+    trials: int
+    name: str = ""
+
+    def tables(self) -> tuple[Table, ...]:
+        check, score = self.check, self.check.score
+        rows = [
+            (
+                "accuracy",
+                f"{format_right(score)}, chance {score.chance:.1%}, {score.trials.sum()} of {self.trials} trials",
+            ),
+            ("promised", format_promise(check)),
+            ("calibration", format_calibration(check)),
+            *((f"{name} alone", format_right(one)) for name, one in check.alone.items()),
+        ]
+        return (
+            Table(rows, caption=self.name),
+            Table(
+                [
+                    (label, f"{score.shares[at, at]:.1%}", "{:.1%} to {:.1%}".format(*score.share_interval(at, at)))
+                    for at, label in enumerate(check.labels)
+                    if score.trials[at]
+                ],
+                ("content", "named rightly", "interval"),
+                "Content by content",
+            ),
+        )
+
+    def pictures(self) -> dict[str, bytes]:
+        """As PNG, by names that are good for files."""
+        scores = [self.check.score, *self.check.alone.values()]
+        return {
+            "reliability": pictures.reliability_png(scores),
+            "confusion": pictures.confusion_png(scores, self.check.labels),
+        }
+
+    def figures(self) -> tuple[Figure, ...]:
+        captions = {
+            "reliability": "How often answers of a probability are right; shaded, a perfectly calibrated classifier",
+            "confusion": "Confusion: rows are the true contents",
+        }
+        return tuple(Figure(png, captions[name]) for name, png in self.pictures().items())
+
+    def entries(self) -> list[dict[str, Any]]:
+        """As the entries of an evaluation: one for all modalities, one for each by itself."""
+        return [self._entry(one) for one in (self.check.score, *self.check.alone.values())]
+
+    def as_json(self) -> dict[str, Any]:
+        return {"classification": self.entries()}
+
+    def _entry(self, score: ClassificationScore) -> dict[str, Any]:
+        entry = to_json(score) | {"labels": self.check.labels, "recommended": score is self.check.score}
+        if score is not self.check.score:
+            return entry
+        return entry | to_json(self.check) | {"bins_inside": self.check.inside[0], "bins": self.check.inside[1]}
+
+
+def format_promise(check: ModelCheck) -> str:
+    """Whether the accuracy is what the model's file promises."""
+    if check.promised is None or check.expected is None:
+        return "nothing: the file holds no accuracy"
+    better = check.score.accuracy.value > check.expected[1]
+    verdict = "kept" if check.kept else "NOT kept, it does better" if better else "NOT kept"
+    promised = "{:.1%} ({:.1%} to {:.1%})".format(check.promised.value, *check.promised.interval)
+    return f"{verdict}: {promised}; {{:.1%}} to {{:.1%}} expected of so many trials".format(*check.expected)
+
+
+def format_calibration(check: ModelCheck) -> str:
+    """Whether the posteriors mean what they say."""
+    verdict = "inside" if check.calibration_kept else "NOT inside"
+    return (
+        f"{verdict} the {check.score.level:.0%} band of a perfectly calibrated classifier: {check.calibrated:.0%} of "
+        f"such stray farther; {check.inside[0]} of {check.inside[1]} bins lie in theirs, "
+        f"error {check.score.calibration_error:.1%}"
+    )
+
+
+def check_page(result: ClassifierCheckResult, seed: int, settings: Mapping[str, object]) -> str:
+    """As one HTML page."""
+    check = result.check
+    well = check.calibration_kept and check.kept is not False
+    words = (f"Promised: {format_promise(check)}.", f"Calibration: {format_calibration(check)}.")
+    verdict = ReportVerdict(format_right(check.score), words, hexadecimal(GOOD if well else WARN))
+    sections = [Section("", [verdict, *result.tables()]), Section("Answers", list(result.figures()))]
+    return html_report(
+        f"A classifier on new trials: {result.name}", [*sections, *provenance_sections(seed=seed, settings=settings)]
+    )

@@ -1,0 +1,87 @@
+"""What there is to do with a rig before it explores, in order, and what comes next (`deformscope doctor RIG`)."""
+
+from __future__ import annotations
+
+import datetime
+from dataclasses import dataclass
+from typing import Literal
+
+from deformscope.rig.rig_file import Rig
+
+RigStepState = Literal["done", "by hand", "old", "to do", "optional"]
+
+
+@dataclass(frozen=True, slots=True)
+class RigStep:
+    """what: in a word; state: `by hand` = the value is there without a date, `optional` = not needed to explore
+    words: what is known; command: does it; minutes: that it takes at an arm, estimated by what is asked of a person, or
+    with doubles; 0 = as many as it finds to do
+    """
+
+    what: str
+    state: RigStepState
+    words: str
+    command: str
+    minutes: int = 0
+
+
+def begin(name: str) -> RigStep:
+    """The first step of all, for a file without devices. name: of the rig file"""
+    return RigStep("devices", "to do", "no device in the file", f"deformscope doctor --example > {name}")
+
+
+def commissioning_steps(rig: Rig, name: str, today: datetime.date | None = None) -> tuple[RigStep, ...]:
+    """The steps of a rig that explores, in order; none for one that has no arm, no force sensor or no depth camera.
+
+    name: of its file, for the commands
+    """
+    kinds = {entry.driver.kind for entry in rig.devices}
+    if not {"arm", "wrench", "depth"} <= kinds:
+        return ()
+    simulated = bool(rig.surface.scene)
+    if simulated and rig.surface.hidden is None:
+        return (RigStep("explore", "to do", "doubles that are where the file says", f"deformscope explore {name}"),)
+    there = {
+        "tip": rig.tool.T_ee_tip is not None,
+        "place": rig.surface.T_arm_surface is not None and rig.workspace.low_m is not None,
+        "camera": rig.camera.T_arm_camera is not None,
+        "force": rig.tool.R_tip_force is not None,
+        "arm": rig.tool.compliance_m_per_n is not None,
+        "time": False,
+    }
+    ages = rig.calibrated.ages(today)
+    steps = []
+    for what, done in there.items():
+        if what == "arm" and simulated:
+            continue
+        command = f"deformscope calibrate {what} {name}"
+        age = ages.get(what)
+        state: RigStepState
+        if age is not None and (done or what == "time"):
+            state, words = "done" if age.young else "old", f"{age.days} of {age.at_most} days old"
+        elif done:
+            state, words = "by hand", "in the file, without a date"
+        else:
+            state, words = "optional" if what == "time" else "to do", WHY[what]
+        minutes = MINUTES[what] if not simulated else 2 if what == "camera" else 1
+        steps.append(RigStep(what, state, words, command, minutes))
+    steps.append(RigStep("explore", "to do", "map how soft it is, and where", f"deformscope explore {name}"))
+    return tuple(steps)
+
+
+def next_step(steps: tuple[RigStep, ...]) -> RigStep | None:
+    """The first that is still to do, or to do again."""
+    return next((one for one in steps if one.state in ("to do", "old")), None)
+
+
+WHY = {
+    "tip": "where the tip is on the arm's end: its ball in a cone, tilted 8 times by the joystick",
+    "place": "where the surface is: the tip on 3 of its corners, twice each",
+    "camera": "where the camera stands: a board on the arm's end (--print-board draws it) in 14 poses",
+    "force": "how the force sensor sits: a finger that pushes the tip 10 times",
+    "arm": "how arm and stick yield: a block of steel or stone on the surface",
+    "time": "how late the arm is beside the force sensor: 5 taps on the tip",
+}
+"""What is measured, and what for or with."""
+MINUTES = {"tip": 8, "place": 6, "camera": 15, "force": 5, "arm": 5, "time": 1}
+"""Half a minute for a push, a minute for a pose that is steered to. Estimated: nobody has done it on a real arm."""

@@ -1,0 +1,309 @@
+"""What an exploration found, as a terminal, JSON, a page and a notebook show it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from deformscope.arrays import FloatArray, IntArray
+from deformscope.experiments.options import SHALLOW_M
+from deformscope.pictures.messages import counted, format_claim, format_failure, format_stop, format_travel
+from deformscope.pictures.report import Figure, Table
+from deformscope.recording.losses import named
+from deformscope.results.declared import derived, quantities, reported
+from deformscope.results.render import Rows, format_value, to_columns, to_json, units_of
+from deformscope.runs.result import LibraryResult
+from deformscope.stages.map.exploration import (
+    DetectionLimit,
+    InclusionsResult,
+    MapEstimate,
+    MapRegion,
+    MissProbability,
+    StageFailure,
+    TouchEstimate,
+)
+from deformscope.stages.map.touch_beta import BOUNDS
+
+RIVAL = 0.1
+"""Probability from which another verdict is named beside the one that is given."""
+NOT_KNOWN = "not known"
+
+
+@dataclass(frozen=True, slots=True)
+class LayerThickness:
+    """Of the layer that stands for the foam: thickness and its deviation [m], and by what it is known."""
+
+    thickness_m: float | None = field(metadata=reported(unit="m"))
+    sd_m: float | None = field(metadata=reported(unit="m"))
+    known_by: str = field(metadata=reported())
+
+
+@dataclass(frozen=True, slots=True)
+class TruthScore:
+    """The true regions, and how good the map is against them; None where one has no regions, or no border."""
+
+    region_count: int = field(metadata=reported())
+    iou: float | None = field(metadata=reported())
+    boundary_m: float | None = field(metadata=reported())
+
+
+@dataclass(frozen=True, slots=True)
+class TouchOutcome:
+    """A touch, and what became of the exploration with it.
+
+    ended_s: since the session began; iou: of the map after it; failed: what failed on it, in words
+    asked_for: by a person, on the page
+    """
+
+    touch: TouchEstimate = field(metadata=reported(flat=True))
+    ended_s: float = field(metadata=reported())
+    iou: float | None = field(metadata=reported())
+    failed: list[str] = field(metadata=reported())
+    asked_for: bool = field(metadata=reported())
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class ExplorationResult(LibraryResult):
+    """What `explore` found: `to_dict()`, or `found`, is the JSON of `deformscope explore`.
+
+    feel: what was mapped; set_force_n, more_force_n: pressed with, the latter where that hardly dents, None = never
+    estimate: the maps, None where no touch gave any; lumps: None where no inclusions are sought
+    missed: None before any plan; probability: of each number of regions; max_force_n: in the laboratory
+    measured_max_force_n: by the sensor
+    seconds: computing, of the slowest touch, by the robot's clock and on this computer
+    supervisor_gaps_ms: from one look of the supervisor to the next, None where the arm never could move
+    arm_stands: whether it could be stopped; losses: of each device that lost something; fault: why it was stopped
+    simulated: the scene; laboratory: its settings
+    """
+
+    scenario: str = field(metadata=reported())
+    seed: int = field(metadata=reported())
+    version: str = field(metadata=reported())
+
+    @property
+    @derived()
+    def units(self) -> dict[str, str]:
+        """Of what the JSON holds."""
+        return units_of((ExplorationResult, LayerThickness, TouchEstimate, MapRegion, DetectionLimit, MissProbability))
+
+    set_force_n: float = field(metadata=reported(unit="N"))
+    more_force_n: float | None = field(metadata=reported(unit="N"))
+    feel: str = field(metadata=reported(key="stiffness"))
+    thickness: LayerThickness = field(metadata=reported())
+
+    @property
+    @derived(unit="m")
+    def levelled_m(self) -> float | None:
+        """Thickness of the level layer that all stiffness is converted to [m]; None: it is apparent."""
+        return None if self.estimate is None else self.estimate.levelled_m
+
+    @property
+    @derived()
+    def verdict(self) -> str | None:
+        """`regions`, `gradual` (the stiffness changes smoothly), or None where no touch gave a map."""
+        return None if self.estimate is None else self.estimate.verdict
+
+    @property
+    @derived()
+    def verdict_probability(self) -> float | None:
+        """Of the verdict and the number of regions."""
+        return None if self.estimate is None else self.estimate.claimed
+
+    @property
+    @derived()
+    def regions_by(self) -> str | None:
+        """By what the regions are told apart."""
+        return None if self.estimate is None else self.estimate.mapped
+
+    touches: tuple[TouchOutcome, ...] = field(metadata=reported())
+
+    @property
+    @derived()
+    def region_count(self) -> int | None:
+        """How many regions there are."""
+        return None if self.estimate is None else self.estimate.region_count
+
+    @property
+    @derived()
+    def regions(self) -> tuple[MapRegion, ...]:
+        """Each region, the softest first."""
+        return () if self.estimate is None else self.estimate.regions
+
+    probability: dict[str, float] | None = field(metadata=reported())
+    truth: TruthScore | None = field(metadata=reported())
+    travel_m: float = field(metadata=reported(unit="m"))
+    max_force_n: float | None = field(metadata=reported(unit="N"))
+    measured_max_force_n: float = field(metadata=reported(unit="N"))
+    seconds: dict[str, float] = field(metadata=reported(unit="s"))
+    supervisor_gaps_ms: dict[str, float] | None = field(metadata=reported())
+    stop_reason: str = field(metadata=reported())
+    lumps: InclusionsResult | None = field(metadata=reported(key="inclusions"))
+    missed: DetectionLimit | None = field(metadata=reported())
+    arm_stands: bool = field(metadata=reported())
+    failures: tuple[StageFailure, ...] = field(metadata=reported())
+    losses: dict[str, dict[str, float]] = field(metadata=reported())
+    recording: Path | str | None = field(metadata=reported())
+    fault: dict[str, Any] | None = field(metadata=reported())
+    laboratory: dict[str, Any] | None = field(metadata=reported())
+    estimate: MapEstimate | None = None
+    simulated: bool = True
+
+    @property
+    def found(self) -> dict[str, Any]:
+        """The JSON."""
+        return self.to_dict()
+
+    @property
+    def maps(self) -> dict[str, np.ndarray]:
+        """The (rows, columns) arrays of the maps that are known, by name, which says the unit; empty without a map."""
+        return {} if self.estimate is None else map_arrays(self.estimate)
+
+    @property
+    def png(self) -> bytes:
+        """The maps drawn, empty without a map."""
+        from deformscope.pictures.exploration import result_png
+
+        return b"" if self.estimate is None else result_png(self.estimate, self.scenario, self.lumps)
+
+    @property
+    def stiffness_n_per_mm(self) -> FloatArray:
+        """(rows, columns) at the force that was set [N/mm]; empty without a map."""
+        return np.empty((0, 0)) if self.estimate is None else self.estimate.stiffness_n_per_mm
+
+    @property
+    def labels(self) -> IntArray:
+        """(rows, columns) region of each cell, from 0 = the softest; -1 = no regions; empty without a map."""
+        return np.empty((0, 0), np.int64) if self.estimate is None else self.estimate.labels
+
+    def __repr__(self) -> str:
+        return f"<exploration of {self.scenario}: {self.verdict_text}, {counted(len(self.touches), 'touch')}>"
+
+    def as_json(self) -> dict[str, Any]:
+        return to_json(self)
+
+    def tables(self) -> tuple[Table, ...]:
+        names, rows = to_columns([one.touch for one in self.touches])
+        touches = [(str(number), *row) for number, row in enumerate(rows, start=1)]
+        found = Table(self.rows(), caption=self.scenario)
+        return (found, Table(touches, ("touch", *names), "Touches")) if touches else (found,)
+
+    def figures(self) -> tuple[Figure, ...]:
+        return (Figure(png, f"Maps of {self.scenario}"),) if (png := self.png) else ()
+
+    @property
+    def verdict_text(self) -> str:
+        """The verdict with its probability, and what else is likely."""
+        if self.estimate is None:
+            return "none: no touch gave a map"
+        kind = counted(self.estimate.region_count, "region")
+        if self.verdict == "gradual":
+            kind = f"gradual: no regions, the {'energy loss' if self.feel == 'loss' else 'stiffness'} changes smoothly"
+        if self.regions_by == "beta":
+            kind += " between isopleths of beta"
+        return f"{kind} ({format_claim(self.verdict_probability)}{self._rival()})"
+
+    def _rival(self) -> str:
+        """What else is likely, where the verdict is in doubt; what stiffness says, where the regions are beta's."""
+        by_beta = self.regions_by == "beta"
+        given = "" if by_beta else str(self.region_count or "gradual")
+        share, count = max((share, count) for count, share in (self.probability or {}).items() if count != given)
+        words = count if count == "gradual" else counted(int(count), "region")
+        if by_beta:
+            return f"; by stiffness {words}, probability {share:.2f}"
+        return f", {words} {share:.2f}" if share >= RIVAL else ""
+
+    def rows(self) -> Rows:
+        """What was found, as names and values."""
+        rows = [("verdict", self.verdict_text)]
+        rows += [(f"region {number}", self._format_region(one)) for number, one in enumerate(self.regions, start=1)]
+        if self.levelled_m is not None:
+            level = f"converted to that of a level layer {100.0 * self.levelled_m:.2g} cm thick"
+            rows.append(("stiffness", f"{level}; the JSON has each touch as it was measured, too"))
+        if self.thickness.known_by == NOT_KNOWN:
+            why = "no thickness_m in [surface], and the camera sees no table beside the foam"
+            rows.append(("modulus", f"not known: {why}"))
+        if (truth := self.truth) is not None and truth.iou is not None:
+            off = "" if truth.boundary_m is None else f", border {100 * truth.boundary_m:.1f} cm off"
+            true = counted(truth.region_count, "region")
+            rows.append(("truth", f"{true}; IoU of the map's with them {truth.iou:.3f}{off}"))
+        elif truth is not None and not truth.region_count:
+            rows.append(("truth", "no regions: the stiffness changes smoothly"))
+        if felt := [one.touch for one in self.touches if one.touch.beta is not None]:
+            rows.append(("beta", format_betas(felt)))
+        if self.lumps is not None:
+            rows += self.lumps.rows
+        rows += self._missed_rows()
+        rows += [("failed", format_failure(one)) for one in self.failures]
+        rows += [
+            ("touches", f"{len(self.touches)}, {format_travel(self.travel_m)}"),
+            ("ended", format_stop(self.stop_reason)),
+            ("contact force", self.force_text),
+            ("arm", "at rest" if self.arm_stands else "COULD NOT BE STOPPED: use its emergency stop"),
+        ]
+        if gaps := self.supervisor_gaps_ms:
+            words = f"every {gaps['p50']:.0f} ms; 99.9 % within {gaps['p99_9']:.0f} ms, all within {gaps['max']:.0f} ms"
+            rows.append(("safety checks", words))
+        robot_s, wall_s = self.seconds["session"], self.seconds["wall"]
+        rows.append(("time", f"{robot_s:.0f} s by the robot's clock, {wall_s:.0f} s on this computer"))
+        if self.losses:
+            rows.append(("lost", named(self.losses)))
+        if self.recording is not None:
+            rows.append(("recording", str(self.recording)))
+        return rows
+
+    def _format_region(self, region: MapRegion) -> str:
+        loss = f"{region.loss_text} of a touch's energy; " if region.loss_text else ""
+        if region.rigid:
+            return f"{loss}{region.level_text} N/mm (a lower bound: hardly dented)"
+        low, high = region.stiffness_interval_n_per_mm
+        modulus = f"; modulus {format_value(region, 'modulus_pa')}" if region.modulus_pa is not None else ""
+        return f"{loss}{region.level_text} N/mm ({low:.3g} to {high:.3g}) at {self.set_force_n:g} N{modulus}"
+
+    def _missed_rows(self) -> Rows:
+        """What may be there that no touch has met."""
+        if (missed := self.missed) is None:
+            return []
+        x, y = 100.0 * missed.untouched_at_m
+        wide = 200.0 * missed.untouched_m
+        what = f"the largest circle without a touch is {wide:.0f} cm across, around ({x:.0f}, {y:.0f}) cm"
+        rows = [("untouched", what)]
+        if self.lumps is None and (unseen := missed.inclusions):
+            each = ", ".join(f"{one.probability:.2f} for {200.0 * one.radius_m:.3g} cm" for one in unseen)
+            by_loss = "the energy loss of what is around it, or as many times less"
+            kind = by_loss if self.feel == "loss" else "as stiff or as soft"
+            stated = f"assumed: {missed.contrast:g} times {kind}; {missed.prior:g} before any touch"
+            rows.append(("inclusions unseen", f"probability that one was missed, by its width: {each} ({stated})"))
+        return rows
+
+    @property
+    def force_text(self) -> str:
+        """What touches were to press with, and the largest force: by the sensor, and true where it is known."""
+        more_n, true_n = self.more_force_n, self.max_force_n
+        more = "" if more_n is None else f" ({more_n:g} N where that dents less than {1e3 * SHALLOW_M:g} mm)"
+        true = "" if true_n is None else f", true {true_n:.2f} N (known in the simulation alone)"
+        return f"set to {self.set_force_n:g} N{more}; largest: measured {self.measured_max_force_n:.2f} N{true}"
+
+
+def format_betas(touches: Sequence[TouchEstimate]) -> str:
+    """What beta says, over the touches that have one."""
+    values = [one.beta for one in touches if one.beta is not None]
+    low, high = min(values), max(values)
+    span = f"{low:.2f}" if f"{low:.2f}" == f"{high:.2f}" else f"{low:.2f} to {high:.2f}"
+    every = f"{span} in {counted(len(values), 'touch')}"
+    if high <= BOUNDS[0] or low >= BOUNDS[1]:
+        return f"{every}, the end of its range: beta does not distinguish what was touched"
+    bound = sum(one.beta_verdict == "at-bound" for one in touches)
+    if bound:
+        why = "linear foam has the same beta however soft it is"
+        return f"{every}; in {bound} its interval reaches the end of its range: {why}, and stiffness decides"
+    return every
+
+
+def map_arrays(maps: MapEstimate) -> dict[str, np.ndarray]:
+    """Those that are known: rows along y, columns along x, cells of cell_m with the surface's corner at (0, 0)."""
+    known = {one.name: getattr(maps, one.name) for one in quantities(MapEstimate)}
+    return {name: np.asarray(value) for name, value in known.items() if value is not None}

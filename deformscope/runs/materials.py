@@ -1,0 +1,391 @@
+"""Anisotropy, fields of stiffness, yielding and recovery of images, recordings and files: the same for a first run and
+for its replay."""
+
+from __future__ import annotations
+
+import dataclasses
+import io
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import msgspec
+import numpy as np
+
+from deformscope.arrays import ImageArray
+from deformscope.config import MaterialOptions, OutputOptions, ViscousConfig, YieldConfig
+from deformscope.errors import InputError
+from deformscope.experiments.calibration_inputs import images_of, mask_of, opened_images, particle_options
+from deformscope.experiments.foam_video import ParticleOptions
+from deformscope.experiments.material_motion import (
+    MaterialEstimate,
+    MaterialFit,
+    UnloadingOptions,
+    axes_of_pairs,
+    field_of_pair,
+    material_files,
+    material_video,
+    pose_of,
+    recovery_of_camera,
+    recovery_of_motion,
+    yield_of_camera,
+    yield_of_motion,
+)
+from deformscope.experiments.whole_motion import TrackedMotion
+from deformscope.file_io import ending_of, read_file
+from deformscope.files.motions import parse_motion
+from deformscope.files.pairs import parse_pair
+from deformscope.files.sources import Source
+from deformscope.frames import InputFile, WrenchFrame
+from deformscope.log.application import PAIR, PAIR_3D
+from deformscope.pictures.report import Figure, ReportVerdict, Section, Table, html_report
+from deformscope.recording.item_rows import read_rows
+from deformscope.recording.items import read_found
+from deformscope.recording.reader import Replay
+from deformscope.recording.recorder import RecordingSummary
+from deformscope.runs.calibration import frames_of, images_recorder, pair_recorder, size_notes
+from deformscope.runs.calibration_report import provenance_sections, settings_section
+from deformscope.runs.material_report import material_figure, material_table
+from deformscope.runs.result import LibraryResult, Note, log_note, open_recorder, recording_rows
+from deformscope.session import Step, run
+from deformscope.stages.fit.model import Model, Observation
+from deformscope.stages.fit.motion import Motion
+from deformscope.stages.fit.search import Progress
+from deformscope.stages.materials.axis_estimate import AxisEstimate
+from deformscope.stages.materials.field_estimate import FieldEstimate
+from deformscope.stages.materials.plasticity import YieldOptions
+from deformscope.stages.materials.press_cycle import PressForce
+from deformscope.stages.materials.recovery_estimate import RecoveryEstimate
+from deformscope.stages.materials.yield_estimate import YieldEstimate
+from deformscope.stages.msm.quiet import quiet_warp
+from deformscope.stages.msm.solver import pick_device
+from deformscope.stages.see.particles import clean_mask
+
+FORCE_FILE = "force"
+"""What of another recording's force sensor a run is computed from, as a recording of it keeps that."""
+FREE_SHARE = 0.05
+"""Of a force sensor's readings, the first ones that are taken for its zero."""
+RAW_FILES = {"axes": ("pair", "a pair file (.npz)"), "yield": ("motion", "a motion file (.npz)")}
+RAW_FILES["viscous"] = RAW_FILES["yield"]
+RAW_FILES["field"] = RAW_FILES["axes"]
+KINDS: dict[str, type[MaterialEstimate]] = {
+    "axes": AxisEstimate,
+    "field": FieldEstimate,
+    "yield": YieldEstimate,
+    "viscous": RecoveryEstimate,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class MaterialJob:
+    """What decides a result beside the inputs; a recording keeps it.
+
+    find: what of a material; noise: of a position [m of files, px of images]; particles: of images
+    frame: of images, that axes or a field are fitted to; force_n: on what was moved; at, released: see
+    `UnloadingOptions`
+    """
+
+    find: Literal["axes", "field", "yield", "viscous"]
+    level: float = 0.9
+    seed: int = 0
+    device: str = "cpu"
+    noise_m: float | None = None
+    particles: ParticleOptions | None = None
+    cluster_size: int = 3
+    turn_deg: float = 0.0
+    frame: int | None = None
+    force_n: float | None = None
+    beta: float | None = None
+    creep: float | str = "none"
+    maximum: float | None = None
+    theta: float = 0.0
+    at: tuple[int, int] | None = None
+    released: tuple[str, ...] = ("contact",)
+
+    def yield_options(self) -> YieldOptions:
+        """How yielding is fitted."""
+        most = float("inf") if self.maximum is None else self.maximum
+        return YieldOptions(
+            self.beta, self.creep, most, self.cluster_size, self.theta, self.level, self.seed, self.device
+        )
+
+    def model(self) -> Model:
+        """What axes are fitted with."""
+        return Model(cluster_size=self.cluster_size, device=self.device)
+
+    def directions(self, d: int) -> Any:
+        """(d, d) the material's axes."""
+        turn, axes = np.deg2rad(self.turn_deg), np.eye(d)
+        axes[:2, :2] = [[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]]
+        return axes
+
+
+@dataclass(frozen=True, slots=True)
+class MaterialResult(LibraryResult):
+    """What `calibrate axes`, `field`, `yield` or `viscous` found.
+
+    estimate: the numbers; name: of the source; found: what they were compared with; recording: what was recorded
+    problems: what of the source is damaged; settings, seed: what decides the result
+    """
+
+    found: MaterialFit
+    name: str = ""
+    recording: RecordingSummary | None = None
+    problems: tuple[str, ...] = ()
+    settings: Mapping[str, object] = dataclasses.field(default_factory=dict)
+    seed: int = 0
+
+    @property
+    def estimate(self) -> MaterialEstimate:
+        """The numbers."""
+        return self.found.estimate
+
+    def as_json(self) -> dict[str, Any]:
+        return self.estimate.as_json() | ({"source_problems": list(self.problems)} if self.problems else {})
+
+    def tables(self) -> tuple[Table, ...]:
+        table = material_table(self.estimate, self.name)
+        rows = [] if not self.problems else [("SOURCE DAMAGED", "; ".join(self.problems))]
+        rows += [] if self.recording is None else recording_rows(self.recording)
+        return (Table([*table.rows, *rows], caption=table.caption),)
+
+    def figures(self) -> tuple[Figure, ...]:
+        return (material_figure(self.found),)
+
+
+def material_page(result: MaterialResult) -> str:
+    """All that was found, with the picture, settings and provenance, as one HTML page."""
+    (table,) = result.tables()
+    verdict = next(str(row[1]) for row in table.rows if row[0] in ("verdict", "anisotropy"))
+    sections = [
+        Section("", [ReportVerdict(verdict, ())]),
+        Section("Numbers and evidence", [table, *result.figures()]),
+        settings_section(result.estimate.settings),
+        *provenance_sections(seed=result.seed, settings=result.settings),
+    ]
+    return html_report(table.caption, sections)
+
+
+def calibrate_material(
+    config: MaterialOptions, *, note: Note = log_note, progress: Progress | None = None
+) -> MaterialResult:
+    """Fit what the options name."""
+    quiet_warp()
+    job, sources = job_of(config), config.sources
+    settings: dict[str, Any] = {"sources": list(sources)}
+    raws = _raw_files(job, sources)
+    if raws:
+        return run_material_files(raws, job, settings, config.output, note=note, progress=progress)
+    if config.fit.noise_m is not None:
+        raise InputError("--noise-px for images", "--noise-m", "give the noise in pixels")
+    images = images_of(config)
+    timed = isinstance(config, ViscousConfig) or (isinstance(config, YieldConfig) and config.creep != "none")
+    stamped = images.fps is not None or (len(sources) == 1 and not Path(sources[0]).is_dir())
+    if timed and not stamped:
+        raise InputError("--fps with images that do not say their rate", "none", "--fps 30")
+    job = dataclasses.replace(job, particles=particle_options(images, config.fit.noise_px))
+    settings |= {"stride": images.stride, "fps": images.fps, "camera": images.camera}
+    with opened_images(sources, images) as source:
+        mask = mask_of(sources, images, source.size)
+        force = None
+        if job.find not in ("axes", "field") and job.at is None and Path(sources[0]).suffix.lower() == ".rrd":
+            sensor = config.unloading.force if isinstance(config, YieldConfig | ViscousConfig) else None
+            force = recorded_force(Path(sources[0]), sensor, source.began_ns)
+        return run_material_images(source, mask, force, job, settings, config.output, progress=progress)
+
+
+def job_of(config: MaterialOptions) -> MaterialJob:
+    """The same without the sources, and what is left behind. What is None takes the job's default."""
+    groups = (config.output, config.fit, getattr(config, "unloading", None), config)
+    given = {one.name: getattr(group, one.name) for group in groups if group for one in dataclasses.fields(group)}
+    known = {one.name: given.get(one.name) for one in dataclasses.fields(MaterialJob)}
+    known |= {"find": type(config).__name__.removesuffix("Config").lower(), "device": pick_device(config.fit.device)}
+    return MaterialJob(**{name: value for name, value in known.items() if value is not None})
+
+
+def run_material_images(
+    source: Source,
+    mask: ImageArray | None,
+    force: PressForce | None,
+    job: MaterialJob,
+    settings: Mapping[str, object],
+    output: OutputOptions,
+    *,
+    progress: Progress | None = None,
+) -> MaterialResult:
+    """One sequence through the loop: the same for files, samples and recordings. mask: (H, W) [px], 0 = not the body"""
+    assert job.particles is not None
+    used = {**settings, "material": dataclasses.asdict(job)}
+    unloading = UnloadingOptions(job.released, job.at, force)
+    with images_recorder(source, mask, used, output) as recorder:
+        if force is not None:
+            recorder.write(InputFile(FORCE_FILE, _force_bytes(force)))
+        find = _finder(job, job.particles, unloading, progress)
+        experiment = material_video(job.particles, find, None if mask is None else clean_mask(mask))
+        found = run(frames_of(source, progress), experiment, recorder)
+        result = MaterialResult(found, source.name, None, tuple(source.problems()), used, job.seed)
+        recorder.write(Step((result.findings(),)))
+    return dataclasses.replace(result, recording=recorder.summary())
+
+
+def run_material_files(
+    raws: Sequence[tuple[str, bytes]],
+    job: MaterialJob,
+    settings: Mapping[str, object],
+    output: OutputOptions,
+    *,
+    note: Note = log_note,
+    progress: Progress | None = None,
+) -> MaterialResult:
+    """Pairs, all in one fit, or one motion, given by name and content: the same for files and recordings."""
+    used = {**settings, "material": dataclasses.asdict(job)}
+    if job.find == "field" and len(raws) > 1:
+        raise InputError("one pair file", str(len(raws)), "name them in several commands")
+    if job.find in ("axes", "field"):
+        seen = [parse_pair(raw, name, noise_m=job.noise_m) for name, raw in raws]
+        for remark in size_notes([one.rest for one in seen]):
+            note(remark)
+        with pair_recorder(seen, raws, used, output) as recorder:
+            experiment = material_files(lambda: _of_pairs(seen, job, progress))
+            name = ", ".join(name for name, _ in raws)
+            result = MaterialResult(run((), experiment, recorder), name, settings=used, seed=job.seed)
+            recorder.write(Step((result.findings(),), frame=0))
+        return dataclasses.replace(result, recording=recorder.summary())
+    if len(raws) > 1:
+        raise InputError("one motion file", str(len(raws)), "name them in several commands")
+    (name, raw), *_ = raws
+    motion = parse_motion(raw, name, noise_m=job.noise_m)
+    for remark in size_notes([motion.rest]):
+        note(remark)
+    with open_recorder(output, used, PAIR if motion.rest.shape[1] == 2 else PAIR_3D) as recorder:
+        recorder.write(InputFile("motion", raw))
+        experiment = material_files(lambda: _of_motion(motion, job, progress))
+        result = MaterialResult(run((), experiment, recorder), name, settings=used, seed=job.seed)
+        recorder.write(Step((result.findings(),), frame=0))
+    return dataclasses.replace(result, recording=recorder.summary())
+
+
+def _of_pairs(seen: Sequence[Observation], job: MaterialJob, progress: Progress | None) -> MaterialFit:
+    if job.find == "field":
+        one = seen[0] if job.force_n is None else dataclasses.replace(seen[0], force_n=job.force_n)
+        return field_of_pair(one, job.level, job.seed, job.device, progress)
+    return axes_of_pairs(seen, job.model(), job.directions(seen[0].rest.shape[1]), job.level, job.seed, progress)
+
+
+def _of_motion(motion: Motion, job: MaterialJob, progress: Progress | None) -> MaterialFit:
+    if job.find == "yield":
+        return yield_of_motion(motion, job.yield_options(), progress)
+    return recovery_of_motion(motion, job.level, job.seed)
+
+
+def _finder(
+    job: MaterialJob, particles: ParticleOptions, unloading: UnloadingOptions, progress: Progress | None
+) -> Callable[[TrackedMotion], MaterialFit]:
+    def pose(tracked: TrackedMotion) -> MaterialFit:
+        frame, seen = pose_of(tracked, particles, job.frame)
+        found = _of_pairs([seen], job, progress)
+        settings = found.estimate.settings | {"frame": frame, "frames": len(tracked.history)}
+        estimate = dataclasses.replace(found.estimate, settings=settings)
+        return MaterialFit(estimate, ((frame, found.comparisons[0][1]),))
+
+    def yielding(tracked: TrackedMotion) -> MaterialFit:
+        return yield_of_camera(tracked, particles, unloading, job.yield_options(), progress)
+
+    def viscous(tracked: TrackedMotion) -> MaterialFit:
+        return recovery_of_camera(tracked, particles, unloading, job.level, job.seed)
+
+    return {"axes": pose, "field": pose, "yield": yielding, "viscous": viscous}[job.find]
+
+
+def _raw_files(job: MaterialJob, sources: Sequence[str]) -> list[tuple[str, bytes]]:
+    """Pair or motion files, or those that a recording keeps; none where the source has images."""
+    name, words = RAW_FILES[job.find]
+    if ending_of(sources[0]) == ".npz":
+        return [(one, read_file(one, words)) for one in sources]
+    if len(sources) == 1 and Path(sources[0]).suffix.lower() == ".rrd":
+        recording = Replay(Path(sources[0]))
+        if "explore" in recording.settings and not recording.color_counts:
+            hint = "`deformscope replay` fits the creep of touches that `explore --hold` made"
+            raise InputError("a recording of a camera, of pairs or of a motion", "an exploration", hint, sources[0])
+        return recorded_files(recording, name)
+    return []
+
+
+def recorded_files(recording: Replay, name: str) -> list[tuple[str, bytes]]:
+    """The pair files or the motion file that a recording keeps, by name and content."""
+    if name == "pair":
+        pairs = recording.read_pair_bytes()
+        return [(f"{recording.path}, pair {index}", raw) for index, raw in enumerate(pairs)]
+    found = recording.read_inputs()
+    return [(str(recording.path), found[name])] if name in found else []
+
+
+# Forces of a recording -----------------------------------------------------------------------------------------------
+
+
+def recorded_force(path: Path, sensor: str | None, began_ns: int) -> PressForce | None:
+    """The force that a recording has beside its images, None where it has none.
+
+    sensor: by name, needed where several were recorded; began_ns: when the first frame came
+    The first readings are taken for the sensor's zero: nothing touches at the start.
+    """
+    found: dict[str, list[WrenchFrame]] = {}
+    for row in read_rows(Replay(path, trust=True), (WrenchFrame,)):
+        if row.item.usable and np.isfinite(row.item.force_n).all():
+            found.setdefault(row.item.device, []).append(row.item)
+    if sensor is not None and sensor not in found:
+        came = ", ".join(found) or "a recording without forces"
+        raise InputError(f"a force sensor {sensor!r} in the recording", came, where=path)
+    if not found:
+        return None
+    if sensor is None and len(found) > 1:
+        raise InputError("one force sensor", ", ".join(found), f"--force {next(iter(found))}", path)
+    frames = found[sensor or next(iter(found))]
+    time_s = np.array([1e-9 * (one.stamp.host_ns - began_ns) for one in frames])
+    read = np.stack([one.force_n for one in frames])  # (n, channels, 3)
+    rising = np.append(True, np.diff(time_s) > 0.0)
+    time_s, read = time_s[rising], read[rising]
+    free = max(5, round(FREE_SHARE * len(read)))
+    zeroed = read - np.median(read[:free], axis=0)
+    force_n = np.linalg.norm(zeroed, axis=2).sum(axis=1)
+    return PressForce(time_s, force_n, float(np.std(force_n[:free])))
+
+
+def _force_bytes(force: PressForce) -> bytes:
+    file = io.BytesIO()
+    np.savez(file, allow_pickle=False, time_s=force.time_s, force_n=force.force_n, zero_sd_n=force.zero_sd_n)
+    return file.getvalue()
+
+
+def kept_force(recording: Replay) -> PressForce | None:
+    """The force that a recorded run was computed from."""
+    raw = recording.read_inputs().get(FORCE_FILE)
+    if raw is None:
+        return None
+    with np.load(io.BytesIO(raw), allow_pickle=False) as found:
+        return PressForce(found["time_s"], found["force_n"], float(found["zero_sd_n"]))
+
+
+# Replay --------------------------------------------------------------------------------------------------------------
+
+
+def replay_material(
+    recording: Replay, source: Source, output: OutputOptions, *, progress: Progress | None = None
+) -> tuple[list[MaterialEstimate], MaterialResult]:
+    """What a recording says, and the same fitted again to what it keeps. source: its images"""
+    settings = dict(recording.settings)
+    try:
+        job = msgspec.convert(settings.pop("material"), MaterialJob)
+    except msgspec.ValidationError as error:
+        raise InputError("a recording of this version", f"other settings ({error})", where=recording.path) from error
+    recorded: list[MaterialEstimate] = read_found(recording, KINDS[job.find])
+    if job.device != "cpu":  # the recording's GPU may not be here
+        job = dataclasses.replace(job, device=pick_device("auto"))
+    if job.particles is None:
+        raws = recorded_files(recording, RAW_FILES[job.find][0])
+        return recorded, run_material_files(raws, job, settings, output, progress=progress)
+    with source:
+        force = kept_force(recording)
+        found = run_material_images(source, recording.mask, force, job, settings, output, progress=progress)
+    return recorded, found

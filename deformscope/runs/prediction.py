@@ -1,0 +1,192 @@
+"""A fitted model poked where it was not poked, and how that compares with measurements."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from deformscope.arrays import FloatArray
+from deformscope.config.flags import Device, PokeText
+from deformscope.errors import InputError
+from deformscope.files.model_file import load_model
+from deformscope.pictures.dents import dents_png
+from deformscope.pictures.findings import ColoredBody, Findings
+from deformscope.pictures.report import Figure, Table
+from deformscope.runs.calibration import CalibrationResult
+from deformscope.runs.result import LibraryResult
+from deformscope.stages.msm.poke import Poke, Tip
+from deformscope.stages.msm.quiet import quiet_warp
+from deformscope.stages.msm.solver import pick_device
+from deformscope.stages.poke import fitted
+from deformscope.stages.poke.comparison import PokeComparison, PooledPokes
+from deformscope.stages.poke.fitted import FittedModel, Prediction
+
+ModelSource: TypeAlias = FittedModel | CalibrationResult | Path | str
+
+
+@dataclass(frozen=True, slots=True)
+class PredictionResult(LibraryResult):
+    """What a poke will do. points: (n, 3) of the surface whose deformed positions are wanted too [m]"""
+
+    prediction: Prediction
+    points: FloatArray | None = None
+
+    @property
+    def depth_m(self) -> float:
+        """How deep the tip goes [m]."""
+        return self.prediction.depth
+
+    @property
+    def force_n(self) -> float | None:
+        """The force on the tip [N]; None where the model was fitted without one."""
+        return self.prediction.force
+
+    @property
+    def rest_m(self) -> FloatArray:
+        """(K, d) particles before the poke [m]."""
+        return self.prediction.rest
+
+    @property
+    def deformed_m(self) -> FloatArray:
+        """(K, d) particles under the poke [m]."""
+        return self.prediction.position
+
+    def __repr__(self) -> str:
+        force = "no force" if self.force_n is None else f"{self.force_n:.4g} N"
+        return f"<poke {format_poke(self.prediction.poke)}: {1e3 * self.depth_m:.4g} mm, {force}>"
+
+    def as_json(self) -> dict[str, Any]:
+        found = self.prediction
+        public: dict[str, Any] = {
+            "poke": {
+                "at_m": found.poke.at,
+                "tip": found.poke.tip.shape,
+                "size_m": found.poke.tip.size,
+                "slips": found.poke.tip.slips,
+                "depth_m": found.poke.depth,
+                "force_n": found.poke.force,
+            },
+            "depth_m": found.depth,
+            "force_n": found.force,
+            "force_interval_n": found.force_interval,
+            "stiffness_n_per_m": found.stiffness,
+            "surface_error_m": found.surface_error,
+            "extrapolated": found.extrapolated,
+            "converged": found.converged,
+            "surface": {"rest": found.rest[found.surface], "deformed": found.position[found.surface]},
+            "touched": found.touched,
+        }
+        if self.points is not None:
+            public["points"] = {"rest": self.points, "deformed": found.at(self.points)}
+        return public
+
+    def tables(self) -> tuple[Table, ...]:
+        found = self.prediction
+        rows = [("depth", f"{1e3 * found.depth:.4g} mm")]
+        if found.force is None or found.force_interval is None:
+            rows.append(("force", "not known: the model was fitted without a force (force_n in a pair file)"))
+        else:
+            low, high = found.force_interval
+            rows.append(("force", f"{found.force:.4g} N, 90 % interval {low:.4g} to {high:.4g}"))
+        rows.append(("surface", f"off by {1e3 * found.surface_error:.3g} mm near the tip (rms, as in the fit)"))
+        rows.append(("touched", f"{len(found.touched)} particles"))
+        rows += _beyond(found)
+        rows.append(("converged", "yes" if found.converged else "NO: do not rely on it"))
+        return (Table(rows, caption=f"Poke {format_poke(found.poke)}"),)
+
+    def figures(self) -> tuple[Figure, ...]:
+        return (Figure(dents_png([self.prediction], []), "A cut through the dent along x"),)
+
+    def findings(self) -> Findings:
+        return Findings(self.tables(), self.figures(), (moved_body(self.prediction),))
+
+
+def moved_body(found: Prediction) -> ColoredBody:
+    """The deformed particles, coloured by how far each moved."""
+    moved_mm = 1e3 * np.linalg.norm(found.position - found.rest, axis=1)
+    return ColoredBody("Particles under the poke, coloured by how far they moved [mm]", found.position, moved_mm)
+
+
+def _beyond(found: Prediction) -> list[tuple[str, str]]:
+    words = f"BEYOND what was fitted: {'; '.join(found.extrapolated)}"
+    return [("extrapolated", words)] if found.extrapolated else []
+
+
+def comparison_table(name: str, found: PokeComparison) -> Table:
+    """How the model and what else one might take did on a measured poke."""
+    rows = []
+    for one in found.scores:
+        force = "no force" if one.force is None else f"force {one.force:.3g} N"
+        off = "" if one.force_error is None else f" ({one.force_error:+.1%})"
+        rows.append((one.method, f"surface off by {one.surface_error:.1%} of the depth, {force}{off}"))
+    rows += _beyond(found.prediction)
+    if found.poke.force is not None:
+        rows.append(("measured", f"force {found.poke.force:.3g} N at {1e3 * found.poke.depth:.3g} mm"))
+    if found.prediction.force_interval is not None:
+        low, high = found.prediction.force_interval
+        rows.append(("MSM, 90 % interval", f"{low:.3g} to {high:.3g} N"))
+    return Table(rows, caption=f"Against {name}")
+
+
+def together_table(found: PooledPokes) -> Table:
+    """How the model did on all measured pokes."""
+    rows = [("surface", f"off by {found.surface_error:.1%} of the depth (rms)")]
+    if found.force_error is not None:
+        rows.append(("force", f"off by {found.force_error:.1%} (rms)"))
+        held = f"{found.held} of {found.forces} hold the measured force, median width {found.width:.0%}"
+        rows.append(("90 % intervals", held))
+    return Table(rows, caption=f"Against {found.pokes} measured pokes")
+
+
+def format_poke(poke: Poke) -> str:
+    """Where, and with what tip."""
+    place = ", ".join(f"{v:.3g}" for v in poke.at)
+    size = " x ".join(f"{1e3 * side:.3g}" for side in poke.tip.size)
+    return f"at ({place}) m with a {poke.tip.shape} tip of {size} mm"
+
+
+def predicted(model: FittedModel, text: PokeText, points_m: FloatArray | None, device: Device) -> PredictionResult:
+    """What a poke will do. points_m: (n, 3) as of `PredictionResult`"""
+    quiet_warp()
+    found = fitted.predict(model, poke_of(text, model), device=pick_device(device))
+    return PredictionResult(found, None if points_m is None else np.asarray(points_m, dtype=np.float64))
+
+
+def fitted_model(model: ModelSource) -> FittedModel:
+    """The model in what may hold one."""
+    if isinstance(model, CalibrationResult):
+        return model.model()
+    return model if isinstance(model, FittedModel) else load_model(Path(model))
+
+
+def poke_of(text: PokeText, model: FittedModel) -> Poke:
+    """A poke with what it left out taken from the model."""
+    if text.tip is None and model.tip is None:
+        raise InputError("a tip, since the model knows none", "none", "tip=flat size=0.02x0.02")
+    slips = model.tip.slips if model.tip is not None else True
+    if text.tip is not None:
+        tip = Tip(text.tip, text.size, slips)
+    else:
+        assert model.tip is not None
+        tip = dataclasses.replace(model.tip, size=text.size or model.tip.size)
+    at = np.array(text.at)
+    if model.dim == 3 and at.size == 2:
+        at = np.append(at, model.rest[:, 2].max())
+    if at.size != model.dim:
+        raise InputError(f"at= with {2 if model.dim == 2 else '2 or 3'} coordinates", f"{at.size}", "at=0.28,0.2")
+    return Poke(at, tip, text.depth, text.force)
+
+
+def arrays_of(every: Sequence[Prediction]) -> Mapping[str, np.ndarray]:
+    """Of every poke the (K, d) particles at rest and deformed, in the unit of the model, and the indices (s,), (m,) of
+    the surface and of what the tip touches: as the command's file has them."""
+    arrays: dict[str, np.ndarray] = {}
+    for index, one in enumerate(every):
+        arrays[f"rest_{index}"], arrays[f"deformed_{index}"] = one.rest, one.position
+        arrays[f"surface_{index}"], arrays[f"touched_{index}"] = one.surface, one.touched
+    return arrays

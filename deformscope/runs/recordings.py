@@ -1,0 +1,113 @@
+"""Recordings as a script has them: what one is, and what making one left."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, cast
+
+from deformscope.frames import ColorFrame, Item, SessionNote
+from deformscope.pictures.findings import cell_text
+from deformscope.pictures.report import Table
+from deformscope.plain import plain
+from deformscope.recording.discards import Discard, discards_of
+from deformscope.recording.items import read_estimates, read_items, read_results
+from deformscope.recording.reader import Replay
+from deformscope.runs.result import LibraryResult
+
+
+class OpenRecording(LibraryResult):
+    """A recording of ours: settings, frames and results, read when they are asked for.
+
+    path: of the file; its bytes were compared with its ledger when it was opened
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Raises InputError where it is no recording of ours, or no longer what was recorded."""
+        self.path = path
+        self._replay = Replay(path)
+
+    @property
+    def settings(self) -> Mapping[str, Any]:
+        """Everything that decided the recorded results."""
+        return self._replay.settings
+
+    @property
+    def outcome(self) -> Mapping[str, Any]:
+        """How the recording ended; empty where the run was cut short."""
+        return self._replay.outcome
+
+    @cached_property
+    def kind(self) -> str:
+        """The layout of its views: `images`, `pair`, `rig`, `exploration`..."""
+        return self._replay.identity[0].removeprefix("deformscope").removeprefix("-") or "images"
+
+    def frames(self) -> Iterator[ColorFrame]:
+        """The images that were calibrated, in their order, bit for bit, with their stamps."""
+        return self._replay.frames()
+
+    def items(self) -> Iterator[Item]:
+        """Everything that the devices of a rig gave, in its order."""
+        return read_items(self.path, trust=True)
+
+    def notes(self) -> tuple[SessionNote, ...]:
+        """What was remarked while it was recorded: notes, episodes, tares, alarms of sensors, discards, each with its
+        time on the host's clock."""
+        found = read_items(self.path, trust=True, kinds=(SessionNote,))
+        return tuple(note for note in found if isinstance(note, SessionNote))
+
+    def discarded(self) -> list[Discard]:
+        """What of it is not to be used, and why; it is there all the same."""
+        return discards_of(self.path, self.notes())
+
+    def estimates(self) -> list[dict[str, Any]]:
+        """The recorded estimates of a calibration, as the JSON of the command line has them."""
+        return [cast("dict[str, Any]", plain(one.as_json())) for one in read_estimates(self._replay)]
+
+    def results(self) -> Iterator[object]:
+        """The recorded results of an exploration, in the order in which they came."""
+        return (row.item for row in read_results(self.path, trust=True))
+
+    def __repr__(self) -> str:
+        return f"<recording {self.path}: {self.kind}>"
+
+    def as_json(self) -> dict[str, Any]:
+        found = {"recording": self.path, "kind": self.kind, "settings": self.settings, "outcome": self.outcome}
+        return found | {"discarded": self.discarded()}
+
+    def tables(self) -> tuple[Table, ...]:
+        rows = [("kind", self.kind), ("frames", str(self.outcome.get("frames", "unknown: its run was cut short")))]
+        rows += [(name, cell_text(value)) for name, value in self.outcome.items() if name in ("stopped", "complete")]
+        rows += [("discarded", str(one)) for one in self.discarded()]
+        rows += [
+            (name, cell_text(value)) for name, value in self.settings.items() if isinstance(value, str | int | float)
+        ]
+        return (Table([row for row in rows if "\n" not in row[1]], caption=str(self.path)),)
+
+
+@dataclass(frozen=True, slots=True)
+class RecordResult(LibraryResult):
+    """What `record` left. found: the JSON of `deformscope record`; table: the same for people"""
+
+    found: Mapping[str, Any]
+    table: Table
+
+    @property
+    def path(self) -> Path:
+        """The recording."""
+        return Path(self.found["recording"])
+
+    def open(self) -> OpenRecording:
+        """What was recorded."""
+        return OpenRecording(self.path)
+
+    def __repr__(self) -> str:
+        return f"<recorded {self.path}: {self.found['frames']} frames>"
+
+    def as_json(self) -> dict[str, Any]:
+        return dict(self.found)
+
+    def tables(self) -> tuple[Table, ...]:
+        return (self.table,)

@@ -1,0 +1,85 @@
+"""What every result can do: print itself, become JSON, show itself in a notebook; and what every function shares."""
+
+from __future__ import annotations
+
+import logging
+import os
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any, Literal, cast
+
+from deformscope.pictures.findings import Findings
+from deformscope.pictures.report import Figure, Table
+from deformscope.plain import plain
+from deformscope.results.render import Rows
+
+if TYPE_CHECKING:
+    from deformscope.config.options import ViewOptions
+    from deformscope.log.application import Application
+    from deformscope.recording.recorder import Recorder, RecordingSummary
+
+ViewerChoice = Literal["auto", "native", "page", "none"]
+Viewer = Literal["native", "page", "none"]
+Note = Callable[[str], None]
+
+log_note: Note = logging.getLogger("deformscope").warning
+"""Where remarks go that a result does not hold, such as on units that look wrong."""
+
+
+class LibraryResult(ABC):
+    """A result: `str()` is its tables, `to_dict()` the JSON of the command line, and a notebook shows its pictures."""
+
+    __slots__ = ()
+
+    @abstractmethod
+    def tables(self) -> tuple[Table, ...]:
+        """What was found, each table with its caption."""
+
+    @abstractmethod
+    def as_json(self) -> dict[str, Any]:
+        """The public form; dataclasses and arrays may stand in it."""
+
+    def figures(self) -> tuple[Figure, ...]:
+        """Pictures of it."""
+        return ()
+
+    def findings(self) -> Findings:
+        """Tables and pictures together."""
+        return Findings(self.tables(), self.figures())
+
+    def to_dict(self) -> dict[str, Any]:
+        """The JSON of the command line as a dict of plain Python values; what is not finite is None."""
+        return cast("dict[str, Any]", plain(self.as_json()))
+
+    def __str__(self) -> str:
+        return str(Findings(self.tables()))
+
+    def _repr_html_(self) -> str:
+        return self.findings().html()
+
+
+def resolve_viewer(choice: ViewerChoice) -> Viewer:
+    """`auto` is rerun's own window where there is a display, else none."""
+    if choice != "auto":
+        return choice
+    return "native" if os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY") else "none"
+
+
+def open_recorder(
+    output: ViewOptions, settings: Mapping[str, object], application: Application, **more: Any
+) -> Recorder:
+    """What a recording goes to, and a viewer, as the options say. more: options of a `Recorder`"""
+    from deformscope.recording.recorder import Recorder
+
+    viewer = resolve_viewer(output.viewer)
+    return Recorder(output.record, viewer, settings, application=application, overwrite=output.overwrite, **more)
+
+
+def recording_rows(recording: RecordingSummary) -> Rows:
+    """Where the recording is, and what of it a live view did not show."""
+    rows = []
+    if recording.path is not None:
+        rows.append(("recording", f"{recording.path} ({recording.bytes / 1e6:.1f} MB)"))
+    if recording.dropped:
+        rows.append(("live view", f"{recording.dropped} items dropped; the recording has them all"))
+    return rows

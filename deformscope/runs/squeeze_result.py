@@ -1,0 +1,157 @@
+"""What one squeeze found: its JSON, its table and its picture."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from deformscope.arrays import FloatArray
+from deformscope.pictures.report import Figure, Table
+from deformscope.results.declared import derived, reported
+from deformscope.results.render import Rows, to_json
+from deformscope.runs.result import LibraryResult
+
+if TYPE_CHECKING:
+    from deformscope.experiments.squeeze_features import TrialFeatures
+    from deformscope.stages.squeeze.trial import ContentPosterior, SqueezeStop
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class SqueezeResult(LibraryResult):
+    """What came of one squeeze: `to_dict()`, or `found`, is the JSON of `deformscope squeeze`.
+
+    content: what was asked for or, in the laboratory, drawn; stop: why it ended before its steady state
+    start_ns: of the recording; computed: None where it was stopped; answer: of a model, None without one
+    hand_stands, limits_restored: the hand could be stopped, its currents' limits are as they were
+    truth: when the laboratory's container was touched and held [s]
+    """
+
+    rig: str = field(metadata=reported())
+    simulated: bool = field(metadata=reported())
+    trial: str = field(metadata=reported())
+    content: str = field(metadata=reported())
+    content_given: bool = field(metadata=reported())
+    container: str = field(metadata=reported())
+    stop: SqueezeStop | None = field(metadata=reported(key="discarded"))
+    start_ns: int
+
+    @property
+    @derived(optional=True)
+    def events(self) -> dict[str, Any] | None:
+        """First contact and steady state, each with its interval, since the recording's start [s]."""
+        if self.computed is None:
+            return None
+        events = self.computed.events
+        return {
+            "first_s": self._since_s(events.first_ns),
+            "first_interval_s": [*map(self._since_s, events.first_interval_ns)],
+            "steady_s": self._since_s(events.steady_ns),
+            "steady_interval_s": [*map(self._since_s, events.steady_interval_ns)],
+        }
+
+    @property
+    @derived(optional=True, json=lambda by_name: {name: len(one) for name, one in by_name.items()} or None)
+    def features(self) -> Mapping[str, FloatArray]:
+        """By modality, as classifiers take them: `tactile` (72,) [counts], `physical` (13,), and where the container
+        could be tracked `vision` (3721,) and `vision_small` (121,) [m]; empty where it was stopped."""
+        return {} if self.computed is None else self.computed.modalities
+
+    computed: TrialFeatures | None = field(metadata=reported(flat=True))
+    answer: ContentPosterior | None = field(metadata=reported(flat=True))
+    hand_stands: bool = field(metadata=reported())
+    limits_restored: bool = field(metadata=reported())
+    losses: Mapping[str, Any] = field(metadata=reported())
+    truth: Mapping[str, float | None] | None = field(metadata=reported())
+    dataset: Path | None = field(metadata=reported())
+    recording: Path | None = field(metadata=reported())
+
+    @property
+    def found(self) -> dict[str, Any]:
+        """The JSON."""
+        return self.to_dict()
+
+    @property
+    def named(self) -> str | None:
+        """What the model takes the content for; None without one."""
+        return None if self.answer is None else self.answer.content
+
+    @property
+    def posterior(self) -> Mapping[str, float]:
+        """The probability of each content; empty without a model."""
+        return {} if self.answer is None else self.answer.shares
+
+    @property
+    def physical(self) -> Mapping[str, float]:
+        """Force, area, indentation, stiffness..., by name, in SI units; NaN where it could not be measured."""
+        return {} if self.computed is None else self.computed.features.by_name
+
+    @property
+    def png(self) -> bytes:
+        """The depth change drawn, empty without one."""
+        from deformscope.pictures.depth_change import depth_change_png
+
+        if self.computed is None or (change := self.computed.features).vision is None:
+            return b""
+        return depth_change_png(change.vision, change.patch_width_m, change.missing)
+
+    def __repr__(self) -> str:
+        answer = "" if self.named is None else f", named {self.named}"
+        return f"<squeeze {self.trial}: {self.physical['force_n']:.1f} N{answer}>"
+
+    def as_json(self) -> dict[str, Any]:
+        return to_json(self)
+
+    def tables(self) -> tuple[Table, ...]:
+        return (Table(self.rows(), caption=f"{self.rig} (simulated)" if self.simulated else self.rig),)
+
+    def figures(self) -> tuple[Figure, ...]:
+        return (Figure(png, f"Depth change of {self.trial}"),) if (png := self.png) else ()
+
+    def rows(self) -> Rows:
+        """What was found, as names and values."""
+        rows = [
+            ("content", self.content if self.content_given else "not given"),
+            ("container", self.container or "not given"),
+        ]
+        if self.computed is not None:
+            events, seen = self.computed.events, self.computed.features
+            force_n, stiffness = self.physical["force_n"], self.physical["stiffness_n_per_m"]
+            (first, first_end), (steady, steady_end) = events.first_interval_ns, events.steady_interval_ns
+            began_s, took_s = self._since_s(events.first_ns), (events.steady_ns - events.first_ns) / 1e9
+            change = f"none: {seen.reason}"
+            if seen.vision is not None:
+                change = f"seen on {1e2 * seen.patch_width_m:.1f} cm of width, {seen.missing:.0%} of it without depth, "
+                change += f"noise of a pixel {1e3 * (seen.noise_m or 0.0):.1f} mm"
+            rows += [
+                ("first contact", f"{began_s:.2f} s after the start, to {(first_end - first) / 1e6:.0f} ms"),
+                ("steady state", f"{took_s:.2f} s after first contact, to {(steady_end - steady) / 1e6:.0f} ms"),
+                (
+                    "force of a finger",
+                    f"{force_n:.2f} N; stiffness {stiffness:.0f} N/m",
+                ),
+                ("depth change", change),
+            ]
+        if self.answer is not None:
+            order = sorted(self.posterior.items(), key=lambda one: -one[1])
+            words = ", ".join(f"{label} {100 * share:.0f} %" for label, share in order)
+            rows.append(("named", f"{self.answer.content} by {self.answer.modality} ({words})"))
+            if self.simulated and not self.content_given:
+                rows.append(("truth", self.content))
+        if self.stop is not None:
+            rows.append(("discarded", f"{self.stop.kind}: {self.stop.reason}"))
+        kept = (("data set", self.dataset), ("recording", self.recording))
+        return [*rows, ("hand", self.hand_text), *((words, str(path)) for words, path in kept if path)]
+
+    @property
+    def hand_text(self) -> str:
+        """Whether the hand stands, and may be used again as it was."""
+        if not self.hand_stands:
+            return "COULD NOT BE STOPPED: it may still press; switch it off"
+        if not self.limits_restored:
+            return "stands; ITS CURRENT LIMITS ARE NOT AS THEY WERE: switch it off"
+        return "stands"
+
+    def _since_s(self, time_ns: int) -> float:
+        return (time_ns - self.start_ns) / 1e9

@@ -1,0 +1,125 @@
+"""An arm that a person places: it is where they have confirmed that it is, and reports that until they say otherwise.
+
+Nothing is measured here: `place` is what a person vouches for, as they read it from a scale. No command moves it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+import numpy.typing as npt
+
+from deformscope_drivers.arm.commands import SpeedLimits, Velocity
+from deformscope_drivers.arm.device import Arm
+from deformscope_drivers.arm.errors import MotionStopped, NotMovedByCommands
+from deformscope_drivers.arm.kinematics import (
+    Chain,
+    FloatArray,
+    euler_xyz_from_rotation,
+    rotation_from_euler_xyz,
+    transform,
+)
+from deformscope_drivers.arm.state import ArmState
+from deformscope_drivers.clock import Clock, Stamp, monotonic_ns
+from deformscope_drivers.device import Reconnect
+from deformscope_drivers.errors import OutOfLimits
+from deformscope_drivers.health import Identity
+from deformscope_drivers.manual_arm.config import MANUAL, ManualArmConfig
+from deformscope_drivers.pacing import Pacer
+
+
+class ManualArm(Arm[ArmState]):
+    """`with ManualArm(ManualArmConfig(start_m=(0.3, 0.2, 0.3))) as arm:`, then `arm.place(T_base_end_effector)`."""
+
+    by_hand = True
+
+    def __init__(
+        self,
+        config: ManualArmConfig,
+        *,
+        reconnect: Reconnect | None = None,
+        clock: Clock = monotonic_ns,
+    ) -> None:
+        self.config = config
+        super().__init__("arm placed by hand", reconnect=reconnect, clock=clock)
+        self._waiting = Pacer(clock)
+        self._period_ns = round(1e9 / config.state_hz)
+        self._next_ns = 0
+        self._pose = transform(rotation_from_euler_xyz(*config.theta_rad), config.start_m)
+
+    @property
+    def chain(self) -> Chain:
+        raise self._no_commands("an arm whose joints are known")
+
+    @property
+    def speed_limits(self) -> SpeedLimits:
+        raise self._no_commands("an arm that moves by itself")
+
+    @property
+    def T_base_end_effector(self) -> FloatArray:
+        """(4, 4) where it was placed last [m]."""
+        with self._commanded:
+            return self._pose.copy()
+
+    def identity(self) -> Identity:
+        return Identity(MANUAL)
+
+    def place(self, T_base_end_effector: npt.ArrayLike) -> None:
+        """A person has put it there: (4, 4) [m]. Raises OutOfLimits for what is no pose, MotionStopped after `halt`."""
+        self._require_open()
+        pose = np.asarray(T_base_end_effector, dtype=float)
+        rigid = pose.shape == (4, 4) and np.allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-6)
+        if not (rigid and np.all(np.isfinite(pose))):
+            raise OutOfLimits("a rigid pose (4, 4)", f"{pose.tolist()}", "", self.name)
+        with self._commanded:
+            if self._stopped:
+                raise MotionStopped("an arm that may be placed", self._stopped, "acknowledge_stop()", self.name)
+            self._pose = pose.copy()
+
+    def set_velocity(self, velocity: Velocity, valid_for_s: float | None = None) -> None:
+        """Raises NotMovedByCommands."""
+        raise self._no_commands("an arm that moves by itself")
+
+    def stop(self) -> None:
+        """Nothing to stop: the arm stands by itself. Raises NotConnected where it is not open."""
+        self._require_open()
+
+    def halt(self, reason: str) -> None:
+        self._require_open()
+        with self._commanded:
+            self._stopped = self._stopped or reason or "by command"
+
+    # Run by the device's own thread ----------------------------------------------------------------------------------
+
+    def _connect(self) -> None:
+        self._expect(self.config.state_hz)
+        self._next_ns = self._clock()
+
+    def _disconnect(self) -> None:
+        return
+
+    def _wake(self) -> None:
+        self._waiting.wake()
+
+    def _receive(self, timeout_s: float) -> Iterable[ArmState]:
+        if not self._waiting.wait_until(self._next_ns, timeout_s):
+            return ()
+        now_ns = self._clock()
+        self._next_ns += ((now_ns - self._next_ns) // self._period_ns + 1) * self._period_ns
+        with self._commanded:
+            pose = self._pose
+        x, y, z = (float(value) for value in pose[:3, 3])
+        theta_x, theta_y, theta_z = (float(value) for value in euler_xyz_from_rotation(pose[:3, :3]))
+        return (
+            ArmState(
+                stamp=Stamp(now_ns),
+                joints_deg=(),
+                rates_deg_s=(),
+                position_m=(x, y, z),
+                theta_rad=(theta_x, theta_y, theta_z),
+            ),
+        )
+
+    def _no_commands(self, wanted: str) -> NotMovedByCommands:
+        return NotMovedByCommands(wanted, "one that a person places", "place() it", self.name)
