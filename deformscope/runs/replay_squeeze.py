@@ -92,10 +92,8 @@ def squeeze_again(recording: Replay) -> SqueezeAgain:
     for row in rows:
         if isinstance(row.item, SqueezePhase):
             observer.phase(row.item.name, row.session_ns + start_ns)
-    for row in rows:
-        if not isinstance(row.item, SqueezePhase):
-            observer.observe([row.item])
-    found = SqueezeAgain([result for step in observer.reports() for result in step.results])
+    steps = [observer.observe(row.item) for row in rows if not isinstance(row.item, SqueezePhase)]
+    found = SqueezeAgain([result for step in filter(None, steps) for result in step.results])
     try:
         found.features = trial_features(frames, geometry)
     except InputError as error:
