@@ -6,7 +6,6 @@ deformscope verify run.rrd --stages
 
 from __future__ import annotations
 
-import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,7 +13,6 @@ from deformscope.cli.common import EXIT_LOSSES, say, show, show_table, write_jso
 from deformscope.config import VerifyConfig
 from deformscope.errors import InputError
 from deformscope.pictures.findings import table_text
-from deformscope.pictures.report import Table
 from deformscope.recording.discards import Discard
 from deformscope.recording.facts import Facts, read_facts, run_rrd
 from deformscope.recording.ledger import check_ledger, read_counts
@@ -27,15 +25,6 @@ if TYPE_CHECKING:
 
 WHOLE = "every byte is as it was recorded"
 UNCHECKED = "not checked, as there is no ledger: a flipped bit would go unnoticed"
-
-
-CHAPTERS = {
-    2: "chapter 2: what is in the container",
-    3: "chapter 3: meshless shape matching",
-    4: "chapter 4: exploring a surface",
-    0: "of the run itself",
-}
-STAGE_COLUMNS = ("stage", "gives", "entity", "timelines", "rows", "times x CPU (wall) [ms]", "live")
 
 
 class Damaged(InputError):
@@ -96,30 +85,16 @@ def run(config: VerifyConfig) -> int:
     return _name_losses(facts, checked=differs is not None, reached=reached)
 
 
-def _list_stages(path: Path) -> list[dict[str, Any]]:
-    """Print the stages; the same for JSON."""
-    from deformscope.recording.stages import recorded_stages
+def _list_stages(path: Path) -> list[RecordedStage]:
+    """Print them."""
+    from deformscope.recording.stages import recorded_stages, stage_tables
 
     stages = recorded_stages(path)
-    for chapter, title in CHAPTERS.items():
-        rows = [one for one in stages if one.chapter == chapter]
-        if rows:
-            show(table_text(Table([_stage_row(one) for one in rows], STAGE_COLUMNS, title)))
-    missing = [one.name for one in stages if one.missing]
-    say(f"stages missing: {', '.join(missing) or 'none'}")
+    show(*map(table_text, stage_tables(stages)))
+    say(f"stages missing: {', '.join(one.name for one in stages if one.missing) or 'none'}")
     if not any(one.computed for one in stages):
         say("costs: not recorded, as before they were measured, and in deterministic recordings")
-    return [{**dataclasses.asdict(one), "live": one.live} for one in stages]
-
-
-def _stage_row(one: RecordedStage) -> tuple[str, ...]:
-    rows = str(one.rows) if one.rows else "MISSING" if one.missing else f"- ({one.asked})" if one.asked else "-"
-    nothing = one.cpu_ms is None or not (one.rows or one.missing)  # what is not asked for ends at once
-    cost = "-" if nothing else f"{one.computed} x {one.cpu_ms:.3g} ({one.wall_ms:.3g})"
-    live = "-"
-    if one.behind_ms is not None and not nothing:
-        live = f"{'live' if one.live else 'afterwards'}, {one.behind_ms:.0f} ms behind"
-    return one.name, one.gives, f"/{one.entity}", ", ".join(one.timelines) or "-", rows, cost, live
+    return stages
 
 
 def _differs(path: Path) -> list[str] | None:

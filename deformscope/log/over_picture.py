@@ -15,7 +15,7 @@ from deformscope.log.estimate import log_comparison, log_estimate
 from deformscope.log.findings import RigFindings, log_evidence, log_findings, log_numbers, log_rig_findings
 from deformscope.log.flow import log_flow
 from deformscope.log.particles import log_grid, log_tracked
-from deformscope.log.views import Registered, ShownStage, Views, views_of
+from deformscope.log.views import ShownStage, Views, views_of
 from deformscope.pictures.close_up import close_up
 from deformscope.pictures.findings import Findings
 from deformscope.stages.fit.estimate import Comparison, Estimate
@@ -27,6 +27,26 @@ from deformscope.stages.see.flow import FlowField
 from deformscope.stages.see.particles import ParticleGrid, Tracked
 from deformscope.stages.see.triangulation import spacing_of
 
+FLOW, PARTICLES, TRACKING, SIMULATION, ESTIMATE, FINDINGS = (
+    ShownStage(name, 3, gives, entity=entity)
+    for name, gives, entity in (
+        ("flow", "optical flow since the frame before", "flow/arrows"),
+        ("particles", "at rest", "particles/rest"),
+        ("tracking", "particles where they were seen (eq. 3.20)", "particles/observed"),
+        ("simulation", "particles of the best value, and their error (eq. 3.18)", "particles/simulated"),
+        ("estimate", "value, interval, verdict and error curve", "calibration/estimate"),
+        ("findings", "tables and pictures", "found/tables"),
+    )
+)
+OF_APPLICATION: dict[str | None, tuple[type, ...]] = {
+    "images": (FlowField, ParticleGrid, Tracked, Comparison, Estimate),
+    "flow": (FlowField,),
+    "pair": (Comparison, Estimate),
+    "pair-3d": (Comparison, Estimate),
+    None: (Findings,),
+}
+"""The types of result that recordings of each layout hold."""
+
 
 def log_over_picture(rec: rr.RecordingStream, shown: Sequence[tuple[object, Canvas]]) -> None:
     """Log results at the stream's present time, each drawn for its canvas."""
@@ -37,49 +57,36 @@ def log_over_picture(rec: rr.RecordingStream, shown: Sequence[tuple[object, Canv
 
 def picture_views(canvas: Canvas) -> Views[rr.RecordingStream]:
     """What shows each result on this canvas."""
-    numbers = Registered(
-        _over("estimate", "of a material", "calibration/estimate"), (partial(log_numbers, canvas=canvas),)
-    )
-    alone = canvas == Canvas()
-    tables = Registered(
-        _over("findings", "tables and pictures", "found/tables" if alone else "calibration/summary"),
-        (log_findings if alone else partial(log_evidence, canvas=canvas),),
-    )
+    numbers = (ESTIMATE, partial(log_numbers, canvas=canvas))
+    findings = log_findings if canvas == Canvas() else partial(log_evidence, canvas=canvas)
     return {
-        FlowField: Registered(
-            _over("flow", "optical flow since the frame before", "flow/arrows"), (partial(log_flow, canvas=canvas),)
+        FlowField: (
+            FLOW,
+            partial(log_flow, canvas=canvas),
         ),
-        ParticleGrid: Registered(_over("particles", "at rest", "particles/rest"), (partial(log_grid, canvas=canvas),)),
-        Tracked: Registered(
-            _over("tracking", "particles where they were seen (eq. 3.20)", "particles/observed"),
-            (partial(log_tracked, canvas=canvas),),
+        ParticleGrid: (
+            PARTICLES,
+            partial(log_grid, canvas=canvas),
         ),
-        Comparison: Registered(
-            _over("simulation", "particles of the best value, and their error (eq. 3.18)", "particles/simulated"),
-            (partial(log_comparison, canvas=canvas),),
+        Tracked: (
+            TRACKING,
+            partial(log_tracked, canvas=canvas),
         ),
-        Estimate: Registered(
-            _over("estimate", "value, interval, verdict and error curve", "calibration/estimate"),
-            (partial(log_estimate, canvas=canvas),),
+        Comparison: (
+            SIMULATION,
+            partial(log_comparison, canvas=canvas),
         ),
-        Findings: tables,
-        RigFindings: Registered(_over("findings", "tables and pictures", "found/tables"), (log_rig_findings,)),
+        Estimate: (
+            ESTIMATE,
+            partial(log_estimate, canvas=canvas),
+        ),
+        Findings: (FINDINGS, findings),
+        RigFindings: (
+            FINDINGS,
+            log_rig_findings,
+        ),
         **dict.fromkeys((AxisEstimate, FieldEstimate, YieldEstimate, RecoveryEstimate), numbers),
     }
-
-
-def _over(name: str, gives: str, entity: str) -> tuple[ShownStage]:
-    return (ShownStage(name, 3, gives, entity),)
-
-
-OF_APPLICATION: dict[str | None, tuple[type, ...]] = {
-    "images": (FlowField, ParticleGrid, Tracked, Comparison, Estimate),
-    "flow": (FlowField,),
-    "pair": (Comparison, Estimate),
-    "pair-3d": (Comparison, Estimate),
-    None: (Findings,),
-}
-"""The types of result that recordings of each layout hold."""
 
 
 def canvas_after(result: object, canvas: Canvas) -> Canvas:

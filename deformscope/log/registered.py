@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 from deformscope.log import application
@@ -14,12 +13,13 @@ from deformscope.log.rig_layout import RIG
 from deformscope.log.squeeze.layout import SQUEEZE
 from deformscope.log.squeeze.results import squeeze_views
 from deformscope.log.stages import STAGE_VIEWS
-from deformscope.log.views import Registered, ShownStage, entity_of
+from deformscope.log.views import ShownStage, Views, stages_of
+from deformscope.rows import ENTITIES
 
 PICTURES = (application.IMAGES, application.FLOW, application.PAIR, application.PAIR_3D, application.FINDINGS)
 
 
-def registries() -> dict[str, Mapping[type, Registered[Any]]]:
+def registries() -> dict[str, Views[Any]]:
     """What is registered for each of rerun's applications."""
     over = picture_views(Canvas())
     return {
@@ -35,5 +35,6 @@ def stages_in(application_id: str) -> list[tuple[type, str, ShownStage]]:
     (`Application.variant`) too; empty for one that is not known."""
     every = registries()
     name = max((one for one in every if f"{application_id}-".startswith(f"{one}-")), key=len, default="")
-    found = [(kind, entity_of(kind, one), one) for kind, of in every.get(name, {}).items() for one in of.stages]
+    views = every.get(name, {})
+    found = [(kind, one.entity or ENTITIES[kind], one) for kind in views for one in stages_of(kind, views)]
     return sorted(found, key=lambda row: row[2].chapter or 9)

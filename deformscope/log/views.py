@@ -1,18 +1,17 @@
-"""The registry of views: what logs a result of each type, and which stages it is of. What is recorded brings one, and
-all are looked up here."""
+"""The registry of views: what logs a result of each type, and which stages it is a result of. What is recorded brings
+one, and all are looked up here."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Generic, TypeAlias, TypeVar
-
-from deformscope.rows import ENTITIES
+from typing import Any, TypeAlias, TypeVar
 
 SinkT = TypeVar("SinkT")
 
 View: TypeAlias = Callable[[SinkT, Any], None]
 """Logs a result to a sink: a stream of rerun, or a batch that becomes part of one."""
+SOMETIMES = "sometimes"
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,8 +21,9 @@ class ShownStage:
     name: as its costs are named; chapter: of the thesis, 0 = what is recorded of the run itself; gives: in words
     entity: where its rows are, with what is below it, "" = that of its type of result
     field: of the result, without which a row holds nothing of the stage, "" = each does
-    costs: names of what else is computed for it; asked: what has to be asked for to have it, "" = nothing
-    expected: whether a run of these settings (of its recording) gives it
+    costs: names of what else is computed for it
+    when: the setting of a recording that asks for it, as `explore.hold_s`, or with one of its values, as
+    `stages.names=beta`; "" = it always comes, `SOMETIMES` = it need not
     """
 
     name: str
@@ -32,46 +32,29 @@ class ShownStage:
     entity: str = ""
     field: str = ""
     costs: tuple[str, ...] = ()
-    asked: str = ""
-    expected: Callable[[Mapping[str, Any]], bool] = lambda settings: True
+    when: str = ""
+
+    def is_expected(self, settings: Mapping[str, Any]) -> bool:
+        """Whether a run gives it, by the settings of its recording."""
+        path, _, wanted = self.when.partition("=")
+        value: Any = settings
+        for name in path.split(".") if path not in ("", SOMETIMES) else ():
+            value = value.get(name, {})
+        return wanted in value if wanted else not path or (path != SOMETIMES and value not in ({}, "none", "", 0))
 
 
-@dataclass(frozen=True, slots=True)
-class Registered(Generic[SinkT]):
-    """A type of result. stages: that it is a result of, one at least; views: none where it is recorded, not shown"""
-
-    stages: tuple[ShownStage, ...]
-    views: tuple[View[SinkT], ...] = ()
-
-    def __post_init__(self) -> None:
-        if not self.stages:
-            raise ValueError("a view is registered with the stage that it shows")
-
-
-Views: TypeAlias = Mapping[type, Registered[SinkT]]
+Views: TypeAlias = Mapping[type, Sequence[ShownStage | View[SinkT]]]
+"""Of each type of result the stages that it is of, at least one, and its views; no view where it is recorded and not
+shown."""
 
 
 def views_of(kind: type, views: Views[SinkT]) -> Sequence[View[SinkT]]:
     """The views of a type of result. Raises TypeError for a type that the registry lacks."""
-    return _registered(kind, views).views
+    if kind not in views:
+        raise TypeError(f"no twin in deformscope.log shows a {kind.__name__}")
+    return [one for one in views[kind] if not isinstance(one, ShownStage)]
 
 
 def stages_of(kind: type, views: Views[SinkT]) -> Sequence[ShownStage]:
-    """The stages of a type of result. Raises TypeError for a type that the registry lacks."""
-    return _registered(kind, views).stages
-
-
-def entity_of(kind: type, stage: ShownStage) -> str:
-    """Where the rows of a stage are."""
-    return stage.entity or ENTITIES[kind]
-
-
-def of_run(name: str, gives: str, *, asked: str = "where there is one") -> tuple[ShownStage]:
-    """What is recorded of the run itself."""
-    return (ShownStage(name, 0, gives, asked=asked, expected=lambda settings: not asked),)
-
-
-def _registered(kind: type, views: Views[SinkT]) -> Registered[SinkT]:
-    if kind not in views:
-        raise TypeError(f"no twin in deformscope.log shows a {kind.__name__}")
-    return views[kind]
+    """The stages of a type of result."""
+    return [one for one in views[kind] if isinstance(one, ShownStage)]

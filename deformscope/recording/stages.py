@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import defaultdict
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from deformscope.log.views import ShownStage
+from deformscope.pictures.report import Table
 from deformscope.recording.utf8_path import utf8_path
 
 if TYPE_CHECKING:
@@ -19,6 +20,13 @@ if TYPE_CHECKING:
 
 LIVE_MS = 1000.0
 """A stage is live whose results stand so shortly before the newest frame, in the median [ms]."""
+CHAPTERS = {
+    2: "chapter 2: what is in the container",
+    3: "chapter 3: meshless shape matching",
+    4: "chapter 4: exploring a surface",
+    0: "of the run itself",
+}
+COLUMNS = ("stage", "gives", "entity", "timelines", "rows", "times x CPU (wall) [ms]", "live")
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,8 +34,8 @@ class RecordedStage:
     """A stage as a recording has it.
 
     timelines: of its rows; computed: how often it was; wall_ms, cpu_ms: each time, in the mean; behind_ms: how long
-    before the newest frame its results stand, in the median; None where its costs, or that, were not recorded
-    missing: rows were to be expected, by the recording's settings, and there are none
+    before the newest frame its results stand, in the median; live: whether that is soon; None where it was not recorded
+    missing: rows were to be expected, by the recording's settings, and there are none; when: they are to be expected
     """
 
     name: str
@@ -40,23 +48,35 @@ class RecordedStage:
     wall_ms: float | None
     cpu_ms: float | None
     behind_ms: float | None
+    live: bool | None
     missing: bool
-    asked: str
-
-    @property
-    def live(self) -> bool | None:
-        """Whether results came while the devices went on; None where that was not recorded."""
-        return None if self.behind_ms is None else self.behind_ms <= LIVE_MS
+    when: str
 
 
 @dataclass(slots=True)
 class _Counted:
     """rows: by entity and column; timelines: by entity; costs: (wall, cpu, behind) by stage [ms]"""
 
-    settings: Mapping[str, Any] = field(default_factory=dict)
+    settings: dict[str, Any] = field(default_factory=dict)
     rows: dict[str, dict[str, int]] = field(default_factory=lambda: defaultdict(lambda: defaultdict(int)))
     timelines: dict[str, set[str]] = field(default_factory=lambda: defaultdict(set))
-    costs: dict[str, list[tuple[float, float, float]]] = field(default_factory=lambda: defaultdict(list))
+    costs: dict[str, list[list[float]]] = field(default_factory=lambda: defaultdict(list))
+
+    def add(self, entity: str, batch: RecordBatch, timelines: set[str]) -> None:
+        """Count a portion of an entity."""
+        components = [name for name in batch.schema.names if hasattr(batch.column(name), "value_lengths")]
+        if entity == "__properties/session" and "settings" in components:
+            self.settings = json.loads(batch.column("settings")[-1].as_py()[0])
+        if entity == "cost":
+            rows = [
+                {name.split(":")[1]: row[name] for name in components} for row in batch.select(components).to_pylist()
+            ]
+            for row in rows:
+                values = [(row.get(name) or [np.nan])[0] for name in ("wall_ms", "cpu_ms", "behind_ms")]
+                self.costs[row["stage"][0]].append(values)
+        for name in components:
+            self.rows[entity][name] += sum(map(bool, batch.column(name).value_lengths().to_pylist()))
+        self.timelines[entity] |= timelines - {"log_time", "log_tick"}
 
 
 def recorded_stages(path: Path) -> list[RecordedStage]:
@@ -69,34 +89,24 @@ def recorded_stages(path: Path) -> list[RecordedStage]:
     store = next(one for one in reader.recordings() if one.application_id.startswith("deformscope"))
     counted = _Counted()
     for chunk in reader.stream(store=store):
-        entity, batch = chunk.entity_path.strip("/"), chunk.to_record_batch()
-        if entity == "__properties/session" and "settings" in batch.schema.names:
-            counted.settings = json.loads(batch.column("settings")[-1].as_py()[0])
-        elif entity == "cost":
-            _count_costs(batch, counted.costs)
-        else:
-            _count(entity, batch, set(chunk.timeline_names) or {"static"}, counted)
-    found: dict[tuple[str, str], RecordedStage] = {}
-    for kind, entity, stage in stages_in(store.application_id):
-        found.setdefault((stage.name, entity), _stage(kind, entity, stage, counted))
-    return list(found.values())
+        counted.add(chunk.entity_path.strip("/"), chunk.to_record_batch(), set(chunk.timeline_names) or {"static"})
+    found = (_stage(kind, entity, stage, counted) for kind, entity, stage in stages_in(store.application_id))
+    return list({(one.name, one.entity): one for one in found}.values())
 
 
-def _count(entity: str, batch: RecordBatch, timelines: set[str], counted: _Counted) -> None:
-    for name in batch.schema.names:
-        if hasattr(batch.column(name), "value_lengths"):  # a component, no time
-            counted.rows[entity][name] += sum(map(bool, batch.column(name).value_lengths().to_pylist()))
-    counted.timelines[entity] |= timelines
+def stage_tables(stages: Sequence[RecordedStage]) -> list[Table]:
+    """What is in a recording, and what is missing, a table for each chapter."""
+    by_chapter = {title: [one for one in stages if one.chapter == chapter] for chapter, title in CHAPTERS.items()}
+    return [Table([_row(one) for one in some], COLUMNS, title) for title, some in by_chapter.items() if some]
 
 
-def _count_costs(batch: RecordBatch, costs: dict[str, list[tuple[float, float, float]]]) -> None:
-    def values(name: str) -> list[Any]:
-        there = f"StageCost:{name}" in batch.schema.names
-        cells = batch.column(f"StageCost:{name}").to_pylist() if there else [None] * batch.num_rows
-        return [cell[0] if cell else np.nan for cell in cells]
-
-    for stage, *cost in zip(*map(values, ("stage", "wall_ms", "cpu_ms", "behind_ms")), strict=True):
-        costs[stage].append((cost[0], cost[1], cost[2]))
+def _row(one: RecordedStage) -> tuple[str, ...]:
+    rows = str(one.rows or ("MISSING" if one.missing else f"- ({one.when})"))
+    nothing = one.cpu_ms is None or not (one.rows or one.missing)  # what is not asked for ends at once
+    cost = "-" if nothing else f"{one.computed} x {one.cpu_ms:.3g} ({one.wall_ms:.3g})"
+    soon = "live" if one.live else "afterwards"
+    live = "-" if nothing or one.behind_ms is None else f"{soon}, {one.behind_ms:.0f} ms behind"
+    return one.name, one.gives, f"/{one.entity}", ", ".join(one.timelines) or "-", rows, cost, live
 
 
 def _stage(kind: type, entity: str, stage: ShownStage, counted: _Counted) -> RecordedStage:
@@ -104,23 +114,24 @@ def _stage(kind: type, entity: str, stage: ShownStage, counted: _Counted) -> Rec
     there = [one for one in counted.rows if f"{one}/".startswith(f"{entity}/")]
     rows = sum(counted.rows[one].get(name, 0) if name else max(counted.rows[one].values()) for one in there)
     timelines = set[str]().union(*(counted.timelines[one] for one in there)) if rows else set[str]()
-    timelines -= {"static"} if len(timelines) > 1 else set()
     own = counted.costs.get(stage.name, [])
     costs = np.array([*own, *(cost for one in stage.costs for cost in counted.costs.get(one, []))]).reshape(-1, 3)
-    behind_ms = costs[np.isfinite(costs[:, 2]), 2]
+    known = costs[np.isfinite(costs[:, 2]), 2]
+    behind_ms = float(np.median(known)) if len(known) else None
     computed = len(own) or len(costs)
-
+    wall_ms, cpu_ms = costs[:, :2].sum(axis=0).tolist() if computed else (None, None)
     return RecordedStage(
         name=stage.name,
         chapter=stage.chapter,
         gives=stage.gives,
         entity=entity,
-        timelines=tuple(sorted(timelines - {"log_time", "log_tick"})),
+        timelines=tuple(sorted(timelines - {"static"} or timelines)),
         rows=rows,
         computed=computed,
-        wall_ms=float(costs[:, 0].sum() / computed) if computed else None,
-        cpu_ms=float(costs[:, 1].sum() / computed) if computed else None,
-        behind_ms=float(np.median(behind_ms)) if len(behind_ms) else None,
-        missing=not rows and bool(counted.settings) and stage.expected(counted.settings),
-        asked=stage.asked,
+        wall_ms=None if wall_ms is None else wall_ms / computed,
+        cpu_ms=None if cpu_ms is None else cpu_ms / computed,
+        behind_ms=behind_ms,
+        live=None if behind_ms is None else behind_ms <= LIVE_MS,
+        missing=not rows and bool(counted.settings) and stage.is_expected(counted.settings),
+        when=stage.when,
     )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,21 +9,21 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
-from deformscope.frames import HandFrame, StageResult
+from deformscope.frames import HandFrame
 from deformscope.log.exploration.layout import EXPLORATION
 from deformscope.log.squeeze.layout import SQUEEZE
-from deformscope.pictures import recorded
+from deformscope.pictures import exploration as drawn_of
+from deformscope.pictures.depth_change import depth_change_png
 from deformscope.pictures.evidence import evidence_png, headline
-from deformscope.pictures.exploration import height_png, result_png
 from deformscope.pictures.messages import counted, format_iou, format_verdict
-from deformscope.pictures.recorded import Curves
-from deformscope.pictures.report import Figure, ReportVerdict, Section, Table, html_report
+from deformscope.pictures.recorded import Curves, cells_png, curves_png
+from deformscope.pictures.report import Figure, Part, ReportVerdict, Section, Table, html_report
 from deformscope.recording.item_rows import Row, read_rows
 from deformscope.recording.items import read_estimates, read_stage_results
 from deformscope.recording.reader import Replay
-from deformscope.recording.stages import RecordedStage, recorded_stages
+from deformscope.recording.stages import RecordedStage, recorded_stages, stage_tables
+from deformscope.robot.squeeze_plan import CLOSING_AXES
 from deformscope.runs.result import LibraryResult
 from deformscope.stages.fit.moment import MomentFit
 from deformscope.stages.map.exploration import InclusionsResult, MapEstimate, SurfaceEstimate, TouchEstimate
@@ -39,229 +38,191 @@ from deformscope.stages.squeeze.trial import (
 )
 
 T = TypeVar("T")
-PAD_ROWS = 6
-"""Rows and columns of a fingertip's cells in a feature (Thesis 2.5.1)."""
+SHOWN = 6
+"""Touches, and maps, of which each has its pictures: the last, if there are more."""
+TIME = "time since the recording's start [s]"
+Drawn = tuple[str, list[Section]]
+"""What was found, in a line, and its figures."""
 
 
 @dataclass(frozen=True, slots=True)
 class RecordingReport(LibraryResult):
-    """What a recording shows. words: in a line; stages: with their costs, those that it lacks among them; drawn: its
-    figures by section"""
+    """What a recording shows. words: in a line; stages: with their costs, those that it lacks among them"""
 
     recording: Path
     words: str
     stages: tuple[RecordedStage, ...]
-    drawn: tuple[tuple[str, tuple[Figure, ...]], ...]
+    sections: tuple[Section, ...]
 
     @property
-    def lacks(self) -> tuple[str, ...]:
-        """Stages of chapters 2 to 4 of which there are no rows, though they were to be expected, or their costs."""
+    def lacks(self) -> list[str]:
+        """Stages of which there are no rows, though they were to be expected; or their costs."""
         missing = [one.name for one in self.stages if one.missing]
-        costs = [] if any(one.computed for one in self.stages) else ["costs of the stages"]
-        return (*missing, *costs)
+        return missing + ["costs of the stages"] * (not any(one.computed for one in self.stages))
 
     def figures(self) -> tuple[Figure, ...]:
-        return tuple(figure for _, figures in self.drawn for figure in figures)
+        parts = (part for section in self.sections for part in section.parts)
+        return tuple(one for part in parts for one in (part if isinstance(part, tuple) else [part]))  # type: ignore[misc]
 
     def tables(self) -> tuple[Table, ...]:
-        rows = [
-            (one.name, f"chapter {one.chapter}" if one.chapter else "the run", f"/{one.entity}", one.rows, _cost(one))
-            for one in self.stages
-            if one.rows or one.missing
-        ]
-        return (Table(rows, ("stage", "of", "entity", "rows", "CPU [ms]"), f"{self.recording}: {self.words}"),)
+        return (Table([("holds", self.words)], caption=str(self.recording)), *stage_tables(self.stages))
 
     def as_json(self) -> dict[str, Any]:
-        return {
-            "recording": self.recording,
-            "words": self.words,
-            "lacks": self.lacks,
-            "stages": [{**dataclasses.asdict(one), "live": one.live} for one in self.stages],
-            "figures": [{"section": title, "caption": one.caption} for title, some in self.drawn for one in some],
-        }
+        shown = [one.caption for one in self.figures()]
+        return {"recording": self.recording, "lacks": self.lacks, "stages": self.stages, "figures": shown}
 
     def page(self) -> str:
         """As one HTML page."""
         lacks = f"It lacks: {', '.join(self.lacks)}." if self.lacks else "Every stage of its kind is in it."
-        first = Section("", [ReportVerdict(self.words, (lacks,))])
-        return html_report(
-            str(self.recording.name), [first, *(Section(*one) for one in self.drawn), Section("Stages", self.tables())]
-        )
+        first, last = Section("", [ReportVerdict(self.words, (lacks,))]), Section("Stages", stage_tables(self.stages))
+        return html_report(self.recording.name, [first, *self.sections, last])
 
 
 def report_recording(path: Path) -> RecordingReport:
     """Draw what a recording holds. Raises InputError for what is none, or cannot be read."""
     replay = Replay(path)
-    name, stages = replay.identity[0], recorded_stages(path)
-    kinds: dict[str, Callable[[Replay], tuple[str, list[Any]]]] = {
-        EXPLORATION.name: _exploration,
-        SQUEEZE.name: _squeeze,
-    }
-    words, drawn = (kinds.get(name) or (_rig if "rig" in replay.settings else _fits))(replay)
-    spent = [(one.name, one.computed * one.cpu_ms) for one in stages if one.cpu_ms and one.rows]
-    if spent:
-        drawn.append(("What the stages cost", (Figure(recorded.costs_png(spent), "time of the processor by stage"),)))
-    return RecordingReport(path, words, tuple(stages), tuple(drawn))
-
-
-def _cost(one: RecordedStage) -> str:
-    return "-" if one.cpu_ms is None else f"{one.computed} x {one.cpu_ms:.3g}"
+    kinds: dict[str, Callable[[Replay], Drawn]] = {EXPLORATION.name: _exploration, SQUEEZE.name: _squeeze}
+    draw = kinds.get(replay.identity[0]) or (_rig if "rig" in replay.settings else _fits)
+    words, sections = draw(replay)
+    drawn = tuple(one for one in sections if one.parts)
+    return RecordingReport(path, words, tuple(recorded_stages(path)), drawn)
 
 
 def _of(rows: Sequence[Row], kind: type[T]) -> list[T]:
     return [row.item for row in rows if isinstance(row.item, kind)]
 
 
-# Chapter 4 -----------------------------------------------------------------------------------------------------------
-
-
-def _exploration(replay: Replay) -> tuple[str, list[Any]]:
+def _exploration(replay: Replay) -> Drawn:
+    """Chapter 4."""
     rows = list(read_rows(replay, (SurfaceEstimate, TouchEstimate, MapEstimate, InclusionsResult)))
-    surfaces, touches = _of(rows, SurfaceEstimate), _of(rows, TouchEstimate)
-    maps, inclusions = _of(rows, MapEstimate), _of(rows, InclusionsResult)
-    drawn: list[Any] = []
-    if maps:
-        found = Figure(result_png(maps[-1], found=inclusions[-1] if inclusions else None), "what the touches measured")
-        drawn.append(("Map", (found,)))
-    if surfaces:
-        drawn.append(("Surface", (Figure(height_png(surfaces[0]), "height before any touch (Thesis eq. 4.3, 4.4)"),)))
-    if touches:
-        drawn.append(
-            (
-                "Touches",
-                (
-                    Figure(recorded.touches_png(touches), "stiffness and beta of each touch (as Thesis fig. 4.5)"),
-                    Figure(recorded.dents_png(touches), "force over depth, and dents (as Thesis fig. 4.4 and 4.6)"),
-                ),
-            )
-        )
-    if maps:
-        drawn.append(
-            (
-                "Fields, touch by touch",
-                (
-                    Figure(recorded.fields_png(maps), "fields after each touch (as Thesis fig. 4.7)"),
-                    Figure(recorded.progress_png(maps), "way, deviation and overlap by touch"),
-                ),
-            )
-        )
-    words = counted(len(touches), "touch")
+    touches, maps, found = (_of(rows, TouchEstimate), _of(rows, MapEstimate), _of(rows, InclusionsResult))
+    surfaces = [
+        Figure(drawn_of.height_png(one), "height of the surface (eq. 4.3, 4.4)") for one in _of(rows, SurfaceEstimate)
+    ]
+    touched: list[Part] = [_by_touch(touches)] if touches else []
+    for one in touches[-SHOWN:]:
+        number = one.number + 1
+        force = Figure(drawn_of.force_png(one), f"touch {number}: force over depth")
+        touched.append((force, Figure(drawn_of.section_png(one), f"touch {number}: its dent (as fig. 4.4, 4.6)")))
+    fields: list[Part] = [_progress(maps)] if maps else []
+    for after in maps[-SHOWN:]:
+        named = (name for name in drawn_of.MAP_DRAWINGS if name.startswith(("beta", "stiffness")))
+        caption = f"after {counted(after.touches, 'touch')} (as fig. 4.7)"
+        fields.append(tuple(Figure(drawn_of.map_png(name, after), caption) for name in named))
+    words, whole = counted(len(touches), "touch"), list[Part]()
     if maps:
         words = ", ".join(one for one in (words, format_verdict(maps[-1]), format_iou(maps[-1])) if one)
-    return words, drawn
+        result = drawn_of.result_png(maps[-1], found=found[-1] if found else None)
+        whole.append(Figure(result, "what the touches measured"))
+    named_parts: dict[str, Sequence[Part]] = {
+        "Map": whole,
+        "Surface": surfaces,
+        "Touches": touched,
+        "Fields, touch by touch": fields,
+    }
+    return words, [Section(*one) for one in named_parts.items()]
 
 
-# Chapter 2 -----------------------------------------------------------------------------------------------------------
+def _by_touch(touches: Sequence[TouchEstimate]) -> Figure:
+    nan, at = float("nan"), np.array([one.number + 1 for one in touches])
+    stiffness = [(one.stiffness_n_per_mm, *one.stiffness_interval) for one in touches]
+    beta = [(nan if one.beta is None else one.beta, *(one.beta_interval or (nan, nan))) for one in touches]
+    panels = [_with_interval(*one, at) for one in (("stiffness [N/mm], 90 %", stiffness), ("beta [-], 90 %", beta))]
+    return Figure(curves_png(panels, "touch"), "stiffness and beta of each touch (as fig. 4.5)")
 
 
-def _squeeze(replay: Replay) -> tuple[str, list[Any]]:
-    kinds = (
-        FingertipPressure,
-        TrackedContainer,
-        SqueezeFeatures,
-        SqueezeEvents,
-        ContentPosterior,
-        SqueezePhase,
-        HandFrame,
-    )
-    rows = list(read_rows(replay, kinds))
-    pressed, tracked, hand, named = (
-        [row for row in rows if isinstance(row.item, one)]
-        for one in (FingertipPressure, TrackedContainer, HandFrame, ContentPosterior)
-    )
-    panels: list[Curves] = []
-    if pressed:
-        fingers = tuple(f"fingertip {at + 1}" for at in range(len(pressed[0].item.force_n)))
-        panels.append(_over_time("force [N]", pressed, lambda one: one.force_n, fingers))
-        panels.append(_over_time("contact area [cm\u00b2]", pressed, lambda one: 1e4 * one.area_m2, fingers))
-    if hand:
-        axes = [1, 5]
-        panels.append(_over_time("closing axes [deg]", hand, lambda one: one.position_deg[axes], ("axis 1", "axis 5")))
-    good = [row for row in tracked if row.item.good]
-    if good:
-        first = np.linalg.inv(good[0].item.T_camera_container)
-        moved = [_moved(first @ row.item.T_camera_container) for row in good]
-        times = _times(good)
-        panels.append(Curves("container moved [mm]", times, np.array([one[:1] for one in moved]), marks=len(good) < 30))
-        panels.append(
-            Curves("container turned [deg]", times, np.array([one[1:] for one in moved]), marks=len(good) < 30)
-        )
-    by_touch = [row for row in named if row.item.index >= 0]
-    if by_touch:
-        labels = by_touch[0].item.labels
-        panels.append(_over_time("probability [-]", by_touch, lambda one: one.probability, labels))
+def _with_interval(label: str, rows: Sequence[tuple[float, ...]], at: Any) -> Curves:
+    """rows: value, low, high"""
+    value, low, high = np.array(rows, np.float64).reshape(-1, 3).T[..., None]
+    return Curves(label, at, value, low=low, high=high)
+
+
+def _progress(maps: Sequence[MapEstimate]) -> Figure:
+    at, nan = np.array([one.touches for one in maps]), float("nan")
+    values = {
+        "way over the surface [m]": [one.travel_m for one in maps],
+        "deviation of log stiffness [-]": [float(np.mean(one.stiffness_log_sd)) for one in maps],
+        "IoU with the truth [-]": [nan if one.iou is None else one.iou for one in maps],
+    }
+    panels = [Curves(label, at, np.array(some)[:, None]) for label, some in values.items() if np.isfinite(some).any()]
+    return Figure(curves_png(panels, "touches"), "way, deviation and overlap by touch")
+
+
+def _squeeze(replay: Replay) -> Drawn:
+    """Chapter 2."""
+    tracked_kinds = (FingertipPressure, HandFrame, TrackedContainer, ContentPosterior)
+    rows = list(read_rows(replay, (*tracked_kinds, SqueezeFeatures, SqueezeEvents, SqueezePhase)))
+    pressed, hand, tracked, named = ([row for row in rows if isinstance(row.item, one)] for one in tracked_kinds)
+    tracked, by_step = [row for row in tracked if row.item.good], [row for row in named if row.item.index >= 0]
+    rest = np.linalg.inv(tracked[0].item.T_camera_container) if tracked else np.eye(4)
+    axes, tips = [int(one) for one in CLOSING_AXES], ("fingertip 1", "fingertip 2")
+    labels = by_step[0].item.labels if by_step else ()
+    panels = [
+        _over_time("force [N]", pressed, lambda one: one.force_n, tips),
+        _over_time("contact area [cm\u00b2]", pressed, lambda one: 1e4 * one.area_m2, tips),
+        _over_time(
+            "closing axes [deg]", hand, lambda one: one.position_deg[axes], tuple(f"axis {one}" for one in axes)
+        ),
+        _over_time("container moved [mm]", tracked, lambda one: [_moved(rest @ one.T_camera_container)[0]]),
+        _over_time("container turned [deg]", tracked, lambda one: [_moved(rest @ one.T_camera_container)[1]]),
+        _over_time("probability [-]", by_step, lambda one: one.probability, labels),
+    ]
     phases = [(row.item.name, row.session_ns / 1e9) for row in rows if isinstance(row.item, SqueezePhase)]
-    events, features = _of(rows, SqueezeEvents), _of(rows, SqueezeFeatures)
-    when: list[tuple[str, float]] = []
-    words = "squeezed, without first contact and steady state"
-    if events:
-        at = next(row.session_ns for row in rows if isinstance(row.item, SqueezeEvents))
-        steady_s, took_s = at / 1e9, (events[0].steady_ns - events[0].first_ns) / 1e9
-        when = [("first contact", steady_s - took_s), ("steady state", steady_s)]
+    words, events = "squeezed, without first contact and steady state", list[tuple[str, float]]()
+    for row in (row for row in rows if isinstance(row.item, SqueezeEvents)):
+        took_s = (row.item.steady_ns - row.item.first_ns) / 1e9
+        events = [("first contact", row.session_ns / 1e9 - took_s), ("steady state", row.session_ns / 1e9)]
         words = f"steady state {took_s:.2f} s after first contact"
-    if named:
-        words += f"; taken for {named[-1].item.content}"
-    drawn: list[Any] = []
-    if panels:
-        curves = recorded.curves_png(panels, when, phases)
-        drawn.append(("Over time", (Figure(curves, "forces, pose of the container and posterior over time"),)))
-    if features:
-        one = features[0]
-        cells = one.tactile.reshape(2, PAD_ROWS, -1)
-        caption = f"at steady state (Thesis fig. 2.6, 2.7){f'; no depth change: {one.reason}' if one.reason else ''}"
-        drawn.append(("Features", (Figure(recorded.feature_png(cells, one.vision, one.patch_width_m), caption),)))
-    return words, drawn
+    words += f"; taken for {named[-1].item.content}" * bool(named)
+    shown = [one for one in panels if one is not None]
+    curves = [Figure(curves_png(shown, TIME, events, phases), "a squeeze over time")] if shown else []
+    return words, [Section("Over time", curves), Section("Features", [*map(_features, _of(rows, SqueezeFeatures))])]
 
 
-def _moved(T: FloatArray) -> tuple[float, float]:
+def _features(one: SqueezeFeatures) -> Part:
+    cells = Figure(cells_png(one.tactile.reshape(2, 6, 6)), "tactile feature at steady state (fig. 2.7)")
+    if one.vision is None:
+        return (cells,)
+    change = depth_change_png(one.vision, one.patch_width_m, one.missing)
+    return cells, Figure(change, "depth change at steady state, data minus model (fig. 2.6)")
+
+
+def _moved(T: Any) -> tuple[float, float]:
     """How far [mm], and by how much it turned [deg], of a motion (4, 4)."""
     turned = np.degrees(np.arccos(np.clip(0.5 * (np.trace(T[:3, :3]) - 1.0), -1.0, 1.0)))
     return 1e3 * float(np.linalg.norm(T[:3, 3])), float(turned)
 
 
-def _times(rows: Sequence[Row]) -> FloatArray:
-    return np.array([row.session_ns / 1e9 for row in rows])
+def _over_time(
+    label: str, rows: Sequence[Row], value: Callable[[Any], Any], names: tuple[str, ...] = ()
+) -> Curves | None:
+    times = np.array([row.session_ns / 1e9 for row in rows])
+    return Curves(label, times, np.array([value(row.item) for row in rows], np.float64), names) if rows else None
 
 
-def _over_time(label: str, rows: Sequence[Row], value: Callable[[Any], FloatArray], names: tuple[str, ...]) -> Curves:
-    return Curves(label, _times(rows), np.array([value(row.item) for row in rows], np.float64), names)
-
-
-# Stages on a rig, and fits -------------------------------------------------------------------------------------------
-
-
-def _rig(replay: Replay) -> tuple[str, list[Any]]:
+def _rig(replay: Replay) -> Drawn:
+    """Stages that ran while the devices did."""
     results = read_stage_results(replay.path, trust=True)
     panels, start_ns = [], min((one.host_ns for one in results), default=0)
     for name in dict.fromkeys(one.stage for one in results):
         mine = [one for one in results if one.stage == name]
         times = np.array([(one.host_ns - start_ns) / 1e9 for one in mine])
         panels.append(Curves(f"{name}: lag [ms]", times, np.array([[1e3 * one.late_s] for one in mine])))
-        panels += _of_stage(name, [one for one in mine if isinstance(one.result, MomentFit | TactileContact)], start_ns)
+        found = [one.result for one in mine]
+        if all(isinstance(one, TactileContact) for one in found):
+            panels.append(Curves("force of all pads [N]", times, np.array([[one.force_n.sum()] for one in found])))
+        elif all(isinstance(one, MomentFit) for one in found):
+            panels.append(_with_interval(f"{name} [-], 90 %", [(one.value, *one.interval) for one in found], times))
     words = f"a rig, {counted(len(results), 'result')} of stages" if results else "a rig without stages"
-    if not panels:
-        return words, []
-    curves = recorded.curves_png(panels, label="time since the first result's frame [s]")
-    return words, [("Stages over time", (Figure(curves, "results of the stages, and how far they are behind"),))]
+    label = "time since the first result's frame [s]"
+    figures = [Figure(curves_png(panels, label), "results of the stages, and their lag")] if panels else []
+    return words, [Section("Stages over time", figures)]
 
 
-def _of_stage(name: str, some: Sequence[StageResult], start_ns: int) -> list[Curves]:
-    times = np.array([(one.host_ns - start_ns) / 1e9 for one in some])
-    if not some:
-        return []
-    if isinstance(some[0].result, TactileContact):
-        return [Curves("force of all pads [N]", times, np.array([[one.result.force_n.sum()] for one in some]))]
-    fits: list[MomentFit] = [one.result for one in some]
-    value = np.array([[one.value] for one in fits])
-    low, high = (np.array([[one.interval[end]] for one in fits]) for end in (0, 1))
-    return [Curves(f"{name} [-], 90 %", times, value, low=low, high=high, marks=True)]
-
-
-def _fits(replay: Replay) -> tuple[str, list[Any]]:
+def _fits(replay: Replay) -> Drawn:
     try:
         estimates = read_estimates(replay)
     except InputError as error:
         return str(error), []
-    figures = tuple(Figure(evidence_png(one), headline(one)) for one in estimates)
-    words = "; ".join(headline(one) for one in estimates) or "no estimate"
-    return words, [("Error and posterior", figures)] if figures else []
+    figures = [Figure(evidence_png(one), headline(one)) for one in estimates]
+    return "; ".join(map(headline, estimates)) or "no estimate", [Section("Error and posterior", figures)]

@@ -17,18 +17,20 @@ from deformscope.experiments.foam_video import ParticleOptions, foam_video
 from deformscope.files.sources import open_source
 from deformscope.frames import ColorFrame, StageCost
 from deformscope.log.registered import registries
-from deformscope.log.views import Registered, entity_of
+from deformscope.log.views import SOMETIMES, ShownStage, stages_of
 from deformscope.processes import SPAWN
 from deformscope.recording.item_rows import read_rows
 from deformscope.recording.reader import Replay
 from deformscope.recording.recorder import Recorder
 from deformscope.recording.stages import recorded_stages
+from deformscope.rows import ENTITIES
 from deformscope.session import Compute, Moment, RigExperiment, Step, ask, measuring, run, with_costs
 from deformscope.stages.fit.calibrate import FitOptions
 from deformscope_drivers.clock import Stamp
 from tests.test_session import Notes, Rig
 
 OLD = Path(__file__).parent / "old"
+SAMPLES = Path(__file__).resolve().parents[2] / "recordings"
 
 
 def spin(seconds: float) -> int:
@@ -50,13 +52,13 @@ def spin_in_two(outer: float, inner: float) -> int:
 
 
 def test_no_view_is_registered_without_a_stage() -> None:
-    with pytest.raises(ValueError, match="stage"):
-        Registered((), (print,))
     for application, registry in registries().items():
-        for kind, registered in registry.items():
-            for stage in registered.stages:
+        for kind in registry:
+            stages = stages_of(kind, registry)
+            assert stages, f"{kind.__name__} is of no stage in {application}"
+            for stage in stages:
                 assert stage.chapter in (0, 2, 3, 4), (application, kind, stage)
-                assert all((stage.name, stage.gives, entity_of(kind, stage))), (application, kind)
+                assert stage.entity or kind in ENTITIES, (application, kind)
                 if stage.field:  # it is one of the result, or of a result inside
                     assert stage.field.split(".")[0] in {one.name for one in dataclasses.fields(kind)}
 
@@ -65,11 +67,34 @@ def test_stages_of_one_application_have_names_of_their_own() -> None:
     """Costs are recorded by name: one stage's must not be taken for another's."""
     for application, registry in registries().items():
         found: dict[str, str] = {}
-        for kind, registered in registry.items():
-            for stage in registered.stages:
-                place = f"{entity_of(kind, stage)}:{stage.field}"
-                if stage.entity == "":
-                    assert found.setdefault(stage.name, place) == place, (application, stage.name)
+        for kind in registry:
+            for stage in stages_of(kind, registry):
+                place = f"{stage.entity or ENTITIES[kind].split('/')[0]}:{stage.field}"
+                assert found.setdefault(stage.name, place) == place, (application, stage.name)
+
+
+@pytest.mark.parametrize(
+    ("when", "expected"),
+    [
+        ("", True),
+        (SOMETIMES, False),
+        ("explore.hold_s", False),
+        ("explore.beta_model", False),
+        ("explore.border_m", True),
+        ("explore.goal=regions", True),
+        ("explore.goal=inclusions", False),
+        ("stages.names=beta", True),
+        ("stages.names=flow", False),
+        ("squeezed.names.camera", False),
+    ],
+)
+def test_settings_say_which_stages_are_expected(when: str, expected: bool) -> None:
+    settings: dict[str, Any] = {
+        "explore": {"hold_s": 0.0, "beta_model": "none", "border_m": 0.02, "goal": "regions"},
+        "stages": {"names": ["beta", "tactile"]},
+    }
+
+    assert ShownStage("any", 2, "something", when=when).is_expected(settings) == expected
 
 
 # Costs ---------------------------------------------------------------------------------------------------------------
@@ -212,4 +237,32 @@ def test_older_recordings_open_and_have_no_costs(number: int, capsys: pytest.Cap
 
     assert "costs: not recorded" in said
     assert "stages missing: none" in said  # none was asked for
-    assert "- (--stage beta)" in printed
+    assert "- (stages.names=beta)" in printed
+
+
+# Samples -------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "live", "chapters"),
+    [
+        ("explore", {"surface", "contact", "beta", "plan"}, {3, 4}),
+        ("squeeze", set(), {2}),
+        ("rig", {"tactile"}, {2, 3, 4}),
+    ],
+)
+def test_each_sample_is_complete_with_what_it_cost(name: str, live: set[str], chapters: set[int]) -> None:
+    stages = recorded_stages(SAMPLES / f"{name}.rrd")
+    found = {one.name: one for one in stages}
+
+    assert [one.name for one in stages if one.missing] == []
+    assert {one.chapter for one in stages if one.rows} - {0} == chapters
+    assert {one for one in live if found[one].live} == live
+    assert all("session" in one.timelines for one in stages if one.rows)
+    computed = [one for one in stages if one.computed]
+    assert computed
+    for one in computed:
+        assert one.cpu_ms is not None
+        assert one.wall_ms is not None
+        assert one.cpu_ms > 0.0
+        assert one.wall_ms > 0.0

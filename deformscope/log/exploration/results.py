@@ -20,9 +20,8 @@ What a touch measured is at the frame of its dent. `deformscope.recording.items`
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import partial
-from typing import Any
 
 import numpy as np
 import rerun as rr
@@ -54,7 +53,7 @@ from deformscope.log.exploration.summary import log_no_summary, log_summary
 from deformscope.log.result_batch import ResultBatch
 from deformscope.log.rig.columns import Batch, Place
 from deformscope.log.rig.numbers import plotted
-from deformscope.log.views import Registered, ShownStage, Views, of_run, views_of
+from deformscope.log.views import SOMETIMES, ShownStage, Views, views_of
 from deformscope.stages.map.exploration import (
     DISPLAY,
     ExplorationStop,
@@ -70,51 +69,30 @@ from deformscope.stages.map.exploration import (
 )
 from deformscope.stages.map.measured import LookFrames, SurfaceMeasurement, TouchFrames, TouchMeasurement
 
-
-def _has_beta(settings: Mapping[str, Any]) -> bool:
-    """Of an exploration by its recording's settings."""
-    return bool(settings["explore"]["beta_model"] != "none")
-
-
-SURFACE = (ShownStage("surface", 4, "height and deviation of the surface (eq. 4.3, 4.4)", costs=("look",)),)
-TOUCH = (
-    ShownStage("contact", 4, "force over depth, and the stiffness of its law", costs=("touch",)),
-    ShownStage("dent", 4, "points seen around the tip while it pressed", field="observed_m"),
-    ShownStage(
-        "beta",
-        3,
-        "particles of the model fitted to the dent, and their beta (eq. 4.6)",
-        field="simulated_m",
-        asked="--beta-model",
-        expected=_has_beta,
-    ),
-    ShownStage(
-        "creep",
-        4,
-        "relaxation and loss of a hold",
-        field="creep.held_s",
-        asked="--hold",
-        expected=lambda settings: bool(settings["explore"]["hold_s"]),
-    ),
+SURFACE = ShownStage("surface", 4, "its height and deviation (eq. 4.3, 4.4)", costs=("look",))
+PLAN = ShownStage("plan", 4, "where to touch next, and the gain of each place", costs=("veto",))
+CONTACT = ShownStage("contact", 4, "force over depth, and the stiffness of its law", costs=("touch",))
+DENT = ShownStage("dent", 4, "points seen around the tip while it pressed", field="observed_m")
+BETA = ShownStage(
+    "beta", 3, "particles of the model fitted to the dent (eq. 4.6)", field="simulated_m", when="explore.beta_model"
 )
-MAPS = (
-    ShownStage("regions", 4, "regions of one stiffness, with their probability", costs=("maps",)),
-    ShownStage(
-        "beta field",
-        4,
-        "beta over the surface, and its deviation",
-        field="beta",
-        asked="--beta-model",
-        expected=_has_beta,
-    ),
-    ShownStage(
-        "loss",
-        4,
-        "share of a touch's energy over the surface",
-        field="loss",
-        asked="--feel loss",
-        expected=lambda settings: bool(settings["explore"]["feel"] == "loss"),
-    ),
+CREEP = ShownStage("creep", 4, "relaxation and loss of a hold", field="creep.held_s", when="explore.hold_s")
+REGIONS = ShownStage("regions", 4, "of one stiffness, with their probability", costs=("maps",))
+BETA_FIELD = ShownStage("beta field", 4, "over the surface, with deviation", field="beta", when="explore.beta_model")
+LOSS = ShownStage("loss", 4, "of a touch's energy, over the surface", field="loss", when="explore.feel=loss")
+INCLUSIONS = ShownStage(
+    "inclusions", 4, "found, and what may be missed", costs=("lumps",), when="explore.goal=inclusions"
+)
+AIM, DECISION, PHASE, FAILED, STOPPED, INPUT = (
+    ShownStage(name, 0, gives, when="" if name == "phase" else SOMETIMES)
+    for name, gives in (
+        ("aim", "what a person's touch would feel"),
+        ("decision", "of a person, about the next touch"),
+        ("phase", "what the robot does"),
+        ("failed", "a stage that failed"),
+        ("stopped", "why it ended before its plan"),
+        ("input", "frames or measurements that results are computed from"),
+    )
 )
 
 PEAKS = rr.components.AggregationPolicy.MinMax
@@ -185,37 +163,36 @@ def exploration_views(touch: int, maps: MapEstimate | None, cell_m: float) -> Vi
     gain = partial(log_gain, cell_m=cell_m, contacts_m=None)
     if maps is not None:
         gain = partial(log_gain, cell_m=maps.cell_m, contacts_m=maps.contacts_m)
-    frames, measured = "from a camera and sensors", "where there are no frames"
     return {
-        SurfaceEstimate: Registered(SURFACE, (partial(log_surface, colored=touch == 0), log_height)),
-        TouchEstimate: Registered(TOUCH, (log_contact, log_dent, log_curves, _log_no_forecast)),
-        MapEstimate: Registered(MAPS, (log_stiffness, log_maps, log_summary)),
-        InclusionsResult: Registered(
-            (
-                ShownStage(
-                    "inclusions",
-                    4,
-                    "inclusions below the surface, and what may be missed",
-                    costs=("lumps",),
-                    asked="--goal inclusions",
-                    expected=lambda settings: bool(settings["explore"]["goal"] == "inclusions"),
-                ),
-            ),
-            (log_inclusions,),
+        SurfaceEstimate: (SURFACE, partial(log_surface, colored=touch == 0), log_height),
+        TouchEstimate: (CONTACT, DENT, BETA, CREEP, log_contact, log_dent, log_curves, _log_no_forecast),
+        MapEstimate: (REGIONS, BETA_FIELD, LOSS, log_stiffness, log_maps, log_summary),
+        InclusionsResult: (
+            INCLUSIONS,
+            log_inclusions,
         ),
-        PlannedTouch: Registered(
-            (ShownStage("plan", 4, "where to touch next, and the gain of each place", costs=("veto",)),),
-            (log_target, gain),
+        PlannedTouch: (PLAN, log_target, gain),
+        TouchForecast: (
+            AIM,
+            log_forecast,
         ),
-        TouchForecast: Registered(of_run("aim", "what a person's touch would feel"), (log_forecast,)),
-        SteeringDecision: Registered(of_run("decision", "what a person decided"), (_log_decision,)),
-        PhaseStart: Registered(of_run("phase", "what the robot does", asked=""), (log_phase,)),
-        StageFailure: Registered(of_run("failed", "a stage that failed"), (log_failed,)),
-        ExplorationStop: Registered(of_run("stopped", "why it ended before its plan"), (log_stopped,)),
-        LookFrames: Registered(of_run("look input", "frames that the surface is computed from", asked=frames)),
-        TouchFrames: Registered(of_run("touch input", "frames that a touch is computed from", asked=frames)),
-        SurfaceMeasurement: Registered(of_run("surface measured", "points of the surface", asked=measured)),
-        TouchMeasurement: Registered(of_run("touch measured", "what a touch gave", asked=measured)),
+        SteeringDecision: (
+            DECISION,
+            _log_decision,
+        ),
+        PhaseStart: (
+            PHASE,
+            log_phase,
+        ),
+        StageFailure: (
+            FAILED,
+            log_failed,
+        ),
+        ExplorationStop: (
+            STOPPED,
+            log_stopped,
+        ),
+        **dict.fromkeys((LookFrames, TouchFrames, SurfaceMeasurement, TouchMeasurement), (INPUT,)),
     }
 
 

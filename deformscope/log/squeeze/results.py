@@ -12,9 +12,8 @@ person looks at.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import partial
-from typing import Any
 
 import rerun as rr
 
@@ -26,7 +25,7 @@ from deformscope.log.squeeze.content import log_content, log_not_named
 from deformscope.log.squeeze.fingertips import FORCE, Fingertips, log_fingertips
 from deformscope.log.squeeze.phases import log_squeeze_phase, log_squeeze_phases, log_squeeze_stop
 from deformscope.log.squeeze.summary import log_measured, log_not_measured
-from deformscope.log.views import Registered, ShownStage, Views, of_run, views_of
+from deformscope.log.views import SOMETIMES, ShownStage, Views, views_of
 from deformscope.pictures.palette import JOINTS
 from deformscope.stages.squeeze.events import SqueezeEvents
 from deformscope.stages.squeeze.trial import (
@@ -38,10 +37,14 @@ from deformscope.stages.squeeze.trial import (
     TrackedContainer,
 )
 
-
-def _sees(settings: Mapping[str, Any]) -> bool:
-    """Whether a squeeze has a depth camera, by its recording's settings."""
-    return bool(settings["squeezed"]["names"]["camera"])
+CAMERA = "squeezed.names.camera"
+PHASE, STOPPED = ShownStage("phase", 0, "what the hand does"), ShownStage("stopped", 0, "why", when=SOMETIMES)
+FINGERTIPS = ShownStage("fingertips", 2, "force, area, centre and axis of pressure (fig. 2.4)")
+EVENTS = ShownStage("events", 2, "first contact and steady state")
+TRACK = ShownStage("track", 2, "pose of the rigid model in a depth image (fig. 2.8)", when=CAMERA)
+FEATURES = ShownStage("features", 2, "tactile and physical, at steady state (fig. 2.7)")
+DEPTH_CHANGE = ShownStage("depth change", 2, "data minus model (fig. 2.6)", field="vision", when=CAMERA)
+POSTERIOR = ShownStage("posterior", 2, "probability of each content", when=SOMETIMES)
 
 
 def log_squeeze_start(rec: rr.RecordingStream, fingertips: Fingertips | None) -> None:
@@ -75,37 +78,31 @@ def prepare_squeeze_results(results: Sequence[object], session_ns: int, fingerti
 
 def squeeze_views(fingertips: Fingertips | None) -> Views[ResultBatch]:
     """What shows each result; events stand in the table of `log_measured`."""
-    pads = () if fingertips is None else (partial(log_fingertips, fingertips=fingertips),)
     return {
-        SqueezePhase: Registered(of_run("phase", "what the hand does", asked=""), (log_squeeze_phase,)),
-        SqueezeStop: Registered(of_run("stopped", "why it ended before its time"), (log_squeeze_stop,)),
-        FingertipPressure: Registered(
-            (ShownStage("fingertips", 2, "force, area, centre and axis of pressure (fig. 2.4)"),), pads
+        SqueezePhase: (
+            PHASE,
+            log_squeeze_phase,
         ),
-        TrackedContainer: Registered(
-            (
-                ShownStage(
-                    "track", 2, "pose of the rigid model in a depth image (fig. 2.8)", asked="a camera", expected=_sees
-                ),
-            ),
-            (log_container,),
+        SqueezeStop: (
+            STOPPED,
+            log_squeeze_stop,
         ),
-        SqueezeFeatures: Registered(
-            (
-                ShownStage("features", 2, "tactile and physical features at steady state (fig. 2.7)"),
-                ShownStage(
-                    "depth change", 2, "data minus model (fig. 2.6)", field="vision", asked="a camera", expected=_sees
-                ),
-            ),
-            (log_change,),
+        FingertipPressure: (
+            FINGERTIPS,
+            *(() if fingertips is None else [partial(log_fingertips, fingertips=fingertips)]),
         ),
-        ContentPosterior: Registered(
-            (
-                ShownStage(
-                    "posterior", 2, "probability of each content", asked="--model", expected=lambda settings: False
-                ),
-            ),
-            (log_content,),
+        TrackedContainer: (
+            TRACK,
+            log_container,
         ),
-        SqueezeEvents: Registered((ShownStage("events", 2, "first contact and steady state"),)),
+        SqueezeFeatures: (
+            FEATURES,
+            DEPTH_CHANGE,
+            log_change,
+        ),
+        ContentPosterior: (
+            POSTERIOR,
+            log_content,
+        ),
+        SqueezeEvents: (EVENTS,),
     }

@@ -11,8 +11,7 @@ A result stands at the time, and at the place on `frame`, of the newest frame th
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 import rerun as rr
@@ -24,7 +23,7 @@ from deformscope.log.stages.over_image import log_flow_arrows, log_moments
 from deformscope.log.stages.pads import log_pads, log_pads_stream
 from deformscope.log.stages.summary import summary
 from deformscope.log.stages.views import PLOTS, WORDS
-from deformscope.log.views import Registered, ShownStage, Views, views_of
+from deformscope.log.views import SOMETIMES, ShownStage, Views, views_of
 from deformscope.pictures.exploration import force_png, height_png
 from deformscope.pictures.palette import JOINTS
 from deformscope.stages.fit.moment import MomentFit
@@ -103,38 +102,38 @@ def _log_pictures(batch: Batch, stage: str, group: StageGroup, pngs: Sequence[by
     batch.send_columns(f"display/stage/{stage}", times, columns)
 
 
-def _live(name: str, chapter: int, gives: str, field: str) -> tuple[ShownStage]:
-    def expected(settings: Mapping[str, Any]) -> bool:
-        return name in settings.get("stages", {}).get("names", ())
-
-    return (ShownStage(name, chapter, gives, f"stage/{name}", field=field, asked=f"--stage {name}", expected=expected),)
-
-
+FLOW, BETA, TACTILE, SURFACE, CONTACT = (
+    ShownStage(name, chapter, gives, entity=f"stage/{name}", field=field, when=f"stages.names={name}")
+    for name, chapter, gives, field in (
+        ("flow", 3, "optical flow between the images used", "flow_px"),
+        ("beta", 3, "observed and simulated particles (eq. 3.13)", "rest_px"),
+        ("tactile", 2, "force, area and centre of pressure of each pad", "force_n"),
+        ("surface", 4, "its height and deviation (eq. 4.3, 4.4)", "height_m"),
+        ("contact", 4, "force over depth of an approach", "approach_m"),
+    )
+)
 STAGE_VIEWS: Views[Batch] = {
-    FlowArrows: Registered(_live("flow", 3, "optical flow between the images used", "flow_px"), (log_flow_arrows,)),
-    MomentFit: Registered(
-        _live("beta", 3, "observed and simulated particles, and beta (eq. 3.13)", "rest_px"), (log_moments,)
+    FlowArrows: (
+        FLOW,
+        log_flow_arrows,
     ),
-    TactileContact: Registered(
-        _live("tactile", 2, "force, area and centre of pressure of each pad", "force_n"), (log_pads,)
+    MomentFit: (
+        BETA,
+        log_moments,
     ),
-    SurfaceEstimate: Registered(
-        _live("surface", 4, "height and deviation of the surface (eq. 4.3, 4.4)", "height_m"), (_log_surfaces,)
+    TactileContact: (
+        TACTILE,
+        log_pads,
     ),
-    TouchEstimate: Registered(_live("contact", 4, "force over depth of an approach", "approach_m"), (_log_contacts,)),
-    StageFailure: Registered(
-        (
-            ShownStage(
-                "failed",
-                0,
-                "a stage that failed",
-                "stage",
-                field="reason",
-                asked="where one did",
-                expected=lambda settings: False,
-            ),
-        )
+    SurfaceEstimate: (
+        SURFACE,
+        _log_surfaces,
     ),
+    TouchEstimate: (
+        CONTACT,
+        _log_contacts,
+    ),
+    StageFailure: (ShownStage("failed", 0, "a stage that failed", entity="stage", field="reason", when=SOMETIMES),),
 }
 """What shows the results of each type, those of one device together (`StageGroup`); a failure stands in the table."""
 
