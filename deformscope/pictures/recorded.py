@@ -12,6 +12,8 @@ from deformscope.arrays import FloatArray
 from deformscope.pictures.figures import COLOURS, LINES, canvas, png_of
 
 DPI = 110
+MARKED = 30
+"""Fewer points are marked each."""
 PHASES = ("#eef3f8", "#dfe6ee")
 
 
@@ -36,17 +38,20 @@ def curves_png(
 ) -> bytes:
     """Panels below one another over the same axis. label: of that, with its unit; events: upright lines; phases:
     shaded, by name and where they begin"""
+    from matplotlib.ticker import MaxNLocator
+
     figure = canvas(9.0, 0.9 + 1.75 * len(panels), layout="constrained")
     axes = figure.subplots(len(panels), 1, squeeze=False, sharex=True)[:, 0]
     ends = [*phases, ("", max(float(one.at.max(initial=0.0)) for one in panels))]
     for panel, one in zip(axes, panels, strict=True):
         for at in range(one.values.shape[1]):
             color, name = COLOURS[at % len(COLOURS)], one.names[at] if one.names else None
-            panel.plot(
-                one.at, one.values[:, at], color=color, lw=1.5, label=name, marker="o" * (len(one.at) < 30), ms=4
-            )
-            if one.low is not None and one.high is not None:
-                panel.fill_between(one.at, one.low[:, at], one.high[:, at], color=color, alpha=0.2, lw=0)
+            given = {"color": color, "label": name, "lw": 1.5, "ms": 4, "marker": "o" * (len(one.at) < MARKED)}
+            if one.low is None or one.high is None:
+                panel.plot(one.at, one.values[:, at], **given)
+            else:
+                off = np.abs(np.stack([one.low[:, at], one.high[:, at]]) - one.values[:, at])
+                panel.errorbar(one.at, one.values[:, at], np.nan_to_num(off), capsize=3, elinewidth=1, **given)
         for at, ((name, start), (_, stop)) in enumerate(pairwise(ends)):
             panel.axvspan(start, stop, color=PHASES[at % 2], zorder=0, lw=0)
             if panel is axes[0]:
@@ -60,6 +65,7 @@ def curves_png(
         if one.names or (events and panel is axes[-1]):
             panel.legend(fontsize=8, loc="best")
     axes[-1].set_xlabel(label)
+    axes[-1].xaxis.set_major_locator(MaxNLocator(integer=all(one.at.dtype.kind == "i" for one in panels)))
     return png_of(figure, DPI)
 
 
