@@ -87,7 +87,8 @@ def run(config: VerifyConfig) -> int:
 
 def _list_stages(path: Path) -> list[RecordedStage]:
     """Print them."""
-    from deformscope.recording.stages import recorded_stages, stage_tables
+    from deformscope.recording.stages import recorded_stages
+    from deformscope.runs.recording_report import stage_tables
 
     stages = recorded_stages(path)
     show(*map(table_text, stage_tables(stages)))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections import defaultdict
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from deformscope.log.views import ShownStage
-from deformscope.pictures.report import Table
 from deformscope.recording.utf8_path import utf8_path
 
 if TYPE_CHECKING:
@@ -20,13 +18,6 @@ if TYPE_CHECKING:
 
 LIVE_MS = 1000.0
 """A stage is live whose results stand so shortly before the newest frame, in the median [ms]."""
-CHAPTERS = {
-    2: "chapter 2: what is in the container",
-    3: "chapter 3: meshless shape matching",
-    4: "chapter 4: exploring a surface",
-    0: "of the run itself",
-}
-COLUMNS = ("stage", "gives", "entity", "timelines", "rows", "times x CPU (wall) [ms]", "live")
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,21 +83,6 @@ def recorded_stages(path: Path) -> list[RecordedStage]:
         counted.add(chunk.entity_path.strip("/"), chunk.to_record_batch(), set(chunk.timeline_names) or {"static"})
     found = (_stage(kind, entity, stage, counted) for kind, entity, stage in stages_in(store.application_id))
     return list({(one.name, one.entity): one for one in found}.values())
-
-
-def stage_tables(stages: Sequence[RecordedStage]) -> list[Table]:
-    """What is in a recording, and what is missing, a table for each chapter."""
-    by_chapter = {title: [one for one in stages if one.chapter == chapter] for chapter, title in CHAPTERS.items()}
-    return [Table([_row(one) for one in some], COLUMNS, title) for title, some in by_chapter.items() if some]
-
-
-def _row(one: RecordedStage) -> tuple[str, ...]:
-    rows = str(one.rows or ("MISSING" if one.missing else f"- ({one.when})"))
-    nothing = one.cpu_ms is None or not (one.rows or one.missing)  # what is not asked for ends at once
-    cost = "-" if nothing else f"{one.computed} x {one.cpu_ms:.3g} ({one.wall_ms:.3g})"
-    soon = "live" if one.live else "afterwards"
-    live = "-" if nothing or one.behind_ms is None else f"{soon}, {one.behind_ms:.0f} ms behind"
-    return one.name, one.gives, f"/{one.entity}", ", ".join(one.timelines) or "-", rows, cost, live
 
 
 def _stage(kind: type, entity: str, stage: ShownStage, counted: _Counted) -> RecordedStage:

@@ -22,7 +22,7 @@ from deformscope.pictures.report import Figure, Part, ReportVerdict, Section, Ta
 from deformscope.recording.item_rows import Row, read_rows
 from deformscope.recording.items import read_estimates, read_stage_results
 from deformscope.recording.reader import Replay
-from deformscope.recording.stages import RecordedStage, recorded_stages, stage_tables
+from deformscope.recording.stages import RecordedStage, recorded_stages
 from deformscope.robot.squeeze_plan import CLOSING_AXES
 from deformscope.runs.result import LibraryResult
 from deformscope.stages.fit.moment import MomentFit
@@ -41,6 +41,13 @@ T = TypeVar("T")
 SHOWN = 6
 """Touches, and maps, of which each has its pictures: the last, if there are more."""
 TIME = "time since the recording's start [s]"
+CHAPTERS = {
+    2: "chapter 2: what is in the container",
+    3: "chapter 3: meshless shape matching",
+    4: "chapter 4: exploring a surface",
+    0: "of the run itself",
+}
+COLUMNS = ("stage", "gives", "entity", "timelines", "rows", "times x CPU (wall) [ms]", "live")
 Drawn = tuple[str, list[Section]]
 """What was found, in a line, and its figures."""
 
@@ -86,6 +93,21 @@ def report_recording(path: Path) -> RecordingReport:
     words, sections = draw(replay)
     drawn = tuple(one for one in sections if one.parts)
     return RecordingReport(path, words, tuple(recorded_stages(path)), drawn)
+
+
+def stage_tables(stages: Sequence[RecordedStage]) -> list[Table]:
+    """What is in a recording, and what is missing, a table for each chapter."""
+    by_chapter = {title: [one for one in stages if one.chapter == chapter] for chapter, title in CHAPTERS.items()}
+    return [Table([_stage_row(one) for one in some], COLUMNS, title) for title, some in by_chapter.items() if some]
+
+
+def _stage_row(one: RecordedStage) -> tuple[str, ...]:
+    rows = str(one.rows or ("MISSING" if one.missing else f"- ({one.when})"))
+    nothing = one.cpu_ms is None or not (one.rows or one.missing)  # what is not asked for ends at once
+    cost = "-" if nothing else f"{one.computed} x {one.cpu_ms:.3g} ({one.wall_ms:.3g})"
+    soon = "live" if one.live else "afterwards"
+    live = "-" if nothing or one.behind_ms is None else f"{soon}, {one.behind_ms:.0f} ms behind"
+    return one.name, one.gives, f"/{one.entity}", ", ".join(one.timelines) or "-", rows, cost, live
 
 
 def _of(rows: Sequence[Row], kind: type[T]) -> list[T]:
