@@ -60,31 +60,13 @@ def picture_views(canvas: Canvas) -> Views[rr.RecordingStream]:
     numbers = (ESTIMATE, partial(log_numbers, canvas=canvas))
     findings = log_findings if canvas == Canvas() else partial(log_evidence, canvas=canvas)
     return {
-        FlowField: (
-            FLOW,
-            partial(log_flow, canvas=canvas),
-        ),
-        ParticleGrid: (
-            PARTICLES,
-            partial(log_grid, canvas=canvas),
-        ),
-        Tracked: (
-            TRACKING,
-            partial(log_tracked, canvas=canvas),
-        ),
-        Comparison: (
-            SIMULATION,
-            partial(log_comparison, canvas=canvas),
-        ),
-        Estimate: (
-            ESTIMATE,
-            partial(log_estimate, canvas=canvas),
-        ),
+        FlowField: (FLOW, partial(log_flow, canvas=canvas)),
+        ParticleGrid: (PARTICLES, partial(log_grid, canvas=canvas)),
+        Tracked: (TRACKING, partial(log_tracked, canvas=canvas)),
+        Comparison: (SIMULATION, partial(log_comparison, canvas=canvas)),
+        Estimate: (ESTIMATE, partial(log_estimate, canvas=canvas)),
         Findings: (FINDINGS, findings),
-        RigFindings: (
-            FINDINGS,
-            log_rig_findings,
-        ),
+        RigFindings: (FINDINGS, log_rig_findings),
         **dict.fromkeys((AxisEstimate, FieldEstimate, YieldEstimate, RecoveryEstimate), numbers),
     }
 

@@ -167,31 +167,13 @@ def exploration_views(touch: int, maps: MapEstimate | None, cell_m: float) -> Vi
         SurfaceEstimate: (SURFACE, partial(log_surface, colored=touch == 0), log_height),
         TouchEstimate: (CONTACT, DENT, BETA, CREEP, log_contact, log_dent, log_curves, _log_no_forecast),
         MapEstimate: (REGIONS, BETA_FIELD, LOSS, log_stiffness, log_maps, log_summary),
-        InclusionsResult: (
-            INCLUSIONS,
-            log_inclusions,
-        ),
+        InclusionsResult: (INCLUSIONS, log_inclusions),
         PlannedTouch: (PLAN, log_target, gain),
-        TouchForecast: (
-            AIM,
-            log_forecast,
-        ),
-        SteeringDecision: (
-            DECISION,
-            _log_decision,
-        ),
-        PhaseStart: (
-            PHASE,
-            log_phase,
-        ),
-        StageFailure: (
-            FAILED,
-            log_failed,
-        ),
-        ExplorationStop: (
-            STOPPED,
-            log_stopped,
-        ),
+        TouchForecast: (AIM, log_forecast),
+        SteeringDecision: (DECISION, _log_decision),
+        PhaseStart: (PHASE, log_phase),
+        StageFailure: (FAILED, log_failed),
+        ExplorationStop: (STOPPED, log_stopped),
         **dict.fromkeys((LookFrames, TouchFrames, SurfaceMeasurement, TouchMeasurement), (INPUT,)),
     }
 

@@ -79,30 +79,14 @@ def prepare_squeeze_results(results: Sequence[object], session_ns: int, fingerti
 def squeeze_views(fingertips: Fingertips | None) -> Views[ResultBatch]:
     """What shows each result; events stand in the table of `log_measured`."""
     return {
-        SqueezePhase: (
-            PHASE,
-            log_squeeze_phase,
-        ),
-        SqueezeStop: (
-            STOPPED,
-            log_squeeze_stop,
-        ),
+        SqueezePhase: (PHASE, log_squeeze_phase),
+        SqueezeStop: (STOPPED, log_squeeze_stop),
         FingertipPressure: (
             FINGERTIPS,
             *(() if fingertips is None else [partial(log_fingertips, fingertips=fingertips)]),
         ),
-        TrackedContainer: (
-            TRACK,
-            log_container,
-        ),
-        SqueezeFeatures: (
-            FEATURES,
-            DEPTH_CHANGE,
-            log_change,
-        ),
-        ContentPosterior: (
-            POSTERIOR,
-            log_content,
-        ),
+        TrackedContainer: (TRACK, log_container),
+        SqueezeFeatures: (FEATURES, DEPTH_CHANGE, log_change),
+        ContentPosterior: (POSTERIOR, log_content),
         SqueezeEvents: (EVENTS,),
     }

@@ -113,26 +113,11 @@ FLOW, BETA, TACTILE, SURFACE, CONTACT = (
     )
 )
 STAGE_VIEWS: Views[Batch] = {
-    FlowArrows: (
-        FLOW,
-        log_flow_arrows,
-    ),
-    MomentFit: (
-        BETA,
-        log_moments,
-    ),
-    TactileContact: (
-        TACTILE,
-        log_pads,
-    ),
-    SurfaceEstimate: (
-        SURFACE,
-        _log_surfaces,
-    ),
-    TouchEstimate: (
-        CONTACT,
-        _log_contacts,
-    ),
+    FlowArrows: (FLOW, log_flow_arrows),
+    MomentFit: (BETA, log_moments),
+    TactileContact: (TACTILE, log_pads),
+    SurfaceEstimate: (SURFACE, _log_surfaces),
+    TouchEstimate: (CONTACT, _log_contacts),
     StageFailure: (ShownStage("failed", 0, "a stage that failed", entity="stage", field="reason", when=SOMETIMES),),
 }
 """What shows the results of each type, those of one device together (`StageGroup`); a failure stands in the table."""
