@@ -23,7 +23,7 @@ class ShownStage:
     field: of the result, without which a row holds nothing of the stage, "" = each does
     costs: names of what else is computed for it
     when: the setting of a recording that asks for it, as `explore.hold_s`, or with one of its values, as
-    `stages.names=beta`; "" = it always comes, `SOMETIMES` = it need not
+    `stages.names=beta`; several, parted by spaces, all are needed; "" = it always comes, `SOMETIMES` = it need not
     """
 
     name: str
@@ -36,11 +36,15 @@ class ShownStage:
 
     def is_expected(self, settings: Mapping[str, Any]) -> bool:
         """Whether a run gives it, by the settings of its recording."""
-        path, _, wanted = self.when.partition("=")
-        value: Any = settings
-        for name in path.split(".") if path not in ("", SOMETIMES) else ():
-            value = value.get(name, {})
-        return wanted in value if wanted else not path or (path != SOMETIMES and value not in ({}, "none", "", 0))
+        return all(_holds(one, settings) for one in self.when.split())
+
+
+def _holds(when: str, settings: Mapping[str, Any]) -> bool:
+    path, _, wanted = when.partition("=")
+    value: Any = settings
+    for name in path.split("."):
+        value = value.get(name, {})
+    return wanted in value if wanted else value not in ({}, "none", "", 0)
 
 
 Views: TypeAlias = Mapping[type, Sequence[ShownStage | View[SinkT]]]

@@ -85,6 +85,8 @@ def test_stages_of_one_application_have_names_of_their_own() -> None:
         ("explore.goal=inclusions", False),
         ("stages.names=beta", True),
         ("stages.names=flow", False),
+        ("explore.goal=regions explore.hold_s", False),
+        ("explore.goal=regions explore.border_m", True),
         ("squeezed.names.camera", False),
     ],
 )
