@@ -97,7 +97,7 @@ def everything(kind: str, host_ns: Any) -> Any:
 
 SAMPLES = {
     "explore": Sample(
-        "explore lab:buried --touches 2 --pace quick --seed 3 --viewer none",
+        "explore lab:buried --touches 2 --pace quick --seed 3 --detail lean --viewer none",
         "Two touches of a simulated piece of foam, 20 by 20 cm, its camera at 160 x 120 pixels, with its maps",
         3,
         keep=used_by_touches,

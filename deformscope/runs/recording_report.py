@@ -27,6 +27,7 @@ from deformscope.robot.squeeze_plan import CLOSING_AXES
 from deformscope.runs.result import LibraryResult
 from deformscope.stages.fit.moment import MomentFit
 from deformscope.stages.map.exploration import InclusionsResult, MapEstimate, SurfaceEstimate, TouchEstimate
+from deformscope.stages.map.perception import TouchPerception
 from deformscope.stages.see.tactile import TactileContact
 from deformscope.stages.squeeze.events import SqueezeEvents
 from deformscope.stages.squeeze.trial import (
@@ -116,8 +117,10 @@ def _of(rows: Sequence[Row], kind: type[T]) -> list[T]:
 
 def _exploration(replay: Replay) -> Drawn:
     """Chapter 4."""
-    rows = list(read_rows(replay, (SurfaceEstimate, TouchEstimate, MapEstimate, InclusionsResult)))
-    touches, maps, found = (_of(rows, TouchEstimate), _of(rows, MapEstimate), _of(rows, InclusionsResult))
+    kinds = SurfaceEstimate, TouchEstimate, MapEstimate, InclusionsResult, TouchPerception
+    rows = list(read_rows(replay, kinds))
+    touches, maps, found = _of(rows, TouchEstimate), _of(rows, MapEstimate), _of(rows, InclusionsResult)
+    seen = _of(rows, TouchPerception)
     surfaces = [
         Figure(drawn_of.height_png(one), "height of the surface (eq. 4.3, 4.4)") for one in _of(rows, SurfaceEstimate)
     ]
@@ -125,12 +128,15 @@ def _exploration(replay: Replay) -> Drawn:
     for one in touches[-SHOWN:]:
         number = one.number + 1
         force = Figure(drawn_of.force_png(one), f"touch {number}: force over depth")
-        touched.append((force, Figure(drawn_of.section_png(one), f"touch {number}: its dent (as fig. 4.4, 4.6)")))
+        dent = Figure(drawn_of.section_png(one), f"touch {number}: its dent (as fig. 4.4, 4.6)")
+        sweeps = (of for of in seen if of.number == one.number and of.error is not None)
+        errors = [Figure(drawn_of.error_png(of), f"touch {number}: error over beta (eq. 4.6)") for of in sweeps]
+        touched.append((force, dent, *errors))
     fields: list[Part] = [_progress(maps)] if maps else []
     for after in maps[-SHOWN:]:
         named = (name for name in drawn_of.MAP_DRAWINGS if name.startswith(("beta", "stiffness")))
         caption = f"after {counted(after.touches, 'touch')} (as fig. 4.7)"
-        fields.append(tuple(Figure(drawn_of.map_png(name, after), caption) for name in named))
+        fields.append(tuple(Figure(drawn_of.draw_map(name, after).png, caption) for name in named))
     words, whole = counted(len(touches), "touch"), list[Part]()
     if maps:
         words = ", ".join(one for one in (words, format_verdict(maps[-1]), format_iou(maps[-1])) if one)

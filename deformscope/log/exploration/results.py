@@ -15,6 +15,9 @@ What a touch measured is at the frame of its dent. `deformscope.recording.items`
     display/plan/gain                     why the next touch goes where it goes
     display/touch/force|section           force over depth; the dent's height over the distance from the contact
     display/summary                       what is known, in words
+    exploration/perception/look|touch     with --detail full: what lies between frames and estimates
+    exploration/force_pose                likewise, a row for each reading of the force: force and pose of the tip
+    display/perception/...                likewise (`deformscope.log.exploration.perception`)
     display/lumps/map|missed|summary      where inclusions are sought: which were found, what may be missed, in words
 """
 
@@ -41,6 +44,7 @@ from deformscope.log.exploration.display import (
     log_phase_colors,
     log_stopped,
 )
+from deformscope.log.exploration.perception import log_ground, log_no_touch, log_pixels, log_tool, log_under_touch
 from deformscope.log.exploration.scene import (
     log_base,
     log_contact,
@@ -67,7 +71,9 @@ from deformscope.stages.map.exploration import (
     TouchEstimate,
     TouchForecast,
 )
+from deformscope.stages.map.force_pose import ForcePose
 from deformscope.stages.map.measured import LookFrames, SurfaceMeasurement, TouchFrames, TouchMeasurement
+from deformscope.stages.map.perception import LookPerception, TouchPerception
 
 SURFACE = ShownStage("surface", 4, "its height and deviation (eq. 4.3, 4.4)", costs=("look",))
 PLAN = ShownStage("plan", 4, "where to touch next, and the gain of each place", costs=("veto",))
@@ -75,6 +81,16 @@ CONTACT = ShownStage("contact", 4, "force over depth, and the stiffness of its l
 DENT = ShownStage("dent", 4, "points seen around the tip while it pressed", field="observed_m")
 BETA = ShownStage(
     "beta", 3, "particles of the model fitted to the dent (eq. 4.6)", field="simulated_m", when="explore.beta_model"
+)
+PERCEPTION = ShownStage("perception", 4, "pixels used and removed; what was trained", when="explore.detail=full")
+TOUCH_SURFACE = ShownStage(
+    "touch surface", 4, "under the tip (eq. 4.3, 4.4)", field="surface.tactile_m", when="explore.detail=full"
+)
+BETA_ERROR = ShownStage(
+    "error over beta", 4, "(eq. 4.6)", field="error.aee", when="explore.detail=full explore.beta_model"
+)
+FORCE_POSE = ShownStage(
+    "force and pose", 4, "at the force's rate", entity="exploration/force_pose", when="explore.detail=full"
 )
 CREEP = ShownStage("creep", 4, "relaxation and loss of a hold", field="creep.held_s", when="explore.hold_s")
 REGIONS = ShownStage("regions", 4, "of one stiffness, with their probability", costs=("maps",))
@@ -102,7 +118,11 @@ CELL_M = 0.005
 
 
 def log_exploration_start(
-    rec: rr.RecordingStream, streams: Sequence[Stream], base_from_surface: FloatArray | None = None
+    rec: rr.RecordingStream,
+    streams: Sequence[Stream],
+    base_from_surface: FloatArray | None = None,
+    *,
+    full: bool = False,
 ) -> None:
     """What holds throughout: the phases' colours, and where each arm's base stands in the surface frame; and, at the
     start, that nothing is known yet.
@@ -121,6 +141,8 @@ def log_exploration_start(
     log_nothing_known(start)
     log_no_dent(start)
     log_no_summary(start)
+    if full:
+        log_no_touch(start)
     batch.send(rec)
 
 
@@ -131,18 +153,19 @@ def prepare_results(
     *,
     cell_m: float = CELL_M,
     failed: list[StageFailure] | None = None,
+    full: bool = False,
 ) -> Batch:
     """Make results ready for one stream or several, pictures drawn: some 0.1 s a picture, six of them for the maps.
 
     session_ns: when, since the recording's start [ns]; place: on the other timelines; cell_m: of a plan's maps, where
-    no map beside it says
+    no map beside it says; full: the maps also on the surface
     failed: takes what could not be shown: every result is recorded all the same, and that with them
     A plan that comes with maps is drawn over their contacts. Raises TypeError for what is no result of an exploration.
     """
     batch = Batch(place)
     now = ResultBatch(batch, session_ns)
     maps = next((result for result in results if isinstance(result, MapEstimate)), None)
-    views = exploration_views(place.touch, maps, cell_m)
+    views = exploration_views(place.touch, maps, cell_m, full=full)
     for result in results:
         shown = views_of(type(result), views)
         now.record(result)
@@ -158,15 +181,15 @@ def prepare_results(
     return batch
 
 
-def exploration_views(touch: int, maps: MapEstimate | None, cell_m: float) -> Views[ResultBatch]:
+def exploration_views(touch: int, maps: MapEstimate | None, cell_m: float, *, full: bool = False) -> Views[ResultBatch]:
     """What shows each result of a touch. maps: of the same moment; cell_m: of a plan's maps where there are none"""
     gain = partial(log_gain, cell_m=cell_m, contacts_m=None)
     if maps is not None:
         gain = partial(log_gain, cell_m=maps.cell_m, contacts_m=maps.contacts_m)
     return {
-        SurfaceEstimate: (SURFACE, partial(log_surface, colored=touch == 0), log_height),
+        SurfaceEstimate: (SURFACE, partial(log_surface, colored=touch == 0), log_height, *[log_ground] * full),
         TouchEstimate: (CONTACT, DENT, BETA, CREEP, log_contact, log_dent, log_curves, _log_no_forecast),
-        MapEstimate: (REGIONS, BETA_FIELD, LOSS, log_stiffness, log_maps, log_summary),
+        MapEstimate: (REGIONS, BETA_FIELD, LOSS, log_stiffness, partial(log_maps, on_surface=full), log_summary),
         InclusionsResult: (INCLUSIONS, log_inclusions),
         PlannedTouch: (PLAN, log_target, gain),
         TouchForecast: (AIM, log_forecast),
@@ -174,6 +197,9 @@ def exploration_views(touch: int, maps: MapEstimate | None, cell_m: float) -> Vi
         PhaseStart: (PHASE, log_phase),
         StageFailure: (FAILED, log_failed),
         ExplorationStop: (STOPPED, log_stopped),
+        LookPerception: (PERCEPTION, log_pixels),
+        TouchPerception: (PERCEPTION, TOUCH_SURFACE, BETA_ERROR, log_pixels, log_under_touch),
+        ForcePose: (FORCE_POSE, log_tool),
         **dict.fromkeys((LookFrames, TouchFrames, SurfaceMeasurement, TouchMeasurement), (INPUT,)),
     }
 
