@@ -21,7 +21,7 @@ export PYTHONUNBUFFERED := 1
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help setup system-libraries demo bench bench-suite test unit test-slow test-cores test-realtime lint format clean
+.PHONY: help setup system-libraries demo samples bench bench-suite test unit test-slow test-cores test-realtime lint format clean
 
 help:
 	@printf '%-20s%s\n' 'make demo' 'measure what is built in, and leave the recording in runs/'
@@ -31,6 +31,7 @@ help:
 	@printf '%-20s%s\n' 'make test-cores' 'the numerical tests with two kinds of kernels of the BLAS (minutes)'
 	@printf '%-20s%s\n' 'make bench' 'what MSM costs on this machine, as a table (2 minutes)'
 	@printf '%-20s%s\n' 'make bench-suite' 'the same for comparing commits, with pytest-benchmark'
+	@printf '%-20s%s\n' 'make samples' 'make the small recordings in recordings/ anew'
 	@printf '%-20s%s\n' 'make lint' 'lints and types alone'
 	@printf '%-20s%s\n' 'make format' 'write the house format'
 	@printf '%-20s%s\n' 'make setup' 'the virtual environment alone (the others do this by themselves)'
@@ -66,6 +67,9 @@ system-libraries:
 
 demo: setup
 	@$(PY) -m deformscope demo
+
+samples: setup
+	@$(PY) tools/sample_recordings.py
 
 # Types are checked by one processor, while the others begin with the tests.
 test: setup

@@ -206,6 +206,20 @@ class StageResult:
 
 
 @dataclass(frozen=True, slots=True)
+class StageCost:
+    """What a computation took, without what was measured within it as other stages.
+
+    stage: its name; wall_ms: on a clock; cpu_ms: of the thread that computed
+    behind_ms: at how long before the newest frame its result stands, None where frames wait for it
+    """
+
+    stage: str
+    wall_ms: float
+    cpu_ms: float
+    behind_ms: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class InputFile:
     """An input that is no frame. content: the bytes of a file as they are; of a mask, its PNG"""
 

@@ -35,6 +35,7 @@ from deformscope.frames import (
     LinkChange,
     RawBytes,
     SessionNote,
+    StageCost,
     TactileFrame,
     WrenchFrame,
 )
@@ -129,6 +130,7 @@ ENTITIES: dict[type, str] = {
     HealthReport: "health",
     SessionNote: "note",
     InputFile: "input",
+    StageCost: "cost",
 }
 """Where each kind stands in a recording."""
 

@@ -9,14 +9,19 @@ recorded and sent in, until the answer is there.
 from __future__ import annotations
 
 import concurrent.futures
-from collections.abc import Callable, Generator, Iterable, Sequence
+import dataclasses
+import time
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import Executor, Future
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
 from typing import Any, Protocol, TypeVar
 
-from deformscope.frames import ColorFrame, HealthReport, Item
+from deformscope.frames import ColorFrame, HealthReport, Item, StageCost
 
 SummaryT = TypeVar("SummaryT")
+ValueT = TypeVar("ValueT")
 
 BATCH_S = 0.1
 """How long what devices give is gathered before it is recorded together: each call of a recorder's costs its time."""
@@ -38,10 +43,14 @@ class Moment:
 
 @dataclass(frozen=True, slots=True)
 class Compute:
-    """A command: call a function beside the loop (where the loop runs by itself); its value is the answer."""
+    """A command: call a function beside the loop (where the loop runs by itself); its value is the answer.
+
+    stage: as its cost is named
+    """
 
     call: Callable[..., object]
     arguments: tuple[object, ...] = ()
+    stage: str = "computation"
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,6 +70,7 @@ class Step:
     command: a `Compute`, a future that somebody else is to fill, as a person does who is asked, or something that the
     robot carries out; an experiment gives one at a time
     batch_s: how long what devices give is then gathered, without a robot
+    costs: of the computations behind the results; the loop adds them
     """
 
     results: tuple[object, ...] = ()
@@ -68,6 +78,7 @@ class Step:
     moment: Moment | None = None
     command: object | None = None
     batch_s: float = BATCH_S
+    costs: tuple[StageCost, ...] = dataclasses.field(default=(), compare=False)
 
 
 Experiment = Generator[Step, ColorFrame | None, SummaryT]
@@ -125,6 +136,38 @@ class Inline(Executor):
         return future
 
 
+_measured: ContextVar[list[StageCost] | None] = ContextVar("measured", default=None)
+
+
+@contextmanager
+def measuring(stage: str) -> Iterator[None]:
+    """Measure what is computed within as the cost of this stage, less what is measured within that."""
+    outer, inner = _measured.get(), list[StageCost]()
+    kept = _measured.set(inner)
+    wall_ns, cpu_ns = time.perf_counter_ns(), time.thread_time_ns()
+    try:
+        yield
+    finally:
+        wall_ms, cpu_ms = (time.perf_counter_ns() - wall_ns) / 1e6, (time.thread_time_ns() - cpu_ns) / 1e6
+        _measured.reset(kept)
+        if outer is not None:
+            wall_ms -= sum(one.wall_ms for one in inner)
+            cpu_ms -= sum(one.cpu_ms for one in inner)
+            outer += [*inner, StageCost(stage, max(wall_ms, 0.0), max(cpu_ms, 0.0))]
+
+
+def with_costs(stage: str, call: Callable[..., ValueT], *arguments: object) -> tuple[ValueT, list[StageCost]]:
+    """A value, and what it cost by stage, in whatever process or thread it is computed."""
+    costs = list[StageCost]()
+    kept = _measured.set(costs)
+    try:
+        with measuring(stage):
+            value = call(*arguments)
+    finally:
+        _measured.reset(kept)
+    return value, costs
+
+
 def run(
     source: Iterable[ColorFrame] | SessionRig,
     experiment: Generator[Step, Any, SummaryT],
@@ -132,13 +175,27 @@ def run(
     robot: SessionRobot | None = None,
     executor: Executor | None = None,
 ) -> SummaryT:
-    """Drive one experiment over one source to its end and return its summary. executor: computes; None = `Inline`"""
+    """Drive one experiment over one source to its end and return its summary. executor: computes; None = `Inline`
+
+    What `Compute` took, and over frames of a file what the experiment itself did, is recorded with the next results.
+    """
     executor = executor or Inline()
     frames = iter(source) if isinstance(source, Iterable) else None
     waiting: Future[Any] | None = None
-    heeded = False
+    heeded = computing = False
+    costs = list[StageCost]()
+
+    def send(given: Any) -> Step:
+        if frames is None or robot is not None:
+            return experiment.send(given)
+        step, spent = with_costs("", experiment.send, given)
+        costs.extend(spent)
+        return step
 
     def write(step: Step) -> None:
+        if step.results and costs:
+            step = dataclasses.replace(step, costs=(*step.costs, *costs))
+            costs.clear()
         if step.results or (step.moment is None and frames is not None):
             recorder.write(step)
 
@@ -159,28 +216,34 @@ def run(
     try:
         step = next(experiment)
         if step.command is None and step.moment is None:  # nothing was sent in yet
-            step = experiment.send(keep(0.0 if robot is not None else step.batch_s))
+            step = send(keep(0.0 if robot is not None else step.batch_s))
         while True:
             write(step)
             if isinstance(step.command, Compute):
-                waiting = _started(executor, step.command)
+                waiting, computing = _started(executor, step.command), True
             elif isinstance(step.command, Future):
-                waiting = step.command
+                waiting, computing = step.command, False
             elif step.command is not None and robot is not None:
-                waiting = robot.carry_out(step.command, keep)
+                waiting, computing = robot.carry_out(step.command, keep), False
             if waiting is None:
-                step = experiment.send(keep(step.batch_s if robot is None else 0.0))
+                step = send(keep(step.batch_s if robot is None else 0.0))
                 continue
             either = [waiting] if robot is None or heeded else [waiting, robot.stopped]
             concurrent.futures.wait(either, BATCH_S, concurrent.futures.FIRST_COMPLETED)
             given = keep() if frames is None else None
             ended = next((one for one in either if one.done()), None)
             if ended is None:
-                step = experiment.send(given)
+                step = send(given)
                 continue
             waiting, heeded = None, heeded or ended is not waiting
-            error = ended.exception()
-            step = experiment.send(Answer(ended.result())) if error is None else experiment.throw(error)
+            if (error := ended.exception()) is not None:
+                step = experiment.throw(error)
+                continue
+            value = ended.result()
+            if computing:
+                value, spent = value
+                costs += spent
+            step = send(Answer(value))
     except StopIteration as end:
         summary: SummaryT = end.value
         return summary
@@ -189,7 +252,7 @@ def run(
 def _started(executor: Executor, command: Compute) -> Future[Any]:
     """A computation under way; one that cannot begin has failed."""
     try:
-        return executor.submit(command.call, *command.arguments)
+        return executor.submit(with_costs, command.stage, command.call, *command.arguments)
     except Exception as error:
         return Inline().submit(_raise, error)
 

@@ -175,7 +175,7 @@ MASKED_TEXT = (
     (re.compile(r"\b[0-9a-f]{7,64}\b"), "HASH"),
 )
 MASKED_COLUMNS = re.compile(
-    r"display|depth_range|log_time|log_tick|chunk|row_id|RowId|properties|seconds|compute|lateness|late_|host_ns"
+    r"display|^/cost$|depth_range|log_time|log_tick|chunk|row_id|RowId|properties|seconds|compute|lateness|late_|host_ns"
 )
 """Of recordings: rerun's own clock, what was measured of this machine, and pictures that are thinned by its clock."""
 

@@ -117,6 +117,7 @@ COMMANDS: dict[str, Command] = {
     "record": _command("record all devices of a rig", "RecordConfig", "record", "record"),
     "live": _command("watch all devices of a rig", "LiveConfig", "record", "live"),
     "verify": _command("whether a recording is whole", "VerifyConfig", "verify"),
+    "report": _command("the figures of a recording, as a page", "ReportConfig", "report"),
     "recover": _command("a whole recording out of one that was cut short", "RecoverConfig", "recover"),
     "discard": _command(
         "mark a recording, or an episode of it, as not to be used", "DiscardRecordingConfig", "discard"

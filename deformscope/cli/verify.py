@@ -1,22 +1,27 @@
 """`deformscope verify`: whether a recording is whole.
 
 deformscope verify run.rrd
+deformscope verify run.rrd --stages
 """
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from deformscope.cli.common import EXIT_LOSSES, say, show_table, write_json
+from deformscope.cli.common import EXIT_LOSSES, say, show, show_table, write_json
 from deformscope.config import VerifyConfig
 from deformscope.errors import InputError
+from deformscope.pictures.findings import table_text
 from deformscope.recording.discards import Discard
 from deformscope.recording.facts import Facts, read_facts, run_rrd
 from deformscope.recording.ledger import check_ledger, read_counts
 from deformscope.recording.lock import is_being_written
 from deformscope.recording.losses import named, to_text
 from deformscope.recording.reader import check_magic
+
+if TYPE_CHECKING:
+    from deformscope.recording.stages import RecordedStage
 
 WHOLE = "every byte is as it was recorded"
 UNCHECKED = "not checked, as there is no ledger: a flipped bit would go unnoticed"
@@ -66,6 +71,8 @@ def run(config: VerifyConfig) -> int:
         "losses": facts.losses,
         "discarded": facts.discarded,
     }
+    if config.stages and not problems:
+        found["stages"] = _list_stages(path)
     write_json(found, config.json)
     if problems:
         hint = f"an intact copy, or what can be read of it: deformscope recover {path}"
@@ -76,6 +83,19 @@ def run(config: VerifyConfig) -> int:
             "a recording that was finished", f"one of a run cut short; {kept}", f"deformscope recover {path}", path
         )
     return _name_losses(facts, checked=differs is not None, reached=reached)
+
+
+def _list_stages(path: Path) -> list[RecordedStage]:
+    """Print them."""
+    from deformscope.recording.stages import recorded_stages
+    from deformscope.runs.recording_report import stage_tables
+
+    stages = recorded_stages(path)
+    show(*map(table_text, stage_tables(stages)))
+    say(f"stages missing: {', '.join(one.name for one in stages if one.missing) or 'none'}")
+    if not any(one.computed for one in stages):
+        say("costs: not recorded, as before they were measured, and in deterministic recordings")
+    return stages
 
 
 def _differs(path: Path) -> list[str] | None:

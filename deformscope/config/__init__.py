@@ -49,6 +49,7 @@ from deformscope.config.rigs import (
     RecordConfig,
     RecoverConfig,
     ReplayConfig,
+    ReportConfig,
     RigRunOptions,
     VerifyConfig,
 )

@@ -122,8 +122,25 @@ class VerifyConfig(CommandOptions):
 
     recording: flags.RecordingFlag
     """The recording."""
+    stages: bool = False
+    """List every stage of computation, by chapter of the thesis: where it is in the recording, how many rows, what it
+    cost, whether it was live; and what is missing."""
     json: flags.JsonFlag = None
     """Write the findings as JSON; with -, stdout is the JSON alone."""
+
+
+@dataclass(frozen=True, slots=True)
+class ReportConfig(CommandOptions):
+    """Draw the figures of a recording, from what it holds alone, as one HTML page: of an exploration map, surface,
+    touches and fields (Thesis chapter 4), of a squeeze forces, pose, posterior and features over time (chapter 2), of a
+    rig its stages, of a fit error and posterior. It says which stages the recording lacks."""
+
+    recording: flags.RecordingFlag
+    """The recording."""
+    out: flags.ReportFlag = None
+    """The page; default: NAME.html beside the recording. An existing file is replaced."""
+    json: flags.JsonFlag = None
+    """Write what was drawn, and what is missing, as JSON; with -, stdout is the JSON alone."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -347,7 +347,7 @@ def _given_up(clock: Callable[[], int], found: Exploration, why: str = "") -> Ex
 
 def within_loop(stages: ExplorationStages) -> Stage:
     """Has stages computed where the loop runs."""
-    return lambda name, *inputs: Compute(getattr(stages, name), inputs)
+    return lambda name, *inputs: Compute(getattr(stages, name), inputs, name)
 
 
 @dataclass

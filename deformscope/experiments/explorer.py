@@ -33,6 +33,7 @@ from deformscope.experiments.touch_fit import (
 )
 from deformscope.robot.setup import Truth
 from deformscope.robot.travel import NotThere
+from deformscope.session import measuring
 from deformscope.stages.map.exploration import (
     InclusionsResult,
     MapEstimate,
@@ -520,7 +521,8 @@ def _guarded(
     if (before := failed.get((touch, name))) is not None:
         return before
     try:
-        return compute()
+        with measuring(name):
+            return compute()
     except NotThere:
         raise
     except Exception as error:  # whatever it is, the arm is over a table and the touches made are worth something

@@ -16,7 +16,7 @@ from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.config.flags import HeldPart
 from deformscope.config.images import ParticleFlags
 from deformscope.errors import InputError
-from deformscope.session import Experiment, Step
+from deformscope.session import Experiment, Step, measuring
 from deformscope.stages.fit.calibrate import Calibration, FitOptions, Model, Observation, Progress, calibrate
 from deformscope.stages.fit.estimate import Comparison
 from deformscope.stages.see.flow import FlowMethod, flow_both_ways
@@ -59,7 +59,8 @@ def foam_video(
     if len(history) < 2:
         raise InputError("at least two frames", "one", "a longer sequence, or a smaller --stride")
     seen, used = last_pose(grid, history, particles)
-    found = calibrate([seen], fit, settings=used, progress=progress)
+    with measuring("estimate"):
+        found = calibrate([seen], fit, settings=used, progress=progress)
     for index, comparison in enumerate(follow(seen, history, fit.model, found)):
         yield Step((comparison,), frame=index)
     yield Step((found.estimate,))

@@ -17,9 +17,9 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from deformscope.frames import Frame, Item, StageResult, UsedFrames
+from deformscope.frames import Frame, Item, StageCost, StageResult, UsedFrames
 from deformscope.images import decode_image, encode_color
-from deformscope.session import RigExperiment, Step
+from deformscope.session import RigExperiment, Step, with_costs
 from deformscope.stages.map.exploration import StageFailure
 from deformscope_drivers.clock import monotonic_ns
 
@@ -88,7 +88,8 @@ def live_stages(
             one.go_on(items)
         over = ended(items)
         if results or not over:
-            given = yield Step(results, batch_s=SOON_S)
+            costs = tuple(cost for one in running for cost in one.costs()) if results else ()
+            given = yield Step(results, batch_s=SOON_S, costs=costs)
     return {one.stage.name: one.end() for one in running}
 
 
@@ -102,7 +103,8 @@ class _Running:
         self._counts = StageCounts()
         self._skipped = 0
         self._frames: tuple[Frame, ...] = ()
-        self._future: Future[tuple[object, int]] | None = None
+        self._future: Future[tuple[tuple[object, int], list[StageCost]]] | None = None
+        self._costs: list[StageCost] = []
 
     def go_on(self, items: Sequence[Item]) -> None:
         """Take what came; begin with the newest where nothing is being computed."""
@@ -116,7 +118,8 @@ class _Running:
             return
         self._frames = frames
         self._skipped, self._chooser.skipped = self._chooser.skipped, 0
-        self._future = self._executor.submit(compute_stage, self.stage, self.stage.packed(frames), self._lossless)
+        given = compute_stage, self.stage, self.stage.packed(frames), self._lossless
+        self._future = self._executor.submit(with_costs, self.stage.name, *given)
 
     def result(self) -> StageResult | None:
         """The result where it has come."""
@@ -126,7 +129,7 @@ class _Running:
         error = future.exception()
         newest, now_ns = self._frames[-1], monotonic_ns()
         if error is None:
-            result, now_ns = future.result()
+            (result, now_ns), self._costs = future.result()
         else:
             result = StageFailure.of(self.stage.name, 0, error if isinstance(error, Exception) else Exception(error))
         counts = self._counts
@@ -137,6 +140,11 @@ class _Running:
         used = used_frames(self._frames)
         self._frames = ()
         return StageResult(self.stage.name, used, newest.stamp.host_ns, self._skipped, counts.late_s[-1], result)
+
+    def costs(self) -> list[StageCost]:
+        """What the last result cost; none a second time."""
+        costs, self._costs = self._costs, []
+        return costs
 
     def end(self) -> StageCounts:
         """The counts, with what nothing was computed from in the end among the skipped."""

@@ -82,7 +82,7 @@ def squeeze(
     if found.placement is not None:
         geometry = replace(geometry, T_hand_container=found.placement.T_hand_container)
     try:
-        computed: TrialFeatures = yield from ask(Compute(trial_features, (frames, geometry)))
+        computed: TrialFeatures = yield from ask(Compute(trial_features, (frames, geometry), "features"))
         posterior = None if name is None else posterior_of(computed, name)
     except Exception as error:
         words = " ".join(str(error).split())

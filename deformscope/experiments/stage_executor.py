@@ -36,7 +36,7 @@ def stage_executor(setup: Setup, options: ExploreOptions) -> Iterator[tuple[Exec
         yield Inline(), within_loop(exploration_stages(*given))
         return
     with computing(_begin, *given) as executor:
-        yield executor, lambda name, *inputs: Compute(_compute, (name, *inputs))
+        yield executor, lambda name, *inputs: Compute(_compute, (name, *inputs), name)
 
 
 def _begin(geometry: SetupGeometry, options: ExploreOptions, truth: Truth | None) -> None:

@@ -18,7 +18,7 @@ import numpy as np
 from deformscope.arrays import BoolArray, IntArray
 from deformscope.errors import InputError
 from deformscope.experiments.foam_video import ParticleOptions, follow, hold_what_is_seen, observe, track
-from deformscope.session import Experiment, Step
+from deformscope.session import Experiment, Step, measuring
 from deformscope.stages.fit.calibrate import Calibration, FitOptions, Model, Observation, Progress, calibrate
 from deformscope.stages.fit.dynamics import MovingSearch, Pace
 from deformscope.stages.fit.estimate import Choice, Comparison
@@ -108,7 +108,8 @@ def whole_motion(
     if len(history) < 2:
         raise InputError("at least two frames", "one", "a longer sequence, or a smaller --stride")
     motion = TrackedMotion(grid, history, times)
-    found, way = fit_motion(motion, particles, fit, asked, progress)
+    with measuring("estimate"):
+        found, way = fit_motion(motion, particles, fit, asked, progress)
     for index, comparison in enumerate(simulated(motion, particles, way, found)):
         yield Step((comparison,), frame=index)
     yield Step((found.estimate,))

@@ -16,7 +16,7 @@ from deformscope.log.findings import RigFindings, log_evidence, log_findings, lo
 from deformscope.log.flow import log_flow
 from deformscope.log.particles import log_grid, log_tracked
 from deformscope.log.states import log_states
-from deformscope.log.views import Views, views_of
+from deformscope.log.views import ShownStage, Views, views_of
 from deformscope.pictures.close_up import close_up
 from deformscope.pictures.findings import Findings
 from deformscope.stages.fit.estimate import Comparison, Estimate
@@ -29,6 +29,26 @@ from deformscope.stages.see.flow import FlowField
 from deformscope.stages.see.particles import ParticleGrid, Tracked
 from deformscope.stages.see.triangulation import spacing_of
 
+FLOW, PARTICLES, TRACKING, SIMULATION, ESTIMATE, FINDINGS = (
+    ShownStage(name, 3, gives, entity=entity)
+    for name, gives, entity in (
+        ("flow", "optical flow since the frame before", "flow/arrows"),
+        ("particles", "at rest", "particles/rest"),
+        ("tracking", "particles where they were seen (eq. 3.20)", "particles/observed"),
+        ("simulation", "particles of the best value, and their error (eq. 3.18)", "particles/simulated"),
+        ("estimate", "value, interval, verdict and error curve", "calibration/estimate"),
+        ("findings", "tables and pictures", "found/tables"),
+    )
+)
+OF_APPLICATION: dict[str | None, tuple[type, ...]] = {
+    "images": (FlowField, ParticleGrid, Tracked, Comparison, Estimate),
+    "flow": (FlowField,),
+    "pair": (Comparison, Estimate),
+    "pair-3d": (Comparison, Estimate),
+    None: (Findings,),
+}
+"""The types of result that recordings of each layout hold."""
+
 
 def log_over_picture(rec: rr.RecordingStream, shown: Sequence[tuple[object, Canvas]]) -> None:
     """Log results at the stream's present time, each drawn for its canvas."""
@@ -39,17 +59,17 @@ def log_over_picture(rec: rr.RecordingStream, shown: Sequence[tuple[object, Canv
 
 def picture_views(canvas: Canvas) -> Views[rr.RecordingStream]:
     """What shows each result on this canvas."""
-    numbers = (partial(log_numbers, canvas=canvas),)
-    findings = (log_findings,) if canvas == Canvas() else (partial(log_evidence, canvas=canvas),)
+    numbers = (ESTIMATE, partial(log_numbers, canvas=canvas))
+    findings = log_findings if canvas == Canvas() else partial(log_evidence, canvas=canvas)
     return {
-        FlowField: (partial(log_flow, canvas=canvas),),
-        ParticleGrid: (partial(log_grid, canvas=canvas),),
-        Tracked: (partial(log_tracked, canvas=canvas),),
-        Comparison: (partial(log_comparison, canvas=canvas),),
-        Estimate: (partial(log_estimate, canvas=canvas),),
-        Findings: findings,
-        RigFindings: (log_rig_findings,),
-        StateSweeps: (log_states,),
+        FlowField: (FLOW, partial(log_flow, canvas=canvas)),
+        ParticleGrid: (PARTICLES, partial(log_grid, canvas=canvas)),
+        Tracked: (TRACKING, partial(log_tracked, canvas=canvas)),
+        Comparison: (SIMULATION, partial(log_comparison, canvas=canvas)),
+        Estimate: (ESTIMATE, partial(log_estimate, canvas=canvas)),
+        Findings: (FINDINGS, findings),
+        RigFindings: (FINDINGS, log_rig_findings),
+        StateSweeps: (ShownStage("states", 3, "static, over beta and theta (fig. 3.7)", entity="plot"), log_states),
         **dict.fromkeys((AxisEstimate, FieldEstimate, YieldEstimate, RecoveryEstimate), numbers),
     }
 

@@ -1,20 +1,64 @@
-"""The registry of views: what logs a result of each type. What is recorded brings one, and all are looked up here."""
+"""The registry of views: what logs a result of each type, and which stages it is a result of. What is recorded brings
+one, and all are looked up here."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, TypeAlias, TypeVar
 
 SinkT = TypeVar("SinkT")
 
 View: TypeAlias = Callable[[SinkT, Any], None]
 """Logs a result to a sink: a stream of rerun, or a batch that becomes part of one."""
-Views: TypeAlias = Mapping[type, Sequence[View[SinkT]]]
-"""The views of each type of result; none where it is recorded and not shown."""
+SOMETIMES = "sometimes"
+
+
+@dataclass(frozen=True, slots=True)
+class ShownStage:
+    """A stage of computation, as recordings have it.
+
+    name: as its costs are named; chapter: of the thesis, 0 = what is recorded of the run itself; gives: in words
+    entity: where its rows are, with what is below it, "" = that of its type of result
+    field: of the result, without which a row holds nothing of the stage, "" = each does
+    costs: names of what else is computed for it
+    when: the setting of a recording that asks for it, as `explore.hold_s`, or with one of its values, as
+    `stages.names=beta`; several, parted by spaces, all are needed; "" = it always comes, `SOMETIMES` = it need not
+    """
+
+    name: str
+    chapter: int
+    gives: str
+    entity: str = ""
+    field: str = ""
+    costs: tuple[str, ...] = ()
+    when: str = ""
+
+    def is_expected(self, settings: Mapping[str, Any]) -> bool:
+        """Whether a run gives it, by the settings of its recording."""
+        return all(_holds(one, settings) for one in self.when.split())
+
+
+def _holds(when: str, settings: Mapping[str, Any]) -> bool:
+    path, _, wanted = when.partition("=")
+    value: Any = settings
+    for name in path.split("."):
+        value = value.get(name, {})
+    return wanted in value if wanted else value not in ({}, "none", "", 0)
+
+
+Views: TypeAlias = Mapping[type, Sequence[ShownStage | View[SinkT]]]
+"""Of each type of result the stages that it is of, at least one, and its views; no view where it is recorded and not
+shown."""
 
 
 def views_of(kind: type, views: Views[SinkT]) -> Sequence[View[SinkT]]:
     """The views of a type of result. Raises TypeError for a type that the registry lacks."""
     if kind not in views:
         raise TypeError(f"no twin in deformscope.log shows a {kind.__name__}")
-    return views[kind]
+    return [one for one in views[kind] if not isinstance(one, ShownStage)]
+
+
+def stages_of(kind: type, views: Views[SinkT]) -> Sequence[ShownStage]:
+    """The stages of a type of result."""
+    return [one for one in views[kind] if isinstance(one, ShownStage)]

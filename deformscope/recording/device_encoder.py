@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from deformscope.frames import DepthFrame, InputFile, Item, StageResult
+from deformscope.frames import DepthFrame, Frame, InputFile, Item, StageResult
 from deformscope.log.layout import RecordingLayout
 from deformscope.recording.outputs import Encoder, Outputs
 from deformscope.recording.portions import Portions, RisingTimes
@@ -39,7 +39,7 @@ class DeviceEncoder:
         self._outputs, self._layout, self._at_frames, self._failed = outputs, layout, at_frames, failed
         self._start_ns, self._streams, self._lossless = start_ns, layout.streams, frozenset(lossless)
         self._camera = next((stream.device for stream in layout.streams if stream.kind == "depth"), None)
-        self._touch = 0
+        self._touch = self._newest_ns = 0
         self._pictures_ns = RisingTimes()
         self._portions = Portions()
         self._scales: dict[str, tuple[object, int]] = {}
@@ -52,6 +52,7 @@ class DeviceEncoder:
 
     def write_items(self, items: Sequence[Item], size: int) -> None:
         """Shown at once, and gathered with others of the same touch."""
+        self._newest_ns = max([self._newest_ns, *(item.stamp.host_ns for item in items if isinstance(item, Frame))])
         pictures = [item for item in items if isinstance(item, DepthFrame) and item.device == self._camera]
         self._pictures_ns.add([item.stamp.host_ns - self._start_ns for item in pictures])
         place = self._place_of(self._touch)
@@ -63,9 +64,16 @@ class DeviceEncoder:
         """Results of stages with what devices give; those of a moment at it; what else there is at its frame."""
         if step.moment is not None:
             self._write_at(step.moment, step.results, size)
+            for cost in step.costs:
+                behind_ns = max(self._newest_ns - step.moment.now_ns, 0)
+                self._outputs.add_cost(step.moment.now_ns - self._start_ns, cost, behind_ns=behind_ns)
             return
         live = [one for one in step.results if isinstance(one, StageResult)]
         if live:
+            results = {one.stage: one for one in live}
+            for cost in step.costs:
+                of = results.get(cost.stage, live[-1])
+                self._outputs.add_cost(of.host_ns - self._start_ns, cost, behind_ns=round(of.late_s * 1e9))
             self._outputs.show(lambda view: view.add_results(live, self._start_ns, self._streams), 0)
             self._results += live if self._outputs.file is not None else ()
         if len(step.results) > len(live):

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import dataclasses
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Protocol
 
-from deformscope.frames import InputFile, Item
+from deformscope.frames import InputFile, Item, StageCost
 from deformscope.recording.live import LiveFeed, live_stream, page_stream, start_viewer
 from deformscope.session import Step
 
@@ -19,6 +20,9 @@ if TYPE_CHECKING:
     from deformscope.page.server.page_server import PageServer
     from deformscope.recording.rrd_file import RecordingFile
 
+COSTS_AT_ONCE = 200
+"""So many rows of costs are written together."""
+
 
 class Outputs:
     """The file and the live view of a recording, as far as there are any; written to by the writer's thread."""
@@ -26,6 +30,7 @@ class Outputs:
     def __init__(self) -> None:
         self.file: RecordingFile | None = None
         self.feed: LiveFeed[LiveStream] | None = None
+        self._costs: list[tuple[int, int | None, StageCost]] = []
 
     def log(self, job: Callable[[rr.RecordingStream], None], size: int = 0) -> None:
         """To the file, and to the live view when it comes to it. size: bytes that the job keeps alive"""
@@ -42,6 +47,27 @@ class Outputs:
         """Send a batch to the file alone."""
         if self.file is not None:
             self.file.send(batch)
+
+    def add_cost(
+        self, session_ns: int, cost: StageCost, *, frame: int | None = None, behind_ns: int | None = None
+    ) -> None:
+        """Keep what a stage cost for the file: many in one portion, which alone takes a kilobyte.
+
+        session_ns, frame: of its result; behind_ns: from there to the newest frame; None where frames wait, or go on
+        """
+        if self.file is not None:
+            behind_ms = None if behind_ns is None else behind_ns / 1e6
+            self._costs.append((session_ns, frame, dataclasses.replace(cost, behind_ms=behind_ms)))
+            if len(self._costs) >= COSTS_AT_ONCE:
+                self.write_costs()
+
+    def write_costs(self) -> None:
+        """Write the costs that have been gathered."""
+        if self._costs:
+            from deformscope.log.rig.columns import prepare_costs
+
+            self.keep(prepare_costs(self._costs))
+            self._costs = []
 
     def show(self, job: Callable[[LiveStream], None], size: int, *, lasting: bool = False) -> None:
         """To the live view alone. lasting: dropped last where the viewer cannot follow"""

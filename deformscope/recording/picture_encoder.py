@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import TYPE_CHECKING
@@ -50,7 +51,8 @@ class PictureEncoder:
     def write_step(self, step: Step, size: int) -> None:
         """At its frame; each result over the picture that is known with it."""
         from deformscope.log.canvas import Canvas
-        from deformscope.log.over_picture import canvas_after, log_over_picture
+        from deformscope.log.over_picture import canvas_after, log_over_picture, picture_views
+        from deformscope.log.views import stages_of
 
         times = self._times(step.frame)
         canvas = self._canvas or Canvas()
@@ -58,6 +60,9 @@ class PictureEncoder:
         for result in step.results:
             canvas = canvas_after(result, canvas)
             shown.append((result, canvas))
+        for cost in step.costs:
+            name = cost.stage or stages_of(type(step.results[0]), picture_views(canvas))[0].name
+            self._outputs.add_cost(times[1], dataclasses.replace(cost, stage=name), frame=times[0])
         self._canvas = canvas
         if canvas != Canvas():
             self._arrange(canvas)

@@ -8,6 +8,7 @@ untouched. An unfinished recording is never written over.
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import os
 import sys
@@ -222,6 +223,8 @@ class Recorder:
 
     def _take_step(self, step: Step) -> None:
         self._steps += 1
+        if self._deterministic and step.costs:
+            step = dataclasses.replace(step, costs=())
         if self.active and (step.results or step.moment is not None):
             results = (one.result if isinstance(one, StageResult) else one for one in step.results)
             encoder, size = self._encoder, sum(map(arrays_size, results))
@@ -244,6 +247,7 @@ class Recorder:
 
     def _write_last(self) -> None:
         self._encoder.write_rest()
+        self._outputs.write_costs()
         if self._outputs.file is not None:
             self._outputs.file.flush()
 

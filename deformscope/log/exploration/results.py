@@ -57,7 +57,7 @@ from deformscope.log.exploration.summary import log_no_summary, log_summary
 from deformscope.log.result_batch import ResultBatch
 from deformscope.log.rig.columns import Batch, Place
 from deformscope.log.rig.numbers import plotted
-from deformscope.log.views import Views, views_of
+from deformscope.log.views import SOMETIMES, ShownStage, Views, views_of
 from deformscope.stages.map.exploration import (
     DISPLAY,
     ExplorationStop,
@@ -74,6 +74,42 @@ from deformscope.stages.map.exploration import (
 from deformscope.stages.map.force_pose import ForcePose
 from deformscope.stages.map.measured import LookFrames, SurfaceMeasurement, TouchFrames, TouchMeasurement
 from deformscope.stages.map.perception import LookPerception, TouchPerception
+
+SURFACE = ShownStage("surface", 4, "its height and deviation (eq. 4.3, 4.4)", costs=("look",))
+PLAN = ShownStage("plan", 4, "where to touch next, and the gain of each place", costs=("veto",))
+CONTACT = ShownStage("contact", 4, "force over depth, and the stiffness of its law", costs=("touch",))
+DENT = ShownStage("dent", 4, "points seen around the tip while it pressed", field="observed_m")
+BETA = ShownStage(
+    "beta", 3, "particles of the model fitted to the dent (eq. 4.6)", field="simulated_m", when="explore.beta_model"
+)
+PERCEPTION = ShownStage("perception", 4, "pixels used and removed; what was trained", when="explore.detail=full")
+TOUCH_SURFACE = ShownStage(
+    "touch surface", 4, "under the tip (eq. 4.3, 4.4)", field="surface.tactile_m", when="explore.detail=full"
+)
+BETA_ERROR = ShownStage(
+    "error over beta", 4, "(eq. 4.6)", field="error.aee", when="explore.detail=full explore.beta_model"
+)
+FORCE_POSE = ShownStage(
+    "force and pose", 4, "at the force's rate", entity="exploration/force_pose", when="explore.detail=full"
+)
+CREEP = ShownStage("creep", 4, "relaxation and loss of a hold", field="creep.held_s", when="explore.hold_s")
+REGIONS = ShownStage("regions", 4, "of one stiffness, with their probability", costs=("maps",))
+BETA_FIELD = ShownStage("beta field", 4, "over the surface, with deviation", field="beta", when="explore.beta_model")
+LOSS = ShownStage("loss", 4, "of a touch's energy, over the surface", field="loss", when="explore.feel=loss")
+INCLUSIONS = ShownStage(
+    "inclusions", 4, "found, and what may be missed", costs=("lumps",), when="explore.goal=inclusions"
+)
+AIM, DECISION, PHASE, FAILED, STOPPED, INPUT = (
+    ShownStage(name, 0, gives, when="" if name == "phase" else SOMETIMES)
+    for name, gives in (
+        ("aim", "what a person's touch would feel"),
+        ("decision", "of a person, about the next touch"),
+        ("phase", "what the robot does"),
+        ("failed", "a stage that failed"),
+        ("stopped", "why it ended before its plan"),
+        ("input", "frames or measurements that results are computed from"),
+    )
+)
 
 PEAKS = rr.components.AggregationPolicy.MinMax
 
@@ -151,20 +187,20 @@ def exploration_views(touch: int, maps: MapEstimate | None, cell_m: float, *, fu
     if maps is not None:
         gain = partial(log_gain, cell_m=maps.cell_m, contacts_m=maps.contacts_m)
     return {
-        SurfaceEstimate: (partial(log_surface, colored=touch == 0), log_height, *[log_ground] * full),
-        TouchEstimate: (log_contact, log_dent, log_curves, _log_no_forecast),
-        MapEstimate: (log_stiffness, partial(log_maps, on_surface=full), log_summary),
-        InclusionsResult: (log_inclusions,),
-        PlannedTouch: (log_target, gain),
-        TouchForecast: (log_forecast,),
-        SteeringDecision: (_log_decision,),
-        PhaseStart: (log_phase,),
-        StageFailure: (log_failed,),
-        ExplorationStop: (log_stopped,),
-        LookPerception: (log_pixels,),
-        TouchPerception: (log_pixels, log_under_touch),
-        ForcePose: (log_tool,),
-        **dict.fromkeys((LookFrames, TouchFrames, SurfaceMeasurement, TouchMeasurement), ()),
+        SurfaceEstimate: (SURFACE, partial(log_surface, colored=touch == 0), log_height, *[log_ground] * full),
+        TouchEstimate: (CONTACT, DENT, BETA, CREEP, log_contact, log_dent, log_curves, _log_no_forecast),
+        MapEstimate: (REGIONS, BETA_FIELD, LOSS, log_stiffness, partial(log_maps, on_surface=full), log_summary),
+        InclusionsResult: (INCLUSIONS, log_inclusions),
+        PlannedTouch: (PLAN, log_target, gain),
+        TouchForecast: (AIM, log_forecast),
+        SteeringDecision: (DECISION, _log_decision),
+        PhaseStart: (PHASE, log_phase),
+        StageFailure: (FAILED, log_failed),
+        ExplorationStop: (STOPPED, log_stopped),
+        LookPerception: (PERCEPTION, log_pixels),
+        TouchPerception: (PERCEPTION, TOUCH_SURFACE, BETA_ERROR, log_pixels, log_under_touch),
+        ForcePose: (FORCE_POSE, log_tool),
+        **dict.fromkeys((LookFrames, TouchFrames, SurfaceMeasurement, TouchMeasurement), (INPUT,)),
     }
 
 

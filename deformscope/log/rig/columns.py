@@ -13,9 +13,9 @@ import rerun as rr
 from rerun.chunk import Chunk
 
 from deformscope.arrays import FloatArray, IntArray
-from deformscope.frames import Frame
+from deformscope.frames import Frame, StageCost
 from deformscope.pictures.palette import Rgb
-from deformscope.rows import FRAMES, OF_DEVICES, to_columns
+from deformscope.rows import ENTITIES, FRAMES, OF_DEVICES, to_columns
 
 Columns = Iterable[rr.ComponentColumn]
 
@@ -142,6 +142,15 @@ def recorded(items: Sequence[object], leave_out: tuple[str, ...] = ()) -> list[r
         made = rr.DynamicArchetype.columns(archetype=kind.__name__, components={name: column.values})
         found += made.partition(column.lengths)
     return found
+
+
+def prepare_costs(rows: Sequence[tuple[int, int | None, StageCost]]) -> Batch:
+    """What stages cost: `session` [ns], and `frame` where all are at one."""
+    times_ns, frames, costs = zip(*rows, strict=True)
+    at = [] if None in frames else [rr.TimeColumn("frame", sequence=frames)]
+    batch = Batch()
+    batch.send_columns(ENTITIES[StageCost], [*moments(times_ns, 0), *at], recorded(costs))
+    return batch
 
 
 def scalars(rows: Sequence[FloatArray]) -> Columns:

@@ -28,7 +28,7 @@ from deformscope.log.squeeze.fingertips import FORCE, Fingertips, log_fingertips
 from deformscope.log.squeeze.phases import log_squeeze_phase, log_squeeze_phases, log_squeeze_stop
 from deformscope.log.squeeze.placing import log_placement, log_sighting
 from deformscope.log.squeeze.summary import log_measured, log_not_measured
-from deformscope.log.views import Views, views_of
+from deformscope.log.views import SOMETIMES, ShownStage, Views, views_of
 from deformscope.pictures.palette import JOINTS
 from deformscope.stages.squeeze.events import SqueezeEvents
 from deformscope.stages.squeeze.placement import ContainerSighting, HandPlacement
@@ -40,6 +40,17 @@ from deformscope.stages.squeeze.trial import (
     SqueezeStop,
     TrackedContainer,
 )
+
+CAMERA = "squeezed.names.camera"
+PHASE, STOPPED = ShownStage("phase", 0, "what the hand does"), ShownStage("stopped", 0, "why", when=SOMETIMES)
+SIGHTING = ShownStage("sighting", 2, "the container in the depth image", when=SOMETIMES)
+PLACEMENT = ShownStage("placement", 2, "the grasp drawn, and the arm's way there", when=SOMETIMES)
+FINGERTIPS = ShownStage("fingertips", 2, "force, area, centre and axis of pressure (fig. 2.4)")
+EVENTS = ShownStage("events", 2, "first contact and steady state")
+TRACK = ShownStage("track", 2, "pose of the rigid model in a depth image (fig. 2.8)", when=CAMERA)
+FEATURES = ShownStage("features", 2, "tactile and physical, at steady state (fig. 2.7)")
+DEPTH_CHANGE = ShownStage("depth change", 2, "data minus model (fig. 2.6)", field="vision", when=CAMERA)
+POSTERIOR = ShownStage("posterior", 2, "probability of each content", when=SOMETIMES)
 
 
 def log_squeeze_start(rec: rr.RecordingStream, fingertips: Fingertips | None) -> None:
@@ -74,13 +85,16 @@ def prepare_squeeze_results(results: Sequence[object], session_ns: int, fingerti
 def squeeze_views(fingertips: Fingertips | None) -> Views[ResultBatch]:
     """What shows each result; events stand in the table of `log_measured`."""
     return {
-        SqueezePhase: (log_squeeze_phase,),
-        SqueezeStop: (log_squeeze_stop,),
-        FingertipPressure: () if fingertips is None else (partial(log_fingertips, fingertips=fingertips),),
-        TrackedContainer: (log_container,),
-        SqueezeFeatures: (log_change,),
-        ContentPosterior: (log_content,),
-        SqueezeEvents: (),
-        ContainerSighting: (log_sighting,),
-        HandPlacement: (log_placement,),
+        SqueezePhase: (PHASE, log_squeeze_phase),
+        SqueezeStop: (STOPPED, log_squeeze_stop),
+        FingertipPressure: (
+            FINGERTIPS,
+            *(() if fingertips is None else [partial(log_fingertips, fingertips=fingertips)]),
+        ),
+        TrackedContainer: (TRACK, log_container),
+        SqueezeFeatures: (FEATURES, DEPTH_CHANGE, log_change),
+        ContentPosterior: (POSTERIOR, log_content),
+        SqueezeEvents: (EVENTS,),
+        ContainerSighting: (SIGHTING, log_sighting),
+        HandPlacement: (PLACEMENT, log_placement),
     }

@@ -23,7 +23,7 @@ from deformscope.log.stages.over_image import log_flow_arrows, log_moments
 from deformscope.log.stages.pads import log_pads, log_pads_stream
 from deformscope.log.stages.summary import summary
 from deformscope.log.stages.views import PLOTS, WORDS
-from deformscope.log.views import Views, views_of
+from deformscope.log.views import SOMETIMES, ShownStage, Views, views_of
 from deformscope.pictures.exploration import force_png, height_png
 from deformscope.pictures.palette import JOINTS
 from deformscope.stages.fit.moment import MomentFit
@@ -102,13 +102,23 @@ def _log_pictures(batch: Batch, stage: str, group: StageGroup, pngs: Sequence[by
     batch.send_columns(f"display/stage/{stage}", times, columns)
 
 
+FLOW, BETA, TACTILE, SURFACE, CONTACT = (
+    ShownStage(name, chapter, gives, entity=f"stage/{name}", field=field, when=f"stages.names={name}")
+    for name, chapter, gives, field in (
+        ("flow", 3, "optical flow between the images used", "flow_px"),
+        ("beta", 3, "observed and simulated particles (eq. 3.13)", "rest_px"),
+        ("tactile", 2, "force, area and centre of pressure of each pad", "force_n"),
+        ("surface", 4, "its height and deviation (eq. 4.3, 4.4)", "height_m"),
+        ("contact", 4, "force over depth of an approach", "approach_m"),
+    )
+)
 STAGE_VIEWS: Views[Batch] = {
-    FlowArrows: (log_flow_arrows,),
-    MomentFit: (log_moments,),
-    TactileContact: (log_pads,),
-    SurfaceEstimate: (_log_surfaces,),
-    TouchEstimate: (_log_contacts,),
-    StageFailure: (),
+    FlowArrows: (FLOW, log_flow_arrows),
+    MomentFit: (BETA, log_moments),
+    TactileContact: (TACTILE, log_pads),
+    SurfaceEstimate: (SURFACE, _log_surfaces),
+    TouchEstimate: (CONTACT, _log_contacts),
+    StageFailure: (ShownStage("failed", 0, "a stage that failed", entity="stage", field="reason", when=SOMETIMES),),
 }
 """What shows the results of each type, those of one device together (`StageGroup`); a failure stands in the table."""
 

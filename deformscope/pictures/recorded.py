@@ -1,0 +1,79 @@
+"""What a recording holds, over touches and over time, as PNG (as figures 2.4, 2.7, 4.5 to 4.7 of the thesis)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from deformscope.arrays import FloatArray
+from deformscope.pictures.figures import COLOURS, LINES, canvas, png_of
+
+DPI = 110
+MARKED = 30
+"""Fewer points are marked each."""
+PHASES = ("#eef3f8", "#dfe6ee")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Curves:
+    """Lines in one panel. label: of the axis, with its unit; at: (n,); values: (n, k), NaN = unknown; names: (k,)
+    or none; low, high: (n, k) of the interval, None = none"""
+
+    label: str
+    at: FloatArray
+    values: FloatArray
+    names: tuple[str, ...] = ()
+    low: FloatArray | None = None
+    high: FloatArray | None = None
+
+
+def curves_png(
+    panels: Sequence[Curves],
+    label: str,
+    events: Sequence[tuple[str, float]] = (),
+    phases: Sequence[tuple[str, float]] = (),
+) -> bytes:
+    """Panels below one another over the same axis. label: of that, with its unit; events: upright lines; phases:
+    shaded, by name and where they begin"""
+    from matplotlib.ticker import MaxNLocator
+
+    figure = canvas(9.0, 0.9 + 1.75 * len(panels), layout="constrained")
+    axes = figure.subplots(len(panels), 1, squeeze=False, sharex=True)[:, 0]
+    ends = [*phases, ("", max(float(one.at.max(initial=0.0)) for one in panels))]
+    for panel, one in zip(axes, panels, strict=True):
+        for at in range(one.values.shape[1]):
+            color, name = COLOURS[at % len(COLOURS)], one.names[at] if one.names else None
+            given = {"color": color, "label": name, "lw": 1.5, "ms": 4, "marker": "o" * (len(one.at) < MARKED)}
+            if one.low is None or one.high is None:
+                panel.plot(one.at, one.values[:, at], **given)
+            else:
+                off = np.abs(np.stack([one.low[:, at], one.high[:, at]]) - one.values[:, at])
+                panel.errorbar(one.at, one.values[:, at], np.nan_to_num(off), capsize=3, elinewidth=1, **given)
+        for at, ((name, start), (_, stop)) in enumerate(pairwise(ends)):
+            panel.axvspan(start, stop, color=PHASES[at % 2], zorder=0, lw=0)
+            if panel is axes[0]:
+                panel.annotate(name, (start, 1.02), xycoords=("data", "axes fraction"), fontsize=8)
+        for at, (name, when) in enumerate(events):
+            panel.axvline(
+                when, color="black", ls=LINES[at % len(LINES)], lw=1.1, label=name * (panel is axes[-1]) or None
+            )
+        panel.set_ylabel(one.label, fontsize=9)
+        panel.grid(alpha=0.25)
+        if one.names or (events and panel is axes[-1]):
+            panel.legend(fontsize=8, loc="best")
+    axes[-1].set_xlabel(label)
+    axes[-1].xaxis.set_major_locator(MaxNLocator(integer=all(one.at.dtype.kind == "i" for one in panels)))
+    return png_of(figure, DPI)
+
+
+def cells_png(cells: FloatArray) -> bytes:
+    """(2, rows, columns) of both fingertips at steady state [counts] (Thesis fig. 2.7)."""
+    figure = canvas(7.0, 3.2, layout="constrained")
+    for number, (panel, one) in enumerate(zip(figure.subplots(1, 2), cells, strict=True), start=1):
+        shown = panel.imshow(one, vmin=0.0, vmax=float(np.nanmax(cells, initial=1.0)), interpolation="nearest")
+        panel.set(title=f"fingertip {number}", xlabel="column", ylabel="row")
+        figure.colorbar(shown, ax=panel, shrink=0.8, label="pressure [counts]")
+    return png_of(figure, DPI)

@@ -1,0 +1,92 @@
+"""Figures of recordings, from what they hold alone, and what they lack."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from deformscope.cli import main
+from deformscope.images import PNG_SIGNATURE
+from deformscope.pictures.recorded import Curves, curves_png
+from deformscope.runs.recording_report import RecordingReport, report_recording
+
+ROOT = Path(__file__).resolve().parents[2]
+OLD = ROOT / "tests" / "recording" / "old"
+
+
+def pixels(png: bytes) -> np.ndarray[tuple[int, ...], np.dtype[np.uint8]]:
+    assert png.startswith(PNG_SIGNATURE)
+    image = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)
+    assert image is not None
+    return image  # type: ignore[return-value]
+
+
+def test_curves_show_events_and_phases() -> None:
+    time_s = np.linspace(0.0, 2.0, 50)
+    rising = Curves("force [N]", time_s, np.stack([time_s, 2.0 * time_s], axis=1), ("one", "other"))
+    bare = pixels(curves_png([rising], "time [s]"))
+    phases = pixels(curves_png([rising], "time [s]", phases=[("close", 0.5), ("hold", 1.5)]))
+    events = pixels(curves_png([rising], "time [s]", [("first contact", 1.0)]))
+
+    assert bare.shape == phases.shape == events.shape
+    assert (bare != phases).any(axis=-1).mean() > 0.2  # most of the time is shaded
+    assert 0.001 < (bare != events).any(axis=-1).mean() < 0.1  # a line and its name
+
+
+@pytest.mark.parametrize("number", [1, 2])
+def test_older_recordings_open_and_say_what_they_lack(
+    number: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, told = tmp_path / "old.html", tmp_path / "old.json"
+
+    assert main(["report", str(OLD / f"format-{number}.rrd"), "--out", str(out), "--json", str(told)]) == 0
+    assert "costs of the stages" in capsys.readouterr().err
+    assert json.loads(told.read_text())["lacks"] == ["costs of the stages"]
+    assert "It lacks: costs of the stages." in out.read_text(encoding="utf-8")
+
+
+def test_a_fit_of_images_shows_its_posterior(tmp_path: Path) -> None:
+    found = report_recording(ROOT / "recordings" / "tension.rrd")
+
+    assert found.sections[0].title == "Error and posterior"
+    assert found.words.startswith("beta = ")
+    assert all(pixels(one.png).size for one in found.figures())
+
+
+def test_what_is_no_recording_is_refused_in_a_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "none.rrd"
+    path.write_bytes(b"nothing")
+
+    assert main(["report", str(path)]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+    assert not path.with_suffix(".html").exists()
+
+
+def samples() -> list[Path]:
+    return [ROOT / "recordings" / f"{name}.rrd" for name in ("explore", "squeeze", "rig")]
+
+
+SECTIONS = {
+    "explore": ["Map", "Surface", "Touches", "Fields, touch by touch"],
+    "squeeze": ["Over time", "Features"],
+    "rig": ["Stages over time"],
+}
+
+
+@pytest.mark.parametrize("path", samples(), ids=lambda path: path.stem)
+def test_each_sample_has_its_figures_and_lacks_nothing(path: Path) -> None:
+    found = report_recording(path)
+
+    assert isinstance(found, RecordingReport)
+    assert found.lacks == []
+    assert [one.title for one in found.sections] == SECTIONS[path.stem]
+    for figure in found.figures():
+        image = pixels(figure.png)
+        assert image.std() > 5.0, figure.caption  # no empty picture
+    page = found.page()
+    assert page.count("<img") == len(found.figures())
+    assert "Every stage of its kind is in it." in page
