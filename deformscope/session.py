@@ -14,7 +14,7 @@ from concurrent.futures import Executor, Future
 from dataclasses import dataclass
 from typing import Any, Protocol, TypeVar
 
-from deformscope.frames import ColorFrame, HealthReport, Item
+from deformscope.frames import ColorFrame, HealthReport, Item, SessionNote
 
 SummaryT = TypeVar("SummaryT")
 
@@ -61,6 +61,7 @@ class Step:
     command: a `Compute`, a future that somebody else is to fill, as a person does who is asked, or something that the
     robot carries out; an experiment gives one at a time
     batch_s: how long what devices give is then gathered, without a robot
+    notes: what was noticed
     """
 
     results: tuple[object, ...] = ()
@@ -68,6 +69,7 @@ class Step:
     moment: Moment | None = None
     command: object | None = None
     batch_s: float = BATCH_S
+    notes: tuple[SessionNote, ...] = ()
 
 
 Experiment = Generator[Step, ColorFrame | None, SummaryT]
@@ -139,6 +141,8 @@ def run(
     heeded = False
 
     def write(step: Step) -> None:
+        if step.notes:
+            recorder.write(step.notes)
         if step.results or (step.moment is None and frames is not None):
             recorder.write(step)
 

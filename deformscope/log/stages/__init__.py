@@ -4,7 +4,7 @@ A result stands at the time, and at the place on `frame`, of the newest frame th
 
     stage/NAME/DEVICE            one row a result: every field of it, the frames it used, how many were passed over
     display/stage/NAME/...       what a person looks at: marks over the image, pictures, the verdict in words
-    display/stage/plot/...       numbers over time: lag [ms], beta, force [N], area [cm2]
+    display/stage/plot/...       numbers over time: lag [ms], beta, theta, force [N], area [cm2]
     display/tactile/DEVICE/contact   the centres of pressure, on the picture of the hand
     display/stage/summary        a table: newest results, how many, how far behind
 """
@@ -19,14 +19,14 @@ import rerun as rr
 from deformscope.frames import StageResult, Stream
 from deformscope.log.rig.columns import Batch, log_series, moments, recorded, root, scalars
 from deformscope.log.stages.group import StageGroup
-from deformscope.log.stages.over_image import log_flow_arrows, log_moments
+from deformscope.log.stages.over_image import log_fields, log_flow_arrows, log_moments, log_particle_moments
 from deformscope.log.stages.pads import log_pads, log_pads_stream
 from deformscope.log.stages.summary import summary
 from deformscope.log.stages.views import PLOTS, WORDS
 from deformscope.log.views import Views, views_of
 from deformscope.pictures.exploration import force_png, height_png
 from deformscope.pictures.palette import JOINTS
-from deformscope.stages.fit.moment import MomentFit
+from deformscope.stages.fit.moment import FieldMoment, MomentFit, ParticleMoment
 from deformscope.stages.map.exploration import StageFailure, SurfaceEstimate, TouchEstimate
 from deformscope.stages.see.arrows import FlowArrows
 from deformscope.stages.see.tactile import TactileContact
@@ -36,9 +36,9 @@ def log_stage_streams(rec: rr.RecordingStream, stages: Sequence[tuple[str, str]]
     """What holds throughout: names, units and colours of what is plotted. stages: (name, device)"""
     for number, (name, device) in enumerate(stages):
         log_series(rec, f"{PLOTS}/lag/{name}", [f"{name} [ms]"], [JOINTS[number % len(JOINTS)]])
-        if name == "beta":
-            names = ["lower end", "beta", "upper end"]
-            log_series(rec, f"{PLOTS}/beta", names, [(120, 120, 130), (235, 45, 45), (120, 120, 130)])
+        if name in ("beta", "theta"):
+            names = ["lower end", name, "upper end"]
+            log_series(rec, f"{PLOTS}/{name}", names, [(120, 120, 130), (235, 45, 45), (120, 120, 130)])
         if name == "tactile":
             log_pads_stream(rec, next(one for one in streams if (one.kind, one.device) == ("tactile", device)))
 
@@ -104,7 +104,9 @@ def _log_pictures(batch: Batch, stage: str, group: StageGroup, pngs: Sequence[by
 
 STAGE_VIEWS: Views[Batch] = {
     FlowArrows: (log_flow_arrows,),
+    ParticleMoment: (log_particle_moments,),
     MomentFit: (log_moments,),
+    FieldMoment: (log_fields,),
     TactileContact: (log_pads,),
     SurfaceEstimate: (_log_surfaces,),
     TouchEstimate: (_log_contacts,),
