@@ -137,8 +137,7 @@ class _Running:
         self.stage = stage
         self._executor, self._lossless, self._clock = executors, lossless, clock
         self._began_ns, self._first_ns = clock(), 0
-        self._reason = ""
-        self._said_ns: dict[str, int] = {}
+        self._reason, self._said_ns = "", dict[str, int]()
         self._notes: list[SessionNote] = []
         self._chooser = stage.chooser()
         self._counts = StageCounts()
@@ -202,7 +201,8 @@ class _Running:
 
     def notes(self) -> list[SessionNote]:
         """What is to be said of it now."""
-        if not self._counts.results and self._clock() - self._began_ns >= AT_ONCE_S * 1e9:
+        since_ns = self._frames[-1].stamp.host_ns if self._frames else self._began_ns
+        if not self._counts.results and self._clock() - since_ns >= AT_ONCE_S * 1e9:
             self._say(self._lack)
         found, self._notes = self._notes, []
         return found

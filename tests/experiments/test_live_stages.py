@@ -228,6 +228,20 @@ def test_a_slow_first_result_is_said_within_a_second_and_that_it_came() -> None:
     ]
 
 
+def test_what_is_computed_from_a_frame_that_came_late_is_not_called_slow_at_once() -> None:
+    worker = ByHand()
+    session = Session([Doubled()], {"tactile": worker}, 0.0)
+    session.send([], 1.5)
+    session.send([at(2.0, 1)], 2.0)
+    session.send([], 2.9)
+    session.send([], 3.0)
+
+    assert [(when, text) for when, _, text in session.notes] == [
+        (1.5, "tactile gives nothing: no frame of pads came"),
+        (3.0, "tactile gives nothing: the first result is still being computed"),
+    ]
+
+
 def test_a_first_failure_is_said_with_its_frame_and_another_only_where_the_reason_changes() -> None:
     @dataclasses.dataclass(frozen=True)
     class Fails(Doubled):
