@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
+
+import numpy as np
 
 from deformscope.arrays import FloatArray
 
@@ -14,3 +17,12 @@ class Capsule:
     start_m: FloatArray
     end_m: FloatArray
     radius_m: float
+
+
+def moved(capsules: Iterable[Capsule], T: FloatArray) -> list[Capsule]:
+    """The same in another frame. T: (4, 4) from theirs to it"""
+    found = []
+    for one in capsules:
+        start_m, end_m = np.stack([one.start_m, one.end_m]) @ T[:3, :3].T + T[:3, 3]
+        found.append(Capsule(start_m, end_m, one.radius_m))
+    return found

@@ -197,6 +197,8 @@ def squeeze(
     fill: float = 0.9,
     session: str = "",
     operator: str = "",
+    place: Literal["person", "jaco", "kuka"] = "person",
+    grasp: tuple[float, float, float] | None = None,
     seed: int = 0,
     record: Path | str | None = None,
     viewer: ViewerChoice = "none",
@@ -210,6 +212,7 @@ def squeeze(
     rig: a rig file (.toml), or `lab:containers`; content, container: what is squeezed, in the laboratory drawn where
     they are empty; dataset: a data set to add the trial to, with its recording unless keep = "features"
     model: a saved classifier; yes: let a real hand close without asking; with a rig file the question appears
+    place: who brings the hand to the container; grasp: where an arm is to [mm, deg, deg], None = drawn from the seed
     progress: as of `explore`
     Raises InputError for what cannot be used, and where the squeeze did not come to its steady state (a data set keeps
     it as discarded, with the reason); KeyboardInterrupt where Ctrl-C ended it.

@@ -55,6 +55,7 @@ from deformscope.stages.map.force_pose import ForcePose
 from deformscope.stages.map.measured import LookFrames, SurfaceMeasurement, TouchFrames, TouchMeasurement
 from deformscope.stages.map.perception import LookPerception, Perception, TouchPerception
 from deformscope.stages.squeeze.events import SqueezeEvents
+from deformscope.stages.squeeze.placement import ContainerSighting, HandPlacement
 from deformscope.stages.squeeze.trial import (
     ContentPosterior,
     FingertipPressure,
@@ -94,6 +95,8 @@ SqueezeResult = (
     | FingertipPressure
     | TrackedContainer
     | ContentPosterior
+    | ContainerSighting
+    | HandPlacement
 )
 """What comes of a squeeze."""
 
@@ -121,6 +124,8 @@ ENTITIES: dict[type, str] = {
     FingertipPressure: "squeeze/fingertips",
     TrackedContainer: "squeeze/container",
     ContentPosterior: "squeeze/content",
+    ContainerSighting: "squeeze/sighting",
+    HandPlacement: "squeeze/placement",
     HealthReport: "health",
     SessionNote: "note",
     InputFile: "input",

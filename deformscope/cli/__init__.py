@@ -366,10 +366,6 @@ _CONVERSIONS = (
 )
 
 
-_NOT_DONE = {"--place": "a person places the hand, or moves its arm by the joystick: none moves by itself there"}
-"""Flags that people look for, and why there are none."""
-
-
 def _usage_error(boxed: str, prog: str) -> InputError:
     """One line out of tyro's box, whose sections are parted by rules: title, what is wrong, hints."""
     lines = [_FRAME.sub("", line) for line in boxed.splitlines()]
@@ -395,9 +391,6 @@ def _usage_error(boxed: str, prog: str) -> InputError:
     if found := re.match(r"Unrecognized options: (.*)", text):
         meant = re.search(r"Perhaps you meant:\s+(--[\w-]+)", " ".join(body))
         unknown = found[1].replace(", ", " ")
-        flag = re.split("[ =]", unknown)[0]
-        if flag in _NOT_DONE:
-            return InputError(f"no {flag} ({_NOT_DONE[flag]})", unknown, "leave it out")
         return InputError(f"only known flags for {prog}", unknown, meant[1] if meant else help_hint)
     return _UsageError(text or "the command line was not understood", help_hint)
 

@@ -67,6 +67,7 @@ def run(config: DoctorConfig) -> None:
     following = next_step(steps)
     measured = following is None or following.what == "explore"
     findings += _found("explore", lambda: _exploring(rig, measured))
+    findings += _found("place", lambda: _placing(rig))
     findings += _found("shape", lambda: _shape(rig))
     findings += _found("disk", lambda: [_disk(rig)])
     findings += _found("real time", lambda: _real_time(rig))
@@ -172,6 +173,20 @@ def _exploring(rig: Rig, measured: bool) -> list[Finding]:
     return [
         Finding("explore", "ok", "the file has all that it wants; whether it can be reached is checked before a touch")
     ]
+
+
+def _placing(rig: Rig) -> list[Finding]:
+    """Whether an arm could place the hand with this file, where an arm and a hand are in it; nothing is opened."""
+    from deformscope.robot.squeeze_setup import lacks_to_place
+
+    arms = [entry.driver.name for entry in rig.devices if entry.driver.kind == "arm" and entry.driver.name != "placed"]
+    if not arms or "hand" not in {entry.driver.kind for entry in rig.devices}:
+        return []
+    if lacks := lacks_to_place(rig):
+        return [
+            Finding("place", "look", f"squeeze --place {arms[0]} lacks {', '.join(lacks)}: a person places the hand")
+        ]
+    return [Finding("place", "ok", f"squeeze --place {arms[0]} has all that it wants of this file")]
 
 
 def _shape(rig: Rig) -> list[Finding]:

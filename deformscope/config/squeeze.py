@@ -27,9 +27,10 @@ Trials = Annotated[tuple[str, ...], Positional, arg(metavar="TRIAL...")]
 @dataclass(frozen=True, slots=True)
 class SqueezeConfig(RecordedOptions):
     """Squeeze a container once with the SDH hand, under a low motor current, and take what fingertips and depth camera
-    give at first contact and steady state: one trial of a data set, or, with --model, the name of the content. A person
-    places the hand where the grasp was drawn, and a real one closes after a question. lab:containers is a simulated
-    container, squeezed through the real drivers on doubles; one stands between the doubles of a rig file too.
+    give at first contact and steady state: one trial of a data set, or, with --model, the name of the content. The
+    hand is brought to where the grasp was drawn by a person, or by the arm that carries it (--place), and a real one
+    closes after a question. lab:containers is a simulated container, squeezed through the real drivers on doubles; one
+    stands between the doubles of a rig file too.
     """
 
     rig: Annotated[str, Positional, arg(metavar="RIG|lab:containers"), flags.Reads()]
@@ -51,8 +52,20 @@ class SqueezeConfig(RecordedOptions):
     """Name of the session; default: today's date, in the laboratory lab-0."""
     operator: NameFlag = ""
     """Who does it; kept with the trial."""
+    place: Literal["person", "jaco", "kuka"] = "person"
+    """Who places the hand at the container: a person, or the arm that carries it, of this kind. An arm finds the
+    container in the depth image, draws a grasp that it reaches from --seed, approaches on a way that was checked, and
+    withdraws after the squeeze. The laboratory has either arm; a rig file needs [hand] T_arm_hand, [camera]
+    T_arm_camera, [surface] T_arm_surface and the box of [workspace]."""
+    grasp: Annotated[
+        tuple[float, float, float] | None,
+        flags.one_word("MM,DEG,DEG", flags.numbers("along in mm,tilt,turn in degrees", "5,0,180"), flags.joined(",")),
+        flags.unset,
+    ] = None
+    """With --place jaco or kuka: grasp there instead of drawing: so far above the middle of the longest edge [mm],
+    tilted about the axis of closing, and turned about the upright by so much [deg]."""
     yes: bool = False
-    """Let a real hand close without asking."""
+    """Let a real hand close, and a real arm place it, without asking."""
     paused: bool = False
     """With --viewer page: squeeze in the laboratory, too, once somebody says so on the page."""
     page_timeout: flags.TimeoutFlag = 0.3
@@ -63,6 +76,8 @@ class SqueezeConfig(RecordedOptions):
     def check(self) -> None:
         if self.paused and self.output.viewer != "page":
             raise InputError("--paused with --viewer page", f"--viewer {self.output.viewer}", "--viewer page")
+        if self.grasp is not None and self.place == "person":
+            raise InputError("--grasp with --place jaco or kuka", "--place person", "--place jaco")
         if not self.model and not self.content:
             raise InputError("--content NAME, or --model MODEL to name it", "neither")
         if self.dataset is not None and not (self.content and self.container):

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
@@ -14,6 +14,7 @@ from deformscope.experiments.squeeze_features import SqueezeGeometry, TrialFeatu
 from deformscope.experiments.squeeze_frames import SqueezeObserver
 from deformscope.experiments.squeezing_hand import AFTER_S, HandWait, PreShape, SqueezeEnded, SqueezeOnce
 from deformscope.session import Compute, Moment, RigExperiment, Step, ask
+from deformscope.stages.squeeze.placement import ContainerSighting, HandPlacement
 from deformscope.stages.squeeze.trial import ContentPosterior, SqueezePhase, SqueezeStop
 
 Name = Callable[[dict[str, FloatArray]], tuple[str, tuple[str, ...], FloatArray]]
@@ -28,12 +29,16 @@ class Squeezed:
 
     features: with its events, None where there are none; posterior: what a model takes its content for
     stop, stop_ns: why and when it ended before its time
+    placement, sightings: of an arm that placed the hand; withdrawal: why it stopped on its way back
     """
 
     features: TrialFeatures | None = None
     posterior: ContentPosterior | None = None
     stop: SqueezeStop | None = None
     stop_ns: int = 0
+    placement: HandPlacement | None = None
+    sightings: list[ContainerSighting] = field(default_factory=list)
+    withdrawal: SqueezeStop | None = None
 
 
 def squeeze(
@@ -44,11 +49,12 @@ def squeeze(
     name: Name | None = None,
     permitted: RigExperiment[None] | None = None,
     placed: RigExperiment[None] | None = None,
+    withdrawn: RigExperiment[None] | None = None,
 ) -> RigExperiment[None]:
     """Pre-shape, squeeze once, compute the features; `found` holds what was found.
 
     clock: the devices' [ns]; name: what names the content, None = nothing does
-    permitted: what comes before the hand may move; placed: before it closes
+    permitted: what comes before the hand may move; placed: before it closes; withdrawn: once it has opened again
     It returns also where the hand must not go on: `found.stop` says why.
     """
     frames = observer.frames
@@ -62,9 +68,19 @@ def squeeze(
     except SqueezeEnded as ended:
         found.stop, found.stop_ns = ended.stop, ended.time_ns
         stopped = SqueezePhase(f"stopped: {ended.stop.kind}"), ended.stop
-        yield from ask(HandWait(AFTER_S), stopped, Moment(ended.time_ns))
+        came_to = () if found.placement is None else (found.placement,)
+        yield from ask(HandWait(AFTER_S), (*stopped, *came_to), Moment(ended.time_ns))
         return
+    try:
+        if withdrawn is not None:
+            yield from withdrawn
+    except SqueezeEnded as ended:  # what was squeezed holds
+        found.withdrawal = ended.stop
+        came_to = () if found.placement is None else (found.placement,)
+        yield Step((ended.stop, *came_to), moment=Moment(ended.time_ns))
     yield from ask(HandWait(0.0))  # what the devices gave last is taken in
+    if found.placement is not None:
+        geometry = replace(geometry, T_hand_container=found.placement.T_hand_container)
     try:
         computed: TrialFeatures = yield from ask(Compute(trial_features, (frames, geometry)))
         posterior = None if name is None else posterior_of(computed, name)

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from deformscope.arrays import BoolArray, FloatArray
-from deformscope.capsule import Capsule
+from deformscope.capsule import Capsule, moved
 from deformscope.errors import InputError
 from deformscope.experiments.squeeze_frames import SqueezeFrames, frame_ns
 from deformscope.frames import DepthFrame, HandFrame
@@ -21,7 +21,7 @@ from deformscope.results.declared import reported
 from deformscope.rig.squeeze_sections import ContainerSection, HandSection
 from deformscope.robot.mesh_files import read_meshes
 from deformscope.robot.setup import CameraView
-from deformscope.robot.squeeze_plan import PAD_ALONG_M
+from deformscope.robot.squeeze_plan import PAD_ALONG_M, hand_capsules
 from deformscope.robot.squeeze_setup import SqueezeSetup
 from deformscope.robot.squeeze_supervisor import gap_m
 from deformscope.stages.see.cloud import Intrinsics
@@ -35,14 +35,12 @@ from deformscope.stages.squeeze.track import PoseEstimate, locate, track
 from deformscope.stages.squeeze.trial import SqueezeFeatures, TrackedContainer
 from deformscope_drivers.arm.kinematics import rotation_from_euler_xyz, transform
 from deformscope_drivers.depth_camera.image import depth_m
-from deformscope_drivers.sdh.kinematics import BASE_HEIGHT_M, DISTAL_LINK_M, finger_points
+from deformscope_drivers.sdh.kinematics import DISTAL_LINK_M, finger_points
 
 REST_IMAGES, STEADY_IMAGES = 5, 3
 """Depth images whose median is taken together, before the first contact and from the steady state on."""
 TRACK_HZ = 5.0
 """Of the images between them, so many a second are tracked."""
-LINK_M, PALM_M = 0.012, 0.055
-"""Radii of what stands for a finger's links and for the palm. Assumed: the SDH's links are some 22 mm thick."""
 AROUND = 0.6
 """Room on each side of the container in a picture, as a share of its larger side there."""
 DENT_M = 0.035
@@ -55,6 +53,7 @@ class SqueezeGeometry:
 
     T_camera_hand: (4, 4), None = not known, or by the arm: T_arm_hand (hand to the arm's end) and T_arm_camera
     T_hand_container: (4, 4) where the container is expected
+    arm_model, T_arm_table: of the arm that places the hand, and the table's frame to its base; empty, None = none does
     """
 
     hand: HandSection
@@ -64,6 +63,8 @@ class SqueezeGeometry:
     T_camera_hand: FloatArray | None = None
     T_arm_hand: FloatArray | None = None
     T_arm_camera: FloatArray | None = None
+    arm_model: str = ""
+    T_arm_table: FloatArray | None = None
 
     @classmethod
     def of(cls, setup: SqueezeSetup) -> SqueezeGeometry:
@@ -76,6 +77,8 @@ class SqueezeGeometry:
             setup.T_camera_hand,
             setup.T_arm_hand,
             setup.T_arm_camera,
+            "" if setup.placing is None else setup.placing.chain.name,
+            None if setup.placing is None else setup.placing.placement.T_base_surface,
         )
 
     def as_json(self) -> dict[str, Any]:
@@ -99,6 +102,7 @@ class SqueezeGeometry:
                 msgspec.convert(given["hand"], HandSection),
                 msgspec.convert(given["container"], ContainerSection),
                 CameraView(**camera),
+                arm_model=given.get("arm_model", ""),
                 **poses,
             )
         except (KeyError, TypeError, ValueError) as error:
@@ -245,12 +249,7 @@ class _Seen:
 
     def links(self, when_ns: int) -> list[Capsule]:
         """Fingers and palm, camera frame."""
-        angles, found = self.angles(when_ns), []
-        for finger in range(3):
-            points = self._moved(finger_points(angles, finger))
-            found += [Capsule(points[0], points[1], LINK_M), Capsule(points[1], points[2], LINK_M)]
-        palm = self._moved(np.array([[0.0, 0.0, -0.05], [0.0, 0.0, BASE_HEIGHT_M - PALM_M + 0.02]]))
-        return [*found, Capsule(palm[0], palm[1], PALM_M)]
+        return moved(hand_capsules(self.angles(when_ns)), self.T_camera_hand)
 
     def fingertip(self, when_ns: int) -> FloatArray:
         """(3,) the middle of the pad of the finger that is nearer to the camera, camera frame [m]."""

@@ -67,7 +67,7 @@ def _distal(pads: Sequence[Pad], finger: int, device: str) -> int:
 class SqueezeFrames:
     """Of one squeeze, in the order in which they came. air_ns: from when on the open fingertips were in the air, at
     rest; open_ns: from when on they opened again, after which nothing is of interest; 0 = not yet
-    arm: the last state before it of the arm that carries the hand
+    arm: the last state before it of the arm that carries the hand; arm_now: its newest
     """
 
     tactile_source: TactileSource
@@ -80,6 +80,7 @@ class SqueezeFrames:
     hands: list[HandFrame] = field(default_factory=list)
     depth: list[DepthFrame] = field(default_factory=list)
     arm: ArmFrame | None = None
+    arm_now: ArmFrame | None = None
 
     def add(self, item: Item, first_ns: int) -> None:
         """Keep what belongs to it. first_ns: of the first contact, 0 = not yet"""
@@ -87,8 +88,10 @@ class SqueezeFrames:
             self.tactile.append(item)
         elif isinstance(item, HandFrame) and item.device == self.hand:
             self.hands.append(item)
-        elif isinstance(item, ArmFrame) and (not self.air_ns or item.stamp.host_ns < self.air_ns):
-            self.arm = item
+        elif isinstance(item, ArmFrame):
+            self.arm_now = item
+            if not self.air_ns or item.stamp.host_ns < self.air_ns:
+                self.arm = item
         elif isinstance(item, DepthFrame) and item.device == self.camera:
             self.depth.append(item)
             oldest_ns = (first_ns or item.stamp.host_ns) - BEFORE_S * 1e9

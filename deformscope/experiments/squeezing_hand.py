@@ -6,7 +6,7 @@ import contextlib
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 from deformscope.errors import InputError
 from deformscope.experiments.squeeze_frames import (
@@ -17,6 +17,7 @@ from deformscope.experiments.squeeze_frames import (
     SqueezeObserver,
     TactileSource,
 )
+from deformscope.experiments.touching_robot import without_long_pauses
 from deformscope.rig.source import RigSource
 from deformscope.robot.squeeze_plan import CLOSING_AXES, GripShape
 from deformscope.robot.squeeze_robot import SqueezeRobot, SqueezeStopped
@@ -76,7 +77,8 @@ def feature_executor(setup: SqueezeSetup, hand: SqueezingHand) -> Iterator[Execu
     if not setup.runs_itself:
         yield Inline()
         return
-    with hand.in_a_thread(), ThreadPoolExecutor(1, "features") as executor:
+    calm = contextlib.nullcontext() if setup.placing is None else without_long_pauses()  # an arm's periods are shorter
+    with calm, hand.in_a_thread(), ThreadPoolExecutor(1, "features") as executor:
         yield executor
 
 
@@ -84,6 +86,16 @@ def rule_of(setup: SqueezeSetup) -> EventRule:
     """The rule of its events, as the rig file says."""
     squeeze = setup.squeeze
     return EventRule(squeeze.onset_counts, squeeze.onset_frames, squeeze.still_deg, squeeze.still_s)
+
+
+class CarryingArm(Protocol):
+    """The arm that carries the hand (`deformscope.experiments.placing.PlacingArm`)."""
+
+    def do(self, command: object) -> object: ...
+
+    def ask_to_stop(self, reason: str) -> None: ...
+
+    def halt(self, reason: str) -> bool: ...
 
 
 def observer_of(setup: SqueezeSetup, source: RigSource, predict: Predict | None = None) -> SqueezeObserver:
@@ -96,6 +108,8 @@ def observer_of(setup: SqueezeSetup, source: RigSource, predict: Predict | None 
 
 class SqueezingHand:
     """The hand over the devices of an open source; a `SessionRobot`.
+
+    arm: carries out what is no command of the hand, None = nothing does
 
     on_cycle: called in every control period; on_phase: with each phase as it begins
     observer: is informed of each phase
@@ -111,6 +125,7 @@ class SqueezingHand:
         self.on_phase: Callable[[str], None] = lambda phase: None
         self.stopped: Future[None] = Future()
         self.doing = ""
+        self.arm: CarryingArm | None = None
         self.stands = self.restored = True
         self._setup, self._observer, self._on_cycle = setup, observer, on_cycle
         self._keep: Callable[[], object] | None = None
@@ -125,7 +140,7 @@ class SqueezingHand:
             GripShape.of(setup.container, setup.squeeze),
             clock=setup.clock,
             wait_until=setup.wait_until,
-            on_cycle=self._cycled,
+            on_cycle=self.cycled,
         )
 
     # Commands ---------------------------------------------------------------------------------------------------------
@@ -154,40 +169,46 @@ class SqueezingHand:
     def ask_to_stop(self, reason: str) -> None:
         """A person wants it to stop: the hand stands within a control period."""
         self._robot.ask_to_stop(reason)
+        if self.arm is not None:
+            self.arm.ask_to_stop(reason)
 
     def halt(self, reason: str) -> bool:
         """Stop the hand and set its current limits as they were; whether it confirmed both. From any thread: a command
         that is under way ends in its next control period."""
         self._robot.ask_to_stop(reason)
-        self.stands = self._robot.halt()
+        arm_stands = self.arm is None or self.arm.halt(reason)
+        self.stands = self._robot.halt() and arm_stands
         self.restored = self._robot.restore()
         return self.stands and self.restored
 
-    def _do(self, command: object) -> None:
+    def _do(self, command: object) -> object:
         try:
             match command:
                 case PreShape():
-                    self._begin("pre-shape")
+                    self.begin("pre-shape")
                     self._robot.preshape()
                     self.doing = ""
                 case SqueezeOnce():
                     self._squeeze()
                 case HandWait():
                     self._robot.stand_by(command.seconds)
+                case _ if self.arm is not None:
+                    return self.arm.do(command)
                 case _:
                     raise TypeError(f"no command of this hand: {command!r}")
         except SqueezeStopped as stopped:
             raise self._ended(stopped) from stopped
+        return None
 
     def _squeeze(self) -> None:
         """Close, hold, open; the events end the phases."""
         robot, squeeze = self._robot, self._setup.squeeze
         onset, still = OnsetDetector(rule_of(self._setup)), StillDetector(rule_of(self._setup))
         robot.start()
-        self._begin(AIR)
+        self.begin(AIR)
         self._wait_in_the_air(onset)
         with robot.low_current():
-            self._begin("close")
+            self.begin("close")
             until_ns = self._clock() + round(1e9 * squeeze.contact_timeout_s)
             while not onset.first_ns:
                 robot.cycle(squeeze.speed_deg_s)
@@ -196,7 +217,7 @@ class SqueezingHand:
                 if self._clock() > until_ns:
                     robot.fail(SqueezeFault.NO_CONTACT, f"in {squeeze.contact_timeout_s:g} s of closing")
             robot.supervisor.in_contact()
-            self._begin("squeeze")
+            self.begin("squeeze")
             until_ns = self._clock() + round(1e9 * squeeze.still_timeout_s)
             while not still.steady_ns:
                 robot.cycle(squeeze.speed_deg_s)
@@ -205,12 +226,12 @@ class SqueezingHand:
                         still.feed(reading.stamp.host_ns, reading.position_deg[list(CLOSING_AXES)])
                 if self._clock() > until_ns:
                     robot.fail(SqueezeFault.NOT_STILL, f"in {squeeze.still_timeout_s:g} s from first contact")
-            self._begin("hold")
+            self.begin("hold")
             until_ns = self._clock() + round(1e9 * squeeze.hold_s)
             while self._clock() < until_ns:
                 robot.cycle(squeeze.speed_deg_s)
         self.restored = robot.restore()
-        self._begin(OPEN)
+        self.begin(OPEN)
         robot.preshape()
         self.doing = ""
 
@@ -233,7 +254,7 @@ class SqueezingHand:
         """The hand stands, its limits are as they were; it opens where what it holds must not be pressed longer."""
         verdict, robot = stopped.verdict, self._robot
         self.halt(str(verdict.fault))
-        self._begin("stopped")
+        self.begin("stopped")
         if verdict.fault in RELEASES and self.stands and self.restored:
             with contextlib.suppress(SqueezeStopped):
                 robot.release()
@@ -242,7 +263,8 @@ class SqueezingHand:
         stop = SqueezeStop(str(verdict.fault), verdict.reason, advice, self.stands, self.restored)
         return SqueezeEnded(stop, verdict.time_ns)
 
-    def _begin(self, phase: str) -> None:
+    def begin(self, phase: str) -> None:
+        """Something begins: it is recorded and shown."""
         self.doing, now_ns = phase, self._clock()
         self._observer.phase(phase, now_ns)
         self._reports.append(Step((SqueezePhase(phase),), moment=Moment(now_ns)))
@@ -251,8 +273,8 @@ class SqueezingHand:
     def _clock(self) -> int:
         return self._setup.clock()
 
-    def _cycled(self) -> None:
-        """In each control period."""
+    def cycled(self) -> None:
+        """In each control period, the arm's too."""
         self._on_cycle()
         self._periods += 1
         if self._keep is not None and self._periods % KEEP_EVERY == 0:

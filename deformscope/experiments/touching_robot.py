@@ -87,12 +87,12 @@ def touching_robot(
     if not setup.runs_itself:
         yield robot
         return
-    with _without_long_pauses(), robot.in_a_thread():
+    with without_long_pauses(), robot.in_a_thread():
         yield robot
 
 
 @contextlib.contextmanager
-def _without_long_pauses() -> Iterator[None]:
+def without_long_pauses() -> Iterator[None]:
     """Keep what was loaded until now out of Python's search for garbage, which would hold all threads up for 0.1 s and
     more, in the middle of a motion; and have threads take turns more often."""
     gc.collect()

@@ -3,24 +3,36 @@ there, the rest is drawn from the seed."""
 
 from __future__ import annotations
 
+import dataclasses
 import zlib
 from dataclasses import dataclass
 
 import numpy as np
 
 from deformscope.errors import InputError
+from deformscope.lab.carried_hand import (
+    CARRIED_NAMES,
+    T_ARM_HAND,
+    T_BASE_TABLE,
+    T_TABLE_CAMERA,
+    CarriedHandLab,
+    workspace_of,
+)
 from deformscope.lab.container_constants import CONTENTS
 from deformscope.lab.container_shell import SHAPES, ContainerShape
 from deformscope.lab.squeeze_lab import NAMES, ContainerCase, SqueezeLab, container_of
 from deformscope.rig.squeeze_sections import ContainerSection, HandSection, SqueezeSection
+from deformscope.robot.placement import Placement
+from deformscope.robot.placing import PlacingSetup, hand_tool
 from deformscope.robot.setup import CameraView
-from deformscope.robot.squeeze_plan import draw_grasp
+from deformscope.robot.squeeze_plan import GripShape, draw_grasp
 from deformscope.robot.squeeze_setup import (
     SimulatedContainer,
     SqueezeNames,
     SqueezeParts,
     SqueezeSetup,
 )
+from deformscope_drivers.arm.kinematics import transform
 
 KINDS = {"box": "cardboard box", "cylinder": "plastic cylinder"}
 """In words, by the form of a container."""
@@ -49,16 +61,19 @@ def container_lab(
     *,
     camera_hz: float = CAMERA_HZ,
     alike: bool = False,
+    arm: str = "",
 ) -> ContainerLab:
     """content, container: empty = drawn; session: its number is that of the room's temperature
 
-    camera_hz, alike: as for `SqueezeLab`, `ContainerCase`
+    camera_hz, alike: as for `SqueezeLab`, `ContainerCase`; arm: `jaco` or `kuka`, which places the hand; empty = none
     Raises InputError for a content or a container that is not known.
     """
     content, container = _drawn(content, container, "box", seed)
     shape, _ = container_of(container)
     section = ContainerSection(shape.kind, _size_m(shape), shape.wall.thickness_m, KINDS[shape.kind])
     squeeze = SqueezeSection(open_deg=OPEN_DEG, distal_deg=DISTAL_DEG)
+    if arm:
+        return _carried(arm, content, container, section, squeeze, _session_number(session), seed, camera_hz)
     grasp = draw_grasp(section, squeeze, seed)
     case = ContainerCase(content, container, seed, _session_number(session), grasp.T_hand_container, alike)
     lab = SqueezeLab(case, camera_hz)
@@ -77,6 +92,43 @@ def container_lab(
         simulated=True,
         runs_itself=False,
         truth=lab.truth,
+        clock=lab.clock,
+        wait_until=lab.wait_until,
+    )
+    return ContainerLab(setup, content, container, lab)
+
+
+def _carried(
+    arm: str,
+    content: str,
+    container: str,
+    section: ContainerSection,
+    squeeze: SqueezeSection,
+    session: int,
+    seed: int,
+    camera_hz: float,
+) -> ContainerLab:
+    """The container stands on a table, and an arm carries the hand: the thumb, which is parked, is above it."""
+    middle = transform(np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]]), GripShape.of(section, squeeze).middle_m)
+    section = dataclasses.replace(section, T_hand_container=tuple(tuple(map(float, row)) for row in middle))
+    T_base_table = T_BASE_TABLE[arm]
+    placement = Placement(T_base_table, hand_tool(T_ARM_HAND, GripShape.of(section, squeeze)))
+    lab = CarriedHandLab(arm, placement, ContainerCase(content, container, seed, session), camera_hz)
+    lens = lab.view.intrinsics
+    setup = SqueezeSetup(
+        names=SqueezeNames(*CARRIED_NAMES),
+        hand=HandSection(T_arm_hand=tuple(tuple(map(float, row)) for row in T_ARM_HAND)),
+        container=section,
+        squeeze=squeeze,
+        camera=CameraView((lens.fx_px, lens.fy_px), (lens.cx_px, lens.cy_px), rate_hz=camera_hz),
+        open_source=lab.source,
+        grasp=draw_grasp(section, squeeze, seed),
+        T_arm_hand=T_ARM_HAND,
+        T_arm_camera=T_base_table @ T_TABLE_CAMERA,
+        simulated=True,
+        runs_itself=False,
+        truth=lab.truth,
+        placing=PlacingSetup(lab.chain, placement, workspace_of(T_base_table), {}),
         clock=lab.clock,
         wait_until=lab.wait_until,
     )

@@ -8,6 +8,8 @@ projector beside the fingers, a pixel wide on the wall.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import numpy.typing as npt
 
@@ -32,6 +34,7 @@ from deformscope_drivers.sdh.kinematics import FINGERS, finger_points
 CAMERA = DepthViewConfig(distance_m=1.0, elevation_deg=20.0, azimuth_deg=-20.0)
 """Around the container's own axes, as it stands unturned in the hand."""
 PALM_RADIUS_M, PALM_BACK_M = 0.045, 0.10
+PALM = Capsule(np.array([0.0, 0.0, -PALM_BACK_M]), np.array([0.0, 0.0, -PALM_RADIUS_M]), PALM_RADIUS_M)
 TABLE_M = 0.8
 AROUND_PX = 3.0
 FINER = 3
@@ -56,10 +59,14 @@ class ContainerView(RayCamera):
         nodes_m: tuple[FloatArray, FloatArray],
         T_hand_container: FloatArray,
         config: DepthViewConfig = CAMERA,
+        T_world_camera: FloatArray | None = None,
     ) -> None:
         """nodes_m: along s and z, at which `render` is given displacements; T_hand_container: (4, 4) where the
-        container stands before, on its table; the camera is at its `camera_pose`, however it stands"""
-        super().__init__(config, camera_pose(config))
+        container stands before, on its table; the camera is at its `camera_pose`, however it stands
+
+        T_world_camera: (4, 4) of a camera in another frame, in which hand and container then are: an arm moves them
+        """
+        super().__init__(config, camera_pose(config) if T_world_camera is None else T_world_camera)
         self.shape = shape
         around_m = np.append(nodes_m[0], nodes_m[0][0] + shape.perimeter_m)
         fine = [_between(nodes, FINER) for nodes in (around_m, nodes_m[1])]
@@ -76,12 +83,8 @@ class ContainerView(RayCamera):
         whole = (slice(None), slice(None))
         depth, facing, _ = self.hits([(corners, np.array([[0, 1, 2], [0, 2, 3]], np.uint32))], whole)
         seen = np.where(np.isnan(depth), NOTHING, TABLE).astype(np.uint8)
-        self.cover(
-            Capsule(np.array([0.0, 0.0, -PALM_BACK_M]), np.array([0.0, 0.0, -PALM_RADIUS_M]), PALM_RADIUS_M),
-            depth,
-            seen,
-            facing,
-        )
+        if T_world_camera is None:
+            self.cover(PALM, depth, seen, facing)
         self._still = Rendered(depth, _colors(seen, facing), seen, facing)
 
     def mesh(self, inward_m: FloatArray) -> tuple[FloatArray, npt.NDArray[np.uint32]]:
@@ -93,11 +96,16 @@ class ContainerView(RayCamera):
         return np.vstack([wall, high.mean(axis=0)]), self._triangles
 
     def render(
-        self, inward_m: FloatArray, T_hand_container: FloatArray, position_deg: npt.NDArray[np.float64]
+        self,
+        inward_m: FloatArray,
+        T_hand_container: FloatArray,
+        position_deg: npt.NDArray[np.float64],
+        robot: Sequence[Capsule] | None = None,
     ) -> Rendered:
         """The exact picture.
 
         inward_m: (nodes along s, along z) displacement of the wall; position_deg: (7,) of the hand
+        robot: all that is seen of it, None = the fingers of a hand in whose frame this is
         """
         still = self._still
         depth, seen, facing = still.depth_m.copy(), still.seen.copy(), still.facing.copy()
@@ -108,7 +116,7 @@ class ContainerView(RayCamera):
         nearer = own < np.where(np.isnan(depth[part]), np.inf, depth[part])
         for whole, value in ((depth, own), (seen, np.full(own.shape, CONTAINER, np.uint8)), (facing, cosine)):
             whole[part] = np.where(nearer, value, whole[part])
-        capsules = finger_capsules(position_deg)
+        capsules = finger_capsules(position_deg) if robot is None else robot
         for capsule in capsules:
             self.cover(capsule, depth, seen, facing)
         color = still.color.copy()

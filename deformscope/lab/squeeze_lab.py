@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import contextlib
 import zlib
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -210,7 +210,7 @@ class SqueezeLab:
 
     def __init__(self, case: ContainerCase, camera_hz: float = 30.0) -> None:
         self.clock = SimulatedClock(1_000_000_000)
-        self.simulated = SqueezedContainer(case, self.clock, Port.TCP)
+        self.simulated = self._made(case)
         self.hand = Sdh(
             SdhConfig(port="socket://simulated-hand:23", rate_hz=50.0),
             transport=MemoryTransport(self.simulated.hand, self.clock, "simulated hand"),
@@ -227,6 +227,10 @@ class SqueezeLab:
             clock=self.clock,
         )
 
+    def _made(self, case: ContainerCase) -> SqueezedContainer:
+        """What the devices are over."""
+        return SqueezedContainer(case, self.clock, Port.TCP)
+
     @property
     def shape(self) -> ContainerShape:
         """The container's outer form."""
@@ -239,7 +243,7 @@ class SqueezeLab:
 
     def open(self) -> None:
         """Open the devices on the laboratory's clock."""
-        for device in self._devices:
+        for device in self._three:
             device.open(own_thread=False)
 
     def close(self) -> None:
@@ -257,25 +261,32 @@ class SqueezeLab:
 
     def source(self) -> RigSource:
         """The devices as a source, named as in `NAMES`; entering it opens them."""
-        return RigSource(members(*self._devices), clock=self.clock, opener=self.open)
+        return RigSource(members(*self._three), clock=self.clock, opener=self.open)
 
     def wait_until(self, until_ns: int) -> None:
         """Let time pass: the hand goes on in each of its cycles, and every device is polled at its moments."""
         while (now_ns := self.clock()) < until_ns:
             self.clock.advance_to(min((now_ns // POLL_NS + 1) * POLL_NS, until_ns))
             self.simulated.hand.position_deg(self.clock())
-            for device in self._devices:
-                if device.is_open:
-                    with contextlib.suppress(DeviceError):  # a link that is lost is reported by its device
-                        device.poll(0.0)
+            self._poll(self._three)
+
+    def _poll(self, devices: Iterable[Device[Any]]) -> None:
+        for device in devices:
+            if device.is_open:
+                with contextlib.suppress(DeviceError):  # a link that is lost is reported by its device
+                    device.poll(0.0)
 
     def truth(self) -> ContainerTruth:
         """What is simulated, up to now."""
         return self.simulated.truth()
 
     @property
-    def _devices(self) -> tuple[Device[Any], Device[Any], Device[Any]]:
+    def _three(self) -> tuple[Device[Any], Device[Any], Device[Any]]:
         return self.hand, self.pads, self.camera
+
+    @property
+    def _devices(self) -> tuple[Device[Any], ...]:
+        return self._three
 
 
 def members(hand: Device[Any], pads: Device[Any], camera: Device[Any]) -> list[RigMember]:

@@ -202,25 +202,25 @@ def follow(
         place = routes[:, index]
         known = np.isfinite(before[:, 0])
         ways = [_way(*both) if there else both[1][None] for there, *both in zip(known, before, place, strict=True)]
-        led[:, index], there_deg = _led(chain, placement, ways, joints_deg, known, meanwhile)
+        poses = [placement.T_base_ee(way[:, :3], way[:, 3:]) for way in ways]
+        led[:, index], there_deg = lead(chain, poses, joints_deg, known, meanwhile)
         # what was not reached: the next one is sought from the last that was
         joints_deg = np.where(led[:, index, None], there_deg, joints_deg)
         before = np.where(led[:, index, None], place, before)
     return led.reshape(places.shape[:-1])
 
 
-def _led(
+def lead(
     chain: Chain,
-    placement: Placement,
     ways: Sequence[FloatArray],
     joints_deg: FloatArray,
     steered: npt.NDArray[np.bool_],
-    meanwhile: Callable[[], None],
+    meanwhile: Callable[[], None] = lambda: None,
 ) -> tuple[npt.NDArray[np.bool_], FloatArray]:
     """Which of k ways can be followed (k,) bool, and the joint angles (k, m) [deg] at their ends.
 
-    ways: of places with their normals (n, 6) [m, surface frame]; joints_deg: (k, m) where they begin; steered: (k,) the
-    arm comes to each place from the one before
+    ways: of poses (n, 4, 4) of the arm's end, base frame, WAY_M apart; joints_deg: (k, m) where they begin; steered:
+    (k,) the arm comes to each place from the one before
     """
     good, joints_deg = np.ones(len(ways), dtype=bool), joints_deg.copy()
     for step in range(max(map(len, ways))):
@@ -228,8 +228,7 @@ def _led(
         on = [index for index, way in enumerate(ways) if good[index] and step < len(way)]
         if not on:
             break
-        places = np.array([ways[one][step] for one in on])
-        T_base_ee = placement.T_base_ee(places[:, :3], places[:, 3:])
+        T_base_ee = np.array([ways[one][step] for one in on])
         links = chain.forward(joints_deg[on])
         jacobian, twist = jacobian_of(links), pose_error(links[:, -1], T_base_ee)
         off = off_course(jacobian, damped_joint_rates(jacobian, twist, DAMPED_BELOW), twist) > OFF_COURSE

@@ -15,7 +15,7 @@ from deformscope.robot.description import AS_CAPSULES, RobotDescription
 from deformscope.robot.force_alone import ForceAlone
 from deformscope.robot.placement import TURNED_RAD, best_joints, follow, towards
 from deformscope.robot.readings import ArmSample, ForceSample, RobotObservation
-from deformscope.robot.robot import Robot
+from deformscope.robot.robot import ForceSensor, Robot
 from deformscope.robot.shape import LINK_RADIUS_M
 from deformscope.robot.touch import TouchPlan
 from deformscope_drivers.arm.device import CALL_MS
@@ -121,7 +121,7 @@ def _configured_rates(robot: Robot) -> dict[str, float]:
 
 
 def _devices(robot: Robot, seen: Sequence[RobotObservation], rates_hz: Mapping[str, float]) -> Iterator[Check]:
-    devices: dict[str, tuple[Device[Any] | None, int]] = {
+    devices: dict[str, tuple[Device[Any] | ForceSensor | None, int]] = {
         "arm": (robot.arm, sum(len(one.arms) for one in seen)),
         "force sensor": (robot.force, sum(len(one.forces) for one in seen)),
         "camera": (robot.camera, sum(len(one.pictures) for one in seen)),

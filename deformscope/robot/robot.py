@@ -29,13 +29,27 @@ from deformscope_drivers.clock import Clock, monotonic_ns
 from deformscope_drivers.depth_camera.image import DepthImage
 from deformscope_drivers.device import Device
 from deformscope_drivers.errors import DeviceError
-from deformscope_drivers.health import Link
+from deformscope_drivers.health import Health, Link
 from deformscope_drivers.images import fingerprint
-from deformscope_drivers.optoforce import Optoforce
 from deformscope_drivers.optoforce.measurement import ForceMeasurement
 
 VALID_PERIODS = 4
 """A velocity ends by itself unless it is set again within so many control periods."""
+
+
+class ForceSensor(Protocol):
+    """What tells the force at the end of an arm (`Optoforce`, `fingertip_force.FingertipForce`). Its readings have
+    `stamp`, `force_n` (channels, 3) [N], `counts`, which change from one to the next, and `usable`"""
+
+    @property
+    def config(self) -> Any: ...
+
+    @property
+    def link(self) -> Link: ...
+
+    def health(self) -> Health: ...
+
+    def readings(self) -> Any: ...
 
 
 Watch = Callable[[RobotObservation, SafetyDecision], None]
@@ -101,7 +115,7 @@ class Robot:
     def __init__(
         self,
         arm: Arm[Any],
-        force: Optoforce,
+        force: ForceSensor,
         placement: Placement,
         limits: Limits,
         *,
@@ -452,7 +466,7 @@ def _share(vector: FloatArray, most: float) -> float:
     return most / max(float(np.linalg.norm(vector)), 1e-12)
 
 
-def damaged_frames(force: Optoforce) -> int:
+def damaged_frames(force: ForceSensor) -> int:
     """Damaged frames since the force sensor was opened: the larger of stretches of bytes that fit no frame and frames
     refused."""
     health = force.health()

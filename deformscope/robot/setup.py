@@ -136,14 +136,19 @@ class Setup:
             compliance_m_per_n=max(0.0, self.compliance_m_per_n - 2.0 * self.compliance_sd),
             doubt_m=self.camera.doubt_m,
         )
-        try:
-            while not robot.arm_seen:
-                robot.cycle()
-        except RobotStopped as stopped:
-            verdict = stopped.verdict
-            came = f"{verdict.fault}: {verdict.reason}"
-            raise InputError("devices that are well", came, f"see to {advice(verdict.fault)}") from stopped
-        return robot
+        return seen(robot)
+
+
+def seen(robot: Robot) -> Robot:
+    """The same once its arm has reported. Raises InputError where a device is not well."""
+    try:
+        while not robot.arm_seen:
+            robot.cycle()
+    except RobotStopped as stopped:
+        verdict = stopped.verdict
+        came = f"{verdict.fault}: {verdict.reason}"
+        raise InputError("devices that are well", came, f"see to {advice(verdict.fault)}") from stopped
+    return robot
 
 
 class SimulatedDevices(Protocol):

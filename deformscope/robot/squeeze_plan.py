@@ -6,12 +6,21 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from deformscope.arrays import FloatArray
+from deformscope.capsule import Capsule
 from deformscope.errors import InputError
 from deformscope.rig.squeeze_sections import ContainerSection, SqueezeSection
 from deformscope_drivers.arm.kinematics import transform
-from deformscope_drivers.sdh.kinematics import BASE_HEIGHT_M, BASE_SIDE_M, DISTAL_LINK_M, FINGERS, PROXIMAL_LINK_M
+from deformscope_drivers.sdh.kinematics import (
+    BASE_HEIGHT_M,
+    BASE_SIDE_M,
+    DISTAL_LINK_M,
+    FINGERS,
+    PROXIMAL_LINK_M,
+    finger_points,
+)
 
 BASE_DEG = 90.0
 """The two fingers on the common base face each other there: `deformscope_drivers.sdh.kinematics`."""
@@ -67,12 +76,26 @@ class RandomGrasp:
     """Where the hand stands on the container.
 
     along_m: of the middle of the pads from the container's middle, along its longest edge; tilt_deg: of the hand about
-    the axis of closing; T_hand_container: (4, 4) container to hand [m]
+    the axis of closing; T_hand_container: (4, 4) container to hand [m]; turn_deg: about the container's own z axis
     """
 
     along_m: float
     tilt_deg: float
     T_hand_container: FloatArray
+    turn_deg: float = 0.0
+
+
+def draw_grasps(container: ContainerSection, squeeze: SqueezeSection, seed: int, count: int) -> list[RandomGrasp]:
+    """Grasps one after the other, the same for the same seed: each as `draw_grasp`, from either side of a box, from any
+    side of a cylinder."""
+    random = np.random.default_rng([seed, 0x97])
+    found = []
+    for _ in range(count):
+        along, tilt = np.clip(random.standard_normal(2), -2.0, 2.0)
+        turn_deg = random.uniform(-180.0, 180.0) if container.shape == "cylinder" else 180.0 * random.integers(2)
+        along_m, tilt_deg = float(along * squeeze.spread_m), float(tilt * squeeze.tilt_deg)
+        found.append(grasp_at(container, squeeze, along_m, tilt_deg, float(turn_deg)))
+    return found
 
 
 def draw_grasp(container: ContainerSection, squeeze: SqueezeSection, seed: int) -> RandomGrasp:
@@ -80,7 +103,13 @@ def draw_grasp(container: ContainerSection, squeeze: SqueezeSection, seed: int) 
     standard deviations."""
     random = np.random.default_rng([seed, 0x5E])
     along, tilt = np.clip(random.standard_normal(2), -2.0, 2.0)
-    along_m, tilt_deg = float(along * squeeze.spread_m), float(tilt * squeeze.tilt_deg)
+    return grasp_at(container, squeeze, float(along * squeeze.spread_m), float(tilt * squeeze.tilt_deg))
+
+
+def grasp_at(
+    container: ContainerSection, squeeze: SqueezeSection, along_m: float, tilt_deg: float, turn_deg: float = 0.0
+) -> RandomGrasp:
+    """The grasp of these numbers, as `RandomGrasp` has them."""
     size = container.size_m
     edge = 1 if size[1] > size[2] else 2
     middle = grasp_middle(container, squeeze)
@@ -93,7 +122,25 @@ def draw_grasp(container: ContainerSection, squeeze: SqueezeSection, seed: int) 
     # about the middle between the pads, which stays on the container's axis of closing
     pads = np.array(GripShape.of(container, squeeze).middle_m)
     about = transform(np.eye(3), pads) @ transform(turn, np.zeros(3)) @ transform(np.eye(3), -pads)
-    return RandomGrasp(along_m, tilt_deg, np.asarray(about @ middle @ transform(np.eye(3), offset)))
+    posed = about @ middle @ transform(np.eye(3), offset)
+    if turn_deg:
+        sine, cosine = math.sin(math.radians(turn_deg)), math.cos(math.radians(turn_deg))
+        posed = posed @ transform(np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]]), np.zeros(3))
+    return RandomGrasp(along_m, tilt_deg, np.asarray(posed), turn_deg)
+
+
+LINK_M, PALM_M = 0.012, 0.055
+"""Radii of what stands for a finger's links and for the palm. Assumed: the SDH's links are some 22 mm thick."""
+
+
+def hand_capsules(position_deg: npt.NDArray[np.float64]) -> list[Capsule]:
+    """Fingers and palm in the hand frame. position_deg: (7,)"""
+    found = []
+    for finger in range(len(FINGERS)):
+        points = finger_points(position_deg, finger)
+        found += [Capsule(points[0], points[1], LINK_M), Capsule(points[1], points[2], LINK_M)]
+    palm = np.array([[0.0, 0.0, -0.05], [0.0, 0.0, BASE_HEIGHT_M - PALM_M + 0.02]])
+    return [*found, Capsule(palm[0], palm[1], PALM_M)]
 
 
 def grasp_middle(container: ContainerSection, squeeze: SqueezeSection) -> FloatArray:

@@ -16,9 +16,12 @@ from deformscope.errors import InputError
 from deformscope.rig.rig_file import Rig, RigDevice
 from deformscope.rig.source import RigMember, RigSource
 from deformscope.rig.squeeze_sections import ContainerSection, HandSection, SqueezeSection
+from deformscope.robot.placement import Placement
+from deformscope.robot.placing import PlacingSetup, hand_tool
 from deformscope.robot.robot import Waits, sleep_until
 from deformscope.robot.setup import CAMERA_HZ, CameraView, SimulatedDevices, only_device, open_rig
-from deformscope.robot.squeeze_plan import RandomGrasp, draw_grasp
+from deformscope.robot.squeeze_plan import GripShape, RandomGrasp, draw_grasp
+from deformscope_drivers.arms import chain_of
 from deformscope_drivers.clock import Clock, monotonic_ns
 from deformscope_drivers.depth_camera.image import Intrinsics
 
@@ -79,8 +82,9 @@ class SqueezeParts:
     grasp: RandomGrasp
 
     @classmethod
-    def of(cls, rig: Rig, seed: int) -> SqueezeParts:
-        """Raises InputError, which names what is missing, or what does not go together."""
+    def of(cls, rig: Rig, seed: int, place: str = "person") -> SqueezeParts:
+        """place: who places the hand: the driver of the arm that is to, or `person`. Raises InputError, which names
+        what is missing, or what does not go together."""
         cameras = any(entry.driver.kind == "depth" for entry in rig.devices)
         carried, use = rig.hand.T_arm_hand is not None, "to squeeze with"
         parts = cls(
@@ -88,15 +92,28 @@ class SqueezeParts:
             only_device(rig, "hand", use),
             only_device(rig, "tactile", use, rig.hand.tactile),
             only_device(rig, "depth", use) if cameras else None,
-            only_device(rig, "arm", "for [hand] T_arm_hand", driver="jaco") if carried else None,
+            only_device(rig, "arm", "for [hand] T_arm_hand", driver="jaco" if place == "person" else place)
+            if carried or place != "person"
+            else None,
             draw_grasp(rig.container, rig.squeeze, seed),
         )
         together = [entry for entry in (parts.hand, parts.tactile, parts.camera, parts.arm) if entry is not None]
+        if place != "person":
+            cls._check_placing(rig, parts)
         if len({entry.double for entry in together}) > 1:
             expected = f"{', '.join(entry.name for entry in together)} all real or all doubled"
             doubled = ", ".join(entry.name for entry in together if entry.double)
             raise InputError(expected, f"{doubled} doubled", "double = true in each of their sections", rig.name)
         return parts
+
+    @staticmethod
+    def _check_placing(rig: Rig, parts: SqueezeParts) -> None:
+        """Raises InputError for what an arm cannot place a hand without."""
+        if parts.hand.double:
+            came = "doubles of a rig file, which no arm carries"
+            raise InputError("real devices for --place, or lab:containers", came, "--place person", rig.name)
+        if lacks := lacks_to_place(rig):
+            raise InputError("for --place: " + ", ".join(lacks), "none", "deformscope doctor RIG lists them", rig.name)
 
     @property
     def simulated(self) -> bool:
@@ -120,6 +137,7 @@ class SqueezeSetup:
     grasp: where the hand is to stand on the container; placed: it stands there already
     simulated: nothing real moves; runs_itself: the devices have threads of their own and the host's clock
     truth: of a simulated squeeze, None where only the devices can say
+    placing: the arm that places the hand, None = a person does, or it stands there already
     """
 
     names: SqueezeNames
@@ -136,6 +154,7 @@ class SqueezeSetup:
     simulated: bool = False
     runs_itself: bool = True
     truth: Callable[[], TrueMoments] | None = None
+    placing: PlacingSetup | None = None
     clock: Clock = monotonic_ns
     wait_until: Waits = sleep_until
 
@@ -144,11 +163,13 @@ def squeeze_setup(
     parts: SqueezeParts,
     double: Callable[[RigDevice], AbstractContextManager[RigMember]],
     container: SimulatedContainer | None = None,
+    place: str = "person",
 ) -> SqueezeSetup:
     """All devices of a rig file.
 
     double: makes a device of the rig that no container is simulated around, or its double
     container: between the doubles; the hand stands at it already, and it brings the pose and projection of its camera
+    place: as of `SqueezeParts.of`
     """
     rig, seen = parts.rig, parts.rig.camera
     arm, camera = parts.arm, parts.camera
@@ -174,7 +195,8 @@ def squeeze_setup(
     )
     if container is None:
         poses = _transform(rig.hand.T_arm_hand), _transform(seen.T_arm_camera)
-        return replace(setup, T_arm_hand=poses[0], T_arm_camera=poses[1])
+        setup = replace(setup, T_arm_hand=poses[0], T_arm_camera=poses[1])
+        return replace(setup, placing=placing_of(parts)) if place != "person" else setup
     lens = container.intrinsics
     return replace(
         setup,
@@ -186,6 +208,32 @@ def squeeze_setup(
         truth=container.truth,
         clock=container.clock,
         wait_until=container.wait_until,
+    )
+
+
+def lacks_to_place(rig: Rig) -> list[str]:
+    """What a rig file has to say before an arm can place the hand, and does not."""
+    has = {
+        "[hand] T_arm_hand": rig.hand.T_arm_hand,
+        "[camera] T_arm_camera": rig.camera.T_arm_camera,
+        "[camera] focal_px and center_px": rig.camera.focal_px and rig.camera.center_px,
+        "[surface] T_arm_surface": rig.surface.T_arm_surface,
+        "[workspace] low_m and high_m": rig.workspace.low_m,
+        "[container] shape box or cylinder": rig.container.shape != "mesh",
+    }
+    return [name for name, there in has.items() if not there]
+
+
+def placing_of(parts: SqueezeParts) -> PlacingSetup:
+    """The arm of a rig that places its hand. Raises InputError for an arm whose joints are not known."""
+    rig, arm = parts.rig, parts.arm
+    chain = None if arm is None else chain_of(arm.config.model or "")
+    T_arm_hand, T_base_table = _transform(rig.hand.T_arm_hand), _transform(rig.surface.T_arm_surface)
+    if chain is None or T_arm_hand is None or T_base_table is None:
+        raise InputError('model = "..." of the arm, for --place', "none", 'model = "j2n6s300"', rig.name)
+    tool = hand_tool(T_arm_hand, GripShape.of(rig.container, rig.squeeze))
+    return PlacingSetup(
+        chain, Placement(np.asarray(T_base_table, np.float64), tool), rig.workspace, dict(rig.calibrated.ages())
     )
 
 

@@ -190,6 +190,11 @@ class Supervisor(LatchingSupervisor[Fault]):
         """Whether the arm has reported joint torques that a collision is seen by."""
         return self._torques
 
+    @property
+    def sees_collisions(self) -> bool:
+        """Whether the arm has reported joint torques or motor currents."""
+        return self._torques or self._motors
+
     def start(self, now_ns: int) -> None:
         super().start(now_ns)
         self._force_ns = self._arm_ns = now_ns

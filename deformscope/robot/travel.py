@@ -65,6 +65,19 @@ def move_tip(
     """
     goal = robot.placement.T_surface_base @ robot.placement.T_base_ee(center_m, normal)
     goal = goal @ robot.placement.T_ee_center
+    move_to(robot, goal, speed_m_s, passing=passing, near_m=near_m, braking_per_s=braking_per_s)
+
+
+def move_to(
+    robot: Robot,
+    goal: npt.NDArray[np.floating],
+    speed_m_s: float,
+    *,
+    passing: bool = False,
+    near_m: float = REACHED_M,
+    braking_per_s: float | None = None,
+) -> None:
+    """As `move_tip`, to a pose (4, 4) of the tip in the surface frame [m]."""
     near_m, near_rad = (PASSED_M, PASSED_RAD) if passing else (near_m, REACHED_RAD)
     error = _error(robot, goal)
     way_s = max(float(np.linalg.norm(error[:3])) / speed_m_s, float(np.linalg.norm(error[3:])) / ANGULAR_RAD_S)
@@ -77,7 +90,7 @@ def move_tip(
         step(robot, TipVelocity(capped(error[:3], speed_m_s, braking_per_s), capped(error[3:], ANGULAR_RAD_S)))
     robot.cycle()
     left = f"{np.linalg.norm(error[:3]) * 1e3:.1f} mm and {np.linalg.norm(error[3:]):.3f} rad away"
-    raise NotThere(f"the tip at {np.round(np.asarray(center_m), 4)} m", left, "a place that the arm reaches")
+    raise NotThere(f"the tip at {np.round(goal[:3, 3], 4)} m", left, "a place that the arm reaches")
 
 
 def move_joints(robot: Robot, joints_deg: npt.ArrayLike) -> None:
@@ -182,7 +195,7 @@ def find_way(
         start_deg=start_deg,
         meanwhile=meanwhile,
     )
-    up_free = bool(followed[0] and _in_box(placement, limits, up[None])[0])
+    up_free = bool(followed[0] and in_box(placement, limits, up[None])[0])
     turned = np.linalg.norm(pose_error(T_base_ee, goal)[3:]) > TURNED_RAD
     as_touches = (
         stick[2] > 0.5
@@ -195,7 +208,7 @@ def find_way(
         joints_deg = best_joints(chain, [placement.T_base_ee(one, normal) for one in places])
     if not straight and (joints_deg is None or not (turned or up_free)):
         raise _no_way((up, *places)[int(followed.argmin())], NEAR_LIMITS)
-    outside = ~_in_box(placement, limits, np.array(places))
+    outside = ~in_box(placement, limits, np.array(places))
     if outside.any():
         raise _no_way(places[int(outside.argmax())], "outside the box of [workspace]")
     if joints_deg is None:
@@ -210,7 +223,7 @@ def find_way(
     return TravelWay(None if first else up_m, over, None if why else joints_deg)
 
 
-def _in_box(placement: Placement, limits: Limits, centers_m: FloatArray) -> BoolArray:
+def in_box(placement: Placement, limits: Limits, centers_m: FloatArray) -> BoolArray:
     """(n,) whether the tip's centre may be at places (n, 3) [m, surface frame], moving at half the greatest speed."""
     if limits.low_m is None or limits.high_m is None:
         return np.ones(len(centers_m), dtype=bool)
@@ -234,7 +247,7 @@ def _forbidden(
     share = np.linspace(0.0, 1.0, 1 + math.ceil(float(np.max(np.abs(turn)))))[:, None]
     frames = chain.forward(np.asarray(start_deg) + share * turn)
     centers_m = placement.T_surface_center(frames[:, -1])[:, :3, 3]
-    inside = _in_box(placement, limits, centers_m)
+    inside = in_box(placement, limits, centers_m)
     if not inside[int(inside.argmax()) :].all() or not inside[-1]:  # it may come in from outside
         return "whose way leaves the box of [workspace]"
     if centers_m[:, 2].min() < lowest_m:
@@ -266,10 +279,10 @@ def step(robot: Robot, command: TipVelocity | JointRates) -> None:
         raise InputError("nothing in the way", f"{verdict.fault}: {verdict.reason}", "look, then acknowledge")
 
 
-def _error(robot: Robot, goal: FloatArray) -> FloatArray:
+def _error(robot: Robot, goal: npt.NDArray[np.floating]) -> FloatArray:
     """(6,) translation [m] and rotation vector [rad] from the tip's pose to a goal (4, 4), both in the surface
     frame."""
-    return pose_error(robot.placement.T_surface_center(robot.pose.T_base_ee), goal)
+    return pose_error(robot.placement.T_surface_center(robot.pose.T_base_ee), np.asarray(goal, np.float64))
 
 
 def capped(error: FloatArray, fastest: float, braking_per_s: float | None = None) -> FloatArray:

@@ -167,16 +167,17 @@ class SqueezeOpening:
 
 
 def squeeze_setup_of(
-    name: str, content: str, container: str, session: str, seed: int, *, trusted: bool
+    name: str, content: str, container: str, session: str, seed: int, *, trusted: bool, place: str = "person"
 ) -> SqueezeOpening:
     """The setup of lab:containers or of a rig file, whose doubles squeeze a simulated container.
 
-    content, container: empty = drawn, where they are simulated
+    content, container: empty = drawn, where they are simulated; place: who places the hand: person, jaco or kuka
     """
     if name == CONTAINERS:
         from deformscope.lab.container_setup import container_lab
 
-        made = container_lab(content, container, session, seed)
+        arm = "" if place == "person" else place
+        made = container_lab(content, container, session, seed, arm=arm)
         return SqueezeOpening(made.setup, {"lab": CONTAINERS}, made.content, made.container)
     if name.startswith(LAB):
         raise InputError(CONTAINERS + ", or a rig file", repr(name), CONTAINERS)
@@ -187,9 +188,9 @@ def squeeze_setup_of(
 
     rig = load_rig(name, trusted=trusted)
     settings = {"rig": rig.text, "rig_name": rig.name}
-    parts = SqueezeParts.of(rig, seed)
+    parts = SqueezeParts.of(rig, seed, place)
     if not parts.simulated:
-        return SqueezeOpening(squeeze_setup(parts, member_of), settings, content, container)
+        return SqueezeOpening(squeeze_setup(parts, member_of, place=place), settings, content, container)
     between = rig_container(parts, content, container, session, seed)
     setup = squeeze_setup(parts, member_of, between.simulated)
     return SqueezeOpening(setup, settings, between.content, between.container)

@@ -12,9 +12,10 @@ from deformscope.errors import InputError
 from deformscope.runs.replay_result import Different, ReplayResult, compare
 
 if TYPE_CHECKING:
-    from deformscope.experiments.squeeze_features import TrialFeatures
+    from deformscope.experiments.squeeze_features import SqueezeGeometry, TrialFeatures
     from deformscope.recording.reader import Replay
     from deformscope.stages.squeeze.model import ContentModel
+    from deformscope.stages.squeeze.placement import ContainerSighting
 
 
 @dataclasses.dataclass
@@ -72,9 +73,10 @@ def squeeze_again(recording: Replay) -> SqueezeAgain:
     from deformscope.experiments.squeeze_frames import SqueezeFrames, SqueezeObserver, TactileSource
     from deformscope.frames import ArmFrame, DepthFrame, HandFrame, TactileFrame
     from deformscope.recording.item_rows import read_rows
-    from deformscope.recording.items import read_streams
+    from deformscope.recording.items import read_results, read_streams
     from deformscope.runs.squeeze_run import final_posterior, tactile_posterior
     from deformscope.stages.squeeze.events import EventRule
+    from deformscope.stages.squeeze.placement import HandPlacement
     from deformscope.stages.squeeze.trial import SqueezePhase
 
     squeezed, path = recording.settings["squeezed"], recording.path
@@ -94,6 +96,10 @@ def squeeze_again(recording: Replay) -> SqueezeAgain:
             observer.phase(row.item.name, row.session_ns + start_ns)
     steps = [observer.observe(row.item) for row in rows if not isinstance(row.item, SqueezePhase)]
     found = SqueezeAgain([result for step in filter(None, steps) for result in step.results])
+    found.results += sighted_again(recording, [row.item for row in rows], geometry)
+    placements = [one.item for one in read_results(path, (HandPlacement,), trust=True)]
+    if placements:
+        geometry = dataclasses.replace(geometry, T_hand_container=placements[-1].T_hand_container)
     try:
         found.features = trial_features(frames, geometry)
     except InputError as error:
@@ -102,6 +108,27 @@ def squeeze_again(recording: Replay) -> SqueezeAgain:
     found.results += [result for _, results in found.features.steps() for result in results]
     if model is not None:
         found.results.append(posterior_of(found.features, final_posterior(model)))
+    return found
+
+
+def sighted_again(recording: Replay, items: list[Any], geometry: SqueezeGeometry) -> list[ContainerSighting]:
+    """The container once more in each of the images in which it was sought; none where a person placed the hand."""
+    from deformscope.experiments.placing import sight
+    from deformscope.frames import ArmFrame, DepthFrame, HandFrame
+    from deformscope.recording.items import read_results
+    from deformscope.stages.squeeze.placement import ContainerSighting
+
+    recorded = [one.item for one in read_results(recording.path, (ContainerSighting,), trust=True)]
+    if not recorded:
+        return []
+    images = {one.index: one for one in items if isinstance(one, DepthFrame)}
+    arms = {one.stamp.host_ns: one for one in items if isinstance(one, ArmFrame)}
+    hands = {one.stamp.host_ns: one for one in items if isinstance(one, HandFrame)}
+    found: list[ContainerSighting] = []
+    for one in recorded:
+        before = found[0].fit if found else None
+        taken = [images[int(index)] for index in one.images]
+        found.append(sight(taken, arms[one.arm_ns], hands[one.hand_ns], geometry, one.when, before, one.near))
     return found
 
 

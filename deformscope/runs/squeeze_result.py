@@ -15,6 +15,7 @@ from deformscope.runs.result import LibraryResult
 
 if TYPE_CHECKING:
     from deformscope.experiments.squeeze_features import TrialFeatures
+    from deformscope.stages.squeeze.placement import ContainerSighting, HandPlacement
     from deformscope.stages.squeeze.trial import ContentPosterior, SqueezeStop
 
 
@@ -24,6 +25,8 @@ class SqueezeResult(LibraryResult):
 
     content: what was asked for or, in the laboratory, drawn; stop: why it ended before its steady state
     start_ns: of the recording; computed: None where it was stopped; answer: of a model, None without one
+    placement, sightings: of an arm that placed the hand, None and none where a person did; withdrawal: why it stopped
+    on its way back
     hand_stands, limits_restored: the hand could be stopped, its currents' limits are as they were
     truth: when the laboratory's container was touched and held [s]
     """
@@ -62,6 +65,16 @@ class SqueezeResult(LibraryResult):
     answer: ContentPosterior | None = field(metadata=reported(flat=True))
     hand_stands: bool = field(metadata=reported())
     limits_restored: bool = field(metadata=reported())
+    placement: HandPlacement | None = field(metadata=reported(optional=True))
+    sightings: tuple[ContainerSighting, ...] = field(metadata=reported(key=None))
+
+    @property
+    @derived(optional=True)
+    def container_seen(self) -> list[dict[str, Any]] | None:
+        """As the depth images had it, before, when the hand was placed, and after the squeeze."""
+        return [to_json(one) for one in self.sightings] or None
+
+    withdrawal: SqueezeStop | None = field(metadata=reported(optional=True))
     losses: Mapping[str, Any] = field(metadata=reported())
     truth: Mapping[str, float | None] | None = field(metadata=reported())
     dataset: Path | None = field(metadata=reported())
@@ -115,6 +128,14 @@ class SqueezeResult(LibraryResult):
             ("content", self.content if self.content_given else "not given"),
             ("container", self.container or "not given"),
         ]
+        if self.placement is not None:
+            at, why = self.placement, [one for one in self.placement.refused if one]
+            others = "".join(f"; {why.count(one)} {one}" for one in dict.fromkeys(why))
+            words = f"{1e3 * at.along_m:.0f} mm along, tilted {at.tilt_deg:.0f} deg, turned {at.turn_deg:.0f} deg"
+            rows.append(("placed by", f"{at.by}: {words}; tried {len(at.refused)}{others}"))
+        rows += [(f"container {one.when}", one.words) for one in self.sightings]
+        if self.withdrawal is not None:
+            rows.append(("arm", f"stopped on its way back: {self.withdrawal.kind}: {self.withdrawal.reason}"))
         if self.computed is not None:
             events, seen = self.computed.events, self.computed.features
             force_n, stiffness = self.physical["force_n"], self.physical["stiffness_n_per_m"]

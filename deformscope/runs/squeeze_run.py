@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import datetime
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
     from deformscope.page.server.page_session import PageSession
     from deformscope.page.squeezing import PageSqueezing
     from deformscope.recording.recorder import Recorder
+    from deformscope.robot.checks import Preflight
     from deformscope.robot.squeeze_setup import SqueezeSetup
     from deformscope.runs.opened_devices import SqueezeOpening
     from deformscope.session import RigExperiment
@@ -54,7 +56,7 @@ class SqueezeOutcome:
         """Whether that is why it ended."""
         from deformscope.robot.squeeze_supervisor import SqueezeFault
 
-        stop = self.result.stop
+        stop = self.result.stop or self.result.withdrawal
         return self.asked.is_set() and stop is not None and stop.kind == SqueezeFault.ASKED
 
 
@@ -68,7 +70,9 @@ def squeeze_on(config: SqueezeConfig, report: Callable[[SqueezeResult], None]) -
     dataset = None if config.dataset is None else SqueezeDataset(config.dataset)
     seed = config.output.seed + _trials_before(dataset, config.container, session)
     model = _model(config.model)
-    opening = squeeze_setup_of(config.rig, config.content, config.container, session, seed, trusted=config.trust_rig)
+    opening = squeeze_setup_of(
+        config.rig, config.content, config.container, session, seed, trusted=config.trust_rig, place=config.place
+    )
     if model is not None and model.settings and dict(model.settings) != feature_settings(opening.setup):
         raise InputError("a model of features with this rig's settings", f"{dict(model.settings)}", where=config.model)
     entry = entry_of(opening.setup, opening.content, opening.container, session, seed)
@@ -90,7 +94,7 @@ def squeeze_on(config: SqueezeConfig, report: Callable[[SqueezeResult], None]) -
             real_time=opening.setup.runs_itself,
         ) as recorder,
     ):
-        ended = _run(config, opening, model, found, recorder, asked)
+        ended = _run(config, opening, model, found, recorder, asked, seed)
         if found.stop is not None:
             recorder.stopped_because(f"{found.stop.kind}: {found.stop.reason}")
     path = recorder.summary().path
@@ -110,6 +114,9 @@ def squeeze_on(config: SqueezeConfig, report: Callable[[SqueezeResult], None]) -
         answer=found.posterior,
         hand_stands=ended["hand_stands"],
         limits_restored=ended["limits_restored"],
+        placement=found.placement,
+        sightings=tuple(found.sightings),
+        withdrawal=found.withdrawal,
         losses=ended["losses"],
         truth=ended.get("truth"),
         dataset=config.dataset,
@@ -130,6 +137,7 @@ def _run(
     found: Squeezed,
     recorder: Recorder,
     asked: Interruption,
+    seed: int,
 ) -> dict[str, Any]:
     """Open the devices, squeeze, close them; what is known beside `found`."""
     from deformscope.experiments.squeeze import squeeze
@@ -137,6 +145,7 @@ def _run(
     from deformscope.experiments.squeeze_frames import ObservedRecorder
     from deformscope.experiments.squeezing_hand import SqueezingHand, feature_executor, observer_of
     from deformscope.frames import InputFile
+    from deformscope.robot.squeeze_plan import grasp_at
     from deformscope.session import run as run_session
 
     setup = opening.setup
@@ -152,7 +161,9 @@ def _run(
         ended: dict[str, Any] = {"start_ns": source.start_ns}
         observer = observer_of(setup, source, None if model is None else tactile_posterior(model))
         pads, around = observer.frames.tactile_source.pads, around_px(geometry)
-        layout = SqueezeLayout(source.streams, names.tactile, pads, names.camera, around, named=model is not None)
+        table = None if setup.placing is None else setup.placing.placement.T_base_surface
+        named = model is not None
+        layout = SqueezeLayout(source.streams, names.tactile, pads, names.camera, around, named, table)
         recorder.start(layout, source.start_ns)
         if config.model is not None:
             recorder.write(InputFile(MODEL_INPUT, config.model.read_bytes()))
@@ -166,6 +177,17 @@ def _run(
             watch()
 
         hand = SqueezingHand(setup, source, observer, looked_after)
+        placing = None
+        if setup.placing is not None:
+            from deformscope.experiments.placing import Placing, PlacingArm
+
+            hand.arm = arm = PlacingArm(setup, source, hand.begin, hand.cycled)
+            grasp = None
+            if config.grasp is not None:
+                grasp = grasp_at(setup.container, setup.squeeze, 1e-3 * config.grasp[0], *config.grasp[1:])
+            permit = partial(_arm_permitted, config, setup, asked, page)
+            placing = Placing(setup, observer.frames, geometry, arm, seed, found, permit, grasp)
+        placed = None if setup.placed else _placed(config, setup, asked, page)
         experiment = squeeze(
             setup.clock,
             observer,
@@ -173,7 +195,8 @@ def _run(
             found,
             None if model is None else final_posterior(model),
             _permitted(config, setup, asked, page),
-            None if setup.placed else _placed(config, setup, asked, page),
+            placed if placing is None else placing.before(),
+            None if placing is None else placing.after(),
         )
         try:
             with feature_executor(setup, hand) as beside, watch.halts(hand):
@@ -206,6 +229,19 @@ def _permitted(
         yield from agree(asked, page, f"the hand{' (simulated)' * setup.simulated} will {moves}")
     if page is not None:
         page.go_on()
+
+
+def _arm_permitted(
+    config: SqueezeConfig, setup: SqueezeSetup, asked: Interruption, page: PageSqueezing | None, preflight: Preflight
+) -> RigExperiment[None]:
+    """Within the experiment: print the table of checks, and ask before a real arm moves. Raises InputError unless
+    somebody says yes."""
+    say(preflight.table())
+    if not setup.simulated and not config.yes and preflight.passed:
+        say("The arm will now bring the hand to the container: keep the emergency stop in your hand.")
+        yield from agree(asked, page, "the arm brings the hand to the container")
+        if page is not None:
+            page.go_on()
 
 
 def _placed(
@@ -289,6 +325,8 @@ def _finished(
         recording = str(path.relative_to(dataset.folder) if inside else path.resolve())
     start_ns = ended["start_ns"]
     events = found.features.events if found.features is not None else None
+    if found.placement is not None:
+        entry = dataclasses.replace(entry, T_hand_container=tuple(map(float, found.placement.T_hand_container.ravel())))
     return dataclasses.replace(
         entry,
         recording=recording,
@@ -308,11 +346,12 @@ def _format_size(setup: SqueezeSetup) -> str:
 def leave(squeezed: SqueezeOutcome) -> None:
     """Where it was stopped, raises InputError with the reason and what to see to, SystemExit if somebody ended it."""
     result = squeezed.result
-    if result.stop is None:
+    stop = result.stop or result.withdrawal
+    if stop is None:
         return
     state, expected, again = (
         f"; the hand {result.hand_text}",
         "a squeeze that comes to its steady state",
         "squeeze again",
     )
-    skeleton.leave(result.stop, state, squeezed.asked, result.recording, expected, again, ended=squeezed.interrupted)
+    skeleton.leave(stop, state, squeezed.asked, result.recording, expected, again, ended=squeezed.interrupted)

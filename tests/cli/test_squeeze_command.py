@@ -35,7 +35,9 @@ def toy(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     """The command squeezes toy containers: a content is a stiffness."""
     changes: dict[str, Any] = {"setup": {}, "lab": {"camera": False}}
 
-    def opening(name: str, content: str, container: str, session: str, seed: int, *, trusted: bool) -> SqueezeOpening:
+    def opening(
+        name: str, content: str, container: str, session: str, seed: int, *, trusted: bool, place: str
+    ) -> SqueezeOpening:
         stiffness = {"rice": 400.0, "empty": 100.0}.get(content, 250.0)
         lab = ToySqueeze(stiffness_pa_deg=stiffness, gives_deg=2.0 + 0.1 * (seed % 7), **changes["lab"])
         LABS.append(lab)
@@ -202,7 +204,7 @@ def test_a_model_names_the_content_while_it_is_squeezed(tmp_path: Path) -> None:
         ([], "--content NAME, or --model MODEL"),
         (["--content", "rice", "--dataset", "d"], "--content and --container with --dataset"),
         (["--content", "a/b"], "a name of letters, digits"),
-        (["--content", "rice", "--place", "jaco"], "no --place (a person places the hand, or moves its arm"),
+        (["--content", "rice", "--grasp", "5,0,0"], "--grasp with --place jaco or kuka"),
     ],
 )
 def test_what_makes_no_trial_is_refused_in_one_line(

@@ -173,7 +173,9 @@ def use_toy_squeeze(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     """What is squeezed is a toy; its content is a stiffness. Returns what of the setup is changed."""
     changes: dict[str, Any] = {}
 
-    def opening(name: str, content: str, container: str, session: str, seed: int, *, trusted: bool) -> SqueezeOpening:
+    def opening(
+        name: str, content: str, container: str, session: str, seed: int, *, trusted: bool, place: str
+    ) -> SqueezeOpening:
         stiffness = (400.0 if content == "rice" else 100.0) + 17.0 * seed
         lab = ToySqueeze(stiffness_pa_deg=stiffness, gives_deg=2.0 + 0.1 * (seed % 7))
         grasp = draw_grasp(lab.container, lab.squeeze, seed)

@@ -15,6 +15,7 @@ from deformscope.log.squeeze.change import CHANGE
 from deformscope.log.squeeze.container import CONTAINER
 from deformscope.log.squeeze.content import CONTENT, NAMED
 from deformscope.log.squeeze.fingertips import FORCE
+from deformscope.log.squeeze.placing import place_views
 from deformscope.log.squeeze.summary import MEASURED
 from deformscope.pictures.palette import BACKGROUND
 from deformscope.rows import ENTITIES
@@ -34,10 +35,12 @@ def squeeze_blueprint(
     around_px: tuple[float, float, float, float] | None = None,
     *,
     named: bool = False,
+    placed: bool = False,
 ) -> rrb.Blueprint:
     """The views of a squeeze with these devices; the devices' own views in a second tab.
 
     around_px: left, top, right, bottom of the depth image that is shown, None = all; named: a model names the content
+    placed: by an arm
     """
     hand = next(stream for stream in streams if stream.device == tactile)
     simulated = " (SIMULATED)" if hand.simulated else ""
@@ -81,4 +84,4 @@ def squeeze_blueprint(
     above = rrb.Horizontal(*pictures, column_shares=shares)
     shown = rrb.Vertical(above, numbers, row_shares=[3.0, 2.2], name="Squeeze")
     devices = rrb.Vertical(rig_views(streams), name="Devices")
-    return blueprint_of(rrb.Tabs(shown, devices, active_tab=0))
+    return blueprint_of(rrb.Tabs(shown, *([place_views(streams, camera)] if placed else []), devices, active_tab=0))

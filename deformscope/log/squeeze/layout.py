@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from deformscope.arrays import FloatArray
 from deformscope.log.application import Application
 from deformscope.log.layout import RecordingLayout
 
@@ -24,6 +25,7 @@ class SqueezeLayout(RecordingLayout):
     """tactile, pads: the device and the pads of the fingertips that squeeze; camera: the depth camera, or empty
 
     around_px: left, top, right, bottom of what its view shows, None = all; named: a model names the content
+    base_from_table: (4, 4) table's frame to the base of the arm that places the hand [m], None = none does
     """
 
     tactile: str
@@ -31,16 +33,22 @@ class SqueezeLayout(RecordingLayout):
     camera: str
     around_px: tuple[float, float, float, float] | None = None
     named: bool = False
+    base_from_table: FloatArray | None = None
 
     def blueprint(self, *, on_page: bool = False) -> rr.blueprint.Blueprint:
         from deformscope.log.squeeze.blueprint import squeeze_blueprint
 
-        return squeeze_blueprint(self.streams, self.tactile, self.camera, self.around_px, named=self.named)
+        placed = self.base_from_table is not None
+        return squeeze_blueprint(
+            self.streams, self.tactile, self.camera, self.around_px, named=self.named, placed=placed
+        )
 
     def log_start(self, rec: rr.RecordingStream) -> None:
+        from deformscope.log.squeeze.placing import log_place_start
         from deformscope.log.squeeze.results import log_squeeze_start
 
         log_squeeze_start(rec, self._fingertips())
+        log_place_start(rec, self.streams, self.base_from_table)
 
     def prepare(
         self, results: Sequence[object], session_ns: int, place: Place, cell_m: float, failed: list[StageFailure]

@@ -13,6 +13,11 @@ from deformscope.stages.squeeze.trial import SqueezePhase, SqueezeStop
 SQUEEZE_PHASES: dict[str, Rgb] = {
     "pre-shape": (110, 115, 125),
     "place": (150, 120, 220),
+    "look": (0, 190, 200),
+    "travel": (120, 100, 190),
+    "approach": (204, 121, 167),
+    "retreat": (150, 110, 150),
+    "back off": (215, 140, 0),
     "air": (86, 180, 233),
     "close": (230, 159, 0),
     "squeeze": (213, 94, 0),

@@ -3,6 +3,8 @@ person looks at.
 
     squeeze/phase|stopped|events|features   one row a result, every field of it a component of the same name
     squeeze/fingertips|container|content    likewise, at the time of the frame that it is of
+    squeeze/sighting|placement              the container as the image has it, the grasp drawn, where an arm places
+    display/place/scene|image|words         the same on the table, over the image, and in words
     display/tactile/DEVICE/contact          centre of pressure and principal axis, on the picture of the hand (fig. 2.4)
     display/squeeze/force|content           force of each fingertip [N], probability of each content, over time
     display/squeeze/container               the tracked model's edges over the depth image, before and after (fig. 2.8)
@@ -24,10 +26,12 @@ from deformscope.log.squeeze.container import log_container
 from deformscope.log.squeeze.content import log_content, log_not_named
 from deformscope.log.squeeze.fingertips import FORCE, Fingertips, log_fingertips
 from deformscope.log.squeeze.phases import log_squeeze_phase, log_squeeze_phases, log_squeeze_stop
+from deformscope.log.squeeze.placing import log_placement, log_sighting
 from deformscope.log.squeeze.summary import log_measured, log_not_measured
 from deformscope.log.views import Views, views_of
 from deformscope.pictures.palette import JOINTS
 from deformscope.stages.squeeze.events import SqueezeEvents
+from deformscope.stages.squeeze.placement import ContainerSighting, HandPlacement
 from deformscope.stages.squeeze.trial import (
     ContentPosterior,
     FingertipPressure,
@@ -77,4 +81,6 @@ def squeeze_views(fingertips: Fingertips | None) -> Views[ResultBatch]:
         SqueezeFeatures: (log_change,),
         ContentPosterior: (log_content,),
         SqueezeEvents: (),
+        ContainerSighting: (log_sighting,),
+        HandPlacement: (log_placement,),
     }

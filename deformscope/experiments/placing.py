@@ -1,0 +1,387 @@
+"""An arm places the hand (Thesis ch. 2): the container is found in the depth image, a grasp drawn among those that are
+reached, the hand brought there under the same supervisor as for exploring, and withdrawn after the squeeze.
+
+`Placing` has the two halves of an experiment, before and after the squeeze; `PlacingArm` carries out its commands.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from deformscope.arrays import FloatArray
+from deformscope.capsule import Capsule, moved
+from deformscope.errors import InputError
+from deformscope.experiments.squeeze import Squeezed
+from deformscope.experiments.squeeze_features import SqueezeGeometry, container_model
+from deformscope.experiments.squeeze_frames import SqueezeFrames, frame_ns
+from deformscope.experiments.squeezing_hand import HandWait, SqueezeEnded
+from deformscope.frames import ArmFrame, DepthFrame, HandFrame
+from deformscope.rig.source import RigSource
+from deformscope.robot.advice import where_it_stands
+from deformscope.robot.checks import Check, Preflight
+from deformscope.robot.fingertip_force import FingertipForce
+from deformscope.robot.latch import Action
+from deformscope.robot.placing import (
+    APPROACH_M_S,
+    TRIES,
+    GraspPlan,
+    NoGrasp,
+    Obstacle,
+    carry,
+    choose_grasp,
+    plan_check,
+    withdraw,
+)
+from deformscope.robot.preflight import check
+from deformscope.robot.robot import Robot, RobotStopped, TipVelocity
+from deformscope.robot.setup import seen
+from deformscope.robot.shape import LINK_RADIUS_M
+from deformscope.robot.squeeze_plan import GripShape, RandomGrasp, draw_grasps, hand_capsules
+from deformscope.robot.squeeze_setup import SqueezeSetup
+from deformscope.robot.supervisor import Fault
+from deformscope.robot.travel import NotThere
+from deformscope.session import Compute, Moment, RigExperiment, Step, ask
+from deformscope.stages.see.cloud import Intrinsics, back_project
+from deformscope.stages.squeeze.find import MOVED_SD, ContainerFit, compare, find_container, matches
+from deformscope.stages.squeeze.outline import outline_px
+from deformscope.stages.squeeze.patch import hand_pixels, median_of
+from deformscope.stages.squeeze.placement import ContainerSighting, HandPlacement
+from deformscope.stages.squeeze.trial import SqueezePhase, SqueezeStop
+from deformscope_drivers.arms import CHAINS
+from deformscope_drivers.depth_camera.image import depth_m
+
+LOOK_S, LOOKS = 0.6, 3
+"""The robot stands still for so long, and the median of the last so many images is taken: fewer are noisier."""
+ROBOT_MARGIN_M = 0.015
+"""Around links and fingers that is left out of an image: arms differ by a centimetre or so from capsules."""
+AREA_M = 0.45
+"""Things on the table further from the middle of its frame are not looked at [m]: an arm's foot, what lies there."""
+BACK_M = 0.03
+"""Backed away from what was felt on the way."""
+STAYED_M = 0.005
+"""So far an arm may be from where it was left before it withdraws."""
+NOT_FOUND, NO_GRASP, CONTAINER = "container not found", "no grasp is reached", "container"
+"""Kinds of stops; the third with what became of it: `container moved`."""
+LEAVE_OUT = ("plan", "arm: reach", "force sensor: noise", "force sensor: alive")
+"""Rows of the preflight that are of touches, and of sensors that are never silent: arrays in the air may all say 0."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CheckArm:
+    """A command: look at everything before the arm moves; its answer is a `Preflight`."""
+
+    plan: GraspPlan
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Carry:
+    """A command: bring the hand to the grasp. preflight: that passed"""
+
+    plan: GraspPlan
+    preflight: Preflight
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Withdraw:
+    """A command: bring it back the way it came."""
+
+    plan: GraspPlan
+
+
+class PlacingArm:
+    """The arm over the devices of an open source; commands are carried out where they are called.
+
+    begin: called with each phase as it begins; cycled: in every control period; reached: the last phase
+    stands: it stands, or was never commanded
+    """
+
+    def __init__(
+        self, setup: SqueezeSetup, source: RigSource, begin: Callable[[str], None], cycled: Callable[[], None]
+    ) -> None:
+        assert setup.placing is not None
+        self._setup, self._placing, self._source = setup, setup.placing, source
+        self._begin, self._cycled = begin, cycled
+        self._made: Robot | None = None
+        self.reached, self.stands = "", True
+
+    @property
+    def _robot(self) -> Robot:
+        if self._made is None:
+            setup, source, names = self._setup, self._source, self._setup.names
+            pads = FingertipForce(source.device(names.tactile))  # type: ignore[arg-type]
+            robot = Robot(
+                source.device(names.arm),  # type: ignore[arg-type]
+                pads,
+                self._placing.placement,
+                self._placing.limits(setup.squeeze, setup.camera.rate_hz),
+                camera=source.device(names.camera),
+                clock=setup.clock,
+                wait_until=setup.wait_until,
+                watch=lambda looked, verdict: self._cycled(),
+            )
+            self._made = seen(robot)
+        return self._made
+
+    def do(self, command: object) -> object:
+        """Carry a command out. Raises SqueezeEnded, after which the arm stands, and takes no further one."""
+        robot = self._robot
+        robot.start()
+        try:
+            with self._stopping(robot):
+                match command:
+                    case CheckArm(plan):
+                        return self._checked(robot, plan)
+                    case Carry(plan, preflight):
+                        robot.let_move(preflight)
+                        carry(robot, plan, self._entered)
+                        self.reached = "grasp"
+                    case Withdraw(plan):
+                        self._still_there(robot, plan)
+                        withdraw(robot, plan, self._entered)
+                        self.reached = "retreat"
+                    case _:
+                        raise TypeError(f"no command of this robot: {command!r}")
+        finally:
+            robot.rest()
+        return None
+
+    def ask_to_stop(self, reason: str) -> None:
+        """A person wants it to stop: it stands within a control period."""
+        if self._made is not None:
+            self._made.ask_to_stop(reason)
+
+    def halt(self, reason: str) -> bool:
+        """Erase what waits in the arm; whether it was reached, or never commanded."""
+        self.stands = self._made is None or self._made.halt(reason)
+        return self.stands
+
+    def _entered(self, phase: str) -> None:
+        self.reached = phase
+        self._begin(phase)
+
+    def _checked(self, robot: Robot, plan: GraspPlan) -> Preflight:
+        found = check(robot, [], calibrated={}, ages=self._placing.ages)
+        rows = [one for one in found.checks if not one.name.startswith(LEAVE_OUT)]
+        felt = robot.supervisor.sees_collisions
+        wanted = "joint torques or motor currents, by which a collision is seen"
+        rows.append(Check("arm: collisions", felt, wanted, "reported" if felt else "none"))
+        return Preflight((*rows, plan_check(plan)))
+
+    def _still_there(self, robot: Robot, plan: GraspPlan) -> None:
+        """Raises SqueezeEnded where somebody moved the arm meanwhile: its way back is then another one."""
+        robot.cycle()
+        off_m = float(np.linalg.norm(robot.center_m - plan.there_m[:3, 3]))
+        if off_m > STAYED_M:
+            raise self._stop(robot, "arm was moved", f"{1e3 * off_m:.0f} mm from where it placed the hand", Fault.ASKED)
+
+    @contextlib.contextmanager
+    def _stopping(self, robot: Robot) -> Iterator[None]:
+        try:
+            yield
+        except RobotStopped as error:
+            verdict = error.verdict
+            raise self._stop(robot, str(verdict.fault), verdict.reason, verdict.fault, verdict.time_ns) from error
+        except InputError as error:
+            if isinstance(error, SqueezeEnded):
+                raise
+            verdict = robot.supervisor.verdict
+            if verdict.action is Action.BACK_OFF:
+                self._back_off(robot)
+                raise self._stop(robot, str(verdict.fault), verdict.reason, verdict.fault, verdict.time_ns) from error
+            kind = "arm did not come there" if isinstance(error, NotThere) else "arm did not move"
+            raise self._stop(robot, kind, " ".join(str(error).split()), Fault.WORKSPACE) from error
+
+    def _back_off(self, robot: Robot) -> None:
+        """Back along the hand, away from what was felt."""
+        self._begin("back off")
+        back = -robot.placement.T_surface_center(robot.pose.T_base_ee)[:3, 2] * APPROACH_M_S
+        with contextlib.suppress(RobotStopped):
+            for _ in range(round(100 * BACK_M / APPROACH_M_S)):
+                robot.cycle(TipVelocity(back))
+
+    def _stop(self, robot: Robot, kind: str, reason: str, cause: Fault, time_ns: int | None = None) -> SqueezeEnded:
+        self.halt(f"{kind}: {reason}")
+        stop = SqueezeStop(kind, reason, where_it_stands(cause, robot), self.stands, True)
+        return SqueezeEnded(stop, self._setup.clock() if time_ns is None else time_ns)
+
+
+# Looking -------------------------------------------------------------------------------------------------------------
+
+
+def sight(
+    images: Sequence[DepthFrame],
+    arm: ArmFrame,
+    hand: HandFrame,
+    geometry: SqueezeGeometry,
+    when: str,
+    before: ContainerFit | None = None,
+    near: bool = False,
+) -> ContainerSighting:
+    """The container in images that were taken while the robot stood; what is seen of the robot is left out.
+
+    before: how it was found then, near: it is sought close to that, also where the hand hides a part of it
+    """
+    camera = geometry.camera
+    if camera.focal_px is None or camera.center_px is None or geometry.T_arm_camera is None:
+        raise InputError("[camera] focal_px, center_px and T_arm_camera", "none")
+    lens = Intrinsics(camera.focal_px, camera.center_px, camera.distortion)
+    depths = np.stack([depth_m(one.depth.astype(np.uint16, copy=False), one.unit_m) for one in images])
+    depth = np.asarray(median_of(np.where(depths > 0.0, depths, np.nan).astype(np.float64)))
+    T_base_camera = geometry.T_arm_camera
+    assert geometry.T_arm_table is not None
+    assert geometry.T_arm_hand is not None
+    links = CHAINS[geometry.arm_model].forward(arm.joint_deg)
+    joints_m = np.concatenate([np.zeros((1, 3)), links[:, :3, 3]])
+    capsules = [Capsule(a, b, LINK_RADIUS_M) for a, b in pairwise(joints_m)]
+    capsules += moved(hand_capsules(np.asarray(hand.position_deg, np.float64)), links[-1] @ geometry.T_arm_hand)
+    covered = hand_pixels(depth, lens, moved(capsules, np.linalg.inv(T_base_camera)), ROBOT_MARGIN_M)
+    T_table_camera = np.linalg.inv(geometry.T_arm_table) @ T_base_camera
+    points = back_project(np.where(covered, np.nan, depth), lens, T_table_camera)
+    points = points[np.abs(points[:, :2]).max(axis=1) < AREA_M]
+    section, refused = geometry.container, ""
+    fit: ContainerFit | None = None
+    now: ContainerFit | InputError | None = None
+    try:
+        now = find_container(points, section.shape, expected=before if near else None)
+        fit = now if near else matches(now, section.size_m)
+    except InputError as error:
+        refused, now = str(error), now or error  # one of another size may be the one that has toppled
+    change = None if before is None else compare(before, fit or now)
+    edges: FloatArray = np.zeros((0, 2, 2))
+    if fit is not None:
+        edges = outline_px(container_model(section), lens, np.linalg.inv(T_table_camera) @ fit.T_table_container)
+    times = frame_ns(arm), frame_ns(hand)
+    index = np.array([one.index for one in images], np.int64)
+    return ContainerSighting(images[-1].index, index, *times, when, near, fit, refused, change, edges)
+
+
+# The experiment ------------------------------------------------------------------------------------------------------
+
+
+@dataclass(eq=False)
+class Placing:
+    """An arm that places the hand, before and after the squeeze.
+
+    grasp: along [m], tilt and turn [deg] that a person chose, None = drawn from the seed
+    permit: asked with the preflight before the arm moves; arm: as of `PlacingArm`
+    found: where sightings and placement are kept
+    """
+
+    setup: SqueezeSetup
+    frames: SqueezeFrames
+    geometry: SqueezeGeometry
+    arm: PlacingArm
+    seed: int
+    found: Squeezed
+    permit: Callable[[Preflight], RigExperiment[None]]
+    grasp: RandomGrasp | None = None
+    _plan: GraspPlan | None = None
+
+    def before(self) -> RigExperiment[None]:
+        """Look, draw, check, carry, look again. Raises SqueezeEnded."""
+        first = yield from self._look("before")
+        if first.fit is None:
+            raise self._ended(NOT_FOUND, first.refused, "the table, and where camera and table are to one another")
+        placing, grip = self.setup.placing, GripShape.of(self.setup.container, self.setup.squeeze)
+        assert placing is not None
+        assert self.frames.arm_now is not None
+        doubt_m = MOVED_SD * float(first.fit.deviation_m[:2].max()) + self.setup.camera.doubt_m
+        obstacle = Obstacle(first.fit.T_table_container, first.fit.size_m, doubt_m, first.fit.shape == "cylinder")
+        drawn = [self.grasp] if self.grasp else draw_grasps(
+            self.setup.container, self.setup.squeeze, self.seed, TRIES
+        )  # fmt: skip
+        limits = placing.limits(self.setup.squeeze, self.setup.camera.rate_hz)
+        start_deg = self.frames.arm_now.joint_deg.tolist()
+        try:
+            arguments = (placing, limits, grip, start_deg, obstacle, drawn)
+            plan: GraspPlan = yield from ask(Compute(choose_grasp, arguments))
+        except NoGrasp as none:
+            yield from self._planned(none.tried, none.refused, obstacle)
+            raise self._ended(NO_GRASP, str(none), "where the container stands, and the arm's reach") from none
+        self._plan = plan
+        yield from self._planned(plan.tried, plan.refused, obstacle, plan)
+        preflight: Preflight = yield from ask(CheckArm(plan))
+        yield from self.permit(preflight)
+        try:
+            yield from ask(Carry(plan, preflight))
+        finally:
+            self._arrived()
+        yield from self._placement_now()
+        yield from self._look("placed", near=True)
+        change = self.found.sightings[-1].change
+        if change is not None and change.kind not in ("stands", "hidden"):
+            raise self._ended(f"{CONTAINER} {change.kind}", change.words, "the container: the hand has met it")
+
+    def after(self) -> RigExperiment[None]:
+        """Withdraw, and look once more. Raises SqueezeEnded."""
+        if self._plan is None:
+            return
+        stopped: SqueezeEnded | None = None
+        try:
+            yield from ask(Withdraw(self._plan))
+        except SqueezeEnded as ended:
+            stopped = ended
+        self._arrived()
+        yield from self._placement_now()
+        yield from self._look("after", near=stopped is not None)
+        if stopped is not None:
+            raise stopped
+
+    def _look(self, when: str, *, near: bool = False) -> RigExperiment[ContainerSighting]:
+        since_ns = self.setup.clock()
+        phase = (SqueezePhase("look"),)
+        yield from ask(HandWait(LOOK_S), phase, Moment(since_ns))
+        images = [one for one in self.frames.depth if frame_ns(one) >= since_ns][-LOOKS:]
+        arm, hands = self.frames.arm_now, self.frames.hands
+        if not images or arm is None or not hands:
+            lacks = "depth image" if not images else "state of arm and hand"
+            raise self._ended(NOT_FOUND, f"no {lacks} in {LOOK_S:g} s", "the device that is silent")
+        before = self.found.sightings[0].fit if self.found.sightings else None
+        arguments = (images, arm, hands[-1], self.geometry, when, before, near)
+        sighting: ContainerSighting = yield from ask(Compute(sight, arguments))
+        self.found.sightings.append(sighting)
+        yield Step((sighting,), moment=Moment(self.setup.clock()))
+        return sighting
+
+    def _planned(
+        self,
+        tried: Sequence[RandomGrasp],
+        refused: Sequence[str],
+        obstacle: Obstacle,
+        plan: GraspPlan | None = None,
+    ) -> RigExperiment[None]:
+        assert self.setup.placing is not None
+        hands = [obstacle.T_table_container @ np.linalg.inv(one.T_hand_container) for one in tried]
+        at = tried[-1]
+        self.found.placement = HandPlacement(
+            by=self.setup.placing.chain.name,
+            seed=self.seed if self.grasp is None else -1,
+            along_m=at.along_m,
+            tilt_deg=at.tilt_deg,
+            turn_deg=at.turn_deg,
+            T_table_hand=hands[-1],
+            T_hand_container=at.T_hand_container,
+            tried=np.array([(one.along_m, one.tilt_deg, one.turn_deg) for one in tried]),
+            refused=tuple(refused),
+            T_table_hands=np.array(hands),
+            path_m=np.zeros((0, 3)) if plan is None else plan.path_m,
+            reached="",
+        )
+        yield from self._placement_now()
+
+    def _arrived(self) -> None:
+        if self.found.placement is not None:
+            self.found.placement = dataclasses.replace(self.found.placement, reached=self.arm.reached)
+
+    def _placement_now(self) -> RigExperiment[None]:
+        yield Step((self.found.placement,), moment=Moment(self.setup.clock()))
+
+    def _ended(self, kind: str, reason: str, advice: str) -> SqueezeEnded:
+        stands = self.arm.halt(f"{kind}: {reason}")
+        return SqueezeEnded(SqueezeStop(kind, " ".join(reason.split()), advice, stands, True), self.setup.clock())

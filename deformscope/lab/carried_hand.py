@@ -1,0 +1,316 @@
+"""The laboratory of squeezes with an arm that carries the hand, and a container that stands on a table at an unknown
+place: seen by the camera, slid or toppled by whatever meets it.
+
+Frames: the table's (z = 0 on it, y away from the arm) is the world's here; `ContainerWorld` squeezes in the hand's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from itertools import pairwise
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import Rotation
+
+from deformscope.arrays import FloatArray
+from deformscope.capsule import Capsule, moved
+from deformscope.errors import InputError
+from deformscope.lab.arm_contact import ARM_CYCLE_NS
+from deformscope.lab.arms import ArmInLab
+from deformscope.lab.container_constants import TABLE_FRICTION
+from deformscope.lab.container_shell import ContainerShape
+from deformscope.lab.container_view import PALM, ContainerView, finger_capsules
+from deformscope.lab.container_world import TEXEL_M2, ContainerWorld
+from deformscope.lab.ray_camera import DepthViewConfig, looking_at
+from deformscope.lab.squeeze_lab import NAMES, ContainerCase, SqueezedContainer, SqueezeLab, members
+from deformscope.lab.touch_lab import Spoiled
+from deformscope.rig.driver_table import DRIVERS
+from deformscope.rig.rig_file import Workspace
+from deformscope.rig.source import RigMember, RigSource
+from deformscope.robot.placement import Placement, best_joints
+from deformscope.robot.shape import LINK_RADIUS_M
+from deformscope_drivers.arm.kinematics import Chain, transform
+from deformscope_drivers.clock import Clock
+from deformscope_drivers.depth_camera import View
+from deformscope_drivers.device import Device
+from deformscope_drivers.dsa.pads import Pad, Part
+from deformscope_drivers.jaco import Jaco, JacoConfig, JacoDouble
+from deformscope_drivers.jaco.chains import J2N6S300
+from deformscope_drivers.kuka import Kuka, KukaConfig, KukaDouble
+from deformscope_drivers.kuka.chains import CHAINS as KUKA
+from deformscope_drivers.memory import MemoryTransport
+from deformscope_drivers.sdh.double import Port
+
+T_ARM_HAND: Final = transform(np.eye(3), (0.0, 0.0, 0.02))
+"""Hand to the arm's end: on a plate of 2 cm."""
+T_BASE_TABLE: Final = {
+    "jaco": transform(Rotation.from_euler("z", 210.0, degrees=True).as_matrix(), (-0.20, -0.50, 0.0)),
+    "kuka": transform(np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), (0.82, 0.0, 0.0)),
+}
+"""The table's frame where each arm reaches it well; a Jaco's wrist does not reach straight ahead."""
+READY_M: Final = (0.0, -0.12, 0.32)
+"""The middle between the pads where the arm stands first, the hand level and pointing away from it, table's frame."""
+SPREAD_M, TURNED_DEG = 0.08, 20.0
+"""Half the range along x and y of where the container stands, and of how it is turned: somebody sets a carton down with
+a narrow side towards the arm, more or less."""
+CAMERA: Final = DepthViewConfig(distance_m=1.0)
+T_TABLE_CAMERA: Final = looking_at(np.array([0.0, 0.0, 0.08]), 1.0, 35.0, 65.0)
+"""It looks from beyond the container towards the arm, and from the side: the hand comes from behind the container."""
+ARM_POLL_NS, ALL_POLL_NS = 2_000_000, 10_000_000
+
+
+class StandingContainer(SqueezedContainer):
+    """body: the arm; T_table_container: (4, 4) where the container stands, or lies, now; toppled
+
+    blind: the camera gives no depth; injected_n: (3,) something presses the pads of each finger with [N]
+    """
+
+    def __init__(self, arm: ArmInLab, T_base_table: FloatArray, case: ContainerCase, clock: Clock) -> None:
+        super().__init__(case, clock, Port.TCP)
+        self.body, self._T_table_base = arm.body, np.asarray(np.linalg.inv(T_base_table))
+        random = np.random.default_rng([case.seed, 0x1A])
+        place = np.array([*random.uniform(-SPREAD_M, SPREAD_M, 2), self.shape.half_m[2]])
+        turn = Rotation.from_euler("z", random.uniform(-TURNED_DEG, TURNED_DEG), degrees=True).as_matrix()
+        self._stood: FloatArray = transform(turn, place)
+        self._gripped: FloatArray | None = None  # the hand's pose for which `world` was made
+        self._links: FloatArray | None = None
+        self.toppled = self.blind = False
+        self.injected_n: FloatArray = np.zeros(3)
+        self.view = ContainerView(self.shape, self.world.nodes_m, self._stood, CAMERA, T_TABLE_CAMERA)
+
+    @property
+    def T_table_hand(self) -> FloatArray:
+        """(4, 4) of the hand now [m]."""
+        return np.asarray(self._T_table_base @ self.body.T_base_end_effector @ T_ARM_HAND)
+
+    @property
+    def T_table_container(self) -> FloatArray:
+        if self._gripped is None:
+            return self._stood
+        return np.asarray(self._gripped @ self.world.T_hand_container)
+
+    def place(self, T_table_container: FloatArray, *, toppled: bool = False) -> None:
+        """Somebody puts it there."""
+        self._stood, self._gripped, self.toppled = np.asarray(T_table_container), None, toppled
+
+    def shift(self, x_m: float, y_m: float, turn_deg: float = 0.0) -> None:
+        """Somebody pushes it aside, and turns it about its own axis."""
+        pose = self.T_table_container.copy()
+        pose[:3, :3] = Rotation.from_euler("z", turn_deg, degrees=True).as_matrix() @ pose[:3, :3]
+        pose[:2, 3] += x_m, y_m
+        self.place(pose, toppled=self.toppled)
+
+    def topple(self, way: npt.ArrayLike) -> None:
+        """It falls over towards a direction (2,) on the table."""
+        pose, half_m = self.T_table_container, self.shape.half_m
+        out = np.array([*(np.asarray(way, float) / np.linalg.norm(way)), 0.0])
+        own = pose[:3, :3].T @ out
+        if self.shape.kind == "box":  # over one of its edges
+            side = int(np.argmax(np.abs(own[:2])))
+            out, own = np.sign(own[side]) * pose[:3, side], np.eye(3)[side]
+            wide = half_m[side]
+        else:
+            wide = half_m[0]
+        over = Rotation.from_rotvec(0.5 * np.pi * np.cross([0.0, 0.0, 1.0], out)).as_matrix()
+        lying = transform(over @ pose[:3, :3], pose[:3, 3] + out * (wide + half_m[2]))
+        lying[2, 3] = wide
+        self.place(lying, toppled=True)
+
+    def robot(self) -> list[Capsule]:
+        """Arm, hand and fingers as they are, table's frame."""
+        joints_m = (self._T_table_base @ self.body.T_base_links)[:, :3, 3]
+        links = [Capsule(a, b, LINK_RADIUS_M) for a, b in pairwise([self._T_table_base[:3, 3], *joints_m])]
+        angles = np.array([axis.position_deg for axis in self.hand.motion.axes])
+        return [*links, *moved([*finger_capsules(angles), PALM], self.T_table_hand)]
+
+    def seen(self) -> View:
+        position = np.array([axis.position_deg for axis in self.hand.motion.axes])
+        exact = self.view.render(self.world.inward_m(), self.T_table_container, position, self.robot())
+        flat = np.abs(exact.facing) < np.sin(np.radians(self.view.config.grazing_deg))
+        return View(np.where(flat | self.blind, np.nan, exact.depth_m), exact.color)
+
+    def meet(self) -> None:
+        """In each of the arm's cycles in which it moved: what it meets is slid aside, or toppled where met high."""
+        links = self.body.T_base_links
+        if self._links is not None and np.array_equal(links, self._links):
+            return
+        self._links = links
+        self._stood, self._gripped = self.T_table_container, None
+        pose = self._stood
+        for capsule in self.robot():
+            points = capsule.start_m + np.linspace(0.0, 1.0, 9)[:, None] * (capsule.end_m - capsule.start_m)
+            own = (points - pose[:3, 3]) @ pose[:3, :3]
+            apart = _apart_m(self.shape, own) - capsule.radius_m
+            at = int(apart.argmin())
+            if apart[at] >= -1e-4:
+                continue
+            way = pose[:2, 3] - points[at, :2]
+            way = way / max(float(np.linalg.norm(way)), 1e-9)
+            if not self.toppled and TABLE_FRICTION * points[at, 2] > min(self.shape.half_m[:2]):
+                self.topple(way)
+            else:
+                self.shift(*(-apart[at] * way))
+            return
+
+    def reach_deg(
+        self, position_deg: Sequence[float], wanted_deg: Sequence[float], current_a: Sequence[float], step_s: float
+    ) -> Sequence[float]:
+        """As of `SqueezedContainer`, around the container where the hand stands; nothing is pressed elsewhere."""
+        hand = self.T_table_hand
+        away = np.linalg.inv(hand) @ self.T_table_container
+        middle = np.array(finger_capsules(np.array(position_deg))[1].end_m)
+        if self.toppled or np.linalg.norm(away[:3, 3] - [0.0, middle[1], middle[2]]) > REACH_M:
+            return list(wanted_deg)
+        if self._gripped is None:
+            if np.array_equal(position_deg, wanted_deg):
+                return list(wanted_deg)
+            self.world = ContainerWorld(
+                self.shape, self.world.content, replace(self.draw, T_hand_container=_aligned(away, self.shape))
+            )
+            self._gripped = hand
+        return super().reach_deg(position_deg, wanted_deg, current_a, step_s)
+
+    def _felt(self, time_s: float) -> list[npt.NDArray[np.float64]]:
+        if self._gripped is None:  # what was pressed before is no longer
+            pads = [np.zeros((matrix.cells_y, matrix.cells_x)) for matrix in self.pads.matrices]
+        else:
+            pads = super()._felt(time_s)
+        for finger, force_n in enumerate(self.injected_n):
+            pads[Pad(finger, Part.DISTAL).matrix][:3] += force_n / (3 * pads[1].shape[1] * TEXEL_M2)
+        return pads
+
+
+REACH_M: Final = 0.06
+"""A container further from the middle of the hand is not between the fingers."""
+
+
+def _apart_m(shape: ContainerShape, own_m: FloatArray) -> FloatArray:
+    """(n,) of points (n, 3) in a container's frame from its surface, below 0 within."""
+    x, y, z = shape.half_m
+    if shape.kind == "cylinder":
+        off = np.column_stack([np.hypot(own_m[:, 0], own_m[:, 1]) - x, np.abs(own_m[:, 2]) - z])
+    else:
+        off = np.abs(own_m) - (x, y, z)
+    return np.asarray(np.linalg.norm(np.maximum(off, 0.0), axis=1) + np.minimum(off.max(axis=1), 0.0))
+
+
+def _aligned(T_hand_container: FloatArray, shape: ContainerShape) -> FloatArray:
+    """The same body, its x axis along the squeeze: a cylinder is the same turned by anything, a box by half a turn."""
+    x = T_hand_container[:3, :3].T @ np.array([1.0, 0.0, 0.0])
+    turn = float(np.arctan2(x[1], x[0]))
+    if shape.kind == "box":
+        turn = np.pi * round(turn / np.pi)
+    return np.asarray(T_hand_container @ transform(Rotation.from_euler("z", turn).as_matrix(), np.zeros(3)))
+
+
+class _Wire(MemoryTransport):
+    """A wire whose reader lets the other devices' time pass while it waits, as it does when an arm is opened.
+
+    passes: until a moment [ns]
+    """
+
+    passes: Callable[[int], None]
+
+    def read(self, timeout_s: float) -> bytes:
+        until_ns = self._clock() + round(max(timeout_s, 0.0) * 1e9)
+        while not (data := super().read(0.0)) and self._clock() < until_ns:
+            self.passes(min(self._clock() + ARM_POLL_NS, until_ns))
+        return data
+
+
+class CarriedHandLab(SqueezeLab):
+    """`SqueezeLab` with an arm, `jaco` or `kuka`; arm: its device, closed; functions: of a Jaco's vendor, which can be
+    disturbed; scheduled: what happens at moments of the clock"""
+
+    simulated: StandingContainer
+
+    def __init__(self, arm: str, placement: Placement, case: ContainerCase, camera_hz: float) -> None:
+        self._driver, self.placement = arm, placement
+        self.chain = chain_of_arm(arm)
+        self.functions: Spoiled | None = None
+        self.scheduled: list[tuple[int, Any]] = []
+        super().__init__(replace(case, camera=CAMERA), camera_hz)
+
+    def _made(self, case: ContainerCase) -> StandingContainer:
+        start_deg = ready_deg(self.chain, self.placement)
+        if self._driver == "jaco":
+            double = JacoDouble(self.chain.name, self.clock, start_deg=start_deg)
+            self.functions = Spoiled(double, self.placement.T_ee_center)
+            config = JacoConfig(state_hz=100.0)
+            made = ArmInLab(Jaco(config, self.functions, clock=self.clock), double)
+        else:
+            kuka = KukaDouble(self.chain.name, start_deg=start_deg)
+            kuka.sends_currents = True
+            wire = _Wire(kuka, self.clock, "simulated KUKA")
+            wire.passes = super().wait_until
+            made = ArmInLab(Kuka(KukaConfig(), wire, clock=self.clock), kuka)
+        self.arm = made.arm
+        return StandingContainer(made, self.placement.T_base_surface, case, self.clock)
+
+    def open(self) -> None:
+        super().open()
+        self.wait_until((self.clock() // ARM_CYCLE_NS + 1) * ARM_CYCLE_NS)  # its slots are then those of its double
+        self.arm.open(own_thread=False)
+
+    def source(self) -> RigSource:
+        """The devices as a source, named as in `NAMES`, and `arm`."""
+        arm = RigMember("arm", DRIVERS[self._driver], self.arm, simulated=True)
+        return RigSource([*members(*self._three), arm], clock=self.clock, opener=self.open)
+
+    def schedule(self, moment_ns: int, action: Any) -> None:
+        """Do something at a moment of the clock."""
+        self.scheduled.append((moment_ns, action))
+        self.scheduled.sort(key=lambda one: one[0])
+
+    def wait_until(self, until_ns: int) -> None:
+        arm_ns = ARM_CYCLE_NS if self._driver == "jaco" else ARM_POLL_NS
+        while (now_ns := self.clock()) < until_ns:
+            self.clock.advance_to(min((now_ns // arm_ns + 1) * arm_ns, until_ns))
+            while self.scheduled and self.scheduled[0][0] <= self.clock():
+                self.scheduled.pop(0)[1]()
+            self._poll([self.arm])
+            if now_ns // ALL_POLL_NS != self.clock() // ALL_POLL_NS:
+                self.simulated.meet()
+                self.simulated.hand.position_deg(self.clock())
+                self._poll(self._three)
+
+    @property
+    def _devices(self) -> tuple[Device[Any], ...]:
+        return (*self._three, self.arm)
+
+
+def chain_of_arm(arm: str) -> Chain:
+    """Of the laboratory's arm of a kind. Raises InputError for another."""
+    if arm not in T_BASE_TABLE:
+        raise InputError("an arm of the laboratory: jaco or kuka", repr(arm))
+    return J2N6S300 if arm == "jaco" else KUKA[KukaConfig().model]
+
+
+def ready_deg(chain: Chain, placement: Placement) -> FloatArray:
+    """(n,) joint angles where the arm stands first."""
+    level = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])  # the hand's y axis down, its z away
+    poses = []
+    for height_m in (READY_M[2], 0.5 * READY_M[2] + 0.05):
+        tip = transform(level, (*READY_M[:2], height_m))
+        poses.append(placement.T_base_surface @ tip @ np.linalg.inv(placement.T_ee_center))
+    found = best_joints(chain, poses)
+    assert found is not None
+    return found
+
+
+LOW_M, HIGH_M = (-0.35, -0.50, 0.03), (0.35, 0.35, 0.70)
+"""Where the middle between the pads may go, table's frame."""
+
+
+def workspace_of(T_base_table: FloatArray) -> Workspace:
+    """The limits of the laboratory's arm: a box in its base frame."""
+    sides = np.stack(np.meshgrid(*zip(LOW_M, HIGH_M, strict=True)), axis=-1).reshape(-1, 3)
+    corners = sides @ T_base_table[:3, :3].T + T_base_table[:3, 3]
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    return Workspace(low_m=tuple(map(float, low)), high_m=tuple(map(float, high)))  # type: ignore[arg-type]
+
+
+CARRIED_NAMES: Final = (*NAMES, "arm")

@@ -1,0 +1,107 @@
+"""An arm that places the hand: container found, grasps that were drawn, the arm and its way, in the table's frame."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+
+from deformscope.arrays import FloatArray
+from deformscope.frames import Stream
+from deformscope.log.exploration.scene import SURFACE_FRAME, log_base
+from deformscope.log.result_batch import ResultBatch
+from deformscope.log.rig.columns import Sink, root
+from deformscope.pictures.palette import BACKGROUND, BAD, HELD, IDLE, OBSERVED, REST, WARN, Rgb
+from deformscope.stages.squeeze.find import ContainerFit
+from deformscope.stages.squeeze.placement import ContainerSighting, HandPlacement
+
+PLACE, IMAGE, WORDS = "display/place/scene", "display/place/image", "display/place/words"
+LOOKS: dict[str, Rgb] = {"before": REST, "placed": HELD, "after": OBSERVED}
+"""Colours of the container as it was found."""
+HAND_M, BAR_M, LINE_M = 0.14, 0.06, 0.0015
+"""A grasp is drawn from the palm to between the pads, and across, as the fingers close [m]."""
+FLOOR: Rgb = (52, 56, 64)
+
+
+def log_place_start(rec: Sink, streams: Sequence[Stream], base_from_table: FloatArray | None) -> None:
+    """Where the arm stands in the table's frame."""
+    for stream in streams:
+        if stream.kind == "arm" and stream.urdf is not None and base_from_table is not None:
+            log_base(rec, stream, base_from_table)
+
+
+def log_sighting(now: ResultBatch, seen: ContainerSighting) -> None:
+    """The container where it was found, in space and over the image; what became of it in words."""
+    color = LOOKS[seen.when]
+    if seen.change is not None and seen.change.kind not in ("stands", "hidden"):
+        color = BAD
+    now.show(f"{WORDS}/{seen.when}", rr.TextLog(f"container {seen.when}: {seen.words}", level=_level(seen)))
+    if seen.fit is None:
+        return
+    now.show(f"{PLACE}/container/{seen.when}", _solid(seen.fit, color))
+    edges = seen.edges_px.astype(np.float32)
+    now.show(f"{IMAGE}/{seen.when}", rr.LineStrips2D(edges, radii=1.0, colors=color, draw_order=80.0))
+
+
+def log_placement(now: ResultBatch, placed: HandPlacement) -> None:
+    """All grasps that were drawn, the one that is reached, and the way to it."""
+    strips, colors, widths = [], [], []
+    for T, refused in zip(placed.T_table_hands, placed.refused, strict=True):
+        palm, middle, aside = T[:3, 3], T[:3, 3] + HAND_M * T[:3, 2], 0.5 * BAR_M * T[:3, 0]
+        strips += [[palm, middle], [middle - aside, middle + aside]]
+        colors += [IDLE if refused else WARN] * 2
+        widths += [LINE_M if refused else 2.5 * LINE_M] * 2
+    now.show(f"{PLACE}/grasps", rr.LineStrips3D(np.array(strips, np.float32), colors=colors, radii=widths))
+    if len(placed.path_m):
+        now.show_lines(f"{PLACE}/way", placed.path_m[None], OBSERVED, LINE_M)
+    reasons = [one for one in placed.refused if one]
+    counted = ", ".join(f"{reasons.count(one)} {one}" for one in dict.fromkeys(reasons)) or "none refused"
+    at = f"along {1e3 * placed.along_m:.0f} mm, tilt {placed.tilt_deg:.0f} deg, turn {placed.turn_deg:.0f} deg"
+    words = f"{placed.by} came to: {placed.reached or 'planned'}; {len(placed.refused)} drawn, {counted}; {at}"
+    now.show(f"{WORDS}/grasp", rr.TextLog(words, level="INFO"))
+
+
+def place_views(streams: Sequence[Stream], camera: str) -> rrb.Container:
+    """The arm, the container and the grasps in space; the container over the image; what happened in words."""
+    arms = [stream for stream in streams if stream.kind == "arm"]
+    simulated = " (SIMULATED)" if any(arm.simulated for arm in arms) else ""
+    shown = [f"+ /{root('display/arm', arm.device)}/**" for arm in arms if arm.urdf is not None]
+    scene = rrb.Spatial3DView(
+        contents=[f"+ /{PLACE}/**", *shown],
+        name=f"table [m]: grasp orange, refused grey, way blue{simulated}",
+        spatial_information=rrb.SpatialInformation(target_frame=SURFACE_FRAME),
+        eye_controls=rrb.EyeControls3D(
+            kind=rrb.Eye3DKind.Orbital,
+            position=[0.75, -0.75, 0.75],
+            look_target=[0.0, -0.1, 0.12],
+            eye_up=[0.0, 0.0, 1.0],
+        ),
+        line_grid=rrb.LineGrid3D(visible=True, spacing=0.1, color=FLOOR),
+        background=list(BACKGROUND),
+    )
+    image = rrb.Spatial2DView(
+        contents=[f"+ /{root('depth', camera)}", f"+ /{IMAGE}/**"],
+        name=f"{camera}: container before (green), placed (yellow), after (blue){simulated}",
+    )
+    words = rrb.TextLogView(contents=[f"+ /{WORDS}/**"], origin=WORDS, name="what was found")
+    right = rrb.Vertical(image, words, row_shares=[2.0, 1.0])
+    return rrb.Horizontal(scene, right, column_shares=[1.4, 1.0], name="Placing")
+
+
+def _solid(fit: ContainerFit, color: Rgb) -> rr.AsComponents:
+    pose = fit.T_table_container
+    turn = rr.Quaternion(xyzw=[0.0, 0.0, np.sin(0.5 * fit.yaw_rad), np.cos(0.5 * fit.yaw_rad)])
+    if fit.shape == "cylinder":
+        return rr.Cylinders3D(
+            lengths=[fit.size_m[2]], radii=[0.5 * fit.size_m[0]], centers=[pose[:3, 3]], colors=color, line_radii=LINE_M
+        )
+    return rr.Boxes3D(
+        half_sizes=[0.5 * fit.size_m], centers=[pose[:3, 3]], quaternions=[turn], colors=color, radii=LINE_M
+    )
+
+
+def _level(seen: ContainerSighting) -> str:
+    well = seen.fit is not None and (seen.change is None or seen.change.kind in ("stands", "hidden"))
+    return "INFO" if well else "WARN"

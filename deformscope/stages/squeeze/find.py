@@ -1,0 +1,313 @@
+"""Where a container stands on a table, by one depth image, before anything touches it.
+
+    found = find_container(points_m, "cylinder")          # points (n, 3) in the table's frame, z = 0 on it
+    found.center_m, found.size_m, found.deviation_m
+    compare(found, find_container(later_m, "cylinder")).kind
+
+What rises above the table is split into connected pieces as seen from above. Of the one piece the upright cylinder or
+box is fitted to the points of its sides by least squares (soft L1), its height to those of its top.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+from deformscope.arrays import FloatArray
+from deformscope.errors import InputError
+from deformscope.results.declared import derived, reported
+from deformscope.stages.squeeze.track import CORRELATED_PX
+
+ABOVE_M = 0.015
+"""What is lower over the table is table: several deviations of a depth camera's noise at 1 m. Higher, flat containers
+are not seen; lower, noise of the table joins pieces."""
+CELL_M, CELL_POINTS = 0.01, 3
+"""Cells seen from above that count as occupied with so many points: pixels are 2 mm apart at 1 m. Coarser, what stands
+a centimetre apart is one piece; finer, a side seen flat falls apart."""
+LEAST_POINTS, LEAST_HEIGHT_M = 300, 0.04
+"""Of a piece that may be a container: half of what one of 4 cm x 5 cm has at 1 m."""
+TOP_M = 0.008
+"""Within so much of the top a point may belong to it: five deviations of depth at 1 m."""
+MOST_POINTS = 4000
+"""Fitted to at most: more change nothing that counts, and cost time in proportion."""
+SOFT_M = 0.003
+"""Points of a side that are further off weigh less: two deviations of depth at 1 m."""
+BAD_RMS_M = 0.0025
+"""A fit whose sides are further off is none: a right one at 1 m has 0.5 to 0.8 mm, twice that with twice the noise; a
+cylinder taken for a box 2.8 mm. Larger, another shape passes; smaller, bulging walls are refused."""
+WALL_SD_M = 0.001
+"""Of where a full container's middle is, beside the noise: its walls bulge by a millimetre where they are seen."""
+MOVED_M, MOVED_SD, TURNED_RAD = 0.005, 4.0, 0.09
+"""A container counts as moved beyond so much, or so many deviations of both fits where that is more, and as turned
+beyond so much: closing fingers themselves move one by some millimetres. Smaller, every squeeze is told as a fault;
+larger, a container that was pushed is taken for one that stands."""
+TOPPLED_RAD, LOWER = 0.2, 0.8
+"""It has toppled where its axis leans by more, or its height is below this share of what it was."""
+
+
+class ContainerHidden(InputError):
+    """Too little of it is seen to say anything."""
+
+
+@dataclass(frozen=True, slots=True)
+class ContainerFit:
+    """An upright container as a depth image has it, in the table's frame: z = 0 on the table, upwards.
+
+    shape; center_m: (3,) middle of its body [m]; yaw_rad: of its x axis, 0 for a cylinder
+    size_m: (3,) along x, y, z; of a cylinder its diameter twice and its height [m]
+    lean_rad: (2,) of its axis towards x and y
+    deviation_m: (3,) standard deviation of the middle along x and y and of the height [m]; yaw_sd_rad
+    rms_m: of the points of its sides; points: fitted
+    """
+
+    shape: str = field(metadata=reported())
+    center_m: FloatArray = field(metadata=reported())
+    yaw_rad: float = field(metadata=reported())
+    size_m: FloatArray = field(metadata=reported())
+    lean_rad: FloatArray = field(metadata=reported())
+    deviation_m: FloatArray = field(metadata=reported())
+    yaw_sd_rad: float = field(metadata=reported())
+    rms_m: float = field(metadata=reported())
+    points: int = field(metadata=reported())
+
+    @property
+    def T_table_container(self) -> FloatArray:
+        """(4, 4) as a standing container, its x axis at `yaw_rad` [m]."""
+        pose = np.eye(4)
+        pose[:3, :3] = Rotation.from_euler("z", self.yaw_rad).as_matrix()
+        pose[:3, 3] = self.center_m
+        return pose
+
+
+@dataclass(frozen=True, slots=True)
+class ContainerChange:
+    """A container against what it was before. kind: stands, moved, toppled, gone (no upright one is found any more) or
+    hidden (not known); `reason` says why
+
+    moved_m: of its foot on the table; threshold_m: beyond which it counts as moved; turned_rad; lean_rad: of its axis
+    """
+
+    kind: str = field(metadata=reported())
+    moved_m: float = field(default=0.0, metadata=reported())
+    threshold_m: float = field(default=0.0, metadata=reported())
+    turned_rad: float = field(default=0.0, metadata=reported())
+    lean_rad: float = field(default=0.0, metadata=reported())
+    reason: str = field(default="", metadata=reported())
+
+    @property
+    @derived(key=None)
+    def words(self) -> str:
+        """In one line."""
+        if self.kind in ("gone", "hidden"):
+            return f"{self.kind}: {self.reason}"
+        by = f"{1e3 * self.moved_m:.1f} mm (limit {1e3 * self.threshold_m:.1f}), {np.degrees(self.turned_rad):.1f} deg"
+        return f"{self.kind}{': ' + self.reason if self.reason else ''}; {by} from where it was"
+
+
+def find_container(points_m: FloatArray, shape: str, *, expected: ContainerFit | None = None) -> ContainerFit:
+    """The one container among points (n, 3) of a table's frame, the robot left out.
+
+    expected: what it was before, whose size is kept, and near which it is sought: parts of it may be hidden
+    Raises InputError, with the reason, where there is none, several, or what there is has another shape.
+    """
+    if shape not in ("box", "cylinder"):
+        raise InputError("a box or a cylinder to find", repr(shape), 'shape = "box" in [container]')
+    above = points_m[points_m[:, 2] > ABOVE_M]
+    if expected is not None:
+        reach_m = float(np.linalg.norm(expected.size_m))
+        piece = above[np.linalg.norm(above[:, :2] - expected.center_m[:2], axis=1) < reach_m]
+    else:
+        pieces = _pieces(above)
+        if len(pieces) != 1:
+            where = ", ".join(f"({one[:, 0].mean():.2f}, {one[:, 1].mean():.2f})" for one in pieces)
+            nothing = f"nothing that is {100 * LEAST_HEIGHT_M:g} cm high"
+            came = f"{len(pieces)} things, at {where} m" if pieces else nothing
+            raise InputError("one container on the table", came, "clear the table, or check [surface] and T_arm_camera")
+        piece = pieces[0]
+    if len(piece) < LEAST_POINTS:
+        raise ContainerHidden(f"{LEAST_POINTS} points of a container", f"{len(piece)}", "a camera that sees it")
+    top_m = _top(piece[:, 2])
+    if expected is not None:
+        top_m = float(min(top_m, expected.size_m[2])) if top_m > LOWER * expected.size_m[2] else top_m
+    sides = piece[(piece[:, 2] < top_m - TOP_M)]
+    tops = piece[piece[:, 2] >= top_m - TOP_M]
+    sides = sides[:: 1 + len(sides) // MOST_POINTS]
+    if len(sides) < LEAST_POINTS // 3:
+        raise ContainerHidden("a container whose sides are seen", f"{len(sides)} points of them", "a camera less steep")
+    fit = _cylinder if shape == "cylinder" else _box
+    found = fit(sides, tops, top_m, expected)
+    if found.rms_m > BAD_RMS_M:
+        came = f"something that is off by {1e3 * found.rms_m:.1f} mm"
+        raise InputError(
+            f"an upright {shape}, within {1e3 * BAD_RMS_M:.1f} mm", came, "a container of [container] shape"
+        )
+    return found
+
+
+def compare(before: ContainerFit, after: ContainerFit | InputError) -> ContainerChange:
+    """What became of a container. after: as it is found now, or why it was not"""
+    if isinstance(after, InputError):
+        return ContainerChange("hidden" if isinstance(after, ContainerHidden) else "gone", reason=str(after))
+    foot = [one.center_m[:2] - 0.5 * one.size_m[2] * one.lean_rad for one in (before, after)]
+    moved_m = float(np.linalg.norm(foot[1] - foot[0]))
+    # walls bulge alike in both
+    noise = [np.maximum(one.deviation_m[:2] ** 2 - WALL_SD_M**2, 0.0) for one in (before, after)]
+    sd_m = float(np.sqrt(np.sum(noise)))
+    threshold_m = max(MOVED_M, MOVED_SD * sd_m)
+    period = np.pi  # a box is the same turned by half a turn
+    turned = abs((after.yaw_rad - before.yaw_rad + 0.5 * period) % period - 0.5 * period)
+    turned_limit = max(TURNED_RAD, MOVED_SD * float(np.hypot(before.yaw_sd_rad, after.yaw_sd_rad)))
+    lean = float(np.linalg.norm(after.lean_rad))
+    kind, reason = "stands", ""
+    if moved_m > threshold_m or turned > turned_limit:
+        kind = "moved"
+    if lean > TOPPLED_RAD or after.size_m[2] < LOWER * before.size_m[2]:
+        kind = "toppled"
+        reason = f"{100 * after.size_m[2]:.1f} cm high instead of {100 * before.size_m[2]:.1f} cm"
+    return ContainerChange(kind, moved_m, threshold_m, float(turned), lean, reason)
+
+
+def matches(found: ContainerFit, size_m: tuple[float, float, float], tolerance_m: float = 0.01) -> ContainerFit:
+    """The same with its x axis along the side that a rig file calls x. size_m: of its `[container]`
+
+    Raises InputError where another container stands there.
+    """
+    choices = [found]
+    if found.shape == "box":
+        turned = found.size_m[[1, 0, 2]]
+        yaw = (found.yaw_rad + np.pi) % np.pi - 0.5 * np.pi
+        choices.append(ContainerFit("box", found.center_m, yaw, turned, found.lean_rad, found.deviation_m,
+                                    found.yaw_sd_rad, found.rms_m, found.points))  # fmt: skip
+    best = min(choices, key=lambda one: float(np.abs(one.size_m - size_m).max()))
+    off_m = np.abs(best.size_m - size_m)
+    if (off_m > np.maximum(tolerance_m, MOVED_SD * best.deviation_m)).any():
+        sizes = [" x ".join(f"{1e3 * side:.0f}" for side in sides) for sides in (size_m, best.size_m)]
+        raise InputError(f"the {best.shape} of [container], {sizes[0]} mm", f"one of {sizes[1]} mm", "its size_m")
+    return best
+
+
+def _pieces(points: FloatArray) -> list[FloatArray]:
+    """Connected pieces seen from above that may be containers."""
+    if not len(points):
+        return []
+    cell = np.floor(points[:, :2] / CELL_M).astype(np.int64)
+    cell -= cell.min(axis=0) - 1
+    count = np.zeros(cell.max(axis=0) + 2, np.int64)
+    np.add.at(count, (cell[:, 0], cell[:, 1]), 1)
+    _, label = cv2.connectedComponents((count >= CELL_POINTS).astype(np.uint8), connectivity=8)
+    of_point = label[cell[:, 0], cell[:, 1]]
+    found = [points[of_point == number] for number in range(1, int(label.max()) + 1)]
+    return [one for one in found if len(one) >= LEAST_POINTS and _top(one[:, 2]) >= LEAST_HEIGHT_M]
+
+
+def _top(heights_m: FloatArray) -> float:
+    """Height of a level top, by the points within reach of the highest ones: single ones are noise."""
+    high = np.sort(heights_m)[::-1]
+    most = high[min(len(high) - 1, max(5, len(high) // 200))]
+    return float(np.median(high[high > most - TOP_M]))
+
+
+def _fitted(
+    residual: Callable[[FloatArray], FloatArray], start: FloatArray, reach: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Parameters (k,), their covariance (k, k), residuals at them (n,) [m]. reach: (k,) from the start at most"""
+    bounds = start - reach, start + reach
+    found = least_squares(residual, start, loss="soft_l1", f_scale=SOFT_M, x_scale=0.1 * reach, bounds=bounds)
+    off = residual(found.x)
+    off_m = 1.4826 * float(np.median(np.abs(off)))
+    # noise of neighbouring pixels is not independent
+    hessian = found.jac.T @ found.jac / max(off_m, 1e-5) ** 2 / CORRELATED_PX**2
+    return np.asarray(found.x), np.asarray(np.linalg.pinv(hessian)), off
+
+
+def _rms(off: FloatArray) -> float:
+    """Of all but the worst tenth, as if they were Gaussian."""
+    kept = np.sort(np.abs(off))[: max(1, int(0.9 * len(off)))]
+    return float(np.sqrt(np.mean(kept**2))) * 1.24
+
+
+def _cylinder(sides: FloatArray, tops: FloatArray, top_m: float, expected: ContainerFit | None) -> ContainerFit:
+    low, high = sides[:, :2].min(axis=0), sides[:, :2].max(axis=0)
+    radius = None if expected is None else 0.5 * float(expected.size_m[0])
+
+    def residual(p: FloatArray) -> FloatArray:
+        aside = sides[:, :2] - p[:2] - sides[:, 2:] * p[2:4]
+        return np.asarray(np.hypot(aside[:, 0], aside[:, 1]) - (p[4] if radius is None else radius))
+
+    # the sides that are seen lie on one half of it: its middle is where its top is, if that is seen
+    middle = np.median(tops[:, :2], axis=0) if len(tops) > 30 else 0.5 * (low + high)
+    first = middle if expected is None else expected.center_m[:2]
+    start = np.array([*first, 0.0, 0.0, *([0.5 * float((high - low).max())] if radius is None else [])])
+    p, covariance, off = _fitted(residual, start, np.array([0.1, 0.1, 1.0, 1.0, 0.05])[: len(start)])
+    half_m = 0.5 * top_m
+    center = np.array([*(p[:2] + half_m * p[2:4]), half_m])
+    at_middle = np.eye(len(p))[:2] + half_m * np.eye(len(p))[2:4]
+    spread = np.diag(at_middle @ covariance @ at_middle.T)
+    r = p[4] if radius is None else radius
+    return ContainerFit(
+        "cylinder",
+        center,
+        0.0,
+        np.array([2.0 * r, 2.0 * r, top_m]),
+        p[2:4],
+        np.array([*np.sqrt(spread + WALL_SD_M**2), _top_sd(tops)]),
+        0.0,
+        _rms(off),
+        len(sides),
+    )
+
+
+def _box(sides: FloatArray, tops: FloatArray, top_m: float, expected: ContainerFit | None) -> ContainerFit:
+    seen = tops if expected is None and len(tops) > 60 else sides
+    if expected is None:
+        (x, y), (width, depth), degrees = cv2.minAreaRect(1e3 * seen[:, :2].astype(np.float32))
+        yaw, first = float(np.radians(degrees)), np.asarray(1e-3 * np.array([x, y]), np.float64)
+        half = np.asarray(5e-4 * np.array([width, depth]), np.float64)
+    else:
+        yaw = expected.yaw_rad
+        first, half = (np.asarray(one[:2], np.float64) for one in (expected.center_m, 0.5 * expected.size_m))
+    free = expected is None
+
+    def turned(points: FloatArray, p: FloatArray) -> FloatArray:
+        c, s = np.cos(p[2]), np.sin(p[2])
+        return np.asarray((points[:, :2] - p[:2] - points[:, 2:] * p[3:5]) @ np.array([[c, -s], [s, c]]))
+
+    def residual(p: FloatArray) -> FloatArray:
+        size = p[5:7] if free else half
+        off = (np.abs(turned(sides, p)) - size).max(axis=1)
+        if not free:
+            return np.asarray(off)
+        # sides that are not seen end where the top does: shares of 1 % beyond either end of what is seen of it
+        ends = np.quantile(turned(seen, p), [0.01, 0.99], axis=0) / 0.98
+        extent = np.concatenate([ends[1] - size, ends[0] + size])
+        return np.asarray(np.concatenate([off, np.sqrt(0.05 * len(off)) * extent]))
+
+    start = np.array([*first, yaw, 0.0, 0.0, *(half if free else [])])
+    reach = np.array([0.1 if expected else 0.02, 0.1 if expected else 0.02, 0.5, 1.0, 1.0, 0.01, 0.01])
+    p, covariance, off = _fitted(residual, start, reach[: len(start)])
+    half_m = 0.5 * top_m
+    at_middle = np.eye(len(p))[:2] + half_m * np.eye(len(p))[3:5]
+    spread = np.diag(at_middle @ covariance @ at_middle.T)
+    sizes = 2.0 * (p[5:7] if free else half)
+    return ContainerFit(
+        "box",
+        np.array([*(p[:2] + half_m * p[3:5]), half_m]),
+        float((p[2] + 0.5 * np.pi) % np.pi - 0.5 * np.pi),
+        np.array([*sizes, top_m]),
+        p[3:5],
+        np.array([*np.sqrt(spread + WALL_SD_M**2), _top_sd(tops)]),
+        float(np.sqrt(covariance[2, 2])),
+        _rms(off[: len(sides)]),
+        len(sides),
+    )
+
+
+def _top_sd(tops: FloatArray) -> float:
+    """Deviation of the height of the top [m]."""
+    spread = 1.4826 * float(np.median(np.abs(tops[:, 2] - np.median(tops[:, 2]))))
+    return float(spread * CORRELATED_PX / np.sqrt(max(len(tops), 1.0)))

@@ -1,0 +1,70 @@
+"""What is recorded of an arm that places the hand: how the container was seen, and which grasp was drawn."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from deformscope.arrays import FloatArray, IntArray
+from deformscope.results.declared import reported
+from deformscope.stages.squeeze.find import ContainerChange, ContainerFit
+
+
+@dataclass(frozen=True, slots=True)
+class ContainerSighting:
+    """The container in depth images that were taken together.
+
+    index: the newest image's place in its stream; images: of all of them; arm_ns, hand_ns: of the states by which the
+    robot was left out, on the devices' clock; when: before, placed, or after (the squeeze)
+    near: it was sought close to where it was before, also where the robot hides a part of it
+    fit: None where it was not found, and `refused` says why; change: against before
+    edges_px: (n, 2, 2) ends of the found container's edges in the image
+    """
+
+    index: int
+    images: IntArray
+    arm_ns: int
+    hand_ns: int
+    when: str = field(metadata=reported())
+    near: bool
+    fit: ContainerFit | None = field(metadata=reported())
+    refused: str = field(metadata=reported())
+    change: ContainerChange | None = field(metadata=reported())
+    edges_px: FloatArray
+
+    @property
+    def words(self) -> str:
+        """In one line."""
+        if self.change is not None:
+            return self.change.words
+        if self.fit is None:
+            return f"not found: {self.refused}"
+        size, (x, y) = " x ".join(f"{1e3 * side:.0f}" for side in self.fit.size_m), self.fit.center_m[:2]
+        sd_mm = 1e3 * float(self.fit.deviation_m[:2].max())
+        return f"a {self.fit.shape} of {size} mm at ({x:.3f}, {y:.3f}) m, deviation {sd_mm:.1f} mm"
+
+
+@dataclass(frozen=True, slots=True)
+class HandPlacement:
+    """A grasp, and how the arm came to it.
+
+    by: the arm's model; seed: that grasps were drawn from, -1 = a person chose this one
+    along_m, tilt_deg, turn_deg: of the grasp (`robot.squeeze_plan.RandomGrasp`)
+    T_table_hand, T_hand_container: (4, 4) of the hand where it is to stand, and the container in it [m]
+    tried: (k, 3) along, tilt and turn of each grasp that was drawn; refused: (k,) why not, empty = this one
+    T_table_hands: (k, 4, 4) of the hand at each of them
+    path_m: (n, 3) of the middle between the pads as planned, table's frame
+    reached: travel, approach, grasp or retreat: what the arm last came to
+    """
+
+    by: str = field(metadata=reported())
+    seed: int = field(metadata=reported())
+    along_m: float = field(metadata=reported())
+    tilt_deg: float = field(metadata=reported())
+    turn_deg: float = field(metadata=reported())
+    T_table_hand: FloatArray = field(metadata=reported())
+    T_hand_container: FloatArray = field(metadata=reported())
+    tried: FloatArray = field(metadata=reported())
+    refused: tuple[str, ...] = field(metadata=reported())
+    T_table_hands: FloatArray
+    path_m: FloatArray
+    reached: str = field(metadata=reported())
