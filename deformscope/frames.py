@@ -14,9 +14,10 @@ from deformscope.arrays import FloatArray, ImageArray, IntArray
 from deformscope_drivers.clock import Stamp
 from deformscope_drivers.health import Health, LinkEvent
 
-NoteKind = Literal[
-    "note", "episode-begin", "episode-end", "tare", "alarm", "alarm-over", "discard-episode", "discard-recording"
-]
+NoteKind = (
+    Literal["note", "episode-begin", "episode-end", "tare", "alarm", "alarm-over", "stage", "stage-over"]
+    | Literal["discard-episode", "discard-recording"]
+)
 Kind = Literal["color", "depth", "tactile", "wrench", "arm", "hand"]
 
 
@@ -156,8 +157,8 @@ class HealthReport:
 @dataclass(frozen=True, slots=True)
 class SessionNote:
     """What a person remarked while the devices went on, or what was noticed. host_ns: when [ns]; text: a note in words,
-    an episode's label, the device that was tared, an alarm of a sensor (`deformscope.rig.alarms`), or why an episode
-    (the newest that began) or the whole recording is discarded"""
+    an episode's label, the device that was tared, an alarm of a sensor (`deformscope.rig.alarms`), why a stage gives
+    nothing, or why an episode (the newest that began) or the whole recording is discarded"""
 
     host_ns: int
     about: NoteKind

@@ -18,7 +18,7 @@ from contextvars import ContextVar
 from dataclasses import dataclass
 from typing import Any, Protocol, TypeVar
 
-from deformscope.frames import ColorFrame, HealthReport, Item, StageCost
+from deformscope.frames import ColorFrame, HealthReport, Item, SessionNote, StageCost
 
 SummaryT = TypeVar("SummaryT")
 ValueT = TypeVar("ValueT")
@@ -71,6 +71,7 @@ class Step:
     robot carries out; an experiment gives one at a time
     batch_s: how long what devices give is then gathered, without a robot
     costs: of the computations behind the results; the loop adds them
+    notes: what was noticed
     """
 
     results: tuple[object, ...] = ()
@@ -79,6 +80,7 @@ class Step:
     command: object | None = None
     batch_s: float = BATCH_S
     costs: tuple[StageCost, ...] = dataclasses.field(default=(), compare=False)
+    notes: tuple[SessionNote, ...] = ()
 
 
 Experiment = Generator[Step, ColorFrame | None, SummaryT]
@@ -196,6 +198,8 @@ def run(
         if step.results and costs:
             step = dataclasses.replace(step, costs=(*step.costs, *costs))
             costs.clear()
+        if step.notes:
+            recorder.write(step.notes)
         if step.results or (step.moment is None and frames is not None):
             recorder.write(step)
 

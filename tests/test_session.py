@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from deformscope.experiments.live_stages import live_stages
-from deformscope.frames import ColorFrame, HealthReport, Item
+from deformscope.frames import ColorFrame, HealthReport, Item, SessionNote
 from deformscope.session import Compute, Experiment, Inline, Moment, RigExperiment, Step, ask, finish, run
 from deformscope_drivers.clock import Stamp
 from tests.patience import PATIENCE_S
@@ -107,6 +107,20 @@ def test_a_rig_is_recorded_until_it_is_enough_and_nothing_is_left() -> None:
 
     assert notes.said == [HealthReport(number, ()) for number in (1, 2, 3, 0, -1)]
     assert last == HealthReport(-1, ())
+
+
+def test_what_an_experiment_notes_is_recorded_before_its_results() -> None:
+    def experiment() -> RigExperiment[None]:
+        yield Step()
+        yield Step(("a result",), notes=(SessionNote(5, "stage", "beta gives nothing: too dark"),))
+
+    notes = Notes()
+    run(Rig(), experiment(), notes)
+
+    assert notes.said[1:3] == [
+        SessionNote(5, "stage", "beta gives nothing: too dark"),
+        Step(("a result",), notes=(SessionNote(5, "stage", "beta gives nothing: too dark"),)),
+    ]
 
 
 @pytest.mark.parametrize("made", [Inline, lambda: ThreadPoolExecutor(1)])

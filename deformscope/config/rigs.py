@@ -14,6 +14,10 @@ from deformscope.config.images import ParticleFlags
 from deformscope.config.options import CommandOptions, OutputOptions, RecordedOptions
 from deformscope.errors import InputError
 
+WatchedStage = Literal["flow", "particles", "beta", "theta", "field", "surface", "tactile", "contact"]
+StageWord = WatchedStage | Literal["tracking", "depth-change", "posterior"]
+"""Stages of a rig; the last three belong to a squeeze, and are refused with that reason."""
+
 
 @dataclass(frozen=True, slots=True)
 class DevicesConfig(CommandOptions):
@@ -55,22 +59,24 @@ class StageOptions(ParticleFlags):
     are as for `calibrate beta`; without --grid and --spacing-px, 9 particles stand along the region's longer side."""
 
     stage: Annotated[
-        UseAppendAction[tuple[Literal["flow", "beta", "surface", "tactile", "contact"], ...]],
+        UseAppendAction[tuple[StageWord, ...]],
         arg(help_behavior_hint="(repeatable)"),
     ] = ()
-    """flow: optical flow between the images used; beta: particles of the first image, which shows the thing at rest,
-    followed to the newest, and the fit of that pose with its verdict; surface: a depth camera's surface as a Gaussian
+    """flow: optical flow between the images used; particles: those of the first image, which shows the thing at rest,
+    followed to the newest; beta, theta: the fit of that pose with its verdict; field: how stiff each place is against
+    the others; surface: a depth camera's surface as a Gaussian
     process, with its deviation; tactile: centre of pressure, contact area and force of each pad; contact: stiffness by
-    arm and force sensor, after each approach."""
+    arm and force sensor, after each approach; tracking, depth-change, posterior: of a squeeze alone
+    (`deformscope squeeze`). A stage that gives nothing says why at once."""
     camera: flags.CameraFlag = None
-    """Colour camera of flow and beta; default: the rig's first."""
+    """Colour camera of flow, particles, beta, theta and field; default: the rig's first."""
     cluster_size: flags.ClusterFlag = 3
     """Particles a side of the overlapping clusters."""
     longest_px: Annotated[int, flags.least(32)] = 160
     """The region is reduced until its longer side has so many pixels: twice as many take four times as long [px]."""
 
     @property
-    def names(self) -> tuple[Literal["flow", "beta", "surface", "tactile", "contact"], ...]:
+    def names(self) -> tuple[StageWord, ...]:
         """Each stage once, in the order asked for."""
         return tuple(dict.fromkeys(self.stage))
 

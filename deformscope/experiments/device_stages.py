@@ -21,9 +21,10 @@ from deformscope.experiments.foam_video import ParticleOptions, hold_what_is_see
 from deformscope.frames import ArmFrame, ColorFrame, DepthFrame, Frame, Item, Kind, Stream, TactileFrame, WrenchFrame
 from deformscope.rig.rig_file import Rig
 from deformscope.stages.fit.calibrate import FitOptions, Model, calibrate
-from deformscope.stages.fit.moment import MomentFit
+from deformscope.stages.fit.moment import FieldMoment, MomentFit, ParticleMoment
 from deformscope.stages.map.exploration import SurfaceEstimate, TouchEstimate
 from deformscope.stages.map.surface import fit_surface
+from deformscope.stages.materials.field import fit_field
 from deformscope.stages.poke.contact import ArmCompliance, TipKind, fit_approach, fitted_law
 from deformscope.stages.regions.touches import MapGrid
 from deformscope.stages.see.arrows import FlowArrows, flow_arrows, region_of
@@ -33,7 +34,8 @@ from deformscope.stages.see.particles import ParticleGrid, Tracked, advance, see
 from deformscope.stages.see.tactile import TactileContact, tactile_contact
 from deformscope_drivers.arm.kinematics import rotation_from_euler_xyz
 
-StageName = Literal["flow", "beta", "surface", "tactile", "contact"]
+StageName = Literal["flow", "particles", "beta", "theta", "field", "surface", "tactile", "contact"]
+"""What is computed while a rig is watched."""
 
 PARTICLES_ALONG = 9
 """Particles along the longer side of the region where neither shape nor spacing is asked for: a fit takes 0.2 s."""
@@ -94,13 +96,26 @@ class LiveOptions:
 
 NEEDS: dict[StageName, tuple[Kind, ...]] = {
     "flow": ("color",),
+    "particles": ("color",),
     "beta": ("color",),
+    "theta": ("color",),
+    "field": ("color",),
     "surface": ("depth",),
     "tactile": ("tactile",),
     "contact": ("wrench", "arm"),
 }
 """The kinds of devices that a stage takes its frames from; its results belong to the first."""
-REFERENCE: dict[StageName, Literal["first", "previous"]] = {"flow": "previous", "beta": "first"}
+SQUEEZED = {
+    "tracking": "it begins where the hand was placed, before first contact",
+    "depth-change": "it is around the fingertip that presses, on the tracked container",
+    "posterior": "it is of what fingertips felt since first contact",
+}
+"""Stages of a squeeze, which a rig that nothing moves cannot feed, and why."""
+SQUEEZE = "deformscope squeeze RIG --content NAME, with --model FILE for posterior"
+REFERENCE: dict[str, Literal["first", "previous"]] = {
+    "flow": "previous",
+    **dict.fromkeys(("particles", "beta", "theta", "field"), "first"),
+}
 """Which image stages take beside the newest."""
 
 
@@ -111,6 +126,9 @@ def for_rig(options: LiveOptions, rig: Rig) -> LiveOptions:
     """
     found: dict[str, Any] = {}
     for name in options.names:
+        if name in SQUEEZED:
+            wanted = f"a squeeze for --stage {name}: {SQUEEZED[name]}"
+            raise InputError(wanted, "a rig that is watched", SQUEEZE, rig.name)
         for kind in NEEDS[name]:
             found[kind] = _device_for(name, kind, options.color if kind == "color" else "", rig)
     found["lossless"] = found.get("color") in rig.record.lossless
@@ -191,6 +209,10 @@ class Chooser(Protocol):
     skipped: int
     """Frames (or approaches) that newer ones replaced before anything was computed from them, since the last `take`."""
 
+    @property
+    def lacks(self) -> str:
+        """What has to come before a first result, in words."""
+
     def see(self, item: Item) -> None: ...
 
     def take(self) -> tuple[Frame, ...] | None:
@@ -205,6 +227,10 @@ class NewestFrame:
         self._device, self._reference = device, reference
         self._other: Frame | None = None
         self._newest: Frame | None = None
+
+    @property
+    def lacks(self) -> str:
+        return f"{'no' if self._other is None else 'only one'} frame of {self._device} came"
 
     def see(self, item: Item) -> None:
         if not isinstance(item, Frame) or item.device != self._device:
@@ -238,11 +264,43 @@ def _flow(stage: Stage, packed: Any) -> FlowArrows:
     return flow_arrows(before, after, stage.options.particles.roi_rect, stage.options.longest_px)
 
 
+def _particles(stage: Stage, packed: Any) -> ParticleMoment:
+    """Particles of the first image where they are in the newest one."""
+    rest, now = packed
+    grid, tracked = _particles_at(rest, now, stage.options.particles, stage.options.longest_px)
+    return ParticleMoment(grid.rest_px, tracked.position_px, tracked.noise_px, tracked.seen)
+
+
+def _field(stage: Stage, packed: Any) -> FieldMoment:
+    """How stiff each place is against the others, by the particles of the first image in the newest one.
+
+    Raises InputError where too few particles are seen.
+    """
+    (rest, now), options = packed, stage.options.particles
+    grid, tracked = _particles_at(rest, now, options, stage.options.longest_px)
+    held, _ = hold_what_is_seen(grid, tracked, options.held, options.contact_rect)
+    found, _ = fit_field(observe(grid, tracked, held, options))
+    nearest = np.argsort(np.linalg.norm(found.place[:, None] - grid.rest_px, axis=2), axis=1)[:, :4]
+    return FieldMoment(
+        place_px=tracked.position_px[nearest].mean(axis=1),
+        spacing_px=found.spacing,
+        stiffness=found.stiffness,
+        interval=found.interval,
+        determined=np.array([one != "unidentified" for one in found.verdicts]),
+        ratio=found.ratio,
+        ratio_interval=found.ratio_interval,
+        verdict=found.verdict,
+        explained=found.explained,
+    )
+
+
 def _beta(stage: Stage, packed: Any) -> MomentFit:
-    """Particles of the first image where they are in the newest one, and the beta that this pose gives."""
+    """Particles of the first image where they are in the newest one, and the beta or theta that this pose gives."""
     rest, now = packed
     options = stage.options
-    fit = FitOptions(Model(cluster_size=options.cluster_size), candidates=CANDIDATES)
+    model = Model(parameter="theta" if stage.name == "theta" else "beta", cluster_size=options.cluster_size)
+    bounds = (0.0, 1.0) if stage.name == "theta" else FitOptions().bounds
+    fit = FitOptions(model, bounds=bounds, candidates=CANDIDATES)
     return fit_moment(rest, now, options.particles, fit, options.longest_px)
 
 
@@ -361,6 +419,13 @@ class ApproachChooser:
         self._since_ns: int | None = None
         self._ended: tuple[Frame, ...] | None = None
 
+    @property
+    def lacks(self) -> str:
+        if self._free_n is None:
+            return f"no force of {self._wrench} came"
+        began = self._since_ns is not None
+        return "an approach has not ended" if began else f"no approach: {self._wrench} feels less than {TOUCHING_N:g} N"
+
     def see(self, item: Item) -> None:
         if isinstance(item, ArmFrame) and item.device == self._arm:
             self._recent.append(item)
@@ -457,7 +522,10 @@ def fit_contact(
 
 STAGES: dict[StageName, tuple[Callable[[Sequence[Frame]], Any], Callable[[Stage, Any], object]]] = {
     "flow": (_images, _flow),
+    "particles": (_images, _particles),
     "beta": (_images, _beta),
+    "theta": (_images, _beta),
+    "field": (_images, _field),
     "surface": (_depth, _surface),
     "tactile": (lambda frames: cast(TactileFrame, frames[-1]).pressure_pa, _tactile),
     "contact": (_approach, _contact),

@@ -3,13 +3,16 @@
     with StageProcesses(options.names, quiet_warp) as executors:
         counts = session.run(rig, live_stages(stages_of(options, streams), executors, ended), recorder)
 
-The newest frame wins: while a stage computes, frames pass it by, and are counted. An image is computed on as it is
-recorded (decoded from JPEG), and a result names the frames that it rests on: `replay_stages` computes every result of a
-recording again and compares it to the last bit. A stage that fails gives a `StageFailure`, and goes on with what comes.
+The newest frame wins: while a stage computes, frames pass it by, and are counted. A stage that gives nothing notes why
+after a second, or with its first frame; one that does not keep up notes how far behind its frame it is. An image is
+computed on as it is recorded (decoded from JPEG), and a result names the frames that it rests on: `replay_stages`
+computes every result of a recording again and compares it to the last bit. A stage that fails gives a `StageFailure`,
+and goes on with what comes.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, field
@@ -17,9 +20,10 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from deformscope.frames import Frame, Item, StageCost, StageResult, UsedFrames
+from deformscope.frames import Frame, Item, NoteKind, SessionNote, StageCost, StageResult, UsedFrames
 from deformscope.images import decode_image, encode_color
 from deformscope.session import RigExperiment, Step, with_costs
+from deformscope.stages.fit.moment import MomentFit
 from deformscope.stages.map.exploration import StageFailure
 from deformscope_drivers.clock import monotonic_ns
 
@@ -29,6 +33,14 @@ if TYPE_CHECKING:
 
 SOON_S = 0.02
 """How long what devices give is gathered while stages wait for it: a frame is not kept waiting longer."""
+AT_ONCE_S = 1.0
+"""What has given nothing for so long says why."""
+AGAIN_S = 10.0
+"""A reason that comes and goes is said again after this at the earliest."""
+LEFT_OUT_LEAST = 3
+"""So many frames are left out before a stage is said not to keep up."""
+NUMBER = re.compile(r"[-+]?\d[\d.]*(e[-+]?\d+)?")
+"""Reasons that differ in numbers alone are the same."""
 
 
 class StageExecutor(Protocol):
@@ -39,13 +51,27 @@ class StageExecutor(Protocol):
 
 @dataclass(slots=True)
 class StageCounts:
-    """What became of a stage's frames. frames: that came; results; failures among them; late_s: of each result [s]"""
+    """What became of a stage's frames. frames: that came; results; failures among them; late_s: of each result [s]
+
+    left: frames that were skipped because newer ones came; the others were not finished when it ended
+    lasted_s: since the first frame [s]; reasons: of the results that give nothing, with how many there were of each
+    nothing: why there is no result, "" where there is one
+    """
 
     frames: int = 0
     results: int = 0
     failures: int = 0
     skipped: int = 0
     late_s: list[float] = field(default_factory=list)
+    left: int = 0
+    lasted_s: float = 0.0
+    reasons: dict[str, int] = field(default_factory=dict)
+    nothing: str = ""
+
+    @property
+    def rate_hz(self) -> float:
+        """Results per second."""
+        return self.results / self.lasted_s if self.lasted_s > 0.0 else 0.0
 
     def as_json(self) -> dict[str, object]:
         """Counts, and how far results were behind their frame [ms]; null where there were none."""
@@ -54,7 +80,9 @@ class StageCounts:
             p50, p95, most = (float(value) for value in np.percentile(self.late_s, (50, 95, 100)) * 1e3)
             lag = {"p50": p50, "p95": p95, "max": most}
         counts = {"frames": self.frames, "results": self.results, "failures": self.failures, "skipped": self.skipped}
-        return {**counts, "lag_ms": lag}
+        skipped_by = {"newer": self.left, "ended": self.skipped - self.left}
+        more = {"rate_hz": self.rate_hz, "skipped_by": skipped_by, "reasons": self.reasons, "nothing": self.nothing}
+        return {**counts, "lag_ms": lag, **more}
 
     def to_text(self) -> str:
         """The same in a line."""
@@ -63,7 +91,11 @@ class StageCounts:
         if self.late_s:
             p50, p95, most = np.percentile(self.late_s, (50, 95, 100)) * 1e3
             lag = f", behind their frame by {p50:.0f} ms (median), {p95:.0f} ms (95 %), {most:.0f} ms at most"
-        return f"{self.results} results of {self.frames} frames{failed}, {self.skipped} skipped{lag}"
+        why = f" ({self.left} for newer ones, {self.skipped - self.left} at the end)" if self.skipped else ""
+        rate = f", {self.rate_hz:.3g}/s" if self.results else ""
+        found = f"{self.results} results of {self.frames} frames{rate}{failed}, {self.skipped} skipped{why}{lag}"
+        found += "".join(f"; {count} without a value: {reason}" for reason, count in self.reasons.items())
+        return f"{found}; nothing: {self.nothing}" if self.nothing else found
 
 
 def live_stages(
@@ -72,33 +104,42 @@ def live_stages(
     ended: Callable[[Sequence[Item]], bool],
     *,
     lossless: bool = False,
+    watch: Callable[[StageResult], None] = lambda result: None,
+    clock: Callable[[], int] = monotonic_ns,
 ) -> RigExperiment[dict[str, StageCounts]]:
     """The experiment that passes on what comes to stages, and gives the `StageResult`s that came; returns the counts.
 
     executors: what computes each stage, by its name: each has its own, so that none waits for another; ended: sees
-    every batch, and says when it is over; lossless: colour images are recorded as they are
+    every batch with what stages note, and says when it is over; lossless: colour images are recorded as they are
+    watch: sees every result; clock: the host's [ns]
     """
-    running = [_Running(stage, executors[stage.name], lossless) for stage in stages]
+    running = [_Running(stage, executors[stage.name], lossless, clock) for stage in stages]
     given = yield Step(batch_s=SOON_S)
     over = False
     while not over:
         items = given if isinstance(given, Sequence) else ()
         results = tuple(result for one in running if (result := one.result()) is not None)
+        for result in results:
+            watch(result)
         for one in running:
             one.go_on(items)
-        over = ended(items)
-        if results or not over:
+        notes = tuple(note for one in running for note in one.notes())
+        over = ended((*items, *notes))
+        if results or notes or not over:
             costs = tuple(cost for one in running for cost in one.costs()) if results else ()
-            given = yield Step(results, batch_s=SOON_S, costs=costs)
+            given = yield Step(results, batch_s=SOON_S, costs=costs, notes=notes)
     return {one.stage.name: one.end() for one in running}
 
 
 class _Running:
     """A stage, what it computes now, and what became of its frames so far."""
 
-    def __init__(self, stage: Stage, executors: StageExecutor, lossless: bool) -> None:
+    def __init__(self, stage: Stage, executors: StageExecutor, lossless: bool, clock: Callable[[], int]) -> None:
         self.stage = stage
-        self._executor, self._lossless = executors, lossless
+        self._executor, self._lossless, self._clock = executors, lossless, clock
+        self._began_ns, self._first_ns = clock(), 0
+        self._reason, self._said_ns = "", dict[str, int]()
+        self._notes: list[SessionNote] = []
         self._chooser = stage.chooser()
         self._counts = StageCounts()
         self._skipped = 0
@@ -110,7 +151,9 @@ class _Running:
         """Take what came; begin with the newest where nothing is being computed."""
         for item in items:
             self._chooser.see(item)
-            self._counts.frames += isinstance(item, Frame) and item.device == self.stage.device
+            if isinstance(item, Frame) and item.device == self.stage.device:
+                self._counts.frames += 1
+                self._first_ns = self._first_ns or self._clock()
         if self._future is not None:
             return
         frames = self._chooser.take()
@@ -127,7 +170,7 @@ class _Running:
             return None
         future, self._future = self._future, None
         error = future.exception()
-        newest, now_ns = self._frames[-1], monotonic_ns()
+        newest, now_ns = self._frames[-1], self._clock()
         if error is None:
             (result, now_ns), self._costs = future.result()
         else:
@@ -136,7 +179,15 @@ class _Running:
         counts.results += 1
         counts.failures += isinstance(result, StageFailure)
         counts.skipped += self._skipped
+        counts.left += self._skipped
         counts.late_s.append((now_ns - newest.stamp.host_ns) / 1e9)
+        reason = reason_of(result)
+        if reason:
+            same = next((known for known in counts.reasons if alike(known) == alike(reason)), reason)
+            counts.reasons[same] = counts.reasons.get(same, 0) + 1
+        self._say(reason)
+        if counts.skipped > max(counts.results, LEFT_OUT_LEAST - 1):
+            self._say_late()
         used = used_frames(self._frames)
         self._frames = ()
         return StageResult(self.stage.name, used, newest.stamp.host_ns, self._skipped, counts.late_s[-1], result)
@@ -148,10 +199,59 @@ class _Running:
 
     def end(self) -> StageCounts:
         """The counts, with what nothing was computed from in the end among the skipped."""
-        self._counts.skipped += self._chooser.skipped + (self._chooser.take() is not None)
-        if self._future is not None:
-            self._counts.skipped += self._skipped + 1
-        return self._counts
+        counts = self._counts
+        counts.nothing = "" if counts.results else self._lack
+        left = self._chooser.skipped + (self._skipped if self._future is not None else 0)
+        counts.left += left
+        counts.skipped += left + (self._chooser.take() is not None) + (self._future is not None)
+        counts.lasted_s = (self._clock() - self._first_ns) / 1e9 if self._first_ns else 0.0
+        return counts
+
+    def notes(self) -> list[SessionNote]:
+        """What is to be said of it now."""
+        since_ns = self._frames[-1].stamp.host_ns if self._frames else self._began_ns
+        if not self._counts.results and self._clock() - since_ns >= AT_ONCE_S * 1e9:
+            self._say(self._lack)
+        found, self._notes = self._notes, []
+        return found
+
+    @property
+    def _lack(self) -> str:
+        """Why there is no result yet."""
+        return self._chooser.lacks if self._future is None else "the first result is still being computed"
+
+    def _say(self, reason: str) -> None:
+        """Note why it gives nothing, "" = it gives results, where that is news."""
+        if alike(reason) == alike(self._reason):
+            return
+        self._reason = reason
+        text = f"{self.stage.name} gives " + (f"nothing: {reason}" if reason else "results")
+        self._note("stage" if reason else "stage-over", text, alike(reason), AGAIN_S)
+
+    def _say_late(self) -> None:
+        """Note once that it does not keep up."""
+        counts = self._counts
+        got = f"{counts.results} of {counts.results + counts.skipped} so far"
+        behind = f"{self.stage.name} takes the newest of {self.stage.device}'s frames, {got}: "
+        self._note("stage", f"{behind}{counts.late_s[-1] * 1e3:.0f} ms behind its frame", "late", float("inf"))
+
+    def _note(self, about: NoteKind, text: str, kind: str, again_s: float) -> None:
+        now_ns = self._clock()
+        if kind not in self._said_ns or now_ns - self._said_ns[kind] >= again_s * 1e9:
+            self._said_ns[kind] = now_ns
+            self._notes.append(SessionNote(now_ns, about, text))
+
+
+def reason_of(result: object) -> str:
+    """Why a result holds no value; "" where it does."""
+    if isinstance(result, StageFailure):
+        return result.reason
+    return result.verdict_text if isinstance(result, MomentFit) and np.isnan(result.value) else ""
+
+
+def alike(reason: str) -> str:
+    """The reason without its numbers."""
+    return NUMBER.sub("#", reason)
 
 
 def used_frames(frames: Sequence[Frame]) -> tuple[UsedFrames, ...]:
@@ -168,9 +268,9 @@ def used_frames(frames: Sequence[Frame]) -> tuple[UsedFrames, ...]:
 
 def compute_stage(stage: Stage, packed: Any, lossless: bool) -> tuple[object, int]:
     """A stage's result of live frames, and when it was there [ns]. What fails is a result too."""
-    from deformscope.experiments.device_stages import compute
+    from deformscope.experiments.device_stages import REFERENCE, compute
 
-    images = packed if stage.name in ("flow", "beta") else ()
+    images = packed if stage.name in REFERENCE else ()
     try:
         if images:
             packed = tuple(decode_image(encode_color(image, lossless=lossless), "image") for image in images)

@@ -15,6 +15,7 @@ from threadpoolctl import threadpool_limits
 from deformscope.errors import InputError
 from deformscope.experiments.device_stages import (
     CELL_M,
+    REFERENCE,
     LiveOptions,
     Stage,
     StageName,
@@ -83,9 +84,9 @@ class StageProcess:
 
 def warm_up(name: StageName, start_engine: Callable[[], None]) -> None:
     """Do once what costs time the first time: imports, kernels."""
-    if name == "beta":
+    if name in ("beta", "theta", "field"):
         start_engine()
-    if name in ("flow", "beta"):
+    if name in REFERENCE:
         image = np.random.default_rng(0).integers(0, 255, (120, 160), np.uint8)
         before = np.asarray(cv2.GaussianBlur(image, (0, 0), 2.0))
         stage = Stage(name, LiveOptions((name,), color="camera"))

@@ -4,17 +4,34 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator
+from typing import Any
 
 from deformscope.lab.double_device import double_device
 from deformscope.rig.rig_file import Rig, RigDevice
 from deformscope.rig.source import RigMember
+from deformscope.robot.squeeze_setup import SqueezeParts
+from deformscope_drivers.device import Device
 
 
 @contextlib.contextmanager
 def members_of(rig: Rig) -> Iterator[tuple[RigMember, ...]]:
-    """The rig's devices, closed; doubles run for those that the rig wants doubled, until the end of the context."""
+    """The rig's devices, closed; doubles run for those that the rig wants doubled, until the end of the context.
+
+    In lab:containers a container stands between the doubles.
+    """
     with contextlib.ExitStack() as stack:
-        yield tuple([stack.enter_context(member_of(entry)) for entry in rig.devices])
+        around: dict[str, Device[Any]] = {}
+        if rig.name == "lab:containers":
+            from deformscope.lab.container_setup import rig_container
+
+            parts = SqueezeParts.of(rig, 0)
+            around = stack.enter_context(rig_container(parts, "", "", "lab-0", 0).simulated.devices(parts.around))
+        yield tuple(
+            RigMember(one.name, one.driver, around[one.name], simulated=True)
+            if one.name in around
+            else stack.enter_context(member_of(one))
+            for one in rig.devices
+        )
 
 
 @contextlib.contextmanager

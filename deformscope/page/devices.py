@@ -109,10 +109,13 @@ class WatchedDevices:
 
 
 def remark_of(item: object) -> tuple[str, bool] | None:
-    """What people are to know of it at once, and whether it is bad: links that change, alarms of sensors."""
+    """What people are to know of it at once, and whether it is bad: links that change, alarms of sensors,
+    stages that give nothing."""
     if isinstance(item, LinkChange):
         reason = f": {item.event.reason}" if item.event.reason else ""
         return f"{item.device}: {item.event.link}{reason}", item.event.link in ("lost", "failed")
+    if isinstance(item, SessionNote) and item.about in ("stage", "stage-over"):
+        return f"stage {item.text}", item.about == "stage"
     if isinstance(item, SessionNote) and item.about in ("alarm", "alarm-over"):
         began = item.about == "alarm"
         return item.text if began else f"over: {item.text}", began

@@ -8,6 +8,7 @@ import hashlib
 import os
 import signal
 import time
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, cast
@@ -17,7 +18,7 @@ from deformscope.config.images import ImageOptions
 from deformscope.config.rigs import StageOptions
 from deformscope.experiments.live_stages import StageCounts, live_stages
 from deformscope.file_io import new_recording
-from deformscope.frames import HealthReport, Item, Stream
+from deformscope.frames import HealthReport, Item, StageResult, Stream
 from deformscope.interruption import Interruption, until_interrupted
 from deformscope.lab.rig_members import members_of
 from deformscope.log.rig_layout import RIG, RigLayout
@@ -84,7 +85,7 @@ def run_rig(config: RigRunOptions, auto: Literal["none", "native"], *, always_re
     with (
         until_interrupted() as asked,
         _recorder(output, settings, rig, names, asked, recent, fit, at_end=at_end) as recorder,
-        _processes(names) if names else contextlib.nullcontext({}) as beside,
+        _processes(options.names) if options is not None else contextlib.nullcontext({}) as beside,
         members_of(rig) as members,
     ):
         say(f"opening {', '.join(member.name for member in members)}")
@@ -100,7 +101,8 @@ def run_rig(config: RigRunOptions, auto: Literal["none", "native"], *, always_re
             say(f"{what} {file}: Ctrl-C ends it" if file else "watching: Ctrl-C ends it")
             end = _Ending(asked, config.seconds, opened.source)
             lossless = options is not None and options.lossless
-            counts = run_session(opened.source, live_stages(stages, beside, end, lossless=lossless), recorder)
+            experiment = live_stages(stages, beside, end, lossless=lossless, watch=end.watch)
+            counts = run_session(opened.source, experiment, recorder)
         last = opened.last
         assert last is not None
         if at_end and recent is not None and (taken := recent.taken()) is not None:
@@ -189,6 +191,13 @@ class _Ending:
         self._seconds = seconds
         self._began = self._reported_at = time.monotonic()
         self.reason = ""
+        self._newest: dict[str, StageResult] = {}
+        self._counts: Counter[str] = Counter()
+
+    def watch(self, result: StageResult) -> None:
+        """A stage's result has come."""
+        self._newest[result.stage] = result
+        self._counts[result.stage] += 1
 
     @property
     def early_by(self) -> int:
@@ -203,9 +212,12 @@ class _Ending:
             elif (remark := remark_of(item)) is not None:
                 say(remark[0])
         if self._last is not None and time.monotonic() - self._reported_at > REPORT_EVERY_S:
-            self._reported_at = time.monotonic()
-            rates = ", ".join(f"{name} {health.rate_hz:.4g}/s" for name, health in self._last.devices)
-            say(rates)
+            since_s, self._reported_at = time.monotonic() - self._reported_at, time.monotonic()
+            say(", ".join(f"{name} {health.rate_hz:.4g}/s" for name, health in self._last.devices))
+            if self._newest:
+                late = ((name, self._counts[name] / since_s, one.late_s * 1e3) for name, one in self._newest.items())
+                say("stages: " + ", ".join(f"{name} {rate:.3g}/s {ms:.0f} ms behind" for name, rate, ms in late))
+                self._counts.clear()
         lasted_s = time.monotonic() - self._began
         early = "" if self._seconds is None else f", earlier than the {self._seconds:g} s asked for"
         if self._asked.is_set():

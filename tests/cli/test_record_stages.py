@@ -5,13 +5,14 @@ from __future__ import annotations
 import json
 from itertools import pairwise
 from pathlib import Path
+from typing import get_args
 
 import pytest
 
 from deformscope.cli import main
-from deformscope.config.rigs import StageOptions
+from deformscope.config.rigs import StageOptions, StageWord, WatchedStage
 from deformscope.errors import InputError
-from deformscope.experiments.device_stages import NEEDS, StageName
+from deformscope.experiments.device_stages import NEEDS, SQUEEZED, StageName
 from deformscope.recording.items import read_stage_results
 
 RIG = """
@@ -45,6 +46,9 @@ def test_what_stages_find_is_recorded_counted_and_found_again(rig: Path, tmp_pat
         assert counts["results"] > 0
         assert counts["failures"] == 0
         assert counts["results"] + counts["skipped"] + pending == counts["frames"]
+        assert counts["rate_hz"] > 0.0
+        assert sum(counts["skipped_by"].values()) == counts["skipped"]
+        assert (counts["reasons"], counts["nothing"]) == ({}, "")
         assert 0.0 < counts["lag_ms"]["p50"] <= counts["lag_ms"]["p95"] <= counts["lag_ms"]["max"]
     results = read_stage_results(file)
     assert len(results) == stages["tactile"]["results"] + stages["flow"]["results"]
@@ -82,7 +86,8 @@ def test_flags_that_contradict_each_other_are_refused() -> None:
 
 
 def test_flags_and_stages_have_the_same_names() -> None:
-    asked: tuple[StageName, ...] = ("flow", "beta", "surface", "tactile", "contact")
+    asked: tuple[StageWord, ...] = get_args(WatchedStage)
 
     assert StageOptions(stage=(*asked, "flow")).names == asked
-    assert set(NEEDS) == set(asked)
+    assert tuple(NEEDS) == asked == get_args(StageName)
+    assert SQUEEZED.keys() | NEEDS.keys() == {word for part in get_args(StageWord) for word in get_args(part) or [part]}

@@ -108,15 +108,25 @@ def pads(index: int, device: str = "pads") -> TactileFrame:
 
 
 class Session:
-    """The experiment, driven by hand."""
+    """The experiment, driven by hand. now_s: on its clock, None = the host's; notes: with their time [s]"""
 
-    def __init__(self, stages: Sequence[Stage], beside: Mapping[str, ByHand]) -> None:
+    def __init__(
+        self, stages: Sequence[Stage], beside: Mapping[str, ByHand], now_s: float | None = None, **more: Any
+    ) -> None:
         self._over = False
-        self._experiment = live_stages(stages, beside, lambda items: self._over)
+        self.now_s = now_s
+        self.notes: list[tuple[float, str, str]] = []
+        self._experiment = live_stages(stages, beside, lambda items: self._over, clock=self._clock, **more)
         next(self._experiment)
 
-    def send(self, given: Sequence[Item]) -> tuple[Any, ...]:
-        return self._experiment.send(given).results
+    def _clock(self) -> int:
+        return monotonic_ns() if self.now_s is None else round(self.now_s * 1e9)
+
+    def send(self, given: Sequence[Item], now_s: float | None = None) -> tuple[Any, ...]:
+        self.now_s = now_s
+        step = self._experiment.send(given)
+        self.notes += [(note.host_ns / 1e9, note.about, note.text) for note in step.notes]
+        return step.results
 
     def end(self) -> dict[str, StageCounts]:
         self._over = True
@@ -186,6 +196,124 @@ def test_a_process_that_dies_is_a_failure_too() -> None:
     assert after.result == 4
 
 
+# Why a stage gives nothing, and how late it is -----------------------------------------------------------------------
+
+
+def at(time_s: float, index: int, device: str = "pads") -> TactileFrame:
+    return dataclasses.replace(pads(index, device), stamp=Stamp(round(time_s * 1e9)))
+
+
+def test_a_stage_whose_device_is_silent_says_so_after_a_second_and_once() -> None:
+    session = Session([Doubled()], {"tactile": AtOnce()}, 0.0)
+
+    for step in range(60):
+        session.send([at(0.1 * step, step, "others")], 0.1 * step)
+
+    assert session.notes == [(1.0, "stage", "tactile gives nothing: no frame of pads came")]
+    counts = session.end()["tactile"]
+    assert (counts.frames, counts.results, counts.nothing) == (0, 0, "no frame of pads came")
+
+
+def test_a_slow_first_result_is_said_within_a_second_and_that_it_came() -> None:
+    worker = ByHand()
+    session = Session([Doubled()], {"tactile": worker}, 0.0)
+    for step in range(40):
+        session.send([at(0.1 * step, step)], 0.1 * step)
+    worker.finish()
+    session.send([], 4.0)
+
+    assert session.notes == [
+        (1.0, "stage", "tactile gives nothing: the first result is still being computed"),
+        (4.0, "stage-over", "tactile gives results"),
+    ]
+
+
+def test_what_is_computed_from_a_frame_that_came_late_is_not_called_slow_at_once() -> None:
+    worker = ByHand()
+    session = Session([Doubled()], {"tactile": worker}, 0.0)
+    session.send([], 1.5)
+    session.send([at(2.0, 1)], 2.0)
+    session.send([], 2.9)
+    session.send([], 3.0)
+
+    assert [(when, text) for when, _, text in session.notes] == [
+        (1.5, "tactile gives nothing: no frame of pads came"),
+        (3.0, "tactile gives nothing: the first result is still being computed"),
+    ]
+
+
+def test_a_first_failure_is_said_with_its_frame_and_another_only_where_the_reason_changes() -> None:
+    @dataclasses.dataclass(frozen=True)
+    class Fails(Doubled):
+        def compute(self, packed: Any) -> object:
+            raise InputError("luck" if packed < 5 else "light", str(packed))
+
+    session = Session([Fails()], {"tactile": AtOnce()}, 0.0)
+    for step in range(10):
+        session.send([at(0.01 * step, step)], 0.01 * step)
+    session.send([], 0.1)
+
+    assert session.notes == [
+        (0.01, "stage", "tactile gives nothing: expected luck; got 0"),
+        (0.06, "stage", "tactile gives nothing: expected light; got 5"),
+    ]
+    counts = session.end()["tactile"]
+    assert counts.as_json()["reasons"] == {"expected luck; got 0": 5, "expected light; got 5": 5}
+    assert counts.nothing == ""
+
+
+def test_a_reason_that_comes_and_goes_is_not_said_with_each_frame() -> None:
+    session = Session([Doubled()], {"tactile": AtOnce()}, 0.0)
+    for step in range(100):
+        session.send([at(0.01 * step, 13 if step % 2 else 1)], 0.01 * step)
+
+    assert [text for _, _, text in session.notes] == [
+        "tactile gives nothing: expected luck; got 13",
+        "tactile gives results",
+    ]
+
+
+def test_a_stage_that_does_not_keep_up_says_once_how_late_it_is() -> None:
+    worker = ByHand()
+    session = Session([Doubled()], {"tactile": worker}, 0.0)
+    seen: list[StageResult] = []
+    for step in range(1, 90):
+        results = session.send([at(0.1 * step, step)], 0.1 * step)
+        seen += results
+        if step % 5 == 0:
+            worker.finish()
+
+    (late,) = [text for _, _, text in session.notes if "newest" in text]
+    assert late.startswith("tactile takes the newest of pads's frames, 2 of 6 so far: ")
+    assert late.endswith(" ms behind its frame")
+    assert [one.used[-1].last for one in seen] == [1, *range(6, 86, 5)]  # the newest when the one before was done
+    counts = session.end()["tactile"]
+    assert counts.results + counts.skipped == counts.frames
+    assert counts.left > 3 * counts.results
+
+
+def test_the_summary_has_rates_lag_and_what_was_skipped_by_reason() -> None:
+    worker = ByHand()
+    seen: list[StageResult] = []
+    session = Session([Doubled()], {"tactile": worker}, 1.0, watch=seen.append)
+    session.send([at(0.0, index) for index in range(4)], 1.0)
+    worker.finish()
+    session.send([at(0.1, 5), at(0.1, 6)], 1.1)
+    session.send([at(0.2, 7)], 3.0)
+
+    counts = session.end()["tactile"]
+
+    found = counts.as_json()
+    assert [one.used[-1].last for one in seen] == [3]
+    assert (found["frames"], found["results"], found["skipped"]) == (7, 1, 6)
+    assert found["skipped_by"] == {"newer": 4, "ended": 2}
+    assert found["rate_hz"] == pytest.approx(0.5)
+    assert set(found) == {
+        *("frames", "results", "failures", "skipped", "lag_ms", "rate_hz", "skipped_by", "reasons", "nothing")
+    }
+    assert "6 skipped (4 for newer ones, 2 at the end)" in counts.to_text()
+
+
 def test_two_stages_do_not_wait_for_each_other() -> None:
     slow, fast = ByHand(), AtOnce()
     session = Session([Doubled(name="flow"), Doubled()], {"flow": slow, "tactile": fast})
@@ -242,6 +370,24 @@ def test_beta_follows_particles_in_pixels_of_the_whole_image() -> None:
     assert found.interval[0] <= found.value <= found.interval[1]
     assert found.verdict in ("identified", "weak", "at-bound", "unidentified")
     assert found.verdict_text.startswith(found.verdict.split("-")[0])
+
+
+def test_particles_theta_and_field_are_of_the_first_image_and_the_newest() -> None:
+    options = LiveOptions(("particles", "theta", "field"), color="camera")
+    stages = {stage.name: stage for stage in stages_of(options, ())}
+    found: dict[str, Any] = {name: compute(stage, (foam(), foam(16.0))) for name, stage in stages.items()}
+
+    down = 16.0 * (240 - found["particles"].rest_px[:, 1]) / 240
+    inner = found["particles"].seen & (found["particles"].rest_px[:, 1] > 40)
+    moved = found["particles"].position_px - found["particles"].rest_px
+    np.testing.assert_allclose(moved[inner], np.column_stack([0 * down, down])[inner], atol=0.5)
+    assert found["theta"].parameter == "theta"
+    assert found["theta"].interval[0] <= found["theta"].value <= found["theta"].interval[1] <= 1.0
+    field = found["field"]
+    assert field.ratio_interval[0] <= 1.0 <= field.ratio_interval[1] or field.verdict == "unidentified"
+    assert len(field.place_px) == len(field.stiffness) == len(field.interval) == len(field.determined) >= 30
+    assert (field.place_px >= 0.0).all()
+    assert (field.place_px[:, 0] < 320.0).all()
 
 
 def test_a_pose_that_cannot_be_fitted_has_particles_and_a_reason() -> None:
@@ -393,6 +539,12 @@ def test_a_camera_that_is_not_calibrated_is_refused_and_the_bench_is() -> None:
     found = for_rig(LiveOptions(("flow", "surface", "contact")), bench)
     assert (found.color, found.depth, found.wrench, found.arm) == ("camera", "depth", "tip", "arm")
     assert found.size_m == (0.36, 0.26)
+
+
+@pytest.mark.parametrize("name", ["tracking", "depth-change", "posterior"])
+def test_a_stage_of_a_squeeze_is_refused_with_the_reason(name: Any) -> None:
+    with pytest.raises(InputError, match=f"a squeeze for --stage {name}: .*; got a rig that is watched .*squeeze RIG"):
+        for_rig(LiveOptions((name,)), load_rig("lab:bench"))
 
 
 # Recorded, read back, computed again ----------------------------------------------------------------------------------

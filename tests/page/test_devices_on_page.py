@@ -89,3 +89,13 @@ def test_alarms_and_links_are_said_on_the_page_and_alarms_at_the_terminal(capsys
     alone = WatchedDevices(Kept(), None, print)  # without a page
     alone.write(items)
     assert capsys.readouterr().err.splitlines() == [ALARM, f"over: {ALARM}"]
+
+
+def test_a_stage_that_gives_nothing_is_remarked_and_that_it_goes_on() -> None:
+    watched = Watched()
+    watched.recorder.write([SessionNote(1, "stage", "beta gives nothing: too dark")])
+    watched.recorder.write([SessionNote(2, "stage-over", "beta gives results")])
+
+    said = [(remark.words, remark.bad) for remark in watched.session.state.remarks]
+
+    assert said == [("stage beta gives nothing: too dark", True), ("stage beta gives results", False)]

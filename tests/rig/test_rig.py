@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import time
 from importlib import resources
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from deformscope.errors import InputError
+from deformscope.frames import DepthFrame
+from deformscope.lab.rig_members import members_of
 from deformscope.rig.rig_file import load_rig, parse_rig, scenario_names
+from deformscope.rig.source import RigSource
+from tests.patience import PATIENCE_S
 
 TIP = '[devices.tip]\ndriver = "optoforce"\nport = "/dev/ttyACM0"\n'
 
@@ -119,3 +125,18 @@ def test_a_file_stands_in_for_a_camera(tmp_path: Path) -> None:
     (device,) = parse_rig('[devices.cam]\ndriver = "image_folder"\npath = "frames"\nfps = 5', "r").devices
 
     assert device.driver.make(device.config).path == Path("frames")
+
+
+@pytest.mark.slow
+def test_in_the_rig_of_containers_the_camera_sees_the_box_between_the_fingers() -> None:
+    with members_of(load_rig("lab:containers")) as members, RigSource(members, raw=False) as source:
+        assert [(one.name, one.simulated) for one in members] == [
+            *(("hand", True), ("pads", True), ("depth", True), ("camera", True))
+        ]
+        until = time.monotonic() + PATIENCE_S
+        seen: list[DepthFrame] = []
+        while not seen and time.monotonic() < until:
+            seen += [item for item in source.take(0.1) if isinstance(item, DepthFrame)]
+    depth_m = seen[0].depth * seen[0].unit_m
+    near = depth_m[(depth_m > 0.0) & (depth_m < 0.9 * np.median(depth_m[depth_m > 0.0]))]
+    assert near.size > 1000

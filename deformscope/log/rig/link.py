@@ -41,7 +41,9 @@ def log_link(
 def log_notes(batch: Batch, notes: Sequence[SessionNote], start_ns: int) -> None:
     words = [note.text if note.about == "note" else f"{note.about}: {note.text}" for note in notes]
     columns = [
-        *rr.TextLog.columns(text=words, level=["WARN" if note.about == "alarm" else "INFO" for note in notes]),
+        *rr.TextLog.columns(
+            text=words, level=["WARN" if note.about in ("alarm", "stage") else "INFO" for note in notes]
+        ),
         *recorded(notes),
     ]
     batch.send_columns("note", moments([note.host_ns for note in notes], start_ns), columns)

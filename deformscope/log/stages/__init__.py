@@ -4,7 +4,7 @@ A result stands at the time, and at the place on `frame`, of the newest frame th
 
     stage/NAME/DEVICE            one row a result: every field of it, the frames it used, how many were passed over
     display/stage/NAME/...       what a person looks at: marks over the image, pictures, the verdict in words
-    display/stage/plot/...       numbers over time: lag [ms], beta, force [N], area [cm2]
+    display/stage/plot/...       numbers over time: lag [ms], beta, theta, force [N], area [cm2]
     display/tactile/DEVICE/contact   the centres of pressure, on the picture of the hand
     display/stage/summary        a table: newest results, how many, how far behind
 """
@@ -19,14 +19,14 @@ import rerun as rr
 from deformscope.frames import StageResult, Stream
 from deformscope.log.rig.columns import Batch, log_series, moments, recorded, root, scalars
 from deformscope.log.stages.group import StageGroup
-from deformscope.log.stages.over_image import log_flow_arrows, log_moments
+from deformscope.log.stages.over_image import log_fields, log_flow_arrows, log_moments, log_particle_moments
 from deformscope.log.stages.pads import log_pads, log_pads_stream
 from deformscope.log.stages.summary import summary
 from deformscope.log.stages.views import PLOTS, WORDS
 from deformscope.log.views import SOMETIMES, ShownStage, Views, views_of
 from deformscope.pictures.exploration import force_png, height_png
 from deformscope.pictures.palette import JOINTS
-from deformscope.stages.fit.moment import MomentFit
+from deformscope.stages.fit.moment import FieldMoment, MomentFit, ParticleMoment
 from deformscope.stages.map.exploration import StageFailure, SurfaceEstimate, TouchEstimate
 from deformscope.stages.see.arrows import FlowArrows
 from deformscope.stages.see.tactile import TactileContact
@@ -36,9 +36,9 @@ def log_stage_streams(rec: rr.RecordingStream, stages: Sequence[tuple[str, str]]
     """What holds throughout: names, units and colours of what is plotted. stages: (name, device)"""
     for number, (name, device) in enumerate(stages):
         log_series(rec, f"{PLOTS}/lag/{name}", [f"{name} [ms]"], [JOINTS[number % len(JOINTS)]])
-        if name == "beta":
-            names = ["lower end", "beta", "upper end"]
-            log_series(rec, f"{PLOTS}/beta", names, [(120, 120, 130), (235, 45, 45), (120, 120, 130)])
+        if name in ("beta", "theta"):
+            names = ["lower end", name, "upper end"]
+            log_series(rec, f"{PLOTS}/{name}", names, [(120, 120, 130), (235, 45, 45), (120, 120, 130)])
         if name == "tactile":
             log_pads_stream(rec, next(one for one in streams if (one.kind, one.device) == ("tactile", device)))
 
@@ -102,11 +102,14 @@ def _log_pictures(batch: Batch, stage: str, group: StageGroup, pngs: Sequence[by
     batch.send_columns(f"display/stage/{stage}", times, columns)
 
 
-FLOW, BETA, TACTILE, SURFACE, CONTACT = (
+FLOW, PARTICLES, BETA, THETA, FIELD, TACTILE, SURFACE, CONTACT = (
     ShownStage(name, chapter, gives, entity=f"stage/{name}", field=field, when=f"stages.names={name}")
     for name, chapter, gives, field in (
         ("flow", 3, "optical flow between the images used", "flow_px"),
+        ("particles", 3, "where the flow moves particles", "rest_px"),
         ("beta", 3, "observed and simulated particles (eq. 3.13)", "rest_px"),
+        ("theta", 3, "observed and simulated particles (eq. 3.17)", "rest_px"),
+        ("field", 3, "how stiff each place is against the others", "place_px"),
         ("tactile", 2, "force, area and centre of pressure of each pad", "force_n"),
         ("surface", 4, "its height and deviation (eq. 4.3, 4.4)", "height_m"),
         ("contact", 4, "force over depth of an approach", "approach_m"),
@@ -114,7 +117,9 @@ FLOW, BETA, TACTILE, SURFACE, CONTACT = (
 )
 STAGE_VIEWS: Views[Batch] = {
     FlowArrows: (FLOW, log_flow_arrows),
-    MomentFit: (BETA, log_moments),
+    ParticleMoment: (PARTICLES, log_particle_moments),
+    MomentFit: (BETA, THETA, log_moments),
+    FieldMoment: (FIELD, log_fields),
     TactileContact: (TACTILE, log_pads),
     SurfaceEstimate: (SURFACE, _log_surfaces),
     TouchEstimate: (CONTACT, _log_contacts),

@@ -1,4 +1,4 @@
-"""Flow and particles over the image that they were found in."""
+"""Flow, particles and fields over the image that they were found in."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from deformscope.log.rig.columns import Batch, moments, root, scalars
 from deformscope.log.stages.group import StageGroup
 from deformscope.log.stages.views import PLOTS
 from deformscope.pictures.palette import HELD, LOST, OBSERVED, SIMULATED, colors, round_up
-from deformscope.stages.fit.moment import MomentFit
+from deformscope.stages.fit.moment import FieldMoment, MomentFit, ParticleMoment
 from deformscope.stages.see.arrows import FlowArrows
 
 STILL_PX = 0.25
@@ -47,15 +47,14 @@ def log_moments(batch: Batch, group: StageGroup) -> None:
         fit: MomentFit = one.result
         values.append(np.array([fit.interval[0], fit.value, fit.interval[1]]))
     times = moments([one.host_ns for one in group.results], group.start_ns)
-    batch.send_columns(f"{PLOTS}/beta", times, scalars(values))
+    stage = group.results[0].stage
+    batch.send_columns(f"{PLOTS}/{stage}", times, scalars(values))
     for one in group.drawn:
         fit = one.result
-        path, when = root("display/stage/beta", group.device), moments([one.host_ns], group.start_ns)
+        path, when = root(f"display/stage/{stage}", group.device), moments([one.host_ns], group.start_ns)
         spacing = _spacing(fit.rest_px)
         known = fit.seen & np.isfinite(fit.simulated_px).all(axis=1)
-        lines = np.stack([fit.rest_px[fit.seen], fit.observed_px[fit.seen]], axis=1)
-        moved = rr.LineStrips2D(lines.astype(np.float32), colors=LOST, radii=0.03 * spacing, draw_order=40.0)
-        batch.show(f"{path}/moved", when, moved)
+        _log_moved(batch, path, when, fit.rest_px[fit.seen], fit.observed_px[fit.seen], spacing)
         held = np.zeros(len(fit.seen), np.bool_)
         held[fit.held] = True
         for name, points, color, share, order in (
@@ -65,8 +64,47 @@ def log_moments(batch: Batch, group: StageGroup) -> None:
         ):
             marks = rr.Points2D(points, colors=color, radii=share * spacing, draw_order=order)
             batch.show(f"{path}/{name}", when, marks)
-        value = "" if np.isnan(fit.value) else f"beta = {fit.value:.3g}: "
+        value = "" if np.isnan(fit.value) else f"{fit.parameter} = {fit.value:.3g}: "
         _label(batch, f"{path}/words", _above(fit.rest_px, spacing), value + fit.verdict_text, when)
+
+
+def log_particle_moments(batch: Batch, group: StageGroup) -> None:
+    for one in group.drawn:
+        found: ParticleMoment = one.result
+        path, when = root("display/stage/particles", group.device), moments([one.host_ns], group.start_ns)
+        spacing, seen = _spacing(found.rest_px), found.seen
+        _log_moved(batch, path, when, found.rest_px[seen], found.position_px[seen], spacing)
+        for name, those, color in (("observed", seen, OBSERVED), ("lost", ~seen, LOST)):
+            marks = rr.Points2D(found.position_px[those], colors=color, radii=0.14 * spacing, draw_order=50.0)
+            batch.show(f"{path}/{name}", when, marks)
+        words = f"{np.count_nonzero(seen)} of {len(seen)} particles seen"
+        _label(batch, f"{path}/words", _above(found.rest_px, spacing), words, when)
+
+
+def log_fields(batch: Batch, group: StageGroup) -> None:
+    """Of each place that is determined a disc, dark where it is soft; a white dot of each other."""
+    for one in group.drawn:
+        found: FieldMoment = one.result
+        path, when = root("display/stage/field", group.device), moments([one.host_ns], group.start_ns)
+        known, log = found.determined, np.log(found.stiffness)
+        share = (log - log.min()) / max(float(np.ptp(log)), 1e-9)
+        discs = rr.Points2D(
+            found.place_px[known], colors=colors(share[known]), radii=0.4 * found.spacing_px, draw_order=50.0
+        )
+        batch.show(f"{path}/known", when, discs)
+        others = rr.Points2D(found.place_px[~known], colors=LOST, radii=0.1 * found.spacing_px, draw_order=49.0)
+        batch.show(f"{path}/unknown", when, others)
+        low, high = found.ratio_interval
+        words = f"{found.verdict}: stiffest over softest {found.ratio:.3g} ({low:.3g} to {high:.3g})"
+        _label(batch, f"{path}/words", _above(found.place_px, found.spacing_px), words, when)
+
+
+def _log_moved(
+    batch: Batch, path: str, when: Sequence[rr.TimeColumn], rest: FloatArray, now: FloatArray, spacing: float
+) -> None:
+    """Lines from (n, 2) to (n, 2) [px]."""
+    lines = np.stack([rest, now], axis=1).astype(np.float32)
+    batch.show(f"{path}/moved", when, rr.LineStrips2D(lines, colors=LOST, radii=0.03 * spacing, draw_order=40.0))
 
 
 def _above(points: FloatArray, spacing: float) -> FloatArray:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from deformscope.frames import StageResult
-from deformscope.stages.fit.moment import MomentFit
+from deformscope.stages.fit.moment import FieldMoment, MomentFit, ParticleMoment
 from deformscope.stages.map.exploration import StageFailure, SurfaceEstimate, TouchEstimate
 from deformscope.stages.see.arrows import FlowArrows
 from deformscope.stages.see.tactile import TactileContact
@@ -33,8 +33,17 @@ def format_result(result: object) -> str:
             return f"median motion {np.median(length):.2g} px, largest {length.max(initial=0.0):.2g} px"
         case MomentFit():
             seen = f"{np.count_nonzero(result.seen)} of {len(result.seen)} particles seen"
-            value = "" if np.isnan(result.value) else f"**beta = {result.value:.3g}**, "
+            value = "" if np.isnan(result.value) else f"**{result.parameter} = {result.value:.3g}**, "
             return f"{value}{result.verdict_text}; {seen}"
+        case ParticleMoment():
+            moved = np.hypot(*(result.position_px - result.rest_px)[result.seen].T)
+            median = f"median motion {np.median(moved):.2g} px" if moved.size else "none followed"
+            return f"{np.count_nonzero(result.seen)} of {len(result.seen)} particles seen, {median}"
+        case FieldMoment():
+            low, high = result.ratio_interval
+            determined = f"{np.count_nonzero(result.determined)} of {len(result.determined)} places determined"
+            ratio = f"stiffest over softest {result.ratio:.3g} ({low:.3g} to {high:.3g})"
+            return f"**{result.verdict}**, {ratio}, {determined}"
         case TactileContact():
             touched = int(np.count_nonzero(result.area_m2))
             area_cm2 = result.area_m2.sum() * 1e4

@@ -12,9 +12,13 @@ from deformscope.log.rig.columns import root
 
 PLOTS = "display/stage/plot"
 WORDS = "display/stage/summary"
+OVER_IMAGE = ("flow", "particles", "beta", "theta", "field")
 TITLES = {
     "flow": "{}: optical flow [px]",
-    "beta": "{}: particles (observed blue, simulated red, held yellow)",
+    "particles": "{}: particles (seen blue, lost white)",
+    "beta": "{}: beta (observed blue, simulated red, held yellow)",
+    "theta": "{}: theta (observed blue, simulated red, held yellow)",
+    "field": "{}: stiffness (soft dark, stiff bright, unknown white)",
     "surface": "{}: height of the surface [mm]",
     "contact": "{}: force of the last approach [N]",
 }
@@ -33,17 +37,17 @@ def stage_blueprint(stages: Sequence[tuple[str, str]], streams: Sequence[Stream]
             plots.append(plot_view(f"{PLOTS}/area/{device}", f"{device}: contact area [cm2]{simulated}"))
             continue
         title = TITLES[name].format(device) + simulated
-        if name in ("flow", "beta"):
+        if name in OVER_IMAGE:
             contents = [f"+ /{root('color', device)}", f"+ /{root(f'display/stage/{name}', device)}/**"]
             pictures.append(rrb.Spatial2DView(contents=contents, name=title))
         else:
             pictures.append(rrb.Spatial2DView(contents=[f"+ /display/stage/{name}"], name=title))
-        if name == "beta":
-            plots.append(plot_view(f"{PLOTS}/beta", f"beta and its 90 % interval{simulated}"))
+        if name in ("beta", "theta"):
+            plots.append(plot_view(f"{PLOTS}/{name}", f"{name} and its 90 % interval{simulated}"))
     plots.append(plot_view(f"{PLOTS}/lag", "results behind their frame [ms]", below=True))
     words = rrb.TextDocumentView(contents=[f"+ /{WORDS}"], origin=WORDS, name="Stages")
     shown = rrb.Vertical(
-        rrb.Horizontal(*pictures),
+        rrb.Grid(*pictures, grid_columns=min(len(pictures), 4)),
         rrb.Horizontal(*plots),
         words,
         row_shares=[4.0, 2.4, 0.5 + 0.25 * len(stages)],

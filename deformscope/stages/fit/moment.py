@@ -1,4 +1,4 @@
-"""A fit of one moment of something that goes on: where its particles are, and what one parameter must be for that."""
+"""One moment of something that goes on: where its particles are, and what its parameters must be for that."""
 
 from __future__ import annotations
 
@@ -31,4 +31,35 @@ class MomentFit:
     verdict: str
     verdict_text: str
     aee_px: float
+    explained: float
+
+
+@dataclass(frozen=True, slots=True)
+class ParticleMoment:
+    """Particles at one moment. rest_px, position_px: (K, 2) where a lost one was last seen [px]; noise_px: (K,) one
+    standard deviation of each coordinate [px]; seen: (K,)"""
+
+    rest_px: FloatArray
+    position_px: FloatArray
+    noise_px: FloatArray
+    seen: BoolArray
+
+
+@dataclass(frozen=True, slots=True)
+class FieldMoment:
+    """How stiff each place is against the others at one moment, as `calibrate field` says of a frame.
+
+    place_px: (C, 2) middles of the cells where they are now [px]; spacing_px: of the particles [px]
+    stiffness: (C,) over the geometric mean of all; interval: (C, 2); determined: (C,) whether it is identified or weak
+    ratio, ratio_interval: stiffest over softest; verdict: as of a `FieldEstimate`; explained: share of the motion
+    """
+
+    place_px: FloatArray
+    spacing_px: float
+    stiffness: FloatArray
+    interval: FloatArray
+    determined: BoolArray
+    ratio: float
+    ratio_interval: tuple[float, float]
+    verdict: str
     explained: float
