@@ -54,6 +54,7 @@ from deformscope.stages.map.exploration import (
 from deformscope.stages.map.measured import LookFrames, SurfaceMeasurement, TouchFrames, TouchMeasurement
 from deformscope.stages.squeeze.events import SqueezeEvents
 from deformscope.stages.squeeze.trial import (
+    ContainerChange,
     ContentPosterior,
     FingertipPressure,
     SqueezeFeatures,
@@ -90,6 +91,7 @@ SqueezeResult = (
     | SqueezeFeatures
     | FingertipPressure
     | TrackedContainer
+    | ContainerChange
     | ContentPosterior
 )
 """What comes of a squeeze."""
@@ -115,6 +117,7 @@ ENTITIES: dict[type, str] = {
     SqueezeFeatures: "squeeze/features",
     FingertipPressure: "squeeze/fingertips",
     TrackedContainer: "squeeze/container",
+    ContainerChange: "squeeze/change",
     ContentPosterior: "squeeze/content",
     HealthReport: "health",
     SessionNote: "note",

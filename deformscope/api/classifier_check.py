@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -43,6 +44,7 @@ class ClassifierCheckResult(LibraryResult):
                 ("content", "named rightly", "interval"),
                 "Content by content",
             ),
+            *([_times(check)] if check.times else []),
         )
 
     def pictures(self) -> dict[str, bytes]:
@@ -80,7 +82,31 @@ class ClassifierCheckResult(LibraryResult):
             "bins_inside": self.check.inside[0],
             "bins": self.check.inside[1],
             "calibrated_p": self.check.calibrated,
+            "at_times": [
+                {
+                    "time_s": None if math.isnan(one.time_s) else one.time_s,
+                    "modality": one.score.modality,
+                    "accuracy": one.score.accuracy.value,
+                    "interval": one.score.accuracy.interval,
+                    "calibration_error": one.score.calibration_error,
+                    "calibration_interval": one.error_interval,
+                }
+                for one in self.check.times
+            ],
         }
+
+
+def _times(check: ModelCheck) -> Table:
+    rows = [
+        (
+            "in the end" if math.isnan(one.time_s) else f"{one.time_s:g} s",
+            one.score.modality,
+            _words(one.score),
+            f"{one.score.calibration_error:.1%} ({{:.1%}} to {{:.1%}})".format(*one.error_interval),
+        )
+        for one in check.times
+    ]
+    return Table(rows, ("after first contact", "by", "accuracy", "calibration error"), "While the squeeze goes on")
 
 
 def _words(score: ClassificationScore) -> str:

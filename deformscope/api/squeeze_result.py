@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from deformscope.api.result import LibraryResult
 from deformscope.arrays import FloatArray
@@ -15,6 +18,7 @@ from deformscope.results.render import Rows, to_json
 
 if TYPE_CHECKING:
     from deformscope.experiments.squeeze_features import TrialFeatures
+    from deformscope.experiments.squeeze_tracking import TrackedImage
     from deformscope.stages.squeeze.trial import ContentPosterior, SqueezeStop
 
 
@@ -25,7 +29,7 @@ class SqueezeResult(LibraryResult):
     content: what was asked for or, in the laboratory, drawn; stop: why it ended before its steady state
     start_ns: of the recording; computed: None where it was stopped; answer: of a model, None without one
     hand_stands, limits_restored: the hand could be stopped, its currents' limits are as they were
-    truth: when the laboratory's container was touched and held [s]
+    truth: when the laboratory's container was touched and held [s]; untracked: why it was not tracked on, or empty
     """
 
     rig: str = field(metadata=reported())
@@ -59,6 +63,30 @@ class SqueezeResult(LibraryResult):
         return {} if self.computed is None else self.computed.modalities
 
     computed: TrialFeatures | None = field(metadata=reported(flat=True))
+    untracked: str
+
+    @property
+    @derived(optional=True)
+    def tracking(self) -> dict[str, Any] | None:
+        """How the container was tracked, and its pose in each image; None where it was stopped. Times since the
+        recording's start [s]; `lag_s` of those that were known while the hand squeezed."""
+        if self.computed is None or not self.computed.tracked:
+            return None
+        tracked = self.computed.tracked
+        live = [one.container for one in tracked if one.container.live]
+        lags = [one.lag_s for one in live if one.lag_s is not None]
+        reasons = Counter(one.container.reason for one in tracked if not one.container.good)
+        return {
+            "images": len(tracked),
+            "refused": dict(reasons),
+            "live": len(live),
+            "skipped": sum(one.skipped or 0 for one in live),
+            "lag_median_s": float(np.median(lags)) if lags else None,
+            "lag_p95_s": float(np.percentile(lags, 95)) if lags else None,
+            "ended": self.untracked,
+            "poses": [self._pose(one) for one in tracked],
+        }
+
     answer: ContentPosterior | None = field(metadata=reported(flat=True))
     hand_stands: bool = field(metadata=reported())
     limits_restored: bool = field(metadata=reported())
@@ -133,6 +161,12 @@ class SqueezeResult(LibraryResult):
                 ),
                 ("depth change", change),
             ]
+        if (tracking := self.tracking) is not None:
+            refused, lag_s = sum(tracking["refused"].values()), tracking["lag_median_s"]
+            words = f"{tracking['images']} images, {refused} refused; "
+            words += f"{tracking['live']} while it was squeezed, {tracking['skipped']} left out"
+            words += "" if lag_s is None else f", {1e3 * lag_s:.0f} ms behind (95 %: {1e3 * tracking['lag_p95_s']:.0f})"
+            rows.append(("tracked", words + f"; ended: {self.untracked}" * bool(self.untracked)))
         if self.answer is not None:
             order = sorted(self.posterior.items(), key=lambda one: -one[1])
             words = ", ".join(f"{label} {100 * share:.0f} %" for label, share in order)
@@ -152,6 +186,18 @@ class SqueezeResult(LibraryResult):
         if not self.limits_restored:
             return "stands; ITS CURRENT LIMITS ARE NOT AS THEY WERE: switch it off"
         return "stands"
+
+    def _pose(self, one: TrackedImage) -> dict[str, Any]:
+        found, changed = one.container, one.change
+        return {
+            "time_s": self._since_s(one.when_ns),
+            "T_camera_container": found.T_camera_container.tolist(),
+            "observed": found.degrees,
+            "deviation_m": one.pose.deviation_m.tolist(),
+            "refused": found.reason,
+            "change_missing": changed.missing if changed.change_m is not None else None,
+            "change_refused": changed.reason,
+        }
 
     def _since_s(self, time_ns: int) -> float:
         return (time_ns - self.start_ns) / 1e9

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -27,13 +28,14 @@ class Squeezed:
     """What came of it so far, whatever ends it.
 
     features: with its events, None where there are none; posterior: what a model takes its content for
-    stop, stop_ns: why and when it ended before its time
+    stop, stop_ns: why and when it ended before its time; untracked: why the container was not tracked on, or empty
     """
 
     features: TrialFeatures | None = None
     posterior: ContentPosterior | None = None
     stop: SqueezeStop | None = None
     stop_ns: int = 0
+    untracked: str = ""
 
 
 def squeeze(
@@ -58,6 +60,7 @@ def squeeze(
         yield from ask(PreShape())
         if placed is not None:
             yield from placed
+        yield from _tracked(observer)  # what tracks has begun
         yield from ask(SqueezeOnce())
     except SqueezeEnded as ended:
         found.stop, found.stop_ns = ended.stop, ended.time_ns
@@ -65,8 +68,12 @@ def squeeze(
         yield from ask(HandWait(AFTER_S), stopped, Moment(ended.time_ns))
         return
     yield from ask(HandWait(0.0))  # what the devices gave last is taken in
+    yield from _tracked(observer)
+    tracking = observer.tracking
+    found.untracked = "" if tracking is None else tracking.failed
+    tracked = () if tracking is None else tuple(tracking.found)
     try:
-        computed: TrialFeatures = yield from ask(Compute(trial_features, (frames, geometry)))
+        computed: TrialFeatures = yield from ask(Compute(trial_features, (frames, geometry, tracked)))
         posterior = None if name is None else posterior_of(computed, name)
     except Exception as error:
         words = " ".join(str(error).split())
@@ -81,6 +88,14 @@ def squeeze(
     if posterior is not None:
         # once the last answer by touch alone was given, so that this one stays in view
         yield Step((posterior,), moment=Moment(frames.open_ns))
+
+
+def _tracked(observer: SqueezeObserver) -> RigExperiment[None]:
+    """Until all that came is tracked."""
+    while (tracking := observer.tracking) is not None and tracking.waiting is not None:
+        with contextlib.suppress(Exception):  # `failed` then says why
+            yield from ask(tracking.waiting)
+        observer.observe(())
 
 
 def posterior_of(computed: TrialFeatures, name: Name) -> ContentPosterior:

@@ -6,9 +6,17 @@ import rerun as rr
 
 from deformscope.log.result_batch import ResultBatch
 from deformscope.pictures.depth_change import depth_change_png
-from deformscope.stages.squeeze.trial import SqueezeFeatures
+from deformscope.stages.squeeze.trial import ContainerChange, SqueezeFeatures
 
 CHANGE = "display/squeeze/change"
+
+
+def log_container_change(now: ResultBatch, change: ContainerChange) -> None:
+    """As it happens; what is refused stands in words and leaves the last picture."""
+    if change.change_m is None:
+        now.show(f"{CHANGE}/words", rr.TextLog(f"no change of depth: {change.reason}", level="WARN"))
+        return
+    now.show_png(CHANGE, depth_change_png, change.change_m, change.width_m, change.missing)
 
 
 def log_change(now: ResultBatch, features: SqueezeFeatures) -> None:

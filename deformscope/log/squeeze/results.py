@@ -2,7 +2,7 @@
 person looks at.
 
     squeeze/phase|stopped|events|features   one row a result, every field of it a component of the same name
-    squeeze/fingertips|container|content    likewise, at the time of the frame that it is of
+    squeeze/fingertips|container|change|content    likewise, at the time of the frame that it is of
     display/tactile/DEVICE/contact          centre of pressure and principal axis, on the picture of the hand (fig. 2.4)
     display/squeeze/force|content           force of each fingertip [N], probability of each content, over time
     display/squeeze/container               the tracked model's edges over the depth image, before and after (fig. 2.8)
@@ -19,7 +19,7 @@ import rerun as rr
 
 from deformscope.log.result_batch import ResultBatch
 from deformscope.log.rig.columns import Batch, log_series
-from deformscope.log.squeeze.change import log_change
+from deformscope.log.squeeze.change import log_change, log_container_change
 from deformscope.log.squeeze.container import log_container
 from deformscope.log.squeeze.content import log_content, log_not_named
 from deformscope.log.squeeze.fingertips import FORCE, Fingertips, log_fingertips
@@ -29,6 +29,7 @@ from deformscope.log.views import Views, views_of
 from deformscope.pictures.palette import JOINTS
 from deformscope.stages.squeeze.events import SqueezeEvents
 from deformscope.stages.squeeze.trial import (
+    ContainerChange,
     ContentPosterior,
     FingertipPressure,
     SqueezeFeatures,
@@ -74,6 +75,7 @@ def squeeze_views(fingertips: Fingertips | None) -> Views[ResultBatch]:
         SqueezeStop: (log_squeeze_stop,),
         FingertipPressure: () if fingertips is None else (partial(log_fingertips, fingertips=fingertips),),
         TrackedContainer: (log_container,),
+        ContainerChange: (log_container_change,),
         SqueezeFeatures: (log_change,),
         ContentPosterior: (log_content,),
         SqueezeEvents: (),

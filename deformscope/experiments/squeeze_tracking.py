@@ -1,0 +1,211 @@
+"""The container in one depth image after the other: its pose, and how the depth around the fingertip differs from that
+of the rigid model (Thesis ch. 2).
+
+    sight, chain = ContainerSight(section, hand, camera, T_hand_container), PoseChain(T_camera_hand)
+    for image in images:
+        chain, tracked = sight.track(chain, image)
+
+It is the same function of the same images while the hand squeezes, afterwards, and when a recording is replayed.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from deformscope.arrays import FloatArray
+from deformscope.capsule import Capsule
+from deformscope.errors import InputError
+from deformscope.frames import DepthFrame
+from deformscope.rig.squeeze_sections import ContainerSection
+from deformscope.robot.mesh_files import read_meshes
+from deformscope.robot.squeeze_plan import PAD_ALONG_M
+from deformscope.stages.see.cloud import Intrinsics
+from deformscope.stages.squeeze.container import ContainerModel, ModelRenderer
+from deformscope.stages.squeeze.outline import outline_px
+from deformscope.stages.squeeze.patch import DepthChange, around, depth_change, hand_pixels, median_of
+from deformscope.stages.squeeze.track import PoseEstimate, TrackOptions, locate, track
+from deformscope.stages.squeeze.trial import ContainerChange, TrackedContainer
+from deformscope_drivers.depth_camera.image import depth_m
+from deformscope_drivers.sdh.kinematics import BASE_HEIGHT_M, DISTAL_LINK_M, finger_points
+
+REST_IMAGES = 5
+"""Depth images whose median is taken together to locate the container."""
+LINK_M, PALM_M = 0.012, 0.055
+"""Radii of what stands for a finger's links and for the palm. Assumed: the SDH's links are some 22 mm thick."""
+DENT_M = 0.035
+"""The wall is no part of a rigid container within this of a fingertip."""
+JUMP_M, FASTEST_M_S = 0.005, 0.15
+"""A container that is held moves by no more than the first and, for each second, the second. Chosen."""
+MARGIN_PX = 120
+"""Around the container: no pixel farther away is looked at."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ContainerImage:
+    """An image in which the container is to be tracked.
+
+    frames: the image, last, and up to `REST_IMAGES` - 1 before it; angles_deg: (7,) of the hand then
+    first_ns: of first contact, 0 = not known then; closed_m: by how much the fingertips have come closer since [m]
+    """
+
+    frames: tuple[DepthFrame, ...]
+    angles_deg: npt.NDArray[np.float64]
+    first_ns: int = 0
+    closed_m: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PoseChain:
+    """What the next image is tracked from. rest: where the container stood before, None = not located yet; start: the
+    pose to begin at, of an image at start_ns; rest_ns: of the image of `rest`"""
+
+    T_camera_hand: FloatArray
+    rest: PoseEstimate | None = None
+    rest_ns: int = 0
+    start: PoseEstimate | None = None
+    start_ns: int = 0
+
+    def after(self, pose: PoseEstimate, when_ns: int) -> PoseChain:
+        """The chain after an image: a pose that is refused is not gone on from."""
+        if self.rest is None:
+            located = (pose, when_ns) if pose.good else (None, 0)
+            return PoseChain(self.T_camera_hand, *located, *located)
+        going_on = (pose, when_ns) if pose.good else (self.rest, self.rest_ns)
+        return dataclasses.replace(self, start=going_on[0], start_ns=going_on[1])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrackedImage:
+    """What was found in an image. when_ns: its time on the host's clock; measured: the change of depth, None = none"""
+
+    when_ns: int
+    container: TrackedContainer
+    change: ContainerChange
+    pose: PoseEstimate
+    measured: DepthChange | None
+
+    @property
+    def results(self) -> tuple[object, ...]:
+        """What is recorded of it."""
+        return self.container, self.change
+
+    def after(self, lag_s: float, skipped: int = 0) -> TrackedImage:
+        """The same with how long after the image it was known, and how many images before it were left out."""
+        return dataclasses.replace(self, container=dataclasses.replace(self.container, lag_s=lag_s, skipped=skipped))
+
+
+class ContainerSight:
+    """A camera that looks at a container of known form, and at the hand that squeezes it."""
+
+    def __init__(
+        self, section: ContainerSection, fingers: tuple[int, ...], camera: Intrinsics, T_hand_container: FloatArray
+    ) -> None:
+        """fingers: that squeeze; T_hand_container: (4, 4) where the container is expected. Raises InputError for a mesh
+        that cannot be read and a camera with distortion."""
+        self.renderer = ModelRenderer(container_model(section), camera)
+        self._fingers, self._camera, self._expected = fingers, camera, T_hand_container
+
+    def track(self, chain: PoseChain, image: ContainerImage) -> tuple[PoseChain, TrackedImage]:
+        """Locate the container in the median of the frames until it is found once, then track it in the newest one."""
+        return self.track_median(chain, image, image.frames if chain.rest is None else image.frames[-1:], -1)
+
+    def track_median(
+        self, chain: PoseChain, image: ContainerImage, frames: tuple[DepthFrame, ...], of: int
+    ) -> tuple[PoseChain, TrackedImage]:
+        """The same in the median of some frames, as an image at the time of one of them, `of`."""
+        frame, start = frames[of], chain.start
+        expected = chain.T_camera_hand @ self._expected if start is None else start.T_camera_container
+        depth = self._median_m(frames, expected)
+        when_ns, tip = frame.stamp.host_ns, self._fingertip(chain, image.angles_deg)
+        hand = hand_pixels(depth, self._camera, self._links(chain, image.angles_deg))
+        if chain.rest is None or start is None:
+            pose = locate(self.renderer, depth, expected, yaws_deg=(0.0,), excluded=hand)
+        else:
+            focal_px = np.array(self._camera.focal_px)
+            radius_px = DENT_M / tip[2] * float(np.mean(focal_px))
+            center = tip[:2] / tip[2] * focal_px + np.array(self._camera.centre_px)
+            excluded = hand | around(center, (depth.shape[0], depth.shape[1]), radius_px)
+            jump_m = JUMP_M + FASTEST_M_S * (when_ns - chain.start_ns) / 1e9
+            rest, options = chain.rest.T_camera_container, TrackOptions(jump_m=jump_m)
+            pose = track(self.renderer, depth, expected, rest=rest, excluded=excluded, options=options)
+        since_s = (when_ns - image.first_ns) / 1e9 if image.first_ns else float("nan")
+        change, reason = None, pose.reason
+        if pose.good:
+            try:
+                pose_m, closed_m = pose.T_camera_container, image.closed_m
+                change = depth_change(self.renderer, pose_m, depth, tip, excluded=hand, closed_m=closed_m)
+            except InputError as error:
+                reason = str(error)
+        shown = TrackedContainer(
+            frame.index,
+            pose.T_camera_container,
+            pose.good,
+            pose.reason,
+            pose.observed.astype(np.float64),
+            pose.agreeing,
+            outline_px(self.renderer.model, self._camera, pose.T_camera_container),
+            since_s,
+            pose.directions,
+            pose.deviation_m,
+        )
+        changed = _changed(frame.index, since_s, change, reason)
+        return chain.after(pose, when_ns), TrackedImage(when_ns, shown, changed, pose, change)
+
+    def _median_m(self, frames: Sequence[DepthFrame], pose: FloatArray) -> FloatArray:
+        """(H, W) of images taken together around the container [m], nan elsewhere and where none of them saw it."""
+        high, wide = frames[-1].depth.shape
+        left, top, right, bottom = self.renderer.window(pose, (high, wide), MARGIN_PX)
+        part = slice(top, bottom), slice(left, right)
+        depths = np.stack([depth_m(one.depth[part].astype(np.uint16, copy=False), one.unit_m) for one in frames])
+        whole = np.full((high, wide), np.nan)
+        seen = np.where(depths > 0.0, depths, np.nan).astype(np.float64)
+        whole[part] = median_of(seen) if len(seen) > 1 else seen[0]
+        return whole
+
+    def _links(self, chain: PoseChain, angles_deg: npt.NDArray[np.float64]) -> list[Capsule]:
+        """Fingers and palm, camera frame."""
+        found = []
+        for finger in range(3):
+            points = _moved(chain.T_camera_hand, finger_points(angles_deg, finger))
+            found += [Capsule(points[0], points[1], LINK_M), Capsule(points[1], points[2], LINK_M)]
+        ends = np.array([[0.0, 0.0, -0.05], [0.0, 0.0, BASE_HEIGHT_M - PALM_M + 0.02]])
+        palm = _moved(chain.T_camera_hand, ends)
+        return [*found, Capsule(palm[0], palm[1], PALM_M)]
+
+    def _fingertip(self, chain: PoseChain, angles_deg: npt.NDArray[np.float64]) -> FloatArray:
+        """(3,) the middle of the pad of the finger that is nearer to the camera, camera frame [m]."""
+        found = []
+        for finger in self._fingers:
+            points = finger_points(angles_deg, finger)
+            found.append(points[1] + PAD_ALONG_M / DISTAL_LINK_M * (points[2] - points[1]))
+        tips = _moved(chain.T_camera_hand, np.stack(found))
+        return np.asarray(tips[int(tips[:, 2].argmin())])
+
+
+def container_model(section: ContainerSection) -> ContainerModel:
+    """The rigid model of a container. Raises InputError for a mesh that cannot be read."""
+    size = section.size_m
+    if section.shape == "box":
+        return ContainerModel.box(size)
+    if section.shape == "cylinder":
+        return ContainerModel.cylinder(size[0] / 2, size[2])
+    ((vertices_m, triangles),) = read_meshes([Path(section.mesh)], coarse=False)
+    return ContainerModel.mesh(vertices_m, triangles.astype(np.int64))
+
+
+def _moved(T_camera_hand: FloatArray, points: FloatArray) -> FloatArray:
+    """(n, 3) points of the hand's frame in the camera's."""
+    return np.asarray(points @ T_camera_hand[:3, :3].T + T_camera_hand[:3, 3])
+
+
+def _changed(index: int, since_s: float, change: DepthChange | None, reason: str) -> ContainerChange:
+    if change is None:
+        return ContainerChange(index, since_s, reason)
+    small = change.change_m.astype(np.float32), change.small_m
+    return ContainerChange(index, since_s, "", *small, change.missing, change.noise_m, change.center_px, change.width_m)
