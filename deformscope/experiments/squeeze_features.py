@@ -232,16 +232,16 @@ class SqueezeImages:
         known = sum(frame_ns(one) <= known_ns for one in self.frames)
         return range(max(min(before, REST_IMAGES) - 1, 0), known)
 
-    def image(self, at: int, first_ns: int, since_ns: int = 0) -> ContainerImage:
-        """The image at a place. first_ns: of first contact, 0 = not known; since_ns: from when on the fingertips have
-        come closer, default from there"""
+    def image(self, at: int, first_ns: int, since_ns: int = 0, together: int = REST_IMAGES) -> ContainerImage:
+        """The image at a place, and those before it, `together` so many. first_ns: of first contact, 0 = not known
+        since_ns: from when on the fingertips have come closer, default from there"""
         when_ns = frame_ns(self.frames[at])
-        together = tuple(self.frames[max(at + 1 - REST_IMAGES, 0) : at + 1])
+        frames = tuple(dataclasses.replace(one, color=None) for one in self.frames[max(at + 1 - together, 0) : at + 1])
         closed_m = 0.0
         if first_ns:
             before, now = (gap_m(self._angles(one), self._fingers) for one in (since_ns or first_ns, when_ns))
             closed_m = max(before - now, 0.0)
-        return ContainerImage(together, self._angles(when_ns), first_ns, closed_m)
+        return ContainerImage(frames, self._angles(when_ns), first_ns, closed_m)
 
     def _angles(self, when_ns: int) -> npt.NDArray[np.float64]:
         """(7,) of the hand's last reading then [deg]."""
@@ -249,18 +249,15 @@ class SqueezeImages:
         return np.asarray(self._hands[at].position_deg, np.float64)
 
 
-def track_images(
-    sight: ContainerSight, chain: PoseChain | None, images: Sequence[ContainerImage]
-) -> tuple[PoseChain | None, tuple[TrackedImage, ...]]:
+def track_images(sight: ContainerSight, chain: PoseChain, images: Sequence[ContainerImage]) -> tuple[TrackedImage, ...]:
     """What is found in one image after the other, until first contact if it was not located by then."""
     found: list[TrackedImage] = []
     for image in images:
-        assert chain is not None
         chain, one = sight.track(chain, image)
         found.append(one)
         if chain.rest is None and one.container.since_s >= 0.0:
             break
-    return chain, tuple(found)
+    return tuple(found)
 
 
 def _with_vision(
@@ -279,7 +276,7 @@ def _with_vision(
         raise InputError("depth images before first contact and at steady state", f"{len(before)} and {len(steady)}")
     if not tracked:
         due = [seen.image(at, events.first_ns) for at in seen.due(events.first_ns)]
-        tracked = [one.after(math.nan) for one in track_images(sight, seen.chain, due)[1]]
+        tracked = [one.after(math.nan) for one in track_images(sight, seen.chain, due)]
     chain = seen.chain
     for one in tracked:
         if one.when_ns < frame_ns(steady[0]):

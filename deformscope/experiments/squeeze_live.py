@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import contextlib
 import math
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, Future
 from typing import Any
 
 from deformscope.errors import InputError
-from deformscope.experiments.squeeze_features import SqueezeGeometry, SqueezeImages, container_sight, track_images
+from deformscope.experiments.squeeze_features import SqueezeGeometry, SqueezeImages, container_sight
 from deformscope.experiments.squeeze_frames import SqueezeFrames, frame_ns
-from deformscope.experiments.squeeze_tracking import ContainerImage, ContainerSight, PoseChain, TrackedImage
+from deformscope.experiments.squeeze_tracking import REST_IMAGES, ContainerImage, PoseChain, TrackedImage
 from deformscope.processes import computing
 from deformscope.session import Inline
 from deformscope.stages.squeeze.trial import ContainerChange, ContentPosterior, TrackedContainer
@@ -21,9 +22,24 @@ BEHIND_S = 0.25
 FRESH_S = 0.5
 """A change of depth that is older says nothing of now."""
 
-Job = Callable[[PoseChain | None, Sequence[ContainerImage]], tuple[PoseChain | None, tuple[TrackedImage, ...]]]
+Job = Callable[[PoseChain, ContainerImage], TrackedImage]
 
-_sight: ContainerSight | None = None
+
+class ImageTracker:
+    """Tracks one image after the other; state: the chain of poses."""
+
+    def __init__(self, geometry: SqueezeGeometry) -> None:
+        """Raises InputError where the camera's projection is not known."""
+        self._sight = container_sight(geometry)
+        self._chain: PoseChain | None = None
+
+    def track(self, start: PoseChain, image: ContainerImage) -> TrackedImage:
+        """start: where the chain begins"""
+        self._chain, found = self._sight.track(self._chain or start, image)
+        return found
+
+
+_tracker: ImageTracker | None = None
 
 
 @contextlib.contextmanager
@@ -39,27 +55,28 @@ def live_tracking(
         with computing(_begin, geometry) as executor:
             yield LiveTracking(frames, geometry, executor, _track, clock)
     else:
-        sight = container_sight(geometry)
-        yield LiveTracking(frames, geometry, Inline(), lambda chain, images: track_images(sight, chain, images), clock)
+        yield LiveTracking(frames, geometry, Inline(), ImageTracker(geometry).track, clock)
 
 
 def _begin(geometry: SqueezeGeometry) -> None:
     """In the process, first of all."""
-    global _sight
-    _sight = container_sight(geometry)
+    global _tracker
+    _tracker = ImageTracker(geometry)
 
 
-def _track(
-    chain: PoseChain | None, images: Sequence[ContainerImage]
-) -> tuple[PoseChain | None, tuple[TrackedImage, ...]]:
-    assert _sight is not None
-    return track_images(_sight, chain, images)
+def _ready() -> None:
+    """What tracks has begun."""
+
+
+def _track(start: PoseChain, image: ContainerImage) -> TrackedImage:
+    assert _tracker is not None
+    return _tracker.track(start, image)
 
 
 class LiveTracking:
     """Has the images of a squeeze tracked in their order as they come; when it does not keep up, the newest one.
 
-    found: all that was tracked; waiting: what is being computed; failed: why it does not go on, or empty
+    found: all that was tracked; failed: why it does not go on, or empty
     """
 
     def __init__(
@@ -68,18 +85,23 @@ class LiveTracking:
         self.found: list[TrackedImage] = []
         self.failed = ""
         self._frames, self._geometry, self._executor, self._job, self._clock = frames, geometry, executor, job, clock
-        self._chain: PoseChain | None = None
-        self.waiting: Future[Any] | None = executor.submit(job, None, ())  # it takes seconds to begin
-        self._asked_ns = self._skipped = 0
+        self._asked: deque[tuple[Future[TrackedImage | None], int]] = deque()
+        self._asked.append((executor.submit(_ready), 0))  # a process takes seconds to begin
+        self._newest_ns = self._skipped = 0
+
+    @property
+    def waiting(self) -> Future[Any] | None:
+        """The last of what is being computed."""
+        return self._asked[-1][0] if self._asked else None
 
     def go_on(self, first_ns: int) -> Sequence[TrackedImage]:
         """What has become known since the last call; what came meanwhile is begun with. first_ns: of first contact, 0 =
         not yet"""
         known = self._known()
         try:
-            self._begin(first_ns)
+            self._ask(first_ns)
         except (InputError, RuntimeError) as error:  # a process that has ended is a RuntimeError
-            self.failed = str(error)
+            self._fail(str(error))
         return [*known, *self._known()]
 
     def newest(self, tactile_index: int, now_ns: int) -> ContainerChange | None:
@@ -89,32 +111,38 @@ class LiveTracking:
         return None if last is None or now_ns - last.when_ns > FRESH_S * 1e9 else last.change
 
     def _known(self) -> list[TrackedImage]:
-        if self.waiting is None or not self.waiting.done():
-            return []
-        done, self.waiting = self.waiting, None
-        if (error := done.exception()) is not None:
-            self.failed = f"{type(error).__name__}: {error}"
-            return []
-        self._chain, tracked = done.result()
-        now_ns, skipped = self._clock(), (self._skipped, *[0] * len(tracked))
-        known = [
-            one.after((now_ns - one.when_ns) / 1e9, left_out) for one, left_out in zip(tracked, skipped, strict=False)
-        ]
+        known: list[TrackedImage] = []
+        while self._asked and self._asked[0][0].done():
+            done, _ = self._asked.popleft()
+            if done.cancelled():
+                self._skipped += 1
+            elif (error := done.exception()) is not None:
+                self._fail(f"{type(error).__name__}: {error}")
+            elif (one := done.result()) is not None:
+                known.append(one.after((self._clock() - one.when_ns) / 1e9, self._skipped))
+                self._skipped = 0
         self.found += known
         return known
 
-    def _begin(self, first_ns: int) -> None:
-        if self.waiting is not None or self.failed or not self._frames.air_ns or not self._frames.depth:
+    def _fail(self, why: str) -> None:
+        self.failed = why
+        while self._asked:
+            self._asked.pop()[0].cancel()
+
+    def _ask(self, first_ns: int) -> None:
+        if self.failed or not self._frames.air_ns or not self._frames.depth:
             return
         seen = SqueezeImages(self._frames, self._geometry)
-        places = [at for at in seen.due(first_ns) if frame_ns(seen.frames[at]) > self._asked_ns]
-        if not places:
-            return
-        behind = self._clock() - frame_ns(seen.frames[places[0]]) > BEHIND_S * 1e9
-        chosen = places[-1:] if behind else places
-        self._skipped, self._asked_ns = len(places) - len(chosen), frame_ns(seen.frames[chosen[-1]])
-        images = [seen.image(at, first_ns) for at in chosen]
-        self.waiting = self._executor.submit(self._job, self._chain or seen.chain, images)
+        located = any(one.pose.good for one in self.found)
+        for at in seen.due(first_ns):
+            if (when_ns := frame_ns(seen.frames[at])) > self._newest_ns:
+                self._newest_ns = when_ns
+                image = seen.image(at, first_ns, together=1 if located else REST_IMAGES)
+                self._asked.append((self._executor.submit(self._job, seen.chain, image), when_ns))
+        oldest_ns = next((when_ns for _, when_ns in self._asked if when_ns), self._clock())
+        if self._clock() - oldest_ns > BEHIND_S * 1e9:
+            for one, _ in list(self._asked)[:-1]:
+                one.cancel()  # unless it has begun
 
 
 class RecordedTracking:

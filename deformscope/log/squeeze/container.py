@@ -24,7 +24,7 @@ def log_container(now: ResultBatch, tracked: TrackedContainer) -> None:
     if tracked.good:
         words = f"{100 * tracked.agreeing:.0f} % of the pixels agree"
     if tracked.directions is not None:
-        words += f"\n{tracked.degrees}"
+        words += f"\ndegrees of freedom: {tracked.degrees}"
     if tracked.lag_s is not None and tracked.live:
         words += f"; {1e3 * tracked.lag_s:.0f} ms behind" + f", {tracked.skipped} left out" * bool(tracked.skipped)
     edges = tracked.edges_px.astype(np.float32)

@@ -12,7 +12,7 @@ from deformscope.errors import InputError
 from deformscope.stages.squeeze.components import Scaling, fit_scaling, kept_of, loadings
 from deformscope.stages.squeeze.evaluation import Progress, held_values
 from deformscope.stages.squeeze.fusion import Expert, Pool, fit_expert, fit_pool, fuse
-from deformscope.stages.squeeze.table import LabelledTable
+from deformscope.stages.squeeze.table import LabelledTable, absent
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,38 +137,44 @@ def fit_model(
     table = table.of(table.fused[0])
     group = np.unique(table.group, return_inverse=True)[1].reshape(-1) if by_group and table.group is not None else None
     target, classes = table.target, len(table.classes)
-    models = {}
-    shape = len(table.modalities), len(table)
-    logs, known = np.zeros((*shape, classes)), np.zeros(shape, dtype=bool)
-    for index, (name, values) in enumerate(table.modalities.items()):
-        rows = np.flatnonzero(~table.missing(name))
-        models[name], logs[index, rows], known[index, rows] = _fit_modality(values, rows, target, classes, group, seed)
-    usable = known.any(axis=0)
+    models, fusion = _fit_fused(table.modalities, target, classes, group, seed)
     steps: dict[str, list[ModalityModel]] = {name: [] for name in series}
-    step_fusion = []
-    for step in range(max((values.shape[1] for values in series.values()), default=0)):
+    step_fusion, count = [], max((values.shape[1] for values in series.values()), default=0)
+    for step in range(count):
         if progress is not None:
-            progress("training the steps of the squeeze", step, max(values.shape[1] for values in series.values()))
-        logs, known = np.zeros((len(series), len(table), classes)), np.zeros((len(series), len(table)), dtype=bool)
-        for index, (name, values) in enumerate(series.items()):
-            now = values[:, min(step, values.shape[1] - 1)]
-            rows = np.flatnonzero(~np.isnan(now).all(axis=1))
-            if len(np.unique(target[rows])) > 1:
-                model, logs[index, rows], known[index, rows] = _fit_modality(now, rows, target, classes, group, seed)
-                steps[name].append(model)
-        known_rows = known.any(axis=0)
-        step_fusion.append(fit_pool(logs[:, known_rows], known[:, known_rows], target[known_rows]))
+            progress("training the steps of the squeeze", step, count)
+        now = {name: values[:, min(step, values.shape[1] - 1)] for name, values in series.items()}
+        now = {name: one for name, one in now.items() if len(np.unique(target[~absent(one)])) > 1}
+        found, pool = _fit_fused(now, target, classes, group, seed)
+        step_fusion.append(pool)
+        for name, model in found.items():
+            steps[name].append(model)
+    fused = len(steps) > 1 and all(len(found) == count for found in steps.values())
     return ContentModel(
         labels=table.classes,
         modalities=models,
-        fusion=fit_pool(logs[:, usable], known[:, usable], target[usable]),
+        fusion=fusion,
         steps={name: tuple(found) for name, found in steps.items() if found},
-        step_fusion=tuple(step_fusion) if len(steps) > 1 and all(steps.values()) else (),
+        step_fusion=tuple(step_fusion) if fused else (),
         step_s=table.step_s,
         settings=table.settings,
         promised=promised or {},
         provenance=provenance or {},
     )
+
+
+def _fit_fused(
+    named: Mapping[str, FloatArray], target: IntArray, classes: int, group: IntArray | None, seed: int
+) -> tuple[dict[str, ModalityModel], Pool]:
+    """The model of each modality (trials, p), and how they are fused."""
+    models = {}
+    shape = len(named), len(target)
+    logs, known = np.zeros((*shape, classes)), np.zeros(shape, dtype=bool)
+    for index, (name, values) in enumerate(named.items()):
+        rows = np.flatnonzero(~absent(values))
+        models[name], logs[index, rows], known[index, rows] = _fit_modality(values, rows, target, classes, group, seed)
+    usable = known.any(axis=0)
+    return models, fit_pool(logs[:, usable], known[:, usable], target[usable])
 
 
 def _fit_modality(
