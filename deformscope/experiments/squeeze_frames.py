@@ -130,7 +130,9 @@ class Tracking(Protocol):
 
     found: list[TrackedImage]
     failed: str
-    waiting: Future[Any] | None
+
+    @property
+    def waiting(self) -> Future[Any] | None: ...
 
     def go_on(self, first_ns: int) -> Sequence[TrackedImage]: ...
 
