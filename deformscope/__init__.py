@@ -16,40 +16,49 @@ import importlib
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from deformscope.api.calibration import CalibrationResult, calibrate_beta, calibrate_theta
-    from deformscope.api.classification import ClassificationResult, classify, load_classifier
-    from deformscope.api.exploration_result import ExplorationResult
-    from deformscope.api.prediction import PredictionResult, predict
-    from deformscope.api.recordings import OpenRecording, RecordResult, open_recording
-    from deformscope.api.squeeze_result import SqueezeResult
     from deformscope.errors import InputError
-    from deformscope.runs.exploration import explore
-    from deformscope.runs.replay import replay
+    from deformscope.library import (
+        calibrate_beta,
+        calibrate_theta,
+        classify,
+        explore,
+        load_classifier,
+        open_dataset,
+        open_recording,
+        predict,
+        record,
+        replay,
+        squeeze,
+    )
+    from deformscope.runs.calibration import CalibrationResult
+    from deformscope.runs.classification import ClassificationResult
+    from deformscope.runs.datasets import OpenDataset
+    from deformscope.runs.exploration_result import ExplorationResult
+    from deformscope.runs.prediction import PredictionResult
+    from deformscope.runs.recordings import OpenRecording, RecordResult
     from deformscope.runs.replay_result import ReplayResult
-    from deformscope.runs.rig_run import record
-    from deformscope.runs.squeezing import OpenDataset, open_dataset, squeeze
+    from deformscope.runs.squeeze_result import SqueezeResult
     from deformscope.stages.msm.solver import Msm
     from deformscope.stages.see.flow import dense_flow
     from deformscope.version import __version__
 
 _NAMES = {
-    "api.calibration": ("CalibrationResult", "calibrate_beta", "calibrate_theta"),
-    "api.classification": ("ClassificationResult", "classify", "load_classifier"),
-    "runs.exploration": ("explore",),
-    "api.exploration_result": ("ExplorationResult",),
-    "api.prediction": ("PredictionResult", "predict"),
-    "api.recordings": ("OpenRecording", "RecordResult", "open_recording"),
-    "runs.replay": ("replay",),
-    "runs.replay_result": ("ReplayResult",),
-    "runs.rig_run": ("record",),
-    "api.squeeze_result": ("SqueezeResult",),
-    "runs.squeezing": ("OpenDataset", "open_dataset", "squeeze"),
-    "errors": ("InputError",),
-    "stages.msm.solver": ("Msm",),
-    "stages.see.flow": ("dense_flow",),
-    "version": ("__version__",),
+    "runs.classification": "ClassificationResult",
+    "errors": "InputError",
+    "library": "calibrate_beta calibrate_theta classify explore load_classifier open_dataset open_recording predict"
+    " record replay squeeze",
+    "runs.calibration": "CalibrationResult",
+    "runs.datasets": "OpenDataset",
+    "runs.exploration_result": "ExplorationResult",
+    "runs.prediction": "PredictionResult",
+    "runs.recordings": "OpenRecording RecordResult",
+    "runs.replay_result": "ReplayResult",
+    "runs.squeeze_result": "SqueezeResult",
+    "stages.msm.solver": "Msm",
+    "stages.see.flow": "dense_flow",
+    "version": "__version__",
 }
-_HOMES = {name: module for module, names in _NAMES.items() for name in names}
+_HOMES = {name: module for module, names in _NAMES.items() for name in names.split()}
 """The module of each name, imported when the name is first asked for."""
 
 __all__ = [

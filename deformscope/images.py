@@ -37,7 +37,7 @@ def read_image(path: str | Path) -> ImageArray:
 
 
 def decode_image(encoded: bytes, where: object) -> ImageArray:
-    """The image in `encoded`, as `read_image` gives it; `where` names it in a refusal."""
+    """The image in `encoded`, (H, W) or (H, W, 3) as `read_image` gives it; `where` names it in a refusal."""
     if not encoded:
         raise InputError("an image", "an empty file", where=where)
     if encoded.startswith(PNG_SIGNATURE):
@@ -74,7 +74,7 @@ def encode_jpeg(image: ImageArray) -> bytes:
 
 
 def encode_color(image: ImageArray, *, lossless: bool) -> bytes:
-    """A camera's image as JPEG; as PNG where none of it may be lost, or where it has 16 bits, which JPEG has not."""
+    """An image (H, W[, 3]) as JPEG; as PNG where none may be lost, or where it has 16 bits, which JPEG has not."""
     return encode_png(image, noisy=True) if lossless or image.dtype != np.uint8 else encode_jpeg(image)
 
 

@@ -41,7 +41,7 @@ from deformscope.frames import (
 from deformscope.images import decode_image
 from deformscope.stages.map.exploration import (
     ExplorationStop,
-    LumpsFound,
+    InclusionsResult,
     MapEstimate,
     PhaseStart,
     PlannedTouch,
@@ -75,7 +75,7 @@ Result = (
     SurfaceEstimate
     | TouchEstimate
     | MapEstimate
-    | LumpsFound
+    | InclusionsResult
     | PlannedTouch
     | TouchForecast
     | SteeringDecision
@@ -100,7 +100,7 @@ ENTITIES: dict[type, str] = {
     SurfaceEstimate: "exploration/surface",
     TouchEstimate: "exploration/touch",
     MapEstimate: "exploration/maps",
-    LumpsFound: "exploration/lumps",
+    InclusionsResult: "exploration/lumps",
     PlannedTouch: "exploration/plan",
     TouchForecast: "exploration/forecast",
     SteeringDecision: "exploration/decision",

@@ -24,14 +24,14 @@ from tyro.conf import arg
 from deformscope.arrays import FloatArray
 from deformscope.cli.study import Study, StudyOptions, StudyReport, Trials
 from deformscope.config import flags
-from deformscope.experiments.explorer import Explorer
+from deformscope.experiments.explorer import ExplorationStages, Explorer, UnseenSurface
 from deformscope.experiments.options import ExploreOptions
 from deformscope.experiments.robot_geometry import AsMeasured
 from deformscope.lab.scenes import built_in
 from deformscope.lab.session_errors import LabErrors
 from deformscope.pictures.report import Table
 from deformscope.reproduce.surface_robot import LabRobot, explore_at_once
-from deformscope.stages.map.exploration import LumpsFound, PlannedTouch
+from deformscope.stages.map.exploration import InclusionsResult, PlannedTouch
 from deformscope.stages.map.inclusion_posterior import DEEP_M
 from studies.lump_limit import limit
 from studies.quantities import Quantity, Rate, Row, band, by, number, of_cases, rows, table
@@ -119,24 +119,25 @@ def seek(case: LumpCase) -> LumpOutcome:
             thickness_m=scene.thickness_m,
         )
         robot = LabRobot(scene, options, sees=False, errors=LabErrors.none() if case.clean else LabErrors())
-        explorer = Explorer(scene.size_m, options, robot.arm, robot.truth)
+        unseen = UnseenSurface(scene.size_m, options, robot.arm, robot.truth)
+        stages = ExplorationStages(unseen, AsMeasured(scene.size_m, robot.reachable))
         heard = _HeardLumps()
-        explore_at_once(robot, explorer, AsMeasured(scene.size_m, robot.reachable), heard)
+        explore_at_once(robot, stages, heard)
     truth = tuple(map(float, scene.lumps_m[0])) if len(scene.lumps_m) else None
     foam_sd = robot.errors.scatter_sd
-    return _outcome(case, truth, foam_sd, heard, explorer, time.perf_counter() - began)  # type: ignore[arg-type]
+    return _outcome(case, truth, foam_sd, heard, stages.explorer, time.perf_counter() - began)  # type: ignore[arg-type]
 
 
 class _HeardLumps:
     """A recorder that keeps what was found after each touch."""
 
     def __init__(self) -> None:
-        self.found: list[LumpsFound] = []
+        self.found: list[InclusionsResult] = []
         self.stop = ""
 
     def write(self, items: object) -> None:
         for one in getattr(items, "results", ()):
-            if isinstance(one, LumpsFound):
+            if isinstance(one, InclusionsResult):
                 self.found.append(one)
             elif isinstance(one, PlannedTouch):
                 self.stop = one.stop_reason
@@ -178,7 +179,7 @@ def _outcome(
     )
 
 
-def _off_m(found: LumpsFound, truth: tuple[float, float, float, float] | None) -> FloatArray:
+def _off_m(found: InclusionsResult, truth: tuple[float, float, float, float] | None) -> FloatArray:
     """(k,) from the middles that were found to the true one; none without a truth."""
     return np.zeros(0) if truth is None else np.asarray(np.linalg.norm(found.centre_m - truth[:2], axis=1))
 
@@ -230,8 +231,8 @@ class LumpCoverageConfig(StudyOptions):
     """Hardness of the foam [N]."""
     lump: Annotated[str, arg(metavar="N|rigid")] = "600"
     """Hardness of the lump [N]."""
-    smallest_lump_cm: Annotated[float, arg(metavar="CM")] = 2.0
-    """Radius of the smallest lump that must not be missed [cm]."""
+    smallest_inclusion: Annotated[float, arg(metavar="M")] = 0.02
+    """Radius of the smallest inclusion that must not be missed [m]."""
     set_force: Annotated[float, arg(metavar="N")] = 5.0
     """Force to press with [N]."""
     errors: bool = False
@@ -243,7 +244,7 @@ def trials(options: LumpCoverageConfig) -> list[Trials[LumpCase, LumpOutcome]]:
     scenes = f"buried-{options.foam}-{options.lump}", f"empty-{options.foam}"
     for scene in scenes:
         built_in(scene)
-    smallest_m, clean = 0.01 * options.smallest_lump_cm, not options.errors
+    smallest_m, clean = options.smallest_inclusion, not options.errors
     cases = [
         LumpCase(scene, seed, options.touches, clean, smallest_m, options.set_force)
         for seed in reported(options.objects, options.output.seed)
@@ -324,12 +325,12 @@ def report(options: LumpCoverageConfig, seconds: float, outcomes: Sequence[LumpO
     tables = [table(lines, QUANTITIES, title)]
     if foams:
         tables.append(table(foams, FOAM_QUANTITIES, "By the scatter of the foam, after all touches"))
-    tables.append(Table(list(_words(found).items()), caption="Of those that were found"))
+    tables.append(Table(list(_format_counts(found).items()), caption="Of those that were found"))
     ends = [seeds.start, seeds.stop - 1]
     return StudyReport(tables, {"seeds": ends, "rows": lines, "foams": foams, "details": found, "searches": outcomes})
 
 
-def _words(counted: dict[str, float]) -> dict[str, str]:
+def _format_counts(counted: dict[str, float]) -> dict[str, str]:
     return {
         "touches until found, median": f"{counted['touches_to_find']:.3g}, at most {counted['most_to_find']:.3g}",
         "touches made": f"{counted['touches_with']:.3g} with a lump, {counted['touches_without']:.3g} without (means)",

@@ -64,12 +64,12 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "recording": ("arrays", "errors", "frames", "images", "log", "page.server", "rows", "session", *STAGES),
     "files": ("arrays", "errors", "file_io", "frames", "images", "recording", *STAGES),
     "experiments": (
-        *("arrays", "capsule", "config", "errors", "files", "frames", "images", "processes", "recording", "results"),
-        *("rig", "robot", "rows", "session", "version", *STAGES),
+        *("arrays", "capsule", "config", "errors", "file_io", "files", "frames", "images", "processes", "recording"),
+        *("results", "rig", "robot", "rows", "session", "version", *STAGES),
     ),
     "reproduce": (
-        *("api", "arrays", "capsule", "config", "errors", "experiments", "files", "frames", "lab", "log", "pictures"),
-        *("plain", "recording", "rig", "robot", "session", *STAGES),
+        *("arrays", "capsule", "config", "errors", "experiments", "files", "frames", "lab", "log", "pictures"),
+        *("plain", "recording", "rig", "robot", "runs", "session", *STAGES),
     ),
     # A GPU machine that has numpy, scipy and warp alone runs it.
     "bench": ("arrays", "bench_cases", "errors", "plain", "version", *STAGES),
@@ -77,27 +77,20 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "file_io": ("errors",),
     "terminal": ("errors",),
     "interruption": ("terminal",),
-    "calibration_options": (
-        *("arrays", "config", "experiments", "file_io", "files", "images", "recording"),
-        *STAGES,
-    ),
     # What pages show of runs, and how they steer them.
     "page": (
-        *("arrays", "calibration_options", "config", "errors", "experiments", "file_io", "files", "frames", "images"),
+        *("arrays", "config", "errors", "experiments", "file_io", "files", "frames", "images"),
         *("interruption", "lab", "log", "page.server", "pictures", "processes", "recording", "rig", "robot"),
         *("session", "terminal", *STAGES),
     ),
-    # Computations on files, arrays and recordings, and the results of all.
-    "api": (
-        *("arrays", "calibration_options", "config", "errors", "experiments", "file_io", "files", "frames", "images"),
-        *("lab", "log", "pictures", "plain", "recording", "results", "session", "terminal", "version", *STAGES),
-    ),
-    # What drives devices or a recording, with doubles from the laboratory where they are asked for.
+    # From options to results, with devices, files or a recording, and doubles where they are asked for.
     "runs": (
-        *("api", "arrays", "config", "errors", "experiments", "file_io", "files", "frames", "interruption", "lab"),
+        *("arrays", "config", "errors", "experiments", "file_io", "files", "frames", "images", "interruption", "lab"),
         *("log", "page", "page.server", "pictures", "plain", "recording", "results", "rig", "robot", "rows"),
         *("session", "terminal", "version", *STAGES),
     ),
+    # The functions behind `import deformscope`.
+    "library": ("arrays", "config", "errors", "file_io", "files", "runs", "terminal", *STAGES),
 }
 """What each folder may import of the others, also inside functions and for type checking. Nothing imports `cli`."""
 FORBIDDEN = {
@@ -288,7 +281,7 @@ def test_a_driver_in_a_users_script_loads_nothing_of_ours() -> None:
 import sys
 import deformscope_drivers.dsa, deformscope_drivers.sdh, deformscope_drivers.optoforce, deformscope_drivers.jaco
 import deformscope_drivers.webcam, deformscope_drivers.depth_camera
-import deformscope_drivers.kuka, deformscope_drivers.placed
+import deformscope_drivers.kuka, deformscope_drivers.manual_arm
 import deformscope_drivers.wires, deformscope_drivers.ports
 heavy = "rerun warp open3d sklearn scipy cv2 matplotlib skfem pyarrow rich tyro deformscope pytest".split()
 print(sorted(set(heavy) & set(sys.modules)))

@@ -180,7 +180,7 @@ def running(what: str, folder: Path, name: str, viewer: str) -> Iterator[tuple[s
     """The command, and the lines that it has written so far; ended by Ctrl-C."""
     (folder / "rig.toml").write_text(RIG)
     words = [what, "rig.toml", "--viewer", viewer]
-    # lumps so small that it does not stop by itself meanwhile
+    # inclusions so small that it does not stop by itself meanwhile
     endless = ["--touches", "1000", "--threshold", "1e-6", "--smallest-inclusion", "0.02", "--beta-model", "none"]
     words += endless if what == "explore" else []
     words += ["--record", f"{name}.rrd", "--json", f"{name}.json"]

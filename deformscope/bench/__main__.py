@@ -24,6 +24,7 @@ def main() -> int:
     parser.add_argument("--only", type=lambda text: tuple(text.split(",")), default=CASES, help=",".join(CASES))
     parser.add_argument("--quick", action="store_true")
     parser.add_argument("--peers", action="store_true")
+    parser.add_argument("--against", type=Path)
     parser.add_argument("--json", default="-")
     asked = parser.parse_args()
     if unknown := set(asked.only) - set(CASES):
@@ -32,7 +33,7 @@ def main() -> int:
     import warp as wp
 
     from deformscope.bench.plan import BenchPlan, default_sizes
-    from deformscope.bench.report import check, measure, report
+    from deformscope.bench.report import check, measure, read_earlier, report, require_positive
     from deformscope.errors import InputError
     from deformscope.stages.msm.solver import pick_device
 
@@ -42,17 +43,22 @@ def main() -> int:
         sizes = asked.sizes or default_sizes(device, asked.quick)
         plan = BenchPlan(device, sizes, asked.repeats, asked.quick, asked.peers, asked.only)
         check(plan)
+        earlier = read_earlier(asked.against)
         rows, complete = [], False
         try:
             for row in measure(plan, lambda text: print(text, file=sys.stderr, flush=True)):
                 rows.append(row)
             complete = True
         finally:
-            text = json.dumps(plain(report(plan, rows, complete=complete)), indent=2, allow_nan=False) + "\n"
+            found = report(plan, rows, complete=complete, earlier=earlier)
+            for told in rows:
+                print(told.case, told.what, told.who, told.median, told.unit, told.doubt, sep="\t", file=sys.stderr)
+            text = json.dumps(plain(found), indent=2, allow_nan=False) + "\n"
             if asked.json == "-":
                 sys.stdout.write(text)
             else:
                 Path(asked.json).write_text(text, encoding="utf-8")
+        require_positive(rows)
     except InputError as error:
         print(f"deformscope: error: {error}", file=sys.stderr)
         return 2

@@ -81,12 +81,12 @@ class _Judged:
 
 
 def mean_distance(position: FloatArray, observed: FloatArray) -> float:
-    """Average Euclidean error (Thesis eq. 3.18)."""
+    """Average Euclidean error of positions (..., d), in their unit (Thesis eq. 3.18)."""
     return float(np.linalg.norm(position - observed, axis=-1).mean())
 
 
 def squares(position: FloatArray, observed: FloatArray) -> float:
-    """Sum of squared distances."""
+    """Sum of squared distances of positions (..., d), in the square of their unit."""
     return float(np.sum((position - observed) ** 2))
 
 

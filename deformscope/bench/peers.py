@@ -44,12 +44,12 @@ class Peer:
         self.facts: dict[str, object] = {}
 
     def __enter__(self) -> Peer:
-        self._said = tempfile.TemporaryFile("w+")
+        self._stderr = tempfile.TemporaryFile("w+")
         self._process = subprocess.Popen(
             [sys.executable, "-m", "deformscope.bench.peer_process", self.engine, str(self.side)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
-            stderr=self._said,
+            stderr=self._stderr,
             text=True,
             cwd=tempfile.gettempdir(),  # some leave their logs where they run
             start_new_session=True,  # Ctrl-C is for us; we end it
@@ -65,7 +65,7 @@ class Peer:
     def __exit__(self, *_: object) -> None:
         self._process.kill()
         self._process.communicate()
-        self._said.close()
+        self._stderr.close()
 
     def steps(self, count: int) -> Timing:
         """One run of so many steps from the start: the time of one."""
@@ -78,7 +78,7 @@ class Peer:
         assert self._process.stdout is not None
         line = self._process.stdout.readline()
         if not line:
-            self._said.seek(0)
-            said = self._said.read().strip().splitlines()
+            self._stderr.seek(0)
+            said = self._stderr.read().strip().splitlines()
             raise PeerFailed(said[-1] if said else "it ended without a word")
         return line

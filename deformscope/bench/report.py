@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeAlias
 
 from deformscope.bench.fitting import fit
 from deformscope.bench.machine import machine
@@ -20,10 +23,12 @@ from deformscope.errors import InputError
 FORMAT = 1
 """Of the JSON; a change that breaks readers raises it."""
 
+Earlier: TypeAlias = "Mapping[tuple[str, str, str, str], Mapping[str, Any]]"
+
 Rows = Callable[[BenchPlan, Note], Iterator[TimingRow]]
 
 MEASURES: tuple[tuple[frozenset[Case], Rows], ...] = (
-    (frozenset({"step", "memory"}), steps),
+    (frozenset({"step", "call", "memory"}), steps),
     (frozenset({"relax"}), relax),
     (frozenset({"sweep"}), sweep),
     (frozenset({"sweep"}), candidates_at_once),
@@ -62,6 +67,30 @@ class Report:
     rows: tuple[Mapping[str, object], ...]
 
 
-def report(plan: BenchPlan, rows: Sequence[TimingRow], *, complete: bool) -> Report:
-    """All of it. The machine's load is that of the end."""
-    return Report(FORMAT, complete, machine(plan.device), plan, tuple(row.plain() for row in rows))
+def report(plan: BenchPlan, rows: Sequence[TimingRow], *, complete: bool, earlier: Earlier | None = None) -> Report:
+    """All of it. The machine's load is that of the end. earlier: rows of another run, which these are set beside."""
+    then = {} if earlier is None else earlier
+    plain = tuple(row.plain(then.get((row.case, row.what, row.who, row.unit))) for row in rows)
+    return Report(FORMAT, complete, machine(plan.device), plan, plain)
+
+
+def read_earlier(path: Path | None) -> Earlier | None:
+    """The rows of a run's JSON by case, what, who and unit. Raises InputError for a file that holds none."""
+    if path is None:
+        return None
+    try:
+        told = json.loads(path.read_text(encoding="utf-8"))
+        if told["format"] != FORMAT:
+            raise InputError(f"the JSON of a bench in format {FORMAT}", f"{told['format']} in {path}", "a bench of now")
+        return {(row["case"], row["what"], row["who"], row["unit"]): row for row in told["rows"]}
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        problem = f"{path}: {type(error).__name__}: {error}"
+        raise InputError("the JSON of an earlier bench", problem, "deformscope bench --json FILE") from None
+
+
+def require_positive(rows: Sequence[TimingRow]) -> None:
+    """Raises InputError where a sample is one that no clock can give."""
+    failed = [row for row in rows if not row.positive]
+    if failed:
+        got = "; ".join(f"{row.what} by {row.who}: {min(row.samples):.3g} {row.unit}" for row in failed)
+        raise InputError("times above 0", got, "deformscope bench again on an idle machine")

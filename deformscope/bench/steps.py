@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+import gc
 import time
 from collections.abc import Generator, Iterator
+from functools import partial
 from importlib.util import find_spec
 
 import numpy as np
+import warp as wp
 
 from deformscope.bench.bodies import BenchBody, counted, cube
 from deformscope.bench.memory import Meter
@@ -15,6 +18,8 @@ from deformscope.bench.numpy_step import NumpyLattice
 from deformscope.bench.peers import Peer, PeerFailed
 from deformscope.bench.plan import BETA, CLUSTER, MIDDLE, BenchPlan, Note, side_of
 from deformscope.bench.timing import OURS, Contestant, Timing, TimingRow, clock, compare
+from deformscope.stages.msm.body import Parameters
+from deformscope.stages.msm.lattice import FIELDS
 from deformscope.stages.msm.solver import Msm
 
 WIDE_CLUSTER, WIDE_AT = 9, 50_653
@@ -22,6 +27,9 @@ PEER_MOST = 200_000
 """Particles up to which pypbd's body is built in seconds and a few GB."""
 CONTEXT_AT = 1331
 SETUP_MOST_S = 40.0
+COPIED_BYTES, COPIES = 1 << 28, 8
+CACHES_BYTES = 1 << 27
+"""Of a step's arrays, below which they may stay in a cache and memory's bandwidth bounds nothing."""
 MEMORY_LEAST = 10_000
 """Particles below which the process's own memory, which comes in pages and pools, shows nothing."""
 
@@ -33,35 +41,54 @@ PHYSICS = {
 
 
 class Stepping:
-    """The engine's step, timed as m + 2 steps in one call less 2, over m: both set up and record the same.
+    """The engine's step: many in one call on a state that stays on the device, by the device's own clock on a GPU.
 
-    two_s: what a call of 2 steps takes, nearly all of it setting up, recording and copying the result [s]
+    Nothing is subtracted. Setting up a call is part of it; `calls` has it in a row of its own.
     """
 
-    def __init__(self, engine: Msm, body: BenchBody, turn_s: float, candidates: int = 1) -> None:
-        self._engine, self._body, self._size = engine, body, candidates
+    def __init__(self, engine: Msm, body: BenchBody, plan: BenchPlan, candidates: int = 1) -> None:
+        self._engine, self._body, self._cpu = engine, body, plan.cpu
         self._beta = BETA if candidates == 1 else np.linspace(0.0, 0.99, candidates)
-        self._call(2)  # loads the kernels
-        self.count = 4
-        step_s = max(self().wall_s, 1e-7)
-        self.count = max(4, min(5000, int(turn_s / step_s)))
+        self.state = engine.start(candidates)
+        self.call(8)  # loads the kernels
+        self.count = 8
+        for _ in range(2):  # the first count is a guess: a short call is mostly its setting up
+            turn_s = plan.turn_s * (1 if self._cpu else 3)
+            self.count = max(8, min(50_000, int(turn_s / self().wall_s)))
 
     def __call__(self) -> Timing:
-        few = self._call(2)
-        self.two_s = few.wall_s
-        return self._call(2 + self.count).per(self.count, without=few)
+        return self.call(self.count).per(self.count)
 
-    def found(self) -> dict[str, object]:
-        return {"call_of_2_steps_ms": 1e3 * self.two_s}
+    def call(self, steps: int) -> Timing:
+        """A call of some steps, to the end of the last."""
+        run = partial(self._engine.advance, self.state, self._body.held_position, self._beta, steps=steps)
+        if self._cpu:
+            return clock(run)
+        gc.collect()
+        began, ended, cpu_s = *(wp.Event(enable_timing=True) for _ in range(2)), time.process_time()
+        wp.record_event(began)
+        run()
+        wp.record_event(ended)
+        cpu_s = time.process_time() - cpu_s
+        return Timing(wp.get_event_elapsed_time(began, ended) / 1e3, cpu_s)
 
-    def _call(self, steps: int) -> Timing:
-        state = self._engine.start(self._size)
-        return clock(lambda: self._engine.step(state, self._body.held_position, self._beta, steps=steps))
+    def waited(self, steps: int) -> None:
+        """The same as whoever calls it sees it: until the device is done."""
+        self._engine.advance(self.state, self._body.held_position, self._beta, steps=steps)
+        wp.synchronize_device(self._engine.device)
+
+    def moved_bytes(self) -> int:
+        """Bytes of all fields that a step reads, and of those it writes and reads again: the least that must move."""
+        state, number = self.state, self.state.layout.each(np.zeros(1))
+        fields = state.operator.fields(Parameters(number, number, 0, 0))
+        arrays = [state.u, state.before, state.before, *(getattr(fields, name) for name in (*FIELDS, *FIELDS[3:]))]
+        return sum(int(each.capacity) for each in arrays)
 
 
 def steps(plan: BenchPlan, note: Note) -> Iterator[TimingRow]:
     """One step of ever larger cubes, and the memory that it takes."""
     setup_s, before = 0.0, 1
+    bandwidth = bandwidth_bytes_s(plan.device)
     for particles in plan.sizes:
         what = counted(particles)
         note(f"step: {what}")
@@ -70,10 +97,23 @@ def steps(plan: BenchPlan, note: Note) -> Iterator[TimingRow]:
                 "step", what, OURS, "ms/step", (), note=f"left out: setting up would take {expected_s:.0f} s"
             )
             continue
-        setup_s, before = (yield from _one_size(plan, note, particles)), particles
+        setup_s, before = (yield from _one_size(plan, note, particles, bandwidth)), particles
 
 
-def _one_size(plan: BenchPlan, note: Note, particles: int) -> Generator[TimingRow, None, float]:
+def bandwidth_bytes_s(device: str) -> float:
+    """What the device's memory reads and writes in a second, by the best of some large copies."""
+    source, target = (wp.zeros(COPIED_BYTES // 4, dtype=wp.float32, device=device) for _ in range(2))
+
+    def copied() -> None:
+        for _ in range(COPIES):
+            wp.copy(target, source)
+        wp.synchronize_device(device)
+
+    copied()
+    return 2 * COPIED_BYTES * COPIES / min(clock(copied).wall_s for _ in range(3))
+
+
+def _one_size(plan: BenchPlan, note: Note, particles: int, bandwidth: float) -> Generator[TimingRow, None, float]:
     """Rows of one cube, all of whose memory is free again afterwards. Returns the seconds of setting up."""
     what, body, meter = counted(particles), cube(side_of(particles)), Meter(plan.device)
     began_s = time.perf_counter()
@@ -81,18 +121,30 @@ def _one_size(plan: BenchPlan, note: Note, particles: int) -> Generator[TimingRo
     setup_s = time.perf_counter() - began_s
     built = meter.peak()
     meter.zero()
-    stepping = Stepping(engine, body, plan.turn_s)
+    stepping = Stepping(engine, body, plan)
     if not plan.cpu or particles >= MEMORY_LEAST:
         where = "process" if plan.cpu else "device"
         for doing, peak in (("set-up", built), ("stepping", meter.peak())):
             if peak is not None:
                 yield TimingRow("memory", f"{what}, {doing}", OURS, f"B/particle ({where})", (peak / particles,))
     if "step" in plan.only:
+        moved = stepping.moved_bytes()
         facts = {"particles": particles, "clusters": engine.cluster_count, "setup_s": setup_s, "bits": 32}
+        facts |= {"bytes": moved, "bandwidth_bytes_s": bandwidth} if moved > CACHES_BYTES else {}
         named = f"{what}, clusters of {CLUSTER}^3"
-        ours = Contestant(named, OURS, stepping, "ms/step", facts=facts, found=stepping.found)
+        ours = Contestant(named, OURS, stepping, "ms/step", facts=facts)
         yield from _beside(plan, note, body, ours)
+    if "call" in plan.only:
+        yield TimingRow("call", f"{what}, set-up", OURS, "ms", (1e3 * setup_s,), facts={"particles": particles})
+        yield from _calls(plan, engine, stepping, what)
     return setup_s
+
+
+def _calls(plan: BenchPlan, engine: Msm, stepping: Stepping, what: str) -> Iterator[TimingRow]:
+    """What a call of two steps takes, and copying the positions to the host."""
+    two = Contestant(f"{what}, a call of 2 steps", OURS, plan.turn(partial(stepping.waited, 2)))
+    copy = Contestant(f"{what}, positions copied out", OURS, plan.turn(partial(engine.positions, stepping.state)))
+    yield from compare("call", [two, copy], plan.rounds_of_steps)
 
 
 def _beside(plan: BenchPlan, note: Note, body: BenchBody, ours: Contestant) -> Iterator[TimingRow]:
@@ -105,7 +157,7 @@ def _beside(plan: BenchPlan, note: Note, body: BenchBody, ours: Contestant) -> I
             note(f"step: {ours.what}, and of {WIDE_CLUSTER}^3")
             engine = plan.engine(body, WIDE_CLUSTER, "float32")
             what = ours.what.replace(f"{CLUSTER}^3", f"{WIDE_CLUSTER}^3")
-            wide = Contestant(what, OURS, Stepping(engine, body, plan.turn_s), "ms/step", beside=ours)
+            wide = Contestant(what, OURS, Stepping(engine, body, plan), "ms/step", beside=ours)
             contestants.append(wide)
             if plan.cpu:
                 contestants.append(numpy_contestant(plan, body, WIDE_CLUSTER, wide))
@@ -167,7 +219,7 @@ def candidates_at_once(plan: BenchPlan, note: Note) -> Iterator[TimingRow]:
     for candidates in (100,) if plan.cpu else (100, 1000):
         what = f"{candidates} candidates of {counted(body.particles)} stepped at once"
         note(f"sweep: {what}")
-        stepping = Stepping(engine, body, plan.turn_s, candidates)
+        stepping = Stepping(engine, body, plan, candidates)
         ours = Contestant(what, OURS, stepping, "steps/s", candidates, facts={"bits": 32})
         with contextlib.ExitStack() as stack:
             contestants = [ours]

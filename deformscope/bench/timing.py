@@ -7,8 +7,12 @@ import statistics
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 from deformscope.bench_cases import Case
+
+SPREAD = 0.2
+"""Interquartile range as a share of the median above which a row says that its samples disagree."""
 
 OURS = "deformscope"
 
@@ -20,10 +24,9 @@ class Timing:
     wall_s: float
     cpu_s: float
 
-    def per(self, count: int, without: Timing | None = None) -> Timing:
-        """The share of one of `count` equal parts, less what another run took."""
-        base = Timing(0.0, 0.0) if without is None else without
-        return Timing((self.wall_s - base.wall_s) / count, (self.cpu_s - base.cpu_s) / count)
+    def per(self, count: int) -> Timing:
+        """The share of one of `count` equal parts."""
+        return Timing(self.wall_s / count, self.cpu_s / count)
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,8 +62,23 @@ class TimingRow:
         low, _, high = statistics.quantiles(self.samples, n=4, method="inclusive")
         return high - low
 
-    def plain(self) -> dict[str, object]:
-        """As it stands in the JSON."""
+    @property
+    def positive(self) -> bool:
+        """Whether every sample is one that a clock can give."""
+        return all(sample > 0 for sample in self.samples)
+
+    @property
+    def doubt(self) -> str:
+        """What speaks against the row's figure; empty where nothing does."""
+        if not self.positive:
+            return f"FAILED: a sample of {min(self.samples):.3g} {self.unit} is not positive"
+        if self.median and self.spread is not None and self.spread > SPREAD * self.median:
+            return f"samples spread by {self.spread / self.median:.0%}"
+        return ""
+
+    def plain(self, against: Mapping[str, Any] | None = None) -> dict[str, object]:
+        """As it stands in the JSON. against: the row of an earlier run that did the same, as its JSON has it."""
+        then = None if against is None else against["median"]
         return {
             "case": self.case,
             "what": self.what,
@@ -75,6 +93,8 @@ class TimingRow:
             "same_problem": self.same,
             "facts": dict(self.facts),
             "note": self.note,
+            "doubt": self.doubt,
+            "against": self.median / then if then and self.median else None,
         }
 
 

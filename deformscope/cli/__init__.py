@@ -58,18 +58,16 @@ COMMANDS: dict[str, Command] = {
     "calibrate both": _command("find beta and theta together from pair files", "BothConfig", "materials", "both"),
     "calibrate axes": _command("find a beta along each axis from images or pair files", "AxesConfig", "materials"),
     "calibrate field": _command("how stiff each place is, from one deformation", "FieldConfig", "materials"),
-    "calibrate arm": _command("measure the compliance of the arm, on something rigid", "ArmConfig", "calibrate_arm"),
-    "calibrate tip": _command("find where the tip is on the arm, by tilting it", "TipConfig", "calibrate_setup", "tip"),
-    "calibrate place": _command(
-        "find where the surface is, by touching its corners", "PlaceConfig", "calibrate_setup", "place"
+    "calibrate arm": _command(
+        "measure the compliance of the arm, on something rigid", "ArmConfig", "calibrate_setup", "arm"
     ),
+    "calibrate tip": _command("find where the tip is on the arm, by tilting it", "TipConfig", "calibrate_setup"),
+    "calibrate place": _command("find where the surface is, by touching its corners", "PlaceConfig", "calibrate_setup"),
     "calibrate camera": _command(
-        "find where the camera stands, by a board on the arm", "CameraConfig", "calibrate_setup", "camera"
+        "find where the camera stands, by a board on the arm", "CameraConfig", "calibrate_setup"
     ),
-    "calibrate force": _command(
-        "find how the force sensor sits, by pushing the tip", "ForceConfig", "calibrate_setup", "force"
-    ),
-    "calibrate time": _command("find how clocks differ, by tapping the tip", "TimeConfig", "calibrate_setup", "time"),
+    "calibrate force": _command("find how the force sensor sits, by pushing the tip", "ForceConfig", "calibrate_setup"),
+    "calibrate time": _command("find how clocks differ, by tapping the tip", "TimeConfig", "calibrate_setup"),
     "calibrate yield": _command("the strain at which a thing yields, from its motion", "YieldConfig", "materials"),
     "calibrate viscous": _command(
         "what relaxes, how fast, and what stays, from a push and its end", "ViscousConfig", "materials"

@@ -17,14 +17,14 @@ from deformscope.errors import InputError
 from deformscope.log.rig_layout import RIG
 from deformscope.rig.rig_file import load_rig
 from deformscope.robot.setup import only_device
-from deformscope.runs import arm_moving
+from deformscope.runs import arm_commands
 from deformscope_drivers.kuka.config import KukaConfig
 from deformscope_drivers.kuka.controller import controller_files
 
 
 def where(config: WhereConfig) -> None:
     """Print where the arm is."""
-    found = arm_moving.where(config)
+    found = arm_commands.where(config)
     joints = [
         f"{angle:.1f} ({left:.0f} to its limit)" if np.isfinite(left) else f"{angle:.1f}"
         for angle, left in zip(found.joints_deg, found.to_limits_deg, strict=True)
@@ -55,14 +55,14 @@ def files(config: FilesConfig) -> None:
 
 def home(config: HomeConfig) -> None:
     """Send the arm home."""
-    arm_moving.home(config)
+    arm_commands.home(config)
     say("the arm is at home")
 
 
 def go(config: GoConfig) -> None:
     """Bring the tip over a place."""
     with recorder_of(config, RIG, real_time=True) as recorder:
-        place_m = arm_moving.go(config, config.above, config.height, recorder)
+        place_m = arm_commands.go(config, config.above, config.height, recorder)
     say(f"the tip's centre is at {_mm(place_m)} mm in the surface frame")
     write_json({"center_m": place_m}, config.output.json)
 
@@ -70,7 +70,7 @@ def go(config: GoConfig) -> None:
 def jog(config: JogConfig) -> None:
     """Move the tip by keys."""
     with recorder_of(config, RIG, real_time=True) as recorder:
-        place_m = arm_moving.jog(config, recorder)
+        place_m = arm_commands.jog(config, recorder)
     say(f"the tip's centre is at {_mm(place_m)} mm in the surface frame")
     write_json({"center_m": place_m}, config.output.json)
 

@@ -8,14 +8,14 @@ deformscope bench --peers --json bench.json
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from rich.console import Console
 from rich.table import Table
 
 from deformscope.bench.plan import BenchPlan, default_sizes
-from deformscope.bench.report import check, measure, report
+from deformscope.bench.report import Report, check, measure, read_earlier, report, require_positive
 from deformscope.bench.timing import TimingRow
 from deformscope.bench_cases import CASES
 from deformscope.cli.common import console, quiet_warp, write_json
@@ -26,7 +26,6 @@ WIDTH = 200
 """Columns of the table where there is no terminal to fit it to."""
 
 FACTS: dict[str, Callable[[Any], str]] = {
-    "setup_s": lambda value: f"set-up {value:.3g} s",
     "hold_ms": lambda value: f"holding {value:.2g} ms more",
     "iterations_most": lambda value: f"{value} iterations",
     "steps": lambda value: f"{value:,} steps".replace(",", " "),
@@ -42,6 +41,7 @@ FACTS: dict[str, Callable[[Any], str]] = {
 
 REMARK = (
     "costs: median over rounds of this row over the row it is beside (the first of its body by deformscope). "
+    "against: median over that of the earlier run; on another machine, or under another load, it says nothing. "
     "Dim rows solve another problem."
 )
 
@@ -54,6 +54,7 @@ def run(config: BenchConfig) -> None:
     sizes = config.sizes or default_sizes(device, config.quick)
     plan = BenchPlan(device, sizes, config.repeats, config.quick, config.peers, config.only or CASES)
     check(plan)
+    earlier = read_earlier(config.against)
     rows: list[TimingRow] = []
     complete = False
     where = console()
@@ -63,14 +64,16 @@ def run(config: BenchConfig) -> None:
             rows.append(row)
         complete = True
     finally:
-        found = report(plan, rows, complete=complete)
+        found = report(plan, rows, complete=complete, earlier=earlier)
         if rows:
-            show(rows, found.machine, complete)
+            show(rows, found, compared=earlier is not None)
         write_json(found, config.json)
+    require_positive(rows)
 
 
-def show(rows: Sequence[TimingRow], machine: Mapping[str, Any], complete: bool) -> None:
+def show(rows: Sequence[TimingRow], found: Report, *, compared: bool) -> None:
     """One line a row, in sections by case; on stderr where `--json -` has taken stdout."""
+    machine, against = found.machine, [row["against"] for row in found.rows]
     out = Console(file=sys.stdout, highlight=False, width=None if sys.stdout.isatty() else WIDTH)
     processor = machine["gpu"] or f"{machine['cpu']}, {machine['cores']} cores, load {machine['load']:.1f}"
     table = Table(title=f"What MSM costs on {machine['device']} ({processor}; warp {machine['warp']})")
@@ -80,23 +83,25 @@ def show(rows: Sequence[TimingRow], machine: Mapping[str, Any], complete: bool) 
     for heading in ("median", "IQR"):
         table.add_column(heading, justify="right", no_wrap=True)
     table.add_column("unit", no_wrap=True)
-    for heading in ("rounds", "costs"):
+    for heading in ("rounds", "costs", *(["against"] if compared else [])):
         table.add_column(heading, justify="right", no_wrap=True)
     table.add_column("", overflow="fold")
     last = ""
-    for row in sorted(rows, key=lambda row: CASES.index(row.case)):
+    for row, then in sorted(zip(rows, against, strict=True), key=lambda each: CASES.index(each[0].case)):
         if last and row.case != last:
             table.add_section()
         costs = "" if row.costs is None else f"{number(row.costs)}x"
         table.add_row(
             *("" if row.case == last else row.case, row.what, row.who, number(row.median), number(row.spread)),
-            *(row.unit, str(len(row.samples) or ""), costs, details(row)),
+            *(row.unit, str(len(row.samples) or ""), costs),
+            *([f"{number(then)}x" if isinstance(then, float) else ""] if compared else []),
+            details(row),
             style=None if row.same else "dim",
         )
         last = row.case
     out.print(table)
     out.print(REMARK, markup=False)
-    if not complete:
+    if not found.complete:
         out.print("It ended early: rows are missing.", style="bold", markup=False)
 
 
@@ -118,4 +123,10 @@ def details(row: TimingRow) -> str:
     candidates = row.facts.get("candidates")
     if candidates is not None:
         parts.append(f"{row.facts['converged']} of {candidates} converged")
+    moved, bandwidth = row.facts.get("bytes"), row.facts.get("bandwidth_bytes_s")
+    if isinstance(moved, int) and isinstance(bandwidth, float) and row.median is not None:
+        times = row.median / 1e3 / (moved / bandwidth)
+        parts.append(f"{times:.2g} times what moving {moved / 1e6:.0f} MB takes at {bandwidth / 1e9:.0f} GB/s")
+    if row.doubt:
+        parts.append(row.doubt)
     return "; ".join([*parts, *([row.note] if row.note else [])])

@@ -11,13 +11,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from deformscope.api.calibration import CalibrationResult, calibrate
-from deformscope.api.calibration_report import calibration_page
 from deformscope.cli.common import EXIT_LOSSES, at_terminal, fit_progress, say, show, write_file, write_json
 from deformscope.config import BetaConfig, ThetaConfig
 from deformscope.files.model_file import save_model
 from deformscope.page.fit_settings import asked_on_page
 from deformscope.pictures.evidence import Result, results_png
+from deformscope.runs.calibration import CalibrationResult, calibrate
+from deformscope.runs.calibration_report import calibration_page
 from deformscope.stages.fit.estimate import Estimate
 
 

@@ -29,8 +29,8 @@ from deformscope.stages.squeeze.table import LabelledTable
 
 def run(config: ClassifyConfig) -> None:
     """Evaluate, print, draw and write."""
-    from deformscope.api.classification import classify_table, options_of, table_from
     from deformscope.files.classifier_file import save_classifier
+    from deformscope.runs.classification import classify_table, options_of, table_from
 
     table = table_from(
         config.table,
@@ -58,7 +58,7 @@ def run(config: ClassifyConfig) -> None:
         save_classifier(model, config.save)
         say(f"classifier: {config.save}")
     if config.page is not None:
-        from deformscope.api.classification_report import classification_page, classification_pictures
+        from deformscope.runs.classification_report import classification_page, classification_pictures
 
         drawn = classification_pictures(result)
         _write_report(config, config.page, drawn, classification_page(result, model, drawn, settings_of(config)))
@@ -66,8 +66,8 @@ def run(config: ClassifyConfig) -> None:
 
 def _check(config: ClassifyConfig, path: Path, table: LabelledTable) -> None:
     """How a saved classifier does on trials that it has not seen."""
-    from deformscope.api.classification import load_classifier
-    from deformscope.api.classifier_check import ClassifierCheckResult, check_page
+    from deformscope.files.classifier_file import load_classifier
+    from deformscope.runs.classifier_check import ClassifierCheckResult, check_page
     from deformscope.stages.squeeze.model_check import check_model
 
     model = load_classifier(path)

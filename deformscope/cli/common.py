@@ -12,7 +12,6 @@ from contextvars import ContextVar
 from pathlib import Path
 from typing import TYPE_CHECKING, TextIO, cast
 
-from deformscope.api.result import open_recorder
 from deformscope.errors import InputError, printable
 from deformscope.file_io import make_folder as make_folder
 from deformscope.file_io import read_file as read_file
@@ -20,6 +19,7 @@ from deformscope.file_io import replacing as replacing
 from deformscope.pictures.findings import table_text
 from deformscope.pictures.report import Figure, Table
 from deformscope.plain import plain
+from deformscope.runs.result import open_recorder
 from deformscope.stages.msm.quiet import quiet_warp as quiet_warp
 from deformscope.terminal import fit_progress as fit_progress
 from deformscope.terminal import say as say

@@ -94,7 +94,7 @@ def _dataset(folder: Path, settings: dict[str, Any] | None = None) -> SqueezeDat
 
 def _show(folder: Path, target: str | None, *, trials: bool = False) -> None:
     from deformscope.pictures.findings import table_text
-    from deformscope.runs.squeezing import dataset_table
+    from deformscope.runs.datasets import dataset_table
 
     entries = _dataset(folder).entries()
     show(table_text(dataset_table(folder, entries, trials=trials)))

@@ -10,12 +10,12 @@ import dataclasses
 import shlex
 from pathlib import Path
 
-from deformscope.api.calibration import rerun_command
 from deformscope.cli.calibrate import run as calibrate
 from deformscope.cli.common import quiet_warp, say
 from deformscope.cli.explore import run as explore
 from deformscope.config import BetaConfig, DemoConfig, ExploreConfig
 from deformscope.file_io import new_recording
+from deformscope.runs.calibration import rerun_command
 
 FOLDER = Path("runs")
 SAMPLE = "tension"

@@ -6,10 +6,10 @@ deformscope discard r.rrd --episode 2 --reason "touched the table"
 
 from __future__ import annotations
 
-from deformscope.api.recordings import OpenRecording
 from deformscope.cli.common import show_table, write_json
 from deformscope.config import DiscardRecordingConfig
 from deformscope.recording.discards import discard
+from deformscope.runs.recordings import OpenRecording
 
 
 def run(config: DiscardRecordingConfig) -> None:

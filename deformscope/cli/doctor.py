@@ -21,8 +21,8 @@ from deformscope.config import DoctorConfig
 from deformscope.errors import InputError
 from deformscope.lab.rig_members import member_of
 from deformscope.rig.rig_file import Rig, RigDevice, load_rig
-from deformscope.runs.first_day import FirstDayStep, begin, first_day, next_step
-from deformscope.runs.setups import setup_of_rig
+from deformscope.runs.commissioning import RigStep, begin, commissioning_steps, next_step
+from deformscope.runs.opened_devices import setup_of_rig
 from deformscope_drivers.arm import Arm
 from deformscope_drivers.errors import DeviceError
 from deformscope_drivers.health import Health
@@ -61,7 +61,7 @@ def run(config: DoctorConfig) -> None:
         write_json({"rig": config.rig, "findings": [], "first_day": [step], "next": step.command}, config.json)
         return
     rig = load_rig(config.rig, trusted=config.trust_rig)
-    steps = first_day(rig, config.rig)
+    steps = commissioning_steps(rig, config.rig)
     findings = [Finding("rig file", "ok", f"{len(rig.devices)} devices")]
     findings += [] if steps else _sections(rig)  # the list of steps says what is lacking, and which command adds it
     following = next_step(steps)
@@ -89,20 +89,20 @@ def run(config: DoctorConfig) -> None:
         raise Unfit("a rig that works", f"trouble with {', '.join(failed)}", hint, config.rig)
 
 
-def _nothing_yet(name: str) -> FirstDayStep | None:
+def _nothing_yet(name: str) -> RigStep | None:
     """The first step of all, for a file that is empty."""
     path = Path(name).expanduser()
     return begin(name) if path.is_file() and not path.read_text(encoding="utf-8", errors="replace").strip() else None
 
 
-def _list_of(steps: tuple[FirstDayStep, ...], following: str) -> str:
+def _list_of(steps: tuple[RigStep, ...], following: str) -> str:
     """The way to an exploration, step by step, and what comes next."""
     width = max(len(step.what) for step in steps)
     lines = ["", *(f"{step.state:<8} {step.what:<{width}}  {step.words}{_minutes(step)}" for step in steps)]
     return "\n".join([*lines, *([f"next: {following}"] if following else [])])
 
 
-def _minutes(step: FirstDayStep) -> str:
+def _minutes(step: RigStep) -> str:
     """What it takes, of a step that is not done."""
     return f" (about {step.minutes} min)" if step.minutes and step.state != "done" else ""
 

@@ -19,7 +19,7 @@ from deformscope.errors import InputError
 from deformscope.version import __version__
 
 if TYPE_CHECKING:
-    from deformscope.api.exploration_result import ExplorationResult
+    from deformscope.runs.exploration_result import ExplorationResult
     from deformscope.stages.map.exploration import MapEstimate
 
 
@@ -85,8 +85,8 @@ def _map_file(config: ExploreConfig, maps: MapEstimate) -> bytes:
     made_by: dict[str, Any] = {"scenario": config.rig, "seed": config.output.seed, "version": __version__}
     import numpy as np
 
-    from deformscope.api.exploration_result import map_arrays
     from deformscope.results.render import units_of
+    from deformscope.runs.exploration_result import map_arrays
 
     units = units_of((type(maps),))
     file = io.BytesIO()

@@ -14,8 +14,6 @@ deformscope calibrate viscous press.mp4 --grid 9x15 --held bottom,contact --cont
 
 from __future__ import annotations
 
-from deformscope.api.calibration import pair_recorder, size_notes
-from deformscope.api.materials import calibrate_material, material_page
 from deformscope.cli.common import (
     EXIT_LOSSES,
     fit_progress,
@@ -31,8 +29,10 @@ from deformscope.config import BothConfig, MaterialOptions
 from deformscope.files.pairs import parse_pair
 from deformscope.pictures.findings import Findings
 from deformscope.pictures.material_figures import joint_png
-from deformscope.pictures.messages import reason_rows
+from deformscope.pictures.messages import value_rows
 from deformscope.pictures.report import Figure, Table
+from deformscope.runs.calibration import pair_recorder, size_notes
+from deformscope.runs.materials import calibrate_material, material_page
 from deformscope.session import Step
 from deformscope.stages.fit.estimate import converged_text, explained_text
 from deformscope.stages.fit.joint import JointEstimate, JointOptions, calibrate_both
@@ -97,13 +97,7 @@ def _pairs(config: BothConfig) -> tuple[list[tuple[str, bytes]], list[Observatio
 
 
 def _both_table(found: JointEstimate, name: str) -> Table:
-    rows: list[tuple[str, str]] = []
-    for one in (found.beta, found.theta):
-        low, high = one.interval
-        rows.append((one.parameter, f"{one.value:.4g}"))
-        rows.append((f"{one.level:.0%} interval", f"{low:.4g} to {high:.4g}"))
-        rows.append(("verdict", one.verdict_text()))
-        rows += reason_rows(one.reasons, besides=one.verdict_text())
+    rows = [*value_rows(found.beta), *value_rows(found.theta)]
     rows.append(("correlation", f"{found.correlation:+.2f}"))
     rows.append(("stiffness", found.beta.stiffness_text()))
     if found.beta.explained is not None:

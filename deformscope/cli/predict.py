@@ -11,15 +11,6 @@ from pathlib import Path
 
 import numpy as np
 
-from deformscope.api.poke_comparison import compare
-from deformscope.api.prediction import (
-    PredictionResult,
-    arrays_of,
-    comparison_table,
-    moved_body,
-    poke_of,
-    together_table,
-)
 from deformscope.arrays import FloatArray
 from deformscope.cli.common import (
     fit_progress,
@@ -39,6 +30,15 @@ from deformscope.files.pairs import parse_pair
 from deformscope.pictures.dents import dents_png
 from deformscope.pictures.findings import Findings
 from deformscope.pictures.report import Figure, Table
+from deformscope.runs.poke_comparison import compare
+from deformscope.runs.prediction import (
+    PredictionResult,
+    arrays_of,
+    comparison_table,
+    moved_body,
+    poke_of,
+    together_table,
+)
 from deformscope.session import Step
 from deformscope.stages.msm.solver import pick_device
 from deformscope.stages.poke.comparison import together

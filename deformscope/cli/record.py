@@ -12,7 +12,6 @@ from deformscope.cli.common import EXIT_LOSSES, say, show, write_json
 from deformscope.config import LiveConfig, RecordConfig, RigRunOptions
 from deformscope.recording.losses import named
 from deformscope.runs.rig_run import RigRun, run_rig
-from deformscope.runs.skeleton import say_failures
 
 
 def record(config: RecordConfig) -> int:
@@ -32,7 +31,6 @@ def _shown(run: RigRun, config: RigRunOptions) -> int:
     recorded, losses = run.result.found["recording"] is not None, run.result.found["losses"]
     if losses and recorded:
         say(f"deformscope: the recording is whole, with losses: {named(losses)}")
-    say_failures(run.failures)
     if run.early_by:
         say(f"deformscope: ended {run.why}")
         return 128 + run.early_by

@@ -82,7 +82,7 @@ def _write(foams: Sequence[FoamDent], explored: Sequence[Scenario], config: Chap
     found = Findings(
         (
             Table(
-                [(row["scene"], _words(row)) for row in rows],
+                [(row["scene"], _format_row(row)) for row in rows],
                 caption="Table 4.1 at Th = 0.06, the thesis's in brackets",
             ),
             Table([(line,) for line in why], caption="In words"),
@@ -117,7 +117,7 @@ def _row(name: str, mine: Sequence[Scenario]) -> dict[str, Any]:
     return row
 
 
-def _words(row: dict[str, Any]) -> str:
+def _format_row(row: dict[str, Any]) -> str:
     parts = [f"n = {_list(row['touches'])} [{row['thesis_touches']}]"]
     for model in ("layers", "single_layer"):
         regions = f"{_list(row[f'{model}_regions'])} [{row['thesis_regions']}]"

@@ -22,10 +22,10 @@ from deformscope.cli.common import (
 from deformscope.config import ContainersConfig
 
 if TYPE_CHECKING:
-    from deformscope.api.classification import ClassificationResult
     from deformscope.files.squeeze_dataset import SqueezeDataset
     from deformscope.reproduce.container_findings import FindingComparison
     from deformscope.reproduce.containers import SqueezeJob
+    from deformscope.runs.classification import ClassificationResult
     from deformscope.stages.squeeze.table import LabelledTable
 
 KEPT_TOGETHER = 40
@@ -95,8 +95,8 @@ def _squeeze(dataset: SqueezeDataset, jobs: list[SqueezeJob], config: Containers
 
 def _evaluated(table: LabelledTable, config: ContainersConfig, name: str) -> ClassificationResult:
     """Accuracies of one set of classes: of the cardboard boxes, as in the thesis; others are what it transfers to."""
-    from deformscope.api.classification import QUICK_SPLITS, classify_table
     from deformscope.lab.container_setup import KINDS
+    from deformscope.runs.classification import QUICK_SPLITS, classify_table
     from deformscope.stages.squeeze.evaluation import EvaluationOptions
 
     boxes = table if table.kind is None else table.rows(table.kind == KINDS["box"])
@@ -111,9 +111,9 @@ def _report(
     result: ClassificationResult, config: ContainersConfig, name: str, beside: Sequence[FindingComparison]
 ) -> None:
     """Figures, the page and the classifier of one set of classes."""
-    from deformscope.api.classification_report import classification_page, classification_pictures
     from deformscope.files.classifier_file import save_classifier
     from deformscope.pictures.report import Section, Table
+    from deformscope.runs.classification_report import classification_page, classification_pictures
 
     with fit_progress() as bar:
         model = result.model(bar)

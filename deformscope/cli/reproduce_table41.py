@@ -158,7 +158,7 @@ def _tables(
     layouts = f"{rows[0]['layouts']} layouts a scene: median [share at 0.85 or more]"
     tables = [Table(every, caption=f"IoU of regions after {counts} touches, {layouts}")]
     for count in [count for count in looked_at if count >= 8] or looked_at[-1:]:
-        after = [(f"{scene} {planner}", _words(at[scene, planner, count])) for scene, planner in keys]
+        after = [(f"{scene} {planner}", _format_row(at[scene, planner, count])) for scene, planner in keys]
         tables.append(Table(after, caption=f"After {count} touches at most"))
     if compared:
         ratios = [
@@ -185,7 +185,7 @@ def _ious(rows: Sequence[dict[str, Any]]) -> str:
     return ", ".join(f"{row['iou']:.2f} [{row['good']:.2f}]" for row in rows)
 
 
-def _words(row: dict[str, Any]) -> str:
+def _format_row(row: dict[str, Any]) -> str:
     named = (("found", "smallest found"), ("rigid_found", "rigid found"), ("ordered", "order right"))
     parts = [f"verdict and number right {row['right']:.2f}"]
     parts += [f"{words} {row[name]:.2f}" for name, words in named if row[name] is not None]
@@ -198,7 +198,7 @@ def _words(row: dict[str, Any]) -> str:
         parts.append(f"wrong labels {row['wrong']:.3f}, {row['wrong_claimed']:.3f} expected")
     if row["unseen"] is not None:
         missed = "" if row["unseen_missed"] is None else f", {row['unseen_missed']:.2f} where one was missed"
-        parts.append(f"stopped by itself {row['stopped']:.2f}, lumps unseen {row['unseen']:.2f}{missed}")
+        parts.append(f"stopped by itself {row['stopped']:.2f}, inclusions unseen {row['unseen']:.2f}{missed}")
     if row["touches_covered"] is not None:
         parts.append(f"touches within {row['touches_covered']:.2f}")
     parts.append(f"discs of up to {1e3 * row['unmet_m']:.0f} mm radius unmet")

@@ -7,9 +7,9 @@ deformscope squeeze lab:containers --model contents.npz --seed 5
 
 from __future__ import annotations
 
-from deformscope.api.squeeze_result import SqueezeResult
 from deformscope.cli.common import EXIT_LOSSES, show, write_json
 from deformscope.config import SqueezeConfig
+from deformscope.runs.squeeze_result import SqueezeResult
 from deformscope.runs.squeeze_run import leave, squeeze_on
 
 

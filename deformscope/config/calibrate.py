@@ -95,6 +95,19 @@ class MotionFlags(Flags):
             raise InputError("--whole-motion with --select", "no --whole-motion", "add --whole-motion")
 
 
+def check_arrays(sources: tuple[str, ...], images: ImageOptions, noise_px: float | None, called: str) -> None:
+    """Raises InputError for .npz files among images, and for flags about images with .npz files. called: so in words"""
+    files = [source for source in sources if ending_of(source) == ".npz"]
+    if files and len(files) != len(sources):
+        other = next(source for source in sources if source not in files)
+        raise InputError(f"either {called} or images", "both", "name them in two commands", other)
+    if files and images != ImageOptions():
+        came = "some (--roi, --grid, --held...)"
+        raise InputError(f"no flags about images with {called}", came, "leave them out")
+    if files and noise_px is not None:
+        raise InputError(f"--noise-m for {called}", "--noise-px", "give the noise in metres")
+
+
 def _names_rig(source: str) -> bool:
     return source.startswith("lab:") or Path(source).suffix.lower() == ".toml"
 
@@ -332,15 +345,7 @@ class MaterialOptions(RecordedOptions):
     output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions, kw_only=True)
 
     def check(self) -> None:
-        files = [source for source in self.sources if ending_of(source) == ".npz"]
-        if files and len(files) != len(self.sources):
-            other = next(source for source in self.sources if source not in files)
-            raise InputError("either .npz files or images", "both", "name them in two commands", other)
-        if files and self.images != ImageOptions():
-            came = "some (--roi, --grid, --held...)"
-            raise InputError("no flags about images with .npz files", came, "leave them out")
-        if files and self.fit.noise_px is not None:
-            raise InputError("--noise-m for .npz files", "--noise-px", "give the noise in metres")
+        check_arrays(self.sources, self.images, self.fit.noise_px, ".npz files")
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,17 +19,17 @@ def command_line(name: str, options: Flags) -> list[str]:
 
     name: of the command, such as `calibrate beta`
     """
-    return ["deformscope", *name.split(), *_words(options)]
+    return ["deformscope", *name.split(), *_arguments(options)]
 
 
-def _words(options: Flags) -> list[str]:
+def _arguments(options: Flags) -> list[str]:
     first: list[str] = []
     words: list[str] = []
     marks = marks_of(type(options))
     for field in dataclasses.fields(options):  # type: ignore[arg-type]  # all that derive from it are dataclasses
         value, said = getattr(options, field.name), marks[field.name]
         if isinstance(value, Flags):
-            words += _words(value)
+            words += _arguments(value)
         elif Positional in said:
             first += map(str, value if isinstance(value, tuple) else (value,))
         elif (

@@ -22,12 +22,6 @@ REGION_TOUCHES, INCLUSION_TOUCHES = 8, 30
 MOST_HOLD_S = 60.0
 BORDER_M, LEAST_BORDER_M = 0.02, 0.01
 """No touch is made so near the surface's edge, unless it is asked for; from where on an edge's law was measured."""
-LumpFlag = Annotated[
-    float | None,
-    flags.one_word("NUMBER", lambda text: 0.01 * flags.positive(text), lambda m: f"{100.0 * m:g}"),
-    arg(name="smallest-lump-cm", help_behavior_hint=""),
-]
-"""Typed in centimetres, kept in metres."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,8 +32,8 @@ class ExploreFlags(Flags):
     budget: Annotated[flags.SomeFlag, arg(name="touches")] = None
     """Touches at most, default 8, with --goal inclusions 30."""
     goal: Goal = "regions"
-    """What is sought: regions of one stiffness each, or inclusions: lumps below a surface that shows nothing, stiffer
-    or softer than the foam around them; touched is until one of --smallest-lump-cm or more is missed with less than
+    """What is sought: regions of one stiffness each, or inclusions below a surface that shows nothing, stiffer or
+    softer than the foam around them; touched is until one of --smallest-inclusion or more is missed with less than
     5 %."""
     planner: Planner = "regions"
     """Where to touch next: where the map of regions gains most a second (default), three rules by the field's
@@ -70,11 +64,11 @@ class ExploreFlags(Flags):
     of a single layer (thesis, default of --planner thesis) or of layers, or none."""
 
     def __post_init__(self) -> None:
-        lumps = self.goal == "inclusions"
+        inclusions = self.goal == "inclusions"
         if self.budget is None:
-            object.__setattr__(self, "budget", INCLUSION_TOUCHES if lumps else REGION_TOUCHES)
+            object.__setattr__(self, "budget", INCLUSION_TOUCHES if inclusions else REGION_TOUCHES)
         if self.beta_model is None:
-            model = "none" if lumps else "thesis" if self.planner == "thesis" else "volume"
+            model = "none" if inclusions else "thesis" if self.planner == "thesis" else "volume"
             object.__setattr__(self, "beta_model", model)
         Flags.__post_init__(self)
 
@@ -89,7 +83,7 @@ class ExploreFlags(Flags):
         if self.feel == "loss" and self.planner == "thesis":
             raise InputError("a planner whose regions are not those of beta", "thesis", "--planner regions")
         if self.goal == "inclusions" and self.feel == "loss":
-            raise InputError("lumps that are felt by their stiffness", "--feel loss", "--goal regions")
+            raise InputError("inclusions that are felt by their stiffness", "--feel loss", "--goal regions")
         if self.goal == "inclusions" and self.planner != "regions":
             raise InputError("the planner of --goal inclusions", f"--planner {self.planner}", "leave --planner out")
         if not LEAST_BORDER_M <= self.border_m <= 0.1:
@@ -108,11 +102,9 @@ class ExploreConfig(ExploreFlags, RecordedOptions):
     """A rig file (.toml), or a simulated scene; --list-scenarios names these."""
     list_scenarios: bool = False
     """Name the simulated scenes, what their seeds draw, and what can go wrong in them; do nothing else."""
-    smallest_lump_m: LumpFlag = None
-    """With --goal inclusions: radius of the smallest lump that must not be missed [cm], default 2."""
     smallest_inclusion_m: Annotated[flags.PositiveFlag, arg(name="smallest-inclusion")] = None
-    """Radius of the smallest lumps that are sought [m], default 0.06: touched is until one that is there unseen is less
-    likely than 1 in 20, or --touches are made."""
+    """Radius of the smallest inclusions that are sought [m], default 0.06, with --goal inclusions 0.02: touched is
+    until one that is there unseen is less likely than 1 in 20, or --touches are made."""
     set_force_n: Annotated[flags.ForceFlag, arg(name="set-force")] = None
     """Force to press with [N], 5 N at most; default: the rig file's target_force_n, which is 3 N unless it says. Where
     it makes a dent below 2 mm, 5/3 of it (5 N at most) is pressed with."""
@@ -149,12 +141,6 @@ class ExploreConfig(ExploreFlags, RecordedOptions):
 
     def check(self) -> None:
         ExploreFlags.check(self)
-        if self.smallest_lump_m is not None and self.goal != "inclusions":
-            raise InputError("--smallest-lump-cm with --goal inclusions", f"--goal {self.goal}", "--goal inclusions")
-        if self.smallest_inclusion_m is not None and self.goal == "inclusions":
-            raise InputError(
-                "--smallest-lump-cm with --goal inclusions", "--smallest-inclusion", "--smallest-lump-cm 2"
-            )
         if self.paused and self.output.viewer != "page":
             raise InputError("--paused with --viewer page", f"--viewer {self.output.viewer}", "--viewer page")
         if not self.rig and not self.list_scenarios:

@@ -14,8 +14,8 @@ from deformscope.errors import InputError
 
 
 @dataclass(frozen=True, slots=True)
-class ImageOptions(Flags):
-    """How images become particles. Pair files need none of these."""
+class ParticleFlags(Flags):
+    """Where particles are seeded in an image, and which of them are held."""
 
     roi: flags.RectangleFlag = None
     """Region of the image that holds the thing [px]; default: all of it."""
@@ -23,21 +23,6 @@ class ImageOptions(Flags):
     """Rows and columns of particles over the region, such as 7x15."""
     spacing_px: flags.PositiveFlag = None
     """Distance of neighbouring particles [px], instead of --grid."""
-    mask: flags.FileFlag = None
-    """Image that is not black where the thing is; particles stand there alone. It is left out of a sequence that holds
-    it."""
-    outline: flags.OutlineFlag = None
-    """Corners of a polygon around the thing in the first image [px]; particles stand within it alone."""
-    px_per_cm: flags.PositiveFlag = None
-    """Scale of the image [px/cm]; with it lengths are reported in metres too."""
-    stride: flags.ManyFlag = 1
-    """Take every n-th frame."""
-    camera: flags.CameraFlag = None
-    """Of a recording or a rig with several cameras: the one to take."""
-    fps: flags.PositiveFlag = None
-    """Frames a second of images that do not say; default: what the video says."""
-    flow: Literal["dis", "farneback"] = "dis"
-    """Method of the dense optical flow."""
     held: flags.HeldFlag = None
     """Particles whose motion is taken from the images and prescribed, out of top, bottom, left, right, border and
     contact. Default: bottom,contact where --contact is given, else top,bottom."""
@@ -57,6 +42,27 @@ class ImageOptions(Flags):
         if self.held is not None:
             return self.held
         return ("bottom", "contact") if self.contact is not None else ("top", "bottom")
+
+
+@dataclass(frozen=True, slots=True)
+class ImageOptions(ParticleFlags):
+    """How images become particles. Pair files need none of these."""
+
+    mask: flags.FileFlag = None
+    """Image that is not black where the thing is; particles stand there alone. It is left out of a sequence that holds
+    it."""
+    outline: flags.OutlineFlag = None
+    """Corners of a polygon around the thing in the first image [px]; particles stand within it alone."""
+    px_per_cm: flags.PositiveFlag = None
+    """Scale of the image [px/cm]; with it lengths are reported in metres too."""
+    stride: flags.ManyFlag = 1
+    """Take every n-th frame."""
+    camera: flags.CameraFlag = None
+    """Of a recording or a rig with several cameras: the one to take."""
+    fps: flags.PositiveFlag = None
+    """Frames a second of images that do not say; default: what the video says."""
+    flow: Literal["dis", "farneback"] = "dis"
+    """Method of the dense optical flow."""
 
 
 # deformscope flow ----------------------------------------------------------------------------------------------------

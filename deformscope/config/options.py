@@ -63,11 +63,20 @@ class Flags:
                 own[name] = group.of(**{one: given.pop(one) for one in marks_of(group).keys() & given.keys()})
             elif name in given:
                 kinds, value = (hints[name], *get_args(hints[name])), given.pop(name)
+                choices = next((get_args(kind) for kind in kinds if get_origin(kind) is Literal), ())
+                if choices and value is not None and value not in choices:
+                    expected = f"a {flags_of(cls)[name]} out of {', '.join(map(str, choices))}"
+                    raise InputError(expected, repr(value))
                 convert = Path if Path in kinds else tuple if any(get_origin(kind) is tuple for kind in kinds) else None
                 own[name] = value if value is None or convert is None else convert(value)
         if given:
             raise TypeError(f"unexpected options: {', '.join(sorted(given))}")
         return cls(**own)
+
+    def shared(self, kind: type) -> dict[str, Any]:
+        """The values of the fields that another class of options has too, by name."""
+        names = {one.name for one in dataclasses.fields(kind)}
+        return {name: getattr(self, name) for name in marks_of(type(self)).keys() & names}
 
     def reads(self) -> tuple[str, ...]:
         """The sources, none of which may be written over."""

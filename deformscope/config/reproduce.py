@@ -123,11 +123,13 @@ class BenchConfig(CommandOptions):
     quick: bool = False
     """Less of everything, in some 20 s."""
     only: flags.CasesFlag = None
-    """Measure these alone, out of step, memory, relax, sweep, theta, gradient, fit and cold."""
+    """Measure these alone, out of step, call, memory, relax, sweep, theta, gradient, fit, surface and cold."""
     sizes: flags.SizesFlag = None
     """Particles of the cubes that are stepped and relaxed; default: 216 to a million, on a GPU to ten."""
     repeats: flags.SomeFlag = None
     """Rounds of every comparison; default: what fits into a few seconds, 9 at most."""
+    against: flags.FileFlag = None
+    """The JSON of an earlier bench: how each row's time compares with what it was then."""
     device: flags.Device = "auto"
     """Where the simulation runs; auto: on the GPU where there is one."""
     json: flags.JsonFlag = None

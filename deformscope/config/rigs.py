@@ -9,7 +9,8 @@ from typing import Annotated, Literal
 from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
 
 from deformscope.config import flags
-from deformscope.config.options import CommandOptions, Flags, OutputOptions, RecordedOptions, either
+from deformscope.config.images import ParticleFlags
+from deformscope.config.options import CommandOptions, OutputOptions, RecordedOptions
 from deformscope.errors import InputError
 
 
@@ -48,9 +49,9 @@ class DoctorConfig(CommandOptions):
 
 
 @dataclass(frozen=True, slots=True)
-class StageOptions(Flags):
+class StageOptions(ParticleFlags):
     """Stages that are computed while the devices run, always on the newest frame: those passed over are counted. Images
-    are as for `calibrate beta`."""
+    are as for `calibrate beta`; without --grid and --spacing-px, 9 particles stand along the region's longer side."""
 
     stage: Annotated[
         UseAppendAction[tuple[Literal["flow", "beta", "surface", "tactile", "contact"], ...]],
@@ -60,37 +61,17 @@ class StageOptions(Flags):
     followed to the newest, and the fit of that pose with its verdict; surface: a depth camera's surface as a Gaussian
     process, with its deviation; tactile: centre of pressure, contact area and force of each pad; contact: stiffness by
     arm and force sensor, after each approach."""
-    camera: str = ""
+    camera: flags.CameraFlag = None
     """Colour camera of flow and beta; default: the rig's first."""
-    roi: flags.RectangleFlag = None
-    """Region of its image that holds the thing [px]; default: all of it."""
-    grid: flags.GridFlag = None
-    """Rows and columns of particles over the region; default: 9 along its longer side."""
-    spacing_px: flags.PositiveFlag = None
-    """Distance of neighbouring particles [px], instead of --grid."""
-    held: flags.HeldFlag = None
-    """Particles whose motion is prescribed, out of top, bottom, left, right, border and contact. Default:
-    bottom,contact where --contact is given, else top,bottom."""
-    contact: flags.RectangleFlag = None
-    """Footprint of the tool in the first image [px]; the particles inside are `contact`."""
     cluster_size: flags.ClusterFlag = 3
     """Particles a side of the overlapping clusters."""
     longest_px: Annotated[int, flags.least(32)] = 160
     """The region is reduced until its longer side has so many pixels: twice as many take four times as long [px]."""
 
-    def check(self) -> None:
-        either("--grid", "--spacing-px", self.grid, self.spacing_px)
-        if ("contact" in self.held_parts()) != (self.contact is not None):
-            raise InputError("contact among --held with --contact X,Y,WIDTH,HEIGHT", "one of the two")
-
     @property
     def names(self) -> tuple[Literal["flow", "beta", "surface", "tactile", "contact"], ...]:
         """Each stage once, in the order asked for."""
         return tuple(dict.fromkeys(self.stage))
-
-    def held_parts(self) -> tuple[flags.HeldPart, ...]:
-        """The parts to hold: those asked for, else what stands still and what pushes."""
-        return self.held or (("bottom", "contact") if self.contact is not None else ("top", "bottom"))
 
 
 @dataclass(frozen=True, slots=True)

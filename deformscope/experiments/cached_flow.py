@@ -42,7 +42,7 @@ class CachedFlow:
         self.first, self.last = images
 
     def follow(self, particles: ParticleOptions, mask: BoolArray | None) -> tuple[ParticleGrid, list[Tracked]]:
-        """As `foam_video.track` does: where they stood at rest, and where at every frame."""
+        """As `foam_video.track`: where they stood at rest, and where at every frame [px]. mask: (H, W) of the body"""
         grid = seed_grid(self.first.shape[:2], particles.roi_rect, particles.grid, particles.spacing_px, mask)
         select_held(grid, particles.held, particles.contact_rect)
         history = [start(grid)]

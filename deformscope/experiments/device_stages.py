@@ -24,7 +24,7 @@ from deformscope.stages.fit.calibrate import FitOptions, Model, calibrate
 from deformscope.stages.fit.moment import MomentFit
 from deformscope.stages.map.exploration import SurfaceEstimate, TouchEstimate
 from deformscope.stages.map.surface import fit_surface
-from deformscope.stages.poke.contact import ArmCompliance, fit_approach, fitted_law
+from deformscope.stages.poke.contact import ArmCompliance, TipKind, fit_approach, fitted_law
 from deformscope.stages.regions.touches import MapGrid
 from deformscope.stages.see.arrows import FlowArrows, flow_arrows, region_of
 from deformscope.stages.see.cloud import Box, Intrinsics, perceive
@@ -66,7 +66,7 @@ class LiveOptions:
     particles, cluster_size: as in `calibrate beta`; longest_px: the longer side that images are reduced to
     focal_px, center_px, distortion, T_surface_camera: of the depth camera; size_m, thickness_m: of the surface [m]
     T_ee_tip: (4, 4) the tool's tip, whose z axis points at what it presses, to the arm's end [m]
-    set_force_n: at which stiffness is given; compliance_m_per_n, compliance_sd: of the arm [m/N]
+    tip: its shape; set_force_n: at which stiffness is given; compliance_m_per_n, compliance_sd: of the arm [m/N]
     """
 
     names: tuple[StageName, ...] = ()
@@ -89,6 +89,7 @@ class LiveOptions:
     set_force_n: float = 3.0
     compliance_m_per_n: float = 0.0
     compliance_sd: float = 0.0
+    tip: TipKind = "sphere"
 
 
 NEEDS: dict[StageName, tuple[Kind, ...]] = {
@@ -127,7 +128,8 @@ def for_rig(options: LiveOptions, rig: Rig) -> LiveOptions:
     if "contact" in options.names:
         along = np.eye(4)
         along[2, 3] = tool.length_m
-        found |= {"T_ee_tip": tool.T_ee_tip or _rows(along), "set_force_n": rig.workspace.target_force_n}
+        found |= {"T_ee_tip": tool.T_ee_tip or _rows(along), "tip": tool.tip}
+        found |= {"set_force_n": rig.workspace.target_force_n}
         found |= {"compliance_m_per_n": tool.compliance_m_per_n or 0.0, "compliance_sd": tool.compliance_sd}
     return dataclasses.replace(options, **found)
 
@@ -269,7 +271,7 @@ def fit_moment(
         explained=nan,
     )
     try:
-        held, _ = hold_what_is_seen(grid, tracked, particles, particles.contact_rect)
+        held, _ = hold_what_is_seen(grid, tracked, particles.held, particles.contact_rect)
         found = calibrate([observe(grid, tracked, held, particles)], fit)
     except InputError as error:
         return dataclasses.replace(nothing, verdict_text=f"unidentified: {error}")
@@ -406,13 +408,13 @@ def _contact(stage: Stage, packed: Any) -> TouchEstimate:
     """How stiff the place is that an approach touched, by arm and force sensor alone."""
     options = stage.options
     arm = ArmCompliance(options.compliance_m_per_n, options.compliance_sd)
-    return fit_contact(packed, np.array(options.T_ee_tip, dtype=np.float64), options.set_force_n, arm)
+    return fit_contact(packed, np.array(options.T_ee_tip, dtype=np.float64), options.set_force_n, arm, options.tip)
 
 
 def fit_contact(
-    approach: ApproachReadings, T_ee_tip: FloatArray, set_force_n: float, arm: ArmCompliance
+    approach: ApproachReadings, T_ee_tip: FloatArray, set_force_n: float, arm: ArmCompliance, tip: TipKind
 ) -> TouchEstimate:
-    """The law of an approach, along the way that the tip took while it pressed.
+    """The law of an approach, along the way that the tip took while it pressed. T_ee_tip: (4, 4) [m]
 
     Raises InputError where the arm did not press, and where the law cannot be fitted.
     """
@@ -429,7 +431,7 @@ def fit_contact(
         raise InputError("an arm that moves into what it presses", f"{length * 1e3:.2g} mm of way")
     normal = -way / length
     time_s = (approach.arm_ns - approach.arm_ns[0]) / 1e9
-    fit = fit_approach(time_s, tip_m, force_n, normal, set_force_n=set_force_n, arm=arm)
+    fit = fit_approach(time_s, tip_m, force_n, normal, tip=tip, set_force_n=set_force_n, arm=arm)
     along, force_n, tip_m = -(tip_m @ normal)[: peak + 1], force_n[: peak + 1], tip_m[: peak + 1]
     return TouchEstimate(
         number=0,

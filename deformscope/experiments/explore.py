@@ -23,7 +23,7 @@ from deformscope.session import Answer, Compute, Inline, Moment, RigExperiment, 
 from deformscope.stages.map.exploration import (
     DetectionLimit,
     ExplorationStop,
-    LumpsFound,
+    InclusionsResult,
     MapEstimate,
     PhaseStart,
     PlannedTouch,
@@ -174,7 +174,7 @@ class Exploration:
     travel_m: float = 0.0
     stop_reason: str = ""
     missed: DetectionLimit | None = None
-    lumps: LumpsFound | None = None
+    lumps: InclusionsResult | None = None
     started: int = 0
     asked: list[int] = field(default_factory=list)
     stop: ExplorationStop | None = None
@@ -195,7 +195,7 @@ class Exploration:
                 self.surface = result
             elif isinstance(result, MapEstimate):
                 self.maps, self.region_probability = result, computed.region_probability
-            elif isinstance(result, LumpsFound):
+            elif isinstance(result, InclusionsResult):
                 self.lumps = result
             elif isinstance(result, PlannedTouch):
                 self.stop_reason, self.missed = result.stop_reason, result.missed

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, TypeVar
@@ -34,7 +34,7 @@ from deformscope.experiments.touch_fit import (
 from deformscope.robot.setup import Truth
 from deformscope.robot.travel import NotThere
 from deformscope.stages.map.exploration import (
-    LumpsFound,
+    InclusionsResult,
     MapEstimate,
     PlannedTouch,
     StageFailure,
@@ -52,7 +52,7 @@ from deformscope.stages.regions.touch_error import TouchErrorModel
 from deformscope.stages.regions.touches import MapGrid, StiffnessSample
 
 StageResult = TypeVar("StageResult")
-Result = SurfaceEstimate | TouchEstimate | MapEstimate | LumpsFound | PlannedTouch | TouchForecast | StageFailure
+Result = SurfaceEstimate | TouchEstimate | MapEstimate | InclusionsResult | PlannedTouch | TouchForecast | StageFailure
 VETO_M = 0.03
 """A veto leaves out what is so near."""
 SEEN_M = 0.01
@@ -82,20 +82,31 @@ class Computed:
 
 
 class ExplorationStages:
-    """What `explore` has computed: an `Explorer`, and the geometry of its robot."""
+    """What `explore` has computed, from the look on, with the geometry of its robot."""
 
-    def __init__(self, explorer: Explorer, geometry: Geometry) -> None:
-        self.explorer, self.geometry = explorer, geometry
+    def __init__(self, unseen: UnseenSurface, geometry: Geometry) -> None:
+        self.geometry, self.unseen = geometry, unseen
+        self._explorer: Explorer | None = None
         self._reachable: BoolArray | None = None
         self._vetoed: list[FloatArray] = []
         self._no_way: list[FloatArray] = []
         self._reported = 0
 
+    @property
+    def explorer(self) -> Explorer:
+        """That follows from the look. Raises InputError before."""
+        if self._explorer is None:
+            raise InputError("a look at the surface first", "none")
+        return self._explorer
+
     def look(self, looked: Any) -> Computed:
         """The surface before any touch."""
-        began = time.perf_counter()
-        seen = self.explorer.look(lambda: self.geometry.look(looked))
-        return self._computed(_present(seen), began)
+        began, unseen = time.perf_counter(), self.unseen
+        seen = _guarded("surface", 0, lambda: unseen.look(self.geometry.look(looked)), unseen.failed)
+        if isinstance(seen, StageFailure):
+            return Computed((seen,), seconds=time.perf_counter() - began)
+        self._explorer = seen
+        return self._computed((seen.surface.estimate,), began)
 
     def plan(self) -> Computed:
         """Where to touch next, and how; nothing where enough is known, or nothing can be planned any more."""
@@ -196,15 +207,13 @@ class AfterTouch:
 
     estimate: TouchEstimate
     maps: MapEstimate | None
-    inclusions: LumpsFound | None
+    inclusions: InclusionsResult | None
 
 
-class Explorer:
-    """The estimates after each touch; pure, but for what it was given so far.
+class UnseenSurface:
+    """An exploration before its look at the surface: only the `Explorer` that a look returns takes touches.
 
-    search: what is sought, and what the usable touches say of it; touches, betas: of every touch made
-    maps: the newest, None before the first; region_probability: of each number of regions, with it
-    failures: every stage that failed; travel_m: over the surface, from its corner (0, 0), from place to place
+    failed: by touch and stage, what failed when this was recorded
     """
 
     def __init__(
@@ -216,35 +225,48 @@ class Explorer:
         failed: Collection[StageFailure] = (),
         error: TouchErrorModel | None = None,
     ) -> None:
-        """failed: what failed when this was recorded: it is not computed again, and fails as it did; error: of touches,
-        default as of a rig that is not calibrated"""
+        """failed: is not computed again, and fails as it did; error: of touches, default as of a rig that is not
+        calibrated"""
         error = error or TouchErrorModel()
-        self.options = options
+        self.options, self.arm, self.gain_sd, self.truth = options, arm, error.gain_sd, truth
         self.grid = MapGrid(size_m, options.cell_m)
         self.search: SurfaceSearch = options.search(self.grid, error)
+        self.failed = {(one.touch, one.stage): one for one in failed}
+
+    def look(self, looked: SurfaceMeasurement) -> Explorer:
+        """Take the surface before any touch in. Raises InputError where it cannot be fitted."""
+        return Explorer(
+            self, SeenSurface.of(looked, self.grid, self.options, on_level_layer=self.search.on_level_layer)
+        )
+
+
+class Explorer:
+    """The estimates after each touch of a surface that was seen; pure, but for what it was given so far.
+
+    surface: as the look saw it; search: what is sought, and what the usable touches say of it
+    touches, betas: of every touch made
+    maps: the newest, None before the first; region_probability: of each number of regions, with it
+    failures: every stage that failed; travel_m: over the surface, from its corner (0, 0), from place to place
+    """
+
+    def __init__(self, unseen: UnseenSurface, surface: SeenSurface) -> None:
+        self.options, self.grid, self.search = unseen.options, unseen.grid, unseen.search
+        self.surface = surface
         self.touches: list[TouchEstimate] = []
         self.betas: list[BetaEstimate] = []
         self.maps: MapEstimate | None = None
         self.region_probability: dict[str, float] | None = None
         self.failures: list[StageFailure] = []
         self.travel_m = 0.0
-        self._arm, self._gain_sd, self._truth = arm, error.gain_sd, truth
-        self._quantity = options.quantity
-        self._surface: SeenSurface | None = None
+        self._arm, self._gain_sd, self._truth = unseen.arm, unseen.gain_sd, unseen.truth
+        self._quantity = unseen.options.quantity
         self._exponents: list[float] = []
         self._stiffness: list[StiffnessSample] = []
-        self._failed_before = {(one.touch, one.stage): one for one in failed}
+        self._failed_before = unseen.failed
         self._touch = 0
         self._left_out: list[FloatArray] = []
         self._without_map = 0
         self._off_seen_m = 0.0
-
-    @property
-    def surface(self) -> SeenSurface:
-        """As `look` saw it. Raises InputError before."""
-        if self._surface is None:
-            raise InputError("a look at the surface first", "none")
-        return self._surface
 
     @property
     def given_up(self) -> str:
@@ -255,18 +277,10 @@ class Explorer:
         why = "none was held for long enough" if last is None else f"the last for {last.stage}: {last.reason}"
         return f"{self._without_map} touches in a row gave no map, {why}"
 
-    def look(self, looked: Callable[[], SurfaceMeasurement]) -> SurfaceEstimate | None:
-        """Take the surface before any touch in; None where it could not be seen or fitted."""
-        self._surface = self._stage(
-            "surface",
-            lambda: SeenSurface.of(looked(), self.grid, self.options, on_level_layer=self.search.on_level_layer),
-        )
-        return None if self._surface is None else self._surface.estimate
-
     # The next touch ---------------------------------------------------------------------------------------------------
 
     def next(self, reachable: BoolArray | None = None) -> PlannedTouch | None:
-        """Where to touch next, and why; None where that could not be planned."""
+        """Where to touch next, and why; None where that could not be planned. reachable: (rows, columns) mask"""
         return self._stage("plan", lambda: self._plan(reachable))
 
     def _plan(self, reachable: BoolArray | None) -> PlannedTouch:
@@ -339,7 +353,8 @@ class Explorer:
     # A touch ----------------------------------------------------------------------------------------------------------
 
     def touch(self, touched: TouchMeasurement, dent: Callable[[], FloatArray] | None = None) -> AfterTouch:
-        """Take a touch in, and map what is known then. dent: computes its `after_m`, where that is not known yet"""
+        """Take a touch in, and map what is known then. dent: computes its `after_m` (n, 3) [m], where that is not known
+        yet"""
         self._touch = len(self.touches) + 1
         if dent is not None and (after_m := self._stage("dent", dent)) is not None:
             touched = dataclasses.replace(touched, after_m=after_m)
@@ -461,13 +476,23 @@ class Explorer:
     def _stage(self, name: str, compute: Callable[[], StageResult]) -> StageResult | None:
         """What a stage computes; None where it fails, which `failures` then says. Raises NotThere for a place without a
         way."""
-        if (failed := self._failed_before.get((self._touch, name))) is not None:
-            self.failures.append(failed)
-            return None
-        try:
-            return compute()
-        except NotThere:
-            raise
-        except Exception as error:  # whatever it is, the arm is over a table and the touches made are worth something
-            self.failures.append(StageFailure.of(name, self._touch, error))
-            return None
+        result = _guarded(name, self._touch, compute, self._failed_before)
+        if not isinstance(result, StageFailure):
+            return result
+        self.failures.append(result)
+        return None
+
+
+def _guarded(
+    name: str, touch: int, compute: Callable[[], StageResult], failed: Mapping[tuple[int, str], StageFailure]
+) -> StageResult | StageFailure:
+    """What a stage computes, or its failure: the recorded one where there is one. Raises NotThere for a place without a
+    way."""
+    if (before := failed.get((touch, name))) is not None:
+        return before
+    try:
+        return compute()
+    except NotThere:
+        raise
+    except Exception as error:  # whatever it is, the arm is over a table and the touches made are worth something
+        return StageFailure.of(name, touch, error)

@@ -13,6 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
+from deformscope.config.flags import HeldPart
+from deformscope.config.images import ParticleFlags
 from deformscope.errors import InputError
 from deformscope.session import Experiment, Step
 from deformscope.stages.fit.calibrate import Calibration, FitOptions, Model, Observation, Progress, calibrate
@@ -25,15 +27,11 @@ FRAMES_AT_ONCE = 256
 
 
 @dataclass(frozen=True, slots=True)
-class ParticleOptions:
-    """How an image becomes particles. roi, contact: x, y, width, height [px]; grid: rows, columns. frames_of: how many
-    the sequence has, of which some are followed; None = all are"""
+class ParticleOptions(ParticleFlags):
+    """How an image becomes particles: what can be asked for, and noise_px, the deviation of a measured position.
+    frames_of: how many the sequence has, of which some are followed; None = all are"""
 
-    roi: tuple[float, float, float, float] | None = None
-    grid: tuple[int, int] | None = None
-    spacing_px: float | None = None
-    held: tuple[str, ...] = ("top", "bottom")
-    contact: tuple[float, float, float, float] | None = None
+    held: tuple[HeldPart, ...] = ("top", "bottom")
     flow: FlowMethod = "dis"
     px_per_cm: float | None = None
     noise_px: float | None = None
@@ -72,7 +70,7 @@ def last_pose(
     grid: ParticleGrid, history: Sequence[Tracked], particles: ParticleOptions
 ) -> tuple[Observation, dict[str, object]]:
     """What is fitted of particles that were followed [px], and what is recorded of how it came to be."""
-    held, moved = hold_what_is_seen(grid, history[-1], particles, particles.contact_rect)
+    held, moved = hold_what_is_seen(grid, history[-1], particles.held, particles.contact_rect)
     seen = observe(grid, history[-1], held, particles)
     used: dict[str, object] = {
         "frames": len(history),
@@ -119,9 +117,9 @@ def track(
 
 
 def hold_what_is_seen(
-    grid: ParticleGrid, last: Tracked, particles: ParticleOptions, contact: Rect | None
+    grid: ParticleGrid, last: Tracked, parts: Sequence[str], contact: Rect | None
 ) -> tuple[IntArray, list[str]]:
-    """Indices of the held particles whose motion is known, and the parts that had to be taken elsewhere.
+    """(n,) indices of the held particles whose motion is known, and the parts that had to be taken elsewhere.
 
     Particles lost on the way are prescribed nowhere, hence free. A part that was lost altogether (the specimen's end
     has left the image) is held at the outermost row or column still seen: what is beyond moves with it.
@@ -129,7 +127,7 @@ def hold_what_is_seen(
     chosen: list[IntArray] = []
     moved: list[str] = []
     still = np.flatnonzero(last.seen)
-    for part in particles.held:
+    for part in parts:
         one = select_held(grid, [part], contact)
         if np.count_nonzero(last.seen[one]) >= min(len(one), 2):  # one particle left of a row says little of its motion
             chosen.append(one[last.seen[one]])
@@ -145,7 +143,7 @@ def hold_what_is_seen(
 
 
 def observe(grid: ParticleGrid, last: Tracked, held: IntArray, particles: ParticleOptions) -> Observation:
-    """The last pose as an observation [px]."""
+    """The last pose as an observation [px]. held: (n,) indices of particles"""
     given = particles.noise_px is not None
     noise = np.full(len(grid.rest_px), particles.noise_px) if given else last.noise_px
     return Observation(

@@ -99,7 +99,7 @@ def _shown(found: MaterialFit) -> Experiment[MaterialFit]:
 def axes_of_pairs(
     seen: Sequence[Observation], model: Model, axes: FloatArray, level: float, seed: int, progress: Progress | None
 ) -> MaterialFit:
-    """One fit to all pairs, each of which is a place on the `frame` timeline."""
+    """One fit to all pairs, each of which is a place on the `frame` timeline. axes: (d, d) unit vectors as rows"""
     estimate = fit_axes(seen, model, axes=axes, level=level, seed=seed, progress=progress)
     law = AxisBeta(estimate.value, estimate.axes)
     simulated = [model.body(one).relax(one.deformed[one.held], law).position[0] for one in seen]

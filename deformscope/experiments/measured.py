@@ -315,7 +315,7 @@ class SetupGeometry:
         options: ExploreOptions,
         known_m: float | None = None,
     ) -> TouchPlan:
-        """A touch of a place whose surface was seen at this height.
+        """A touch of a place (2,) [m] whose surface was seen at this height, with the unit normal (3,).
 
         over_m: how high the surface may be on the straight way to it, None = not known: then as high as nothing stands
         known_m: how far from there the surface may be, None = seen, and nothing was touched yet; at a quick pace it is

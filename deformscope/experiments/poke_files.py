@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from deformscope.config.calibrate import LayersFlags
 from deformscope.errors import InputError
 from deformscope.session import Experiment, Step
 from deformscope.stages.fit.model import FitOptions, Observation
@@ -18,13 +19,11 @@ from deformscope.stages.poke.poke_fit import fit_pokes, seen_poke, spacing_for
 
 
 @dataclass(frozen=True, slots=True)
-class LayersOptions:
-    """The material below the surface: its thickness [m], and what is to be found unless it is given: spacing of the
-    lattice [m], cluster size, theta. most_particles: of the lattice, whose default spacing is coarser where it would
-    have more; None = any number"""
+class LayersOptions(LayersFlags):
+    """The material below the surface; spacing of the lattice, cluster size and theta are found unless they are given.
+    most_particles: of the lattice, whose default spacing is coarser where it would have more; None = any number"""
 
     thickness_m: float
-    spacing_m: float | None = None
     cluster_size: int | None = None
     theta: float | None = None
     most_particles: int | None = None

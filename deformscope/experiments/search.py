@@ -13,7 +13,7 @@ from typing import ClassVar
 import numpy as np
 
 from deformscope.arrays import FloatArray
-from deformscope.stages.map.exploration import LumpsFound, MapEstimate
+from deformscope.stages.map.exploration import InclusionsResult, MapEstimate
 from deformscope.stages.map.field import BETA_PRIOR, fit_field, levels_of
 from deformscope.stages.map.inclusion_plan import plan_inclusion_touch
 from deformscope.stages.map.inclusion_posterior import InclusionPosterior
@@ -85,8 +85,8 @@ class SurfaceSearch(ABC):
         """The maps with their final regions."""
         return maps
 
-    def inclusions(self, truth_m: FloatArray | None) -> LumpsFound | None:
-        """The inclusions found; None where none are sought. truth_m: as of `InclusionPosterior.inclusions`"""
+    def inclusions(self, truth_m: FloatArray | None) -> InclusionsResult | None:
+        """The inclusions found; None where none are sought. truth_m: (m, 4) x, y, radius, depth [m]"""
         return None
 
 
@@ -117,7 +117,7 @@ class ThesisSearch(RegionSearch):
     def beta_field(
         self, grid: MapGrid, places_m: FloatArray, beta: FloatArray, beta_sd: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """By the thesis's own field, from the first touch on."""
+        """Mean and deviation (rows, columns) of beta [-] by the thesis's own field, from the first touch on."""
         found = self.thesis.on(grid)
         return found.mean.clip(0.0, 1.0), found.deviation
 
@@ -161,7 +161,7 @@ class InclusionSearch(SurfaceSearch):
         return partial(plan_inclusion_touch, self.posterior)
 
     def sample(self, xy_m: FloatArray, fit: ContactFit) -> StiffnessSample:
-        """With the exponent, which was left free."""
+        """Of a place (2,) [m], with the exponent, which was left free."""
         sample = super().sample(xy_m, fit)
         if fit.rigid:
             return sample
@@ -169,5 +169,5 @@ class InclusionSearch(SurfaceSearch):
             sample, exponent=fit.exponent, exponent_sd=fit.exponent_sd, exponent_related=fit.exponent_related
         )
 
-    def inclusions(self, truth_m: FloatArray | None) -> LumpsFound:
+    def inclusions(self, truth_m: FloatArray | None) -> InclusionsResult:
         return self.posterior.inclusions(truth_m)

@@ -125,7 +125,7 @@ class TrialFeatures:
 
     @property
     def modalities(self) -> dict[str, FloatArray]:
-        """As classifiers take them: missing pixels of the depth change as in `patch.filled`."""
+        """(p,) features of each as classifiers take them: missing depth changes [m] as in `patch.filled`."""
         found = {"tactile": self.features.tactile, "physical": self.features.physical}
         if self.features.vision is not None and self.features.vision_small is not None:
             found["vision"] = filled(self.features.vision).ravel()

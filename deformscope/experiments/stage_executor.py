@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from concurrent.futures import Executor
 
 from deformscope.experiments.explore import Stage, within_loop
-from deformscope.experiments.explorer import Computed, ExplorationStages, Explorer
+from deformscope.experiments.explorer import Computed, ExplorationStages, UnseenSurface
 from deformscope.experiments.measured import SetupGeometry
 from deformscope.experiments.options import ExploreOptions
 from deformscope.experiments.robot_geometry import FromFrames
@@ -20,8 +20,8 @@ _stages: ExplorationStages | None = None
 
 def exploration_stages(geometry: SetupGeometry, options: ExploreOptions, truth: Truth | None) -> ExplorationStages:
     """The stages of a robot whose frames are at hand."""
-    explorer = Explorer(geometry.size_m, options, geometry.arm, truth, error=geometry.touch_error)
-    return ExplorationStages(explorer, FromFrames(geometry, options))
+    unseen = UnseenSurface(geometry.size_m, options, geometry.arm, truth, error=geometry.touch_error)
+    return ExplorationStages(unseen, FromFrames(geometry, options))
 
 
 @contextlib.contextmanager

@@ -39,7 +39,7 @@ from deformscope.stages.map.measured import LookFrames, TouchFrames
 from deformscope.stages.regions.touches import MapGrid
 from deformscope_drivers.depth_camera.image import DepthImage, Intrinsics
 from deformscope_drivers.errors import DeviceError
-from deformscope_drivers.placed.config import PLACED
+from deformscope_drivers.manual_arm.config import MANUAL
 from deformscope_drivers.priority import STEERING, be_prompt
 from deformscope_drivers.subscription import Subscription
 
@@ -305,13 +305,16 @@ class TouchingRobot:
         check_center(center_px, pictures[-1].depth.shape)
         arm, _, name = self._setup.names
         chain = self._robot.chain
-        model = PLACED if chain is None else chain.name
+        model = MANUAL if chain is None else chain.name
         used = LookFrames(name, _times_ns(pictures), arm, pose.time_ns, model, focal_px, center_px)
         return Looked(used, FrameData(_depths_m(pictures), {pose.time_ns: pose}, {}))
 
     def touch(self, plan: TouchPlan, xy_m: FloatArray) -> Callable[[], Touched]:
-        """Go there, touch along the normal, keep the pictures of the dent, come back; what is returned puts together
-        what was measured. Raises ExplorationStopped, and TouchHeld where it was broken off: the arm then stands."""
+        """Go to a place (2,) [m], touch along the normal, keep the pictures of the dent, come back; what is returned
+        puts together what was measured.
+
+        Raises ExplorationStopped, and TouchHeld where it was broken off: the arm then stands.
+        """
         robot = self._robot
         robot.start()
         dents: list[tuple[DepthImage, ArmSample]] = []

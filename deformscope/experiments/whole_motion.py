@@ -61,12 +61,12 @@ class TrackedMotion:
     times: list[float]
 
     def frames(self, most: int) -> IntArray:
-        """Frames after the first, which says nothing: all, or an even part of them that has the last."""
+        """(n,) frames after the first, which says nothing: all, or an even part of them that has the last."""
         count = len(self.history) - 1
         return np.unique(np.linspace(count, 1, min(count, max(most, 1))).round().astype(int))
 
     def observations(self, rows: IntArray, held: IntArray, particles: ParticleOptions) -> list[Observation]:
-        """Some frames, as observations of one body."""
+        """Frames (n,), as observations of one body [px]. held: (m,) indices of particles"""
         every = [observe(self.grid, self.history[row], held, particles) for row in rows]
         return [dataclasses.replace(one, rest=every[0].rest, held=held, cell=every[0].cell) for one in every]
 
@@ -215,7 +215,7 @@ def _ways(motion: TrackedMotion, particles: ParticleOptions, model: Model, choic
     ways: list[Way] = []
     for parts in held_sets(particles) if "held" in choices else [particles.held]:
         try:
-            held, moved = hold_what_is_seen(motion.grid, last, dataclasses.replace(particles, held=parts), contact)
+            held, moved = hold_what_is_seen(motion.grid, last, parts, contact)
         except InputError:
             if not ways:  # what was asked for
                 raise

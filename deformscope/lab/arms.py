@@ -22,8 +22,8 @@ from deformscope_drivers.jaco.chains import CHAINS as JACO
 from deformscope_drivers.kuka import Kuka, KukaConfig, KukaDouble, UdpWire, open_kuka
 from deformscope_drivers.kuka.chains import CHAINS as KUKA
 from deformscope_drivers.kuka.port import free_port
+from deformscope_drivers.manual_arm import ManualArm, ManualArmConfig, StandDouble
 from deformscope_drivers.memory import MemoryTransport, SimulatedClock
-from deformscope_drivers.placed import PlacedArm, PlacedArmConfig, StandDouble
 from deformscope_drivers.wires import LOOPBACK
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -119,12 +119,12 @@ def _kuka(
     return ArmInLab(open_kuka(here), double, wire=UdpWire(double, port))
 
 
-def _placed(
-    config: PlacedArmConfig, placement: Placement, places_m: Sequence[FloatArray], clock: Clock, seed: int
+def _manual(
+    config: ManualArmConfig, placement: Placement, places_m: Sequence[FloatArray], clock: Clock, seed: int
 ) -> ArmInLab:
-    arm = PlacedArm(config, clock=clock)
+    arm = ManualArm(config, clock=clock)
     stand = StandDouble(arm.T_base_end_effector)
     return ArmInLab(arm, stand, SimulatedPerson(stand, seed))
 
 
-_MADE: dict[str, Callable[..., ArmInLab]] = {"jaco": _jaco, "kuka": _kuka, "placed": _placed}
+_MADE: dict[str, Callable[..., ArmInLab]] = {"jaco": _jaco, "kuka": _kuka, "placed": _manual}

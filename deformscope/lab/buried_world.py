@@ -53,7 +53,7 @@ class BuriedWorld(SlabWorld):
         return patch
 
     def displaced_m(self, contact: Contact, xy_m: FloatArray) -> FloatArray:
-        """As `SlabWorld.displaced_m`; of what the ball changes, up and down alone."""
+        """(..., 3) for places (..., 2) [m], as `SlabWorld.displaced_m`; of what the ball changes, up and down alone."""
         moved = super().displaced_m(contact, xy_m)
         if len(contact.node):
             inside = ((xy_m >= 0.0) & (xy_m <= self.scene.size_m)).all(axis=-1)

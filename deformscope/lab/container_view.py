@@ -123,7 +123,8 @@ def _colors(seen: npt.NDArray[np.uint8], facing: FloatArray) -> npt.NDArray[np.u
 
 
 def finger_capsules(position_deg: npt.NDArray[np.float64]) -> list[Capsule]:
-    """The links of the three fingers in the hand frame, as wide as their pads are far from their axes."""
+    """The links of the three fingers in the hand frame [m], as wide as their pads are far from their axes.
+    position_deg: (7,) of the joints"""
     capsules = []
     for finger in range(len(FINGERS)):
         base, middle, tip = finger_points(position_deg, finger)

@@ -274,7 +274,7 @@ class ContainerWorld:
 
     @property
     def nodes_m(self) -> tuple[FloatArray, FloatArray]:
-        """Along s and z, of `inward_m`."""
+        """(n,) along s and (m,) along z [m], of `inward_m`."""
         return self._shell.s_m, self._shell.z_m
 
     def inward_m(self) -> FloatArray:

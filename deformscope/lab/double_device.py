@@ -22,9 +22,9 @@ from deformscope_drivers.dsa import DsaDouble
 from deformscope_drivers.jaco import Jaco, JacoDouble, JacoState
 from deformscope_drivers.kuka import KukaDouble, UdpWire, open_kuka
 from deformscope_drivers.kuka.port import free_port
+from deformscope_drivers.manual_arm import ManualArm
 from deformscope_drivers.optoforce.double import OMD_20_SE_40N, OptoforceDouble, Sensors
 from deformscope_drivers.optoforce.protocol import Kind
-from deformscope_drivers.placed import PlacedArm
 from deformscope_drivers.sdh.double import Port
 from deformscope_drivers.webcam import SyntheticCamera, SyntheticCameraConfig
 from deformscope_drivers.wires import LOOPBACK, CanWire, PtyWire, TcpWire, Wire
@@ -184,7 +184,7 @@ WIRED: dict[str, Callable[[Any], Double]] = {"optoforce": _optoforce, "dsa": _ds
 _IN_PROCESS: dict[str, Callable[[Any], contextlib.AbstractContextManager[Device[Any]]]] = {
     "jaco": _jaco,
     "kuka": _kuka,
-    "placed": lambda config: contextlib.nullcontext(PlacedArm(config)),
+    "placed": lambda config: contextlib.nullcontext(ManualArm(config)),
     "webcam": _webcam,
     "depth_camera": _depth_camera,
     "realsense": lambda config: contextlib.nullcontext(

@@ -24,7 +24,7 @@ from deformscope.robot.setup import T_BASE_SURFACE
 from deformscope_drivers.arm.kinematics import transform
 from deformscope_drivers.depth_camera.image import Intrinsics
 from deformscope_drivers.jaco import JacoDouble
-from deformscope_drivers.placed import StandDouble
+from deformscope_drivers.manual_arm import StandDouble
 
 UP = np.array([0.0, 0.0, 1.0])
 BOARD_SQUARES, BOARD_SQUARE_M = (5, 4), 0.05
@@ -136,7 +136,7 @@ class HandledTable(Protocol):
 
 
 class SimulatedHand:
-    """Does what is asked for at a table, by the kind of the request (`experiments.setting_up`); never quite exactly.
+    """Does what is asked for at a table, by the kind of request (`experiments.rig_calibration`); never quite exactly.
 
     Raises InputError where the arm does not reach what is asked for.
     """

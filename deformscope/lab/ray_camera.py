@@ -113,7 +113,8 @@ class RayCamera:
     def hits(
         self, meshes: list[tuple[FloatArray, npt.NDArray[np.uint32]]], part: tuple[slice, slice]
     ) -> tuple[FloatArray, FloatArray, IntArray]:
-        """What the rays of a part of the picture meet first: depth [m], nan where nothing; cosine; which mesh."""
+        """What the rays of a part (h, w) of the picture meet first: (h, w) depth [m], nan where nothing; cosine; which
+        mesh. meshes: (n, 3) vertices in the camera's frame [m] and (m, 3) triangles of each"""
         world = o3d.t.geometry.RaycastingScene()
         for vertex, triangle in meshes:
             points = o3d.core.Tensor.from_numpy(vertex.astype(np.float32))

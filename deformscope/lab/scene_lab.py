@@ -145,7 +145,7 @@ class SceneLab:
         return Relaxation((relaxes,), (CREEP_S,), keeps) if relaxes else Relaxation(keeps=keeps)
 
     def press(self, center_m: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The slab's force on the tip: what `TouchLab` asks of its world."""
+        """(3,) the slab's force [N] on a tip at (3,) [m], in the surface frame: what `TouchLab` asks of its world."""
         if isinstance(self._world, CreepingWorld):
             self._world.at(1e-9 * self.clock())
         self._contact = self._world.press(self._tip, center_m)

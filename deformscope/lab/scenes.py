@@ -266,7 +266,7 @@ class Scene:
         return np.where(beside, 0.0, self.foam_height_m(xy_m))
 
     def foam_height_m(self, xy_m: FloatArray) -> FloatArray:
-        """As `height_m`, but as if the slab went on beside its edges."""
+        """(...,) as `height_m` of places (..., 2) [m], but as if the slab went on beside its edges."""
         xy_m = np.asarray(xy_m, dtype=np.float64)
         bumps = 0.0 if self._bumps is None else self._bumps(xy_m)
         return np.broadcast_to(self.thickness_m + bumps, xy_m.shape[:-1])
@@ -334,7 +334,7 @@ BURIED = {
     "buried": "a foam of 60 N, 20 by 20 cm and 7 cm thick, with a ball of 600 N in it, 4 cm across, 1 to 2 cm deep",
     "empty": "the same foam with nothing in it",
 }
-"""Scenes whose surface shows nothing, in which lumps are sought."""
+"""Scenes whose surface shows nothing, in which inclusions are sought."""
 
 PIECES = {
     "disc": ("30", "200"),

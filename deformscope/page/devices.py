@@ -31,13 +31,13 @@ class ShownDevices:
         self._session = session
         self._streams = {stream.device: stream for stream in streams}
         self._drifts: dict[str, TareDrift] = {}
-        self._said_s = -1e9
+        self._shown_s = -1e9
 
     def __call__(self, doing: str) -> None:
         """doing: what the robot does, in words; shown seldom enough for a control period"""
         now_s = self._session.state.now_s
-        if now_s - self._said_s >= SHOW_EVERY_S:
-            self._said_s = now_s
+        if now_s - self._shown_s >= SHOW_EVERY_S:
+            self._shown_s = now_s
             self._session.show(reason=doing)
 
     def on_items(self, items: Sequence[object]) -> None:
@@ -120,7 +120,7 @@ def remark_of(item: object) -> tuple[str, bool] | None:
 
 
 def picture_of(item: object, camera: str) -> ImageArray | None:
-    """What this camera saw, in colour; None for any other item."""
+    """The image (H, W, 3) of this camera, in colour; None for any other item."""
     if not isinstance(item, ColorFrame | DepthFrame) or item.device != camera:
         return None
     return item.image if isinstance(item, ColorFrame) else item.color

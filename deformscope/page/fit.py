@@ -22,10 +22,10 @@ import msgspec
 import numpy as np
 
 from deformscope.arrays import FloatArray, ImageArray
-from deformscope.calibration_options import fit_options, images_of
 from deformscope.config import BetaConfig, ThetaConfig
 from deformscope.config.command_line import command_line
 from deformscope.errors import InputError
+from deformscope.experiments.calibration_inputs import fit_options, images_of
 from deformscope.experiments.stage_processes import StageProcesses
 from deformscope.page.fit_settings import IN_PICTURE, images_with
 from deformscope.page.fit_source import FitSubject, FollowedCamera, ImagesSubject, subject_of

@@ -66,7 +66,7 @@ class FitProcess:
         return self
 
     def on_picture(self, image: ImageArray) -> None:
-        """A camera's newest picture. From the thread that takes it, which does not wait."""
+        """A camera's newest picture (H, W[, 3]). From the thread that takes it, which does not wait."""
         self._newest = image
         self._pass_picture()
 

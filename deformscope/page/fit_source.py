@@ -13,10 +13,10 @@ import cv2
 import numpy as np
 
 from deformscope.arrays import FloatArray, ImageArray
-from deformscope.calibration_options import images_of, mask_of, opened_images, particle_options
 from deformscope.config import BetaConfig, ThetaConfig
 from deformscope.errors import InputError
 from deformscope.experiments.cached_flow import CachedFlow
+from deformscope.experiments.calibration_inputs import images_of, mask_of, opened_images, particle_options
 from deformscope.experiments.foam_video import last_pose
 from deformscope.experiments.live_stages import StageExecutor
 from deformscope.file_io import ending_of, make_folder, read_file
@@ -85,7 +85,7 @@ class PairSubject:
         return self._seen, {}
 
     def in_picture(self, position: FloatArray) -> FloatArray:
-        """As `ImagesSubject.in_picture`."""
+        """(K, 2) [px] of (K, d) positions, as `ImagesSubject.in_picture`."""
         return np.asarray((position @ self._eye - self._low) * self._scale + RIM_PX)
 
 
@@ -132,7 +132,7 @@ class FollowedCamera:
         self._kept: tuple[str, str] | None = None
 
     def on_picture(self, image: ImageArray) -> None:
-        """It replaces one that was not looked at."""
+        """A picture (H, W[, 3]) replaces one that was not looked at."""
         self._wants, self._newest = False, image
 
     def take_rest(self) -> None:
@@ -191,7 +191,8 @@ class FollowedCamera:
 
 
 def motion_of(rest: ImageArray, newest: ImageArray, method: FlowMethod, threads: int) -> CachedFlow:
-    """From one picture to the other, as of two files. threads: of OpenCV. Raises InputError where the sizes differ."""
+    """From one picture (H, W[, 3]) to the other, as of two files. threads: of OpenCV. Raises InputError where
+    the sizes differ."""
     if rest.shape != newest.shape:
         came = f"{newest.shape[1]}x{newest.shape[0]} after {rest.shape[1]}x{rest.shape[0]}"
         raise InputError("pictures of one size", came, "take the one at rest again")

@@ -172,7 +172,7 @@ class PageRecorder:
     ) -> None:
         self._make, self._next_file, self._ended = make, next_file, ended
         self._recent, self._fit = recent, fit
-        self._last_words = None if at_end is None else make(at_end, "none", at_once=True)
+        self._end_message = None if at_end is None else make(at_end, "none", at_once=True)
         self._watch = make(None, "page")
         self._take = None if file is None else _FileTake(make(file, "none"), file)
         self._source: RigSource | None = None
@@ -196,8 +196,8 @@ class PageRecorder:
         with ExitStack() as stack:
             if self._take is not None:
                 stack.enter_context(self._take.recorder)  # its name is taken before anything is opened
-            if self._last_words is not None:
-                stack.enter_context(self._last_words)
+            if self._end_message is not None:
+                stack.enter_context(self._end_message)
             self._watch.__enter__()
             stack.pop_all()
         return self
@@ -209,8 +209,8 @@ class PageRecorder:
         with ExitStack() as stack:  # each is closed whatever another's closing raises
             stack.callback(self._fit.close)  # last: no file waits for it
             stack.callback(self._watch.__exit__, kind, error, trace)
-            if self._last_words is not None:
-                stack.callback(self._end_last, self._last_words, kind)
+            if self._end_message is not None:
+                stack.callback(self._end_last, self._end_message, kind)
             if self._take is not None:
                 self._take.recorder.__exit__(kind, error, trace)
                 self.summaries.append(self._take.recorder.summary())

@@ -30,7 +30,13 @@ from deformscope.pictures.messages import (
 )
 from deformscope.pictures.palette import OBSERVED, SIMULATED, hexadecimal, round_up
 from deformscope.results.render import to_line
-from deformscope.stages.map.exploration import LumpsFound, MapEstimate, PlannedTouch, SurfaceEstimate, TouchEstimate
+from deformscope.stages.map.exploration import (
+    InclusionsResult,
+    MapEstimate,
+    PlannedTouch,
+    SurfaceEstimate,
+    TouchEstimate,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -112,24 +118,24 @@ def text_png(words: str) -> bytes:
     return _one(lambda axes: _say(axes, words))
 
 
-def inclusions_png(lumps: LumpsFound) -> bytes:
+def inclusions_png(found: InclusionsResult) -> bytes:
     """How probably each cell lies above an inclusion, those that were found, and the true ones where these are
     known."""
-    return _one(lambda axes: draw_inclusions(axes, lumps))
+    return _one(lambda axes: draw_inclusions(axes, found))
 
 
-def miss_probability_png(lumps: LumpsFound) -> bytes:
+def miss_probability_png(found: InclusionsResult) -> bytes:
     """How probably an inclusion of each size is missed."""
-    return _one(lambda axes: draw_miss_probability(axes, lumps), (0.15, 0.155, 0.8, 0.62))
+    return _one(lambda axes: draw_miss_probability(axes, found), (0.15, 0.155, 0.8, 0.62))
 
 
-def result_png(maps: MapEstimate, title: str = "", lumps: LumpsFound | None = None) -> bytes:
+def result_png(maps: MapEstimate, title: str = "", found: InclusionsResult | None = None) -> bytes:
     """The whole result in one picture: both fields with their deviations, the regions, and the truth where known; where
     inclusions are sought, they and what may be missed in the place of beta."""
     figure = canvas(3 * WIDE, 2 * HIGH + 0.5)
     second: tuple[Callable[[Axes, MapEstimate], None], ...] = (draw_beta, draw_beta_deviation)
-    if lumps is not None:
-        second = (lambda axes, _: draw_inclusions(axes, lumps), lambda axes, _: draw_miss_probability(axes, lumps))
+    if found is not None:
+        second = (lambda axes, _: draw_inclusions(axes, found), lambda axes, _: draw_miss_probability(axes, found))
     drawings: tuple[tuple[Callable[[Axes, MapEstimate], None], ...], ...] = (
         (functools.partial(draw_stiffness, path=True), second[0], draw_regions),
         (draw_stiffness_deviation, second[1], draw_truth),
@@ -217,29 +223,30 @@ def draw_truth(axes: Axes, maps: MapEstimate) -> None:
     _title(axes, f"Truth: {counted(len(np.unique(truth)), 'region')}", f"{score}line: as found")
 
 
-def draw_inclusions(axes: Axes, lumps: LumpsFound) -> None:
+def draw_inclusions(axes: Axes, found: InclusionsResult) -> None:
     from matplotlib.patches import Circle
 
-    _draw_map(axes, 100.0 * lumps.covered, lumps.cell_m, GAIN, "[%]", low=0.0, high=100.0)
-    axes.plot(*(100.0 * lumps.contacts_m).T, ".", color="white", ms=4)
-    circles = [(*row, "-", "black") for row in 100.0 * np.column_stack([lumps.centre_m, lumps.radius_m])]
-    if lumps.truth_m is not None:
-        circles += [(*row[:3], "--", TARGET) for row in 100.0 * lumps.truth_m]
+    _draw_map(axes, 100.0 * found.covered, found.cell_m, GAIN, "[%]", low=0.0, high=100.0)
+    axes.plot(*(100.0 * found.contacts_m).T, ".", color="white", ms=4)
+    circles = [(*row, "-", "black") for row in 100.0 * np.column_stack([found.centre_m, found.radius_m])]
+    if found.truth_m is not None:
+        circles += [(*row[:3], "--", TARGET) for row in 100.0 * found.truth_m]
     for x, y, radius, style, color in circles:
         axes.add_patch(Circle((x, y), radius, fill=False, ls=style, ec=color, lw=2.2))
-    truth = "" if lumps.truth_m is None else "; red: the true ones"
-    _title(axes, format_inclusions(lumps).capitalize(), f"probability that a lump lies below; black: found{truth}")
+    truth = "" if found.truth_m is None else "; red: the true ones"
+    words = f"probability that an inclusion lies below; black: found{truth}"
+    _title(axes, format_inclusions(found).capitalize(), words)
 
 
-def draw_miss_probability(axes: Axes, lumps: LumpsFound) -> None:
-    names = [f"{100.0 * radius:.3g}" for radius in lumps.size_m]
-    wanted = lumps.size_m >= lumps.smallest_m
-    axes.bar(names, 100.0 * lumps.missed, color=np.where(wanted, REGIONS[5], EXCLUDED))
-    axes.axhline(100.0 * lumps.prior, color="black", lw=1, ls="--")
+def draw_miss_probability(axes: Axes, found: InclusionsResult) -> None:
+    names = [f"{100.0 * radius:.3g}" for radius in found.size_m]
+    wanted = found.size_m >= found.smallest_m
+    axes.bar(names, 100.0 * found.missed, color=np.where(wanted, REGIONS[5], EXCLUDED))
+    axes.axhline(100.0 * found.prior, color="black", lw=1, ls="--")
     axes.set_box_aspect(0.62)  # leaves room for the names below
-    axes.set(ylim=(0.0, 110.0 * lumps.prior), xlabel="radius of the lump [cm]", ylabel="missed with [%]")
-    words = f"{lumps.missed_smallest:.1%} of {100.0 * lumps.smallest_m:.3g} cm radius or more; dashed: before any touch"
-    _title(axes, "A lump that is missed", words)
+    axes.set(ylim=(0.0, 110.0 * found.prior), xlabel="radius of the inclusion [cm]", ylabel="missed with [%]")
+    words = f"{found.missed_smallest:.1%} of {100.0 * found.smallest_m:.3g} cm radius or more; dashed: before any touch"
+    _title(axes, "An inclusion that is missed", words)
 
 
 def draw_gain(axes: Axes, plan: PlannedTouch, cell_m: float, contacts_m: FloatArray | None = None) -> None:
@@ -422,7 +429,7 @@ less sure; the true ones, where these are known, and over them the outline of th
 
 
 def stiffness_range(stiffness: FloatArray) -> tuple[float, float]:
-    """The ends of a logarithmic scale that holds these values, any shape [N/mm], both 1, 2 or 5 times a power of
+    """The ends of a logarithmic scale that holds these values (...,) [N/mm], both 1, 2 or 5 times a power of
     ten."""
     known = stiffness[np.isfinite(stiffness) & (stiffness > LEAST)]
     if not known.size:
@@ -436,7 +443,7 @@ def stiffness_range(stiffness: FloatArray) -> tuple[float, float]:
 
 
 def loss_range(loss: FloatArray) -> float:
-    """The end of a scale from 0 that holds these shares of lost energy, any shape [-]; at most 1."""
+    """The end of a scale from 0 that holds these shares (...,) of lost energy [-]; at most 1."""
     return min(_round_up(100.0 * loss) / 100.0, 1.0)
 
 

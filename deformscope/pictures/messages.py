@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from deformscope.pictures.report import Table
 from deformscope.stages.fit.estimate import Choice, Doubt, Estimate, explained_text
-from deformscope.stages.map.exploration import LumpsFound, MapEstimate, StageFailure
+from deformscope.stages.map.exploration import InclusionsResult, MapEstimate, StageFailure
 from deformscope.stages.poke.creep import CreepFit
 
 
@@ -32,7 +32,7 @@ ENDED = {
     "nothing above the threshold": "the map's variance is below the threshold everywhere",
     "little left to learn": "one more touch would hardly change the map",
     "nowhere to go": "no place is left that may be touched",
-    "no lump missed": "it is unlikely that a lump of the size sought was missed",
+    "no lump missed": "it is unlikely that an inclusion of the size sought was missed",
 }
 """Why a plan makes no further touch, by its stop reason (`stages.map.plan.StopReason`)."""
 
@@ -73,9 +73,9 @@ def format_creep(creep: CreepFit) -> str:
     return f"{creep.verdict}: {relaxed}, {share}{loss}"
 
 
-def format_inclusions(lumps: LumpsFound) -> str:
+def format_inclusions(found: InclusionsResult) -> str:
     """How many inclusions were found."""
-    return counted(len(lumps), "lump") if len(lumps) else "no lump found"
+    return counted(len(found), "inclusion") if len(found) else "no inclusion found"
 
 
 def format_failure(failed: StageFailure) -> str:
@@ -102,13 +102,9 @@ def _choice_row(one: Choice) -> tuple[str, str]:
 
 def estimate_rows(estimate: Estimate) -> list[tuple[str, str]]:
     """An estimate as names and values."""
-    low, high = estimate.interval
     found = estimate.settings
     rows = [
-        (estimate.parameter, f"{estimate.value:.4g}"),
-        (f"{estimate.level:.0%} interval", f"{low:.4g} to {high:.4g}"),
-        ("verdict", estimate.verdict_text()),
-        *reason_rows(estimate.reasons, besides=estimate.verdict_text()),
+        *value_rows(estimate),
         ("stiffness", estimate.stiffness_text()),
         ("error, all particles", format_length(estimate, estimate.aee)),
         ("error, free particles", format_length(estimate, estimate.aee_free)),
@@ -130,6 +126,17 @@ def estimate_rows(estimate: Estimate) -> list[tuple[str, str]]:
     if estimate.selection_text:
         rows.append(("chosen", estimate.selection_text))
     return [*rows, ("converged", "yes" if estimate.converged else "NO: do not rely on the value")]
+
+
+def value_rows(estimate: Estimate) -> list[tuple[str, str]]:
+    """Value, interval, verdict and why to doubt it."""
+    low, high = estimate.interval
+    return [
+        (estimate.parameter, f"{estimate.value:.4g}"),
+        (f"{estimate.level:.0%} interval", f"{low:.4g} to {high:.4g}"),
+        ("verdict", estimate.verdict_text()),
+        *reason_rows(estimate.reasons, besides=estimate.verdict_text()),
+    ]
 
 
 def reason_rows(reasons: Sequence[Doubt], besides: str = "") -> list[tuple[str, str]]:

@@ -19,7 +19,7 @@ from threadpoolctl import threadpool_limits
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.errors import InputError
 from deformscope.experiments.explore import Exploration
-from deformscope.experiments.explorer import Explorer
+from deformscope.experiments.explorer import ExplorationStages, UnseenSurface
 from deformscope.experiments.options import ExploreOptions
 from deformscope.experiments.robot_geometry import AsMeasured, Touch
 from deformscope.experiments.search import ThesisSearch
@@ -100,8 +100,7 @@ def press_foam(hardness_n: int, cluster_sizes: Sequence[int | None] = CLUSTER_SI
         scene = built_in(f"homogeneous-{hardness_n}", 0)
         options = ExploreOptions(planner="thesis", beta_model="thesis", thickness_m=scene.thickness_m)
         robot = LabRobot(scene, options)
-        explorer = Explorer(scene.size_m, options, robot.arm, robot.truth)
-        explorer.look(robot.look)
+        explorer = UnseenSurface(scene.size_m, options, robot.arm, robot.truth).look(robot.look())
         at = 0.5 * np.asarray(scene.size_m)
         touched = robot.touch(Touch(at, *explorer.surface.aim(at)))
         found = explorer.touch(touched).estimate
@@ -175,9 +174,10 @@ def explore_scenario(job: tuple[str, int]) -> Scenario:
             planner="thesis", beta_model="layers", budget=MOST_TOUCHES, seed=seed, thickness_m=scene.thickness_m
         )
         robot = LabRobot(scene, options)
-        explorer = Explorer(scene.size_m, options, robot.arm, robot.truth)
-        found = Exploration()
-        explore_at_once(robot, explorer, AsMeasured(scene.size_m, robot.reachable), _Nowhere(), found)
+        unseen, found = UnseenSurface(scene.size_m, options, robot.arm, robot.truth), Exploration()
+        stages = ExplorationStages(unseen, AsMeasured(scene.size_m, robot.reachable))
+        explore_at_once(robot, stages, _Nowhere(), found)
+        explorer = stages.explorer
         assert isinstance(explorer.search, ThesisSearch)
         layers = explorer.search.thesis
         dents = [beta.dent for beta in explorer.betas if beta.value is not None]

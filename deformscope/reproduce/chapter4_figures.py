@@ -28,7 +28,7 @@ def draw_betas(foams: Sequence[FoamDent], path: Path) -> None:
                 if all(one is None for one in mine):
                     continue
                 beta = [np.nan if one is None else one[0] for one in mine]
-                panel.plot(hardness, beta, "o-", color=colour, lw=LINE_WIDTH, ms=4, label=_words(size))
+                panel.plot(hardness, beta, "o-", color=colour, lw=LINE_WIDTH, ms=4, label=_format_size(size))
             panel.set(title=hold, xlabel="hardness [N]", ylabel="beta", xscale="log", ylim=(-0.05, 1.0))
             panel.set_xticks(hardness, [str(one) for one in hardness])
             panel.minorticks_off()
@@ -42,12 +42,12 @@ def draw_betas(foams: Sequence[FoamDent], path: Path) -> None:
             ]
             panel.plot(range(len(share)), share, "o-", color=colour, lw=LINE_WIDTH, ms=4, label=hold)
         panel.set(title="error at beta (eq. 4.6)", xlabel="cluster size", ylabel="mean over foams [% of the depth]")
-        panel.set_xticks(range(len(CLUSTER_SIZES)), [_words(size) for size in CLUSTER_SIZES], fontsize=8)
+        panel.set_xticks(range(len(CLUSTER_SIZES)), [_format_size(size) for size in CLUSTER_SIZES], fontsize=8)
         panel.set_ylim(0.0)
         panel.legend(fontsize=8)
 
 
-def _words(size: int | None) -> str:
+def _format_size(size: int | None) -> str:
     return "no clusters" if size is None else f"{size} a side"
 
 

@@ -178,7 +178,7 @@ def _observation(
     """The last pose as the flow saw it, or as it was, with the force on the particles held below the clamp."""
     contact = select_held(grid, ("contact",), particles.contact_rect)
     if source == "flow":
-        held, _ = hold_what_is_seen(grid, last, particles, particles.contact_rect)
+        held, _ = hold_what_is_seen(grid, last, particles.held, particles.contact_rect)
         seen = observe(grid, last, held, particles)
         return dataclasses.replace(seen, force_n=force_n, contact=np.intersect1d(contact, held))
     exact = dataclasses.replace(last, position_px=true, seen=np.ones(len(true), dtype=bool))
@@ -251,7 +251,7 @@ def format_order(value: FloatArray, same: float = 0.0) -> str:
 
 
 def rank_correlation(a: FloatArray, b: FloatArray) -> float | None:
-    """Spearman's; None where either does not vary, or of fewer than three."""
+    """Spearman's [-] of values (n,) and (n,); None where either does not vary, or of fewer than three."""
     if len(a) < 3:
         return None
     ranks = [rankdata(np.round(x, 6)) for x in (a, b)]

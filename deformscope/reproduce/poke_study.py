@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from deformscope.api.poke_comparison import compare
 from deformscope.lab.slab import RigidTip, Slab, press
 from deformscope.reproduce.poke_slabs import PokedSlab, draw_slab
+from deformscope.runs.poke_comparison import compare
 from deformscope.stages.fit.model import Observation
 from deformscope.stages.fit.search import Progress
 from deformscope.stages.msm.poke import Tip

@@ -165,7 +165,7 @@ def event_errors(
 
 
 def pose_errors(found: TrialFeatures, T_hand_camera: FloatArray, simulated: SimulatedSqueeze) -> list[PoseError]:
-    """Of each tracked image."""
+    """Of each tracked image. T_hand_camera: (4, 4) the true pose [m]"""
     T_camera_hand = np.linalg.inv(T_hand_camera)
     return [
         pose_error(one.pose, T_camera_hand @ simulated.T_hand_container[simulated.at(one.when_ns)])

@@ -12,10 +12,10 @@ from deformscope.arrays import BoolArray, FloatArray
 from deformscope.capsule import Capsule
 from deformscope.errors import InputError
 from deformscope.experiments.explore import AtOnce, Exploration, ExplorationStopped, explore, within_loop
-from deformscope.experiments.explorer import ExplorationStages, Explorer
+from deformscope.experiments.explorer import ExplorationStages
 from deformscope.experiments.measured import off_the_border, sample_box
 from deformscope.experiments.options import SHALLOW_M, VIEW_CELL_M, ExploreOptions
-from deformscope.experiments.robot_geometry import AsMeasured, Touch
+from deformscope.experiments.robot_geometry import Touch
 from deformscope.lab.arm_contact import ARM_DOUBT, ARM_STIFFNESS_N_M
 from deformscope.lab.buried_world import slab_world
 from deformscope.lab.depth_view import DepthView
@@ -142,7 +142,7 @@ class LabRobot:
         self._random = np.random.default_rng([options.seed, scene.seed])
 
     def reachable(self, grid: MapGrid) -> BoolArray:
-        """All but a margin at the border."""
+        """(rows, columns) mask of all cells but a margin at the border."""
         return off_the_border(grid, self._options.border_m)
 
     def look(self) -> SurfaceMeasurement:
@@ -194,13 +194,13 @@ class LabRobot:
 
 
 def explore_at_once(
-    robot: LabRobot, explorer: Explorer, plans: AsMeasured, recorder: SessionRecorder, found: Exploration | None = None
+    robot: LabRobot, stages: ExplorationStages, recorder: SessionRecorder, found: Exploration | None = None
 ) -> None:
     """Explore with a robot that gives measurements at once. Raises ExplorationStopped.
 
-    plans: what an approach is; recorder: is given every stage's results; found: what is filled with touches
+    recorder: is given every stage's results; found: what is filled with touches
     """
     found = Exploration() if found is None else found
-    run([], explore(lambda: 0, within_loop(ExplorationStages(explorer, plans)), found), recorder, AtOnce(robot))
+    run([], explore(lambda: 0, within_loop(stages), found), recorder, AtOnce(robot))
     if found.stop is not None:
         raise ExplorationStopped(found.stop, found.stop_ns)

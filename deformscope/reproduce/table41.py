@@ -11,7 +11,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from deformscope.experiments.explore import Exploration
-from deformscope.experiments.explorer import Explorer
+from deformscope.experiments.explorer import ExplorationStages, Explorer, UnseenSurface
 from deformscope.experiments.measured import SetupGeometry, highest_m
 from deformscope.experiments.options import TRAVEL_M_S, ExploreOptions
 from deformscope.lab.arm_contact import ARM_DOUBT, ARM_STIFFNESS_N_M
@@ -47,11 +47,12 @@ def run_table(job: TableJob) -> TableRun:
         offset_m = setup.placement.center_offset_m
         clock = TouchClock(np.array([*(0.5 * np.asarray(scene.size_m)), highest_m(options)]), offset_m)
         robot = LabRobot(scene, options, sees=False, errors=errors, clock=clock)
-        explorer = Explorer(scene.size_m, options, robot.arm, robot.truth)
+        unseen = UnseenSurface(scene.size_m, options, robot.arm, robot.truth)
+        stages = ExplorationStages(unseen, PlannedTouches(setup, options, robot.reachable))
         truth = true_map(robot.scene, options)
         found = Exploration()
-        scores = _Scores(found, explorer, robot, truth, clock)
-        explore_at_once(robot, explorer, PlannedTouches(setup, options, robot.reachable), scores, found)
+        scores = _Scores(found, stages, robot, truth, clock)
+        explore_at_once(robot, stages, scores, found)
     after, stop_after = tuple(scores.after), scores.stop_after
     return TableRun(job, scene.region_count, after, robot.most_force_n, stop_after, time.perf_counter() - began)
 
@@ -75,11 +76,11 @@ class _Scores:
     """
 
     def __init__(
-        self, found: Exploration, explorer: Explorer, robot: LabRobot, truth: TrueMap, clock: TouchClock
+        self, found: Exploration, stages: ExplorationStages, robot: LabRobot, truth: TrueMap, clock: TouchClock
     ) -> None:
         self.after: list[MapAfter] = []
         self.stop_after: int | None = None
-        self._found, self._explorer, self._robot, self._truth = found, explorer, robot, truth
+        self._found, self._stages, self._robot, self._truth = found, stages, robot, truth
         self._clock, self._computed_s = clock, 0.0
 
     def write(self, items: object) -> None:
@@ -87,7 +88,9 @@ class _Scores:
             spent_s, self._computed_s = self._found.compute_s - self._computed_s, self._found.compute_s
             if self._found.touches:
                 newest, felt = self._found.touches[-1], self._robot.felt[-1]
-                self.after.append(_after(spent_s, self._clock.seconds, self._explorer, newest, felt, self._truth, plan))
+                self.after.append(
+                    _after(spent_s, self._clock.seconds, self._stages.explorer, newest, felt, self._truth, plan)
+                )
                 if plan.stop_reason not in ("", "budget") and self.stop_after is None:
                     self.stop_after = len(self.after)
 

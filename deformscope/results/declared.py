@@ -36,11 +36,14 @@ class Quantity:
     GROUP.KEY = in an object GROUP
     unit: in which JSON has it, listed among the units there; empty = its key says it, or it has none
     digits: format of the shown number; scale, shown_unit: it is shown as `scale` times its value, in `shown_unit`
-    interval: field or property with the two ends; words: from the whole result to what is shown in place of a number
+    interval: field or property with the two ends, else the value's `interval`; interval_key: JSON has the number
+    alone, and the interval by this key; in columns it stands apart too
+    words: from the whole result to what is shown in place of a number
     json: from the value to what JSON has; json_scale: JSON has the value times this
     length: it is in the result's `unit` with `metres_per_unit`: JSON has KEY_m and KEY_px, None where not known
     per_length: it is a force per such a unit: JSON has it per metre, None where not known
     missing: what is shown of one that is None
+    older_key: by which JSON has it too
     optional: JSON lacks the key where the value is None; flat: it has what is in the value instead
     line: in a line that has all that matters, with "{}" for the value; caption: below the title of a picture
     name: of the field or property; place: rises in the order of declaration
@@ -53,12 +56,14 @@ class Quantity:
     scale: float = 1.0
     shown_unit: str = ""
     interval: str = ""
+    interval_key: str = ""
     words: Callable[[Any], str] | None = None
     json: Callable[[Any], Any] | None = None
     json_scale: float | None = None
     length: bool = False
     per_length: bool = False
     missing: str = ""
+    older_key: str = ""
     optional: bool = False
     flat: bool = False
     line: str = ""

@@ -40,11 +40,13 @@ def _by_key(result: Any) -> dict[str, Any]:
             inside |= lengths(key, value, result.unit, result.metres_per_unit)
         elif one.flat:
             inside |= cast("dict[str, Any]", plain(_nested(value)))
+        elif one.interval_key:
+            inside |= {key: getattr(value, "value", None), one.interval_key: getattr(value, "interval", None)}
         elif one.per_length:
             metres = 1.0 if result.unit == "m" else result.metres_per_unit
             inside[key] = None if metres is None else _times(value, 1.0 / metres)
         else:
-            inside[key] = _json(one, value)
+            inside |= dict.fromkeys((key, one.older_key or key), _json(one, value))
     return found
 
 
@@ -95,29 +97,40 @@ def _nested(value: Any) -> Any:
 
 def format_value(result: Any, name: str) -> str:
     """One quantity as it is shown: number, unit and interval; empty where it is not known."""
-    return _words(result, next(one for one in quantities(type(result)) if one.name == name))
+    return _format(result, next(one for one in quantities(type(result)) if one.name == name))
 
 
 def to_rows(result: Any, *names: str) -> Rows:
     """Quantities by their labels, each with what is shown of it; those that are not known are left out."""
     declared = {one.name: one for one in quantities(type(result))}
-    shown = [(declared[name].label, _words(result, declared[name])) for name in names]
+    shown = [(declared[name].label, _format(result, declared[name])) for name in names]
     return [row for row in shown if row[1]]
 
 
 def to_columns(results: Sequence[Any]) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
     """Results of one kind below each other: the names of all quantities that have one and are known of any of them, and
     of each result what is shown of these."""
-    kind = quantities(type(results[0])) if results else ()
-    shown = {one.label: [_words(result, one) for result in results] for one in kind if one.label}
-    known = {label: words for label, words in shown.items() if any(words)}
-    return tuple(known), [*zip(*known.values(), strict=True)]
+    shown: list[tuple[str, list[str]]] = []
+    for one in quantities(type(results[0])) if results else ():
+        if one.label and one.interval_key:
+            parts = [_numbers(getattr(result, one.name), one.digits) for result in results]
+            shown += (one.label, [number for number, *_ in parts]), ("interval", [f"{a} to {b}" for _, a, b in parts])
+        elif one.label:
+            shown.append((one.label, [_format(result, one) for result in results]))
+    known = [(label, words) for label, words in shown if any(words)]
+    return tuple(label for label, _ in known), [*zip(*(words for _, words in known), strict=True)]
+
+
+def _numbers(value: Any, digits: str, scale: float = 1.0, ends: Sequence[float] | None = None) -> list[str]:
+    """A number and, where it has an interval, the ends."""
+    ends = getattr(value, "interval", None) if ends is None else ends
+    return [f"{scale * each:{digits}}" for each in (getattr(value, "value", value), *(() if ends is None else ends))]
 
 
 def to_line(result: Any, kind: Literal["line", "caption"] = "line") -> str:
     """What matters most, in a line: all quantities that have a place in it, and are known."""
     shown = [(getattr(one, kind), one) for one in quantities(type(result))]
-    known = [(form, words) for form, one in shown if form and (words := _words(result, one))]
+    known = [(form, words) for form, one in shown if form and (words := _format(result, one))]
     return ", ".join(form.format(words) for form, words in known)
 
 
@@ -128,7 +141,7 @@ def length_scale(unit: str, metres_per_unit: float | None) -> tuple[float, str]:
     return (1.0, "px") if metres_per_unit is None else (1e3 * metres_per_unit, "mm")
 
 
-def _words(result: Any, one: Quantity) -> str:
+def _format(result: Any, one: Quantity) -> str:
     value = _value(result, one)
     if one.words is not None:
         return one.words(result)
@@ -141,9 +154,7 @@ def _words(result: Any, one: Quantity) -> str:
         scale, unit = length_scale(result.unit, result.metres_per_unit)
     if one.per_length:
         scale, unit = 1.0 / scale, f"N/{unit}"
-    ends = getattr(result, one.interval) if one.interval else getattr(value, "interval", None)
-    number, *around = (
-        f"{scale * each:{one.digits}}" for each in (getattr(value, "value", value), *(() if ends is None else ends))
-    )
+    ends = getattr(result, one.interval) if one.interval else None
+    number, *around = _numbers(value, one.digits, scale, ends)
     between = " ({} to {})".format(*around) if around else ""
     return f"{number}{unit and f' {unit}'}{between}"

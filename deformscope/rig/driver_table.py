@@ -46,7 +46,7 @@ _ALL = (
     Driver("optoforce", "deformscope_drivers.optoforce", "Optoforce", "OptoforceConfig", "wrench", probed=True),
     Driver("jaco", "deformscope_drivers.jaco", "open_jaco", "JacoConfig", "arm"),
     Driver("kuka", "deformscope_drivers.kuka", "open_kuka", "KukaConfig", "arm"),
-    Driver("placed", "deformscope_drivers.placed", "PlacedArm", "PlacedArmConfig", "arm"),
+    Driver("placed", "deformscope_drivers.manual_arm", "ManualArm", "ManualArmConfig", "arm"),
     Driver("webcam", "deformscope_drivers.webcam", "Webcam", "WebcamConfig", "color"),
     Driver("depth_camera", "deformscope_drivers.depth_camera", "DepthCamera", "DepthCameraConfig", "depth"),
     Driver("realsense", "deformscope_drivers.depth_camera", "Realsense", "RealsenseConfig", "depth"),

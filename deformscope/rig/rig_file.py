@@ -408,7 +408,7 @@ def _read(kind: type[Any], given: object, section: str) -> Any:
     try:
         return msgspec.convert(given, kind)
     except msgspec.ValidationError as error:
-        raise InputError(f"{section} as its keys want it", _words(error)) from error
+        raise InputError(f"{section} as its keys want it", _format_error(error)) from error
     except InputError as error:
         expected, _, came = str(error).removeprefix("expected ").partition("; got ")
         raise InputError(f"{section} with {expected}", came, "lengths in m, forces in N, speeds in m/s") from error
@@ -429,7 +429,7 @@ def _line(error: Exception) -> str:
     return " ".join(str(error).split()) or type(error).__name__
 
 
-def _words(error: Exception) -> str:
+def _format_error(error: Exception) -> str:
     """msgspec's `Expected int, got str - at $.speed`, in the words of a rig file."""
     text = str(error)
     what, at, place = text.partition(" - at `$.")

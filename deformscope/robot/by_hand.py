@@ -27,7 +27,7 @@ from deformscope.robot.touch import (
     carried_out,
 )
 from deformscope_drivers.arm.kinematics import FloatArray
-from deformscope_drivers.placed import PlacedArm
+from deformscope_drivers.manual_arm import ManualArm
 
 FREE_STEP_M, BEGIN_M = 1e-3, 4e-3
 """Steps before contact; so far above the surface, as it was seen, they begin: the camera sees a surface within 2 mm,
@@ -75,7 +75,7 @@ def touch_by_hand(
     still_seen: Callable[[], bool] = lambda: True,
     on_phase: Callable[[Phase, int], None] = lambda phase, time_ns: None,
 ) -> TouchRecord:
-    """A touch by an arm that a person places (`PlacedArm`); arguments and result as of `touch.run_touch`."""
+    """A touch by an arm that a person places (`ManualArm`); arguments and result as of `touch.run_touch`."""
     return carried_out(PlacedRun(robot, plan, on_phase, person), robot, still_seen)
 
 
@@ -154,7 +154,7 @@ class PlacedRun(TouchRun):
         set_n, along_n: force wanted and measured along the normal [N]; stiffness_n_m: of the last step [N/m]
         """
         arm = self._robot.arm
-        assert isinstance(arm, PlacedArm)
+        assert isinstance(arm, ManualArm)
         finest_m = arm.config.resolution_m
         if along_n <= self._plan.contact_force_n or stiffness_n_m <= 0.0:
             return FREE_STEP_M
@@ -193,7 +193,7 @@ class PlacedRun(TouchRun):
     def _place(self, center_m: FloatArray, what: str) -> None:
         """Have the tip's centre put to (3,) [m, surface frame], and wait until it stands there."""
         robot, plan, arm = self._robot, self._plan, self._robot.arm
-        assert isinstance(arm, PlacedArm)
+        assert isinstance(arm, ManualArm)
         lowest_m = float(center_m[2]) - robot.placement.center_offset_m
         x_cm, y_cm = 100.0 * center_m[:2]
         where = f"x {x_cm:.1f} cm, y {y_cm:.1f} cm, {1e3 * lowest_m:.1f} mm above the table"

@@ -47,12 +47,14 @@ class ArmClearance:
         return np.asarray((self._placement.T_surface_base @ frames)[:, :3, 3])
 
     def over_table_m(self, T_base_links: FloatArray) -> float:
-        """Height of the lowest point of elbow and wrist, without the stick, above the surface's z = 0 [m]."""
+        """Height of the lowest point of elbow and wrist, without the stick, above the surface's z = 0 [m].
+        T_base_links: (n + 1, 4, 4)"""
         points = self._points_m(T_base_links)[:-1]
         return float(points[FROM_ELBOW + 1 :, 2].min() - LINK_RADIUS_M)
 
     def in_box_m(self, T_base_links: FloatArray, box: ArmBox | None) -> float:
-        """How far elbow, wrist, stick and tip are inside a box of the base frame, the nearest [m]; inf without one."""
+        """How far elbow, wrist, stick and tip are inside a box of the base frame, the nearest [m]; inf without one.
+        T_base_links: (n + 1, 4, 4)"""
         if box is None:
             return float("inf")
         tip = T_base_links[-1] @ self._placement.T_ee_center
@@ -63,7 +65,8 @@ class ArmClearance:
         return float((inside - radius_m).min())
 
     def to_itself_m(self, T_base_links: FloatArray) -> float:
-        """Distance between the nearest two parts that could meet [m]; below 0 they overlap; inf where none could."""
+        """Distance between the nearest two parts that could meet [m]; below 0 they overlap; inf where none could.
+        T_base_links: (n + 1, 4, 4)"""
         if not len(self._pairs):
             return float("inf")
         points = self._points_m(T_base_links)

@@ -80,7 +80,7 @@ class RobotDescription:
     def cable_capsules(
         self, placement: Placement, T_base_links: FloatArray, margin_m: float = 0.0
     ) -> tuple[Capsule, ...]:
-        """The cables in the surface frame [m]. T_base_links: as of `solids`; margin_m: added to their radii"""
+        """The cables in the surface frame [m]. T_base_links: (n + 1, 4, 4); margin_m: added to their radii"""
         frames = _surface_frames(placement, T_base_links)
         found: list[Capsule] = []
         for cable in self.cables:

@@ -144,7 +144,7 @@ class Robot:
         chain = self.chain
         self.clearance = None if chain is None else ArmClearance(placement, chain.forward(chain.home_deg))
         self.supervisor = Supervisor(
-            limits, clock(), placement.T_ee_center, chain, placed=arm.by_hand, clearance=self.clearance
+            limits, clock(), placement.T_ee_center, chain, by_hand=arm.by_hand, clearance=self.clearance
         )
 
     # What is known ---------------------------------------------------------------------------------------------------

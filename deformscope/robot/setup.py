@@ -33,7 +33,7 @@ from deformscope_drivers.arms import chain_of
 from deformscope_drivers.clock import Clock, monotonic_ns
 from deformscope_drivers.device import Device
 from deformscope_drivers.errors import DeviceError
-from deformscope_drivers.placed.config import PLACED
+from deformscope_drivers.manual_arm.config import MANUAL
 
 ROLES = ("arm", "wrench", "depth")
 """Kinds of the arm, of the force sensor at its end, and of the camera."""
@@ -175,7 +175,8 @@ class SimulatedTable(SimulatedDevices, Protocol):
     truth: Truth
 
     @property
-    def T_surface_camera(self) -> FloatArray: ...
+    def T_surface_camera(self) -> FloatArray:
+        """(4, 4) [m]."""
 
     @property
     def max_force_n(self) -> float: ...
@@ -183,7 +184,8 @@ class SimulatedTable(SimulatedDevices, Protocol):
     @property
     def person(self) -> Person | None: ...
 
-    def push_tip(self, force_n: FloatArray) -> None: ...
+    def push_tip(self, force_n: FloatArray) -> None:
+        """With (3,) [N] in the surface frame."""
 
 
 @contextmanager
@@ -342,7 +344,7 @@ def description_of(rig: Rig, arm: RigDevice) -> RobotDescription:
     """What [shape] says of the robot. Raises InputError, which says what is wrong with it."""
     if rig.shape == ShapeSection():
         return AS_CAPSULES
-    model = PLACED if arm.driver.name == "placed" else arm.config.model
+    model = MANUAL if arm.driver.name == "placed" else arm.config.model
     if model is None:
         raise InputError('model = "..." of the arm, beside [shape]', "none", 'model = "j2n6s300"', arm.name)
     try:

@@ -57,7 +57,8 @@ class SimulatedContainer(SimulatedDevices, Protocol):
     def camera_hz(self) -> float: ...
 
     @property
-    def T_hand_camera(self) -> FloatArray: ...
+    def T_hand_camera(self) -> FloatArray:
+        """(4, 4) [m]."""
 
     def truth(self) -> TrueMoments:
         """What is simulated, up to now."""

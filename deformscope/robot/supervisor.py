@@ -163,13 +163,13 @@ class Supervisor(LatchingSupervisor[Fault]):
         T_ee_center: FloatArray | None = None,
         chain: Chain | None = None,
         *,
-        placed: bool = False,
+        by_hand: bool = False,
         clearance: ArmClearance | None = None,
     ) -> None:
         """T_ee_center: (4, 4) the tip's centre in the frame of the arm's end; default: the arm's end itself
         chain: whose joints have limits; None = none
         clearance: of the chain from table and itself; None = it is not watched
-        placed: a person places the arm, which then is at once where they say: it has no speed, and turns as it should
+        by_hand: a person places the arm, which then is at once where they say: it has no speed, and turns as it should
 
         axes_frozen_s, to be set: (3,) as `Limits.force_frozen_s`, of each axis of the force sensor; None = not known,
         and only all of them together are looked at
@@ -177,7 +177,7 @@ class Supervisor(LatchingSupervisor[Fault]):
         super().__init__(Fault.NONE, LATE_NS)
         self.limits = limits
         self._T_ee_center = np.eye(4) if T_ee_center is None else T_ee_center
-        self._chain, self._placed, self._clearance = chain, placed, clearance
+        self._chain, self._by_hand, self._clearance = chain, by_hand, clearance
         self._collisions = None if chain is None else CollisionWatch(chain, self._T_ee_center)
         self._refused = 0
         self._torques = False  # whether the arm has reported any
@@ -312,7 +312,7 @@ class Supervisor(LatchingSupervisor[Fault]):
                 found.append((Action.STOP, Fault.ARM_FIFO, f"{sample.fifo_count} points wait in the arm"))
             found += self._motion(sample)
             found += self._collision(sample)
-            if commanded_rotation is not None and not self._placed:
+            if commanded_rotation is not None and not self._by_hand:
                 found += self._tilt(sample, commanded_rotation)
         if age_s := self._silent_s(self._arm_ns, limits.arm_silent_s):
             found.append((Action.STOP, Fault.ARM_SILENT, f"no state of the arm for {age_s * 1e3:.0f} ms"))
@@ -344,7 +344,7 @@ class Supervisor(LatchingSupervisor[Fault]):
         self._track.append(sample)
         while len(self._track) > 2 and sample.time_ns - self._track[1].time_ns >= SPEED_OVER_NS:
             self._track.popleft()
-        before = sample if self._placed else self._track[0]
+        before = sample if self._by_hand else self._track[0]
         span_s = (sample.time_ns - before.time_ns) / 1e9
         center_m, before_m = ((one.T_base_ee @ self._T_ee_center)[:3, 3] for one in (sample, before))
         velocity_m_s = (center_m - before_m) / span_s if span_s > 0 else np.zeros(3)

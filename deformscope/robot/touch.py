@@ -459,7 +459,7 @@ class TouchRun:
     def __init__(self, robot: Robot, plan: TouchPlan, on_phase: Callable[[Phase, int], None]) -> None:
         plan = plan.slowed_for(ForceAlone.of(robot)) if robot.force_alone else plan
         self._robot, self._plan, self._on_phase = robot, plan, on_phase
-        self._told: Phase | None = None
+        self._reported: Phase | None = None
         if robot.supervisor.verdict.action is not Action.GO_ON:
             raise RobotStopped(robot.supervisor.verdict)
         self._spans: list[PhaseSpan] = []
@@ -524,8 +524,8 @@ class TouchRun:
 
     def _tell(self, phase: Phase) -> None:
         """Call `on_phase` when a phase begins; not for DONE."""
-        if phase not in (self._told, Phase.DONE):
-            self._told = phase
+        if phase not in (self._reported, Phase.DONE):
+            self._reported = phase
             self._on_phase(phase, self._robot.seen.now_ns)
 
     def _follow(self, before: Phase, machine: TouchStateMachine) -> None:

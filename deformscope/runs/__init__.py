@@ -1,1 +1,3 @@
-"""What drives devices or a recording from the options to the result: explore, squeeze, record, calibrate, move."""
+"""From the options to the result, with devices, files or a recording: explore, squeeze, record, calibrate, predict,
+replay, move; and the results themselves.
+"""

@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from deformscope.api.exploration_result import NOT_KNOWN, ExplorationResult, LayerThickness, TouchOutcome, TruthScore
-from deformscope.api.result import open_recorder
 from deformscope.errors import InputError
 from deformscope.interruption import until_interrupted
 from deformscope.log.exploration.layout import EXPLORATION, ExplorationLayout
 from deformscope.results.render import to_line
-from deformscope.runs.setups import LAB, setup_of
+from deformscope.runs.exploration_result import NOT_KNOWN, ExplorationResult, LayerThickness, TouchOutcome, TruthScore
+from deformscope.runs.opened_devices import LAB, setup_of
+from deformscope.runs.result import open_recorder
 from deformscope.runs.skeleton import leave_arm, open_run, permitted
 from deformscope.stages.msm.quiet import quiet_warp
 from deformscope.terminal import say
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
 
 INCLUSION_FORCE_N = 5.0
-"""Lumps are sought with in the laboratory, unless asked for otherwise: pressed harder, a touch feels deeper."""
+"""Inclusions are sought with in the laboratory, unless asked for otherwise: pressed harder, a touch feels deeper."""
 
 
 @dataclass
@@ -78,11 +78,11 @@ def explore_on(config: ExploreConfig, report: Callable[[ExplorationResult], None
     from deformscope.stages.map.plan import INCLUSION_M
 
     quiet_warp()
-    lumps = config.goal == "inclusions"
+    inclusions = config.goal == "inclusions"
     options = ExploreOptions(
         **{one.name: getattr(config, one.name) for one in dataclasses.fields(ExploreFlags)},
         seed=config.output.seed,
-        inclusion_m=config.smallest_lump_m or 0.02 if lumps else config.smallest_inclusion_m or INCLUSION_M,
+        inclusion_m=config.smallest_inclusion_m or (0.02 if inclusions else INCLUSION_M),
         lift_m=DRY_RUN_M if config.dry_run else 0.0,
     )
     faults = [FaultAt.parse(text, options.budget) for text in config.fault]
@@ -90,7 +90,7 @@ def explore_on(config: ExploreConfig, report: Callable[[ExplorationResult], None
         config.rig,
         options,
         INCLUSION_FORCE_N
-        if config.set_force_n is None and lumps and config.rig.startswith(LAB)
+        if config.set_force_n is None and inclusions and config.rig.startswith(LAB)
         else config.set_force_n,
         trusted=config.trust_rig,
         clean=config.clean,
@@ -163,9 +163,9 @@ def _run(
     def start(source: RigSource) -> None:
         ending.start_ns = source.start_ns
         truth = setup.truth is not None and setup.truth.labels is not None
-        mapped, lumps = "energy loss" if options.feel == "loss" else "stiffness", options.goal == "inclusions"
+        mapped, inclusions = "energy loss" if options.feel == "loss" else "stiffness", options.goal == "inclusions"
         base_from_surface = setup.placement.T_base_surface
-        layout = ExplorationLayout(source.streams, setup.size_m, base_from_surface, truth, lumps, mapped)
+        layout = ExplorationLayout(source.streams, setup.size_m, base_from_surface, truth, inclusions, mapped)
         recorder.start(layout, source.start_ns)
 
     with open_run(setup.open_source(), recorder, start) as run:
@@ -183,7 +183,8 @@ def _run(
                     permit = _permitted(robot, setup, options, asked, ending, yes=config.yes, page=page)
                     if page is not None:
                         robot.reason_to_stand = page.reason_to_stand
-                    experiment = _said(explore(setup.clock, stage, found, permit, page), run.line, options.budget, page)
+                    experiment = explore(setup.clock, stage, found, permit, page)
+                    experiment = _with_messages(experiment, run.line, options.budget, page)
                     run_session(run.source, experiment, run.recorded, robot, beside)
             finally:
                 ending.arm_stopped, ending.gaps_s = watch.arm_stopped, robot.gaps_s
@@ -246,7 +247,7 @@ def _say_on_page(recorder: Recorder, explored: ExplorationResult) -> None:
     recorder.page.session.enter("stopped", f"{known['verdict']}; touches: {known['touches']}; {known['ended']}")
 
 
-def _said(
+def _with_messages(
     experiment: RigExperiment[None], show: Callable[[str], None], budget: int, page: PageSteering | None = None
 ) -> RigExperiment[None]:
     """The same experiment; what it finds is printed, and shown on the page, as it comes. budget: touches at most"""
@@ -283,9 +284,9 @@ def _said(
 
 def _for_page(result: object) -> bool:
     """Whether a page is to say it: plans and answers of its own it shows elsewhere."""
-    from deformscope.stages.map.exploration import LumpsFound, MapEstimate, StageFailure, TouchEstimate
+    from deformscope.stages.map.exploration import InclusionsResult, MapEstimate, StageFailure, TouchEstimate
 
-    return isinstance(result, TouchEstimate | MapEstimate | LumpsFound | StageFailure)
+    return isinstance(result, TouchEstimate | MapEstimate | InclusionsResult | StageFailure)
 
 
 def _remarks(result: object, made: int, budget: int, spent_s: float) -> Iterator[str]:
@@ -300,7 +301,7 @@ def _remarks(result: object, made: int, budget: int, spent_s: float) -> Iterator
         format_verdict,
     )
     from deformscope.stages.map.exploration import (
-        LumpsFound,
+        InclusionsResult,
         MapEstimate,
         PlannedTouch,
         StageFailure,
@@ -329,7 +330,7 @@ def _remarks(result: object, made: int, budget: int, spent_s: float) -> Iterator
     elif isinstance(result, MapEstimate):
         truth = f", {format_iou(result)}" if format_iou(result) else ""
         yield f"  map so far: {format_verdict(result)} ({format_claim(result.claimed)}){truth}"
-    elif isinstance(result, LumpsFound):
+    elif isinstance(result, InclusionsResult):
         smallest = f"{100.0 * result.smallest_m:g} cm radius or more"
         missed = f"is missed with a probability of {result.missed_smallest:.1%}"
         yield f"  {format_inclusions(result)}; one of {smallest} {missed}"

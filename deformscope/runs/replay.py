@@ -5,12 +5,10 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping, Sequence
-from pathlib import Path
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from deformscope.api.result import ViewerChoice, python_names
-from deformscope.config import OutputOptions, ReplayConfig
+from deformscope.config import ReplayConfig
 from deformscope.errors import InputError
 from deformscope.pictures.messages import format_failure
 from deformscope.pictures.report import Table
@@ -20,37 +18,13 @@ from deformscope.recording.reader import Replay
 from deformscope.runs.operator import wait_for_enter
 from deformscope.runs.replay_result import Different, ReplayResult, compare
 from deformscope.stages.msm.quiet import quiet_warp
-from deformscope.terminal import Progress, shown_progress
+from deformscope.terminal import Progress
 
 if TYPE_CHECKING:
     from deformscope.files.sources import Source
     from deformscope.stages.fit.estimate import Estimate
 
 CUT_SHORT = "the recording holds no result (its run was cut short): nothing to compare with"
-
-
-def replay(
-    path: Path | str,
-    *,
-    settings: Mapping[str, object] | None = None,
-    record: Path | str | None = None,
-    viewer: ViewerChoice = "none",
-    overwrite: bool = False,
-    progress: Progress | bool | None = None,
-) -> ReplayResult:
-    """Compute a recording again from its inputs, and compare with the numbers that it holds.
-
-    settings: other ones than recorded, of an exploration, by name; what comes of them is not compared to the bit
-    progress: as of `calibrate_beta`
-    Raises InputError where the numbers differ, or for what cannot be used.
-    """
-    changes = tuple(f"{name}={value}" for name, value in (settings or {}).items())
-    with python_names(), shown_progress(progress) as note:
-        output = OutputOptions(None, None if record is None else Path(record), viewer, overwrite)
-        found = replay_on(ReplayConfig(Path(path), set=changes, output=output), note)
-        if found.different is not None:
-            raise found.different
-    return found
 
 
 def replay_on(config: ReplayConfig, progress: Progress | None = None) -> ReplayResult:
@@ -106,7 +80,7 @@ def _material(
     recording: Replay, config: ReplayConfig, progress: Progress | None
 ) -> tuple[Sequence[Any], Sequence[Any]]:
     """What was found of a material, as recorded and computed again."""
-    from deformscope.api.materials import replay_material
+    from deformscope.runs.materials import replay_material
 
     recorded, found = replay_material(recording, _frames(recording, config), config.output, progress=progress)
     return recorded[:1], [found]
@@ -116,10 +90,10 @@ def _fits(recording: Replay, config: ReplayConfig, progress: Progress | None) ->
     """Estimates of a calibration, as recorded and computed again."""
     import msgspec
 
-    from deformscope.api.calibration import calibrate_pair_bytes, run_images
     from deformscope.experiments.foam_video import ParticleOptions
     from deformscope.experiments.poke_files import LayersOptions
     from deformscope.experiments.whole_motion import Selectable
+    from deformscope.runs.calibration import calibrate_pair_bytes, run_images
     from deformscope.stages.fit.calibrate import FitOptions
     from deformscope.stages.msm.solver import pick_device
 

@@ -49,7 +49,7 @@ def replay_exploration(recording: Replay, config: ReplayConfig, page: PageServer
         explore,
         within_loop,
     )
-    from deformscope.experiments.explorer import ExplorationStages, Explorer
+    from deformscope.experiments.explorer import ExplorationStages, UnseenSurface
     from deformscope.experiments.measured import SetupGeometry
     from deformscope.experiments.options import ExploreOptions
     from deformscope.experiments.robot_geometry import AsMeasured, FromFrames
@@ -57,7 +57,7 @@ def replay_exploration(recording: Replay, config: ReplayConfig, page: PageServer
     from deformscope.recording.items import read_results
     from deformscope.session import run
     from deformscope.stages.map.exploration import (
-        LumpsFound,
+        InclusionsResult,
         MapEstimate,
         PlannedTouch,
         StageFailure,
@@ -71,18 +71,18 @@ def replay_exploration(recording: Replay, config: ReplayConfig, page: PageServer
     changes = _changes(config.set, ExploreOptions)
     options = dataclasses.replace(msgspec.convert(settings["explore"], ExploreOptions), **changes)
     geometry = SetupGeometry.from_json(settings.get("setup", {}))
-    kinds = (SurfaceEstimate, PlannedTouch, TouchEstimate, MapEstimate, LumpsFound)
+    kinds = (SurfaceEstimate, PlannedTouch, TouchEstimate, MapEstimate, InclusionsResult)
     rows = list(read_results(path, kinds, trust=True))
     recorded = [row.item for row in rows]
     failed = [row.item for row in read_results(path, (StageFailure,), trust=True)]
     given = recorded_inputs(path)
     measured = bool(given) and isinstance(given[0], SurfaceMeasurement)
     failed_before = [] if changes else failed
-    explorer = Explorer(geometry.size_m, options, geometry.arm, failed=failed_before, error=geometry.touch_error)
-    stages = ExplorationStages(explorer, AsMeasured(geometry.size_m) if measured else FromFrames(geometry, options))
-    computed = _Heard()
+    unseen = UnseenSurface(geometry.size_m, options, geometry.arm, failed=failed_before, error=geometry.touch_error)
+    stages = ExplorationStages(unseen, AsMeasured(geometry.size_m) if measured else FromFrames(geometry, options))
+    computed, found = _Heard(), Exploration()
     steering = RecordedSteering([row.item for row in read_results(path, (SteeringDecision,), trust=True)])
-    explored = explore(lambda: 0, within_loop(stages), Exploration(), steering=steering)
+    explored = explore(lambda: 0, within_loop(stages), found, steering=steering)
     run([], explored, computed, AtOnce(RecordedRobot(given)))
     again = [one for one in computed.results if isinstance(one, kinds)]
     if changes:
@@ -91,7 +91,7 @@ def replay_exploration(recording: Replay, config: ReplayConfig, page: PageServer
 
             show_comparison(page, recording, rows, again, geometry.size_m, _format_settings(changes))
         return _beside(recorded, again, changes, path, page)
-    for fresh in (one for one in explorer.failures if one not in failed):
+    for fresh in (one for one in found.failures if one not in failed):
         raise Different("the recorded numbers", format_failure(fresh), where=path)
     cut_short = bool(recording.outcome.get("stopped"))
     compare(recorded, again, path, _may_differ, cut_short=cut_short)

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from deformscope.api.result import LibraryResult
 from deformscope.errors import InputError
 from deformscope.pictures.report import Figure, Table
 from deformscope.rows import differing
+from deformscope.runs.result import LibraryResult
 
 CLOSE = 0.01
 """Largest difference that another machine's arithmetic may make: of the value and its interval as a share of the

@@ -12,9 +12,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, cast
 
-from deformscope.api.recordings import RecordResult
-from deformscope.api.result import ViewerChoice, open_recorder, python_names
-from deformscope.config import OutputOptions, RecordConfig, RigRunOptions
+from deformscope.config import OutputOptions, RigRunOptions
 from deformscope.config.images import ImageOptions
 from deformscope.config.rigs import StageOptions
 from deformscope.experiments.live_stages import StageCounts, live_stages
@@ -33,10 +31,12 @@ from deformscope.recording.recent import LastRecorder, RecentItems, WatchedRecor
 from deformscope.recording.recorder import Recorder, RecordingSummary
 from deformscope.rig.rig_file import Rig, load_rig
 from deformscope.rig.source import RigSource
+from deformscope.runs.recordings import RecordResult
+from deformscope.runs.result import ViewerChoice, open_recorder
 from deformscope.runs.skeleton import open_run, signal_word
 from deformscope.session import run as run_session
 from deformscope.stages.msm.quiet import quiet_warp
-from deformscope.terminal import Say, messages_to, say
+from deformscope.terminal import say
 from deformscope_drivers.health import Health
 
 if TYPE_CHECKING:
@@ -79,7 +79,8 @@ def run_rig(config: RigRunOptions, auto: Literal["none", "native"], *, always_re
         settings["stages"] = dataclasses.asdict(options)
     recent = _recent(config.keep_last, viewer, names)
     at_end = config.keep_last is not None and always_record
-    fit = FitPanel(config.rig, Path(rig.record.folder), rig.name.replace(":", "-"), _begun_images(config.stages))
+    begun = ImageOptions(**config.stages.shared(ImageOptions))  # a fit on the page begins as the stages have it
+    fit = FitPanel(config.rig, Path(rig.record.folder), rig.name.replace(":", "-"), begun)
     with (
         until_interrupted() as asked,
         _recorder(output, settings, rig, names, asked, recent, fit, at_end=at_end) as recorder,
@@ -146,12 +147,6 @@ def _recorder(
     return make(output.record, output.viewer)
 
 
-def _begun_images(flags: StageOptions) -> ImageOptions:
-    """What a fit on the page begins with: as the stages have it."""
-    same = {name: getattr(flags, name) for name in ("roi", "grid", "spacing_px", "contact", "held")}
-    return ImageOptions(camera=flags.camera or None, **same)
-
-
 def _recent(keep_last_s: float | None, viewer: ViewerChoice, stages: Sequence[str]) -> RecentItems | None:
     """What holds the last seconds, where they can be recorded later."""
     if keep_last_s is not None:
@@ -166,18 +161,11 @@ def _new_file(rig: Rig) -> Path:
 
 def _live_options(flags: StageOptions, rig: Rig) -> LiveOptions:
     """How the stages run that were asked for. Raises InputError where the rig lacks what one of them needs."""
+    from deformscope.experiments.calibration_inputs import particle_options
     from deformscope.experiments.device_stages import LiveOptions, for_rig
-    from deformscope.experiments.foam_video import ParticleOptions
 
-    particles = ParticleOptions(flags.roi, flags.grid, flags.spacing_px, flags.held_parts(), flags.contact)
-    options = LiveOptions(
-        flags.names,
-        color=flags.camera,
-        particles=particles,
-        cluster_size=flags.cluster_size,
-        longest_px=flags.longest_px,
-    )
-    return for_rig(options, rig)
+    own = {"names": flags.names, "color": flags.camera or "", "particles": particle_options(flags)}
+    return for_rig(LiveOptions(**flags.shared(LiveOptions) | own), rig)
 
 
 # What stages need takes seconds to load: only where there are some.
@@ -279,26 +267,3 @@ def _variant(rig: Rig, stages: Sequence[str]) -> str:
     """The same for rigs with the same devices and stages, which have the same views."""
     devices = repr([*((entry.name, entry.driver.name) for entry in rig.devices), *stages])
     return hashlib.sha256(devices.encode()).hexdigest()[:8]
-
-
-def record(
-    rig: str | Path,
-    file: Path | str | None = None,
-    *,
-    seconds: float,
-    label: str = "",
-    viewer: ViewerChoice = "none",
-    overwrite: bool = False,
-    trust_rig: bool = False,
-    progress: Say | bool | None = None,
-) -> RecordResult:
-    """Record all devices of a rig for some seconds, with every byte of their wires and what was lost.
-
-    rig: a rig file (.toml) or `lab:NAME`; file: an `.rrd`, default `runs/NAME-<stamp>.rrd`
-    progress: called with each line about devices, links and rates; default: as of `explore`
-    Raises InputError for what cannot be used.
-    """
-    given = {name: value for name, value in locals().items() if name not in ("rig", "file", "progress")}
-    with python_names(), messages_to(progress):
-        config = RecordConfig.of(rig=str(rig), record=file, **given)
-        return run_rig(config, "none", always_record=True).result

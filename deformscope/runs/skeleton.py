@@ -7,7 +7,7 @@ import contextlib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, NoReturn, Protocol
 
 from deformscope.errors import InputError
 from deformscope.log.rig_layout import RigLayout
@@ -63,10 +63,9 @@ class OpenRun:
         return shown
 
     def losses(self) -> dict[str, dict[str, float]]:
-        """Of each device that lost something, once they are closed; says which of them failed."""
+        """Of each device that lost something, once they are closed."""
         from deformscope.recording.losses import losses_of
 
-        say_failures(self.source.failures)
         return {} if self.last is None else losses_of(self.last)
 
 
@@ -74,8 +73,10 @@ class OpenRun:
 def open_run(
     devices: AbstractContextManager[RigSource], recorder: SessionRecorder, start: Callable[[RigSource], None]
 ) -> Iterator[OpenRun]:
-    """The devices, open; closed in the end, and all that came until then recorded. start: starts the recorder"""
-    with devices as source, status_line() as line:
+    """The devices, open; closed in the end, and all that came until then recorded. Which of them failed, at closing
+    too, is printed whatever ends the run. start: starts the recorder"""
+    with contextlib.ExitStack() as closed, devices as source, status_line() as line:
+        closed.callback(lambda: _say_failures(source.failures))
         start(source)
         run = OpenRun(source, line, recorder)
         yield run
@@ -87,7 +88,7 @@ def open_rig_run(devices: AbstractContextManager[RigSource], recorder: Recorder)
     return open_run(devices, recorder, lambda source: recorder.start(RigLayout(tuple(source.streams)), source.start_ns))
 
 
-def say_failures(failures: Mapping[str, str]) -> None:
+def _say_failures(failures: Mapping[str, str]) -> None:
     """Reasons of the devices that failed, by name."""
     for name, reason in failures.items():
         say(f"deformscope: device {name} failed: {reason}")
@@ -200,7 +201,7 @@ def permitted(
 
 def leave_arm(
     stop: ExplorationStop | None, touched: int, asked: Interruption, recording: Path | None, *, arm_stopped: bool = True
-) -> None:
+) -> NoReturn:
     """As `leave`, after so many touches."""
     from deformscope.robot.supervisor import Fault
 
@@ -219,7 +220,7 @@ def leave(
     again: str,
     *,
     ended: bool,
-) -> None:
+) -> NoReturn:
     """End the command as the stop demands: with the reason and what to do, or by the signal's own exit status.
 
     state: how far it came and whether the robot stands; ended: somebody asked for it

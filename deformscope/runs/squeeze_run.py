@@ -8,15 +8,15 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from deformscope.api.result import open_recorder
-from deformscope.api.squeeze_result import SqueezeResult
 from deformscope.errors import InputError
 from deformscope.interruption import until_interrupted
 from deformscope.log.squeeze.layout import SQUEEZE, SqueezeLayout
 from deformscope.runs import skeleton
+from deformscope.runs.opened_devices import LAB, squeeze_setup_of
 from deformscope.runs.operator import RunOperator, at_terminal
-from deformscope.runs.setups import LAB, squeeze_setup_of
+from deformscope.runs.result import open_recorder
 from deformscope.runs.skeleton import open_run
+from deformscope.runs.squeeze_result import SqueezeResult
 from deformscope.terminal import say
 
 if TYPE_CHECKING:
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from deformscope.recording.recorder import Recorder
     from deformscope.rig.source import RigSource
     from deformscope.robot.squeeze_setup import SqueezeSetup
-    from deformscope.runs.setups import SqueezeOpening
+    from deformscope.runs.opened_devices import SqueezeOpening
     from deformscope.session import RigExperiment
     from deformscope.stages.squeeze.model import ContentModel
 

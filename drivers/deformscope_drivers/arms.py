@@ -5,11 +5,11 @@ from __future__ import annotations
 from deformscope_drivers.arm.kinematics import Chain
 from deformscope_drivers.jaco.chains import CHAINS as JACO
 from deformscope_drivers.kuka.chains import CHAINS as KUKA
-from deformscope_drivers.placed.config import PLACED
+from deformscope_drivers.manual_arm.config import MANUAL
 
 CHAINS: dict[str, Chain] = {**JACO, **KUKA}
 
 
 def chain_of(model: str) -> Chain | None:
     """An arm's chain of joints; None where a person places it. Raises KeyError for a model that is not known."""
-    return None if model == PLACED else CHAINS[model]
+    return None if model == MANUAL else CHAINS[model]

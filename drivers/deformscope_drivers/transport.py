@@ -179,7 +179,7 @@ class SerialTransport(Transport):
         try:
             return action(*arguments)
         except (serial.SerialException, OSError, ValueError) as error:
-            raise LinkLost("a port that works", _words(error), "look at the cable", self.name) from error
+            raise LinkLost("a port that works", _format_error(error), "look at the cable", self.name) from error
 
 
 class CanTransport(Transport):
@@ -237,7 +237,7 @@ class CanTransport(Transport):
             return action(*arguments)
         except (can.CanError, OSError, ValueError) as error:
             advice = "look at cable, termination and bit rate"
-            raise LinkLost("a bus that works", _words(error), advice, self.name) from error
+            raise LinkLost("a bus that works", _format_error(error), advice, self.name) from error
 
 
 def parse_bus(bus: str) -> tuple[str, str, dict[str, Any]]:
@@ -278,10 +278,11 @@ def open_bus(bus: str, receive_id: int, bitrate: int) -> Any:
     try:
         return can.Bus(interface=interface, channel=channel, can_filters=filters, **chosen)
     except ImportError as error:
-        raise LibraryMissing(f"what python-can needs for {interface}", _words(error), where=bus) from error
+        raise LibraryMissing(f"what python-can needs for {interface}", _format_error(error), where=bus) from error
     except (can.CanError, OSError, ValueError, TypeError, NotImplementedError) as error:
         advice = f"ip link show {channel}; sudo ip link set {channel} up type can bitrate {bitrate}"
-        raise NotConnected("a CAN bus", _words(error), advice if interface == "socketcan" else "", bus) from error
+        linux = interface == "socketcan"
+        raise NotConnected("a CAN bus", _format_error(error), advice if linux else "", bus) from error
 
 
 def check_way(port: str, bus: str) -> None:
@@ -304,7 +305,7 @@ def serial_or_can(
 def _not_opened(error: Exception, port: str) -> DeviceError:
     """Why a port did not open, and what to do."""
     number = getattr(error, "errno", None)
-    text = _words(error)
+    text = _format_error(error)
     if number in (errno.EBUSY, errno.EAGAIN, errno.EWOULDBLOCK) or "exclusively lock" in text:
         return Busy("a free port", "one that another program has open", f"fuser {port}", port)
     if number == errno.EACCES:
@@ -314,7 +315,7 @@ def _not_opened(error: Exception, port: str) -> DeviceError:
     return NotConnected("a port that can be opened", text, "deformscope devices", port)
 
 
-def _words(error: BaseException) -> str:
+def _format_error(error: BaseException) -> str:
     """An error's message on one line."""
     words = " ".join(str(error).split()) or type(error).__name__
     return words[:200]

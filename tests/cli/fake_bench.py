@@ -22,7 +22,7 @@ from deformscope.robot.checks import Check, Preflight
 from deformscope.robot.placement import Placement
 from deformscope.robot.setup import CameraView, Setup
 from deformscope.robot.touch import Phase
-from deformscope.runs.setups import Opening
+from deformscope.runs.opened_devices import Opening
 from deformscope.session import Inline, Moment, Step
 from deformscope.stages.map.exploration import PhaseStart
 from deformscope.stages.map.measured import SurfaceMeasurement, TouchMeasurement

@@ -18,7 +18,7 @@ from deformscope.lab.layer_world import LayerWorld
 from deformscope.lab.scenes import Scene
 from deformscope.lab.slab import RigidTip
 from deformscope.robot.touch import TouchPlan
-from deformscope.runs.setups import Opening, setup_of
+from deformscope.runs.opened_devices import Opening, setup_of
 from deformscope.stages.regions.posterior import RegionPosterior
 
 CELL_M = 0.02

@@ -17,10 +17,12 @@ from deformscope.cli import main
 from deformscope.config import JogConfig
 from deformscope.lab import double_device
 from deformscope.recording.recorder import Recorder
-from deformscope.runs import arm_moving
+from deformscope.runs import arm_commands
 from deformscope_drivers.arm.hosted import HostedArm
+from deformscope_drivers.errors import DeviceError
 from deformscope_drivers.jaco.chains import J2N6S300
 from deformscope_drivers.jaco.config import JacoConfig
+from deformscope_drivers.optoforce.device import Optoforce
 from tests.cli.rig_on_a_simulated_clock import use_a_simulated_clock
 from tests.cli.test_explore_arms import RIGS
 from tests.drivers.arm.test_homing import Unhomed, moves_home, until
@@ -73,7 +75,7 @@ def typed(presses: list[tuple[int, str]]) -> Iterator[str]:
 def jogged(rig: Path, presses: list[tuple[int, str]]) -> np.ndarray:
     keys = typed(presses)
     recorder: Recorder = NoRecorder()  # type: ignore[assignment]
-    return np.asarray(arm_moving.jog(JogConfig(str(rig)), recorder, lambda: next(keys)))
+    return np.asarray(arm_commands.jog(JogConfig(str(rig)), recorder, lambda: next(keys)))
 
 
 def test_keys_move_the_tip_a_step_each(rig: Path) -> None:
@@ -99,6 +101,24 @@ def test_go_by_an_arm_without_joint_torques_begins_with_a_finger_on_its_tip(
     rig.write_text(RIGS["kuka"])
     assert main(["arm", "go", str(rig), "--above", "0.3,0.2", "--height", "0.12"]) == 0
     assert "ok  force sensor: finger" in capsys.readouterr().err
+
+
+def test_a_device_that_fails_at_closing_is_said(
+    rig: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    close = Optoforce.close
+
+    def fail(device: Optoforce) -> None:
+        close(device)
+        raise DeviceError("a sensor that lets go of its port", "one that did not")
+
+    monkeypatch.setattr(Optoforce, "close", fail)
+    said = "deformscope: device tip failed: expected a sensor that lets go of its port; got one that did not\n"
+    jogged(rig, [(5, "q")])
+    assert capsys.readouterr().err.count(said) == 1
+    with pytest.raises(StopIteration):  # whatever ends it
+        arm_commands.jog(JogConfig(str(rig)), NoRecorder(), iter(["d"]).__next__)  # type: ignore[arg-type]
+    assert capsys.readouterr().err.count(said) == 1
 
 
 def test_go_brings_the_tip_over_a_place(rig: Path, tmp_path: Path) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import math
 import os
 import subprocess
 import sys
@@ -30,7 +29,7 @@ SHORT = ["bench", "--quick", "--device", "cpu", "--sizes", "64", "--repeats", "3
 TOP = {"format", "complete", "machine", "settings", "rows"}
 OF_ROWS = {
     *("case", "what", "who", "unit", "median", "iqr", "repeats", "samples"),
-    *("costs", "beside", "same_problem", "facts", "note"),
+    *("costs", "beside", "same_problem", "facts", "note", "doubt", "against"),
 }
 WITHIN = 1e-12
 """Both are float64; positions and velocities differ by rounding alone."""
@@ -88,7 +87,7 @@ def test_json_has_stdout_to_itself(capsys: pytest.CaptureFixture[str]) -> None:
     [
         *(
             pytest.param(case, marks=pytest.mark.slow)
-            for case in ("cold", "sweep", "relax", "theta", "gradient", "fit", "cold, compiling")
+            for case in ("cold", "call", "sweep", "relax", "theta", "gradient", "fit", "cold, compiling")
         ),
     ],
 )
@@ -104,8 +103,57 @@ def test_every_case_gives_rows(case: str, monkeypatch: pytest.MonkeyPatch) -> No
 
     assert {row["case"] for row in rows} == {case}
     assert all(row["facts"]["converged"] == row["facts"]["candidates"] for row in rows if case == "relax")
-    # What a busy machine takes from one run and not from the next may turn a difference of two around.
-    assert all(row["repeats"] == 1 and math.isfinite(row["median"]) for row in rows)
+    assert all(row["repeats"] == 1 and row["median"] > 0 for row in rows)
+
+
+def rows_as_measured(monkeypatch: pytest.MonkeyPatch, *samples: float) -> None:
+    def measured(plan: BenchPlan, note: Note) -> Iterator[TimingRow]:
+        yield TimingRow("step", "64 particles", "deformscope", "ms/step", samples)
+
+    monkeypatch.setattr(report, "MEASURES", ((frozenset({"step"}), measured),))
+
+
+def told_rows() -> list[dict[str, object]]:
+    return list(json.loads(Path("bench.json").read_text(encoding="utf-8"))["rows"])
+
+
+def test_a_row_is_compared_with_an_earlier_run(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rows_as_measured(monkeypatch, 2.0, 2.0, 2.1)
+    assert main([*SHORT, "--json", "bench.json"]) == 0
+    assert told_rows()[0]["against"] is None
+    Path("bench.json").rename("before.json")
+
+    rows_as_measured(monkeypatch, 3.0, 3.0, 3.1)
+    assert main([*SHORT, "--json", "bench.json", "--against", "before.json"]) == 0
+    assert told_rows()[0]["against"] == 1.5
+    assert "1.5x" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("text", ["", "{}", '{"format": 99, "rows": []}', '{"format": 1, "rows": [{}]}', "[1]"])
+def test_an_earlier_run_that_is_none_is_refused(text: str, capsys: pytest.CaptureFixture[str]) -> None:
+    Path("before.json").write_text(text, encoding="utf-8")
+
+    assert main([*SHORT, "--against", "before.json"]) == EXIT_INPUT
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "before.json" in line
+
+
+def test_samples_that_disagree_are_said(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    rows_as_measured(monkeypatch, 1.0, 2.0, 3.0)
+
+    assert main([*SHORT, "--json", "bench.json"]) == 0
+    assert told_rows()[0]["doubt"] == "samples spread by 50%"
+    assert "spread by 50%" in " ".join(capsys.readouterr().out.split())
+
+
+def test_a_time_that_no_clock_gives_fails(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    rows_as_measured(monkeypatch, 1.0, -0.04, 1.0)
+
+    assert main([*SHORT, "--json", "bench.json"]) == EXIT_INPUT
+    assert str(told_rows()[0]["doubt"]).startswith("FAILED")
+    assert "-0.04 ms/step" in capsys.readouterr().err
 
 
 def test_memory_is_told_of_bodies_that_take_some() -> None:

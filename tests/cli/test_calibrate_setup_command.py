@@ -11,11 +11,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from deformscope.cli import main
-from deformscope.experiments.setting_up import ForceReadings, PushedTip
+from deformscope.experiments.rig_calibration import ForceReadings, PushedTip
 from deformscope.rig.rig_file import load_rig, parse_rig
 from deformscope.robot.placement import Placement
-from deformscope.runs.first_day import first_day, next_step
-from deformscope.runs.setup_solving import solve_force
+from deformscope.runs.calibration_solvers import solve_force
+from deformscope.runs.commissioning import commissioning_steps, next_step
 from deformscope.stages.setup.transform import rigid
 
 RIG = """# mine
@@ -193,7 +193,7 @@ def test_without_a_terminal_nobody_is_asked(rig: Path, capsys: pytest.CaptureFix
 
 def test_the_first_day_in_its_order() -> None:
     rig = parse_rig(RIG, "rig.toml")
-    steps = first_day(rig, "rig.toml")
+    steps = commissioning_steps(rig, "rig.toml")
 
     assert [step.what for step in steps] == ["tip", "place", "camera", "force", "arm", "time", "explore"]
     assert {step.what for step in steps if step.state != "to do"} == {"time"}  # the only one that is optional
@@ -201,7 +201,7 @@ def test_the_first_day_in_its_order() -> None:
     assert following is not None
     assert following.command == "deformscope calibrate tip rig.toml"
     old = RIG + "T_ee_tip = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0.1], [0, 0, 0, 1]]\n"
-    assert first_day(parse_rig(old, "rig.toml"), "rig.toml")[0].state == "by hand"
+    assert commissioning_steps(parse_rig(old, "rig.toml"), "rig.toml")[0].state == "by hand"
     old += "[calibrated.tip]\ndate = 2020-01-01\n"
-    assert first_day(parse_rig(old, "rig.toml"), "rig.toml")[0].state == "old"
-    assert first_day(parse_rig('[devices.a]\ndriver = "webcam"\n', "rig.toml"), "rig.toml") == ()
+    assert commissioning_steps(parse_rig(old, "rig.toml"), "rig.toml")[0].state == "old"
+    assert commissioning_steps(parse_rig('[devices.a]\ndriver = "webcam"\n', "rig.toml"), "rig.toml") == ()

@@ -21,9 +21,9 @@ import pytest
 pytest.importorskip("tyro")
 
 from deformscope import cli, config
-from deformscope.api.result import resolve_viewer
 from deformscope.cli import common
 from deformscope.errors import InputError
+from deformscope.runs.result import resolve_viewer
 from tests.patience import PATIENCE_S
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -89,9 +89,9 @@ def test_without_arguments_it_says_one_command(capsys: pytest.CaptureFixture[str
 
 
 def test_a_flag_has_the_name_and_unit_that_is_typed() -> None:
-    typed = "lab:buried --goal inclusions --smallest-lump-cm 3 --set-force 2"
+    typed = "lab:buried --goal inclusions --smallest-inclusion 0.03 --set-force 2"
     options = cli.parse(config.ExploreConfig, typed.split())
-    assert (options.smallest_lump_m, options.set_force_n) == (pytest.approx(0.03), 2.0)
+    assert (options.smallest_inclusion_m, options.set_force_n) == (pytest.approx(0.03), 2.0)
     assert (options.budget, options.beta_model) == (30, "none")
 
 

@@ -80,7 +80,7 @@ def test_a_simulated_table_is_explored(explored: Explored) -> None:
     assert [one["radius_m"] for one in missed["lumps"]] == [0.03, 0.045, 0.06, 0.085, 0.12]
     chances = [one["probability"] for one in missed["lumps"]]
     assert missed["prior"] > chances[0] > chances[-1] > 0.0
-    assert "lumps unseen" in explored.out
+    assert "inclusions unseen" in explored.out
     assert found["truth"]["region_count"] == 2
     assert 2.9 < found["max_force_n"] < 8.0
     assert (found["set_force_n"], found["more_force_n"]) == (3.0, 5.0)

@@ -24,7 +24,7 @@ from deformscope.robot.placement import reach
 from deformscope.robot.robot import Robot, RobotStopped
 from deformscope.robot.setup import RigParts
 from deformscope.robot.supervisor import Fault, SafetyDecision
-from deformscope.runs.setups import setup_of_rig
+from deformscope.runs.opened_devices import setup_of_rig
 from deformscope.stages.regions.touches import MapGrid
 from deformscope_drivers.errors import SettingsRefused
 from deformscope_drivers.jaco.chains import J2N6S300
@@ -242,6 +242,23 @@ def test_what_goes_wrong_before_the_checks_is_told_in_one_line(
 def test_faults_are_for_simulated_scenes(rig: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["explore", str(rig), "--fault", "storm@1"]) == 2
     assert "lab:two-60-150" in capsys.readouterr().err
+
+
+@pytest.mark.usefixtures("simulated_clock")
+def test_the_compliance_of_an_arm_is_measured_and_written_into_its_rig_file(rig: Path, tmp_path: Path) -> None:
+    before = '"two-60-150"', "compliance_m_per_n = 2e-4\ncompliance_sd = 2e-5"
+    rig.write_text(rig.read_text().replace(before[0], '"homogeneous-rigid"').replace(before[1], ""))
+    found, recording = tmp_path / "a.json", tmp_path / "a.rrd"
+
+    assert main(["calibrate", "arm", str(rig), "--touches", "1", "--json", str(found), "--record", str(recording)]) == 0
+
+    measured, written = json.loads(found.read_text()), load_rig(rig)
+    assert measured["kind"] == "arm"
+    assert len(measured["touches"]) == 1
+    assert written.tool.compliance_m_per_n == pytest.approx(measured["compliance_m_per_n"], rel=1e-6)
+    assert written.tool.compliance_sd == pytest.approx(measured["compliance_sd"], rel=1e-6)
+    assert written.calibrated.arm is not None
+    assert main(["verify", str(recording)]) == 0
 
 
 @pytest.mark.parametrize("at", ["9,9", "-0.1,0.2", "0.3,0.41"])

@@ -13,12 +13,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deformscope.api.recordings import OpenRecording
 from deformscope.cli import main
 from deformscope.errors import InputError, printable
 from deformscope.page.server.page_session import PageSession
 from deformscope.pictures.report import html_report
 from deformscope.recording.rrd_file import merged_path
+from deformscope.runs.recordings import OpenRecording
 from deformscope.terminal import say
 from tests.page.pages import page_script
 from tests.page.test_rig_on_page import RIG, WHOLE, started

@@ -74,15 +74,15 @@ def test_a_rig_without_the_device_is_refused_before_anything_opens(
 
 def test_flags_that_contradict_each_other_are_refused() -> None:
     with pytest.raises(InputError, match="--grid or --spacing-px"):
-        StageOptions(("beta",), grid=(3, 3), spacing_px=4.0)
-    with pytest.raises(InputError, match="contact among --held"):
-        StageOptions(("beta",), held=("contact",))
+        StageOptions(stage=("beta",), grid=(3, 3), spacing_px=4.0)
+    with pytest.raises(InputError, match="WIDTH,HEIGHT with --held contact"):
+        StageOptions(stage=("beta",), held=("contact",))
     with pytest.raises(InputError, match="--longest-px"):
-        StageOptions(("flow",), longest_px=8)
+        StageOptions(stage=("flow",), longest_px=8)
 
 
 def test_flags_and_stages_have_the_same_names() -> None:
     asked: tuple[StageName, ...] = ("flow", "beta", "surface", "tactile", "contact")
 
-    assert StageOptions((*asked, "flow")).names == asked
+    assert StageOptions(stage=(*asked, "flow")).names == asked
     assert set(NEEDS) == set(asked)

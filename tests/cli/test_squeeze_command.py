@@ -19,7 +19,7 @@ from deformscope.recording.item_rows import read_rows
 from deformscope.recording.reader import Replay
 from deformscope.robot.squeeze_plan import draw_grasp
 from deformscope.robot.squeeze_setup import SqueezeSetup
-from deformscope.runs.setups import SqueezeOpening
+from deformscope.runs.opened_devices import SqueezeOpening
 from deformscope.stages.squeeze.model import ContentModel, fit_model
 from deformscope.stages.squeeze.table import LabelledTable
 from deformscope.stages.squeeze.trial import ContainerChange, ContentPosterior, SqueezePhase, TrackedContainer

@@ -24,7 +24,7 @@ from deformscope.experiments.explore import (
     explore,
     within_loop,
 )
-from deformscope.experiments.explorer import ExplorationStages, Explorer
+from deformscope.experiments.explorer import ExplorationStages, Explorer, UnseenSurface
 from deformscope.experiments.measured import off_the_border
 from deformscope.experiments.options import PLAN_CELL_M, ExploreOptions
 from deformscope.experiments.robot_geometry import AsMeasured, Touch
@@ -69,13 +69,13 @@ def carried_out(
     truth: Truth | None = None,
     arm: ArmCompliance | None = None,
     steering: Steering | None = None,
-) -> tuple[Explorer, Exploration, list[tuple[Moment, tuple[object, ...]]]]:
+) -> tuple[ExplorationStages, Exploration, list[tuple[Moment, tuple[object, ...]]]]:
     """An exploration of a robot that is done at once: what computed it, what it found, and all results."""
     results, found, size_m = Results(), Exploration(), (0.6, 0.4)
-    explorer = Explorer(size_m, options, arm or ArmCompliance(), truth)
-    stages = ExplorationStages(explorer, AsMeasured(size_m, getattr(robot, "reachable", None)))
+    unseen = UnseenSurface(size_m, options, arm or ArmCompliance(), truth)
+    stages = ExplorationStages(unseen, AsMeasured(size_m, getattr(robot, "reachable", None)))
     run([], explore(lambda: 0, within_loop(stages), found, steering=steering), results, AtOnce(robot))
-    return explorer, found, results.moments
+    return stages, found, results.moments
 
 
 Explored = tuple[Explorer, list[object]]
@@ -84,7 +84,8 @@ Explored = tuple[Explorer, list[object]]
 def explored(name: str, **changes: object) -> Explored:
     options = ExploreOptions(**{"budget": 3, "beta_model": "none", **changes})  # type: ignore[arg-type]
     robot = LabRobot(built_in(name, options.seed), options, sees=options.beta_model != "none")
-    explorer, found, moments = carried_out(robot, options, robot.truth, robot.arm)
+    stages, found, moments = carried_out(robot, options, robot.truth, robot.arm)
+    explorer = stages.explorer
     assert robot.most_force_n < 8.0
     assert found.travel_m == explorer.travel_m
     assert found.touches == explorer.touches
@@ -144,10 +145,10 @@ def test_a_dent_that_was_pressed_on_is_as_deep_as_at_its_last_force() -> None:
     position = np.column_stack([np.full((230, 2), 0.2), 0.06 + free - depth])
     along = np.column_stack([np.zeros((230, 2)), force])
     scene = built_in("two-60-150", 0)
-    explorer = Explorer(scene.size_m, ExploreOptions(beta_model="none"), ArmCompliance())
+    unseen = UnseenSurface(scene.size_m, ExploreOptions(beta_model="none"), ArmCompliance())
     places = np.random.default_rng(0).uniform(size=(500, 2)) * scene.size_m
     points = np.column_stack([places, np.full(500, 0.05)])
-    explorer.look(lambda: SurfaceMeasurement(points, np.full(500, 1e-3)))
+    explorer = unseen.look(SurfaceMeasurement(points, np.full(500, 1e-3)))
     up, none = np.array([0.0, 0.0, 1.0]), np.zeros((0, 3))
     touched = TouchMeasurement(np.array([0.2, 0.2]), up, np.arange(230) * 0.01, position, along, none, True)
     told = explorer.touch(touched).estimate
@@ -178,10 +179,10 @@ def test_touches_without_a_relaxed_stiffness_end_with_a_reason_where_that_is_map
     height = np.concatenate([np.linspace(0.07, 0.06, 30), 0.06 - 0.004 * (force[30:] / 3.0) ** (1.0 / 1.5)])
     options = ExploreOptions(beta_model="none", hold_s=8.0, feel="relaxed")
     scene = built_in("two-60-150", 0)
-    explorer = Explorer(scene.size_m, options, ArmCompliance())
+    unseen = UnseenSurface(scene.size_m, options, ArmCompliance())
     places = np.random.default_rng(0).uniform(size=(500, 2)) * scene.size_m
-    explorer.look(lambda: SurfaceMeasurement(np.column_stack([places, np.full(500, 0.05)]), np.full(500, 1e-3)))
-    stages = ExplorationStages(explorer, AsMeasured(scene.size_m))
+    stages = ExplorationStages(unseen, AsMeasured(scene.size_m))
+    stages.look(SurfaceMeasurement(np.column_stack([places, np.full(500, 0.05)]), np.full(500, 1e-3)))
     up, none, along = np.array([0.0, 0.0, 1.0]), np.zeros((0, 3)), np.column_stack([np.zeros((130, 2)), force])
     position = np.column_stack([np.full((130, 2), 0.2), height])
     for _ in range(3):
@@ -198,8 +199,8 @@ def test_a_surface_is_known_as_well_as_touches_met_it() -> None:
     force = np.concatenate([np.zeros(30), np.linspace(0.0, 3.0, 100)])
     height = np.concatenate([np.linspace(0.07, 0.06, 30), 0.06 - 0.004 * (force[30:] / 3.0) ** (1.0 / 1.5)])
     for higher_m in (0.0, 0.004):
-        explorer = Explorer(scene.size_m, ExploreOptions(beta_model="none"), ArmCompliance())
-        explorer.look(lambda: SurfaceMeasurement(np.column_stack([places, np.full(500, 0.05)]), np.full(500, 1e-3)))
+        unseen = UnseenSurface(scene.size_m, ExploreOptions(beta_model="none"), ArmCompliance())
+        explorer = unseen.look(SurfaceMeasurement(np.column_stack([places, np.full(500, 0.05)]), np.full(500, 1e-3)))
         assert explorer.known_m(there) is None
         position = np.column_stack([np.full((130, 2), 0.2), height + higher_m])
         along = np.column_stack([np.zeros((130, 2)), force])
@@ -395,7 +396,8 @@ def test_the_way_to_the_next_touch_is_as_high_as_what_it_leads_over() -> None:
 
 
 def test_before_the_first_touch_nobody_knows_what_the_way_leads_over() -> None:
-    explorer = Explorer((0.6, 0.4), ExploreOptions(), LabRobot(built_in("homogeneous-60", 0), ExploreOptions()).arm)
+    robot = LabRobot(built_in("homogeneous-60", 0), ExploreOptions(), sees=False)
+    explorer = UnseenSurface((0.6, 0.4), ExploreOptions(), robot.arm).look(robot.look())
 
     assert explorer.over_m(np.array([0.1, 0.1])) is None
 
@@ -532,7 +534,7 @@ def test_a_replay_without_decisions_goes_as_planned() -> None:
 
 def test_what_the_camera_has_not_seen_is_not_touched() -> None:
     options = ExploreOptions(budget=1, beta_model="none")
-    stages = ExplorationStages(Explorer((0.6, 0.4), options, ArmCompliance()), AsMeasured((0.6, 0.4), grid_left))
+    stages = ExplorationStages(UnseenSurface((0.6, 0.4), options, ArmCompliance()), AsMeasured((0.6, 0.4), grid_left))
     places = np.random.default_rng(0).uniform((0.0, 0.0), (0.4, 0.4), (2000, 2))
     stages.look(SurfaceMeasurement(np.column_stack([places, np.full(2000, 0.05)]), np.full(2000, 1e-3)))
     for place, reason in (((0.5, 0.2), "not seen"), ((0.35, 0.2), "cannot be led there")):
@@ -588,8 +590,7 @@ def test_touches_1_cm_from_the_edge_make_no_regions(capsys: pytest.CaptureFixtur
         places = [np.array(one) for one in (*edges_m, (0.15, 0.12), (0.45, 0.28), (0.3, 0.2), (0.15, 0.3))]
         options = ExploreOptions(beta_model="none", relief="seen", border_m=0.01, seed=seed)
         robot = LabRobot(scene, options, sees=False, errors=LabErrors())
-        explorer = Explorer(scene.size_m, options, robot.arm)
-        explorer.look(robot.look)
+        explorer = UnseenSurface(scene.size_m, options, robot.arm).look(robot.look())
         geometry = AsMeasured(scene.size_m)
         touches = [explorer.touch(robot.touch(explorer.approached(one, geometry))).estimate for one in places]
         felt = np.log([one.stiffness_n_per_mm for one in touches])

@@ -11,7 +11,7 @@ import pytest
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 from deformscope.experiments.explore import AtOnce, Exploration, ExploringRobot, RecordedRobot, explore, within_loop
-from deformscope.experiments.explorer import ExplorationStages, Explorer
+from deformscope.experiments.explorer import ExplorationStages, UnseenSurface
 from deformscope.experiments.options import ExploreOptions
 from deformscope.experiments.robot_geometry import AsMeasured, Touch
 from deformscope.log.exploration.summary import summary
@@ -119,7 +119,7 @@ def explored(robot: ExploringRobot, options: ExploreOptions) -> list[object]:
     heard = _Heard()
     columns = (np.arange(120) + 0.5) * 0.005 > BORDER_M
     truth = Truth(np.broadcast_to(columns, (80, 120)).astype(np.int64))
-    stages = ExplorationStages(Explorer(SIZE_M, options, ARM, truth), AsMeasured(SIZE_M))
+    stages = ExplorationStages(UnseenSurface(SIZE_M, options, ARM, truth), AsMeasured(SIZE_M))
     run([], explore(lambda: 0, within_loop(stages), Exploration()), heard, AtOnce(robot))
     return heard.results
 

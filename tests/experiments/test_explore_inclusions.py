@@ -11,14 +11,14 @@ import pytest
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 from deformscope.experiments.explore import AtOnce, Exploration, RecordedRobot, explore, within_loop
-from deformscope.experiments.explorer import ExplorationStages, Explorer
+from deformscope.experiments.explorer import ExplorationStages, UnseenSurface
 from deformscope.experiments.options import ExploreOptions
 from deformscope.experiments.robot_geometry import AsMeasured, Touch
 from deformscope.robot.setup import Truth
 from deformscope.rows import differing, from_components, to_components
 from deformscope.session import run
 from deformscope.stages.map import inclusion_posterior
-from deformscope.stages.map.exploration import LumpsFound, MapEstimate, PlannedTouch
+from deformscope.stages.map.exploration import InclusionsResult, MapEstimate, PlannedTouch
 from deformscope.stages.map.measured import SurfaceMeasurement, TouchMeasurement
 from deformscope.stages.poke.contact import ArmCompliance
 
@@ -68,15 +68,15 @@ class Heard:
 
 def explored(robot: BumpRobot | RecordedRobot) -> tuple[Exploration, list[object]]:
     truth = Truth(None, np.array([[*LUMP_M, RADIUS_M, 0.015]]))
-    explorer = Explorer(SIZE_M, OPTIONS, ArmCompliance(), truth)
+    stages = ExplorationStages(UnseenSurface(SIZE_M, OPTIONS, ArmCompliance(), truth), AsMeasured(SIZE_M))
     found, heard = Exploration(), Heard()
     run(
         [],
-        explore(lambda: 0, within_loop(ExplorationStages(explorer, AsMeasured(SIZE_M))), found),
+        explore(lambda: 0, within_loop(stages), found),
         heard,
         AtOnce(robot),
     )
-    assert not explorer.failures
+    assert not stages.explorer.failures
     return found, heard.results
 
 
@@ -113,7 +113,7 @@ def test_the_lump_is_found_and_it_stops_by_itself(first: tuple[BumpRobot, Explor
 def test_the_recorded_touches_give_the_same_to_the_last_bit(first: tuple[BumpRobot, Exploration, list[object]]) -> None:
     robot, _, results = first
     _, again = explored(RecordedRobot(list(robot.given)))
-    kinds = (LumpsFound, PlannedTouch, MapEstimate)
+    kinds = (InclusionsResult, PlannedTouch, MapEstimate)
     before, now = ([one for one in some if isinstance(one, kinds)] for some in (results, again))
     assert len(before) == len(now) > 10
     assert all(differing(one, other) is None for one, other in zip(before, now, strict=True))
@@ -123,7 +123,7 @@ def test_what_was_found_is_recorded_without_loss(first: tuple[BumpRobot, Explora
     _, found, _ = first
     lumps = found.lumps
     assert lumps is not None
-    assert differing(lumps, from_components(LumpsFound, to_components(lumps))) is None
+    assert differing(lumps, from_components(InclusionsResult, to_components(lumps))) is None
 
 
 def test_it_has_a_planner_of_its_own() -> None:

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from deformscope.experiments.explorer import Explorer
+from deformscope.experiments.explorer import UnseenSurface
 from deformscope.experiments.measured import FrameData, Looked, SetupGeometry
 from deformscope.experiments.options import ExploreOptions
 from deformscope.experiments.robot_geometry import AsMeasured
@@ -46,9 +46,8 @@ def seen(scene: Scene, hidden: bool) -> SurfaceMeasurement:
 @pytest.mark.parametrize("name", ["homogeneous-60", "wedge"])
 def test_thickness_is_taken_from_the_table_beside_the_foam(name: str) -> None:
     scene = built_in(name, 1000)
-    explorer = Explorer(scene.size_m, UNSTATED, ArmCompliance())
-    surface = explorer.look(lambda: seen(scene, hidden=False))
-    assert surface is not None
+    explorer = UnseenSurface(scene.size_m, UNSTATED, ArmCompliance()).look(seen(scene, hidden=False))
+    surface = explorer.surface.estimate
     assert surface.layer_m == pytest.approx(scene.thickness_m, abs=2e-3)
     assert surface.layer_sd_m is not None
     assert 0.0 < surface.layer_sd_m < 3e-3
@@ -58,10 +57,9 @@ def test_where_no_table_is_seen_there_is_a_stiffness_but_no_modulus_and_no_beta_
     scene = built_in("homogeneous-60", 1000)
     robot = LabRobot(scene, UNSTATED, sees=False)
     explorers = [
-        Explorer(scene.size_m, options, robot.arm) for options in (UNSTATED, replace(UNSTATED, beta_model="volume"))
+        UnseenSurface(scene.size_m, options, robot.arm).look(seen(scene, hidden))
+        for options, hidden in ((UNSTATED, False), (replace(UNSTATED, beta_model="volume"), True))
     ]
-    for explorer, hidden in zip(explorers, (False, True), strict=True):
-        explorer.look(lambda hidden=hidden: seen(scene, hidden))  # type: ignore[misc]
     made = robot.touch(explorers[0].approached(np.array([0.3, 0.2]), AsMeasured(scene.size_m)))
     after = [explorer.touch(made) for explorer in explorers]
     known, unknown = (one.estimate for one in after)

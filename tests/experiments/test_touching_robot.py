@@ -137,8 +137,8 @@ def test_what_is_known_of_the_force_s_gain_comes_from_the_rig_file() -> None:
     placement = dataclasses.replace(made.placement, tool=known)
     for geometry, expected in ((made, GAIN_SD), (dataclasses.replace(made, placement=placement), 0.004)):
         back = SetupGeometry.from_json(json.loads(json.dumps(geometry.as_json())))
-        explorer = exploration_stages(back, ExploreOptions(), None).explorer
-        assert explorer.search.posterior.prior.error.gain_sd == expected
+        stages = exploration_stages(back, ExploreOptions(), None)
+        assert stages.unseen.search.posterior.prior.error.gain_sd == expected
     force_n, T_base_ee = np.array([0.3, -0.2, 3.0]), np.eye(4)
     felt_n = made.placement.force_on_tip_n(force_n, T_base_ee)
     np.testing.assert_allclose(placement.force_on_tip_n(1.02 * force_n, T_base_ee), felt_n)

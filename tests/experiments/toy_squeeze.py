@@ -18,7 +18,7 @@ from deformscope.rig.source import RigMember, RigSource
 from deformscope.robot.setup import CameraView
 from deformscope.robot.squeeze_plan import CLOSING_AXES, GripShape, draw_grasp
 from deformscope.robot.squeeze_setup import SqueezeNames, SqueezeSetup
-from deformscope.runs.setups import SqueezeOpening
+from deformscope.runs.opened_devices import SqueezeOpening
 from deformscope.stages.see.cloud import Intrinsics
 from deformscope.stages.squeeze.container import ContainerModel, ModelRenderer
 from deformscope_drivers.depth_camera import SyntheticDepthCamera, View

@@ -12,7 +12,7 @@ from deformscope.rows import Result
 from deformscope.stages.map.exploration import (
     DetectionLimit,
     ExplorationStop,
-    LumpsFound,
+    InclusionsResult,
     MapEstimate,
     PhaseStart,
     PlannedTouch,
@@ -40,11 +40,11 @@ EDGE_M = 0.3 - 0.15 * (Y - 0.2)
 TRUTH = (EDGE_M < X).astype(np.int64)
 
 
-def lumps(*found: tuple[float, float, float], truth: bool = True) -> LumpsFound:
+def lumps(*found: tuple[float, float, float], truth: bool = True) -> InclusionsResult:
     """Lumps at x, y of a radius [m] after eight touches."""
     each, none = np.array(found).reshape(-1, 3), np.zeros(len(found))
     above = [np.hypot(X - x, Y - y) < radius for x, y, radius in each]
-    return LumpsFound(
+    return InclusionsResult(
         centre_m=each[:, :2],
         within_m=none + 0.01,
         radius_m=each[:, 2],

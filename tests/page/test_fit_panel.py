@@ -16,7 +16,6 @@ import pytest
 
 pytest.importorskip("rerun")
 
-from deformscope.api.recordings import OpenRecording
 from deformscope.config import BetaConfig
 from deformscope.config.images import ImageOptions
 from deformscope.errors import InputError
@@ -28,6 +27,7 @@ from deformscope.page.fit_panel import FitPanel
 from deformscope.page.server.fit_messages import FitResult, FitSettings, FitState
 from deformscope.page.server.messages import CloseFit, HoldPicture, OpenFit, RunFit, StopRun, TakeRest
 from deformscope.page.server.page_server import PageServer
+from deformscope.runs.recordings import OpenRecording
 from deformscope.session import Inline
 from deformscope_drivers.clock import Stamp
 from tests.page.pages import page_script

@@ -12,13 +12,13 @@ from typing import Any
 
 import pytest
 
-from deformscope.api.recordings import OpenRecording
 from deformscope.cli import main
 from deformscope.frames import HealthReport, WrenchFrame
 from deformscope.page.server.page_server import PageServer, running_pages
 from deformscope.recording.lateness import RecordingError
 from deformscope.recording.losses import lost_by, since
 from deformscope.recording.recorder import Recorder
+from deformscope.runs.recordings import OpenRecording
 from deformscope_drivers.health import Health, Link
 from tests.cases import slow_but
 from tests.page.pages import page_script

@@ -130,12 +130,12 @@ def test_lumps_are_drawn_where_they_are_and_said_in_words(monkeypatch: pytest.Mo
     assert missed.std() > 10
     assert decoded(pictures.result_png(MAPS, "Lumps", two)).std() > 10
     words = dict(two.rows)
-    assert words["lump 1"].startswith("stiff, its middle at (20.0, 10.0) cm")
-    assert "deeper than 1.25 cm" in words["lump 1"]
-    assert words["lump 2"].startswith("soft")
-    assert "cannot be told" in words["lump 2"]
-    assert "found, 0.0 cm off" in words["true lump"]
-    assert "0.5 before any touch" in dict(none.rows)["a lump missed"]
+    assert words["inclusion 1"].startswith("stiff, its middle at (20.0, 10.0) cm")
+    assert "deeper than 1.25 cm" in words["inclusion 1"]
+    assert words["inclusion 2"].startswith("soft")
+    assert "cannot be told" in words["inclusion 2"]
+    assert "found, 0.0 cm off" in words["true inclusion"]
+    assert "0.5 before any touch" in dict(none.rows)["an inclusion missed"]
 
 
 def test_a_result_is_one_picture_the_same_each_time(tmp_path: Path) -> None:

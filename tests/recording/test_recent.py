@@ -8,12 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
-from deformscope.api.recordings import OpenRecording
 from deformscope.cli import main
 from deformscope.frames import HealthReport, Item, Stream, WrenchFrame
 from deformscope.log.rig_layout import RIG
 from deformscope.recording.recent import RecentItems, end_with_recent
 from deformscope.recording.recorder import Recorder
+from deformscope.runs.recordings import OpenRecording
 from deformscope_drivers.clock import Stamp
 from deformscope_drivers.health import Health, Link
 

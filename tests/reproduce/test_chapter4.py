@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from deformscope.cli import main
-from deformscope.cli.reproduce_chapter4 import _row, _words
+from deformscope.cli.reproduce_chapter4 import _format_row, _row
 from deformscope.reproduce.chapter4 import (
     CLUSTER_SIZES,
     HOLDS,
@@ -65,7 +65,7 @@ def test_figures_are_drawn(tmp_path: Path) -> None:
 def test_a_row_of_table_4_1_has_the_thesis_beside_ours() -> None:
     row = _row("two-150-rigid", [made_scenario("two-150-rigid", count) for count in (4, 6)])
     assert (row["thesis_touches"], row["touches"]) == (4, [4, 6])
-    assert _words(row).startswith("n = 4, 6 [4]; layers: regions 2, 2 [2], IoU 1.00")
+    assert _format_row(row).startswith("n = 4, 6 [4]; layers: regions 2, 2 [2], IoU 1.00")
 
 
 @pytest.mark.slow  # whole touches, many sweeps

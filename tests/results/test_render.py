@@ -10,7 +10,7 @@ import numpy as np
 
 from deformscope.arrays import FloatArray
 from deformscope.results.declared import derived, quantities, reported
-from deformscope.results.render import ReportedResult, format_value, to_line, to_rows, units_of
+from deformscope.results.render import ReportedResult, format_value, to_columns, to_json, to_line, to_rows, units_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,3 +97,17 @@ def test_what_inherits_reports_what_its_base_does() -> None:
 
     names = [one.name for one in quantities(Shown)]
     assert [one.name for one in quantities(More)] == [*names, "rate"]
+
+
+@dataclass(frozen=True, slots=True)
+class Scored:
+    right: Ends | None = field(metadata=reported("right", "accuracy", interval_key="accuracy_interval", digits=".0%"))
+    found: int = field(default=1, metadata=reported(older_key="lumps"))
+
+
+def test_a_number_and_its_interval_have_keys_and_columns_of_their_own() -> None:
+    scores = [Scored(Ends(0.8, (0.7, 0.9))), Scored(Ends(0.5, (0.25, 0.75)), found=2)]
+
+    assert to_columns(scores) == (("right", "interval"), [("80%", "70% to 90%"), ("50%", "25% to 75%")])
+    assert to_json(scores[1]) == {"accuracy": 0.5, "accuracy_interval": [0.25, 0.75], "found": 2, "lumps": 2}
+    assert to_json(Scored(None)) == {"accuracy": None, "accuracy_interval": None, "found": 1, "lumps": 1}

@@ -41,7 +41,7 @@ def exploration_blueprint(
     size_m: tuple[float, float] = (0.6, 0.4),
     *,
     truth: bool = True,
-    lumps: bool = False,
+    inclusions: bool = False,
     tabs: bool = False,
     compared: str = "",
     mapped: str = "stiffness",
@@ -49,18 +49,18 @@ def exploration_blueprint(
     """The views of an exploration with these devices.
 
     size_m: of the surface along x and y; truth: whether it is known: else the surface's height stands in its place
-    lumps: whether inclusions are sought: they stand in the place of beta
+    inclusions: whether they are sought: they stand in the place of beta
     tabs: most views behind others, for a page, which has panels at both sides and may have to draw without a GPU
     compared: other settings, whose results are shown with the recorded ones (`tabs` alone); mapped: by what regions are
     told apart
     """
     titles = {name: title.format(mapped.capitalize()) for name, title in TITLES.items()}
     maps = {name: _picture(path, title) for (name, title), path in zip(titles.items(), MAPS, strict=True)}
-    if lumps:
-        maps |= {"beta": _picture(LUMPS, "Lumps"), "beta_deviation": _picture(MISSED, "What may be missed")}
+    if inclusions:
+        maps |= {"beta": _picture(LUMPS, "Inclusions"), "beta_deviation": _picture(MISSED, "What may be missed")}
     gain, force = _picture(GAIN, "Why the next touch goes there"), _picture(FORCE, "Force over depth")
     truly = maps["truth"] if truth else _picture(HEIGHT, "Surface")
-    words = INCLUSIONS_SUMMARY if lumps else SUMMARY
+    words = INCLUSIONS_SUMMARY if inclusions else SUMMARY
     summary = rrb.TextDocumentView(contents=[f"+ /{words}"], origin=words, name="What is known")
     if tabs:
         fields = rrb.Tabs(maps["stiffness"], maps["stiffness_deviation"], maps["beta"], maps["beta_deviation"])

@@ -13,7 +13,7 @@ from deformscope.pictures.palette import BAD, Rgb
 from deformscope.rows import ENTITIES
 from deformscope.stages.map.exploration import (
     ExplorationStop,
-    LumpsFound,
+    InclusionsResult,
     MapEstimate,
     PhaseStart,
     PlannedTouch,
@@ -60,11 +60,11 @@ def log_maps(now: ResultBatch, maps: MapEstimate) -> None:
         now.show_png(path, pictures.map_png, quantity, maps)
 
 
-def log_inclusions(now: ResultBatch, lumps: LumpsFound) -> None:
-    now.show_png(LUMPS, pictures.inclusions_png, lumps)
-    now.show_png(MISSED, pictures.miss_probability_png, lumps)
-    text = "\n\n".join(f"**{name}**: {words}" for name, words in lumps.rows)
-    title = f"# {format_inclusions(lumps)} after {counted(len(lumps.contacts_m), 'touch')}"
+def log_inclusions(now: ResultBatch, found: InclusionsResult) -> None:
+    now.show_png(LUMPS, pictures.inclusions_png, found)
+    now.show_png(MISSED, pictures.miss_probability_png, found)
+    text = "\n\n".join(f"**{name}**: {words}" for name, words in found.rows)
+    title = f"# {format_inclusions(found)} after {counted(len(found.contacts_m), 'touch')}"
     now.show(INCLUSIONS_SUMMARY, rr.TextDocument(f"{title}\n\n{text}", media_type=rr.MediaType.MARKDOWN))
 
 

@@ -22,13 +22,13 @@ class ExplorationLayout(RecordingLayout):
     """size_m: of the surface along x and y; base_from_surface: (4, 4), takes positions from the surface frame to the
     arm's base frame [m], None = the same
 
-    truth: whether it is known; lumps: whether they are sought; mapped: as of `MapEstimate`
+    truth: whether it is known; inclusions: whether they are sought; mapped: as of `MapEstimate`
     """
 
     size_m: tuple[float, float]
     base_from_surface: FloatArray | None
     truth: bool
-    lumps: bool = False
+    inclusions: bool = False
     mapped: str = "stiffness"
 
     by_touch: ClassVar[bool] = True
@@ -37,7 +37,7 @@ class ExplorationLayout(RecordingLayout):
         from deformscope.log.exploration.blueprint import exploration_blueprint
 
         return exploration_blueprint(
-            self.streams, self.size_m, truth=self.truth, lumps=self.lumps, tabs=on_page, mapped=self.mapped
+            self.streams, self.size_m, truth=self.truth, inclusions=self.inclusions, tabs=on_page, mapped=self.mapped
         )
 
     def log_start(self, rec: rr.RecordingStream) -> None:

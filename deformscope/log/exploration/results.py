@@ -15,7 +15,7 @@ What a touch measured is at the frame of its dent. `deformscope.recording.items`
     display/plan/gain                     why the next touch goes where it goes
     display/touch/force|section           force over depth; the dent's height over the distance from the contact
     display/summary                       what is known, in words
-    display/lumps/map|missed|summary      where lumps are sought: which were found, what may be missed, in words
+    display/lumps/map|missed|summary      where inclusions are sought: which were found, what may be missed, in words
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ from deformscope.log.views import Views, views_of
 from deformscope.stages.map.exploration import (
     DISPLAY,
     ExplorationStop,
-    LumpsFound,
+    InclusionsResult,
     MapEstimate,
     PhaseStart,
     PlannedTouch,
@@ -141,7 +141,7 @@ def exploration_views(touch: int, maps: MapEstimate | None, cell_m: float) -> Vi
         SurfaceEstimate: (partial(log_surface, colored=touch == 0), log_height),
         TouchEstimate: (log_contact, log_dent, log_curves, _log_no_forecast),
         MapEstimate: (log_stiffness, log_maps, log_summary),
-        LumpsFound: (log_inclusions,),
+        InclusionsResult: (log_inclusions,),
         PlannedTouch: (log_target, gain),
         TouchForecast: (log_forecast,),
         SteeringDecision: (_log_decision,),

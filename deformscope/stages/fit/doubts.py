@@ -257,8 +257,8 @@ def swapped_axes(
     """Whether displacements fit far better with their columns in another order, or of another sign; also as a share of
     the motion beyond a rigid one, since what is turned may be less than it was.
 
-    weight: of each observation, default 1; rival: squared error [unit^2] of another explanation, which other axes have
-    to leave less than
+    weight: (n,) of each observation, default 1; rival: squared error [unit^2] of another explanation, which other axes
+    have to leave less than
     """
     each = np.ones(len(seen)) if weight is None else weight
 

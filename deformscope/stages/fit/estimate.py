@@ -10,7 +10,7 @@ import numpy as np
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.results.declared import derived, reported
-from deformscope.results.render import ReportedResult, lengths
+from deformscope.results.render import ReportedResult, lengths, to_json
 
 Parameter = Literal["beta", "theta"]
 Verdict = Literal["identified", "weak", "at-bound", "unidentified"]
@@ -145,9 +145,9 @@ class Identifiability:
     deviation: of the posterior; misfit: root mean square of what the model cannot do, a coordinate [unit]
     """
 
-    rise: float
-    explained: float
-    deviation: float
+    rise: float = field(metadata=reported(key="rise_sd"))
+    explained: float = field(metadata=reported())
+    deviation: float = field(metadata=reported())
     misfit: float
 
 
@@ -160,29 +160,20 @@ class Choice:
     scatter: standard error of the first against that of the best choice; value: the parameter then; chosen: it was used
     """
 
-    cluster_size: int | None
-    held: tuple[str, ...]
-    alpha: float | None
-    dt: float | None
+    cluster_size: int | None = field(metadata=reported())
+    held: tuple[str, ...] = field(metadata=reported())
+    alpha: float | None = field(metadata=reported())
+    dt: float | None = field(metadata=reported())
     held_out: float
     scatter: float
     fit: float
     value: float
-    chosen: bool = False
+    chosen: bool = field(default=False, metadata=reported())
 
     def as_json(self, parameter: Parameter, scale: float) -> dict[str, object]:
         """scale: of the lengths."""
-        return {
-            "cluster_size": self.cluster_size,
-            "held": self.held,
-            "alpha": self.alpha,
-            "dt": self.dt,
-            "held_out_aee": scale * self.held_out,
-            "scatter": scale * self.scatter,
-            "fit_aee": scale * self.fit,
-            parameter: self.value,
-            "chosen": self.chosen,
-        }
+        errors = {"held_out_aee": scale * self.held_out, "scatter": scale * self.scatter, "fit_aee": scale * self.fit}
+        return to_json(self) | errors | {parameter: self.value}
 
 
 def _with_interval(one: tuple[float, tuple[float, float]]) -> dict[str, object]:
@@ -298,8 +289,7 @@ class Estimate(ReportedResult):
         """Lengths as those of the errors."""
         if (known := self.identifiability) is None:
             return None
-        found = {"rise_sd": known.rise, "explained": known.explained, "deviation": known.deviation}
-        return found | lengths("misfit", known.misfit, self.unit, self.metres_per_unit)
+        return to_json(known) | lengths("misfit", known.misfit, self.unit, self.metres_per_unit)
 
     selection: tuple[Choice, ...] = ()
     selection_text: str = ""

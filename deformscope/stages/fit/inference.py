@@ -159,7 +159,8 @@ class Inference:
         return np.asarray(np.sum(share * np.stack(each), axis=0))
 
     def response(self, row: int, place: int, *, exact: bool = True) -> FloatArray:
-        """What the held positions of one observation do at one of the candidates tried; see `Residuals.response`."""
+        """(n, d, m) [unit] how the held positions of one observation move its particles at one of the candidates
+        tried; see `Residuals.response`."""
         search, part = self.search, self.parts[row]
         parameter = float(search.tried.parameter[place])
         return part.response(

@@ -383,7 +383,7 @@ def shared_over(points: FloatArray, residual: FloatArray, spacing: float) -> flo
 
 
 def correlation(field: int, scaled_distance: FloatArray) -> FloatArray:
-    """The correlation of errors at distances of any shape, in units of its length. field: index in `CORRELATIONS`"""
+    """The correlation of errors at distances (...,) in units of its length. field: index in `CORRELATIONS`"""
     if CORRELATIONS[field] == "exponential":
         return np.asarray(np.exp(-scaled_distance))
     if CORRELATIONS[field] == "gaussian":

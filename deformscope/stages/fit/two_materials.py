@@ -1,7 +1,7 @@
 """Whether the residuals of a fit show that the parameter differs between two parts of the body.
 
 The body is split in several ways: across each of its axes, into what is near to the push and what is far from it, and
-into a lump, at one of several places, and all else.
+into an inclusion, at one of several places, and all else.
 For each split the residuals get one more term, a beta that is larger on one side and smaller on the other, beside the
 parameters that were fitted, and everything that they were explained by before (noise, its reach, misfit, prescribed
 positions that are off: `deformscope.stages.fit.noise`). Twice the logarithm of the likelihood that this gains is the
@@ -32,8 +32,8 @@ STEP = 0.2
 ROUNDS, SMALL_STEP = 5, 0.1
 """Newton's steps to the likeliest betas at most; one of this share of a standard deviation is the last."""
 
-LUMPS, LUMP = 8, 0.3
-"""Places of lumps that are tried, and the share of the clusters that each holds."""
+INCLUSIONS, INCLUSION = 8, 0.3
+"""Places of inclusions that are tried, and the share of the clusters that each holds."""
 
 GAIN = 6.0
 """Twice the log likelihood that a second beta must gain."""
@@ -44,7 +44,7 @@ APART, LEFT = 0.05, 0.8
 These and `GAIN`, the least of 6 to 18 that few bodies of one material meet, were chosen on tuning seeds
 (`studies.seeds`), 100 bodies a kind: together they are met by no body of one beta with noise that is
 independent or shared over a cell, by 2 % with noise shared over three, by 3 % of finite element bodies of one modulus,
-by 71 % of bodies whose halves have betas of 0.2 and 0.8, and by 60 % of those with a lump."""
+by 71 % of bodies whose halves have betas of 0.2 and 0.8, and by 60 % of those with an inclusion."""
 
 GAIN_SURE, LEFT_SURE, LIKE_STATED = 12.0, 0.95, (0.5, 3.0)
 """Where residuals are so many times as large as the noise that was stated, they are noise for the most part, and the
@@ -65,7 +65,7 @@ class BodySplit:
 
 
 def splits(seen: Observation, grouped: Clusters) -> list[BodySplit]:
-    """The ways in which one observation's clusters are split: into halves of about as many, or a lump and the rest."""
+    """The splits of one observation's clusters: into halves of about as many, or an inclusion and the rest."""
     middles = np.array([seen.rest[row].mean(axis=0) for row in grouped])
     found = []
     for axis, name in enumerate("xyz"[: seen.rest.shape[1]]):
@@ -78,19 +78,19 @@ def splits(seen: Observation, grouped: Clusters) -> list[BodySplit]:
         first = along < np.median(along) - 1e-9 * (1e-300 + np.ptp(along))
         if first.any() and not first.all():
             made.append(BodySplit(names, first))
-    return made + _lumps(middles, made, seen.unit)
+    return made + _inclusions(middles, made, seen.unit)
 
 
-def _lumps(middles: FloatArray, others: Sequence[BodySplit], unit: str) -> list[BodySplit]:
+def _inclusions(middles: FloatArray, others: Sequence[BodySplit], unit: str) -> list[BodySplit]:
     """Splits of the clusters, whose middles are (C, d), into those nearest to one of some places far from each other
     and the others."""
     found: list[BodySplit] = []
     away = np.linalg.norm(middles - middles.mean(axis=0), axis=1)
-    for _ in range(LUMPS):
+    for _ in range(INCLUSIONS):
         centre = middles[int(away.argmax())]
         apart = np.linalg.norm(middles - centre, axis=1)
         away = np.minimum(away, apart)
-        first: BoolArray = apart <= np.quantile(apart, LUMP)
+        first: BoolArray = apart <= np.quantile(apart, INCLUSION)
         known = [one.first for one in (*others, *found)]
         if not first.all() and not any(np.array_equal(first, one) or np.array_equal(~first, one) for one in known):
             place = ", ".join(f"{value:.3g}" for value in centre)

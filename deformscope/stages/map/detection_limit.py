@@ -5,7 +5,7 @@ anywhere on the surface as long as all of it lies there, each place as likely. T
 explains
 them: against an inclusion at a place then speaks what they would have felt of it (its share under a contact, as of any
 region), in deviations of theirs. So a touch inside excludes it, and one at its rim leaves it open. What is rigid has no
-lumps: twice as stiff or as soft is as rigid to the arm, and no touch there would show one.
+inclusions: twice as stiff or as soft is as rigid to the arm, and no touch there would show one.
 """
 
 from __future__ import annotations
@@ -79,8 +79,8 @@ def detection_limit(
     if len(made_m):
         circle = np.minimum(circle, KDTree(made_m).query(centres)[0])
     at = int(circle.argmax())
-    lumps = [(radius, UnseenInclusions(posterior, radius)) for radius in sorted(set(radii_m))]
-    fitting = [(radius, one.probability) for radius, one in lumps if len(one.weight)]
+    unseen = [(radius, UnseenInclusions(posterior, radius)) for radius in sorted(set(radii_m))]
+    fitting = [(radius, one.probability) for radius, one in unseen if len(one.weight)]
     radii, probabilities = np.array(fitting).reshape(-1, 2).T
     return DetectionLimit(
         untouched_m=float(circle[at]),

@@ -316,8 +316,8 @@ class DetectionLimit:
     deepest_m: float | None = None
 
     @property
-    @derived()
-    def lumps(self) -> list[MissProbability]:
+    @derived(older_key="lumps")
+    def inclusions(self) -> list[MissProbability]:
         """Each size with its probability."""
         return [*map(MissProbability, self.lump_radius_m, self.lump_probability)]
 
@@ -327,7 +327,7 @@ class DetectionLimit:
 
 
 @dataclass(frozen=True, slots=True)
-class LumpsFound:
+class InclusionsResult:
     """What the touches so far say of inclusions below a surface that shows nothing (`stages.map.inclusion_posterior`).
 
     centre_m: (k, 2) middles of those that were found; within_m: (k,) distance from it within which each lies in 90 %
@@ -343,8 +343,8 @@ class LumpsFound:
     """
 
     @property
-    @derived()
-    def lumps(self) -> list[dict[str, Any]]:
+    @derived(older_key="lumps")
+    def found(self) -> list[dict[str, Any]]:
         """Each that was found."""
         names = ("centre_m", "within_m", "radius_m", "radius_interval_m", "stiff", "probability", "depth")
         return [{name: getattr(self, name)[number] for name in names} for number in range(len(self))]
@@ -400,11 +400,11 @@ class LumpsFound:
                 "its depth cannot be told" if depth is None else depth.format(100.0 * self.deep_m),
                 f"probability {self.probability[number]:.2f}",
             ]
-            rows.append((f"lump {number + 1}", ", ".join(parts)))
+            rows.append((f"inclusion {number + 1}", ", ".join(parts)))
         for x, y, radius, depth_m in 100.0 * (np.zeros((0, 4)) if self.truth_m is None else self.truth_m):
             off = np.hypot(*(100.0 * self.centre_m - (x, y)).T).min(initial=np.inf)
-            found = f"found, {off:.1f} cm off" if off <= radius else "not found"
-            rows.append(("true lump", f"({x:.1f}, {y:.1f}) cm, radius {radius:.1f} cm, {depth_m:.1f} cm deep: {found}"))
+            at, found = f"({x:.1f}, {y:.1f}) cm", f"found, {off:.1f} cm off" if off <= radius else "not found"
+            rows.append(("true inclusion", f"{at}, radius {radius:.1f} cm, {depth_m:.1f} cm deep: {found}"))
         each = ", ".join(
             f"{100.0 * radius:.3g} cm {share:.2f}" for radius, share in zip(self.size_m, self.missed, strict=True)
         )
@@ -413,7 +413,7 @@ class LumpsFound:
             f"balls {self.contrast:g} times as stiff or soft or more, at most {100.0 * self.deepest_m:g} cm deep;"
             f" {self.prior:g} before any touch"
         )
-        return [*rows, ("a lump missed", f"{wanted}; by radius {each} ({taken})")]
+        return [*rows, ("an inclusion missed", f"{wanted}; by radius {each} ({taken})")]
 
     def __len__(self) -> int:
         """How many were found."""

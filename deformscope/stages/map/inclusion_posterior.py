@@ -27,7 +27,7 @@ from scipy.special import expit, logsumexp
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.errors import InputError
-from deformscope.stages.map.exploration import LumpsFound
+from deformscope.stages.map.exploration import InclusionsResult
 from deformscope.stages.poke.contact import EXPONENT
 from deformscope.stages.poke.inclusion_footprint import contact_radius, contrast_share, footprint, inclusion_shift
 from deformscope.stages.poke.law_response import CONTACTS, law_response
@@ -120,7 +120,7 @@ class InclusionPrior:
 
     def __post_init__(self) -> None:
         if not 0.005 <= self.smallest_m <= 0.1:
-            raise InputError("lumps of a radius from 0.5 to 10 cm", f"{100 * self.smallest_m:g} cm")
+            raise InputError("inclusions of a radius from 0.5 to 10 cm", f"{100 * self.smallest_m:g} cm")
 
     def radii_m(self, size_m: tuple[float, float]) -> tuple[float, ...]:
         """(r,) of inclusions that are thought of, rising: those that fit on the surface."""
@@ -128,7 +128,7 @@ class InclusionPrior:
         fitting = tuple(one for one in every if 2.0 * one + CENTRE_CELL_M <= min(size_m))
         if self.smallest_m not in fitting:
             came = f"{100 * min(size_m):.3g} cm across"
-            raise InputError("a surface on which the smallest lumps fit", came, "a smaller --smallest-lump-cm")
+            raise InputError("a surface on which the smallest inclusions fit", came, "a smaller --smallest-inclusion")
         return fitting
 
 
@@ -469,10 +469,10 @@ class InclusionPosterior:
             found += (cdist(cells_m, centre) < radius_m) @ np.bincount(of_centre.ravel(), weight[mine])
         return found
 
-    def inclusions(self, truth_m: FloatArray | None = None) -> LumpsFound:
-        """What is reported. truth_m: where it is known"""
+    def inclusions(self, truth_m: FloatArray | None = None) -> InclusionsResult:
+        """What is reported. truth_m: (m, 4) x, y, radius, depth of each [m], where these are known"""
         found = self.found
-        return LumpsFound(
+        return InclusionsResult(
             centre_m=np.array([one.centre_m for one in found]).reshape(-1, 2),
             within_m=np.array([one.within_m for one in found]),
             radius_m=np.array([one.radius_m for one in found]),

@@ -150,7 +150,8 @@ def match_regions(found: IntArray, truth: IntArray) -> tuple[float, list[tuple[i
 
 
 def boundary_distance(found: IntArray, truth: IntArray, cell_m: float) -> float | None:
-    """Mean distance between the boundaries of two label maps, in both directions [m]; None where one has none."""
+    """Mean distance between the boundaries of two label maps (rows, columns), in both directions [m]; None where
+    one has none."""
     edges = [_boundary(labels) for labels in (found, truth)]
     if not all(edge.any() for edge in edges):
         return None

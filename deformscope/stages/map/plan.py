@@ -166,8 +166,8 @@ def plan_touch(
             score = np.where(variance / before > options.threshold, order, -1.0)
         else:
             gain, unit, score = _gain(posterior, kernel, options, places, allowed, touched, variance, cost)
-        lumps = detection_limit(posterior, made, {*INCLUSION_RADII_M, options.inclusion_m})
-    stop = _stop(posterior, options, len(made), gain, unit, variance[allowed] / before, lumps)
+        limit = detection_limit(posterior, made, {*INCLUSION_RADII_M, options.inclusion_m})
+    stop = _stop(posterior, options, len(made), gain, unit, variance[allowed] / before, limit)
 
     target, reason = None, f"stopped: {stop}"
     if allowed.any():
@@ -186,7 +186,7 @@ def plan_touch(
         cost_s=cost.reshape(shape),
         excluded=excluded.reshape(shape),
         reason=reason,
-        missed=lumps,
+        missed=limit,
     )
 
 
@@ -362,7 +362,7 @@ def _stop(
     gain: FloatArray,
     unit: str,
     variance: FloatArray,
-    lumps: DetectionLimit,
+    limit: DetectionLimit,
 ) -> StopReason | None:
     """Why no further touch is made, None while one is. While the number of regions is in doubt, or inclusions may be
     there unseen, only the budget and the reach end it. gain: (n,) of each place, NaN where no touch is allowed"""
@@ -374,7 +374,7 @@ def _stop(
         return "nothing above the threshold" if variance.max() < options.threshold else None
     if len(posterior.touches) < 3 or max(posterior.probability.values()) < options.sure:
         return None
-    if options.planner == "regions" and lumps.probability(options.inclusion_m) > options.unmet:
+    if options.planner == "regions" and limit.probability(options.inclusion_m) > options.unmet:
         return None
     if variance.max() < options.threshold:
         return "nothing above the threshold"

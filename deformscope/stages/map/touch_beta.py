@@ -60,7 +60,8 @@ THESIS_NOTE = (
 class SurfaceHeights(Protocol):
     """A surface that is known where it is asked for, such as a `HeightProcess`."""
 
-    def at(self, places_m: FloatArray) -> ProcessPrediction: ...
+    def at(self, places_m: FloatArray) -> ProcessPrediction:
+        """Of places (n, 2) [m]."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,13 +7,15 @@ decides instead.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.errors import InputError
+from deformscope.results.declared import reported
+from deformscope.results.render import ReportedResult
 
 RESTS = 0.03
 """Share of the way of the push within which what was pressed counts as at rest, or as pressed as deep as ever."""
@@ -50,7 +52,7 @@ class PressForce:
 
 
 @dataclass(frozen=True, slots=True)
-class PressCycle:
+class PressCycle(ReportedResult):
     """A push and its end.
 
     loaded: last frame at the deepest; unloaded: first frame from which on nothing loads the thing, and at which by
@@ -59,20 +61,11 @@ class PressCycle:
     kept: share of that way that is left at the unloaded frame; source: what showed the unloaded frame
     """
 
-    loaded: int
-    unloaded: int
+    loaded: int = field(metadata=reported(key="loaded_frame"))
+    unloaded: int = field(metadata=reported(key="unloaded_frame"))
     course: FloatArray
-    kept: float
-    source: Literal["displacement", "force", "given"]
-
-    def as_json(self) -> dict[str, object]:
-        """The public form."""
-        return {
-            "loaded_frame": self.loaded,
-            "unloaded_frame": self.unloaded,
-            "kept_share": self.kept,
-            "source": self.source,
-        }
+    kept: float = field(metadata=reported(key="kept_share"))
+    source: Literal["displacement", "force", "given"] = field(metadata=reported())
 
 
 def course_of(moved: FloatArray, pressed: IntArray) -> FloatArray:

@@ -19,10 +19,11 @@ from deformscope.stages.msm.layout import Field, upload
 
 Progress = Callable[[int], None]
 
-PART_BLOCKS = {"cpu": 256, "cuda": 8}
-"""Lanes' worths that one thread sums up; the sums of threads are added in order."""
+THREADS = {"cpu": 1, "cuda": 256}
+"""Threads of a block, which take one part of a sum over particles; the parts are added in order."""
 
-MOST_PARTS = 256
+PART_BLOCKS, MOST_PARTS = {"cpu": 256, "cuda": 1024}, {"cpu": 256, "cuda": 512}
+"""Lanes' worths of a part, until there are so many parts: on a GPU some blocks for each multiprocessor."""
 
 ROUNDING = {wp.float32: 1e-8, wp.float64: 2e-15}
 """Residual that is but rounding, as a share of the displacements (or of a spacing)."""
@@ -73,7 +74,8 @@ class Iteration:
         span = self.kernels.Span()
         span.abreast, span.blocks = self.layout.abreast, self.layout.blocks
         self.threads = self.operator.threads
-        span.parts = 1 if self.threads else max(1, min(-(-self.layout.blocks // PART_BLOCKS[self.kind]), MOST_PARTS))
+        parts = min(-(-self.layout.blocks // PART_BLOCKS[self.kind]), MOST_PARTS[self.kind])
+        span.parts, span.threads = 1 if self.threads else max(1, parts), THREADS[self.kind]
         span.front, span.group, span.stride = self.layout.front, self.layout.group, self.layout.stride
         span.metric = self.operator.metric
         span.metric_total = float(rest.metric.sum()) or 1.0
@@ -129,7 +131,12 @@ class Iteration:
     def launch(
         self, kernel: wp.Kernel, dim: tuple[int, ...] | int, inputs: list[Any], outputs: list[Any] | None = None
     ) -> None:
-        wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs or [], device=self.layout.device)
+        device, threads = self.layout.device, self.span.threads
+        wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs or [], device=device, block_dim=threads)
+
+    def launch_sums(self, kernel: wp.Kernel, dim: tuple[int, ...], inputs: list[Any], outputs: list[Any]) -> None:
+        """A kernel that takes sums over particles: every part by the threads of a block."""
+        self.launch(kernel, (*dim, self.span.parts * self.span.threads), inputs, outputs)
 
     def all_groups(self) -> Field:
         return wp.full(self.layout.groups, 1, dtype=int, device=self.layout.device)
@@ -222,13 +229,13 @@ class Newton(Iteration):
                 device=layout.device,
             )
             return
-        self.launch(
+        self.launch_sums(
             kk.inner_products,
-            (groups, span.parts),
+            (groups,),
             [span, self.state.inner_groups, groups, right, right, right, right],
             [self._parts],
         )
-        self.launch(kk.aim, groups, [span, self.state, self._parts, groups])
+        self.launch(kk.aim, (groups, span.threads), [span, self.state, self._parts, groups])
         self.launch(kk.begin, (groups, layout.blocks), [span, self.state, right], [self.rho, self.direction, self.step])
 
     def evaluate(self) -> None:
@@ -284,13 +291,13 @@ class Newton(Iteration):
         running, groups = state.outer_groups, layout.groups
         self.launch(kk.move, (groups, layout.blocks), [span, state, self.step], [self.u])
         self.operator.residual(self.u, self.residual, self.parameters, running, self._kept)
-        self.launch(
+        self.launch_sums(
             kk.inner_products,
-            (groups, span.parts),
+            (groups,),
             [span, running, groups, self.residual, self.residual, self.residual, self.step],
             [self._parts],
         )
-        self.launch(kk.judge, groups, [span, state, self._parts, groups])
+        self.launch(kk.judge, (groups, span.threads), [span, state, self._parts, groups])
         self.launch(
             kk.begin, (groups, layout.blocks), [span, state, self.residual], [self.rho, self.direction, self.step]
         )
@@ -300,10 +307,10 @@ class Newton(Iteration):
         running, groups = state.inner_groups, layout.groups
         p, q = self.direction, self.changed
         self.operator.change(p, q, self.parameters, running, self._kept)
-        self.launch(kk.inner_products, (groups, span.parts), [span, running, groups, p, q, p, p], [self._parts])
-        self.launch(kk.curvature, groups, [span, state, self._parts, groups])
-        self.launch(kk.descend, (groups, span.parts), [span, state, groups, p, q], [self.step, self.rho, self._parts])
-        self.launch(kk.conjugate, groups, [span, state, self._parts, groups, self._most])
+        self.launch_sums(kk.inner_products, (groups,), [span, running, groups, p, q, p, p], [self._parts])
+        self.launch(kk.curvature, (groups, span.threads), [span, state, self._parts, groups])
+        self.launch_sums(kk.descend, (groups,), [span, state, groups, p, q], [self.step, self.rho, self._parts])
+        self.launch(kk.conjugate, (groups, span.threads), [span, state, self._parts, groups, self._most])
         self.launch(kk.direct, (groups, layout.blocks), [span, state, self.rho], [p])
 
 
@@ -403,13 +410,13 @@ class Anderson(Iteration):
             [span, state, self.u, self.residual],
             [self.u_last, self.residual_last, self.du, self.dr],
         )
-        self.launch(
+        self.launch_sums(
             kk.history_products,
-            (groups, k.MEMORY + 1, span.parts),
+            (groups, k.MEMORY + 1),
             [span, state, groups, self.residual, self.du, self.dr],
             [self._parts],
         )
-        self.launch(kk.accelerate, groups, [span, state, self._parts, groups])
+        self.launch(kk.accelerate, (groups, span.threads), [span, state, self._parts, groups])
         self.launch(kk.advance, (groups, layout.blocks), [span, state, self.residual, self.du, self.dr], [self.u])
 
 

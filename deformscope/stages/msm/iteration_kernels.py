@@ -11,7 +11,7 @@ from typing import Any
 
 import warp as wp
 
-from deformscope.stages.msm.lanes import Doubles, Ints, lanes_for, module_options, rows_for
+from deformscope.stages.msm.lanes import Doubles, Ints, Sized, lanes_for, module_options, rows_for
 from deformscope.stages.msm.lattice_kernels import FAR
 
 MEMORY = 8
@@ -51,12 +51,13 @@ def newton_functions_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
     class Span:
         """How particles lie in a field, and their metric N_i m_i (0 where held), in which the goal map is symmetric.
 
-        blocks: lanes' worths in a group; parts: a sum over a group is taken in so many
+        blocks: lanes' worths in a group; parts: a sum over a group is taken in so many, each by `threads` of a block
         """
 
         abreast: int
         blocks: int
         parts: int
+        threads: int
         front: int
         group: int
         stride: int
@@ -126,29 +127,71 @@ def newton_functions_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
     @wp.func_native(f"{each} a.data[i + l] = v.c[l];")
     def put(a: Doubles, i: int, v: sums): ...
 
-    @wp.func
-    def collected(span: Span, parts: Doubles, row: int, groups: int, group: int, member: int):
-        """A sum over a group's particles for one candidate, from its parts."""
-        total = wp.float64(0.0)
-        first = (row * groups + group) * span.parts
-        for part in range(first, first + span.parts):
-            if span.abreast == 1:
-                for l in range(wp.static(width)):
-                    total += parts[part * wp.static(width) + l]
-            else:
-                total += parts[part * wp.static(width) + member]
-        return total
+    def together(name: str, join: str) -> Any:
+        """Joins the sums of every thread of a block; on a CPU the block is the thread."""
+        snippet = f"""
+    {sums_c} r = s;
+    #if defined(__CUDA_ARCH__)
+    __shared__ double parts[32];
+    double v = s.c[0];
+    for (int offset = 16; offset > 0; offset >>= 1) {{
+        const double other = __shfl_down_sync(0xffffffffu, v, offset);
+        v = {join};
+    }}
+    __syncthreads();
+    if ((threadIdx.x & 31) == 0) parts[threadIdx.x >> 5] = v;
+    __syncthreads();
+    v = parts[0];
+    for (unsigned warp = 1; warp < (blockDim.x + 31) / 32; ++warp) {{
+        const double other = parts[warp];
+        v = {join};
+    }}
+    r.c[0] = v;
+    #endif
+    return r;"""
+
+        @Sized(name).func_native(snippet)
+        def joined_threads(s: sums) -> sums: ...
+
+        return joined_threads
+
+    joined = together(f"sum_{width}", "v + other")
+    longest_of = together(f"max_{width}", "v > other ? v : other")
 
     @wp.func
-    def largest(span: Span, parts: Doubles, row: int, groups: int, group: int, member: int):
+    def fold(span: Span, parts: Doubles, row: int, groups: int, group: int, thread: int, largest: int):
+        """Where a part is one number, the threads of a block make one part of all: their sum, or the largest."""
+        if wp.static(width == 1):
+            total = sums()
+            first = (row * groups + group) * span.parts
+            for part in range(first + thread, first + span.parts, span.threads):
+                if largest != 0:
+                    total[0] = wp.max(total[0], parts[part])
+                else:
+                    total[0] = total[0] + parts[part]
+            if largest != 0:
+                total = longest_of(total)
+            else:
+                total = joined(total)
+            if thread == 0:
+                parts[first] = total[0]
+
+    @wp.func
+    def collected(span: Span, parts: Doubles, row: int, groups: int, group: int, member: int, largest: int):
+        """A candidate's sum over a group's particles, or the largest, from its parts (one, if `fold` could)."""
         total = wp.float64(0.0)
         first = (row * groups + group) * span.parts
-        for part in range(first, first + span.parts):
-            if span.abreast == 1:
-                for l in range(wp.static(width)):
-                    total = wp.max(total, parts[part * wp.static(width) + l])
-            else:
-                total = wp.max(total, parts[part * wp.static(width) + member])
+        count = span.parts
+        if wp.static(width == 1):
+            count = int(1)
+        for part in range(first, first + count):
+            for l in range(wp.static(width)):
+                if span.abreast == 1 or l == member:
+                    value = parts[part * wp.static(width) + l]
+                    if largest != 0:
+                        total = wp.max(total, value)
+                    else:
+                        total += value
         return total
 
     @wp.func
@@ -194,8 +237,8 @@ def newton_functions_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
             newton.by[i] = scalar(0.0)
             newton.inner[i] = 0
             if newton.state[i] == wp.static(RUNNING):
-                norm = wp.sqrt(collected(span, parts, 0, groups, group, member) / span.metric_total)
-                along = collected(span, parts, 1, groups, group, member)
+                norm = wp.sqrt(collected(span, parts, 0, groups, group, member, 0) / span.metric_total)
+                along = collected(span, parts, 1, groups, group, member, 0)
                 newton.norm[i] = norm
                 newton.total[i] = newton.total[i] + 1
                 tolerance = newton.tolerance[0]
@@ -296,8 +339,8 @@ def newton_functions_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
             i = group * span.abreast + member
             newton.length[i] = scalar(0.0)
             if newton.inner[i] == 1:
-                stiff = -collected(span, parts, 0, groups, group, member)
-                own_square = collected(span, parts, 1, groups, group, member)
+                stiff = -collected(span, parts, 0, groups, group, member, 0)
+                own_square = collected(span, parts, 1, groups, group, member, 0)
                 if stiff > flat * own_square:
                     length = newton.square[i] / stiff
                     newton.length[i] = scalar(length)
@@ -351,8 +394,8 @@ def newton_functions_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
             i = group * span.abreast + member
             newton.mix[i] = scalar(0.0)
             if newton.inner[i] == 1:
-                fresh = collected(span, parts, 0, groups, group, member)
-                longest = wp.sqrt(largest(span, parts, 1, groups, group, member))
+                fresh = collected(span, parts, 0, groups, group, member, 0)
+                longest = wp.sqrt(collected(span, parts, 1, groups, group, member, 1))
                 newton.total[i] = newton.total[i] + 1
                 newton.inners[i] = newton.inners[i] + 1
                 linear = newton.relative[0] > nought
@@ -394,7 +437,7 @@ def newton_functions_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
         """A linear solve ends at `relative` of its right-hand side."""
         for member in range(span.abreast):
             i = group * span.abreast + member
-            square = wp.max(collected(span, parts, 0, groups, group, member), wp.float64(1e-300))
+            square = wp.max(collected(span, parts, 0, groups, group, member, 0), wp.float64(1e-300))
             newton.square[i] = square
             newton.target[i] = square * newton.relative[0] * newton.relative[0]
 
@@ -453,7 +496,7 @@ def iteration_kernels_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
     functions = newton_functions_for(dim, scalar, width)
     Span, NewtonState, sums, put = functions.Span, functions.NewtonState, functions.sums, functions.put
     metric_of, of_candidate, add_product = functions.metric_of, functions.of_candidate, functions.add_product
-    collected = functions.collected
+    collected, fold, joined = functions.collected, functions.fold, functions.joined
 
     @wp.struct
     class AndersonState:
@@ -479,16 +522,22 @@ def iteration_kernels_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
         gamma: numbers  # weights of the remembered changes, slot by slot
         stride: int
 
+    @wp.func
+    def keep(span: Span, parts_out: Doubles, row: int, item: int, v: sums):
+        """The sums of a block as its part of a row."""
+        if item % span.threads == 0:
+            put(parts_out, (row * span.parts + item / span.threads) * wp.static(width), v)
+
     @kernel
     def inner_products(
         span: Span, running: Ints, groups: int, a: numbers, b: numbers, c: numbers, d: numbers, parts_out: Doubles
     ):
         """Parts of <a, b> and of <c, d>."""
-        group, part = wp.tid()
+        group, item = wp.tid()
         if running[group] != 0:
-            first_sum, second_sum = functions.inner_products(span, a, b, c, d, group, part, span.parts)
-            put(parts_out, (group * span.parts + part) * wp.static(width), first_sum)
-            put(parts_out, ((groups + group) * span.parts + part) * wp.static(width), second_sum)
+            first_sum, second_sum = functions.inner_products(span, a, b, c, d, group, item, span.parts * span.threads)
+            keep(span, parts_out, group, item, joined(first_sum))
+            keep(span, parts_out, groups + group, item, joined(second_sum))
 
     @kernel
     def move(span: Span, newton: NewtonState, step_in: numbers, u: numbers):
@@ -498,7 +547,12 @@ def iteration_kernels_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
 
     @kernel
     def judge(span: Span, newton: NewtonState, parts: Doubles, groups: int):
-        functions.judge(span, newton, parts, groups, wp.tid())
+        group, thread = wp.tid()
+        if newton.outer_groups[group] != 0:
+            fold(span, parts, 0, groups, group, thread, 0)
+            fold(span, parts, 1, groups, group, thread, 0)
+            if thread == 0:
+                functions.judge(span, newton, parts, groups, group)
 
     @kernel
     def begin(
@@ -515,9 +569,12 @@ def iteration_kernels_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
 
     @kernel
     def curvature(span: Span, newton: NewtonState, parts: Doubles, groups: int):
-        group = wp.tid()
+        group, thread = wp.tid()
         if newton.inner_groups[group] != 0:
-            functions.curvature(span, newton, parts, groups, group)
+            fold(span, parts, 0, groups, group, thread, 0)
+            fold(span, parts, 1, groups, group, thread, 0)
+            if thread == 0:
+                functions.curvature(span, newton, parts, groups, group)
 
     @kernel
     def descend(
@@ -530,19 +587,22 @@ def iteration_kernels_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
         rho: numbers,
         parts_out: Doubles,
     ):
-        group, part = wp.tid()
+        group, item = wp.tid()
         if newton.inner_groups[group] != 0:
             square_sum, longest = functions.descend(
-                span, newton, direction_in, change_in, step, rho, group, part, span.parts
+                span, newton, direction_in, change_in, step, rho, group, item, span.parts * span.threads
             )
-            put(parts_out, (group * span.parts + part) * wp.static(width), square_sum)
-            put(parts_out, ((groups + group) * span.parts + part) * wp.static(width), longest)
+            keep(span, parts_out, group, item, joined(square_sum))
+            keep(span, parts_out, groups + group, item, functions.longest_of(longest))
 
     @kernel
     def conjugate(span: Span, newton: NewtonState, parts: Doubles, groups: int, most: int):
-        group = wp.tid()
+        group, thread = wp.tid()
         if newton.inner_groups[group] != 0:
-            functions.conjugate(span, newton, parts, groups, most, group)
+            fold(span, parts, 0, groups, group, thread, 0)
+            fold(span, parts, 1, groups, group, thread, 1)
+            if thread == 0:
+                functions.conjugate(span, newton, parts, groups, most, group)
 
     @kernel
     def direct(span: Span, newton: NewtonState, rho_in: numbers, direction: numbers):
@@ -552,7 +612,10 @@ def iteration_kernels_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
 
     @kernel
     def aim(span: Span, newton: NewtonState, parts: Doubles, groups: int):
-        functions.aim(span, newton, parts, groups, wp.tid())
+        group, thread = wp.tid()
+        fold(span, parts, 0, groups, group, thread, 0)
+        if thread == 0:
+            functions.aim(span, newton, parts, groups, group)
 
     @kernel
     def reset(newton: NewtonState, groups: int, abreast: int, reach: wp.float64, outer: int, inner: int):
@@ -600,7 +663,7 @@ def iteration_kernels_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
         parts_out: Doubles,
     ):
         """Parts of the newest residual change with each, of each with the residual; last the residual and the step."""
-        group, what, part = wp.tid()
+        group, what, item = wp.tid()
         if anderson.groups[group] == 0:
             return
         base = span.front + group * span.group
@@ -608,7 +671,7 @@ def iteration_kernels_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
         newest = (wp.max(anderson.count[group] - 1, 0) % wp.static(MEMORY)) * rows
         first_sum = sums()
         second_sum = sums()
-        for block in range(part, span.blocks, span.parts):
+        for block in range(item, span.blocks, span.parts * span.threads):
             number = block * wp.static(width)
             at = base + number
             m = metric_of(span, number)
@@ -621,8 +684,8 @@ def iteration_kernels_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
                 dr = load(dr_in, at + what * rows, span.stride)
                 first_sum = add_product(first_sum, m, dr, load(dr_in, at + newest, span.stride))
                 second_sum = add_product(second_sum, m, dr, r)
-        put(parts_out, ((2 * what * groups + group) * span.parts + part) * wp.static(width), first_sum)
-        put(parts_out, (((2 * what + 1) * groups + group) * span.parts + part) * wp.static(width), second_sum)
+        keep(span, parts_out, 2 * what * groups + group, item, joined(first_sum))
+        keep(span, parts_out, (2 * what + 1) * groups + group, item, joined(second_sum))
 
     @kernel
     def accelerate(span: Span, anderson: AndersonState, parts: Doubles, groups: int):
@@ -634,8 +697,12 @@ def iteration_kernels_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
         stretch can come after the residual has reached rounding, where changes say nothing of the pull back. When the
         residual has grown far above its best, the memory is dropped and a plain step follows.
         """
-        group = wp.tid()
+        group, thread = wp.tid()
         if anderson.groups[group] == 0:
+            return
+        for row in range(wp.static(2 * MEMORY + 2)):
+            fold(span, parts, row, groups, group, thread, 0)
+        if thread > 0:
             return
         k = anderson.count[group]
         any_running = int(0)
@@ -644,15 +711,17 @@ def iteration_kernels_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
             for slot in range(wp.static(MEMORY)):
                 anderson.gamma[slot * anderson.stride + i] = scalar(0.0)
             if anderson.state[i] == wp.static(RUNNING):
-                norm = wp.sqrt(collected(span, parts, wp.static(2 * MEMORY), groups, group, member) / span.metric_total)
+                norm = wp.sqrt(
+                    collected(span, parts, wp.static(2 * MEMORY), groups, group, member, 0) / span.metric_total
+                )
                 anderson.norm[i] = norm
                 anderson.total[i] = anderson.total[i] + 1
                 if k == 0:  # a linear solve starts at 0, where its residual is the right-hand side
                     anderson.target[i] = anderson.relative[0] * norm
                 else:
-                    step = collected(span, parts, wp.static(2 * MEMORY + 1), groups, group, member)
+                    step = collected(span, parts, wp.static(2 * MEMORY + 1), groups, group, member, 0)
                     newest_row = 2 * ((k - 1) % wp.static(MEMORY))
-                    change = collected(span, parts, newest_row, groups, group, member)
+                    change = collected(span, parts, newest_row, groups, group, member, 0)
                     anderson.path[i] = anderson.path[i] + wp.sqrt(step / span.metric_total)
                     if step > nought:
                         anderson.least[i] = wp.min(anderson.least[i], wp.sqrt(change / step))
@@ -687,10 +756,10 @@ def iteration_kernels_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
                 newest = wp.max(k - 1, 0) % wp.static(MEMORY)
                 for j in range(wp.static(MEMORY)):
                     if k > 0:
-                        both = collected(span, parts, 2 * j, groups, group, member)
+                        both = collected(span, parts, 2 * j, groups, group, member, 0)
                         g[j, newest] = both
                         g[newest, j] = both
-                    rhs[j] = collected(span, parts, 2 * j + 1, groups, group, member)
+                    rhs[j] = collected(span, parts, 2 * j + 1, groups, group, member, 0)
                 anderson.gram[i] = g
                 if norm > growth * anderson.best[i]:
                     anderson.best[i] = norm

@@ -15,7 +15,7 @@ import warp as wp
 
 from deformscope.stages.msm.cluster_functions import cluster_functions_for
 from deformscope.stages.msm.iteration_kernels import newton_functions_for
-from deformscope.stages.msm.lanes import Doubles, Ints, Sized, module_options
+from deformscope.stages.msm.lanes import Doubles, Ints, module_options
 from deformscope.stages.msm.lattice_kernels import lattice_functions_for
 
 THREADS = {wp.float32: 512, wp.float64: 256}
@@ -44,6 +44,7 @@ def resident_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> 
     fit_clusters, fit_changes = lattice.fit_clusters, lattice.fit_changes
     spread_slow, spread_middle = lattice.spread_slow, lattice.spread_middle
     Span, NewtonState, sums, put = newton.Span, newton.NewtonState, newton.sums, newton.put
+    joined, longest_of = newton.joined, newton.longest_of
     inner_products, move, judge, begin = newton.inner_products, newton.move, newton.judge, newton.begin
     aim_at, reset_one, put_one = newton.aim, newton.reset, newton.put_at
     curvature, descend, conjugate, direct = newton.curvature, newton.descend, newton.conjugate, newton.direct
@@ -57,35 +58,6 @@ def resident_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> 
     )
     def meet():
         """All threads of the block have come here, and see what the others wrote."""
-
-    def together(name: str, join: str) -> Any:
-        """Joins a number of every thread of a block; on a CPU the block is the thread."""
-        sized = Sized(name)
-        snippet = f"""
-    #if defined(__CUDA_ARCH__)
-    __shared__ double parts[32];
-    for (int offset = 16; offset > 0; offset >>= 1) {{
-        const double other = __shfl_down_sync(0xffffffffu, v, offset);
-        v = {join};
-    }}
-    __syncthreads();
-    if ((threadIdx.x & 31) == 0) parts[threadIdx.x >> 5] = v;
-    __syncthreads();
-    v = parts[0];
-    for (unsigned warp = 1; warp < (blockDim.x + 31) / 32; ++warp) {{
-        const double other = parts[warp];
-        v = {join};
-    }}
-    #endif
-    return v;"""
-
-        @sized.func_native(snippet)
-        def joined_threads(v: wp.float64) -> wp.float64: ...
-
-        return joined_threads
-
-    total_of_threads = together("sum", "v + other")
-    largest_of_threads = together("max", "v > other ? v : other")
 
     @wp.func(inline=False if on_cpu else None)
     def operate(
@@ -198,18 +170,6 @@ def resident_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> 
         """The group's sums, of which there is one part."""
         if thread == 0:
             put(parts, (row * groups + group) * wp.static(width), v)
-
-    @wp.func
-    def joined(v: sums):
-        if wp.static(width == 1):
-            v[0] = total_of_threads(v[0])
-        return v
-
-    @wp.func
-    def longest_of(v: sums):
-        if wp.static(width == 1):
-            v[0] = largest_of_threads(v[0])
-        return v
 
     @relax_kernel
     def relax(

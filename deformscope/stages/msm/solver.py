@@ -560,10 +560,34 @@ class Msm:
         held_from: (n, d) or (B, n, d), whence the held particles go to held_position evenly over the steps; without it
         they are there from the first step on
         """
+        how: Any = {"volume": volume, "alpha": alpha, "dt": dt, "acceleration": acceleration}
+        self.advance(state, held_position, beta, theta, **how, steps=steps, held_from=held_from)
+        return self.positions(state)
+
+    def positions(self, state: Moving) -> FloatArray:
+        """Where the particles of stepped bodies are, (B, K, d)."""
+        return self.rest + state.layout.get(state.u, self.dim) * self.scale
+
+    def advance(
+        self,
+        state: Moving,
+        held_position: FloatArray,
+        beta: FloatArray | float | AxisBeta,
+        theta: FloatArray | float = 0.0,
+        *,
+        volume: Volume = "scale",
+        alpha: float = 1.0,
+        dt: float = 2e-3,
+        acceleration: Sequence[float] | None = None,
+        steps: int = 1,
+        held_from: FloatArray | None = None,
+    ) -> None:
+        """`step`, whose result stays on the device; on a GPU it returns before the steps are taken."""
         if isinstance(beta, AxisBeta):
-            return self._along(beta, theta).step(
+            self._along(beta, theta).advance(
                 state, held_position, beta.value[:, None, :], alpha=alpha, dt=dt, acceleration=acceleration, steps=steps
             )
+            return
         if state.operator.body is not self._body:
             state.move_to(self._body.operator(self._body.layout(state.layout.candidates)))
         held_u, beta_b, theta_b = self._candidates(held_position, beta, theta)
@@ -575,7 +599,6 @@ class Msm:
             stepping.run(steps)
         else:
             stepping.run_moving(steps, self._candidates(held_from, beta, theta)[0], held_u)
-        return self.rest + state.layout.get(state.u, self.dim) * self.scale
 
     def residual(
         self,

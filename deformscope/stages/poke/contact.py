@@ -17,9 +17,9 @@ from deformscope.arrays import BoolArray, FloatArray
 from deformscope.errors import InputError
 from deformscope.stages.regions.touch_error import LAW_SD
 
-TipKind = Literal["sphere", "flat"]
+TipKind = Literal["sphere", "disc", "flat"]
 
-EXPONENT = {"sphere": 1.5, "flat": 1.0}
+EXPONENT: dict[TipKind, float] = {"sphere": 1.5, "disc": 1.0, "flat": 1.0}
 """Hertz (1882) and Sneddon (1965), of a half-space."""
 
 EXPONENT_SD = 0.08
@@ -117,8 +117,9 @@ def fit_approach(
     """Fit the law to an approach, from before contact to the peak of the force; what follows is left out.
 
     time_s: (n,) rising [s]; position_m: (n, 3) of the tip as the arm says [m]; force_n: (n, 3) on the tip [N], all in
-    one frame; normal: (3,) out of the surface; set_force_n: at which the stiffness is taken; where the approach ended
-    before, as by its depth, the fitted law goes on to it, and is less certain there
+    one frame; normal: (3,) out of the surface; tip: its shape, which gives the prior mean of p
+    set_force_n: at which the stiffness is taken; where the approach ended before, as by its depth, the fitted law goes
+    on to it, and is less certain there
     arm: how the arm yields, from `calibrate_compliance`; default a stiff arm that scatters by 0.1 mm
     force_sd_n: noise of the force, default as it scatters before contact
     exponent_sd: of the prior of p; least_share: of the set force, from which on samples are fitted
@@ -238,7 +239,8 @@ def fitted_law(fit: ContactFit, arm: ArmCompliance, along_m: FloatArray) -> Floa
 def calibrate_compliance(
     time_s: FloatArray, position_m: FloatArray, force_n: FloatArray, normal: FloatArray, *, set_force_n: float = 3.0
 ) -> ArmCompliance:
-    """How the arm yields, from an approach to a rigid block (arguments as in `fit_approach`).
+    """How the arm yields, from an approach to a rigid block. Arguments as in `fit_approach`: (n,) [s], (n, 3) [m],
+    (n, 3) [N], (3,).
 
     z = z0 + c F + d F^(2/3): what a force sensor's rubber dome yields itself (Hertz 1882) is not the arm's, where it
     is DOME_SDS of its deviations or more.
@@ -277,21 +279,18 @@ def layer_modulus(
     depth_m: float,
     force_n: float,
     *,
-    tip: TipKind = "sphere",
     radius_m: float = 0.01,
     thickness_m: float = 0.05,
     poisson: float = 0.3,
 ) -> float:
-    """Young's modulus [Pa] of a layer bonded to a rigid table, from one depth and force.
+    """Young's modulus [Pa] of a layer bonded to a rigid table, from one depth and force of a sphere.
 
-    Sphere: Hertz with the series for a layer in chi = sqrt(R d) / h (Dimitriadis et al. 2002, eq. 12; the fourth order
-    is below 1e-3 here). Flat: a cylinder of this radius on a half-space (Sneddon 1965), no correction.
-    Linear theory: for dents deeper than a third of the radius a comparison between foams rather than a modulus.
+    Hertz with the series for a layer in chi = sqrt(R d) / h (Dimitriadis et al. 2002, eq. 12; the fourth order is below
+    1e-3 here). Linear theory: for dents deeper than a third of the radius a comparison between foams rather than a
+    modulus.
     """
     if min(depth_m, force_n, radius_m, thickness_m) <= 0.0 or not -1.0 < poisson <= 0.5:
         raise InputError("depth, force, radius and thickness above 0, Poisson's ratio in (-1, 0.5]", "others")
-    if tip == "flat":
-        return float(force_n * (1.0 - poisson**2) / (2.0 * radius_m * depth_m))
     hertz = 4.0 / 3.0 / (1.0 - poisson**2) * np.sqrt(radius_m) * depth_m**1.5
     chi = np.sqrt(radius_m * depth_m) / thickness_m
     alpha = -(1.2876 - 1.4678 * poisson + 1.3442 * poisson**2) / (1.0 - poisson)

@@ -33,7 +33,6 @@ from deformscope.stages.poke.contact import (
     LOADED,
     Z_90,
     ArmCompliance,
-    TipKind,
     along_normal,
     since_contact,
 )
@@ -112,7 +111,6 @@ def fit_creep(
     *,
     loading: int,
     held: int,
-    tip: TipKind = "sphere",
     set_force_n: float = 3.0,
     arm: ArmCompliance | None = None,
     radius_m: float | None = None,
@@ -134,9 +132,8 @@ def fit_creep(
     zeroed, force_sd, _, among = since_contact(force[:loading], set_force_n, None)
     force = force - (force[0] - zeroed[0])
     samples = CreepSamples.of(time_s, z_m, force, int(np.argmax(among)), loading, held)
-    ball_m = radius_m if tip == "sphere" else None
-    exponent = (EXPONENT[tip] + LAYERED, LAYERED_SD) if ball_m else (EXPONENT[tip], EXPONENT_SD)
-    law = CreepLaw(samples, exponent, set_force_n, arm, force_sd, ball_m)
+    exponent = (EXPONENT["sphere"] + LAYERED, LAYERED_SD) if radius_m else (EXPONENT["sphere"], EXPONENT_SD)
+    law = CreepLaw(samples, exponent, set_force_n, arm, force_sd, radius_m)
     draws = CreepDraws.together([law.posterior(branches) for branches in range(MOST_BRANCHES + 1)])
     weight, strength = draws.weight, draws.strength.sum(axis=1)
     instant = 1e-3 * set_force_n / draws.depth_m

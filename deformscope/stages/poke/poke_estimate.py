@@ -309,7 +309,7 @@ class Profile:
 
 
 def neighbouring_values(at: float, low: float, high: float) -> FloatArray:
-    """The values `NEIGHBOUR_STEPS` from one of -log(1 - beta) that lie in [low, high], rising, the ends in place of
+    """(n,) values `NEIGHBOUR_STEPS` from one of -log(1 - beta) that lie in [low, high], rising, the ends in place of
     what lies beyond them or next to them: no two are so close that their difference is rounding."""
     values = at + np.array(NEIGHBOUR_STEPS)
     next_to = min(NEXT_TO, 0.25 * (high - low))

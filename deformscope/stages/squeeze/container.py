@@ -42,7 +42,8 @@ class ContainerModel:
 
     @classmethod
     def mesh(cls, vertices_m: FloatArray, triangles: IntArray) -> Self:
-        """Any closed mesh [m]; it is moved so that the middle of its bounding box is the origin."""
+        """Any closed mesh of (n, 3) vertices [m] and (m, 3) triangles; it is moved so that the middle of its
+        bounding box is the origin."""
         vertices, faces = np.asarray(vertices_m, dtype=np.float64), np.asarray(triangles)
         if vertices.ndim != 2 or vertices.shape[1] != 3 or not np.isfinite(vertices).all() or not len(vertices):
             raise InputError("vertices (n, 3) [m], finite", f"shape {vertices.shape}")

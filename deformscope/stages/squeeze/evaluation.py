@@ -16,6 +16,7 @@ import numpy as np
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.errors import InputError
 from deformscope.processes import in_threads
+from deformscope.results.declared import reported
 from deformscope.stages.squeeze import groupings
 from deformscope.stages.squeeze.classifiers import NAMES
 from deformscope.stages.squeeze.groupings import Grouping, Normality
@@ -66,11 +67,11 @@ class ModalityComparison:
     """Two modalities, or ways to fuse them, on the same splits. difference: of the first less the second; p_value:
     corrected for splits that share trials, and for the number of comparisons (Holm); by_class: (C,) of the recalls"""
 
-    first: Key
-    second: Key
+    first: Key = field(metadata=reported("first", None, words=lambda one: ", ".join(one.first)))
+    second: Key = field(metadata=reported("second", None, words=lambda one: ", ".join(one.second)))
     protocol: Protocol
-    difference: Estimated
-    p_value: float
+    difference: Estimated = field(metadata=reported("difference", interval_key="interval", digits="+.1%"))
+    p_value: float = field(metadata=reported("p (Holm)", "p_value_holm", digits=".2g"))
     by_class: tuple[Estimated, ...]
 
 
@@ -80,9 +81,9 @@ class CurvePoint:
 
     modality: str
     method: Method
-    share: float
-    trials: float
-    accuracy: Estimated
+    share: float = field(metadata=reported())
+    trials: float = field(metadata=reported())
+    accuracy: Estimated = field(metadata=reported(interval_key="interval"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,10 +91,10 @@ class TimePoint:
     """What is known after so much of the squeeze. accuracy: of all trials; stopped: share of trials in which one class
     has reached `SURE` by then; right: of these, the share in which that class is the true one (NaN = none stopped)"""
 
-    time_s: float
-    accuracy: Estimated
-    stopped: float
-    right: float
+    time_s: float = field(metadata=reported())
+    accuracy: Estimated = field(metadata=reported(interval_key="interval"))
+    stopped: float = field(metadata=reported())
+    right: float = field(metadata=reported())
 
 
 @dataclass(frozen=True, slots=True)

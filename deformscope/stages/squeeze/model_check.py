@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy import stats
 
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.errors import InputError
+from deformscope.results.declared import derived, reported
 from deformscope.stages.squeeze.evaluation import held_values
 from deformscope.stages.squeeze.intervals import Estimated, Interval, share_among_new, trials_worth, wilson
 from deformscope.stages.squeeze.model import ContentModel
@@ -31,9 +32,9 @@ class TimeCheck:
     """What a model says so long after first contact, of the modalities of `score`; time_s: NaN = in the end, of all
     that are fused; error_interval: of the calibration error, by drawing trials anew"""
 
-    time_s: float
-    score: ClassificationScore
-    error_interval: Interval
+    time_s: float = field(metadata=reported(json=lambda time_s: None if math.isnan(time_s) else time_s))
+    score: ClassificationScore = field(metadata=reported(flat=True))
+    error_interval: Interval = field(metadata=reported(key="calibration_interval"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,16 +51,17 @@ class ModelCheck:
     labels: tuple[str, ...]
     score: ClassificationScore
     alone: Mapping[str, ClassificationScore]
-    promised: Estimated | None
-    expected: Interval | None
+    promised: Estimated | None = field(metadata=reported(interval_key="promised_interval"))
+    expected: Interval | None = field(metadata=reported(key="expected_interval"))
     inside: tuple[int, int]
-    calibrated: float
-    times: tuple[TimeCheck, ...] = ()
+    calibrated: float = field(metadata=reported(key="calibrated_p"))
+    times: tuple[TimeCheck, ...] = field(default=(), metadata=reported(key="at_times"))
 
     @property
-    def kept(self) -> bool:
-        """Whether the accuracy is one that is expected of so many trials, were the promise right."""
-        return self.expected is not None and self.expected[0] <= self.score.accuracy.value <= self.expected[1]
+    @derived(key="promise_kept")
+    def kept(self) -> bool | None:
+        """Whether the accuracy is one that is expected of so many trials, were the promise right; None without one."""
+        return None if self.expected is None else self.expected[0] <= self.score.accuracy.value <= self.expected[1]
 
     @property
     def calibration_kept(self) -> bool:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
 from scipy import stats
 
 from deformscope.arrays import FloatArray, IntArray
+from deformscope.results.declared import derived, reported
 from deformscope.stages.squeeze.intervals import Estimated, Interval, over_splits, share_of, trials_worth, wilson
 from deformscope.stages.squeeze.splits import Protocol, Split
 from deformscope.stages.squeeze.table import LabelledTable, TextArray
@@ -45,26 +46,29 @@ class ClassificationScore:
     components: mean number in use; pair: trained and tested kinds, of a transfer; split_accuracy: (J,)
     """
 
-    modality: str
-    method: Method
-    protocol: Protocol | Literal["transfer", "new"]
-    fusion: Literal["none", "early", "late"]
-    accuracy: Estimated
-    balanced: Estimated
-    chance: float
-    confusion: IntArray
+    modality: str = field(metadata=reported("modality"))
+    method: Method = field(metadata=reported("method"))
+    protocol: Protocol | Literal["transfer", "new"] = field(metadata=reported())
+    fusion: Literal["none", "early", "late"] = field(metadata=reported())
+    accuracy: Estimated = field(metadata=reported("accuracy", interval_key="interval", digits=".1%"))
+    balanced: Estimated = field(
+        metadata=reported("balanced", "balanced_accuracy", interval_key="balanced_interval", digits=".1%")
+    )
+    chance: float = field(metadata=reported())
+    confusion: IntArray = field(metadata=reported())
     trials: IntArray
-    worth: float
-    calibration_error: float
-    overconfidence: Estimated
-    log_loss: float
-    reliability: Reliability
+    worth: float = field(metadata=reported(key="independent_trials"))
+    calibration_error: float = field(metadata=reported("calibration error", digits=".1%"))
+    overconfidence: Estimated = field(metadata=reported(interval_key="overconfidence_interval"))
+    log_loss: float = field(metadata=reported())
+    reliability: Reliability = field(metadata=reported())
     components: float
-    level: float
+    level: float = field(metadata=reported())
     pair: tuple[str, str] | None
     split_accuracy: FloatArray
 
     @property
+    @derived("splits", digits=".0f")
     def splits(self) -> int:
         return len(self.split_accuracy)
 

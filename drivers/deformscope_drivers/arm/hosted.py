@@ -179,11 +179,11 @@ class HostedArm(Arm[ArmState]):
         found: list[ArmState] = []
         message = self._hosted.receive(timeout_s)
         while message is not None:
-            self._heed(message, found)
+            self._handle(message, found)
             message = self._hosted.receive(0.0)
         return found
 
-    def _heed(self, message: tuple[Any, ...], found: list[ArmState]) -> None:
+    def _handle(self, message: tuple[Any, ...], found: list[ArmState]) -> None:
         match message:
             case ("state", state, homed, stopped):
                 self._homed = homed

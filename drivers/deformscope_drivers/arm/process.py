@@ -42,7 +42,7 @@ def serve(channel: Channel, kind: type[Arm[Any]], config: Any) -> None:
             if long is not None and not channel.poll(UNATTENDED_S) and long.is_alive():
                 with contextlib.suppress(DeviceError):
                     arm.halt("the program that moves it does not answer")
-            long = _heed(channel.receive(), arm, channel) or long
+            long = _handle(channel.receive(), arm, channel) or long
     except (EOFError, OSError):
         with contextlib.suppress(DeviceError):
             arm.halt("the program that moved it has ended")
@@ -51,7 +51,7 @@ def serve(channel: Channel, kind: type[Arm[Any]], config: Any) -> None:
             arm.close()
 
 
-def _heed(message: tuple[Any, ...], arm: Arm[Any], channel: Channel) -> threading.Thread | None:
+def _handle(message: tuple[Any, ...], arm: Arm[Any], channel: Channel) -> threading.Thread | None:
     """Carry a message out; the thread that does so, where that takes long."""
     match message:
         case ("velocity", velocity, expires_ns):

@@ -31,7 +31,7 @@ def urdf_of(chain: Chain) -> str:
         parent = f"{name}_link_{index - 1}" if index > 1 else f"{name}_link_base"
         lines += [
             f'  <joint name="{name}_joint_{index}" type="{"continuous" if endless else "revolute"}">',
-            f'    <origin xyz="{_words(joint.xyz_m)}" rpy="{_words(joint.rpy_rad)}"/>',
+            f'    <origin xyz="{_format_values(joint.xyz_m)}" rpy="{_format_values(joint.rpy_rad)}"/>',
             f'    <parent link="{parent}"/><child link="{name}_link_{index}"/><axis xyz="0 0 1"/>',
             f'    <limit lower="{low:.10g}" upper="{high:.10g}" effort="{joint.effort_nm:g}" '
             f'velocity="{math.radians(joint.velocity_deg_s):.10g}"/>',
@@ -40,7 +40,7 @@ def urdf_of(chain: Chain) -> str:
         ]
     lines += [
         f'  <joint name="{name}_joint_end_effector" type="fixed">',
-        f'    <origin xyz="{_words(ends_m[-1])}" rpy="{_words(chain.end_effector_rpy_rad)}"/>',
+        f'    <origin xyz="{_format_values(ends_m[-1])}" rpy="{_format_values(chain.end_effector_rpy_rad)}"/>',
         f'    <parent link="{name}_link_{chain.joint_count}"/><child link="{name}_end_effector"/>',
         "  </joint>",
         f'  <link name="{name}_end_effector"/>',
@@ -57,14 +57,14 @@ def _link(name: str, end_m: tuple[float, ...], radius_m: float) -> list[str]:
     middle = tuple(0.5 * value for value in end_m)
     return [
         f'  <link name="{name}">',
-        f'    <visual><origin xyz="{_words(middle)}" rpy="{_words(turned)}"/>',
+        f'    <visual><origin xyz="{_format_values(middle)}" rpy="{_format_values(turned)}"/>',
         f'      <geometry><cylinder radius="{radius_m:.3g}" length="{max(length_m, SHORTEST_M):.6g}"/></geometry>',
         '      <material name="orange"/></visual>',
         "  </link>",
     ]
 
 
-def _words(values: tuple[float, ...]) -> str:
+def _format_values(values: tuple[float, ...]) -> str:
     return " ".join(f"{value + 0.0:.10g}" for value in values)
 
 

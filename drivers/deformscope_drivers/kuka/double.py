@@ -76,7 +76,7 @@ class KukaDouble:
         self._waiting: deque[bytes] = deque(maxlen=WAITING)
         self._lock = threading.Lock()
         self.sends_currents = False
-        self._said_deg, self._wrench = self._start_deg, np.zeros(6)
+        self._reported_deg, self._wrench = self._start_deg, np.zeros(6)
         self._random = np.random.default_rng(0xCA)
 
     # For who runs the simulation -------------------------------------------------------------------------------------
@@ -206,10 +206,10 @@ class KukaDouble:
         c, b, a = -np.degrees(euler_xyz_from_rotation(pose[:3, :3].T))  # Rz(A) Ry(B) Rx(C)
         joints_deg, currents = self._joints_deg, tuple[float, ...]()
         if self.sends_currents:
-            rates_deg_s = (joints_deg - self._said_deg) / (1e-9 * self._cycle_ns)
+            rates_deg_s = (joints_deg - self._reported_deg) / (1e-9 * self._cycle_ns)
             currents = tuple(motor_currents(self.chain, joints_deg, rates_deg_s, self._wrench, self._random))
         said = RobMessage(
             tuple(joints_deg), self._ipoc, (*place_mm, a, b, c), tuple(self._start_deg), self.missed, currents
         )
-        self._said_deg = joints_deg
+        self._reported_deg = joints_deg
         self._waiting.append(encode_rob(said))

@@ -13,12 +13,12 @@ from deformscope_drivers.errors import OutOfLimits
 from deformscope_drivers.jaco import Jaco, JacoConfig, JacoDouble
 from deformscope_drivers.jaco.chains import CHAINS as JACO
 from deformscope_drivers.kuka import Kuka, KukaConfig, KukaDouble
+from deformscope_drivers.manual_arm import ManualArm, ManualArmConfig
 from deformscope_drivers.memory import MemoryTransport, SimulatedClock
-from deformscope_drivers.placed import PlacedArm, PlacedArmConfig
 from tests.drivers.arm.contract import ArmBench, ArmContract
 from tests.drivers.contract import Bench, DeviceContract
 
-START = PlacedArmConfig(start_m=(0.3, 0.2, 0.3))
+START = ManualArmConfig(start_m=(0.3, 0.2, 0.3))
 
 
 def polled(arm: Arm[Any], clock: SimulatedClock) -> Callable[[float], None]:
@@ -56,10 +56,10 @@ class TestPlaced(ArmContract):
     @pytest.fixture
     def bench(self) -> ArmBench:
         clock = SimulatedClock(1_000_000_000)
-        arm = PlacedArm(START, clock=clock)
+        arm = ManualArm(START, clock=clock)
         return ArmBench(arm, polled(arm, clock), lambda: arm.T_base_end_effector)
 
-    def test_it_is_where_it_was_placed(self, bench: ArmBench, arm: PlacedArm) -> None:
+    def test_it_is_where_it_was_placed(self, bench: ArmBench, arm: ManualArm) -> None:
         pose = arm.T_base_end_effector
         pose[:3, 3] = 0.1, 0.2, 0.15
         arm.place(pose)
@@ -67,7 +67,7 @@ class TestPlaced(ArmContract):
         np.testing.assert_allclose(state.T_base_end_effector, pose, atol=1e-12)
         assert state.joints_deg == ()
 
-    def test_it_is_not_placed_where_nothing_can_be(self, bench: ArmBench, arm: PlacedArm) -> None:
+    def test_it_is_not_placed_where_nothing_can_be(self, bench: ArmBench, arm: ManualArm) -> None:
         for wrong in (np.full((4, 4), np.nan), np.diag([1.0, 2.0, 1.0, 1.0]), np.eye(3)):
             with pytest.raises(OutOfLimits):
                 arm.place(wrong)
@@ -79,4 +79,4 @@ class TestPlaced(ArmContract):
 class TestPlacedAsADevice(DeviceContract):
     @pytest.fixture
     def bench(self) -> Bench:
-        return Bench(PlacedArm(START))
+        return Bench(ManualArm(START))

@@ -28,7 +28,7 @@ from deformscope.stages.fit.doubts import (
 )
 from deformscope.stages.fit.estimate import Doubt, Estimate, Verdict, limited
 from deformscope.stages.fit.joint import JointOptions, calibrate_both
-from deformscope.stages.fit.two_materials import LEFT, LEFT_SURE, LUMPS, splits
+from deformscope.stages.fit.two_materials import INCLUSIONS, LEFT, LEFT_SURE, splits
 from deformscope.stages.materials.anisotropy import fit_axes
 from deformscope.stages.materials.plasticity import YieldOptions, fit_yield
 from deformscope.stages.msm.materials import Plasticity
@@ -327,7 +327,7 @@ def test_splits_take_a_body_as_two_halves_or_a_lump_and_the_rest() -> None:
         assert 0.25 <= way.first.mean() <= 0.5
     names = [way.names[0] for way in splits(seen, grouped)]
     assert names[:3] == ["at low x", "at low y", "near the push"]
-    assert len(names) == 3 + LUMPS
+    assert len(names) == 3 + INCLUSIONS
     assert all(name.startswith("around (0.0") for name in names[3:])
     assert all(a != b for a, b in pairwise(way.first.tobytes() for way in splits(seen, grouped)))
 

@@ -163,7 +163,7 @@ def test_a_search_of_foam_alone_ends_without_one_or_at_its_budget(monkeypatch: p
 def test_it_refuses_lumps_that_do_not_fit() -> None:
     with pytest.raises(InputError, match="radius from"):
         InclusionPrior(smallest_m=0.2)
-    with pytest.raises(InputError, match="smallest lumps fit"):
+    with pytest.raises(InputError, match="smallest inclusions fit"):
         InclusionPosterior(MapGrid((0.1, 0.1)), InclusionPrior(smallest_m=0.06))
 
 

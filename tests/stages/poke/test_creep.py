@@ -133,7 +133,7 @@ def cycle(back: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
 def test_a_cycle_loses_the_area_between_way_in_and_way_out() -> None:
     gone = np.linspace(0.0, 1.0, 81)
     time, z, force = cycle((1.0 - gone) ** 2)  # 1/3 of 5 mm x 2 N comes back of the 1/2 that went in
-    fit = fit_creep(time, -z[:, None] * UP, force[:, None] * UP, UP, loading=110, held=112, tip="flat", set_force_n=2.0)
+    fit = fit_creep(time, -z[:, None] * UP, force[:, None] * UP, UP, loading=110, held=112, set_force_n=2.0)
     assert fit.loss is not None
     assert fit.loss_interval is not None
     assert fit.loss == pytest.approx(1.0 / 3.0, abs=0.005)

@@ -9,12 +9,12 @@ import pytest
 
 pytest.importorskip("warp")
 
-from deformscope.api.materials import kept_force, recorded_force
 from deformscope.errors import InputError
 from deformscope.frames import Stream, WrenchFrame
 from deformscope.log.rig_layout import RIG, RigLayout
 from deformscope.recording.reader import Replay
 from deformscope.recording.recorder import Recorder
+from deformscope.runs.materials import kept_force, recorded_force
 from deformscope_drivers.clock import Stamp
 
 START_NS = 5_000_000_000

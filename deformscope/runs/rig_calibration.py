@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 import numpy.typing as npt
 
 from deformscope.errors import InputError
-from deformscope.experiments.setting_up import Assistant, SetupRequest
+from deformscope.experiments.rig_calibration import Assistant, SetupRequest
 from deformscope.file_io import read_file, replacing
 from deformscope.files.arrays_file import read_arrays
 from deformscope.interruption import Interruption, until_interrupted
@@ -24,8 +24,8 @@ from deformscope.pictures.report import Figure, Table
 from deformscope.rig.rig_edit import Values, edited, lines_of
 from deformscope.rig.rig_file import Rig, load_rig
 from deformscope.robot.setup import ROLES, RigParts, only_device, open_rig
+from deformscope.runs.opened_devices import table_of
 from deformscope.runs.operator import RunOperator, at_terminal
-from deformscope.runs.setups import table_of
 from deformscope.runs.skeleton import open_rig_run
 from deformscope.session import RigExperiment, Step, run
 from deformscope.terminal import say

@@ -10,31 +10,22 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, TypeAlias, TypedDict, Unpack
+from typing import Any, TypeAlias
 
 import numpy as np
 
-from deformscope.api.calibration_report import poke_tables
-from deformscope.api.result import (
-    LibraryResult,
-    Note,
-    ViewerChoice,
-    log_note,
-    open_recorder,
-    python_names,
-    recording_rows,
-)
 from deformscope.arrays import FloatArray, ImageArray
-from deformscope.calibration_options import (
+from deformscope.config import BetaConfig, ImageOptions, OutputOptions, ThetaConfig
+from deformscope.config.calibrate import check_arrays
+from deformscope.config.flags import Selectable
+from deformscope.errors import InputError
+from deformscope.experiments.calibration_inputs import (
     fit_options,
     images_of,
     mask_of,
     opened_images,
     particle_options,
 )
-from deformscope.config import BetaConfig, ImageOptions, OutputOptions, ThetaConfig
-from deformscope.config.flags import GridShape, HeldPart, Rectangle, Selectable
-from deformscope.errors import InputError
 from deformscope.experiments.foam_video import ParticleOptions, foam_video
 from deformscope.experiments.pair_files import pair_files
 from deformscope.experiments.poke_files import LayersOptions, poke_files
@@ -51,6 +42,14 @@ from deformscope.pictures.messages import estimate_tables
 from deformscope.pictures.report import Figure, Table
 from deformscope.recording.reader import Replay
 from deformscope.recording.recorder import Recorder, RecordingSummary
+from deformscope.runs.calibration_report import poke_tables
+from deformscope.runs.result import (
+    LibraryResult,
+    Note,
+    log_note,
+    open_recorder,
+    recording_rows,
+)
 from deformscope.session import run
 from deformscope.stages.fit.calibrate import Calibration, FitOptions, Model, Observation
 from deformscope.stages.fit.estimate import Comparison, Doubt, Estimate, Verdict
@@ -62,15 +61,11 @@ from deformscope.stages.msm.quiet import quiet_warp
 from deformscope.stages.poke.fitted import FittedModel, from_pair
 from deformscope.stages.poke.poke_estimate import PokesResult
 from deformscope.stages.see.particles import clean_mask
-from deformscope.terminal import shown_progress
 from deformscope.version import __version__
 from deformscope_drivers.clock import Stamp
 
 PairArrays: TypeAlias = Mapping[str, Any]
 """A pair by name, as in a pair file: `rest (K, d)`, `deformed (K, d)` [m], `held (n,)`, and what else one holds."""
-CalibrationSource: TypeAlias = str | Path | PairArrays | Sequence[str] | Sequence[Path] | Sequence[ImageArray]
-"""A video, a folder of frames, a recording, `sample:NAME` or a pair file; image files or images (H, W[, 3]) in their
-order; or a pair as arrays."""
 
 FLOW_S_PER_PX = 3e-6
 """Flow both ways between two frames takes about so long on two cores [s/px]: 0.9 s at 640x480."""
@@ -185,137 +180,6 @@ def rerun_command() -> str:
         return str(beside)
 
 
-# For scripts ---------------------------------------------------------------------------------------------------------
-
-
-class CalibrationOptions(TypedDict, total=False):
-    """What `calibrate_beta` and `calibrate_theta` share; each is the flag of that name of the command line.
-
-    roi, contact: x, y, width, height [px]; outline: x, y, x, y... of a polygon around the thing [px]
-    grid: rows and columns of particles; held: parts whose motion is prescribed
-    mode: how a cluster may deform; candidates: values that a sweep tries; level: of the interval
-    at: a value of the parameter whose error is reported as well
-    noise_px, noise_m: deviation of a measured position; fine: every frame of a long sequence and the finest lattice
-    below a surface, not what takes about a minute; volume: how theta conserves it
-    record: a recording to make (.rrd); viewer: default none
-    progress: called with what is done, how much of it, and of how much; default: shown on stderr where that is a
-    terminal or a notebook; True: always, False: never
-    """
-
-    roi: Rectangle
-    grid: GridShape
-    spacing_px: float
-    mask: Path | str
-    outline: Sequence[float]
-    px_per_cm: float
-    stride: int
-    fps: float
-    flow: Literal["dis", "farneback"]
-    held: Sequence[HeldPart]
-    contact: Rectangle
-    mode: Literal["linear", "quadratic"]
-    alpha: float
-    method: Literal["sweep", "gradient"]
-    candidates: int
-    level: float
-    at: float
-    noise_px: float
-    noise_m: float
-    fine: bool
-    volume: Literal["scale", "project"]
-    device: Literal["auto", "cpu", "cuda"]
-    seed: int
-    record: Path | str
-    viewer: ViewerChoice
-    overwrite: bool
-    progress: Progress | bool | None
-
-
-def calibrate_beta(
-    source: CalibrationSource | Sequence[PairArrays],
-    *,
-    cluster_size: int | None = None,
-    theta: float | None = None,
-    bounds: tuple[float, float] = (0.0, 0.99),
-    thickness_m: float | None = None,
-    spacing_m: float | None = None,
-    whole_motion: bool = False,
-    select: Sequence[Selectable] = (),
-    **options: Unpack[CalibrationOptions],
-) -> CalibrationResult:
-    """Find beta, the share of linear deformation, with its interval and a verdict (Thesis eq. 3.13).
-
-    source: see `CalibrationSource`; several pairs are fitted to one value, with thickness_m as pokes of one surface
-    cluster_size: particles along each side of a cluster, default 3; theta: fixed, default 0 (layers: fitted)
-    bounds: between which beta is searched; thickness_m: of the material below a surface that was poked, spacing_m: of
-    its lattice; whole_motion: fit all frames; options: see `CalibrationOptions`
-    Raises InputError for what cannot be used.
-    """
-    own: dict[str, Any] = {
-        "cluster_size": cluster_size,
-        "theta": theta,
-        "beta_range": bounds,
-        "thickness_m": thickness_m,
-    }
-    own |= {"spacing_m": spacing_m, "whole_motion": whole_motion, "select": tuple(select) or None}
-    return _calibrate(BetaConfig, source, own, options)
-
-
-def calibrate_theta(
-    source: CalibrationSource | Sequence[PairArrays],
-    *,
-    cluster_size: int | None = None,
-    beta: float = 0.99,
-    bounds: tuple[float, float] = (0.0, 1.0),
-    **options: Unpack[CalibrationOptions],
-) -> CalibrationResult:
-    """Find theta, how strongly volume is conserved, with its interval and a verdict (Thesis eq. 3.17).
-
-    source: see `CalibrationSource`; several pairs are fitted to one value
-    cluster_size: default None, one cluster of all particles; beta: fixed; bounds: between which theta is searched
-    options: see `CalibrationOptions`. Raises InputError for what cannot be used.
-    """
-    own = {"cluster_size": cluster_size, "beta": beta, "theta_range": bounds}
-    return _calibrate(ThetaConfig, source, own, options)
-
-
-def _calibrate(
-    kind: type[BetaConfig | ThetaConfig], source: object, own: dict[str, Any], options: CalibrationOptions
-) -> CalibrationResult:
-    given: dict[str, Any] = {"viewer": "none", "joint": _together(source), **own, **options}
-    with python_names(), shown_progress(given.pop("progress", None)) as note:
-        return calibrate(kind.of(sources=_names(source), **given), _arrays(source), progress=note)[0]
-
-
-def _arrays(source: object) -> Sequence[Any]:
-    """What is given as arrays: images in order, or pairs; empty where files are named."""
-    if isinstance(source, Mapping):
-        return [source]
-    if isinstance(source, str | Path):
-        return []
-    given = list(source)  # type: ignore[call-overload]
-    return given if given and not isinstance(given[0], str | Path) else []
-
-
-def _names(source: object) -> tuple[str, ...]:
-    if given := _arrays(source):
-        return tuple(f"pair {number}" for number in range(1, len(given) + 1)) if _is_pair(given[0]) else ("images",)
-    return (str(source),) if isinstance(source, str | Path) else tuple(map(str, source))  # type: ignore[call-overload]
-
-
-def _is_pair(given: object) -> bool:
-    return isinstance(given, Mapping)
-
-
-def _together(source: object) -> bool:
-    """Whether several pairs share one value: a script that wants one of each calls again."""
-    names, given = _names(source), _arrays(source)
-    return len(names) > 1 and (_is_pair(given[0]) if given else ending_of(names[0]) == ".npz")
-
-
-# For scripts and commands --------------------------------------------------------------------------------------------
-
-
 def calibrate(
     config: BetaConfig | ThetaConfig,
     given: Sequence[PairArrays] | Sequence[ImageArray] = (),
@@ -323,35 +187,28 @@ def calibrate(
     note: Note = log_note,
     progress: Progress | None = None,
 ) -> list[CalibrationResult]:
-    """Fit what the options name, or what is given as arrays; one result, or one for each of several pairs."""
+    """Fit what the options name, or pairs or images (H, W[, 3]) [0..255] that are given; one result, or one for each of
+    several pairs."""
     quiet_warp()
     sources, search, output = config.sources, config.search, config.output
     if config.from_rig:
         again = "--viewer page; or fit a recording of it (deformscope record)"
         raise InputError("--viewer page with a rig, whose camera is followed there", output.viewer, again, sources[0])
+    check_arrays(sources, config.images, search.noise_px, "pair files")  # a page sets both until its fit is made
     fit = fit_options(config)
     layers = _layers(config)
     select: tuple[Selectable, ...] | None = None
     if isinstance(config, BetaConfig) and config.motion.whole_motion:
         select = config.motion.select or ()
-    pairs = [source for source in sources if ending_of(source) == ".npz"]
-    if pairs and len(pairs) != len(sources):
-        other = next(source for source in sources if source not in pairs)
-        raise InputError("either pair files or images", "both", "name them in two commands", other)
-    if given and _is_pair(given[0]):
+    if given and isinstance(given[0], Mapping):
         raws = [(name, _pair_bytes(one)) for name, one in zip(sources, given, strict=True)]  # type: ignore[arg-type]
-    elif pairs:
-        raws = [(path, read_file(path, "a pair file (.npz)")) for path in pairs]
+    elif ending_of(sources[0]) == ".npz":
+        raws = [(path, read_file(path, "a pair file (.npz)")) for path in sources]
     else:
         raws = [] if given or len(sources) > 1 else _recorded_pairs(sources[0])
     if raws and select is not None:
         raise InputError("images with --whole-motion", "pair files", "--joint fits one value to all pairs")
     if raws:
-        if pairs and config.images != ImageOptions():
-            came = "some (--roi, --grid, --held...)"
-            raise InputError("no flags about images with pair files", came, "leave them out")
-        if pairs and search.noise_px is not None:
-            raise InputError("--noise-m for pair files", "--noise-px", "give the noise in metres")
         save = config.model.save is not None
         if save and layers is None and len(raws) > 1:
             expected = "one pair file with --save, or --thickness-m with several pokes of a surface"
@@ -399,8 +256,9 @@ def _thinned(source: Source, particles: ParticleOptions, every: bool, note: Note
 def _layers(config: BetaConfig | ThetaConfig) -> LayersOptions | None:
     if not isinstance(config, BetaConfig) or config.layers.thickness_m is None:
         return None
-    flags, most = config.layers, None if config.search.fine else MOST_PARTICLES
-    return LayersOptions(config.layers.thickness_m, flags.spacing_m, config.cluster_size, config.theta, most)
+    most = None if config.search.fine else MOST_PARTICLES
+    own = {"cluster_size": config.cluster_size, "theta": config.theta, "most_particles": most}
+    return LayersOptions(**config.layers.shared(LayersOptions) | own)
 
 
 def _pair_bytes(pair: PairArrays) -> bytes:
@@ -428,8 +286,8 @@ def calibrate_images(
     progress: Progress | None,
     note: Note,
 ) -> CalibrationResult:
-    """Fit a sequence of files, or of the images given, and record it where asked. images: how they become particles
-    select: as `run_images` takes it"""
+    """Fit a sequence of files, or of the images (H, W[, 3]) given, and record it where asked. images: how they become
+    particles; select: as `run_images` takes it"""
     sources, particles = config.sources, particle_options(images, config.search.noise_px)
     masked = images.mask is not None or images.outline is not None
     settings = {"sources": list(sources), "stride": images.stride, "fps": images.fps, "mask": masked}
@@ -464,41 +322,48 @@ def run_images(
     select: tuple[Selectable, ...] | None = None,
     progress: Progress | None = None,
 ) -> CalibrationResult:
-    """One sequence through the loop: the same for files, samples and recordings. select: all frames are fitted, and
-    that is chosen by held-out error; None = the last frame is"""
+    """One sequence through the loop: the same for files, samples and recordings. mask: (H, W) [px], 0 = not the body
+    select: all frames are fitted, and that is chosen by held-out error; None = the last frame is"""
     used = settings | {"particles": dataclasses.asdict(particles), "fit": dataclasses.asdict(fit)}
     if select is not None:
         used["motion"] = {"select": select}
     region = None if mask is None else clean_mask(mask)
+    experiment = (
+        foam_video(particles, fit, region, progress)
+        if select is None
+        else whole_motion(particles, fit, select, region, progress)
+    )
     last: list[ImageArray] = []
+    with images_recorder(source, mask, used, output) as recorder:
+        found = run(frames_of(source, progress, last), experiment, recorder)
+    shown = Result(found.estimate, found.comparisons[-1:], ("",), last[0])
+    recording, problems = recorder.summary(), tuple(source.problems())
+    return CalibrationResult(
+        found.estimate, shown, recording=recording, problems=problems, settings=used, seed=output.seed
+    )
 
-    def frames() -> Iterator[ColorFrame]:
-        for done, frame in enumerate(source):
+
+def frames_of(source: Source, progress: Progress | None, last: list[ImageArray] | None = None) -> Iterator[ColorFrame]:
+    """All of a sequence, said to `progress` as they are done. last: where it is given, it is kept as the last image"""
+    for done, frame in enumerate(source):
+        if last is not None:
             last[:] = [frame.image]
-            yield frame
-            if progress is not None:
-                progress("frames", done + 1, source.count or 0)
+        yield frame
+        if progress is not None:
+            progress("frames", done + 1, source.count or 0)
 
-    with open_recorder(output, used, IMAGES) as recorder:
+
+@contextmanager
+def images_recorder(
+    source: Source, mask: ImageArray | None, settings: Mapping[str, object], output: OutputOptions
+) -> Iterator[Recorder]:
+    """Records a sequence, its mask, and in the end what of the source is damaged."""
+    with open_recorder(output, settings, IMAGES) as recorder:
         if mask is not None:
             recorder.write(InputFile("mask", encode_png(mask)))
-        experiment = (
-            foam_video(particles, fit, region, progress)
-            if select is None
-            else whole_motion(particles, fit, select, region, progress)
-        )
-        found = run(frames(), experiment, recorder)
+        yield recorder
         if problems := source.problems():
             recorder.stopped_because(f"with what could be read of {source.name}: {'; '.join(problems)}")
-    shown = Result(found.estimate, found.comparisons[-1:], ("",), last[0])
-    return CalibrationResult(
-        found.estimate,
-        shown,
-        recording=recorder.summary(),
-        problems=tuple(problems),
-        settings=used,
-        seed=output.seed,
-    )
 
 
 # Pairs ---------------------------------------------------------------------------------------------------------------

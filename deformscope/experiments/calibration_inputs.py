@@ -10,6 +10,7 @@ from typing import Any
 
 from deformscope.arrays import ImageArray
 from deformscope.config import BetaConfig, ImageOptions, MaterialOptions, ThetaConfig
+from deformscope.config.images import ParticleFlags
 from deformscope.experiments.foam_video import ParticleOptions
 from deformscope.file_io import SAMPLE_SCHEME, sample_path
 from deformscope.files.sources import Source, open_source
@@ -46,10 +47,8 @@ def sample_images(name: str) -> ImageOptions:
     folder = sample_path(name)
     given = tomllib.loads((folder / "sample.toml").read_text(encoding="utf-8"))
     names = ("roi", "grid", "spacing_px", "held", "contact", "fps")
-    known: dict[str, Any] = {
-        name: tuple(given[name]) if isinstance(given[name], list) else given[name] for name in names if name in given
-    }
-    return ImageOptions(mask=folder / given["mask"] if "mask" in given else None, **known)
+    known = {name: given[name] for name in names if name in given}
+    return ImageOptions.of(mask=folder / given["mask"] if "mask" in given else None, **known)
 
 
 def for_sample(name: str, asked: ImageOptions) -> ImageOptions:
@@ -58,15 +57,14 @@ def for_sample(name: str, asked: ImageOptions) -> ImageOptions:
     particles = (asked.roi, asked.grid, asked.spacing_px, asked.mask, asked.outline, asked.held)
     if any(value is not None for value in particles):
         return dataclasses.replace(asked, fps=asked.fps or known.fps)
-    return dataclasses.replace(
-        known, fps=asked.fps or known.fps, stride=asked.stride, flow=asked.flow, px_per_cm=asked.px_per_cm
-    )
+    fps = asked.fps or known.fps
+    return dataclasses.replace(known, fps=fps, stride=asked.stride, flow=asked.flow, px_per_cm=asked.px_per_cm)
 
 
-def particle_options(images: ImageOptions, noise_px: float | None) -> ParticleOptions:
+def particle_options(images: ParticleFlags, noise_px: float | None = None) -> ParticleOptions:
     """The same as the stages take it."""
-    seeded = (images.roi, images.grid, images.spacing_px, images.held_parts(), images.contact)
-    return ParticleOptions(*seeded, images.flow, images.px_per_cm, noise_px)
+    own = {"held": images.held_parts(), "noise_px": noise_px}
+    return ParticleOptions(**images.shared(ParticleOptions) | own)
 
 
 def opened_images(sources: Sequence[str], images: ImageOptions) -> Source:
@@ -75,7 +73,8 @@ def opened_images(sources: Sequence[str], images: ImageOptions) -> Source:
 
 
 def mask_of(sources: Sequence[str], images: ImageOptions, size: tuple[int, int]) -> ImageArray | None:
-    """The mask that was named, or that a recording holds, within the outline. size: height, width of the images [px]"""
+    """The mask (H, W[, 3]) that was named, or that a recording holds, within the outline. size: H, W of the images
+    [px]"""
     mask: ImageArray | None = None
     if images.mask is not None:
         mask = read_image(images.mask)

@@ -25,18 +25,18 @@ from deformscope_drivers.clock import Clock, Stamp, monotonic_ns
 from deformscope_drivers.device import Reconnect
 from deformscope_drivers.errors import OutOfLimits
 from deformscope_drivers.health import Identity
+from deformscope_drivers.manual_arm.config import MANUAL, ManualArmConfig
 from deformscope_drivers.pacing import Pacer
-from deformscope_drivers.placed.config import PLACED, PlacedArmConfig
 
 
-class PlacedArm(Arm[ArmState]):
-    """`with PlacedArm(PlacedArmConfig(start_m=(0.3, 0.2, 0.3))) as arm:`, then `arm.place(T_base_end_effector)`."""
+class ManualArm(Arm[ArmState]):
+    """`with ManualArm(ManualArmConfig(start_m=(0.3, 0.2, 0.3))) as arm:`, then `arm.place(T_base_end_effector)`."""
 
     by_hand = True
 
     def __init__(
         self,
-        config: PlacedArmConfig,
+        config: ManualArmConfig,
         *,
         reconnect: Reconnect | None = None,
         clock: Clock = monotonic_ns,
@@ -63,7 +63,7 @@ class PlacedArm(Arm[ArmState]):
             return self._pose.copy()
 
     def identity(self) -> Identity:
-        return Identity(PLACED)
+        return Identity(MANUAL)
 
     def place(self, T_base_end_effector: npt.ArrayLike) -> None:
         """A person has put it there: (4, 4) [m]. Raises OutOfLimits for what is no pose, MotionStopped after `halt`."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import dataclasses
 import io
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -13,14 +13,10 @@ from typing import Any, Literal
 import msgspec
 import numpy as np
 
-from deformscope.api.calibration import pair_recorder, size_notes
-from deformscope.api.calibration_report import provenance_sections, settings_section
-from deformscope.api.material_report import material_figure, material_table
-from deformscope.api.result import LibraryResult, Note, log_note, open_recorder, recording_rows
 from deformscope.arrays import ImageArray
-from deformscope.calibration_options import images_of, mask_of, opened_images, particle_options
 from deformscope.config import MaterialOptions, OutputOptions, ViscousConfig, YieldConfig
 from deformscope.errors import InputError
+from deformscope.experiments.calibration_inputs import images_of, mask_of, opened_images, particle_options
 from deformscope.experiments.foam_video import ParticleOptions
 from deformscope.experiments.material_motion import (
     MaterialEstimate,
@@ -41,14 +37,17 @@ from deformscope.file_io import ending_of, read_file
 from deformscope.files.motions import parse_motion
 from deformscope.files.pairs import parse_pair
 from deformscope.files.sources import Source
-from deformscope.frames import ColorFrame, InputFile, WrenchFrame
-from deformscope.images import encode_png
-from deformscope.log.application import IMAGES, PAIR, PAIR_3D
+from deformscope.frames import InputFile, WrenchFrame
+from deformscope.log.application import PAIR, PAIR_3D
 from deformscope.pictures.report import Figure, ReportVerdict, Section, Table, html_report
 from deformscope.recording.item_rows import read_rows
 from deformscope.recording.items import read_found
 from deformscope.recording.reader import Replay
 from deformscope.recording.recorder import RecordingSummary
+from deformscope.runs.calibration import frames_of, images_recorder, pair_recorder, size_notes
+from deformscope.runs.calibration_report import provenance_sections, settings_section
+from deformscope.runs.material_report import material_figure, material_table
+from deformscope.runs.result import LibraryResult, Note, log_note, open_recorder, recording_rows
 from deformscope.session import Step, run
 from deformscope.stages.fit.model import Model, Observation
 from deformscope.stages.fit.motion import Motion
@@ -215,29 +214,18 @@ def run_material_images(
     *,
     progress: Progress | None = None,
 ) -> MaterialResult:
-    """One sequence through the loop: the same for files, samples and recordings."""
+    """One sequence through the loop: the same for files, samples and recordings. mask: (H, W) [px], 0 = not the body"""
     assert job.particles is not None
     used = {**settings, "material": dataclasses.asdict(job)}
     unloading = UnloadingOptions(job.released, job.at, force)
-
-    def frames() -> Iterator[ColorFrame]:
-        for done, frame in enumerate(source):
-            yield frame
-            if progress is not None:
-                progress("frames", done + 1, source.count or 0)
-
-    with open_recorder(output, used, IMAGES) as recorder:
-        if mask is not None:
-            recorder.write(InputFile("mask", encode_png(mask)))
+    with images_recorder(source, mask, used, output) as recorder:
         if force is not None:
             recorder.write(InputFile(FORCE_FILE, _force_bytes(force)))
         find = _finder(job, job.particles, unloading, progress)
-        found = run(frames(), material_video(job.particles, find, None if mask is None else clean_mask(mask)), recorder)
-        problems = tuple(source.problems())
-        result = MaterialResult(found, source.name, None, problems, used, job.seed)
+        experiment = material_video(job.particles, find, None if mask is None else clean_mask(mask))
+        found = run(frames_of(source, progress), experiment, recorder)
+        result = MaterialResult(found, source.name, None, tuple(source.problems()), used, job.seed)
         recorder.write(Step((result.findings(),)))
-        if problems:
-            recorder.stopped_because(f"with what could be read of {source.name}: {'; '.join(problems)}")
     return dataclasses.replace(result, recording=recorder.summary())
 
 

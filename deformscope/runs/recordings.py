@@ -1,4 +1,4 @@
-"""Recordings, from a script: what one is, and what making one left."""
+"""Recordings as a script has them: what one is, and what making one left."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, cast
 
-from deformscope.api.result import LibraryResult
 from deformscope.frames import ColorFrame, Item, SessionNote
 from deformscope.pictures.findings import cell_text
 from deformscope.pictures.report import Table
@@ -16,6 +15,7 @@ from deformscope.plain import plain
 from deformscope.recording.discards import Discard, discards_of
 from deformscope.recording.items import read_estimates, read_items, read_results
 from deformscope.recording.reader import Replay
+from deformscope.runs.result import LibraryResult
 
 
 class OpenRecording(LibraryResult):
@@ -111,8 +111,3 @@ class RecordResult(LibraryResult):
 
     def tables(self) -> tuple[Table, ...]:
         return (self.table,)
-
-
-def open_recording(path: Path | str) -> OpenRecording:
-    """Open a recording of ours. Raises InputError where it is none, or no longer what was recorded."""
-    return OpenRecording(Path(path))

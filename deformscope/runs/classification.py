@@ -1,4 +1,4 @@
-"""What is in a container: `deformscope.classify`, for tables of one's own and data sets of squeezes."""
+"""What is in a container: how well it is known, for tables of one's own and data sets of squeezes."""
 
 from __future__ import annotations
 
@@ -11,22 +11,20 @@ from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
-from deformscope.api.result import LibraryResult, python_names
 from deformscope.config import ClassifyConfig
 from deformscope.file_io import resolve
-from deformscope.files.classifier_file import load_classifier as _load
 from deformscope.files.classifier_file import save_classifier
 from deformscope.files.squeeze_dataset import SqueezeDataset
 from deformscope.files.table_file import read_table, table_of_arrays
 from deformscope.pictures import classification as pictures
 from deformscope.pictures.report import Figure, Table
+from deformscope.results.render import to_columns, to_json
+from deformscope.runs.result import LibraryResult
 from deformscope.stages.squeeze.evaluation import Evaluation, EvaluationOptions, ModalityComparison, Progress, evaluate
-from deformscope.stages.squeeze.intervals import Estimated
 from deformscope.stages.squeeze.model import ContentModel, fit_model
 from deformscope.stages.squeeze.scores import ClassificationScore
 from deformscope.stages.squeeze.table import LabelledTable, refuse_duplicates, without_duplicates
 from deformscope.stages.squeeze.trial_run import joined_name
-from deformscope.terminal import shown_progress
 from deformscope.version import __version__
 
 QUICK_SPLITS = 30
@@ -90,7 +88,8 @@ class ClassificationResult(LibraryResult):
     def _entry(self, score: ClassificationScore) -> dict[str, Any]:
         found = self.evaluation
         labels = found.table.classes
-        entry = score_entry(score, labels) | {
+        entry = to_json(score) | {
+            "labels": labels,
             "recall": [
                 {"label": label, "value": score.shares[index, index], "interval": score.share_interval(index, index)}
                 for index, label in enumerate(labels)
@@ -105,18 +104,10 @@ class ClassificationResult(LibraryResult):
         if score.protocol == found.protocol:
             key = score.modality, score.method
             entry["comparisons"] = [_compared(one, labels) for one in found.comparisons if one.first == key]
-            entry["learning_curve"] = [
-                {"share": one.share, "trials": one.trials, **_estimated("accuracy", one.accuracy)}
-                for one in found.curve
-                if (one.modality, one.method) == key
-            ]
+            entry["learning_curve"] = [to_json(one) for one in found.curve if (one.modality, one.method) == key]
             if score.method in ("pooled", "late-fusion"):
                 steps = score.modality if score.method == "pooled" else joined_name(tuple(found.table.series))
-                entry["steps"] = [
-                    {"time_s": one.time_s, "modality": steps, "stopped": one.stopped, "right": one.right}
-                    | _estimated("accuracy", one.accuracy)
-                    for one in found.steps.get(steps, ())
-                ]
+                entry["steps"] = [to_json(one) | {"modality": steps} for one in found.steps.get(steps, ())]
             if score.method == "knn" and score.modality in found.clusters:
                 rand = found.clusters[score.modality].rand
                 entry["k_means"] = {"clusters": len(labels), "adjusted_rand": rand.mean(), "deviation": rand.std()}
@@ -156,11 +147,14 @@ class ClassificationResult(LibraryResult):
 
 def format_accuracy(score: ClassificationScore) -> str:
     """Accuracy with its interval, and what naming the most frequent class would reach."""
+    method = f"{score.modality}, {score.method}, {score.splits} {format_split(score)}"
+    return f"{format_right(score)}, chance {score.chance:.1%}: {method}"
+
+
+def format_right(score: ClassificationScore) -> str:
+    """Accuracy with its interval."""
     low, high = score.accuracy.interval
-    return (
-        f"{score.accuracy.value:.1%} right ({score.level:.0%} interval {low:.1%} to {high:.1%}), chance "
-        f"{score.chance:.1%}: {score.modality}, {score.method}, {score.splits} {format_split(score)}"
-    )
+    return f"{score.accuracy.value:.1%} right ({score.level:.0%} interval {low:.1%} to {high:.1%})"
 
 
 def format_split(score: ClassificationScore) -> str:
@@ -194,39 +188,30 @@ def format_fusion(found: Evaluation) -> str:
     return "; ".join(words)
 
 
-def _estimated(name: str, found: Estimated) -> dict[str, Any]:
-    return {name: found.value, "interval": found.interval}
-
-
 def _compared(one: ModalityComparison, labels: Sequence[str]) -> dict[str, Any]:
     by_class = [
-        {"label": label, **_estimated("difference", by)} for label, by in zip(labels, one.by_class, strict=True)
+        {"label": label, "difference": by.value, "interval": by.interval}
+        for label, by in zip(labels, one.by_class, strict=True)
     ]
-    return {
-        "with_modality": one.second[0],
-        "with_method": one.second[1],
-        **_estimated("difference", one.difference),
-        "p_value_holm": one.p_value,
-        "by_class": by_class,
-    }
+    return to_json(one) | {"with_modality": one.second[0], "with_method": one.second[1], "by_class": by_class}
 
 
 def score_tables(found: Evaluation, *, every: bool = True) -> tuple[Table, ...]:
     """Every method in every kind of split, and transfers; every: else the strictest splits alone, and of the others
     what is recommended."""
-    names = ("modality", "method", "accuracy", "interval", "balanced", "interval", "calibration error", "splits")
+    names: tuple[str, ...] = ()
     made, others = [], []
     for what in dict.fromkeys((one.protocol, one.pair) for one in found.scores):
         mine = [one for one in found.scores if (one.protocol, one.pair) == what]
-        words = format_split(mine[0])
+        words, (names, rows) = format_split(mine[0]), to_columns(mine)
         if every or what[0] == found.protocol:
             caption = f"{words[0].upper()}{words[1:]}, chance {mine[0].chance:.1%}"
-            made.append(Table([_row(one) for one in mine], names, caption))
+            made.append(Table(rows, names, caption))
         else:
             best = found.best
             others += [
-                (words, *_row(one))
-                for one in mine
+                (words, *row)
+                for one, row in zip(mine, rows, strict=True)
                 if one.method == best.method and (one.modality == best.modality or one.pair is not None)
             ]
     if others:
@@ -234,48 +219,9 @@ def score_tables(found: Evaluation, *, every: bool = True) -> tuple[Table, ...]:
     return tuple(made)
 
 
-def _row(one: ClassificationScore) -> tuple[str, ...]:
-    accuracy, balanced = one.accuracy, one.balanced
-    return (
-        one.modality,
-        one.method,
-        f"{accuracy.value:.1%}",
-        f"{accuracy.interval[0]:.1%} to {accuracy.interval[1]:.1%}",
-        f"{balanced.value:.1%}",
-        f"{balanced.interval[0]:.1%} to {balanced.interval[1]:.1%}",
-        f"{one.calibration_error:.1%}",
-        str(one.splits),
-    )
-
-
 def cores() -> int:
     """That this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-def score_entry(score: ClassificationScore, labels: Sequence[str]) -> dict[str, Any]:
-    """A score in the JSON of an evaluation, or of a saved classifier on new trials. labels: of the confusion matrix"""
-    return {
-        "modality": score.modality,
-        "method": score.method,
-        "accuracy": score.accuracy.value,
-        "interval": score.accuracy.interval,
-        "chance": score.chance,
-        "confusion": score.confusion,
-        "labels": labels,
-        "splits": score.splits,
-        "protocol": score.protocol,
-        "fusion": score.fusion,
-        "level": score.level,
-        "independent_trials": score.worth,
-        "balanced_accuracy": score.balanced.value,
-        "balanced_interval": score.balanced.interval,
-        "calibration_error": score.calibration_error,
-        "overconfidence": score.overconfidence.value,
-        "overconfidence_interval": score.overconfidence.interval,
-        "log_loss": score.log_loss,
-        "reliability": score.reliability,
-    }
 
 
 def classify_table(
@@ -317,49 +263,9 @@ def table_from(
     return table
 
 
-def classify(
-    table: TableSource,
-    *,
-    modalities: Sequence[str] | None = None,
-    merge: Mapping[str, Sequence[str]] | None = None,
-    transfer: Sequence[tuple[str, str]] = (),
-    splits: int = 200,
-    costly_splits: int = 10,
-    curve_splits: int = 40,
-    duplicates: Literal["refuse", "drop"] = "refuse",
-    level: float = 0.9,
-    seed: int = 0,
-    progress: Progress | bool | None = None,
-) -> ClassificationResult:
-    """How well the content is known from each modality, and from all of them fused.
-
-    table: a file, or `label (N,)`, optional `group (N,)` and (N, ...) features by modality; modalities: these alone
-    merge: classes that become one; transfer: (trained, tested) patterns of kinds or groups of containers
-    splits: 70/30, random, stratified and by group; costly_splits: of boosting and the Gaussian process, 0 = without
-    curve_splits: of the learning curve and the steps of a squeeze; duplicates: what happens to equal trials
-    progress: called with what is done, how much of it, and of how much; default: shown on stderr where that is a
-    terminal or a notebook; True: always, False: never
-    Raises InputError for what cannot be used.
-    """
-    names = ("splits", "costly_splits", "curve_splits", "level", "seed")
-    given = {name: value for name, value in locals().items() if name in names}
-    with python_names():
-        options = options_of(ClassifyConfig.of(table=Path(), **given), tuple(transfer))
-        found = table_from(table, modalities=modalities, merge=merge, duplicates=duplicates)
-        name = str(table) if isinstance(table, str | Path) else ""
-        with shown_progress(progress) as note:
-            return classify_table(found, name, options, note)
-
-
 def options_of(config: ClassifyConfig, transfer: tuple[tuple[str, str], ...]) -> EvaluationOptions:
     """How the flags want it evaluated."""
     splits = config.splits, config.costly_splits, config.curve_splits
     if config.quick:
         splits = min(config.splits, QUICK_SPLITS), 0, 0
     return EvaluationOptions(*splits, level=config.level, seed=config.output.seed, transfer=transfer)
-
-
-def load_classifier(path: Path | str) -> ContentModel:
-    """A classifier that `deformscope classify --save` or `ClassificationResult.save` has written: its `labels`, and
-    `predict_proba({modality: (n, p) features})`. Raises InputError for any other file."""
-    return _load(Path(path))

@@ -6,11 +6,12 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from deformscope.api.calibration_report import provenance_sections
-from deformscope.api.classification import ClassificationResult, format_accuracy, format_fusion, score_tables
 from deformscope.pictures import classification as pictures
 from deformscope.pictures.palette import GOOD, IDLE, WARN, hexadecimal
 from deformscope.pictures.report import Figure, Part, ReportVerdict, Section, Table, html_report
+from deformscope.results.render import to_columns
+from deformscope.runs.calibration_report import provenance_sections
+from deformscope.runs.classification import ClassificationResult, format_accuracy, format_fusion, score_tables
 from deformscope.stages.squeeze.evaluation import Evaluation
 from deformscope.stages.squeeze.groupings import ALPHA
 from deformscope.stages.squeeze.model import ContentModel
@@ -112,7 +113,10 @@ def _sections(
             Section("Fusion", [f"{_sentence(format_fusion(found))}.", *of("fusion", "fused"), _weights(model)])
         )
     if found.comparisons:
-        sections.append(Section("Comparisons", [_comparisons(found)]))
+        names, rows = to_columns(found.comparisons)
+        sections.append(
+            Section("Comparisons", [Table(rows, names, "The same splits, by the corrected resampled t-test")])
+        )
     if found.curve:
         sections.append(Section("How many trials it takes", of("curve")))
     if steps := of("steps"):
@@ -208,18 +212,3 @@ def _confused(found: Evaluation) -> Table:
         for truth, answer in pairs
     ]
     return Table(rows, ("true", "named", "share", "interval"), f"Most often confused by {best.modality}, {best.method}")
-
-
-def _comparisons(found: Evaluation) -> Table:
-    rows = [
-        (
-            f"{one.first[0]}, {one.first[1]}",
-            f"{one.second[0]}, {one.second[1]}",
-            f"{one.difference.value:+.1%}",
-            "{:+.1%} to {:+.1%}".format(*one.difference.interval),
-            f"{one.p_value:.2g}",
-        )
-        for one in found.comparisons
-    ]
-    names = ("first", "second", "difference", "interval", "p (Holm)")
-    return Table(rows, names, "The same splits, by the corrected resampled t-test")

@@ -8,16 +8,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from deformscope.api.exploration_result import (
+from deformscope.pictures.messages import ENDED, format_claim, format_stop, format_verdict
+from deformscope.results.render import to_line
+from deformscope.runs.exploration_result import (
     ExplorationResult,
     LayerThickness,
     TouchOutcome,
     TruthScore,
     format_betas,
 )
-from deformscope.pictures.messages import ENDED, format_claim, format_stop, format_verdict
-from deformscope.results.render import to_line
-from deformscope.runs.exploration_run import _remarks, _said
+from deformscope.runs.exploration_run import _remarks, _with_messages
 from deformscope.session import Step
 from deformscope.stages.map.exploration import PlannedTouch
 from deformscope.stages.map.plan import StopReason
@@ -139,7 +139,7 @@ def test_touches_are_counted_and_the_time_left_is_said(capsys: pytest.CaptureFix
     plan = PlannedTouch(np.array([0.15, 0.2]), None, None, np.zeros((2, 2), bool), "because")
     end = dataclasses.replace(plan, target_m=None, reason="stopped: budget", stop_reason="budget")
     steps = [Step((plan,)), Step((touch(0),)), Step((plan,)), Step((end,))]
-    for _ in _said((step for step in steps), lambda line: None, 12):  # type: ignore[arg-type]
+    for _ in _with_messages((step for step in steps), lambda line: None, 12):  # type: ignore[arg-type]
         pass
     said = capsys.readouterr().err.splitlines()
     assert said[0] == "touch 1 of at most 12, at (15, 20) cm: because"

@@ -16,7 +16,7 @@ from deformscope.rig.rig_edit import Values, edited
 from deformscope.rig.rig_file import load_rig
 from deformscope.robot.placement import Placement
 from deformscope.robot.setup import RigParts
-from deformscope.runs.setups import table_of
+from deformscope.runs.opened_devices import table_of
 from deformscope.stages.setup.transform import deviation
 from tests.cli.rig_on_a_simulated_clock import use_a_simulated_clock
 

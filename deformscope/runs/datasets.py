@@ -1,4 +1,4 @@
-"""Squeezes of containers, from a script: `deformscope.squeeze`, and their data sets: `deformscope.open_dataset`."""
+"""Data sets of squeezes, as a script has them."""
 
 from __future__ import annotations
 
@@ -6,64 +6,12 @@ import dataclasses
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
-from deformscope.api.result import LibraryResult, ViewerChoice, python_names
-from deformscope.api.squeeze_result import SqueezeResult
-from deformscope.config import SqueezeConfig
 from deformscope.files.squeeze_dataset import SqueezeDataset, TrialEntry
 from deformscope.pictures.report import Table
-from deformscope.runs.squeeze_run import leave, squeeze_on
+from deformscope.runs.result import LibraryResult
 from deformscope.stages.squeeze.table import LabelledTable
-from deformscope.terminal import Say, messages_to
-
-# One squeeze ---------------------------------------------------------------------------------------------------------
-
-
-def squeeze(
-    rig: str | Path,
-    *,
-    content: str = "",
-    container: str = "",
-    dataset: Path | str | None = None,
-    keep: Literal["trial", "features"] = "trial",
-    model: Path | str | None = None,
-    fill: float = 0.9,
-    session: str = "",
-    operator: str = "",
-    seed: int = 0,
-    record: Path | str | None = None,
-    viewer: ViewerChoice = "none",
-    overwrite: bool = False,
-    yes: bool = False,
-    trust_rig: bool = False,
-    progress: Say | bool | None = None,
-) -> SqueezeResult:
-    """Squeeze a container once, and take its features; with `model`, name its content.
-
-    rig: a rig file (.toml), or `lab:containers`; content, container: what is squeezed, in the laboratory drawn where
-    they are empty; dataset: a data set to add the trial to, with its recording unless keep = "features"
-    model: a saved classifier; yes: let a real hand close without asking; with a rig file the question appears
-    progress: as of `explore`
-    Raises InputError for what cannot be used, and where the squeeze did not come to its steady state (a data set keeps
-    it as discarded, with the reason); KeyboardInterrupt where Ctrl-C ended it.
-    """
-    given = {name: value for name, value in locals().items() if name not in ("rig", "progress")}
-    with python_names():
-        config = SqueezeConfig.of(rig=str(rig), **given)
-        with messages_to(progress if str(rig).startswith("lab:") or callable(progress) else True):
-            return _squeezed(config)
-
-
-def _squeezed(config: SqueezeConfig) -> SqueezeResult:
-    squeezed = squeeze_on(config, lambda result: None)
-    if squeezed.interrupted:
-        raise KeyboardInterrupt
-    leave(squeezed)
-    return squeezed.result
-
-
-# A data set ----------------------------------------------------------------------------------------------------------
 
 
 class OpenDataset(LibraryResult):
@@ -115,15 +63,10 @@ def dataset_table(folder: Path, entries: Sequence[TrialEntry], *, trials: bool =
     recorded = sum(bool(one.recording) for one in entries)
     rows.append(("in all", f"{len(entries)} trials, {recorded} with recordings"))
     if trials:
-        rows += [(one.trial, _words(one)) for one in entries]
+        rows += [(one.trial, _format_entry(one)) for one in entries]
     return Table(rows, caption=str(folder))
 
 
-def _words(entry: TrialEntry) -> str:
+def _format_entry(entry: TrialEntry) -> str:
     left_out = "" if entry.discarded is None else f", left out: {entry.discarded}"
     return f"{entry.content} in {entry.container}, {entry.recorded_at}{left_out}"
-
-
-def open_dataset(folder: Path | str) -> OpenDataset:
-    """Open a data set that `deformscope squeeze --dataset` has made. Raises InputError where it is none."""
-    return OpenDataset(Path(folder))

@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from deformscope.errors import InputError
-from deformscope.experiments.setting_up import BoardViews, SetupRequest, view_board
+from deformscope.experiments.rig_calibration import BoardViews, SetupRequest, view_board
 from deformscope.frames import ArmFrame, DepthFrame, Item
 from deformscope.session import RigExperiment, Step
 from deformscope.stages.setup.board import CharucoSpec
@@ -23,7 +23,7 @@ VIEWS = 8
 def shown(turns_deg: np.ndarray, monkeypatch: pytest.MonkeyPatch) -> tuple[BoardViews, list[str]]:
     """The views of an arm that is turned so for each request (n, 3) [deg], and what was asked for."""
     monkeypatch.setattr(
-        "deformscope.experiments.setting_up.find_board", lambda *_: SimpleNamespace(number=np.arange(12))
+        "deformscope.experiments.rig_calibration.find_board", lambda *_: SimpleNamespace(number=np.arange(12))
     )
     asked: list[str] = []
     notes: list[str] = []

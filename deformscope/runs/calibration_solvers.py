@@ -11,13 +11,13 @@ import numpy as np
 
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.errors import InputError
-from deformscope.experiments.setting_up import BoardViews, ForceReadings, PushedTip, Taps, taps_of
+from deformscope.experiments.rig_calibration import BoardViews, ForceReadings, PushedTip, Taps, taps_of
 from deformscope.frames import ArmFrame, ColorFrame, DepthFrame, Frame, WrenchFrame
 from deformscope.pictures.setup import off_figure, offset_figure
 from deformscope.rig.rig_edit import TomlValue
 from deformscope.rig.rig_file import Rig
 from deformscope.robot.placement import Placement
-from deformscope.runs.setting_up import Arrays, RigCalibrationResult
+from deformscope.runs.rig_calibration import Arrays, RigCalibrationResult
 from deformscope.stages.setup.board import CharucoSpec
 from deformscope.stages.setup.camera import KnownLens, camera_from_views, doubt_at
 from deformscope.stages.setup.force import FreeAir, force_gain, free_air, hanging_weight, mount
@@ -60,7 +60,7 @@ def _json(estimate: TransformEstimate) -> dict[str, Any]:
     }
 
 
-def _words(estimate: TransformEstimate) -> tuple[tuple[str, str], ...]:
+def _format_transform(estimate: TransformEstimate) -> tuple[tuple[str, str], ...]:
     half = estimate.half()
     at, turn = 1e3 * half[:3], np.degrees(half[3:])
     return (
@@ -84,7 +84,7 @@ def _numbered(count: int) -> list[str]:
 
 
 def solve_tip(rig: Rig, T_base_ee: FloatArray) -> RigCalibrationResult:
-    """`[tool] T_ee_tip` from tilts."""
+    """`[tool] T_ee_tip` from tilts (n, 4, 4) of the arm's end in the base frame [m]."""
     made = pivot(T_base_ee)
     T_tip = np.array(made.T_ee_center.T)
     if rig.tool.tip == "sphere":
@@ -95,7 +95,7 @@ def solve_tip(rig: Rig, T_base_ee: FloatArray) -> RigCalibrationResult:
         {"tool": {"T_ee_tip": _matrix(T_tip)}, "calibrated.tip": intervals(made.T_ee_center)},
         (
             ("ball's centre", "on the arm's end"),
-            *_words(made.T_ee_center),
+            *_format_transform(made.T_ee_center),
             ("ball", f"stays within {1e3 * made.pivot_sd_m:.2f} mm"),
         ),
         off_figure(
@@ -149,7 +149,7 @@ def solve_place(rig: Rig, touched: TouchedCorners) -> RigCalibrationResult:
         },
         (
             ("surface", "in the arm's base frame"),
-            *_words(made.T_arm_surface),
+            *_format_transform(made.T_arm_surface),
             (
                 "sides",
                 f"{1e3 * size[0]:.1f} x {1e3 * size[1]:.1f} mm, give or take {1e3 * made.size_half_m.max():.1f} mm",
@@ -218,7 +218,7 @@ def solve_camera(rig: Rig, measured: MeasuredCamera, board: CharucoSpec, *, meas
     values["doubt_m"] = round(min(doubt_m, DOUBT_AT_MOST_M), 4)
     rows = [
         ("camera", "in the arm's base frame"),
-        *_words(estimate),
+        *_format_transform(estimate),
         ("where the surface is", f"within {1e3 * doubt_m:.1f} mm"),
     ]
     if "lens" in extra:

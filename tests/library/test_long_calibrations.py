@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 import deformscope as ds
-from deformscope.api import calibration
 from deformscope.arrays import ImageArray
 from deformscope.cli import common, main
 from deformscope.config import BetaConfig, SearchOptions
@@ -19,6 +18,7 @@ from deformscope.config.calibrate import LayersFlags
 from deformscope.experiments.poke_files import LayersOptions
 from deformscope.files.pairs import parse_pair
 from deformscope.files.sources import open_source
+from deformscope.runs import calibration
 from deformscope.stages.poke.layers import MeasuredSurface
 from deformscope.stages.poke.poke_fit import seen_poke, spacing_for
 from tests.cli.test_predict_command import THICKNESS, write_pair

@@ -8,29 +8,29 @@ from typing import Literal
 
 from deformscope.rig.rig_file import Rig
 
-FirstDayState = Literal["done", "by hand", "old", "to do", "optional"]
+RigStepState = Literal["done", "by hand", "old", "to do", "optional"]
 
 
 @dataclass(frozen=True, slots=True)
-class FirstDayStep:
+class RigStep:
     """what: in a word; state: `by hand` = the value is there without a date, `optional` = not needed to explore
     words: what is known; command: does it; minutes: that it takes at an arm, estimated by what is asked of a person, or
     with doubles; 0 = as many as it finds to do
     """
 
     what: str
-    state: FirstDayState
+    state: RigStepState
     words: str
     command: str
     minutes: int = 0
 
 
-def begin(name: str) -> FirstDayStep:
+def begin(name: str) -> RigStep:
     """The first step of all, for a file without devices. name: of the rig file"""
-    return FirstDayStep("devices", "to do", "no device in the file", f"deformscope doctor --example > {name}")
+    return RigStep("devices", "to do", "no device in the file", f"deformscope doctor --example > {name}")
 
 
-def first_day(rig: Rig, name: str, today: datetime.date | None = None) -> tuple[FirstDayStep, ...]:
+def commissioning_steps(rig: Rig, name: str, today: datetime.date | None = None) -> tuple[RigStep, ...]:
     """The steps of a rig that explores, in order; none for one that has no arm, no force sensor or no depth camera.
 
     name: of its file, for the commands
@@ -40,9 +40,7 @@ def first_day(rig: Rig, name: str, today: datetime.date | None = None) -> tuple[
         return ()
     simulated = bool(rig.surface.scene)
     if simulated and rig.surface.hidden is None:
-        return (
-            FirstDayStep("explore", "to do", "doubles that are where the file says", f"deformscope explore {name}"),
-        )
+        return (RigStep("explore", "to do", "doubles that are where the file says", f"deformscope explore {name}"),)
     there = {
         "tip": rig.tool.T_ee_tip is not None,
         "place": rig.surface.T_arm_surface is not None and rig.workspace.low_m is not None,
@@ -58,7 +56,7 @@ def first_day(rig: Rig, name: str, today: datetime.date | None = None) -> tuple[
             continue
         command = f"deformscope calibrate {what} {name}"
         age = ages.get(what)
-        state: FirstDayState
+        state: RigStepState
         if age is not None and (done or what == "time"):
             state, words = "done" if age.young else "old", f"{age.days} of {age.at_most} days old"
         elif done:
@@ -66,12 +64,12 @@ def first_day(rig: Rig, name: str, today: datetime.date | None = None) -> tuple[
         else:
             state, words = "optional" if what == "time" else "to do", WHY[what]
         minutes = MINUTES[what] if not simulated else 2 if what == "camera" else 1
-        steps.append(FirstDayStep(what, state, words, command, minutes))
-    steps.append(FirstDayStep("explore", "to do", "map how soft it is, and where", f"deformscope explore {name}"))
+        steps.append(RigStep(what, state, words, command, minutes))
+    steps.append(RigStep("explore", "to do", "map how soft it is, and where", f"deformscope explore {name}"))
     return tuple(steps)
 
 
-def next_step(steps: tuple[FirstDayStep, ...]) -> FirstDayStep | None:
+def next_step(steps: tuple[RigStep, ...]) -> RigStep | None:
     """The first that is still to do, or to do again."""
     return next((one for one in steps if one.state in ("to do", "old")), None)
 

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from deformscope.api.result import LibraryResult
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.experiments.options import SHALLOW_M
 from deformscope.pictures.messages import counted, format_claim, format_failure, format_stop, format_travel
@@ -17,9 +16,10 @@ from deformscope.pictures.report import Figure, Table
 from deformscope.recording.losses import named
 from deformscope.results.declared import derived, quantities, reported
 from deformscope.results.render import Rows, format_value, to_columns, to_json, units_of
+from deformscope.runs.result import LibraryResult
 from deformscope.stages.map.exploration import (
     DetectionLimit,
-    LumpsFound,
+    InclusionsResult,
     MapEstimate,
     MapRegion,
     MissProbability,
@@ -71,8 +71,9 @@ class ExplorationResult(LibraryResult):
     """What `explore` found: `to_dict()`, or `found`, is the JSON of `deformscope explore`.
 
     feel: what was mapped; set_force_n, more_force_n: pressed with, the latter where that hardly dents, None = never
-    estimate: the maps, None where no touch gave any; lumps: None where none are sought; missed: None before any plan
-    probability: of each number of regions; max_force_n: in the laboratory; measured_max_force_n: by the sensor
+    estimate: the maps, None where no touch gave any; lumps: None where no inclusions are sought
+    missed: None before any plan; probability: of each number of regions; max_force_n: in the laboratory
+    measured_max_force_n: by the sensor
     seconds: computing, of the slowest touch, by the robot's clock and on this computer
     supervisor_gaps_ms: from one look of the supervisor to the next, None where the arm never could move
     arm_stands: whether it could be stopped; losses: of each device that lost something; fault: why it was stopped
@@ -140,7 +141,7 @@ class ExplorationResult(LibraryResult):
     seconds: dict[str, float] = field(metadata=reported(unit="s"))
     supervisor_gaps_ms: dict[str, float] | None = field(metadata=reported())
     stop_reason: str = field(metadata=reported())
-    lumps: LumpsFound | None = field(metadata=reported(key="inclusions"))
+    lumps: InclusionsResult | None = field(metadata=reported(key="inclusions"))
     missed: DetectionLimit | None = field(metadata=reported())
     arm_stands: bool = field(metadata=reported())
     failures: tuple[StageFailure, ...] = field(metadata=reported())
@@ -158,7 +159,7 @@ class ExplorationResult(LibraryResult):
 
     @property
     def maps(self) -> dict[str, np.ndarray]:
-        """The arrays of the maps that are known, by name; empty without a map."""
+        """The (rows, columns) arrays of the maps that are known, by name, which says the unit; empty without a map."""
         return {} if self.estimate is None else map_arrays(self.estimate)
 
     @property
@@ -270,12 +271,12 @@ class ExplorationResult(LibraryResult):
         wide = 200.0 * missed.untouched_m
         what = f"the largest circle without a touch is {wide:.0f} cm across, around ({x:.0f}, {y:.0f}) cm"
         rows = [("untouched", what)]
-        if self.lumps is None and (lumps := missed.lumps):
-            each = ", ".join(f"{one.probability:.2f} for {200.0 * one.radius_m:.3g} cm" for one in lumps)
+        if self.lumps is None and (unseen := missed.inclusions):
+            each = ", ".join(f"{one.probability:.2f} for {200.0 * one.radius_m:.3g} cm" for one in unseen)
             by_loss = "the energy loss of what is around it, or as many times less"
             kind = by_loss if self.feel == "loss" else "as stiff or as soft"
             stated = f"assumed: {missed.contrast:g} times {kind}; {missed.prior:g} before any touch"
-            rows.append(("lumps unseen", f"probability that one was missed, by its width: {each} ({stated})"))
+            rows.append(("inclusions unseen", f"probability that one was missed, by its width: {each} ({stated})"))
         return rows
 
     @property

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from deformscope.api.result import LibraryResult
 from deformscope.arrays import FloatArray
 from deformscope.pictures.report import Figure, Table
 from deformscope.results.declared import derived, reported
 from deformscope.results.render import Rows, to_json
+from deformscope.runs.result import LibraryResult
 
 if TYPE_CHECKING:
     from deformscope.experiments.squeeze_features import TrialFeatures

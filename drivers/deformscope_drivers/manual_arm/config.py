@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-PLACED = "placed"
+MANUAL = "placed"
 """Model of an arm that a person places: it has no joints that are known."""
 
 
 @dataclass(frozen=True, slots=True)
-class PlacedArmConfig:
+class ManualArmConfig:
     """All that is known of an arm without an interface.
 
     start_m: (3,) where the mount of the stick is at the beginning, in the frame that `T_arm_surface` relates to the

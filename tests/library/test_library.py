@@ -44,6 +44,19 @@ def test_everything_offered_is_there_typed_and_documented() -> None:
         ds.bata  # noqa: B018
 
 
+def test_options_are_those_of_the_commands(arrays: dict[str, np.ndarray]) -> None:
+    with pytest.raises(TypeError, match="unexpected options: qrid"):
+        ds.calibrate_beta(arrays, qrid=(3, 4))
+    with pytest.raises(ds.InputError, match="a mode out of linear, quadratic; got 'cubic'"):
+        ds.calibrate_beta(arrays, mode="cubic")
+    with pytest.raises(ds.InputError, match="grid or spacing_px; got both"):
+        ds.calibrate_beta("sample:tension", grid=[3, 4], spacing_px=4.0)
+    with pytest.raises(ds.InputError, match="no flags about images with pair files"):
+        ds.calibrate_beta("sample:pair", grid=[3, 4])
+    with pytest.raises(ds.InputError, match="a goal out of regions, inclusions; got 'gold'"):
+        ds.explore("lab:disc", goal="gold")  # type: ignore[arg-type]
+
+
 def test_importing_it_loads_nothing_else() -> None:
     script = "import sys; before = set(sys.modules); import deformscope; print(sorted(set(sys.modules) - before))"
     command = [sys.executable, "-c", f"import importlib, typing; {script}"]

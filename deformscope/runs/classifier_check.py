@@ -7,12 +7,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from deformscope.api.calibration_report import provenance_sections
-from deformscope.api.classification import score_entry
-from deformscope.api.result import LibraryResult
 from deformscope.pictures import classification as pictures
 from deformscope.pictures.palette import GOOD, WARN, hexadecimal
 from deformscope.pictures.report import Figure, ReportVerdict, Section, Table, html_report
+from deformscope.results.render import to_json
+from deformscope.runs.calibration_report import provenance_sections
+from deformscope.runs.classification import format_right
+from deformscope.runs.result import LibraryResult
 from deformscope.stages.squeeze.model_check import ModelCheck
 from deformscope.stages.squeeze.scores import ClassificationScore
 
@@ -28,10 +29,13 @@ class ClassifierCheckResult(LibraryResult):
     def tables(self) -> tuple[Table, ...]:
         check, score = self.check, self.check.score
         rows = [
-            ("accuracy", f"{_words(score)}, chance {score.chance:.1%}, {score.trials.sum()} of {self.trials} trials"),
+            (
+                "accuracy",
+                f"{format_right(score)}, chance {score.chance:.1%}, {score.trials.sum()} of {self.trials} trials",
+            ),
             ("promised", format_promise(check)),
             ("calibration", format_calibration(check)),
-            *((f"{name} alone", _words(one)) for name, one in check.alone.items()),
+            *((f"{name} alone", format_right(one)) for name, one in check.alone.items()),
         ]
         return (
             Table(rows, caption=self.name),
@@ -70,30 +74,10 @@ class ClassifierCheckResult(LibraryResult):
         return {"classification": self.entries()}
 
     def _entry(self, score: ClassificationScore) -> dict[str, Any]:
-        entry = score_entry(score, self.check.labels) | {"recommended": score is self.check.score}
+        entry = to_json(score) | {"labels": self.check.labels, "recommended": score is self.check.score}
         if score is not self.check.score:
             return entry
-        promised = self.check.promised
-        return entry | {
-            "promised": None if promised is None else promised.value,
-            "promised_interval": None if promised is None else promised.interval,
-            "expected_interval": self.check.expected,
-            "promise_kept": None if promised is None else self.check.kept,
-            "bins_inside": self.check.inside[0],
-            "bins": self.check.inside[1],
-            "calibrated_p": self.check.calibrated,
-            "at_times": [
-                {
-                    "time_s": None if math.isnan(one.time_s) else one.time_s,
-                    "modality": one.score.modality,
-                    "accuracy": one.score.accuracy.value,
-                    "interval": one.score.accuracy.interval,
-                    "calibration_error": one.score.calibration_error,
-                    "calibration_interval": one.error_interval,
-                }
-                for one in self.check.times
-            ],
-        }
+        return entry | to_json(self.check) | {"bins_inside": self.check.inside[0], "bins": self.check.inside[1]}
 
 
 def _times(check: ModelCheck) -> Table:
@@ -101,18 +85,12 @@ def _times(check: ModelCheck) -> Table:
         (
             "in the end" if math.isnan(one.time_s) else f"{one.time_s:g} s",
             one.score.modality,
-            _words(one.score),
+            format_right(one.score),
             f"{one.score.calibration_error:.1%} ({{:.1%}} to {{:.1%}})".format(*one.error_interval),
         )
         for one in check.times
     ]
     return Table(rows, ("after first contact", "by", "accuracy", "calibration error"), "While the squeeze goes on")
-
-
-def _words(score: ClassificationScore) -> str:
-    return "{:.1%} right ({:.0%} interval {:.1%} to {:.1%})".format(
-        score.accuracy.value, score.level, *score.accuracy.interval
-    )
 
 
 def format_promise(check: ModelCheck) -> str:
@@ -138,9 +116,9 @@ def format_calibration(check: ModelCheck) -> str:
 def check_page(result: ClassifierCheckResult, seed: int, settings: Mapping[str, object]) -> str:
     """As one HTML page."""
     check = result.check
-    well = check.calibration_kept and (check.promised is None or check.kept)
+    well = check.calibration_kept and check.kept is not False
     words = (f"Promised: {format_promise(check)}.", f"Calibration: {format_calibration(check)}.")
-    verdict = ReportVerdict(_words(check.score), words, hexadecimal(GOOD if well else WARN))
+    verdict = ReportVerdict(format_right(check.score), words, hexadecimal(GOOD if well else WARN))
     sections = [Section("", [verdict, *result.tables()]), Section("Answers", list(result.figures()))]
     return html_report(
         f"A classifier on new trials: {result.name}", [*sections, *provenance_sections(seed=seed, settings=settings)]

@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import logging
 import os
-import re
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, Literal, cast
 
-from deformscope.errors import InputError
 from deformscope.pictures.findings import Findings
 from deformscope.pictures.report import Figure, Table
 from deformscope.plain import plain
@@ -86,13 +83,3 @@ def recording_rows(recording: RecordingSummary) -> Rows:
     if recording.dropped:
         rows.append(("live view", f"{recording.dropped} items dropped; the recording has them all"))
     return rows
-
-
-@contextmanager
-def python_names() -> Iterator[None]:
-    """Errors name parameters as Python spells them: the checks are those of the command line's flags."""
-    try:
-        yield
-    except InputError as error:
-        words = re.sub(r"--([a-z][a-z-]*)", lambda flag: flag[1].replace("-", "_"), str(error))
-        raise type(error).about(Exception(words), "") from None

@@ -1,4 +1,4 @@
-"""Poke a fitted model where it was not poked: `deformscope.predict`, and the command's comparison with measurements."""
+"""A fitted model poked where it was not poked, and how that compares with measurements."""
 
 from __future__ import annotations
 
@@ -6,19 +6,19 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
-from deformscope.api.calibration import CalibrationResult
-from deformscope.api.result import LibraryResult, python_names
 from deformscope.arrays import FloatArray
-from deformscope.config.flags import PokeText, TipName
+from deformscope.config.flags import Device, PokeText
 from deformscope.errors import InputError
 from deformscope.files.model_file import load_model
 from deformscope.pictures.dents import dents_png
 from deformscope.pictures.findings import ColoredBody, Findings
 from deformscope.pictures.report import Figure, Table
+from deformscope.runs.calibration import CalibrationResult
+from deformscope.runs.result import LibraryResult
 from deformscope.stages.msm.poke import Poke, Tip
 from deformscope.stages.msm.quiet import quiet_warp
 from deformscope.stages.msm.solver import pick_device
@@ -150,32 +150,11 @@ def format_poke(poke: Poke) -> str:
     return f"at ({place}) m with a {poke.tip.shape} tip of {size} mm"
 
 
-def predict(
-    model: ModelSource,
-    *,
-    at: Sequence[float],
-    depth_m: float | None = None,
-    force_n: float | None = None,
-    tip: TipName | None = None,
-    size_m: Sequence[float] = (),
-    points_m: FloatArray | None = None,
-    device: Literal["auto", "cpu", "cuda"] = "auto",
-) -> PredictionResult:
-    """What a poke that was not fitted will do: deformed particles, depth and force with its interval.
-
-    model: a file that `calibrate ... --save` wrote, a calibration of a pair or of pokes, or its `model()`
-    at: (2,) or (3,) place [m]; depth_m or force_n: how far or how hard; tip, size_m: flat (sides), disc or sphere
-    (diameter), default as it was fitted; points_m: (n, 3) of the surface whose deformed positions are wanted too
-    Raises InputError for what cannot be used.
-    """
-    with python_names():
-        if (depth_m is None) == (force_n is None):
-            raise InputError("a depth or a force", "both" if depth_m is not None else "neither")
-        known = fitted_model(model)
-        quiet_warp()
-        poke = poke_of(PokeText(tuple(at), tip, tuple(size_m), depth_m, force_n), known)
-        found = fitted.predict(known, poke, device=pick_device(device))
-        return PredictionResult(found, None if points_m is None else np.asarray(points_m, dtype=np.float64))
+def predicted(model: FittedModel, text: PokeText, points_m: FloatArray | None, device: Device) -> PredictionResult:
+    """What a poke will do. points_m: (n, 3) as of `PredictionResult`"""
+    quiet_warp()
+    found = fitted.predict(model, poke_of(text, model), device=pick_device(device))
+    return PredictionResult(found, None if points_m is None else np.asarray(points_m, dtype=np.float64))
 
 
 def fitted_model(model: ModelSource) -> FittedModel:
@@ -204,7 +183,8 @@ def poke_of(text: PokeText, model: FittedModel) -> Poke:
 
 
 def arrays_of(every: Sequence[Prediction]) -> Mapping[str, np.ndarray]:
-    """Every particle of every poke, as the command's file has them."""
+    """Of every poke the (K, d) particles at rest and deformed, in the unit of the model, and the indices (s,), (m,) of
+    the surface and of what the tip touches: as the command's file has them."""
     arrays: dict[str, np.ndarray] = {}
     for index, one in enumerate(every):
         arrays[f"rest_{index}"], arrays[f"deformed_{index}"] = one.rest, one.position

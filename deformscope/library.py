@@ -1,0 +1,353 @@
+"""The functions of `import deformscope as ds`: a script's arguments, read into the options of a command, and its run.
+
+Each raises `InputError` for what cannot be used, which names parameters as Python spells them.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+
+from deformscope.errors import InputError
+from deformscope.terminal import Progress, Say, messages_to, shown_progress
+
+if TYPE_CHECKING:
+    from deformscope.arrays import FloatArray, ImageArray
+    from deformscope.config import BetaConfig, ThetaConfig
+    from deformscope.config.explore import BetaModel, Feel, Goal, Pace, Planner
+    from deformscope.config.flags import Selectable, TipName
+    from deformscope.runs.calibration import CalibrationResult, PairArrays
+    from deformscope.runs.classification import ClassificationResult, TableSource
+    from deformscope.runs.datasets import OpenDataset
+    from deformscope.runs.exploration_result import ExplorationResult
+    from deformscope.runs.prediction import ModelSource, PredictionResult
+    from deformscope.runs.recordings import OpenRecording, RecordResult
+    from deformscope.runs.replay_result import ReplayResult
+    from deformscope.runs.result import ViewerChoice
+    from deformscope.runs.squeeze_result import SqueezeResult
+    from deformscope.stages.squeeze.model import ContentModel
+
+    CalibrationSource: TypeAlias = str | Path | PairArrays | Sequence[str] | Sequence[Path] | Sequence[ImageArray]
+    """A video, a folder of frames, a recording, `sample:NAME` or a pair file; image files or images (H, W[, 3]) in
+    their order; or a pair as arrays."""
+
+
+def calibrate_beta(
+    source: CalibrationSource | Sequence[PairArrays],
+    *,
+    cluster_size: int | None = None,
+    theta: float | None = None,
+    bounds: tuple[float, float] = (0.0, 0.99),
+    thickness_m: float | None = None,
+    spacing_m: float | None = None,
+    whole_motion: bool = False,
+    select: Sequence[Selectable] = (),
+    progress: Progress | bool | None = None,
+    **options: Any,
+) -> CalibrationResult:
+    """Find beta, the share of linear deformation, with its interval and a verdict (Thesis eq. 3.13).
+
+    source: see `CalibrationSource`; several pairs are fitted to one value, with thickness_m as pokes of one surface
+    cluster_size: particles along each side of a cluster, default 3; theta: fixed, default 0 (layers: fitted)
+    bounds: between which beta is searched; thickness_m: of the material below a surface that was poked, spacing_m: of
+    its lattice; whole_motion: fit all frames
+    progress: called with what is done, how much of it, and of how much; default: shown on stderr where that is a
+    terminal or a notebook; True: always, False: never
+    options: the other fields of `deformscope.config.BetaConfig` and its groups, each the flag of that name of
+    `deformscope calibrate beta`: roi, grid, held, px_per_cm, level, seed, fine, record, viewer...
+    Raises InputError for what cannot be used, and TypeError for options that it has not.
+    """
+    from deformscope.config import BetaConfig
+
+    own: dict[str, Any] = {"cluster_size": cluster_size, "theta": theta, "beta_range": bounds}
+    own |= {"thickness_m": thickness_m, "spacing_m": spacing_m}
+    own |= {"whole_motion": whole_motion, "select": tuple(select) or None}
+    return _calibrate(BetaConfig, source, own | options, progress)
+
+
+def calibrate_theta(
+    source: CalibrationSource | Sequence[PairArrays],
+    *,
+    cluster_size: int | None = None,
+    beta: float = 0.99,
+    bounds: tuple[float, float] = (0.0, 1.0),
+    progress: Progress | bool | None = None,
+    **options: Any,
+) -> CalibrationResult:
+    """Find theta, how strongly volume is conserved, with its interval and a verdict (Thesis eq. 3.17).
+
+    source: see `CalibrationSource`; several pairs are fitted to one value
+    cluster_size: default None, one cluster of all particles; beta: fixed; bounds: between which theta is searched
+    progress, options: as of `calibrate_beta`, out of `deformscope.config.ThetaConfig`
+    Raises InputError for what cannot be used, and TypeError for options that it has not.
+    """
+    from deformscope.config import ThetaConfig
+
+    own = {"cluster_size": cluster_size, "beta": beta, "theta_range": bounds}
+    return _calibrate(ThetaConfig, source, own | options, progress)
+
+
+def _calibrate(
+    kind: type[BetaConfig | ThetaConfig], source: Any, given: dict[str, Any], progress: Progress | bool | None
+) -> CalibrationResult:
+    from deformscope.file_io import ending_of
+    from deformscope.runs.calibration import calibrate
+
+    several: list[Any] = [source] if isinstance(source, str | Path | Mapping) else list(source)
+    arrays = [] if not several or isinstance(several[0], str | Path) else several
+    if arrays:
+        pairs = isinstance(arrays[0], Mapping)
+        names = [f"pair {number}" for number in range(1, len(arrays) + 1)] if pairs else ["images"]
+    else:
+        names = [str(one) for one in several]
+        pairs = bool(names) and ending_of(names[0]) == ".npz"
+    together = pairs and len(names) > 1  # a script that wants one value of each pair calls again
+    with _python_names(), shown_progress(progress) as note:
+        config = kind.of(**{"sources": names, "viewer": "none", "joint": together, **given})
+        return calibrate(config, arrays, progress=note)[0]
+
+
+def predict(
+    model: ModelSource,
+    *,
+    at: Sequence[float],
+    depth_m: float | None = None,
+    force_n: float | None = None,
+    tip: TipName | None = None,
+    size_m: Sequence[float] = (),
+    points_m: FloatArray | None = None,
+    device: Literal["auto", "cpu", "cuda"] = "auto",
+) -> PredictionResult:
+    """What a poke that was not fitted will do: deformed particles, depth and force with its interval.
+
+    model: a file that `calibrate ... --save` wrote, a calibration of a pair or of pokes, or its `model()`
+    at: (2,) or (3,) place [m]; depth_m or force_n: how far or how hard; tip, size_m: flat (sides), disc or sphere
+    (diameter), default as it was fitted; points_m: (n, 3) of the surface whose deformed positions are wanted too
+    Raises InputError for what cannot be used.
+    """
+    from deformscope.config.flags import PokeText
+    from deformscope.runs.prediction import fitted_model, predicted
+
+    with _python_names():
+        if (depth_m is None) == (force_n is None):
+            raise InputError("a depth or a force", "both" if depth_m is not None else "neither")
+        poke = PokeText(tuple(at), tip, tuple(size_m), depth_m, force_n)
+        return predicted(fitted_model(model), poke, points_m, device)
+
+
+def explore(
+    rig: str | Path,
+    *,
+    touches: int | None = None,
+    goal: Goal = "regions",
+    planner: Planner = "regions",
+    set_force_n: float | None = None,
+    smallest_inclusion_m: float | None = None,
+    beta_model: BetaModel | None = None,
+    pace: Pace = "careful",
+    hold_s: float = 0.0,
+    feel: Feel = "apparent",
+    seed: int = 0,
+    record: Path | str | None = None,
+    viewer: ViewerChoice = "none",
+    overwrite: bool = False,
+    yes: bool = False,
+    trust_rig: bool = False,
+    progress: Say | bool | None = None,
+) -> ExplorationResult:
+    """Map how soft a surface is: look, touch where it says most about the map, map, and again.
+
+    rig: a rig file (.toml), or a simulated scene (`lab:NAME`); touches: at most, default 8, or 30 for inclusions
+    goal: regions of one stiffness each, or inclusions below the surface; smallest_inclusion_m: radius of the smallest
+    that are sought, default 0.06, for inclusions 0.02; set_force_n: at most 5 N
+    pace: quick = low and fast over what is known of the surface; hold_s: of each touch, from which it says how the foam
+    creeps; feel: what is mapped: stiffness at once, stiffness when all has relaxed, or the share of its energy that a
+    touch loses
+    record: a recording to make (.rrd); yes: let a real arm move, once the checks have passed, without asking
+    progress: called with each line about checks and touches; default: they are printed on stderr where that is a
+    terminal or a notebook; True: always, False: never; those of a rig file always, unless there is a function
+    Raises InputError for what cannot be used, and SystemExit where the exploration was stopped before its end.
+    """
+    given = {name: value for name, value in locals().items() if name not in ("rig", "touches", "progress")}
+    from deformscope.config import ExploreConfig
+    from deformscope.runs.exploration_run import explore_on
+
+    with _python_names():
+        config = ExploreConfig.of(rig=str(rig), budget=touches, **given)
+        with _messages(rig, progress):
+            explored = explore_on(config, lambda explored: None)
+    if explored is None:
+        raise InputError("an exploration", "none: it ended before the arm could move")
+    return explored
+
+
+def squeeze(
+    rig: str | Path,
+    *,
+    content: str = "",
+    container: str = "",
+    dataset: Path | str | None = None,
+    keep: Literal["trial", "features"] = "trial",
+    model: Path | str | None = None,
+    fill: float = 0.9,
+    session: str = "",
+    operator: str = "",
+    seed: int = 0,
+    record: Path | str | None = None,
+    viewer: ViewerChoice = "none",
+    overwrite: bool = False,
+    yes: bool = False,
+    trust_rig: bool = False,
+    progress: Say | bool | None = None,
+) -> SqueezeResult:
+    """Squeeze a container once, and take its features; with `model`, name its content.
+
+    rig: a rig file (.toml), or `lab:containers`; content, container: what is squeezed, in the laboratory drawn where
+    they are empty; dataset: a data set to add the trial to, with its recording unless keep = "features"
+    model: a saved classifier; yes: let a real hand close without asking; with a rig file the question appears
+    progress: as of `explore`
+    Raises InputError for what cannot be used, and where the squeeze did not come to its steady state (a data set keeps
+    it as discarded, with the reason); KeyboardInterrupt where Ctrl-C ended it.
+    """
+    given = {name: value for name, value in locals().items() if name not in ("rig", "progress")}
+    from deformscope.config import SqueezeConfig
+    from deformscope.runs.squeeze_run import leave, squeeze_on
+
+    with _python_names():
+        config = SqueezeConfig.of(rig=str(rig), **given)
+        with _messages(rig, progress):
+            squeezed = squeeze_on(config, lambda result: None)
+            if squeezed.interrupted:
+                raise KeyboardInterrupt
+            leave(squeezed)
+    return squeezed.result
+
+
+def record(
+    rig: str | Path,
+    file: Path | str | None = None,
+    *,
+    seconds: float,
+    label: str = "",
+    viewer: ViewerChoice = "none",
+    overwrite: bool = False,
+    trust_rig: bool = False,
+    progress: Say | bool | None = None,
+) -> RecordResult:
+    """Record all devices of a rig for some seconds, with every byte of their wires and what was lost.
+
+    rig: a rig file (.toml) or `lab:NAME`; file: an `.rrd`, default `runs/NAME-<stamp>.rrd`
+    progress: called with each line about devices, links and rates; default: as of `explore`
+    Raises InputError for what cannot be used.
+    """
+    given = {name: value for name, value in locals().items() if name not in ("rig", "file", "progress")}
+    from deformscope.config import RecordConfig
+    from deformscope.runs.rig_run import run_rig
+
+    with _python_names(), messages_to(progress):
+        config = RecordConfig.of(rig=str(rig), record=file, **given)
+        return run_rig(config, "none", always_record=True).result
+
+
+def replay(
+    path: Path | str,
+    *,
+    settings: Mapping[str, object] | None = None,
+    record: Path | str | None = None,
+    viewer: ViewerChoice = "none",
+    overwrite: bool = False,
+    progress: Progress | bool | None = None,
+) -> ReplayResult:
+    """Compute a recording again from its inputs, and compare with the numbers that it holds.
+
+    settings: other ones than recorded, of an exploration, by name; what comes of them is not compared to the bit
+    progress: as of `calibrate_beta`
+    Raises InputError where the numbers differ, or for what cannot be used.
+    """
+    from deformscope.config import ReplayConfig
+    from deformscope.runs.replay import replay_on
+
+    changes = [f"{name}={value}" for name, value in (settings or {}).items()]
+    with _python_names(), shown_progress(progress) as note:
+        config = ReplayConfig.of(recording=path, set=changes, record=record, viewer=viewer, overwrite=overwrite)
+        found = replay_on(config, note)
+        if found.different is not None:
+            raise found.different
+    return found
+
+
+def classify(
+    table: TableSource,
+    *,
+    modalities: Sequence[str] | None = None,
+    merge: Mapping[str, Sequence[str]] | None = None,
+    transfer: Sequence[tuple[str, str]] = (),
+    splits: int = 200,
+    costly_splits: int = 10,
+    curve_splits: int = 40,
+    duplicates: Literal["refuse", "drop"] = "refuse",
+    level: float = 0.9,
+    seed: int = 0,
+    progress: Progress | bool | None = None,
+) -> ClassificationResult:
+    """How well the content is known from each modality, and from all of them fused.
+
+    table: a file, or `label (N,)`, optional `group (N,)` and (N, ...) features by modality; modalities: these alone
+    merge: classes that become one; transfer: (trained, tested) patterns of kinds or groups of containers
+    splits: 70/30, random, stratified and by group; costly_splits: of boosting and the Gaussian process, 0 = without
+    curve_splits: of the learning curve and the steps of a squeeze; duplicates: what happens to equal trials
+    progress: called with what is done, how much of it, and of how much; default: shown on stderr where that is a
+    terminal or a notebook; True: always, False: never
+    Raises InputError for what cannot be used.
+    """
+    names = ("splits", "costly_splits", "curve_splits", "level", "seed")
+    given = {name: value for name, value in locals().items() if name in names}
+    from deformscope.config import ClassifyConfig
+    from deformscope.runs.classification import classify_table, options_of, table_from
+
+    with _python_names():
+        options = options_of(ClassifyConfig.of(table=Path(), **given), tuple(transfer))
+        found = table_from(table, modalities=modalities, merge=merge, duplicates=duplicates)
+        name = str(table) if isinstance(table, str | Path) else ""
+        with shown_progress(progress) as note:
+            return classify_table(found, name, options, note)
+
+
+def load_classifier(path: Path | str) -> ContentModel:
+    """A classifier that `deformscope classify --save` or `ClassificationResult.save` has written: its `labels`, and
+    `predict_proba({modality: (n, p) features})`. Raises InputError for any other file."""
+    from deformscope.files import classifier_file
+
+    return classifier_file.load_classifier(Path(path))
+
+
+def open_recording(path: Path | str) -> OpenRecording:
+    """Open a recording of ours. Raises InputError where it is none, or no longer what was recorded."""
+    from deformscope.runs.recordings import OpenRecording
+
+    return OpenRecording(Path(path))
+
+
+def open_dataset(folder: Path | str) -> OpenDataset:
+    """Open a data set that `deformscope squeeze --dataset` has made. Raises InputError where it is none."""
+    from deformscope.runs.datasets import OpenDataset
+
+    return OpenDataset(Path(folder))
+
+
+def _messages(rig: str | Path, progress: Say | bool | None) -> AbstractContextManager[None]:
+    """Where lines about checks and touches go: of a rig file they are printed, unless there is a function."""
+    return messages_to(progress if str(rig).startswith("lab:") or callable(progress) else True)
+
+
+@contextmanager
+def _python_names() -> Iterator[None]:
+    """Errors name parameters as Python spells them: the checks are those of the command line's flags."""
+    try:
+        yield
+    except InputError as error:
+        words = re.sub(r"--([a-z][a-z-]*)", lambda flag: flag[1].replace("-", "_"), str(error))
+        raise type(error).about(Exception(words), "") from None

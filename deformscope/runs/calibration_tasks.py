@@ -1,0 +1,120 @@
+"""What `deformscope calibrate tip`, `place`, `camera`, `force` and `time` measure, and how each is solved."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from deformscope.config import CameraConfig, ForceConfig, PlaceConfig, TimeConfig, TipConfig
+from deformscope.errors import InputError
+from deformscope.experiments.rig_calibration import (
+    push_tip,
+    tap_tip,
+    tilt_about_tip,
+    touch_corners,
+    view_board,
+)
+from deformscope.frames import ArmFrame, ColorFrame, DepthFrame
+from deformscope.rig.rig_file import load_rig
+from deformscope.robot.setup import only_device
+from deformscope.runs.calibration_solvers import (
+    MeasuredCamera,
+    TouchedCorners,
+    camera_arrays,
+    force_arrays,
+    place_arrays,
+    recorded_taps,
+    solve_camera,
+    solve_force,
+    solve_place,
+    solve_time,
+    solve_tip,
+    time_arrays,
+    tip_arrays,
+)
+from deformscope.runs.rig_calibration import SetupTask, Station
+from deformscope.session import RigExperiment
+from deformscope.stages.setup.board import CharucoSpec
+from deformscope.terminal import say
+
+
+def _tip(config: TipConfig) -> SetupTask[Any]:
+    """Where the tip is on the arm's end."""
+    return SetupTask(
+        "tip", ("arm",), lambda at: tilt_about_tip(at.operator, at.arm, config.poses, say), tip_arrays, solve_tip
+    )
+
+
+def _place(config: PlaceConfig) -> SetupTask[Any]:
+    """Where the surface is."""
+    corners = [number for _ in range(config.touches) for number in range(3)]
+
+    def measure(at: Station) -> RigExperiment[TouchedCorners]:
+        poses = yield from touch_corners(at.operator, at.arm, corners, say)
+        return TouchedCorners(poses, np.array(corners))
+
+    return SetupTask("place", ("arm",), measure, place_arrays, solve_place)
+
+
+def _camera(config: CameraConfig) -> SetupTask[Any]:
+    """Where the camera stands, and its lens."""
+    board = CharucoSpec(*config.board, config.square)
+
+    def measure(at: Station) -> RigExperiment[MeasuredCamera]:
+        views = yield from view_board(at.operator, at.arm, at.camera, board, config.views, say)
+        return MeasuredCamera(views)
+
+    return SetupTask(
+        "camera",
+        ("arm", "depth"),
+        measure,
+        camera_arrays,
+        lambda rig, made: solve_camera(rig, made, board, measure_lens=config.lens),
+    )
+
+
+def _force(config: ForceConfig) -> SetupTask[Any]:
+    """How the force sensor sits on the stick."""
+    rig = load_rig(config.rig, trusted=config.trust_rig)
+    if config.measured is None and rig.surface.T_arm_surface is None:  # before anybody pushes
+        raise InputError("a rig file with tip and place", "no place", f"deformscope calibrate place {config.rig} first")
+    return SetupTask(
+        "force",
+        ("arm", "wrench"),
+        lambda at: push_tip(at.operator, at.arm, at.wrench, config.repeats, config.tilts, say, config.weight),
+        lambda found: force_arrays(found, config.weight),
+        solve_force,
+    )
+
+
+def _time(config: TimeConfig) -> SetupTask[Any]:
+    """How the clocks of force sensor and another device differ."""
+    rig = load_rig(config.rig, trusted=config.trust_rig)
+    kinds = {entry.name: entry.driver.kind for entry in rig.devices}
+    name = config.device or next((one for one, kind in kinds.items() if kind == "arm"), "")
+    frames: dict[str, type[ArmFrame | DepthFrame | ColorFrame]]
+    frames = {"arm": ArmFrame, "depth": DepthFrame, "color": ColorFrame}
+    if kinds.get(name) not in frames:
+        raise InputError("--device: an arm or a camera of the rig", repr(name), ", ".join(kinds), config.rig)
+    kind = frames[kinds[name]]
+    wrench = only_device(rig, "wrench", "to measure with").name
+    return SetupTask(
+        "time",
+        ("wrench", kinds[name]),
+        lambda at: tap_tip(at.operator, at.wrench, name, kind),
+        time_arrays,
+        lambda rig, taps: solve_time(rig, taps, name, wrench),
+        lambda path: recorded_taps(path, wrench, name, kind),
+    )
+
+
+TASKS: dict[type, Callable[[Any], SetupTask[Any]]] = {
+    TipConfig: _tip,
+    PlaceConfig: _place,
+    CameraConfig: _camera,
+    ForceConfig: _force,
+    TimeConfig: _time,
+}
+"""By options. Each raises InputError where the rig file lacks what it needs."""
