@@ -18,8 +18,7 @@ from deformscope.experiments.squeeze_frames import SqueezeFrames, frame_ns
 from deformscope.experiments.squeeze_tracking import (
     REST_IMAGES,
     ContainerImage,
-    ContainerSight,
-    PoseChain,
+    ContainerTracker,
     TrackedImage,
 )
 from deformscope.frames import HandFrame
@@ -199,13 +198,13 @@ def around_px(geometry: SqueezeGeometry) -> tuple[float, float, float, float] | 
 # Vision --------------------------------------------------------------------------------------------------------------
 
 
-def container_sight(geometry: SqueezeGeometry) -> ContainerSight:
+def container_tracker(geometry: SqueezeGeometry) -> ContainerTracker:
     """The camera that looks at the container. Raises InputError where its projection is not known."""
     camera = geometry.camera
     if camera.focal_px is None or camera.center_px is None:
         raise InputError("[camera] focal_px and center_px", "none")
     seen_by = Intrinsics(camera.focal_px, camera.center_px, camera.distortion)
-    return ContainerSight(geometry.container, geometry.hand.fingers, seen_by, geometry.T_hand_container)
+    return ContainerTracker(geometry.container, geometry.hand.fingers, seen_by, geometry.T_hand_container)
 
 
 class SqueezeImages:
@@ -216,10 +215,9 @@ class SqueezeImages:
         """Raises InputError where there is no image, or it is not known where the hand is in them."""
         if not frames.depth:
             raise InputError("depth images of the squeeze", "none")
-        T_camera_hand = geometry.camera_from_hand(frames)
-        if T_camera_hand is None:
+        if (T_camera_hand := geometry.camera_from_hand(frames)) is None:
             raise InputError("[hand] T_camera_hand, or T_arm_hand and [camera] T_arm_camera", "neither")
-        self.chain = PoseChain(T_camera_hand)
+        self._T_camera_hand = T_camera_hand
         self.frames = frames.during(frames.depth)
         self._hands, self._fingers = frames.during(frames.hands), geometry.hand.fingers
         self._hand_ns = np.array([frame_ns(one) for one in self._hands])
@@ -241,7 +239,7 @@ class SqueezeImages:
         if first_ns:
             before, now = (gap_m(self._angles(one), self._fingers) for one in (since_ns or first_ns, when_ns))
             closed_m = max(before - now, 0.0)
-        return ContainerImage(frames, self._angles(when_ns), first_ns, closed_m)
+        return ContainerImage(frames, self._angles(when_ns), self._T_camera_hand, first_ns, closed_m)
 
     def _angles(self, when_ns: int) -> npt.NDArray[np.float64]:
         """(7,) of the hand's last reading then [deg]."""
@@ -249,13 +247,12 @@ class SqueezeImages:
         return np.asarray(self._hands[at].position_deg, np.float64)
 
 
-def track_images(sight: ContainerSight, chain: PoseChain, images: Sequence[ContainerImage]) -> tuple[TrackedImage, ...]:
+def track_images(tracker: ContainerTracker, images: Sequence[ContainerImage]) -> tuple[TrackedImage, ...]:
     """What is found in one image after the other, until first contact if it was not located by then."""
     found: list[TrackedImage] = []
     for image in images:
-        chain, one = sight.track(chain, image)
-        found.append(one)
-        if chain.rest is None and one.container.since_s >= 0.0:
+        found.append(tracker.track(image))
+        if tracker.rest is None and found[-1].container.since_s >= 0.0:
             break
     return tuple(found)
 
@@ -268,7 +265,7 @@ def _with_vision(
     tracked: Sequence[TrackedImage],
 ) -> TrialFeatures:
     """Located before the first contact, tracked from there, compared at the steady state."""
-    seen, sight = SqueezeImages(frames, geometry), container_sight(geometry)
+    seen = SqueezeImages(frames, geometry)
     before = [one for one in seen.frames if frame_ns(one) < events.first_interval_ns[0]]
     held = sum(frame_ns(one) < events.steady_ns for one in seen.frames)
     steady = tuple(seen.frames[held : held + STEADY_IMAGES])
@@ -276,16 +273,16 @@ def _with_vision(
         raise InputError("depth images before first contact and at steady state", f"{len(before)} and {len(steady)}")
     if not tracked:
         due = [seen.image(at, events.first_ns) for at in seen.due(events.first_ns)]
-        tracked = [one.after(math.nan) for one in track_images(sight, seen.chain, due)]
-    chain = seen.chain
+        tracked = [one.after(math.nan) for one in track_images(container_tracker(geometry), due)]
+    tracker = container_tracker(geometry)
     for one in tracked:
         if one.when_ns < frame_ns(steady[0]):
-            chain = chain.after(one.pose, one.when_ns)
-    if chain.rest is None or chain.rest_ns > events.first_ns:
+            tracker.follow(one.pose, one.when_ns)
+    if tracker.rest is None or tracker.rest_ns > events.first_ns:
         reason = next((one.pose.reason for one in tracked if not one.pose.good), "not located before first contact")
         return TrialFeatures(events, dataclasses.replace(features, reason=f"before: {reason}"), tuple(tracked))
     image = seen.image(held, events.first_ns, events.first_interval_ns[0])
-    _, last = sight.track_median(chain, image, steady, 0)
+    last = tracker.track_median(image, steady, 0)
     found = (*tracked, last)
     series = _small_series(found, events)
     if last.measured is None:

@@ -10,9 +10,9 @@ from concurrent.futures import Executor, Future
 from typing import Any
 
 from deformscope.errors import InputError
-from deformscope.experiments.squeeze_features import SqueezeGeometry, SqueezeImages, container_sight
+from deformscope.experiments.squeeze_features import SqueezeGeometry, SqueezeImages, container_tracker
 from deformscope.experiments.squeeze_frames import SqueezeFrames, frame_ns
-from deformscope.experiments.squeeze_tracking import REST_IMAGES, ContainerImage, PoseChain, TrackedImage
+from deformscope.experiments.squeeze_tracking import REST_IMAGES, ContainerImage, ContainerTracker, TrackedImage
 from deformscope.processes import computing
 from deformscope.session import Inline
 from deformscope.stages.squeeze.trial import ContainerChange, ContentPosterior, TrackedContainer
@@ -22,24 +22,9 @@ BEHIND_S = 0.25
 FRESH_S = 0.5
 """A change of depth that is older says nothing of now."""
 
-Job = Callable[[PoseChain, ContainerImage], TrackedImage]
+Job = Callable[[ContainerImage], TrackedImage]
 
-
-class ImageTracker:
-    """Tracks one image after the other; state: the chain of poses."""
-
-    def __init__(self, geometry: SqueezeGeometry) -> None:
-        """Raises InputError where the camera's projection is not known."""
-        self._sight = container_sight(geometry)
-        self._chain: PoseChain | None = None
-
-    def track(self, start: PoseChain, image: ContainerImage) -> TrackedImage:
-        """start: where the chain begins"""
-        self._chain, found = self._sight.track(self._chain or start, image)
-        return found
-
-
-_tracker: ImageTracker | None = None
+_tracker: ContainerTracker | None = None
 
 
 @contextlib.contextmanager
@@ -55,22 +40,22 @@ def live_tracking(
         with computing(_begin, geometry) as executor:
             yield LiveTracking(frames, geometry, executor, _track, clock)
     else:
-        yield LiveTracking(frames, geometry, Inline(), ImageTracker(geometry).track, clock)
+        yield LiveTracking(frames, geometry, Inline(), container_tracker(geometry).track, clock)
 
 
 def _begin(geometry: SqueezeGeometry) -> None:
     """In the process, first of all."""
     global _tracker
-    _tracker = ImageTracker(geometry)
+    _tracker = container_tracker(geometry)
 
 
 def _ready() -> None:
     """What tracks has begun."""
 
 
-def _track(start: PoseChain, image: ContainerImage) -> TrackedImage:
+def _track(image: ContainerImage) -> TrackedImage:
     assert _tracker is not None
-    return _tracker.track(start, image)
+    return _tracker.track(image)
 
 
 class LiveTracking:
@@ -138,7 +123,7 @@ class LiveTracking:
             if (when_ns := frame_ns(seen.frames[at])) > self._newest_ns:
                 self._newest_ns = when_ns
                 image = seen.image(at, first_ns, together=1 if located else REST_IMAGES)
-                self._asked.append((self._executor.submit(self._job, seen.chain, image), when_ns))
+                self._asked.append((self._executor.submit(self._job, image), when_ns))
         oldest_ns = next((when_ns for _, when_ns in self._asked if when_ns), self._clock())
         if self._clock() - oldest_ns > BEHIND_S * 1e9:
             for one, _ in list(self._asked)[:-1]:
@@ -165,16 +150,16 @@ class RecordedTracking:
         self._of = {one.index: one.vision_index for one in posteriors if one.index >= 0}
         if not containers:
             return
-        seen, sight, first_ns, steady_ns = SqueezeImages(frames, geometry), container_sight(geometry), 0, 0
+        seen, tracker, first_ns, steady_ns = SqueezeImages(frames, geometry), container_tracker(geometry), 0, 0
         with contextlib.suppress(InputError):  # it was stopped before there were enough frames
             first_ns, steady_ns = (events := frames.events()).first_ns, events.steady_ns
-        places, chain = {one.index: at for at, one in enumerate(seen.frames)}, seen.chain
+        places = {one.index: at for at, one in enumerate(seen.frames)}
         for before in containers:
             if (at := places.get(before.index)) is None:  # lost: it is missed where results are compared
                 continue
             if before.lag_s is None and frame_ns(seen.frames[at]) >= steady_ns:
                 continue
-            chain, one = sight.track(chain, seen.image(at, 0 if math.isnan(before.since_s) else first_ns))
+            one = tracker.track(seen.image(at, 0 if math.isnan(before.since_s) else first_ns))
             self.found.append(one if before.lag_s is None else one.after(before.lag_s, before.skipped or 0))
 
     def go_on(self, first_ns: int) -> Sequence[TrackedImage]:

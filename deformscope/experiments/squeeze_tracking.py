@@ -1,9 +1,8 @@
 """The container in one depth image after the other: its pose, and how the depth around the fingertip differs from that
 of the rigid model (Thesis ch. 2).
 
-    sight, chain = ContainerSight(section, hand, camera, T_hand_container), PoseChain(T_camera_hand)
-    for image in images:
-        chain, tracked = sight.track(chain, image)
+    tracker = ContainerTracker(section, fingers, camera, T_hand_container)
+    tracked = [tracker.track(image) for image in images]
 
 It is the same function of the same images while the hand squeezes, afterwards, and when a recording is replayed.
 """
@@ -51,33 +50,15 @@ class ContainerImage:
     """An image in which the container is to be tracked.
 
     frames: the image, last, and up to `REST_IMAGES` - 1 before it; angles_deg: (7,) of the hand then
+    T_camera_hand: (4, 4)
     first_ns: of first contact, 0 = not known then; closed_m: by how much the fingertips have come closer since [m]
     """
 
     frames: tuple[DepthFrame, ...]
     angles_deg: npt.NDArray[np.float64]
+    T_camera_hand: FloatArray
     first_ns: int = 0
     closed_m: float = 0.0
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class PoseChain:
-    """What the next image is tracked from. rest: where the container stood before, None = not located yet; start: the
-    pose to begin at, of an image at start_ns; rest_ns: of the image of `rest`"""
-
-    T_camera_hand: FloatArray
-    rest: PoseEstimate | None = None
-    rest_ns: int = 0
-    start: PoseEstimate | None = None
-    start_ns: int = 0
-
-    def after(self, pose: PoseEstimate, when_ns: int) -> PoseChain:
-        """The chain after an image: a pose that is refused is not gone on from."""
-        if self.rest is None:
-            located = (pose, when_ns) if pose.good else (None, 0)
-            return PoseChain(self.T_camera_hand, *located, *located)
-        going_on = (pose, when_ns) if pose.good else (self.rest, self.rest_ns)
-        return dataclasses.replace(self, start=going_on[0], start_ns=going_on[1])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -100,8 +81,11 @@ class TrackedImage:
         return dataclasses.replace(self, container=dataclasses.replace(self.container, lag_s=lag_s, skipped=skipped))
 
 
-class ContainerSight:
-    """A camera that looks at a container of known form, and at the hand that squeezes it."""
+class ContainerTracker:
+    """A camera that looks at a container of known form, and at the hand that squeezes it; where it was seen last.
+
+    rest: where the container stood before, None = not located yet; rest_ns: of its image
+    """
 
     def __init__(
         self, section: ContainerSection, fingers: tuple[int, ...], camera: Intrinsics, T_hand_container: FloatArray
@@ -110,29 +94,36 @@ class ContainerSight:
         that cannot be read and a camera with distortion."""
         self.renderer = ModelRenderer(container_model(section), camera)
         self._fingers, self._camera, self._expected = fingers, camera, T_hand_container
+        self.rest: PoseEstimate | None = None
+        self._start: PoseEstimate | None = None
+        self.rest_ns = self._start_ns = 0
 
-    def track(self, chain: PoseChain, image: ContainerImage) -> tuple[PoseChain, TrackedImage]:
+    def track(self, image: ContainerImage) -> TrackedImage:
         """Locate the container in the median of the frames until it is found once, then track it in the newest one."""
-        return self.track_median(chain, image, image.frames if chain.rest is None else image.frames[-1:], -1)
+        return self.track_median(image, image.frames if self.rest is None else image.frames[-1:], -1)
 
-    def track_median(
-        self, chain: PoseChain, image: ContainerImage, frames: tuple[DepthFrame, ...], of: int
-    ) -> tuple[PoseChain, TrackedImage]:
+    def follow(self, pose: PoseEstimate, when_ns: int) -> None:
+        """Go on from a pose in an image, or from the rest where it was refused."""
+        if self.rest is None and pose.good:
+            self.rest, self.rest_ns = pose, when_ns
+        self._start, self._start_ns = (pose, when_ns) if pose.good else (self.rest, self.rest_ns)
+
+    def track_median(self, image: ContainerImage, frames: tuple[DepthFrame, ...], of: int) -> TrackedImage:
         """The same in the median of some frames, as an image at the time of one of them, `of`."""
-        frame, start = frames[of], chain.start
-        expected = chain.T_camera_hand @ self._expected if start is None else start.T_camera_container
+        frame, start = frames[of], self._start
+        expected = image.T_camera_hand @ self._expected if start is None else start.T_camera_container
         depth = self._median_m(frames, expected)
-        when_ns, tip = frame.stamp.host_ns, self._fingertip(chain, image.angles_deg)
-        hand = hand_pixels(depth, self._camera, self._links(chain, image.angles_deg))
-        if chain.rest is None or start is None:
+        when_ns, tip = frame.stamp.host_ns, self._fingertip(image)
+        hand = hand_pixels(depth, self._camera, self._links(image))
+        if self.rest is None:
             pose = locate(self.renderer, depth, expected, yaws_deg=(0.0,), excluded=hand)
         else:
             focal_px = np.array(self._camera.focal_px)
             radius_px = DENT_M / tip[2] * float(np.mean(focal_px))
             center = tip[:2] / tip[2] * focal_px + np.array(self._camera.centre_px)
             excluded = hand | around(center, (depth.shape[0], depth.shape[1]), radius_px)
-            jump_m = JUMP_M + FASTEST_M_S * (when_ns - chain.start_ns) / 1e9
-            rest, options = chain.rest.T_camera_container, TrackOptions(jump_m=jump_m)
+            jump_m = JUMP_M + FASTEST_M_S * (when_ns - self._start_ns) / 1e9
+            rest, options = self.rest.T_camera_container, TrackOptions(jump_m=jump_m)
             pose = track(self.renderer, depth, expected, rest=rest, excluded=excluded, options=options)
         since_s = (when_ns - image.first_ns) / 1e9 if image.first_ns else float("nan")
         change, reason = None, pose.reason
@@ -155,7 +146,8 @@ class ContainerSight:
             pose.deviation_m,
         )
         changed = _changed(frame.index, since_s, change, reason)
-        return chain.after(pose, when_ns), TrackedImage(when_ns, shown, changed, pose, change)
+        self.follow(pose, when_ns)
+        return TrackedImage(when_ns, shown, changed, pose, change)
 
     def _median_m(self, frames: Sequence[DepthFrame], pose: FloatArray) -> FloatArray:
         """(H, W) of images taken together around the container [m], nan elsewhere and where none of them saw it."""
@@ -168,23 +160,23 @@ class ContainerSight:
         whole[part] = median_of(seen) if len(seen) > 1 else seen[0]
         return whole
 
-    def _links(self, chain: PoseChain, angles_deg: npt.NDArray[np.float64]) -> list[Capsule]:
+    def _links(self, image: ContainerImage) -> list[Capsule]:
         """Fingers and palm, camera frame."""
         found = []
         for finger in range(3):
-            points = _moved(chain.T_camera_hand, finger_points(angles_deg, finger))
+            points = _moved(image.T_camera_hand, finger_points(image.angles_deg, finger))
             found += [Capsule(points[0], points[1], LINK_M), Capsule(points[1], points[2], LINK_M)]
         ends = np.array([[0.0, 0.0, -0.05], [0.0, 0.0, BASE_HEIGHT_M - PALM_M + 0.02]])
-        palm = _moved(chain.T_camera_hand, ends)
+        palm = _moved(image.T_camera_hand, ends)
         return [*found, Capsule(palm[0], palm[1], PALM_M)]
 
-    def _fingertip(self, chain: PoseChain, angles_deg: npt.NDArray[np.float64]) -> FloatArray:
+    def _fingertip(self, image: ContainerImage) -> FloatArray:
         """(3,) the middle of the pad of the finger that is nearer to the camera, camera frame [m]."""
         found = []
         for finger in self._fingers:
-            points = finger_points(angles_deg, finger)
+            points = finger_points(image.angles_deg, finger)
             found.append(points[1] + PAD_ALONG_M / DISTAL_LINK_M * (points[2] - points[1]))
-        tips = _moved(chain.T_camera_hand, np.stack(found))
+        tips = _moved(image.T_camera_hand, np.stack(found))
         return np.asarray(tips[int(tips[:, 2].argmin())])
 
 

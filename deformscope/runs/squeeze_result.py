@@ -18,7 +18,6 @@ from deformscope.runs.result import LibraryResult
 
 if TYPE_CHECKING:
     from deformscope.experiments.squeeze_features import TrialFeatures
-    from deformscope.experiments.squeeze_tracking import TrackedImage
     from deformscope.stages.squeeze.trial import ContentPosterior, SqueezeStop
 
 
@@ -68,8 +67,7 @@ class SqueezeResult(LibraryResult):
     @property
     @derived(optional=True)
     def tracking(self) -> dict[str, Any] | None:
-        """How the container was tracked, and its pose in each image; None where it was stopped. Times since the
-        recording's start [s]; `lag_s` of those that were known while the hand squeezed."""
+        """How the container was tracked, and its pose in each image; None where it was stopped."""
         if self.computed is None or not self.computed.tracked:
             return None
         tracked = self.computed.tracked
@@ -84,7 +82,7 @@ class SqueezeResult(LibraryResult):
             "lag_median_s": float(np.median(lags)) if lags else None,
             "lag_p95_s": float(np.percentile(lags, 95)) if lags else None,
             "ended": self.untracked,
-            "poses": [self._pose(one) for one in tracked],
+            "poses": [one.container for one in tracked],
         }
 
     answer: ContentPosterior | None = field(metadata=reported(flat=True))
@@ -186,18 +184,6 @@ class SqueezeResult(LibraryResult):
         if not self.limits_restored:
             return "stands; ITS CURRENT LIMITS ARE NOT AS THEY WERE: switch it off"
         return "stands"
-
-    def _pose(self, one: TrackedImage) -> dict[str, Any]:
-        found, changed = one.container, one.change
-        return {
-            "time_s": self._since_s(one.when_ns),
-            "T_camera_container": found.T_camera_container.tolist(),
-            "observed": found.degrees,
-            "deviation_m": one.pose.deviation_m.tolist(),
-            "refused": found.reason,
-            "change_missing": changed.missing if changed.change_m is not None else None,
-            "change_refused": changed.reason,
-        }
 
     def _since_s(self, time_ns: int) -> float:
         return (time_ns - self.start_ns) / 1e9

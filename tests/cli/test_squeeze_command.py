@@ -203,7 +203,9 @@ def test_the_container_is_tracked_and_seen_while_it_is_squeezed_and_replayed(
     assert (tracking["live"], tracking["skipped"], tracking["refused"]) == (len(live), 0, {})
     assert 0.0 <= tracking["lag_median_s"] <= tracking["lag_p95_s"] <= 0.2
     assert len(tracking["poses"]) == tracking["images"] == len(live) + 1
-    assert all(one["observed"].endswith("6 observed") or ", not " in one["observed"] for one in tracking["poses"])
+    first = tracking["poses"][0]
+    assert first["degrees_of_freedom"].startswith(f"{sum(one < 0.001 for one in first['deviation_m'])} of 6 observed")
+    assert (first["refused"], first["skipped"], first["since_s"]) == ("", 0, None)
     while_squeezed = [row.item for row in named if row.item.index >= 0]
     assert {one.modality for one in while_squeezed} == {"tactile and vision_small"}
     assert all(one.vision_index in live for one in while_squeezed)

@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from deformscope.experiments.squeeze_features import SqueezeGeometry, container_sight, track_images
+from deformscope.experiments.squeeze_features import SqueezeGeometry, container_tracker, track_images
 from deformscope.experiments.squeeze_frames import SqueezeFrames, TactileSource
-from deformscope.experiments.squeeze_live import ImageTracker, LiveTracking, RecordedTracking
-from deformscope.experiments.squeeze_tracking import REST_IMAGES, ContainerImage, PoseChain
+from deformscope.experiments.squeeze_live import LiveTracking, RecordedTracking
+from deformscope.experiments.squeeze_tracking import REST_IMAGES, ContainerImage
 from deformscope.frames import DepthFrame, HandFrame
 from deformscope.reproduce.squeeze_truth import pose_error
 from deformscope.rig.squeeze_sections import ContainerSection, HandSection
@@ -54,23 +54,20 @@ class Camera:
         expected = np.linalg.inv(T_CAMERA_HAND) @ self.rest
         view = CameraView(CAMERA.focal_px, CAMERA.centre_px, rate_hz=30.0)
         self.geometry = SqueezeGeometry(HandSection(), section, view, expected, T_CAMERA_HAND)
-        sight, random = container_sight(self.geometry), np.random.default_rng(3)
+        tracker, random = container_tracker(self.geometry), np.random.default_rng(3)
         steps = np.maximum(np.arange(count) - REST_IMAGES + 1, 0)
         self.true = [moved(self.rest, at * np.array(step_m), at * np.array(step_deg)) for at in steps]
         self.frames: list[DepthFrame] = []
         for at, pose in enumerate(self.true):
-            depth = sight.renderer.render(pose, PIXELS).depth_m
+            depth = tracker.renderer.render(pose, PIXELS).depth_m
             depth = np.where(np.isfinite(depth), depth, 1.3)
             noisy = np.rint(1e4 * (depth + axial_noise_m(depth) * random.normal(size=SHAPE))).astype(np.uint16)
             self.frames.append(DepthFrame(Stamp(START_NS + at * PERIOD_NS), at, noisy, 1e-4, device="camera"))
 
-    def chain(self) -> PoseChain:
-        return PoseChain(T_CAMERA_HAND)
-
     def images(self) -> list[ContainerImage]:
         """From the first one on that can be located, each with those before it."""
         ends = range(REST_IMAGES, len(self.frames) + 1)
-        return [ContainerImage(tuple(self.frames[end - REST_IMAGES : end]), OPEN_DEG) for end in ends]
+        return [ContainerImage(tuple(self.frames[end - REST_IMAGES : end]), OPEN_DEG, T_CAMERA_HAND) for end in ends]
 
     def hide(self, at: int, rows: slice) -> None:
         """Something stands before these rows of an image."""
@@ -82,7 +79,7 @@ class Camera:
 @pytest.mark.parametrize("section", [BOX, CYLINDER], ids=["box", "cylinder"])
 def test_known_motions_are_found_in_every_image_within_a_millimetre_and_a_degree(section: ContainerSection) -> None:
     camera = Camera(section, 14, (0.0006, -0.0004, 0.0005), (0.3, 0.0, 0.3))
-    found = track_images(container_sight(camera.geometry), camera.chain(), camera.images())
+    found = track_images(container_tracker(camera.geometry), camera.images())
 
     assert [one.container.index for one in found] == list(range(REST_IMAGES - 1, 14))
     for one, true in zip(found, camera.true[REST_IMAGES - 1 :], strict=True):
@@ -94,7 +91,7 @@ def test_known_motions_are_found_in_every_image_within_a_millimetre_and_a_degree
 
 def test_the_turn_of_a_cylinder_about_its_axis_is_said_not_to_be_observed() -> None:
     camera = Camera(CYLINDER, step_deg=(0.0, 0.0, 2.0))
-    found = track_images(container_sight(camera.geometry), camera.chain(), camera.images())
+    found = track_images(container_tracker(camera.geometry), camera.images())
 
     assert {one.container.degrees for one in found} == {"5 of 6 observed, not rotation about z"}
     last = found[-1].container
@@ -104,13 +101,13 @@ def test_the_turn_of_a_cylinder_about_its_axis_is_said_not_to_be_observed() -> N
     turn = Rotation.from_matrix(camera.rest[:3, :3].T @ last.T_camera_container[:3, :3]).as_rotvec(degrees=True)
     assert abs(turn[2]) < 0.5  # it keeps the rest pose, where the container has turned by 14 degrees
     box = Camera(BOX, REST_IMAGES)
-    assert container_sight(box.geometry).track(box.chain(), box.images()[0])[1].container.degrees == "6 of 6 observed"
+    assert container_tracker(box.geometry).track(box.images()[0]).container.degrees == "6 of 6 observed"
 
 
 def test_a_hidden_image_is_refused_with_its_reason_and_the_next_one_is_tracked_again() -> None:
     camera = Camera(BOX, 8, (0.0005, 0.0, 0.0))
     camera.hide(6, slice(None))
-    found = track_images(container_sight(camera.geometry), camera.chain(), camera.images())
+    found = track_images(container_tracker(camera.geometry), camera.images())
 
     assert [one.container.good for one in found] == [True, True, False, True]
     hidden = found[2]
@@ -124,7 +121,7 @@ def test_a_jump_is_refused() -> None:
     camera = Camera(BOX, 7, (0.0, 0.0, 0.0))
     far = Camera(BOX, REST_IMAGES + 1, (0.0, 0.018, 0.0)).frames[-1]
     camera.frames[-1] = dataclasses.replace(far, index=6, stamp=camera.frames[-1].stamp)
-    found = track_images(container_sight(camera.geometry), camera.chain(), camera.images())
+    found = track_images(container_tracker(camera.geometry), camera.images())
 
     assert [one.container.good for one in found] == [True, True, False]
     assert re.fullmatch(r"a jump of 1\d mm from the pose before, 10 mm at most", found[2].container.reason)
@@ -132,15 +129,15 @@ def test_a_jump_is_refused() -> None:
 
 def test_the_change_of_depth_around_the_fingertip_is_data_minus_model() -> None:
     camera = Camera(BOX, 6)
-    sight, (rest, dented) = container_sight(camera.geometry), camera.images()
-    chain, before = sight.track(camera.chain(), rest)
+    tracker, (rest, dented) = container_tracker(camera.geometry), camera.images()
+    before = tracker.track(rest)
     depth = dented.frames[-1].depth.copy()
     assert before.change.patch_px is not None
     left, top = (before.change.patch_px - 8).astype(int)
     depth[top : top + 16, left : left + 16] += 60  # 6 mm
     pressed = dataclasses.replace(dented.frames[-1], depth=depth)
     image = dataclasses.replace(dented, frames=(*dented.frames[:-1], pressed), first_ns=START_NS, closed_m=0.02)
-    after = sight.track(chain, image)[1].change
+    after = tracker.track(image).change
 
     assert before.change.change_m is not None
     assert after.change_m is not None
@@ -182,7 +179,7 @@ class Squeeze:
         self.camera, self.clock = camera, SimulatedClock(START_NS)
         self.frames = SqueezeFrames(TactileSource("pads", (0, 1), (0.0034, 0.0034)), "hand", "camera", EventRule())
         self.frames.air_ns = START_NS
-        track = job or ImageTracker(camera.geometry).track
+        track = job or container_tracker(camera.geometry).track
         self.tracking = LiveTracking(self.frames, camera.geometry, executor, track, self.clock)
         self.indices: list[int] = []
 
@@ -234,7 +231,7 @@ def test_what_does_not_keep_up_takes_the_newest_image_and_says_how_many_it_left_
 
 
 def test_a_tracker_that_breaks_says_why_and_nothing_waits_for_it() -> None:
-    def broken(start: Any, image: Any) -> Any:
+    def broken(image: Any) -> Any:
         raise RuntimeError("the process has ended")
 
     executor = Slow()

@@ -71,18 +71,18 @@ class TrackedContainer:
     same, in the median of several images; skipped: images before it that were left out to keep up
     """
 
-    index: int
-    T_camera_container: FloatArray
+    index: int = field(metadata=reported())
+    T_camera_container: FloatArray = field(metadata=reported())
     good: bool
-    reason: str
+    reason: str = field(metadata=reported(key="refused"))
     observed: FloatArray
     agreeing: float
     edges_px: FloatArray
-    since_s: float
+    since_s: float = field(metadata=reported())
     directions: FloatArray | None = None
-    deviation_m: FloatArray | None = None
-    lag_s: float | None = None
-    skipped: int | None = None
+    deviation_m: FloatArray | None = field(default=None, metadata=reported())
+    lag_s: float | None = field(default=None, metadata=reported())
+    skipped: int | None = field(default=None, metadata=reported())
 
     @property
     def live(self) -> bool:
@@ -90,6 +90,7 @@ class TrackedContainer:
         return self.lag_s is not None and math.isfinite(self.lag_s)
 
     @property
+    @derived(key="degrees_of_freedom")
     def degrees(self) -> str:
         """How many degrees of freedom are observed, and which are not, each named by its largest part."""
         free = [] if self.directions is None else self.directions[self.observed == 0.0]
