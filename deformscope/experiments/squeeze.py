@@ -69,9 +69,7 @@ def squeeze(
         return
     yield from ask(HandWait(0.0))  # what the devices gave last is taken in
     yield from _tracked(observer)
-    tracking = observer.tracking
-    found.untracked = "" if tracking is None else tracking.failed
-    tracked = () if tracking is None else tuple(tracking.found)
+    found.untracked, tracked = observer.tracking.failed, tuple(observer.tracking.found)
     try:
         computed: TrialFeatures = yield from ask(Compute(trial_features, (frames, geometry, tracked)))
         posterior = None if name is None else posterior_of(computed, name)
@@ -92,9 +90,9 @@ def squeeze(
 
 def _tracked(observer: SqueezeObserver) -> RigExperiment[None]:
     """Until all that came is tracked."""
-    while (tracking := observer.tracking) is not None and tracking.waiting is not None:
+    while (waiting := observer.tracking.waiting) is not None:
         with contextlib.suppress(Exception):  # `failed` then says why
-            yield from ask(tracking.waiting)
+            yield from ask(waiting)
         observer.observe(())
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, field
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -125,32 +125,37 @@ def frame_ns(frame: Frame) -> int:
     return frame.stamp.host_ns
 
 
-class Tracking(Protocol):
-    """Tracks the container (`deformscope.experiments.squeeze_live`)."""
+class Tracking:
+    """What tracks the container (`deformscope.experiments.squeeze_live`); this one does not.
 
-    found: list[TrackedImage]
-    failed: str
+    found: all that was tracked; failed: why it does not go on, or empty; waiting: the last of what is being computed
+    """
 
-    @property
-    def waiting(self) -> Future[Any] | None: ...
+    waiting: Future[Any] | None = None
 
-    def go_on(self, first_ns: int) -> Sequence[TrackedImage]: ...
+    def __init__(self) -> None:
+        self.found: list[TrackedImage] = []
+        self.failed = ""
 
-    def newest(self, tactile_index: int, now_ns: int) -> ContainerChange | None: ...
+    def go_on(self, first_ns: int) -> Sequence[TrackedImage]:
+        """What has become known since the last call. first_ns: of first contact, 0 = not yet"""
+        return ()
+
+    def newest(self, tactile_index: int, now_ns: int) -> ContainerChange | None:
+        """The change of depth that is known with a tactile frame."""
+        return None
 
 
 class SqueezeObserver:
     """Takes what devices give, in order of time, keeps it for the features, and has results to show of each frame.
 
-    predict: what a model makes of the features so far, None = no model; tracking: None = once the hand has opened. The
-    results are functions of the frames, of when the fingers were open in the air (`phase`), and of which images were
-    tracked by when, which is recorded, so that a recording gives them again.
+    predict: what a model makes of the features so far, None = no model; tracking: may be set. The results are functions
+    of the frames, of when the fingers were open in the air (`phase`), and of which images were tracked by when, which
+    is recorded, so that a recording gives them again.
     """
 
-    def __init__(
-        self, frames: SqueezeFrames, end: End, predict: Predict | None, tracking: Tracking | None = None
-    ) -> None:
-        self.frames, self.tracking = frames, tracking
+    def __init__(self, frames: SqueezeFrames, end: End, predict: Predict | None) -> None:
+        self.frames, self.tracking = frames, Tracking()
         self._end, self._predict = end, predict
         self._onset = OnsetDetector(frames.rule)
         self._shown_s = -np.inf
@@ -175,7 +180,7 @@ class SqueezeObserver:
         self._track()
 
     def _track(self) -> None:
-        for one in () if self.tracking is None else self.tracking.go_on(self._onset.first_ns):
+        for one in self.tracking.go_on(self._onset.first_ns):
             self._steps.append(Step(one.results, moment=Moment(one.when_ns)))
 
     def reports(self) -> list[Step]:
@@ -195,7 +200,7 @@ class SqueezeObserver:
         if self._predict is None or not self._onset.first_ns or since_s - self._shown_s < POSTERIOR_S:
             return tuple(results)
         self._shown_s = since_s
-        change = None if self.tracking is None else self.tracking.newest(frame.index, now_ns)
+        change = self.tracking.newest(frame.index, now_ns)
         known: dict[str, FloatArray] = {"tactile": tactile_feature(counts, self._end)}
         if change is not None and change.small_m is not None:
             known["vision_small"] = filled(change.small_m).ravel()

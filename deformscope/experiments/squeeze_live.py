@@ -7,11 +7,10 @@ import math
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, Future
-from typing import Any
 
 from deformscope.errors import InputError
 from deformscope.experiments.squeeze_features import SqueezeGeometry, SqueezeImages, container_tracker
-from deformscope.experiments.squeeze_frames import SqueezeFrames, frame_ns
+from deformscope.experiments.squeeze_frames import SqueezeFrames, Tracking, frame_ns
 from deformscope.experiments.squeeze_tracking import REST_IMAGES, ContainerImage, ContainerTracker, TrackedImage
 from deformscope.processes import computing
 from deformscope.session import Inline
@@ -30,12 +29,12 @@ _tracker: ContainerTracker | None = None
 @contextlib.contextmanager
 def live_tracking(
     frames: SqueezeFrames, geometry: SqueezeGeometry, clock: Callable[[], int], *, real_time: bool
-) -> Iterator[LiveTracking | None]:
-    """What tracks: a process of low priority beside devices that go on by themselves, else within the loop. None where
-    there is no camera, or its projection is not known."""
+) -> Iterator[Tracking]:
+    """What tracks: a process of low priority beside devices that go on by themselves, else within the loop; nothing
+    without a camera, or where its projection is not known."""
     frames.all_images = True
     if not frames.camera or geometry.camera.focal_px is None or geometry.camera.center_px is None:
-        yield None
+        yield Tracking()
     elif real_time:
         with computing(_begin, geometry) as executor:
             yield LiveTracking(frames, geometry, executor, _track, clock)
@@ -58,39 +57,32 @@ def _track(image: ContainerImage) -> TrackedImage:
     return _tracker.track(image)
 
 
-class LiveTracking:
-    """Has the images of a squeeze tracked in their order as they come; when it does not keep up, the newest one.
-
-    found: all that was tracked; failed: why it does not go on, or empty
-    """
+class LiveTracking(Tracking):
+    """Has the images of a squeeze tracked in their order as they come; when it does not keep up, the newest one."""
 
     def __init__(
         self, frames: SqueezeFrames, geometry: SqueezeGeometry, executor: Executor, job: Job, clock: Callable[[], int]
     ) -> None:
-        self.found: list[TrackedImage] = []
-        self.failed = ""
+        super().__init__()
         self._frames, self._geometry, self._executor, self._job, self._clock = frames, geometry, executor, job, clock
         self._asked: deque[tuple[Future[TrackedImage | None], int]] = deque()
-        self._asked.append((executor.submit(_ready), 0))  # a process takes seconds to begin
+        self.waiting = executor.submit(_ready)  # a process takes seconds to begin
+        self._asked.append((self.waiting, 0))
         self._newest_ns = self._skipped = 0
 
-    @property
-    def waiting(self) -> Future[Any] | None:
-        """The last of what is being computed."""
-        return self._asked[-1][0] if self._asked else None
-
     def go_on(self, first_ns: int) -> Sequence[TrackedImage]:
-        """What has become known since the last call; what came meanwhile is begun with. first_ns: of first contact, 0 =
-        not yet"""
+        """What came meanwhile is begun with."""
         known = self._known()
         try:
             self._ask(first_ns)
         except (InputError, RuntimeError) as error:  # a process that has ended is a RuntimeError
             self._fail(str(error))
-        return [*known, *self._known()]
+        known += self._known()
+        self.waiting = self._asked[-1][0] if self._asked else None
+        return known
 
     def newest(self, tactile_index: int, now_ns: int) -> ContainerChange | None:
-        """The last change of depth that is known, unless it is old. now_ns: of the tactile frame of this index"""
+        """The last one, unless it is old."""
         seen = (one for one in reversed(self.found) if one.change.small_m is not None)
         last = next(seen, None)
         return None if last is None or now_ns - last.when_ns > FRESH_S * 1e9 else last.change
@@ -130,11 +122,9 @@ class LiveTracking:
                 one.cancel()  # unless it has begun
 
 
-class RecordedTracking:
-    """The same from a recording: the images that were tracked are tracked again, each from what was known then.
-
-    found: all that was tracked; the median at the steady state is no image
-    """
+class RecordedTracking(Tracking):
+    """The same from a recording: the images that were tracked are tracked again, each from what was known then. The
+    median at the steady state is no image."""
 
     def __init__(
         self,
@@ -144,9 +134,7 @@ class RecordedTracking:
         posteriors: Sequence[ContentPosterior],
     ) -> None:
         """frames: all of them; containers, posteriors: as they were recorded"""
-        self.found: list[TrackedImage] = []
-        self.failed = ""
-        self.waiting: Future[Any] | None = None
+        super().__init__()
         self._of = {one.index: one.vision_index for one in posteriors if one.index >= 0}
         if not containers:
             return
@@ -162,11 +150,7 @@ class RecordedTracking:
             one = tracker.track(seen.image(at, 0 if math.isnan(before.since_s) else first_ns))
             self.found.append(one if before.lag_s is None else one.after(before.lag_s, before.skipped or 0))
 
-    def go_on(self, first_ns: int) -> Sequence[TrackedImage]:
-        """Nothing becomes known: all is."""
-        return ()
-
     def newest(self, tactile_index: int, now_ns: int) -> ContainerChange | None:
-        """The change that the recorded posterior is of."""
+        """The one that the recorded posterior is of."""
         wanted = self._of.get(tactile_index)
         return next((one.change for one in self.found if one.change.index == wanted), None)

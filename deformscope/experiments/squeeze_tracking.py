@@ -12,6 +12,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -126,28 +127,29 @@ class ContainerTracker:
             rest, options = self.rest.T_camera_container, TrackOptions(jump_m=jump_m)
             pose = track(self.renderer, depth, expected, rest=rest, excluded=excluded, options=options)
         since_s = (when_ns - image.first_ns) / 1e9 if image.first_ns else float("nan")
-        change, reason = None, pose.reason
+        measured, changed = None, ContainerChange(frame.index, since_s, pose.reason)
         if pose.good:
             try:
                 pose_m, closed_m = pose.T_camera_container, image.closed_m
-                change = depth_change(self.renderer, pose_m, depth, tip, excluded=hand, closed_m=closed_m)
+                measured = depth_change(self.renderer, pose_m, depth, tip, excluded=hand, closed_m=closed_m)
+                fields = {field.name: getattr(measured, field.name) for field in dataclasses.fields(measured)}
+                changed = dataclasses.replace(changed, **fields | {"change_m": measured.change_m.astype(np.float32)})
             except InputError as error:
-                reason = str(error)
+                changed = dataclasses.replace(changed, reason=str(error))
         shown = TrackedContainer(
-            frame.index,
-            pose.T_camera_container,
-            pose.good,
-            pose.reason,
-            pose.observed.astype(np.float64),
-            pose.agreeing,
-            outline_px(self.renderer.model, self._camera, pose.T_camera_container),
-            since_s,
-            pose.directions,
-            pose.deviation_m,
+            index=frame.index,
+            T_camera_container=pose.T_camera_container,
+            good=pose.good,
+            reason=pose.reason,
+            observed=pose.observed.astype(np.float64),
+            agreeing=pose.agreeing,
+            edges_px=outline_px(self.renderer.model, self._camera, pose.T_camera_container),
+            since_s=since_s,
+            directions=pose.directions,
+            deviation_m=pose.deviation_m,
         )
-        changed = _changed(frame.index, since_s, change, reason)
         self.follow(pose, when_ns)
-        return TrackedImage(when_ns, shown, changed, pose, change)
+        return TrackedImage(when_ns, container=shown, change=changed, pose=pose, measured=measured)
 
     def _median_m(self, frames: Sequence[DepthFrame], pose: FloatArray) -> FloatArray:
         """(H, W) of images taken together around the container [m], nan elsewhere and where none of them saw it."""
@@ -165,7 +167,7 @@ class ContainerTracker:
         found = []
         for finger in range(3):
             points = _moved(image.T_camera_hand, finger_points(image.angles_deg, finger))
-            found += [Capsule(points[0], points[1], LINK_M), Capsule(points[1], points[2], LINK_M)]
+            found += [Capsule(one, other, LINK_M) for one, other in pairwise(points)]
         ends = np.array([[0.0, 0.0, -0.05], [0.0, 0.0, BASE_HEIGHT_M - PALM_M + 0.02]])
         palm = _moved(image.T_camera_hand, ends)
         return [*found, Capsule(palm[0], palm[1], PALM_M)]
@@ -194,10 +196,3 @@ def container_model(section: ContainerSection) -> ContainerModel:
 def _moved(T_camera_hand: FloatArray, points: FloatArray) -> FloatArray:
     """(n, 3) points of the hand's frame in the camera's."""
     return np.asarray(points @ T_camera_hand[:3, :3].T + T_camera_hand[:3, 3])
-
-
-def _changed(index: int, since_s: float, change: DepthChange | None, reason: str) -> ContainerChange:
-    if change is None:
-        return ContainerChange(index, since_s, reason)
-    small = change.change_m.astype(np.float32), change.small_m
-    return ContainerChange(index, since_s, "", *small, change.missing, change.noise_m, change.center_px, change.width_m)

@@ -70,19 +70,18 @@ class SqueezeResult(LibraryResult):
         """How the container was tracked, and its pose in each image; None where it was stopped."""
         if self.computed is None or not self.computed.tracked:
             return None
-        tracked = self.computed.tracked
-        live = [one.container for one in tracked if one.container.live]
-        lags = [one.lag_s for one in live if one.lag_s is not None]
-        reasons = Counter(one.container.reason for one in tracked if not one.container.good)
+        poses = [one.container for one in self.computed.tracked]
+        lags_s = [one.lag_s for one in poses if one.live and one.lag_s is not None]
+        median_s, most_s = map(float, np.percentile(lags_s, [50, 95])) if lags_s else (None, None)
         return {
-            "images": len(tracked),
-            "refused": dict(reasons),
-            "live": len(live),
-            "skipped": sum(one.skipped or 0 for one in live),
-            "lag_median_s": float(np.median(lags)) if lags else None,
-            "lag_p95_s": float(np.percentile(lags, 95)) if lags else None,
+            "images": len(poses),
+            "refused": dict(Counter(one.reason for one in poses if not one.good)),
+            "live": len(lags_s),
+            "skipped": sum(one.skipped or 0 for one in poses),
+            "lag_median_s": median_s,
+            "lag_p95_s": most_s,
             "ended": self.untracked,
-            "poses": [one.container for one in tracked],
+            "poses": poses,
         }
 
     answer: ContentPosterior | None = field(metadata=reported(flat=True))
@@ -160,11 +159,11 @@ class SqueezeResult(LibraryResult):
                 ("depth change", change),
             ]
         if (tracking := self.tracking) is not None:
-            refused, lag_s = sum(tracking["refused"].values()), tracking["lag_median_s"]
-            words = f"{tracking['images']} images, {refused} refused; "
-            words += f"{tracking['live']} while it was squeezed, {tracking['skipped']} left out"
-            words += "" if lag_s is None else f", {1e3 * lag_s:.0f} ms behind (95 %: {1e3 * tracking['lag_p95_s']:.0f})"
-            rows.append(("tracked", words + f"; ended: {self.untracked}" * bool(self.untracked)))
+            words = "{images} images, {live} while it was squeezed, {skipped} left out".format(**tracking)
+            if tracking["live"]:
+                words += ", {lag_median_s:.2f} s behind (95 %: {lag_p95_s:.2f})".format(**tracking)
+            refused = "; ".join(f"{count} refused: {why}" for why, count in tracking["refused"].items())
+            rows.append(("tracked", "; ".join(filter(None, (words, refused, self.untracked)))))
         if self.answer is not None:
             order = sorted(self.posterior.items(), key=lambda one: -one[1])
             words = ", ".join(f"{label} {100 * share:.0f} %" for label, share in order)

@@ -132,8 +132,8 @@ def test_the_change_of_depth_around_the_fingertip_is_data_minus_model() -> None:
     tracker, (rest, dented) = container_tracker(camera.geometry), camera.images()
     before = tracker.track(rest)
     depth = dented.frames[-1].depth.copy()
-    assert before.change.patch_px is not None
-    left, top = (before.change.patch_px - 8).astype(int)
+    assert before.change.center_px is not None
+    left, top = (before.change.center_px - 8).astype(int)
     depth[top : top + 16, left : left + 16] += 60  # 6 mm
     pressed = dataclasses.replace(dented.frames[-1], depth=depth)
     image = dataclasses.replace(dented, frames=(*dented.frames[:-1], pressed), first_ns=START_NS, closed_m=0.02)

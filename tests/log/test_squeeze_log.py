@@ -50,7 +50,7 @@ RESULTS = (
         np.array([2e-4, 0.0]),
     ),
     TrackedContainer(7, np.eye(4), False, "too few pixels", np.ones(6), 0.7, np.arange(8.0).reshape(2, 2, 2), 0.3),
-    ContainerChange(7, 0.3, "", CHANGE.astype(np.float32), CHANGE[:11, :11], 0.14, 0.002, np.array([3.0, 4.0]), 0.11),
+    ContainerChange(7, 0.3, "", CHANGE.astype(np.float32), CHANGE[:11, :11], np.array([3.0, 4.0]), 0.11, 0.14, 2e-3),
     SqueezeFeatures(
         np.arange(72.0),
         np.r_[1.0, np.nan, np.arange(11.0)],

@@ -105,7 +105,7 @@ class ContainerChange:
 
     index: the image's place in its stream; since_s: as for `TrackedContainer`; reason: why there is none
     change_m: (61, 61) [m], NaN where nothing was measured; small_m: (11, 11) means of its blocks; missing: share of NaN
-    noise_m: deviation of a measured pixel; patch_px: (2,) column and row of its middle; width_m: on the surface
+    noise_m: deviation of a measured pixel; center_px: (2,) column and row of its middle; width_m: on the surface
     """
 
     index: int
@@ -113,10 +113,10 @@ class ContainerChange:
     reason: str = ""
     change_m: FloatArray | None = None
     small_m: FloatArray | None = None
+    center_px: FloatArray | None = None
+    width_m: float = 0.0
     missing: float = 1.0
     noise_m: float = 0.0
-    patch_px: FloatArray | None = None
-    width_m: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
