@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import msgspec
@@ -29,7 +29,7 @@ from deformscope.robot.squeeze_setup import SqueezeSetup
 from deformscope.robot.squeeze_supervisor import gap_m
 from deformscope.stages.see.cloud import Intrinsics
 from deformscope.stages.squeeze.events import SqueezeEvents
-from deformscope.stages.squeeze.patch import DepthChange, filled
+from deformscope.stages.squeeze.patch import filled
 from deformscope.stages.squeeze.physical import physical_features
 from deformscope.stages.squeeze.tactile import series_of, tactile_feature
 from deformscope.stages.squeeze.trial import SqueezeFeatures
@@ -133,7 +133,7 @@ class TrialFeatures:
 
     def steps(self) -> list[tuple[int, tuple[object, ...]]]:
         """Results that were not there while it was squeezed, and when on the devices' clock they belong."""
-        found = [(one.when_ns, one.results) for one in self.tracked if not one.container.live]
+        found = [(one.when_ns, (one.container, one.change)) for one in self.tracked if not one.container.live]
         return [*found, (self.events.steady_ns, (self.events, self.features))]
 
 
@@ -168,7 +168,7 @@ def trial_features(
     try:
         return _with_vision(frames, geometry, events, features, tracked)
     except InputError as error:
-        return TrialFeatures(events, dataclasses.replace(features, reason=str(error)), tuple(tracked))
+        return TrialFeatures(events, replace(features, reason=str(error)), tuple(tracked))
 
 
 def _gaps(hands: Sequence[HandFrame], geometry: SqueezeGeometry, when_ns: Sequence[int]) -> FloatArray:
@@ -234,7 +234,7 @@ class SqueezeImages:
         """The image at a place, and those before it, `together` so many. first_ns: of first contact, 0 = not known
         since_ns: from when on the fingertips have come closer, default from there"""
         when_ns = frame_ns(self.frames[at])
-        frames = tuple(dataclasses.replace(one, color=None) for one in self.frames[max(at + 1 - together, 0) : at + 1])
+        frames = tuple(replace(one, color=None) for one in self.frames[max(at + 1 - together, 0) : at + 1])
         closed_m = 0.0
         if first_ns:
             before, now = (gap_m(self._angles(one), self._fingers) for one in (since_ns or first_ns, when_ns))
@@ -245,16 +245,6 @@ class SqueezeImages:
         """(7,) of the hand's last reading then [deg]."""
         at = max(int(np.searchsorted(self._hand_ns, when_ns, side="right")) - 1, 0)
         return np.asarray(self._hands[at].position_deg, np.float64)
-
-
-def track_images(tracker: ContainerTracker, images: Sequence[ContainerImage]) -> tuple[TrackedImage, ...]:
-    """What is found in one image after the other, until first contact if it was not located by then."""
-    found: list[TrackedImage] = []
-    for image in images:
-        found.append(tracker.track(image))
-        if tracker.rest is None and found[-1].container.since_s >= 0.0:
-            break
-    return tuple(found)
 
 
 def _with_vision(
@@ -271,38 +261,36 @@ def _with_vision(
     steady = tuple(seen.frames[held : held + STEADY_IMAGES])
     if not before or not steady:
         raise InputError("depth images before first contact and at steady state", f"{len(before)} and {len(steady)}")
-    if not tracked:
-        due = [seen.image(at, events.first_ns) for at in seen.due(events.first_ns)]
-        tracked = [one.after(math.nan) for one in track_images(container_tracker(geometry), due)]
+    found, tracker = [*tracked], container_tracker(geometry)
+    for at in () if tracked else seen.due(events.first_ns):
+        found.append(tracker.track(seen.image(at, events.first_ns)).after(math.nan))
+        if tracker.rest is None and found[-1].when_ns >= events.first_ns:
+            break
     tracker = container_tracker(geometry)
-    for one in tracked:
+    for one in found:
         if one.when_ns < frame_ns(steady[0]):
             tracker.follow(one.pose, one.when_ns)
     if tracker.rest is None or tracker.rest_ns > events.first_ns:
-        reason = next((one.pose.reason for one in tracked if not one.pose.good), "not located before first contact")
-        return TrialFeatures(events, dataclasses.replace(features, reason=f"before: {reason}"), tuple(tracked))
+        reason = next((one.pose.reason for one in found if not one.pose.good), "not located before first contact")
+        return TrialFeatures(events, replace(features, reason=f"before: {reason}"), tuple(found))
     image = seen.image(held, events.first_ns, events.first_interval_ns[0])
-    last = tracker.track_median(image, steady, 0)
-    found = (*tracked, last)
-    series = _small_series(found, events)
-    if last.measured is None:
-        return TrialFeatures(events, dataclasses.replace(features, reason=last.change.reason), found, series)
-    return TrialFeatures(events, _seen_features(features, last.measured), found, series)
+    found.append(last := tracker.track_median(image, steady, 0))
+    return TrialFeatures(events, _seen_features(features, last), tuple(found), _small_series(found, events))
 
 
 def _small_series(tracked: Sequence[TrackedImage], events: SqueezeEvents) -> FloatArray | None:
     """(k, 121) the newest small change of depth at each step since first contact."""
-    seen = [(one.when_ns, one.change.small_m) for one in tracked[:-1]]
-    changes = [small_m for _, small_m in seen if small_m is not None]
-    time_s = np.array([(when_ns - events.first_ns) / 1e9 for when_ns, small_m in seen if small_m is not None])
-    if not len(time_s) or time_s[-1] < 0.0:
+    seen = [(one.when_ns, one.measured.small_filled_m) for one in tracked[:-1] if one.measured is not None]
+    time_s = np.array([(when_ns - events.first_ns) / 1e9 for when_ns, _ in seen])
+    if not seen or time_s[-1] < 0.0:
         return None
-    newest = series_of(time_s, np.arange(len(changes), dtype=np.float64))[1].astype(int)
-    return np.stack([filled(changes[at]).ravel() for at in newest])
+    return series_of(time_s, np.stack([small_m for _, small_m in seen]))[1]
 
 
-def _seen_features(features: SqueezeFeatures, change: DepthChange) -> SqueezeFeatures:
-    return dataclasses.replace(
+def _seen_features(features: SqueezeFeatures, last: TrackedImage) -> SqueezeFeatures:
+    if (change := last.measured) is None:
+        return replace(features, reason=last.change.reason)
+    return replace(
         features,
         vision=change.change_m,
         vision_small=change.small_m,

@@ -181,7 +181,7 @@ class SqueezeObserver:
 
     def _track(self) -> None:
         for one in self.tracking.go_on(self._onset.first_ns):
-            self._steps.append(Step(one.results, moment=Moment(one.when_ns)))
+            self._steps.append(Step((one.container, one.change), moment=Moment(one.when_ns)))
 
     def reports(self) -> list[Step]:
         """What there is to show since the last call."""

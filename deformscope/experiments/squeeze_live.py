@@ -7,6 +7,7 @@ import math
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, Future
+from typing import Any
 
 from deformscope.errors import InputError
 from deformscope.experiments.squeeze_features import SqueezeGeometry, SqueezeImages, container_tracker
@@ -20,8 +21,6 @@ BEHIND_S = 0.25
 """Where an image waits for longer than this, all but the newest one are left out. Devices' items come every 0.1 s."""
 FRESH_S = 0.5
 """A change of depth that is older says nothing of now."""
-
-Job = Callable[[ContainerImage], TrackedImage]
 
 _tracker: ContainerTracker | None = None
 
@@ -48,10 +47,6 @@ def _begin(geometry: SqueezeGeometry) -> None:
     _tracker = container_tracker(geometry)
 
 
-def _ready() -> None:
-    """What tracks has begun."""
-
-
 def _track(image: ContainerImage) -> TrackedImage:
     assert _tracker is not None
     return _tracker.track(image)
@@ -61,12 +56,17 @@ class LiveTracking(Tracking):
     """Has the images of a squeeze tracked in their order as they come; when it does not keep up, the newest one."""
 
     def __init__(
-        self, frames: SqueezeFrames, geometry: SqueezeGeometry, executor: Executor, job: Job, clock: Callable[[], int]
+        self,
+        frames: SqueezeFrames,
+        geometry: SqueezeGeometry,
+        executor: Executor,
+        job: Callable[[ContainerImage], TrackedImage],
+        clock: Callable[[], int],
     ) -> None:
         super().__init__()
         self._frames, self._geometry, self._executor, self._job, self._clock = frames, geometry, executor, job, clock
-        self._asked: deque[tuple[Future[TrackedImage | None], int]] = deque()
-        self.waiting = executor.submit(_ready)  # a process takes seconds to begin
+        self._asked: deque[tuple[Future[Any], int]] = deque()
+        self.waiting = executor.submit(bool)  # a process takes seconds to begin
         self._asked.append((self.waiting, 0))
         self._newest_ns = self._skipped = 0
 
@@ -83,9 +83,8 @@ class LiveTracking(Tracking):
 
     def newest(self, tactile_index: int, now_ns: int) -> ContainerChange | None:
         """The last one, unless it is old."""
-        seen = (one for one in reversed(self.found) if one.change.small_m is not None)
-        last = next(seen, None)
-        return None if last is None or now_ns - last.when_ns > FRESH_S * 1e9 else last.change
+        fresh = (one.change for one in reversed(self.found) if now_ns - one.when_ns <= FRESH_S * 1e9)
+        return next((one for one in fresh if one.small_m is not None), None)
 
     def _known(self) -> list[TrackedImage]:
         known: list[TrackedImage] = []
@@ -95,7 +94,7 @@ class LiveTracking(Tracking):
                 self._skipped += 1
             elif (error := done.exception()) is not None:
                 self._fail(f"{type(error).__name__}: {error}")
-            elif (one := done.result()) is not None:
+            elif one := done.result():
                 known.append(one.after((self._clock() - one.when_ns) / 1e9, self._skipped))
                 self._skipped = 0
         self.found += known

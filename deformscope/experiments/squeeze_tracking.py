@@ -1,11 +1,6 @@
 """The container in one depth image after the other: its pose, and how the depth around the fingertip differs from that
-of the rigid model (Thesis ch. 2).
-
-    tracker = ContainerTracker(section, fingers, camera, T_hand_container)
-    tracked = [tracker.track(image) for image in images]
-
-It is the same function of the same images while the hand squeezes, afterwards, and when a recording is replayed.
-"""
+of the rigid model (Thesis ch. 2). It is the same function of the same images while the hand squeezes, afterwards, and
+when a recording is replayed."""
 
 from __future__ import annotations
 
@@ -72,11 +67,6 @@ class TrackedImage:
     pose: PoseEstimate
     measured: DepthChange | None
 
-    @property
-    def results(self) -> tuple[object, ...]:
-        """What is recorded of it."""
-        return self.container, self.change
-
     def after(self, lag_s: float, skipped: int = 0) -> TrackedImage:
         """The same with how long after the image it was known, and how many images before it were left out."""
         return dataclasses.replace(self, container=dataclasses.replace(self.container, lag_s=lag_s, skipped=skipped))
@@ -119,9 +109,8 @@ class ContainerTracker:
         if self.rest is None:
             pose = locate(self.renderer, depth, expected, yaws_deg=(0.0,), excluded=hand)
         else:
-            focal_px = np.array(self._camera.focal_px)
-            radius_px = DENT_M / tip[2] * float(np.mean(focal_px))
-            center = tip[:2] / tip[2] * focal_px + np.array(self._camera.centre_px)
+            radius_px = DENT_M / tip[2] * float(np.mean(self._camera.focal_px))
+            center = tip[:2] / tip[2] * np.array(self._camera.focal_px) + np.array(self._camera.centre_px)
             excluded = hand | around(center, (depth.shape[0], depth.shape[1]), radius_px)
             jump_m = JUMP_M + FASTEST_M_S * (when_ns - self._start_ns) / 1e9
             rest, options = self.rest.T_camera_container, TrackOptions(jump_m=jump_m)

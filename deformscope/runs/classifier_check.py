@@ -37,6 +37,15 @@ class ClassifierCheckResult(LibraryResult):
             ("calibration", format_calibration(check)),
             *((f"{name} alone", format_right(one)) for name, one in check.alone.items()),
         ]
+        times = [
+            (
+                "in the end" if math.isnan(one.time_s) else f"{one.time_s:g} s",
+                one.score.modality,
+                format_right(one.score),
+                f"{one.score.calibration_error:.1%} ({{:.1%}} to {{:.1%}})".format(*one.error_interval),
+            )
+            for one in check.times
+        ]
         return (
             Table(rows, caption=self.name),
             Table(
@@ -48,7 +57,7 @@ class ClassifierCheckResult(LibraryResult):
                 ("content", "named rightly", "interval"),
                 "Content by content",
             ),
-            *([_times(check)] if check.times else []),
+            *([Table(times, ("after first contact", "by", "accuracy", "calibration error"))] if times else []),
         )
 
     def pictures(self) -> dict[str, bytes]:
@@ -78,19 +87,6 @@ class ClassifierCheckResult(LibraryResult):
         if score is not self.check.score:
             return entry
         return entry | to_json(self.check) | {"bins_inside": self.check.inside[0], "bins": self.check.inside[1]}
-
-
-def _times(check: ModelCheck) -> Table:
-    rows = [
-        (
-            "in the end" if math.isnan(one.time_s) else f"{one.time_s:g} s",
-            one.score.modality,
-            format_right(one.score),
-            f"{one.score.calibration_error:.1%} ({{:.1%}} to {{:.1%}})".format(*one.error_interval),
-        )
-        for one in check.times
-    ]
-    return Table(rows, ("after first contact", "by", "accuracy", "calibration error"), "While the squeeze goes on")
 
 
 def format_promise(check: ModelCheck) -> str:

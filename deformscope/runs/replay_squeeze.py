@@ -114,7 +114,7 @@ def squeeze_again(recording: Replay) -> SqueezeAgain:
     for item in items:
         observer.observe([item])
     found = SqueezeAgain([result for step in observer.reports() for result in step.results])
-    found.results += [result for one in tracking.found if one.container.live for result in one.results]
+    found.results += [each for one in tracking.found if one.container.live for each in (one.container, one.change)]
     try:
         found.features = trial_features(frames, geometry, tracking.found)
     except InputError as error:

@@ -159,9 +159,8 @@ class SqueezeResult(LibraryResult):
                 ("depth change", change),
             ]
         if (tracking := self.tracking) is not None:
-            words = "{images} images, {live} while it was squeezed, {skipped} left out".format(**tracking)
-            if tracking["live"]:
-                words += ", {lag_median_s:.2f} s behind (95 %: {lag_p95_s:.2f})".format(**tracking)
+            behind = ", {lag_median_s:.2f} s behind (95 %: {lag_p95_s:.2f})" if tracking["live"] else ""
+            words = ("{images} images, {live} while it was squeezed, {skipped} left out" + behind).format(**tracking)
             refused = "; ".join(f"{count} refused: {why}" for why, count in tracking["refused"].items())
             rows.append(("tracked", "; ".join(filter(None, (words, refused, self.untracked)))))
         if self.answer is not None:

@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from deformscope.experiments.squeeze_features import SqueezeGeometry, container_tracker, track_images
+from deformscope.experiments.squeeze_features import SqueezeGeometry, container_tracker
 from deformscope.experiments.squeeze_frames import SqueezeFrames, TactileSource
 from deformscope.experiments.squeeze_live import LiveTracking, RecordedTracking
-from deformscope.experiments.squeeze_tracking import REST_IMAGES, ContainerImage
+from deformscope.experiments.squeeze_tracking import REST_IMAGES, ContainerImage, TrackedImage
 from deformscope.frames import DepthFrame, HandFrame
 from deformscope.reproduce.squeeze_truth import pose_error
 from deformscope.rig.squeeze_sections import ContainerSection, HandSection
@@ -76,10 +76,15 @@ class Camera:
         self.frames[at] = dataclasses.replace(self.frames[at], depth=depth)
 
 
+def tracked(camera: Camera) -> list[TrackedImage]:
+    tracker = container_tracker(camera.geometry)
+    return [tracker.track(image) for image in camera.images()]
+
+
 @pytest.mark.parametrize("section", [BOX, CYLINDER], ids=["box", "cylinder"])
 def test_known_motions_are_found_in_every_image_within_a_millimetre_and_a_degree(section: ContainerSection) -> None:
     camera = Camera(section, 14, (0.0006, -0.0004, 0.0005), (0.3, 0.0, 0.3))
-    found = track_images(container_tracker(camera.geometry), camera.images())
+    found = tracked(camera)
 
     assert [one.container.index for one in found] == list(range(REST_IMAGES - 1, 14))
     for one, true in zip(found, camera.true[REST_IMAGES - 1 :], strict=True):
@@ -91,7 +96,7 @@ def test_known_motions_are_found_in_every_image_within_a_millimetre_and_a_degree
 
 def test_the_turn_of_a_cylinder_about_its_axis_is_said_not_to_be_observed() -> None:
     camera = Camera(CYLINDER, step_deg=(0.0, 0.0, 2.0))
-    found = track_images(container_tracker(camera.geometry), camera.images())
+    found = tracked(camera)
 
     assert {one.container.degrees for one in found} == {"5 of 6 observed, not rotation about z"}
     last = found[-1].container
@@ -107,7 +112,7 @@ def test_the_turn_of_a_cylinder_about_its_axis_is_said_not_to_be_observed() -> N
 def test_a_hidden_image_is_refused_with_its_reason_and_the_next_one_is_tracked_again() -> None:
     camera = Camera(BOX, 8, (0.0005, 0.0, 0.0))
     camera.hide(6, slice(None))
-    found = track_images(container_tracker(camera.geometry), camera.images())
+    found = tracked(camera)
 
     assert [one.container.good for one in found] == [True, True, False, True]
     hidden = found[2]
@@ -121,7 +126,7 @@ def test_a_jump_is_refused() -> None:
     camera = Camera(BOX, 7, (0.0, 0.0, 0.0))
     far = Camera(BOX, REST_IMAGES + 1, (0.0, 0.018, 0.0)).frames[-1]
     camera.frames[-1] = dataclasses.replace(far, index=6, stamp=camera.frames[-1].stamp)
-    found = track_images(container_tracker(camera.geometry), camera.images())
+    found = tracked(camera)
 
     assert [one.container.good for one in found] == [True, True, False]
     assert re.fullmatch(r"a jump of 1\d mm from the pose before, 10 mm at most", found[2].container.reason)

@@ -97,10 +97,10 @@ class ContentModel:
         known = tuple(name for name in self.steps if name in features)
         if len(known) < 2 or not self.step_fusion:
             touch = features["tactile"]
-            if "tactile" in self.steps:
-                return ("tactile",), self.predict_step("tactile", step, touch)
-            return ("tactile",), self.predict_proba({"tactile": touch})
-        present = np.stack([~np.isnan(features[name]).all(axis=1) for name in known])
+            now = "tactile" in self.steps
+            posterior = self.predict_step("tactile", step, touch) if now else self.predict_proba({"tactile": touch})
+            return ("tactile",), posterior
+        present = np.stack([~absent(features[name]) for name in known])
         logs = np.stack([self._log_step(name, step, np.nan_to_num(features[name])) for name in known])
         pool = self.step_fusion[min(step, len(self.step_fusion) - 1)]
         return known, np.exp(fuse(pool, logs, present))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -16,7 +16,7 @@ from deformscope.stages.squeeze.evaluation import held_values
 from deformscope.stages.squeeze.intervals import Estimated, Interval, share_among_new, trials_worth, wilson
 from deformscope.stages.squeeze.model import ContentModel
 from deformscope.stages.squeeze.scores import BINS, ClassificationScore, balanced_worth, cluster_sizes, reliability_of
-from deformscope.stages.squeeze.table import LabelledTable
+from deformscope.stages.squeeze.table import LabelledTable, absent
 from deformscope.stages.squeeze.trial_run import joined_name
 
 DRAWS = 4000
@@ -103,22 +103,20 @@ def check_model(model: ContentModel, table: LabelledTable, *, level: float = 0.9
         expected = share_among_new(promised, score.worth, level, float(stated) if isinstance(stated, float) else level)
     calibrated = _calibrated(posterior, score, seed)
     last = TimeCheck(math.nan, score, _error_interval(model, table, posterior, rows, level, seed))
-    times = _times(model, table, level, seed)
+    times = tuple(_times(model, table, level, seed))
     return ModelCheck(model.labels, score, alone, promised, expected, bins, calibrated, (*times, last) if times else ())
 
 
-def _times(model: ContentModel, table: LabelledTable, level: float, seed: int) -> tuple[TimeCheck, ...]:
+def _times(model: ContentModel, table: LabelledTable, level: float, seed: int) -> Iterator[TimeCheck]:
     """At `TIMES_S`, of the trials in which there is touch then."""
     held = {name: held_values(values) for name, values in table.series.items() if name in model.steps}
-    found = []
     for time_s in TIMES_S if "tactile" in held and table.step_s == model.step_s else ():
         step = round(time_s / model.step_s)
         now = {name: values[:, min(step, values.shape[1] - 1)] for name, values in held.items()}
-        rows = np.flatnonzero(~np.isnan(now["tactile"]).all(axis=1))
+        rows = np.flatnonzero(~absent(now["tactile"]))
         names, posterior = model.predict_at(time_s, {name: values[rows] for name, values in now.items()})
         score = _score(model, table, posterior, rows, names, level)
-        found.append(TimeCheck(time_s, score, _error_interval(model, table, posterior, rows, level, seed)))
-    return tuple(found)
+        yield TimeCheck(time_s, score, _error_interval(model, table, posterior, rows, level, seed))
 
 
 def _error_interval(
