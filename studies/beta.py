@@ -19,8 +19,9 @@ import numpy as np
 from tyro.conf import arg
 
 from deformscope.arrays import BoolArray, FloatArray
-from deformscope.cli.study import Study, StudyOptions, StudyReport, Trials
+from deformscope.cli.study import Study, StudyReport, Trials
 from deformscope.config import flags
+from deformscope.config.reproduce import StudyOptions
 from deformscope.errors import InputError
 from deformscope.pictures.report import Table
 from deformscope.stages.fit.calibrate import FitOptions, Model, Observation

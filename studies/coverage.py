@@ -16,8 +16,9 @@ from typing import Annotated, Any
 import numpy as np
 
 from deformscope.cli.common import make_folder
-from deformscope.cli.study import Study, StudyOptions, StudyReport, Trials
+from deformscope.cli.study import Study, StudyReport, Trials
 from deformscope.config import flags
+from deformscope.config.reproduce import StudyOptions
 from deformscope.errors import InputError
 from deformscope.pictures.report import Figure, Table
 from deformscope.stages.fit.estimate import Verdict

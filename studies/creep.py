@@ -22,8 +22,9 @@ import numpy as np
 from tyro.conf import arg
 
 from deformscope.arrays import FloatArray
-from deformscope.cli.study import Study, StudyOptions, StudyReport, Trials
+from deformscope.cli.study import Study, StudyReport, Trials
 from deformscope.config import flags
+from deformscope.config.reproduce import StudyOptions
 from deformscope.errors import InputError
 from deformscope.lab.arm_contact import ARM_DOUBT, ARM_STIFFNESS_N_M
 from deformscope.lab.creeping_world import CreepingWorld, Relaxation

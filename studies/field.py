@@ -17,8 +17,9 @@ from scipy.spatial.distance import cdist
 from tyro.conf import arg
 
 from deformscope.arrays import FloatArray
-from deformscope.cli.study import Study, StudyOptions, StudyReport, Trials
+from deformscope.cli.study import Study, StudyReport, Trials
 from deformscope.config import flags
+from deformscope.config.reproduce import StudyOptions
 from deformscope.errors import InputError
 from deformscope.pictures.report import Table
 from deformscope.stages.materials.field import fit_field

@@ -25,8 +25,9 @@ import numpy as np
 from tyro.conf import arg
 
 from deformscope.arrays import FloatArray
-from deformscope.cli.study import Study, StudyOptions, StudyReport, Trials
+from deformscope.cli.study import Study, StudyReport, Trials
 from deformscope.config import flags
+from deformscope.config.reproduce import StudyOptions
 from deformscope.errors import InputError
 from deformscope.reproduce.poke_slabs import KINDS, POKE_GROUPS, PokedSlab, PokeGroup, SlabKind, Split, draw_slab
 from deformscope.reproduce.poke_study import GRID, OTHER_TIPS, TIP, Press, observe, plan_of

@@ -22,8 +22,9 @@ from threadpoolctl import threadpool_limits
 from tyro.conf import arg
 
 from deformscope.arrays import FloatArray
-from deformscope.cli.study import Study, StudyOptions, StudyReport, Trials
+from deformscope.cli.study import Study, StudyReport, Trials
 from deformscope.config import flags
+from deformscope.config.reproduce import StudyOptions
 from deformscope.experiments.explorer import ExplorationStages, Explorer, UnseenSurface
 from deformscope.experiments.options import ExploreOptions
 from deformscope.experiments.robot_geometry import AsMeasured

@@ -25,8 +25,9 @@ from scipy.spatial.distance import cdist
 from tyro.conf import arg
 
 from deformscope.arrays import FloatArray, IntArray
-from deformscope.cli.study import Study, StudyOptions, StudyReport, Trials
+from deformscope.cli.study import Study, StudyReport, Trials
 from deformscope.config import flags
+from deformscope.config.reproduce import StudyOptions
 from deformscope.experiments.material_motion import recovery_of_motion
 from deformscope.lab.elasticity import ElasticBox
 from deformscope.pictures.report import Table

@@ -26,8 +26,9 @@ from threadpoolctl import threadpool_limits
 from tyro.conf import arg
 
 from deformscope.arrays import FloatArray, IntArray
-from deformscope.cli.study import Study, StudyOptions, StudyReport, Trials
+from deformscope.cli.study import Study, StudyReport, Trials
 from deformscope.config import flags
+from deformscope.config.reproduce import StudyOptions
 from deformscope.errors import InputError
 from deformscope.lab.arm_contact import ARM_STIFFNESS_N_M
 from deformscope.lab.scenes import built_in

@@ -23,8 +23,9 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from deformscope.arrays import BoolArray, FloatArray
-from deformscope.cli.study import Study, StudyOptions, StudyReport, Trials
+from deformscope.cli.study import Study, StudyReport, Trials
 from deformscope.config import flags
+from deformscope.config.reproduce import StudyOptions
 from deformscope.experiments.measured import DENT_M, SetupGeometry, sample_box
 from deformscope.lab.depth_view import DepthView
 from deformscope.lab.layer_world import LayerWorld

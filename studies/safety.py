@@ -14,8 +14,9 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 
-from deformscope.cli.study import Study, StudyOptions, StudyReport, Trials
+from deformscope.cli.study import Study, StudyReport, Trials
 from deformscope.config import flags
+from deformscope.config.reproduce import StudyOptions
 from deformscope.lab.faults import Injected
 from deformscope.pictures.report import Table
 from studies.driven_faults import KILLED_WITHIN_S, KINDS, AnyRun, DrivenRun, KilledRun, kind_of, run_any

@@ -79,6 +79,18 @@ def test_the_picture_of_the_layers_is_drawn_from_the_whitelist() -> None:
     assert shown == tool["drawing"](), "draw it again: python tools/layers.py --write"
 
 
+def test_walks_pass_through_files_that_exist_at_most_fourteen_or_with_the_reason() -> None:
+    page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    section = re.split(r"^## ", page.split("## Six walks\n")[1], flags=re.MULTILINE)[0]
+    walks = section.split("### ")[1:]
+    assert len(walks) == 6
+    for walk in walks:
+        files = re.findall(r"^\d+\. `(.+?)`: \w", walk, re.MULTILINE)
+        assert [name for name in files if not (ROOT / name).is_file()] == []
+        assert len(files) >= 10
+        assert len(files) <= 14 or "\nMore than fourteen: " in walk
+
+
 @pytest.mark.parametrize("scene", ["in a moment", pytest.param("simulated", marks=pytest.mark.slow)])
 def test_the_readmes_python_runs(
     scene: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch

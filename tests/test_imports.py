@@ -68,7 +68,19 @@ LAYERS: dict[str, tuple[str, ...]] = {
         *("results", "rig", "robot", "rows", "session", "version", *STAGES),
     ),
     "reproduce": (
-        *("arrays", "capsule", "config", "errors", "experiments", "files", "frames", "lab", "log", "pictures"),
+        *(
+            "arrays",
+            "capsule",
+            "config",
+            "errors",
+            "experiments",
+            "files",
+            "frames",
+            "images",
+            "lab",
+            "log",
+            "pictures",
+        ),
         *("plain", "recording", "rig", "robot", "runs", "session", *STAGES),
     ),
     # A GPU machine that has numpy, scipy and warp alone runs it.

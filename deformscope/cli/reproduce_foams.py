@@ -8,79 +8,78 @@ deformscope calibrate beta runs/foams/images/24-80 --roi 30,50,750,350 --grid 7x
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
-from deformscope.cli.common import (
-    fit_progress,
-    make_folder,
-    pictures_of,
-    quiet_warp,
-    recorder_of,
-    show,
-    write_json,
-)
+from deformscope.cli import study
+from deformscope.cli.common import make_folder, pictures_of
+from deformscope.cli.study import Study, StudyReport, Trials
 from deformscope.config import FoamsConfig
-from deformscope.frames import ColorFrame
-from deformscope.images import encode_png
 from deformscope.lab.foam import Foam
 from deformscope.pictures.figures import write_rows
-from deformscope.pictures.findings import Findings
 from deformscope.pictures.report import Table
 from deformscope.reproduce import foams_figures as figures
 from deformscope.reproduce.foams import (
     HELD,
     SOURCES,
     Control,
+    FoamCase,
     FoamFit,
     FoamResult,
     FoamSetup,
     Trend,
     controls,
     measure,
+    measure_control,
     trend,
 )
-from deformscope.session import Step
 
 HELD_WORDS = {"one": "one particle held", "clamp": "clamp held"}
 
 
 def run(config: FoamsConfig) -> None:
     """Push, film and fit the foams; draw, print and write what was found."""
-    began = time.monotonic()
-    make_folder(config.out)
-    quiet_warp()
+    study.run(Study(FoamsConfig, trials, report), config)
 
-    setup, seed = FoamSetup(), config.output.seed
+
+def setup_of(config: FoamsConfig) -> FoamSetup:
+    """As it is asked for."""
+    setup = FoamSetup()
     if config.quick:
-        setup = FoamSetup(foams=(setup.foams[0], setup.foams[-1]), images=4, element_m=0.007)
-    results, tables = [], []
-    with recorder_of(config) as recorder:
-        with fit_progress() as progress, threadpool_limits(1):  # small matrices: more threads cost time
-            for foam in setup.foams:
-                keeper = _keeper(config.out, foam) if config.keep_images else None
-                results.append(measure(foam, setup, seed, progress, keeper))
-                tables.append(_foam_table(results[-1]))
-                recorder.write(Step((Findings(tuple(tables)),), frame=len(results) - 1))
-            tried = [] if config.quick else controls(setup, seed, progress)
-        sizes = setup.cluster_sizes
-        trends = [trend(results, source, held, size) for held in HELD for source in SOURCES for size in sizes]
-        drawn = _draw(config.out, results, trends, tried, min(sizes))
-        table = config.out / "foams.csv"
-        write_rows(table, csv_rows(results))
-        seconds = time.monotonic() - began
-        tables.append(_trend_table(trends))
-        written = [("", str(path)) for path in (*drawn.values(), table)]
-        show(Findings((*tables, Table(written, caption=f"Written in {seconds:.0f} s"))))
-        recorder.write(Step((Findings(tuple(tables[::-1]), pictures_of(drawn)),), frame=len(results)))
-    summary = as_json(setup, results, trends, tried)
-    summary |= {"seed": seed, "quick": config.quick, "seconds": seconds}
-    write_json(summary | {"figures": list(drawn.values()), "table": table}, config.output.json)
+        return FoamSetup(foams=(setup.foams[0], setup.foams[-1]), images=4, element_m=0.007)
+    return setup
+
+
+def trials(config: FoamsConfig) -> list[Trials[Any, Any]]:
+    """The foams, and one whose properties are changed one at a time."""
+    make_folder(config.out)
+    setup, seed = setup_of(config), config.output.seed
+    images = config.out / "images"
+    foams = [
+        FoamCase(foam, setup, seed, str(images / foam.name.replace("/", "-")) if config.keep_images else "")
+        for foam in setup.foams
+    ]
+    changed = [] if config.quick else controls(setup, seed)
+    return [Trials("foams", measure, foams), Trials("one property at a time", measure_control, changed)]
+
+
+def report(
+    config: FoamsConfig, seconds: float, results: Sequence[FoamResult], changed: Sequence[Control]
+) -> StudyReport:
+    """Figures and tables, which are in the folder by then."""
+    setup = setup_of(config)
+    trends = [trend(results, source, held, size) for held in HELD for source in SOURCES for size in setup.cluster_sizes]
+    drawn = _draw(config.out, results, trends, changed, min(setup.cluster_sizes))
+    table = config.out / "foams.csv"
+    write_rows(table, csv_rows(results))
+    written = Table([("", str(path)) for path in (*drawn.values(), table)], caption=f"Written in {seconds:.0f} s")
+    tables = [*map(_foam_table, results), _trend_table(trends), written]
+    summary = as_json(setup, results, trends, changed)
+    summary |= {"seed": config.output.seed, "quick": config.quick, "seconds": seconds}
+    return StudyReport(tables, summary | {"figures": list(drawn.values()), "table": table}, pictures_of(drawn))
 
 
 def _draw(
@@ -97,19 +96,6 @@ def _draw(
     if tried:
         figures.one_change(tried, drawn.setdefault("one property changed alone", out / "one-change.png"))
     return drawn
-
-
-def _keeper(out: Path, foam: Foam) -> Callable[[ColorFrame], None]:
-    """Writes a foam's images into a folder of its own, which holds nothing of an earlier run."""
-    folder = out / "images" / foam.name.replace("/", "-")
-    folder.mkdir(parents=True, exist_ok=True)
-    for earlier in folder.glob("frame-*.png"):
-        earlier.unlink()
-
-    def keep(frame: ColorFrame) -> None:
-        (folder / f"frame-{frame.index:02d}.png").write_bytes(encode_png(frame.image))
-
-    return keep
 
 
 def _foam_table(result: FoamResult) -> Table:
@@ -181,7 +167,7 @@ def as_json(
                 "changed": one.changed,
                 "foam": one.foam,
                 "force_n": one.force_n,
-                "moved_mm": one.moved_mm,
+                "moved_mm": one.moved_mm(tried[0]),
                 "fits": [fit_json(fit) for fit in one.fits],
             }
             for one in tried

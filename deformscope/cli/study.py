@@ -14,15 +14,13 @@ import typing
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 import msgspec
 import numpy as np
-from tyro.conf import OmitArgPrefixes
 
 from deformscope.cli.common import fit_progress, quiet_warp, recorder_of, show, write_file, write_json
-from deformscope.config import flags
-from deformscope.config.options import OutputOptions, RecordedOptions
+from deformscope.config.reproduce import StudyOptions
 from deformscope.errors import InputError
 from deformscope.pictures.findings import Findings
 from deformscope.pictures.report import Figure, Table
@@ -31,18 +29,6 @@ from deformscope.session import Step
 
 CaseT = TypeVar("CaseT")
 OutcomeT = TypeVar("OutcomeT")
-
-
-@dataclass(frozen=True, slots=True)
-class StudyOptions(RecordedOptions):
-    """What every study's flags are."""
-
-    jobs: flags.ManyFlag = 2
-    """Processes that share the work."""
-    resume: Annotated[Path | None, flags.one_word("FILE", Path), flags.unset] = None
-    """Keep each outcome in this file as it comes, a line of JSON each; those of the same cases that an earlier command
-    of this version left there are not computed again."""
-    output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,11 +146,25 @@ def _resumed(trials: Trials[Any, Any], options: StudyOptions) -> list[Any]:
 
 def _plain(value: object) -> Any:
     """What JSON holds, but for nan and infinities, which Python's reads and writes."""
-    return msgspec.to_builtins(value, enc_hook=lambda one: one.tolist() if isinstance(one, np.generic) else one)
+    return msgspec.to_builtins(value, enc_hook=_numbers)
+
+
+def _numbers(one: Any) -> object:
+    if isinstance(one, np.ndarray):
+        return [one.dtype.str, one.shape, one.ravel().tolist()]
+    return one.tolist() if isinstance(one, np.generic) else one
+
+
+def _array(kind: Any, one: Any) -> object:
+    """As `_numbers` has left it. kind: as its type hint says"""
+    if (typing.get_origin(kind) or kind) is not np.ndarray:
+        return one
+    dtype, shape, values = one
+    return np.array(values, dtype).reshape(shape)
 
 
 def _outcome(try_one: Callable[..., object], kind: str, value: object) -> object:
     """As `try_one` returns it. kind: the name of its class, where there are several"""
     returned = typing.get_type_hints(try_one)["return"]
     several = [one for one in typing.get_args(returned) if getattr(one, "__name__", "") == kind]
-    return msgspec.convert(value, type=several[0] if several else returned)
+    return msgspec.convert(value, type=several[0] if several else returned, dec_hook=_array)

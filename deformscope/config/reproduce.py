@@ -40,6 +40,18 @@ class CubesConfig(RecordedOptions):
 
 
 @dataclass(frozen=True, slots=True)
+class StudyOptions(RecordedOptions):
+    """What every study's flags are."""
+
+    jobs: flags.ManyFlag = 2
+    """Processes that share the work."""
+    resume: Annotated[Path | None, flags.one_word("FILE", Path), flags.unset] = None
+    """Keep each outcome in this file as it comes, a line of JSON each; those of the same cases that an earlier command
+    of this version left there are not computed again."""
+    output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
+
+
+@dataclass(frozen=True, slots=True)
 class PokesConfig(RecordedOptions):
     """Pokes of finite element slabs that were not fitted, predicted and compared with a rigid body, a half-space and
     linear finite elements."""
@@ -52,7 +64,7 @@ class PokesConfig(RecordedOptions):
 
 
 @dataclass(frozen=True, slots=True)
-class FoamsConfig(RecordedOptions):
+class FoamsConfig(StudyOptions):
     """Experiment 3.B: beta of five virtual foams from images of a push, with figure 3.14 and the force. Some 3 minutes
     on one core."""
 
@@ -62,7 +74,6 @@ class FoamsConfig(RecordedOptions):
     """The softest and the firmest foam alone, fewer images, in some 30 s."""
     keep_images: bool = False
     """Keep the images in DIR/images, a folder a foam, as `calibrate beta` takes them."""
-    output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
 
 
 @dataclass(frozen=True, slots=True)

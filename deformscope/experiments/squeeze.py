@@ -92,8 +92,7 @@ def _tracked(observer: SqueezeObserver) -> RigExperiment[None]:
     """Until all that came is tracked."""
     while (waiting := observer.tracking.waiting) is not None:
         with contextlib.suppress(Exception):  # `failed` then says why
-            yield from ask(waiting)
-        observer.observe(())
+            yield from ask(waiting)  # what is recorded meanwhile is taken in
 
 
 def posterior_of(computed: TrialFeatures, name: Name) -> ContentPosterior:

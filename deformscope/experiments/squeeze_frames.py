@@ -159,7 +159,6 @@ class SqueezeObserver:
         self._end, self._predict = end, predict
         self._onset = OnsetDetector(frames.rule)
         self._shown_s = -np.inf
-        self._steps: list[Step] = []
         self.latest: ContentPosterior | None = None
 
     def phase(self, name: str, now_ns: int) -> None:
@@ -169,24 +168,17 @@ class SqueezeObserver:
         elif name == OPEN:
             self.frames.open_ns = now_ns
 
-    def observe(self, items: Sequence[Item]) -> None:
-        """Take items in; `reports` has what there is to show of them."""
-        self._track()
-        for item in items:
-            self.frames.add(item, self._onset.first_ns)
-            source = self.frames.tactile_source
-            if isinstance(item, TactileFrame) and item.device == source.device:
-                self._steps.append(Step(self._felt(item), moment=Moment(item.stamp.host_ns)))
-        self._track()
+    def observe(self, item: Item) -> Step | None:
+        """Take it in; what there is to show of it, None = nothing."""
+        self.frames.add(item, self._onset.first_ns)
+        if isinstance(item, TactileFrame) and item.device == self.frames.tactile_source.device:
+            return Step(self._felt(item), moment=Moment(item.stamp.host_ns))
+        return None
 
-    def _track(self) -> None:
-        for one in self.tracking.go_on(self._onset.first_ns):
-            self._steps.append(Step((one.container, one.change), moment=Moment(one.when_ns)))
-
-    def reports(self) -> list[Step]:
-        """What there is to show since the last call."""
-        taken, self._steps = self._steps, []
-        return taken
+    def tracked(self) -> list[Step]:
+        """What there is to show of the container by now; what came is begun with."""
+        known = self.tracking.go_on(self._onset.first_ns)
+        return [Step((one.container, one.change), moment=Moment(one.when_ns)) for one in known]
 
     def _felt(self, frame: TactileFrame) -> tuple[object, ...]:
         source = self.frames.tactile_source
@@ -211,7 +203,8 @@ class SqueezeObserver:
 
 
 class ObservedRecorder:
-    """A recorder that passes all that devices gave on to an observer, in the order in which it is recorded."""
+    """A recorder that passes all that devices gave on to an observer, in the order in which it is recorded, and then
+    records what there is to show of it."""
 
     def __init__(self, recorder: SessionRecorder, observer: SqueezeObserver) -> None:
         self._recorder, self._observer = recorder, observer
@@ -220,12 +213,10 @@ class ObservedRecorder:
         """As `Recorder.write`."""
         self._recorder.write(items)
         if isinstance(items, Sequence):
-            self._observer.observe([one for one in items if isinstance(one, Item)])
-
-    def rest(self) -> None:
-        """Write what there is to show of the last items."""
-        for step in self._observer.reports():
-            self._recorder.write(step)
+            tracked = self._observer.tracked()
+            steps = [self._observer.observe(one) for one in items if isinstance(one, Item)]
+            for step in (*tracked, *filter(None, steps), *self._observer.tracked()):
+                self._recorder.write(step)
 
 
 def fingertip_pressure(frame: TactileFrame, source: TactileSource) -> FingertipPressure:

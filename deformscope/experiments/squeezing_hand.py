@@ -9,7 +9,14 @@ from dataclasses import dataclass
 from typing import Any
 
 from deformscope.errors import InputError
-from deformscope.experiments.squeeze_frames import AIR, OPEN, SqueezeObserver
+from deformscope.experiments.squeeze_frames import (
+    AIR,
+    OPEN,
+    Predict,
+    SqueezeFrames,
+    SqueezeObserver,
+    TactileSource,
+)
 from deformscope.rig.source import RigSource
 from deformscope.robot.squeeze_plan import CLOSING_AXES, GripShape
 from deformscope.robot.squeeze_robot import SqueezeRobot, SqueezeStopped
@@ -79,11 +86,19 @@ def rule_of(setup: SqueezeSetup) -> EventRule:
     return EventRule(squeeze.onset_counts, squeeze.onset_frames, squeeze.still_deg, squeeze.still_s)
 
 
+def observer_of(setup: SqueezeSetup, source: RigSource, predict: Predict | None = None) -> SqueezeObserver:
+    """What takes in what its open devices give. predict: as of `SqueezeObserver`"""
+    names = setup.names
+    tactile = TactileSource.of(source.streams, names.tactile, setup.hand.fingers)
+    frames = SqueezeFrames(tactile, names.hand, names.camera, rule_of(setup))
+    return SqueezeObserver(frames, setup.hand.tactile_end, predict)
+
+
 class SqueezingHand:
     """The hand over the devices of an open source; a `SessionRobot`.
 
     on_cycle: called in every control period; on_phase: with each phase as it begins
-    observer: is informed of each phase, and takes what devices gave while nothing runs by itself
+    observer: is informed of each phase
     """
 
     def __init__(
@@ -126,9 +141,9 @@ class SqueezingHand:
         return Inline().submit(self._do, command)
 
     def reports(self) -> list[Step]:
-        """What began, and what there is to show, since the last call."""
+        """What began since the last call."""
         taken, self._reports = self._reports, []
-        return [*taken, *self._observer.reports()]
+        return taken
 
     @contextlib.contextmanager
     def in_a_thread(self) -> Iterator[None]:

@@ -11,7 +11,7 @@ import numpy as np
 from deformscope.errors import InputError
 from deformscope.lab.container_constants import CONTENTS
 from deformscope.lab.container_shell import SHAPES, ContainerShape
-from deformscope.lab.squeeze_lab import NAMES, SqueezeLab, container_of
+from deformscope.lab.squeeze_lab import NAMES, ContainerCase, SqueezeLab, container_of
 from deformscope.rig.squeeze_sections import ContainerSection, HandSection, SqueezeSection
 from deformscope.robot.setup import CameraView
 from deformscope.robot.squeeze_plan import draw_grasp
@@ -52,22 +52,16 @@ def container_lab(
 ) -> ContainerLab:
     """content, container: empty = drawn; session: its number is that of the room's temperature
 
-    camera_hz, alike: as for `SqueezeLab`. Raises InputError for a content or a container that is not known.
+    camera_hz, alike: as for `SqueezeLab`, `ContainerCase`
+    Raises InputError for a content or a container that is not known.
     """
     content, container = _drawn(content, container, "box", seed)
     shape, _ = container_of(container)
     section = ContainerSection(shape.kind, _size_m(shape), shape.wall.thickness_m, KINDS[shape.kind])
     squeeze = SqueezeSection(open_deg=OPEN_DEG, distal_deg=DISTAL_DEG)
     grasp = draw_grasp(section, squeeze, seed)
-    lab = SqueezeLab(
-        content,
-        container,
-        seed=seed,
-        session=_session_number(session),
-        grasp=grasp.T_hand_container,
-        alike=alike,
-        camera_hz=camera_hz,
-    )
+    case = ContainerCase(content, container, seed, _session_number(session), grasp.T_hand_container, alike)
+    lab = SqueezeLab(case, camera_hz)
     seen = lab.view.intrinsics
 
     setup = SqueezeSetup(
@@ -118,14 +112,8 @@ def rig_container(parts: SqueezeParts, content: str, container: str, session: st
         came = f"{container} with [container] shape = {section.shape!r}"
         raise InputError(f"a container named after its shape, as {section.shape}-07", came, where=parts.rig.name)
     fps = None if parts.camera is None else parts.camera.config.fps
-    lab = LiveSqueezeLab(
-        content,
-        container,
-        seed=seed,
-        session=_session_number(session),
-        grasp=parts.grasp.T_hand_container,
-        camera_hz=float(fps or PICTURES_HZ),
-    )
+    case = ContainerCase(content, container, seed, _session_number(session), parts.grasp.T_hand_container)
+    lab = LiveSqueezeLab(case, float(fps or PICTURES_HZ))
     return RigContainer(lab, content, container)
 
 

@@ -68,7 +68,6 @@ def press(
     clamp_m: float,
     depths_m: Sequence[float],
     element_m: float = 0.005,
-    progress: Callable[[int, int], None] | None = None,
 ) -> list[PressedBlock]:
     """The block at each of the rising depths of a clamp that is `clamp_m` wide and sits on its middle.
 
@@ -79,12 +78,10 @@ def press(
     half = _Half(law, block, clamp_m, element_m)
     found = []
     state, reached = half.basis.zeros(), 0.0
-    for index, depth in enumerate(depths_m):
+    for depth in depths_m:
         state = half.push(state, reached, depth)
         reached = depth
         found.append(half.result(state, depth))
-        if progress is not None:
-            progress(index + 1, len(depths_m))
     return found
 
 

@@ -170,7 +170,7 @@ class LiveLab:
         """Devices of drivers over the doubles, closed, by name; the table lives until the end of the context."""
         made: dict[str, Device[Any]] = {}
         with contextlib.ExitStack() as stack:
-            stack.enter_context(_thread("simulated arm", self._move))
+            stack.enter_context(until_done("simulated arm", self._move))
             if self.arm.wire is not None:
                 stack.enter_context(self.arm.wire)
             try:
@@ -187,7 +187,9 @@ class LiveLab:
         if entry.driver.kind == "wrench":
             sensitivity = (config.sensitivities or (OMD_20_SE_40N,))[0]
             pipe = stack.enter_context(child_process("simulated table", _feel, self._table, self._shared, sensitivity))
-            on_pipe = dataclasses.replace(config, port=_first(pipe), bus="", serial="", sensitivity=sensitivity)
+            on_pipe = dataclasses.replace(
+                config, port=first_message(pipe, "table"), bus="", serial="", sensitivity=sensitivity
+            )
             return entry.driver.make(on_pipe)  # type: ignore[no-any-return]
         rate_hz = float(config.fps or PICTURES_HZ)
         pipe = stack.enter_context(child_process("simulated table", _look, self._table, self._shared, rate_hz))
@@ -195,9 +197,9 @@ class LiveLab:
             name="simulated table", missing=0.02, seed=self._table.seed, intrinsics=self.view.intrinsics, silence_s=5.0
         )
         camera = SyntheticDepthCamera(None, synthetic)
-        _first(pipe)
+        first_message(pipe, "table")
         stack.enter_context(
-            _thread("simulated pictures", lambda: pass_pictures(pipe, camera, lambda: self._shared.over))
+            until_done("simulated pictures", lambda: pass_pictures(pipe, camera, lambda: self._shared.over))
         )
         return camera
 
@@ -287,14 +289,14 @@ def _look(pipe: Connection, table: _Table, shared: _Shared, rate_hz: float) -> N
         due = max(due + 1.0 / rate_hz, time.monotonic())
 
 
-def _first(pipe: Connection) -> str:
-    """What a process says when it is ready. Raises InputError when it says nothing."""
-    try:
+def first_message(pipe: Connection, what: str) -> Any:
+    """What a process says when it is ready. Raises InputError when it says nothing, or sends one."""
+    with contextlib.suppress(EOFError):
         if pipe.poll(START_S):
-            return str(pipe.recv())
-    except EOFError:
-        pass
-    raise InputError("a simulated table that starts", "none", "run it again")
+            if isinstance(message := pipe.recv(), InputError):
+                raise message
+            return message
+    raise InputError(f"a simulated {what} that starts", "none", "run it again")
 
 
 def pass_pictures(pipe: Connection, camera: SyntheticDepthCamera, over: Callable[[], bool]) -> None:
@@ -311,8 +313,8 @@ def pass_pictures(pipe: Connection, camera: SyntheticDepthCamera, over: Callable
 
 
 @contextlib.contextmanager
-def _thread(name: str, work: Callable[[], None]) -> Iterator[None]:
-    """Something that goes on until it ends by itself."""
+def until_done(name: str, work: Callable[[], None]) -> Iterator[None]:
+    """A thread with something that ends by itself, which is waited for at the end of the context."""
     thread = threading.Thread(target=work, name=name, daemon=True)
     thread.start()
     try:

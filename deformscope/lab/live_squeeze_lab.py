@@ -10,19 +10,18 @@ import contextlib
 import threading
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from functools import partial
 from multiprocessing.connection import Connection
 from typing import Any
 
-from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 from deformscope.lab.container_constants import PA_PER_COUNT
-from deformscope.lab.container_view import CAMERA, camera_pose
+from deformscope.lab.container_view import camera_pose
 from deformscope.lab.double_device import reaching
-from deformscope.lab.live_lab import pass_pictures
-from deformscope.lab.ray_camera import DepthViewConfig
-from deformscope.lab.squeeze_lab import ContainerTruth, SqueezedContainer, camera_config, members
-from deformscope.processes import SPAWN, follow_parent, starting
+from deformscope.lab.live_lab import first_message, pass_pictures, until_done
+from deformscope.lab.squeeze_lab import ContainerCase, ContainerTruth, SqueezedContainer, camera_config, members
+from deformscope.processes import SPAWN, child_process
 from deformscope.rig.rig_file import RigDevice
 from deformscope.rig.source import RigSource
 from deformscope.robot.robot import sleep_until
@@ -34,33 +33,11 @@ from deformscope_drivers.sdh import Sdh, SdhConfig
 from deformscope_drivers.sdh.double import Port
 from deformscope_drivers.wires import PtyWire
 
-START_S, END_S = 60.0, 5.0
 PICTURES_HZ = 10.0
 
 
-@dataclass(frozen=True, slots=True)
-class _Asked:
-    """What the process gets: as for `SqueezeLab`."""
-
-    content: str
-    container: str
-    seed: int
-    session: int
-    grasp: FloatArray | None
-    camera: DepthViewConfig
-    camera_hz: float
-
-
-@dataclass(frozen=True, slots=True)
-class _Standing:
-    """What it answers when it stands: the ports of hand and pads."""
-
-    hand: str
-    pads: str
-
-
 class LiveSqueezeLab:
-    """`with LiveSqueezeLab("rice") as lab:` and its devices are there, closed; `lab.source()` opens them.
+    """`with LiveSqueezeLab(case) as lab:` and its devices are there, closed; `lab.source()` opens them.
 
     hand, pads, camera: the real drivers' devices; clock, wait_until: the host's
     `devices` makes them those of a rig file (`deformscope.robot.squeeze_setup.SimulatedContainer`)
@@ -68,41 +45,28 @@ class LiveSqueezeLab:
 
     runs_itself, opener, clock, wait_until = True, None, staticmethod(monotonic_ns), staticmethod(sleep_until)
 
-    def __init__(
-        self,
-        content: str,
-        container: str = "box-01",
-        *,
-        seed: int = 0,
-        session: int = 0,
-        grasp: FloatArray | None = None,
-        camera_hz: float = PICTURES_HZ,
-        camera: DepthViewConfig = CAMERA,
-    ) -> None:
-        """As for `SqueezeLab`."""
-        self.intrinsics, self.camera_hz = camera.intrinsics, camera_hz
-        self.T_hand_camera = camera_pose(camera)
-        self._asked = _Asked(content, container, seed, session, grasp, camera, camera_hz)
+    def __init__(self, case: ContainerCase, camera_hz: float = PICTURES_HZ) -> None:
+        self.intrinsics, self.camera_hz = case.camera.intrinsics, camera_hz
+        self.T_hand_camera = camera_pose(case.camera)
+        self._case = case
         self._configs = SdhConfig(), DsaConfig()
-        self._over = SPAWN.Event()
+        self._over = threading.Event()
 
     def __enter__(self) -> LiveSqueezeLab:
         with contextlib.ExitStack() as stack:
-            pictures, self._questions = stack.enter_context(self._process())
-            standing = _answer(self._questions)
+            pictures, theirs = SPAWN.Pipe(duplex=False)
+            given = self._case, self.camera_hz, theirs
+            self._questions = stack.enter_context(child_process("simulated container", _stand, *given))
+            theirs.close()
+            stack.callback(pictures.close)
+            hand_port, pads_port = first_message(self._questions, "container")
             hand, pads = self._configs
-            self.hand = Sdh(replace(reaching(hand, standing.hand), checksum=None))
-            self.pads = Dsa(replace(reaching(pads, standing.pads), calibration=(PA_PER_COUNT,)))
-            config = camera_config(self.intrinsics, self.camera_hz, self._asked.seed)
+            self.hand = Sdh(replace(reaching(hand, hand_port), checksum=None))
+            self.pads = Dsa(replace(reaching(pads, pads_port), calibration=(PA_PER_COUNT,)))
+            config = camera_config(self.intrinsics, self.camera_hz, self._case.seed)
             self.camera = SyntheticDepthCamera(None, config)
-            passing = threading.Thread(
-                target=pass_pictures,
-                args=(pictures, self.camera, self._over.is_set),
-                name="simulated pictures",
-                daemon=True,
-            )
-            passing.start()
-            stack.callback(passing.join)
+            passing = partial(pass_pictures, pictures, self.camera, self._over.is_set)
+            stack.enter_context(until_done("simulated pictures", passing))
             stack.callback(self._over.set)
             self._stack = stack.pop_all()
         return self
@@ -134,69 +98,22 @@ class LiveSqueezeLab:
         assert isinstance(answer, ContainerTruth)
         return answer
 
-    @contextlib.contextmanager
-    def _process(self) -> Iterator[tuple[Connection, Connection]]:
-        """The container and its doubles; pipes with pictures, and for questions."""
-        pictures, theirs = SPAWN.Pipe(duplex=False)
-        questions, answers = SPAWN.Pipe()
-        process = SPAWN.Process(
-            target=_stand, args=(self._asked, self._over, theirs, answers), name="simulated container", daemon=True
-        )
-        with starting():
-            process.start()
-        theirs.close()
-        answers.close()
-        try:
-            yield pictures, questions
-        finally:
-            self._over.set()
-            process.join(END_S)
-            if process.is_alive():
-                process.kill()
-            pictures.close()
-            questions.close()
 
-
-def _answer(questions: Connection) -> _Standing:
-    """Raises InputError when nothing stands there."""
-    with contextlib.suppress(EOFError):
-        if questions.poll(START_S):
-            standing = questions.recv()
-            if isinstance(standing, InputError):
-                raise standing
-            assert isinstance(standing, _Standing)
-            return standing
-    raise InputError("a simulated container that stands", "none", "run it again")
-
-
-def _stand(asked: _Asked, over: threading.Event, pictures: Connection, answers: Connection) -> None:
-    """The process: wires with their threads, pictures at their rate, answers."""
-    follow_parent()
+def _stand(answers: Connection, case: ContainerCase, camera_hz: float, pictures: Connection) -> None:
+    """The process: wires with their threads, pictures at their rate, answers, until nobody can ask any more."""
     try:
-        simulated = SqueezedContainer(
-            asked.content,
-            asked.container,
-            clock=monotonic_ns,
-            port=Port.RS232,
-            seed=asked.seed,
-            session=asked.session,
-            grasp=asked.grasp,
-            camera=asked.camera,
-        )
+        simulated = SqueezedContainer(case, monotonic_ns, Port.RS232)
     except InputError as error:
         answers.send(error)
         return
-    with PtyWire(simulated.hand) as hand, PtyWire(simulated.pads) as pads:
-        answers.send(_Standing(hand.port, pads.port))
+    with PtyWire(simulated.hand) as hand, PtyWire(simulated.pads) as pads, contextlib.suppress(EOFError, OSError):
+        answers.send((hand.port, pads.port))
         due = time.monotonic()
-        while not over.is_set():
+        while True:
             with contextlib.suppress(OSError):  # nobody looks any more
                 pictures.send(simulated.seen())
-            due = max(due + 1.0 / asked.camera_hz, time.monotonic())
+            due = max(due + 1.0 / camera_hz, time.monotonic())
             while (left := due - time.monotonic()) > 0.0:
-                if answers.poll(min(left, 0.05)):
-                    with contextlib.suppress(EOFError, OSError):
-                        answers.recv()
-                        answers.send(simulated.truth())
-                if over.is_set():
-                    return
+                if answers.poll(left):
+                    answers.recv()
+                    answers.send(simulated.truth())

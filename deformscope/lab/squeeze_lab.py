@@ -1,6 +1,6 @@
 """A laboratory of squeezes: a hand with tactile pads around a filled container, and a depth camera, on one clock.
 
-    with SqueezeLab("rice", "box-07", seed=3) as lab:
+    with SqueezeLab(ContainerCase("rice", "box-07", seed=3)) as lab:
         lab.hand.set_current_limits(0.3)
         lab.hand.move(dict.fromkeys(CLOSING_AXES, CLOSED_DEG), velocity_deg_s=10.0, wait=False)
         lab.wait_until(lab.clock() + 2_000_000_000)
@@ -96,33 +96,41 @@ class ContainerTruth:
     inward_m: FloatArray
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class ContainerCase:
+    """What stands in the laboratory.
+
+    container: its name begins with its kind, `box` or `cylinder`; others of a kind have other walls
+    seed: of grasp, fill, temperatures and noise; session: of the room's temperature
+    grasp: (4, 4) container to hand as it was meant to stand, from which the true pose differs a little; None = a random
+    one
+    alike: every content has the physics of water, whatever it is called
+    """
+
+    content: str
+    container: str = "box-01"
+    seed: int = 0
+    session: int = 0
+    grasp: FloatArray | None = None
+    alike: bool = False
+    camera: DepthViewConfig = CAMERA
+
+
 class SqueezedContainer:
     """A container between the fingers of a simulated hand, in a camera's view: what the doubles are over.
 
     hand, pads: the doubles; shape, world, view: the container's form, what the fingers press, the camera
     """
 
-    def __init__(
-        self,
-        content: str,
-        container: str = "box-01",
-        *,
-        clock: Clock,
-        port: Port,
-        seed: int = 0,
-        session: int = 0,
-        grasp: FloatArray | None = None,
-        alike: bool = False,
-        camera: DepthViewConfig = CAMERA,
-    ) -> None:
-        """clock: that the hand's double runs on; port: what the hand hangs on; others as for `SqueezeLab`"""
-        if content not in CONTENTS:
-            raise InputError(f"a content of {', '.join(CONTENTS)}", repr(content))
-        self.content, self.container, self._clock = content, container, clock
-        self.shape, instance = container_of(container)
-        self.draw = ContainerDraw.draw(self.shape, seed, instance, session, grasp)
-        self.world = ContainerWorld(self.shape, WATER if alike else CONTENTS[content], self.draw)
-        self.view = ContainerView(self.shape, self.world.nodes_m, self.draw.T_hand_container, camera)
+    def __init__(self, case: ContainerCase, clock: Clock, port: Port) -> None:
+        """clock: that the hand's double runs on; port: what the hand hangs on"""
+        if case.content not in CONTENTS:
+            raise InputError(f"a content of {', '.join(CONTENTS)}", repr(case.content))
+        self.case, self._clock = case, clock
+        self.shape, instance = container_of(case.container)
+        self.draw = ContainerDraw.draw(self.shape, case.seed, instance, case.session, case.grasp)
+        self.world = ContainerWorld(self.shape, WATER if case.alike else CONTENTS[case.content], self.draw)
+        self.view = ContainerView(self.shape, self.world.nodes_m, self.draw.T_hand_container, case.camera)
         self._contact_ns: int | None = None
         self._speeds: list[tuple[int, float]] = []
         self.hand = SdhDouble(port)
@@ -131,13 +139,13 @@ class SqueezedContainer:
         drift = 1.0 + PAD_DRIFT_PER_K * self.draw.room_k
         own = np.random.default_rng(0x19)  # the hand is always the same
         self._gain = drift * (1.0 + TEXEL_GAIN_SD * own.standard_normal(self.world.pressure_pa.shape))
-        self.pads = DsaDouble(scene=self._felt, pa_per_count=PA_PER_COUNT, noise_counts=NOISE_COUNTS, seed=seed)
+        self.pads = DsaDouble(scene=self._felt, pa_per_count=PA_PER_COUNT, noise_counts=NOISE_COUNTS, seed=case.seed)
 
     def truth(self) -> ContainerTruth:
         """What is simulated, up to now."""
         return ContainerTruth(
-            content=self.content,
-            container=self.container,
+            content=self.case.content,
+            container=self.case.container,
             fill=self.draw.fill,
             mass_kg=self.world.mass_kg,
             contact_ns=self._contact_ns,
@@ -200,37 +208,9 @@ class SqueezeLab:
     hand, pads, camera: the real drivers' devices, to be opened by `open`; simulated: what is behind them
     """
 
-    def __init__(
-        self,
-        content: str,
-        container: str = "box-01",
-        *,
-        seed: int = 0,
-        session: int = 0,
-        grasp: FloatArray | None = None,
-        alike: bool = False,
-        camera_hz: float = 30.0,
-        camera: DepthViewConfig = CAMERA,
-    ) -> None:
-        """container: its name begins with its kind, `box` or `cylinder`; others of a kind have other walls
-
-        seed: of grasp, fill, temperatures and noise; session: of the room's temperature
-        grasp: (4, 4) container to hand as it was meant to stand, from which the true pose differs a little; None = a
-        random one
-        alike: every content has the physics of water, whatever it is called
-        """
+    def __init__(self, case: ContainerCase, camera_hz: float = 30.0) -> None:
         self.clock = SimulatedClock(1_000_000_000)
-        self.simulated = SqueezedContainer(
-            content,
-            container,
-            clock=self.clock,
-            port=Port.TCP,
-            seed=seed,
-            session=session,
-            grasp=grasp,
-            alike=alike,
-            camera=camera,
-        )
+        self.simulated = SqueezedContainer(case, self.clock, Port.TCP)
         self.hand = Sdh(
             SdhConfig(port="socket://simulated-hand:23", rate_hz=50.0),
             transport=MemoryTransport(self.simulated.hand, self.clock, "simulated hand"),
@@ -243,7 +223,7 @@ class SqueezeLab:
         )
         self.camera = SyntheticDepthCamera(
             lambda _: self.simulated.seen(),
-            camera_config(self.simulated.view.intrinsics, camera_hz, seed),
+            camera_config(self.simulated.view.intrinsics, camera_hz, case.seed),
             clock=self.clock,
         )
 

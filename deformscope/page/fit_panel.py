@@ -31,10 +31,10 @@ class FitPanel:
         self._images = images or ImageOptions()
         self._cameras: tuple[str, ...] = ()
         self._fit: FitProcess | None = None
-        self._reported: FitResult | None = None
+        self._reported: set[FitResult] = set()
 
     def bind(self, page: PageServer, streams: Sequence[Stream], found: Callable[[str], None]) -> None:
-        """From now on a page can open it, where there is a camera. found: is given each whole fit, in words"""
+        """From now on a page can open it, where there is a camera. found: is given each whole fit once, in words"""
         self._page, self._found = page, found
         self._cameras = tuple(one.device for kind in ("color", "depth") for one in streams if one.kind == kind)
         if self._cameras:
@@ -110,13 +110,12 @@ class FitPanel:
             return
         if fit.is_shown:
             self._show(fit, shown=True)
-        if fit.state.found not in (None, self._reported):
-            self._found(_to_text(fit.state))
-        self._reported = fit.state.found
+        found = fit.state.found
+        if found is not None and found not in self._reported:  # one that ends may still say so after another began
+            self._reported.add(found)
+            self._found(_to_text(fit.state, found))
 
 
-def _to_text(state: FitState) -> str:
-    found = state.found
-    assert found is not None
+def _to_text(state: FitState, found: FitResult) -> str:
     between = f"{found.low:.3f} to {found.high:.3f} ({found.level:.0%})"
     return f"fit of {state.camera}: {state.parameter} {found.value:.4f}, {between}, {found.verdict}: {found.command}"

@@ -6,7 +6,6 @@ asks in each control period whether somebody is still there who confirmed the to
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from typing import Any
@@ -18,6 +17,7 @@ from deformscope.arrays import FloatArray
 from deformscope.experiments.explore import ExplorationStopped, NextMove
 from deformscope.interruption import Interruption
 from deformscope.page.devices import ShownDevices
+from deformscope.page.robot_page import RobotPage
 from deformscope.page.server.messages import (
     ForceCurve,
     NextPlace,
@@ -25,7 +25,6 @@ from deformscope.page.server.messages import (
     PageCommand,
     PauseExploring,
     StartExploring,
-    StopRun,
     TouchAt,
     TouchNext,
     TouchPicked,
@@ -47,12 +46,14 @@ SCENE = "/display/scene/"
 CURVE_POINTS = 60
 
 
-class PageSteering:
+class PageSteering(RobotPage):
     """`Steering` of an exploration, and `PageRun` of its page.
 
     arm: its name; set_force_n: of a touch; budget: touches at most where it explores
     paused: begin so, and touch only where the page says
     """
+
+    robot, button = "arm", "Explore"
 
     def __init__(
         self,
@@ -67,8 +68,7 @@ class PageSteering:
         compliance_m_per_n: float,
         paused: bool = False,
     ) -> None:
-        self.session = session
-        self._ended, self._clock = ended, clock
+        self._clock = clock
         self._arm, self._set_force_n, self._budget = arm, set_force_n, budget
         self._compliance_m_per_n = compliance_m_per_n
         self._paused = paused
@@ -76,27 +76,18 @@ class PageSteering:
         self._plan: PlannedTouch | None = None
         self._choice: Future[NextMove] | None = None
         self._confirm: Future[bool] | None = None
-        self._by_hand = False
-        self._permitted, self._what = False, ""
-        self._shown = shown
-        self._lock = threading.RLock()
-        session.bind(self)
-        session.enter("idle", "devices open, and are checked", commands=("stop",))
+        super().__init__(session, ended, shown, "devices open, and are checked")
 
     # Before it moves -------------------------------------------------------------------------------------------------
 
-    def wait_for_permission(self, touches: str) -> None:
-        """Ask on the page as well whether the arm may move. touches: how many, and of what force"""
-        self._what = f"{self._arm} goes on by itself: {touches}"
+    def wait_for(self, what: str) -> None:
+        """As `RobotPage.wait_for`. what: how many touches, and of what force"""
+        self._what = f"{self._arm} goes on by itself: {what}"
         self.session.enter("idle", "press Explore: the arm begins once you confirm it", commands=("stop", "explore"))
 
-    def is_permitted(self) -> bool:
-        """Whether somebody at the page has said so."""
-        return self._permitted
-
-    def begin(self) -> None:
+    def go_on(self) -> None:
         """From now on the robot may move."""
-        self._permitted = True
+        self._agreed = True
         self._enter()
 
     # As `Steering`, from the loop ------------------------------------------------------------------------------------
@@ -146,10 +137,6 @@ class PageSteering:
                     waiting.set_exception(ExplorationStopped(stop, self._clock()))
             self._choice = self._confirm = None
 
-    def reason_to_stand(self) -> str:
-        """In each control period of a motion: why it may not go on, where nobody watches what they confirmed."""
-        return self.session.absent() if self._by_hand else ""
-
     def on_results(self, results: Sequence[object]) -> None:
         """What the loop found."""
         for result in results:
@@ -162,54 +149,39 @@ class PageSteering:
                     self._paused = True
                 self.session.remark(f"the touch was broken off, the arm stands: {result.reason}", bad=True)
 
-    def show(self, doing: str) -> None:
-        """What the robot does, in words."""
-        if self._shown is not None:
-            self._shown(doing)
-
     # As `PageRun`, from the server -----------------------------------------------------------------------------------
 
-    def handle(self, command: PageCommand) -> tuple[Outcome, str]:
-        """As `PageRun.handle`."""
+    def _handle(self, command: PageCommand) -> tuple[Outcome, str]:
         match command:
-            case StopRun():  # first of all, and without waiting for any lock
-                self._ended.by = "from the page"
-                self._ended.set()
-                return "done", "the arm stops"
-        with self._lock:
-            match command:
-                case PauseExploring():
-                    self._paused = True
-                    self._enter()
-                    return "done", "no further touch begins"
-                case StartExploring():
-                    return self._start()
-                case VetoTouch():
-                    return self._take(NextMove("veto", self._planned_m()), "another place is sought")
-                case TouchNext():
-                    return self._take(NextMove("touch", self._planned_m()), "planning")
-                case TouchAt():
-                    return self._take(NextMove("touch", np.array([command.x_m, command.y_m])), "planning")
-                case TouchPicked():
-                    if not is_surface(command.entity):
-                        return "refused", f"a place of the surface is to be picked; that was {command.entity}"
-                    return self._take(NextMove("touch", np.array(command.position_m[:2])), "planning")
-                case _:
-                    return "refused", "not while it explores"
+            case PauseExploring():
+                self._paused = True
+                self._enter()
+                return "done", "no further touch begins"
+            case StartExploring():
+                return self._start()
+            case VetoTouch():
+                return self._take(NextMove("veto", self._planned_m()), "another place is sought")
+            case TouchNext():
+                return self._take(NextMove("touch", self._planned_m()), "planning")
+            case TouchAt():
+                return self._take(NextMove("touch", np.array([command.x_m, command.y_m])), "planning")
+            case TouchPicked():
+                if not is_surface(command.entity):
+                    return "refused", f"a place of the surface is to be picked; that was {command.entity}"
+                return self._take(NextMove("touch", np.array(command.position_m[:2])), "planning")
+            case _:
+                return "refused", "not while it explores"
 
     # Within ----------------------------------------------------------------------------------------------------------
 
     def _start(self) -> tuple[Outcome, str]:
-        if not self._permitted:
-            self.session.ask(self._what, self._permit, self.session.remark)
+        if not self._agreed:
+            self.session.ask(self._what, self._agree, self.session.remark)
             return "begun", "waits for a confirm"
         left = max(self._budget - self._touches, 0)
         what = f"{self._arm} goes on touching by itself, {left} times more at most, with {self._set_force_n:g} N"
         self.session.ask(what, self._go_on, self.session.remark)
         return "begun", "waits for a confirm"
-
-    def _permit(self) -> None:
-        self._permitted = True
 
     def _go_on(self) -> None:
         with self._lock:
@@ -249,7 +221,7 @@ class PageSteering:
 
     def _enter(self) -> None:
         """Have the state say what goes on, and what can be asked for."""
-        if not self._permitted or self.session.state.phase == "stopped":
+        if not self._agreed or self.session.state.phase == "stopped":
             return
         commands = ["stop", "explore" if self._paused else "pause"]
         if self._paused and self._choice is not None:

@@ -12,9 +12,9 @@ import numpy as np
 
 from deformscope.experiments.squeeze import Squeezed, squeeze
 from deformscope.experiments.squeeze_features import SqueezeGeometry
-from deformscope.experiments.squeeze_frames import ObservedRecorder, SqueezeFrames, SqueezeObserver, TactileSource
+from deformscope.experiments.squeeze_frames import ObservedRecorder, SqueezeFrames
 from deformscope.experiments.squeeze_trial import entry_of, recorded_settings, row_of
-from deformscope.experiments.squeezing_hand import SqueezingHand, rule_of
+from deformscope.experiments.squeezing_hand import SqueezingHand, observer_of
 from deformscope.files.squeeze_dataset import TRIALS, TrialEntry, TrialRow
 from deformscope.lab.container_setup import CAMERA_HZ, ContainerLab, container_lab
 from deformscope.log.squeeze.layout import SQUEEZE, SqueezeLayout
@@ -130,17 +130,14 @@ def squeeze_trial(job: SqueezeJob, on_cycle: Callable[[ContainerLab], None] = la
         Recorder(file, "none", settings | recorded_settings(setup), application=SQUEEZE, overwrite=True) as recorder,
         setup.open_source() as source,
     ):
-        tactile = TactileSource.of(source.streams, setup.names.tactile, setup.hand.fingers)
-        frames = SqueezeFrames(tactile, setup.names.hand, setup.names.camera, rule_of(setup))
-        observer = SqueezeObserver(frames, setup.hand.tactile_end, None)
-        names = setup.names
-        layout = SqueezeLayout(source.streams, names.tactile, tuple(tactile.pads), names.camera)
+        observer, names = observer_of(setup, source), setup.names
+        frames = observer.frames
+        layout = SqueezeLayout(source.streams, names.tactile, frames.tactile_source.pads, names.camera)
         recorder.start(layout, source.start_ns)
         observed = ObservedRecorder(recorder, observer)
         hand = SqueezingHand(setup, source, observer, lambda: on_cycle(made))
         run(source, squeeze(setup.clock, observer, geometry, found), observed, hand)
         finish(source, observed)
-        observed.rest()
     if found.features is not None:
         events = found.features.events
         entry = dataclasses.replace(

@@ -11,6 +11,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -20,12 +21,13 @@ from scipy.stats import rankdata
 from deformscope.arrays import FloatArray
 from deformscope.experiments.foam_video import ParticleOptions, hold_what_is_seen, observe, track
 from deformscope.frames import ColorFrame
+from deformscope.images import encode_png
 from deformscope.lab.finite_strain import Block, PressedBlock, press
 from deformscope.lab.foam import FOAMS, Foam
 from deformscope.lab.speckle import SpeckleMotion, View, film
 from deformscope.recording.recorder import Recorder
 from deformscope.session import run
-from deformscope.stages.fit.calibrate import Calibration, FitOptions, Model, Observation, Progress, calibrate
+from deformscope.stages.fit.calibrate import Calibration, FitOptions, Model, Observation, calibrate
 from deformscope.stages.see.particles import ParticleGrid, Tracked, seed_grid, select_held
 from deformscope_drivers.clock import Stamp
 
@@ -123,15 +125,23 @@ class FoamResult:
 # One foam ------------------------------------------------------------------------------------------------------------
 
 
-def measure(
-    foam: Foam,
-    setup: FoamSetup,
-    seed: int = 0,
-    progress: Progress | None = None,
-    keep: Callable[[ColorFrame], None] | None = None,
-) -> FoamResult:
-    """Push one foam, film it, follow its particles, and fit them in every combination; `keep` is shown every image."""
-    poses = _push(foam, setup, setup.images - 1, progress)
+@dataclass(frozen=True, slots=True)
+class FoamCase:
+    """One foam. images: folder that its images are left in, which then holds nothing of an earlier run; empty = none
+    changed: what it differs by from `BASE`, of a `Control`"""
+
+    foam: Foam
+    setup: FoamSetup
+    seed: int = 0
+    images: str = ""
+    changed: str = ""
+
+
+def measure(case: FoamCase) -> FoamResult:
+    """Push one foam, film it, follow its particles, and fit them in every combination."""
+    foam, setup, seed = case.foam, case.setup, case.seed
+    poses = _push(foam, setup, setup.images - 1)
+    keep = _keeper(Path(case.images)) if case.images else None
     shot = film(poses, setup.block, setup.clamp_m, setup.view, noise=setup.noise, seed=seed)
     shown: list[npt.NDArray[np.uint8]] = []
 
@@ -142,8 +152,6 @@ def measure(
             if keep is not None:
                 keep(frame)
             yield frame
-            if progress is not None:
-                progress(f"{foam.name}: images", index + 1, setup.images)
 
     with Recorder(None) as recorder:
         grid, history = run(frames(), track(setup.particles("clamp"), shot.mask), recorder)
@@ -161,15 +169,25 @@ def measure(
         lost=int(np.count_nonzero(~last.seen)),
         error_px=np.where(last.seen, np.linalg.norm(last.position_px - true, axis=1), np.nan),
         noise_px=np.asarray(last.noise_px),
-        fits=tuple(_fits(foam, seen, setup, seed, progress)),
+        fits=tuple(_fits(seen, setup, seed)),
         image=shown[0],
     )
 
 
-def _push(foam: Foam, setup: FoamSetup, steps: int, progress: Progress | None) -> list[PressedBlock]:
+def _keeper(folder: Path) -> Callable[[ColorFrame], None]:
+    folder.mkdir(parents=True, exist_ok=True)
+    for earlier in folder.glob("frame-*.png"):
+        earlier.unlink()
+
+    def keep(frame: ColorFrame) -> None:
+        (folder / f"frame-{frame.index:02d}.png").write_bytes(encode_png(frame.image))
+
+    return keep
+
+
+def _push(foam: Foam, setup: FoamSetup, steps: int) -> list[PressedBlock]:
     depths = [setup.depth_m * (index + 1) / steps for index in range(steps)]
-    note = None if progress is None else lambda done, all_: progress(f"{foam.name}: finite elements", done, all_)
-    return press(foam.law(), setup.block, setup.clamp_m, depths, setup.element_m, note)
+    return press(foam.law(), setup.block, setup.clamp_m, depths, setup.element_m)
 
 
 def _observation(
@@ -187,19 +205,10 @@ def _observation(
     return dataclasses.replace(seen, noise=None, held_measured=False, force_n=force_n, contact=contact)
 
 
-def _fits(
-    foam: Foam,
-    seen: Sequence[tuple[Source, Held, Observation]],
-    setup: FoamSetup,
-    seed: int,
-    progress: Progress | None,
-) -> Iterator[FoamFit]:
-    total = len(seen) * len(setup.cluster_sizes)
-    for number, (source, held, observation) in enumerate(seen):
-        for place, size in enumerate(setup.cluster_sizes):
+def _fits(seen: Sequence[tuple[Source, Held, Observation]], setup: FoamSetup, seed: int) -> Iterator[FoamFit]:
+    for source, held, observation in seen:
+        for size in setup.cluster_sizes:
             found = calibrate([observation], FitOptions(Model("beta", "linear", size), seed=seed))
-            if progress is not None:
-                progress(f"{foam.name}: fits", number * len(setup.cluster_sizes) + place + 1, total)
             yield FoamFit(source, held, size, found)
 
 
@@ -278,35 +287,35 @@ CHANGES: dict[str, tuple[float, float]] = {
 class Control:
     """The middle foam with one property changed: what the change does to its true positions, and to beta from these.
 
-    moved_mm: rms distance of its particles from the unchanged foam's
+    true_px: (K, 2) where its particles are
     """
 
     changed: str
     foam: Foam
     force_n: float
-    moved_mm: float
+    true_px: FloatArray
     fits: tuple[FoamFit, ...]
 
+    def moved_mm(self, unchanged: Control) -> float:
+        """Root mean square distance of its particles from the unchanged foam's."""
+        return float(np.sqrt(np.mean(np.sum((self.true_px - unchanged.true_px) ** 2, axis=1)))) / PX_PER_CM * 10.0
 
-def controls(setup: FoamSetup, seed: int = 0, progress: Progress | None = None) -> list[Control]:
-    """One property at a time, no camera: the same push, the true positions, fitted in every combination."""
+
+def controls(setup: FoamSetup, seed: int = 0) -> list[FoamCase]:
+    """The unchanged foam first, then one property at a time."""
     tried = [("nothing", BASE)]
     tried += [(name, dataclasses.replace(BASE, **{name: value})) for name, ends in CHANGES.items() for value in ends]
-    box = setup.particles("clamp")
+    return [FoamCase(foam, setup, seed, changed=name) for name, foam in tried]
+
+
+def measure_control(case: FoamCase) -> Control:
+    """No camera: the same push, the true positions, fitted in every combination."""
+    setup, box = case.setup, case.setup.particles("clamp")
     grid = seed_grid((setup.view.height, setup.view.width), box.roi_rect, setup.grid)
-    found: list[Control] = []
-    unchanged: FloatArray | None = None
-    for number, (name, foam) in enumerate(tried):
-        pose = _push(foam, setup, 3, None)[-1]
-        true = grid.rest_px + SpeckleMotion(pose, setup.block, setup.view).displacement(grid.rest_px)
-        unchanged = true if unchanged is None else unchanged
-        still = Tracked(true, np.zeros(len(true)), np.ones(len(true), dtype=bool), np.zeros(len(true)))
-        seen: list[tuple[Source, Held, Observation]] = [
-            ("true", held, _observation(grid, still, true, "true", setup.particles(held), pose.force_n))
-            for held in HELD
-        ]
-        moved = float(np.sqrt(np.mean(np.sum((true - unchanged) ** 2, axis=1)))) / PX_PER_CM * 10.0
-        found.append(Control(name, foam, pose.force_n, moved, tuple(_fits(foam, seen, setup, seed, None))))
-        if progress is not None:
-            progress("one property at a time", number + 1, len(tried))
-    return found
+    pose = _push(case.foam, setup, 3)[-1]
+    true = grid.rest_px + SpeckleMotion(pose, setup.block, setup.view).displacement(grid.rest_px)
+    still = Tracked(true, np.zeros(len(true)), np.ones(len(true), dtype=bool), np.zeros(len(true)))
+    seen: list[tuple[Source, Held, Observation]] = [
+        ("true", held, _observation(grid, still, true, "true", setup.particles(held), pose.force_n)) for held in HELD
+    ]
+    return Control(case.changed, case.foam, pose.force_n, true, tuple(_fits(seen, setup, case.seed)))

@@ -128,7 +128,7 @@ def one_change(found: Sequence[Control], path: Path) -> None:
     """Beta of the middle foam with one property changed at a time, from true positions."""
     sizes = sorted({fit.cluster_size for fit in found[0].fits})
     figure, axes = _figure(1, len(HELD), 13.0, 5.2)
-    labels = [f"{_change(one)}\n{one.moved_mm:.2f} mm, {one.force_n:.0f} N" for one in found]
+    labels = [f"{_change(one)}\n{one.moved_mm(found[0]):.2f} mm, {one.force_n:.0f} N" for one in found]
     for axis, held in zip(axes.flat, HELD, strict=True):
         for size, marker, shift, colour in zip(sizes, "osD^v", (-0.2, 0.0, 0.2), SIZE_COLOURS, strict=False):
             estimates = [

@@ -28,13 +28,12 @@ if TYPE_CHECKING:
     from deformscope.config import ExploreConfig
     from deformscope.experiments.explore import Exploration
     from deformscope.experiments.options import ExploreOptions
-    from deformscope.experiments.touching_robot import TouchingRobot
     from deformscope.interruption import Interruption
     from deformscope.lab.faults import FaultsToCome
     from deformscope.page.devices import ShownDevices
+    from deformscope.page.server.page_session import PageSession
     from deformscope.page.steering import PageSteering
     from deformscope.recording.recorder import Recorder
-    from deformscope.rig.source import RigSource
     from deformscope.robot.setup import Setup
     from deformscope.session import RigExperiment, Step
     from deformscope.stages.map.exploration import TouchEstimate
@@ -156,20 +155,37 @@ def _run(
     """Open the devices, explore, close them; `found` and `ending` hold what is known, also where this raises."""
     from deformscope.experiments.explore import explore
     from deformscope.experiments.stage_executor import stage_executor
-    from deformscope.experiments.touching_robot import touching_robot
+    from deformscope.experiments.touching_robot import TouchingRobot, touching_robot
     from deformscope.pictures.render_process import render_process
     from deformscope.session import run as run_session
 
-    def start(source: RigSource) -> None:
-        ending.start_ns = source.start_ns
+    def steering(session: PageSession, shown: ShownDevices) -> PageSteering:
+        from deformscope.page.steering import PageSteering
+
+        return PageSteering(
+            session,
+            asked,
+            setup.clock,
+            shown,
+            arm=f"{setup.names[0]}{' (simulated)' * setup.simulated}",
+            set_force_n=options.set_force_n,
+            budget=options.budget,
+            compliance_m_per_n=setup.compliance_m_per_n,
+            paused=config.paused,
+        )
+
+    def permit(robot: TouchingRobot, page: PageSteering | None) -> RigExperiment[None]:
+        yield from permitted(robot, setup, options, setup.calibrated, asked, yes=config.yes, page=page)
+        ending.began_s = time.perf_counter()
+
+    with open_run(setup.open_source(), recorder) as run:
+        ending.start_ns = run.source.start_ns
         truth = setup.truth is not None and setup.truth.labels is not None
         mapped, inclusions = "energy loss" if options.feel == "loss" else "stiffness", options.goal == "inclusions"
         base_from_surface = setup.placement.T_base_surface
-        layout = ExplorationLayout(source.streams, setup.size_m, base_from_surface, truth, inclusions, mapped)
-        recorder.start(layout, source.start_ns)
-
-    with open_run(setup.open_source(), recorder, start) as run:
-        page = _steering(config, setup, options, recorder, asked, run.show_devices(recorder))
+        layout = ExplorationLayout(run.source.streams, setup.size_m, base_from_surface, truth, inclusions, mapped)
+        recorder.start(layout, ending.start_ns)
+        page = run.open_page(recorder, config, steering)
         watch = run.watch(asked, page)
         with (
             touching_robot(setup, run.source, options, watch) as robot,
@@ -180,60 +196,16 @@ def _run(
                 with watch.halts(robot):
                     if to_come is not None:
                         robot.on_phase = to_come.phase_began
-                    permit = _permitted(robot, setup, options, asked, ending, yes=config.yes, page=page)
                     if page is not None:
                         robot.reason_to_stand = page.reason_to_stand
-                    experiment = explore(setup.clock, stage, found, permit, page)
-                    experiment = _with_messages(experiment, run.line, options.budget, page)
+                    explored = explore(setup.clock, stage, found, permit(robot, page), page)
+                    experiment = _with_messages(explored, run.line, options.budget, page)
                     run_session(run.source, experiment, run.recorded, robot, beside)
             finally:
                 ending.arm_stopped, ending.gaps_s = watch.arm_stopped, robot.gaps_s
                 ending.largest_force_n = robot.largest_force_n
                 ending.session_s = (setup.clock() - ending.start_ns) / 1e9
     ending.losses = run.losses()
-
-
-def _permitted(
-    robot: TouchingRobot,
-    setup: Setup,
-    options: ExploreOptions,
-    asked: Interruption,
-    ending: ExplorationEnd,
-    *,
-    yes: bool,
-    page: PageSteering | None,
-) -> RigExperiment[None]:
-    yield from permitted(robot, setup, options, setup.calibrated, asked, yes=yes, page=page)
-    if page is not None:
-        page.begin()
-    ending.began_s = time.perf_counter()
-
-
-def _steering(
-    config: ExploreConfig,
-    setup: Setup,
-    options: ExploreOptions,
-    recorder: Recorder,
-    asked: Interruption,
-    shown: ShownDevices | None,
-) -> PageSteering | None:
-    """What its page steers by; None without one."""
-    if recorder.page is None:
-        return None
-    from deformscope.page.steering import PageSteering
-
-    recorder.page.session.show(title=config.rig, beat_s=config.page_timeout)
-    return PageSteering(
-        recorder.page.session,
-        asked,
-        setup.clock,
-        shown,
-        arm=f"{setup.names[0]}{' (simulated)' * setup.simulated}",
-        set_force_n=options.set_force_n,
-        budget=options.budget,
-        compliance_m_per_n=setup.compliance_m_per_n,
-        paused=config.paused,
-    )
 
 
 def _say_on_page(recorder: Recorder, explored: ExplorationResult) -> None:

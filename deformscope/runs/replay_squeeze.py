@@ -109,11 +109,10 @@ def squeeze_again(recording: Replay) -> SqueezeAgain:
                 one.phase(row.item.name, row.session_ns + start_ns)
     items = [row.item for row in rows if not isinstance(row.item, SqueezePhase)]
     for item in items:
-        before.observe([item])
+        before.observe(item)
     observer.tracking = tracking = RecordedTracking(every, geometry, containers, posteriors)
-    for item in items:
-        observer.observe([item])
-    found = SqueezeAgain([result for step in observer.reports() for result in step.results])
+    steps = [observer.observe(item) for item in items]
+    found = SqueezeAgain([result for step in filter(None, steps) for result in step.results])
     found.results += [each for one in tracking.found if one.container.live for each in (one.container, one.change)]
     try:
         found.features = trial_features(frames, geometry, tracking.found)

@@ -88,18 +88,14 @@ def run_rig(config: RigRunOptions, auto: Literal["none", "native"], *, always_re
         members_of(rig) as members,
     ):
         say(f"opening {', '.join(member.name for member in members)}")
-        stages: tuple[Stage, ...] = ()
-
-        def start(source: RigSource) -> None:
-            nonlocal stages
+        with open_run(RigSource(members, raw=rig.record.raw), recorder) as opened:
+            source = opened.source
             stages = () if options is None else _stages(options, source.streams)
             shown = [(stage.name, stage.device) for stage in stages]
             if isinstance(recorder, PageRecorder):
                 recorder.start_source(source, rig.record.lossless, shown)
             else:
                 recorder.start(RigLayout(source.streams, tuple(shown)), source.start_ns, rig.record.lossless)
-
-        with open_run(RigSource(members, raw=rig.record.raw), recorder, start) as opened:
             what = f"holding the last {config.keep_last:g} s for" if at_end else "recording into"
             say(f"{what} {file}: Ctrl-C ends it" if file else "watching: Ctrl-C ends it")
             end = _Ending(asked, config.seconds, opened.source)

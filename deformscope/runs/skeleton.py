@@ -7,7 +7,7 @@ import contextlib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NoReturn, Protocol
+from typing import TYPE_CHECKING, NoReturn, Protocol, TypeVar
 
 from deformscope.errors import InputError
 from deformscope.log.rig_layout import RigLayout
@@ -20,18 +20,21 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from deformscope.arrays import FloatArray
+    from deformscope.config import ExploreConfig, SqueezeConfig
     from deformscope.experiments.options import ExploreOptions
     from deformscope.experiments.touching_robot import TouchingRobot
     from deformscope.frames import HealthReport
     from deformscope.interruption import Interruption
-    from deformscope.page.squeezing import PageSqueezing
-    from deformscope.page.steering import PageSteering
+    from deformscope.page.robot_page import RobotPage
+    from deformscope.page.server.page_session import PageSession
     from deformscope.recording.recorder import Recorder
     from deformscope.rig.source import RigSource
     from deformscope.robot.setup import Setup
     from deformscope.session import RigExperiment, SessionRecorder
     from deformscope.stages.map.exploration import ExplorationStop
     from deformscope.stages.squeeze.trial import SqueezeStop
+
+PageT = TypeVar("PageT", bound="RobotPage")
 
 HALTS = 3
 """Attempts to halt the arm, each of which an interruption may cut short."""
@@ -52,15 +55,25 @@ class OpenRun:
     recorded: SessionRecorder
     last: HealthReport | None = None
 
-    def watch(self, asked: Interruption, page: PageSteering | PageSqueezing | None = None) -> Watch:
+    def watch(self, asked: Interruption, page: RobotPage | None = None) -> Watch:
         """What is called in every control period of its robot."""
         return Watch(asked, self.line, *(() if page is None else (page.show,)))
 
-    def show_devices(self, recorder: Recorder) -> ShownDevices | None:
-        """From here on, say alarms at the terminal, and show on the recorder's page how devices are; None without."""
-        shown = None if recorder.page is None else ShownDevices(recorder.page.session, self.source.streams)
+    def open_page(
+        self,
+        recorder: Recorder,
+        config: ExploreConfig | SqueezeConfig,
+        make: Callable[[PageSession, ShownDevices], PageT],
+    ) -> PageT | None:
+        """From here on, say alarms at the terminal, and show on the recorder's page how devices are; what moves the
+        robot from there, which `make` makes, None without a page."""
+        session = None if recorder.page is None else recorder.page.session
+        shown = None if session is None else ShownDevices(session, self.source.streams)
         self.recorded = WatchedDevices(recorder, shown, self.line)
-        return shown
+        if session is None or shown is None:
+            return None
+        session.show(title=config.rig, beat_s=config.page_timeout)
+        return make(session, shown)
 
     def losses(self) -> dict[str, dict[str, float]]:
         """Of each device that lost something, once they are closed."""
@@ -70,22 +83,22 @@ class OpenRun:
 
 
 @contextlib.contextmanager
-def open_run(
-    devices: AbstractContextManager[RigSource], recorder: SessionRecorder, start: Callable[[RigSource], None]
-) -> Iterator[OpenRun]:
+def open_run(devices: AbstractContextManager[RigSource], recorder: SessionRecorder) -> Iterator[OpenRun]:
     """The devices, open; closed in the end, and all that came until then recorded. Which of them failed, at closing
-    too, is printed whatever ends the run. start: starts the recorder"""
+    too, is printed whatever ends the run. What opens them starts the recorder."""
     with contextlib.ExitStack() as closed, devices as source, status_line() as line:
         closed.callback(lambda: _say_failures(source.failures))
-        start(source)
         run = OpenRun(source, line, recorder)
         yield run
         run.last = finish(source, run.recorded)
 
 
-def open_rig_run(devices: AbstractContextManager[RigSource], recorder: Recorder) -> AbstractContextManager[OpenRun]:
+@contextlib.contextmanager
+def open_rig_run(devices: AbstractContextManager[RigSource], recorder: Recorder) -> Iterator[OpenRun]:
     """As `open_run`, recorded as a rig's devices are."""
-    return open_run(devices, recorder, lambda source: recorder.start(RigLayout(tuple(source.streams)), source.start_ns))
+    with open_run(devices, recorder) as run:
+        recorder.start(RigLayout(tuple(run.source.streams)), run.source.start_ns)
+        yield run
 
 
 def _say_failures(failures: Mapping[str, str]) -> None:
@@ -157,7 +170,7 @@ def permitted(
     *,
     yes: bool,
     places_m: FloatArray | None = None,
-    page: PageSteering | None = None,
+    page: RobotPage | None = None,
 ) -> RigExperiment[None]:
     """Within an experiment: look at everything, print the table of checks, and ask before a real arm moves; before that
     for a finger on the tip, where nothing but the force there guards it.
@@ -186,17 +199,35 @@ def permitted(
             )
         else:
             say(f"You will be asked to place the stick, step by step: {touches}. Keep your hands out of the picture.")
-        if page is not None and not yes:
-            page.wait_for_permission(touches)
         if not yes:
-            prompt = "Type yes to begin: " if page is None else "Press Explore on the page, or type yes, to begin: "
-            yield from RunOperator(asked, None if page is None else page.is_permitted).confirm(prompt, or_ended=True)
+            yield from agree(asked, page, touches, or_ended=True)
             if asked.is_set():
                 robot.ask_to_stop(signal_word(asked.signal_number))
             preflight = yield from ask(CheckFirst(calibrated, places_m))
             if not preflight.passed:
                 say(preflight.table())
     robot.let_move(preflight)
+    if page is not None:
+        page.go_on()
+
+
+def agree(
+    asked: Interruption, page: RobotPage | None, what: str, *, enter_when: str = "", or_ended: bool = False
+) -> RigExperiment[None]:
+    """Within an experiment: wait until somebody lets the robot move, at its page where it has one, or at the terminal.
+
+    what: will move; enter_when: the terminal's Enter is enough then, in words
+    Otherwise it raises InputError unless somebody says yes. or_ended: nor where somebody ends the run
+    """
+    operator = RunOperator(asked, None if page is None else page.is_agreed)
+    first = ""
+    if page is not None:
+        page.wait_for(what)
+        first = f"Press {page.button} on the page, or "
+    if enter_when:
+        yield from operator.line(f"{f'{first}Enter,' if first else 'Press Enter'} {enter_when}: ")
+    else:
+        yield from operator.confirm(f"{f'{first}type yes,' if first else 'Type yes'} to begin: ", or_ended=or_ended)
 
 
 def leave_arm(

@@ -13,9 +13,9 @@ from deformscope.interruption import until_interrupted
 from deformscope.log.squeeze.layout import SQUEEZE, SqueezeLayout
 from deformscope.runs import skeleton
 from deformscope.runs.opened_devices import LAB, squeeze_setup_of
-from deformscope.runs.operator import RunOperator, at_terminal
+from deformscope.runs.operator import at_terminal
 from deformscope.runs.result import open_recorder
-from deformscope.runs.skeleton import open_run
+from deformscope.runs.skeleton import agree, open_run
 from deformscope.runs.squeeze_result import SqueezeResult
 from deformscope.terminal import say
 
@@ -27,9 +27,9 @@ if TYPE_CHECKING:
     from deformscope.files.squeeze_dataset import SqueezeDataset, TrialEntry
     from deformscope.interruption import Interruption
     from deformscope.page.devices import ShownDevices
+    from deformscope.page.server.page_session import PageSession
     from deformscope.page.squeezing import PageSqueezing
     from deformscope.recording.recorder import Recorder
-    from deformscope.rig.source import RigSource
     from deformscope.robot.squeeze_setup import SqueezeSetup
     from deformscope.runs.opened_devices import SqueezeOpening
     from deformscope.session import RigExperiment
@@ -135,31 +135,30 @@ def _run(
     """Open the devices, squeeze, close them; what is known beside `found`."""
     from deformscope.experiments.squeeze import squeeze
     from deformscope.experiments.squeeze_features import SqueezeGeometry, around_px
-    from deformscope.experiments.squeeze_frames import ObservedRecorder, SqueezeFrames, SqueezeObserver, TactileSource
+    from deformscope.experiments.squeeze_frames import ObservedRecorder
     from deformscope.experiments.squeeze_live import live_tracking
-    from deformscope.experiments.squeezing_hand import SqueezingHand, feature_executor, rule_of
+    from deformscope.experiments.squeezing_hand import SqueezingHand, feature_executor, observer_of
     from deformscope.frames import InputFile
     from deformscope.session import run as run_session
 
     setup = opening.setup
-    ended: dict[str, Any] = {"losses": {}, "start_ns": 0}
     names, geometry = setup.names, SqueezeGeometry.of(setup)
 
-    def start(source: RigSource) -> None:
-        ended["start_ns"] = source.start_ns
-        pads = tuple(TactileSource.of(source.streams, names.tactile, setup.hand.fingers).pads)
-        around, named = around_px(geometry), model is not None
-        layout = SqueezeLayout(source.streams, names.tactile, pads, names.camera, around, named=named)
+    def squeezing(session: PageSession, shown: ShownDevices) -> PageSqueezing:
+        from deformscope.page.squeezing import PageSqueezing
+
+        return PageSqueezing(session, asked, shown)
+
+    with open_run(setup.open_source(), recorder) as run:
+        source = run.source
+        ended: dict[str, Any] = {"start_ns": source.start_ns}
+        observer = observer_of(setup, source, None if model is None else step_posterior(model))
+        pads, around = observer.frames.tactile_source.pads, around_px(geometry)
+        layout = SqueezeLayout(source.streams, names.tactile, pads, names.camera, around, named=model is not None)
         recorder.start(layout, source.start_ns)
         if config.model is not None:
             recorder.write(InputFile(MODEL_INPUT, config.model.read_bytes()))
-
-    with open_run(setup.open_source(), recorder, start) as run:
-        source = run.source
-        tactile = TactileSource.of(source.streams, names.tactile, setup.hand.fingers)
-        frames = SqueezeFrames(tactile, names.hand, names.camera, rule_of(setup))
-        observer = SqueezeObserver(frames, setup.hand.tactile_end, None if model is None else step_posterior(model))
-        page = _page(config, recorder, asked, run.show_devices(recorder))
+        page = run.open_page(recorder, config, squeezing)
         run.recorded = observed = ObservedRecorder(run.recorded, observer)
         watch = run.watch(asked, page)
 
@@ -179,7 +178,7 @@ def _run(
             None if setup.placed else _placed(config, setup, asked, page),
         )
         try:
-            tracking = live_tracking(frames, geometry, setup.clock, real_time=setup.runs_itself)
+            tracking = live_tracking(observer.frames, geometry, setup.clock, real_time=setup.runs_itself)
             with feature_executor(setup, hand) as beside, tracking as observer.tracking, watch.halts(hand):
                 run_session(source, experiment, observed, hand, beside)
         finally:
@@ -190,23 +189,11 @@ def _run(
                 name: (when_ns - source.start_ns) / 1e9 if when_ns else None
                 for name, when_ns in (("first_s", truth.contact_ns), ("steady_s", truth.steady_ns))
             }
-    observed.rest()
     ended["losses"] = run.losses()
     return ended
 
 
 # Who decides --------------------------------------------------------------------------------------------------------
-
-
-def _page(
-    config: SqueezeConfig, recorder: Recorder, asked: Interruption, shown: ShownDevices | None
-) -> PageSqueezing | None:
-    if recorder.page is None or shown is None:
-        return None
-    from deformscope.page.squeezing import PageSqueezing
-
-    recorder.page.session.show(title=config.rig, beat_s=config.page_timeout)
-    return PageSqueezing(recorder.page.session, asked, shown)
 
 
 def _permitted(
@@ -218,14 +205,9 @@ def _permitted(
     moves = f"open, turn its fingers towards each other and, once it is placed, close with {current_a:g} A at most"
     if not setup.simulated:
         say(f"The hand will now {moves}.\nThis program is no safety function: keep the hand's switch within reach.")
-    if config.yes or (setup.simulated and not config.paused):
-        if page is not None:
-            page.go_on()
-    elif page is None:
-        yield from RunOperator(asked).confirm("Type yes to begin: ")
-    else:
-        page.wait_for(f"the hand{' (simulated)' * setup.simulated} will {moves}")
-        yield from RunOperator(asked, page.is_agreed).confirm("Press Squeeze on the page, or type yes, to begin: ")
+    if not config.yes and (config.paused or not setup.simulated):
+        yield from agree(asked, page, f"the hand{' (simulated)' * setup.simulated} will {moves}")
+    if page is not None:
         page.go_on()
 
 
@@ -246,15 +228,11 @@ def _placed(
     )
     say(words)
     if not config.yes or at_terminal():
-        if page is None:
-            yield from RunOperator(asked).line("Press Enter when it stands still: ")
-            return
-        page.session.remark(words)
-        page.wait_for("the hand closes")
-        yield from RunOperator(asked, page.is_agreed).line(
-            "Press Squeeze on the page, or Enter, when it stands still: "
-        )
-        page.go_on()
+        if page is not None:
+            page.session.remark(words)
+        yield from agree(asked, page, "the hand closes", enter_when="when it stands still")
+        if page is not None:
+            page.go_on()
 
 
 # A model -------------------------------------------------------------------------------------------------------------

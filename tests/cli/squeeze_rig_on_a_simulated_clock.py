@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from deformscope.lab.container_view import camera_pose
-from deformscope.lab.squeeze_lab import ContainerTruth, SqueezeLab
+from deformscope.lab.squeeze_lab import ContainerCase, ContainerTruth, SqueezeLab
 from deformscope.rig.rig_file import RigDevice
 from deformscope_drivers.device import Device
 
@@ -24,9 +24,9 @@ class SimulatedSqueezeRig:
 
     runs_itself = False
 
-    def __init__(self, *given: Any, **options: Any) -> None:
-        self.camera_hz = options["camera_hz"]
-        self.lab = SqueezeLab(*given, **options)
+    def __init__(self, case: ContainerCase, camera_hz: float) -> None:
+        self.camera_hz = camera_hz
+        self.lab = SqueezeLab(case, camera_hz)
         self.clock, self.intrinsics = self.lab.clock, self.lab.view.intrinsics
         self.T_hand_camera = camera_pose()
         self.at_contact: Callable[[], None] | None = None
@@ -70,8 +70,8 @@ def use_simulated_squeeze_rigs(
     """
     made: list[SimulatedSqueezeRig] = []
 
-    def make(*given: Any, **options: Any) -> SimulatedSqueezeRig:
-        made.append(SimulatedSqueezeRig(*given, **options))
+    def make(case: ContainerCase, camera_hz: float) -> SimulatedSqueezeRig:
+        made.append(SimulatedSqueezeRig(case, camera_hz))
         change(made[-1])
         return made[-1]
 

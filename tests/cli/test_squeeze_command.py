@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import json
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -11,18 +13,27 @@ import numpy as np
 import pytest
 
 from deformscope.cli import main
+from deformscope.errors import InputError
 from deformscope.experiments.squeeze_tracking import REST_IMAGES
 from deformscope.files.classifier_file import save_classifier
 from deformscope.files.squeeze_dataset import SqueezeDataset
-from deformscope.frames import DepthFrame
+from deformscope.frames import DepthFrame, TactileFrame
 from deformscope.recording.item_rows import read_rows
+from deformscope.recording.items import read_items, read_results
 from deformscope.recording.reader import Replay
+from deformscope.rig.source import RigSource
 from deformscope.robot.squeeze_plan import draw_grasp
 from deformscope.robot.squeeze_setup import SqueezeSetup
 from deformscope.runs.opened_devices import SqueezeOpening
 from deformscope.stages.squeeze.model import ContentModel, fit_model
 from deformscope.stages.squeeze.table import LabelledTable
-from deformscope.stages.squeeze.trial import ContainerChange, ContentPosterior, SqueezePhase, TrackedContainer
+from deformscope.stages.squeeze.trial import (
+    ContainerChange,
+    ContentPosterior,
+    FingertipPressure,
+    SqueezePhase,
+    TrackedContainer,
+)
 from tests.experiments.toy_squeeze import ToySqueeze, limits
 
 LABS: list[ToySqueeze] = []
@@ -53,6 +64,33 @@ def squeeze(tmp_path: Path, *more: str) -> tuple[int, dict[str, Any]]:
     target.unlink(missing_ok=True)
     status = main(["squeeze", "lab:containers", "--viewer", "none", "--json", str(target), *more])
     return status, json.loads(target.read_text()) if target.exists() else {}
+
+
+def test_tactile_frames_have_their_results_where_devices_fail_to_close(
+    tmp_path: Path, toy: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    close = RigSource.close
+
+    def closes_late(source: RigSource) -> None:
+        """Frames come until the end, as from devices that run by themselves."""
+        setup = LABS[-1].setup
+        setup.wait_until(setup.clock() + 200_000_000)
+        close(source)
+
+    @contextlib.contextmanager
+    def fails_as_it_ends() -> Iterator[RigSource]:
+        with LABS[-1].setup.open_source() as source:
+            yield source
+        raise InputError("devices that close", "one that does not")
+
+    monkeypatch.setattr(RigSource, "close", closes_late)
+    toy["setup"] = {"open_source": fails_as_it_ends}
+    file = tmp_path / "r.rrd"
+    assert squeeze(tmp_path, "--content", "rice", "--record", str(file))[0] != 0
+    (recording,) = tmp_path.glob("r*.rrd*")
+    pressures = list(read_results(recording, (FingertipPressure,), trust=True))
+    frames = [item for item in read_items(recording, trust=True) if isinstance(item, TactileFrame)]
+    assert len(pressures) == len(frames) > 100
 
 
 def test_a_recorded_squeeze_replays_to_the_last_bit(

@@ -10,8 +10,8 @@ import pytest
 
 from deformscope.experiments.squeeze import Squeezed, squeeze
 from deformscope.experiments.squeeze_features import SqueezeGeometry, trial_features
-from deformscope.experiments.squeeze_frames import ObservedRecorder, SqueezeFrames, SqueezeObserver, TactileSource
-from deformscope.experiments.squeezing_hand import SqueezingHand, rule_of
+from deformscope.experiments.squeeze_frames import ObservedRecorder
+from deformscope.experiments.squeezing_hand import SqueezingHand, observer_of
 from deformscope.recording.recorder import Recorder
 from deformscope.robot.squeeze_robot import SQUEEZE_PERIOD_NS
 from deformscope.robot.squeeze_supervisor import SqueezeFault
@@ -34,9 +34,8 @@ class Session:
     def go(self) -> Squeezed:
         setup = self.lab.setup
         with setup.open_source() as source:
-            tactile = TactileSource.of(source.streams, setup.names.tactile, setup.hand.fingers)
-            self.frames = SqueezeFrames(tactile, setup.names.hand, setup.names.camera, rule_of(setup))
-            observer = SqueezeObserver(self.frames, "first", None)
+            observer = observer_of(setup, source)
+            self.frames = observer.frames
             hand = SqueezingHand(setup, source, observer, lambda: self.on_cycle(hand))
 
             def began(phase: str) -> None:

@@ -7,13 +7,13 @@ import pytest
 from deformscope.errors import InputError
 from deformscope.frames import DepthFrame, HandFrame, TactileFrame
 from deformscope.lab.live_squeeze_lab import LiveSqueezeLab
-from deformscope.lab.squeeze_lab import CLOSED_DEG, CLOSING_AXES
+from deformscope.lab.squeeze_lab import CLOSED_DEG, CLOSING_AXES, ContainerCase
 from deformscope_drivers.sdh.results import Outcome
 
 
 @pytest.mark.realtime
 def test_a_hand_behind_a_terminal_closes_on_a_container_and_all_devices_report() -> None:
-    with LiveSqueezeLab("rice", "box-07", seed=3) as lab, lab.source() as source:
+    with LiveSqueezeLab(ContainerCase("rice", "box-07", seed=3)) as lab, lab.source() as source:
         lab.hand.set_current_limits(0.3)
         done = lab.hand.move(dict.fromkeys(CLOSING_AXES, CLOSED_DEG), velocity_deg_s=20.0, timeout_s=60.0)
         truth = lab.truth()
@@ -30,5 +30,5 @@ def test_a_hand_behind_a_terminal_closes_on_a_container_and_all_devices_report()
 
 
 def test_what_cannot_stand_there_is_refused_in_this_process() -> None:
-    with pytest.raises(InputError, match="sand"), LiveSqueezeLab("sand"):
+    with pytest.raises(InputError, match="sand"), LiveSqueezeLab(ContainerCase("sand")):
         pass

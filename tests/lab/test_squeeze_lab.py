@@ -10,7 +10,7 @@ import pytest
 from deformscope.errors import InputError
 from deformscope.frames import DepthFrame, HandFrame, TactileFrame
 from deformscope.lab.container_constants import PA_PER_COUNT
-from deformscope.lab.squeeze_lab import CLOSED_DEG, CLOSING_AXES, OPEN_DEG, ContainerTruth, SqueezeLab
+from deformscope.lab.squeeze_lab import CLOSED_DEG, CLOSING_AXES, OPEN_DEG, ContainerCase, ContainerTruth, SqueezeLab
 
 PERIOD_NS = 100_000_000
 MOVING, BLOCKED = "positioning", "cw_blocked"
@@ -32,7 +32,7 @@ def squeezed(lab: SqueezeLab, periods: int = 25) -> tuple[list[object], Containe
 
 @pytest.fixture(scope="module")
 def rice() -> tuple[SqueezeLab, list[object], ContainerTruth]:
-    lab = SqueezeLab("rice", "box-07", seed=3, camera_hz=5.0)
+    lab = SqueezeLab(ContainerCase("rice", "box-07", seed=3), camera_hz=5.0)
     return lab, *squeezed(lab)
 
 
@@ -83,14 +83,19 @@ def test_the_camera_sees_the_dent(rice: tuple[SqueezeLab, list[object], Containe
 
 
 def test_the_same_seed_gives_the_same_bytes_and_another_one_others() -> None:
-    runs = [squeezed(SqueezeLab("yogurt", "box-02", seed=seed, camera_hz=2.0), 18)[0] for seed in (5, 5, 6)]
+    runs = [
+        squeezed(SqueezeLab(ContainerCase("yogurt", "box-02", seed=seed), camera_hz=2.0), 18)[0] for seed in (5, 5, 6)
+    ]
     same, again, other = ([pickle.dumps(item) for item in run] for run in runs)
     assert same == again
     assert same != other
 
 
 def test_contents_that_are_made_alike_cannot_be_told_apart() -> None:
-    runs = [squeezed(SqueezeLab(c, "box-02", seed=5, alike=True, camera_hz=2.0), 18)[0] for c in ("empty", "rice")]
+    runs = [
+        squeezed(SqueezeLab(ContainerCase(c, "box-02", seed=5, alike=True), camera_hz=2.0), 18)[0]
+        for c in ("empty", "rice")
+    ]
     first, second = ([pickle.dumps(item) for item in run] for run in runs)
     assert first == second
 
@@ -98,4 +103,4 @@ def test_contents_that_are_made_alike_cannot_be_told_apart() -> None:
 @pytest.mark.parametrize(("content", "container"), [("sand", "box-01"), ("rice", "bag-01")])
 def test_unknown_contents_and_containers_are_refused(content: str, container: str) -> None:
     with pytest.raises(InputError):
-        SqueezeLab(content, container)
+        SqueezeLab(ContainerCase(content, container))

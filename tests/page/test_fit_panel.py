@@ -212,6 +212,24 @@ def test_what_was_found_is_said_and_what_ends_it_too(beside: Beside, capsys: pyt
     beside.ended()
 
 
+def test_a_result_is_said_once_also_where_another_fit_begins_meanwhile(beside: Beside) -> None:
+    found = FitResult("deformscope x", 0.5, 0.4, 0.6, 0.9, 1.0, "weak")
+    first = beside.opened()
+    first.send(("fit", msgspec.structs.replace(STATE, found=found), ("set-fit",)))
+    beside.until(lambda state: state.fit is not None and state.fit.found == found)
+    ending = beside.fit._fit
+    assert ending is not None
+    second = beside.opened(camera="top")
+    second.send(("fit", msgspec.structs.replace(STATE, camera="top", busy="new"), ("set-fit",)))
+    beside.until(lambda state: state.fit is not None and state.fit.busy == "new")
+    first.send(("fit", msgspec.structs.replace(STATE, found=found, busy="ends"), ("set-fit",)))
+    first.send(("end", None))
+    ending.thread.join(PATIENCE_S)
+    assert ending.state.busy == "ends"
+    assert len(beside.found) == 1
+    beside.ended()
+
+
 def test_in_its_process_it_is_the_same_fit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """In a thread of this process."""
     monkeypatch.setattr(page_fit, "StageProcesses", lambda *given: nullcontext({"flow": Inline()}))

@@ -75,7 +75,7 @@ class Steered:
         )
         self.beat()
         if begun:
-            self.steering.begin()
+            self.steering.go_on()
 
     def beat(self) -> None:
         self.session.beat("a", visible=True)
@@ -111,8 +111,8 @@ def test_a_real_arm_begins_once_somebody_confirms_it_on_the_page(monkeypatch: py
     monkeypatch.setattr(operator, "POLL_S", 0.0)
     steered = Steered(begun=False)
     assert (steered.session.state.phase, steered.session.state.commands) == ("idle", ("stop",))
-    steered.steering.wait_for_permission("up to 8 touches of 3 N")
-    question = operator.RunOperator(steered.ended, steered.steering.is_permitted).line("?")
+    steered.steering.wait_for("up to 8 touches of 3 N")
+    question = operator.RunOperator(steered.ended, steered.steering.is_agreed).line("?")
     next(question)
     assert steered.say(StartExploring)[0] == "begun"
     next(question)
@@ -122,7 +122,7 @@ def test_a_real_arm_begins_once_somebody_confirms_it_on_the_page(monkeypatch: py
     with pytest.raises(StopIteration) as answered:
         next(question)
     assert answered.value.value == "yes"
-    steered.steering.begin()
+    steered.steering.go_on()
     assert steered.session.state.phase == "exploring"
 
 

@@ -13,14 +13,23 @@ pytest.importorskip("cv2")
 
 from deformscope.lab.foam import FOAMS
 from deformscope.reproduce import foams
-from deformscope.reproduce.foams import FoamResult, FoamSetup, controls, measure, rank_correlation, trend
+from deformscope.reproduce.foams import (
+    FoamCase,
+    FoamResult,
+    FoamSetup,
+    controls,
+    measure,
+    measure_control,
+    rank_correlation,
+    trend,
+)
 
 COARSE = FoamSetup(foams=FOAMS[:1], depth_m=0.008, images=2, element_m=0.014, cluster_sizes=(2,))
 
 
 @pytest.fixture(scope="module")
 def seen() -> FoamResult:
-    return measure(FOAMS[0], COARSE)
+    return measure(FoamCase(FOAMS[0], COARSE))
 
 
 @pytest.mark.slow  # images of five foams
@@ -59,10 +68,10 @@ def test_force_gives_the_models_stiffness(seen: FoamResult) -> None:
 def test_hardness_alone_moves_nothing_and_scales_k(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(foams, "CHANGES", {"hardness": (75.0, 300.0)})
 
-    base, softer, firmer = controls(COARSE)
+    base, softer, firmer = map(measure_control, controls(COARSE))
 
     assert base.foam.hardness == 150.0
-    assert max(softer.moved_mm, firmer.moved_mm) < 1e-6
+    assert max(softer.moved_mm(base), firmer.moved_mm(base)) < 1e-6
     assert firmer.force_n == pytest.approx(4 * softer.force_n, rel=1e-6)
     for one, two in zip(softer.fits, firmer.fits, strict=True):
         a, b = one.calibration.estimate, two.calibration.estimate

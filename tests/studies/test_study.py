@@ -4,20 +4,26 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import get_type_hints
 
+import msgspec
 import numpy as np
+import numpy.typing as npt
 import pytest
 
 pytest.importorskip("warp")
 pytest.importorskip("tyro")
 
+from deformscope.arrays import FloatArray
 from deformscope.cli import with_flags
-from deformscope.cli.study import Study, StudyOptions, StudyReport, Trials, run, tried
+from deformscope.cli.study import Study, StudyReport, Trials, run, tried
+from deformscope.config.reproduce import StudyOptions
 from deformscope.errors import InputError
 from deformscope.pictures.report import Table
+from deformscope.reproduce import foams
 from studies.quantities import Quantity, Rate, by, number, rows, share, table
 
 CALLED: list[int] = []
@@ -63,6 +69,43 @@ def called(numbers: Sequence[int], *flags: str) -> list[int]:
     one = study(numbers)
     with_flags(one.options, lambda options: run(one, options), ["--jobs", "1", *flags], "python -m studies squares")
     return list(CALLED)
+
+
+@dataclass(frozen=True, slots=True)
+class Grid:
+    """Arrays within a result. seen: (2, n); image: (2, 2)"""
+
+    seen: FloatArray
+    image: npt.NDArray[np.uint8]
+
+
+def grid(number: int) -> Grid:
+    CALLED.append(number)
+    return Grid(np.array([[math.nan, 0.1 * number], [-math.inf, 1.0]]), np.full((2, 2), number, np.uint8))
+
+
+def test_arrays_are_kept_to_the_last_bit(tmp_path: Path) -> None:
+    options, found = StudyOptions(1, tmp_path / "kept.jsonl"), list[list[Grid]]()
+
+    def report(options: StudyOptions, seconds: float, grids: list[Grid]) -> StudyReport:
+        found.append(grids)
+        return StudyReport([Table([], (), "Grids")], {})
+
+    CALLED.clear()
+    for _ in range(2):
+        run(Study(StudyOptions, lambda options: [Trials("grids", grid, [3, 7])], report), options)
+    assert CALLED == [3, 7]
+    for made, read in zip(*found, strict=True):
+        assert (read.seen.dtype, read.image.dtype) == (np.float64, np.uint8)
+        assert (read.seen.tobytes(), read.image.tobytes()) == (made.seen.tobytes(), made.image.tobytes())
+        assert (read.seen.shape, read.image.shape) == ((2, 2), (2, 2))
+
+
+@pytest.mark.parametrize("try_one", [foams.measure, foams.measure_control])
+def test_what_a_reproduction_finds_can_be_read_again(try_one: Callable[..., object]) -> None:
+    """Each of its fields has a type that a kept outcome is read into."""
+    with pytest.raises(msgspec.ValidationError, match="missing required field"):
+        msgspec.convert({}, get_type_hints(try_one)["return"])
 
 
 def test_outcomes_that_are_kept_are_not_computed_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

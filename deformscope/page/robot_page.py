@@ -1,0 +1,66 @@
+"""What every page of a robot shares: it moves once somebody there has confirmed that, and no longer than they watch."""
+
+from __future__ import annotations
+
+import threading
+
+from deformscope.interruption import Interruption
+from deformscope.page.devices import ShownDevices
+from deformscope.page.server.messages import Outcome, PageCommand, StopRun
+from deformscope.page.server.page_session import PageSession
+
+
+class RobotPage:
+    """`PageRun` of a robot's page.
+
+    robot: what stops, in words; button: what a page asks for a motion with
+    """
+
+    robot = button = ""
+
+    def __init__(self, session: PageSession, ended: Interruption, shown: ShownDevices | None, reason: str = "") -> None:
+        """reason: what goes on at the beginning, in words; shown: shows what the robot does, None = nothing"""
+        self.session = session
+        self._ended, self._shown = ended, shown
+        self._what = ""
+        self._agreed = self._by_hand = False
+        self._lock = threading.RLock()
+        session.bind(self)
+        session.enter("idle", reason, commands=("stop",))
+
+    def wait_for(self, what: str) -> None:
+        """Have the page ask for what moves next, and confirm it. what: will move"""
+        raise NotImplementedError
+
+    def go_on(self) -> None:
+        """It was agreed to, at the page or elsewhere, or need not be."""
+        raise NotImplementedError
+
+    def is_agreed(self) -> bool:
+        """Whether somebody at the page has confirmed it."""
+        return self._agreed
+
+    def reason_to_stand(self) -> str:
+        """In each control period: why it may not go on, where nobody watches what they confirmed on the page."""
+        return self.session.absent() if self._by_hand else ""
+
+    def show(self, doing: str) -> None:
+        """What the robot does, in words."""
+        if self._shown is not None:
+            self._shown(doing)
+
+    def handle(self, command: PageCommand) -> tuple[Outcome, str]:
+        """As `PageRun.handle`; a stop comes first, and waits for no lock."""
+        if isinstance(command, StopRun):
+            self._ended.by = "from the page"
+            self._ended.set()
+            return "done", f"the {self.robot} stops"
+        with self._lock:
+            return self._handle(command)
+
+    def _handle(self, command: PageCommand) -> tuple[Outcome, str]:
+        raise NotImplementedError
+
+    def _agree(self) -> None:
+        with self._lock:
+            self._agreed = True
