@@ -30,15 +30,19 @@ def live_tracking(
     frames: SqueezeFrames, geometry: SqueezeGeometry, clock: Callable[[], int], *, real_time: bool
 ) -> Iterator[Tracking]:
     """What tracks: a process of low priority beside devices that go on by themselves, else within the loop; nothing
-    without a camera, or where its projection is not known."""
-    frames.all_images = True
-    if not frames.camera or geometry.camera.focal_px is None or geometry.camera.center_px is None:
-        yield Tracking()
+    without a camera, or where camera or container cannot be modelled, and `failed` says why."""
+    frames.all_images, none, tracker = True, Tracking(), None
+    try:
+        tracker = container_tracker(geometry) if frames.camera else None
+    except InputError as error:
+        none.failed = str(error)
+    if tracker is None:
+        yield none
     elif real_time:
         with computing(_begin, geometry) as executor:
             yield LiveTracking(frames, geometry, executor, _track, clock)
     else:
-        yield LiveTracking(frames, geometry, Inline(), container_tracker(geometry).track, clock)
+        yield LiveTracking(frames, geometry, Inline(), tracker.track, clock)
 
 
 def _begin(geometry: SqueezeGeometry) -> None:
@@ -65,9 +69,8 @@ class LiveTracking(Tracking):
     ) -> None:
         super().__init__()
         self._frames, self._geometry, self._executor, self._job, self._clock = frames, geometry, executor, job, clock
-        self._asked: deque[tuple[Future[Any], int]] = deque()
         self.waiting = executor.submit(bool)  # a process takes seconds to begin
-        self._asked.append((self.waiting, 0))
+        self._asked: deque[tuple[Future[Any], int]] = deque([(self.waiting, 0)])
         self._newest_ns = self._skipped = 0
 
     def go_on(self, first_ns: int) -> Sequence[TrackedImage]:
@@ -142,9 +145,8 @@ class RecordedTracking(Tracking):
             first_ns, steady_ns = (events := frames.events()).first_ns, events.steady_ns
         places = {one.index: at for at, one in enumerate(seen.frames)}
         for before in containers:
-            if (at := places.get(before.index)) is None:  # lost: it is missed where results are compared
-                continue
-            if before.lag_s is None and frame_ns(seen.frames[at]) >= steady_ns:
+            at = places.get(before.index)  # None = lost: it is missed where results are compared
+            if at is None or (before.lag_s is None and frame_ns(seen.frames[at]) >= steady_ns):
                 continue
             one = tracker.track(seen.image(at, 0 if math.isnan(before.since_s) else first_ns))
             self.found.append(one if before.lag_s is None else one.after(before.lag_s, before.skipped or 0))

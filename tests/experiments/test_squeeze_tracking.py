@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from deformscope.experiments.squeeze_features import SqueezeGeometry, container_tracker
 from deformscope.experiments.squeeze_frames import SqueezeFrames, TactileSource
-from deformscope.experiments.squeeze_live import LiveTracking, RecordedTracking
+from deformscope.experiments.squeeze_live import LiveTracking, RecordedTracking, live_tracking
 from deformscope.experiments.squeeze_tracking import REST_IMAGES, ContainerImage, TrackedImage
 from deformscope.frames import DepthFrame, HandFrame
 from deformscope.reproduce.squeeze_truth import pose_error
@@ -286,3 +286,17 @@ def test_an_old_change_of_depth_says_nothing_of_now() -> None:
 
     assert squeeze.tracking.newest(0, last_ns + 400 * MS) is squeeze.tracking.found[-1].change
     assert squeeze.tracking.newest(0, last_ns + 600 * MS) is None
+
+
+def test_a_camera_that_cannot_be_modelled_is_said_at_once_and_nothing_is_tracked() -> None:
+    squeeze = Squeeze(Camera(BOX, 1), Inline())
+    geometry = squeeze.camera.geometry
+    for view, why in (
+        (dataclasses.replace(geometry.camera, focal_px=None), "focal_px and center_px"),
+        (dataclasses.replace(geometry.camera, distortion=(0.1, 0.0)), "a camera without distortion"),
+    ):
+        told = dataclasses.replace(geometry, camera=view)
+        with live_tracking(squeeze.frames, told, squeeze.clock, real_time=True) as tracking:
+            assert why in tracking.failed
+            assert tracking.waiting is None
+            assert list(tracking.go_on(0)) == []

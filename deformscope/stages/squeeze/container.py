@@ -105,8 +105,7 @@ class ModelRenderer:
     def render(
         self, T_camera_container: FloatArray, pixels: FloatArray | IntArray, ray: FloatArray | None = None
     ) -> ModelView:
-        """What pixels (..., 2) as (column, row) see of the container at a pose (4, 4). ray: (..., 3) of these pixels,
-        where they are known"""
+        """What pixels (..., 2) as (column, row) see of the container at a pose (4, 4). ray: (..., 3), where known"""
         pose = np.asarray(T_camera_container, dtype=np.float64)
         ray = (self.rays(pixels) if ray is None else ray) @ pose[:3, :3]
         cast = np.empty((*ray.shape[:-1], 6), dtype=np.float32)

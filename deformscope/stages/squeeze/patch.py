@@ -186,9 +186,8 @@ def around(center_px: FloatArray, shape: tuple[int, int], radius_px: float) -> B
     covered = np.zeros(shape, dtype=bool)
     low = np.clip(np.floor(center_px - radius_px).astype(int), 0, shape[::-1])
     high = np.clip(np.ceil(center_px + radius_px).astype(int) + 1, 0, shape[::-1])
-    column, row = np.arange(low[0], high[0]), np.arange(low[1], high[1])
-    near = np.hypot(column - center_px[0], (row - center_px[1])[:, None]) <= radius_px
-    covered[low[1] : high[1], low[0] : high[0]] = near
+    aside, down = np.arange(low[0], high[0]) - center_px[0], np.arange(low[1], high[1]) - center_px[1]
+    covered[low[1] : high[1], low[0] : high[0]] = np.hypot(aside, down[:, None]) <= radius_px
     return covered
 
 
