@@ -17,7 +17,7 @@ from deformscope.terminal import Progress, Say, messages_to, shown_progress
 if TYPE_CHECKING:
     from deformscope.arrays import FloatArray, ImageArray
     from deformscope.config import BetaConfig, ThetaConfig
-    from deformscope.config.explore import BetaModel, Feel, Goal, Pace, Planner
+    from deformscope.config.explore import BetaModel, Detail, Feel, Goal, Pace, Planner
     from deformscope.config.flags import Selectable, TipName
     from deformscope.runs.calibration import CalibrationResult, PairArrays
     from deformscope.runs.classification import ClassificationResult, TableSource
@@ -150,6 +150,7 @@ def explore(
     pace: Pace = "careful",
     hold_s: float = 0.0,
     feel: Feel = "apparent",
+    detail: Detail = "full",
     seed: int = 0,
     record: Path | str | None = None,
     viewer: ViewerChoice = "none",
@@ -166,7 +167,8 @@ def explore(
     pace: quick = low and fast over what is known of the surface; hold_s: of each touch, from which it says how the foam
     creeps; feel: what is mapped: stiffness at once, stiffness when all has relaxed, or the share of its energy that a
     touch loses
-    record: a recording to make (.rrd); yes: let a real arm move, once the checks have passed, without asking
+    record: a recording to make (.rrd); detail: lean = without what lies between frames and estimates
+    yes: let a real arm move, once the checks have passed, without asking
     progress: called with each line about checks and touches; default: they are printed on stderr where that is a
     terminal or a notebook; True: always, False: never; those of a rig file always, unless there is a function
     Raises InputError for what cannot be used, and SystemExit where the exploration was stopped before its end.

@@ -51,7 +51,9 @@ from deformscope.stages.map.exploration import (
     TouchEstimate,
     TouchForecast,
 )
+from deformscope.stages.map.force_pose import ForcePose
 from deformscope.stages.map.measured import LookFrames, SurfaceMeasurement, TouchFrames, TouchMeasurement
+from deformscope.stages.map.perception import LookPerception, Perception, TouchPerception
 from deformscope.stages.squeeze.events import SqueezeEvents
 from deformscope.stages.squeeze.trial import (
     ContainerChange,
@@ -82,6 +84,7 @@ Result = (
     | StageFailure
     | PhaseStart
     | ExplorationStop
+    | Perception
     | Input
 )
 SqueezeResult = (
@@ -107,6 +110,8 @@ ENTITIES: dict[type, str] = {
     StageFailure: "exploration/failed",
     PhaseStart: "exploration/phase",
     ExplorationStop: "exploration/stopped",
+    LookPerception: "exploration/perception/look",
+    TouchPerception: "exploration/perception/touch",
     LookFrames: "exploration/input/look",
     TouchFrames: "exploration/input/touch",
     SurfaceMeasurement: "exploration/input/surface",
@@ -124,6 +129,9 @@ ENTITIES: dict[type, str] = {
     InputFile: "input",
 }
 """Where each kind stands in a recording."""
+
+SERIES: dict[type, str] = {ForcePose: "exploration/force_pose"}
+"""Results that are rows at times of their own: `host_ns` (n,), and `values` (n, k) as scalars that a viewer plots."""
 
 OF_DEVICES: dict[type, str] = {
     WrenchFrame: "wrench",

@@ -41,7 +41,8 @@ from deformscope.robot.readings import ArmSample
 from deformscope.robot.setup import T_BASE_SURFACE, CameraView
 from deformscope.stages.see.align import as_seen
 from deformscope.stages.see.cloud import Box, Intrinsics, back_project, not_alone, within
-from deformscope.stages.see.robot import measured, outside_robot
+from deformscope.stages.see.pixel_labels import PixelLabel
+from deformscope.stages.see.robot import label_robot, measured
 from deformscope_drivers.arm.kinematics import transform
 from deformscope_drivers.depth_camera import SENSORS
 from deformscope_drivers.jaco.chains import J2N6S300
@@ -208,7 +209,7 @@ def removed(picture: RobotPicture, geometry: SetupGeometry, box: Box) -> Removed
     cropped = points[inside]
     began = time.process_time()
     robot = as_seen(geometry.posed_robot(picture.pose, J2N6S300), points, picture.above_m)
-    beside = outside_robot(cropped, robot, picture.depth_m, inside)
+    beside = label_robot(cropped, robot, picture.depth_m, inside) == PixelLabel.USED
     seconds = time.process_time() - began
     kept = beside.copy()
     kept[beside] = not_alone(cropped[beside])

@@ -32,5 +32,5 @@ def run(config: DemoConfig) -> None:
     if config.images:
         calibrate(BetaConfig((f"sample:{SAMPLE}",), output=output))
     else:
-        explore(ExploreConfig(rig=SCENE, budget=TOUCHES, output=output))
+        explore(ExploreConfig(rig=SCENE, budget=TOUCHES, detail=config.detail, output=output))
     say(f"open it with: {rerun_command()} {shlex.quote(str(output.record))}")

@@ -12,6 +12,7 @@ from deformscope.config.options import Flags, OutputOptions, RecordedOptions
 from deformscope.errors import InputError
 
 BetaModel = Literal["volume", "thesis", "layers", "none"]
+Detail = Literal["full", "lean"]
 Feel = Literal["apparent", "relaxed", "loss"]
 Goal = Literal["regions", "inclusions"]
 Pace = Literal["careful", "quick"]
@@ -62,6 +63,10 @@ class ExploreFlags(Flags):
     beta_model: BetaModel | None = None
     """What beta is fitted with: layers below the surface (volume, default), the thesis's sweep with one held particle
     of a single layer (thesis, default of --planner thesis) or of layers, or none."""
+    detail: Detail = "full"
+    """What a recording has beside devices, estimates and maps. full: also which pixels were used, and by which rule the
+    others were removed, the surface under each touch, the error over beta, what was trained with what weight, force
+    and pose at the force's rate, frames and maps in space. lean: none of these."""
 
     def __post_init__(self) -> None:
         inclusions = self.goal == "inclusions"

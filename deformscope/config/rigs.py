@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
 
 from deformscope.config import flags
+from deformscope.config.explore import Detail
 from deformscope.config.images import ParticleFlags
 from deformscope.config.options import CommandOptions, OutputOptions, RecordedOptions
 from deformscope.errors import InputError
@@ -214,6 +215,8 @@ class DemoConfig(RecordedOptions):
 
     images: bool = False
     """Measure the images that ship instead: a specimen under tension, filmed."""
+    detail: Detail = "full"
+    """As of explore."""
 
     output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
 

@@ -10,7 +10,9 @@ import numpy as np
 from deformscope.arrays import FloatArray
 from deformscope.experiments.options import ExploreOptions
 from deformscope.experiments.seen_surface import SeenSurface
+from deformscope.stages.fit.estimate import Curve
 from deformscope.stages.map.measured import TouchMeasurement
+from deformscope.stages.map.perception import TouchSurface
 from deformscope.stages.map.surface import fit_surface
 from deformscope.stages.map.touch_beta import BallContact, SeenDent, dent_of, fit_touch, thesis_beta
 from deformscope.stages.poke.contact import ArmCompliance, ContactFit
@@ -25,7 +27,8 @@ THESIS_ROI_M, TACTILE_NOISE_M = 0.08, 2e-4
 class BetaEstimate:
     """verdict: or why there is no value; value, interval: of beta, None where there is none; sd: nan where not known
     simulated_m: (p, 3) particles of the fitted model
-    dented_m: (m, 2) places that the touch dented, and dent: the square around it, for the thesis
+    dented_m: (m, 2) places that the touch dented, and surface: under it, for the thesis; curve: error over beta, None
+    where nothing was fitted
     """
 
     verdict: str
@@ -34,7 +37,13 @@ class BetaEstimate:
     sd: float = float("nan")
     simulated_m: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
     dented_m: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
-    dent: SeenDent | None = None
+    surface: TouchSurface | None = None
+    curve: Curve | None = None
+
+    @property
+    def dent(self) -> SeenDent | None:
+        """The square around the touch, for the thesis."""
+        return None if self.surface is None else self.surface.dent
 
 
 def fit_beta(
@@ -60,11 +69,19 @@ def fit_beta(
         interval=found.estimate.interval,
         sd=found.sd,
         simulated_m=found.simulated_m,
+        curve=found.estimate.curve,
     )
     if not as_thesis:
         return made
-    dent = _dent(touched, ball, surface)
-    return dataclasses.replace(made, dented_m=dent.dented_m, dent=dent)
+    under = _under(touched, ball, surface)
+    return dataclasses.replace(made, dented_m=under.dent.dented_m, surface=under)
+
+
+def touch_surface(
+    touched: TouchMeasurement, fit: ContactFit, surface: SeenSurface, arm: ArmCompliance, options: ExploreOptions
+) -> TouchSurface:
+    """The surface under a touch that is not rigid, where `fit_beta` did without."""
+    return _under(touched, _ball(touched, fit, arm, options.tip_radius_m), surface)
 
 
 def _rigid(touched: TouchMeasurement, options: ExploreOptions) -> BetaEstimate:
@@ -92,19 +109,21 @@ def _swept(
     touched: TouchMeasurement, ball: BallContact, surface: SeenSurface, thickness_m: float | None
 ) -> BetaEstimate:
     """By the thesis's sweep. thickness_m: of the layers below the surface; None: a single layer"""
-    swept = thesis_beta(_dent(touched, ball, surface), thickness_m=thickness_m)
+    under = _under(touched, ball, surface)
+    swept = thesis_beta(under.dent, thickness_m=thickness_m)
     return BetaEstimate(
         f"thesis: {swept.note}",
         value=swept.beta,
         simulated_m=swept.simulated_m,
-        dented_m=swept.dent.dented_m,
-        dent=swept.dent,
+        dented_m=under.dent.dented_m,
+        surface=under,
+        curve=swept.curve,
     )
 
 
-def _dent(touched: TouchMeasurement, ball: BallContact, surface: SeenSurface) -> SeenDent:
+def _under(touched: TouchMeasurement, ball: BallContact, surface: SeenSurface) -> TouchSurface:
     """The dent as the thesis has it: the touch surface's own process, with virtual points where the ball is."""
     tactile = tactile_points(ball.lowest_m, ball.radius_m, ball.depth_m, normal=touched.normal)
     near = np.abs(touched.after_m[:, :2] - touched.xy_m).max(axis=1) < THESIS_ROI_M
     pressed = fit_surface(touched.after_m[near], known_m=tactile, known_noise_m=np.full(len(tactile), TACTILE_NOISE_M))
-    return dent_of(surface.process, pressed, touched.xy_m)
+    return TouchSurface(dent_of(surface.process, pressed, touched.xy_m), tactile, pressed.learned)

@@ -17,7 +17,7 @@ import numpy as np
 
 from deformscope.arrays import BoolArray, FloatArray
 from deformscope.errors import InputError
-from deformscope.experiments.beta_fit import BetaEstimate, fit_beta
+from deformscope.experiments.beta_fit import BetaEstimate, fit_beta, touch_surface
 from deformscope.experiments.forecast import forecast_touch
 from deformscope.experiments.options import ExploreOptions
 from deformscope.experiments.robot_geometry import Geometry, Touch
@@ -44,15 +44,18 @@ from deformscope.stages.map.exploration import (
 )
 from deformscope.stages.map.map_score import boundary_distance, called_labels, match_regions
 from deformscope.stages.map.measured import SurfaceMeasurement, TouchMeasurement
+from deformscope.stages.map.perception import Perception, TouchPerception, TrainedField
 from deformscope.stages.map.plan import ALLOWED
 from deformscope.stages.poke.contact import EXPONENT, ArmCompliance
 from deformscope.stages.poke.creep import CreepFit
 from deformscope.stages.regions.posterior import RegionMap
 from deformscope.stages.regions.touch_error import TouchErrorModel
 from deformscope.stages.regions.touches import MapGrid, StiffnessSample
+from deformscope.stages.see.pixel_labels import SeenPixels
 
 StageResult = TypeVar("StageResult")
-Result = SurfaceEstimate | TouchEstimate | MapEstimate | InclusionsResult | PlannedTouch | TouchForecast | StageFailure
+Estimate = SurfaceEstimate | TouchEstimate | MapEstimate | InclusionsResult
+Result = Estimate | PlannedTouch | TouchForecast | StageFailure | Perception
 VETO_M = 0.03
 """A veto leaves out what is so near."""
 SEEN_M = 0.01
@@ -106,7 +109,7 @@ class ExplorationStages:
         if isinstance(seen, StageFailure):
             return Computed((seen,), seconds=time.perf_counter() - began)
         self._explorer = seen
-        return self._computed((seen.surface.estimate,), began)
+        return self._computed((seen.surface.estimate, *_present(seen.surface.perception)), began)
 
     def plan(self) -> Computed:
         """Where to touch next, and how; nothing where enough is known, or nothing can be planned any more."""
@@ -175,7 +178,8 @@ class ExplorationStages:
         made = self.geometry.touch(touched)
         self._no_way.clear()  # from here there may be one
         after = self.explorer.touch(made, lambda: self.geometry.dent(touched))
-        return self._computed((after.estimate, *_present(after.maps), *_present(after.inclusions)), began)
+        every = (after.estimate, after.perception, made.force_pose, after.maps, after.inclusions)
+        return self._computed(tuple(one for one in every if one is not None), began)
 
     def _computed(self, results: tuple[Result, ...], began: float, touch: Touch | None = None) -> Computed:
         explorer = self.explorer
@@ -203,11 +207,12 @@ def _near(grid: MapGrid, xy_m: FloatArray) -> BoolArray:
 @dataclass(frozen=True, slots=True, eq=False)
 class AfterTouch:
     """What is known after a touch. estimate: of the touch; maps: None where it gave none; inclusions: None also where
-    none are sought"""
+    none are sought; perception: None where that is not asked for"""
 
     estimate: TouchEstimate
     maps: MapEstimate | None
     inclusions: InclusionsResult | None
+    perception: TouchPerception | None = None
 
 
 class UnseenSurface:
@@ -267,6 +272,7 @@ class Explorer:
         self._left_out: list[FloatArray] = []
         self._without_map = 0
         self._off_seen_m = 0.0
+        self._trained: TrainedField | None = None
 
     @property
     def given_up(self) -> str:
@@ -352,19 +358,21 @@ class Explorer:
 
     # A touch ----------------------------------------------------------------------------------------------------------
 
-    def touch(self, touched: TouchMeasurement, dent: Callable[[], FloatArray] | None = None) -> AfterTouch:
-        """Take a touch in, and map what is known then. dent: computes its `after_m` (n, 3) [m], where that is not known
-        yet"""
+    def touch(
+        self, touched: TouchMeasurement, dent: Callable[[], tuple[FloatArray, SeenPixels | None]] | None = None
+    ) -> AfterTouch:
+        """Take a touch in, and map what is known then. dent: computes its `after_m` and `pixels`, where these are not
+        known yet"""
         self._touch = len(self.touches) + 1
-        if dent is not None and (after_m := self._stage("dent", dent)) is not None:
-            touched = dataclasses.replace(touched, after_m=after_m)
+        if dent is not None and (seen := self._stage("dent", dent)) is not None:
+            touched = dataclasses.replace(touched, after_m=seen[0], pixels=seen[1])
         approach = touched.approach
         before = self.touches[-1].xyz_m[:2] if self.touches else np.zeros(2)
         self.travel_m += float(np.hypot(*(touched.xy_m - before)))
         contact = self._stage(
             "contact", lambda: fit_contact(approach, self.surface, self.search, self._arm, self._gain_sd)
         )
-        creep, search = None, None
+        creep, search, sample, self._trained = None, None, None, None
         if contact is not None:
             if not contact.fit.rigid:
                 creep = self._stage("creep", lambda: fit_touch_creep(touched, self.surface, self._arm))
@@ -386,7 +394,28 @@ class Explorer:
             self.maps, self.region_probability = maps, self.region_map.probability
         truth_m = None if self._truth is None else self._truth.lumps_m
         found = None if search is None else self._stage("lumps", lambda: self.search.inclusions(truth_m))
-        return AfterTouch(estimate, maps, found)
+        return AfterTouch(estimate, maps, found, self._perception(touched, contact, sample))
+
+    def _perception(
+        self, touched: TouchMeasurement, contact: TouchContact | None, sample: StiffnessSample | None
+    ) -> TouchPerception | None:
+        """Of the newest touch, with what its maps were trained with; None where that is not asked for."""
+        options, beta = self.options, self.betas[-1]
+        if options.detail == "lean":
+            return None
+        under = beta.surface
+        if under is None and options.beta_model == "volume" and contact is not None and not contact.fit.rigid:
+            given = touched.approach, contact.fit, self.surface, self._arm, options
+            under = self._stage("touch surface", lambda: touch_surface(*given))
+        return TouchPerception(
+            number=len(self.touches) - 1,
+            masks=None if touched.pixels is None else touched.pixels.masks(),
+            surface=under,
+            error=beta.curve,
+            estimate=beta.value,
+            stiffness=sample,
+            beta=self._trained,
+        )
 
     def _sample(
         self, touched: TouchMeasurement, contact: TouchContact, creep: CreepFit | None
@@ -437,7 +466,7 @@ class Explorer:
 
     def _maps(self) -> MapEstimate:
         found, surface = self.region_map, self.surface
-        beta, beta_sd = self._stage("beta field", self._beta_field) or (None, None)
+        beta, beta_sd, self._trained = self._stage("beta field", self._beta_field) or (None, None, None)
         truth = None if self._truth is None else self._truth.labels
         maps = MapEstimate(
             touches=len(self.touches),
@@ -464,7 +493,7 @@ class Explorer:
         )
         return surface.with_moduli(self._quantity.maps(self.search.divided(maps), self._stiffness))
 
-    def _beta_field(self) -> tuple[FloatArray, FloatArray] | None:
+    def _beta_field(self) -> tuple[FloatArray, FloatArray, TrainedField] | None:
         known = [
             (one.xyz_m[:2], beta.value, beta.sd)
             for one, beta in zip(self.touches, self.betas, strict=True)

@@ -33,12 +33,14 @@ from deformscope.robot.shape import arm_shape
 from deformscope.robot.supervisor import Limits
 from deformscope.robot.touch import STILL_S, TouchPlan, centers_of, forces_at
 from deformscope.robot.travel import NotThere, find_way
+from deformscope.stages.map.force_pose import force_pose
 from deformscope.stages.map.measured import LookFrames, SurfaceMeasurement, TouchFrames, TouchMeasurement
 from deformscope.stages.poke.contact import ArmCompliance
 from deformscope.stages.poke.layer_seen import AROUND_M, WITHIN_M, TableSeen, find_table
 from deformscope.stages.regions.touch_error import TouchErrorModel
 from deformscope.stages.regions.touches import MapGrid
 from deformscope.stages.see.cloud import Box, Intrinsics, Perceived, perceive
+from deformscope.stages.see.pixel_labels import SeenPixels
 from deformscope.stages.see.robot import PosedRobot
 from deformscope_drivers.arm.kinematics import Chain
 from deformscope_drivers.arms import chain_of
@@ -207,9 +209,10 @@ class SetupGeometry:
             self._perceived(looked.data.depth_m[int(when)], pose, used, box, VIEW_CELL_M) for when in used.depth_ns
         ]
         return SurfaceMeasurement(
-            np.concatenate([cloud.points_m for cloud in clouds]),
-            np.concatenate([cloud.noise_m for cloud in clouds]),
-            None if options.thickness_stated else self._table(looked, box),
+            points_m=np.concatenate([cloud.points_m for cloud in clouds]),
+            noise_m=np.concatenate([cloud.noise_m for cloud in clouds]),
+            table=None if options.thickness_stated else self._table(looked, box),
+            pixels=_pixels(used.camera, used.depth_ns, clouds, options),
         )
 
     def _box(self, options: ExploreOptions) -> Box:
@@ -225,7 +228,7 @@ class SetupGeometry:
         clouds = [self._perceived(depth_m[int(when)], pose, used, around, VIEW_CELL_M) for when in used.depth_ns]
         return find_table(np.concatenate([cloud.points_m for cloud in clouds]), self.size_m)
 
-    def touch(self, touched: Touched) -> TouchMeasurement:
+    def touch(self, touched: Touched, options: ExploreOptions) -> TouchMeasurement:
         """What arm and force sensor gave, without the dent."""
         used, data = touched.used, touched.data
         held_ns: IntArray = np.zeros(0, np.int64) if used.held_ns is None else used.held_ns
@@ -241,6 +244,11 @@ class SetupGeometry:
         loading = held = None
         if used.held_ns is not None:
             loading, held = len(used.arm_ns), int(np.searchsorted(1e9 * time_s, used.seen_ns, side="right"))
+        felt = None
+        if options.detail == "full" and forces_n:
+            states = np.unique(np.concatenate([used.arm_ns, used.pose_ns, [used.end_ns]]))
+            T = self.placement.T_surface_center(np.array([data.arm[int(when)].T_base_ee for when in states]))
+            felt = force_pose(used.wrench_ns, np.array(forces_n), states, T)
         return TouchMeasurement(
             xy_m=used.xy_m,
             normal=used.normal,
@@ -252,20 +260,25 @@ class SetupGeometry:
             seen_ns=used.seen_ns,
             loading=loading,
             held=held,
+            force_pose=felt,
         )
 
-    def dent(self, touched: Touched, look: LookFrames, options: ExploreOptions) -> FloatArray:
-        """(k, 3) points seen around a place while it was pressed, of all images [m]."""
+    def dent(self, touched: Touched, look: LookFrames, options: ExploreOptions) -> tuple[FloatArray, SeenPixels | None]:
+        """(k, 3) points seen around a place while it was pressed, of all images [m], and the pixels that they are of,
+        None where these are not asked for."""
         used, box = touched.used, self._box(options)
         low = (*np.maximum(box.low_m[:2], used.xy_m - DENT_M), box.low_m[2])
         high = (*np.minimum(box.high_m[:2], used.xy_m + DENT_M), box.high_m[2])
-        seen = []
+        seen, seen_ns = [], []
         for when, pose in zip(used.depth_ns, used.depth_arm_ns, strict=True):
             with contextlib.suppress(InputError):  # nothing but the robot is there
-                pose_then = touched.data.arm[int(pose)]
-                cloud = self._perceived(touched.data.depth_m[int(when)], pose_then, look, Box(low, high), None)
-                seen.append(cloud.points_m)
-        return np.concatenate(seen) if seen else np.zeros((0, 3))
+                depth_m, pose_then = touched.data.depth_m[int(when)], touched.data.arm[int(pose)]
+                seen.append(self._perceived(depth_m, pose_then, look, Box(low, high), cell_m=None))
+                seen_ns.append(when)
+        if not seen:
+            return np.zeros((0, 3)), None
+        pixels = _pixels(used.camera, np.array(seen_ns, np.int64), seen, options)
+        return np.concatenate([cloud.points_m for cloud in seen]), pixels
 
     def _perceived(
         self, depth_m: npt.NDArray[np.floating], pose: ArmSample, look: LookFrames, box: Box, cell_m: float | None
@@ -412,6 +425,14 @@ class SetupGeometry:
         down_m = np.array([plan.places_m(self.placement.center_offset_m)[1:] for plan in plans])
         normals = np.array([[plan.normal] for plan in plans])
         return np.asarray(follow(chain, self.placement, down_m, normals, start_deg=joints_deg).all(axis=-1))
+
+
+def _pixels(camera: str, depth_ns: IntArray, clouds: Sequence[Perceived], options: ExploreOptions) -> SeenPixels | None:
+    if options.detail == "lean":
+        return None
+    first = np.cumsum([0, *(len(cloud.points_m) for cloud in clouds)])
+    point = np.concatenate([cloud.point + before for cloud, before in zip(clouds, first, strict=False)])
+    return SeenPixels(camera=camera, depth_ns=depth_ns, label=np.array([one.label for one in clouds]), point=point)
 
 
 def off_the_border(grid: MapGrid, border_m: float) -> BoolArray:

@@ -10,7 +10,7 @@ import numpy as np
 
 from deformscope.arrays import FloatArray
 from deformscope.config import flags
-from deformscope.config.explore import BORDER_M, REGION_TOUCHES, BetaModel, ExploreFlags, Relief
+from deformscope.config.explore import BORDER_M, REGION_TOUCHES, BetaModel, Detail, ExploreFlags, Relief
 from deformscope.errors import InputError
 from deformscope.experiments.quantity import (
     ApparentStiffness,
@@ -55,6 +55,7 @@ class ExploreOptions(ExploreFlags):
     lift_m: all touches are made so far above the surface, where nothing is met: a dry run
     tangential: while it presses the tip is "held" on the surface's normal, or "free" to follow forces across it
     thickness_stated: else thickness_m says where to look for the surface, and nothing more
+    detail: where nothing is said, as in older recordings, lean
     """
 
     budget: flags.ManyFlag = REGION_TOUCHES
@@ -72,6 +73,7 @@ class ExploreOptions(ExploreFlags):
     lift_m: float = 0.0
     tangential: Literal["held", "free"] = "held"
     thickness_stated: bool = True
+    detail: Detail = "lean"
 
     def check(self) -> None:
         ExploreFlags.check(self)

@@ -14,6 +14,7 @@ from deformscope.experiments.options import ExploreOptions
 from deformscope.robot.touch import TouchPlan
 from deformscope.stages.map.measured import SurfaceMeasurement, TouchMeasurement
 from deformscope.stages.regions.touches import MapGrid
+from deformscope.stages.see.pixel_labels import SeenPixels
 from deformscope_drivers.arms import chain_of
 
 
@@ -51,8 +52,9 @@ class Geometry(Protocol):
 
     def touch(self, touched: Any) -> TouchMeasurement: ...
 
-    def dent(self, touched: Any) -> FloatArray:
-        """(k, 3) points seen while it pressed, without the robot [m]."""
+    def dent(self, touched: Any) -> tuple[FloatArray, SeenPixels | None]:
+        """(k, 3) points seen while it pressed, without the robot [m], and their pixels, as a `TouchMeasurement` has
+        them."""
 
 
 class AsMeasured:
@@ -73,8 +75,8 @@ class AsMeasured:
     def touch(self, touched: TouchMeasurement) -> TouchMeasurement:
         return touched
 
-    def dent(self, touched: TouchMeasurement) -> FloatArray:
-        return touched.after_m
+    def dent(self, touched: TouchMeasurement) -> tuple[FloatArray, SeenPixels | None]:
+        return touched.after_m, touched.pixels
 
 
 class FromFrames:
@@ -105,8 +107,8 @@ class FromFrames:
 
     def touch(self, touched: Touched) -> TouchMeasurement:
         self._joints_deg = touched.data.arm[touched.used.end_ns].joints_deg
-        return self._setup.touch(touched)
+        return self._setup.touch(touched, self._options)
 
-    def dent(self, touched: Touched) -> FloatArray:
+    def dent(self, touched: Touched) -> tuple[FloatArray, SeenPixels | None]:
         assert self._looked is not None
         return self._setup.dent(touched, self._looked.used, self._options)

@@ -15,11 +15,13 @@ import numpy as np
 from deformscope.arrays import FloatArray
 from deformscope.stages.map.exploration import InclusionsResult, MapEstimate
 from deformscope.stages.map.field import BETA_PRIOR, fit_field, levels_of
+from deformscope.stages.map.gaussian_process import Kernel
 from deformscope.stages.map.inclusion_plan import plan_inclusion_touch
 from deformscope.stages.map.inclusion_posterior import InclusionPosterior
 from deformscope.stages.map.map_score import boundary_distance, match_regions
+from deformscope.stages.map.perception import TrainedField
 from deformscope.stages.map.plan import FieldKernel, TouchChoice, plan_touch
-from deformscope.stages.map.thesis_field import FIRST_SHARE, ThesisField, contoured
+from deformscope.stages.map.thesis_field import FIRST_SHARE, SIGMA_E, SIGMA_N, SIGMA_W_M, ThesisField, contoured
 from deformscope.stages.poke.contact import EXPONENT_SD, LOADED, ContactFit
 from deformscope.stages.poke.law_response import LEAST_SHARE
 from deformscope.stages.regions.posterior import RegionMap, RegionPosterior
@@ -72,14 +74,22 @@ class SurfaceSearch(ABC):
 
     def beta_field(
         self, grid: MapGrid, places_m: FloatArray, beta: FloatArray, beta_sd: FloatArray
-    ) -> tuple[FloatArray, FloatArray] | None:
+    ) -> tuple[FloatArray, FloatArray, TrainedField] | None:
         """(rows, columns) mean and deviation of beta, from touches at places (n, 2) [m] with these (n,), nan where a
-        deviation is not known; None where they are too few."""
+        deviation is not known, and with what it was trained; None where they are too few."""
         if len(beta) < FEWEST_FOR_FIELD:
             return None
         sds = np.where(np.isfinite(beta_sd), beta_sd, BETA_PRIOR.nugget)
-        found = fit_field(places_m, beta, sds, prior=BETA_PRIOR).on(grid)
-        return found.mean.clip(0.0, 1.0), found.deviation
+        field = fit_field(places_m, beta, sds, prior=BETA_PRIOR)
+        found = field.on(grid)
+        trained = TrainedField(
+            kernel=field.kernel,
+            noise=field.nugget,
+            place_m=field.places_m,
+            value=field.value,
+            weight=1.0 / (field.sd**2 + field.nugget**2),
+        )
+        return found.mean.clip(0.0, 1.0), found.deviation, trained
 
     def divided(self, maps: MapEstimate) -> MapEstimate:
         """The maps with their final regions."""
@@ -116,10 +126,18 @@ class ThesisSearch(RegionSearch):
 
     def beta_field(
         self, grid: MapGrid, places_m: FloatArray, beta: FloatArray, beta_sd: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
+    ) -> tuple[FloatArray, FloatArray, TrainedField]:
         """Mean and deviation (rows, columns) of beta [-] by the thesis's own field, from the first touch on."""
-        found = self.thesis.on(grid)
-        return found.mean.clip(0.0, 1.0), found.deviation
+        thesis = self.thesis
+        found = thesis.on(grid)
+        trained = TrainedField(
+            kernel=Kernel(SIGMA_E, SIGMA_W_M),
+            noise=SIGMA_N,
+            place_m=thesis.places_m,
+            value=thesis.beta,
+            weight=np.full(len(thesis.beta), SIGMA_N**-2),
+        )
+        return found.mean.clip(0.0, 1.0), found.deviation, trained
 
     def divided(self, maps: MapEstimate) -> MapEstimate:
         """With the thesis's regions in place of those by stiffness, softest first. Levels are means of the field of

@@ -14,10 +14,12 @@ from deformscope.experiments.measured import off_the_border
 from deformscope.experiments.options import ExploreOptions
 from deformscope.stages.map.exploration import MapEstimate, SurfaceEstimate
 from deformscope.stages.map.measured import SurfaceMeasurement
+from deformscope.stages.map.perception import LookPerception
 from deformscope.stages.map.surface import HeightMap, HeightProcess, fit_surface
 from deformscope.stages.poke.layer_seen import KnownLayer, LayerModulus, known_layer, modulus_of
 from deformscope.stages.poke.local_shape import LocalShape, ShapeShift, shape_of, shape_shift
 from deformscope.stages.regions.touches import MapGrid
+from deformscope.stages.see.pixel_labels import SeenPixels
 
 CORRIDOR_M, SURE_SD = 0.02, 3.0
 """What the tip crosses is looked at this far to either side of its path, at its height plus so many deviations."""
@@ -31,7 +33,7 @@ CURVED_OVER_M = 0.01
 class SeenSurface:
     """points_m: (n, 3) as seen [m, surface frame]; process, heights: of their height, and on the grid
     layer: the level layer that stands for the foam; on_level_layer: whether touches compare as on that layer even where
-    the surface is level
+    the surface is level; pixels: that the points are of, None = not asked for, or no images
     """
 
     grid: MapGrid
@@ -41,6 +43,7 @@ class SeenSurface:
     heights: HeightMap
     layer: KnownLayer
     on_level_layer: bool
+    pixels: SeenPixels | None = None
 
     @classmethod
     def of(
@@ -65,6 +68,7 @@ class SeenSurface:
             heights=heights,
             layer=layer,
             on_level_layer=on_level_layer or options.border_m < BORDER_M,
+            pixels=looked.pixels,
         )
 
     @property
@@ -78,6 +82,14 @@ class SeenSurface:
             layer_m=self.layer.thickness_m,
             layer_sd_m=self.layer.sd_m,
         )
+
+    @property
+    def perception(self) -> LookPerception | None:
+        """What it was computed from; None where that is not asked for."""
+        if self.options.detail == "lean":
+            return None
+        masks = None if self.pixels is None else self.pixels.masks(self.process.used)
+        return LookPerception(masks, self.process.learned, int(self.process.used.sum()))
 
     def aim(self, xy_m: FloatArray) -> tuple[float, FloatArray]:
         """Height of the surface at a place (2,) [m], and its unit normal (3,)."""

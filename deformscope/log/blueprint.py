@@ -25,21 +25,23 @@ WIDE_FROM = 3.0
 """Width over height from which pictures are stacked rather than put side by side."""
 
 
-def blueprint(layout: PictureLayout, canvas: Canvas, chart: str = CHART) -> rrb.Blueprint:
-    """The views for a layout over this picture. chart: what the picture beside the particles shows"""
+def blueprint(layout: PictureLayout, canvas: Canvas, chart: str = CHART, body: str = "") -> rrb.Blueprint:
+    """The views for a layout over this picture. chart: what the picture beside the particles shows; body: what lies on
+    the body, before where the model is wrong; empty = nothing"""
     if layout == "flow":
         root: rrb.Container | rrb.View = rrb.Horizontal(
             _flat_view("flow", canvas), _summary_view(), column_shares=[3, 1]
         )
     elif layout == "images":
-        root = _images(canvas, chart)
+        root = _images(canvas, chart, body)
     else:
-        root = _pair(canvas, chart)
+        root = _pair(canvas, chart, body)
     return blueprint_of(root, "frame", fps=8.0)
 
 
-def _images(canvas: Canvas, chart: str) -> rrb.Container:
-    pictures = [_flat_view(name, canvas) for name in ("particles", "flow", "residual", "heat")]
+def _images(canvas: Canvas, chart: str, body: str) -> rrb.Container:
+    pictures: list[rrb.View | rrb.Container] = [_flat_view(name, canvas) for name in ("particles", "flow", "residual")]
+    pictures.append(_last_view(canvas, body))
     errors = rrb.TimeSeriesView(origin="/error", name="Average error in each frame", plot_legend=LEGEND)
     numbers = [_chart_view(chart), errors, _summary_view()]
     if canvas.height > canvas.width:
@@ -51,15 +53,16 @@ def _images(canvas: Canvas, chart: str) -> rrb.Container:
     return rrb.Vertical(rrb.Horizontal(*pictures), rrb.Horizontal(*numbers, column_shares=[4, 4, 3]))
 
 
-def _pair(canvas: Canvas, chart: str) -> rrb.Container:
+def _pair(canvas: Canvas, chart: str, body: str) -> rrb.Container:
+    pictures: list[rrb.View | rrb.Container]
     if canvas.flat:
-        pictures = [_flat_view(name, canvas) for name in ("particles", "residual", "heat")]
+        pictures = [_flat_view(name, canvas) for name in ("particles", "residual")]
     else:
         pictures = [
             deep_view("Particles: rest, observed, simulated", ["+ /particles/**", "+ /residual/lines"], canvas),
             deep_view(NAMES["residual"], ["+ /residual/**"], canvas),
-            deep_view(NAMES["heat"], ["+ /heat/**"], canvas),
         ]
+    pictures.append(_last_view(canvas, body))
     numbers = rrb.Horizontal(_chart_view(chart), _summary_view(), column_shares=[4, 3])
     if canvas.flat and canvas.width > WIDE_FROM * canvas.height:
         return rrb.Horizontal(
@@ -68,10 +71,21 @@ def _pair(canvas: Canvas, chart: str) -> rrb.Container:
     return rrb.Vertical(rrb.Horizontal(*pictures), numbers)
 
 
-def _flat_view(what: str, canvas: Canvas) -> rrb.View:
+def _last_view(canvas: Canvas, body: str) -> rrb.View | rrb.Container:
+    """Where the model is wrong; before it what lies on the body."""
+    views: list[rrb.View] = []
+    for what, name in ([("on_body", body)] if body else []) + [("heat", NAMES["heat"])]:
+        some = f"+ /{what}/**"
+        views.append(_flat_view(what, canvas, name) if canvas.flat else deep_view(name, [some], canvas))
+    return rrb.Tabs(*views, active_tab=0) if body else views[0]
+
+
+def _flat_view(what: str, canvas: Canvas, name: str = "") -> rrb.View:
     contents = [*([f"+ /{canvas.image}"] if canvas.image else []), f"+ /{what}/**"]
     background = None if canvas.image else PAPER
-    return rrb.Spatial2DView(name=NAMES[what], contents=contents, visual_bounds=_bounds(canvas), background=background)
+    return rrb.Spatial2DView(
+        name=name or NAMES[what], contents=contents, visual_bounds=_bounds(canvas), background=background
+    )
 
 
 def _chart_view(name: str = CHART) -> rrb.View:

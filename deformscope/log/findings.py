@@ -13,10 +13,10 @@ import rerun.blueprint as rrb
 from deformscope.frames import Stream
 from deformscope.log.application import PictureLayout
 from deformscope.log.blueprint import blueprint, deep_view
-from deformscope.log.canvas import Canvas, deep_bar, log_deep_legend
+from deformscope.log.canvas import Canvas, deep_bar, log_color_bar, log_deep_legend, log_place
 from deformscope.log.rig.blueprint import blueprint_of, rig_blueprint
 from deformscope.pictures.findings import ColoredBody, Findings, table_markdown
-from deformscope.pictures.palette import colors
+from deformscope.pictures.palette import Rgb, colors, round_up
 from deformscope.plain import plain
 from deformscope.rows import to_components
 from deformscope.stages.see.triangulation import spacing_of
@@ -30,6 +30,11 @@ class RigFindings:
     streams: tuple[Stream, ...]
 
 
+BODY = "on_body/points"
+"""A result on the body that it is of."""
+UNKNOWN: Rgb = (150, 155, 165)
+STEPS = (1.0, 1.5, 2.0, 3.0, 5.0, 7.0, 10.0)
+"""Where the scale of its colours may end."""
 ACROSS = 3
 """Pictures side by side, at most."""
 
@@ -40,7 +45,7 @@ def log_findings(rec: rr.RecordingStream, found: Findings, below: rrb.Blueprint 
     for number, figure in enumerate(found.figures):
         rec.log(f"found/picture/{number}", rr.EncodedImage(contents=figure.png, media_type="image/png"))
     for number, body in enumerate(found.bodies):
-        _log_body(rec, body, f"found/body/{number}")
+        _log_body(rec, body, f"found/body/{number}", f"found/body/{number}/legend", _around(body))
     _log_tables(rec, found, "found/tables")
     rec.send_blueprint(findings_blueprint(found, below))
 
@@ -59,7 +64,12 @@ def log_evidence(rec: rr.RecordingStream, found: Findings, canvas: Canvas) -> No
     chart = rr.EncodedImage(contents=found.figures[0].png, media_type="image/png")
     rec.log("calibration/chart", chart, static=whole)
     layout: PictureLayout = "images" if whole else "pair" if canvas.flat else "pair-3d"
-    rec.send_blueprint(blueprint(layout, canvas, chart=found.figures[0].caption))
+    caption = ""
+    for body in found.bodies[:1]:
+        caption = body.caption
+        log_place(rec, canvas, BODY)
+        _log_body(rec, body, BODY, "on_body/legend", canvas)
+    rec.send_blueprint(blueprint(layout, canvas, chart=found.figures[0].caption, body=caption))
 
 
 def log_numbers(rec: rr.RecordingStream, estimate: object, canvas: Canvas) -> None:
@@ -75,15 +85,20 @@ def _log_tables(rec: rr.RecordingStream, found: Findings, path: str, *, whole: b
     rec.log(path, rr.AnyValues(json=json.dumps(plain(found.tables))), static=whole)
 
 
-def _log_body(rec: rr.RecordingStream, body: ColoredBody, path: str) -> None:
-    end = float(np.nanmax(body.value, initial=0.0)) or 1.0
-    tints, radius = colors(body.value / end), 0.3 * spacing_of(body.points)
+def _log_body(rec: rr.RecordingStream, body: ColoredBody, path: str, legend: str, canvas: Canvas) -> None:
+    """Points in their colours, grey without a value, and the legend that the canvas has room for."""
+    known, largest = np.isfinite(body.value), float(np.nanmax(body.value, initial=0.0)) or 1.0
+    end = round_up(largest, STEPS) if canvas.spacing else largest
+    tints, radius = np.where(known[:, None], colors(body.value / end), UNKNOWN), 0.3 * spacing_of(body.points)
+    values = rr.AnyValues(value=body.value)
+    if canvas.flat:
+        rec.log(path, rr.Points2D(body.points, radii=radius, colors=tints, draw_order=40.0), values)
+        log_color_bar(rec, legend, canvas, end, "")
+        return
     flat = body.points.shape[1] == 2
     points = np.column_stack([body.points, np.zeros(len(body.points))]) if flat else body.points
-    rec.log(path, rr.Points3D(points, radii=radius, colors=tints))
-    rec.log(path, rr.AnyValues(value=body.value))
-    bar = deep_bar(lambda share: f"{end * share:.2g}")
-    log_deep_legend(rec, f"{path}/legend", _around(body), bar)
+    rec.log(path, rr.Points3D(points, radii=radius, colors=tints), values)
+    log_deep_legend(rec, legend, canvas, deep_bar(lambda share: f"{end * share:.2g}"))
 
 
 def _around(body: ColoredBody) -> Canvas:

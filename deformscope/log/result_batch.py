@@ -9,9 +9,10 @@ import numpy as np
 import numpy.typing as npt
 import rerun as rr
 
-from deformscope.log.rig.columns import Batch, moments, recorded
+from deformscope.arrays import IntArray
+from deformscope.log.rig.columns import Batch, Columns, moments, recorded, scalars
 from deformscope.pictures.render_process import render
-from deformscope.rows import ENTITIES
+from deformscope.rows import ENTITIES, SERIES
 
 P = ParamSpec("P")
 
@@ -27,12 +28,20 @@ class ResultBatch:
         """One row of an entity."""
         self._batch.show(path, self._times, entity)
 
+    def show_series(self, path: str, host_ns: IntArray, columns: Columns) -> None:
+        """Rows of an entity at moments of their own, on the host's clock."""
+        self._batch.send_series(path, host_ns, columns)
+
     def log_static(self, path: str, entity: rr.AsComponents) -> None:
         """Log an entity that holds at all times but is known only now."""
         self._batch.log(path, entity, static=True)
 
-    def record(self, result: object) -> None:
-        """Every field of a result, without loss."""
+    def record(self, result: Any) -> None:
+        """Every field of a result, without loss: one row, or those of a series."""
+        if (path := SERIES.get(type(result))) is not None:
+            own = rr.AnyValues.columns(host_ns=result.host_ns)
+            self._batch.send_series(path, result.host_ns, [*scalars(result.values), *own])
+            return
         self._batch.send_columns(ENTITIES[type(result)], self._times, recorded([result]))
 
     def show_png(self, path: str, draw: Callable[P, bytes], *given: P.args, **named: P.kwargs) -> None:

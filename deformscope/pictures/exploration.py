@@ -10,6 +10,7 @@ import functools
 import math
 import textwrap
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -37,6 +38,7 @@ from deformscope.stages.map.exploration import (
     SurfaceEstimate,
     TouchEstimate,
 )
+from deformscope.stages.map.perception import TouchPerception
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -73,9 +75,29 @@ LEAST_SURE = 0.25
 """Probability of a label at which its colour is as pale as it gets."""
 
 
-def map_png(quantity: str, maps: MapEstimate) -> bytes:
+@dataclass(frozen=True, slots=True)
+class DrawnMap:
+    """A map as a picture. values: (rows, columns) as its colour bar has them; colors: (rows, columns, 3) of each cell,
+    from 0 to 255; both empty where there is no field to draw"""
+
+    png: bytes
+    values: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+    colors: npt.NDArray[np.uint8] = field(default_factory=lambda: np.zeros((0, 0, 3), np.uint8))
+
+
+def draw_map(quantity: str, maps: MapEstimate) -> DrawnMap:
     """One of `MAP_DRAWINGS`."""
-    return _one(lambda axes: MAP_DRAWINGS[quantity](axes, maps))
+    images: list[Any] = []
+
+    def draw(axes: Axes) -> None:
+        MAP_DRAWINGS[quantity](axes, maps)
+        images.extend(axes.images)
+
+    png = _one(draw)
+    if not images or quantity not in FIELDS:
+        return DrawnMap(png)
+    values = images[0].get_array()
+    return DrawnMap(png, np.ma.filled(values, np.nan), images[0].to_rgba(values, bytes=True)[..., :3].copy())
 
 
 def gain_png(plan: PlannedTouch, cell_m: float, contacts_m: FloatArray | None = None) -> bytes:
@@ -89,6 +111,11 @@ def gain_png(plan: PlannedTouch, cell_m: float, contacts_m: FloatArray | None = 
 def force_png(touch: TouchEstimate, name: str = "") -> bytes:
     """Force over the depth of the tip, the fitted law, and where contact began. name: instead of the touch's number"""
     return _one(lambda axes: draw_force(axes, touch, name), (0.14, 0.155, 0.8, 0.57))
+
+
+def error_png(perception: TouchPerception) -> bytes:
+    """The error of the model of a touch over its beta (Thesis eq. 4.6)."""
+    return _one(lambda axes: draw_error(axes, perception), (0.17, 0.155, 0.79, 0.66))
 
 
 def section_png(touch: TouchEstimate) -> bytes:
@@ -336,6 +363,21 @@ def draw_section(axes: Axes, touch: TouchEstimate) -> None:
     axes.legend(fontsize=10, loc="lower right", frameon=False)
 
 
+def draw_error(axes: Axes, perception: TouchPerception) -> None:
+    name = f"E(beta) of touch {perception.number + 1}"
+    if perception.error is None or perception.estimate is None:
+        _title(axes, name, "")
+        _say(axes, "no model was fitted")
+        return
+    beta, error_m = perception.estimate, perception.error_m
+    axes.plot(perception.error.parameter, 1e3 * perception.error.aee, ".-", color=hexadecimal(SIMULATED), ms=5)
+    axes.plot([beta], [1e3 * error_m], "v", color="black", ms=8)
+    axes.set_xlabel("beta [-]", fontsize=11)
+    axes.set_ylabel("error [mm]", fontsize=11)
+    axes.grid(alpha=0.3)
+    _title(axes, name, f"{1e3 * error_m:.3g} mm at the estimate, beta = {beta:.3g}")
+
+
 def _near(points: FloatArray, at: FloatArray) -> FloatArray:
     """Those of points (n, 3) within `SECTION_CM` of a place (2 or 3,) in the plane [m]."""
     return points[np.linalg.norm(points[:, :2] - at[:2], axis=1) <= SECTION_CM * 1e-2] if len(points) else points
@@ -413,6 +455,7 @@ def _with_interval(touch: TouchEstimate, quantity: str) -> tuple[float, float, f
     return (value, low, high) if np.isfinite(high) else (value, value, value)  # a lower bound
 
 
+FIELDS = ("stiffness", "stiffness_deviation", "beta", "beta_deviation")
 MAP_DRAWINGS: dict[str, Callable[[Axes, MapEstimate], None]] = {
     "stiffness": draw_stiffness,
     "stiffness_deviation": draw_stiffness_deviation,

@@ -9,12 +9,13 @@ import contextlib
 from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError, Executor
 from concurrent.futures.process import BrokenProcessPool
-from typing import ParamSpec
+from typing import ParamSpec, TypeVar
 
 from deformscope.pictures import exploration
 from deformscope.processes import computing
 
 P = ParamSpec("P")
+Drawn = TypeVar("Drawn")
 
 _process: Executor | None = None
 
@@ -30,7 +31,7 @@ def render_process() -> Iterator[None]:
             _process = None
 
 
-def render(draw: Callable[P, bytes], *given: P.args, **named: P.kwargs) -> bytes:
+def render(draw: Callable[P, Drawn], *given: P.args, **named: P.kwargs) -> Drawn:
     """What `draw`, a function of a module, gives; drawn here where no process is there for it, or it has ended."""
     if (process := _process) is not None:
         with contextlib.suppress(BrokenProcessPool, CancelledError, RuntimeError):

@@ -111,4 +111,4 @@ class DeviceEncoder:
     def _place(self, touch: int) -> Place:
         from deformscope.log.rig import Place
 
-        return Place(touch, self._pictures_ns.all)
+        return Place(touch, self._pictures_ns.all, start_ns=self._start_ns)

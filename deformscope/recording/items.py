@@ -6,11 +6,13 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
+import numpy as np
+
 from deformscope.errors import InputError
 from deformscope.frames import HealthReport, Item, StageResult, Stream
 from deformscope.recording.item_rows import Row, objects_of, read_rows
 from deformscope.recording.reader import Replay
-from deformscope.rows import ENTITIES, FORMAT, OF_DEVICES, from_components, from_json
+from deformscope.rows import ENTITIES, FORMAT, OF_DEVICES, SERIES, from_components, from_json
 from deformscope.stages.fit.estimate import Estimate
 from deformscope.stages.fit.moment import MomentFit
 from deformscope.stages.map.exploration import StageFailure, SurfaceEstimate, TouchEstimate
@@ -20,6 +22,7 @@ from deformscope.stages.see.tactile import TactileContact
 ITEMS: tuple[type, ...] = (*OF_DEVICES, HealthReport)
 """What a rig's recording is made of."""
 
+VALUES = "Scalars:scalars"
 T = TypeVar("T")
 
 
@@ -32,6 +35,18 @@ def read_results(path: Path, kinds: Sequence[type] = (), *, trust: bool = False)
     """The results of a recorded exploration, or those of some kinds, as they came: equal to the last bit."""
     every = [kind for kind, entity in ENTITIES.items() if entity.startswith("exploration/")]
     return read_rows(Replay(path, trust=trust), kinds or every)
+
+
+def read_series(path: Path, kind: type[T], *, trust: bool = False) -> list[T]:
+    """The series of this kind (`deformscope.rows.SERIES`) of each touch, equal to what was recorded."""
+    found: dict[int, list[tuple[list[int], list[float]]]] = {}
+    chunks = Replay(path, trust=trust).chunks(f"/{SERIES[kind]}")
+    batches = [chunk.to_record_batch() for chunk in chunks if not chunk.is_static]
+    for batch in sorted(batches, key=lambda one: one.column("session").cast("int64")[0].as_py()):
+        for touch, *row in zip(*(batch.column(name).to_pylist() for name in ("touch", "host_ns", VALUES)), strict=True):
+            found.setdefault(touch, []).append((row[0], row[1]))
+    every = (zip(*rows, strict=True) for _, rows in sorted(found.items()))
+    return [kind(np.ravel(host_ns), np.array(values)) for host_ns, values in every]  # type: ignore[call-arg]
 
 
 def read_estimates(replay: Replay) -> list[Estimate]:

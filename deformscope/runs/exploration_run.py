@@ -78,8 +78,11 @@ def explore_on(config: ExploreConfig, report: Callable[[ExplorationResult], None
 
     quiet_warp()
     inclusions = config.goal == "inclusions"
+    given = {one.name: getattr(config, one.name) for one in dataclasses.fields(ExploreFlags)}
+    if config.output.record is None:
+        given["detail"] = "lean"  # nothing keeps it
     options = ExploreOptions(
-        **{one.name: getattr(config, one.name) for one in dataclasses.fields(ExploreFlags)},
+        **given,
         seed=config.output.seed,
         inclusion_m=config.smallest_inclusion_m or (0.02 if inclusions else INCLUSION_M),
         lift_m=DRY_RUN_M if config.dry_run else 0.0,
@@ -182,8 +185,16 @@ def _run(
         ending.start_ns = run.source.start_ns
         truth = setup.truth is not None and setup.truth.labels is not None
         mapped, inclusions = "energy loss" if options.feel == "loss" else "stiffness", options.goal == "inclusions"
-        base_from_surface = setup.placement.T_base_surface
-        layout = ExplorationLayout(run.source.streams, setup.size_m, base_from_surface, truth, inclusions, mapped)
+        layout = ExplorationLayout(
+            run.source.streams,
+            setup.size_m,
+            setup.placement.T_base_surface,
+            truth,
+            inclusions,
+            mapped,
+            full=options.detail == "full",
+            T_surface_camera=setup.camera.T_surface_camera,
+        )
         recorder.start(layout, ending.start_ns)
         page = run.open_page(recorder, config, steering)
         watch = run.watch(asked, page)

@@ -4,7 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+from scipy.spatial import cKDTree
+
 from deformscope.experiments.material_motion import MaterialEstimate, MaterialFit
+from deformscope.pictures.findings import ColoredBody
 from deformscope.pictures.material_figures import axes_png, field_png, recovery_png, yield_png
 from deformscope.pictures.messages import reason_rows
 from deformscope.pictures.report import Figure, Table
@@ -39,6 +43,23 @@ def material_figure(found: MaterialFit) -> Figure:
         caption = "Error over the yield strain; distance from observed to simulated in each frame"
         return Figure(yield_png(estimate, found.motion), caption)
     return Figure(recovery_png(estimate), "How far it was pressed over time, and the recovery after the release")
+
+
+def material_bodies(found: MaterialFit) -> tuple[ColoredBody, ...]:
+    """What axes or a field are, on the particles that they were fitted to."""
+    estimate = found.estimate
+    if not isinstance(estimate, AxisEstimate | FieldEstimate) or not found.comparisons:
+        return ()
+    seen = found.comparisons[-1][1]
+    known = np.isfinite(seen.observed).all(axis=1)
+    at = seen.observed[known]
+    if isinstance(estimate, FieldEstimate):
+        nearest = cKDTree(estimate.place).query(seen.rest[known])[1]
+        return (ColoredBody("Stiffness over its geometric mean [-]", at, estimate.stiffness[nearest]),)
+    share = np.linspace(-0.5, 0.5, 41)[:, None]
+    lines = [at.mean(axis=0) + share * np.ptp(at @ axis) * axis for axis in estimate.axes.T]
+    value = np.concatenate([np.full(len(at), np.nan), np.repeat(estimate.value, len(share))])
+    return (ColoredBody("Beta along each axis [-]", np.concatenate([at, *lines]), value),)
 
 
 def _axes_rows(found: AxisEstimate) -> Rows:

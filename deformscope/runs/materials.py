@@ -39,6 +39,7 @@ from deformscope.files.pairs import parse_pair
 from deformscope.files.sources import Source
 from deformscope.frames import InputFile, WrenchFrame
 from deformscope.log.application import PAIR, PAIR_3D
+from deformscope.pictures.findings import Findings
 from deformscope.pictures.report import Figure, ReportVerdict, Section, Table, html_report
 from deformscope.recording.item_rows import read_rows
 from deformscope.recording.items import read_found
@@ -46,7 +47,7 @@ from deformscope.recording.reader import Replay
 from deformscope.recording.recorder import RecordingSummary
 from deformscope.runs.calibration import frames_of, images_recorder, pair_recorder, size_notes
 from deformscope.runs.calibration_report import provenance_sections, settings_section
-from deformscope.runs.material_report import material_figure, material_table
+from deformscope.runs.material_report import material_bodies, material_figure, material_table
 from deformscope.runs.result import LibraryResult, Note, log_note, open_recorder, recording_rows
 from deformscope.session import Step, run
 from deformscope.stages.fit.model import Model, Observation
@@ -152,6 +153,9 @@ class MaterialResult(LibraryResult):
 
     def figures(self) -> tuple[Figure, ...]:
         return (material_figure(self.found),)
+
+    def findings(self) -> Findings:
+        return Findings(self.tables(), self.figures(), material_bodies(self.found))
 
 
 def material_page(result: MaterialResult) -> str:

@@ -33,6 +33,7 @@ LATER = (
     "levelled_m",
 )
 """Older recordings do not have these."""
+LEAN = "recorded lean, or by an older version: no pixel masks, surfaces under touches, errors over beta, or training"
 
 
 def replay_exploration(recording: Replay, config: ReplayConfig, page: PageServer | None = None) -> ReplayResult:
@@ -54,7 +55,7 @@ def replay_exploration(recording: Replay, config: ReplayConfig, page: PageServer
     from deformscope.experiments.options import ExploreOptions
     from deformscope.experiments.robot_geometry import AsMeasured, FromFrames
     from deformscope.pictures.messages import format_failure
-    from deformscope.recording.items import read_results
+    from deformscope.recording.items import read_results, read_series
     from deformscope.session import run
     from deformscope.stages.map.exploration import (
         InclusionsResult,
@@ -65,13 +66,17 @@ def replay_exploration(recording: Replay, config: ReplayConfig, page: PageServer
         SurfaceEstimate,
         TouchEstimate,
     )
+    from deformscope.stages.map.force_pose import ForcePose
     from deformscope.stages.map.measured import SurfaceMeasurement
+    from deformscope.stages.map.perception import LookPerception, TouchPerception
 
     settings, path = recording.settings, config.recording
     changes = _changes(config.set, ExploreOptions)
     options = dataclasses.replace(msgspec.convert(settings["explore"], ExploreOptions), **changes)
     geometry = SetupGeometry.from_json(settings.get("setup", {}))
-    kinds = (SurfaceEstimate, PlannedTouch, TouchEstimate, MapEstimate, InclusionsResult)
+    kinds: tuple[type, ...] = (SurfaceEstimate, PlannedTouch, TouchEstimate, MapEstimate, InclusionsResult)
+    if options.detail == "full" and not changes:
+        kinds = (*kinds, LookPerception, TouchPerception)
     rows = list(read_results(path, kinds, trust=True))
     recorded = [row.item for row in rows]
     failed = [row.item for row in read_results(path, (StageFailure,), trust=True)]
@@ -95,11 +100,16 @@ def replay_exploration(recording: Replay, config: ReplayConfig, page: PageServer
         raise Different("the recorded numbers", format_failure(fresh), where=path)
     cut_short = bool(recording.outcome.get("stopped"))
     compare(recorded, again, path, _may_differ, cut_short=cut_short)
+    felt = [one for one in computed.results if isinstance(one, ForcePose)]
+    compare(read_series(path, ForcePose, trust=True), felt, path, what="series of force and pose", cut_short=cut_short)
     start = "measurements" if measured else "depth images, forces and states of the arm"
     return ReplayResult(
         {"results": len(recorded), "identical": True, "failures": failed},
         verdict=f"replay: {len(recorded)} results from {start}, identical to the recorded numbers",
-        notes=tuple(f"failed when it was recorded: {format_failure(one)}" for one in failed),
+        notes=(
+            *(f"failed when it was recorded: {format_failure(one)}" for one in failed),
+            *([LEAN] if options.detail == "lean" else []),
+        ),
     )
 
 

@@ -115,7 +115,7 @@ def test_its_recording_is_whole_and_replays(explored: Explored, capsys: pytest.C
     assert "tip/frames" in capsys.readouterr().out
     assert main(["replay", str(explored.record)]) == 0
     replayed = " ".join(capsys.readouterr().err.split())
-    results = 2 + 3 * explored.touches  # plans among them
+    results = 3 + 4 * explored.touches  # plans among them, and what lies between frames and estimates
     assert f"{results} results from depth images, forces and states of the arm, identical" in replayed
 
 

@@ -13,6 +13,7 @@ pytest.importorskip("tyro")
 pytest.importorskip("warp")
 
 from deformscope.cli import main
+from deformscope.recording.reader import Replay
 from deformscope.stages.msm.materials import AxisBeta
 from deformscope.stages.msm.solver import Msm
 from studies.field_bodies import elastic_pair
@@ -56,11 +57,30 @@ def failure(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
     return said
 
 
+def on_body(record: Path) -> tuple[Any, Any, Any]:
+    """Points (n, 2), values (n,) and colours (n, 3) of what lies on the body."""
+    batches = [one.to_record_batch() for one in Replay(record).chunks("/on_body/points")]
+    cells = {}
+    for name in ("Points2D:positions", "Points2D:colors", "value"):
+        rows = [row for batch in batches if name in batch.schema.names for row in batch.column(name) if row.is_valid]
+        cells[name] = next(row.values for row in rows if row.values is not None and len(row.values))
+    points = cells["Points2D:positions"].flatten().to_numpy(zero_copy_only=False).reshape(-1, 2)
+    tints = cells["Points2D:colors"].to_numpy(zero_copy_only=False)
+    value = cells["value"].to_numpy(zero_copy_only=False)
+    return points, value, np.stack([tints >> 24 & 255, tints >> 16 & 255, tints >> 8 & 255], axis=1)
+
+
 @pytest.mark.slow  # kernels that nothing else needs; stages/materials proves the numbers
 def test_axes_tells_a_beta_for_each(pair: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     record = tmp_path / "r.rrd"
     told = run_json(["calibrate", "axes", str(pair), "--turn-deg", "30", "--record", str(record)], capsys)
     assert_shows(record, says="the axes differ", beside_particles=True)
+    points, value, _ = on_body(record)
+    for each in told["axes"]:
+        line = points[value == each["value"]]
+        along = (line[-1] - line[0]) / np.linalg.norm(line[-1] - line[0])
+        assert abs(along @ each["axis"]) == pytest.approx(1.0, abs=1e-5)
+    assert np.isnan(value).sum() == len(points) - 82  # the body itself, grey
     assert [each["value"] for each in told["axes"]] == pytest.approx([0.3, 0.85], abs=1e-3)
     assert told["axes"][0]["axis"] == pytest.approx([np.sqrt(0.75), 0.5])
     assert told["anisotropic"]
@@ -196,6 +216,13 @@ def test_field_maps_what_is_stiffer_and_is_computed_again(tmp_path: Path, capsys
     assert len(result["places"]["stiffness_n_per_m"]) == len(result["places"]["beta"]) == 40
     assert picture.read_bytes().startswith(b"\x89PNG")
     assert_shows(record, says="stiffest over softest", beside_particles=True)
+    points, value, tints = on_body(record)
+    np.testing.assert_allclose(points, np.nan_to_num(seen.deformed), atol=1e-6)
+    places, stiffness = np.array(result["places"]["at_m"]), np.array(result["places"]["stiffness"])
+    nearest = np.linalg.norm(seen.rest[:, None] - places, axis=2)
+    assert all(one in stiffness[near <= near.min() + 1e-9] for one, near in zip(value, nearest, strict=True))
+    firm, soft = tints[np.argmax(value)], tints[np.argmin(value)]
+    assert int(firm[:2].sum()) > int(soft[:2].sum())  # nearer to yellow
     assert main(["replay", str(record)]) == 0
     assert "identical" in capsys.readouterr().err
     assert "one pair file" in failure(["calibrate", "field", str(pair), str(pair)], capsys)

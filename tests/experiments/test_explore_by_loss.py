@@ -15,7 +15,7 @@ from deformscope.experiments.explorer import ExplorationStages, UnseenSurface
 from deformscope.experiments.options import ExploreOptions
 from deformscope.experiments.robot_geometry import AsMeasured, Touch
 from deformscope.log.exploration.summary import summary
-from deformscope.pictures.exploration import map_png
+from deformscope.pictures.exploration import draw_map
 from deformscope.robot.setup import Truth
 from deformscope.rows import to_components
 from deformscope.session import Step, run
@@ -177,7 +177,7 @@ def test_pictures_and_words_say_that_it_is_a_loss(by_loss: tuple[TwoFoams, list[
     assert "of a touch's energy it | stiffness [N/mm]" in summary(last)
     assert last.level_loss is not None
     assert f"loses {last.level_loss[1]:.0%}" in summary(last)
-    assert map_png("stiffness", last) != map_png("stiffness", dataclasses.replace(last, loss=None))
+    assert draw_map("stiffness", last).png != draw_map("stiffness", dataclasses.replace(last, loss=None)).png
 
 
 def test_something_rigid_loses_nothing_and_a_touch_without_its_way_back_says_nothing() -> None:

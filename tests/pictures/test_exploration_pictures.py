@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from pathlib import Path
 
+import matplotlib as mpl
 import numpy as np
 import pytest
 from matplotlib.colors import to_rgb
@@ -12,9 +13,13 @@ from matplotlib.colors import to_rgb
 from deformscope.arrays import ImageArray
 from deformscope.images import decode_image
 from deformscope.pictures import exploration as pictures
+from deformscope.stages.map.exploration import MapEstimate
 from tests.log import synthetic_exploration as synthetic
 
 MAPS = synthetic.maps(6)
+COLOR_MAPS = dict(
+    zip(pictures.FIELDS, (pictures.STIFFNESS, pictures.DEVIATION, pictures.BETA, pictures.DEVIATION), strict=True)
+)
 
 
 def decoded(png: bytes) -> ImageArray:
@@ -27,11 +32,43 @@ def share_of(color: str, image: ImageArray) -> float:
     return float((np.abs(image.astype(float) - wanted).max(axis=2) <= 2).mean())
 
 
+def map_png(quantity: str, maps: MapEstimate) -> bytes:
+    return pictures.draw_map(quantity, maps).png
+
+
+@pytest.mark.parametrize("quantity", pictures.FIELDS)
+def test_a_map_has_the_values_and_the_colours_of_its_picture(quantity: str) -> None:
+    """Each cell's colour is in the picture, and is the one of its value on the colour bar's scale."""
+    drawn = pictures.draw_map(quantity, dataclasses.replace(MAPS, contacts_m=np.zeros((0, 2))))
+    expected = {
+        "stiffness": MAPS.stiffness_n_per_mm,
+        "stiffness_deviation": 100.0 * np.expm1(MAPS.stiffness_log_sd),
+        "beta": MAPS.beta,
+        "beta_deviation": MAPS.beta_sd,
+    }[quantity]
+    assert expected is not None
+    np.testing.assert_array_equal(drawn.values, expected)
+    every = {tuple(one) for one in decoded(drawn.png).reshape(-1, 3).tolist()}
+    assert {tuple(one) for one in drawn.colors.reshape(-1, 3).tolist()} <= every
+    order = np.argsort(drawn.values, axis=None)
+    scale = [mpl.colormaps[COLOR_MAPS[quantity]](index, bytes=True)[:3] for index in range(256)]
+    place = [
+        next(i for i, one in enumerate(scale) if one == tuple(c)) for c in drawn.colors.reshape(-1, 3)[order[::97]]
+    ]
+    assert place == sorted(place)
+    assert place[-1] > place[0]
+
+
+def test_what_is_no_field_has_no_values() -> None:
+    assert not pictures.draw_map("regions", MAPS).values.size
+    assert not pictures.draw_map("beta", dataclasses.replace(MAPS, beta=None)).values.size
+
+
 def test_cells_are_crisp() -> None:
     """A map of two values has two colours and none between them: its cells are not blurred."""
     bare = dataclasses.replace(MAPS, contacts_m=np.zeros((0, 2)))
     checks = np.where((np.indices(MAPS.labels.shape) // 10).sum(axis=0) % 2, 0.5, 1.0)
-    image = decoded(pictures.map_png("stiffness", dataclasses.replace(bare, stiffness_n_per_mm=checks)))
+    image = decoded(map_png("stiffness", dataclasses.replace(bare, stiffness_n_per_mm=checks)))
     height, width = image.shape[:2]
     inside = image[height * 2 // 5 : height * 3 // 5, width // 4 : width // 2].reshape(-1, 3)
     assert len(np.unique(inside, axis=0)) == 2
@@ -41,7 +78,7 @@ def test_up_is_up_and_right_is_right() -> None:
     """Stiff where x and y are large: bright in the picture's upper right corner of the map."""
     bare = dataclasses.replace(MAPS, contacts_m=np.zeros((0, 2)))
     corner = np.where((synthetic.X > 0.4) & (synthetic.Y > 0.3), 1.0, 0.5)
-    image = decoded(pictures.map_png("stiffness", dataclasses.replace(bare, stiffness_n_per_mm=corner))).astype(int)
+    image = decoded(map_png("stiffness", dataclasses.replace(bare, stiffness_n_per_mm=corner))).astype(int)
     height, width = image.shape[:2]
     left, bottom, wide, high = pictures.PLACE
     columns = [round(width * (left + share * wide)) for share in (0.05, 0.95)]
@@ -52,21 +89,19 @@ def test_up_is_up_and_right_is_right() -> None:
 
 def test_the_truth_has_the_colours_of_the_regions_that_it_is_compared_with() -> None:
     """Labels are names: renaming the truth's changes nothing, and a region that was missed has its own colour."""
-    png = pictures.map_png("truth", MAPS)
-    assert pictures.map_png("truth", dataclasses.replace(MAPS, truth_labels=7 - 3 * synthetic.TRUTH)) == png
+    png = map_png("truth", MAPS)
+    assert map_png("truth", dataclasses.replace(MAPS, truth_labels=7 - 3 * synthetic.TRUTH)) == png
     missed = synthetic.TRUTH.copy()
     missed[:20, :20] = 2
-    found = decoded(pictures.map_png("truth", dataclasses.replace(MAPS, truth_labels=missed)))
+    found = decoded(map_png("truth", dataclasses.replace(MAPS, truth_labels=missed)))
     shares = [share_of(color, found) for color in pictures.REGIONS[:4]]
     assert min(shares[:3]) > 0.01
     assert shares[3] == 0.0
 
 
 def test_unsure_cells_are_pale() -> None:
-    sure = decoded(pictures.map_png("regions", dataclasses.replace(MAPS, label_probability=np.ones(MAPS.labels.shape))))
-    unsure = decoded(
-        pictures.map_png("regions", dataclasses.replace(MAPS, label_probability=np.full(MAPS.labels.shape, 0.5)))
-    )
+    sure = decoded(map_png("regions", dataclasses.replace(MAPS, label_probability=np.ones(MAPS.labels.shape))))
+    unsure = decoded(map_png("regions", dataclasses.replace(MAPS, label_probability=np.full(MAPS.labels.shape, 0.5))))
     assert share_of(pictures.REGIONS[0], sure) > 0.1
     assert share_of(pictures.REGIONS[0], unsure) < 0.001
     assert unsure.mean() > sure.mean()
@@ -95,14 +130,14 @@ def test_every_picture_is_drawn_whatever_is_missing(monkeypatch: pytest.MonkeyPa
     assert decoded(pictures.result_png(first, "made up")).std() > 10
     for maps in (empty, flat, holed, gradual):
         for quantity in ("stiffness", "regions", "truth"):
-            assert decoded(pictures.map_png(quantity, maps)).std() > 10
+            assert decoded(map_png(quantity, maps)).std() > 10
     for number, touch in enumerate((synthetic.touch(0), synthetic.rigid_touch(1), synthetic.unusable_touch(2))):
         assert decoded(pictures.force_png(touch)).std() > 10, number
         assert decoded(pictures.section_png(touch)).std() > 10, number
     none = np.zeros((0, 3))
     unseen = dataclasses.replace(synthetic.unusable_touch(2), observed_m=none, simulated_m=none)
     assert decoded(pictures.section_png(unseen)).std() > 5
-    assert share_of(pictures.REGIONS[0], decoded(pictures.map_png("regions", gradual))) == 0.0
+    assert share_of(pictures.REGIONS[0], decoded(map_png("regions", gradual))) == 0.0
     nowhere = dataclasses.replace(synthetic.plan(2), excluded=np.ones_like(synthetic.plan(2).excluded))
     flat_gain = dataclasses.replace(synthetic.plan(2), gain=np.zeros_like(nowhere.excluded, dtype=np.float64))
     for plan in (synthetic.plan(0), nowhere, flat_gain):

@@ -10,11 +10,14 @@ import rerun.blueprint as rrb
 from deformscope.frames import Stream
 from deformscope.log.exploration.dent import DENT
 from deformscope.log.exploration.display import FORCE, GAIN, HEIGHT, INCLUSIONS_SUMMARY, LUMPS, MAPS, MISSED, SECTION
+from deformscope.log.exploration.perception import ERROR, PIXELS, TOUCH, UNDER
+from deformscope.log.exploration.perception import MAPS as FIELD_MAPS
 from deformscope.log.exploration.scene import SCENE, SURFACE_FRAME
 from deformscope.log.exploration.summary import SUMMARY
 from deformscope.log.rig.blueprint import FLOOR, LEGEND, blueprint_of, depth_view, named
 from deformscope.log.rig.columns import root
 from deformscope.log.rig.numbers import plotted
+from deformscope.pictures.exploration import FIELDS
 from deformscope.pictures.palette import BACKGROUND
 from deformscope.rows import ENTITIES
 from deformscope.stages.map.exploration import PhaseStart
@@ -45,6 +48,7 @@ def exploration_blueprint(
     tabs: bool = False,
     compared: str = "",
     mapped: str = "stiffness",
+    full: bool = False,
 ) -> rrb.Blueprint:
     """The views of an exploration with these devices.
 
@@ -52,7 +56,7 @@ def exploration_blueprint(
     inclusions: whether they are sought: they stand in the place of beta
     tabs: most views behind others, for a page, which has panels at both sides and may have to draw without a GPU
     compared: other settings, whose results are shown with the recorded ones (`tabs` alone); mapped: by what regions are
-    told apart
+    told apart; full: also what lies between frames and estimates, as tabs
     """
     titles = {name: title.format(mapped.capitalize()) for name, title in TITLES.items()}
     maps = {name: _picture(path, title) for (name, title), path in zip(titles.items(), MAPS, strict=True)}
@@ -71,8 +75,8 @@ def exploration_blueprint(
                 _picture(path, f"{name.capitalize()}: recorded, {compared}") for name, path in COMPARED_TOUCHES.items()
             ]
         known = rrb.Vertical(rrb.Tabs(*regions), fields, rrb.Tabs(gain, summary))
-        at_touch = rrb.Tabs(*touches, _picture(SECTION, "The dent in section"), *_looks(streams), *_over_time(streams))
-        robot = rrb.Vertical(_scene(streams, size_m), at_touch, row_shares=[4, 3])
+        at_touch = rrb.Tabs(*touches, *_sections(full), *_looks(streams), *_pixels(full), *_over_time(streams))
+        robot = rrb.Vertical(_scenes(streams, size_m, full), at_touch, row_shares=[4, 3])
         views = rrb.Horizontal(robot, known, column_shares=[5, 4])
         return blueprint_of(views, play="paused" if compared else "following")
     known = rrb.Vertical(
@@ -80,16 +84,57 @@ def exploration_blueprint(
         rrb.Horizontal(maps["beta"], maps["beta_deviation"], force),
         rrb.Horizontal(maps["regions"], truly, summary),
     )
-    return blueprint_of(rrb.Horizontal(_robot(streams, size_m), known, column_shares=[4, 6]))
+    return blueprint_of(rrb.Horizontal(_robot(streams, size_m, full), known, column_shares=[4, 6]))
 
 
-def _robot(streams: Sequence[Stream], size_m: tuple[float, float]) -> rrb.Container:
-    looks = _looks(streams)
+def _robot(streams: Sequence[Stream], size_m: tuple[float, float], full: bool) -> rrb.Container:
+    dent, *depths = _looks(streams)
+    pixels = _pixels(full)
+    looks = [_tabbed([dent, *pixels[1:]]), *([_tabbed([*depths, *pixels[:1]])] if depths else pixels[:1])]
     *plots, lanes = _over_time(streams)
     close = rrb.Horizontal(*looks) if len(looks) > 1 else looks[0]
     over_time = rrb.Vertical(*plots, lanes, row_shares=[*[1.6] * len(plots), 1.0])
-    below = rrb.Horizontal(_picture(SECTION, "The dent in section"), over_time, column_shares=[1.0, 1.05])
-    return rrb.Vertical(_scene(streams, size_m), close, below, row_shares=[3.6, 2.7, 2.9])
+    below = rrb.Horizontal(_tabbed(_sections(full)), over_time, column_shares=[1.0, 1.05])
+    return rrb.Vertical(_scenes(streams, size_m, full), close, below, row_shares=[3.6, 2.7, 2.9])
+
+
+def _tabbed(views: Sequence[rrb.View]) -> rrb.Container | rrb.View:
+    return rrb.Tabs(*views, active_tab=0) if len(views) > 1 else views[0]
+
+
+def _sections(full: bool) -> list[rrb.View]:
+    return [_picture(SECTION, "The dent in section"), *([_picture(ERROR, "Error over beta")] if full else [])]
+
+
+def _pixels(full: bool) -> list[rrb.View]:
+    """Which pixels were used, and the surface under the touch."""
+    if not full:
+        return []
+    eye = rrb.EyeControls3D(
+        kind=rrb.Eye3DKind.Orbital, position=[0.06, -0.2, 0.12], look_target=[0, -0.01, 0], eye_up=[0, 0, 1]
+    )
+    names = "blue used, grey outside, yellow lone, red to pink robot"
+    return [
+        rrb.Spatial2DView(contents=[f"+ /{PIXELS}"], name=f"Pixels: {names}", background=list(BACKGROUND)),
+        rrb.Spatial3DView(
+            contents=[f"+ /{UNDER}/**"],
+            name="Surface under the touch",
+            spatial_information=rrb.SpatialInformation(target_frame=TOUCH),
+            eye_controls=eye,
+            line_grid=rrb.LineGrid3D(visible=False),
+            background=list(BACKGROUND),
+        ),
+    ]
+
+
+def _scenes(streams: Sequence[Stream], size_m: tuple[float, float], full: bool) -> rrb.Container | rrb.View:
+    """The scene, and each map on the surface."""
+    scene = _scene(streams, size_m)
+    if not full:
+        return scene
+    names = {quantity: f"{quantity.replace('_', ': ').capitalize()} on the surface" for quantity in FIELDS}
+    maps = [_scene((), size_m, f"{FIELD_MAPS}/{one}", name) for one, name in names.items()]
+    return _tabbed([scene, *maps])
 
 
 def _looks(streams: Sequence[Stream]) -> list[rrb.View]:
@@ -108,14 +153,16 @@ def _over_time(streams: Sequence[Stream]) -> list[rrb.View]:
     return [*plots, rrb.StateTimelineView(contents=[f"+ /{ENTITIES[PhaseStart]}"], origin="exploration", name="Phases")]
 
 
-def _scene(streams: Sequence[Stream], size_m: tuple[float, float]) -> rrb.View:
+def _scene(
+    streams: Sequence[Stream], size_m: tuple[float, float], what: str = f"{SCENE}/**", name: str = ""
+) -> rrb.View:
     """Seen from the front, above and to the side, near enough that surface and arm fit."""
     arms = [stream for stream in streams if stream.kind == "arm" and stream.urdf is not None]
     x, y = size_m
     wide = max(x, y)
     return rrb.Spatial3DView(
-        contents=[f"+ /{SCENE}/**", *(f"+ /{root('display/arm', arm.device)}/**" for arm in arms)],
-        name=f"Surface{''.join(f' and {arm.device}{_simulated(arm)}' for arm in arms)}",
+        contents=[f"+ /{what}", *(f"+ /{root('display/arm', arm.device)}/**" for arm in arms)],
+        name=name or f"Surface{''.join(f' and {arm.device}{_simulated(arm)}' for arm in arms)}",
         spatial_information=rrb.SpatialInformation(target_frame=SURFACE_FRAME),
         eye_controls=rrb.EyeControls3D(
             kind=rrb.Eye3DKind.Orbital,

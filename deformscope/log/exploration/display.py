@@ -5,11 +5,13 @@ from __future__ import annotations
 import rerun as rr
 
 from deformscope.arrays import FloatArray
+from deformscope.log.exploration.perception import log_on_surface
 from deformscope.log.result_batch import ResultBatch
 from deformscope.log.rig.columns import Sink, states
 from deformscope.pictures import exploration as pictures
 from deformscope.pictures.messages import counted, format_failure, format_inclusions
 from deformscope.pictures.palette import BAD, Rgb
+from deformscope.pictures.render_process import render
 from deformscope.rows import ENTITIES
 from deformscope.stages.map.exploration import (
     ExplorationStop,
@@ -55,9 +57,13 @@ def log_height(now: ResultBatch, surface: SurfaceEstimate) -> None:
     now.show_png(HEIGHT, pictures.height_png, surface)
 
 
-def log_maps(now: ResultBatch, maps: MapEstimate) -> None:
+def log_maps(now: ResultBatch, maps: MapEstimate, *, on_surface: bool = False) -> None:
+    """on_surface: fields also as images in space"""
     for path, quantity in MAPS.items():
-        now.show_png(path, pictures.map_png, quantity, maps)
+        drawn = render(pictures.draw_map, quantity, maps)
+        now.show(path, rr.EncodedImage(contents=drawn.png, media_type="image/png"))
+        if on_surface and drawn.values.size:
+            log_on_surface(now, quantity, drawn)
 
 
 def log_inclusions(now: ResultBatch, found: InclusionsResult) -> None:

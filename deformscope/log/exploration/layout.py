@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
+import numpy as np
+
 from deformscope.arrays import FloatArray
 from deformscope.log.application import Application
 from deformscope.log.layout import RecordingLayout
@@ -13,6 +15,9 @@ from deformscope.stages.map.exploration import PlannedTouch
 
 if TYPE_CHECKING:
     import rerun as rr
+
+    from deformscope.log.rig.columns import Batch, Place
+    from deformscope.stages.map.exploration import StageFailure
 
 EXPLORATION = Application("deformscope-exploration", devices=True, robot_moves=True)
 
@@ -23,6 +28,7 @@ class ExplorationLayout(RecordingLayout):
     arm's base frame [m], None = the same
 
     truth: whether it is known; inclusions: whether they are sought; mapped: as of `MapEstimate`
+    full: also what lies between frames and estimates; T_surface_camera: (4, 4), None = not known
     """
 
     size_m: tuple[float, float]
@@ -30,6 +36,8 @@ class ExplorationLayout(RecordingLayout):
     truth: bool
     inclusions: bool = False
     mapped: str = "stiffness"
+    full: bool = False
+    T_surface_camera: FloatArray | None = None
 
     by_touch: ClassVar[bool] = True
 
@@ -37,13 +45,31 @@ class ExplorationLayout(RecordingLayout):
         from deformscope.log.exploration.blueprint import exploration_blueprint
 
         return exploration_blueprint(
-            self.streams, self.size_m, truth=self.truth, inclusions=self.inclusions, tabs=on_page, mapped=self.mapped
+            self.streams,
+            self.size_m,
+            truth=self.truth,
+            inclusions=self.inclusions,
+            tabs=on_page,
+            mapped=self.mapped,
+            full=self.full,
         )
 
     def log_start(self, rec: rr.RecordingStream) -> None:
         from deformscope.log.exploration.results import log_exploration_start
 
-        log_exploration_start(rec, self.streams, self.base_from_surface)
+        log_exploration_start(rec, self.streams, self.base_from_surface, full=self.full)
+        if self.full:
+            from deformscope.log.exploration.perception import log_frames
+
+            base_from_surface = np.eye(4) if self.base_from_surface is None else self.base_from_surface
+            log_frames(rec, base_from_surface, self.T_surface_camera)
+
+    def prepare(
+        self, results: Sequence[object], session_ns: int, place: Place, cell_m: float, failed: list[StageFailure]
+    ) -> Batch:
+        from deformscope.log.exploration.results import prepare_results
+
+        return prepare_results(results, session_ns, place, cell_m=cell_m, failed=failed, full=self.full)
 
     def touch_after(self, results: Sequence[object], touch: int) -> int:
         """What devices give from the plan of a touch on belongs to that touch."""

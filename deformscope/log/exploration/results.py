@@ -15,6 +15,9 @@ What a touch measured is at the frame of its dent. `deformscope.recording.items`
     display/plan/gain                     why the next touch goes where it goes
     display/touch/force|section           force over depth; the dent's height over the distance from the contact
     display/summary                       what is known, in words
+    exploration/perception/look|touch     with --detail full: what lies between frames and estimates
+    exploration/force_pose                likewise, a row for each reading of the force: force and pose of the tip
+    display/perception/...                likewise (`deformscope.log.exploration.perception`)
     display/lumps/map|missed|summary      where inclusions are sought: which were found, what may be missed, in words
 """
 
@@ -41,6 +44,7 @@ from deformscope.log.exploration.display import (
     log_phase_colors,
     log_stopped,
 )
+from deformscope.log.exploration.perception import log_ground, log_no_touch, log_pixels, log_tool, log_under_touch
 from deformscope.log.exploration.scene import (
     log_base,
     log_contact,
@@ -67,7 +71,9 @@ from deformscope.stages.map.exploration import (
     TouchEstimate,
     TouchForecast,
 )
+from deformscope.stages.map.force_pose import ForcePose
 from deformscope.stages.map.measured import LookFrames, SurfaceMeasurement, TouchFrames, TouchMeasurement
+from deformscope.stages.map.perception import LookPerception, TouchPerception
 
 PEAKS = rr.components.AggregationPolicy.MinMax
 
@@ -76,7 +82,11 @@ CELL_M = 0.005
 
 
 def log_exploration_start(
-    rec: rr.RecordingStream, streams: Sequence[Stream], base_from_surface: FloatArray | None = None
+    rec: rr.RecordingStream,
+    streams: Sequence[Stream],
+    base_from_surface: FloatArray | None = None,
+    *,
+    full: bool = False,
 ) -> None:
     """What holds throughout: the phases' colours, and where each arm's base stands in the surface frame; and, at the
     start, that nothing is known yet.
@@ -95,6 +105,8 @@ def log_exploration_start(
     log_nothing_known(start)
     log_no_dent(start)
     log_no_summary(start)
+    if full:
+        log_no_touch(start)
     batch.send(rec)
 
 
@@ -105,18 +117,19 @@ def prepare_results(
     *,
     cell_m: float = CELL_M,
     failed: list[StageFailure] | None = None,
+    full: bool = False,
 ) -> Batch:
     """Make results ready for one stream or several, pictures drawn: some 0.1 s a picture, six of them for the maps.
 
     session_ns: when, since the recording's start [ns]; place: on the other timelines; cell_m: of a plan's maps, where
-    no map beside it says
+    no map beside it says; full: the maps also on the surface
     failed: takes what could not be shown: every result is recorded all the same, and that with them
     A plan that comes with maps is drawn over their contacts. Raises TypeError for what is no result of an exploration.
     """
     batch = Batch(place)
     now = ResultBatch(batch, session_ns)
     maps = next((result for result in results if isinstance(result, MapEstimate)), None)
-    views = exploration_views(place.touch, maps, cell_m)
+    views = exploration_views(place.touch, maps, cell_m, full=full)
     for result in results:
         shown = views_of(type(result), views)
         now.record(result)
@@ -132,15 +145,15 @@ def prepare_results(
     return batch
 
 
-def exploration_views(touch: int, maps: MapEstimate | None, cell_m: float) -> Views[ResultBatch]:
+def exploration_views(touch: int, maps: MapEstimate | None, cell_m: float, *, full: bool = False) -> Views[ResultBatch]:
     """What shows each result of a touch. maps: of the same moment; cell_m: of a plan's maps where there are none"""
     gain = partial(log_gain, cell_m=cell_m, contacts_m=None)
     if maps is not None:
         gain = partial(log_gain, cell_m=maps.cell_m, contacts_m=maps.contacts_m)
     return {
-        SurfaceEstimate: (partial(log_surface, colored=touch == 0), log_height),
+        SurfaceEstimate: (partial(log_surface, colored=touch == 0), log_height, *[log_ground] * full),
         TouchEstimate: (log_contact, log_dent, log_curves, _log_no_forecast),
-        MapEstimate: (log_stiffness, log_maps, log_summary),
+        MapEstimate: (log_stiffness, partial(log_maps, on_surface=full), log_summary),
         InclusionsResult: (log_inclusions,),
         PlannedTouch: (log_target, gain),
         TouchForecast: (log_forecast,),
@@ -148,6 +161,9 @@ def exploration_views(touch: int, maps: MapEstimate | None, cell_m: float) -> Vi
         PhaseStart: (log_phase,),
         StageFailure: (log_failed,),
         ExplorationStop: (log_stopped,),
+        LookPerception: (log_pixels,),
+        TouchPerception: (log_pixels, log_under_touch),
+        ForcePose: (log_tool,),
         **dict.fromkeys((LookFrames, TouchFrames, SurfaceMeasurement, TouchMeasurement), ()),
     }
 

@@ -56,7 +56,8 @@ def log_surface(now: ResultBatch, surface: SurfaceEstimate, *, colored: bool) ->
     low, high = (np.quantile(points[:, 2], (0.01, 0.99))) if len(points) else (0.0, 1.0)
     share = (points[:, 2] - low) / max(high - low, 1e-9)
     now.show_points(f"{SCENE}/observed", points, _colors("Greys", 0.05 + 0.5 * share), POINT_M)
-    vertices, triangles = _grid(surface.height_m, surface.cell_m)
+    places, triangles = grid_of(surface.height_m.shape, surface.cell_m)
+    vertices = np.column_stack([places, surface.height_m.ravel()])
     share = (surface.height_m.ravel() - low) / max(high - low, 1e-9)
     tints = _colors(HEIGHTS, share) if colored else None
     normals = _normals(surface)
@@ -116,15 +117,14 @@ def log_forecast(now: ResultBatch, forecast: TouchForecast | None) -> None:
     now.show_points(f"{ASKED}/place", forecast.xyz_m[None], ASKED_COLOR, MARK_M, [words])
 
 
-def _grid(height_m: FloatArray, cell_m: float) -> tuple[FloatArray, IntArray]:
-    """(n, 3) cell centres, (m, 3) triangles between them."""
-    rows, columns = height_m.shape
+def grid_of(shape: tuple[int, ...], cell_m: float) -> tuple[FloatArray, IntArray]:
+    """(n, 2) cell centres, (m, 3) triangles between them."""
+    rows, columns = shape
     y, x = (np.mgrid[:rows, :columns] + 0.5) * cell_m
-    vertices = np.stack([x, y, height_m], axis=-1).reshape(-1, 3)
     place = np.arange(rows * columns).reshape(rows, columns)
     a, b, c, d = (one.ravel() for one in (place[:-1, :-1], place[:-1, 1:], place[1:, 1:], place[1:, :-1]))
     triangles = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
-    return vertices, triangles
+    return np.stack([x, y], axis=-1).reshape(-1, 2), triangles
 
 
 def _normals(surface: SurfaceEstimate) -> FloatArray:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -33,12 +33,13 @@ class Place:
 
     touch: on `touch`; pictures_ns: (n,) session times of the depth camera's pictures so far, rising [ns]: on `frame` a
     row is at the picture that was newest then, so that all devices scrub together, and at its place in its own device's
-    stream on `index`; frame: at this picture instead, None = by the time
+    stream on `index`; frame: at this picture instead, None = by the time; start_ns: the host's clock at `session` 0
     """
 
     touch: int
     pictures_ns: IntArray
     frame: int | None = None
+    start_ns: int = 0
 
     def at(self, session_ns: IntArray) -> IntArray:
         """Frames (m,) of times (m,) [ns]; 0 before the first picture."""
@@ -67,13 +68,20 @@ class Batch:
 
     def __init__(self, place: Place | None = None) -> None:
         self.parts: list[tuple[str, Chunk | Callable[[rr.RecordingStream], None]]] = []
-        self._place = place
+        self.place = place
 
     def send_columns(self, path: str, times: Sequence[rr.TimeColumn], columns: Columns) -> None:
         """Keep columns until `send`, as `rr.RecordingStream.send_columns` takes them."""
         ready = list(columns)
-        when = list(times) if self._place is None else self._place.moved(times)
+        when = list(times) if self.place is None else self.place.moved(times)
         self.parts.append((path, Chunk.from_columns(path, when, ready)))
+
+    def send_series(self, path: str, host_ns: IntArray, columns: Columns) -> None:
+        """Rows at moments of their own on the host's clock, each at the picture that was newest then."""
+        assert self.place is not None
+        own, self.place = self.place, replace(self.place, frame=None)
+        self.send_columns(path, moments(host_ns, own.start_ns), columns)
+        self.place = own
 
     def show(self, path: str, times: Sequence[rr.TimeColumn], entity: rr.AsComponents) -> None:
         """One row: an entity at one moment."""
@@ -115,7 +123,7 @@ def root(kind: str, device: str, *below: str) -> str:
     return "/".join([kind, rr.escape_entity_path_part(device), *below])
 
 
-def moments(host_ns: Sequence[int], start_ns: int) -> list[rr.TimeColumn]:
+def moments(host_ns: Sequence[int] | IntArray, start_ns: int) -> list[rr.TimeColumn]:
     """Times of rows that are no frames."""
     return [rr.TimeColumn("session", duration=(np.array(host_ns, np.int64) - start_ns).astype("timedelta64[ns]"))]
 

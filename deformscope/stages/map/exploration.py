@@ -482,7 +482,7 @@ class SteeringDecision:
 class StageFailure:
     """A stage failed on one touch: the exploration goes on without what it would have given.
 
-    stage: surface, dent, contact, creep, loss, regions, beta, maps, beta field, lumps, plan or display
+    stage: surface, dent, contact, creep, loss, regions, beta, touch surface, maps, beta field, lumps, plan or display
     touch: from 1, 0 = before the first
     reason: in one line; trace: where it failed, for whoever mends it
     """

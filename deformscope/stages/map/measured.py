@@ -9,17 +9,21 @@ import dataclasses
 from dataclasses import dataclass
 
 from deformscope.arrays import FloatArray, IntArray
+from deformscope.stages.map.force_pose import ForcePose
 from deformscope.stages.poke.layer_seen import TableSeen
+from deformscope.stages.see.pixel_labels import SeenPixels
 
 
 @dataclass(frozen=True, slots=True)
 class SurfaceMeasurement:
     """What the camera saw. points_m: (n, 3) of the surface, robot and outliers taken away, surface frame [m]
-    noise_m: (n,) deviation of each height [m]; table: beside it, None = not seen, or not looked for"""
+    noise_m: (n,) deviation of each height [m]; table: beside it, None = not seen, or not looked for
+    pixels: that they are of, None = not asked for, or no images"""
 
     points_m: FloatArray
     noise_m: FloatArray
     table: TableSeen | None = None
+    pixels: SeenPixels | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,6 +36,7 @@ class TouchMeasurement:
     seen_ns: until when they were seen, on the robot's clock; 0 = nothing was seen
     loading, held: how many samples lead up to the set force, and how many were taken until the way back; None where its
     creep was not asked for: then all samples lead up to the set force
+    pixels: that after_m is of; force_pose: at the force's rate; None = not asked for, or not measured so
     """
 
     xy_m: FloatArray
@@ -44,6 +49,8 @@ class TouchMeasurement:
     seen_ns: int = 0
     loading: int | None = None
     held: int | None = None
+    pixels: SeenPixels | None = None
+    force_pose: ForcePose | None = None
 
     @property
     def approach(self) -> TouchMeasurement:

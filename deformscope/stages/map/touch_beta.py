@@ -11,7 +11,7 @@ at its bound for every modulus: the verdict `at-bound` is the normal answer.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
@@ -206,12 +206,13 @@ def _contact(touch: BallContact) -> tuple[FloatArray, FloatArray]:
 class SeenDent:
     """A square of the surface around a touch, on cells of `THESIS_CELL_M`, before it and under it (Thesis 4.4).
 
-    before, after: (p, 3) at the same places [m]; shape: (rows, columns)
+    before, after: (p, 3) at the same places [m]; shape: (rows, columns); sd_m: (p,) deviation of the heights under it
     """
 
     before: FloatArray
     after: FloatArray
     shape: tuple[int, int]
+    sd_m: FloatArray = field(default_factory=lambda: np.zeros(0))
 
     @property
     def sunk_m(self) -> FloatArray:
@@ -230,8 +231,9 @@ def dent_of(world: SurfaceHeights, touched: SurfaceHeights, place_m: FloatArray)
     latter with the tactile points"""
     grid = MapGrid((THESIS_SIDE_M, THESIS_SIDE_M), THESIS_CELL_M)
     places_m = np.asarray(place_m)[:2] - 0.5 * THESIS_SIDE_M + grid.centres_m
-    before, after = (np.column_stack([places_m, one.at(places_m).mean]) for one in (world, touched))
-    return SeenDent(before, after, grid.shape)
+    rest, under = world.at(places_m), touched.at(places_m)
+    before, after = (np.column_stack([places_m, one.mean]) for one in (rest, under))
+    return SeenDent(before, after, grid.shape, sd_m=under.deviation)
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,10 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from deformscope.arrays import BoolArray, FloatArray
+from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.errors import InputError
 from deformscope.stages.see.align import as_seen
-from deformscope.stages.see.robot import NO_ROBOT, PosedRobot, measured, outside_robot
+from deformscope.stages.see.pixel_labels import LabelArray, PixelLabel
+from deformscope.stages.see.robot import NO_ROBOT, PosedRobot, label_robot, measured
 
 TACTILE_POINTS = 10
 """Virtual points on the tip (Thesis 4.4)."""
@@ -43,14 +44,12 @@ class Box:
 @dataclass(frozen=True, slots=True)
 class Perceived:
     """What is left of a depth image. points_m: (n, 3); noise_m: (n,) deviation of each height [m]
-    seen, cropped, outliers, robot: how many points there were, lay outside the box, were alone, were the robot's"""
+    label: (H, W) `PixelLabel` of each pixel; point: (m,) of each used pixel, row by row, the point it is a part of"""
 
     points_m: FloatArray
     noise_m: FloatArray
-    seen: int
-    cropped: int
-    outliers: int
-    robot: int
+    label: LabelArray
+    point: IntArray
 
 
 def back_project(depth_m: FloatArray, camera: Intrinsics, T_world_camera: FloatArray) -> FloatArray:
@@ -100,8 +99,9 @@ def not_alone(points: FloatArray, *, neighbours: int = 20, ratio: float = 2.0) -
     return np.asarray(mean <= mean.mean() + ratio * mean.std())
 
 
-def reduce_to_grid(points: FloatArray, cell_m: float) -> tuple[FloatArray, FloatArray]:
-    """One point (m, 3) for each occupied cell seen from above: the mean of those in it; and how many these were (m,).
+def reduce_to_grid(points: FloatArray, cell_m: float) -> tuple[FloatArray, FloatArray, IntArray]:
+    """One point (m, 3) for each occupied cell seen from above: the mean of those in it; how many these were (m,); and
+    (n,) which of the means each point is a part of.
 
     Noise that is independent from point to point falls by the root of the count; the cells' order is fixed.
     """
@@ -111,7 +111,7 @@ def reduce_to_grid(points: FloatArray, cell_m: float) -> tuple[FloatArray, Float
     _, place, count = np.unique(cell, axis=0, return_inverse=True, return_counts=True)
     place = place.ravel()
     mean = np.column_stack([np.bincount(place, weights=points[:, d], minlength=len(count)) for d in range(3)])
-    return mean / count[:, None], count.astype(np.float64)
+    return mean / count[:, None], count.astype(np.float64), place
 
 
 # Noise and touch ------------------------------------------------------------------------------------------------------
@@ -186,23 +186,24 @@ def perceive(
     Raises InputError where nothing is left.
     """
     points = back_project(depth_m, camera, T_world_camera)
-    seen = len(points)
     robot = as_seen(robot, points, box.high_m[2])
+    every = np.full(len(points), PixelLabel.OUTSIDE_THE_BOX, np.uint8)
     inside = within(points, box)
     points = points[inside]
-    cropped = seen - len(points)
-    kept = outside_robot(points, robot, depth_m, inside)
-    taken = int(np.count_nonzero(~kept))
-    points = points[kept]
-    kept = not_alone(points)
-    outliers = int(np.count_nonzero(~kept))
-    points = points[kept]
+    label = label_robot(points, robot, depth_m, inside)
+    kept = label == PixelLabel.USED
+    label[kept] = np.where(not_alone(points[kept]), PixelLabel.USED, PixelLabel.LONE)
+    every[inside] = label
+    points = points[label == PixelLabel.USED]
     if not len(points):
         raise InputError(
-            "points of the surface in the depth image", f"none of {seen} seen", "check T_world_camera and the box"
+            "points of the surface in the depth image", f"none of {len(every)} seen", "check T_world_camera and the box"
         )
     noise = height_noise_m(points, T_world_camera)
+    place: IntArray = np.arange(len(points))
     if cell_m is not None:
-        points, count = reduce_to_grid(points, cell_m)
+        points, count, place = reduce_to_grid(points, cell_m)
         noise = height_noise_m(points, T_world_camera) / np.sqrt(count)
-    return Perceived(points, noise, seen, cropped, outliers, taken)
+    image = np.full(np.shape(depth_m), PixelLabel.NOTHING_SEEN, np.uint8)
+    image[measured(depth_m)] = every
+    return Perceived(points, noise, image, place)

@@ -14,6 +14,7 @@ import numpy as np
 from deformscope.arrays import BoolArray, FloatArray
 from deformscope.capsule import Capsule
 from deformscope.solid import PosedSolid
+from deformscope.stages.see.pixel_labels import LabelArray, PixelLabel
 
 EDGE_PX = 3
 """So far from a jump of depth a pixel may be mixed: both of today's kinds of camera bleed over 2."""
@@ -45,15 +46,19 @@ class PosedRobot:
 NO_ROBOT = PosedRobot()
 
 
-def outside_robot(points: FloatArray, robot: PosedRobot, depth_m: FloatArray, used: BoolArray) -> BoolArray:
-    """(n,) points that are not the robot's. depth_m: (H, W) that they are from [m]; used: (m,) which of the pixels that
-    saw something, row by row, they are"""
-    kept = outside_capsules(points, robot.capsules, margin_m=robot.margin_m)
-    kept[kept] = outside_solids(points[kept], robot.solids, margin_m=robot.solid_margin_m + robot.margin_m)
+def label_robot(points: FloatArray, robot: PosedRobot, depth_m: FloatArray, used: BoolArray) -> LabelArray:
+    """(n,) `PixelLabel` of points: USED, or by which rule they are the robot's. depth_m: (H, W) that they are from [m];
+    used: (m,) which of the pixels that saw something, row by row, they are"""
+    label = np.full(len(points), PixelLabel.USED, np.uint8)
+    label[~outside_capsules(points, robot.capsules, margin_m=robot.margin_m)] = PixelLabel.ROBOT_CAPSULE
+    kept = np.flatnonzero(label == PixelLabel.USED)
+    outside = outside_solids(points[kept], robot.solids, margin_m=robot.solid_margin_m + robot.margin_m)
+    label[kept[~outside]] = PixelLabel.ROBOT_SOLID
     if robot.mixes:
+        kept = kept[outside]
         mixed = at_jumps(depth_m)[measured(depth_m)][used]
-        kept[kept] = standing(points[kept], mixed[kept])
-    return kept
+        label[kept[~standing(points[kept], mixed[kept])]] = PixelLabel.HANGING
+    return label
 
 
 def measured(depth_m: FloatArray) -> BoolArray:

@@ -21,6 +21,7 @@ from deformscope.stages.see.cloud import (
     tactile_points,
     within,
 )
+from deformscope.stages.see.pixel_labels import PixelLabel
 from deformscope.stages.see.robot import PosedRobot, outside_capsules
 
 CAMERA = Intrinsics((300.0, 310.0), (80.0, 60.0))
@@ -73,7 +74,9 @@ def test_lone_points_go_and_a_surface_stays() -> None:
 def test_one_point_a_cell_is_the_mean_of_its_points() -> None:
     rng = np.random.default_rng(1)
     points = rng.uniform(-0.05, 0.05, size=(500, 3))
-    reduced, count = reduce_to_grid(points, 0.01)
+    reduced, count, place = reduce_to_grid(points, 0.01)
+    np.testing.assert_array_equal(np.bincount(place), count)
+    np.testing.assert_allclose(points[place == 3].mean(axis=0), reduced[3])
     assert count.sum() == 500
     np.testing.assert_allclose(count @ reduced, points.sum(axis=0), atol=1e-12)
     cells = np.floor(reduced[:, :2] / 0.01)
@@ -134,9 +137,10 @@ def test_perceiving_keeps_the_surface_alone() -> None:
     hidden = back_project(np.where(np.isin(np.arange(120), np.arange(40, 60))[:, None], depth, 0.0), CAMERA, transform)
     on_the_stick = ~outside_capsules(hidden, [stick], margin_m=0.01)
     found = perceive(depth, CAMERA, transform, BOX, robot=PosedRobot([stick], margin_m=0.01), cell_m=0.005)
-    assert found.seen == 120 * 160
-    assert found.robot >= np.count_nonzero(on_the_stick) > 0
-    assert found.seen > found.cropped + found.robot + found.outliers
+    count = np.bincount(found.label.ravel(), minlength=len(PixelLabel))
+    assert count[PixelLabel.NOTHING_SEEN] == 0
+    assert count[PixelLabel.ROBOT_CAPSULE] >= np.count_nonzero(on_the_stick) > 0
+    assert len(found.point) == count[PixelLabel.USED] > 0
     flat = np.abs(found.points_m[:, 2] - 0.05) < 1e-9
     assert flat.mean() > 0.98
     assert (found.noise_m > 0).all()

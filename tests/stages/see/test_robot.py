@@ -6,7 +6,8 @@ import numpy as np
 import open3d as o3d
 
 from deformscope.solid import PosedSolid, Solid
-from deformscope.stages.see.robot import EDGE_PX, HOVER_M, PosedRobot, at_jumps, outside_robot, outside_solids, standing
+from deformscope.stages.see.pixel_labels import PixelLabel
+from deformscope.stages.see.robot import EDGE_PX, HOVER_M, PosedRobot, at_jumps, label_robot, outside_solids, standing
 from deformscope_drivers.arm.kinematics import rotation_from_rpy, transform
 
 BALL = o3d.geometry.TriangleMesh.create_sphere(0.03, resolution=60)
@@ -61,6 +62,7 @@ def test_mixed_depths_are_looked_at_only_where_the_robots_shape_is_known() -> No
     points = np.column_stack([*(one.ravel() for one in np.meshgrid(np.arange(10), np.arange(10))), 0.8 - depth.ravel()])
     points[:, :2] *= 0.002
     used = np.ones(100, dtype=bool)
-    assert outside_robot(points, PosedRobot(), depth, used).all()
-    kept = outside_robot(points, PosedRobot(mixes=True), depth, used)
-    np.testing.assert_array_equal(kept.reshape(10, 10), depth > 0.7)
+    assert (label_robot(points, PosedRobot(), depth, used) == PixelLabel.USED).all()
+    label = label_robot(points, PosedRobot(mixes=True), depth, used)
+    expected = np.where(depth > 0.7, PixelLabel.USED, PixelLabel.HANGING)
+    np.testing.assert_array_equal(label.reshape(10, 10), expected)

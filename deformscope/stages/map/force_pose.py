@@ -1,0 +1,46 @@
+"""Force and pose of the tip as one vector of nine numbers, at the force sensor's rate (Thesis 4.4)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from deformscope.arrays import FloatArray, IntArray
+
+NAMES = (*(f"F{axis} [N]" for axis in "xyz"), *(f"{axis} [m]" for axis in "xyz"), *(f"r{axis} [rad]" for axis in "xyz"))
+
+
+@dataclass(frozen=True, slots=True)
+class ForcePose:
+    """What force sensor and arm gave of a touch.
+
+    host_ns: (n,) when each force came, on the host's clock; values: (n, 9) force on the tip [N], position of its middle
+    [m], rotation vector of its frame [rad], all in the surface frame. Position and rotation are interpolated between
+    the arm's states before and after: the force comes more often. Before the first state and after the last one they
+    are as there.
+    """
+
+    host_ns: IntArray
+    values: FloatArray
+
+
+def force_pose(host_ns: IntArray, force_n: FloatArray, state_ns: IntArray, T_surface_tip: FloatArray) -> ForcePose:
+    """Forces (n, 3) [N] with the pose at their times: positions linearly, rotations along the shortest turn (slerp).
+
+    state_ns: (m,) rising, of poses T_surface_tip (m, 4, 4). A rotation vector may be a whole turn from the one of at
+    most half a turn: it is the one nearest to the first, so that rows do not jump.
+    """
+    from scipy.spatial.transform import Rotation, Slerp
+
+    turn = Rotation.from_matrix(T_surface_tip[:, :3, :3])
+    at = np.clip(host_ns, state_ns[0], state_ns[-1]) - state_ns[0]
+    if len(state_ns) > 1:
+        turn = Slerp(state_ns - state_ns[0], turn)(at)
+    position = np.column_stack([np.interp(at, state_ns - state_ns[0], T_surface_tip[:, axis, 3]) for axis in range(3)])
+    vector = np.broadcast_to(turn.as_rotvec(), (len(host_ns), 3))
+    angle = np.linalg.norm(vector, axis=1, keepdims=True)
+    other = vector * (1.0 - 2.0 * np.pi / np.maximum(angle, 1e-12))
+    nearer = np.linalg.norm(other - vector[:1], axis=1) < np.linalg.norm(vector - vector[:1], axis=1)
+    vector = np.where(nearer[:, None], other, vector)
+    return ForcePose(host_ns, np.column_stack([force_n, position, vector]))

@@ -1,0 +1,85 @@
+"""What lies between the frames of an exploration and its estimates (Thesis chapter 4): which pixels were used, the
+surface under a touch, the error over beta, and what the fields were trained with."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from deformscope.arrays import FloatArray
+from deformscope.stages.fit.estimate import Curve
+from deformscope.stages.map.force_pose import ForcePose
+from deformscope.stages.map.gaussian_process import Kernel
+from deformscope.stages.map.marginal_likelihood import Hyperparameters
+from deformscope.stages.map.touch_beta import SeenDent
+from deformscope.stages.regions.touches import StiffnessSample
+from deformscope.stages.see.pixel_labels import PixelMasks
+
+
+@dataclass(frozen=True, slots=True)
+class TrainedField:
+    """What a field of beta was trained with.
+
+    kernel: the likeliest, where several are averaged over; noise: deviation of a value beside its own
+    place_m: (n, 2) [m]; value: (n,) beta there; weight: (n,) 1 / variance of each
+    """
+
+    kernel: Kernel
+    noise: float
+    place_m: FloatArray
+    value: FloatArray
+    weight: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class TouchSurface:
+    """The surface under a touch as a process of what was seen and of virtual tactile points (Thesis eq. 4.3, 4.4).
+
+    dent: heights before and under it, with deviations; tactile_m: (t, 3) [m]; learned: by the process under touch
+    """
+
+    dent: SeenDent
+    tactile_m: FloatArray
+    learned: Hyperparameters
+
+
+@dataclass(frozen=True, slots=True)
+class LookPerception:
+    """What the surface before any touch was computed from. masks: None of a robot that gives points, not images
+    learned: by its process, from so many points without outliers"""
+
+    masks: PixelMasks | None
+    learned: Hyperparameters
+    points: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TouchPerception:
+    """What the estimate of a touch was computed from, and what it taught; each None where there is none.
+
+    number: from 0; masks: of its depth images, but for those that showed nothing of the surface; surface: under it
+    error: over beta [m]: by the thesis's models the mean distance of simulated points from the nearest observed one
+    (eq. 4.6), least at its estimate; else of particles from the points that they stand for, while the estimate weighs
+    these by their noise; estimate: beta of it, one of those tried
+    stiffness: as the map takes it, with a weight of 1 / log_sd squared; beta: what the field of beta was trained with
+    """
+
+    number: int
+    masks: PixelMasks | None
+    surface: TouchSurface | None
+    error: Curve | None
+    estimate: float | None
+    stiffness: StiffnessSample | None
+    beta: TrainedField | None
+
+    @property
+    def error_m(self) -> float:
+        """At the estimate."""
+        assert self.error is not None
+        assert self.estimate is not None
+        return float(self.error.aee[np.argmin(np.abs(self.error.parameter - self.estimate))])
+
+
+Perception = LookPerception | TouchPerception | ForcePose
+"""What `--detail full` records beside estimates and maps."""

@@ -1,0 +1,150 @@
+"""`explore --detail`: what lies between frames and estimates is recorded as it was computed, and costs few bytes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation, Slerp
+
+from deformscope.cli import main
+from deformscope.experiments.measured import SetupGeometry
+from deformscope.frames import ArmFrame, DepthFrame
+from deformscope.recording.items import read_items, read_results, read_series
+from deformscope.recording.reader import Replay
+from deformscope.runs.replay_exploration import LEAN
+from deformscope.stages.map.exploration import SurfaceEstimate, TouchEstimate
+from deformscope.stages.map.force_pose import ForcePose
+from deformscope.stages.map.measured import TouchFrames
+from deformscope.stages.map.perception import LookPerception, TouchPerception
+from deformscope.stages.see.pixel_labels import PixelLabel
+from deformscope_drivers.arm.kinematics import rotation_from_euler_xyz, transform
+from tests.cli.quick_scene import use_quick_scene
+
+Explore = Callable[..., Path]
+
+
+@pytest.fixture(scope="module")
+def explore(tmp_path_factory: pytest.TempPathFactory) -> Explore:
+    """Records an exploration of one touch; each only once."""
+    folder = tmp_path_factory.mktemp("detail")
+
+    def recorded(*flags: str) -> Path:
+        path = folder / f"{'-'.join(flags)}.rrd"
+        if not path.exists():
+            command = ["explore", "lab:two-60-150", "--touches", "1", "--seed", "3", "--viewer", "none"]
+            with pytest.MonkeyPatch.context() as monkeypatch:
+                use_quick_scene(monkeypatch)
+                assert main([*command, *flags, "--record", str(path)]) == 0
+        return path
+
+    return recorded
+
+
+def of(path: Path, kind: type) -> list[Any]:
+    return [row.item for row in read_results(path, (kind,), trust=True)]
+
+
+def test_labels_are_a_partition_of_the_recorded_depth_images(explore: Explore) -> None:
+    path = explore("--detail", "full")
+    depth = {one.stamp.host_ns: one.depth for one in read_items(path, trust=True, kinds=(DepthFrame,))}
+    (look,), (touch,) = of(path, LookPerception), of(path, TouchPerception)
+    (surface,) = of(path, SurfaceEstimate)
+    for perception in (look, touch):
+        masks = perception.masks
+        assert masks is not None
+        for image, when in enumerate(masks.depth_ns.tolist()):
+            label = masks.decode(image)
+            np.testing.assert_array_equal(label == PixelLabel.NOTHING_SEEN, depth[when] == 0)
+            assert set(np.unique(label)) <= set(PixelLabel)
+            assert np.count_nonzero(label == PixelLabel.USED) > 100
+    assert look.points == len(surface.points_m)  # none of them was a misfit
+    assert any((touch.masks.decode(i) == PixelLabel.ROBOT_CAPSULE).any() for i in range(len(touch.masks.depth_ns)))
+    assert of(path, TouchFrames)[0].depth_ns.tolist() == touch.masks.depth_ns.tolist()
+
+
+def test_force_and_pose_are_the_forces_rows_with_the_arm_between_its_states(explore: Explore) -> None:
+    path = explore("--detail", "full")
+    (felt,) = read_series(path, ForcePose, trust=True)
+    (used,) = of(path, TouchFrames)
+    np.testing.assert_array_equal(felt.host_ns, used.wrench_ns)
+    placement = SetupGeometry.from_json(Replay(path, trust=True).settings["setup"]).placement
+    states = {one.stamp.host_ns: one for one in read_items(path, trust=True, kinds=(ArmFrame,))}
+    times = sorted({*used.arm_ns.tolist(), *used.pose_ns.tolist(), used.end_ns})
+    poses = []
+    for when in times:
+        one = states[when]
+        T = transform(rotation_from_euler_xyz(*one.rotation_rad.tolist()), one.position_m)
+        poses.append(placement.T_surface_center(T))
+    T = np.array(poses)
+    since = np.clip(felt.host_ns, times[0], times[-1]) - times[0]
+    slerp = Slerp(np.array(times) - times[0], Rotation.from_matrix(T[:, :3, :3]))(since)
+    turned = (Rotation.from_rotvec(felt.values[:, 6:]).inv() * slerp).magnitude()
+    assert turned.max() < 1e-7
+    for axis in range(3):
+        expected = np.interp(since, np.array(times) - times[0], T[:, axis, 3])
+        np.testing.assert_allclose(felt.values[:, 3 + axis], expected, atol=1e-12)
+    assert np.linalg.norm(felt.values[:, :3], axis=1).max() > 2.0
+
+
+def test_the_surface_under_a_touch_dents_where_it_was_touched(explore: Explore) -> None:
+    path = explore("--detail", "full")
+    (perception,), (touch,) = of(path, TouchPerception), of(path, TouchEstimate)
+    under = perception.surface
+    deepest = under.dent.after[np.argmax(under.dent.sunk_m)]
+    assert np.linalg.norm(deepest[:2] - touch.xyz_m[:2]) < 0.011  # a cell
+    assert under.tactile_m.shape == (10, 3)
+    assert np.abs(under.tactile_m[:, :2] - touch.xyz_m[:2]).max() < 0.01
+    assert (under.dent.sd_m > 0.0).all()
+    assert under.dent.sd_m.shape == under.dent.sunk_m.shape
+    assert perception.stiffness.log_stiffness == pytest.approx(np.log(touch.stiffness_n_per_mm), abs=0.2)
+
+
+@pytest.mark.parametrize("planner", ["regions", "thesis"])
+def test_the_error_over_beta_has_the_estimate_among_what_was_tried(planner: str, explore: Explore) -> None:
+    path = explore("--detail", "full", *(["--planner", "thesis"] if planner == "thesis" else []))
+    (perception,), (touch,) = of(path, TouchPerception), of(path, TouchEstimate)
+    assert perception.estimate == touch.beta
+    assert touch.beta in perception.error.parameter
+    assert perception.error_m == perception.error.aee[perception.error.parameter == touch.beta]
+    if planner == "thesis":  # eq. 4.6, swept
+        assert perception.error_m == perception.error.aee.min()
+        assert set(perception.beta.value) == {touch.beta}
+        np.testing.assert_allclose(perception.beta.weight, 1.0 / 0.05**2)
+        assert len(perception.beta.place_m) > 4
+
+
+def test_full_costs_few_bytes_and_lean_has_none_of_it(explore: Explore, capsys: pytest.CaptureFixture[str]) -> None:
+    full, lean = explore("--detail", "full"), explore("--detail", "lean")
+    assert lean.stat().st_size < full.stat().st_size <= 1.3 * lean.stat().st_size
+    assert not of(lean, LookPerception)
+    assert not of(lean, TouchPerception)
+    assert not read_series(lean, ForcePose, trust=True)
+    entities = {chunk.entity_path for chunk in Replay(lean, trust=True).chunks("/**")}
+    assert not [one for one in entities if "perception" in one or "force_pose" in one]
+    for path, words in ((full, ""), (lean, LEAN)):
+        capsys.readouterr()
+        with pytest.MonkeyPatch.context() as monkeypatch:
+            use_quick_scene(monkeypatch)
+            assert main(["replay", str(path), "--viewer", "none"]) == 0
+        said = " ".join("".join(capsys.readouterr()).split())
+        assert "identical to the recorded numbers" in said
+        assert (LEAN in said) == bool(words)
+
+
+def test_the_frames_are_one_tree(explore: Explore) -> None:
+    parents = {}
+    for chunk in Replay(explore("--detail", "full"), trust=True).chunks("/display/perception/frames/**"):
+        batch = chunk.to_record_batch()
+        frames = (batch.column(f"Transform3D:{end}_frame").to_pylist() for end in ("child", "parent"))
+        parents |= {child: parent for (child,), (parent,) in zip(*frames, strict=True)}
+    assert parents.keys() == {"world", "surface", "camera", "arm_base", "tool", "touch"}
+    for name in parents:
+        way = [name]
+        while way[-1] in parents:
+            way.append(parents[way[-1]])
+            assert len(way) < 9
+        assert way[-1] == "tf#/"
