@@ -78,6 +78,9 @@ COMMANDS: dict[str, Command] = {
     "reproduce cubes": _command(
         "theta of cubes of known Poisson's ratio (Thesis 3.A)", "CubesConfig", "reproduce_cubes"
     ),
+    "reproduce shapes": _command(
+        "what beta and theta do to a body, to be scrubbed (Thesis 3.4)", "ShapesConfig", "reproduce_shapes"
+    ),
     "reproduce foams": _command("experiment 3.B: beta of five virtual foams", "FoamsConfig", "reproduce_foams"),
     "reproduce pokes": _command(
         "pokes that were not fitted, predicted, on slabs of known truth", "PokesConfig", "reproduce_pokes"

@@ -1,4 +1,4 @@
-"""`deformscope reproduce chapter4`: figures 4.5 to 4.7 and table 4.1 by the thesis's own rules.
+"""`deformscope reproduce chapter4`: figures 4.4 to 4.7 and table 4.1 by the thesis's own rules.
 
 deformscope reproduce chapter4
 deformscope reproduce chapter4 --quick --out figures --json -
@@ -7,6 +7,8 @@ deformscope reproduce chapter4 --quick --out figures --json -
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -27,6 +29,7 @@ from deformscope.pictures.findings import Findings, dict_table
 from deformscope.pictures.report import Table
 from deformscope.reproduce.chapter4 import (
     HARDNESSES_N,
+    OWN,
     SCENARIOS,
     FoamDent,
     Scenario,
@@ -34,7 +37,7 @@ from deformscope.reproduce.chapter4 import (
     press_foam,
     to_text,
 )
-from deformscope.reproduce.chapter4_figures import draw_betas, draw_dents, draw_fields
+from deformscope.reproduce.chapter4_figures import draw_betas, draw_clouds, draw_dents, draw_fields
 from deformscope.session import Step
 
 
@@ -45,9 +48,10 @@ def run(config: Chapter4Config) -> None:
     hardnesses = HARDNESSES_N[1:2] if config.quick else HARDNESSES_N
     scenes = list(SCENARIOS)[:1] if config.quick else list(SCENARIOS)
     jobs = [(scene, seed) for seed in range(1 if config.quick else config.seeds) for scene in scenes]
+    own = replace(OWN, beta_grid_m=config.beta_grid_m, beta_step=config.beta_step, sigma_w_m=config.sigma_w_m)
     with recorder_of(config) as recorder:
-        foams = tried(Trials("foams", press_foam, hardnesses), config.workers)
-        explored = tried(Trials("exploring", explore_scenario, jobs), config.workers)
+        foams = tried(Trials("foams", partial(press_foam, own=own), hardnesses), config.workers)
+        explored = tried(Trials("exploring", partial(explore_scenario, own=own), jobs), config.workers)
         recorder.write(Step((_write(foams, explored, config),)))
 
 
@@ -71,11 +75,12 @@ def _write(foams: Sequence[FoamDent], explored: Sequence[Scenario], config: Chap
     ]
     write_rows(out / "figure45.csv", betas)
     write_rows(out / "table41.csv", [{name: _cell(value) for name, value in row.items()} for row in rows])
+    draw_clouds(foams[0], out / "figure44.png")
     draw_betas(foams, out / "figure45.png")
     draw_dents(foams, out / "figure46.png")
     draw_fields([one for one in explored if one.seed == 0], out / "figure47.png")
     runs = [_run(one) for one in explored]
-    why = to_text(foams, explored)
+    why = to_text(foams, explored, config.beta_step)
     summary = {"betas": betas, "table": rows, "why": why, "explorations": runs}
     write_json(summary, str(out / "chapter4.json"))
     write_json(summary, config.output.json)
@@ -92,6 +97,7 @@ def _write(foams: Sequence[FoamDent], explored: Sequence[Scenario], config: Chap
     say(f"figures and tables: {out}")
     drawn = pictures_of(
         {
+            "Figure 4.4: what the sweep of beta is given": out / "figure44.png",
             "Figure 4.5: beta over hardness": out / "figure45.png",
             "Figure 4.6: dents of the same touch": out / "figure46.png",
             "Figure 4.7: truth, fields of beta, variance and contacts": out / "figure47.png",

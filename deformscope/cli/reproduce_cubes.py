@@ -60,8 +60,9 @@ def run(config: CubesConfig) -> None:
         seconds = {"cubes": made - began, "fits_and_figures": time.perf_counter() - made}
         summary = report(found, sems, times, seconds)
         overview = Table(_rows(summary, found, config), caption=f"{len(found)} cubes")
-        tables = (overview, dict_table(sems, "Spread of theta"), dict_table(times, "Table 3.2"))
-        show(Findings((overview,)))
+        searched = Table(figures.search_summary(figures.search_rows(found)), caption="Searches for theta, same cubes")
+        tables = (overview, dict_table(sems, "Spread of theta"), dict_table(times, "Table 3.2"), searched)
+        show(Findings((overview, searched)))
         recorder.write(Step((Findings(tables, pictures_of(drawn)),)))
     write_json(summary, str(config.out / "cubes.json"))
     write_json(summary, config.output.json)
@@ -116,7 +117,8 @@ def _draw(
         name = "overlapping clusters beside one cluster"
         drawn[name] = out / "clusters.png"
         figures.draw_clusters(drawn[name], found, config.cluster_size)
-    for name, rows in (("cubes.csv", figures.cube_rows(found)), ("sem.csv", sems), ("table-3.2.csv", times)):
+    searches = ("searches.csv", figures.search_rows(found))
+    for name, rows in (("cubes.csv", figures.cube_rows(found)), ("sem.csv", sems), ("table-3.2.csv", times), searches):
         write_rows(out / name, rows)
     return drawn
 
@@ -148,6 +150,7 @@ def report(
                 "one_cluster": both(one.one_cluster),
                 "overlapping_clusters": both(one.overlapping),
                 "ratio": one.ratio,
+                "searches": one.searches,
                 "seconds": one.seconds,
             }
             for one in found
@@ -192,6 +195,11 @@ def _rows(summary: dict[str, Any], found: Sequence[CubeResult], config: CubesCon
         if row["elements_ms"] is not None:
             took += f", finite elements {row['elements_ms']:.0f} ms"
             took += _beside(row["thesis_comsol_ms"], "thesis's COMSOL")
+            took += f", of which direct solver {row['elements_direct_ms']:.0f} ms"
+            took += _beside(row["thesis_sofa_ds_ms"], "thesis's SOFA-DS")
+            took += f"; 25 conjugate gradients {row['elements_cg25_ms']:.3g} ms"
+            took += _beside(row["thesis_sofa_cg_ms"], "thesis's SOFA-CG")
+            took += f", which leave {row['elements_cg25_left']:.0%} of the load"
         rows.append((row["resolution"], took))
     unsettled = [one.cube.name for one in found if not one.theta.converged]
     if unsettled:

@@ -33,6 +33,7 @@ from deformscope.config.reproduce import (
     CubesConfig,
     FoamsConfig,
     PokesConfig,
+    ShapesConfig,
     SqueezesConfig,
     Table41Config,
 )

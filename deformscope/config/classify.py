@@ -51,6 +51,9 @@ class ClassifyConfig(RecordedOptions):
     """Splits of the learning curve, and of each step of a squeeze; 0 = without them."""
     quick: bool = False
     """At most 30 splits, and neither costly classifiers nor a learning curve."""
+    plain_qda: bool = False
+    """Try the thesis's quadratic discriminant analysis too, whose covariances are of one class alone, without shrinkage
+    (`qda-plain`); a class needs more trials than components then."""
     duplicates: Literal["refuse", "drop"] = "refuse"
     """What happens to trials with the same features: they would be recognised across a split."""
     level: flags.LevelFlag = 0.9

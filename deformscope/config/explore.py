@@ -23,6 +23,11 @@ REGION_TOUCHES, INCLUSION_TOUCHES = 8, 30
 MOST_HOLD_S = 60.0
 BORDER_M, LEAST_BORDER_M = 0.02, 0.01
 """No touch is made so near the surface's edge, unless it is asked for; from where on an edge's law was measured."""
+_GRID = flags.Rule(lambda grid: 0.002 <= grid <= 0.02, "a {flag} of 0.002 to 0.02 m")
+BetaGridFlag = Annotated[float, arg(name="beta-grid", metavar="M"), _GRID]
+BetaStepFlag = Annotated[float, flags.Rule(lambda step: 0.001 <= step <= 0.5, "a {flag} of 0.001 to 0.5")]
+_WIDTH = flags.Rule(lambda width: 0.05 <= width <= 10.0, "a {flag} of 0.05 to 10 m")
+SigmaWFlag = Annotated[float, arg(name="sigma-w", metavar="M"), _WIDTH]
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,6 +68,15 @@ class ExploreFlags(Flags):
     beta_model: BetaModel | None = None
     """What beta is fitted with: layers below the surface (volume, default), the thesis's sweep with one held particle
     of a single layer (thesis, default of --planner thesis) or of layers, or none."""
+    beta_grid_m: BetaGridFlag = 0.005
+    """How far apart the particles of the thesis's sweep are, and with --planner thesis the places whose variance is
+    looked at [m]; the thesis's own is the default."""
+    beta_step: BetaStepFlag = 0.01
+    """Step of the thesis's sweep of beta, from 0 to below 1; the thesis's own is the default."""
+    sigma_w_m: SigmaWFlag = 0.5
+    """Width of the kernel of --planner thesis [m]. With --threshold it alone decides how many touches are made, n of
+    table 4.1, whatever they find. The thesis does not print it; the default is such that 60 x 40 cm of one foam take
+    its 3 touches."""
     detail: Detail = "full"
     """What a recording has beside devices, estimates and maps. full: also which pixels were used, and by which rule the
     others were removed, the surface under each touch, the error over beta, what was trained with what weight, force
@@ -113,6 +127,9 @@ class ExploreConfig(ExploreFlags, RecordedOptions):
     set_force_n: Annotated[flags.ForceFlag, arg(name="set-force")] = None
     """Force to press with [N], 5 N at most; default: the rig file's target_force_n, which is 3 N unless it says. Where
     it makes a dent below 2 mm, 5/3 of it (5 N at most) is pressed with."""
+    tangential: Literal["held", "free"] | None = None
+    """While it presses, hold the tip on the surface's normal, or let it follow forces across it, as chapter 4 does;
+    default: as [touch] of the rig file says, in a simulated scene held, with --planner thesis free."""
     dry_run: bool = False
     """Make the first touch 10 cm above the surface, where nothing is met, and end."""
     fault: Annotated[

@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 from tyro.conf import OmitArgPrefixes, arg
 
 from deformscope.config import flags
+from deformscope.config.explore import BetaGridFlag, BetaStepFlag, SigmaWFlag
 from deformscope.config.options import CommandOptions, OutputOptions, RecordedOptions, ViewOptions, either
 
 
@@ -37,6 +38,14 @@ class CubesConfig(RecordedOptions):
 
     def check(self) -> None:
         either("--pairs", "--quick", self.pairs, self.quick)
+
+
+@dataclass(frozen=True, slots=True)
+class ShapesConfig(RecordedOptions):
+    """What beta and theta do to a body (figures 3.5, 3.7 and 3.13 of the thesis): with --record or --viewer, static
+    states whose timelines are beta and theta, to be scrubbed. Some seconds."""
+
+    output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,14 +119,20 @@ class Table41Config(RecordedOptions):
 
 @dataclass(frozen=True, slots=True)
 class Chapter4Config(RecordedOptions):
-    """Thesis chapter 4 by its own rules: figure 4.5 (beta over hardness, by how the model is held and the size of its
-    clusters), 4.6 (dents of foams), 4.7 (fields of beta, isopleths, variance, truth) and table 4.1 with the number of
-    touches at Th. Some 10 minutes on two cores."""
+    """Thesis chapter 4 by its own rules: figure 4.4 (what the sweep of beta is given), 4.5 (beta over hardness, by how
+    the model is held and the size of its clusters), 4.6 (dents of foams), 4.7 (fields of beta, isopleths, variance,
+    truth) and table 4.1 with the number of touches at Th. Some 15 minutes on two cores."""
 
     out: flags.Folder = Path("runs/chapter4")
     """Folder for the figures (PNG), tables (CSV) and chapter4.json; files there are replaced."""
     seeds: flags.ManyFlag = 3
     """Layouts of each scenario, from seed 0 on; figure 4.7 shows the first."""
+    beta_grid_m: BetaGridFlag = 0.005
+    """How far apart the particles are, and the places whose variance is looked at [m]; default: the thesis's."""
+    beta_step: BetaStepFlag = 0.01
+    """Step of the sweep of beta, from 0 to below 1; default: the thesis's."""
+    sigma_w_m: SigmaWFlag = 0.5
+    """Width of the field's kernel [m], which makes the number of touches (`deformscope explore --help`)."""
     quick: bool = False
     """One foam and one scenario."""
     workers: flags.SomeFlag = None

@@ -57,11 +57,11 @@ def fit_beta(
         return _rigid(touched, options) if as_thesis else BetaEstimate("rigid: no dent to fit")
     ball, thickness_m = _ball(touched, fit, arm, options.tip_radius_m), surface.layer.thickness_m
     if options.beta_model == "thesis":
-        return _swept(touched, ball, surface, None)
+        return _swept(touched, ball, surface, None, options)
     if thickness_m is None:
         return BetaEstimate("not fitted: the foam's thickness is not known")
     if options.beta_model == "layers":
-        return _swept(touched, ball, surface, thickness_m)
+        return _swept(touched, ball, surface, thickness_m, options)
     found = fit_touch(surface.process, touched.after_m, ball, thickness_m=thickness_m)
     made = BetaEstimate(
         found.estimate.verdict,
@@ -73,7 +73,7 @@ def fit_beta(
     )
     if not as_thesis:
         return made
-    under = _under(touched, ball, surface)
+    under = _under(touched, ball, surface, options.beta_grid_m)
     return dataclasses.replace(made, dented_m=under.dent.dented_m, surface=under)
 
 
@@ -81,7 +81,7 @@ def touch_surface(
     touched: TouchMeasurement, fit: ContactFit, surface: SeenSurface, arm: ArmCompliance, options: ExploreOptions
 ) -> TouchSurface:
     """The surface under a touch that is not rigid, where `fit_beta` did without."""
-    return _under(touched, _ball(touched, fit, arm, options.tip_radius_m), surface)
+    return _under(touched, _ball(touched, fit, arm, options.tip_radius_m), surface, options.beta_grid_m)
 
 
 def _rigid(touched: TouchMeasurement, options: ExploreOptions) -> BetaEstimate:
@@ -106,11 +106,15 @@ def _ball(touched: TouchMeasurement, fit: ContactFit, arm: ArmCompliance, radius
 
 
 def _swept(
-    touched: TouchMeasurement, ball: BallContact, surface: SeenSurface, thickness_m: float | None
+    touched: TouchMeasurement,
+    ball: BallContact,
+    surface: SeenSurface,
+    thickness_m: float | None,
+    options: ExploreOptions,
 ) -> BetaEstimate:
     """By the thesis's sweep. thickness_m: of the layers below the surface; None: a single layer"""
-    under = _under(touched, ball, surface)
-    swept = thesis_beta(under.dent, thickness_m=thickness_m)
+    under = _under(touched, ball, surface, options.beta_grid_m)
+    swept = thesis_beta(under.dent, thickness_m=thickness_m, step=options.beta_step)
     return BetaEstimate(
         f"thesis: {swept.note}",
         value=swept.beta,
@@ -121,9 +125,9 @@ def _swept(
     )
 
 
-def _under(touched: TouchMeasurement, ball: BallContact, surface: SeenSurface) -> TouchSurface:
+def _under(touched: TouchMeasurement, ball: BallContact, surface: SeenSurface, cell_m: float) -> TouchSurface:
     """The dent as the thesis has it: the touch surface's own process, with virtual points where the ball is."""
     tactile = tactile_points(ball.lowest_m, ball.radius_m, ball.depth_m, normal=touched.normal)
     near = np.abs(touched.after_m[:, :2] - touched.xy_m).max(axis=1) < THESIS_ROI_M
     pressed = fit_surface(touched.after_m[near], known_m=tactile, known_noise_m=np.full(len(tactile), TACTILE_NOISE_M))
-    return TouchSurface(dent_of(surface.process, pressed, touched.xy_m), tactile, pressed.learned)
+    return TouchSurface(dent_of(surface.process, pressed, touched.xy_m, cell_m), tactile, pressed.learned)

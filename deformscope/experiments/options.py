@@ -21,6 +21,8 @@ from deformscope.experiments.quantity import (
 from deformscope.experiments.search import InclusionSearch, RegionSearch, SurfaceSearch, ThesisSearch
 from deformscope.stages.map.inclusion_posterior import InclusionPosterior, InclusionPrior
 from deformscope.stages.map.plan import INCLUSION_M, PlanOptions
+from deformscope.stages.map.thesis_field import SIGMA_W_M, ThesisField
+from deformscope.stages.map.touch_beta import COARSE_GRID_M
 from deformscope.stages.regions.posterior import RegionPosterior, RegionPrior
 from deformscope.stages.regions.touch_error import TouchErrorModel
 from deformscope.stages.regions.touches import MapGrid
@@ -47,7 +49,8 @@ it; or to the other one, where its thickness is not stated."""
 class ExploreOptions(ExploreFlags):
     """How to explore: what can be asked for, what a rig file or a scene says, and what studies set.
 
-    relief: where nothing is said, as in older recordings, the foam is level and as thick as stated
+    relief, beta_grid_m, beta_step, sigma_w_m: where nothing is said, as in older recordings, the foam is level and as
+    thick as stated, and beta is swept over 50 values up to 0.95 (step 0) on a grid of 1 cm, with sigma_w for that
     set_force_n, max_depth_m: of a touch; tip_radius_m: of its ball; thickness_m: of the foam; cell_m: of the maps; seed
     standoff_m: of the tip above the surface before and after a touch, and above all that it crosses
     go_on: touch until the budget is spent, even where the plan says enough (for studies)
@@ -61,6 +64,9 @@ class ExploreOptions(ExploreFlags):
     budget: flags.ManyFlag = REGION_TOUCHES
     beta_model: BetaModel = "volume"
     relief: Relief = "stated"
+    beta_grid_m: float = COARSE_GRID_M
+    beta_step: float = 0.0
+    sigma_w_m: float = SIGMA_W_M
     set_force_n: float = 3.0
     max_depth_m: float = 0.015
     tip_radius_m: float = 0.01
@@ -104,7 +110,8 @@ class ExploreOptions(ExploreFlags):
             planner=self.planner,
             budget=self.budget,
             threshold=self.threshold,
-            cell_m=PLAN_CELL_M,
+            # before the sweep had a step, the planner "thesis" looked at fewer places
+            cell_m=self.beta_grid_m if self.planner == "thesis" and self.beta_step else PLAN_CELL_M,
             inclusion_m=self.inclusion_m,
             touch_s=touch_s,
             speed_m_s=speed_m_s,
@@ -126,8 +133,9 @@ class ExploreOptions(ExploreFlags):
             )
             return InclusionSearch(InclusionPosterior(grid, prior))
         posterior = RegionPosterior.before_touches(grid, RegionPrior(error=error), seed=self.seed)
-        search = ThesisSearch if self.planner == "thesis" else RegionSearch
-        return search(posterior, self.seed)
+        if self.planner == "thesis":
+            return ThesisSearch(posterior, self.seed, thesis=ThesisField(width_m=self.sigma_w_m))
+        return RegionSearch(posterior, self.seed)
 
     def first_place(self, size_m: tuple[float, float], search: SurfaceSearch) -> tuple[FloatArray, str] | None:
         """Where to touch first (2,) [m], and why; None = where it says most."""

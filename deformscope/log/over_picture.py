@@ -15,6 +15,7 @@ from deformscope.log.estimate import log_comparison, log_estimate
 from deformscope.log.findings import RigFindings, log_evidence, log_findings, log_numbers, log_rig_findings
 from deformscope.log.flow import log_flow
 from deformscope.log.particles import log_grid, log_tracked
+from deformscope.log.states import log_states
 from deformscope.log.views import Views, views_of
 from deformscope.pictures.close_up import close_up
 from deformscope.pictures.findings import Findings
@@ -23,6 +24,7 @@ from deformscope.stages.materials.axis_estimate import AxisEstimate
 from deformscope.stages.materials.field_estimate import FieldEstimate
 from deformscope.stages.materials.recovery_estimate import RecoveryEstimate
 from deformscope.stages.materials.yield_estimate import YieldEstimate
+from deformscope.stages.msm.state_sweep import StateSweeps
 from deformscope.stages.see.flow import FlowField
 from deformscope.stages.see.particles import ParticleGrid, Tracked
 from deformscope.stages.see.triangulation import spacing_of
@@ -47,6 +49,7 @@ def picture_views(canvas: Canvas) -> Views[rr.RecordingStream]:
         Estimate: (partial(log_estimate, canvas=canvas),),
         Findings: findings,
         RigFindings: (log_rig_findings,),
+        StateSweeps: (log_states,),
         **dict.fromkeys((AxisEstimate, FieldEstimate, YieldEstimate, RecoveryEstimate), numbers),
     }
 

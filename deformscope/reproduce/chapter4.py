@@ -1,15 +1,15 @@
 """Thesis chapter 4 in the laboratory: beta of foams by how a touch is held, and explorations by its own rules.
 
 Figure 4.5: one touch of 3 N at the same place of each foam, its beta by several ways to hold the model and sizes of its
-clusters. Figures 4.6, 4.7 and table 4.1: the dents, and the fields of beta of the six scenarios. Touches are pressed
-into finite elements and seen by the laboratory's camera, without wires.
+clusters. Figures 4.4, 4.6, 4.7 and table 4.1: what the sweep is given, the dents, and the fields of beta of the six
+scenarios. Touches are pressed into finite elements and seen by the laboratory's camera, without wires.
 """
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Literal, get_args
 
 import numpy as np
@@ -30,15 +30,17 @@ from deformscope.reproduce.foams import format_order
 from deformscope.reproduce.surface_robot import LabRobot, explore_at_once
 from deformscope.stages.map.gaussian_process import ProcessPrediction
 from deformscope.stages.map.map_score import match_regions
-from deformscope.stages.map.thesis_field import ThesisField, contoured
+from deformscope.stages.map.thesis_field import FINE_SIGMA_W_M, ThesisField, contoured
 from deformscope.stages.map.touch_beta import (
-    BOUNDS,
-    THESIS_CELL_M,
+    COARSE_GRID_M,
+    THESIS_GRID_M,
     THESIS_SIDE_M,
+    THESIS_STEP,
     BallContact,
     SeenDent,
     dent_of,
     fit_touch,
+    swept_betas,
     thesis_beta,
 )
 from deformscope.stages.regions.touches import MapGrid
@@ -73,6 +75,12 @@ AROUND_M = 2.0 * THESIS_SIDE_M
 """Material points of the exact dent lie this far across, 2.5 mm apart."""
 
 
+OWN = ExploreOptions(
+    planner="thesis", beta_model="layers", beta_grid_m=THESIS_GRID_M, beta_step=THESIS_STEP, sigma_w_m=FINE_SIGMA_W_M
+)
+"""The thesis's own rules, but for layers below its single one, which stands beside them."""
+
+
 @dataclass(frozen=True, slots=True)
 class HeldBeta:
     """beta of one dent. cluster_size: None = no clusters; error_m: mean distance from simulated to observed points at
@@ -86,19 +94,24 @@ class HeldBeta:
 
 @dataclass(frozen=True, slots=True)
 class FoamDent:
-    """One touch of a foam. dent: as the thesis's process sees it; betas: of every hold and cluster size"""
+    """One touch of a foam. dent: as the thesis's process sees it; betas: of every hold and cluster size
+    seen_m: (n, 3) points of the camera around it meanwhile; ball: that presses, None = not kept"""
 
     hardness_n: float
     depth_m: float
     dent: SeenDent
     betas: tuple[HeldBeta, ...]
+    seen_m: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
+    ball: BallContact | None = None
 
 
-def press_foam(hardness_n: int, cluster_sizes: Sequence[int | None] = CLUSTER_SIZES) -> FoamDent:
+def press_foam(
+    hardness_n: int, cluster_sizes: Sequence[int | None] = CLUSTER_SIZES, own: ExploreOptions = OWN
+) -> FoamDent:
     """Touch a foam in its middle, and fit beta in every way."""
     with threadpool_limits(1):
         scene = built_in(f"homogeneous-{hardness_n}", 0)
-        options = ExploreOptions(planner="thesis", beta_model="thesis", thickness_m=scene.thickness_m)
+        options = replace(own, beta_model="thesis", thickness_m=scene.thickness_m)
         robot = LabRobot(scene, options)
         explorer = UnseenSurface(scene.size_m, options, robot.arm, robot.truth).look(robot.look())
         at = 0.5 * np.asarray(scene.size_m)
@@ -111,7 +124,7 @@ def press_foam(hardness_n: int, cluster_sizes: Sequence[int | None] = CLUSTER_SI
         level = thickness - found.depth_m
         ball = BallContact(np.append(at, level), radius, found.depth_m, found.peak_force_n)
         world = SlabWorld(robot.scene)
-        exact = _exact(world, at, level + radius, radius)
+        exact = _exact(world, at, level + radius, radius, own.beta_grid_m)
         betas: list[HeldBeta] = []
         for size in cluster_sizes:
             for hold, seen, below in (
@@ -119,14 +132,15 @@ def press_foam(hardness_n: int, cluster_sizes: Sequence[int | None] = CLUSTER_SI
                 (HOLDS[1], dent, thickness),
                 (HOLDS[2], exact, thickness),
             ):
-                swept = thesis_beta(seen, thickness_m=below, cluster_size=size)
+                swept = thesis_beta(seen, thickness_m=below, cluster_size=size, step=own.beta_step)
                 betas.append(HeldBeta(hold, size, swept.beta, swept.error_m))
             if size is not None:
                 ours = fit_touch(
                     explorer.surface.process, touched.after_m, ball, thickness_m=thickness, cluster_size=size
                 )
                 betas.append(HeldBeta(HOLDS[3], size, ours.estimate.value, None))
-    return FoamDent(hardness_n, found.depth_m, dent, tuple(betas))
+    near = (np.abs(touched.after_m[:, :2] - at) < 0.5 * THESIS_SIDE_M).all(axis=1)
+    return FoamDent(hardness_n, found.depth_m, dent, tuple(betas), touched.after_m[near], ball)
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,7 +176,7 @@ class BetaField:
     iou: float
 
 
-def explore_scenario(job: tuple[str, int]) -> Scenario:
+def explore_scenario(job: tuple[str, int], own: ExploreOptions = OWN) -> Scenario:
     """Explore a scene from a seed until its variance is below Th; the field by layers, and that of a single layer from
     the same dents: where is touched does not depend on beta."""
     name, seed = job
@@ -170,9 +184,7 @@ def explore_scenario(job: tuple[str, int]) -> Scenario:
         scene = built_in(name, seed)
         if (truth := scene.regions) is None:
             raise InputError("a scene with regions", name, "two-60-150")
-        options = ExploreOptions(
-            planner="thesis", beta_model="layers", budget=MOST_TOUCHES, seed=seed, thickness_m=scene.thickness_m
-        )
+        options = replace(own, budget=MOST_TOUCHES, seed=seed, thickness_m=scene.thickness_m)
         robot = LabRobot(scene, options)
         unseen, found = UnseenSurface(scene.size_m, options, robot.arm, robot.truth), Exploration()
         stages = ExplorationStages(unseen, AsMeasured(scene.size_m, robot.reachable))
@@ -182,9 +194,9 @@ def explore_scenario(job: tuple[str, int]) -> Scenario:
         layers = explorer.search.thesis
         dents = [beta.dent for beta in explorer.betas if beta.value is not None]
         counts = np.cumsum(layers.dented)
-        single = ThesisField()
+        single = ThesisField(width_m=own.sigma_w_m)
         for dent, places_m in zip(dents, np.split(layers.places_m, counts[:-1]), strict=True):
-            single = single.with_touch(places_m, 0.0 if dent is None else thesis_beta(dent).beta)
+            single = single.with_touch(places_m, 0.0 if dent is None else thesis_beta(dent, step=own.beta_step).beta)
     fields = {"layers": _field(layers, truth), "single layer": _field(single, truth)}
     return Scenario(
         scene=name,
@@ -224,13 +236,13 @@ class _Heights:
         return ProcessPrediction(np.asarray(self._between(places_m)), np.zeros(len(places_m)))
 
 
-def _exact(world: SlabWorld, at: FloatArray, middle_m: float, radius_m: float) -> SeenDent:
+def _exact(world: SlabWorld, at: FloatArray, middle_m: float, radius_m: float, cell_m: float) -> SeenDent:
     """The dent of a ball whose middle is held at a height, as it is: every point of the surface where it went."""
-    aside = MapGrid((AROUND_M, AROUND_M), 0.25 * THESIS_CELL_M).centres_m - 0.5 * AROUND_M
+    aside = MapGrid((AROUND_M, AROUND_M), 0.25 * COARSE_GRID_M).centres_m - 0.5 * AROUND_M
     rest = np.column_stack([at + aside, np.full(len(aside), world.scene.thickness_m)])
     contact = world.press(RigidTip(radius=radius_m), np.append(at, middle_m))
     moved = rest + world.displaced_m(contact, rest[:, :2])
-    return dent_of(_Heights(rest), _Heights(moved), at)
+    return dent_of(_Heights(rest), _Heights(moved), at, cell_m)
 
 
 # In words ------------------------------------------------------------------------------------------------------------
@@ -239,11 +251,11 @@ SAME = 0.02
 """Betas of foams that differ by no more count as the same: two steps of the sweep (Algorithm 3)."""
 
 
-def to_text(foams: Sequence[FoamDent], explored: Sequence[Scenario]) -> list[str]:
-    """What figure 4.5 and the explorations show, each sentence from their numbers."""
+def to_text(foams: Sequence[FoamDent], explored: Sequence[Scenario], step: float = THESIS_STEP) -> list[str]:
+    """What figure 4.5 and the explorations show, each sentence from their numbers. step: of the sweep"""
     as_many = sum(len(one.contacts_m) == SCENARIOS[one.scene][0] for one in explored)
     made = f"As many touches as in the thesis in {as_many} of {len(explored)} explorations."
-    return [*_trends(foams), made, *(_format_field(name, explored) for name in explored[0].fields)]
+    return [*_trends(foams), made, *(_format_field(name, explored, swept_betas(step)) for name in explored[0].fields)]
 
 
 def _trends(foams: Sequence[FoamDent]) -> list[str]:
@@ -261,13 +273,13 @@ def _trends(foams: Sequence[FoamDent]) -> list[str]:
     return words
 
 
-def _format_field(name: str, explored: Sequence[Scenario]) -> str:
-    """Of one way to model the dents: how many regions it finds, and between which betas."""
+def _format_field(name: str, explored: Sequence[Scenario], swept: FloatArray) -> str:
+    """Of one way to model the dents: how many regions it finds, and between which of the swept betas (b,)."""
     fields = [(one.fields[name], int(one.truth.max()) + 1) for one in explored]
     right = sum(found.regions == count for found, count in fields)
     betas = [beta for found, _ in fields for beta in found.touches]
     words = f"With {name}, {right} of {len(fields)} explorations have as many regions as there are"
     words += f"; beta is {min(betas):.2f} to {max(betas):.2f}"
-    if max(betas) <= BOUNDS[0] or min(betas) >= BOUNDS[1]:
+    if max(betas) <= swept[0] or min(betas) >= swept[-1]:
         words += ", the end of the sweep for all touches: no isopleth divides them"
     return f"{words}."

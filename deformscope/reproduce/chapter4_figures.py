@@ -11,6 +11,7 @@ import numpy as np
 from deformscope.arrays import FloatArray
 from deformscope.pictures.figures import COLOURS, canvas, figure
 from deformscope.reproduce.chapter4 import CLUSTER_SIZES, HOLDS, SCENARIOS, BetaField, FoamDent, Scenario
+from deformscope.stages.see.cloud import tactile_points
 
 LINE_WIDTH, DPI = 1.6, 130
 TICKS_CM = (-5, 0, 5)
@@ -95,6 +96,32 @@ def draw_dents(foams: Sequence[FoamDent], path: Path) -> None:
     drawn.savefig(path, dpi=DPI, bbox_inches="tight")
 
 
+def draw_clouds(foam: FoamDent, path: Path) -> None:
+    """Figure 4.4: the surface before the touch and under it on the sweep's grid, as the Gaussian process has it; the
+    camera's own points, the virtual ones on the ball, and the particle that is held."""
+    dent, ball, to_cm = foam.dent, foam.ball, np.array([1e2, 1e2, 1e3])
+    low, high = 1e3 * dent.after[:, 2].min(), 1e3 * dent.before[:, 2].max()
+    middle = np.append(dent.before[:, :2].mean(axis=0), 0.0)
+    tactile = np.zeros((0, 3)) if ball is None else tactile_points(ball.lowest_m, ball.radius_m, ball.depth_m)
+    drawn = canvas(11.0, 4.8, layout="constrained")
+    for number, points in enumerate((dent.before, dent.after)):
+        axes: Any = drawn.add_subplot(1, 2, 1 + number, projection="3d", computed_zorder=False)
+        x, y, z = ((points - middle) * to_cm).T
+        axes.scatter(x, y, z, c=z, cmap="viridis", vmin=low, vmax=high, s=7, label="surface on the grid")
+        if number:
+            cloud, virtual = ((some - middle) * to_cm for some in (foam.seen_m, tactile))
+            axes.scatter(*cloud.T, c="0.4", s=1.0, alpha=0.3, label="points of the camera", zorder=0)
+            axes.scatter(*virtual.T, c=COLOURS[1], s=26, label="virtual points on the ball", zorder=3)
+            held = [int(np.argmax(dent.sunk_m))]
+            axes.scatter(x[held], y[held], z[held], c="red", marker="*", s=110, label="held particle x_h", zorder=4)
+        axes.set(zlim=(low - 1.0, high + 1.0), xlabel="x [cm]", ylabel="y [cm]", zlabel="height [mm]")
+        axes.set_title(f"{('before: P0', 'under touch: Pt')[number]}, foam of {foam.hardness_n:g} N")
+        axes.view_init(elev=18.0, azim=-60.0)
+        axes.legend(fontsize=7, loc="upper left")
+    drawn.colorbar(drawn.axes[0].collections[0], ax=drawn.axes, shrink=0.6, label="height [mm]")
+    drawn.savefig(path, dpi=DPI)
+
+
 def draw_fields(scenarios: Sequence[Scenario], path: Path) -> None:
     """Figure 4.7: a row for each scenario: the truth; the field of beta by layers and by a single layer, with its
     isopleths; the variance with the contacts, the first a circle, triangles after it."""
@@ -109,7 +136,7 @@ def draw_fields(scenarios: Sequence[Scenario], path: Path) -> None:
             row[0].text(x, y + LABEL_CM, hardness if hardness == "rigid" else f"{hardness} N", ha="center", va="center")
         row[0].set_title(f"{one.scene}: truth")
         for panel, (model, found) in zip(row[1:3], one.fields.items(), strict=True):
-            image = panel.imshow(found.mean, origin="lower", extent=extent, cmap="viridis", vmin=0.0, vmax=0.9)
+            image = panel.imshow(found.mean, origin="lower", extent=extent, cmap="viridis", vmin=0.0, vmax=1.0)
             _isopleths(panel, found, extent)
             regions = "region" if found.regions == 1 else "regions"
             panel.set_title(f"beta, {model}: {found.regions} {regions} of {SCENARIOS.get(one.scene, (0, 0))[1]}")
@@ -119,6 +146,7 @@ def draw_fields(scenarios: Sequence[Scenario], path: Path) -> None:
         drawn.colorbar(image, ax=row[3], shrink=0.85)
         for panel in (row[0], row[3]):
             _contacts(panel, 1e2 * one.contacts_m, "white" if panel is row[3] else "black")
+        row[0].set_ylabel("y [cm]")
         for panel in row:
             panel.set(xlim=extent[:2], ylim=extent[2:])
             panel.tick_params(labelsize=7)

@@ -16,6 +16,7 @@ from pathlib import PurePath
 from typing import Literal
 
 import numpy as np
+from scipy.sparse.linalg import cg
 from threadpoolctl import threadpool_limits
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
@@ -24,6 +25,7 @@ from deformscope.errors import InputError
 from deformscope.files.arrays_file import read_arrays
 from deformscope.files.pairs import parse_pair
 from deformscope.lab.elasticity import ElasticBox
+from deformscope.reproduce.searches import SearchOutcome, compare_searches
 from deformscope.stages.fit.calibrate import calibrate
 from deformscope.stages.fit.distance import distances
 from deformscope.stages.fit.estimate import Curve, Estimate
@@ -43,6 +45,9 @@ DENSE_GRID = 2001
 
 SAME_DEPTH = 1e-3
 """Depths that differ by less than this share are one depth in the tables."""
+
+CG_STEPS = 25
+"""Of the thesis's SOFA-CG (3.5.1.6)."""
 
 STEPS = 200
 """Time steps that are timed together."""
@@ -72,13 +77,16 @@ class Cube:
 
 @dataclass(frozen=True, slots=True)
 class ElementTime:
-    """What the finite elements of one resolution took. unknowns: of the equations; assemble_s, solve_s: [s], mean over
-    Poisson's ratios"""
+    """What the finite elements of one resolution took, mean over Poisson's ratios. unknowns: of the equations
+    assemble_s, solve_s: by a direct solver [s]; cg_s: by `CG_STEPS` conjugate gradients alone, as the thesis's SOFA-CG
+    does [s]; cg_left: share of the right-hand side that these leave"""
 
     resolution: str
     unknowns: int
     assemble_s: float
     solve_s: float
+    cg_s: float = float("nan")
+    cg_left: float = float("nan")
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,6 +95,7 @@ class CubeResult:
 
     theta: the calibration; curve: the dense grid's errors, thinned; grid_theta, grid_aee: its lowest [m]
     one_cluster, overlapping: lowest error with beta fitted too; None where the comparison was left out
+    searches: the thesis's and ours on the same errors
     equal_share_theta: of the lowest error where the held particles weigh `HELD_SHARE` of the body
     simulated: (K, d) at theta; seconds: [s] for the calibration
     """
@@ -101,6 +110,7 @@ class CubeResult:
     one_cluster: FitBoth | None
     overlapping: FitBoth | None
     seconds: float
+    searches: tuple[SearchOutcome, ...] = ()
 
     @property
     def over_grid(self) -> float:
@@ -130,7 +140,7 @@ def thesis_cubes(
     times: list[ElementTime] = []
     for number, side in enumerate(sides):
         axis = np.linspace(0.0, SIDE_M, side)
-        spent = np.zeros(2)
+        spent = np.zeros(4)
         unknowns = 0
         for place, ratio in enumerate(poisson):
             if progress is not None:
@@ -144,14 +154,28 @@ def thesis_cubes(
             fixed = np.repeat((bottom | top)[:, None], 3, axis=1)
             with threadpool_limits(1):
                 by_depth = box.hold(fixed).solve(pressed).displacement[box.corners]
-            spent += assembled - began, time.perf_counter() - assembled
+            solved = time.perf_counter()
+            spent += assembled - began, solved - assembled, *_few_gradients(box, fixed, pressed)
             unknowns = int(np.count_nonzero(~fixed))
             rest = box.nodes[box.corners]
             held = np.flatnonzero((bottom | top)[box.corners])
             made.extend(_made(rest, by_depth, held, side, ratio, depth) for depth in depths)
         each = spent / len(poisson)
-        times.append(ElementTime(f"{side}^3", unknowns, float(each[0]), float(each[1])))
+        times.append(ElementTime(f"{side}^3", unknowns, *map(float, each)))
     return made, times
+
+
+def _few_gradients(box: ElasticBox, fixed: BoolArray, pressed: FloatArray) -> tuple[float, float]:
+    """Seconds of `CG_STEPS` conjugate gradients on the same equations, and the share that they leave. fixed, pressed:
+    (N, 3) what is prescribed, and the displacements there"""
+    free = np.flatnonzero(~fixed.ravel())
+    own = box.stiffness[free]
+    right = -(own @ np.where(fixed, pressed, 0.0).ravel())
+    own = own[:, free]
+    began = time.perf_counter()
+    with threadpool_limits(1):
+        found, _ = cg(own, right, rtol=0.0, maxiter=CG_STEPS)
+    return time.perf_counter() - began, float(np.linalg.norm(right - own @ found) / np.linalg.norm(right))
 
 
 def _made(rest: FloatArray, by_depth: FloatArray, held: IntArray, side: int, poisson: float, depth: float) -> Cube:
@@ -227,6 +251,7 @@ def examine(cube: Cube, options: CubesConfig, compare: bool) -> CubeResult:
             one_cluster=one,
             overlapping=both,
             seconds=seconds,
+            searches=compare_searches(cube.seen, model, (0.0, 1.0)),
         )
 
 

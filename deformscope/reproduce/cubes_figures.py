@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -74,7 +75,8 @@ def draw_theta(path: Path, found: Sequence[CubeResult]) -> None:
 
 
 def draw_errors(path: Path, found: Sequence[CubeResult]) -> None:
-    """Figure 3.11: error against theta, a panel for each Poisson's ratio above 0; dots are the estimates."""
+    """Figure 3.11: error against theta, a panel for each Poisson's ratio above 0; dots are the estimates, crosses are
+    where Algorithm 2 stops as it is printed."""
     cubes = [one.cube for one in found]
     ratios = sorted({cube.poisson for cube in cubes if cube.poisson > 0.0}) or sorted({c.poisson for c in cubes})
     depths, resolutions = depths_of(cubes), list(dict.fromkeys(cube.resolution for cube in cubes))
@@ -86,11 +88,14 @@ def draw_errors(path: Path, found: Sequence[CubeResult]) -> None:
                 line = LINES[depths.index(depth_of(one.cube, depths)) % len(LINES)]
                 panel.plot(one.curve.parameter, 100.0 * one.curve.aee, line, color=colour, linewidth=1.2)
                 panel.plot([one.theta.value], [100.0 * one.theta.aee], "o", color=colour, markersize=4, clip_on=False)
+                for ended in one.searches[-1:]:
+                    panel.plot([ended.value], [100.0 * ended.aee_m], "x", color=colour, markersize=6, clip_on=False)
             panel.set(title=f"Poisson's ratio {ratio:g}", xlabel="theta", ylabel="AEE [cm]", xlim=(0.0, 1.0))
             panel.set_ylim(bottom=0.0)
         handles = [_line("-", COLOURS[n % len(COLOURS)], name) for n, name in enumerate(resolutions)]
         handles += [_line(LINES[n % len(LINES)], "0.3", depth_name(depth)) for n, depth in enumerate(depths)]
         handles.append(_line("", "0.3", "estimate", marker="o"))
+        handles.append(_line("", "0.3", "Algorithm 2 stops", marker="x"))
         axes.flat[0].legend(handles=handles, fontsize="small", ncols=2)
 
 
@@ -236,6 +241,26 @@ def sem_rows(found: Sequence[CubeResult]) -> list[dict[str, object]]:
     return rows
 
 
+def search_rows(found: Sequence[CubeResult]) -> list[dict[str, Any]]:
+    """One row a cube and a search. theta_off: distance from that of the lowest error"""
+    rows = []
+    for one in found:
+        named = {"poisson": one.cube.poisson, "resolution": one.cube.resolution, "depth_m": one.cube.depth}
+        rows += [{**named, **asdict(by), "theta_off": abs(by.value - one.theta.value)} for by in one.searches]
+    return rows
+
+
+def search_summary(rows: Sequence[dict[str, Any]]) -> list[tuple[str, str]]:
+    """Of each search over all cubes: what it needs, and how far off its theta is."""
+    said = []
+    for name in dict.fromkeys(row["search"] for row in rows):
+        some = [row for row in rows if row["search"] == name]
+        count, off = (np.array([row[of] for row in some]) for of in ("evaluations", "theta_off"))
+        words = f"{np.median(count):.0f} static states ({count.max()} at most), theta off by {np.median(off):.4f}"
+        said.append((name, f"{words} ({off.max():.3f} at most, .05 or more in {(off >= 0.05).sum()} of {len(off)})"))
+    return said
+
+
 def time_rows(ours: Sequence[ModelTime], elements: Sequence[ElementTime]) -> list[dict[str, object]]:
     """Table 3.2 [ms]: our times, and the thesis's as printed where it has that resolution."""
     solved = {one.resolution: one for one in elements}
@@ -251,6 +276,9 @@ def time_rows(ours: Sequence[ModelTime], elements: Sequence[ElementTime]) -> lis
                 "msm_theta_ms": 1e3 * one.theta,
                 "elements_ms": None if fem is None else 1e3 * (fem.assemble_s + fem.solve_s),
                 "elements_unknowns": None if fem is None else fem.unknowns,
+                "elements_direct_ms": None if fem is None else 1e3 * fem.solve_s,
+                "elements_cg25_ms": None if fem is None else 1e3 * fem.cg_s,
+                "elements_cg25_left": None if fem is None else fem.cg_left,
                 "thesis_msm_frame_ms": msm,
                 "thesis_comsol_ms": comsol,
                 "thesis_sofa_cg_ms": cg,

@@ -268,4 +268,5 @@ def options_of(config: ClassifyConfig, transfer: tuple[tuple[str, str], ...]) ->
     splits = config.splits, config.costly_splits, config.curve_splits
     if config.quick:
         splits = min(config.splits, QUICK_SPLITS), 0, 0
-    return EvaluationOptions(*splits, level=config.level, seed=config.output.seed, transfer=transfer)
+    seed, plain = config.output.seed, config.plain_qda
+    return EvaluationOptions(*splits, level=config.level, seed=seed, transfer=transfer, plain_qda=plain)

@@ -99,6 +99,7 @@ def explore_on(config: ExploreConfig, report: Callable[[ExplorationResult], None
         camera=config.camera,
         robot=config.robot,
         removal=config.removal,
+        tangential=config.tangential,
     )
     setup, options = opening.setup, opening.options
     _check_first(config, setup)

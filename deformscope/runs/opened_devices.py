@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from deformscope.errors import InputError
 
@@ -52,12 +52,14 @@ def setup_of(
     camera: str = "plain",
     robot: str = "plain",
     removal: Removal | None = None,
+    tangential: Literal["held", "free"] | None = None,
 ) -> Opening:
     """The setup of `lab:NAME` or of a rig file, closed.
 
     set_force_n: None = as the rig file says; trusted: as for `deformscope.rig.rig_file.load_rig`; clean: the laboratory
     keeps nothing from the estimator; camera: what its camera measures by; robot: what it
-    sees of the robot; removal: how that is taken out of its pictures
+    sees of the robot; removal: how that is taken out of its pictures; tangential: of a touch, None = as the rig file
+    says, in the laboratory free where `options` are the thesis's
     """
     if name.startswith(LAB):
         from deformscope.experiments.measured import highest_m
@@ -69,7 +71,8 @@ def setup_of(
         from deformscope.robot.description import AS_CAPSULES
 
         scene = built_in(name.removeprefix(LAB), options.seed)
-        options = dataclasses.replace(options, thickness_m=scene.thickness_m)
+        across = tangential or ("free" if options.planner == "thesis" else "held")
+        options = dataclasses.replace(options, thickness_m=scene.thickness_m, tangential=across)
         if set_force_n is not None:
             options = dataclasses.replace(options, set_force_n=set_force_n)
         parked_m = highest_m(options)
@@ -104,7 +107,7 @@ def setup_of(
         tip_radius_m=rig.tool.radius_m,
         thickness_m=rig.surface.top_m,
         thickness_stated=rig.surface.thickness_m is not None,
-        tangential=rig.touch.tangential,
+        tangential=tangential or rig.touch.tangential,
     )
     settings = {"rig": rig.text, "rig_name": rig.name, "scene": rig.surface.scene}
     return Opening(setup_of_rig(rig, options.seed), options, settings)

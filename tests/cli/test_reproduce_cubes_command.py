@@ -21,7 +21,7 @@ TOP = {
     *("sem", "table_3_2", "seconds"),
 }
 FIGURES = {"figure-3.10.png", "figure-3.11.png", "resolution.png", "clusters.png"}
-TABLES = {"cubes.csv", "sem.csv", "table-3.2.csv", "cubes.json"}
+TABLES = {"cubes.csv", "sem.csv", "table-3.2.csv", "searches.csv", "cubes.json"}
 
 
 @pytest.fixture

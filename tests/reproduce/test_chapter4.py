@@ -19,7 +19,7 @@ from deformscope.reproduce.chapter4 import (
     explore_scenario,
     press_foam,
 )
-from deformscope.reproduce.chapter4_figures import draw_betas, draw_dents, draw_fields
+from deformscope.reproduce.chapter4_figures import draw_betas, draw_clouds, draw_dents, draw_fields
 from deformscope.stages.map.touch_beta import SeenDent
 from deformscope.stages.regions.touches import MapGrid
 
@@ -55,10 +55,11 @@ def made_scenario(scene: str, touches: int) -> Scenario:
 @pytest.mark.slow  # matplotlib at the size of a page; `reproduce chapter4` is looked at
 def test_figures_are_drawn(tmp_path: Path) -> None:
     foams = [made_foam(60), made_foam(150)]
+    draw_clouds(foams[0], tmp_path / "44.png")
     draw_betas(foams, tmp_path / "45.png")
     draw_dents(foams, tmp_path / "46.png")
     draw_fields([made_scenario("two-150-rigid", 3), made_scenario("two-60-150", 1)], tmp_path / "47.png")
-    for name in ("45", "46", "47"):
+    for name in ("44", "45", "46", "47"):
         assert (tmp_path / f"{name}.png").read_bytes().startswith(PNG)
 
 
@@ -70,11 +71,11 @@ def test_a_row_of_table_4_1_has_the_thesis_beside_ours() -> None:
 
 @pytest.mark.slow  # whole touches, many sweeps
 def test_beta_falls_with_firmness_by_the_exact_surface_and_not_in_a_single_layer() -> None:
-    soft, firm = press_foam(30, (3,)), press_foam(300, (3,))
+    soft, firm = press_foam(30, (2, 3)), press_foam(150, (2, 3))
     found = {(one.hold, one.cluster_size): [one.beta] for one in soft.betas}
     for one in firm.betas:
         found[one.hold, one.cluster_size].append(one.beta)
-    first, second = found[HOLDS[2], 3]
+    first, second = found[HOLDS[2], 2]
     assert first > second + 0.1
     assert max(found[HOLDS[0], 3]) < 0.1
 
@@ -96,6 +97,7 @@ def test_the_command_writes_what_it_names(tmp_path: Path, capsys: pytest.Capture
     written = {path.name for path in tmp_path.iterdir()}
     assert written == {
         "chapter4.json",
+        "figure44.png",
         "figure45.csv",
         "figure45.png",
         "figure46.png",

@@ -25,9 +25,13 @@ from deformscope.stages.regions.touches import MapGrid
 
 SIGMA_E, SIGMA_W_M, SIGMA_N = 1.0, 0.6, 0.05
 """Of the kernel (eq. 4.5) and of the noise. The thesis prints none of them ("empirically estimated based on a set of
-experiments"). With this sigma_e, Th = 0.06 is a share of the variance before any touch. sigma_w was chosen on tuning
-seeds (`studies.seeds`) such that 60 x 40 cm of one foam take the 3 touches of its table 4.1, where a touch
-dents a circle of 2.3 cm; they take 4 to 6 at 0.5 m, 5 to 7 at 0.4 m."""
+experiments"). With this sigma_e, Th = 0.06 is a share of the variance before any touch. sigma_w is what makes n = 3: it
+was chosen on tuning seeds (`studies.seeds`) such that 60 x 40 cm of one foam take the 3 touches of its table 4.1, where
+a touch dents a circle of 2.3 cm, on a grid of 1 cm; they take 4 to 6 at 0.5 m, 5 to 7 at 0.4 m."""
+
+FINE_SIGMA_W_M = 0.5
+"""The same on the thesis's grid of 0.5 cm, on which a dent has four times as many places, each of which counts as a
+measurement: 3 touches for 21 of 24 tuning seeds, 4 for the others (0.6 m: 2 for 5 of them; 0.45 m: 4 to 6 for 23)."""
 
 FIRST_SHARE = (0.25, 0.5)
 """The place that is touched first unless another is asked for, in shares of the surface: one is preset (Thesis 4.5)."""
@@ -39,12 +43,13 @@ APART = 0.1
 @dataclass(frozen=True, slots=True)
 class ThesisField:
     """places_m: (n, 2) dented ones of all touches [m]; beta: (n,) of their touches
-    touches: beta of each touch; dented: number of its places"""
+    touches: beta of each touch; dented: number of its places; width_m: sigma_w of the kernel"""
 
     places_m: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
     beta: FloatArray = field(default_factory=lambda: np.zeros(0))
     touches: tuple[float, ...] = ()
     dented: tuple[int, ...] = ()
+    width_m: float = SIGMA_W_M
 
     def with_touch(self, dented_m: FloatArray, beta: float) -> ThesisField:
         """After a touch that dented places (m, 2) [m]."""
@@ -58,7 +63,7 @@ class ThesisField:
 
     def at(self, places_m: FloatArray) -> ProcessPrediction:
         """Mean (m,) and deviation (m,) at places (m, 2) [m] (Thesis eq. 4.3 and 4.4)."""
-        kernel = Kernel(SIGMA_E, SIGMA_W_M)
+        kernel = Kernel(SIGMA_E, self.width_m)
         if not len(self.places_m):
             return ProcessPrediction(np.zeros(len(places_m)), np.full(len(places_m), SIGMA_E))
         with threadpool_limits(1):

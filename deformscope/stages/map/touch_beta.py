@@ -44,7 +44,10 @@ RINGS, SPOKES = 4, 12
 FEWEST = 20
 """Points near a touch at least."""
 
-THESIS_CANDIDATES, THESIS_SIDE_M, THESIS_CELL_M = 50, 0.15, 0.01
+THESIS_SIDE_M, THESIS_GRID_M, THESIS_STEP = 0.15, 0.005, 0.01
+"""Side of the square around a touch; the thesis's grid (4.4) and step of the sweep of beta (Algorithm 3)."""
+COARSE_GRID_M, COARSE_CANDIDATES = 0.01, 50
+"""The grid, and the values of beta over `BOUNDS`, of recordings that say nothing of them."""
 
 DENTED = 0.1
 """Share of the deepest by which a place has sunk that counts as dented."""
@@ -204,14 +207,16 @@ def _contact(touch: BallContact) -> tuple[FloatArray, FloatArray]:
 
 @dataclass(frozen=True, slots=True)
 class SeenDent:
-    """A square of the surface around a touch, on cells of `THESIS_CELL_M`, before it and under it (Thesis 4.4).
+    """A square of the surface around a touch, on a grid, before it and under it (Thesis 4.4).
 
-    before, after: (p, 3) at the same places [m]; shape: (rows, columns); sd_m: (p,) deviation of the heights under it
+    before, after: (p, 3) at the same places [m]; shape: (rows, columns); cell_m: how far apart they are
+    sd_m: (p,) deviation of the heights under it
     """
 
     before: FloatArray
     after: FloatArray
     shape: tuple[int, int]
+    cell_m: float = COARSE_GRID_M
     sd_m: FloatArray = field(default_factory=lambda: np.zeros(0))
 
     @property
@@ -226,14 +231,21 @@ class SeenDent:
         return np.asarray(self.before[sunk >= DENTED * sunk.max(), :2])
 
 
-def dent_of(world: SurfaceHeights, touched: SurfaceHeights, place_m: FloatArray) -> SeenDent:
+def dent_of(
+    world: SurfaceHeights, touched: SurfaceHeights, place_m: FloatArray, cell_m: float = COARSE_GRID_M
+) -> SeenDent:
     """The square of `THESIS_SIDE_M` around a place (2,) [m]. world, touched: the surface before and under touch, the
-    latter with the tactile points"""
-    grid = MapGrid((THESIS_SIDE_M, THESIS_SIDE_M), THESIS_CELL_M)
+    latter with the tactile points; cell_m: of the grid"""
+    grid = MapGrid((THESIS_SIDE_M, THESIS_SIDE_M), cell_m)
     places_m = np.asarray(place_m)[:2] - 0.5 * THESIS_SIDE_M + grid.centres_m
     rest, under = world.at(places_m), touched.at(places_m)
     before, after = (np.column_stack([places_m, one.mean]) for one in (rest, under))
-    return SeenDent(before, after, grid.shape, sd_m=under.deviation)
+    return SeenDent(before, after, grid.shape, cell_m, under.deviation)
+
+
+def swept_betas(step: float) -> FloatArray:
+    """(b,) what the sweep tries: 0, step, 2 step... below 1 (Algorithm 3); with a step of 0 the coarse sweep."""
+    return step * np.arange(np.ceil(1.0 / step - 1e-9)) if step else np.linspace(*BOUNDS, COARSE_CANDIDATES)
 
 
 @dataclass(frozen=True, slots=True)
@@ -259,12 +271,17 @@ class ThesisBeta:
 
 
 def thesis_beta(
-    dent: SeenDent, *, thickness_m: float | None = None, cluster_size: int | None = CLUSTER_SIZE
+    dent: SeenDent,
+    *,
+    thickness_m: float | None = None,
+    cluster_size: int | None = CLUSTER_SIZE,
+    step: float = 0.0,
 ) -> ThesisBeta:
     """beta as in Thesis 4.3, 4.4 and Algorithm 3: the lowest point of the surface under touch is held, beta is swept.
 
     thickness_m: layers down to a ground that is held, this far below; default a single layer, as the thesis has it
     cluster_size: particles a side; None: one cluster of all, which deforms quadratically (the thesis's "no cluster")
+    step: of the sweep (`swept_betas`)
     A single layer, all bending, dents wider than foam on a table does, whatever beta: on finite element slabs of 20 to
     120 kPa with a square of 15 cm beta is 0 for all but the smoothest dents. One held particle of a volume lattice
     follows firmness: 0.55 to 0.14 there.
@@ -276,7 +293,7 @@ def thesis_beta(
     edge = (row == 0) | (row == shape[0] - 1) | (column == 0) | (column == shape[1] - 1)
     if edge[lowest]:
         raise InputError("a dent inside the square", "the lowest point at its edge", "a place nearer to the touch")
-    layers = 1 if thickness_m is None else max(2, round(thickness_m / THESIS_CELL_M) + 1)
+    layers = 1 if thickness_m is None else max(2, round(thickness_m / dent.cell_m) + 1)
     rest = np.repeat(before[:, None], layers, axis=1)
     if thickness_m is not None:
         rest[:, :, 2] -= thickness_m * np.arange(layers - 1, -1, -1) / (layers - 1)
@@ -291,11 +308,11 @@ def thesis_beta(
         grouped = clusters.lattice(rest, lattice, np.arange(len(rest)), cluster_size)
         law = Law(0.0, cluster_size=cluster_size)
     scene = PokeSetup(
-        rest=rest, clusters=grouped, fixed=np.flatnonzero(fixed), open=top, toward=DOWN, spacing=THESIS_CELL_M
+        rest=rest, clusters=grouped, fixed=np.flatnonzero(fixed), open=top, toward=DOWN, spacing=dent.cell_m
     )
     here = top[[lowest]]
     body = hold(scene, here, law, "float32", "cpu")
-    beta = np.linspace(*BOUNDS, THESIS_CANDIDATES)
+    beta = swept_betas(step)
     laws = [replace(law, beta=float(one)) for one in beta]
     state = settle(scene, body, laws, here, after[[lowest]], slips=False, start=None)
     surface = np.asarray(state.position, dtype=np.float64)[:, top]

@@ -29,9 +29,10 @@ LINEAR_COMPONENTS = 200
 SHARES = (0.001, 0.01, 0.03, 0.1, 0.2, 0.4, 0.7, 1.0)
 """Of the unit matrix in the linear classifier's covariance: what is tried."""
 
-Name = Literal["knn", "qda", "knn-raw", "qda-raw", "linear"]
+Name = Literal["knn", "qda", "knn-raw", "qda-raw", "linear", "qda-plain"]
 NAMES: tuple[Name, ...] = ("knn", "qda", "knn-raw", "qda-raw", "linear")
-"""knn, qda: on the components that hold 80 % of the variance; the others on all of them."""
+"""knn, qda: on the components that hold 80 % of the variance; the others on all of them. qda-plain, which is none of
+these, is the thesis's: qda without shrinkage, tried where it is asked for, and never pooled with others."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,18 +171,22 @@ def pooled_covariance(about: FloatArray, free: int) -> FloatArray:
     return np.asarray(shrunk * (count / max(free, 1)))
 
 
-def fit_quadratic(points: FloatArray, target: IntArray, classes: int) -> Quadratic:
+def fit_quadratic(points: FloatArray, target: IntArray, classes: int, *, shrink: bool = True) -> Quadratic:
     """Each class's covariance is weighed with the pooled one as if d + 2 more points had been seen of that: the mean of
     an inverse Wishart posterior. A class of few points rests on the pooled one. points: (n, d) features; target: (n,)
-    class of each"""
+    class of each; shrink: else a covariance is that of its class alone, but for 1e-9 of the pooled variance, without
+    which a class of fewer points than d would have none"""
     count, mean, about = _moments(points, target, classes)
     size = points.shape[1]
     pooled = pooled_covariance(about, len(points) - int((count > 0).sum()))
-    prior = size + 2.0
+    if not shrink:
+        pooled = 1e-9 * np.eye(size) * float(np.trace(pooled)) / max(size, 1)
+    prior = size + 2.0 if shrink else 0.0
     factor = np.tile(np.eye(size), (classes, 1, 1))
     for one in np.flatnonzero(count):
         mine = about[target == one]
-        factor[one] = np.linalg.cholesky((mine.T @ mine + prior * pooled) / (count[one] - 1 + prior))
+        free = max(count[one] - 1 + prior, 1.0)
+        factor[one] = np.linalg.cholesky((mine.T @ mine + (prior or free) * pooled) / free)
     return Quadratic(mean, factor, count > 0)
 
 
@@ -239,7 +244,7 @@ def linear_share(points: FloatArray, target: IntArray, classes: int) -> float:
 
 def columns_of(name: Name, kept: int) -> int | None:
     """So many components a classifier of that name takes; None = all."""
-    return {"knn": kept, "qda": kept, "knn-raw": None, "qda-raw": None, "linear": LINEAR_COMPONENTS}[name]
+    return {"knn-raw": None, "qda-raw": None, "linear": LINEAR_COMPONENTS}.get(name, kept)
 
 
 def usable(name: Name, raw: int) -> bool:

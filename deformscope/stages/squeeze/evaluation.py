@@ -50,7 +50,7 @@ SURE = 0.9
 class EvaluationOptions:
     """splits: of the fast methods; costly_splits: of boosting and Gaussian process, 0 = none; curve_splits: of the
     learning curve and the time steps, 0 = none; protocols: None = those that the table allows; level: of intervals;
-    transfer: (training, tested) patterns of kinds or groups; workers: threads"""
+    transfer: (training, tested) patterns of kinds or groups; workers: threads; plain_qda: the thesis's too"""
 
     splits: int = 200
     costly_splits: int = 10
@@ -60,6 +60,7 @@ class EvaluationOptions:
     seed: int = 0
     transfer: tuple[tuple[str, str], ...] = ()
     workers: int = 1
+    plain_qda: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,7 +170,7 @@ def evaluate(
     transfers = _transfers(beyond, options.transfer, notes)
     runner = _Runner(table, options, progress)
     others = _Runner(beyond, options, progress)
-    fast: tuple[Method, ...] = (*NAMES, "pooled", "late-fusion")
+    fast: tuple[Method, ...] = (*NAMES, *(("qda-plain",) if options.plain_qda else ()), "pooled", "late-fusion")
     scores: list[ClassificationScore] = []
     outcomes: dict[Key, list[Answers]] = {}
     drawn: list[Split] = []

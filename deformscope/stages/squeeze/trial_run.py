@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
-from deformscope.stages.squeeze.classifiers import NAMES, Name, columns_of, fit, usable
+from deformscope.stages.squeeze.classifiers import NAMES, Name, columns_of, fit, fit_quadratic, usable
 from deformscope.stages.squeeze.components import Space, fit_scaling, project
 from deformscope.stages.squeeze.fusion import Fitted, everywhere, fit_expert, fit_pool, fuse
 from deformscope.stages.squeeze.splits import Split
@@ -159,6 +159,10 @@ def run_split(
                 columns = columns_of(name, space.kept)
                 classifier = fit(name, space.train[:, :columns], truth, classes, groups)
                 said[name] = classifier.log_posterior(space.test[:, :columns])
+        if "qda-plain" in methods:
+            columns = space.kept
+            plain = fit_quadratic(space.train[:, :columns], truth, classes, shrink=False)
+            said["qda-plain"] = plain.log_posterior(space.test[:, :columns])
         for name in (one for one in said if one in methods):
             count = min(columns_of(name, space.kept) or space.train.shape[1], space.train.shape[1])
             found[modality, name] = answers_of(sides.test, said[name], target[sides.test], count)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.stats import multivariate_normal
 from sklearn.datasets import load_digits
 from sklearn.decomposition import PCA
 from sklearn.discriminant_analysis import LinearDiscriminantAnalysis, QuadraticDiscriminantAnalysis
@@ -103,6 +104,19 @@ def test_of_many_points_the_gaussians_are_scikit_learns() -> None:
     # The clouds' covariance is the unit matrix, to which ours is shrunk; theirs has the errors of the sample.
     ours = np.exp(fit_linear(points, target, 3).log_posterior(points))
     np.testing.assert_allclose(ours, linear.predict_proba(points), atol=0.04)
+
+
+def test_without_shrinkage_a_covariance_is_its_classs_own() -> None:
+    """Few points of unequal spread, where shrinkage would change the posterior."""
+    table = blobs(classes=3, each=12, columns=4, apart=1.5, seed=3)
+    points, target = table.modalities["touch"] * [1.0, 3.0, 0.5, 1.0], table.target
+    classes = [points[target == one] for one in range(3)]
+    density = np.stack([multivariate_normal(one.mean(axis=0), np.cov(one.T)).pdf(points) for one in classes], axis=1)
+    theirs = density / density.sum(axis=1, keepdims=True)
+
+    plain, shrunk = (np.exp(fit_quadratic(points, target, 3, shrink=on).log_posterior(points)) for on in (False, True))
+    np.testing.assert_allclose(plain, theirs, atol=1e-6)
+    assert np.abs(shrunk - theirs).max() > 0.01
 
 
 def test_the_share_of_the_unit_matrix_is_that_of_the_least_loss_when_points_are_left_out_one_by_one() -> None:

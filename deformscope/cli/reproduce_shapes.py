@@ -1,0 +1,20 @@
+"""`deformscope reproduce shapes --record msm.rrd`: what beta and theta do to a body, as a recording to scrub."""
+
+from __future__ import annotations
+
+from deformscope.cli.common import quiet_warp, recorder_of, say, write_json
+from deformscope.config.reproduce import ShapesConfig
+from deformscope.reproduce.shapes import all_sweeps
+from deformscope.session import Step
+from deformscope.stages.msm.state_sweep import StateSweeps
+
+
+def run(config: ShapesConfig) -> None:
+    """Solve, record and write."""
+    quiet_warp()
+    with recorder_of(config) as recorder:
+        sweeps = all_sweeps()
+        recorder.write(Step((StateSweeps(sweeps),)))
+    for one in sweeps:
+        say(one.to_text())
+    write_json(sweeps, config.output.json)

@@ -1,0 +1,38 @@
+"""Static states of bodies over beta or theta: what the two parameters do (Thesis figures 3.5, 3.7 and 3.13)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from deformscope.arrays import BoolArray, FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class StateSweep:
+    """A lattice of particles in the plane, or one layer of one in space, seen from the side.
+
+    over: which parameter; value: (n,) of it; rest: (rows, columns, 2), position: (n, rows, columns, 2) [m]
+    held: (rows, columns) particles whose position is prescribed; measure: (n,) of the body, which `measured` names
+    """
+
+    name: str
+    over: Literal["beta", "theta"]
+    value: FloatArray
+    rest: FloatArray
+    position: FloatArray
+    held: BoolArray
+    measured: str
+    measure: FloatArray
+
+    def to_text(self) -> str:
+        """What it measures at both ends of the parameter."""
+        ends = (f"{self.measure[at]:.1f} at {self.over} {self.value[at]:g}" for at in (0, -1))
+        return f"{self.name}: {self.measured}: {', '.join(ends)}"
+
+
+@dataclass(frozen=True, slots=True)
+class StateSweeps:
+    """Several of them, to be looked at together."""
+
+    sweeps: tuple[StateSweep, ...]
