@@ -58,6 +58,7 @@ from deformscope.stages.map.perception import LookPerception, Perception, TouchP
 from deformscope.stages.squeeze.events import SqueezeEvents
 from deformscope.stages.squeeze.placement import ContainerSighting, HandPlacement
 from deformscope.stages.squeeze.trial import (
+    ContainerChange,
     ContentPosterior,
     FingertipPressure,
     SqueezeFeatures,
@@ -95,6 +96,7 @@ SqueezeResult = (
     | SqueezeFeatures
     | FingertipPressure
     | TrackedContainer
+    | ContainerChange
     | ContentPosterior
     | ContainerSighting
     | HandPlacement
@@ -124,6 +126,7 @@ ENTITIES: dict[type, str] = {
     SqueezeFeatures: "squeeze/features",
     FingertipPressure: "squeeze/fingertips",
     TrackedContainer: "squeeze/container",
+    ContainerChange: "squeeze/change",
     ContentPosterior: "squeeze/content",
     ContainerSighting: "squeeze/sighting",
     HandPlacement: "squeeze/placement",

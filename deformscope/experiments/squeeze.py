@@ -5,8 +5,9 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
@@ -28,7 +29,7 @@ class Squeezed:
     """What came of it so far, whatever ends it.
 
     features: with its events, None where there are none; posterior: what a model takes its content for
-    stop, stop_ns: why and when it ended before its time
+    stop, stop_ns: why and when it ended before its time; untracked: why the container was not tracked on, or empty
     placement, sightings: of an arm that placed the hand; withdrawal: why it stopped on its way back
     """
 
@@ -39,6 +40,7 @@ class Squeezed:
     placement: HandPlacement | None = None
     sightings: list[ContainerSighting] = field(default_factory=list)
     withdrawal: SqueezeStop | None = None
+    untracked: str = ""
 
 
 def squeeze(
@@ -64,6 +66,9 @@ def squeeze(
         yield from ask(PreShape())
         if placed is not None:
             yield from placed
+        if found.placement is not None:
+            frames.T_hand_container = found.placement.T_hand_container
+        yield from _tracked(observer)  # what tracks has begun
         yield from ask(SqueezeOnce())
     except SqueezeEnded as ended:
         found.stop, found.stop_ns = ended.stop, ended.time_ns
@@ -79,10 +84,10 @@ def squeeze(
         came_to = () if found.placement is None else (found.placement,)
         yield Step((ended.stop, *came_to), moment=Moment(ended.time_ns))
     yield from ask(HandWait(0.0))  # what the devices gave last is taken in
-    if found.placement is not None:
-        geometry = replace(geometry, T_hand_container=found.placement.T_hand_container)
+    yield from _tracked(observer)
+    found.untracked, tracked = observer.tracking.failed, tuple(observer.tracking.found)
     try:
-        computed: TrialFeatures = yield from ask(Compute(trial_features, (frames, geometry), "features"))
+        computed: TrialFeatures = yield from ask(Compute(trial_features, (frames, geometry, tracked), "features"))
         posterior = None if name is None else posterior_of(computed, name)
     except Exception as error:
         words = " ".join(str(error).split())
@@ -97,6 +102,13 @@ def squeeze(
     if posterior is not None:
         # once the last answer by touch alone was given, so that this one stays in view
         yield Step((posterior,), moment=Moment(frames.open_ns))
+
+
+def _tracked(observer: SqueezeObserver) -> RigExperiment[None]:
+    """Until all that came is tracked."""
+    while (waiting := observer.tracking.waiting) is not None:
+        with contextlib.suppress(Exception):  # `failed` then says why
+            yield from ask(waiting)  # what is recorded meanwhile is taken in
 
 
 def posterior_of(computed: TrialFeatures, name: Name) -> ContentPosterior:

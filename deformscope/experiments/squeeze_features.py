@@ -3,48 +3,42 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from pathlib import Path
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import msgspec
 import numpy as np
 import numpy.typing as npt
 
-from deformscope.arrays import BoolArray, FloatArray
-from deformscope.capsule import Capsule, moved
+from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 from deformscope.experiments.squeeze_frames import SqueezeFrames, frame_ns
-from deformscope.frames import DepthFrame, HandFrame
+from deformscope.experiments.squeeze_tracking import (
+    REST_IMAGES,
+    ContainerImage,
+    ContainerTracker,
+    TrackedImage,
+)
+from deformscope.frames import HandFrame
 from deformscope.results.declared import reported
 from deformscope.rig.squeeze_sections import ContainerSection, HandSection
-from deformscope.robot.mesh_files import read_meshes
 from deformscope.robot.setup import CameraView
-from deformscope.robot.squeeze_plan import PAD_ALONG_M, hand_capsules
 from deformscope.robot.squeeze_setup import SqueezeSetup
 from deformscope.robot.squeeze_supervisor import gap_m
 from deformscope.stages.see.cloud import Intrinsics
-from deformscope.stages.squeeze.container import ContainerModel, ModelRenderer
 from deformscope.stages.squeeze.events import SqueezeEvents
-from deformscope.stages.squeeze.outline import outline_px
-from deformscope.stages.squeeze.patch import DepthChange, around, depth_change, filled, hand_pixels, median_of
+from deformscope.stages.squeeze.patch import filled
 from deformscope.stages.squeeze.physical import physical_features
 from deformscope.stages.squeeze.tactile import series_of, tactile_feature
-from deformscope.stages.squeeze.track import PoseEstimate, locate, track
-from deformscope.stages.squeeze.trial import SqueezeFeatures, TrackedContainer
+from deformscope.stages.squeeze.trial import SqueezeFeatures
 from deformscope_drivers.arm.kinematics import rotation_from_euler_xyz, transform
-from deformscope_drivers.depth_camera.image import depth_m
-from deformscope_drivers.sdh.kinematics import DISTAL_LINK_M, finger_points
 
-REST_IMAGES, STEADY_IMAGES = 5, 3
-"""Depth images whose median is taken together, before the first contact and from the steady state on."""
-TRACK_HZ = 5.0
-"""Of the images between them, so many a second are tracked."""
+STEADY_IMAGES = 3
+"""Depth images whose median is taken together, from the steady state on."""
 AROUND = 0.6
 """Room on each side of the container in a picture, as a share of its larger side there."""
-DENT_M = 0.035
-"""The wall is no part of a rigid container within this of a fingertip."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -120,13 +114,12 @@ class SqueezeGeometry:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrialFeatures:
-    """What was computed of a squeeze. tracked: each with its image's time [ns], in order; poses: the same with all that
-    is known of them; vision_series: (k, 121) the small change of depth every 0.1 s since first contact, None = none"""
+    """What was computed of a squeeze. tracked: in order of time, then the steady state; vision_series: (k, 121) the
+    small change of depth every 0.1 s since first contact, None = none"""
 
     events: SqueezeEvents
     features: SqueezeFeatures = field(metadata=reported(flat=True))
-    tracked: tuple[tuple[int, TrackedContainer], ...] = ()
-    poses: tuple[PoseEstimate, ...] = ()
+    tracked: tuple[TrackedImage, ...] = ()
     vision_series: FloatArray | None = None
 
     @property
@@ -145,14 +138,17 @@ class TrialFeatures:
         return found
 
     def steps(self) -> list[tuple[int, tuple[object, ...]]]:
-        """Results, and when on the devices' clock they belong."""
-        found: list[tuple[int, tuple[object, ...]]] = [(when, (one,)) for when, one in self.tracked]
+        """Results that were not there while it was squeezed, and when on the devices' clock they belong."""
+        found = [(one.when_ns, (one.container, one.change)) for one in self.tracked if not one.container.live]
         return [*found, (self.events.steady_ns, (self.events, self.features))]
 
 
-def trial_features(frames: SqueezeFrames, geometry: SqueezeGeometry) -> TrialFeatures:
+def trial_features(
+    frames: SqueezeFrames, geometry: SqueezeGeometry, tracked: Sequence[TrackedImage] = ()
+) -> TrialFeatures:
     """The events and features of a squeeze. Raises InputError where it has no first contact or no steady state.
 
+    tracked: images in which the container was tracked before, in order of time; none = it is tracked in all of them
     Without a camera, or with a bad track, there is no visual feature, and the reason stands in its place.
     """
     events = frames.events()
@@ -176,9 +172,9 @@ def trial_features(frames: SqueezeFrames, geometry: SqueezeGeometry) -> TrialFea
     series_s, series = series_of(time_s, cells)
     features = SqueezeFeatures(cells[at], physical.values, series_s, series)
     try:
-        return _with_vision(frames, geometry, events, hands, features)
+        return _with_vision(frames, geometry, events, features, tracked)
     except InputError as error:
-        return TrialFeatures(events, dataclasses.replace(features, reason=str(error)))
+        return TrialFeatures(events, replace(features, reason=str(error)), tuple(tracked))
 
 
 def _gaps(hands: Sequence[HandFrame], geometry: SqueezeGeometry, when_ns: Sequence[int]) -> FloatArray:
@@ -208,160 +204,103 @@ def around_px(geometry: SqueezeGeometry) -> tuple[float, float, float, float] | 
 # Vision --------------------------------------------------------------------------------------------------------------
 
 
-def container_model(section: ContainerSection) -> ContainerModel:
-    """The rigid model of a container. Raises InputError for a mesh that cannot be read."""
-    size = section.size_m
-    if section.shape == "box":
-        return ContainerModel.box(size)
-    if section.shape == "cylinder":
-        return ContainerModel.cylinder(size[0] / 2, size[2])
-    ((vertices_m, triangles),) = read_meshes([Path(section.mesh)], coarse=False)
-    return ContainerModel.mesh(vertices_m, triangles.astype(np.int64))
+def container_tracker(geometry: SqueezeGeometry) -> ContainerTracker:
+    """The camera that looks at the container. Raises InputError where its projection is not known."""
+    camera = geometry.camera
+    if camera.focal_px is None or camera.center_px is None:
+        raise InputError("[camera] focal_px and center_px", "none")
+    seen_by = Intrinsics(camera.focal_px, camera.center_px, camera.distortion)
+    return ContainerTracker(geometry.container, geometry.hand.fingers, seen_by)
 
 
-class _Seen:
-    """The images of a squeeze, and where the hand is in them."""
+class SqueezeImages:
+    """The depth images of a squeeze so far, each with where the hand was. frames: in order of time, while the fingers
+    were not opened again"""
 
-    def __init__(self, frames: SqueezeFrames, geometry: SqueezeGeometry, hands: Sequence[HandFrame]) -> None:
-        camera, T_camera_hand = geometry.camera, geometry.camera_from_hand(frames)
+    def __init__(self, frames: SqueezeFrames, geometry: SqueezeGeometry) -> None:
+        """Raises InputError where there is no image, or it is not known where the hand is in them."""
         if not frames.depth:
             raise InputError("depth images of the squeeze", "none")
-        if T_camera_hand is None:
+        if (T_camera_hand := geometry.camera_from_hand(frames)) is None:
             raise InputError("[hand] T_camera_hand, or T_arm_hand and [camera] T_arm_camera", "neither")
-        if camera.focal_px is None or camera.center_px is None:
-            raise InputError("[camera] focal_px and center_px", "none")
-        self.T_camera_hand: FloatArray = T_camera_hand
-        self.camera = Intrinsics(camera.focal_px, camera.center_px, camera.distortion)
-        self.images = frames.during(frames.depth)
-        self._fingers = geometry.hand.fingers
-        self._hands = hands
-        self._hand_ns = np.array([frame_ns(one) for one in hands])
+        self._T_camera_hand = T_camera_hand
+        placed = frames.T_hand_container
+        self._T_hand_container = geometry.T_hand_container if placed is None else placed
+        self.frames = frames.during(frames.depth)
+        self._hands, self._fingers = frames.during(frames.hands), geometry.hand.fingers
+        self._hand_ns = np.array([frame_ns(one) for one in self._hands])
 
-    def angles(self, when_ns: int) -> npt.NDArray[np.float64]:
+    def due(self, first_ns: int) -> range:
+        """Places of those to be tracked, each once the hand's next reading is known: from the one on with which there
+        are enough to locate the container, or the last one before first contact [ns], 0 = not known yet."""
+        before = sum(frame_ns(one) < first_ns for one in self.frames) if first_ns else REST_IMAGES
+        known_ns = self._hand_ns[-1] if len(self._hand_ns) else 0
+        known = sum(frame_ns(one) <= known_ns for one in self.frames)
+        return range(max(min(before, REST_IMAGES) - 1, 0), known)
+
+    def image(self, at: int, first_ns: int, since_ns: int = 0, together: int = REST_IMAGES) -> ContainerImage:
+        """The image at a place, and those before it, `together` so many. first_ns: of first contact, 0 = not known
+        since_ns: from when on the fingertips have come closer, default from there"""
+        when_ns = frame_ns(self.frames[at])
+        frames = tuple(replace(one, color=None) for one in self.frames[max(at + 1 - together, 0) : at + 1])
+        closed_m = 0.0
+        if first_ns:
+            before, now = (gap_m(self._angles(one), self._fingers) for one in (since_ns or first_ns, when_ns))
+            closed_m = max(before - now, 0.0)
+        return ContainerImage(
+            frames, self._angles(when_ns), self._T_camera_hand, self._T_hand_container, first_ns, closed_m
+        )
+
+    def _angles(self, when_ns: int) -> npt.NDArray[np.float64]:
         """(7,) of the hand's last reading then [deg]."""
         at = max(int(np.searchsorted(self._hand_ns, when_ns, side="right")) - 1, 0)
         return np.asarray(self._hands[at].position_deg, np.float64)
-
-    def closed_m(self, since_ns: int, when_ns: int) -> float:
-        """By how much the fingertips have come closer between two times."""
-        before, now = (gap_m(self.angles(one), self._fingers) for one in (since_ns, when_ns))
-        return max(before - now, 0.0)
-
-    def links(self, when_ns: int) -> list[Capsule]:
-        """Fingers and palm, camera frame."""
-        return moved(hand_capsules(self.angles(when_ns)), self.T_camera_hand)
-
-    def fingertip(self, when_ns: int) -> FloatArray:
-        """(3,) the middle of the pad of the finger that is nearer to the camera, camera frame [m]."""
-        angles, found = self.angles(when_ns), []
-        for finger in self._fingers:
-            points = finger_points(angles, finger)
-            found.append(points[1] + PAD_ALONG_M / DISTAL_LINK_M * (points[2] - points[1]))
-        tips = self._moved(np.stack(found))
-        return np.asarray(tips[int(tips[:, 2].argmin())])
-
-    def median_m(self, images: Sequence[DepthFrame]) -> FloatArray:
-        """(H, W) of images taken together [m], nan where nothing was seen in any of them."""
-        depths = np.stack([depth_m(one.depth.astype(np.uint16, copy=False), one.unit_m) for one in images])
-        depths = np.where(depths > 0.0, depths, np.nan).astype(np.float64)
-        return median_of(depths)
-
-    def excluded(self, depth: FloatArray, when_ns: int, dent: bool) -> BoolArray:
-        """(H, W) pixels of the hand, and of the dent of the nearer finger."""
-        covered = hand_pixels(depth, self.camera, self.links(when_ns))
-        if dent:
-            tip = self.fingertip(when_ns)
-            center = tip[:2] / tip[2] * np.array(self.camera.focal_px) + np.array(self.camera.centre_px)
-            radius_px = DENT_M / tip[2] * float(np.mean(self.camera.focal_px))
-            covered |= around(center, (depth.shape[0], depth.shape[1]), radius_px)
-        return covered
-
-    def _moved(self, points: FloatArray) -> FloatArray:
-        return np.asarray(points @ self.T_camera_hand[:3, :3].T + self.T_camera_hand[:3, 3])
 
 
 def _with_vision(
     frames: SqueezeFrames,
     geometry: SqueezeGeometry,
     events: SqueezeEvents,
-    hands: Sequence[HandFrame],
     features: SqueezeFeatures,
+    tracked: Sequence[TrackedImage],
 ) -> TrialFeatures:
     """Located before the first contact, tracked from there, compared at the steady state."""
-    seen = _Seen(frames, geometry, hands)
-    renderer = ModelRenderer(container_model(geometry.container), seen.camera)
-    before = [one for one in seen.images if frame_ns(one) < events.first_interval_ns[0]][-REST_IMAGES:]
-    steady = [one for one in seen.images if frame_ns(one) >= events.steady_ns][:STEADY_IMAGES]
+    seen = SqueezeImages(frames, geometry)
+    before = [one for one in seen.frames if frame_ns(one) < events.first_interval_ns[0]]
+    held = sum(frame_ns(one) < events.steady_ns for one in seen.frames)
+    steady = tuple(seen.frames[held : held + STEADY_IMAGES])
     if not before or not steady:
         raise InputError("depth images before first contact and at steady state", f"{len(before)} and {len(steady)}")
-    tracked: list[tuple[int, TrackedContainer]] = []
-    poses: list[PoseEstimate] = []
-    small: list[tuple[int, FloatArray]] = []
-
-    def keep(image: DepthFrame, pose: PoseEstimate) -> None:
-        edges = outline_px(renderer.model, seen.camera, pose.T_camera_container)
-        shown = TrackedContainer(
-            image.index,
-            pose.T_camera_container,
-            pose.good,
-            pose.reason,
-            pose.observed.astype(np.float64),
-            pose.agreeing,
-            edges,
-            (frame_ns(image) - events.first_ns) / 1e9,
-        )
-        tracked.append((frame_ns(image), shown))
-        poses.append(pose)
-
-    def found(features: SqueezeFeatures) -> TrialFeatures:
-        return TrialFeatures(events, features, tuple(tracked), tuple(poses), _small_series(small, events))
-
-    def changed(depth: FloatArray, when_ns: int, pose: PoseEstimate) -> DepthChange:
-        change = depth_change(
-            renderer,
-            pose.T_camera_container,
-            depth,
-            seen.fingertip(when_ns),
-            excluded=hand_pixels(depth, seen.camera, seen.links(when_ns)),
-            closed_m=seen.closed_m(events.first_interval_ns[0], when_ns),
-        )
-        small.append((when_ns, filled(change.small_m).ravel()))
-        return change
-
-    depth = seen.median_m(before)
-    when_ns = frame_ns(before[-1])
-    guess = seen.T_camera_hand @ geometry.T_hand_container
-    rest = locate(renderer, depth, guess, yaws_deg=(0.0,), excluded=seen.excluded(depth, when_ns, dent=False))
-    keep(before[-1], rest)
-    if not rest.good:
-        return found(dataclasses.replace(features, reason=f"before: {rest.reason}"))
-    changed(depth, when_ns, rest)
-    pose = rest
-    for image in _between(seen.images, events):
-        depth = seen.median_m([image])
-        pose = _next_pose(renderer, seen, depth, frame_ns(image), pose, rest)
-        keep(image, pose)
-        if pose.good:
-            changed(depth, frame_ns(image), pose)
-    depth = seen.median_m(steady)
-    pose = _next_pose(renderer, seen, depth, frame_ns(steady[0]), pose, rest)
-    keep(steady[0], pose)
-    if not pose.good:
-        return found(dataclasses.replace(features, reason=pose.reason))
-    change = changed(depth, frame_ns(steady[0]), pose)
-    return found(_seen_features(features, change))
+    found, tracker = [*tracked], container_tracker(geometry)
+    for at in () if tracked else seen.due(events.first_ns):
+        found.append(tracker.track(seen.image(at, events.first_ns)).after(math.nan))
+        if tracker.rest is None and found[-1].when_ns >= events.first_ns:
+            break
+    tracker = container_tracker(geometry)
+    for one in found:
+        if one.when_ns < frame_ns(steady[0]):
+            tracker.follow(one.pose, one.when_ns)
+    if tracker.rest is None or tracker.rest_ns > events.first_ns:
+        reason = next((one.pose.reason for one in found if not one.pose.good), "not located before first contact")
+        return TrialFeatures(events, replace(features, reason=f"before: {reason}"), tuple(found))
+    image = seen.image(held, events.first_ns, events.first_interval_ns[0])
+    found.append(last := tracker.track_median(image, steady, 0))
+    return TrialFeatures(events, _seen_features(features, last), tuple(found), _small_series(found, events))
 
 
-def _small_series(small: Sequence[tuple[int, FloatArray]], events: SqueezeEvents) -> FloatArray | None:
+def _small_series(tracked: Sequence[TrackedImage], events: SqueezeEvents) -> FloatArray | None:
     """(k, 121) the newest small change of depth at each step since first contact."""
-    if not small or small[-1][0] < events.first_ns:
+    seen = [(one.when_ns, one.measured.small_filled_m) for one in tracked[:-1] if one.measured is not None]
+    time_s = np.array([(when_ns - events.first_ns) / 1e9 for when_ns, _ in seen])
+    if not seen or time_s[-1] < 0.0:
         return None
-    time_s = np.array([(when_ns - events.first_ns) / 1e9 for when_ns, _ in small])
-    return series_of(time_s, np.stack([one for _, one in small]))[1]
+    return series_of(time_s, np.stack([small_m for _, small_m in seen]))[1]
 
 
-def _seen_features(features: SqueezeFeatures, change: DepthChange) -> SqueezeFeatures:
-    return dataclasses.replace(
+def _seen_features(features: SqueezeFeatures, last: TrackedImage) -> SqueezeFeatures:
+    if (change := last.measured) is None:
+        return replace(features, reason=last.change.reason)
+    return replace(
         features,
         vision=change.change_m,
         vision_small=change.small_m,
@@ -370,22 +309,3 @@ def _seen_features(features: SqueezeFeatures, change: DepthChange) -> SqueezeFea
         patch_px=change.center_px,
         patch_width_m=change.width_m,
     )
-
-
-def _between(images: Sequence[DepthFrame], events: SqueezeEvents) -> list[DepthFrame]:
-    """From the first contact to the steady state, TRACK_HZ."""
-    found: list[DepthFrame] = []
-    for image in images:
-        due_ns = events.first_ns if not found else frame_ns(found[-1]) + 1e9 / TRACK_HZ
-        if due_ns <= frame_ns(image) < events.steady_ns:
-            found.append(image)
-    return found
-
-
-def _next_pose(
-    renderer: ModelRenderer, seen: _Seen, depth: FloatArray, when_ns: int, before: PoseEstimate, rest: PoseEstimate
-) -> PoseEstimate:
-    """From the last good pose; directions that the image does not observe keep the rest pose."""
-    start = before if before.good else rest
-    excluded = seen.excluded(depth, when_ns, dent=True)
-    return track(renderer, depth, start.T_camera_container, rest=rest.T_camera_container, excluded=excluded)

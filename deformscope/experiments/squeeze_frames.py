@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future
 from dataclasses import dataclass, field
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.errors import InputError
+from deformscope.experiments.squeeze_tracking import TrackedImage
 from deformscope.frames import ArmFrame, DepthFrame, Frame, HandFrame, Item, Pad, Stream, TactileFrame
 from deformscope.robot.squeeze_plan import CLOSING_AXES
-from deformscope.session import Moment, SessionRecorder, Step
+from deformscope.session import Moment, SessionRecorder, Step, measuring, with_costs
 from deformscope.stages.see.tactile import tactile_contact
 from deformscope.stages.squeeze.events import EventRule, OnsetDetector, SqueezeEvents, squeeze_events
+from deformscope.stages.squeeze.patch import filled
 from deformscope.stages.squeeze.tactile import End, tactile_feature
-from deformscope.stages.squeeze.trial import ContentPosterior, FingertipPressure
+from deformscope.stages.squeeze.trial import ContainerChange, ContentPosterior, FingertipPressure
 
 BEFORE_S = 1.0
 """Depth images are kept from so long before the first contact."""
@@ -27,8 +30,9 @@ POSTERIOR_S = 0.1
 
 FrameT = TypeVar("FrameT", TactileFrame, HandFrame, DepthFrame)
 
-Predict = Callable[[float, FloatArray], tuple[tuple[str, ...], FloatArray]]
-"""Labels and their probabilities (k,) of a time since first contact [s] and the tactile feature (72,) then."""
+Predict = Callable[[float, Mapping[str, FloatArray]], tuple[str, tuple[str, ...], FloatArray]]
+"""Of a time since first contact [s] and features then by modality, (72,) `tactile` and (121,) `vision_small` where it
+is known: the modalities used, labels, and their probabilities (k,)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,6 +72,8 @@ class SqueezeFrames:
     """Of one squeeze, in the order in which they came. air_ns: from when on the open fingertips were in the air, at
     rest; open_ns: from when on they opened again, after which nothing is of interest; 0 = not yet
     arm: the last state before it of the arm that carries the hand; arm_now: its newest
+    T_hand_container: (4, 4) where an arm has placed the hand [m]; None: as the setup has it
+    all_images: depth images are kept from `air_ns` on, however long before the first contact that is
     """
 
     tactile_source: TactileSource
@@ -81,6 +87,8 @@ class SqueezeFrames:
     depth: list[DepthFrame] = field(default_factory=list)
     arm: ArmFrame | None = None
     arm_now: ArmFrame | None = None
+    T_hand_container: FloatArray | None = None
+    all_images: bool = False
 
     def add(self, item: Item, first_ns: int) -> None:
         """Keep what belongs to it. first_ns: of the first contact, 0 = not yet"""
@@ -94,7 +102,8 @@ class SqueezeFrames:
                 self.arm = item
         elif isinstance(item, DepthFrame) and item.device == self.camera:
             self.depth.append(item)
-            oldest_ns = (first_ns or item.stamp.host_ns) - BEFORE_S * 1e9
+            oldest_ns = item.stamp.host_ns - BEFORE_S * 1e9
+            oldest_ns = min(oldest_ns, self.air_ns) if self.all_images and self.air_ns else oldest_ns
             while not first_ns and self.depth[0].stamp.host_ns < oldest_ns:
                 self.depth.pop(0)
 
@@ -109,9 +118,9 @@ class SqueezeFrames:
         sums = [[float(pad.sum(dtype=np.int64)) for pad in self.tactile_source.counts(one)] for one in tactile]
         return squeeze_events(
             np.array([frame_ns(one) for one in tactile], np.int64),
-            np.array(sums).reshape(len(tactile), -1),
+            np.array(sums).reshape(len(tactile), len(self.tactile_source.pads)),
             np.array([frame_ns(one) for one in hands], np.int64),
-            np.array([one.position_deg[list(CLOSING_AXES)] for one in hands]).reshape(len(hands), -1),
+            np.array([one.position_deg[list(CLOSING_AXES)] for one in hands]).reshape(len(hands), len(CLOSING_AXES)),
             self.rule,
         )
 
@@ -121,15 +130,37 @@ def frame_ns(frame: Frame) -> int:
     return frame.stamp.host_ns
 
 
+class Tracking:
+    """What tracks the container (`deformscope.experiments.squeeze_live`); this one does not.
+
+    found: all that was tracked; failed: why it does not go on, or empty; waiting: the last of what is being computed
+    """
+
+    waiting: Future[Any] | None = None
+
+    def __init__(self) -> None:
+        self.found: list[TrackedImage] = []
+        self.failed = ""
+
+    def go_on(self, first_ns: int) -> Sequence[TrackedImage]:
+        """What has become known since the last call. first_ns: of first contact, 0 = not yet"""
+        return ()
+
+    def newest(self, tactile_index: int, now_ns: int) -> ContainerChange | None:
+        """The change of depth that is known with a tactile frame."""
+        return None
+
+
 class SqueezeObserver:
     """Takes what devices give, in order of time, keeps it for the features, and has results to show of each frame.
 
-    predict: what a model makes of a tactile feature, None = no model. The results are functions of the frames and of
-    when the fingers were open in the air (`phase`), so that a recording gives them again.
+    predict: what a model makes of the features so far, None = no model; tracking: may be set. The results are functions
+    of the frames, of when the fingers were open in the air (`phase`), and of which images were tracked by when, which
+    is recorded, so that a recording gives them again.
     """
 
     def __init__(self, frames: SqueezeFrames, end: End, predict: Predict | None) -> None:
-        self.frames = frames
+        self.frames, self.tracking = frames, Tracking()
         self._end, self._predict = end, predict
         self._onset = OnsetDetector(frames.rule)
         self._shown_s = -np.inf
@@ -146,8 +177,14 @@ class SqueezeObserver:
         """Take it in; what there is to show of it, None = nothing."""
         self.frames.add(item, self._onset.first_ns)
         if isinstance(item, TactileFrame) and item.device == self.frames.tactile_source.device:
-            return Step(self._felt(item), moment=Moment(item.stamp.host_ns))
+            results, costs = with_costs("fingertips", self._felt, item)
+            return Step(results, moment=Moment(item.stamp.host_ns), costs=tuple(costs))
         return None
+
+    def tracked(self) -> list[Step]:
+        """What there is to show of the container by now; what came is begun with."""
+        known = self.tracking.go_on(self._onset.first_ns)
+        return [Step((one.container, one.change), moment=Moment(one.when_ns), costs=one.costs) for one in known]
 
     def _felt(self, frame: TactileFrame) -> tuple[object, ...]:
         source = self.frames.tactile_source
@@ -161,8 +198,14 @@ class SqueezeObserver:
         if self._predict is None or not self._onset.first_ns or since_s - self._shown_s < POSTERIOR_S:
             return tuple(results)
         self._shown_s = since_s
-        labels, probability = self._predict(since_s, tactile_feature(counts, self._end))
-        self.latest = ContentPosterior(since_s, "tactile", labels, probability, frame.index)
+        change = self.tracking.newest(frame.index, now_ns)
+        known: dict[str, FloatArray] = {"tactile": tactile_feature(counts, self._end)}
+        if change is not None and change.small_m is not None:
+            known["vision_small"] = filled(change.small_m).ravel()
+        with measuring("posterior"):
+            named, labels, probability = self._predict(since_s, known)
+        seen = change.index if change is not None and "vision_small" in named else None
+        self.latest = ContentPosterior(since_s, named, labels, probability, frame.index, seen)
         return (*results, self.latest)
 
 
@@ -177,8 +220,9 @@ class ObservedRecorder:
         """As `Recorder.write`."""
         self._recorder.write(items)
         if isinstance(items, Sequence):
+            tracked = self._observer.tracked()
             steps = [self._observer.observe(one) for one in items if isinstance(one, Item)]
-            for step in filter(None, steps):
+            for step in (*tracked, *filter(None, steps), *self._observer.tracked()):
                 self._recorder.write(step)
 
 

@@ -3,7 +3,8 @@
     format      "deformscope classifier 1"
     told        JSON text: labels, modalities with their columns and classifiers, steps, settings of the features,
                 the accuracy that the evaluation found, provenance
-    fusion.weight (M, C), fusion.offset (C,): how reliable each modality is for each class
+    fusion.weight (M, C), fusion.offset (C,): how reliable each modality is for each class; step_fusion.3.weight...: the
+    same for the modalities with steps at step 3, where there are several
     m0.used (p,), m0.mean, m0.scale, m0.centre (q,), m0.directions (q, d), m0.weight (K, C), m0.offset (C,), and of its
     classifiers m0.c0.points..., in the order of `told`; s0.3.used...: the same for step 3 of the first modality with
     steps
@@ -55,11 +56,14 @@ def classifier_arrays(model: ContentModel) -> dict[str, npt.NDArray[Any]]:
             }
             for index, (name, models) in enumerate(model.steps.items())
         ],
+        "step_fusion": len(model.step_fusion),
         "step_s": model.step_s,
         "settings": dict(model.settings),
         "promised": dict(model.promised),
         "provenance": dict(model.provenance),
     }
+    for step, pool in enumerate(model.step_fusion):
+        arrays |= {f"step_fusion.{step}.weight": pool.weight, f"step_fusion.{step}.offset": pool.offset}
     return {"format": np.array(FORMAT), "told": np.array(json.dumps(described, allow_nan=False)), **arrays}
 
 
@@ -122,18 +126,20 @@ def _model(found: Arrays) -> ContentModel:
         raise ValueError("list of modalities")
     steps = {}
     for index, one in enumerate(described["steps"]):
-        if one["modality"] not in modalities or not one["models"]:
+        if one["modality"] in steps or not one["models"]:
             raise ValueError("list of steps")
         models = [_take(found, f"s{index}.{step}", each, classes) for step, each in enumerate(one["models"])]
         steps[one["modality"]] = tuple(models)
     fusion = _pool(found, "fusion", len(modalities), classes)
+    fused = range(int(described.get("step_fusion", 0)))  # files of before have none
+    step_fusion = tuple(_pool(found, f"step_fusion.{step}", len(steps), classes) for step in fused)
     step_s = float(described["step_s"])
     if not (np.isfinite(step_s) and step_s > 0.0):
         raise ValueError("step_s")
     about: list[Mapping[str, object]] = [described["settings"], described["promised"], described["provenance"]]
     if not all(isinstance(one, dict) for one in about):
         raise ValueError("settings, promised or provenance")
-    return ContentModel(labels, modalities, fusion, steps, step_s, *about)
+    return ContentModel(labels, modalities, fusion, steps, step_fusion, step_s, *about)
 
 
 def _take(found: Arrays, prefix: str, described: Mapping[str, Any], classes: int) -> ModalityModel:

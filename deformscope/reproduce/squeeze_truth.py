@@ -12,8 +12,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from deformscope.arrays import FloatArray
-from deformscope.experiments.squeeze_features import SqueezeGeometry, TrialFeatures, container_model, trial_features
+from deformscope.experiments.squeeze_features import SqueezeGeometry, TrialFeatures, trial_features
 from deformscope.experiments.squeeze_frames import SqueezeFrames, frame_ns
+from deformscope.experiments.squeeze_tracking import container_model
 from deformscope.experiments.squeeze_trial import row_of
 from deformscope.files.squeeze_dataset import TrialRow
 from deformscope.lab.container_setup import ContainerLab
@@ -167,8 +168,8 @@ def pose_errors(found: TrialFeatures, T_hand_camera: FloatArray, simulated: Simu
     """Of each tracked image. T_hand_camera: (4, 4) the true pose [m]"""
     T_camera_hand = np.linalg.inv(T_hand_camera)
     return [
-        pose_error(pose, T_camera_hand @ simulated.T_hand_container[simulated.at(when_ns)])
-        for (when_ns, _), pose in zip(found.tracked, found.poses, strict=True)
+        pose_error(one.pose, T_camera_hand @ simulated.T_hand_container[simulated.at(one.when_ns)])
+        for one in found.tracked
     ]
 
 

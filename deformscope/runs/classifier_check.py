@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -36,6 +37,15 @@ class ClassifierCheckResult(LibraryResult):
             ("calibration", format_calibration(check)),
             *((f"{name} alone", format_right(one)) for name, one in check.alone.items()),
         ]
+        times = [
+            (
+                "in the end" if math.isnan(one.time_s) else f"{one.time_s:g} s",
+                one.score.modality,
+                format_right(one.score),
+                f"{one.score.calibration_error:.1%} ({{:.1%}} to {{:.1%}})".format(*one.error_interval),
+            )
+            for one in check.times
+        ]
         return (
             Table(rows, caption=self.name),
             Table(
@@ -47,6 +57,7 @@ class ClassifierCheckResult(LibraryResult):
                 ("content", "named rightly", "interval"),
                 "Content by content",
             ),
+            *([Table(times, ("after first contact", "by", "accuracy", "calibration error"))] if times else []),
         )
 
     def pictures(self) -> dict[str, bytes]:

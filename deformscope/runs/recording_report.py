@@ -31,6 +31,7 @@ from deformscope.stages.map.perception import TouchPerception
 from deformscope.stages.see.tactile import TactileContact
 from deformscope.stages.squeeze.events import SqueezeEvents
 from deformscope.stages.squeeze.trial import (
+    ContainerChange,
     ContentPosterior,
     FingertipPressure,
     SqueezeFeatures,
@@ -178,11 +179,14 @@ def _progress(maps: Sequence[MapEstimate]) -> Figure:
 
 def _squeeze(replay: Replay) -> Drawn:
     """Chapter 2."""
-    tracked_kinds = (FingertipPressure, HandFrame, TrackedContainer, ContentPosterior)
+    tracked_kinds = (FingertipPressure, HandFrame, TrackedContainer, ContentPosterior, ContainerChange)
     rows = list(read_rows(replay, (*tracked_kinds, SqueezeFeatures, SqueezeEvents, SqueezePhase)))
-    pressed, hand, tracked, named = ([row for row in rows if isinstance(row.item, one)] for one in tracked_kinds)
+    pressed, hand, tracked, named, changes = (
+        [row for row in rows if isinstance(row.item, one)] for one in tracked_kinds
+    )
     tracked, by_step = [row for row in tracked if row.item.good], [row for row in named if row.item.index >= 0]
     rest = np.linalg.inv(tracked[0].item.T_camera_container) if tracked else np.eye(4)
+    seen = [row for row in changes if row.item.change_m is not None]
     axes, tips = [int(one) for one in CLOSING_AXES], ("fingertip 1", "fingertip 2")
     labels = by_step[0].item.labels if by_step else ()
     panels = [
@@ -193,6 +197,7 @@ def _squeeze(replay: Replay) -> Drawn:
         ),
         _over_time("container moved [mm]", tracked, lambda one: [_moved(rest @ one.T_camera_container)[0]]),
         _over_time("container turned [deg]", tracked, lambda one: [_moved(rest @ one.T_camera_container)[1]]),
+        _over_time("depth change, mean [mm]", seen, lambda one: [1e3 * np.nanmean(one.change_m)]),
         _over_time("probability [-]", by_step, lambda one: one.probability, labels),
     ]
     phases = [(row.item.name, row.session_ns / 1e9) for row in rows if isinstance(row.item, SqueezePhase)]

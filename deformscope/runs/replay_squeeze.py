@@ -43,9 +43,9 @@ def replay_squeeze(recording: Replay) -> ReplayResult:
     for kind in kinds:
         before = _by_frame([one.item for one in read_results(path, (kind,), trust=True)])
         now = _by_frame([one for one in again.results if type(one) is kind])
-        last = max(before, default=-1)
+        last = max(before, default=(-1, False))
         within = [now[frame] for frame in sorted(now) if frame in before or frame <= last]
-        compare([before[frame] for frame in sorted(before)], within, path, what=kind.__name__)
+        compare([before[frame] for frame in sorted(before)], within, path, _later, what=kind.__name__)
         compared += len(before)
     if again.failure and not stops:
         raise Different("the recorded features", again.failure, where=path)
@@ -57,10 +57,16 @@ def replay_squeeze(recording: Replay) -> ReplayResult:
     )
 
 
-def _by_frame(results: list[Any]) -> dict[int, Any]:
-    """Results by the frame that they are of, or their order. What came after the hand had opened was recorded, but no
-    longer looked at: recorded results may be fewer at the end."""
-    return {getattr(one, "index", order): one for order, one in enumerate(results)}
+def _by_frame(results: list[Any]) -> dict[tuple[int, bool], Any]:
+    """Results by the frame that they are of, or their order, and whether of its median with others. What came after the
+    hand had opened was recorded, but no longer looked at: recorded results may be fewer at the end."""
+    of = [(getattr(one, "index", order), getattr(one, "lag_s", 0.0) is None) for order, one in enumerate(results)]
+    return dict(zip(of, results, strict=True))
+
+
+def _later(before: object) -> list[str]:
+    """Fields that a recorded pose lacks: recordings of before have none of them."""
+    return [name for name in ("directions", "deviation_m") if getattr(before, name, ()) is None]
 
 
 def squeeze_again(recording: Replay) -> SqueezeAgain:
@@ -71,37 +77,50 @@ def squeeze_again(recording: Replay) -> SqueezeAgain:
     from deformscope.experiments.squeeze import posterior_of
     from deformscope.experiments.squeeze_features import SqueezeGeometry, trial_features
     from deformscope.experiments.squeeze_frames import SqueezeFrames, SqueezeObserver, TactileSource
+    from deformscope.experiments.squeeze_live import RecordedTracking
     from deformscope.frames import ArmFrame, DepthFrame, HandFrame, TactileFrame
     from deformscope.recording.item_rows import read_rows
     from deformscope.recording.items import read_results, read_streams
-    from deformscope.runs.squeeze_run import final_posterior, tactile_posterior
+    from deformscope.runs.squeeze_run import final_posterior, step_posterior
     from deformscope.stages.squeeze.events import EventRule
     from deformscope.stages.squeeze.placement import HandPlacement
-    from deformscope.stages.squeeze.trial import SqueezePhase
+    from deformscope.stages.squeeze.trial import ContentPosterior, SqueezePhase, TrackedContainer
 
     squeezed, path = recording.settings["squeezed"], recording.path
     geometry = SqueezeGeometry.from_json(squeezed["geometry"])
     names = squeezed["names"]
     source = TactileSource.of(read_streams(path, trust=True), names["tactile"], geometry.hand.fingers)
-    frames = SqueezeFrames(source, names["hand"], names["camera"], msgspec.convert(squeezed["rule"], EventRule))
+    frames, every = (
+        SqueezeFrames(source, names["hand"], names["camera"], msgspec.convert(squeezed["rule"], EventRule))
+        for _ in range(2)
+    )
     model = _recorded_model(recording)
-    predict = None if model is None else tactile_posterior(model)
-    observer = SqueezeObserver(frames, geometry.hand.tactile_end, predict)
     rows = list(read_rows(recording, (SqueezePhase, TactileFrame, HandFrame, DepthFrame, ArmFrame)))
     start_ns = next(
         (row.item.stamp.host_ns - row.session_ns for row in rows if not isinstance(row.item, SqueezePhase)), 0
     )
-    for row in rows:
-        if isinstance(row.item, SqueezePhase):
-            observer.phase(row.item.name, row.session_ns + start_ns)
-    steps = [observer.observe(row.item) for row in rows if not isinstance(row.item, SqueezePhase)]
+    containers, posteriors = (
+        [one.item for one in read_results(path, (kind,), trust=True)] for kind in (TrackedContainer, ContentPosterior)
+    )
+    predict = None if model is None else step_posterior(model)
+    before, observer = (SqueezeObserver(one, geometry.hand.tactile_end, predict) for one in (every, frames))
+    placements = [one.item for one in read_results(path, (HandPlacement,), trust=True)]
+    for one in (before, observer):
+        one.frames.T_hand_container = placements[-1].T_hand_container if placements else None
+        one.frames.all_images = any(container.live for container in containers)
+        for row in rows:
+            if isinstance(row.item, SqueezePhase):
+                one.phase(row.item.name, row.session_ns + start_ns)
+    items = [row.item for row in rows if not isinstance(row.item, SqueezePhase)]
+    for item in items:
+        before.observe(item)
+    observer.tracking = tracking = RecordedTracking(every, geometry, containers, posteriors)
+    steps = [observer.observe(item) for item in items]
     found = SqueezeAgain([result for step in filter(None, steps) for result in step.results])
     found.results += sighted_again(recording, [row.item for row in rows], geometry)
-    placements = [one.item for one in read_results(path, (HandPlacement,), trust=True)]
-    if placements:
-        geometry = dataclasses.replace(geometry, T_hand_container=placements[-1].T_hand_container)
+    found.results += [each for one in tracking.found if one.container.live for each in (one.container, one.change)]
     try:
-        found.features = trial_features(frames, geometry)
+        found.features = trial_features(frames, geometry, tracking.found)
     except InputError as error:
         found.failure = str(error)
         return found

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from deformscope.arrays import FloatArray
 from deformscope.pictures.report import Figure, Table
@@ -28,7 +31,7 @@ class SqueezeResult(LibraryResult):
     placement, sightings: of an arm that placed the hand, None and none where a person did; withdrawal: why it stopped
     on its way back
     hand_stands, limits_restored: the hand could be stopped, its currents' limits are as they were
-    truth: when the laboratory's container was touched and held [s]
+    truth: when the laboratory's container was touched and held [s]; untracked: why it was not tracked on, or empty
     """
 
     rig: str = field(metadata=reported())
@@ -62,6 +65,28 @@ class SqueezeResult(LibraryResult):
         return {} if self.computed is None else self.computed.modalities
 
     computed: TrialFeatures | None = field(metadata=reported(flat=True))
+    untracked: str
+
+    @property
+    @derived(optional=True)
+    def tracking(self) -> dict[str, Any] | None:
+        """How the container was tracked, and its pose in each image; None where it was stopped."""
+        if self.computed is None or not self.computed.tracked:
+            return None
+        poses = [one.container for one in self.computed.tracked]
+        lags_s = [one.lag_s for one in poses if one.live and one.lag_s is not None]
+        median_s, most_s = map(float, np.percentile(lags_s, [50, 95])) if lags_s else (None, None)
+        return {
+            "images": len(poses),
+            "refused": dict(Counter(one.reason for one in poses if not one.good)),
+            "live": len(lags_s),
+            "skipped": sum(one.skipped or 0 for one in poses),
+            "lag_median_s": median_s,
+            "lag_p95_s": most_s,
+            "ended": self.untracked,
+            "poses": poses,
+        }
+
     answer: ContentPosterior | None = field(metadata=reported(flat=True))
     hand_stands: bool = field(metadata=reported())
     limits_restored: bool = field(metadata=reported())
@@ -154,6 +179,11 @@ class SqueezeResult(LibraryResult):
                 ),
                 ("depth change", change),
             ]
+        if (tracking := self.tracking) is not None:
+            behind = ", {lag_median_s:.2f} s behind (95 %: {lag_p95_s:.2f})" if tracking["live"] else ""
+            words = ("{images} images, {live} while it was squeezed, {skipped} left out" + behind).format(**tracking)
+            refused = "; ".join(f"{count} refused: {why}" for why, count in tracking["refused"].items())
+            rows.append(("tracked", "; ".join(filter(None, (words, refused, self.untracked)))))
         if self.answer is not None:
             order = sorted(self.posterior.items(), key=lambda one: -one[1])
             words = ", ".join(f"{label} {100 * share:.0f} %" for label, share in order)

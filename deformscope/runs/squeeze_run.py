@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import datetime
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -111,6 +111,7 @@ def squeeze_on(config: SqueezeConfig, report: Callable[[SqueezeResult], None]) -
         stop=found.stop,
         start_ns=ended["start_ns"],
         computed=found.features,
+        untracked=found.untracked,
         answer=found.posterior,
         hand_stands=ended["hand_stands"],
         limits_restored=ended["limits_restored"],
@@ -143,6 +144,7 @@ def _run(
     from deformscope.experiments.squeeze import squeeze
     from deformscope.experiments.squeeze_features import SqueezeGeometry, around_px
     from deformscope.experiments.squeeze_frames import ObservedRecorder
+    from deformscope.experiments.squeeze_live import live_tracking
     from deformscope.experiments.squeezing_hand import SqueezingHand, feature_executor, observer_of
     from deformscope.frames import InputFile
     from deformscope.robot.squeeze_plan import grasp_at
@@ -159,7 +161,7 @@ def _run(
     with open_run(setup.open_source(), recorder) as run:
         source = run.source
         ended: dict[str, Any] = {"start_ns": source.start_ns}
-        observer = observer_of(setup, source, None if model is None else tactile_posterior(model))
+        observer = observer_of(setup, source, None if model is None else step_posterior(model))
         pads, around = observer.frames.tactile_source.pads, around_px(geometry)
         table = None if setup.placing is None else setup.placing.placement.T_base_surface
         named = model is not None
@@ -199,7 +201,8 @@ def _run(
             None if placing is None else placing.after(),
         )
         try:
-            with feature_executor(setup, hand) as beside, watch.halts(hand):
+            tracking = live_tracking(observer.frames, geometry, setup.clock, real_time=setup.runs_itself)
+            with feature_executor(setup, hand) as beside, tracking as observer.tracking, watch.halts(hand):
                 run_session(source, experiment, observed, hand, beside)
         finally:
             ended |= {"hand_stands": hand.stands, "limits_restored": hand.restored}
@@ -279,16 +282,14 @@ def _model(path: Path | None) -> ContentModel | None:
     return load_classifier(path)
 
 
-def tactile_posterior(model: ContentModel) -> Predict | None:
-    """What the model makes of the tactile feature as the squeeze goes on; None where it has no tactile modality."""
+def step_posterior(model: ContentModel) -> Predict | None:
+    """What the model makes of the features as the squeeze goes on; None where it has no tactile modality."""
     if "tactile" not in model.modalities:
         return None
 
-    def predict(since_s: float, feature: FloatArray) -> tuple[tuple[str, ...], FloatArray]:
-        if "tactile" in model.steps:
-            step = round(since_s / model.step_s)
-            return model.labels, model.predict_step("tactile", step, feature[None])[0]
-        return model.labels, model.predict_proba({"tactile": feature[None]})[0]
+    def predict(since_s: float, features: Mapping[str, FloatArray]) -> tuple[str, tuple[str, ...], FloatArray]:
+        known, probability = model.predict_at(since_s, {name: values[None] for name, values in features.items()})
+        return " and ".join(known), model.labels, probability[0]
 
     return predict
 

@@ -14,17 +14,26 @@ import pytest
 
 from deformscope.cli import main
 from deformscope.errors import InputError
+from deformscope.experiments.squeeze_tracking import REST_IMAGES
 from deformscope.files.classifier_file import save_classifier
 from deformscope.files.squeeze_dataset import SqueezeDataset
-from deformscope.frames import TactileFrame
+from deformscope.frames import DepthFrame, TactileFrame
+from deformscope.recording.item_rows import read_rows
 from deformscope.recording.items import read_items, read_results
+from deformscope.recording.reader import Replay
 from deformscope.rig.source import RigSource
 from deformscope.robot.squeeze_plan import draw_grasp
 from deformscope.robot.squeeze_setup import SqueezeSetup
 from deformscope.runs.opened_devices import SqueezeOpening
 from deformscope.stages.squeeze.model import ContentModel, fit_model
 from deformscope.stages.squeeze.table import LabelledTable
-from deformscope.stages.squeeze.trial import FingertipPressure
+from deformscope.stages.squeeze.trial import (
+    ContainerChange,
+    ContentPosterior,
+    FingertipPressure,
+    SqueezePhase,
+    TrackedContainer,
+)
 from tests.experiments.toy_squeeze import ToySqueeze, limits
 
 LABS: list[ToySqueeze] = []
@@ -105,7 +114,7 @@ def test_a_recorded_squeeze_replays_to_the_last_bit(
     assert low <= found["truth"]["first_s"] <= high
     assert main(["verify", str(file)]) == 0
     assert main(["replay", str(file)]) == 0
-    assert "identical to the recorded numbers" in capsys.readouterr().err
+    assert "identical to the recorded numbers" in " ".join(capsys.readouterr().err.split())
 
     from deformscope.experiments import squeeze_features
     from deformscope.stages.squeeze.tactile import tactile_feature
@@ -190,12 +199,61 @@ def test_a_model_names_the_content_while_it_is_squeezed(tmp_path: Path) -> None:
     assert sum(found["posterior"].values()) == pytest.approx(1.0)
     assert found["named"] in ("empty", "rice")
     from deformscope.recording.items import read_results
-    from deformscope.stages.squeeze.trial import ContentPosterior
 
     shown = [one.item for one in read_results(file, (ContentPosterior,))]
     assert len(shown) >= 4
     assert sum(one.index == -1 for one in shown) == 1
     assert main(["replay", str(file)]) == 0
+
+
+def seeing_model() -> ContentModel:
+    """The same where vision has steps too."""
+    random = np.random.default_rng(1)
+    label, size = np.repeat(["empty", "rice"], 12), {"tactile": 72, "vision_small": 121}
+    mean = np.repeat([[300.0], [1200.0]], 12, axis=0)
+    drawn = {name: mean + random.normal(0.0, 100.0, (24, columns)) for name, columns in size.items()}
+    drawn["vision_small"] *= 1e-6
+    named = {"tactile": drawn["tactile"], "vision": np.repeat(drawn["vision_small"], 31, axis=1)[:, :3721]}
+    series = {name: np.repeat(values[:, None], 4, axis=1) for name, values in drawn.items()}
+    return fit_model(LabelledTable(label, None, named, series=series), by_group=False)
+
+
+def test_the_container_is_tracked_and_seen_while_it_is_squeezed_and_replayed(
+    tmp_path: Path, toy: dict[str, Any]
+) -> None:
+    toy["lab"] = {"camera": True}
+    model, file = tmp_path / "m.npz", tmp_path / "r.rrd"
+    save_classifier(seeing_model(), model)
+    status, found = squeeze(tmp_path, "--model", str(model), "--record", str(file))
+
+    assert status == 0
+    images = rows_of(file, DepthFrame)
+    tracked, changes, named = (rows_of(file, kind) for kind in (TrackedContainer, ContainerChange, ContentPosterior))
+    air_ns, open_ns = (row.session_ns for row in rows_of(file, SqueezePhase) if row.item.name in ("air", "open"))
+    between = [row.item.index for row in images if air_ns <= row.session_ns < open_ns]
+    live = [row.item.index for row in tracked if row.item.live]
+    assert live == between[REST_IMAGES - 1 : REST_IMAGES - 1 + len(live)]  # every one since the first five
+    assert len(live) >= len(between) - REST_IMAGES
+    assert [row.session_ns for row in tracked if row.item.live] == [
+        row.session_ns for row in images if row.item.index in live
+    ]
+    assert {row.item.index for row in changes} == set(live)
+    assert all(row.item.change_m.shape == (61, 61) for row in changes)
+    tracking = found["tracking"]
+    assert (tracking["live"], tracking["skipped"], tracking["refused"]) == (len(live), 0, {})
+    assert 0.0 <= tracking["lag_median_s"] <= tracking["lag_p95_s"] <= 0.2
+    assert len(tracking["poses"]) == tracking["images"] == len(live) + 1
+    first = tracking["poses"][0]
+    assert first["degrees_of_freedom"].startswith(f"{sum(one < 0.001 for one in first['deviation_m'])} of 6 observed")
+    assert (first["refused"], first["skipped"], first["since_s"]) == ("", 0, None)
+    while_squeezed = [row.item for row in named if row.item.index >= 0]
+    assert {one.modality for one in while_squeezed} == {"tactile and vision_small"}
+    assert all(one.vision_index in live for one in while_squeezed)
+    assert main(["replay", str(file)]) == 0
+
+
+def rows_of(file: Path, kind: type) -> list[Any]:
+    return list(read_rows(Replay(file, trust=True), (kind,)))
 
 
 @pytest.mark.parametrize(

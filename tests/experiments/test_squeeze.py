@@ -89,7 +89,7 @@ def test_its_features_are_of_the_steady_state(good: Session) -> None:
     np.testing.assert_array_equal(tactile[:36], frame.counts[84 : 84 + 36])
     assert found.modalities["vision"].shape == (3721,)
     assert found.modalities["vision_small"].shape == (121,)
-    assert all(tracked.good for _, tracked in found.tracked)
+    assert all(one.container.good for one in found.tracked)
 
 
 def test_the_same_frames_give_the_same_features_to_the_last_bit(good: Session) -> None:

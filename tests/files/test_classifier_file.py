@@ -13,7 +13,7 @@ import pytest
 from deformscope.errors import InputError
 from deformscope.files.classifier_file import FORMAT, classifier_arrays, load_classifier, save_classifier
 from deformscope.stages.squeeze.model import ContentModel, fit_model
-from tests.stages.squeeze.trials import two_modalities
+from tests.stages.squeeze.trials import stepped, two_modalities
 
 
 @pytest.fixture(scope="module")
@@ -38,6 +38,21 @@ def test_a_loaded_model_answers_to_the_bit_as_the_trained_one(tmp_path: Path, mo
     assert loaded.labels == model.labels
     assert (loaded.settings, loaded.promised, loaded.provenance) == ({"end": "tip"}, {"accuracy": 0.9}, {"source": "a"})
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_the_fusion_of_each_step_is_kept_and_a_file_without_it_answers_by_touch(tmp_path: Path) -> None:
+    made, path = fit_model(stepped(), by_group=False), tmp_path / "m.npz"
+    save_classifier(made, path)
+    new = {name: values[:, 6] for name, values in stepped(seed=5).series.items()}
+    loaded = load_classifier(path)
+
+    assert loaded.predict_at(0.6, new)[0] == ("tactile", "vision_small")
+    np.testing.assert_array_equal(loaded.predict_at(0.6, new)[1], made.predict_at(0.6, new)[1])
+    arrays = classifier_arrays(made)
+    told = json.loads(str(arrays["told"]))
+    del told["step_fusion"], told["steps"][1:]  # as it was written before
+    np.savez(path, **arrays | {"told": np.array(json.dumps(told))})
+    assert load_classifier(path).predict_at(0.6, new)[0] == ("tactile",)
 
 
 def test_the_file_is_plain_arrays_and_json(tmp_path: Path, model: ContentModel) -> None:

@@ -22,6 +22,7 @@ from deformscope.recording.recorder import Recorder
 from deformscope.session import Moment, Step
 from deformscope.stages.squeeze.events import SqueezeEvents
 from deformscope.stages.squeeze.trial import (
+    ContainerChange,
     ContentPosterior,
     FingertipPressure,
     SqueezeFeatures,
@@ -49,6 +50,7 @@ RESULTS = (
         np.array([2e-4, 0.0]),
     ),
     TrackedContainer(7, np.eye(4), False, "too few pixels", np.ones(6), 0.7, np.arange(8.0).reshape(2, 2, 2), 0.3),
+    ContainerChange(7, 0.3, "", CHANGE.astype(np.float32), CHANGE[:11, :11], np.array([3.0, 4.0]), 0.11, 0.14, 2e-3),
     SqueezeFeatures(
         np.arange(72.0),
         np.r_[1.0, np.nan, np.arange(11.0)],
@@ -84,7 +86,7 @@ def test_what_is_no_result_of_a_squeeze_is_refused() -> None:
 
 
 def test_features_without_vision_are_shown_as_words() -> None:
-    features = dataclasses.replace(RESULTS[4], vision=None, vision_small=None, reason="no camera")  # type: ignore[type-var]
+    features = dataclasses.replace(RESULTS[5], vision=None, vision_small=None, reason="no camera")  # type: ignore[type-var]
     batch = prepare_squeeze_results((features,), 0, Fingertips(STREAM, (1, 5)))
 
     assert "display/squeeze/change/words" in [path for path, _ in batch.parts]
@@ -98,7 +100,7 @@ def test_the_model_before_stays_beside_the_one_after() -> None:
 
 
 def test_what_was_measured_stands_in_a_table() -> None:
-    batch = prepare_squeeze_results((RESULTS[1], RESULTS[4]), 0, None)
+    batch = prepare_squeeze_results((RESULTS[1], RESULTS[5]), 0, None)
     (chunk,) = [part for path, part in batch.parts if path == "display/squeeze/measured" and isinstance(part, Chunk)]
 
     ((text,),) = chunk.to_record_batch()["TextDocument:text"].to_pylist()
@@ -118,7 +120,7 @@ def test_a_plot_of_contents_is_there_where_a_model_names_them(named: bool) -> No
                 look(inner)
 
     look(views.root_container)
-    assert ("probability of each content, by touch" in seen) == named
+    assert ("probability of each content, by touch and vision" in seen) == named
     assert any("model before" in name for name in seen)
 
 

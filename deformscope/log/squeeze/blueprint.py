@@ -74,7 +74,9 @@ def squeeze_blueprint(
     below: list[rrb.View] = [rrb.TextDocumentView(origin=MEASURED, name="what was measured")]
     if named:
         share = rrb.ScalarAxis(range=(0.0, 1.0), zoom_lock=True)
-        plots.append(plot_view(CONTENT, "probability of each content, by touch", window_s=WINDOW_S, axis_y=share))
+        plots.append(
+            plot_view(CONTENT, "probability of each content, by touch and vision", window_s=WINDOW_S, axis_y=share)
+        )
         below.append(rrb.TextDocumentView(origin=NAMED, name="what is in it"))
     numbers = rrb.Horizontal(
         rrb.Vertical(rrb.Horizontal(*plots), lanes, row_shares=[3.0, 1.0]),

@@ -4,16 +4,25 @@ from __future__ import annotations
 
 import rerun as rr
 
+from deformscope.arrays import FloatArray
 from deformscope.log.result_batch import ResultBatch
 from deformscope.pictures.depth_change import depth_change_png
-from deformscope.stages.squeeze.trial import SqueezeFeatures
+from deformscope.stages.squeeze.trial import ContainerChange, SqueezeFeatures
 
 CHANGE = "display/squeeze/change"
 
 
+def log_container_change(now: ResultBatch, change: ContainerChange) -> None:
+    """As it happens; what is refused stands in words and leaves the last picture."""
+    _show(now, change.change_m, change.width_m, change.missing, change.reason)
+
+
 def log_change(now: ResultBatch, features: SqueezeFeatures) -> None:
-    if features.vision is None:
-        words = f"no visual feature: {features.reason or 'no camera'}"
-        now.show(f"{CHANGE}/words", rr.TextLog(words, level="WARN"))
-        return
-    now.show_png(CHANGE, depth_change_png, features.vision, features.patch_width_m, features.missing)
+    _show(now, features.vision, features.patch_width_m, features.missing, features.reason or "no camera")
+
+
+def _show(now: ResultBatch, change_m: FloatArray | None, width_m: float, missing: float, reason: str) -> None:
+    if change_m is None:
+        now.show(f"{CHANGE}/words", rr.TextLog(f"no visual feature: {reason}", level="WARN"))
+    else:
+        now.show_png(CHANGE, depth_change_png, change_m, width_m, missing)

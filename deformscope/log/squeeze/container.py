@@ -17,10 +17,16 @@ BEFORE_PX, AFTER_PX = 1.4, 0.5
 
 def log_container(now: ResultBatch, tracked: TrackedContainer) -> None:
     """Green at rest, which stays; red as all that is simulated while it is squeezed; darker where the track is bad."""
-    before = tracked.since_s < 0.0
+    before = not tracked.since_s >= 0.0
     color = BAD if not tracked.good else REST if before else SIMULATED
     when = "before contact" if before else f"{tracked.since_s:.1f} s after contact"
-    words = f"{100 * tracked.agreeing:.0f} % of the pixels agree" if tracked.good else f"not used: {tracked.reason}"
+    words = f"refused: {tracked.reason}"
+    if tracked.good:
+        words = f"{100 * tracked.agreeing:.0f} % of the pixels agree"
+    if tracked.directions is not None:
+        words += f"\ndegrees of freedom: {tracked.degrees}"
+    if tracked.lag_s is not None and tracked.live:
+        words += f"; {1e3 * tracked.lag_s:.0f} ms behind" + f", {tracked.skipped} left out" * bool(tracked.skipped)
     edges = tracked.edges_px.astype(np.float32)
     path = f"{CONTAINER}/{'before' if before else 'after'}"
     width, order = (BEFORE_PX, 79.0) if before else (AFTER_PX, 80.0)

@@ -2,7 +2,7 @@
 person looks at.
 
     squeeze/phase|stopped|events|features   one row a result, every field of it a component of the same name
-    squeeze/fingertips|container|content    likewise, at the time of the frame that it is of
+    squeeze/fingertips|container|change|content    likewise, at the time of the frame that it is of
     squeeze/sighting|placement              the container as the image has it, the grasp drawn, where an arm places
     display/place/scene|image|words         the same on the table, over the image, and in words
     display/tactile/DEVICE/contact          centre of pressure and principal axis, on the picture of the hand (fig. 2.4)
@@ -21,7 +21,7 @@ import rerun as rr
 
 from deformscope.log.result_batch import ResultBatch
 from deformscope.log.rig.columns import Batch, log_series
-from deformscope.log.squeeze.change import log_change
+from deformscope.log.squeeze.change import log_change, log_container_change
 from deformscope.log.squeeze.container import log_container
 from deformscope.log.squeeze.content import log_content, log_not_named
 from deformscope.log.squeeze.fingertips import FORCE, Fingertips, log_fingertips
@@ -33,6 +33,7 @@ from deformscope.pictures.palette import JOINTS
 from deformscope.stages.squeeze.events import SqueezeEvents
 from deformscope.stages.squeeze.placement import ContainerSighting, HandPlacement
 from deformscope.stages.squeeze.trial import (
+    ContainerChange,
     ContentPosterior,
     FingertipPressure,
     SqueezeFeatures,
@@ -49,7 +50,7 @@ FINGERTIPS = ShownStage("fingertips", 2, "force, area, centre and axis of pressu
 EVENTS = ShownStage("events", 2, "first contact and steady state")
 TRACK = ShownStage("track", 2, "pose of the rigid model in a depth image (fig. 2.8)", when=CAMERA)
 FEATURES = ShownStage("features", 2, "tactile and physical, at steady state (fig. 2.7)")
-DEPTH_CHANGE = ShownStage("depth change", 2, "data minus model (fig. 2.6)", field="vision", when=CAMERA)
+DEPTH_CHANGE = ShownStage("depth change", 2, "data minus model (fig. 2.6)", field="change_m", when=CAMERA)
 POSTERIOR = ShownStage("posterior", 2, "probability of each content", when=SOMETIMES)
 
 
@@ -92,7 +93,8 @@ def squeeze_views(fingertips: Fingertips | None) -> Views[ResultBatch]:
             *(() if fingertips is None else [partial(log_fingertips, fingertips=fingertips)]),
         ),
         TrackedContainer: (TRACK, log_container),
-        SqueezeFeatures: (FEATURES, DEPTH_CHANGE, log_change),
+        ContainerChange: (DEPTH_CHANGE, log_container_change),
+        SqueezeFeatures: (FEATURES, log_change),
         ContentPosterior: (POSTERIOR, log_content),
         SqueezeEvents: (EVENTS,),
         ContainerSighting: (SIGHTING, log_sighting),

@@ -102,10 +102,12 @@ class ModelRenderer:
         aside = (np.asarray(pixels, dtype=np.float64) - self.camera.centre_px) / self.camera.focal_px
         return np.concatenate([aside, np.ones((*aside.shape[:-1], 1))], axis=-1)
 
-    def render(self, T_camera_container: FloatArray, pixels: FloatArray | IntArray) -> ModelView:
-        """What pixels (..., 2) as (column, row) see of the container at a pose (4, 4)."""
+    def render(
+        self, T_camera_container: FloatArray, pixels: FloatArray | IntArray, ray: FloatArray | None = None
+    ) -> ModelView:
+        """What pixels (..., 2) as (column, row) see of the container at a pose (4, 4). ray: (..., 3), where known"""
         pose = np.asarray(T_camera_container, dtype=np.float64)
-        ray = self.rays(pixels) @ pose[:3, :3]
+        ray = (self.rays(pixels) if ray is None else ray) @ pose[:3, :3]
         cast = np.empty((*ray.shape[:-1], 6), dtype=np.float32)
         cast[..., :3] = -pose[:3, 3] @ pose[:3, :3]  # the eye in the container's frame, which does not move
         cast[..., 3:] = ray

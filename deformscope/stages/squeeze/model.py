@@ -12,7 +12,7 @@ from deformscope.errors import InputError
 from deformscope.stages.squeeze.components import Scaling, fit_scaling, kept_of, loadings
 from deformscope.stages.squeeze.evaluation import Progress, held_values
 from deformscope.stages.squeeze.fusion import Expert, Pool, fit_expert, fit_pool, fuse
-from deformscope.stages.squeeze.table import LabelledTable
+from deformscope.stages.squeeze.table import LabelledTable, absent
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,14 +42,16 @@ class ContentModel:
     """What is in a container, from any of its modalities.
 
     labels: C contents; modalities: by name; fusion: of these, in their order; steps: by modality one model for each
-    step of the squeeze, `step_s` apart; settings: of the features, as whoever computed them wrote them down: a squeeze
-    must have the same; promised: accuracy with its interval, as evaluated; provenance: versions and source
+    step of the squeeze, `step_s` apart; step_fusion: of these, in their order, for each step, () = they are not fused
+    settings: of the features, as whoever computed them wrote them down: a squeeze must have the same
+    promised: accuracy with its interval, as evaluated; provenance: versions and source
     """
 
     labels: tuple[str, ...]
     modalities: Mapping[str, ModalityModel]
     fusion: Pool
     steps: Mapping[str, tuple[ModalityModel, ...]] = field(default_factory=dict)
+    step_fusion: tuple[Pool, ...] = ()
     step_s: float = 0.1
     settings: Mapping[str, object] = field(default_factory=dict)
     promised: Mapping[str, object] = field(default_factory=dict)
@@ -86,9 +88,27 @@ class ContentModel:
         are taken as the last. Raises InputError for a modality without steps."""
         if modality not in self.steps:
             raise InputError(f"a modality with steps: {', '.join(self.steps) or 'none'}", modality)
+        return np.exp(self._log_step(modality, step, features))
+
+    def predict_at(self, since_s: float, features: Mapping[str, FloatArray]) -> tuple[tuple[str, ...], FloatArray]:
+        """(n, C) posterior so long after first contact of features then (n, p) by modality, and which of these it is
+        of: those that have steps, where their fusion was learned; else `tactile` alone. A row of NaN is missing."""
+        step = round(since_s / self.step_s)
+        known = tuple(name for name in self.steps if name in features)
+        if len(known) < 2 or not self.step_fusion:
+            touch = features["tactile"]
+            now = "tactile" in self.steps
+            posterior = self.predict_step("tactile", step, touch) if now else self.predict_proba({"tactile": touch})
+            return ("tactile",), posterior
+        present = np.stack([~absent(features[name]) for name in known])
+        logs = np.stack([self._log_step(name, step, np.nan_to_num(features[name])) for name in known])
+        pool = self.step_fusion[min(step, len(self.step_fusion) - 1)]
+        return known, np.exp(fuse(pool, logs, present))
+
+    def _log_step(self, modality: str, step: int, features: FloatArray) -> FloatArray:
         models = self.steps[modality]
         model = models[min(step, len(models) - 1)]
-        return np.exp(model.log_posterior(checked(modality, features, model)))
+        return model.log_posterior(checked(modality, features, model))
 
 
 def checked(name: str, features: FloatArray, model: ModalityModel) -> FloatArray:
@@ -113,37 +133,48 @@ def fit_model(
 
     by_group: groups are left out together when posteriors are calibrated and modalities weighed
     """
+    series = {name: held_values(values) for name, values in table.series.items()}
     table = table.of(table.fused[0])
     group = np.unique(table.group, return_inverse=True)[1].reshape(-1) if by_group and table.group is not None else None
     target, classes = table.target, len(table.classes)
-    models = {}
-    shape = len(table.modalities), len(table)
-    logs, known = np.zeros((*shape, classes)), np.zeros(shape, dtype=bool)
-    for index, (name, values) in enumerate(table.modalities.items()):
-        rows = np.flatnonzero(~table.missing(name))
-        models[name], logs[index, rows], known[index, rows] = _fit_modality(values, rows, target, classes, group, seed)
-    usable = known.any(axis=0)
-    steps: dict[str, tuple[ModalityModel, ...]] = {}
-    for name, series in table.series.items():
-        held = held_values(series)
-        found = []
-        for step in range(held.shape[1]):
-            if progress is not None:
-                progress(f"training the steps of {name}", step, held.shape[1])
-            rows = np.flatnonzero(~np.isnan(held[:, step]).all(axis=1))
-            if len(np.unique(target[rows])) > 1:
-                found.append(_fit_modality(held[:, step], rows, target, classes, group, seed)[0])
-        steps[name] = tuple(found)
+    models, fusion = _fit_fused(table.modalities, target, classes, group, seed)
+    steps: dict[str, list[ModalityModel]] = {name: [] for name in series}
+    step_fusion, count = [], max((values.shape[1] for values in series.values()), default=0)
+    for step in range(count):
+        if progress is not None:
+            progress("training the steps of the squeeze", step, count)
+        now = {name: values[:, min(step, values.shape[1] - 1)] for name, values in series.items()}
+        now = {name: one for name, one in now.items() if len(np.unique(target[~absent(one)])) > 1}
+        found, pool = _fit_fused(now, target, classes, group, seed)
+        step_fusion.append(pool)
+        for name, model in found.items():
+            steps[name].append(model)
+    fused = len(steps) > 1 and all(len(found) == count for found in steps.values())
     return ContentModel(
         labels=table.classes,
         modalities=models,
-        fusion=fit_pool(logs[:, usable], known[:, usable], target[usable]),
-        steps=steps,
+        fusion=fusion,
+        steps={name: tuple(found) for name, found in steps.items() if found},
+        step_fusion=tuple(step_fusion) if fused else (),
         step_s=table.step_s,
         settings=table.settings,
         promised=promised or {},
         provenance=provenance or {},
     )
+
+
+def _fit_fused(
+    named: Mapping[str, FloatArray], target: IntArray, classes: int, group: IntArray | None, seed: int
+) -> tuple[dict[str, ModalityModel], Pool]:
+    """The model of each modality (trials, p), and how they are fused."""
+    models = {}
+    shape = len(named), len(target)
+    logs, known = np.zeros((*shape, classes)), np.zeros(shape, dtype=bool)
+    for index, (name, values) in enumerate(named.items()):
+        rows = np.flatnonzero(~absent(values))
+        models[name], logs[index, rows], known[index, rows] = _fit_modality(values, rows, target, classes, group, seed)
+    usable = known.any(axis=0)
+    return models, fit_pool(logs[:, usable], known[:, usable], target[usable])
 
 
 def _fit_modality(

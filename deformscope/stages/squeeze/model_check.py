@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -11,14 +12,29 @@ from scipy import stats
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.errors import InputError
 from deformscope.results.declared import derived, reported
+from deformscope.stages.squeeze.evaluation import held_values
 from deformscope.stages.squeeze.intervals import Estimated, Interval, share_among_new, trials_worth, wilson
 from deformscope.stages.squeeze.model import ContentModel
-from deformscope.stages.squeeze.scores import ClassificationScore, balanced_worth, cluster_sizes, reliability_of
-from deformscope.stages.squeeze.table import LabelledTable
+from deformscope.stages.squeeze.scores import BINS, ClassificationScore, balanced_worth, cluster_sizes, reliability_of
+from deformscope.stages.squeeze.table import LabelledTable, absent
 from deformscope.stages.squeeze.trial_run import joined_name
 
 DRAWS = 4000
 """Perfectly calibrated classifiers that are drawn: a share of 0.1 is then known within 0.01."""
+
+
+TIMES_S = (0.2, 0.5, 1.0)
+"""Since first contact: when what a model says meanwhile is looked at."""
+
+
+@dataclass(frozen=True, slots=True)
+class TimeCheck:
+    """What a model says so long after first contact, of the modalities of `score`; time_s: NaN = in the end, of all
+    that are fused; error_interval: of the calibration error, by drawing trials anew"""
+
+    time_s: float = field(metadata=reported(json=lambda time_s: None if math.isnan(time_s) else time_s))
+    score: ClassificationScore = field(metadata=reported(flat=True))
+    error_interval: Interval = field(metadata=reported(key="calibration_interval"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,6 +45,7 @@ class ModelCheck:
     expected: within what the accuracy of so many independent trials lies, were the promise right
     inside: of the bins of the reliability diagram that have answers, how many are inside the band, and of how many
     calibrated: share of perfectly calibrated classifiers with the same posteriors that stray as far or farther
+    times: while the squeeze goes on and in the end, where table and model have steps
     """
 
     labels: tuple[str, ...]
@@ -38,6 +55,7 @@ class ModelCheck:
     expected: Interval | None = field(metadata=reported(key="expected_interval"))
     inside: tuple[int, int]
     calibrated: float = field(metadata=reported(key="calibrated_p"))
+    times: tuple[TimeCheck, ...] = field(default=(), metadata=reported(key="at_times"))
 
     @property
     @derived(key="promise_kept")
@@ -83,7 +101,36 @@ def check_model(model: ContentModel, table: LabelledTable, *, level: float = 0.9
     if promised is not None:
         stated = model.promised.get("level", level)
         expected = share_among_new(promised, score.worth, level, float(stated) if isinstance(stated, float) else level)
-    return ModelCheck(model.labels, score, alone, promised, expected, bins, _calibrated(posterior, score, seed))
+    calibrated = _calibrated(posterior, score, seed)
+    last = TimeCheck(math.nan, score, _error_interval(model, table, posterior, rows, level, seed))
+    times = tuple(_times(model, table, level, seed))
+    return ModelCheck(model.labels, score, alone, promised, expected, bins, calibrated, (*times, last) if times else ())
+
+
+def _times(model: ContentModel, table: LabelledTable, level: float, seed: int) -> Iterator[TimeCheck]:
+    """At `TIMES_S`, of the trials in which there is touch then."""
+    held = {name: held_values(values) for name, values in table.series.items() if name in model.steps}
+    for time_s in TIMES_S if "tactile" in held and table.step_s == model.step_s else ():
+        step = round(time_s / model.step_s)
+        now = {name: values[:, min(step, values.shape[1] - 1)] for name, values in held.items()}
+        rows = np.flatnonzero(~absent(now["tactile"]))
+        names, posterior = model.predict_at(time_s, {name: values[rows] for name, values in now.items()})
+        score = _score(model, table, posterior, rows, names, level)
+        yield TimeCheck(time_s, score, _error_interval(model, table, posterior, rows, level, seed))
+
+
+def _error_interval(
+    model: ContentModel, table: LabelledTable, posterior: FloatArray, rows: IntArray, level: float, seed: int
+) -> Interval:
+    """Of the calibration error of a posterior (n, classes) of rows (n,). Few trials err upwards by chance alone."""
+    right = posterior.argmax(axis=1) == np.array([model.labels.index(one) for one in table.label[rows]])
+    sure, random = posterior.max(axis=1), np.random.default_rng([seed, 0xEC])
+    place, errors = np.minimum((sure * BINS).astype(int), BINS - 1), []
+    for _ in range(DRAWS):
+        drawn = random.integers(len(rows), size=len(rows))
+        errors.append(np.abs(np.bincount(place[drawn], (sure - right)[drawn], BINS)).sum() / len(rows))
+    low, high = np.quantile(errors, [0.5 - level / 2, 0.5 + level / 2])
+    return float(low), float(high)
 
 
 def _promised(model: ContentModel) -> Estimated | None:

@@ -183,8 +183,12 @@ def _window(link: Capsule, camera: Intrinsics, margin_m: float, shape: tuple[int
 
 def around(center_px: FloatArray, shape: tuple[int, int], radius_px: float) -> BoolArray:
     """(H, W) pixels within a distance of a pixel (column, row): where a finger dents the wall, which is not rigid."""
-    column, row = np.meshgrid(np.arange(shape[1]), np.arange(shape[0]))
-    return np.asarray(np.hypot(column - center_px[0], row - center_px[1]) <= radius_px)
+    covered = np.zeros(shape, dtype=bool)
+    low = np.clip(np.floor(center_px - radius_px).astype(int), 0, shape[::-1])
+    high = np.clip(np.ceil(center_px + radius_px).astype(int) + 1, 0, shape[::-1])
+    aside, down = np.arange(low[0], high[0]) - center_px[0], np.arange(low[1], high[1]) - center_px[1]
+    covered[low[1] : high[1], low[0] : high[0]] = np.hypot(aside, down[:, None]) <= radius_px
+    return covered
 
 
 def _block_means(change: FloatArray) -> FloatArray:

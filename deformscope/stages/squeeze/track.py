@@ -14,6 +14,7 @@ found beside the pose (`bulge`), so that a full container is not taken for one t
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import cv2
@@ -46,13 +47,15 @@ OBSERVED_M = 0.001
 """A direction of motion with a smaller deviation is observed."""
 FLATTEST = 0.2
 """Least cosine between a ray and the normal where a pixel counts."""
+THIN = (slice(None, None, 2), slice(None, None, 2))
+"""Of the pixels looked at in the end, so many are compared."""
 
 
 @dataclass(frozen=True, slots=True)
 class TrackOptions:
     """reach_m: from how far the surface is drawn to the data [m]; steps: at most so many
     least_pixels: of the container seen; least_agreeing: least share of them within the noise for a good track
-    farthest_m, farthest_deg: from the rest pose
+    farthest_m, farthest_deg: from the rest pose; jump_m: from the start, rotation times the lever added
     """
 
     reach_m: float = 0.02
@@ -61,6 +64,7 @@ class TrackOptions:
     least_agreeing: float = 0.85
     farthest_m: float = 0.05
     farthest_deg: float = 20.0
+    jump_m: float = math.inf
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,6 +88,20 @@ class PoseEstimate:
     edge_points: int
     good: bool
     reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class _Window:
+    """What is rendered of the container. pixels: (h, w, 2) column and row; ray: (h, w, 3); bulge: (h, w, k)"""
+
+    pixels: IntArray
+    ray: FloatArray
+    view: ModelView
+    bulge: FloatArray
+
+    def part(self, of: tuple[slice, slice]) -> _Window:
+        """Some rows and columns of it."""
+        return _Window(self.pixels[of], self.ray[of], self.view.part(of), self.bulge[of])
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,25 +135,27 @@ def track(
     depth = np.asarray(depth_m, dtype=np.float64)
     if depth.ndim != 2 or (excluded is not None and excluded.shape != depth.shape):
         raise InputError("a depth image (H, W) and a mask of its size", f"shape {depth.shape}")
-    depth = np.where(np.isfinite(depth) & (depth > 0.0), depth, np.nan)
-    usable = np.isfinite(depth) if excluded is None else np.isfinite(depth) & ~excluded
+    seen = np.isfinite(depth) & (depth > 0.0)
+    depth = np.where(seen, depth, np.nan)
+    usable = seen if excluded is None else seen & ~excluded
     pose: FloatArray = np.array(start, dtype=np.float64)
     rest = pose.copy() if rest is None else np.asarray(rest, dtype=np.float64)
     lever = 0.5 * renderer.model.radius_m
     settled, fine, gain = False, False, 1.0
     for _ in range(options.steps):
-        rows = _equations(renderer, depth, usable, pose, options.reach_m, fine)
+        rows, _ = _equations(renderer, depth, usable, pose, options.reach_m, fine)
         motion, _, _ = _solve(rows, pose, rest, lever)
         motion = gain * motion
         pose = _moved(pose, motion)
-        length = float(np.hypot(np.linalg.norm(motion[:3]), np.linalg.norm(motion[3:]) * lever))
+        length = _length(motion, lever)
         settled = fine and length < RESTLESS_M
         if fine and length < SETTLED_M:
             break
         if fine:  # ever less, so that outlines that jump from pixel to pixel do not swing it for ever
             gain = 1.0 / (0.5 + 1.0 / gain)
         fine = fine or length < COARSE_M
-    return _judged(renderer, depth, usable, pose, rest, lever, settled, options)
+    away_m = _length(_between(np.asarray(start, np.float64), pose), lever)
+    return _judged(renderer, depth, usable, pose, rest, lever, settled, away_m, options)
 
 
 def locate(
@@ -168,48 +188,44 @@ def _equations(
     pose: FloatArray,
     reach_m: float,
     fine: bool,
-) -> list[_Rows]:
-    """Equations of the surface, and of the outline where it is fine, in this order. depth: (h, w) [m]; usable: (h, w);
-    pose: (4, 4) [m]"""
+) -> tuple[list[_Rows], _Window | None]:
+    """Equations of the surface, and of the outline where it is fine, in this order; and what is rendered, None where
+    the container is beside the image. depth: (h, w) [m]; usable: (h, w); pose: (4, 4) [m]"""
     margin = EDGE_REACH_PX if fine else 0
     left, top, right, bottom = renderer.window(pose, (depth.shape[0], depth.shape[1]), margin)
     every = 1 if fine else 4
     pixels = np.stack(np.meshgrid(np.arange(left, right, every), np.arange(top, bottom, every)), axis=-1)
     if not pixels.size:
-        return []
-    view = renderer.render(pose, pixels)
-    thin = (slice(None, None, 2), slice(None, None, 2)) if fine else (slice(None), slice(None))
-    bulge = _shapes(renderer, view, pixels, pose)[thin] if fine else np.zeros((*pixels.shape[:2], 0))
+        return [], None
+    ray = renderer.rays(pixels)
+    view = renderer.render(pose, pixels, ray)
+    nothing = np.zeros((*pixels.shape[:2], 0))
+    window = _Window(pixels, ray, view, _shapes(view, ray, pose) if fine else nothing)
     rows = [
-        _surface_rows(renderer, depth, usable, pose, pixels[thin], view.part(thin), bulge, reach_m, 2 if fine else 4)
+        _surface_rows(depth, usable, pose, window.part(THIN), reach_m, 2)
+        if fine
+        else _surface_rows(depth, usable, pose, window, reach_m, 4)
     ]
     if fine:
         rows.append(_edge_rows(renderer, depth, usable, pose, view.depth_m, (left, top)))
-    return rows
+    return rows, window
 
 
-def _shapes(renderer: ModelRenderer, view: ModelView, pixels: IntArray, pose: FloatArray) -> FloatArray:
-    """(H, W, k) of the walls' bulges."""
-    height_m = (renderer.rays(pixels) * view.depth_m[..., None] - pose[:3, 3]) @ pose[:3, 2]
+def _shapes(view: ModelView, ray: FloatArray, pose: FloatArray) -> FloatArray:
+    """(H, W, k) of the walls' bulges. ray: (H, W, 3)"""
+    height_m = (ray * view.depth_m[..., None] - pose[:3, 3]) @ pose[:3, 2]
     return bulge_shapes(view, height_m)
 
 
 def _surface_rows(
-    renderer: ModelRenderer,
-    depth: FloatArray,
-    usable: BoolArray,
-    pose: FloatArray,
-    pixels: IntArray,
-    view: ModelView,
-    bulge: FloatArray,
-    reach_m: float,
-    every: int,
+    depth: FloatArray, usable: BoolArray, pose: FloatArray, window: _Window, reach_m: float, every: int
 ) -> _Rows:
+    pixels, view, bulge = window.pixels, window.view, window.bulge
     model_m = view.depth_m
     data = depth[pixels[..., 1], pixels[..., 0]]
     with np.errstate(invalid="ignore"):
         near = np.isfinite(model_m) & usable[pixels[..., 1], pixels[..., 0]] & (np.abs(data - model_m) < reach_m)
-    ray, n, z = renderer.rays(pixels[near]), view.normal(near), model_m[near]
+    ray, n, z = window.ray[near], view.normal(near), model_m[near]
     facing = np.einsum("ij,ij->i", n, ray) / np.linalg.norm(ray, axis=1)
     flat = np.abs(facing) > FLATTEST
     ray, n, z, facing, data = ray[flat], n[flat], z[flat], facing[flat], data[near][flat]
@@ -379,11 +395,12 @@ def _judged(
     rest: FloatArray,
     lever: float,
     settled: bool,
+    moved_m: float,
     options: TrackOptions,
 ) -> PoseEstimate:
-    rows = _equations(renderer, depth, usable, pose, options.reach_m, fine=True)
+    rows, window = _equations(renderer, depth, usable, pose, options.reach_m, fine=True)
     _, directions, deviation = _solve(rows, pose, rest, lever)
-    shown = _compared(renderer, depth, usable, pose, rows)
+    shown = _compared(depth, usable, pose, rows, window)
     agreeing = float(np.mean(np.abs(shown) < 4.0)) if len(shown) else 0.0
     rms = float(np.sqrt(np.mean(rows[0].residual ** 2))) if rows and len(rows[0].residual) else float("nan")
     away = _between(rest, pose)
@@ -395,6 +412,8 @@ def _judged(
         reason = f"{agreeing:.0%} of the container's pixels agree with its model, {options.least_agreeing:.0%} needed"
     elif away_m > options.farthest_m or away_deg > options.farthest_deg:
         reason = f"{1e3 * away_m:.0f} mm and {away_deg:.0f} degrees from the rest pose"
+    elif moved_m > options.jump_m:
+        reason = f"a jump of {1e3 * moved_m:.0f} mm from the pose before, {1e3 * options.jump_m:.0f} mm at most"
     elif not settled:
         reason = f"the pose did not settle in {options.steps} steps"
     return PoseEstimate(
@@ -413,29 +432,31 @@ def _judged(
 
 
 def _compared(
-    renderer: ModelRenderer, depth: FloatArray, usable: BoolArray, pose: FloatArray, rows: list[_Rows]
+    depth: FloatArray, usable: BoolArray, pose: FloatArray, rows: list[_Rows], window: _Window | None
 ) -> FloatArray:
     """(n,) differences of depth in deviations at the container's pixels, those of the background included: where the
     model is and the container is not, the track is wrong. What stands before it, as a cable, is left out, and how far
-    walls bulge is taken into account. rows: the equations there"""
-    left, top, right, bottom = renderer.window(pose, (depth.shape[0], depth.shape[1]), EDGE_REACH_PX)
-    column, row = np.meshgrid(np.arange(left, right), np.arange(top, bottom))
-    if not column.size or not rows:
+    walls bulge is taken into account. rows: the equations there, of this window"""
+    if window is None:
         return np.zeros(0)
-    pixels = np.stack([column, row], axis=-1)
-    view, surface = renderer.render(pose, pixels), rows[0]
+    view, surface = window.view, rows[0]
     expected = view.depth_m
     if len(surface.residual) and surface.bulge.shape[1]:
         jacobian, residual, bulge = (
             one / surface.deviation.reshape(-1, *[1] * (one.ndim - 1))
             for one in (surface.jacobian, surface.residual, surface.bulge)
         )
-        out_m = _shapes(renderer, view, pixels, pose) @ _bulges(jacobian, residual, bulge, _tukey(residual))
-        along = np.einsum("hwi,hwi->hw", view.outward @ pose[:3, :3].T, renderer.rays(pixels))
+        out_m = window.bulge @ _bulges(jacobian, residual, bulge, _tukey(residual))
+        along = np.einsum("hwi,hwi->hw", view.outward @ pose[:3, :3].T, window.ray)
         expected = expected + out_m / np.minimum(along, -FLATTEST)
-    thin = (slice(None, None, 2), slice(None, None, 2))
-    row, column, expected = row[thin], column[thin], expected[thin]
+    column, row = np.moveaxis(window.pixels[THIN], -1, 0)
+    expected = expected[THIN]
     here = np.isfinite(expected) & usable[row, column]
     difference, z = depth[row, column][here] - expected[here], expected[here]
     scaled = difference / np.maximum(axial_noise_m(z), 0.001)
     return np.asarray(scaled[difference > -JUMP_M])
+
+
+def _length(motion: FloatArray, lever: float) -> float:
+    """Of a motion (6,) [m], rotation times its lever added."""
+    return float(np.hypot(np.linalg.norm(motion[:3]), np.linalg.norm(motion[3:]) * lever))

@@ -3,7 +3,10 @@ its content is taken for."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
+
+import numpy as np
 
 from deformscope.arrays import FloatArray
 from deformscope.results.declared import derived, reported
@@ -24,6 +27,8 @@ PHYSICAL = (
     "relaxation",
 )
 """Physical features, in this order. Forces, areas, centres, orientations and peaks are means over the fingers."""
+DEGREES = ("x", "y", "z", "rotation about x", "rotation about y", "rotation about z")
+"""Of freedom of a container, in its frame."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,17 +64,59 @@ class TrackedContainer:
     good, reason: whether features may be taken from it, and why not; observed: (6,) which directions of motion the
     image observes; agreeing: share of the compared pixels within the noise
     edges_px: (n, 2, 2) ends of the model's visible edges in the image; since_s: since the first contact [s], below 0 =
-    before it
+    before it, NaN = it was not known then
+    directions: (6, 6) of `observed`, a direction each row, container frame: translation, then rotation times half the
+    container's radius; deviation_m: (6,) standard deviation along each, from the eigenvalues of the normal matrix
+    lag_s: how old the image was when this was known [s], NaN = it was computed once the hand had opened, None = the
+    same, in the median of several images; skipped: images before it that were left out to keep up
     """
 
-    index: int
-    T_camera_container: FloatArray
+    index: int = field(metadata=reported())
+    T_camera_container: FloatArray = field(metadata=reported())
     good: bool
-    reason: str
+    reason: str = field(metadata=reported(key="refused"))
     observed: FloatArray
     agreeing: float
     edges_px: FloatArray
+    since_s: float = field(metadata=reported())
+    directions: FloatArray | None = None
+    deviation_m: FloatArray | None = field(default=None, metadata=reported())
+    lag_s: float | None = field(default=None, metadata=reported())
+    skipped: int | None = field(default=None, metadata=reported())
+
+    @property
+    def live(self) -> bool:
+        """Whether it was known while the hand squeezed."""
+        return self.lag_s is not None and math.isfinite(self.lag_s)
+
+    @property
+    @derived(key="degrees_of_freedom")
+    def degrees(self) -> str:
+        """How many degrees of freedom are observed, and which are not, each named by its largest part."""
+        free = [] if self.directions is None else self.directions[self.observed == 0.0]
+        names = sorted(DEGREES[int(np.abs(one).argmax())] for one in free)
+        return f"{int(self.observed.sum())} of 6 observed" + f", not {', '.join(names)}" * bool(names)
+
+
+@dataclass(frozen=True, slots=True)
+class ContainerChange:
+    """How the depth around the nearer fingertip differs in one image from that of the rigid container at its pose: data
+    minus model, a dent is positive (Thesis ch. 2).
+
+    index: the image's place in its stream; since_s: as for `TrackedContainer`; reason: why there is none
+    change_m: (61, 61) [m], NaN where nothing was measured; small_m: (11, 11) means of its blocks; missing: share of NaN
+    noise_m: deviation of a measured pixel; center_px: (2,) column and row of its middle; width_m: on the surface
+    """
+
+    index: int
     since_s: float
+    reason: str = ""
+    change_m: FloatArray | None = None
+    small_m: FloatArray | None = None
+    center_px: FloatArray | None = None
+    width_m: float = 0.0
+    missing: float = 1.0
+    noise_m: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,6 +158,7 @@ class ContentPosterior:
 
     since_s: since the first contact [s]; modality: what it is computed from; labels; probability: (k,) of each
     index: the newest tactile frame's place in its stream, -1 = it is of all features at steady state
+    vision_index: of the image whose change of depth it also is of, None = none
     """
 
     since_s: float
@@ -125,6 +173,7 @@ class ContentPosterior:
     labels: tuple[str, ...]
     probability: FloatArray
     index: int
+    vision_index: int | None = None
 
     @property
     @derived(key="posterior")

@@ -9,7 +9,7 @@ import pytest
 
 from deformscope.errors import InputError
 from deformscope.stages.squeeze.model import ContentModel, fit_model
-from tests.stages.squeeze.trials import two_modalities
+from tests.stages.squeeze.trials import stepped, two_modalities
 
 
 @pytest.fixture(scope="module")
@@ -46,6 +46,44 @@ def test_a_posterior_for_every_step_of_a_squeeze(model: ContentModel) -> None:
         model.predict_step("touch", 0, 0.1 * new), model.predict_step("touch", 1, new), atol=1e-6
     )
     np.testing.assert_array_equal(model.predict_step("touch", 7, new), model.predict_step("touch", 1, new))
+
+
+@pytest.fixture(scope="module")
+def live() -> ContentModel:
+    return fit_model(stepped(), by_group=True)
+
+
+def test_touch_and_vision_are_fused_at_each_step_and_it_says_which_of_them(live: ContentModel) -> None:
+    new = stepped(50, seed=9)
+    truth = np.array([live.labels.index(one) for one in new.label])
+
+    def right(time_s: float, *names: str) -> float:
+        step = round(10 * time_s)
+        known, posterior = live.predict_at(time_s, {name: new.series[name][:, step] for name in names})
+        assert known == names
+        np.testing.assert_allclose(posterior.sum(axis=1), 1.0)
+        return float((posterior.argmax(axis=1) == truth).mean())
+
+    assert right(0.6, "tactile", "vision_small") > right(0.6, "tactile") + 0.15
+    assert right(0.6, "tactile", "vision_small") > right(0.1, "tactile", "vision_small") + 0.2
+
+
+def test_where_there_is_no_vision_at_a_step_touch_alone_answers(live: ContentModel) -> None:
+    new = {name: values[:, 6] for name, values in stepped(10, seed=9).series.items()}
+    both, touch = live.predict_at(0.6, new)[1], live.predict_step("tactile", 6, new["tactile"])
+
+    missing = np.isnan(new["vision_small"]).all(axis=1)
+    np.testing.assert_allclose(both[missing], touch[missing], rtol=1e-12)
+    assert not np.allclose(both[~missing], touch[~missing])
+
+
+def test_a_model_whose_vision_has_no_steps_answers_by_touch_and_says_so(live: ContentModel) -> None:
+    before = dataclasses.replace(live, steps={"tactile": live.steps["tactile"]}, step_fusion=())
+    new = {name: values[:, 6] for name, values in stepped(10, seed=9).series.items()}
+    known, posterior = before.predict_at(0.6, new)
+
+    assert known == ("tactile",)
+    np.testing.assert_array_equal(posterior, before.predict_step("tactile", 6, new["tactile"]))
 
 
 def test_features_that_do_not_fit_are_refused(model: ContentModel) -> None:

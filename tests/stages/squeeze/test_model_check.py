@@ -10,7 +10,7 @@ import pytest
 from deformscope.errors import InputError
 from deformscope.stages.squeeze.model import ContentModel, fit_model
 from deformscope.stages.squeeze.model_check import check_model
-from tests.stages.squeeze.trials import two_modalities
+from tests.stages.squeeze.trials import stepped, two_modalities
 
 PROMISED = {"accuracy": 0.97, "interval": (0.95, 0.99)}
 
@@ -62,3 +62,31 @@ def test_half_of_the_contents_suffice_and_unknown_ones_are_refused(model: Conten
 
     with pytest.raises(InputError, match="labels out of empty, flour, rice, water; got 'oil'"):
         check_model(model, table.merged({"oil": ["water"]}))
+
+
+def test_what_a_model_says_while_the_squeeze_goes_on_is_checked_at_each_time() -> None:
+    found = check_model(fit_model(stepped(40, seed=1), by_group=False), stepped(75, seed=2)).times
+
+    assert [one.time_s for one in found[:3]] == [0.2, 0.5, 1.0]
+    assert np.isnan(found[3].time_s)
+    assert [one.score.modality for one in found] == ["tactile+vision_small"] * 3 + ["tactile+vision"]
+    accuracy = [one.score.accuracy.value for one in found]
+    assert accuracy[0] < accuracy[1] - 0.1
+    for one in found:
+        low, high = one.error_interval
+        assert 0.0 < low < high < 0.15  # 300 answers of a classifier that means what it says
+
+
+def test_answers_that_are_too_sure_have_a_calibration_error_that_shows() -> None:
+    table = stepped(75, seed=2)
+    random = np.random.default_rng(0)
+    noisy = {name: values + 1.5 * random.normal(size=values.shape) for name, values in table.series.items()}
+    model = fit_model(stepped(40, seed=1), by_group=False)
+    before, after = (check_model(model, one).times[1] for one in (table, dataclasses.replace(table, series=noisy)))
+
+    assert after.score.calibration_error > before.error_interval[1]
+    assert after.error_interval[0] <= after.score.calibration_error <= after.error_interval[1]
+
+
+def test_a_table_without_steps_has_no_times() -> None:
+    assert check_model(fit_model(stepped(20), by_group=False), dataclasses.replace(stepped(20), series={})).times == ()

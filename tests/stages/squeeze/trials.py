@@ -32,6 +32,23 @@ def two_modalities(each: int = 16, *, seed: int = 0) -> LabelledTable:
     return LabelledTable(label, group, {"touch": touch, "vision": vision})
 
 
+def stepped(each: int = 30, *, seed: int = 0) -> LabelledTable:
+    """The same as `tactile` and `vision`, with twelve steps: nothing is known in the first ones, all from the sixth on.
+    Vision is small there, and a trial in six has none."""
+    table, rng = two_modalities(each, seed=seed), np.random.default_rng([seed, 1])
+    touch, vision = table.modalities["touch"], table.modalities["vision"]
+
+    def series(values: FloatArray) -> FloatArray:
+        noise = rng.normal(size=values.shape)
+        return np.stack([noise + min(step / 5, 1.0) * (values - noise) for step in range(12)], axis=1)
+
+    small = series(vision[:, :3])
+    small[::6] = np.nan
+    named: dict[str, FloatArray] = {"tactile": touch, "vision": vision}
+    steps: dict[str, FloatArray] = {"tactile": series(touch), "vision_small": small}
+    return LabelledTable(table.label, table.group, named, series=steps)
+
+
 def noise(classes: int, each: int, columns: int, *, seed: int) -> LabelledTable:
     """Features that have nothing to do with the labels."""
     rng = np.random.default_rng(seed)
