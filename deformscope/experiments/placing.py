@@ -18,8 +18,9 @@ from deformscope.arrays import FloatArray
 from deformscope.capsule import Capsule, moved
 from deformscope.errors import InputError
 from deformscope.experiments.squeeze import Squeezed
-from deformscope.experiments.squeeze_features import SqueezeGeometry, container_model
+from deformscope.experiments.squeeze_features import SqueezeGeometry
 from deformscope.experiments.squeeze_frames import SqueezeFrames, frame_ns
+from deformscope.experiments.squeeze_tracking import container_model
 from deformscope.experiments.squeezing_hand import HandWait, SqueezeEnded
 from deformscope.frames import ArmFrame, DepthFrame, HandFrame
 from deformscope.rig.source import RigSource
