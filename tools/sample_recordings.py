@@ -40,7 +40,7 @@ from deformscope.version import __version__
 
 RECORDINGS = Path(__file__).resolve().parents[1] / "recordings"
 MOST_BYTES = 3_000_000
-CAMERA_HZ = 5.0
+CAMERA_HZ = 4.0
 """Of the squeeze's camera, whose images are most of its bytes."""
 CAMERA_PX = {"width": 160, "height": 120}
 """Of the exploration's camera."""
@@ -52,8 +52,6 @@ USED = {
     "arm": ("arm_ns", "pose_ns", "depth_arm_ns", "end_ns", "held_ns"),
 }
 """Fields of an exploration's inputs that name rows of each kind of device by their host times [ns]."""
-BEFORE_NS = 1_000_000_000
-"""Images are used from so long before the first contact (`squeeze_frames.BEFORE_S`)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,12 +79,12 @@ def used_by_touches(path: Path) -> Callable[[str, Any], Any]:
 
 
 def used_by_squeeze(path: Path) -> Callable[[str, Any], Any]:
-    """The same of a squeeze: images from before the first contact until the fingers open, all else."""
+    """The same of a squeeze: images from when the fingertips are in the air until they open again, all else."""
     replay = Replay(path, trust=True)
     (events,) = (row for row in read_rows(replay, (SqueezeEvents,)))
     start_ns = events.item.steady_ns - events.session_ns
-    (opened,) = (row.session_ns for row in read_rows(replay, (SqueezePhase,)) if row.item.name == "open")
-    first_ns, last_ns = events.item.first_ns - BEFORE_NS, start_ns + opened
+    phases = {row.item.name: row.session_ns for row in read_rows(replay, (SqueezePhase,))}
+    first_ns, last_ns = start_ns + phases["air"], start_ns + phases["open"]
     return lambda kind, host_ns: (kind != "depth") | ((host_ns >= first_ns) & (host_ns < last_ns))
 
 
@@ -104,7 +102,7 @@ SAMPLES = {
     ),
     "squeeze": Sample(
         "squeeze lab:containers --model {folder}/contents.npz --content rice --container box-01 --seed 4 --viewer none",
-        "A squeeze of a simulated carton of rice, its camera at 5 Hz, its content named meanwhile",
+        "A squeeze of a simulated carton of rice, its camera at 4 Hz, its content named meanwhile",
         4,
         "classify sample:squeezes --quick --viewer none --save {folder}/contents.npz",
         keep=used_by_squeeze,

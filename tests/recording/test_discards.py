@@ -8,13 +8,13 @@ from pathlib import Path
 
 import pytest
 
+from deformscope import open_recording
 from deformscope.cli import main
 from deformscope.frames import NoteKind, SessionNote
 from deformscope.log.rig_layout import RIG, RigLayout
 from deformscope.recording.discards import discards_of
 from deformscope.recording.ledger import check_ledger, ledger_path
 from deformscope.recording.recorder import Recorder
-from deformscope.runs.recordings import open_recording
 
 
 def recorded(path: Path, *notes: tuple[NoteKind, str]) -> Path:

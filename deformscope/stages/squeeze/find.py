@@ -85,7 +85,7 @@ class ContainerFit:
 
 
 @dataclass(frozen=True, slots=True)
-class ContainerChange:
+class ContainerShift:
     """A container against what it was before. kind: stands, moved, toppled, gone (no upright one is found any more) or
     hidden (not known); `reason` says why
 
@@ -149,10 +149,10 @@ def find_container(points_m: FloatArray, shape: str, *, expected: ContainerFit |
     return found
 
 
-def compare(before: ContainerFit, after: ContainerFit | InputError) -> ContainerChange:
+def compare(before: ContainerFit, after: ContainerFit | InputError) -> ContainerShift:
     """What became of a container. after: as it is found now, or why it was not"""
     if isinstance(after, InputError):
-        return ContainerChange("hidden" if isinstance(after, ContainerHidden) else "gone", reason=str(after))
+        return ContainerShift("hidden" if isinstance(after, ContainerHidden) else "gone", reason=str(after))
     foot = [one.center_m[:2] - 0.5 * one.size_m[2] * one.lean_rad for one in (before, after)]
     moved_m = float(np.linalg.norm(foot[1] - foot[0]))
     # walls bulge alike in both
@@ -169,7 +169,7 @@ def compare(before: ContainerFit, after: ContainerFit | InputError) -> Container
     if lean > TOPPLED_RAD or after.size_m[2] < LOWER * before.size_m[2]:
         kind = "toppled"
         reason = f"{100 * after.size_m[2]:.1f} cm high instead of {100 * before.size_m[2]:.1f} cm"
-    return ContainerChange(kind, moved_m, threshold_m, float(turned), lean, reason)
+    return ContainerShift(kind, moved_m, threshold_m, float(turned), lean, reason)
 
 
 def matches(found: ContainerFit, size_m: tuple[float, float, float], tolerance_m: float = 0.01) -> ContainerFit:

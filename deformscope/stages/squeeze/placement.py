@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.results.declared import reported
-from deformscope.stages.squeeze.find import ContainerChange, ContainerFit
+from deformscope.stages.squeeze.find import ContainerFit, ContainerShift
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,7 +28,7 @@ class ContainerSighting:
     near: bool
     fit: ContainerFit | None = field(metadata=reported())
     refused: str = field(metadata=reported())
-    change: ContainerChange | None = field(metadata=reported())
+    change: ContainerShift | None = field(metadata=reported())
     edges_px: FloatArray
 
     @property
