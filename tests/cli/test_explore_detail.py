@@ -117,6 +117,7 @@ def test_the_error_over_beta_has_the_estimate_among_what_was_tried(planner: str,
         assert len(perception.beta.place_m) > 4
 
 
+@pytest.mark.slow
 def test_full_costs_few_bytes_and_lean_has_none_of_it(explore: Explore, capsys: pytest.CaptureFixture[str]) -> None:
     full, lean = explore("--detail", "full"), explore("--detail", "lean")
     assert lean.stat().st_size < full.stat().st_size <= 1.3 * lean.stat().st_size

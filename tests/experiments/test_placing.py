@@ -198,6 +198,7 @@ def test_out_of_reach_every_grasp_has_its_reason() -> None:
 
 
 @pytest.mark.parametrize("fault", ["shift", "topple"])
+@pytest.mark.slow
 def test_a_container_that_moved_while_the_hand_came_is_noticed(fault: str) -> None:
     trial = Trial("kuka")
     simulated = trial.lab.simulated
