@@ -22,7 +22,7 @@ from deformscope.experiments.squeeze_features import SqueezeGeometry
 from deformscope.experiments.squeeze_frames import SqueezeFrames, frame_ns
 from deformscope.experiments.squeeze_tracking import container_model
 from deformscope.experiments.squeezing_hand import HandWait, SqueezeEnded
-from deformscope.frames import ArmFrame, DepthFrame, HandFrame
+from deformscope.frames import ArmFrame, DepthFrame, HandFrame, SessionNote
 from deformscope.rig.source import RigSource
 from deformscope.robot.advice import where_it_stands
 from deformscope.robot.checks import Check, Preflight
@@ -177,6 +177,8 @@ class PlacingArm:
     def _still_there(self, robot: Robot, plan: GraspPlan) -> None:
         """Raises SqueezeEnded where somebody moved the arm meanwhile: its way back is then another one."""
         robot.cycle()
+        while not robot.seen.arms:  # its last pose may be of before the squeeze; an arm that says nothing is stopped
+            robot.cycle()
         off_m = float(np.linalg.norm(robot.center_m - plan.there_m[:3, 3]))
         if off_m > STAYED_M:
             raise self._stop(robot, "arm was moved", f"{1e3 * off_m:.0f} mm from where it placed the hand", Fault.ASKED)
@@ -192,7 +194,7 @@ class PlacingArm:
             if isinstance(error, SqueezeEnded):
                 raise
             verdict = robot.supervisor.verdict
-            if verdict.action is Action.BACK_OFF:
+            if verdict.action is Action.BACK_OFF and robot.may_move:
                 self._back_off(robot)
                 raise self._stop(robot, str(verdict.fault), verdict.reason, verdict.fault, verdict.time_ns) from error
             kind = "arm did not come there" if isinstance(error, NotThere) else "arm did not move"
@@ -301,7 +303,7 @@ class Placing:
         start_deg = self.frames.arm_now.joint_deg.tolist()
         try:
             arguments = (placing, limits, grip, start_deg, obstacle, drawn)
-            plan: GraspPlan = yield from ask(Compute(choose_grasp, arguments))
+            plan: GraspPlan = yield from ask(Compute(choose_grasp, arguments, "placement"))
         except NoGrasp as none:
             yield from self._planned(none.tried, none.refused, obstacle)
             raise self._ended(NO_GRASP, str(none), "where the container stands, and the arm's reach") from none
@@ -330,7 +332,10 @@ class Placing:
             stopped = ended
         self._arrived()
         yield from self._placement_now()
-        yield from self._look("after", near=stopped is not None)
+        try:
+            yield from self._look("after", near=stopped is not None)
+        except (InputError, ValueError) as error:  # what was squeezed, and why the arm stopped, count for more
+            yield Step(notes=(SessionNote(self.setup.clock(), "stage", f"container not looked at: {error}"),))
         if stopped is not None:
             raise stopped
 
@@ -345,7 +350,7 @@ class Placing:
             raise self._ended(NOT_FOUND, f"no {lacks} in {LOOK_S:g} s", "the device that is silent")
         before = self.found.sightings[0].fit if self.found.sightings else None
         arguments = (images, arm, hands[-1], self.geometry, when, before, near)
-        sighting: ContainerSighting = yield from ask(Compute(sight, arguments))
+        sighting: ContainerSighting = yield from ask(Compute(sight, arguments, "sighting"))
         self.found.sightings.append(sighting)
         yield Step((sighting,), moment=Moment(self.setup.clock()))
         return sighting

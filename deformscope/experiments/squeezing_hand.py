@@ -91,6 +91,8 @@ def rule_of(setup: SqueezeSetup) -> EventRule:
 class CarryingArm(Protocol):
     """The arm that carries the hand (`deformscope.experiments.placing.PlacingArm`)."""
 
+    stands: bool
+
     def do(self, command: object) -> object: ...
 
     def ask_to_stop(self, reason: str) -> None: ...
@@ -176,10 +178,13 @@ class SqueezingHand:
         """Stop the hand and set its current limits as they were; whether it confirmed both. From any thread: a command
         that is under way ends in its next control period."""
         self._robot.ask_to_stop(reason)
-        arm_stands = self.arm is None or self.arm.halt(reason)
-        self.stands = self._robot.halt() and arm_stands
-        self.restored = self._robot.restore()
-        return self.stands and self.restored
+        arm_stands = True
+        try:
+            self.stands = self._robot.halt()
+            self.restored = self._robot.restore()
+        finally:  # an arm that does not answer takes seconds
+            arm_stands = self.arm is None or self.arm.halt(reason)
+        return self.stands and self.restored and arm_stands
 
     def _do(self, command: object) -> object:
         try:

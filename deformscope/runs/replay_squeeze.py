@@ -107,7 +107,7 @@ def squeeze_again(recording: Replay) -> SqueezeAgain:
     placements = [one.item for one in read_results(path, (HandPlacement,), trust=True)]
     for one in (before, observer):
         one.frames.T_hand_container = placements[-1].T_hand_container if placements else None
-        one.frames.all_images = any(container.live for container in containers)
+        one.frames.all_images = any(container.lag_s is not None for container in containers)
         for row in rows:
             if isinstance(row.item, SqueezePhase):
                 one.phase(row.item.name, row.session_ns + start_ns)

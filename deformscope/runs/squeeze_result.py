@@ -30,7 +30,7 @@ class SqueezeResult(LibraryResult):
     start_ns: of the recording; computed: None where it was stopped; answer: of a model, None without one
     placement, sightings: of an arm that placed the hand, None and none where a person did; withdrawal: why it stopped
     on its way back
-    hand_stands, limits_restored: the hand could be stopped, its currents' limits are as they were
+    hand_stands, arm_stands, limits_restored: hand and arm could be stopped, the hand's current limits are as they were
     truth: when the laboratory's container was touched and held [s]; untracked: why it was not tracked on, or empty
     """
 
@@ -89,6 +89,7 @@ class SqueezeResult(LibraryResult):
 
     answer: ContentPosterior | None = field(metadata=reported(flat=True))
     hand_stands: bool = field(metadata=reported())
+    arm_stands: bool = field(metadata=reported())
     limits_restored: bool = field(metadata=reported())
     placement: HandPlacement | None = field(metadata=reported(optional=True))
     sightings: tuple[ContainerSighting, ...] = field(metadata=reported(key=None))
@@ -159,6 +160,10 @@ class SqueezeResult(LibraryResult):
             words = f"{1e3 * at.along_m:.0f} mm along, tilted {at.tilt_deg:.0f} deg, turned {at.turn_deg:.0f} deg"
             rows.append(("placed by", f"{at.by}: {words}; tried {len(at.refused)}{others}"))
         rows += [(f"container {one.when}", one.words) for one in self.sightings]
+        if not self.arm_stands:
+            rows.append(("arm", "COULD NOT BE STOPPED: use its emergency stop"))
+        elif self.stop is not None and self.placement is not None and self.placement.reached in ("approach", "grasp"):
+            rows.append(("arm", "stands at the container: move it away by its joystick before the next squeeze"))
         if self.withdrawal is not None:
             rows.append(("arm", f"stopped on its way back: {self.withdrawal.kind}: {self.withdrawal.reason}"))
         if self.computed is not None:

@@ -73,6 +73,9 @@ def squeeze_on(config: SqueezeConfig, report: Callable[[SqueezeResult], None]) -
     opening = squeeze_setup_of(
         config.rig, config.content, config.container, session, seed, trusted=config.trust_rig, place=config.place
     )
+    if opening.setup.placing is not None and not opening.setup.simulated:
+        wanted = "a simulated arm to place the hand: nothing judges a real one while the fingers squeeze"
+        raise InputError(wanted, f"--place {config.place} with {config.rig}", "--place person")
     if model is not None and model.settings and dict(model.settings) != feature_settings(opening.setup):
         raise InputError("a model of features with this rig's settings", f"{dict(model.settings)}", where=config.model)
     entry = entry_of(opening.setup, opening.content, opening.container, session, seed)
@@ -114,6 +117,7 @@ def squeeze_on(config: SqueezeConfig, report: Callable[[SqueezeResult], None]) -
         untracked=found.untracked,
         answer=found.posterior,
         hand_stands=ended["hand_stands"],
+        arm_stands=ended["arm_stands"],
         limits_restored=ended["limits_restored"],
         placement=found.placement,
         sightings=tuple(found.sightings),
@@ -205,7 +209,8 @@ def _run(
             with feature_executor(setup, hand) as beside, tracking as observer.tracking, watch.halts(hand):
                 run_session(source, experiment, observed, hand, beside)
         finally:
-            ended |= {"hand_stands": hand.stands, "limits_restored": hand.restored}
+            arm_stands = hand.arm is None or hand.arm.stands
+            ended |= {"hand_stands": hand.stands, "arm_stands": arm_stands, "limits_restored": hand.restored}
         if setup.truth is not None:
             truth = setup.truth()
             ended["truth"] = {

@@ -48,6 +48,7 @@ def of(path: Path, kind: type) -> list[Any]:
     return [row.item for row in read_results(path, (kind,), trust=True)]
 
 
+@pytest.mark.slow
 def test_labels_are_a_partition_of_the_recorded_depth_images(explore: Explore) -> None:
     path = explore("--detail", "full")
     depth = {one.stamp.host_ns: one.depth for one in read_items(path, trust=True, kinds=(DepthFrame,))}
@@ -103,7 +104,7 @@ def test_the_surface_under_a_touch_dents_where_it_was_touched(explore: Explore) 
     assert perception.stiffness.log_stiffness == pytest.approx(np.log(touch.stiffness_n_per_mm), abs=0.2)
 
 
-@pytest.mark.parametrize("planner", ["regions", "thesis"])
+@pytest.mark.parametrize("planner", ["regions", pytest.param("thesis", marks=pytest.mark.slow)])
 def test_the_error_over_beta_has_the_estimate_among_what_was_tried(planner: str, explore: Explore) -> None:
     path = explore("--detail", "full", *(["--planner", "thesis"] if planner == "thesis" else []))
     (perception,), (touch,) = of(path, TouchPerception), of(path, TouchEstimate)

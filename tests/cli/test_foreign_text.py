@@ -127,7 +127,9 @@ COMMANDS = {
 BEGUN = {"adjust": "viewer: ", "page": "viewer: ", "record": "recording into", "live": "watching"}
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP], ids=["SIGTERM", "SIGHUP"])
+@pytest.mark.parametrize(
+    "number", [signal.SIGTERM, pytest.param(signal.SIGHUP, marks=pytest.mark.slow)], ids=["SIGTERM", "SIGHUP"]
+)
 @pytest.mark.parametrize("name", COMMANDS)
 def test_a_request_to_end_is_heard(tmp_path: Path, name: str, number: signal.Signals) -> None:
     rig = tmp_path / "rig.toml"

@@ -89,6 +89,7 @@ def frames(path: Path) -> list[WrenchFrame]:
     return [item for item in OpenRecording(path).items() if isinstance(item, WrenchFrame)]
 
 
+@pytest.mark.slow
 def test_files_come_and_go_while_the_devices_stay_open(rig: Path, tmp_path: Path) -> None:
     with started("live", str(rig), folder=tmp_path) as command, page_script(command.page, "a") as one:
         one.until(lambda state: "start-recording" in state["commands"])

@@ -115,6 +115,7 @@ def busy_processor(monkeypatch: pytest.MonkeyPatch) -> tuple[Gate, Gate]:
     return begun, free
 
 
+@pytest.mark.slow
 def test_a_processor_that_is_too_slow_is_named_and_what_there_is_is_ended(
     tmp_path: Path, items: list[Item], monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
