@@ -115,6 +115,7 @@ def test_a_recorded_squeeze_replays_to_the_last_bit(
     assert main(["verify", str(file)]) == 0
     assert main(["replay", str(file)]) == 0
     assert "identical to the recorded numbers" in " ".join(capsys.readouterr().err.split())
+    assert main(["report", str(file), "--out", str(tmp_path / "r.html")]) == 0  # of a squeeze that no model named
 
     from deformscope.experiments import squeeze_features
     from deformscope.stages.squeeze.tactile import tactile_feature

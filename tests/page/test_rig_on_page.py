@@ -202,6 +202,7 @@ def test_the_last_seconds_are_kept_by_a_button(rig: Path, tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize("viewer", slow_but(["none"], ["page", "none"]))
+@pytest.mark.slow
 def test_record_may_hold_the_last_seconds_alone(rig: Path, tmp_path: Path, viewer: str) -> None:
     file, said = tmp_path / "last.rrd", tmp_path / "found.json"
     flags = ["--record", str(file), "--seconds", "3", "--keep-last", "0.5", "--viewer", viewer, "--json", str(said)]
@@ -244,6 +245,7 @@ def test_what_cannot_be_held_is_refused(rig: Path, capsys: pytest.CaptureFixture
     assert main(["record", str(rig), "--keep-last", "5", "--stage", "contact"]) == 2
 
 
+@pytest.mark.slow
 def test_the_page_goes_on_where_its_file_cannot(rig: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """And another file can be begun, as on a disk where room was made."""
     full, write = threading.Event(), Recorder.write

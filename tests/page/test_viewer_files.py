@@ -58,6 +58,7 @@ def test_they_are_those_that_rerun_serves(served_by_rerun: str) -> None:
     files.close()
 
 
+@pytest.mark.slow
 def test_another_user_loses_the_race_for_the_script() -> None:
     with taking_ports() as taken:
         for _ in range(100):

@@ -62,7 +62,7 @@ CASES = {
 
 
 @pytest.mark.parametrize(
-    "name", ["space", "pixels", *(pytest.param(name, marks=pytest.mark.slow) for name in ("plane", "surface"))]
+    "name", ["pixels", *(pytest.param(name, marks=pytest.mark.slow) for name in ("space", "plane", "surface"))]
 )
 def test_each_kind_of_body(name: str) -> None:
     comparison = CASES[name]

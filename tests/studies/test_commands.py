@@ -34,6 +34,7 @@ def small_body(rng: np.random.Generator, dim: int) -> RandomBody:
     return body
 
 
+@pytest.mark.slow
 def test_coverage_tells_three_tables(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -64,6 +65,7 @@ def test_coverage_tells_three_tables(
     assert_shows(tmp_path / "r.rrd", pictures=1, says="intervals for beta")
 
 
+@pytest.mark.slow
 def test_coverage_of_forces_counts_what_random_slabs_say(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
