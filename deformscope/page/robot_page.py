@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from abc import ABC, abstractmethod
 
 from deformscope.interruption import Interruption
 from deformscope.page.devices import ShownDevices
@@ -10,7 +11,7 @@ from deformscope.page.server.messages import Outcome, PageCommand, StopRun
 from deformscope.page.server.page_session import PageSession
 
 
-class RobotPage:
+class RobotPage(ABC):
     """`PageRun` of a robot's page.
 
     robot: what stops, in words; button: what a page asks for a motion with
@@ -28,13 +29,13 @@ class RobotPage:
         session.bind(self)
         session.enter("idle", reason, commands=("stop",))
 
+    @abstractmethod
     def wait_for(self, what: str) -> None:
         """Have the page ask for what moves next, and confirm it. what: will move"""
-        raise NotImplementedError
 
+    @abstractmethod
     def go_on(self) -> None:
         """It was agreed to, at the page or elsewhere, or need not be."""
-        raise NotImplementedError
 
     def is_agreed(self) -> bool:
         """Whether somebody at the page has confirmed it."""
@@ -58,8 +59,8 @@ class RobotPage:
         with self._lock:
             return self._handle(command)
 
-    def _handle(self, command: PageCommand) -> tuple[Outcome, str]:
-        raise NotImplementedError
+    @abstractmethod
+    def _handle(self, command: PageCommand) -> tuple[Outcome, str]: ...
 
     def _agree(self) -> None:
         with self._lock:
