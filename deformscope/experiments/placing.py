@@ -20,7 +20,7 @@ from deformscope.errors import InputError
 from deformscope.experiments.squeeze import Squeezed
 from deformscope.experiments.squeeze_features import SqueezeGeometry
 from deformscope.experiments.squeeze_frames import SqueezeFrames, frame_ns
-from deformscope.experiments.squeeze_tracking import container_model
+from deformscope.experiments.squeeze_tracking import container_model, seen_m
 from deformscope.experiments.squeezing_hand import HandWait, SqueezeEnded
 from deformscope.frames import ArmFrame, DepthFrame, HandFrame, SessionNote
 from deformscope.rig.source import RigSource
@@ -55,7 +55,6 @@ from deformscope.stages.squeeze.patch import hand_pixels, median_of
 from deformscope.stages.squeeze.placement import ContainerSighting, HandPlacement
 from deformscope.stages.squeeze.trial import SqueezePhase, SqueezeStop
 from deformscope_drivers.arms import CHAINS
-from deformscope_drivers.depth_camera.image import depth_m
 
 LOOK_S, LOOKS = 0.6, 3
 """The robot stands still for so long, and the median of the last so many images is taken: fewer are noisier."""
@@ -234,8 +233,7 @@ def sight(
     if camera.focal_px is None or camera.center_px is None or geometry.T_arm_camera is None:
         raise InputError("[camera] focal_px, center_px and T_arm_camera", "none")
     lens = Intrinsics(camera.focal_px, camera.center_px, camera.distortion)
-    depths = np.stack([depth_m(one.depth.astype(np.uint16, copy=False), one.unit_m) for one in images])
-    depth = np.asarray(median_of(np.where(depths > 0.0, depths, np.nan).astype(np.float64)))
+    depth = np.asarray(median_of(seen_m(images)))
     T_base_camera = geometry.T_arm_camera
     assert geometry.T_arm_table is not None
     assert geometry.T_arm_hand is not None

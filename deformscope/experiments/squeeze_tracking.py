@@ -144,9 +144,7 @@ class ContainerTracker:
         high, wide = frames[-1].depth.shape
         left, top, right, bottom = self.renderer.window(pose, (high, wide), MARGIN_PX)
         part = slice(top, bottom), slice(left, right)
-        depths = np.stack([depth_m(one.depth[part].astype(np.uint16, copy=False), one.unit_m) for one in frames])
-        whole = np.full((high, wide), np.nan)
-        seen = np.where(depths > 0.0, depths, np.nan).astype(np.float64)
+        whole, seen = np.full((high, wide), np.nan), seen_m(frames, part)
         whole[part] = median_of(seen) if len(seen) > 1 else seen[0]
         return whole
 
@@ -158,6 +156,12 @@ class ContainerTracker:
             found.append(points[1] + PAD_ALONG_M / DISTAL_LINK_M * (points[2] - points[1]))
         tips = _moved(image.T_camera_hand, np.stack(found))
         return np.asarray(tips[int(tips[:, 2].argmin())])
+
+
+def seen_m(frames: Sequence[DepthFrame], part: tuple[slice, slice] = (slice(None), slice(None))) -> FloatArray:
+    """(n, H, W) depths of a part of each image [m], nan where nothing was seen."""
+    depths = np.stack([depth_m(one.depth[part].astype(np.uint16, copy=False), one.unit_m) for one in frames])
+    return np.where(depths > 0.0, depths, np.nan).astype(np.float64)
 
 
 def container_model(section: ContainerSection) -> ContainerModel:

@@ -178,7 +178,6 @@ class SqueezingHand:
         """Stop the hand and set its current limits as they were; whether it confirmed both. From any thread: a command
         that is under way ends in its next control period."""
         self._robot.ask_to_stop(reason)
-        arm_stands = True
         try:
             self.stands = self._robot.halt()
             self.restored = self._robot.restore()
