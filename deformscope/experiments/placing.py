@@ -7,9 +7,8 @@ reached, the hand brought there under the same supervisor as for exploring, and 
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -24,28 +23,29 @@ from deformscope.experiments.squeeze_tracking import container_model, seen_m
 from deformscope.experiments.squeezing_hand import HandWait, SqueezeEnded
 from deformscope.frames import ArmFrame, DepthFrame, HandFrame, SessionNote
 from deformscope.rig.source import RigSource
-from deformscope.robot.advice import where_it_stands
+from deformscope.robot.advice import advice, where_it_stands
 from deformscope.robot.checks import Check, Preflight
 from deformscope.robot.fingertip_force import FingertipForce
 from deformscope.robot.latch import Action
 from deformscope.robot.placing import (
     APPROACH_M_S,
+    BEGINS_AT_IT,
     TRIES,
     GraspPlan,
     NoGrasp,
     Obstacle,
     carry,
     choose_grasp,
-    plan_check,
+    plan_checks,
+    strayed,
     withdraw,
 )
 from deformscope.robot.preflight import check
 from deformscope.robot.robot import Robot, RobotStopped, TipVelocity
-from deformscope.robot.setup import seen
 from deformscope.robot.shape import LINK_RADIUS_M
 from deformscope.robot.squeeze_plan import GripShape, RandomGrasp, draw_grasps, hand_capsules
 from deformscope.robot.squeeze_setup import SqueezeSetup
-from deformscope.robot.supervisor import Fault
+from deformscope.robot.supervisor import Fault, SafetyDecision
 from deformscope.robot.travel import NotThere
 from deformscope.session import Compute, Moment, RigExperiment, Step, ask
 from deformscope.stages.see.cloud import Intrinsics, back_project
@@ -55,6 +55,7 @@ from deformscope.stages.squeeze.patch import hand_pixels, median_of
 from deformscope.stages.squeeze.placement import ContainerSighting, HandPlacement
 from deformscope.stages.squeeze.trial import SqueezePhase, SqueezeStop
 from deformscope_drivers.arms import CHAINS
+from deformscope_drivers.errors import DeviceError
 
 LOOK_S, LOOKS = 0.6, 3
 """The robot stands still for so long, and the median of the last so many images is taken: fewer are noisier."""
@@ -64,10 +65,12 @@ AREA_M = 0.45
 """Things on the table further from the middle of its frame are not looked at [m]: an arm's foot, what lies there."""
 BACK_M = 0.03
 """Backed away from what was felt on the way."""
-STAYED_M = 0.005
-"""So far an arm may be from where it was left before it withdraws."""
+STUCK_S = 2.0
+"""A finger whose arrays say the same force for so long, and not 0, is stuck: 22 frames at worst. A shorter time stops
+arrays with little noise; a longer one lets the arm go on for longer with a finger that may feel nothing."""
 NOT_FOUND, NO_GRASP, CONTAINER = "container not found", "no grasp is reached", "container"
-"""Kinds of stops; the third with what became of it: `container moved`."""
+BEGINS_NEAR, NOT_READY = "arm begins too near the container", "checks before motion"
+"""Kinds of stops; `CONTAINER` with what became of it: `container moved`."""
 LEAVE_OUT = ("plan", "arm: reach", "force sensor: noise", "force sensor: alive")
 """Rows of the preflight that are of touches, and of sensors that are never silent: arrays in the air may all say 0."""
 
@@ -108,48 +111,76 @@ class PlacingArm:
         self._setup, self._placing, self._source = setup, setup.placing, source
         self._begin, self._cycled = begin, cycled
         self._made: Robot | None = None
+        self._placed: GraspPlan | None = None
         self.reached, self.stands = "", True
 
-    @property
-    def _robot(self) -> Robot:
-        if self._made is None:
-            setup, source, names = self._setup, self._source, self._setup.names
-            pads = FingertipForce(source.device(names.tactile))  # type: ignore[arg-type]
-            robot = Robot(
-                source.device(names.arm),  # type: ignore[arg-type]
-                pads,
-                self._placing.placement,
-                self._placing.limits(setup.squeeze, setup.camera.rate_hz),
-                camera=source.device(names.camera),
-                clock=setup.clock,
-                wait_until=setup.wait_until,
-                watch=lambda looked, verdict: self._cycled(),
-            )
-            self._made = seen(robot)
-        return self._made
+    def _robot(self, squeezing: bool = False) -> Robot:
+        """squeezing: it only looks on"""
+        setup, names, device = self._setup, self._setup.names, self._source.device
+        return Robot(
+            device(names.arm),  # type: ignore[arg-type]
+            FingertipForce(device(names.tactile), squeezing=squeezing),  # type: ignore[arg-type]
+            self._placing.placement,
+            self._placing.limits(setup.squeeze, setup.camera.rate_hz),
+            camera=None if squeezing else device(names.camera),
+            clock=setup.clock,
+            wait_until=setup.wait_until,
+            watch=lambda looked, verdict: self._cycled(),
+        )
 
     def do(self, command: object) -> object:
         """Carry a command out. Raises SqueezeEnded, after which the arm stands, and takes no further one."""
-        robot = self._robot
-        robot.start()
         try:
-            with self._stopping(robot):
+            with self._stopping():
+                robot = self._made = self._made or self._robot()
+                robot.start()
+                while not robot.arm_seen:
+                    robot.cycle()
                 match command:
                     case CheckArm(plan):
                         return self._checked(robot, plan)
                     case Carry(plan, preflight):
                         robot.let_move(preflight)
                         carry(robot, plan, self._entered)
-                        self.reached = "grasp"
+                        self.reached, self._placed = "grasp", plan
                     case Withdraw(plan):
-                        self._still_there(robot, plan)
+                        robot.cycle()
+                        while not robot.seen.arms:  # its last pose may be of before the squeeze
+                            robot.cycle()
+                        if off := strayed(robot, plan):
+                            raise self._stop("arm was moved", off, Fault.ASKED)
+                        self._placed = None
                         withdraw(robot, plan, self._entered)
                         self.reached = "retreat"
                     case _:
                         raise TypeError(f"no command of this robot: {command!r}")
         finally:
-            robot.rest()
+            if self._made is not None:
+                self._made.rest()
         return None
+
+    @contextlib.contextmanager
+    def watched(self) -> Iterator[Callable[[], str]]:
+        """While the hand does something: called in each of the hand's control periods, what is yielded says why it must
+        not go on, as the arm that has placed it does not stand there any more; empty = it may.
+
+        The arm is judged as when it moves, but for the forces of fingers that squeeze. It is not stopped here: the hand
+        is first, as an arm that does not answer takes seconds.
+        """
+        if self._placed is None:
+            yield lambda: ""
+            return
+        robot, plan = self._robot(squeezing=True), self._placed
+
+        def why() -> str:
+            verdict = robot.look_on()
+            off = strayed(robot, plan) if robot.seen.arms else ""
+            return off if verdict.action is Action.GO_ON else f"{verdict.fault}: {verdict.reason}"
+
+        try:
+            yield why
+        finally:
+            robot.rest()
 
     def ask_to_stop(self, reason: str) -> None:
         """A person wants it to stop: it stands within a control period."""
@@ -167,37 +198,33 @@ class PlacingArm:
 
     def _checked(self, robot: Robot, plan: GraspPlan) -> Preflight:
         found = check(robot, [], calibrated={}, ages=self._placing.ages)
-        rows = [one for one in found.checks if not one.name.startswith(LEAVE_OUT)]
+        robot.supervisor.axes_frozen_s = np.full(3, STUCK_S)
+        rows = [
+            replace(one, name=one.name.replace("force sensor", "fingers"))
+            for one in found.checks
+            if not one.name.startswith(LEAVE_OUT)
+        ]
         felt = robot.supervisor.sees_collisions
         wanted = "joint torques or motor currents, by which a collision is seen"
         rows.append(Check("arm: collisions", felt, wanted, "reported" if felt else "none"))
-        return Preflight((*rows, plan_check(plan)))
-
-    def _still_there(self, robot: Robot, plan: GraspPlan) -> None:
-        """Raises SqueezeEnded where somebody moved the arm meanwhile: its way back is then another one."""
-        robot.cycle()
-        while not robot.seen.arms:  # its last pose may be of before the squeeze; an arm that says nothing is stopped
-            robot.cycle()
-        off_m = float(np.linalg.norm(robot.center_m - plan.there_m[:3, 3]))
-        if off_m > STAYED_M:
-            raise self._stop(robot, "arm was moved", f"{1e3 * off_m:.0f} mm from where it placed the hand", Fault.ASKED)
+        return Preflight((*rows, *plan_checks(plan, robot)))
 
     @contextlib.contextmanager
-    def _stopping(self, robot: Robot) -> Iterator[None]:
+    def _stopping(self) -> Iterator[None]:
         try:
             yield
         except RobotStopped as error:
-            verdict = error.verdict
-            raise self._stop(robot, str(verdict.fault), verdict.reason, verdict.fault, verdict.time_ns) from error
-        except InputError as error:
-            if isinstance(error, SqueezeEnded):
-                raise
-            verdict = robot.supervisor.verdict
-            if verdict.action is Action.BACK_OFF and robot.may_move:
+            raise self._stopped_by(error.verdict) from error
+        except SqueezeEnded:
+            raise
+        except (InputError, DeviceError) as error:
+            robot = self._made
+            if robot is not None and robot.may_move and robot.supervisor.verdict.action is Action.BACK_OFF:
+                verdict = robot.supervisor.verdict
                 self._back_off(robot)
-                raise self._stop(robot, str(verdict.fault), verdict.reason, verdict.fault, verdict.time_ns) from error
+                raise self._stopped_by(verdict) from error
             kind = "arm did not come there" if isinstance(error, NotThere) else "arm did not move"
-            raise self._stop(robot, kind, " ".join(str(error).split()), Fault.WORKSPACE) from error
+            raise self._stop(kind, " ".join(str(error).split()), Fault.WORKSPACE) from error
 
     def _back_off(self, robot: Robot) -> None:
         """Back along the hand, away from what was felt."""
@@ -207,10 +234,15 @@ class PlacingArm:
             for _ in range(round(100 * BACK_M / APPROACH_M_S)):
                 robot.cycle(TipVelocity(back))
 
-    def _stop(self, robot: Robot, kind: str, reason: str, cause: Fault, time_ns: int | None = None) -> SqueezeEnded:
+    def _stopped_by(self, verdict: SafetyDecision) -> SqueezeEnded:
+        return self._stop(str(verdict.fault), verdict.reason, verdict.fault, verdict.time_ns)
+
+    def _stop(self, kind: str, reason: str, cause: Fault, time_ns: int | None = None) -> SqueezeEnded:
         self.halt(f"{kind}: {reason}")
-        stop = SqueezeStop(kind, reason, where_it_stands(cause, robot), self.stands, True)
-        return SqueezeEnded(stop, self._setup.clock() if time_ns is None else time_ns)
+        words = advice(cause, hand=True) if self._made is None else where_it_stands(cause, self._made)
+        return SqueezeEnded(
+            SqueezeStop(kind, reason, words, self.stands, True), self._setup.clock() if time_ns is None else time_ns
+        )
 
 
 # Looking -------------------------------------------------------------------------------------------------------------
@@ -270,7 +302,7 @@ class Placing:
     """An arm that places the hand, before and after the squeeze.
 
     grasp: along [m], tilt and turn [deg] that a person chose, None = drawn from the seed
-    permit: asked with the preflight before the arm moves; arm: as of `PlacingArm`
+    permit: asked with the preflight before the arm moves, whether it had to wait for a person; arm: as of `PlacingArm`
     found: where sightings and placement are kept
     """
 
@@ -280,7 +312,7 @@ class Placing:
     arm: PlacingArm
     seed: int
     found: Squeezed
-    permit: Callable[[Preflight], RigExperiment[None]]
+    permit: Callable[[Preflight], RigExperiment[bool]]
     grasp: RandomGrasp | None = None
     _plan: GraspPlan | None = None
 
@@ -304,20 +336,24 @@ class Placing:
             plan: GraspPlan = yield from ask(Compute(choose_grasp, arguments, "placement"))
         except NoGrasp as none:
             yield from self._planned(none.tried, none.refused, obstacle)
+            if none.refused == (BEGINS_AT_IT,):
+                raise self._ended(BEGINS_NEAR, str(none), "the arm: move it away by its joystick") from none
             raise self._ended(NO_GRASP, str(none), "where the container stands, and the arm's reach") from none
         self._plan = plan
         yield from self._planned(plan.tried, plan.refused, obstacle, plan)
         preflight: Preflight = yield from ask(CheckArm(plan))
-        yield from self.permit(preflight)
+        if (yield from self.permit(preflight)):  # somebody may have moved anything meanwhile
+            yield from self._still_stands("asked")
+            preflight = yield from ask(CheckArm(plan))
+        if failed := [one for one in preflight.checks if not one.passed]:
+            reason = "; ".join(f"{one.name}: {one.came}, not {one.wanted}" for one in failed)
+            raise self._ended(NOT_READY, reason, "; ".join(dict.fromkeys(one.hint for one in failed if one.hint)))
         try:
             yield from ask(Carry(plan, preflight))
         finally:
             self._arrived()
         yield from self._placement_now()
-        yield from self._look("placed", near=True)
-        change = self.found.sightings[-1].change
-        if change is not None and change.kind not in ("stands", "hidden"):
-            raise self._ended(f"{CONTAINER} {change.kind}", change.words, "the container: the hand has met it")
+        yield from self._still_stands("placed")
 
     def after(self) -> RigExperiment[None]:
         """Withdraw, and look once more. Raises SqueezeEnded."""
@@ -336,6 +372,13 @@ class Placing:
             yield Step(notes=(SessionNote(self.setup.clock(), "stage", f"container not looked at: {error}"),))
         if stopped is not None:
             raise stopped
+
+    def _still_stands(self, when: str) -> RigExperiment[None]:
+        """Look, and raise SqueezeEnded where the container is not as it was before."""
+        change = (yield from self._look(when, near=True)).change
+        if change is not None and change.kind not in ("stands", "hidden"):
+            met = "the hand has met it" if when == "placed" else "somebody has moved it"
+            raise self._ended(f"{CONTAINER} {change.kind}", change.words, f"the container: {met}")
 
     def _look(self, when: str, *, near: bool = False) -> RigExperiment[ContainerSighting]:
         since_ns = self.setup.clock()
@@ -381,7 +424,7 @@ class Placing:
 
     def _arrived(self) -> None:
         if self.found.placement is not None:
-            self.found.placement = dataclasses.replace(self.found.placement, reached=self.arm.reached)
+            self.found.placement = replace(self.found.placement, reached=self.arm.reached)
 
     def _placement_now(self) -> RigExperiment[None]:
         yield Step((self.found.placement,), moment=Moment(self.setup.clock()))

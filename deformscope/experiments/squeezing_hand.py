@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -95,6 +96,8 @@ class CarryingArm(Protocol):
 
     def do(self, command: object) -> object: ...
 
+    def watched(self) -> AbstractContextManager[Callable[[], str]]: ...
+
     def ask_to_stop(self, reason: str) -> None: ...
 
     def halt(self, reason: str) -> bool: ...
@@ -134,6 +137,7 @@ class SqueezingHand:
         self._pool: ThreadPoolExecutor | None = None
         self._reports: list[Step] = []
         self._periods = 0
+        self._arm_faulty: Callable[[], str] = lambda: ""
         self._robot = SqueezeRobot(
             source.device(setup.names.hand),  # type: ignore[arg-type]
             source.device(setup.names.tactile),  # type: ignore[arg-type]
@@ -186,22 +190,25 @@ class SqueezingHand:
         return self.stands and self.restored and arm_stands
 
     def _do(self, command: object) -> object:
+        if not isinstance(command, PreShape | SqueezeOnce | HandWait):
+            if self.arm is None:
+                raise TypeError(f"no command of this hand: {command!r}")
+            return self.arm.do(command)
         try:
-            match command:
-                case PreShape():
-                    self.begin("pre-shape")
-                    self._robot.preshape()
-                    self.doing = ""
-                case SqueezeOnce():
-                    self._squeeze()
-                case HandWait():
-                    self._robot.stand_by(command.seconds)
-                case _ if self.arm is not None:
-                    return self.arm.do(command)
-                case _:
-                    raise TypeError(f"no command of this hand: {command!r}")
+            with contextlib.nullcontext(lambda: "") if self.arm is None else self.arm.watched() as self._arm_faulty:
+                match command:
+                    case PreShape():
+                        self.begin("pre-shape")
+                        self._robot.preshape()
+                        self.doing = ""
+                    case SqueezeOnce():
+                        self._squeeze()
+                    case HandWait():
+                        self._robot.stand_by(command.seconds)
         except SqueezeStopped as stopped:
             raise self._ended(stopped) from stopped
+        finally:
+            self._arm_faulty = lambda: ""
         return None
 
     def _squeeze(self) -> None:
@@ -278,8 +285,11 @@ class SqueezingHand:
         return self._setup.clock()
 
     def cycled(self) -> None:
-        """In each control period, the arm's too."""
+        """In each control period, the arm's too. An arm that must not stand so ends what the hand does, in the same
+        period."""
         self._on_cycle()
+        if faulty := self._arm_faulty():
+            self._robot.supervisor.stop(SqueezeFault.ARM, faulty, self._clock())
         self._periods += 1
         if self._keep is not None and self._periods % KEEP_EVERY == 0:
             self._keep()

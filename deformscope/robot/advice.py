@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from deformscope.robot.fingertip_force import FingertipForce
 from deformscope.robot.robot import Robot
 from deformscope.robot.supervisor import Fault
 from deformscope.robot.touch import TouchEnding
@@ -50,6 +51,20 @@ ADVICE: dict[Fault | TouchEnding, str] = {
 }
 """What to look at, by the supervisor's fault or the touch's ending."""
 
+_PADS = "the tactile controller's supply and cable: deformscope doctor RIG listens to it"
+OF_HAND: dict[Fault | TouchEnding, str] = {
+    Fault.FORCE_SOFT: "what pushed the fingers; the hand has backed away from it",
+    Fault.FORCE_HARD: "what pushed the fingers, and the hand itself, before the arm moves again",
+    Fault.FORCE_SILENT: f"{_PADS}; {_BUSY}",
+    Fault.FORCE_FROZEN: _PADS,
+    Fault.FORCE_INVALID: _PADS,
+    Fault.FORCE_UNUSABLE: _PADS,
+    Fault.CHECKSUMS: f"{_PADS}, and what disturbs it",
+    Fault.TILT: "what turned the hand: a push, a loose mount, another program, or an arm of another model",
+    Fault.ARM_BOX: f"{_STANDS}: elbow, wrist or hand leave the box of arm_low_m and arm_high_m",
+}
+"""The same where the arm carries a hand, as far as it is another."""
+
 
 PRESSES_N = 0.6
 """From this force on the tip counts as pressing [N]: less may be a sensor's drift, as `touch.TARE_DRIFT_N`."""
@@ -60,18 +75,18 @@ def where_it_stands(cause: Fault | TouchEnding, robot: Robot) -> str:
     """What to see to (as `advice`) after the robot was halted; where the tip still presses, or its force is not known,
     that comes first."""
     robot.stand_by(SETTLE_S)
-    pressed_n = robot.pressed_n
-    words = advice(cause)
+    pressed_n, hand = robot.pressed_n, isinstance(robot.force, FingertipForce)
+    words, tip = advice(cause, hand=hand), "the hand" if hand else "the tip"
     if pressed_n is None:
-        press = f"the tip, which may be pressing (its force is not known): {_LIFT}"
+        press = f"{tip}, which may be pressing (its force is not known): {_LIFT}"
     elif pressed_n > PRESSES_N:
-        press = f"the tip, which still presses with {pressed_n:.1f} N: {_LIFT}"
+        press = f"{tip}, which still presses with {pressed_n:.1f} N: {_LIFT}"
     else:
         return words
     return f"{press}; {words}" if words else press
 
 
-def advice(cause: Fault | TouchEnding) -> str:
+def advice(cause: Fault | TouchEnding, *, hand: bool = False) -> str:
     """What a person should look at, by the supervisor's fault or the touch's ending; empty where there is nothing to
-    see to."""
-    return ADVICE.get(cause, "the robot and what lies around it")
+    see to. hand: the arm carries one"""
+    return (ADVICE | OF_HAND if hand else ADVICE).get(cause, "the robot and what lies around it")

@@ -40,10 +40,11 @@ class PadRate:
 
 
 class FingertipForce:
-    """pads: the arrays, open, two a finger in the controller's order"""
+    """pads: the arrays, open, two a finger in the controller's order; squeezing: what the fingers press is theirs to
+    judge, and nothing that pushes the arm: their forces say 0, while silence and equal frames are told as ever"""
 
-    def __init__(self, pads: Dsa) -> None:
-        self._pads = pads
+    def __init__(self, pads: Dsa, *, squeezing: bool = False) -> None:
+        self._pads, self._squeezing = pads, squeezing
         self.config = PadRate(PADS_HZ)
 
     @property
@@ -58,8 +59,10 @@ class FingertipForce:
         return _Queue(self._pads.readings(), self._force)
 
     def _force(self, reading: TactileReading) -> FingertipReading:
-        sums_n = [float(pressure.sum()) * TEXEL_M2 for pressure in self._pads.pressure_pa(reading)]
-        force_n = np.array(sums_n).reshape(len(FINGERS), -1).sum(axis=1)
+        force_n = np.zeros(len(FINGERS))
+        if not self._squeezing:
+            sums_n = [float(pressure.sum()) * TEXEL_M2 for pressure in self._pads.pressure_pa(reading)]
+            force_n = np.array(sums_n).reshape(len(FINGERS), -1).sum(axis=1)
         return FingertipReading(reading.stamp, force_n[None], reading.stamp.device_ticks)
 
 

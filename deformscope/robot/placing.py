@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -25,7 +26,7 @@ from deformscope.robot.shape import LINK_RADIUS_M
 from deformscope.robot.squeeze_plan import PALM_M, GripShape, RandomGrasp, hand_capsules
 from deformscope.robot.supervisor import Limits
 from deformscope.robot.travel import NotThere, in_box, move_joints, move_to
-from deformscope_drivers.arm.kinematics import Chain, transform
+from deformscope_drivers.arm.kinematics import Chain, pose_error, transform
 from deformscope_drivers.sdh.kinematics import fingertips
 
 SOFT_N, HARD_N = 1.5, 5.0
@@ -41,6 +42,11 @@ OVER_M = 0.15
 """A way that is not free is sought over a place so far above where the approach begins [m]."""
 TRIES = 40
 """Grasps that are drawn at most: with one of ten within reach a drawing fails once in 70 times."""
+STAYED_M, STAYED_RAD, STAYED_DEG = 0.005, 0.035, 0.5
+"""So far the hand may be from where the arm has placed it, so far it may be turned (half a centimetre at the
+fingertips), and so far each joint may be from where a way was planned from. More, and the ways that were looked at are
+not those it takes; less, and an arm that settles counts as moved."""
+BEGINS_AT_IT = "as the arm begins too near the container"
 STEP_DEG = 2.0
 """Between the joint angles that are looked at on a way: 2 cm of an arm half a metre long."""
 
@@ -65,6 +71,7 @@ class PlacingSetup:
             hard_force_n=min(HARD_N, limits.hard_force_n),
             force_silent_s=silent_s,
             force_frozen_s=silent_s,
+            axes_rest=True,
         )
 
 
@@ -94,13 +101,15 @@ class Obstacle:
 class GraspPlan:
     """A grasp that is reached. before_m, there_m: (4, 4) of the tip where the approach begins and ends, table's frame
 
-    joints_deg: (k, n) turned to one after the other, the last where the approach begins
+    start_deg: (n,) from where it was planned; joints_deg: (k, n) turned to one after the other, the last where the
+    approach begins
     tried: all that were drawn; refused: of each why not, empty = this one; path_m: (m, 3) of the tip, table's frame
     """
 
     grasp: RandomGrasp
     before_m: FloatArray
     there_m: FloatArray
+    start_deg: FloatArray
     joints_deg: FloatArray
     tried: tuple[RandomGrasp, ...]
     refused: tuple[str, ...]
@@ -130,18 +139,18 @@ def choose_grasp(
     start_deg: Sequence[float],
     obstacle: Obstacle,
     drawn: Sequence[RandomGrasp],
-    meanwhile: Callable[[], None] = lambda: None,
 ) -> GraspPlan:
     """The first of some grasps that the arm reaches, its way free of container, table and the arm itself. Raises
     NoGrasp."""
+    ways = _Ways(setup, limits, grip, np.asarray(start_deg, dtype=float), obstacle)
+    if ways.apart_m(setup.chain.forward(ways.start_deg)) < AROUND_M + obstacle.doubt_m:
+        raise NoGrasp(drawn[:1], [BEGINS_AT_IT])
     refused: list[str] = []
     for grasp in drawn:
-        meanwhile()
-        why, plan = _reached(setup, limits, grip, start_deg, obstacle, grasp)
-        refused.append(why)
-        if plan is not None:
-            tried = tuple(drawn[: len(refused)])
-            return replace(plan, tried=tried, refused=tuple(refused))
+        found = ways.to(grasp)
+        refused.append(found if isinstance(found, str) else "")
+        if not isinstance(found, str):
+            return replace(found, tried=tuple(drawn[: len(refused)]), refused=tuple(refused))
     raise NoGrasp(drawn, refused)
 
 
@@ -167,85 +176,105 @@ APPROACH_M_S = 0.02
 2 mm between two frames. Slower, an approach of 12 cm takes longer than 6 s; faster, a container that is met topples."""
 
 
-def plan_check(plan: GraspPlan) -> Check:
-    """A row of the preflight: the way was looked at."""
+def strayed(robot: Robot, plan: GraspPlan) -> str:
+    """How far the hand is from where the arm has placed it; empty where it stands there."""
+    error = pose_error(robot.placement.T_surface_center(robot.pose.T_base_ee), plan.there_m)
+    off_m, turned_rad = float(np.linalg.norm(error[:3])), float(np.linalg.norm(error[3:]))
+    if off_m <= STAYED_M and turned_rad <= STAYED_RAD:
+        return ""
+    return f"{1e3 * off_m:.0f} mm and {np.degrees(turned_rad):.0f} deg from where it placed the hand"
+
+
+def plan_checks(plan: GraspPlan, robot: Robot) -> tuple[Check, Check]:
+    """Rows of the preflight: the way was looked at, and begins where the arm stands."""
+    turned = towards(robot.pose.joints_deg, plan.start_deg, ~np.isfinite(robot.arm.chain.upper_deg))
+    off_deg = float(np.abs(turned).max())
+    wanted = f"joints within {STAYED_DEG:g} deg of where the way begins"
+    begins = Check("place: start", off_deg <= STAYED_DEG, wanted, f"{off_deg:.1f} deg")
     counts = {one: plan.refused.count(one) for one in plan.refused if one}
     others = "".join(f"; {count} {why}" for why, count in counts.items())
     way = f"a way of {len(plan.joints_deg)} turn{'s' * (len(plan.joints_deg) != 1)}, then straight{others}"
-    return Check("place: way", True, "one that is free of container, table and arm", way)
+    return Check("place: way", True, "one that is free of container, table and arm", way), begins
 
 
-def _reached(
-    setup: PlacingSetup,
-    limits: Limits,
-    grip: GripShape,
-    start_deg: Sequence[float],
-    obstacle: Obstacle,
-    grasp: RandomGrasp,
-) -> tuple[str, GraspPlan | None]:
-    """Why a grasp is not reached, or how."""
-    chain, placement = setup.chain, setup.placement
-    middle = transform(np.eye(3), grip.middle_m)
-    there = obstacle.T_table_container @ np.linalg.inv(grasp.T_hand_container) @ middle
-    hand = hand_capsules(np.array(grip.open_deg))
-    # the hand's z axis leads to the container: back along it until the fingertips are free
-    ahead_m = float(fingertips(grip.open_deg)[:, 2].max()) - grip.middle_m[2]
-    half_m = 0.5 * float(np.abs(obstacle.T_table_container[:3, :3].T @ there[:3, 2]) @ obstacle.size_m)
-    back_m = ahead_m + half_m + FREE_M
-    before = np.asarray(there @ transform(np.eye(3), (0.0, 0.0, -back_m)), np.float64)
-    T_center_hand = np.linalg.inv(middle)
-    fingers = obstacle.distance_m(moved(hand, there @ T_center_hand))
-    low_m = min(min(one.start_m[2], one.end_m[2]) - one.radius_m for one in moved(hand, there @ T_center_hand))
-    if low_m < TABLE_M:
-        return "into the table", None
-    if fingers.min() < BESIDE_M + obstacle.doubt_m:
-        return "open hand not clear of the container", None
-    shares = np.linspace(0.0, 1.0, 1 + int(np.ceil(back_m / WAY_M)))
-    tips = [before @ transform(np.eye(3), (0.0, 0.0, float(share) * back_m)) for share in shares]
-    ends = np.array([placement.T_base_surface @ tip @ np.linalg.inv(placement.T_ee_center) for tip in tips])
-    last_deg = best_joints(chain, [*ends[:: max(1, len(ends) // 4)], ends[-1]])
-    if last_deg is None:
-        return "out of reach", None
-    led, _ = lead(chain, [ends], last_deg[None], np.array([True]))
-    if not led[0]:
-        return "near a joint's limit or a singularity", None
-    centers_m = np.array([tip[:3, 3] for tip in tips])
-    if not in_box(placement, limits, centers_m).all():
-        return "outside the box of [workspace]", None
-    way = _Way(setup, limits, hand, T_center_hand, obstacle)
-    joints = last_deg
-    for end in ends:
-        joints = chain.inverse_near(end[None], joints[None])[0][0]
-        if why := way.forbidden(joints[None], BESIDE_M):
-            return f"approach {why}", None
-    over = ends[0].copy()
-    over[:3, 3] += OVER_M * placement.T_base_surface[:3, 2]
-    high_deg, high = chain.inverse_near(over[None], last_deg[None])
-    routes = [last_deg[None], *([np.stack([high_deg[0], last_deg])] if high[0] else [])]
-    why = ""
-    for route in routes:
-        turned = way.turned(start_deg, route)
-        why = way.forbidden(turned, AROUND_M)
-        if not why:
-            path = np.array([placement.T_surface_center(chain.end_effector(one))[:3, 3] for one in turned])
-            return "", GraspPlan(grasp, before, there, route, (), (), np.concatenate([path, centers_m]))
-    return f"way {why}", None
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Way:
-    """What joint angles of a way are looked at for. hand: capsules in its frame; T_center_hand: (4, 4)"""
+@dataclass(frozen=True, eq=False)
+class _Ways:
+    """From where an arm stands to grasps. start_deg: (n,) joint angles"""
 
     setup: PlacingSetup
     limits: Limits
-    hand: Sequence[Capsule]
-    T_center_hand: FloatArray
+    grip: GripShape
+    start_deg: FloatArray
     obstacle: Obstacle
 
-    def turned(self, start_deg: Sequence[float], route_deg: FloatArray) -> FloatArray:
+    def to(self, grasp: RandomGrasp) -> str | GraspPlan:
+        """How a grasp is reached, or why not."""
+        chain, placement, grip, obstacle = self.setup.chain, self.setup.placement, self.grip, self.obstacle
+        there = obstacle.T_table_container @ np.linalg.inv(grasp.T_hand_container) @ self._T_hand_center
+        # the hand's z axis leads to the container: back along it until the fingertips are free
+        ahead_m = float(fingertips(grip.open_deg)[:, 2].max()) - grip.middle_m[2]
+        half_m = 0.5 * float(np.abs(obstacle.T_table_container[:3, :3].T @ there[:3, 2]) @ obstacle.size_m)
+        back_m = ahead_m + half_m + FREE_M
+        if self._low_m(there) < TABLE_M:
+            return "into the table"
+        if obstacle.distance_m(self._hand(there)).min() < BESIDE_M + obstacle.doubt_m:
+            return "open hand not clear of the container"
+        shares = np.linspace(-1.0, 0.0, 1 + int(np.ceil(back_m / WAY_M)))
+        tips = [there @ transform(np.eye(3), (0.0, 0.0, float(share) * back_m)) for share in shares]
+        ends = np.array([placement.T_base_surface @ tip @ np.linalg.inv(placement.T_ee_center) for tip in tips])
+        last_deg = best_joints(chain, [*ends[:: max(1, len(ends) // 4)], ends[-1]])
+        if last_deg is None:
+            return "out of reach"
+        led, _ = lead(chain, [ends], last_deg[None], np.array([True]))
+        if not led[0]:
+            return "near a joint's limit or a singularity"
+        centers_m = np.array([tip[:3, 3] for tip in tips])
+        if not in_box(placement, self.limits, centers_m).all():
+            return "outside the box of [workspace]"
+        joints = [last_deg]
+        for end in ends:
+            joints.append(chain.inverse_near(end[None], joints[-1][None])[0][0])
+        if why := self._forbidden(np.array(joints), BESIDE_M):
+            return f"approach {why}"
+        over = ends[0].copy()
+        over[:3, 3] += OVER_M * placement.T_base_surface[:3, 2]
+        high_deg, high = chain.inverse_near(over[None], last_deg[None])
+        for route in (last_deg[None], *([np.stack([high_deg[0], last_deg])] if high[0] else [])):
+            turned = self._turned(route)
+            why = self._forbidden(turned, AROUND_M)
+            if not why:
+                path = placement.T_surface_center(chain.forward(turned)[:, -1])[:, :3, 3]
+                path = np.concatenate([path, centers_m])
+                return GraspPlan(grasp, tips[0], there, self.start_deg, route, (), (), path)
+        return f"way {why}"
+
+    @cached_property
+    def _T_hand_center(self) -> FloatArray:
+        return transform(np.eye(3), self.grip.middle_m)
+
+    @cached_property
+    def _of_center(self) -> list[Capsule]:
+        return moved(hand_capsules(np.array(self.grip.open_deg)), np.linalg.inv(self._T_hand_center))
+
+    def _hand(self, T_table_center: FloatArray) -> list[Capsule]:
+        """Of the open hand, its middle between the pads there."""
+        return moved(self._of_center, T_table_center)
+
+    def _low_m(self, T_table_center: FloatArray) -> float:
+        """Height of the hand's lowest point."""
+        return min(min(one.start_m[2], one.end_m[2]) - one.radius_m for one in self._hand(T_table_center))
+
+    def apart_m(self, T_base_links: FloatArray) -> float:
+        """Between container and arm, the hand among it. T_base_links: (n + 1, 4, 4)"""
+        placement = self.setup.placement
+        joints_m = (placement.T_surface_base @ T_base_links)[:, :3, 3]
+        arm = [Capsule(a, b, LINK_RADIUS_M) for a, b in pairwise(joints_m)]
+        hand = self._hand(placement.T_surface_center(T_base_links[-1]))
+        return float(self.obstacle.distance_m([*arm, *hand]).min())
+
+    def _turned(self, route_deg: FloatArray) -> FloatArray:
         """(k, n) joint angles on the way over some (m, n), all joints turning evenly between two."""
-        at = np.asarray(start_deg, dtype=float)
-        found = [at[None]]
+        at, found = self.start_deg, [self.start_deg[None]]
         for goal_deg in route_deg:
             turn = towards(at.tolist(), goal_deg, ~np.isfinite(self.setup.chain.upper_deg))
             steps = 1 + int(np.ceil(np.abs(turn).max() / STEP_DEG))
@@ -253,24 +282,19 @@ class _Way:
             at = at + turn
         return np.concatenate(found)
 
-    def forbidden(self, joints_deg: FloatArray, around_m: float) -> str:
+    def _forbidden(self, joints_deg: FloatArray, around_m: float) -> str:
         """Why the arm must not be at some of joint angles (k, n); empty = it may. around_m: kept from the container"""
         chain, placement, limits = self.setup.chain, self.setup.placement, self.limits
-        clearance = ArmClearance(placement, chain.forward(chain.home_deg))
-        around_m += self.obstacle.doubt_m
-        for links in chain.forward(joints_deg):
-            tip = placement.T_surface_center(links[-1])
-            hand = moved(self.hand, tip @ self.T_center_hand)
-            if min(min(one.start_m[2], one.end_m[2]) - one.radius_m for one in hand) < TABLE_M:
+        clearance, frames = ArmClearance(placement, chain.forward(chain.home_deg)), chain.forward(joints_deg)
+        tips = placement.T_surface_center(frames[:, -1])
+        for links, tip in zip(frames, tips, strict=True):
+            if self._low_m(tip) < TABLE_M:
                 return "leads the hand into the table"
             if clearance.over_table_m(links) < limits.table_m:
                 return "leads the arm near the table"
             if clearance.to_itself_m(links) < limits.itself_m or clearance.in_box_m(links, limits.arm_box) < 0:
                 return "leads the arm near itself, or out of its box"
-            joints_m = (placement.T_surface_base @ links)[:, :3, 3]
-            arm = [Capsule(a, b, LINK_RADIUS_M) for a, b in pairwise(joints_m)]
-            if min(self.obstacle.distance_m(hand).min(), self.obstacle.distance_m(arm).min()) < around_m:
+            if self.apart_m(links) < around_m + self.obstacle.doubt_m:
                 return "leads to the container"
-        centers_m = placement.T_surface_center(chain.forward(joints_deg)[:, -1])[:, :3, 3]
-        inside = in_box(placement, limits, centers_m)
+        inside = in_box(placement, limits, tips[:, :3, 3])  # it may come in from outside
         return "" if inside[int(inside.argmax()) :].all() and inside[-1] else "leaves the box of [workspace]"

@@ -248,6 +248,13 @@ class Robot:
             raise MotionHeld(held)
         return self.seen
 
+    def look_on(self) -> SafetyDecision:
+        """Judge what came since the last call, as an arm is that stands; nothing is sent, and whoever calls it stops
+        it."""
+        self.seen = self._look()
+        self._turn_on()
+        return self.supervisor.judge(self.seen, commanded_rotation=self.rotation.rotation)
+
     def keep_up(self) -> None:
         """Stand still for a control period if one is due: to be called now and then by what takes longer than that on a
         host's clock. On a simulated one no time passes meanwhile, and none is due."""

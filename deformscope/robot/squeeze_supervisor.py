@@ -41,6 +41,7 @@ class SqueezeFault(StrEnum):
     TOUCHED_BEFORE = "fingertips touched before they closed"
     NO_CONTACT = "no contact"
     NOT_STILL = "no steady state"
+    ARM = "arm that carries the hand"
     ASKED = "a person asked"
 
 
@@ -58,6 +59,7 @@ ADVICE: dict[SqueezeFault, str] = {
     SqueezeFault.TOUCHED_BEFORE: "what touches the fingertips; open_deg in [squeeze]",
     SqueezeFault.NO_CONTACT: "where the container stands between the fingers; onset_counts in [squeeze]",
     SqueezeFault.NOT_STILL: "still_deg, still_s and still_timeout_s in [squeeze]",
+    SqueezeFault.ARM: "what moved or pushed the arm, its cable and supply; the fingers may still hold the container",
 }
 """What to look at."""
 

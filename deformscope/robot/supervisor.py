@@ -77,6 +77,7 @@ class Limits:
     low_m, high_m: (3,) box of the tip's centre in the base frame, None = none; look_ahead_s: the box holds for where
     the tip will be by then
     force_silent_s, arm_silent_s: greatest age of the newest reading; force_frozen_s: greatest time of equal readings
+    axes_rest: the force sensor's axes are a hand's fingers, which say 0 while nothing touches them: that is not frozen
     arm_frozen_m, arm_frozen_s: way that it was sent on, and time at least that it was sent, without any change of the
     joints, pauses between left out (an arm begins to move, and reports it, some periods after the command)
     refused, unusable: this many damaged frames, or readings that are not usable, within window_s
@@ -99,6 +100,7 @@ class Limits:
     look_ahead_s: float = 0.05
     force_silent_s: float = 0.030
     force_frozen_s: float = 0.030
+    axes_rest: bool = False
     arm_silent_s: float = 0.075
     arm_frozen_m: float = 0.0015
     arm_frozen_s: float = 0.09
@@ -256,7 +258,8 @@ class Supervisor(LatchingSupervisor[Fault]):
             self._force_ns = sample.time_ns
             if sample.pattern is None or sample.pattern != self._pattern:
                 self._pattern, self._pattern_ns = sample.pattern, sample.time_ns
-            self._axes_ns[sample.sensor_n != self._axes_n] = sample.time_ns
+            rests = (sample.sensor_n == 0.0) & limits.axes_rest
+            self._axes_ns[(sample.sensor_n != self._axes_n) | rests] = sample.time_ns
             self._axes_n = sample.sensor_n
             magnitude_n = math.hypot(*sample.force_n)
             if not math.isfinite(magnitude_n):
@@ -277,8 +280,11 @@ class Supervisor(LatchingSupervisor[Fault]):
         elif self.axes_frozen_s is not None:
             axes_s = (self._force_ns - self._axes_ns) / 1e9
             stuck = np.flatnonzero(axes_s > np.maximum(limits.force_frozen_s, self.axes_frozen_s))
+            where = (
+                ["on finger 0", "on finger 1", "on finger 2"] if limits.axes_rest else ["along x", "along y", "along z"]
+            )
             found += [
-                (Action.STOP, Fault.FORCE_FROZEN, f"the same force along {'xyz'[axis]} for {axes_s[axis] * 1e3:.0f} ms")
+                (Action.STOP, Fault.FORCE_FROZEN, f"the same force {where[axis]} for {axes_s[axis] * 1e3:.0f} ms")
                 for axis in stuck
             ]
         if _count_since(self._unusable, now_ns - round(limits.window_s * 1e9)) >= limits.unusable:

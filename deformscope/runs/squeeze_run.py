@@ -73,9 +73,6 @@ def squeeze_on(config: SqueezeConfig, report: Callable[[SqueezeResult], None]) -
     opening = squeeze_setup_of(
         config.rig, config.content, config.container, session, seed, trusted=config.trust_rig, place=config.place
     )
-    if opening.setup.placing is not None and not opening.setup.simulated:
-        wanted = "a simulated arm to place the hand: nothing judges a real one while the fingers squeeze"
-        raise InputError(wanted, f"--place {config.place} with {config.rig}", "--place person")
     if model is not None and model.settings and dict(model.settings) != feature_settings(opening.setup):
         raise InputError("a model of features with this rig's settings", f"{dict(model.settings)}", where=config.model)
     entry = entry_of(opening.setup, opening.content, opening.container, session, seed)
@@ -241,15 +238,17 @@ def _permitted(
 
 def _arm_permitted(
     config: SqueezeConfig, setup: SqueezeSetup, asked: Interruption, page: PageSqueezing | None, preflight: Preflight
-) -> RigExperiment[None]:
-    """Within the experiment: print the table of checks, and ask before a real arm moves. Raises InputError unless
-    somebody says yes."""
+) -> RigExperiment[bool]:
+    """Within the experiment: print the table of checks, and ask before a real arm moves; whether somebody was asked.
+    Raises InputError unless they say yes."""
     say(preflight.table())
-    if not setup.simulated and not config.yes and preflight.passed:
+    asks = not setup.simulated and not config.yes and preflight.passed
+    if asks:
         say("The arm will now bring the hand to the container: keep the emergency stop in your hand.")
         yield from agree(asked, page, "the arm brings the hand to the container")
         if page is not None:
             page.go_on()
+    return asks
 
 
 def _placed(
