@@ -19,6 +19,16 @@ class Capsule:
     radius_m: float
 
 
+def outside_m(points_m: FloatArray, half_m: FloatArray, *, round: bool = False) -> FloatArray:
+    """(...) distance of points (..., 3) from a box of half its sides (3,) around the origin, or from the upright
+    cylinder in it; below 0 within [m]."""
+    off = np.abs(points_m)
+    if round:
+        off = np.stack([np.hypot(off[..., 0], off[..., 1]), off[..., 2]], axis=-1)
+    off = off - (half_m[1:] if round else half_m)
+    return np.asarray(np.linalg.norm(np.maximum(off, 0.0), axis=-1) + np.minimum(off.max(axis=-1), 0.0))
+
+
 def moved(capsules: Iterable[Capsule], T: FloatArray) -> list[Capsule]:
     """The same in another frame. T: (4, 4) from theirs to it"""
     found = []

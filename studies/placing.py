@@ -146,7 +146,7 @@ class _Disturbance:
             self.struck.append("toppled")
             return
         far_m, turn_deg = self.random.uniform(0.008, 0.03), self.random.uniform(-20.0, 20.0)
-        simulated.shift(*(far_m * direction), turn_deg)
+        simulated.shift(far_m * direction[0], far_m * direction[1], turn_deg)
         self.struck.append("moved")
 
 

@@ -9,12 +9,11 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 
 from deformscope.arrays import FloatArray
-from deformscope.capsule import Capsule, moved
+from deformscope.capsule import moved
 from deformscope.errors import InputError
 from deformscope.experiments.squeeze import Squeezed
 from deformscope.experiments.squeeze_features import SqueezeGeometry
@@ -42,7 +41,7 @@ from deformscope.robot.placing import (
 )
 from deformscope.robot.preflight import check
 from deformscope.robot.robot import Robot, RobotStopped, TipVelocity
-from deformscope.robot.shape import LINK_RADIUS_M
+from deformscope.robot.shape import link_capsules
 from deformscope.robot.squeeze_plan import GripShape, RandomGrasp, draw_grasps, hand_capsules
 from deformscope.robot.squeeze_setup import SqueezeSetup
 from deformscope.robot.supervisor import Fault, SafetyDecision
@@ -270,9 +269,9 @@ def sight(
     assert geometry.T_arm_table is not None
     assert geometry.T_arm_hand is not None
     links = CHAINS[geometry.arm_model].forward(arm.joint_deg)
-    joints_m = np.concatenate([np.zeros((1, 3)), links[:, :3, 3]])
-    capsules = [Capsule(a, b, LINK_RADIUS_M) for a, b in pairwise(joints_m)]
-    capsules += moved(hand_capsules(np.asarray(hand.position_deg, np.float64)), links[-1] @ geometry.T_arm_hand)
+    capsules = link_capsules(links, np.eye(4)) + moved(
+        hand_capsules(np.asarray(hand.position_deg, np.float64)), links[-1] @ geometry.T_arm_hand
+    )
     covered = hand_pixels(depth, lens, moved(capsules, np.linalg.inv(T_base_camera)), ROBOT_MARGIN_M)
     T_table_camera = np.linalg.inv(geometry.T_arm_table) @ T_base_camera
     points = back_project(np.where(covered, np.nan, depth), lens, T_table_camera)
@@ -376,7 +375,7 @@ class Placing:
     def _still_stands(self, when: str) -> RigExperiment[None]:
         """Look, and raise SqueezeEnded where the container is not as it was before."""
         change = (yield from self._look(when, near=True)).change
-        if change is not None and change.kind not in ("stands", "hidden"):
+        if change is not None and change.told:
             met = "the hand has met it" if when == "placed" else "somebody has moved it"
             raise self._ended(f"{CONTAINER} {change.kind}", change.words, f"the container: {met}")
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from itertools import pairwise
 from typing import Any, Final
 
 import numpy as np
@@ -16,7 +15,7 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from deformscope.arrays import FloatArray
-from deformscope.capsule import Capsule, moved
+from deformscope.capsule import Capsule, moved, outside_m
 from deformscope.errors import InputError
 from deformscope.lab.arm_contact import ARM_CYCLE_NS
 from deformscope.lab.arms import ArmInLab
@@ -31,7 +30,7 @@ from deformscope.rig.driver_table import DRIVERS
 from deformscope.rig.rig_file import Workspace
 from deformscope.rig.source import RigMember, RigSource
 from deformscope.robot.placement import Placement, best_joints
-from deformscope.robot.shape import LINK_RADIUS_M
+from deformscope.robot.shape import link_capsules
 from deformscope_drivers.arm.kinematics import Chain, transform
 from deformscope_drivers.clock import Clock
 from deformscope_drivers.depth_camera import View
@@ -121,8 +120,7 @@ class StandingContainer(SqueezedContainer):
 
     def robot(self) -> list[Capsule]:
         """Arm, hand and fingers as they are, table's frame."""
-        joints_m = (self._T_table_base @ self.body.T_base_links)[:, :3, 3]
-        links = [Capsule(a, b, LINK_RADIUS_M) for a, b in pairwise([self._T_table_base[:3, 3], *joints_m])]
+        links = link_capsules(self.body.T_base_links, self._T_table_base)
         angles = np.array([axis.position_deg for axis in self.hand.motion.axes])
         return [*links, *moved([*finger_capsules(angles), PALM], self.T_table_hand)]
 
@@ -139,11 +137,11 @@ class StandingContainer(SqueezedContainer):
             return
         self._links = links
         self._stood, self._gripped = self.T_table_container, None
-        pose = self._stood
+        pose, half_m = self._stood, np.array(self.shape.half_m)
         for capsule in self.robot():
             points = capsule.start_m + np.linspace(0.0, 1.0, 9)[:, None] * (capsule.end_m - capsule.start_m)
             own = (points - pose[:3, 3]) @ pose[:3, :3]
-            apart = _apart_m(self.shape, own) - capsule.radius_m
+            apart = outside_m(own, half_m, round=self.shape.kind == "cylinder") - capsule.radius_m
             at = int(apart.argmin())
             if apart[at] >= -1e-4:
                 continue
@@ -187,16 +185,6 @@ REACH_M: Final = 0.06
 """A container further from the middle of the hand is not between the fingers."""
 
 
-def _apart_m(shape: ContainerShape, own_m: FloatArray) -> FloatArray:
-    """(n,) of points (n, 3) in a container's frame from its surface, below 0 within."""
-    x, y, z = shape.half_m
-    if shape.kind == "cylinder":
-        off = np.column_stack([np.hypot(own_m[:, 0], own_m[:, 1]) - x, np.abs(own_m[:, 2]) - z])
-    else:
-        off = np.abs(own_m) - (x, y, z)
-    return np.asarray(np.linalg.norm(np.maximum(off, 0.0), axis=1) + np.minimum(off.max(axis=1), 0.0))
-
-
 def _aligned(T_hand_container: FloatArray, shape: ContainerShape) -> FloatArray:
     """The same body, its x axis along the squeeze: a cylinder is the same turned by anything, a box by half a turn."""
     x = T_hand_container[:3, :3].T @ np.array([1.0, 0.0, 0.0])
@@ -222,8 +210,8 @@ class _Wire(MemoryTransport):
 
 
 class CarriedHandLab(SqueezeLab):
-    """`SqueezeLab` with an arm, `jaco` or `kuka`; arm: its device, closed; functions: of a Jaco's vendor, which can be
-    disturbed; scheduled: what happens at moments of the clock"""
+    """`SqueezeLab` with an arm, `jaco` or `kuka`; arm: its device, closed; functions: of a Jaco's vendor, wire: of a
+    KUKA, which can be disturbed; scheduled: what happens at moments of the clock"""
 
     simulated: StandingContainer
 
@@ -231,6 +219,7 @@ class CarriedHandLab(SqueezeLab):
         self._driver, self.placement = arm, placement
         self.chain = chain_of_arm(arm)
         self.functions: Spoiled | None = None
+        self.wire: MemoryTransport | None = None
         self.scheduled: list[tuple[int, Any]] = []
         super().__init__(replace(case, camera=CAMERA), camera_hz)
 
@@ -245,7 +234,7 @@ class CarriedHandLab(SqueezeLab):
             kuka = KukaDouble(self.chain.name, start_deg=start_deg)
             kuka.sends_currents = True
             wire = _Wire(kuka, self.clock, "simulated KUKA")
-            wire.passes = super().wait_until
+            wire.passes, self.wire = super().wait_until, wire
             made = ArmInLab(Kuka(KukaConfig(), wire, clock=self.clock), kuka)
         self.arm = made.arm
         return StandingContainer(made, self.placement.T_base_surface, case, self.clock)

@@ -6,15 +6,15 @@ in the hand's orientation (`hand_tool`).
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import pairwise
 
 import numpy as np
 
 from deformscope.arrays import FloatArray
-from deformscope.capsule import Capsule, moved
+from deformscope.capsule import Capsule, moved, outside_m
 from deformscope.rig.calibrated import CalibrationAge
 from deformscope.rig.rig_file import Tool, Workspace
 from deformscope.rig.squeeze_sections import SqueezeSection
@@ -22,7 +22,7 @@ from deformscope.robot.checks import Check
 from deformscope.robot.clearance import ArmClearance
 from deformscope.robot.placement import WAY_M, Placement, best_joints, lead, towards
 from deformscope.robot.robot import Robot
-from deformscope.robot.shape import LINK_RADIUS_M
+from deformscope.robot.shape import link_capsules
 from deformscope.robot.squeeze_plan import PALM_M, GripShape, RandomGrasp, hand_capsules
 from deformscope.robot.supervisor import Limits
 from deformscope.robot.travel import NotThere, in_box, move_joints, move_to
@@ -49,6 +49,10 @@ not those it takes; less, and an arm that settles counts as moved."""
 BEGINS_AT_IT = "as the arm begins too near the container"
 STEP_DEG = 2.0
 """Between the joint angles that are looked at on a way: 2 cm of an arm half a metre long."""
+
+
+def _counted(refused: Sequence[str]) -> list[str]:
+    return [f"{count} {why}" for why, count in Counter(filter(None, refused)).items()]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -88,13 +92,9 @@ class Obstacle:
         """(n,) from capsules of the table's frame to the container, below 0 = within."""
         shares = np.linspace(0.0, 1.0, 9)[:, None]
         points = np.stack([one.start_m + shares * (one.end_m - one.start_m) for one in capsules])
-        own = np.abs((points - self.T_table_container[:3, 3]) @ self.T_table_container[:3, :3])
-        if self.round:
-            own = np.stack([np.linalg.norm(own[..., :2], axis=-1), own[..., 2]], axis=-1) - 0.5 * self.size_m[1:]
-        else:
-            own = own - 0.5 * self.size_m
-        outside = np.linalg.norm(np.maximum(own, 0.0), axis=-1) + np.minimum(own.max(axis=-1), 0.0)
-        return np.asarray(outside.min(axis=1) - [one.radius_m for one in capsules])
+        own = (points - self.T_table_container[:3, 3]) @ self.T_table_container[:3, :3]
+        apart = outside_m(own, 0.5 * self.size_m, round=self.round).min(axis=1)
+        return np.asarray(apart - [one.radius_m for one in capsules])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -120,8 +120,8 @@ class NoGrasp(NotThere):
     """None of the grasps is reached. tried, refused: as of `GraspPlan`"""
 
     def __init__(self, tried: Sequence[RandomGrasp], refused: Sequence[str]) -> None:
-        reasons = "; ".join(f"{refused.count(one)} {one}" for one in dict.fromkeys(refused))
-        super().__init__("a grasp that the arm reaches", f"none of {len(tried)}: {reasons}", "the container elsewhere")
+        came = f"none of {len(tried)}: {'; '.join(_counted(refused))}"
+        super().__init__("a grasp that the arm reaches", came, "the container elsewhere")
         self.tried, self.refused = tuple(tried), tuple(refused)
 
 
@@ -178,7 +178,9 @@ APPROACH_M_S = 0.02
 
 def strayed(robot: Robot, plan: GraspPlan) -> str:
     """How far the hand is from where the arm has placed it; empty where it stands there."""
-    error = pose_error(robot.placement.T_surface_center(robot.pose.T_base_ee), plan.there_m)
+    error = pose_error(
+        np.asarray(robot.placement.T_surface_center(robot.pose.T_base_ee)), np.asarray(plan.there_m, np.float64)
+    )
     off_m, turned_rad = float(np.linalg.norm(error[:3])), float(np.linalg.norm(error[3:]))
     if off_m <= STAYED_M and turned_rad <= STAYED_RAD:
         return ""
@@ -191,9 +193,8 @@ def plan_checks(plan: GraspPlan, robot: Robot) -> tuple[Check, Check]:
     off_deg = float(np.abs(turned).max())
     wanted = f"joints within {STAYED_DEG:g} deg of where the way begins"
     begins = Check("place: start", off_deg <= STAYED_DEG, wanted, f"{off_deg:.1f} deg")
-    counts = {one: plan.refused.count(one) for one in plan.refused if one}
-    others = "".join(f"; {count} {why}" for why, count in counts.items())
-    way = f"a way of {len(plan.joints_deg)} turn{'s' * (len(plan.joints_deg) != 1)}, then straight{others}"
+    turns = f"a way of {len(plan.joints_deg)} turn{'s' * (len(plan.joints_deg) != 1)}, then straight"
+    way = "; ".join([turns, *_counted(plan.refused)])
     return Check("place: way", True, "one that is free of container, table and arm", way), begins
 
 
@@ -262,13 +263,12 @@ class _Ways:
 
     def _low_m(self, T_table_center: FloatArray) -> float:
         """Height of the hand's lowest point."""
-        return min(min(one.start_m[2], one.end_m[2]) - one.radius_m for one in self._hand(T_table_center))
+        return min(float(min(one.start_m[2], one.end_m[2])) - one.radius_m for one in self._hand(T_table_center))
 
     def apart_m(self, T_base_links: FloatArray) -> float:
         """Between container and arm, the hand among it. T_base_links: (n + 1, 4, 4)"""
         placement = self.setup.placement
-        joints_m = (placement.T_surface_base @ T_base_links)[:, :3, 3]
-        arm = [Capsule(a, b, LINK_RADIUS_M) for a, b in pairwise(joints_m)]
+        arm = link_capsules(np.asarray(T_base_links, np.float64), placement.T_surface_base)
         hand = self._hand(placement.T_surface_center(T_base_links[-1]))
         return float(self.obstacle.distance_m([*arm, *hand]).min())
 

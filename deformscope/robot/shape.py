@@ -17,6 +17,15 @@ of the surface beside the arm is left out of the camera's picture, and the arm i
 smaller, parts of a thicker arm are taken for surface and may touch."""
 
 
+def link_capsules(T_base_links: FloatArray, T: FloatArray) -> list[Capsule]:
+    """The links alone, from the arm's foot on, in another frame.
+
+    T_base_links: (k, 4, 4) of the arm's joints and, last, of its end; T: (4, 4) base to that frame [m]
+    """
+    joints_m = [T[:3, 3], *(T @ T_base_links)[:, :3, 3]]
+    return [Capsule(a, b, LINK_RADIUS_M) for a, b in pairwise(joints_m)]
+
+
 def arm_shape(
     placement: Placement,
     T_base_links: FloatArray,

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial.transform import Rotation
 
 from deformscope.arrays import FloatArray
 from deformscope.capsule import Capsule
@@ -113,20 +114,19 @@ def grasp_at(
     size = container.size_m
     edge = 1 if size[1] > size[2] else 2
     middle = grasp_middle(container, squeeze)
-    angle = math.radians(tilt_deg)
-    turn = np.array(
-        [[1.0, 0.0, 0.0], [0.0, math.cos(angle), -math.sin(angle)], [0.0, math.sin(angle), math.cos(angle)]]
-    )
     offset = np.zeros(3)
     offset[edge] = -along_m
     # about the middle between the pads, which stays on the container's axis of closing
     pads = np.array(GripShape.of(container, squeeze).middle_m)
-    about = transform(np.eye(3), pads) @ transform(turn, np.zeros(3)) @ transform(np.eye(3), -pads)
+    about = transform(np.eye(3), pads) @ _turned("x", tilt_deg) @ transform(np.eye(3), -pads)
     posed = about @ middle @ transform(np.eye(3), offset)
     if turn_deg:
-        sine, cosine = math.sin(math.radians(turn_deg)), math.cos(math.radians(turn_deg))
-        posed = posed @ transform(np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]]), np.zeros(3))
+        posed = posed @ _turned("z", turn_deg)
     return RandomGrasp(along_m, tilt_deg, np.asarray(posed), turn_deg)
+
+
+def _turned(axis: str, by_deg: float) -> FloatArray:
+    return transform(Rotation.from_euler(axis, by_deg, degrees=True).as_matrix(), np.zeros(3))
 
 
 LINK_M, PALM_M = 0.012, 0.055

@@ -155,10 +155,9 @@ class SqueezeResult(LibraryResult):
             ("container", self.container or "not given"),
         ]
         if self.placement is not None:
-            at, why = self.placement, [one for one in self.placement.refused if one]
-            others = "".join(f"; {why.count(one)} {one}" for one in dict.fromkeys(why))
+            at = self.placement
             words = f"{1e3 * at.along_m:.0f} mm along, tilted {at.tilt_deg:.0f} deg, turned {at.turn_deg:.0f} deg"
-            rows.append(("placed by", f"{at.by}: {words}; tried {len(at.refused)}{others}"))
+            rows.append(("placed by", "; ".join([f"{at.by}: {words}", f"tried {len(at.refused)}", *at.reasons])))
         rows += [(f"container {one.when}", one.words) for one in self.sightings]
         if not self.arm_stands:
             rows.append(("arm", "COULD NOT BE STOPPED: use its emergency stop"))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import os
 import signal
@@ -13,8 +14,11 @@ from pathlib import Path
 import pytest
 
 from deformscope.cli import doctor, main
+from deformscope.lab.container_setup import container_lab
 from deformscope.recording.items import read_results
 from deformscope.rig.rig_file import load_rig
+from deformscope.runs.opened_devices import SqueezeOpening
+from deformscope.session import RigExperiment
 from deformscope.stages.squeeze.placement import ContainerSighting, HandPlacement
 from tests.patience import PATIENCE_S
 
@@ -82,3 +86,28 @@ def test_doctor_lists_what_a_rig_lacks_for_it(tmp_path: Path) -> None:
     assert found.told.startswith("squeeze --place jaco lacks [hand] T_arm_hand, [camera] T_arm_camera,")
     file.write_text("".join(lines[:2]))
     assert doctor._placing(load_rig(file)) == []
+
+
+def test_a_real_arm_is_asked_for_and_everything_is_looked_at_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The doubles, told to be real: the same way, with its questions."""
+    asked: list[str] = []
+
+    def opening(*given: object, **named: object) -> SqueezeOpening:
+        made = container_lab("rice", "box-03", seed=5, camera_hz=5.0, arm="kuka")
+        return SqueezeOpening(dataclasses.replace(made.setup, simulated=False), {}, "rice", "box-03")
+
+    def agree(asking: object, page: object, what: str, **named: object) -> RigExperiment[None]:
+        asked.append(what)
+        yield from ()
+
+    monkeypatch.setattr("deformscope.runs.squeeze_run.squeeze_setup_of", opening)
+    monkeypatch.setattr("deformscope.runs.squeeze_run.agree", agree)
+    out = tmp_path / "r.json"
+    assert main(["squeeze", "rig.toml", "--content", "rice", "--place", "kuka", "--json", str(out)]) == 0
+    found = json.loads(out.read_text())
+    assert asked[1:] == ["the arm brings the hand to the container"]
+    assert not found["simulated"]
+    assert found["placement"]["reached"] == "retreat"
+    assert [one["when"] for one in found["container_seen"]] == ["before", "asked", "placed", "after"]

@@ -262,6 +262,19 @@ def test_an_arm_that_does_not_stand_ends_the_squeeze_in_time(fault: str, phase: 
     assert trial.lab.arm.stopped_because
 
 
+def test_a_kuka_whose_cable_is_pulled_ends_the_squeeze_in_time() -> None:
+    trial = PlacedTrial("kuka")
+    wire, when_ns = trial.lab.wire, list[int]()
+    assert wire is not None
+    trial.at("hold", lambda: (wire.unplug(), when_ns.append(trial.lab.clock())), 0.1)
+    found = trial.go()
+    assert found.stop is not None
+    assert found.stop.kind == "arm that carries the hand"
+    assert found.stop.stands
+    assert (found.stop_ns - when_ns[0]) / 1e9 <= 0.12
+    assert "open" not in trial.phases
+
+
 def test_an_arm_that_drifts_slowly_ends_the_squeeze_before_the_hand_has_gone_far() -> None:
     """Too slow for the limit of speed, and without a push: by how far it has gone."""
     trial = PlacedTrial("jaco")

@@ -18,7 +18,7 @@ from deformscope.stages.squeeze.find import ContainerFit
 from deformscope.stages.squeeze.placement import ContainerSighting, HandPlacement
 
 PLACE, IMAGE, WORDS = "display/place/scene", "display/place/image", "display/place/words"
-LOOKS: dict[str, Rgb] = {"before": REST, "placed": HELD, "after": OBSERVED}
+LOOKS: dict[str, Rgb] = {"before": REST, "asked": REST, "placed": HELD, "after": OBSERVED}
 """Colours of the container as it was found."""
 HAND_M, BAR_M, LINE_M = 0.14, 0.06, 0.0015
 """A grasp is drawn from the palm to between the pads, and across, as the fingers close [m]."""
@@ -34,10 +34,10 @@ def log_place_start(rec: Sink, streams: Sequence[Stream], base_from_table: Float
 
 def log_sighting(now: ResultBatch, seen: ContainerSighting) -> None:
     """The container where it was found, in space and over the image; what became of it in words."""
-    color = LOOKS[seen.when]
-    if seen.change is not None and seen.change.kind not in ("stands", "hidden"):
-        color = BAD
-    now.show(f"{WORDS}/{seen.when}", rr.TextLog(f"container {seen.when}: {seen.words}", level=_level(seen)))
+    changed = seen.change is not None and seen.change.told
+    color = BAD if changed else LOOKS[seen.when]
+    level = "WARN" if changed or seen.fit is None else "INFO"
+    now.show(f"{WORDS}/{seen.when}", rr.TextLog(f"container {seen.when}: {seen.words}", level=level))
     if seen.fit is None:
         return
     now.show(f"{PLACE}/container/{seen.when}", _solid(seen.fit, color))
@@ -56,10 +56,9 @@ def log_placement(now: ResultBatch, placed: HandPlacement) -> None:
     now.show(f"{PLACE}/grasps", rr.LineStrips3D(np.array(strips, np.float32), colors=colors, radii=widths))
     if len(placed.path_m):
         now.show_lines(f"{PLACE}/way", placed.path_m[None], OBSERVED, LINE_M)
-    reasons = [one for one in placed.refused if one]
-    counted = ", ".join(f"{reasons.count(one)} {one}" for one in dict.fromkeys(reasons)) or "none refused"
+    why = ", ".join(placed.reasons) or "none refused"
     at = f"along {1e3 * placed.along_m:.0f} mm, tilt {placed.tilt_deg:.0f} deg, turn {placed.turn_deg:.0f} deg"
-    words = f"{placed.by} came to: {placed.reached or 'planned'}; {len(placed.refused)} drawn, {counted}; {at}"
+    words = f"{placed.by} came to: {placed.reached or 'planned'}; {len(placed.refused)} drawn, {why}; {at}"
     now.show(f"{WORDS}/grasp", rr.TextLog(words, level="INFO"))
 
 
@@ -100,8 +99,3 @@ def _solid(fit: ContainerFit, color: Rgb) -> rr.AsComponents:
     return rr.Boxes3D(
         half_sizes=[0.5 * fit.size_m], centers=[pose[:3, 3]], quaternions=[turn], colors=color, radii=LINE_M
     )
-
-
-def _level(seen: ContainerSighting) -> str:
-    well = seen.fit is not None and (seen.change is None or seen.change.kind in ("stands", "hidden"))
-    return "INFO" if well else "WARN"

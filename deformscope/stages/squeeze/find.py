@@ -11,7 +11,7 @@ box is fitted to the points of its sides by least squares (soft L1), its height 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
@@ -101,6 +101,12 @@ class ContainerShift:
 
     @property
     @derived(key=None)
+    def told(self) -> bool:
+        """It is not as it was, by what is seen."""
+        return self.kind not in ("stands", "hidden")
+
+    @property
+    @derived(key=None)
     def words(self) -> str:
         """In one line."""
         if self.kind in ("gone", "hidden"):
@@ -139,8 +145,7 @@ def find_container(points_m: FloatArray, shape: str, *, expected: ContainerFit |
     sides = sides[:: 1 + len(sides) // MOST_POINTS]
     if len(sides) < LEAST_POINTS // 3:
         raise ContainerHidden("a container whose sides are seen", f"{len(sides)} points of them", "a camera less steep")
-    fit = _cylinder if shape == "cylinder" else _box
-    found = fit(sides, tops, top_m, expected)
+    found = _upright(shape, sides, tops, top_m, expected)
     if found.rms_m > BAD_RMS_M:
         came = f"something that is off by {1e3 * found.rms_m:.1f} mm"
         raise InputError(
@@ -179,10 +184,8 @@ def matches(found: ContainerFit, size_m: tuple[float, float, float], tolerance_m
     """
     choices = [found]
     if found.shape == "box":
-        turned = found.size_m[[1, 0, 2]]
         yaw = (found.yaw_rad + np.pi) % np.pi - 0.5 * np.pi
-        choices.append(ContainerFit("box", found.center_m, yaw, turned, found.lean_rad, found.deviation_m,
-                                    found.yaw_sd_rad, found.rms_m, found.points))  # fmt: skip
+        choices.append(replace(found, yaw_rad=yaw, size_m=found.size_m[[1, 0, 2]]))
     best = min(choices, key=lambda one: float(np.abs(one.size_m - size_m).max()))
     off_m = np.abs(best.size_m - size_m)
     if (off_m > np.maximum(tolerance_m, MOVED_SD * best.deviation_m)).any():
@@ -231,79 +234,58 @@ def _rms(off: FloatArray) -> float:
     return float(np.sqrt(np.mean(kept**2))) * 1.24
 
 
-def _cylinder(sides: FloatArray, tops: FloatArray, top_m: float, expected: ContainerFit | None) -> ContainerFit:
-    low, high = sides[:, :2].min(axis=0), sides[:, :2].max(axis=0)
-    radius = None if expected is None else 0.5 * float(expected.size_m[0])
-
-    def residual(p: FloatArray) -> FloatArray:
-        aside = sides[:, :2] - p[:2] - sides[:, 2:] * p[2:4]
-        return np.asarray(np.hypot(aside[:, 0], aside[:, 1]) - (p[4] if radius is None else radius))
-
-    # the sides that are seen lie on one half of it: its middle is where its top is, if that is seen
-    middle = np.median(tops[:, :2], axis=0) if len(tops) > 30 else 0.5 * (low + high)
-    first = middle if expected is None else expected.center_m[:2]
-    start = np.array([*first, 0.0, 0.0, *([0.5 * float((high - low).max())] if radius is None else [])])
-    p, covariance, off = _fitted(residual, start, np.array([0.1, 0.1, 1.0, 1.0, 0.05])[: len(start)])
-    half_m = 0.5 * top_m
-    center = np.array([*(p[:2] + half_m * p[2:4]), half_m])
-    at_middle = np.eye(len(p))[:2] + half_m * np.eye(len(p))[2:4]
-    spread = np.diag(at_middle @ covariance @ at_middle.T)
-    r = p[4] if radius is None else radius
-    return ContainerFit(
-        "cylinder",
-        center,
-        0.0,
-        np.array([2.0 * r, 2.0 * r, top_m]),
-        p[2:4],
-        np.array([*np.sqrt(spread + WALL_SD_M**2), _top_sd(tops)]),
-        0.0,
-        _rms(off),
-        len(sides),
-    )
-
-
-def _box(sides: FloatArray, tops: FloatArray, top_m: float, expected: ContainerFit | None) -> ContainerFit:
-    seen = tops if expected is None and len(tops) > 60 else sides
-    if expected is None:
-        (x, y), (width, depth), degrees = cv2.minAreaRect(1e3 * seen[:, :2].astype(np.float32))
-        yaw, first = float(np.radians(degrees)), np.asarray(1e-3 * np.array([x, y]), np.float64)
-        half = np.asarray(5e-4 * np.array([width, depth]), np.float64)
+def _upright(
+    shape: str, sides: FloatArray, tops: FloatArray, top_m: float, expected: ContainerFit | None
+) -> ContainerFit:
+    """Fitted: place, lean, of a box its yaw, and half its sides or the radius where no size is expected."""
+    box, free = shape == "box", expected is None
+    seen = tops if free and len(tops) > 60 else sides
+    if expected is not None:
+        first, half, yaw = expected.center_m[:2], 0.5 * expected.size_m[: 1 + box], expected.yaw_rad
+    elif box:
+        middle_mm, size_mm, degrees = cv2.minAreaRect(1e3 * seen[:, :2].astype(np.float32))
+        first, half, yaw = 1e-3 * np.array(middle_mm), 5e-4 * np.array(size_mm), float(np.radians(degrees))
     else:
-        yaw = expected.yaw_rad
-        first, half = (np.asarray(one[:2], np.float64) for one in (expected.center_m, 0.5 * expected.size_m))
-    free = expected is None
+        # the sides that are seen lie on one half of it: its middle is where its top is, if that is seen
+        low, high = sides[:, :2].min(axis=0), sides[:, :2].max(axis=0)
+        first = np.median(tops[:, :2], axis=0) if len(tops) > 30 else 0.5 * (low + high)
+        half, yaw = np.array([0.5 * (high - low).max()]), 0.0
 
-    def turned(points: FloatArray, p: FloatArray) -> FloatArray:
-        c, s = np.cos(p[2]), np.sin(p[2])
-        return np.asarray((points[:, :2] - p[:2] - points[:, 2:] * p[3:5]) @ np.array([[c, -s], [s, c]]))
+    def across(points: FloatArray, p: FloatArray) -> FloatArray:
+        """(n, 2) from the container's axis, along its sides."""
+        aside = points[:, :2] - p[:2] - points[:, 2:] * p[2:4]
+        c, s = (np.cos(p[4]), np.sin(p[4])) if box else (1.0, 0.0)
+        return np.asarray(aside @ np.array([[c, -s], [s, c]]))
 
     def residual(p: FloatArray) -> FloatArray:
-        size = p[5:7] if free else half
-        off = (np.abs(turned(sides, p)) - size).max(axis=1)
+        size, out = p[4 + box :] if free else half, across(sides, p)
+        if not box:
+            return np.asarray(np.hypot(out[:, 0], out[:, 1]) - size[0])
+        off = (np.abs(out) - size).max(axis=1)
         if not free:
             return np.asarray(off)
         # sides that are not seen end where the top does: shares of 1 % beyond either end of what is seen of it
-        ends = np.quantile(turned(seen, p), [0.01, 0.99], axis=0) / 0.98
+        ends = np.quantile(across(seen, p), [0.01, 0.99], axis=0) / 0.98
         extent = np.concatenate([ends[1] - size, ends[0] + size])
         return np.asarray(np.concatenate([off, np.sqrt(0.05 * len(off)) * extent]))
 
-    start = np.array([*first, yaw, 0.0, 0.0, *(half if free else [])])
-    reach = np.array([0.1 if expected else 0.02, 0.1 if expected else 0.02, 0.5, 1.0, 1.0, 0.01, 0.01])
-    p, covariance, off = _fitted(residual, start, reach[: len(start)])
-    half_m = 0.5 * top_m
-    at_middle = np.eye(len(p))[:2] + half_m * np.eye(len(p))[3:5]
+    start = np.array([*first, 0.0, 0.0, *([yaw] * box), *(half if free else [])], np.float64)
+    near_m = 0.02 if box and free else 0.1
+    reach = [near_m, near_m, 1.0, 1.0, *([0.5] * box), *([0.01, 0.01] if box else [0.05])]
+    p, covariance, off = _fitted(residual, start, np.array(reach[: len(start)]))
+    half_m, size = 0.5 * top_m, 2.0 * (p[4 + box :] if free else half)
+    at_middle = np.eye(len(p))[:2] + half_m * np.eye(len(p))[2:4]
     spread = np.diag(at_middle @ covariance @ at_middle.T)
-    sizes = 2.0 * (p[5:7] if free else half)
     return ContainerFit(
-        "box",
-        np.array([*(p[:2] + half_m * p[3:5]), half_m]),
-        float((p[2] + 0.5 * np.pi) % np.pi - 0.5 * np.pi),
-        np.array([*sizes, top_m]),
-        p[3:5],
-        np.array([*np.sqrt(spread + WALL_SD_M**2), _top_sd(tops)]),
-        float(np.sqrt(covariance[2, 2])),
-        _rms(off[: len(sides)]),
-        len(sides),
+        shape=shape,
+        center_m=np.array([*(p[:2] + half_m * p[2:4]), half_m]),
+        yaw_rad=float((p[4] + 0.5 * np.pi) % np.pi - 0.5 * np.pi) if box else 0.0,
+        size_m=np.array([size[0], size[-1], top_m]),
+        lean_rad=p[2:4],
+        deviation_m=np.array([*np.sqrt(spread + WALL_SD_M**2), _top_sd(tops)]),
+        yaw_sd_rad=float(np.sqrt(covariance[4, 4])) if box else 0.0,
+        rms_m=_rms(off[: len(sides)]),
+        points=len(sides),
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, field
 
 from deformscope.arrays import FloatArray, IntArray
@@ -14,7 +15,7 @@ class ContainerSighting:
     """The container in depth images that were taken together.
 
     index: the newest image's place in its stream; images: of all of them; arm_ns, hand_ns: of the states by which the
-    robot was left out, on the devices' clock; when: before, placed, or after (the squeeze)
+    robot was left out, on the devices' clock; when: before, asked (once a person was), placed, or after (the squeeze)
     near: it was sought close to where it was before, also where the robot hides a part of it
     fit: None where it was not found, and `refused` says why; change: against before
     edges_px: (n, 2, 2) ends of the found container's edges in the image
@@ -68,3 +69,8 @@ class HandPlacement:
     T_table_hands: FloatArray
     path_m: FloatArray
     reached: str = field(metadata=reported())
+
+    @property
+    def reasons(self) -> list[str]:
+        """Why grasps were refused, each reason once with how often."""
+        return [f"{count} {why}" for why, count in Counter(filter(None, self.refused)).items()]
