@@ -334,12 +334,12 @@ class Placing:
             arguments = (placing, limits, grip, start_deg, obstacle, drawn)
             plan: GraspPlan = yield from ask(Compute(choose_grasp, arguments, "placement"))
         except NoGrasp as none:
-            yield from self._planned(none.tried, none.refused, obstacle)
+            yield from self._planned(none, obstacle)
             if none.refused == (BEGINS_AT_IT,):
                 raise self._ended(BEGINS_NEAR, str(none), "the arm: move it away by its joystick") from none
             raise self._ended(NO_GRASP, str(none), "where the container stands, and the arm's reach") from none
         self._plan = plan
-        yield from self._planned(plan.tried, plan.refused, obstacle, plan)
+        yield from self._planned(plan, obstacle)
         preflight: Preflight = yield from ask(CheckArm(plan))
         if (yield from self.permit(preflight)):  # somebody may have moved anything meanwhile
             yield from self._still_stands("asked")
@@ -395,16 +395,10 @@ class Placing:
         yield Step((sighting,), moment=Moment(self.setup.clock()))
         return sighting
 
-    def _planned(
-        self,
-        tried: Sequence[RandomGrasp],
-        refused: Sequence[str],
-        obstacle: Obstacle,
-        plan: GraspPlan | None = None,
-    ) -> RigExperiment[None]:
+    def _planned(self, found: GraspPlan | NoGrasp, obstacle: Obstacle) -> RigExperiment[None]:
         assert self.setup.placing is not None
-        hands = [obstacle.T_table_container @ np.linalg.inv(one.T_hand_container) for one in tried]
-        at = tried[-1]
+        hands = [obstacle.T_table_container @ np.linalg.inv(one.T_hand_container) for one in found.tried]
+        at = found.tried[-1]
         self.found.placement = HandPlacement(
             by=self.setup.placing.chain.name,
             seed=self.seed if self.grasp is None else -1,
@@ -413,10 +407,10 @@ class Placing:
             turn_deg=at.turn_deg,
             T_table_hand=hands[-1],
             T_hand_container=at.T_hand_container,
-            tried=np.array([(one.along_m, one.tilt_deg, one.turn_deg) for one in tried]),
-            refused=tuple(refused),
+            tried=np.array([(one.along_m, one.tilt_deg, one.turn_deg) for one in found.tried]),
+            refused=found.refused,
             T_table_hands=np.array(hands),
-            path_m=np.zeros((0, 3)) if plan is None else plan.path_m,
+            path_m=np.zeros((0, 3)) if isinstance(found, NoGrasp) else found.path_m,
             reached="",
         )
         yield from self._placement_now()
