@@ -51,7 +51,9 @@ TOPPLED_RAD, LOWER = 0.2, 0.8
 
 
 class ContainerHidden(InputError):
-    """Too little of it is seen to say anything."""
+    """Too little of it is seen to fit it. top_m: height of its level top, inf = not seen"""
+
+    top_m = np.inf
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,7 +146,11 @@ def find_container(points_m: FloatArray, shape: str, *, expected: ContainerFit |
     tops = piece[piece[:, 2] >= top_m - TOP_M]
     sides = sides[:: 1 + len(sides) // MOST_POINTS]
     if len(sides) < LEAST_POINTS // 3:
-        raise ContainerHidden("a container whose sides are seen", f"{len(sides)} points of them", "a camera less steep")
+        hidden = ContainerHidden(
+            "a container whose sides are seen", f"{len(sides)} points of them", "a camera less steep"
+        )
+        hidden.top_m = top_m if len(tops) >= LEAST_POINTS else np.inf
+        raise hidden
     found = _upright(shape, sides, tops, top_m, expected)
     if found.rms_m > BAD_RMS_M:
         came = f"something that is off by {1e3 * found.rms_m:.1f} mm"
@@ -156,6 +162,9 @@ def find_container(points_m: FloatArray, shape: str, *, expected: ContainerFit |
 
 def compare(before: ContainerFit, after: ContainerFit | InputError) -> ContainerShift:
     """What became of a container. after: as it is found now, or why it was not"""
+    if isinstance(after, ContainerHidden) and after.top_m < LOWER * before.size_m[2]:  # it lies, its sides not seen
+        reason = f"what is there is {100 * after.top_m:.1f} cm high, not {100 * before.size_m[2]:.1f} cm"
+        return ContainerShift("gone", reason=reason)
     if isinstance(after, InputError):
         return ContainerShift("hidden" if isinstance(after, ContainerHidden) else "gone", reason=str(after))
     foot = [one.center_m[:2] - 0.5 * one.size_m[2] * one.lean_rad for one in (before, after)]

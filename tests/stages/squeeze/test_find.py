@@ -103,6 +103,21 @@ def test_half_hidden_it_is_found_near_where_it_was_and_too_little_of_it_is_not_k
     assert compare(before, refused.value).kind == "hidden"
 
 
+def test_one_that_lies_is_told_where_only_its_upper_side_is_seen() -> None:
+    """A camera along its longest edge sees no side of it; upright, with its sides hidden, it is not known."""
+    before = find_container(points(BOX, pose(0.02, -0.03, 10.0, BOX), 1), "box")
+    lying = pose(0.02, -0.03, 10.0, BOX)
+    lying[:3, :3] = lying[:3, :3] @ Rotation.from_euler("x", 90.0, degrees=True).as_matrix()
+    lying[2, 3] = BOX.half_m[1]
+    for T, kind in ((lying, "gone"), (pose(0.02, -0.03, 10.0, BOX), "hidden")):
+        seen = points(BOX, T, 4)
+        upper = seen[(seen[:, 2] < 0.01) | (seen[:, 2] > seen[:, 2].max() - 0.012)]
+        for expected in (None, before):
+            with pytest.raises(ContainerHidden) as refused:
+                find_container(upper, "box", expected=expected)
+            assert compare(before, refused.value).kind == kind
+
+
 def test_a_box_turned_about_its_middle_is_told() -> None:
     size = tuple(2.0 * side for side in BOX.half_m)
     seen = [points(BOX, pose(0.0, 0.0, turn_deg, BOX), 1) for turn_deg in (0.0, 12.0)]
