@@ -53,6 +53,9 @@ TOUCHING_N = 0.5
 """Force from which on an approach is in contact; it is over at half of it."""
 BEFORE_S, LONGEST_S = 0.5, 8.0
 """What belongs to an approach before that, and how long it lasts at most."""
+ALONG_WAY = 0.5
+"""Least share of the force along the arm's way: within it are 60 degrees. An arm that is led through the air while its
+sensor is pressed, as on `lab:bench`, tells no stiffness."""
 FOLLOW = 0.01
 """Share by which the force without contact follows each reading."""
 
@@ -494,7 +497,10 @@ def fit_contact(
     length = float(np.linalg.norm(way))
     if length < 1e-4:
         raise InputError("an arm that moves into what it presses", f"{length * 1e3:.2g} mm of way")
-    normal = -way / length
+    normal, pressed_n = -way / length, force_n[peak] - force_n[0]
+    share = float(pressed_n @ normal / np.linalg.norm(pressed_n))
+    if share < ALONG_WAY:
+        raise InputError("an arm that presses along its way", f"{share:.0%} of the force along it")
     time_s = (approach.arm_ns - approach.arm_ns[0]) / 1e9
     fit = fit_approach(time_s, tip_m, force_n, normal, tip=tip, set_force_n=set_force_n, arm=arm)
     along, force_n, tip_m = -(tip_m @ normal)[: peak + 1], force_n[: peak + 1], tip_m[: peak + 1]

@@ -15,6 +15,7 @@ from deformscope.log.squeeze.results import squeeze_views
 from deformscope.log.stages import STAGE_VIEWS
 from deformscope.log.views import ShownStage, Views, stages_of
 from deformscope.rows import ENTITIES
+from deformscope.stages.msm.state_sweep import StateSweeps
 
 PICTURES = (application.IMAGES, application.FLOW, application.PAIR, application.PAIR_3D, application.FINDINGS)
 
@@ -26,6 +27,7 @@ def registries() -> dict[str, Views[Any]]:
         EXPLORATION.name: exploration_views(0, None, CELL_M),
         SQUEEZE.name: squeeze_views(None),
         RIG.name: STAGE_VIEWS,
+        application.FINDINGS.variant("shapes").name: {StateSweeps: over[StateSweeps]},
         **{one.name: {kind: over[kind] for kind in OF_APPLICATION[one.over_picture]} for one in PICTURES},
     }
 
