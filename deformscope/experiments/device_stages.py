@@ -144,12 +144,12 @@ def for_rig(options: LiveOptions, rig: Rig) -> LiveOptions:
             raise InputError("a place for --stage surface", "no T_arm_surface in [surface]", where=rig.name)
         T_surface_camera = np.linalg.inv(np.array(rig.surface.T_arm_surface)) @ np.array(camera.T_arm_camera)
         found |= {"focal_px": camera.focal_px, "center_px": camera.center_px, "distortion": camera.distortion}
-        found |= {"T_surface_camera": _rows(T_surface_camera)}
+        found |= {"T_surface_camera": tuple(map(tuple, T_surface_camera.tolist()))}
         found |= {"size_m": rig.surface.size_m, "thickness_m": rig.surface.top_m}
     if "contact" in options.names:
         along = np.eye(4)
         along[2, 3] = tool.length_m
-        found |= {"T_ee_tip": tool.T_ee_tip or _rows(along), "tip": tool.tip}
+        found |= {"T_ee_tip": tool.T_ee_tip or tuple(map(tuple, along.tolist())), "tip": tool.tip}
         found |= {"set_force_n": rig.workspace.target_force_n}
         found |= {"compliance_m_per_n": tool.compliance_m_per_n or 0.0, "compliance_sd": tool.compliance_sd}
     return dataclasses.replace(options, **found)
@@ -165,10 +165,6 @@ def _device_for(stage: str, kind: Kind, wanted: str, rig: Rig) -> str:
     if not names:
         raise InputError(f"a {kind} device for --stage {stage}", "none in the rig", where=rig.name)
     return wanted or (rig.camera.device if rig.camera.device in names else names[0])
-
-
-def _rows(matrix: FloatArray) -> tuple[tuple[float, ...], ...]:
-    return tuple(tuple(float(value) for value in row) for row in matrix)
 
 
 def stages_of(options: LiveOptions, streams: Sequence[Stream]) -> tuple[Stage, ...]:
