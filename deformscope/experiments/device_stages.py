@@ -311,21 +311,14 @@ def fit_moment(
     A pose that cannot be fitted (too few particles seen, none of those to be held) gives particles and the reason.
     """
     grid, tracked = _particles_at(rest, now, particles, longest_px)
-    nan = float("nan")
     nothing = MomentFit(
         rest_px=grid.rest_px,
         observed_px=tracked.position_px,
-        simulated_px=np.full_like(tracked.position_px, nan),
+        simulated_px=np.full_like(tracked.position_px, np.nan),
         seen=tracked.seen,
         held=np.zeros(0, np.int64),
         noise_px=tracked.noise_px,
         parameter=fit.model.parameter,
-        value=nan,
-        interval=(nan, nan),
-        verdict="unidentified",
-        verdict_text="",
-        aee_px=nan,
-        explained=nan,
     )
     try:
         held, _ = hold_what_is_seen(grid, tracked, particles.held, particles.contact_rect)
@@ -342,7 +335,7 @@ def fit_moment(
         verdict=estimate.verdict,
         verdict_text=estimate.verdict_text(),
         aee_px=estimate.aee,
-        explained=nan if estimate.explained is None else estimate.explained,
+        explained=nothing.explained if estimate.explained is None else estimate.explained,
     )
 
 
@@ -511,12 +504,8 @@ def fit_contact(
         stiffness_n_per_mm=fit.stiffness_n_per_mm,
         stiffness_interval=fit.interval_n_per_mm,
         rigid=fit.rigid,
-        modulus_pa=None,
         depth_m=fit.dent_m(min(fit.at_force_n, fit.peak_force_n)),
         peak_force_n=fit.peak_force_n,
-        beta=None,
-        beta_interval=None,
-        beta_verdict="not asked for",
         observed_m=np.zeros((0, 3)),
         simulated_m=np.zeros((0, 3)),
     )
