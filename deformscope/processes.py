@@ -120,7 +120,8 @@ def computing(begin: Callable[..., object], *given: Any, nice: int = NICE) -> It
 
 def _follow_low(nice: int, begin: Callable[..., object], *given: Any) -> None:
     follow_parent()
-    os.setpriority(os.PRIO_PROCESS, 0, max(nice, os.getpriority(os.PRIO_PROCESS, 0)))
+    if nice:
+        os.setpriority(os.PRIO_PROCESS, 0, max(nice, os.getpriority(os.PRIO_PROCESS, 0)))
     begin(*given)
 
 
@@ -130,7 +131,7 @@ def child_process(
 ) -> Iterator[Connection]:
     """Run `target(pipe, *arguments)` in such a process, which is to end when the pipe does; yields the other end.
 
-    makes_others: it may have processes of its own; nice: its priority, where this process's is no lower
+    makes_others: it may have processes of its own; nice: its priority, where this process's is no lower; 0 = as here
     """
     ours, theirs = SPAWN.Pipe()
     given = (nice, target, theirs, *arguments)

@@ -70,6 +70,7 @@ class StageProcess(contextlib.ExitStack):
         try:
             return self._executor.submit(function, *arguments)
         except BrokenProcessPool:
+            self.close()
             self._start()
             return self._executor.submit(function, *arguments)
 
