@@ -5,7 +5,9 @@ from __future__ import annotations
 
 import dataclasses
 import tempfile
-from collections import Counter
+from collections import defaultdict
+from collections.abc import Iterator
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -62,13 +64,9 @@ def _by_frame(results: list[Any]) -> dict[tuple[int, int], Any]:
     """Results by the frame that they are of, or their order, and how many there were of it before: that of its median
     with others is the last. What came after the hand had opened was recorded, but no longer looked at: recorded results
     may be fewer at the end."""
-    found: dict[tuple[int, int], Any] = {}
-    counted: Counter[int] = Counter()
-    for order, one in enumerate(results):
-        frame = getattr(one, "index", order)
-        found[frame, counted[frame]] = one
-        counted[frame] += 1
-    return found
+    counted: defaultdict[int, Iterator[int]] = defaultdict(count)
+    of = [getattr(one, "index", order) for order, one in enumerate(results)]
+    return {(frame, next(counted[frame])): one for frame, one in zip(of, results, strict=True)}
 
 
 def _later(before: object) -> list[str]:
