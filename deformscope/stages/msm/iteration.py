@@ -14,6 +14,7 @@ import warp as wp
 
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.stages.msm import iteration_kernels as k
+from deformscope.stages.msm.anderson_kernels import MEMORY, anderson_kernels_for
 from deformscope.stages.msm.body import Body, BodyRest, Parameters
 from deformscope.stages.msm.layout import Field, upload
 
@@ -69,9 +70,9 @@ class Iteration:
         self.body, self.volume = body, volume
         self.layout = body.layout(size)
         self.operator: Any = body.operator(self.layout)
-        self.kernels = k.iteration_kernels_for(body.dim, body.scalar, self.layout.width)
+        self.functions = k.newton_functions_for(body.dim, body.scalar, self.layout.width)
         self.kind = "cpu" if self.layout.device.startswith("cpu") else "cuda"
-        span = self.kernels.Span()
+        span = self.functions.Span()
         span.abreast, span.blocks = self.layout.abreast, self.layout.blocks
         self.threads = self.operator.threads
         parts = min(-(-self.layout.blocks // PART_BLOCKS[self.kind]), MOST_PARTS[self.kind])
@@ -80,6 +81,7 @@ class Iteration:
         span.metric = self.operator.metric
         span.metric_total = float(rest.metric.sum()) or 1.0
         self.span = span
+        self.state: Any
         self.pair, self.pair_out = self.layout.field(2 * body.dim), self.layout.field(2 * body.dim)
         self.u, self.direction = halves(self.pair)
         self.residual, self.changed = halves(self.pair_out)
@@ -128,15 +130,22 @@ class Iteration:
         """Derivative of every free particle's goal by beta or theta at `u` into `out`."""
         self.operator.residual(self.u, out, self.parameters, self._every_group, what=by)
 
-    def launch(
-        self, kernel: wp.Kernel, dim: tuple[int, ...] | int, inputs: list[Any], outputs: list[Any] | None = None
-    ) -> None:
-        device, threads = self.layout.device, self.span.threads
-        wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs or [], device=device, block_dim=threads)
+    def launch(self, kernel: wp.Kernel, over: tuple[int, ...] | int, *inputs: Any) -> None:
+        """A kernel of both methods, whose arguments begin with how particles lie and what is kept of candidates."""
+        inputs = (self.span, self.state, *inputs)
+        wp.launch(kernel, dim=over, inputs=inputs, device=self.layout.device, block_dim=self.span.threads)
 
-    def launch_sums(self, kernel: wp.Kernel, dim: tuple[int, ...], inputs: list[Any], outputs: list[Any]) -> None:
+    def launch_sums(self, kernel: wp.Kernel, *inputs: Any, over: tuple[int, ...] = ()) -> None:
         """A kernel that takes sums over particles: every part by the threads of a block."""
-        self.launch(kernel, (*dim, self.span.parts * self.span.threads), inputs, outputs)
+        self.launch(kernel, (self.layout.groups, *over, self.span.parts * self.span.threads), *inputs)
+
+    def launch_blocks(self, kernel: wp.Kernel, *inputs: Any) -> None:
+        """A kernel over all lanes' worths."""
+        self.launch(kernel, (self.layout.groups, self.layout.blocks), *inputs)
+
+    def launch_groups(self, kernel: wp.Kernel) -> None:
+        """A kernel that joins the parts of sums."""
+        self.launch(kernel, (self.layout.groups, self.span.threads))
 
     def all_groups(self) -> Field:
         return wp.full(self.layout.groups, 1, dtype=int, device=self.layout.device)
@@ -149,15 +158,17 @@ class Newton(Iteration):
         super().__init__(body, rest, size, volume)
         layout = self.layout
         d = body.dim
+        self.kernels = k.newton_kernels_for(d, body.scalar, layout.width)
         self.step, self.rho = layout.field(d), layout.field(d)
-        self._parts = self.parts(2)
-        state = self._numbers(self.kernels.NewtonState)
+        state = self._numbers(self.functions.NewtonState)
+        state.u, state.direction, state.step, state.rho = self.u, self.direction, self.step, self.rho
+        state.residual, state.changed, state.parts = self.residual, self.changed, self.parts(2)
+        state.groups, state.most = layout.groups, 10 * len(rest.mass) * d + 100
         state.tolerance, state.floor = self.tolerance, self.floor
         self._relative = wp.zeros(1, dtype=wp.float64, device=layout.device)
         state.relative = self._relative
         state.outer_groups, state.inner_groups = self.all_groups(), self.all_groups()
         self.state = state
-        self._most = 10 * len(rest.mass) * d + 100
         self._kept = self.operator.kept(volume)
         self._parameters_changed()
 
@@ -204,7 +215,7 @@ class Newton(Iteration):
         state = self.state
         self._begin(0.0, relative, outer=0)
         self._aim()
-        self._descend(self._most)
+        self._descend(state.most)
         size = self.layout.candidates
         return bool((state.square.numpy()[:size] <= np.maximum(state.target.numpy()[:size], 1e-300)).all())
 
@@ -215,28 +226,14 @@ class Newton(Iteration):
         self._derive[by]()
 
     def _launch_aim(self) -> None:
-        span, kk, layout = self.span, self.kernels, self.layout
-        right, groups = self.residual, layout.groups
-        if self.threads:
-            wp.launch(
-                self.operator.resident.aim,
-                dim=groups * self.threads,
-                block_dim=self.threads,
-                inputs=[
-                    *(span, self.state, groups, self.threads, right),
-                    *(self.rho, self.direction, self.step, self._parts),
-                ],
-                device=layout.device,
-            )
+        kk, groups, threads, right = self.kernels, self.layout.groups, self.threads, self.residual
+        if threads:
+            inputs, device = [self.span, self.state, threads], self.layout.device
+            wp.launch(self.operator.resident.aim, groups * threads, inputs, device=device, block_dim=threads)
             return
-        self.launch_sums(
-            kk.inner_products,
-            (groups,),
-            [span, self.state.inner_groups, groups, right, right, right, right],
-            [self._parts],
-        )
-        self.launch(kk.aim, (groups, span.threads), [span, self.state, self._parts, groups])
-        self.launch(kk.begin, (groups, layout.blocks), [span, self.state, right], [self.rho, self.direction, self.step])
+        self.launch_sums(kk.inner_products, self.state.inner_groups, right, right, right, right)
+        self.launch_groups(kk.aim)
+        self.launch_blocks(kk.begin)
 
     def evaluate(self) -> None:
         """The residual at `u`, and with it what derivatives there need."""
@@ -264,54 +261,34 @@ class Newton(Iteration):
         count = layout.groups * layout.abreast
         reach = k.REACH if outer else np.inf
         kernels = self.operator.resident if self.threads else self.kernels
-        self.launch(
-            kernels.reset, count, [self.state, layout.groups, layout.abreast, wp.float64(reach), outer, 1 - outer]
-        )
+        self.launch(kernels.reset, count, wp.float64(reach), outer, 1 - outer)
 
     def _stay_for(self, most: int) -> int:
         """Up to STAY evaluations in one launch."""
         limit = min(STAY, most)
         if self._stay is None:
-            arrays = [self.pair, self.pair_out, self.u, self.direction, self.residual, self.changed]
-            self._stay = self.operator.stay_relaxing(
-                self.parameters,
-                self._kept,
-                self.span,
-                self.state,
-                self._most,
-                limit,
-                [*arrays, self.step, self.rho, self._parts],
-            )
+            inputs = [self.span, self.state, self.pair, self.pair_out]
+            self._stay = self.operator.stay_relaxing(self.parameters, self._kept, inputs)
         self._stay.set_param_by_name("limit", limit)
         self._stay.launch()
         return limit
 
     def _launch_outer(self) -> None:
-        kk, span, state, layout = self.kernels, self.span, self.state, self.layout
-        running, groups = state.outer_groups, layout.groups
-        self.launch(kk.move, (groups, layout.blocks), [span, state, self.step], [self.u])
-        self.operator.residual(self.u, self.residual, self.parameters, running, self._kept)
-        self.launch_sums(
-            kk.inner_products,
-            (groups,),
-            [span, running, groups, self.residual, self.residual, self.residual, self.step],
-            [self._parts],
-        )
-        self.launch(kk.judge, (groups, span.threads), [span, state, self._parts, groups])
-        self.launch(
-            kk.begin, (groups, layout.blocks), [span, state, self.residual], [self.rho, self.direction, self.step]
-        )
+        kk, running, r = self.kernels, self.state.outer_groups, self.residual
+        self.launch_blocks(kk.move)
+        self.operator.residual(self.u, r, self.parameters, running, self._kept)
+        self.launch_sums(kk.inner_products, running, r, r, r, self.step)
+        self.launch_groups(kk.judge)
+        self.launch_blocks(kk.begin)
 
     def _launch_inner(self) -> None:
-        kk, span, state, layout = self.kernels, self.span, self.state, self.layout
-        running, groups = state.inner_groups, layout.groups
-        p, q = self.direction, self.changed
-        self.operator.change(p, q, self.parameters, running, self._kept)
-        self.launch_sums(kk.inner_products, (groups,), [span, running, groups, p, q, p, p], [self._parts])
-        self.launch(kk.curvature, (groups, span.threads), [span, state, self._parts, groups])
-        self.launch_sums(kk.descend, (groups,), [span, state, groups, p, q], [self.step, self.rho, self._parts])
-        self.launch(kk.conjugate, (groups, span.threads), [span, state, self._parts, groups, self._most])
-        self.launch(kk.direct, (groups, layout.blocks), [span, state, self.rho], [p])
+        kk, running, p = self.kernels, self.state.inner_groups, self.direction
+        self.operator.change(p, self.changed, self.parameters, running, self._kept)
+        self.launch_sums(kk.inner_products, running, p, self.changed, p, p)
+        self.launch_groups(kk.curvature)
+        self.launch_sums(kk.descend)
+        self.launch_groups(kk.conjugate)
+        self.launch_blocks(kk.direct)
 
 
 class Anderson(Iteration):
@@ -321,14 +298,15 @@ class Anderson(Iteration):
         super().__init__(body, rest, size, volume)
         layout = self.layout
         d = body.dim
-        self.u_last, self.residual_last = layout.field(d), layout.field(d)
-        self.du, self.dr = layout.field(d * k.MEMORY), layout.field(d * k.MEMORY)
-        self._parts = self.parts(2 * (k.MEMORY + 1))
+        self.kernels = anderson_kernels_for(d, body.scalar, layout.width)
         state = self._numbers(self.kernels.AndersonState)
+        state.u, state.u_last, state.du = self.u, layout.field(d), layout.field(d * MEMORY)
+        state.residual, state.residual_last, state.dr = self.residual, layout.field(d), layout.field(d * MEMORY)
+        state.parts, state.sides = self.parts(2 * (MEMORY + 1)), layout.groups
         lanes = layout.groups * layout.abreast + layout.width
-        state.gamma = upload(np.zeros((k.MEMORY, lanes)), layout.scalar, layout.device)
+        state.gamma = upload(np.zeros((MEMORY, lanes)), layout.scalar, layout.device)
         state.stride = lanes
-        history = wp.types.matrix(shape=(k.MEMORY, k.MEMORY), dtype=wp.float64)
+        history = wp.types.matrix(shape=(MEMORY, MEMORY), dtype=wp.float64)
         state.gram = wp.zeros(lanes, dtype=history, device=layout.device)
         state.tolerance, state.floor = self.tolerance, self.floor
         self._relative = wp.zeros(1, dtype=wp.float64, device=layout.device)
@@ -368,7 +346,7 @@ class Anderson(Iteration):
         state = self.state
         self.tolerance.fill_(tolerance)
         for name in ("known", "total", "path", "gram", "count", "du", "dr"):
-            (getattr(self, name) if name in ("du", "dr") else getattr(state, name)).zero_()
+            getattr(state, name).zero_()
         state.state.fill_(k.RUNNING)
         state.mark.fill_(8)
         state.best.fill_(np.inf)
@@ -393,31 +371,15 @@ class Anderson(Iteration):
     def _launch_linear(self) -> None:
         running = self.state.groups
         self.operator.change(self.u, self.residual, self.parameters, running, self._kept)
-        self.launch(
-            self.kernels.add_field,
-            (self.layout.groups, self.layout.blocks),
-            [self.span, running, self.linear_right],
-            [self.residual],
-        )
+        self.launch_blocks(self.kernels.add_right, self.linear_right)
         self._launch_rest()
 
     def _launch_rest(self) -> None:
-        kk, span, state, layout = self.kernels, self.span, self.state, self.layout
-        groups = layout.groups
-        self.launch(
-            kk.remember,
-            (groups, layout.blocks),
-            [span, state, self.u, self.residual],
-            [self.u_last, self.residual_last, self.du, self.dr],
-        )
-        self.launch_sums(
-            kk.history_products,
-            (groups, k.MEMORY + 1),
-            [span, state, groups, self.residual, self.du, self.dr],
-            [self._parts],
-        )
-        self.launch(kk.accelerate, (groups, span.threads), [span, state, self._parts, groups])
-        self.launch(kk.advance, (groups, layout.blocks), [span, state, self.residual, self.du, self.dr], [self.u])
+        kk = self.kernels
+        self.launch_blocks(kk.remember)
+        self.launch_sums(kk.history_products, over=(MEMORY + 1,))
+        self.launch_groups(kk.accelerate)
+        self.launch_blocks(kk.advance)
 
 
 def set_first(array: Any, value: float) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from typing import Any
 
 import numpy as np
@@ -12,8 +13,8 @@ from deformscope.stages.msm import lattice_kernels as k
 from deformscope.stages.msm.body import Body, BodyRest, Operator, Parameters, RestArrays, rest_struct
 from deformscope.stages.msm.cluster_functions import GOAL, cluster_functions_for
 from deformscope.stages.msm.clusters import FLAT_MOMENT_RATIO, LatticeClusters
+from deformscope.stages.msm.iteration_kernels import THREADS, resident_kernels_for
 from deformscope.stages.msm.layout import Field, Layout, upload, widths
-from deformscope.stages.msm.resident_kernels import THREADS, resident_kernels_for
 
 REGULAR = 1e-6
 """Spacings by which a particle may stand beside its place in an even lattice to be taken as standing on it."""
@@ -272,13 +273,8 @@ class LatticeOperator(Operator):
     def _goals(self, u: Field, out: Field, fields: object, running: Field, kept: object, *, changing: bool) -> None:
         a, layout = self.arrays, self.layout
         if a.kernels is None:
-            wp.launch(
-                a.resident.goals,
-                dim=layout.groups,
-                inputs=[self.grid, a.site, a.rest, kept, fields, self.still, running, int(changing), u],
-                outputs=[out, self._nothing],
-                device=layout.device,
-            )
+            inputs = [self._passes(kept, fields, self.still), running, int(changing), u, out, self._nothing]
+            wp.launch(a.resident.goals, layout.groups, inputs, device=layout.device)
             return
         self._windows(fields, self.still, running, u, u)
         self._fit(a.kernels.fit_changes if changing else a.kernels.fit_clusters, fields, running, kept)
@@ -333,44 +329,30 @@ class LatticeOperator(Operator):
         self, pair: Field, swapped: bool, motion: object, parameters: Parameters, steps: int, ran_away: Field
     ) -> None:
         """`steps` time steps in one launch, of the displacement and the one before in the halves of `pair`."""
-        a, layout = self.arrays, self.layout
-        wp.launch(
-            a.resident.steps,
-            dim=layout.groups * self.threads,
-            block_dim=self.threads,
-            inputs=[
-                *(self.grid, a.site, a.rest, self.unkept(), self.fields(parameters), motion),
-                *(steps, int(swapped), self.threads, pair, ran_away),
-            ],
-            device=layout.device,
-        )
+        passes = self._stepping
+        passes.fields, passes.motion = self.fields(parameters), motion
+        self._stay(self.resident.steps, [passes, steps, int(swapped), pair, ran_away])
 
-    def stay_relaxing(
-        self,
-        parameters: Parameters,
-        kept: object,
-        span: object,
-        state: object,
-        most: int,
-        limit: int,
-        arrays: list[Any],
-    ) -> Any:
-        """The command for up to `limit` evaluations of Newton's steps in one launch.
+    def stay_relaxing(self, parameters: Parameters, kept: object, inputs: list[Any]) -> Any:
+        """The command for evaluations of Newton's steps in one launch, up to a limit. inputs: of its kernel"""
+        passes = self._passes(kept, self.fields(parameters), self.still)
+        return self._stay(self.resident.relax, [passes, *inputs, self._nothing, 0], record_cmd=True)
 
-        arrays: as its kernel lists them
-        """
-        a, layout = self.arrays, self.layout
-        return wp.launch(
-            a.resident.relax,
-            dim=layout.groups * self.threads,
-            block_dim=self.threads,
-            inputs=[
-                *(self.grid, a.site, a.rest, kept, self.fields(parameters), self.still, span, state),
-                *(layout.groups, most, limit, self.threads, *arrays, self._nothing),
-            ],
-            device=layout.device,
-            record_cmd=True,
-        )
+    def _stay(self, kernel: wp.Kernel, inputs: list[Any], *, record_cmd: bool = False) -> Any:
+        dim, device = self.layout.groups * self.threads, self.layout.device
+        return wp.launch(kernel, dim, inputs, device=device, block_dim=self.threads, record_cmd=record_cmd)
+
+    @functools.cached_property
+    def _stepping(self) -> Any:
+        """What steps go by, kept from call to call: to fill it anew takes as long as a short call's steps."""
+        return self._passes(self.unkept(), self._fields, self.still)
+
+    def _passes(self, kept: object, fields: object, motion: object) -> Any:
+        """What a kernel that stays goes by."""
+        passes = self.resident.Passes()
+        passes.grid, passes.site, passes.rest = self.grid, self.arrays.site, self.arrays.rest
+        passes.kept, passes.fields, passes.motion, passes.threads = kept, fields, motion, self.threads
+        return passes
 
     def _windows(self, fields: object, motion: object, running: Field, u: Field, before: Field) -> None:
         kk, grid = self.arrays.kernels, self.grid

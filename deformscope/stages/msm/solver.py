@@ -19,7 +19,7 @@ from deformscope.stages.msm.cluster_functions import BY_BETA, BY_THETA, NONE, PR
 from deformscope.stages.msm.clusters import Clusters, LatticeClusters, held_mask, spacing
 from deformscope.stages.msm.general import GeneralBody
 from deformscope.stages.msm.iteration import Anderson, Ended, Newton, halves
-from deformscope.stages.msm.iteration_kernels import CONVERGED, DIVERGED, iteration_kernels_for
+from deformscope.stages.msm.iteration_kernels import CONVERGED, DIVERGED, newton_kernels_for
 from deformscope.stages.msm.lattice import LatticeBody, lattice_edges
 from deformscope.stages.msm.layout import Field, upload
 from deformscope.stages.msm.material_body import MaterialBody
@@ -676,7 +676,7 @@ class _Stepping:
         """Find where the held particles (h,) of all candidates stand in memory."""
         layout, operator = self.state.layout, self.state.operator
         self.kernels = (
-            operator.resident if operator.threads else iteration_kernels_for(operator.dim, layout.scalar, layout.width)
+            operator.resident if operator.threads else newton_kernels_for(operator.dim, layout.scalar, layout.width)
         )
         places = np.concatenate(
             [
