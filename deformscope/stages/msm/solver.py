@@ -22,7 +22,6 @@ from deformscope.stages.msm.iteration import Anderson, Ended, Newton, halves
 from deformscope.stages.msm.iteration_kernels import CONVERGED, DIVERGED, newton_kernels_for
 from deformscope.stages.msm.lattice import LatticeBody, lattice_edges
 from deformscope.stages.msm.layout import Field, upload
-from deformscope.stages.msm.material_body import MaterialBody
 from deformscope.stages.msm.materials import AxisBeta
 from deformscope.stages.msm.reduced import OneCluster
 from deformscope.stages.msm.reference import Basis, Volume
@@ -220,21 +219,13 @@ class Msm:
         return self._variants[key]
 
     def _build(self, scalar: type[Any]) -> Body:
-        if self._axes is not None or self._plastic:
-            return MaterialBody(
-                self._particles,
-                self._clusters,
-                self._basis,
-                scalar,
-                self.device,
-                axes=self._axes,
-                plastic=self._plastic,
-            )
-        if self._basis == "linear" and isinstance(self._clusters, LatticeClusters):
+        plain = self._axes is None and not self._plastic
+        if plain and self._basis == "linear" and isinstance(self._clusters, LatticeClusters):
             edges = lattice_edges(self._particles.position, self._clusters)
             if edges is not None and (self.dim == 3 or len(self._clusters.shape) == 2):
                 return LatticeBody(self._particles, self._clusters, edges, scalar, self.device)
-        return GeneralBody(self._particles, self._clusters, self._basis, scalar, self.device)
+        how: Any = {"axes": self._axes, "plastic": self._plastic}
+        return GeneralBody(self._particles, self._clusters, self._basis, scalar, self.device, **how)
 
     @functools.cached_property
     def _one(self) -> OneCluster | None:

@@ -15,7 +15,6 @@ from deformscope.stages.msm.anderson_kernels import anderson_kernels_for
 from deformscope.stages.msm.general_kernels import general_kernels_for
 from deformscope.stages.msm.iteration_kernels import newton_kernels_for, resident_kernels_for
 from deformscope.stages.msm.lattice_kernels import lattice_kernels_for
-from deformscope.stages.msm.material_kernels import material_kernels_for
 from deformscope.stages.msm.reduced_kernels import reduced_kernels_for
 
 ARCH = 90
@@ -37,7 +36,7 @@ def _kernels(kind: str, dim: int, terms: int, scalar: Any, window: int) -> list[
     elif kind == "general":
         made = general_kernels_for(dim, terms, scalar, GPU_WIDTH)
     elif kind == "material":
-        made = material_kernels_for(dim, terms, scalar, GPU_WIDTH)
+        made = general_kernels_for(dim, terms, scalar, GPU_WIDTH, material=True)
     elif kind == "newton":
         made = newton_kernels_for(dim, scalar, GPU_WIDTH)
     elif kind == "anderson":
