@@ -58,7 +58,7 @@ def lanes_for(width: int, scalar: Any) -> SimpleNamespace:
     def below(a: lane, limit: scalar) -> int:
         """1 if every lane is below the limit (a lane that is not a number is not)."""
 
-    return SimpleNamespace(**locals())
+    return SimpleNamespace(lane=lane, own=own, times=times, least=least, below=below)
 
 
 @functools.cache
@@ -108,7 +108,8 @@ def rows_for(count: int, width: int, scalar: Any) -> SimpleNamespace:
     def choose(when: lane, m: rows) -> rows:
         """m where `when` is positive, else 0 (whatever m holds there)."""
 
-    return SimpleNamespace(**locals())
+    moving = {"load": load, "store": store, "own": own, "row": row, "with_row": with_row}
+    return SimpleNamespace(rows=rows, add=add, scale=scale, choose=choose, **moving)
 
 
 @functools.cache

@@ -18,6 +18,7 @@ import warp as wp
 
 from deformscope.stages.msm.cluster_functions import GOAL, cluster_functions_for
 from deformscope.stages.msm.lanes import Ints, lanes_for, module_options, product_for, rows_for
+from deformscope.stages.msm.members import members
 
 FAR = 1e4
 """Spacings beyond which a particle has run away."""
@@ -657,7 +658,10 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
 
     if window:
         windows_fast, finish = windows_both, finish_both
-    return SimpleNamespace(**locals())
+    found = members(Grid, Site, Fields, windows_middle, spread_slow, spread_middle)
+    found.Motion, found.windows_fast, found.finish = Motion, windows_fast, finish
+    found.fit_clusters, found.fit_changes = fit_clusters, fit_changes
+    return found
 
 
 @functools.cache
@@ -735,4 +739,6 @@ def lattice_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> S
         if running[group] != 0:
             functions.finish(grid, fields, motion, u_in, 0, before_in, 0, out, ran_away, group, item)
 
-    return SimpleNamespace(**locals())
+    passes = {"windows_middle": windows_middle, "spread_slow": spread_slow, "spread_middle": spread_middle}
+    fits = {"fit_clusters": fit_clusters, "fit_changes": fit_changes}
+    return SimpleNamespace(windows_fast=windows_fast, finish=finish, **passes, **fits)

@@ -451,9 +451,18 @@ def reduced_functions_for(dim: int, terms: int) -> SimpleNamespace:
     return members(
         *(ReducedBody, Frame, turned_by, identity, volume_frame, volume_change, sums, assemble, fit, linear_part),
         *(misfit, pack, unpack, defect, weight_of, weighed, solve, stable, spin, axial),
-        **{"vec": vec, "square": square, "triple": triple, "basis_vec": basis_vec, "transform": transform},
-        **{"unknowns": unknowns, "turn": turn, "start_at": start_at, "held_centre": held_centre},
-        **{"translation_at": translation_at, "row_width": row_width, "result_width": result_width},
+        vec=vec,
+        square=square,
+        triple=triple,
+        basis_vec=basis_vec,
+        transform=transform,
+        unknowns=unknowns,
+        turn=turn,
+        start_at=start_at,
+        held_centre=held_centre,
+        translation_at=translation_at,
+        row_width=row_width,
+        result_width=result_width,
     )
 
 
