@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from deformscope.arrays import FloatArray, IntArray
+from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.stages.msm import iteration_kernels as k
 from deformscope.stages.msm.anderson_kernels import MEMORY, anderson_kernels_for
 from deformscope.stages.msm.body import Body, BodyRest, Parameters
@@ -178,6 +178,7 @@ class Newton(Iteration):
         self._aim, self._evaluate = Graph(self._launch_aim, device), Graph(self._launch_evaluate, device)
         self._derive: dict[int, Graph] = {}
         self._stay: Any = None
+        self._following: Any = None
 
     def relax(
         self, start: FloatArray | None, tolerance: float, max_iterations: int, progress: Progress | None = None
@@ -209,6 +210,29 @@ class Newton(Iteration):
                 progress(size - int(np.count_nonzero(state.state.numpy()[:size] == k.RUNNING)))
             done += self._descend(max_iterations - done)
         return Ended(*(each.numpy()[:size].copy() for each in (state.state, state.norm, state.error, state.total)))
+
+    def follow(self, target: FloatArray, seen: BoolArray, **search: float) -> tuple[float, int, bool, bool]:
+        """Beta of least mean distance of one candidate to displacements target (K, d) where seen (K,), from where `u`
+        is, in one launch; evaluations, whether it settled, and whether its state converged. search: see the kernel's"""
+        layout, device = self.layout, self.layout.device
+        if self._following is None:
+            given = self.operator.resident.BetaSearch()
+            given.target, given.found = layout.field(self.body.dim), wp.zeros(3, dtype=wp.float64, device=device)
+            given.seen = upload(np.zeros(layout.places), layout.scalar, device)
+            inputs = [self.span, self.state, self.pair, self.pair_out]
+            self._following = given, self.operator.follow(self.parameters, self._kept, inputs, given)
+        given, launch = self._following
+        layout.put(target[None], given.target)
+        places = np.zeros(layout.places)
+        places[layout.place] = seen
+        given.seen.assign(places)
+        for name, value in search.items():
+            setattr(given, name, value)
+        launch.set_param_by_name("search", given)
+        self.step.zero_()
+        launch.launch()
+        beta, evaluations, settled = given.found.numpy()
+        return float(beta), int(evaluations), bool(settled), bool(self.state.state.numpy()[0] == k.CONVERGED)
 
     def solve(self, relative: float) -> bool:
         """`step` of (I - J) step = `residual` where goals were last evaluated; whether it came to `relative` of it."""

@@ -575,6 +575,7 @@ def resident_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> 
         for name in ("steps", "relax")
     )
     lattice = lattice_functions_for(dim, scalar, width, window)
+    vecs = rows_for(dim, width, scalar)
     cluster = cluster_functions_for(dim, dim, scalar, width)
     newton_f = newton_functions_for(dim, scalar, width)
     Span, NewtonState, inner_products = newton_f.Span, newton_f.NewtonState, newton_f.inner_products
@@ -682,18 +683,23 @@ def resident_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> 
         if thread == 0:
             newton_f.put(newton.parts, (row * newton.groups + group) * wp.static(width), v)
 
-    @relax_kernel
-    def relax(
-        passes: Passes, span: Span, newton: NewtonState, pair: numbers, pair_out: numbers, nothing: Ints, limit: int
+    @wp.func(inline=False if on_cpu else None)
+    def iterate(
+        passes: Passes,
+        span: Span,
+        newton: NewtonState,
+        pair: numbers,
+        pair_out: numbers,
+        nothing: Ints,
+        limit: int,
+        group: int,
+        thread: int,
     ):
         """Up to `limit` evaluations of a group's Newton steps, or of its linear solve.
 
         pair: the displacement and the direction as one field; pair_out: the residual and the direction's change
         """
-        index = wp.tid()
         threads = passes.threads
-        group = index / threads
-        thread = index - group * threads
         done = int(0)
         while done < limit and (newton.outer_groups[group] != 0 or newton.inner_groups[group] != 0):
             changing = newton.inner_groups[group]
@@ -735,12 +741,9 @@ def resident_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> 
             meet()
             done += int(1)
 
-    @relax_kernel
-    def aim(span: Span, newton: NewtonState, threads: int):
+    @wp.func
+    def aim_at(span: Span, newton: NewtonState, group: int, thread: int, threads: int):
         """A linear solve begins, with its right-hand side as the residual."""
-        index = wp.tid()
-        group = index / threads
-        thread = index - group * threads
         right = newton.residual
         square, _same = inner_products(span, right, right, right, right, group, thread, threads)
         keep(newton, 0, group, thread, newton_f.joined(square))
@@ -751,6 +754,155 @@ def resident_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> 
             newton_f.begin(span, newton, group, block)
 
     @relax_kernel
+    def relax(
+        passes: Passes, span: Span, newton: NewtonState, pair: numbers, pair_out: numbers, nothing: Ints, limit: int
+    ):
+        """`iterate`, for each group."""
+        index = wp.tid()
+        group = index / passes.threads
+        iterate(passes, span, newton, pair, pair_out, nothing, limit, group, index - group * passes.threads)
+
+    @relax_kernel
+    def aim(span: Span, newton: NewtonState, threads: int):
+        index = wp.tid()
+        group = index / threads
+        aim_at(span, newton, group, index - group * threads, threads)
+
+    @wp.struct
+    class BetaSearch:
+        """One candidate's search for the beta of least error.
+
+        target: the observed displacement; seen: (places,) 1 where it is; most: evaluations; limit: iterations of a
+        state; start, largest, tolerance: of beta; spread, share: tolerance of the search's states, and of the last one;
+        relative: of their derivatives; found: beta, evaluations, and whether the last step was below the tolerance
+        """
+
+        target: numbers
+        seen: numbers
+        most: int
+        limit: int
+        start: wp.float64
+        largest: wp.float64
+        tolerance: wp.float64
+        spread: wp.float64
+        share: wp.float64
+        relative: wp.float64
+        found: Doubles
+
+    @wp.func
+    def slopes(span: Span, newton: NewtonState, search: BetaSearch, thread: int, threads: int):
+        """Slope of the summed distance along d state / d beta (`step`), and a curvature that never overshoots."""
+        slope = newton_f.sums()
+        curvature = newton_f.sums()
+        for block in range(thread, span.blocks, threads):
+            at, count = newton_f.place_of(span, 0, block)
+            for l in range(wp.min(count, wp.static(width))):
+                if search.seen[block * wp.static(width) + l] > scalar(0.0):
+                    square = wp.float64(1e-18)
+                    along = wp.float64(0.0)
+                    longer = wp.float64(0.0)
+                    for i in range(wp.static(dim)):
+                        here = at + i * span.stride + l
+                        away = wp.float64(newton.u[here]) - wp.float64(search.target[here])
+                        moved = wp.float64(newton.step[here])
+                        square += away * away
+                        along += away * moved
+                        longer += moved * moved
+                    distance = wp.sqrt(square)
+                    slope[0] = slope[0] + along / distance
+                    curvature[0] = curvature[0] + longer / distance
+        return newton_f.joined(slope), newton_f.joined(curvature)
+
+    @wp.func
+    def begin_anew(
+        span: Span, newton: NewtonState, tolerance: wp.float64, relative: wp.float64, outer: int, thread: int
+    ):
+        """Newton's steps (`outer`) or a linear solve of the one candidate begin."""
+        if thread == 0:
+            newton.tolerance[0] = tolerance
+            newton.relative[0] = relative
+            reach = wp.float64(wp.inf)
+            if outer == 1:
+                reach = wp.float64(REACH)
+            newton_f.reset(span, newton, reach, outer, 1 - outer, 0)
+        meet()
+
+    @kernel_in(f"follow_{dim}d_{scalar.__name__}_{width}_{window}", scalar, launch_bounds=THREADS[scalar])
+    def follow(
+        passes: Passes,
+        by_beta: Passes,
+        span: Span,
+        newton: NewtonState,
+        pair: numbers,
+        pair_out: numbers,
+        nothing: Ints,
+        search: BetaSearch,
+    ):
+        """`fit.fit_beta` from the start to the end. by_beta: passes that make the derivative of the goals."""
+        thread = wp.tid()
+        threads = passes.threads
+        low = wp.float64(0.0)
+        high = search.largest
+        beta = search.start
+        beta_before = wp.float64(0.0)
+        slope_before = wp.float64(0.0)
+        evaluations = int(0)
+        settled = int(0)
+        last = int(0)
+        while last == 0:
+            if evaluations == search.most or settled != 0:
+                last = 1
+            spread = search.spread
+            if last != 0:
+                spread = search.share
+            if thread == 0:
+                passes.fields.beta[0] = scalar(beta)
+            begin_anew(span, newton, spread, wp.float64(0.0), 1, thread)
+            iterate(passes, span, newton, pair, pair_out, nothing, search.limit, 0, thread)
+            if last == 0:
+                operate(by_beta, pair, 0, 0, pair_out, nothing, 0, 0, thread)
+                begin_anew(span, newton, wp.float64(0.0), search.relative, 0, thread)
+                aim_at(span, newton, 0, thread, threads)
+                meet()
+                iterate(passes, span, newton, pair, pair_out, nothing, newton.most, 0, thread)
+                slope_sums, curvature_sums = slopes(span, newton, search, thread, threads)
+                keep(newton, 0, 0, thread, slope_sums)
+                keep(newton, 1, 0, thread, curvature_sums)
+                meet()
+                slope = newton.parts[0]
+                curvature = newton.parts[wp.static(width) * newton.groups]
+                evaluations += int(1)
+                if slope < wp.float64(0.0):
+                    low = wp.max(low, beta)
+                else:
+                    high = wp.min(high, beta)
+                step = wp.float64(0.0)
+                if curvature > wp.float64(0.0):
+                    step = -slope / curvature
+                if evaluations > 1 and slope != slope_before:
+                    secant = -slope * (beta - beta_before) / (slope - slope_before)
+                    if secant * slope < wp.float64(0.0):
+                        step = secant
+                tenth = wp.float64(0.1)
+                new = wp.clamp(beta + step, low + tenth * (beta - low), high - tenth * (high - beta))
+                if wp.abs(new - beta) <= search.tolerance:
+                    settled = int(1)
+                for block in range(thread, span.blocks, threads):
+                    at, count = newton_f.place_of(span, 0, block)
+                    along = vecs.load(newton.step, at, span.stride)
+                    moved = vecs.add(vecs.load(newton.u, at, span.stride), scalar(new - beta), along)
+                    vecs.store(newton.u, at, span.stride, moved, count)
+                    vecs.store(newton.step, at, span.stride, vecs.rows(), count)
+                meet()
+                beta_before = beta
+                slope_before = slope
+                beta = new
+        if thread == 0:
+            search.found[0] = beta
+            search.found[1] = wp.float64(evaluations)
+            search.found[2] = wp.float64(settled)
+
+    @relax_kernel
     def reset(span: Span, newton: NewtonState, reach: wp.float64, outer: int, inner: int):
         newton_f.reset(span, newton, reach, outer, inner, wp.tid())
 
@@ -758,7 +910,7 @@ def resident_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> 
     def put_at(places: Ints, values: numbers, stride: int, first_out: numbers, second_out: numbers):
         newton_f.put_at(places, values, stride, first_out, second_out, wp.tid())
 
-    made = members(Passes, steps, relax, aim, reset, put_at)
+    made = members(Passes, BetaSearch, steps, relax, aim, reset, put_at, follow)
     if on_cpu:
         made.goals = goals
     return made

@@ -11,7 +11,7 @@ import warp as wp
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.stages.msm import lattice_kernels as k
 from deformscope.stages.msm.body import Body, BodyRest, Operator, Parameters, RestArrays, rest_struct
-from deformscope.stages.msm.cluster_functions import GOAL, cluster_functions_for
+from deformscope.stages.msm.cluster_functions import BY_BETA, GOAL, cluster_functions_for
 from deformscope.stages.msm.clusters import FLAT_MOMENT_RATIO, LatticeClusters
 from deformscope.stages.msm.iteration_kernels import THREADS, resident_kernels_for
 from deformscope.stages.msm.layout import Field, Layout, upload, widths
@@ -337,6 +337,12 @@ class LatticeOperator(Operator):
         """The command for evaluations of Newton's steps in one launch, up to a limit. inputs: of its kernel"""
         passes = self._passes(kept, self.fields(parameters), self.still)
         return self._stay(self.resident.relax, [passes, *inputs, self._nothing, 0], record_cmd=True)
+
+    def follow(self, parameters: Parameters, kept: object, inputs: list[Any], search: object) -> Any:
+        """The command for the search for the beta of least error in one launch. inputs: of its kernel"""
+        passes = self._passes(kept, self.fields(parameters), self.still)
+        by_beta = self._passes(self.unkept(), self.fields(parameters, BY_BETA), self.still)
+        return self._stay(self.resident.follow, [passes, by_beta, *inputs, self._nothing, search], record_cmd=True)
 
     def _stay(self, kernel: wp.Kernel, inputs: list[Any], *, record_cmd: bool = False) -> Any:
         dim, device = self.layout.groups * self.threads, self.layout.device
