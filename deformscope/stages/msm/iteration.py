@@ -219,8 +219,8 @@ class Newton(Iteration):
             given = self.operator.resident.BetaSearch()
             given.target, given.found = layout.field(self.body.dim), wp.zeros(3, dtype=wp.float64, device=device)
             given.seen = upload(np.zeros(layout.places), layout.scalar, device)
-            inputs = [self.span, self.state, self.pair, self.pair_out]
-            self._following = given, self.operator.follow(self.parameters, self._kept, inputs, given)
+            newton, pairs = [self.span, self.state], (self.pair, self.pair_out)
+            self._following = given, self.operator.follow(self.parameters, self._kept, newton, *pairs, given)
         given, launch = self._following
         layout.put(target[None], given.target)
         places = np.zeros(layout.places)
@@ -291,8 +291,8 @@ class Newton(Iteration):
         """Up to STAY evaluations in one launch."""
         limit = min(STAY, most)
         if self._stay is None:
-            inputs = [self.span, self.state, self.pair, self.pair_out]
-            self._stay = self.operator.stay_relaxing(self.parameters, self._kept, inputs)
+            newton, pairs = [self.span, self.state], (self.pair, self.pair_out)
+            self._stay = self.operator.stay_relaxing(self.parameters, self._kept, newton, *pairs)
         self._stay.set_param_by_name("limit", limit)
         self._stay.launch()
         return limit

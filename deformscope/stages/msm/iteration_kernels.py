@@ -582,7 +582,11 @@ def resident_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> 
 
     @wp.struct
     class Passes:
-        """What the passes over a lattice go by; motion: of time stepping, or none."""
+        """What the passes over a lattice go by; motion: of time stepping, or none.
+
+        pair: the displacement, and the direction or the displacement one step before, as one field; pair_out: the
+        residual and the direction's change
+        """
 
         grid: lattice.Grid
         site: lattice.Site
@@ -591,6 +595,9 @@ def resident_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> 
         fields: lattice.Fields
         motion: lattice.Motion
         threads: int  # of a block
+        pair: numbers
+        pair_out: numbers
+        ran_away: Ints
 
     @wp.func_native(
         """
@@ -609,7 +616,6 @@ def resident_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> 
         offset: int,
         before_offset: int,
         out: numbers,
-        ran_away: Ints,
         changing: int,
         group: int,
         thread: int,
@@ -651,20 +657,20 @@ def resident_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> 
                 lattice.spread_middle(grid, fields, group, item)
             meet()
         for item in range(thread, grid.items_plane, threads):
-            lattice.finish(grid, fields, motion, u, offset, u, before_offset, out, ran_away, group, item)
+            lattice.finish(grid, fields, motion, u, offset, u, before_offset, out, passes.ran_away, group, item)
         meet()
 
     if on_cpu:
 
         @relax_kernel
-        def goals(passes: Passes, running: Ints, changing: int, u_in: numbers, out: numbers, nothing: Ints):
+        def goals(passes: Passes, running: Ints, changing: int, u_in: numbers, out: numbers):
             """goal - u of every free particle; with `changing` J u - u where goals were last evaluated."""
             group = wp.tid()
             if running[group] != 0:
-                operate(passes, u_in, 0, 0, out, nothing, changing, group, 0)
+                operate(passes, u_in, 0, 0, out, changing, group, 0)
 
     @steps_kernel
-    def steps(passes: Passes, count: int, swapped: int, pair: numbers, ran_away: Ints):
+    def steps(passes: Passes, count: int, swapped: int):
         """`count` time steps.
 
         The displacement is in the first half of the pair, the one before in the second; each step they change places,
@@ -673,9 +679,10 @@ def resident_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> 
         index = wp.tid()
         group = index / passes.threads
         rows = wp.static(dim) * passes.grid.stride
+        pair = passes.pair
         for n in range(count):
             offset = ((n + swapped) % 2) * rows
-            operate(passes, pair, offset, rows - offset, pair, ran_away, 0, group, index - group * passes.threads)
+            operate(passes, pair, offset, rows - offset, pair, 0, group, index - group * passes.threads)
 
     @wp.func
     def keep(newton: NewtonState, row: int, group: int, thread: int, v: newton_f.sums):
@@ -684,21 +691,8 @@ def resident_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> 
             newton_f.put(newton.parts, (row * newton.groups + group) * wp.static(width), v)
 
     @wp.func(inline=False if on_cpu else None)
-    def iterate(
-        passes: Passes,
-        span: Span,
-        newton: NewtonState,
-        pair: numbers,
-        pair_out: numbers,
-        nothing: Ints,
-        limit: int,
-        group: int,
-        thread: int,
-    ):
-        """Up to `limit` evaluations of a group's Newton steps, or of its linear solve.
-
-        pair: the displacement and the direction as one field; pair_out: the residual and the direction's change
-        """
+    def iterate(passes: Passes, span: Span, newton: NewtonState, limit: int, group: int, thread: int):
+        """Up to `limit` evaluations of a group's Newton steps, or of its linear solve."""
         threads = passes.threads
         done = int(0)
         while done < limit and (newton.outer_groups[group] != 0 or newton.inner_groups[group] != 0):
@@ -710,7 +704,7 @@ def resident_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> 
                 for block in range(thread, span.blocks, threads):
                     newton_f.move(span, newton, group, block)
             meet()
-            operate(passes, pair, offset, 0, pair_out, nothing, changing, group, thread)
+            operate(passes, passes.pair, offset, 0, passes.pair_out, changing, group, thread)
             if changing != 0:
                 p = newton.direction
                 stiff, square = inner_products(span, p, newton.changed, p, p, group, thread, threads)
@@ -754,13 +748,10 @@ def resident_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> 
             newton_f.begin(span, newton, group, block)
 
     @relax_kernel
-    def relax(
-        passes: Passes, span: Span, newton: NewtonState, pair: numbers, pair_out: numbers, nothing: Ints, limit: int
-    ):
-        """`iterate`, for each group."""
+    def relax(passes: Passes, span: Span, newton: NewtonState, limit: int):
         index = wp.tid()
         group = index / passes.threads
-        iterate(passes, span, newton, pair, pair_out, nothing, limit, group, index - group * passes.threads)
+        iterate(passes, span, newton, limit, group, index - group * passes.threads)
 
     @relax_kernel
     def aim(span: Span, newton: NewtonState, threads: int):
@@ -814,9 +805,7 @@ def resident_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> 
         return newton_f.joined(slope), newton_f.joined(curvature)
 
     @wp.func
-    def begin_anew(
-        span: Span, newton: NewtonState, tolerance: wp.float64, relative: wp.float64, outer: int, thread: int
-    ):
+    def anew(span: Span, newton: NewtonState, tolerance: wp.float64, relative: wp.float64, outer: int, thread: int):
         """Newton's steps (`outer`) or a linear solve of the one candidate begin."""
         if thread == 0:
             newton.tolerance[0] = tolerance
@@ -828,16 +817,7 @@ def resident_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> 
         meet()
 
     @kernel_in(f"follow_{dim}d_{scalar.__name__}_{width}_{window}", scalar, launch_bounds=THREADS[scalar])
-    def follow(
-        passes: Passes,
-        by_beta: Passes,
-        span: Span,
-        newton: NewtonState,
-        pair: numbers,
-        pair_out: numbers,
-        nothing: Ints,
-        search: BetaSearch,
-    ):
+    def follow(passes: Passes, by_beta: Passes, span: Span, newton: NewtonState, search: BetaSearch):
         """`fit.fit_beta` from the start to the end. by_beta: passes that make the derivative of the goals."""
         thread = wp.tid()
         threads = passes.threads
@@ -857,14 +837,14 @@ def resident_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> 
                 spread = search.share
             if thread == 0:
                 passes.fields.beta[0] = scalar(beta)
-            begin_anew(span, newton, spread, wp.float64(0.0), 1, thread)
-            iterate(passes, span, newton, pair, pair_out, nothing, search.limit, 0, thread)
+            anew(span, newton, spread, wp.float64(0.0), 1, thread)
+            iterate(passes, span, newton, search.limit, 0, thread)
             if last == 0:
-                operate(by_beta, pair, 0, 0, pair_out, nothing, 0, 0, thread)
-                begin_anew(span, newton, wp.float64(0.0), search.relative, 0, thread)
+                operate(by_beta, passes.pair, 0, 0, passes.pair_out, 0, 0, thread)
+                anew(span, newton, wp.float64(0.0), search.relative, 0, thread)
                 aim_at(span, newton, 0, thread, threads)
                 meet()
-                iterate(passes, span, newton, pair, pair_out, nothing, newton.most, 0, thread)
+                iterate(passes, span, newton, newton.most, 0, thread)
                 slope_sums, curvature_sums = slopes(span, newton, search, thread, threads)
                 keep(newton, 0, 0, thread, slope_sums)
                 keep(newton, 1, 0, thread, curvature_sums)

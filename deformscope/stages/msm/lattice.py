@@ -273,7 +273,7 @@ class LatticeOperator(Operator):
     def _goals(self, u: Field, out: Field, fields: object, running: Field, kept: object, *, changing: bool) -> None:
         a, layout = self.arrays, self.layout
         if a.kernels is None:
-            inputs = [self._passes(kept, fields, self.still), running, int(changing), u, out, self._nothing]
+            inputs = [self._passes(kept, fields, self.still), running, int(changing), u, out]
             wp.launch(a.resident.goals, layout.groups, inputs, device=layout.device)
             return
         self._windows(fields, self.still, running, u, u)
@@ -331,18 +331,25 @@ class LatticeOperator(Operator):
         """`steps` time steps in one launch, of the displacement and the one before in the halves of `pair`."""
         passes = self._stepping
         passes.fields, passes.motion = self.fields(parameters), motion
-        self._stay(self.resident.steps, [passes, steps, int(swapped), pair, ran_away])
+        passes.pair, passes.ran_away = pair, ran_away
+        self._stay(self.resident.steps, [passes, steps, int(swapped)])
 
-    def stay_relaxing(self, parameters: Parameters, kept: object, inputs: list[Any]) -> Any:
-        """The command for evaluations of Newton's steps in one launch, up to a limit. inputs: of its kernel"""
+    def stay_relaxing(
+        self, parameters: Parameters, kept: object, newton: list[Any], pair: Field, pair_out: Field
+    ) -> Any:
+        """The command for evaluations of Newton's steps in one launch, up to a limit. newton, pairs: for its kernel"""
         passes = self._passes(kept, self.fields(parameters), self.still)
-        return self._stay(self.resident.relax, [passes, *inputs, self._nothing, 0], record_cmd=True)
+        passes.pair, passes.pair_out = pair, pair_out
+        return self._stay(self.resident.relax, [passes, *newton, 0], record_cmd=True)
 
-    def follow(self, parameters: Parameters, kept: object, inputs: list[Any], search: object) -> Any:
-        """The command for the search for the beta of least error in one launch. inputs: of its kernel"""
+    def follow(
+        self, parameters: Parameters, kept: object, newton: list[Any], pair: Field, pair_out: Field, search: object
+    ) -> Any:
+        """The command for the search for the beta of least error in one launch."""
         passes = self._passes(kept, self.fields(parameters), self.still)
+        passes.pair, passes.pair_out = pair, pair_out
         by_beta = self._passes(self.unkept(), self.fields(parameters, BY_BETA), self.still)
-        return self._stay(self.resident.follow, [passes, by_beta, *inputs, self._nothing, search], record_cmd=True)
+        return self._stay(self.resident.follow, [passes, by_beta, *newton, search], record_cmd=True)
 
     def _stay(self, kernel: wp.Kernel, inputs: list[Any], *, record_cmd: bool = False) -> Any:
         dim, device = self.layout.groups * self.threads, self.layout.device
@@ -358,6 +365,7 @@ class LatticeOperator(Operator):
         passes = self.resident.Passes()
         passes.grid, passes.site, passes.rest = self.grid, self.arrays.site, self.arrays.rest
         passes.kept, passes.fields, passes.motion, passes.threads = kept, fields, motion, self.threads
+        passes.ran_away = self._nothing
         return passes
 
     def _windows(self, fields: object, motion: object, running: Field, u: Field, before: Field) -> None:

@@ -448,22 +448,14 @@ def reduced_functions_for(dim: int, terms: int) -> SimpleNamespace:
             good = good and minors > zero
         return good
 
-    return members(
+    made = members(
         *(ReducedBody, Frame, turned_by, identity, volume_frame, volume_change, sums, assemble, fit, linear_part),
         *(misfit, pack, unpack, defect, weight_of, weighed, solve, stable, spin, axial),
-        vec=vec,
-        square=square,
-        triple=triple,
-        basis_vec=basis_vec,
-        transform=transform,
-        unknowns=unknowns,
-        turn=turn,
-        start_at=start_at,
-        held_centre=held_centre,
-        translation_at=translation_at,
-        row_width=row_width,
-        result_width=result_width,
     )
+    made.vec, made.square, made.triple, made.unknowns, made.turn = vec, square, triple, unknowns, turn
+    made.basis_vec, made.transform, made.start_at, made.held_centre = basis_vec, transform, start_at, held_centre
+    made.translation_at, made.row_width, made.result_width = translation_at, row_width, result_width
+    return made
 
 
 @functools.cache
