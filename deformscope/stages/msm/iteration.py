@@ -12,10 +12,11 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from deformscope.arrays import FloatArray, IntArray
+from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.stages.msm import iteration_kernels as k
 from deformscope.stages.msm.body import Body, BodyRest, Parameters
 from deformscope.stages.msm.layout import Field, upload
+from deformscope.stages.msm.multigrid import PATIENCE, Multigrid
 
 Progress = Callable[[int], None]
 
@@ -37,12 +38,17 @@ REPLAYS = {"cpu": 1, "cuda": 8}
 
 @dataclass(frozen=True, slots=True)
 class Ended:
-    """How the candidates ended, (B,) each; norm and error in particle spacings."""
+    """How the candidates ended, (B,) each; norm and error in particle spacings.
+
+    smoothed: applications of the operator in the preconditioner's finest level; unaided: went on without it
+    """
 
     state: IntArray
     norm: FloatArray
     error: FloatArray
     total: IntArray
+    smoothed: IntArray
+    unaided: BoolArray
 
 
 class Graph:
@@ -65,7 +71,7 @@ class Graph:
 class Iteration:
     """What both methods share: fields of the candidates, their parameters, and how sums over particles are taken."""
 
-    def __init__(self, body: Body, rest: BodyRest, size: int, volume: int) -> None:
+    def __init__(self, body: Body, rest: BodyRest, size: int, volume: int, *, aided: bool = False) -> None:
         self.body, self.volume = body, volume
         self.layout = body.layout(size)
         self.operator: Any = body.operator(self.layout)
@@ -73,7 +79,8 @@ class Iteration:
         self.kind = "cpu" if self.layout.device.startswith("cpu") else "cuda"
         span = self.kernels.Span()
         span.abreast, span.blocks = self.layout.abreast, self.layout.blocks
-        self.threads = self.operator.threads
+        self.multigrid = Multigrid(self.body, rest, self.layout, size, volume) if aided else None
+        self.threads = 0 if aided else self.operator.threads
         parts = min(-(-self.layout.blocks // PART_BLOCKS[self.kind]), MOST_PARTS[self.kind])
         span.parts, span.threads = 1 if self.threads else max(1, parts), THREADS[self.kind]
         span.front, span.group, span.stride = self.layout.front, self.layout.group, self.layout.stride
@@ -103,6 +110,13 @@ class Iteration:
             if dtype in (wp.int32, wp.float32, wp.float64):
                 setattr(state, name, self.layout.each(zero, int if dtype is wp.int32 else dtype))
         return state
+
+    def _ended(self, state: Any) -> Ended:
+        size = self.layout.candidates
+        numbers = [each.numpy()[:size].copy() for each in (state.state, state.norm, state.error, state.total)]
+        if self.multigrid is None:
+            return Ended(*numbers, np.zeros(size, dtype=int), np.zeros(size, dtype=bool))
+        return Ended(*numbers, *self.multigrid.told())
 
     def parts(self, rows: int) -> Field:
         count = rows * self.layout.groups * self.span.parts * self.layout.width
@@ -143,10 +157,13 @@ class Iteration:
 
 
 class Newton(Iteration):
-    """Newton's steps on the energy, each solved by conjugate gradients; without eq. 3.17."""
+    """Newton's steps on the energy, each solved by conjugate gradients; without eq. 3.17.
+
+    Large lattices are preconditioned (`multigrid`).
+    """
 
     def __init__(self, body: Body, rest: BodyRest, size: int, volume: int) -> None:
-        super().__init__(body, rest, size, volume)
+        super().__init__(body, rest, size, volume, aided=Multigrid.worth(body))
         layout = self.layout
         d = body.dim
         self.step, self.rho = layout.field(d), layout.field(d)
@@ -164,9 +181,15 @@ class Newton(Iteration):
     def _parameters_changed(self) -> None:
         device = self.layout.device
         self._outer, self._inner = (Graph(each, device) for each in (self._launch_outer, self._launch_inner))
+        self._plain = Graph(self._launch_plain, device)
         self._aim, self._evaluate = Graph(self._launch_aim, device), Graph(self._launch_evaluate, device)
         self._derive: dict[int, Graph] = {}
         self._stay: Any = None
+
+    def set(self, beta: FloatArray, theta: FloatArray) -> None:
+        super().set(beta, theta)
+        if self.multigrid is not None and self.multigrid.set(beta, theta):
+            self._parameters_changed()
 
     def relax(
         self, start: FloatArray | None, tolerance: float, max_iterations: int, progress: Progress | None = None
@@ -197,7 +220,7 @@ class Newton(Iteration):
             if progress is not None:
                 progress(size - int(np.count_nonzero(state.state.numpy()[:size] == k.RUNNING)))
             done += self._descend(max_iterations - done)
-        return Ended(*(each.numpy()[:size].copy() for each in (state.state, state.norm, state.error, state.total)))
+        return self._ended(state)
 
     def solve(self, relative: float) -> bool:
         """`step` of (I - J) step = `residual` where goals were last evaluated; whether it came to `relative` of it."""
@@ -244,15 +267,18 @@ class Newton(Iteration):
 
     def _launch_evaluate(self) -> None:
         self.operator.residual(self.u, self.residual, self.parameters, self._every_group, self._kept)
+        if self.multigrid is not None:
+            self.multigrid.linearise(self.u, self._every_group)
 
     def _descend(self, most: int) -> int:
         done = 0
         flags = self.state.inner_groups
         while self.threads and done < most and flags.numpy().any():
             done += self._stay_for(most - done)
+        inner = self._inner if self.multigrid is None or not self.multigrid.given_up else self._plain
         while done < most and flags.numpy().any():
             for _ in range(REPLAYS[self.kind]):
-                self._inner()
+                inner()
                 done += 1
         return done
 
@@ -263,6 +289,8 @@ class Newton(Iteration):
         set_first(self._relative, relative)
         count = layout.groups * layout.abreast
         reach = k.REACH if outer else np.inf
+        if self.multigrid is not None:
+            self.multigrid.reset()
         kernels = self.operator.resident if self.threads else self.kernels
         self.launch(
             kernels.reset, count, [self.state, layout.groups, layout.abreast, wp.float64(reach), outer, 1 - outer]
@@ -298,11 +326,39 @@ class Newton(Iteration):
             [self._parts],
         )
         self.launch(kk.judge, (groups, span.threads), [span, state, self._parts, groups])
+        if self.multigrid is not None:
+            self.multigrid.linearise(self.u, state.inner_groups)
         self.launch(
             kk.begin, (groups, layout.blocks), [span, state, self.residual], [self.rho, self.direction, self.step]
         )
 
     def _launch_inner(self) -> None:
+        if self.multigrid is None:
+            self._launch_plain()
+            return
+        grid, span, state, layout = self.multigrid, self.span, self.state, self.layout
+        running, groups, rho = state.inner_groups, layout.groups, self.rho
+        grid.cycle(rho, running)
+        self.launch_sums(
+            self.kernels.inner_products, (groups,), [span, running, groups, rho, grid.z, rho, rho], [self._parts]
+        )
+        self.launch(
+            grid.aided.mix,
+            (groups, span.threads),
+            [span, state, self._parts, groups, PATIENCE, grid.along, grid.plain, grid.applied],
+        )
+        self.launch(
+            grid.aided.direct, (groups, layout.blocks), [span, state, grid.plain, rho, grid.z], [self.direction]
+        )
+        self._launch_along()
+
+    def _launch_plain(self) -> None:
+        self._launch_along()
+        span, state, layout = self.span, self.state, self.layout
+        self.launch(self.kernels.direct, (layout.groups, layout.blocks), [span, state, self.rho], [self.direction])
+
+    def _launch_along(self) -> None:
+        """Goes along the direction."""
         kk, span, state, layout = self.kernels, self.span, self.state, self.layout
         running, groups = state.inner_groups, layout.groups
         p, q = self.direction, self.changed
@@ -311,7 +367,6 @@ class Newton(Iteration):
         self.launch(kk.curvature, (groups, span.threads), [span, state, self._parts, groups])
         self.launch_sums(kk.descend, (groups,), [span, state, groups, p, q], [self.step, self.rho, self._parts])
         self.launch(kk.conjugate, (groups, span.threads), [span, state, self._parts, groups, self._most])
-        self.launch(kk.direct, (groups, layout.blocks), [span, state, self.rho], [p])
 
 
 class Anderson(Iteration):
@@ -384,7 +439,7 @@ class Anderson(Iteration):
                 done += 1
             if progress is not None and done % 16 == 0:
                 progress(size - int(np.count_nonzero(state.state.numpy()[:size] == k.RUNNING)))
-        return Ended(*(each.numpy()[:size].copy() for each in (state.state, state.norm, state.error, state.total)))
+        return self._ended(state)
 
     def _launch_goals(self) -> None:
         self.operator.residual(self.u, self.residual, self.parameters, self.state.groups)
