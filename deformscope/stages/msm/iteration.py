@@ -29,6 +29,10 @@ PART_BLOCKS, MOST_PARTS = {"cpu": 256, "cuda": 1024}, {"cpu": 256, "cuda": 512}
 ROUNDING = {wp.float32: 1e-8, wp.float64: 2e-15}
 """Residual that is but rounding, as a share of the displacements (or of a spacing)."""
 
+STRETCH = 0.05
+"""Share of a preconditioned body's longest side that no particle goes beyond in one Newton step: such steps bend it
+smoothly."""
+
 STAY = 256
 """Evaluations that a kernel that stays does before it comes back to be looked at."""
 
@@ -172,6 +176,8 @@ class Newton(Iteration):
         state.tolerance, state.floor = self.tolerance, self.floor
         self._relative = wp.zeros(1, dtype=wp.float64, device=layout.device)
         state.relative = self._relative
+        self._farthest = k.REACH if self.multigrid is None else max(k.REACH, STRETCH * max(self.body.shape))
+        state.farthest.fill_(self._farthest)
         state.outer_groups, state.inner_groups = self.all_groups(), self.all_groups()
         self.state = state
         self._most = 10 * len(rest.mass) * d + 100
@@ -288,7 +294,7 @@ class Newton(Iteration):
         set_first(self.tolerance, tolerance)
         set_first(self._relative, relative)
         count = layout.groups * layout.abreast
-        reach = k.REACH if outer else np.inf
+        reach = self._farthest if outer else np.inf
         if self.multigrid is not None:
             self.multigrid.reset()
         kernels = self.operator.resident if self.threads else self.kernels

@@ -88,7 +88,8 @@ def newton_functions_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
         target: Doubles  # at which the inner residual ends
         slope: Doubles  # along the step, where it began
         taken: Doubles  # share of the step that was taken
-        reach: Doubles  # spacings that no particle goes beyond in the next step
+        farthest: Doubles  # spacings that no particle ever goes beyond in a step; first entry
+        reach: Doubles  # the same in the next step
         longest: Doubles  # spacings that the farthest particle went
         least: Doubles  # smallest curvature met in this solve, and in the one before
         least_before: Doubles
@@ -289,7 +290,7 @@ def newton_functions_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
                         newton.inners[i] = 0
                         newton.last[i] = 0
                         if newton.outers[i] > 0 and newton.backs[i] == 0:  # a straight step held: try a longer one
-                            newton.reach[i] = wp.min(wp.float64(2.0) * newton.reach[i], reach)
+                            newton.reach[i] = wp.min(wp.float64(2.0) * newton.reach[i], newton.farthest[0])
                         newton.backs[i] = 0
                         newton.slope[i] = nought
                         newton.outers[i] = newton.outers[i] + 1
