@@ -44,7 +44,7 @@ REPLAYS = {"cpu": 1, "cuda": 8}
 class Ended:
     """How the candidates ended, (B,) each; norm and error in particle spacings.
 
-    smoothed: applications of the operator in the preconditioner's finest level; unaided: went on without it
+    smoothed: evaluations in the preconditioner's finest level; unaided: went on without it
     """
 
     state: IntArray
@@ -120,7 +120,7 @@ class Iteration:
         numbers = [each.numpy()[:size].copy() for each in (state.state, state.norm, state.error, state.total)]
         if self.multigrid is None:
             return Ended(*numbers, np.zeros(size, dtype=int), np.zeros(size, dtype=bool))
-        return Ended(*numbers, *self.multigrid.told())
+        return Ended(*numbers, *self.multigrid.told(state.outers))
 
     def parts(self, rows: int) -> Field:
         count = rows * self.layout.groups * self.span.parts * self.layout.width
@@ -281,9 +281,13 @@ class Newton(Iteration):
         flags = self.state.inner_groups
         while self.threads and done < most and flags.numpy().any():
             done += self._stay_for(most - done)
-        inner = self._inner if self.multigrid is None or not self.multigrid.given_up else self._plain
+        inner, replays = self._inner, REPLAYS[self.kind]
+        if self.multigrid is not None and self.multigrid.given_up:
+            inner = self._plain
+        elif self.multigrid is not None:
+            replays = 1  # a cycle takes longer than a look
         while done < most and flags.numpy().any():
-            for _ in range(REPLAYS[self.kind]):
+            for _ in range(replays):
                 inner()
                 done += 1
         return done

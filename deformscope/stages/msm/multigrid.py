@@ -43,6 +43,9 @@ LEAST = RESIDENT_CELLS
 NARROWEST, FEWEST = 5, 150
 """Cells along an axis, and in all, below which a level is not coarsened further."""
 
+STIFFER = 1.25
+"""By which a coarse level's energies are raised: corrections that are too small cost less than those too large."""
+
 DEGREE, RANGE = 2, 5.0
 """Of Chebyshev's iteration: its steps, and the ratio of the largest to the smallest eigenvalue that it damps."""
 
@@ -113,7 +116,8 @@ def coarser(fine: CoarseRest) -> CoarseRest | None:
     axis = int(np.argmax(shape))
     affine, strain = _energies(fine.window, axis)
     affine_here, strain_here = _energies(window, axis)
-    volume, far = float(np.prod(ratio)), float(ratio[axis])
+    corner = _corners(mass, window, edges)
+    volume, far = STIFFER * np.count_nonzero(fine.corner) / max(np.count_nonzero(corner), 1), float(ratio[axis])
     spread = fine.present.astype(float)
     for a, (i, t) in enumerate(zip(parent, ahead, strict=True)):
         weights = np.zeros((len(i), counts[a]))
@@ -124,7 +128,7 @@ def coarser(fine: CoarseRest) -> CoarseRest | None:
         present=present,
         held=held,
         mass=mass,
-        corner=_corners(mass, window, edges),
+        corner=corner,
         window=window,
         edges=edges,
         affine=fine.affine * affine * volume / (far**4 * affine_here),
@@ -176,11 +180,11 @@ def _corners(mass: FloatArray, window: tuple[int, ...], edges: FloatArray) -> Bo
     corner[tuple(slice(n - w + 1) for n, w in zip(mass.shape, window, strict=True))] = True
     if (mass > 0).all():
         return corner
-    rest = BodyRest(np.zeros((1, edges.shape[1])), mass[mass > 0], np.ones(1), np.ones(1), np.ones(1))  # type: ignore
-    moments = LatticeBody(
-        rest, LatticeClusters(mass.shape, np.flatnonzero(mass), window, corner), edges, wp.float64, "cpu"
-    )
-    values = np.linalg.eigvalsh(moments.moments()[2])
+    cell = np.flatnonzero(mass)
+    one = np.ones(len(cell))
+    rest = BodyRest(np.zeros((len(cell), edges.shape[1])), mass.reshape(-1)[cell], one > 0, one.astype(int), one)
+    body = LatticeBody(rest, LatticeClusters(mass.shape, cell, window, corner), edges, wp.float64, "cpu")
+    values = np.linalg.eigvalsh(body.moments()[2])
     spanned = np.count_nonzero(values > FLAT_MOMENT_RATIO * np.maximum(values[:, -1:], 1e-300), axis=1)
     return corner & (spanned >= min(np.count_nonzero(np.array(mass.shape) > 1), edges.shape[1])).reshape(mass.shape)
 
@@ -242,12 +246,10 @@ class Multigrid:
 
     def __init__(self, body: LatticeBody, rest: BodyRest, layout: Layout, size: int, volume: int) -> None:
         self.layout = layout
-        device = layout.device
         self.transfers = transfer_kernels_for(body.dim, body.scalar)
         self.aided = aided_kernels_for(body.dim, body.scalar, layout.width)
-        if not hasattr(body, "coarse_levels"):
-            body.coarse_levels = levels_of(body, rest)  # type: ignore[attr-defined]
-        self.levels = [_Level(*each, size, volume) for each in body.coarse_levels]  # type: ignore[attr-defined]
+        body.coarse = body.coarse or levels_of(body, rest)
+        self.levels = [_Level(*each, size, volume) for each in body.coarse]
         self._between = [self._transfer(*pair) for pair in zip(self.levels, self.levels[1:], strict=False)]
         self.z = layout.field(body.dim)
         self.outside = Place()
@@ -255,7 +257,7 @@ class Multigrid:
         self.outside.abreast = layout.abreast
         self.along = layout.each(np.zeros(size), wp.float64)
         self.plain, self.applied = (layout.each(np.zeros(size), int) for _ in range(2))
-        self._steps = 2 * max(self.levels[-1].body.shape)
+        self._steps = max(self.levels[-1].body.shape)
         self._same_groups = self.levels[0].layout.groups == layout.groups
 
     @staticmethod
@@ -296,7 +298,8 @@ class Multigrid:
         """Parameters of the candidates, beta (B,) or (B, C), theta (B,); whether what was recorded is to be so anew."""
         near = self._nearest if beta.ndim > 1 else [None] * len(self.levels)
         each = [beta if some is None else beta[:, some] for some in near]
-        return any([level.set(own, theta) for level, own in zip(self.levels, each, strict=True)])
+        changed = [level.set(own, theta) for level, own in zip(self.levels, each, strict=True)]
+        return any(changed)
 
     @functools.cached_property
     def _nearest(self) -> list[IntArray]:
@@ -319,10 +322,11 @@ class Multigrid:
         """Whether all candidates go without."""
         return bool(self.plain.numpy()[: self.layout.candidates].all())
 
-    def told(self) -> tuple[IntArray, BoolArray]:
-        """(B,) applications of the operator in the finest level, and which candidates went on without."""
+    def told(self, linearised: Field) -> tuple[IntArray, BoolArray]:
+        """(B,) evaluations in the finest level, and which candidates went on without. linearised: how often each was"""
         size = self.layout.candidates
-        return 2 * DEGREE * self.applied.numpy()[:size], self.plain.numpy()[:size] != 0
+        evaluations = linearised.numpy()[:size] + 2 * DEGREE * self.applied.numpy()[:size]
+        return evaluations, self.plain.numpy()[:size] != 0
 
     def linearise(self, u: Field, running: Field) -> None:
         """Linearises every level where the body is: its displacements, as those of the coarse particles."""

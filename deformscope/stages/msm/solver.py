@@ -56,8 +56,8 @@ class Relaxed:
     iterations: (B,) evaluations of goals or of their derivative; converged: (B,) `error` came below the tolerance;
     diverged: (B,) the state ran away (eq. 3.17 with overlapping clusters can): its position is what was reached, and is
     to be thrown away
-    smoothed: (B,) evaluations besides, in float32, by the preconditioner of a large lattice on its finest level; unaided:
-    (B,) the preconditioner did not help, and plain conjugate gradients went on
+    smoothed: (B,) evaluations besides, in float32, on the finest level of a large lattice's preconditioner
+    unaided: (B,) the preconditioner did not help: plain conjugate gradients went on
     """
 
     position: FloatArray
