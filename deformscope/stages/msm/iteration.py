@@ -83,8 +83,8 @@ class Iteration:
         self.kind = "cpu" if self.layout.device.startswith("cpu") else "cuda"
         span = self.kernels.Span()
         span.abreast, span.blocks = self.layout.abreast, self.layout.blocks
-        self.multigrid = Multigrid(self.body, rest, self.layout, size, volume) if aided else None
-        self.threads = 0 if aided else self.operator.threads
+        self.multigrid = Multigrid(body, rest, self.layout, size, volume) if aided and Multigrid.worth(body) else None
+        self.threads = 0 if self.multigrid else self.operator.threads
         parts = min(-(-self.layout.blocks // PART_BLOCKS[self.kind]), MOST_PARTS[self.kind])
         span.parts, span.threads = 1 if self.threads else max(1, parts), THREADS[self.kind]
         span.front, span.group, span.stride = self.layout.front, self.layout.group, self.layout.stride
@@ -117,10 +117,17 @@ class Iteration:
 
     def _ended(self, state: Any) -> Ended:
         size = self.layout.candidates
-        numbers = [each.numpy()[:size].copy() for each in (state.state, state.norm, state.error, state.total)]
-        if self.multigrid is None:
-            return Ended(*numbers, np.zeros(size, dtype=int), np.zeros(size, dtype=bool))
-        return Ended(*numbers, *self.multigrid.told(state.outers))
+        smoothed, unaided = np.zeros(size, dtype=int), np.zeros(size, dtype=bool)
+        if self.multigrid is not None:
+            smoothed, unaided = self.multigrid.told(state.outers)
+        return Ended(
+            state=state.state.numpy()[:size].copy(),
+            norm=state.norm.numpy()[:size].copy(),
+            error=state.error.numpy()[:size].copy(),
+            total=state.total.numpy()[:size].copy(),
+            smoothed=smoothed,
+            unaided=unaided,
+        )
 
     def parts(self, rows: int) -> Field:
         count = rows * self.layout.groups * self.span.parts * self.layout.width
@@ -167,7 +174,7 @@ class Newton(Iteration):
     """
 
     def __init__(self, body: Body, rest: BodyRest, size: int, volume: int) -> None:
-        super().__init__(body, rest, size, volume, aided=Multigrid.worth(body))
+        super().__init__(body, rest, size, volume, aided=True)
         layout = self.layout
         d = body.dim
         self.step, self.rho = layout.field(d), layout.field(d)
@@ -176,7 +183,7 @@ class Newton(Iteration):
         state.tolerance, state.floor = self.tolerance, self.floor
         self._relative = wp.zeros(1, dtype=wp.float64, device=layout.device)
         state.relative = self._relative
-        self._farthest = k.REACH if self.multigrid is None else max(k.REACH, STRETCH * max(self.body.shape))
+        self._farthest = k.REACH if self.multigrid is None else max(k.REACH, STRETCH * self.multigrid.longest)
         state.farthest.fill_(self._farthest)
         state.outer_groups, state.inner_groups = self.all_groups(), self.all_groups()
         self.state = state

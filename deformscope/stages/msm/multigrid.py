@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import functools
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
 import warp as wp
@@ -30,7 +30,7 @@ from deformscope.stages.msm.iteration_kernels import newton_functions_for
 from deformscope.stages.msm.lattice import RESIDENT_CELLS, LatticeBody
 from deformscope.stages.msm.layout import Field, Layout, upload
 from deformscope.stages.msm.multigrid_kernels import (
-    Place,
+    Cells,
     Transfer,
     aided_kernels_for,
     smoother_for,
@@ -117,7 +117,7 @@ def coarser(fine: CoarseRest) -> CoarseRest | None:
     affine, strain = _energies(fine.window, axis)
     affine_here, strain_here = _energies(window, axis)
     corner = _corners(mass, window, edges)
-    volume, far = STIFFER * np.count_nonzero(fine.corner) / max(np.count_nonzero(corner), 1), float(ratio[axis])
+    volume, far = STIFFER * float(fine.corner.sum()) / max(float(corner.sum()), 1.0), float(ratio[axis])
     spread = fine.present.astype(float)
     for a, (i, t) in enumerate(zip(parent, ahead, strict=True)):
         weights = np.zeros((len(i), counts[a]))
@@ -186,7 +186,9 @@ def _corners(mass: FloatArray, window: tuple[int, ...], edges: FloatArray) -> Bo
     body = LatticeBody(rest, LatticeClusters(mass.shape, cell, window, corner), edges, wp.float64, "cpu")
     values = np.linalg.eigvalsh(body.moments()[2])
     spanned = np.count_nonzero(values > FLAT_MOMENT_RATIO * np.maximum(values[:, -1:], 1e-300), axis=1)
-    return corner & (spanned >= min(np.count_nonzero(np.array(mass.shape) > 1), edges.shape[1])).reshape(mass.shape)
+    return np.asarray(
+        corner & (spanned >= min(np.count_nonzero(np.array(mass.shape) > 1), edges.shape[1])).reshape(mass.shape)
+    )
 
 
 class _Level:
@@ -205,7 +207,7 @@ class _Level:
         self.shrink = layout.each(zero)
         self.parameters = Parameters(layout.each(zero), layout.each(zero), 0, volume)
         shape = body.shape
-        self.place = Place()
+        self.place = Cells()
         self.place.front, self.place.group, self.place.stride = layout.front, layout.group, layout.stride
         self.place.abreast = layout.abreast
         self.place.cells_0, self.place.cells_1, self.place.cells_2 = shape
@@ -249,19 +251,20 @@ class Multigrid:
         self.transfers = transfer_kernels_for(body.dim, body.scalar)
         self.aided = aided_kernels_for(body.dim, body.scalar, layout.width)
         body.coarse = body.coarse or levels_of(body, rest)
-        self.levels = [_Level(*each, size, volume) for each in body.coarse]
+        self.levels = [_Level(level, each, size, volume) for level, each in body.coarse]
         self._between = [self._transfer(*pair) for pair in zip(self.levels, self.levels[1:], strict=False)]
         self.z = layout.field(body.dim)
-        self.outside = Place()
+        self.outside = Cells()
         self.outside.front, self.outside.group, self.outside.stride = layout.front, layout.group, layout.stride
         self.outside.abreast = layout.abreast
         self.along = layout.each(np.zeros(size), wp.float64)
         self.plain, self.applied = (layout.each(np.zeros(size), int) for _ in range(2))
+        self.longest = max(body.shape)
         self._steps = max(self.levels[-1].body.shape)
         self._same_groups = self.levels[0].layout.groups == layout.groups
 
     @staticmethod
-    def worth(body: Body) -> bool:
+    def worth(body: Body) -> TypeGuard[LatticeBody]:
         """Whether a body is large enough, and wide enough to be coarsened."""
         if not isinstance(body, LatticeBody) or len(body.cell) <= LEAST:
             return False
@@ -291,7 +294,7 @@ class Multigrid:
         by_metric = np.divide(scale, metric, out=np.zeros_like(metric), where=metric > 0)
         spread = coarse.rest.spread.reshape(-1)
         half_mean = np.divide(0.5, spread, out=np.zeros_like(spread), where=spread > 1e-6)
-        present = upload(fine.rest.present, wp.float32, device)
+        present = upload(fine.rest.present.astype(np.float64), wp.float32, device)
         return transfer, upload(by_metric, wp.float32, device), present, upload(half_mean, wp.float32, device)
 
     def set(self, beta: FloatArray, theta: FloatArray) -> bool:

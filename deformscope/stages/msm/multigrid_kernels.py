@@ -15,7 +15,7 @@ from deformscope.stages.msm.lanes import Doubles, Ints, lanes_for, module_option
 
 
 @wp.struct
-class Place:
+class Cells:
     """Where a field keeps the cells of a lattice: see `layout.Layout`."""
 
     front: int
@@ -56,12 +56,12 @@ def transfer_kernels_for(dim: int, scalar: Any) -> SimpleNamespace:
     one = wp.float32(1.0)
 
     @wp.func
-    def at(place: Place, candidate: int, cell: int):
+    def at(place: Cells, candidate: int, cell: int):
         group = candidate / place.abreast
         return place.front + group * place.group + cell * place.abreast + candidate - group * place.abreast
 
     @kernel
-    def put_in(source: Place, target: Place, values: own_numbers, out: numbers):
+    def put_in(source: Cells, target: Cells, values: own_numbers, out: numbers):
         """A field as one of float32."""
         candidate, cell = wp.tid()
         i, o = at(source, candidate, cell), at(target, candidate, cell)
@@ -69,7 +69,7 @@ def transfer_kernels_for(dim: int, scalar: Any) -> SimpleNamespace:
             out[o + k * target.stride] = wp.float32(values[i + k * source.stride])
 
     @kernel
-    def take_out(source: Place, target: Place, values: numbers, out: own_numbers):
+    def take_out(source: Cells, target: Cells, values: numbers, out: own_numbers):
         """The other way round."""
         candidate, cell = wp.tid()
         i, o = at(source, candidate, cell), at(target, candidate, cell)
@@ -87,8 +87,8 @@ def transfer_kernels_for(dim: int, scalar: Any) -> SimpleNamespace:
     @kernel
     def restrict(
         transfer: Transfer,
-        fine: Place,
-        coarse: Place,
+        fine: Cells,
+        coarse: Cells,
         # In: two fields that are added, a weight of each fine cell, and of each coarse one
         values: numbers,
         more: numbers,
@@ -122,8 +122,8 @@ def transfer_kernels_for(dim: int, scalar: Any) -> SimpleNamespace:
     @kernel
     def prolong(
         transfer: Transfer,
-        fine: Place,
-        coarse: Place,
+        fine: Cells,
+        coarse: Cells,
         # In:
         values: numbers,
         changed: numbers,
