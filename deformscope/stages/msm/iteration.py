@@ -33,6 +33,9 @@ STRETCH = 0.05
 """Share of a preconditioned body's longest side that no particle goes beyond in one Newton step: such steps bend it
 smoothly."""
 
+PREDICTED = 1e-2
+"""To what share the linear equations at rest are solved, for a state to begin from."""
+
 STAY = 256
 """Evaluations that a kernel that stays does before it comes back to be looked at."""
 
@@ -115,16 +118,17 @@ class Iteration:
                 setattr(state, name, self.layout.each(zero, int if dtype is wp.int32 else dtype))
         return state
 
-    def _ended(self, state: Any) -> Ended:
+    def _ended(self, state: Any, spent: IntArray) -> Ended:
+        """How they ended. spent: (B,) evaluations before the state's own"""
         size = self.layout.candidates
         smoothed, unaided = np.zeros(size, dtype=int), np.zeros(size, dtype=bool)
         if self.multigrid is not None:
-            smoothed, unaided = self.multigrid.told(state.outers)
+            smoothed, unaided = self.multigrid.told(state.outers, spent > 0)
         return Ended(
             state=state.state.numpy()[:size].copy(),
             norm=state.norm.numpy()[:size].copy(),
             error=state.error.numpy()[:size].copy(),
-            total=state.total.numpy()[:size].copy(),
+            total=state.total.numpy()[:size] + spent,
             smoothed=smoothed,
             unaided=unaided,
         )
@@ -187,6 +191,7 @@ class Newton(Iteration):
         state.farthest.fill_(self._farthest)
         state.outer_groups, state.inner_groups = self.all_groups(), self.all_groups()
         self.state = state
+        self._free = rest.free
         self._most = 10 * len(rest.mass) * d + 100
         self._kept = self.operator.kept(volume)
         self._parameters_changed()
@@ -194,7 +199,7 @@ class Newton(Iteration):
     def _parameters_changed(self) -> None:
         device = self.layout.device
         self._outer, self._inner = (Graph(each, device) for each in (self._launch_outer, self._launch_inner))
-        self._plain = Graph(self._launch_plain, device)
+        self._plain, self._at_rest = Graph(self._launch_plain, device), Graph(self._launch_at_rest, device)
         self._aim, self._evaluate = Graph(self._launch_aim, device), Graph(self._launch_evaluate, device)
         self._derive: dict[int, Graph] = {}
         self._stay: Any = None
@@ -214,10 +219,15 @@ class Newton(Iteration):
         state = self.state
         if start is not None:
             self.put(start)
+        size = self.layout.candidates
+        spent = np.zeros(size, dtype=int)
+        if self.multigrid is not None:
+            self.multigrid.reset()
+            if start is not None and not start[:, self._free].any():
+                spent = self._predict(max_iterations)
         self._begin(tolerance, 0.0, outer=1)
         self.step.zero_()
-        done = 0
-        size = self.layout.candidates
+        done = int(spent.max())
         while done < max_iterations:
             if self.threads:
                 done += self._stay_for(max_iterations - done)
@@ -233,11 +243,33 @@ class Newton(Iteration):
             if progress is not None:
                 progress(size - int(np.count_nonzero(state.state.numpy()[:size] == k.RUNNING)))
             done += self._descend(max_iterations - done)
-        return self._ended(state)
+        return self._ended(state, spent)
+
+    def _predict(self, most: int) -> IntArray:
+        """Goes from rest, where some held particles have moved, to the static state of the equations linearised there;
+        evaluations that it took (B,). From where all the motion is still between two layers Newton's steps are short.
+        """
+        self._at_rest()
+        self._begin(0.0, PREDICTED, outer=0)
+        self._aim()
+        self._descend(most - 2)
+        layout, everything = self.layout, [self.span, self._every_group, self.step]
+        self.launch(self.kernels.add_field, (layout.groups, layout.blocks), everything, [self.u])
+        return np.asarray(self.state.total.numpy()[: layout.candidates] + 2)
+
+    def _launch_at_rest(self) -> None:
+        everything, rest = self._every_group, self.step
+        rest.zero_()
+        self.operator.residual(rest, self.residual, self.parameters, everything, self._kept)
+        if self.multigrid is not None:
+            self.multigrid.linearise(rest, everything)
+        self.operator.change(self.u, self.residual, self.parameters, everything, self._kept)
 
     def solve(self, relative: float) -> bool:
         """`step` of (I - J) step = `residual` where goals were last evaluated; whether it came to `relative` of it."""
         state = self.state
+        if self.multigrid is not None:
+            self.multigrid.reset()
         self._begin(0.0, relative, outer=0)
         self._aim()
         self._descend(self._most)
@@ -306,8 +338,6 @@ class Newton(Iteration):
         set_first(self._relative, relative)
         count = layout.groups * layout.abreast
         reach = self._farthest if outer else np.inf
-        if self.multigrid is not None:
-            self.multigrid.reset()
         kernels = self.operator.resident if self.threads else self.kernels
         self.launch(
             kernels.reset, count, [self.state, layout.groups, layout.abreast, wp.float64(reach), outer, 1 - outer]
@@ -456,7 +486,7 @@ class Anderson(Iteration):
                 done += 1
             if progress is not None and done % 16 == 0:
                 progress(size - int(np.count_nonzero(state.state.numpy()[:size] == k.RUNNING)))
-        return self._ended(state)
+        return self._ended(state, np.zeros(size, dtype=int))
 
     def _launch_goals(self) -> None:
         self.operator.residual(self.u, self.residual, self.parameters, self.state.groups)

@@ -325,10 +325,11 @@ class Multigrid:
         """Whether all candidates go without."""
         return bool(self.plain.numpy()[: self.layout.candidates].all())
 
-    def told(self, linearised: Field) -> tuple[IntArray, BoolArray]:
-        """(B,) evaluations in the finest level, and which candidates went on without. linearised: how often each was"""
+    def told(self, linearised: Field, predicted: BoolArray) -> tuple[IntArray, BoolArray]:
+        """(B,) evaluations in the finest level, and which candidates went on without. linearised: how often each was;
+        predicted: (B,) once more"""
         size = self.layout.candidates
-        evaluations = linearised.numpy()[:size] + 2 * DEGREE * self.applied.numpy()[:size]
+        evaluations = linearised.numpy()[:size] + predicted + 2 * DEGREE * self.applied.numpy()[:size]
         return evaluations, self.plain.numpy()[:size] != 0
 
     def linearise(self, u: Field, running: Field) -> None:

@@ -261,7 +261,7 @@ def aided_kernels_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
                 if state.inners[i] == 0:
                     last = nought
                 if plain[i] == 0:
-                    if product > small * square and wp.isfinite(product) and state.inners[i] < patience:
+                    if product >= small * square and wp.isfinite(product) and state.inners[i] < patience:
                         applied[i] = applied[i] + 1
                     else:
                         plain[i] = 1
