@@ -188,6 +188,7 @@ class Body(ABC):
         self.dim, self.device = dim, device
         self.scalar: Any = scalar
         self._arrays: dict[int, Any] = {}
+        self.coarse: list[Any] = []  # levels of its preconditioner, once one was asked for
 
     def arrays(self, width: int) -> Any:
         """Rest data for lanes of one width."""

@@ -17,6 +17,7 @@ from deformscope.stages.msm import iteration_kernels as k
 from deformscope.stages.msm.anderson_kernels import MEMORY, anderson_kernels_for
 from deformscope.stages.msm.body import Body, BodyRest, Parameters
 from deformscope.stages.msm.layout import Field, upload
+from deformscope.stages.msm.multigrid import PATIENCE, Multigrid
 
 Progress = Callable[[int], None]
 
@@ -29,6 +30,13 @@ PART_BLOCKS, MOST_PARTS = {"cpu": 256, "cuda": 1024}, {"cpu": 256, "cuda": 512}
 ROUNDING = {wp.float32: 1e-8, wp.float64: 2e-15}
 """Residual that is but rounding, as a share of the displacements (or of a spacing)."""
 
+STRETCH = 0.05
+"""Share of a preconditioned body's longest side that no particle goes beyond in one Newton step: such steps bend it
+smoothly."""
+
+PREDICTED = 1e-2
+"""To what share the linear equations at rest are solved, for a state to begin from."""
+
 STAY = 256
 """Evaluations that a kernel that stays does before it comes back to be looked at."""
 
@@ -38,12 +46,17 @@ REPLAYS = {"cpu": 1, "cuda": 8}
 
 @dataclass(frozen=True, slots=True)
 class Ended:
-    """How the candidates ended, (B,) each; norm and error in particle spacings."""
+    """How the candidates ended, (B,) each; norm and error in particle spacings.
+
+    smoothed: evaluations in the preconditioner's finest level; unaided: went on without it
+    """
 
     state: IntArray
     norm: FloatArray
     error: FloatArray
     total: IntArray
+    smoothed: IntArray
+    unaided: BoolArray
 
 
 class Graph:
@@ -66,7 +79,7 @@ class Graph:
 class Iteration:
     """What both methods share: fields of the candidates, their parameters, and how sums over particles are taken."""
 
-    def __init__(self, body: Body, rest: BodyRest, size: int, volume: int) -> None:
+    def __init__(self, body: Body, rest: BodyRest, size: int, volume: int, *, aided: bool = False) -> None:
         self.body, self.volume = body, volume
         self.layout = body.layout(size)
         self.operator: Any = body.operator(self.layout)
@@ -74,7 +87,8 @@ class Iteration:
         self.kind = "cpu" if self.layout.device.startswith("cpu") else "cuda"
         span = self.functions.Span()
         span.abreast, span.blocks = self.layout.abreast, self.layout.blocks
-        self.threads = self.operator.threads
+        self.multigrid = Multigrid(body, rest, self.layout, size, volume) if aided and Multigrid.worth(body) else None
+        self.threads = 0 if self.multigrid else self.operator.threads
         parts = min(-(-self.layout.blocks // PART_BLOCKS[self.kind]), MOST_PARTS[self.kind])
         span.parts, span.threads = 1 if self.threads else max(1, parts), THREADS[self.kind]
         span.front, span.group, span.stride = self.layout.front, self.layout.group, self.layout.stride
@@ -105,6 +119,21 @@ class Iteration:
             if dtype in (wp.int32, wp.float32, wp.float64):
                 setattr(state, name, self.layout.each(zero, int if dtype is wp.int32 else dtype))
         return state
+
+    def _ended(self, state: Any, spent: IntArray) -> Ended:
+        """How they ended. spent: (B,) evaluations before the state's own"""
+        size = self.layout.candidates
+        smoothed, unaided = np.zeros(size, dtype=int), np.zeros(size, dtype=bool)
+        if self.multigrid is not None:
+            smoothed, unaided = self.multigrid.told(state.outers, spent > 0)
+        return Ended(
+            state=state.state.numpy()[:size].copy(),
+            norm=state.norm.numpy()[:size].copy(),
+            error=state.error.numpy()[:size].copy(),
+            total=state.total.numpy()[:size] + spent,
+            smoothed=smoothed,
+            unaided=unaided,
+        )
 
     def parts(self, rows: int) -> Field:
         count = rows * self.layout.groups * self.span.parts * self.layout.width
@@ -143,19 +172,22 @@ class Iteration:
         """A kernel over all lanes' worths."""
         self.launch(kernel, (self.layout.groups, self.layout.blocks), *inputs)
 
-    def launch_groups(self, kernel: wp.Kernel) -> None:
+    def launch_groups(self, kernel: wp.Kernel, *inputs: Any) -> None:
         """A kernel that joins the parts of sums."""
-        self.launch(kernel, (self.layout.groups, self.span.threads))
+        self.launch(kernel, (self.layout.groups, self.span.threads), *inputs)
 
     def all_groups(self) -> Field:
         return wp.full(self.layout.groups, 1, dtype=int, device=self.layout.device)
 
 
 class Newton(Iteration):
-    """Newton's steps on the energy, each solved by conjugate gradients; without eq. 3.17."""
+    """Newton's steps on the energy, each solved by conjugate gradients; without eq. 3.17.
+
+    Large lattices are preconditioned (`multigrid`).
+    """
 
     def __init__(self, body: Body, rest: BodyRest, size: int, volume: int) -> None:
-        super().__init__(body, rest, size, volume)
+        super().__init__(body, rest, size, volume, aided=True)
         layout = self.layout
         d = body.dim
         self.kernels = k.newton_kernels_for(d, body.scalar, layout.width)
@@ -167,18 +199,27 @@ class Newton(Iteration):
         state.tolerance, state.floor = self.tolerance, self.floor
         self._relative = wp.zeros(1, dtype=wp.float64, device=layout.device)
         state.relative = self._relative
+        self._farthest = k.REACH if self.multigrid is None else max(k.REACH, STRETCH * self.multigrid.longest)
+        state.farthest.fill_(self._farthest)
         state.outer_groups, state.inner_groups = self.all_groups(), self.all_groups()
         self.state = state
+        self._free = rest.free
         self._kept = self.operator.kept(volume)
         self._parameters_changed()
 
     def _parameters_changed(self) -> None:
         device = self.layout.device
         self._outer, self._inner = (Graph(each, device) for each in (self._launch_outer, self._launch_inner))
+        self._plain, self._at_rest = Graph(self._launch_plain, device), Graph(self._launch_at_rest, device)
         self._aim, self._evaluate = Graph(self._launch_aim, device), Graph(self._launch_evaluate, device)
         self._derive: dict[int, Graph] = {}
         self._stay: Any = None
         self._following: Any = None
+
+    def set(self, beta: FloatArray, theta: FloatArray) -> None:
+        super().set(beta, theta)
+        if self.multigrid is not None and self.multigrid.set(beta, theta):
+            self._parameters_changed()
 
     def relax(
         self, start: FloatArray | None, tolerance: float, max_iterations: int, progress: Progress | None = None
@@ -190,10 +231,15 @@ class Newton(Iteration):
         state = self.state
         if start is not None:
             self.put(start)
+        size = self.layout.candidates
+        spent = np.zeros(size, dtype=int)
+        if self.multigrid is not None:
+            self.multigrid.reset()
+            if start is not None and not start[:, self._free].any():
+                spent = self._predict(max_iterations)
         self._begin(tolerance, 0.0, outer=1)
         self.step.zero_()
-        done = 0
-        size = self.layout.candidates
+        done = int(spent.max())
         while done < max_iterations:
             if self.threads:
                 done += self._stay_for(max_iterations - done)
@@ -209,7 +255,26 @@ class Newton(Iteration):
             if progress is not None:
                 progress(size - int(np.count_nonzero(state.state.numpy()[:size] == k.RUNNING)))
             done += self._descend(max_iterations - done)
-        return Ended(*(each.numpy()[:size].copy() for each in (state.state, state.norm, state.error, state.total)))
+        return self._ended(state, spent)
+
+    def _predict(self, most: int) -> IntArray:
+        """Goes from rest, where some held particles have moved, to the static state of the equations linearised there;
+        evaluations that it took (B,). From where all the motion is still between two layers Newton's steps are short.
+        """
+        self._at_rest()
+        self._begin(0.0, PREDICTED, outer=0)
+        self._aim()
+        self._descend(most - 2)
+        self.launch_blocks(self.kernels.add_step)
+        return np.asarray(self.state.total.numpy()[: self.layout.candidates] + 2)
+
+    def _launch_at_rest(self) -> None:
+        everything, rest = self._every_group, self.step
+        rest.zero_()
+        self.operator.residual(rest, self.residual, self.parameters, everything, self._kept)
+        if self.multigrid is not None:
+            self.multigrid.linearise(rest, everything)
+        self.operator.change(self.u, self.residual, self.parameters, everything, self._kept)
 
     def follow(self, target: FloatArray, seen: BoolArray, **search: float) -> tuple[float, int, bool, bool]:
         """Beta of least mean distance of one candidate to displacements target (K, d) where seen (K,), from where `u`
@@ -237,6 +302,8 @@ class Newton(Iteration):
     def solve(self, relative: float) -> bool:
         """`step` of (I - J) step = `residual` where goals were last evaluated; whether it came to `relative` of it."""
         state = self.state
+        if self.multigrid is not None:
+            self.multigrid.reset()
         self._begin(0.0, relative, outer=0)
         self._aim()
         self._descend(state.most)
@@ -265,15 +332,22 @@ class Newton(Iteration):
 
     def _launch_evaluate(self) -> None:
         self.operator.residual(self.u, self.residual, self.parameters, self._every_group, self._kept)
+        if self.multigrid is not None:
+            self.multigrid.linearise(self.u, self._every_group)
 
     def _descend(self, most: int) -> int:
         done = 0
         flags = self.state.inner_groups
         while self.threads and done < most and flags.numpy().any():
             done += self._stay_for(most - done)
+        inner, replays = self._inner, REPLAYS[self.kind]
+        if self.multigrid is not None and self.multigrid.given_up:
+            inner = self._plain
+        elif self.multigrid is not None:
+            replays = 1  # a cycle takes longer than a look
         while done < most and flags.numpy().any():
-            for _ in range(REPLAYS[self.kind]):
-                self._inner()
+            for _ in range(replays):
+                inner()
                 done += 1
         return done
 
@@ -283,7 +357,7 @@ class Newton(Iteration):
         set_first(self.tolerance, tolerance)
         set_first(self._relative, relative)
         count = layout.groups * layout.abreast
-        reach = k.REACH if outer else np.inf
+        reach = self._farthest if outer else np.inf
         kernels = self.operator.resident if self.threads else self.kernels
         self.launch(kernels.reset, count, wp.float64(reach), outer, 1 - outer)
 
@@ -303,16 +377,33 @@ class Newton(Iteration):
         self.operator.residual(self.u, r, self.parameters, running, self._kept)
         self.launch_sums(kk.inner_products, running, r, r, r, self.step)
         self.launch_groups(kk.judge)
+        if self.multigrid is not None:
+            self.multigrid.linearise(self.u, self.state.inner_groups)
         self.launch_blocks(kk.begin)
 
     def _launch_inner(self) -> None:
+        if self.multigrid is None:
+            self._launch_plain()
+            return
+        grid, running, rho = self.multigrid, self.state.inner_groups, self.rho
+        grid.cycle(rho, running)
+        self.launch_sums(self.kernels.inner_products, running, rho, grid.z, rho, rho)
+        self.launch_groups(grid.aided.mix, PATIENCE, grid.along, grid.plain, grid.applied)
+        self.launch_blocks(grid.aided.direct, grid.plain, grid.z)
+        self._launch_along()
+
+    def _launch_plain(self) -> None:
+        self._launch_along()
+        self.launch_blocks(self.kernels.direct)
+
+    def _launch_along(self) -> None:
+        """Goes along the direction."""
         kk, running, p = self.kernels, self.state.inner_groups, self.direction
         self.operator.change(p, self.changed, self.parameters, running, self._kept)
         self.launch_sums(kk.inner_products, running, p, self.changed, p, p)
         self.launch_groups(kk.curvature)
         self.launch_sums(kk.descend)
         self.launch_groups(kk.conjugate)
-        self.launch_blocks(kk.direct)
 
 
 class Anderson(Iteration):
@@ -386,7 +477,7 @@ class Anderson(Iteration):
                 done += 1
             if progress is not None and done % 16 == 0:
                 progress(size - int(np.count_nonzero(state.state.numpy()[:size] == k.RUNNING)))
-        return Ended(*(each.numpy()[:size].copy() for each in (state.state, state.norm, state.error, state.total)))
+        return self._ended(state, np.zeros(size, dtype=int))
 
     def _launch_goals(self) -> None:
         self.operator.residual(self.u, self.residual, self.parameters, self.state.groups)

@@ -101,7 +101,8 @@ def newton_functions_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
         target: Doubles  # at which the inner residual ends
         slope: Doubles  # along the step, where it began
         taken: Doubles  # share of the step that was taken
-        reach: Doubles  # spacings that no particle goes beyond in the next step
+        farthest: Doubles  # spacings that no particle ever goes beyond in a step; first entry
+        reach: Doubles  # the same in the next step
         longest: Doubles  # spacings that the farthest particle went
         least: Doubles  # smallest curvature met in this solve, and in the one before
         least_before: Doubles
@@ -317,7 +318,7 @@ def newton_functions_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
                         newton.inners[i] = 0
                         newton.last[i] = 0
                         if newton.outers[i] > 0 and newton.backs[i] == 0:  # a straight step held: try a longer one
-                            newton.reach[i] = wp.min(wp.float64(2.0) * newton.reach[i], reach)
+                            newton.reach[i] = wp.min(wp.float64(2.0) * newton.reach[i], newton.farthest[0])
                         newton.backs[i] = 0
                         newton.slope[i] = nought
                         newton.outers[i] = newton.outers[i] + 1
@@ -491,6 +492,7 @@ def newton_kernels_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
     """A kernel for each part of an iteration, for fields of `dim` rows and lanes of `width`."""
     numbers = wp.array(dtype=scalar)
     kernel = kernel_in(f"newton_{dim}d_{scalar.__name__}_{width}", scalar)
+    vecs = rows_for(dim, width, scalar)
     functions = newton_functions_for(dim, scalar, width)
     Span, NewtonState, fold = functions.Span, functions.NewtonState, functions.fold
 
@@ -535,6 +537,14 @@ def newton_kernels_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
             functions.keep(span, newton.parts, newton.groups + group, item, functions.joined(second_sum))
 
     @kernel
+    def add_step(span: Span, newton: NewtonState):
+        """u += step, of every group."""
+        group, block = wp.tid()
+        at, count = functions.place_of(span, group, block)
+        moved = vecs.add(vecs.load(newton.u, at, span.stride), scalar(1.0), vecs.load(newton.step, at, span.stride))
+        vecs.store(newton.u, at, span.stride, moved, count)
+
+    @kernel
     def descend(span: Span, newton: NewtonState):
         group, item = wp.tid()
         if newton.inner_groups[group] != 0:
@@ -551,7 +561,7 @@ def newton_kernels_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
         functions.put_at(places, values, stride, first_out, second_out, wp.tid())
 
     return members(
-        *(inner_products, descend, reset, put_at, over_blocks(functions.move, outer=True)),
+        *(inner_products, add_step, descend, reset, put_at, over_blocks(functions.move, outer=True)),
         *(over_blocks(functions.begin), over_blocks(functions.direct), over_sums(functions.judge, outer=True)),
         *(over_sums(functions.curvature), over_sums(functions.conjugate, largest=1), over_sums(functions.aim)),
     )

@@ -55,6 +55,8 @@ class Relaxed:
     iterations: (B,) evaluations of goals or of their derivative; converged: (B,) `error` came below the tolerance;
     diverged: (B,) the state ran away (eq. 3.17 with overlapping clusters can): its position is what was reached, and is
     to be thrown away
+    smoothed: (B,) evaluations besides, in float32, on the finest level of a large lattice's preconditioner
+    unaided: (B,) the preconditioner did not help: plain conjugate gradients went on
     """
 
     position: FloatArray
@@ -63,6 +65,8 @@ class Relaxed:
     iterations: IntArray
     converged: BoolArray
     diverged: BoolArray
+    smoothed: IntArray
+    unaided: BoolArray
 
     @property
     def settled(self) -> FloatArray:
@@ -364,6 +368,8 @@ class Msm:
             iterations=ended.total,
             converged=ended.state == CONVERGED,
             diverged=ended.state == DIVERGED,
+            smoothed=ended.smoothed,
+            unaided=ended.unaided,
         )
 
     def _relax_one(
@@ -389,7 +395,8 @@ class Msm:
             max_iterations=most,
         )
         position = one.positions(found, held)
-        return Relaxed(position, found.residual, found.error, found.iterations, found.converged, found.diverged)
+        few = (found.residual, found.error, found.iterations, found.converged, found.diverged)
+        return Relaxed(position, *few, np.zeros_like(found.iterations), np.zeros_like(found.converged))
 
     def _all_held(self, held_position: FloatArray, size: int) -> Relaxed:
         """The states where every particle is prescribed. held_position: (B, h, d)"""
@@ -397,7 +404,8 @@ class Msm:
         position[:, self.held] = held_position
         none = np.zeros(size)
         yes = np.ones(size, dtype=bool)
-        return Relaxed(position, none, none.copy(), np.zeros(size, dtype=int), yes, ~yes)
+        count = np.zeros(size, dtype=int)
+        return Relaxed(position, none, none.copy(), count, yes, ~yes, count.copy(), ~yes)
 
     # -- derivatives -----------------------------------------------------------------------------------------------
 
