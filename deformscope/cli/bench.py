@@ -28,6 +28,7 @@ WIDTH = 200
 FACTS: dict[str, Callable[[Any], str]] = {
     "hold_ms": lambda value: f"holding {value:.2g} ms more",
     "iterations_most": lambda value: f"{value} iterations",
+    "smoothed_most": lambda value: f"{value} in the preconditioner",
     "steps": lambda value: f"{value:,} steps".replace(",", " "),
     "beta": lambda value: f"beta {value:.4f}",
     "from_minimum_of_mean_distance": lambda value: f"{value:+.1e} from the least mean distance",

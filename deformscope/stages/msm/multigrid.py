@@ -206,11 +206,7 @@ class _Level:
         zero = np.zeros(size)
         self.shrink = layout.each(zero)
         self.parameters = Parameters(layout.each(zero), layout.each(zero), 0, volume)
-        shape = body.shape
-        self.place = Cells()
-        self.place.front, self.place.group, self.place.stride = layout.front, layout.group, layout.stride
-        self.place.abreast = layout.abreast
-        self.place.cells_0, self.place.cells_1, self.place.cells_2 = shape
+        self.place = _cells(layout, body)
         span = newton_functions_for(d, wp.float32, layout.width).Span()
         span.abreast, span.blocks = layout.abreast, layout.blocks
         span.front, span.group, span.stride = layout.front, layout.group, layout.stride
@@ -220,27 +216,28 @@ class _Level:
 
     def set(self, beta: FloatArray, theta: FloatArray) -> bool:
         """Whether other arrays than before hold the parameters. beta: (B,) or (B, C) of this level's clusters"""
-        own = 1.0 - self.ratio * (1.0 - beta)
+        own, mean = 1.0 - self.ratio * (1.0 - beta), beta.reshape(len(beta), -1).mean(axis=1)
+        theta_own = theta
         if self.volume:
-            own = np.where(np.abs(own) < 1e-3, 1e-3, own)
-            mean = beta if beta.ndim == 1 else beta.mean(axis=1)
-            theta_own = self.ratio * mean * theta / (own if beta.ndim == 1 else own.mean(axis=1))
-        else:
-            theta_own = theta
-        strain = 1.0 - beta + beta * (theta if beta.ndim == 1 else theta[:, None])
-        largest = np.maximum(1.0, self.ratio * strain.reshape(len(beta), -1).max(axis=1))
-        self.layout.refill(self.shrink, 1.0 / largest)
+            own_mean = 1.0 - self.ratio * (1.0 - mean)
+            theta_own = self.ratio * mean * theta / np.where(np.abs(own_mean) < 1e-3, 1e-3, own_mean)
+        strain = (1.0 - beta + (beta.T * theta).T).reshape(len(beta), -1)
+        self.layout.refill(self.shrink, 1.0 / np.maximum(1.0, self.ratio * strain.max(axis=1)))
         self.layout.refill(self.parameters.theta, theta_own)
         stride = self.operator.beta_stride if beta.ndim > 1 else 0
-        if stride == self.parameters.beta_stride and not stride:
-            self.layout.refill(self.parameters.beta, own)
-            return False
         values = self.operator.cluster_values(own) if stride else self.layout.each(own)
         if stride == self.parameters.beta_stride:
             self.parameters.beta.assign(values)
             return False
         self.parameters = Parameters(values, self.parameters.theta, stride, self.volume)
         return True
+
+
+def _cells(layout: Layout, body: LatticeBody) -> Any:
+    cells = Cells()
+    cells.front, cells.group, cells.stride, cells.abreast = layout.front, layout.group, layout.stride, layout.abreast
+    cells.cells_0, cells.cells_1, cells.cells_2 = body.shape
+    return cells
 
 
 class Multigrid:
@@ -254,9 +251,7 @@ class Multigrid:
         self.levels = [_Level(level, each, size, volume) for level, each in body.coarse]
         self._between = [self._transfer(*pair) for pair in zip(self.levels, self.levels[1:], strict=False)]
         self.z = layout.field(body.dim)
-        self.outside = Cells()
-        self.outside.front, self.outside.group, self.outside.stride = layout.front, layout.group, layout.stride
-        self.outside.abreast = layout.abreast
+        self.outside = _cells(layout, body)
         self.along = layout.each(np.zeros(size), wp.float64)
         self.plain, self.applied = (layout.each(np.zeros(size), int) for _ in range(2))
         self.longest = max(body.shape)
@@ -276,17 +271,13 @@ class Multigrid:
         transfer = Transfer()
         parents, ahead = coarse.rest.parent, coarse.rest.ahead
         counts = coarse.body.shape
-        first = [
-            np.searchsorted(i + t, np.arange(n) - 1, "right") for i, t, n in zip(parents, ahead, counts, strict=True)
-        ]
-        last = [
-            np.searchsorted(i + t, np.arange(n) + 1, "left") - 1 for i, t, n in zip(parents, ahead, counts, strict=True)
-        ]
-        transfer.parent, transfer.ahead = (
-            upload(np.concatenate(parents), int, device),
-            upload(np.concatenate(ahead), wp.float32, device),
+        planes = [(i + t, np.arange(n)) for i, t, n in zip(parents, ahead, counts, strict=True)]
+        first = np.concatenate([np.searchsorted(x, at - 1, "right") for x, at in planes])
+        last = np.concatenate([np.searchsorted(x, at + 1, "left") - 1 for x, at in planes])
+        transfer.parent, transfer.first, transfer.last = (
+            upload(each, int, device) for each in (np.concatenate(parents), first, last)
         )
-        transfer.first, transfer.last = (upload(np.concatenate(each), int, device) for each in (first, last))
+        transfer.ahead = upload(np.concatenate(ahead), wp.float32, device)
         transfer.fine_1, transfer.fine_2 = len(parents[0]), len(parents[0]) + len(parents[1])
         transfer.coarse_1, transfer.coarse_2 = counts[0], counts[0] + counts[1]
         metric = coarse.operator.metric.numpy()[: coarse.body.count].astype(np.float64)
@@ -341,7 +332,7 @@ class Multigrid:
             level.operator.residual(level.u, level.changed, level.parameters, flags, level.kept)
             if index + 1 < len(levels):
                 transfer, _, present, half_mean = self._between[index]
-                self._restrict(transfer, index, level.u, level.u, present, half_mean, levels[index + 1].u)
+                self._restrict(transfer, index, (level.u, level.u, present, half_mean), levels[index + 1].u)
 
     def cycle(self, rho: Field, running: Field) -> None:
         """`z` of a residual."""
@@ -357,8 +348,8 @@ class Multigrid:
         coarse = self.levels[index + 1]
         transfer, by_metric, _, _ = self._between[index]
         self._smooth(level, running, DEGREE, RANGE, begins=True)
-        self._change(level, level.direction, running)
-        self._restrict(transfer, index, level.left, level.changed, level.operator.metric, by_metric, coarse.right)
+        self._change(level, running)
+        self._restrict(transfer, index, (level.left, level.changed, level.operator.metric, by_metric), coarse.right)
         self._visit(index + 1, running)
         wp.launch(
             self.transfers.prolong,
@@ -375,7 +366,7 @@ class Multigrid:
         rho, keep, gain = half / middle, 0.0, 1.0 / middle
         for step in range(steps):
             if step > 0 or not begins:
-                self._change(level, level.direction, running)
+                self._change(level, running)
             wp.launch(
                 level.smooth,
                 dim=(level.layout.groups, level.layout.blocks),
@@ -388,28 +379,20 @@ class Multigrid:
             after = 1.0 / (2.0 * middle / half - rho)
             keep, gain, rho = after * rho, 2.0 * after / half, after
 
-    def _change(self, level: _Level, direction: Field, running: Field) -> None:
-        level.operator.change(direction, level.changed, level.parameters, self._flags(level, running), level.kept)
+    def _change(self, level: _Level, running: Field) -> None:
+        level.operator.change(level.direction, level.changed, level.parameters, self._flags(level, running), level.kept)
 
     def _flags(self, level: _Level, running: Field) -> Field:
         """Which groups run, where the levels group the candidates as the body does."""
         return running if self._same_groups else level.every_group
 
-    def _restrict(
-        self,
-        transfer: Any,
-        index: int,
-        values: Field,
-        more: Field,
-        fine_weight: Field,
-        coarse_weight: Field,
-        out: Field,
-    ) -> None:
+    def _restrict(self, transfer: Any, index: int, fields: tuple[Field, ...], out: Field) -> None:
+        """Two fields that are added and the weights of fine and coarse cells, to the next level."""
         fine, coarse = self.levels[index], self.levels[index + 1]
         wp.launch(
             self.transfers.restrict,
             dim=(coarse.layout.groups * coarse.layout.abreast, coarse.body.count),
-            inputs=[transfer, fine.place, coarse.place, values, more, fine_weight, coarse_weight],
+            inputs=[transfer, fine.place, coarse.place, *fields],
             outputs=[out],
             device=coarse.layout.device,
         )
@@ -418,5 +401,5 @@ class Multigrid:
         """Between the body's fields and those of the first level."""
         own = self.levels[0]
         places = [self.outside, own.place] if kernel is self.transfers.put_in else [own.place, self.outside]
-        dim = (self.layout.candidates, own.body.count)
+        dim = (self.layout.groups * self.layout.abreast, own.body.count)
         wp.launch(kernel, dim=dim, inputs=[*places, values], outputs=[out], device=self.layout.device)

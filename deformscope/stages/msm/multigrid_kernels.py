@@ -48,7 +48,7 @@ class Transfer:
 @functools.cache
 def transfer_kernels_for(dim: int, scalar: Any) -> SimpleNamespace:
     """The kernels for fields of `dim` rows; `scalar` is that of the fields that are preconditioned."""
-    numbers, own_numbers = wp.array(dtype=wp.float32), wp.array(dtype=scalar)
+    numbers = wp.array(dtype=wp.float32)
     module = f"deformscope_transfer_{dim}d_{scalar.__name__}"
     wp.get_module(module).options.update(module_options(wp.float32))
     kernel = functools.partial(wp.kernel, module=module, enable_backward=False)
@@ -60,21 +60,19 @@ def transfer_kernels_for(dim: int, scalar: Any) -> SimpleNamespace:
         group = candidate / place.abreast
         return place.front + group * place.group + cell * place.abreast + candidate - group * place.abreast
 
-    @kernel
-    def put_in(source: Cells, target: Cells, values: own_numbers, out: numbers):
-        """A field as one of float32."""
-        candidate, cell = wp.tid()
-        i, o = at(source, candidate, cell), at(target, candidate, cell)
-        for k in range(wp.static(dim)):
-            out[o + k * target.stride] = wp.float32(values[i + k * source.stride])
+    def conversion(name: str, given: Any, wanted: Any) -> Any:
+        """The kernel that makes a field one of another type, for another layout."""
 
-    @kernel
-    def take_out(source: Cells, target: Cells, values: numbers, out: own_numbers):
-        """The other way round."""
-        candidate, cell = wp.tid()
-        i, o = at(source, candidate, cell), at(target, candidate, cell)
-        for k in range(wp.static(dim)):
-            out[o + k * target.stride] = scalar(values[i + k * source.stride])
+        @kernel(name=name)
+        def convert(source: Cells, target: Cells, values: wp.array(dtype=given), out: wp.array(dtype=wanted)):
+            candidate, cell = wp.tid()
+            i, o = at(source, candidate, cell), at(target, candidate, cell)
+            for k in range(wp.static(dim)):
+                out[o + k * target.stride] = wanted(values[i + k * source.stride])
+
+        return convert
+
+    put_in, take_out = conversion("put_in", scalar, wp.float32), conversion("take_out", wp.float32, scalar)
 
     @wp.func
     def weight(transfer: Transfer, offset: int, fine: int, coarse: int):

@@ -115,6 +115,8 @@ def test_states_are_those_without_it_and_obey_the_equations(
     assert found.converged.all()
     assert not found.unaided.any()
     assert (found.smoothed > 0).all()
+    (method,) = engine._scratch.values()
+    assert not method.multigrid.plain.numpy().any()  # nor what fills up the lanes
     plain = _plain(monkeypatch, engine).relax(held, beta, theta, volume=volume)
     assert plain.converged.all()
     assert (plain.smoothed == 0).all()
