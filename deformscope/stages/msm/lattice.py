@@ -148,9 +148,9 @@ class _LatticeArrays:
         limit, _ = SLIDE["cpu" if device.startswith("cpu") else "cuda"]
         wide = set(body.window[3 - d :])
         window = 0 if device.startswith("cpu") or len(wide) > 1 or max(wide) > limit else max(wide)
-        self.window = window  # passes along two axes at once
         self.kernels = k.lattice_kernels_for(d, scalar, width, window) if width == 1 else None
         self.functions = k.lattice_functions_for(d, scalar, width, window)
+        self.window = self.functions.both
         self.resident = resident_kernels_for(d, scalar, width, window)
         functions = cluster_functions_for(d, d, scalar, width)
         total, mean, gram = body.moments()

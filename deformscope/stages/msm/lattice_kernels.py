@@ -655,7 +655,8 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
             grid, fields, motion, total, u_in, offset, before_in, before_offset, out, ran_away, group, at, cell, count
         )  # fmt: skip
 
-    if window:
+    both = 0 < window <= 4
+    if both:
         windows_fast, finish = windows_both, finish_both
     return SimpleNamespace(**locals())
 
