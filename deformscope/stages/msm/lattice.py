@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import warp as wp
 
-from deformscope.arrays import FloatArray, IntArray
+from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.stages.msm import lattice_kernels as k
 from deformscope.stages.msm.body import Body, BodyRest, Operator, Parameters, RestArrays, rest_struct
 from deformscope.stages.msm.cluster_functions import GOAL, cluster_functions_for
@@ -17,6 +18,9 @@ from deformscope.stages.msm.resident_kernels import THREADS, resident_kernels_fo
 
 REGULAR = 1e-6
 """Spacings by which a particle may stand beside its place in an even lattice to be taken as standing on it."""
+
+FITTED, AT_ONCE = 200_000, 16_384
+"""Particles that a lattice's edges are fitted to, and of which places are compared at once (they fit into a cache)."""
 
 SLIDE = {"cpu": (3, 32), "cuda": (4, 8)}
 """Widest window that is summed up anew at each cell, and the run of a sum that slides over wider ones."""
@@ -29,13 +33,19 @@ FIELDS = ("mass", "free", "pull", "sums_fast", "sums_middle", "maps", "maps_slow
 
 def lattice_edges(rest: FloatArray, clusters: LatticeClusters) -> FloatArray | None:
     """(axes, d) from one cell to the next along each axis, if the rest shape (K, d) is an even lattice, else None."""
-    index = np.column_stack(np.unravel_index(clusters.cell, clusters.shape)).astype(np.float64)
     used = [axis for axis, count in enumerate(clusters.shape) if count > 1]
-    centred = index[:, used] - index[:, used].mean(axis=0)
+
+    def index(some: Any) -> FloatArray:
+        return np.column_stack(np.unravel_index(clusters.cell[some], clusters.shape))[:, used].astype(np.float64)
+
+    count = len(rest)
+    some = slice(None) if count <= FITTED else np.random.default_rng(0).integers(count, size=FITTED)
+    middle, centre = index(some).mean(axis=0), rest[some].mean(axis=0)
     edges = np.zeros((len(clusters.shape), rest.shape[1]))
-    edges[used] = np.linalg.lstsq(centred, rest - rest.mean(axis=0), rcond=None)[0]
-    off = centred @ edges[used] - (rest - rest.mean(axis=0))
-    return edges if np.abs(off).max(initial=0.0) <= REGULAR else None
+    edges[used] = np.linalg.lstsq(index(some) - middle, rest[some] - centre, rcond=None)[0]
+    parts = [slice(first, first + AT_ONCE) for first in range(0, count, AT_ONCE)]
+    off = (np.abs((index(part) - middle) @ edges[used] - (rest[part] - centre)).max(initial=0.0) for part in parts)
+    return edges if all(each <= REGULAR for each in off) else None
 
 
 class LatticeBody(Body):
@@ -52,24 +62,19 @@ class LatticeBody(Body):
         window = (*(1,) * (3 - len(clusters.window)), *clusters.window)
         if d == 2 and shape[0] > 1:
             raise ValueError(f"expected a lattice of two axes in the plane; got {clusters.shape}")
-        self.shape, self.window = shape, window
-        self.cell = clusters.cell
+        self.shape, self.window, self.count = shape, window, int(np.prod(shape))
+        self.rest, self.cell = rest, clusters.cell
         self.corner = clusters.corner.reshape(shape)
         self.edges = np.zeros((3, d))
         self.edges[3 - len(edges) :] = edges
-        mass = np.zeros(int(np.prod(shape)))
-        mass[self.cell] = rest.mass
-        self.mass = mass.reshape(shape)
-        self.count = int(np.prod(shape))
-        counts = np.zeros(self.count)
-        counts[self.cell] = rest.counts
-        free = np.zeros(self.count)
-        free[self.cell] = rest.free
-        self.pull = np.divide(free, counts, out=np.zeros_like(free), where=counts > 0)
-        self.free = free
-        self.metric = np.zeros(self.count)
-        self.metric[self.cell] = rest.metric
-        self.alike = bool((self.mass == self.mass.flat[0]).all())
+        self.alike = len(self.cell) == self.count and bool((rest.mass == rest.mass[0]).all())
+        self._place = slice(None) if clusters.in_order else self.cell
+
+    def at_cells(self, values: FloatArray | BoolArray | float, dtype: Any = np.float64, spare: int = 0) -> FloatArray:
+        """Numbers of the particles, (K,), at their cells, 0 at others; `spare` more at the end."""
+        made = np.zeros(self.count + spare, dtype=dtype)
+        made[: self.count][self._place] = values
+        return made
 
     @property
     def clusters_at(self) -> IntArray:
@@ -100,40 +105,31 @@ class LatticeBody(Body):
 
         One row stands for all where they are alike, else there is one for each cell (0 where no cluster is).
         """
-        offset = [np.arange(w) - (w - 1) / 2 for w in self.window]
         if self.alike:
-            grid = np.stack(np.meshgrid(*offset, indexing="ij"), axis=-1).reshape(1, -1, 3)
-            mass = np.full(grid.shape[:2], self.mass.flat[0])
-            total = mass.sum(axis=1)
-            mean = np.zeros((1, 3))
-            second = np.einsum("nk,nka,nkb->nab", mass, grid, grid)
+            mass, chosen = np.full(self.window, self.rest.mass[0]), np.ones((1, 1, 1), dtype=bool)
         else:
-            places = tuple(slice(n - w + 1) for n, w in zip(self.shape, self.window, strict=True))
-            total = np.zeros(self.shape)
-            first = np.zeros((*self.shape, 3))
-            second = np.zeros((*self.shape, 3, 3))
-            for step in np.ndindex(*self.window):
-                away = np.array([offset[axis][i] for axis, i in enumerate(step)])
-                part = self.mass[tuple(slice(i, i + s.stop) for i, s in zip(step, places, strict=True))]
-                total[places] += part
-                first[places] += part[..., None] * away
-                second[places] += part[..., None, None] * np.outer(away, away)
-            chosen = self.corner
-            total = np.where(chosen, total, 0.0).reshape(-1)
-            mean = np.divide(
-                first.reshape(-1, 3), total[:, None], out=np.zeros((self.count, 3)), where=total[:, None] > 0
-            )
-            second = second.reshape(-1, 3, 3) - total[:, None, None] * mean[:, :, None] * mean[:, None, :]
-            second[total == 0] = 0.0
+            mass, chosen = self.at_cells(self.rest.mass).reshape(self.shape), self.corner
+        kept = tuple(slice(n) for n in chosen.shape)
+
+        def sums(*axes: int) -> FloatArray:
+            """(n,) masses times the offsets along these axes, summed over windows."""
+            found = _window_sums(mass[None, ..., None], self.window, [axes.count(axis) for axis in range(3)])
+            return np.where(chosen, found[0, ..., 0][kept], 0.0).reshape(-1)
+
+        total = sums()
+        first = np.stack([sums(a) for a in range(3)], axis=-1)
+        mean = np.divide(first, total[:, None], out=np.zeros_like(first), where=total[:, None] > 0)
+        pairs = {(a, b): sums(a, b) for a in range(3) for b in range(a + 1)}
+        second = np.stack([pairs[max(a, b), min(a, b)] for a in range(3) for b in range(3)], axis=-1).reshape(-1, 3, 3)
+        second -= total[:, None, None] * mean[:, :, None] * mean[:, None, :]
         return total, mean, np.einsum("ai,nab,bj->nij", self.edges, second, self.edges)
 
 
-def _window_sums(values: FloatArray, window: tuple[int, ...], moment: int | None) -> FloatArray:
-    """(B, cells, d) sums over windows from each cell on, 0 where none fits; weighted with the offset along an axis."""
-    for axis, width in enumerate(window):
-        weight = np.arange(width) - (width - 1) / 2 if axis == moment else np.ones(width)
+def _window_sums(values: FloatArray, window: tuple[int, ...], powers: Sequence[int] = (0, 0, 0)) -> FloatArray:
+    """(B, cells, d) sums over windows from each cell on, 0 where none fits, of values times powers of the offsets."""
+    for axis, (width, power) in enumerate(zip(window, powers, strict=True)):
         views = np.lib.stride_tricks.sliding_window_view(values, width, axis=axis + 1)
-        total = views @ weight
+        total = views @ (np.arange(width) - (width - 1) / 2) ** power
         pad = [(0, 0)] * values.ndim
         pad[axis + 1] = (0, width - 1)
         values = np.pad(total, pad)
@@ -178,7 +174,7 @@ class _LatticeArrays:
         lift[full] = np.einsum("nik,nkj->nij", ordered[full], lift[full])
         spare = 2 * width
         site = self.functions.Site()
-        site.valid = upload(body.corner.astype(np.float64), scalar, device, spare)
+        site.valid = upload(body.corner, scalar, device, spare)
         site.stride = n + (spare if n > 1 else 0)
         site.step = int(n > 1)
 
@@ -203,12 +199,15 @@ class _LatticeArrays:
         )
         self.Kept, self.Motion = functions.Kept, self.functions.Motion
         spare += body.window[2]  # a window reaches over the last cell, too
-        self.mass = upload(
-            body.mass.reshape(-1)[:1] if body.alike else body.mass, scalar, device, 0 if body.alike else spare
-        )
-        self.free = upload(body.free, scalar, device, spare)
-        self.pull = upload(body.pull, scalar, device, spare)
-        self.metric = upload(body.metric, scalar, device, spare)
+        number = np.float64 if scalar is wp.float64 else np.float32
+
+        def at_cells(values: FloatArray | BoolArray) -> Any:
+            return wp.array(body.at_cells(values, number, spare), dtype=scalar, device=device)
+
+        rest = body.rest
+        self.mass = upload(rest.mass[:1], scalar, device) if body.alike else at_cells(rest.mass)
+        self.free, self.metric = at_cells(rest.free), at_cells(rest.metric)
+        self.pull = at_cells(rest.free / rest.counts)
 
 
 class LatticeOperator(Operator):
@@ -314,10 +313,10 @@ class LatticeOperator(Operator):
         maps = self._cluster_fields(self.maps, self.dim * (1 + axes))
         body = self.body
         weighted = np.zeros((self.layout.candidates, body.count, self.dim))
-        weighted[:, body.cell] = self.layout.get(adjoint, self.dim) * body.mass.reshape(-1)[body.cell, None]
+        weighted[:, body.cell] = self.layout.get(adjoint, self.dim) * body.rest.mass[:, None]
         weighted = weighted.reshape(-1, *body.shape, self.dim)
-        sums = [_window_sums(weighted, body.window, None)]
-        sums += [_window_sums(weighted, body.window, axis) for axis in range(3 - axes, 3)]
+        powers = [np.zeros(3, dtype=int), *np.eye(3, dtype=int)[3 - axes :]]
+        sums = [_window_sums(weighted, body.window, each) for each in powers]
         kept = np.concatenate([each[:, body.corner] for each in sums], axis=-1)
         return np.asarray(np.einsum("bcr,bcr->bc", maps, kept))
 

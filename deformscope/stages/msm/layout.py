@@ -8,7 +8,7 @@ from typing import Any, TypeAlias
 import numpy as np
 import warp as wp
 
-from deformscope.arrays import FloatArray, IntArray
+from deformscope.arrays import BoolArray, FloatArray, IntArray
 
 Field: TypeAlias = "wp.array[Any]"
 """Numbers on a device, of a scalar type that is chosen at run time."""
@@ -67,9 +67,9 @@ class Layout:
 
     def get(self, field: Field, rows: int) -> FloatArray:
         """The particles of a field, (B, K, rows) float64."""
-        host = np.asarray(field.numpy(), dtype=np.float64).reshape(rows, self.stride)
+        host = field.numpy().reshape(rows, self.stride)
         body = host[:, self.front : self.front + self.groups * self.group].reshape(rows, self.groups, -1, self.abreast)
-        found = body[:, :, self.place, :].transpose(1, 3, 2, 0)
+        found = np.array(body[:, :, self.place].transpose(1, 3, 2, 0), dtype=np.float64, order="C")
         return found.reshape(-1, len(self.place), rows)[: self.candidates]
 
     def each(self, values: FloatArray, dtype: type[Any] | None = None) -> Field:
@@ -99,13 +99,12 @@ def widths(candidates: int, scalar: type[Any], device: str, *, cells_in_lanes: b
     return (width, 1) if cells_in_lanes else (1, 1)
 
 
-def upload(values: FloatArray | IntArray, dtype: type[Any], device: str, spare: int = 0) -> Field:
+def upload(values: FloatArray | IntArray | BoolArray, dtype: type[Any], device: str, spare: int = 0) -> Field:
     """Numbers of any shape (rows, ...) on a device, flat, row after row; `spare` more at the end, for lanes that reach
     over it."""
-    host = np.ascontiguousarray(values).reshape(-1)
-    if spare:
-        host = np.concatenate([host, np.zeros(spare, dtype=host.dtype)])
-    return wp.array(host.astype(_dtype(dtype)), dtype=dtype, device=device)
+    host = np.zeros(np.size(values) + spare, dtype=_dtype(dtype))
+    host[: np.size(values)] = np.ravel(values)
+    return wp.array(host, dtype=dtype, device=device)
 
 
 def _dtype(scalar: type[Any]) -> Any:

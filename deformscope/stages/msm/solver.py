@@ -16,7 +16,7 @@ from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.errors import InputError
 from deformscope.stages.msm.body import Body, BodyRest, Operator, Parameters
 from deformscope.stages.msm.cluster_functions import BY_BETA, BY_THETA, NONE, PROJECT, SCALE
-from deformscope.stages.msm.clusters import Clusters, LatticeClusters, held_mask, spacing
+from deformscope.stages.msm.clusters import Clusters, LatticeClusters, held_mask
 from deformscope.stages.msm.general import GeneralBody
 from deformscope.stages.msm.iteration import Anderson, Ended, Newton, halves
 from deformscope.stages.msm.iteration_kernels import CONVERGED, DIVERGED, iteration_kernels_for
@@ -103,6 +103,14 @@ class Moving:
         self.pair = self.layout.field(2 * operator.dim)
         self.swapped = False
         self.ran_away = self.layout.each(np.zeros(1), int)
+        self.running = wp.full(self.layout.groups, 1, dtype=int, device=self.layout.device)
+        self._kept: dict[str, tuple[Any, Any]] = {}
+
+    def kept(self, what: str, key: Any, make: Callable[[], Any]) -> Any:
+        """What `make` put on the device in the last call with this key, made anew where that was another."""
+        if what not in self._kept or self._kept[what][0] != key:
+            self._kept[what] = key, make()
+        return self._kept[what][1]
 
     def move_to(self, operator: Operator) -> None:
         """The same state, stepped by another operator."""
@@ -155,8 +163,8 @@ class Msm:
         self.dim = self.rest.shape[1]
         self.precision = precision
         self.device = device
-        self.scale = spacing(self.rest)
-        self.extent = float(np.ptp(self.rest, axis=0).max())
+        self.scale = clusters.spacing(self.rest)
+        self.extent = float(max(np.ptp(along) for along in self.rest.T))
         self.cluster_count = clusters.count
         self._scalar = wp.float64 if precision == "float64" else wp.float32
         self._basis = basis
@@ -202,7 +210,9 @@ class Msm:
         self.held = np.asarray(held, dtype=np.int64).reshape(-1)
         self.free = ~held_mask(len(self.rest), self.held)
         counts = self._clusters.cluster_counts()
-        metric = np.where(self.free, counts * self.mass / self.mass.mean(), 0.0)
+        metric = counts * self.mass
+        metric /= self.mass.mean()
+        metric[self.held] = 0.0
         self._particles = BodyRest(self.rest / self.scale, self.mass, self.free, counts, metric)
 
     def _along(self, beta: AxisBeta, theta: FloatArray | float) -> Msm:
@@ -535,9 +545,10 @@ class Msm:
     def start(self, size: int = 1, position: FloatArray | None = None) -> Moving:
         """B bodies at rest without velocity, or at `position` (K, d) or (B, K, d)."""
         state = Moving(self._body.operator(self._body.layout(size)))
-        u = self._displacements(position)
-        state.layout.put(u, state.u)
-        state.layout.put(u, state.before)
+        if position is not None:
+            u = self._displacements(position)
+            state.layout.put(u, state.u)
+            state.layout.put(u, state.before)
         return state
 
     def step(
@@ -656,28 +667,32 @@ class _Stepping:
         layout, operator = state.layout, state.operator
         size = layout.candidates
         push = np.zeros(body.dim) if acceleration is None else np.asarray(acceleration) / body.scale
-        self.first = operator.motion(alpha, dt / state.last_dt if state.last_dt else 1.0, push * dt**2)
-        self.motion = operator.motion(alpha, 1.0, push * dt**2)
+        push = push * dt**2
+
+        def motion(name: str, going_on: float) -> tuple[Any, Any]:
+            key = alpha, going_on, push.tobytes()
+            return state.kept(name, key, lambda: (key, operator.motion(alpha, going_on, push)))
+
+        self.first = motion("first", dt / state.last_dt if state.last_dt else 1.0)
+        self.motion = motion("motion", 1.0)
         self.dt = dt
-        stride = operator.beta_stride if beta.ndim > 1 else 0
-        values = (
-            operator.cluster_values(np.broadcast_to(beta, (size, *beta.shape[1:])))
-            if stride
-            else layout.each(np.broadcast_to(beta, (size,)))
-        )
-        self.parameters = Parameters(values, layout.each(np.broadcast_to(theta, (size,))), stride, volume)
-        self.running = wp.full(layout.groups, 1, dtype=int, device=layout.device)
+        self.key = beta.shape, beta.tobytes(), theta.tobytes(), volume
+
+        def parameters() -> Parameters:
+            stride = operator.beta_stride if beta.ndim > 1 else 0
+            all_beta = np.broadcast_to(beta, (size, *beta.shape[1:]))
+            values = operator.cluster_values(all_beta) if stride else layout.each(all_beta)
+            return Parameters(values, layout.each(np.broadcast_to(theta, (size,))), stride, volume)
+
+        self.parameters = state.kept("parameters", self.key, parameters)
         self.places: Any = None
         if len(body.held):
-            self._find(body.held)
-            self._hold(held_u)
+            self.places = state.kept("places", body.held.tobytes(), lambda: self._find(body.held))
+            state.kept("held", (id(self.places), held_u.shape, held_u.tobytes()), lambda: self._hold(held_u))
 
-    def _find(self, held: IntArray) -> None:
-        """Find where the held particles (h,) of all candidates stand in memory."""
-        layout, operator = self.state.layout, self.state.operator
-        self.kernels = (
-            operator.resident if operator.threads else iteration_kernels_for(operator.dim, layout.scalar, layout.width)
-        )
+    def _find(self, held: IntArray) -> Field:
+        """Where the held particles (h,) of all candidates stand in memory."""
+        layout = self.state.layout
         places = np.concatenate(
             [
                 layout.front
@@ -687,14 +702,15 @@ class _Stepping:
                 for c in range(layout.candidates)
             ]
         )
-        self.places = upload(places, int, layout.device)
+        return upload(places, int, layout.device)
 
     def _hold(self, held_u: FloatArray) -> None:
         """Put the held displacements (B, h, d), in particle spacings, into the state now and before."""
-        layout, state = self.state.layout, self.state
+        state, layout, operator = self.state, self.state.layout, self.state.operator
+        kernels = operator.resident if operator.threads else iteration_kernels_for(operator.dim, layout.scalar, layout.width)
         held_u = np.broadcast_to(held_u, (layout.candidates, *held_u.shape[1:]))
         wp.launch(
-            self.kernels.put_at,
+            kernels.put_at,
             dim=len(self.places),
             inputs=[
                 self.places,
@@ -714,6 +730,7 @@ class _Stepping:
         moves = min(steps, MOVES)
         for move in range(moves):
             self._hold(before + (move + 1) / moves * (after - before))
+            self.state.kept("held", None, lambda: None)
             self.run(steps * (move + 1) // moves - steps * move // moves)
             self.first = self.motion
 
@@ -723,7 +740,7 @@ class _Stepping:
         if steps > 0:
             state.last_dt = self.dt
         if operator.threads:
-            for motion, count in ((self.first, min(steps, 1)), (self.motion, max(steps - 1, 0))):
+            for (_, motion), count in ((self.first, min(steps, 1)), (self.motion, max(steps - 1, 0))):
                 if count:
                     operator.stay_stepping(state.pair, state.swapped, motion, self.parameters, count, state.ran_away)
                     state.swapped ^= bool(count % 2)
@@ -732,18 +749,23 @@ class _Stepping:
             self._one(self.first)
         steps -= 1
         if steps >= 4:
-            with wp.ScopedCapture(device=state.layout.device) as capture:
-                self._one(self.motion)
-                self._one(self.motion)
+            graph = state.kept("graph", (self.motion[0], self.key, state.swapped), self._two)
             for _ in range(steps // 2):
-                wp.capture_launch(capture.graph)
+                wp.capture_launch(graph)
             steps %= 2
         for _ in range(steps):
             self._one(self.motion)
 
-    def _one(self, motion: object) -> None:
+    def _two(self) -> Any:
+        """Two steps, recorded."""
+        with wp.ScopedCapture(device=self.state.layout.device) as capture:
+            self._one(self.motion)
+            self._one(self.motion)
+        return capture.graph
+
+    def _one(self, motion: tuple[Any, Any]) -> None:
         state = self.state
-        state.operator.step(state.u, state.before, motion, self.parameters, self.running, state.ran_away)
+        state.operator.step(state.u, state.before, motion[1], self.parameters, state.running, state.ran_away)
         state.swapped = not state.swapped
 
 
