@@ -25,6 +25,9 @@ FITTED, AT_ONCE = 200_000, 16_384
 SLIDE = {"cpu": (3, 32), "cuda": (4, 8)}
 """Widest window that is summed up anew at each cell, and the run of a sum that slides over wider ones."""
 
+SLIDE_FROM = 500_000
+"""Cells from which on a GPU slides over wide windows: in smaller bodies too few threads would be left to slide."""
+
 RESIDENT_CELLS = 8192
 """Cells up to which one block of a GPU's threads goes through a whole body by itself."""
 
@@ -141,12 +144,11 @@ class _LatticeArrays:
 
     def __init__(self, body: LatticeBody, width: int) -> None:
         d, scalar, device = body.dim, body.scalar, body.device
-        limit, _ = SLIDE["cpu" if device.startswith("cpu") else "cuda"]
         wide = set(body.window[3 - d :])
-        window = 0 if device.startswith("cpu") or len(wide) > 1 or max(wide) > limit else max(wide)
+        small = max(wide) <= k.NARROW or RESIDENT_CELLS < body.count < SLIDE_FROM
+        self.window = window = max(wide) if width == 1 and len(wide) == 1 and small else 0
         self.kernels = k.lattice_kernels_for(d, scalar, width, window) if width == 1 else None
         self.functions = k.lattice_functions_for(d, scalar, width, window)
-        self.window = self.functions.both
         self.resident = resident_kernels_for(d, scalar, width, window)
         functions = cluster_functions_for(d, d, scalar, width)
         total, mean, gram = body.moments()
@@ -225,8 +227,8 @@ class LatticeOperator(Operator):
         grid.front, grid.group, grid.stride = layout.front, layout.group, layout.stride
         grid.cluster_end = ((grid.clusters_1 - 1) * n[2] + n[2] - w[2] + 1) * many
         limit, run = SLIDE["cpu" if layout.device.startswith("cpu") else "cuda"]
-        grid.run_0 = 1 if w[0] <= limit else run
-        grid.run_1 = 1 if w[1] <= limit else run
+        grid.run_0 = 1 if arrays.window or w[0] <= limit else run
+        grid.run_1 = kk.lines if arrays.window else 1 if w[1] <= limit else run
 
         def blocks(numbers: int) -> int:
             return -(-numbers // layout.width)
@@ -240,7 +242,7 @@ class LatticeOperator(Operator):
             segments = (1, 1)
         else:
             grid.blocks_windows = grid.blocks_spread = blocks(grid.line)
-            segments = (-(-grid.clusters_1 // run), -(-n[1] // run))
+            segments = (-(-grid.clusters_1 // grid.run_1), -(-n[1] // grid.run_1))
         grid.items_windows = n[0] * segments[0] * grid.blocks_windows
         grid.items_spread = n[0] * segments[1] * grid.blocks_spread
         self.grid = grid
@@ -390,4 +392,5 @@ class LatticeOperator(Operator):
             self.launch(kk.spread_slow, grid.items_slow, [grid, fields, running])
         if not self.arrays.window:
             self.launch(kk.spread_middle, grid.items_spread, [grid, fields, running])
-        self.launch(kk.finish, grid.items_plane, [grid, fields, motion, running, u, before], [out, ran_away])
+        last = grid.items_spread if self.arrays.window else grid.items_plane
+        self.launch(kk.finish, last, [grid, fields, motion, running, u, before], [out, ran_away])

@@ -17,7 +17,11 @@ from typing import Any
 import warp as wp
 
 from deformscope.stages.msm.cluster_functions import GOAL, cluster_functions_for
-from deformscope.stages.msm.lanes import Ints, lanes_for, module_options, product_for, rows_for
+from deformscope.stages.msm.lanes import Ints, Sized, lanes_for, module_options, product_for, rows_for
+
+NARROW, LINES = 4, 4
+"""Widest window of which a GPU sums up every one anew along two axes at once, and the windows along the middle axis
+that a thread sums up together if they are wider: more would leave too few threads, fewer would load more."""
 
 FAR = 1e4
 """Spacings beyond which a particle has run away."""
@@ -45,8 +49,8 @@ def motion_for(scalar: Any) -> Any:
 def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) -> SimpleNamespace:
     """The functions for `dim` = 2 or 3, scalar = wp.float32 or wp.float64, and lanes of `width`.
 
-    window: cells of a cluster along every axis, each summed up anew, two axes at once: a GPU then loads all its numbers
-    at once, and waits for fewer passes; 0: any windows and runs, as the grid says
+    window: cells of a cluster along every axis, all summed up anew, two axes at once and some lines together: a GPU
+    then loads all its numbers at once, and waits for fewer passes; 0: any windows and runs, as the grid says
     """
     numbers = wp.array(dtype=scalar)
     axes = dim
@@ -64,6 +68,8 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
     cluster = cluster_functions_for(dim, dim, scalar, width)
     fit, fit_change = cluster.fit, cluster.fit_change
     one = scalar(1.0)
+    lines = 1 if window <= NARROW else LINES
+    sum_rows, many_sums, many_vecs = (rows_for(count, width, scalar) for count in (3 * dim, 3 * dim * lines, dim * lines))
     number = f"wp::{scalar.__name__}"
     each = f"for (int l = 0; l < {width}; ++l)"
     moved = " + ".join(f"mean.data[{a}][l] * slopes.data[{a * dim} + i][l]" for a in range(axes))
@@ -167,6 +173,13 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
 
         @wp.func
         def run_of(asked: int):
+            return asked
+
+    @wp.func
+    def lines_of(asked: int):
+        if wp.static(lines == 1):
+            return 1
+        else:  # noqa: RET505 (see `cluster_functions.turn`)
             return asked
 
     @wp.func
@@ -277,6 +290,57 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
         store(fields.sums_fast, at + wp.static(dim) * grid.stride, grid.stride, moment, count)
 
     @wp.func
+    def share_of(grid: Grid, item: int, items: int, blocks: int, count_1: int):
+        """An item's plane, first line and number of lines of `count_1`, place along the line, and numbers from there."""
+        per_plane = items / grid.cells_0
+        plane = item / per_plane
+        rest = item - plane * per_plane
+        segment = rest / blocks
+        in_line = (rest - segment * blocks) * wp.static(width)
+        first = segment * grid.run_1
+        count = grid.line - in_line
+        if grid.run_1 == 1:  # lines follow each other: the lanes run through
+            count = count_1 * grid.line - in_line
+        cell = plane * grid.plane + first * grid.line + in_line
+        return cell, wp.min(grid.run_1, count_1 - first), count
+
+    def part_of(rows: int, many: Any, one_rows: Any) -> Any:
+        """The function that takes the rows of a line out of those of all (without an index that is not constant, which
+        would keep them all in memory)."""
+
+        @Sized(f"{rows}x{width}").func_native(
+            f"{matrix_c(rows)} r; for (int q = 0; q < {lines}; ++q) if (q == line) for (int k = 0; k < {rows}; ++k) {each}"
+            f" r.data[k][l] = m.data[q * {rows} + k][l]; return r;"
+        )
+        def part(m: many, line: int) -> one_rows: ...
+
+        return part
+
+    sums_of_line, vec_of_line = part_of(3 * dim, many_sums.rows, sum_rows.rows), part_of(dim, many_vecs.rows, vecs.rows)
+    store_sums = sum_rows.store
+    line_by_line = f"for (int q = 0; q < {lines}; ++q)"
+    in_window = f"if (k >= 0 && k < {window}) for (int i = 0; i < {dim}; ++i) {each}"
+
+    @wp.func_native(
+        f"{matrix_c(3 * dim * lines)} r = m; {line_by_line} {{ const int k = j - q;"
+        f" const {number} away = k - {number}({(window - 1) / 2}); {in_window} {{"
+        f" r.data[q * {3 * dim} + i][l] += along.data[i][l];"
+        f" r.data[q * {3 * dim} + {dim} + i][l] += away * along.data[i][l];"
+        f" r.data[q * {3 * dim} + {2 * dim} + i][l] += fast.data[i][l]; }} }} return r;"
+    )
+    def gathered(m: many_sums.rows, along: vecs.rows, fast: vecs.rows, j: int) -> many_sums.rows:
+        """A line's sums added to those of the windows that it is in: sum, first moment along the middle axis, and along
+        the fast one. j: lines after the first window's first"""
+
+    @wp.func_native(
+        f"{matrix_c(dim * lines)} r = m; {line_by_line} {{ const int k = q + {window - 1} - j;"
+        f" const {number} away = k - {number}({(window - 1) / 2});"
+        f" {in_window} r.data[q * {dim} + i][l] += shift.data[i][l] + away * slope.data[i][l]; }} return r;"
+    )
+    def spread(m: many_vecs.rows, shift: vecs.rows, slope: vecs.rows, j: int) -> many_vecs.rows:
+        """What the clusters of a line give to the particles of others. j: lines after the first that gives any"""
+
+    @wp.func
     def windows_both(
         grid: Grid,
         fields: Fields,
@@ -288,32 +352,25 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
         group: int,
         item: int,
     ):
-        """`windows_fast` and `windows_middle` at once, for windows that are summed up anew at each cell."""
-        plane = item / grid.blocks_windows
-        in_plane = (item - plane * grid.blocks_windows) * wp.static(width)
-        cell = plane * grid.plane + in_plane
+        """`windows_fast` and `windows_middle` at once."""
+        cell, steps, count = share_of(grid, item, grid.items_windows, grid.blocks_windows, grid.clusters_1)
         at = grid.front + group * grid.group + cell
-        count = grid.clusters_1 * grid.line - in_plane
-        h = middle(cells_of(grid.window_1))
-        total = vecs.rows()
-        mid = vecs.rows()
-        fast = vecs.rows()
-        for j in range(cells_of(grid.window_1)):
-            along_line = vecs.rows()
+        h = middle(cells_of(grid.window_2))
+        found = many_sums.rows()
+        for j in range(lines_of(steps) + wp.static(window - 1)):
+            along = vecs.rows()
+            fast = vecs.rows()
             for k in range(cells_of(grid.window_2)):
                 away = j * grid.line + k * grid.abreast
                 v = load(u_in, offset + at + away, grid.stride)
                 if motion.stepping != 0:
                     v = ahead(grid, v, before_in, motion, fields.free, before_offset + at + away, cell + away)
                 v = scale(v, particle_own(fields.mass, cell + away, grid.abreast))
-                along_line = add(along_line, one, v)
+                along = add(along, one, v)
                 fast = add(fast, scalar(k) - h, v)
-            total = add(total, one, along_line)
-            mid = add(mid, scalar(j) - h, along_line)
-        d = wp.static(dim)
-        store(fields.sums_middle, at, grid.stride, total, count)
-        store(fields.sums_middle, at + d * grid.stride, grid.stride, mid, count)
-        store(fields.sums_middle, at + 2 * d * grid.stride, grid.stride, fast, count)
+            found = gathered(found, along, fast, j)
+        for line in range(lines_of(steps)):
+            store_sums(fields.sums_middle, at + line * grid.line, grid.stride, sums_of_line(found, line), count)
 
     @wp.func
     def particle_own(values: numbers, cell: int, abreast: int):
@@ -337,18 +394,8 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
     @wp.func
     def windows_middle(grid: Grid, fields: Fields, group: int, item: int):
         """Windows along the middle axis: sum, first moment along it, and the first moment along the fast axis."""
-        per_plane = grid.items_windows / grid.cells_0
-        plane = item / per_plane
-        rest = item - plane * per_plane
-        segment = rest / grid.blocks_windows
-        in_line = (rest - segment * grid.blocks_windows) * wp.static(width)
-        first_line = segment * grid.run_1
-        steps = wp.min(grid.run_1, grid.clusters_1 - first_line)
-        count = grid.line - in_line
-        if grid.run_1 == 1:  # lines follow each other: the lanes run through
-            count = grid.clusters_1 * grid.line - in_line
-            first_line = 0
-        at = grid.front + group * grid.group + plane * grid.plane + first_line * grid.line + in_line
+        cell, steps, count = share_of(grid, item, grid.items_windows, grid.blocks_windows, grid.clusters_1)
+        at = grid.front + group * grid.group + cell
         d = wp.static(dim)
         source = fields.sums_fast
         target = fields.sums_middle
@@ -514,18 +561,8 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
     @wp.func
     def spread_middle(grid: Grid, fields: Fields, group: int, item: int):
         """The same along the middle axis: the shift with its slope, and the slope along the fast axis."""
-        per_plane = grid.items_spread / grid.cells_0
-        plane = item / per_plane
-        rest = item - plane * per_plane
-        segment = rest / grid.blocks_spread
-        in_line = (rest - segment * grid.blocks_spread) * wp.static(width)
-        first_line = segment * grid.run_1
-        steps = wp.min(grid.run_1, grid.cells_1 - first_line)
-        count = grid.line - in_line
-        if grid.run_1 == 1:
-            count = grid.plane - in_line
-            first_line = 0
-        at = grid.front + group * grid.group + plane * grid.plane + first_line * grid.line + in_line
+        cell, steps, count = share_of(grid, item, grid.items_spread, grid.blocks_spread, grid.cells_1)
+        at = grid.front + group * grid.group + cell
         d = wp.static(dim)
         source = fields.maps_slow
         target = fields.maps_middle
@@ -636,27 +673,29 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
         group: int,
         item: int,
     ):
-        """`spread_middle` and `finish` at once, for windows that are summed up anew at each cell."""
-        plane = item / grid.blocks_plane
-        in_plane = (item - plane * grid.blocks_plane) * wp.static(width)
-        cell = plane * grid.plane + in_plane
+        """`spread_middle` and `finish` at once."""
+        cell, steps, count = share_of(grid, item, grid.items_spread, grid.blocks_spread, grid.cells_1)
         at = grid.front + group * grid.group + cell
-        count = grid.plane - in_plane
         d = wp.static(dim)
-        h = middle(cells_of(grid.window_1))
-        total = vecs.rows()
-        for j in range(cells_of(grid.window_1)):
+        h = middle(cells_of(grid.window_2))
+        found = many_vecs.rows()
+        for j in range(lines_of(steps) + wp.static(window - 1)):
+            shift = vecs.rows()
+            slope = vecs.rows()
             for k in range(cells_of(grid.window_2)):
-                here = at - j * grid.line - k * grid.abreast
-                total = add(total, one, load(fields.maps_slow, here, grid.stride))
-                total = add(total, scalar(j) - h, load(fields.maps_slow, here + d * grid.stride, grid.stride))
-                total = add(total, scalar(k) - h, load(fields.maps_slow, here + 2 * d * grid.stride, grid.stride))
-        ended(
-            grid, fields, motion, total, u_in, offset, before_in, before_offset, out, ran_away, group, at, cell, count
-        )  # fmt: skip
+                here = at + (j - wp.static(window - 1)) * grid.line - k * grid.abreast
+                shift = add(shift, one, load(fields.maps_slow, here, grid.stride))
+                slope = add(slope, one, load(fields.maps_slow, here + d * grid.stride, grid.stride))
+                shift = add(shift, scalar(k) - h, load(fields.maps_slow, here + 2 * d * grid.stride, grid.stride))
+            found = spread(found, shift, slope, j)
+        for line in range(lines_of(steps)):
+            away = line * grid.line
+            ended(
+                grid, fields, motion, vec_of_line(found, line), u_in, offset, before_in, before_offset, out, ran_away,
+                group, at + away, cell + away, count,
+            )  # fmt: skip
 
-    both = 0 < window <= 4
-    if both:
+    if window:
         windows_fast, finish = windows_both, finish_both
     return SimpleNamespace(**locals())
 

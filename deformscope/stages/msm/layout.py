@@ -9,12 +9,10 @@ import numpy as np
 import warp as wp
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
+from deformscope.stages.msm.lanes import LANES
 
 Field: TypeAlias = "wp.array[Any]"
 """Numbers on a device, of a scalar type that is chosen at run time."""
-
-LANES = {wp.float32: 16, wp.float64: 8}
-"""Numbers that a CPU's vector units take side by side; a width that the machine lacks is taken in parts."""
 
 ABREAST_FROM = 4
 """Candidates from which on a CPU takes them side by side, and no longer the cells of one."""

@@ -79,7 +79,7 @@ def resident_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> 
         threads: int,
     ):
         """All passes over a group: goals (with `changing` their derivative) of what is at `offset` of u, into out."""
-        if wp.static(not lattice.both):
+        if wp.static(window == 0):
             for item in range(thread, grid.items_plane, threads):
                 windows_fast(grid, fields, motion, u, offset, before, before_offset, group, item)
             meet()
@@ -100,7 +100,7 @@ def resident_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> 
             for item in range(thread, grid.items_slow, threads):
                 spread_slow(grid, fields, group, item)
             meet()
-        if wp.static(not lattice.both):
+        if wp.static(window == 0):
             for item in range(thread, grid.items_spread, threads):
                 spread_middle(grid, fields, group, item)
             meet()
