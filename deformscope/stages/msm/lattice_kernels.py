@@ -69,7 +69,9 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
     fit, fit_change = cluster.fit, cluster.fit_change
     one = scalar(1.0)
     lines = 1 if window <= NARROW else LINES
-    sum_rows, many_sums, many_vecs = (rows_for(count, width, scalar) for count in (3 * dim, 3 * dim * lines, dim * lines))
+    sum_rows, many_sums, many_vecs = (
+        rows_for(count, width, scalar) for count in (3 * dim, 3 * dim * lines, dim * lines)
+    )
     number = f"wp::{scalar.__name__}"
     each = f"for (int l = 0; l < {width}; ++l)"
     moved = " + ".join(f"mean.data[{a}][l] * slopes.data[{a * dim} + i][l]" for a in range(axes))

@@ -707,7 +707,9 @@ class _Stepping:
     def _hold(self, held_u: FloatArray) -> None:
         """Put the held displacements (B, h, d), in particle spacings, into the state now and before."""
         state, layout, operator = self.state, self.state.layout, self.state.operator
-        kernels = operator.resident if operator.threads else iteration_kernels_for(operator.dim, layout.scalar, layout.width)
+        kernels = (
+            operator.resident if operator.threads else iteration_kernels_for(operator.dim, layout.scalar, layout.width)
+        )
         held_u = np.broadcast_to(held_u, (layout.candidates, *held_u.shape[1:]))
         wp.launch(
             kernels.put_at,
