@@ -2,10 +2,12 @@
 
 A lane is a cell of the lattice or a candidate; the kernels do not care which. `LANES` fill a vector of the CPU, whose
 compiler finds none of this parallelism in scalar kernels; width 1 is a plain number, for a GPU and for lists of
-indices. A step's bits do not depend on the width, but for rotations that settle in unlike numbers of Newton's steps
-(all lanes take the most); static states also differ in the order of their sums over particles. `Rows` are small matrices of lanes, row by row. The loops of the native functions have no branches and run
+indices. `Rows` are small matrices of lanes, row by row. The loops of the native functions have no branches and run
 over the lanes innermost, which is what compilers turn into vector instructions; warp's own operators on matrices are
 not turned.
+
+Results depend on the width in their last digits: all lanes take as many of Newton's steps for their rotation as the one
+that needs most, and a static state's sums over particles are lane by lane.
 """
 
 import functools
@@ -20,7 +22,7 @@ FORCE_BITS = "DEFORMSCOPE_VECTOR_BITS"
 """Environment variable that takes the place of what the processor says, for tests: 256 or 512."""
 
 VECTOR_BITS = int(os.environ.get(FORCE_BITS, 512 if __cpu_features__.get("AVX512F") else 256))
-"""Of a vector of this processor. With twice as many lanes as fit, numbers go through memory: 1.2 to 1.3 times slower."""
+"""Of a vector of this processor. Where half of the lanes fit, a step takes 1.2 to 1.3 times as long."""
 
 LANES = {wp.float32: VECTOR_BITS // 32, wp.float64: VECTOR_BITS // 64}
 """Numbers that a CPU's vector units take side by side."""

@@ -293,7 +293,7 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
 
     @wp.func
     def share_of(grid: Grid, item: int, items: int, blocks: int, count_1: int):
-        """An item's plane, first line and number of lines of `count_1`, place along the line, and numbers from there."""
+        """An item's first cell, how many of `count_1` lines it has, and numbers from there to the end of a line."""
         per_plane = items / grid.cells_0
         plane = item / per_plane
         rest = item - plane * per_plane
@@ -311,8 +311,8 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
         would keep them all in memory)."""
 
         @Sized(f"{rows}x{width}").func_native(
-            f"{matrix_c(rows)} r; for (int q = 0; q < {lines}; ++q) if (q == line) for (int k = 0; k < {rows}; ++k) {each}"
-            f" r.data[k][l] = m.data[q * {rows} + k][l]; return r;"
+            f"{matrix_c(rows)} r; for (int q = 0; q < {lines}; ++q) if (q == line)"
+            f" for (int k = 0; k < {rows}; ++k) {each} r.data[k][l] = m.data[q * {rows} + k][l]; return r;"
         )
         def part(m: many, line: int) -> one_rows: ...
 
