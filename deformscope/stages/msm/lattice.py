@@ -19,7 +19,7 @@ from deformscope.stages.msm.resident_kernels import THREADS, resident_kernels_fo
 REGULAR = 1e-6
 """Spacings by which a particle may stand beside its place in an even lattice to be taken as standing on it."""
 
-FITTED, AT_ONCE = 200_000, 16_384
+FITTED, AT_ONCE = 100_000, 16_384
 """Particles that a lattice's edges are fitted to, and of which places are compared at once (they fit into a cache)."""
 
 SLIDE = {"cpu": (3, 32), "cuda": (4, 8)}
@@ -39,7 +39,11 @@ def lattice_edges(rest: FloatArray, clusters: LatticeClusters) -> FloatArray | N
     used = [axis for axis, count in enumerate(clusters.shape) if count > 1]
 
     def index(some: Any) -> FloatArray:
-        return np.column_stack(np.unravel_index(clusters.cell[some], clusters.shape))[:, used].astype(np.float64)
+        left, found = clusters.cell[some], np.empty((len(clusters.shape), len(clusters.cell[some])))
+        for axis in reversed(range(len(found))):  # `np.unravel_index` takes five times as long
+            before = left // clusters.shape[axis]
+            found[axis], left = left - before * clusters.shape[axis], before
+        return found[used].T
 
     count = len(rest)
     some = slice(None) if count <= FITTED else np.random.default_rng(0).integers(count, size=FITTED)
@@ -145,7 +149,7 @@ class _LatticeArrays:
     def __init__(self, body: LatticeBody, width: int) -> None:
         d, scalar, device = body.dim, body.scalar, body.device
         wide = set(body.window[3 - d :])
-        small = max(wide) <= k.NARROW or RESIDENT_CELLS < body.count < SLIDE_FROM
+        small = max(wide) <= k.BOTH_IN or RESIDENT_CELLS < body.count < SLIDE_FROM
         self.window = window = max(wide) if width == 1 and len(wide) == 1 and small else 0
         self.kernels = k.lattice_kernels_for(d, scalar, width, window) if width == 1 else None
         self.functions = k.lattice_functions_for(d, scalar, width, window)
@@ -228,7 +232,7 @@ class LatticeOperator(Operator):
         grid.cluster_end = ((grid.clusters_1 - 1) * n[2] + n[2] - w[2] + 1) * many
         limit, run = SLIDE["cpu" if layout.device.startswith("cpu") else "cuda"]
         grid.run_0 = 1 if arrays.window or w[0] <= limit else run
-        grid.run_1 = kk.lines if arrays.window else 1 if w[1] <= limit else run
+        grid.run_1 = 1 if arrays.window or w[1] <= limit else run
 
         def blocks(numbers: int) -> int:
             return -(-numbers // layout.width)
@@ -242,7 +246,7 @@ class LatticeOperator(Operator):
             segments = (1, 1)
         else:
             grid.blocks_windows = grid.blocks_spread = blocks(grid.line)
-            segments = (-(-grid.clusters_1 // grid.run_1), -(-n[1] // grid.run_1))
+            segments = (-(-grid.clusters_1 // run), -(-n[1] // run))
         grid.items_windows = n[0] * segments[0] * grid.blocks_windows
         grid.items_spread = n[0] * segments[1] * grid.blocks_spread
         self.grid = grid
@@ -375,9 +379,9 @@ class LatticeOperator(Operator):
 
     def _windows(self, fields: object, motion: object, running: Field, u: Field, before: Field) -> None:
         kk, grid = self.arrays.kernels, self.grid
-        first = grid.items_windows if self.arrays.window else grid.items_plane
+        first = grid.items_windows if kk.functions.both_in else grid.items_plane
         self.launch(kk.windows_fast, first, [grid, fields, motion, running, u, before])
-        if not self.arrays.window:
+        if not kk.functions.both_in:
             self.launch(kk.windows_middle, grid.items_windows, [grid, fields, running])
 
     def _fit(self, kernel: wp.Kernel, fields: object, running: Field, kept: object) -> None:
@@ -390,7 +394,6 @@ class LatticeOperator(Operator):
         kk, grid = self.arrays.kernels, self.grid
         if self.dim == 3:
             self.launch(kk.spread_slow, grid.items_slow, [grid, fields, running])
-        if not self.arrays.window:
+        if not kk.functions.both_out:
             self.launch(kk.spread_middle, grid.items_spread, [grid, fields, running])
-        last = grid.items_spread if self.arrays.window else grid.items_plane
-        self.launch(kk.finish, last, [grid, fields, motion, running, u, before], [out, ran_away])
+        self.launch(kk.finish, grid.items_plane, [grid, fields, motion, running, u, before], [out, ran_away])

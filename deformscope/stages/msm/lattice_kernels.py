@@ -17,11 +17,10 @@ from typing import Any
 import warp as wp
 
 from deformscope.stages.msm.cluster_functions import GOAL, cluster_functions_for
-from deformscope.stages.msm.lanes import Ints, Sized, lanes_for, module_options, product_for, rows_for
+from deformscope.stages.msm.lanes import Ints, lanes_for, module_options, product_for, rows_for
 
-NARROW, LINES = 4, 4
-"""Widest window of which a GPU sums up every one anew along two axes at once, and the windows along the middle axis
-that a thread sums up together if they are wider: more would leave too few threads, fewer would load more."""
+BOTH_IN, BOTH_OUT = 4, 4
+"""Widest windows that a GPU sums up along two axes at once, into clusters and out of them."""
 
 FAR = 1e4
 """Spacings beyond which a particle has run away."""
@@ -49,8 +48,8 @@ def motion_for(scalar: Any) -> Any:
 def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) -> SimpleNamespace:
     """The functions for `dim` = 2 or 3, scalar = wp.float32 or wp.float64, and lanes of `width`.
 
-    window: cells of a cluster along every axis, all summed up anew, two axes at once and some lines together: a GPU
-    then loads all its numbers at once, and waits for fewer passes; 0: any windows and runs, as the grid says
+    window: cells of a cluster along every axis, each summed up anew, narrow ones along two axes at once: a GPU then
+    loads all its numbers at once, and waits for fewer passes; 0: any windows and runs, as the grid says
     """
     numbers = wp.array(dtype=scalar)
     axes = dim
@@ -68,10 +67,7 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
     cluster = cluster_functions_for(dim, dim, scalar, width)
     fit, fit_change = cluster.fit, cluster.fit_change
     one = scalar(1.0)
-    lines = 1 if window <= NARROW else LINES
-    sum_rows, many_sums, many_vecs = (
-        rows_for(count, width, scalar) for count in (3 * dim, 3 * dim * lines, dim * lines)
-    )
+    both_in, both_out = 0 < window <= BOTH_IN, 0 < window <= BOTH_OUT
     number = f"wp::{scalar.__name__}"
     each = f"for (int l = 0; l < {width}; ++l)"
     moved = " + ".join(f"mean.data[{a}][l] * slopes.data[{a * dim} + i][l]" for a in range(axes))
@@ -178,13 +174,6 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
             return asked
 
     @wp.func
-    def lines_of(asked: int):
-        if wp.static(lines == 1):
-            return 1
-        else:  # noqa: RET505 (see `cluster_functions.turn`)
-            return asked
-
-    @wp.func
     def slide_in(
         source: numbers,
         row_in: int,
@@ -260,36 +249,11 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
                     slopes = add(add(slopes, -one, old), one, new)
 
     @wp.func
-    def windows_fast(
-        grid: Grid,
-        fields: Fields,
-        motion: Motion,
-        u_in: numbers,
-        offset: int,
-        before_in: numbers,
-        before_offset: int,
-        group: int,
-        item: int,
-    ):
-        """Windows along the fast axis of m u, or of m x* (eq. 3.1, 3.2): sum, first moment."""
+    def plane_share(grid: Grid, item: int):
+        """An item's first cell, and numbers from there to the end of its plane."""
         plane = item / grid.blocks_plane
         in_plane = (item - plane * grid.blocks_plane) * wp.static(width)
-        cell = plane * grid.plane + in_plane
-        at = grid.front + group * grid.group + cell
-        count = grid.plane - in_plane
-        h = middle(cells_of(grid.window_2))
-        total = vecs.rows()
-        moment = vecs.rows()
-        for k in range(cells_of(grid.window_2)):
-            here = at + k * grid.abreast
-            v = load(u_in, offset + here, grid.stride)
-            if motion.stepping != 0:
-                v = ahead(grid, v, before_in, motion, fields.free, before_offset + here, cell + k * grid.abreast)
-            v = scale(v, particle_own(fields.mass, cell + k * grid.abreast, grid.abreast))
-            total = add(total, one, v)
-            moment = add(moment, scalar(k) - h, v)
-        store(fields.sums_fast, at, grid.stride, total, count)
-        store(fields.sums_fast, at + wp.static(dim) * grid.stride, grid.stride, moment, count)
+        return plane * grid.plane + in_plane, grid.plane - in_plane
 
     @wp.func
     def share_of(grid: Grid, item: int, items: int, blocks: int, count_1: int):
@@ -306,44 +270,8 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
         cell = plane * grid.plane + first * grid.line + in_line
         return cell, wp.min(grid.run_1, count_1 - first), count
 
-    def part_of(rows: int, many: Any, one_rows: Any) -> Any:
-        """The function that takes the rows of a line out of those of all (without an index that is not constant, which
-        would keep them all in memory)."""
-
-        @Sized(f"{rows}x{width}").func_native(
-            f"{matrix_c(rows)} r; for (int q = 0; q < {lines}; ++q) if (q == line)"
-            f" for (int k = 0; k < {rows}; ++k) {each} r.data[k][l] = m.data[q * {rows} + k][l]; return r;"
-        )
-        def part(m: many, line: int) -> one_rows: ...
-
-        return part
-
-    sums_of_line, vec_of_line = part_of(3 * dim, many_sums.rows, sum_rows.rows), part_of(dim, many_vecs.rows, vecs.rows)
-    store_sums = sum_rows.store
-    line_by_line = f"for (int q = 0; q < {lines}; ++q)"
-    in_window = f"if (k >= 0 && k < {window}) for (int i = 0; i < {dim}; ++i) {each}"
-
-    @wp.func_native(
-        f"{matrix_c(3 * dim * lines)} r = m; {line_by_line} {{ const int k = j - q;"
-        f" const {number} away = k - {number}({(window - 1) / 2}); {in_window} {{"
-        f" r.data[q * {3 * dim} + i][l] += along.data[i][l];"
-        f" r.data[q * {3 * dim} + {dim} + i][l] += away * along.data[i][l];"
-        f" r.data[q * {3 * dim} + {2 * dim} + i][l] += fast.data[i][l]; }} }} return r;"
-    )
-    def gathered(m: many_sums.rows, along: vecs.rows, fast: vecs.rows, j: int) -> many_sums.rows:
-        """A line's sums added to those of the windows that it is in: sum, first moment along the middle axis, and along
-        the fast one. j: lines after the first window's first"""
-
-    @wp.func_native(
-        f"{matrix_c(dim * lines)} r = m; {line_by_line} {{ const int k = q + {window - 1} - j;"
-        f" const {number} away = k - {number}({(window - 1) / 2});"
-        f" {in_window} r.data[q * {dim} + i][l] += shift.data[i][l] + away * slope.data[i][l]; }} return r;"
-    )
-    def spread(m: many_vecs.rows, shift: vecs.rows, slope: vecs.rows, j: int) -> many_vecs.rows:
-        """What the clusters of a line give to the particles of others. j: lines after the first that gives any"""
-
     @wp.func
-    def windows_both(
+    def windows_fast(
         grid: Grid,
         fields: Fields,
         motion: Motion,
@@ -354,14 +282,24 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
         group: int,
         item: int,
     ):
-        """`windows_fast` and `windows_middle` at once."""
-        cell, steps, count = share_of(grid, item, grid.items_windows, grid.blocks_windows, grid.clusters_1)
+        """Windows along the fast axis of m u, or of m x* (eq. 3.1, 3.2): sum, first moment.
+
+        Narrow windows along the middle axis too: see `windows_middle`.
+        """
+        if wp.static(both_in):
+            cell, _steps, count = share_of(grid, item, grid.items_windows, grid.blocks_windows, grid.clusters_1)
+            lines = cells_of(grid.window_1)
+        else:
+            cell, count = plane_share(grid, item)
+            lines = int(1)
         at = grid.front + group * grid.group + cell
-        h = middle(cells_of(grid.window_2))
-        found = many_sums.rows()
-        for j in range(lines_of(steps) + wp.static(window - 1)):
+        d = wp.static(dim)
+        h_1, h = middle(cells_of(grid.window_1)), middle(cells_of(grid.window_2))
+        total = vecs.rows()
+        mid = vecs.rows()
+        fast = vecs.rows()
+        for j in range(lines):
             along = vecs.rows()
-            fast = vecs.rows()
             for k in range(cells_of(grid.window_2)):
                 away = j * grid.line + k * grid.abreast
                 v = load(u_in, offset + at + away, grid.stride)
@@ -370,9 +308,15 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
                 v = scale(v, particle_own(fields.mass, cell + away, grid.abreast))
                 along = add(along, one, v)
                 fast = add(fast, scalar(k) - h, v)
-            found = gathered(found, along, fast, j)
-        for line in range(lines_of(steps)):
-            store_sums(fields.sums_middle, at + line * grid.line, grid.stride, sums_of_line(found, line), count)
+            total = add(total, one, along)
+            mid = add(mid, scalar(j) - h_1, along)
+        if wp.static(both_in):
+            store(fields.sums_middle, at, grid.stride, total, count)
+            store(fields.sums_middle, at + d * grid.stride, grid.stride, mid, count)
+            store(fields.sums_middle, at + 2 * d * grid.stride, grid.stride, fast, count)
+        else:
+            store(fields.sums_fast, at, grid.stride, total, count)
+            store(fields.sums_fast, at + d * grid.stride, grid.stride, fast, count)
 
     @wp.func
     def particle_own(values: numbers, cell: int, abreast: int):
@@ -643,62 +587,32 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
 
         Stepping, eq. 3.11: the new position, which may take the place of the one before. offset: from the first number
         of `u_in` to that of the field meant, and the same in `out`; before_offset: the same of `before_in`, and of
-        `out` when stepping.
+        `out` when stepping. Narrow windows along the middle axis too: see `spread_middle`.
         """
-        plane = item / grid.blocks_plane
-        in_plane = (item - plane * grid.blocks_plane) * wp.static(width)
-        cell = plane * grid.plane + in_plane
+        cell, count = plane_share(grid, item)
         at = grid.front + group * grid.group + cell
-        count = grid.plane - in_plane
         d = wp.static(dim)
-        h = middle(cells_of(grid.window_2))
+        h_1, h = middle(cells_of(grid.window_1)), middle(cells_of(grid.window_2))
+        if wp.static(both_out):
+            lines = cells_of(grid.window_1)
+        else:
+            lines = int(1)
         total = vecs.rows()
-        for k in range(cells_of(grid.window_2)):
-            here = at - k * grid.abreast
-            total = add(total, one, load(fields.maps_middle, here, grid.stride))
-            total = add(total, scalar(k) - h, load(fields.maps_middle, here + d * grid.stride, grid.stride))
+        for j in range(lines):
+            for k in range(cells_of(grid.window_2)):
+                here = at - j * grid.line - k * grid.abreast
+                if wp.static(both_out):
+                    total = add(total, one, load(fields.maps_slow, here, grid.stride))
+                    slope = load(fields.maps_slow, here + d * grid.stride, grid.stride)
+                    total = add(total, scalar(j) - h_1, slope)
+                    total = add(total, scalar(k) - h, load(fields.maps_slow, here + 2 * d * grid.stride, grid.stride))
+                else:
+                    total = add(total, one, load(fields.maps_middle, here, grid.stride))
+                    total = add(total, scalar(k) - h, load(fields.maps_middle, here + d * grid.stride, grid.stride))
         ended(
             grid, fields, motion, total, u_in, offset, before_in, before_offset, out, ran_away, group, at, cell, count
         )  # fmt: skip
 
-    @wp.func
-    def finish_both(
-        grid: Grid,
-        fields: Fields,
-        motion: Motion,
-        u_in: numbers,
-        offset: int,
-        before_in: numbers,
-        before_offset: int,
-        out: numbers,
-        ran_away: Ints,
-        group: int,
-        item: int,
-    ):
-        """`spread_middle` and `finish` at once."""
-        cell, steps, count = share_of(grid, item, grid.items_spread, grid.blocks_spread, grid.cells_1)
-        at = grid.front + group * grid.group + cell
-        d = wp.static(dim)
-        h = middle(cells_of(grid.window_2))
-        found = many_vecs.rows()
-        for j in range(lines_of(steps) + wp.static(window - 1)):
-            shift = vecs.rows()
-            slope = vecs.rows()
-            for k in range(cells_of(grid.window_2)):
-                here = at + (j - wp.static(window - 1)) * grid.line - k * grid.abreast
-                shift = add(shift, one, load(fields.maps_slow, here, grid.stride))
-                slope = add(slope, one, load(fields.maps_slow, here + d * grid.stride, grid.stride))
-                shift = add(shift, scalar(k) - h, load(fields.maps_slow, here + 2 * d * grid.stride, grid.stride))
-            found = spread(found, shift, slope, j)
-        for line in range(lines_of(steps)):
-            away = line * grid.line
-            ended(
-                grid, fields, motion, vec_of_line(found, line), u_in, offset, before_in, before_offset, out, ran_away,
-                group, at + away, cell + away, count,
-            )  # fmt: skip
-
-    if window:
-        windows_fast, finish = windows_both, finish_both
     return SimpleNamespace(**locals())
 
 

@@ -44,6 +44,9 @@ KEPT_NUMBERS = 2_000_000
 MOVES = 200
 """Moves that held particles make at most in time stepping; of more steps, several pass at each place."""
 
+KEPT_CALLS = 16
+"""Parameters, motions and recorded steps that a state of time stepping keeps on the device for the next call."""
+
 VOLUMES: dict[Volume, int] = {"scale": SCALE, "project": PROJECT}
 
 
@@ -91,7 +94,10 @@ class Gradient:
 
 
 class Moving:
-    """The state of time stepping, on the device: displacements now and one step before, for B bodies."""
+    """The state of time stepping, on the device: displacements now and one step before, for B bodies.
+
+    held: indices of the held particles, where they stand in memory, and the displacements (B or 1, h, d) that they have
+    """
 
     def __init__(self, operator: Operator) -> None:
         self.last_dt = 0.0
@@ -104,13 +110,16 @@ class Moving:
         self.swapped = False
         self.ran_away = self.layout.each(np.zeros(1), int)
         self.running = wp.full(self.layout.groups, 1, dtype=int, device=self.layout.device)
-        self._kept: dict[str, tuple[Any, Any]] = {}
+        self.held: tuple[Any, Any, Any] = (None, None, None)
+        self._kept: dict[Any, Any] = {}
 
-    def kept(self, what: str, key: Any, make: Callable[[], Any]) -> Any:
-        """What `make` put on the device in the last call with this key, made anew where that was another."""
-        if what not in self._kept or self._kept[what][0] != key:
-            self._kept[what] = key, make()
-        return self._kept[what][1]
+    def kept(self, key: tuple[Any, ...], make: Callable[[], Any]) -> Any:
+        """What `make` gave when it was first asked for with this key."""
+        if key not in self._kept:
+            if len(self._kept) >= KEPT_CALLS:
+                self._kept.clear()
+            self._kept[key] = make()
+        return self._kept[key]
 
     def move_to(self, operator: Operator) -> None:
         """The same state, stepped by another operator."""
@@ -208,7 +217,7 @@ class Msm:
 
     def _hold(self, held: IntArray | Sequence[int]) -> None:
         self.held = np.asarray(held, dtype=np.int64).reshape(-1)
-        self.free = ~held_mask(len(self.rest), self.held)
+        self.free, self._held_rest = ~held_mask(len(self.rest), self.held), self.rest[self.held]
         counts = self._clusters.cluster_counts()
         metric = counts * self.mass
         metric /= self.mass.mean()
@@ -273,7 +282,7 @@ class Msm:
             )
         shape = (-1 if len(self.held) else 1, len(self.held), self.dim)
         held_position = np.asarray(held_position, dtype=np.float64).reshape(shape)
-        held_u = (held_position - self.rest[self.held]) / self.scale
+        held_u = (held_position - self._held_rest) / self.scale
         beta, theta = np.atleast_1d(np.asarray(beta, np.float64)), np.atleast_1d(np.asarray(theta, np.float64))
         if beta.ndim == 2 and self._axes is None and beta.shape[1] != self.cluster_count:
             raise ValueError(f"expected a beta for each of {self.cluster_count} clusters; got {beta.shape[1]}")
@@ -663,32 +672,38 @@ class _Stepping:
         dt: float,
         acceleration: Sequence[float] | None,
     ) -> None:
-        self.state = state
-        layout, operator = state.layout, state.operator
-        size = layout.candidates
+        self.state, self.dt = state, dt
+        operator, size = state.operator, state.layout.candidates
         push = np.zeros(body.dim) if acceleration is None else np.asarray(acceleration) / body.scale
         push = push * dt**2
-
-        def motion(name: str, going_on: float) -> tuple[Any, Any]:
-            key = alpha, going_on, push.tobytes()
-            return state.kept(name, key, lambda: (key, operator.motion(alpha, going_on, push)))
-
-        self.first = motion("first", dt / state.last_dt if state.last_dt else 1.0)
-        self.motion = motion("motion", 1.0)
-        self.dt = dt
-        self.key = beta.shape, beta.tobytes(), theta.tobytes(), volume
-
-        def parameters() -> Parameters:
-            stride = operator.beta_stride if beta.ndim > 1 else 0
-            all_beta = np.broadcast_to(beta, (size, *beta.shape[1:]))
-            values = operator.cluster_values(all_beta) if stride else layout.each(all_beta)
-            return Parameters(values, layout.each(np.broadcast_to(theta, (size,))), stride, volume)
-
-        self.parameters = state.kept("parameters", self.key, parameters)
-        self.places: Any = None
+        self.motion = state.kept((alpha, push.tobytes()), lambda: operator.motion(alpha, 1.0, push))
+        going_on = dt / state.last_dt if state.last_dt else 1.0
+        self.first = self.motion if dt == state.last_dt else operator.motion(alpha, going_on, push)
+        beta = np.array(np.broadcast_to(beta, (size, *beta.shape[1:])))  # the caller's may change
+        theta = np.array(np.broadcast_to(theta, (size,)))
+        self.parameters = self._parameters(beta, theta, volume)
+        held, self.places, now = state.held
         if len(body.held):
-            self.places = state.kept("places", body.held.tobytes(), lambda: self._find(body.held))
-            state.kept("held", (id(self.places), held_u.shape, held_u.tobytes()), lambda: self._hold(held_u))
+            if held is not body.held:
+                self.places, now = self._find(body.held), None
+            if not np.array_equal(now, held_u):
+                self._hold(held_u)
+            state.held = body.held, self.places, held_u
+
+    def _parameters(self, beta: FloatArray, theta: FloatArray, volume: int) -> Parameters:
+        """Those of the last call that are on the device, with the values of this one."""
+        state, operator, layout = self.state, self.state.operator, self.state.layout
+        stride = operator.beta_stride if beta.ndim > 1 else 0
+        values: Any = operator.cluster_values if stride else layout.each
+        found, last = state.kept(
+            (stride, volume),
+            lambda: (Parameters(values(beta), layout.each(theta), stride, volume), {"beta": beta, "theta": theta}),
+        )
+        if not (np.array_equal(last["beta"], beta) and np.array_equal(last["theta"], theta)):
+            found.beta.assign(values(beta))
+            found.theta.assign(layout.each(theta))
+            last.update(beta=beta, theta=theta)
+        return found  # type: ignore[no-any-return]
 
     def _find(self, held: IntArray) -> Field:
         """Where the held particles (h,) of all candidates stand in memory."""
@@ -732,42 +747,40 @@ class _Stepping:
         moves = min(steps, MOVES)
         for move in range(moves):
             self._hold(before + (move + 1) / moves * (after - before))
-            self.state.kept("held", None, lambda: None)
             self.run(steps * (move + 1) // moves - steps * move // moves)
-            self.first = self.motion
+        self.state.held = (*self.state.held[:2], None)
 
     def run(self, steps: int) -> None:
         """The next `steps` steps."""
+        if steps > 0:
+            self.state.last_dt = self.dt
+            self._run(self.first, 1 if self.first is not self.motion else steps)
+            self._run(self.motion, steps - 1 if self.first is not self.motion else 0)
+            self.first = self.motion
+
+    def _run(self, motion: object, steps: int) -> None:
         state, operator = self.state, self.state.operator
-        if steps > 0:
-            state.last_dt = self.dt
-        if operator.threads:
-            for (_, motion), count in ((self.first, min(steps, 1)), (self.motion, max(steps - 1, 0))):
-                if count:
-                    operator.stay_stepping(state.pair, state.swapped, motion, self.parameters, count, state.ran_away)
-                    state.swapped ^= bool(count % 2)
+        if operator.threads and steps:
+            operator.stay_stepping(state.pair, state.swapped, motion, self.parameters, steps, state.ran_away)
+            state.swapped ^= bool(steps % 2)
             return
-        if steps > 0:
-            self._one(self.first)
-        steps -= 1
-        if steps >= 4:
-            graph = state.kept("graph", (self.motion[0], self.key, state.swapped), self._two)
+        if steps > 1:
+            key = id(motion), id(self.parameters), state.swapped
+            graph, *_in_use = state.kept(key, lambda: (self._two(motion), motion, self.parameters))
             for _ in range(steps // 2):
                 wp.capture_launch(graph)
-            steps %= 2
-        for _ in range(steps):
-            self._one(self.motion)
+        if steps % 2:
+            self._one(motion)
 
-    def _two(self) -> Any:
-        """Two steps, recorded."""
+    def _two(self, motion: object) -> Any:
         with wp.ScopedCapture(device=self.state.layout.device) as capture:
-            self._one(self.motion)
-            self._one(self.motion)
+            self._one(motion)
+            self._one(motion)
         return capture.graph
 
-    def _one(self, motion: tuple[Any, Any]) -> None:
+    def _one(self, motion: object) -> None:
         state = self.state
-        state.operator.step(state.u, state.before, motion[1], self.parameters, state.running, state.ran_away)
+        state.operator.step(state.u, state.before, motion, self.parameters, state.running, state.ran_away)
         state.swapped = not state.swapped
 
 
