@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from typing import Any
 
@@ -10,7 +11,7 @@ import warp as wp
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.stages.msm import lattice_kernels as k
-from deformscope.stages.msm.body import Body, BodyRest, Operator, Parameters, RestArrays, rest_struct
+from deformscope.stages.msm.body import Body, BodyRest, Operator, Parameters, RestArrays, rest_struct, upload_rows
 from deformscope.stages.msm.cluster_functions import GOAL, cluster_functions_for
 from deformscope.stages.msm.clusters import FLAT_MOMENT_RATIO, LatticeClusters
 from deformscope.stages.msm.layout import Field, Layout, upload, widths
@@ -184,11 +185,7 @@ class _LatticeArrays:
         site.stride = n + (spare if n > 1 else 0)
         site.step = int(n > 1)
 
-        def rows(each: FloatArray) -> Any:
-            """(n, ...) as rows of n."""
-            flat = each.reshape(n, -1).T
-            return upload(np.pad(flat, ((0, 0), (0, site.stride - n))), scalar, device)
-
+        rows = functools.partial(upload_rows, stride=site.stride, scalar=scalar, device=device)
         site.share = rows(np.divide(1.0, total, out=np.zeros(n), where=total > 0))
         site.mean = rows(mean[:, 3 - axes :])
         site.affine = rows(np.einsum("nij,aj->nia", pinv, edges))
@@ -196,13 +193,8 @@ class _LatticeArrays:
         site.edge_t = upload(edges, scalar, device)
         self.site = site
         null = np.eye(d) - np.einsum("nik,nk,njk->nij", vectors, determined, vectors)
-        self.rest = rest_struct(
-            functions,
-            RestArrays(gram / size[:, None, None], null, span, span_count, root, lift),
-            site.stride,
-            scalar,
-            device,
-        )
+        arrays = RestArrays(gram / size[:, None, None], null, span, span_count, root, lift)
+        self.rest = rest_struct(functions, arrays, site.stride, scalar, device)
         self.Kept, self.Motion = functions.Kept, self.functions.Motion
         spare += body.window[2]  # a window reaches over the last cell, too
         number = np.float64 if scalar is wp.float64 else np.float32
@@ -316,8 +308,8 @@ class LatticeOperator(Operator):
     def cluster_gradient(self, adjoint: Field) -> FloatArray:
         """(B, C): see `Operator.cluster_gradient`."""
         axes = self.dim
-        maps = self._cluster_fields(self.maps, self.dim * (1 + axes))
         body = self.body
+        maps = self.layout.get(self.maps, self.dim * (1 + axes), body.clusters_at)
         weighted = np.zeros((self.layout.candidates, body.count, self.dim))
         weighted[:, body.cell] = self.layout.get(adjoint, self.dim) * body.rest.mass[:, None]
         weighted = weighted.reshape(-1, *body.shape, self.dim)
@@ -325,14 +317,6 @@ class LatticeOperator(Operator):
         sums = [_window_sums(weighted, body.window, each) for each in powers]
         kept = np.concatenate([each[:, body.corner] for each in sums], axis=-1)
         return np.asarray(np.einsum("bcr,bcr->bc", maps, kept))
-
-    def _cluster_fields(self, field: Field, rows: int) -> FloatArray:
-        """(B, C, rows) of a field of clusters."""
-        layout = self.layout
-        host = np.asarray(field.numpy(), dtype=np.float64).reshape(rows, layout.stride)
-        body = host[:, layout.front : layout.front + layout.groups * layout.group]
-        body = body.reshape(rows, layout.groups, -1, layout.abreast)[:, :, self.body.clusters_at, :]
-        return body.transpose(1, 3, 2, 0).reshape(-1, len(self.body.clusters_at), rows)[: layout.candidates]
 
     def stay_stepping(
         self, pair: Field, swapped: bool, motion: object, parameters: Parameters, steps: int, ran_away: Field

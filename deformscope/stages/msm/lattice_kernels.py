@@ -529,47 +529,6 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
         return new
 
     @wp.func
-    def ended(
-        grid: Grid,
-        fields: Fields,
-        motion: Motion,
-        total: vecs.rows,
-        u_in: numbers,
-        offset: int,
-        before_in: numbers,
-        before_offset: int,
-        out: numbers,
-        ran_away: Ints,
-        group: int,
-        at: int,
-        cell: int,
-        count: int,
-    ):
-        """What a particle makes of the sum of its goals: their mean (eq. 3.15), less where it is; 0 if held.
-
-        Stepping, its new position (eq. 3.11).
-        """
-        goal = scale(total, particle_own(fields.pull, cell, grid.abreast))
-        u = load(u_in, offset + at, grid.stride)
-        is_free = particle_own(fields.free, cell, grid.abreast)
-        if motion.stepping == 0:
-            if fields.what == wp.static(GOAL):
-                goal = add(goal, -one, scale(u, is_free))
-            store(out, offset + at, grid.stride, goal, count)
-        else:
-            star = ahead(grid, u, before_in, motion, fields.free, before_offset + at, cell)
-            new = add(star, motion.alpha, add(goal, -one, scale(star, is_free)))
-            length2 = lane()
-            for i in range(wp.static(dim)):
-                length2 += times(row(new, i), row(new, i))
-            if below(length2, far * far) != 0:
-                store(out, before_offset + at, grid.stride, new, count)
-            else:
-                first = group * grid.abreast
-                step = wp.min(grid.abreast - 1, 1)
-                store(out, before_offset + at, grid.stride, hold_back(new, u, ran_away, first, step, count), count)
-
-    @wp.func
     def finish(
         grid: Grid,
         fields: Fields,
@@ -609,9 +568,23 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
                 else:
                     total = add(total, one, load(fields.maps_middle, here, grid.stride))
                     total = add(total, scalar(k) - h, load(fields.maps_middle, here + d * grid.stride, grid.stride))
-        ended(
-            grid, fields, motion, total, u_in, offset, before_in, before_offset, out, ran_away, group, at, cell, count
-        )  # fmt: skip
+        goal = scale(total, particle_own(fields.pull, cell, grid.abreast))
+        u = load(u_in, offset + at, grid.stride)
+        is_free = particle_own(fields.free, cell, grid.abreast)
+        if motion.stepping == 0:
+            if fields.what == wp.static(GOAL):
+                goal = add(goal, -one, scale(u, is_free))
+            store(out, offset + at, grid.stride, goal, count)
+        else:
+            star = ahead(grid, u, before_in, motion, fields.free, before_offset + at, cell)
+            new = add(star, motion.alpha, add(goal, -one, scale(star, is_free)))
+            length2 = lane()
+            for i in range(wp.static(dim)):
+                length2 += times(row(new, i), row(new, i))
+            if below(length2, far * far) == 0:
+                first, step = group * grid.abreast, wp.min(grid.abreast - 1, 1)
+                new = hold_back(new, u, ran_away, first, step, count)
+            store(out, before_offset + at, grid.stride, new, count)
 
     return SimpleNamespace(**locals())
 

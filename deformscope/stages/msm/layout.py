@@ -63,12 +63,13 @@ class Layout:
         body[:, :, self.place, :] = filled.reshape(self.groups, self.abreast, -1, d).transpose(3, 0, 2, 1)
         into.assign(host.reshape(-1))
 
-    def get(self, field: Field, rows: int) -> FloatArray:
-        """The particles of a field, (B, K, rows) float64."""
+    def get(self, field: Field, rows: int, place: IntArray | None = None) -> FloatArray:
+        """The particles of a field, or what is at other places (K,): (B, K, rows) float64."""
+        place = self.place if place is None else place
         host = field.numpy().reshape(rows, self.stride)
         body = host[:, self.front : self.front + self.groups * self.group].reshape(rows, self.groups, -1, self.abreast)
-        found = np.array(body[:, :, self.place].transpose(1, 3, 2, 0), dtype=np.float64, order="C")
-        return found.reshape(-1, len(self.place), rows)[: self.candidates]
+        found = np.array(body[:, :, place].transpose(1, 3, 2, 0), dtype=np.float64, order="C")
+        return found.reshape(-1, len(place), rows)[: self.candidates]
 
     def each(self, values: FloatArray, dtype: type[Any] | None = None) -> Field:
         """One number for each candidate, (B,); the last one is repeated to the end."""

@@ -708,15 +708,9 @@ class _Stepping:
     def _find(self, held: IntArray) -> Field:
         """Where the held particles (h,) of all candidates stand in memory."""
         layout = self.state.layout
-        places = np.concatenate(
-            [
-                layout.front
-                + layout.group * (c // layout.abreast)
-                + layout.place[held] * layout.abreast
-                + c % layout.abreast
-                for c in range(layout.candidates)
-            ]
-        )
+        c = np.arange(layout.candidates)[:, None]
+        places = layout.front + layout.group * (c // layout.abreast) + layout.place[held] * layout.abreast
+        places += c % layout.abreast
         return upload(places, int, layout.device)
 
     def _hold(self, held_u: FloatArray) -> None:
@@ -726,17 +720,9 @@ class _Stepping:
             operator.resident if operator.threads else iteration_kernels_for(operator.dim, layout.scalar, layout.width)
         )
         held_u = np.broadcast_to(held_u, (layout.candidates, *held_u.shape[1:]))
-        wp.launch(
-            kernels.put_at,
-            dim=len(self.places),
-            inputs=[
-                self.places,
-                upload(held_u.reshape(-1, held_u.shape[2]).T, layout.scalar, layout.device),
-                layout.stride,
-            ],
-            outputs=[state.u, state.before],
-            device=layout.device,
-        )
+        values = upload(held_u.reshape(-1, held_u.shape[2]).T, layout.scalar, layout.device)
+        inputs, outputs = [self.places, values, layout.stride], [state.u, state.before]
+        wp.launch(kernels.put_at, len(self.places), inputs, outputs, device=layout.device)
 
     def run_moving(self, steps: int, before: FloatArray, after: FloatArray) -> None:
         """The next `steps` steps, on which the displacements of held particles go from `before` to `after`, (B, h,
