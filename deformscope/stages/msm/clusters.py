@@ -99,10 +99,11 @@ class LatticeClusters(Clusters):
             return spacing(rest)
         near = []
         for axis, along in enumerate(np.moveaxis(rest.reshape(*self.shape, d), -1, 0)):
-            line = np.moveaxis(along, axis, -1)
-            if not (line == line.reshape(-1, self.shape[axis])[0]).all():
+            lines = np.moveaxis(along, axis, -1)
+            first = lines[(0,) * (d - 1)]
+            if not (lines == first).all():
                 return spacing(rest)
-            step = np.diff(np.sort(line.reshape(-1, self.shape[axis])[0]), prepend=-np.inf, append=np.inf)
+            step = np.diff(np.sort(first), prepend=-np.inf, append=np.inf)
             near.append(np.sort(np.sqrt(np.minimum(step[1:], step[:-1]) ** 2)))
         values = np.sort(np.concatenate(near))
         at_least = np.prod([len(each) - np.searchsorted(each, values) for each in near], axis=0)  # particles so far off
@@ -236,16 +237,11 @@ def _fitting(shape: tuple[int, ...], window: tuple[int, ...]) -> tuple[slice, ..
 
 def _window_sums(values: IntArray | BoolArray, window: tuple[int, ...]) -> IntArray:
     """Sums of values (any axes) over windows of this size; each axis is shorter by its width less 1."""
+    sums = values.astype(np.int32)
     for axis, width in enumerate(window):
-        values = _windows_along(values, width, axis)
-    return values
-
-
-def _windows_along(values: IntArray | BoolArray, width: int, axis: int) -> IntArray:
-    total = np.cumsum(values, axis=axis, dtype=np.int32)
-    before = (slice(None),) * axis
-    sums = total[(*before, slice(width - 1, None))].copy()
-    sums[(*before, slice(1, None))] -= total[(*before, slice(None, -width))]
+        total, before = np.cumsum(sums, axis=axis, dtype=np.int32), (slice(None),) * axis
+        sums = total[(*before, slice(width - 1, None))].copy()
+        sums[(*before, slice(1, None))] -= total[(*before, slice(None, -width))]
     return sums
 
 

@@ -114,7 +114,7 @@ class LatticeBody(Body):
         One row stands for all where they are alike, else there is one for each cell (0 where no cluster is).
         """
         if self.alike:
-            mass, chosen = np.full(self.window, self.rest.mass[0]), np.ones((1, 1, 1), dtype=bool)
+            mass, chosen = np.full(self.window, self.rest.mass[0]), np.ones_like(self.corner[:1, :1, :1])
         else:
             mass, chosen = self.at_cells(self.rest.mass).reshape(self.shape), self.corner
         kept = tuple(slice(n) for n in chosen.shape)
@@ -150,7 +150,7 @@ class _LatticeArrays:
     def __init__(self, body: LatticeBody, width: int) -> None:
         d, scalar, device = body.dim, body.scalar, body.device
         wide = set(body.window[3 - d :])
-        small = max(wide) <= k.BOTH_IN or RESIDENT_CELLS < body.count < SLIDE_FROM
+        small = max(wide) <= k.BOTH or RESIDENT_CELLS < body.count < SLIDE_FROM
         self.window = window = max(wide) if width == 1 and len(wide) == 1 and small else 0
         self.kernels = k.lattice_kernels_for(d, scalar, width, window) if width == 1 else None
         self.functions = k.lattice_functions_for(d, scalar, width, window)
@@ -363,9 +363,9 @@ class LatticeOperator(Operator):
 
     def _windows(self, fields: object, motion: object, running: Field, u: Field, before: Field) -> None:
         kk, grid = self.arrays.kernels, self.grid
-        first = grid.items_windows if kk.functions.both_in else grid.items_plane
+        first = grid.items_windows if kk.functions.both else grid.items_plane
         self.launch(kk.windows_fast, first, [grid, fields, motion, running, u, before])
-        if not kk.functions.both_in:
+        if not kk.functions.both:
             self.launch(kk.windows_middle, grid.items_windows, [grid, fields, running])
 
     def _fit(self, kernel: wp.Kernel, fields: object, running: Field, kept: object) -> None:
@@ -378,6 +378,6 @@ class LatticeOperator(Operator):
         kk, grid = self.arrays.kernels, self.grid
         if self.dim == 3:
             self.launch(kk.spread_slow, grid.items_slow, [grid, fields, running])
-        if not kk.functions.both_out:
+        if not kk.functions.both:
             self.launch(kk.spread_middle, grid.items_spread, [grid, fields, running])
         self.launch(kk.finish, grid.items_plane, [grid, fields, motion, running, u, before], [out, ran_away])

@@ -19,8 +19,8 @@ import warp as wp
 from deformscope.stages.msm.cluster_functions import GOAL, cluster_functions_for
 from deformscope.stages.msm.lanes import Ints, lanes_for, module_options, product_for, rows_for
 
-BOTH_IN, BOTH_OUT = 4, 4
-"""Widest windows that a GPU sums up along two axes at once, into clusters and out of them."""
+BOTH = 4
+"""Widest windows that a GPU sums up along two axes at once; of wider ones that takes longer than one more pass."""
 
 FAR = 1e4
 """Spacings beyond which a particle has run away."""
@@ -67,7 +67,7 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
     cluster = cluster_functions_for(dim, dim, scalar, width)
     fit, fit_change = cluster.fit, cluster.fit_change
     one = scalar(1.0)
-    both_in, both_out = 0 < window <= BOTH_IN, 0 < window <= BOTH_OUT
+    both = 0 < window <= BOTH
     number = f"wp::{scalar.__name__}"
     each = f"for (int l = 0; l < {width}; ++l)"
     moved = " + ".join(f"mean.data[{a}][l] * slopes.data[{a * dim} + i][l]" for a in range(axes))
@@ -286,7 +286,7 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
 
         Narrow windows along the middle axis too: see `windows_middle`.
         """
-        if wp.static(both_in):
+        if wp.static(both):
             cell, _steps, count = share_of(grid, item, grid.items_windows, grid.blocks_windows, grid.clusters_1)
             lines = cells_of(grid.window_1)
         else:
@@ -310,7 +310,7 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
                 fast = add(fast, scalar(k) - h, v)
             total = add(total, one, along)
             mid = add(mid, scalar(j) - h_1, along)
-        if wp.static(both_in):
+        if wp.static(both):
             store(fields.sums_middle, at, grid.stride, total, count)
             store(fields.sums_middle, at + d * grid.stride, grid.stride, mid, count)
             store(fields.sums_middle, at + 2 * d * grid.stride, grid.stride, fast, count)
@@ -552,7 +552,7 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
         at = grid.front + group * grid.group + cell
         d = wp.static(dim)
         h_1, h = middle(cells_of(grid.window_1)), middle(cells_of(grid.window_2))
-        if wp.static(both_out):
+        if wp.static(both):
             lines = cells_of(grid.window_1)
         else:
             lines = int(1)
@@ -560,7 +560,7 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
         for j in range(lines):
             for k in range(cells_of(grid.window_2)):
                 here = at - j * grid.line - k * grid.abreast
-                if wp.static(both_out):
+                if wp.static(both):
                     total = add(total, one, load(fields.maps_slow, here, grid.stride))
                     slope = load(fields.maps_slow, here + d * grid.stride, grid.stride)
                     total = add(total, scalar(j) - h_1, slope)
