@@ -76,7 +76,8 @@ def show(rows: Sequence[TimingRow], found: Report, *, compared: bool) -> None:
     """One line a row, in sections by case; on stderr where `--json -` has taken stdout."""
     machine, against = found.machine, [row["against"] for row in found.rows]
     out = Console(file=sys.stdout, highlight=False, width=None if sys.stdout.isatty() else WIDTH)
-    processor = machine["gpu"] or f"{machine['cpu']}, {machine['cores']} cores, load {machine['load']:.1f}"
+    cores = f"{machine['cores']} cores, vectors of {machine['vector_bits']} bits, load {machine['load']:.1f}"
+    processor = machine["gpu"] or f"{machine['cpu']}, {cores}"
     table = Table(title=f"What MSM costs on {machine['device']} ({processor}; warp {machine['warp']})")
     table.add_column("case")
     table.add_column("what", no_wrap=out.width >= WIDTH)
