@@ -358,9 +358,9 @@ class LatticeOperator(Operator):
 
     def _windows(self, fields: object, motion: object, running: Field, u: Field, before: Field) -> None:
         kk, grid = self.arrays.kernels, self.grid
-        first = grid.items_windows if kk.functions.both else grid.items_plane
+        first = grid.items_windows if self.arrays.functions.both else grid.items_plane
         self.launch(kk.windows_fast, first, [grid, fields, motion, running, u, before])
-        if not kk.functions.both:
+        if not self.arrays.functions.both:
             self.launch(kk.windows_middle, grid.items_windows, [grid, fields, running])
 
     def _fit(self, kernel: wp.Kernel, fields: object, running: Field, kept: object) -> None:
@@ -373,6 +373,6 @@ class LatticeOperator(Operator):
         kk, grid = self.arrays.kernels, self.grid
         if self.dim == 3:
             self.launch(kk.spread_slow, grid.items_slow, [grid, fields, running])
-        if not kk.functions.both:
+        if not self.arrays.functions.both:
             self.launch(kk.spread_middle, grid.items_spread, [grid, fields, running])
         self.launch(kk.finish, grid.items_plane, [grid, fields, motion, running, u, before], [out, ran_away])
