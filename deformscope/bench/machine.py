@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import warp as wp
 
+from deformscope.stages.msm.lanes import VECTOR_BITS
 from deformscope.version import __version__
 
 
@@ -19,6 +20,7 @@ def machine(device: str) -> dict[str, object]:
     gpu = None if device == "cpu" else wp.get_device(device)
     return {
         "cpu": _cpu(),
+        "vector_bits": VECTOR_BITS,
         "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
         "load": os.getloadavg()[0] if hasattr(os, "getloadavg") else None,
         "device": device,

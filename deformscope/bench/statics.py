@@ -67,6 +67,8 @@ def _relaxing(engine: Msm, body: BenchBody, what: str, beta: FloatArray | float)
     def facts() -> dict[str, object]:
         (result,) = last
         numbers: dict[str, object] = {"particles": body.particles, "iterations_most": int(result.iterations.max())}
+        if result.smoothed.any():
+            numbers["smoothed_most"] = int(result.smoothed.max())
         return numbers | {"converged": int(result.converged.sum()), "candidates": len(result.converged)}
 
     return Contestant(what, OURS, lambda: clock(run), found=facts)

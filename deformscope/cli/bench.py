@@ -28,6 +28,7 @@ WIDTH = 200
 FACTS: dict[str, Callable[[Any], str]] = {
     "hold_ms": lambda value: f"holding {value:.2g} ms more",
     "iterations_most": lambda value: f"{value} iterations",
+    "smoothed_most": lambda value: f"{value} in the preconditioner",
     "steps": lambda value: f"{value:,} steps".replace(",", " "),
     "beta": lambda value: f"beta {value:.4f}",
     "from_minimum_of_mean_distance": lambda value: f"{value:+.1e} from the least mean distance",
@@ -75,7 +76,8 @@ def show(rows: Sequence[TimingRow], found: Report, *, compared: bool) -> None:
     """One line a row, in sections by case; on stderr where `--json -` has taken stdout."""
     machine, against = found.machine, [row["against"] for row in found.rows]
     out = Console(file=sys.stdout, highlight=False, width=None if sys.stdout.isatty() else WIDTH)
-    processor = machine["gpu"] or f"{machine['cpu']}, {machine['cores']} cores, load {machine['load']:.1f}"
+    cores = f"{machine['cores']} cores, vectors of {machine['vector_bits']} bits, load {machine['load']:.1f}"
+    processor = machine["gpu"] or f"{machine['cpu']}, {cores}"
     table = Table(title=f"What MSM costs on {machine['device']} ({processor}; warp {machine['warp']})")
     table.add_column("case")
     table.add_column("what", no_wrap=out.width >= WIDTH)

@@ -578,6 +578,8 @@ class _YieldFit:
                 iterations=zero.astype(np.int64),
                 converged=settled,
                 diverged=~settled,
+                smoothed=zero.astype(np.int64),
+                unaided=np.zeros(len(held), dtype=bool),
             )
 
         response = part.response(tuple(best.at), simulated[row], relax)

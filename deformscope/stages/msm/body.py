@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from types import SimpleNamespace
@@ -58,14 +59,18 @@ class RestArrays:
     lift: FloatArray
 
 
+def upload_rows(each: FloatArray, stride: int, scalar: Any, device: str) -> Field:
+    """(n, ...) as rows of n on a device, `stride` numbers apart."""
+    flat = each.reshape(len(each), -1).T
+    return upload(np.pad(flat, ((0, 0), (0, stride - len(each)))), scalar, device)
+
+
 def rest_struct(functions: SimpleNamespace, arrays: RestArrays, stride: int, scalar: Any, device: str) -> Any:
     """Rest data as `cluster_functions` reads it, rows `stride` numbers apart."""
     rest = functions.FitRest()
     n, d = arrays.a_qq.shape[:2]
 
-    def rows(each: FloatArray) -> Any:
-        return upload(np.pad(each.reshape(n, -1).T, ((0, 0), (0, stride - n))), scalar, device)
-
+    rows = functools.partial(upload_rows, stride=stride, scalar=scalar, device=device)
     rest.a_qq = rows(arrays.a_qq[:, *np.triu_indices(d)])
     rest.has_null = int(np.abs(arrays.null).max(initial=0.0) > 1e-12)
     rest.null_t = rows(arrays.null.transpose(0, 2, 1)) if rest.has_null else upload(np.zeros(1), scalar, device)
@@ -188,6 +193,7 @@ class Body(ABC):
         self.dim, self.device = dim, device
         self.scalar: Any = scalar
         self._arrays: dict[int, Any] = {}
+        self.coarse: list[Any] = []  # levels of its preconditioner, once one was asked for
 
     def arrays(self, width: int) -> Any:
         """Rest data for lanes of one width."""

@@ -12,6 +12,7 @@ import warp as wp
 
 from deformscope.stages.msm.functions import functions_for
 from deformscope.stages.msm.lanes import Ints, lanes_for, product_for, rows_for
+from deformscope.stages.msm.members import members
 from deformscope.stages.msm.reference import NO_ROTATION
 
 GOAL, BY_BETA, BY_THETA = 0, 1, 2
@@ -426,4 +427,8 @@ def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Simp
             affine_t = conserve_change(rest, cluster, step, before, affine_t, theta, volume)
         return mixed(affine_t, beta, change, lane(one) - beta)
 
-    return SimpleNamespace(**locals())
+    return members(
+        *(FitRest, Kept, fit, fit_change, turn, turned_part, compliance_part, mixed, conserve, conserve_change),
+        *(square_part,),
+        turn_change=turn_change,
+    )

@@ -54,6 +54,10 @@ class Clusters:
         """N_i of Thesis eq. 3.15: how many clusters each particle belongs to, (K,)."""
         return np.bincount(self.members, minlength=self.particle_count)
 
+    def spacing(self, rest: FloatArray) -> float:
+        """`spacing` of the particles (K, d)."""
+        return spacing(rest)
+
 
 class LatticeClusters(Clusters):
     """Clusters that are windows of a lattice, kept as such: their index lists are made only when asked for.
@@ -79,9 +83,32 @@ class LatticeClusters(Clusters):
     def count(self) -> int:
         return int(np.count_nonzero(self.corner))
 
+    @cached_property
+    def in_order(self) -> bool:
+        """Whether the lattice is full, and its cells are the particles one after another."""
+        return len(self.cell) == self.corner.size and np.array_equal(self.cell, np.arange(len(self.cell)))
+
     def cluster_counts(self) -> IntArray:
         """(K,) the number of clusters that each particle is in."""
         return _covering(self.corner, self.window).reshape(-1)[self.cell]
+
+    def spacing(self, rest: FloatArray) -> float:
+        """`spacing` of the particles (K, d), without a search where they stand along the axes of a full lattice."""
+        count, d = rest.shape
+        if len(self.shape) != d or not self.in_order:
+            return spacing(rest)
+        near = []
+        for axis, along in enumerate(np.moveaxis(rest.reshape(*self.shape, d), -1, 0)):
+            lines = np.moveaxis(along, axis, -1)
+            first = lines[(0,) * (d - 1)]
+            if not (lines == first).all():
+                return spacing(rest)
+            step = np.diff(np.sort(first), prepend=-np.inf, append=np.inf)
+            near.append(np.sort(np.sqrt(np.minimum(step[1:], step[:-1]) ** 2)))
+        values = np.sort(np.concatenate(near))
+        at_least = np.prod([len(each) - np.searchsorted(each, values) for each in near], axis=0)  # particles so far off
+        middle = [values[np.count_nonzero(at_least >= count - rank) - 1] for rank in ((count - 1) // 2, count // 2)]
+        return float(np.mean(middle))
 
 
 def single(particle_count: int) -> Clusters:
@@ -101,15 +128,18 @@ def lattice(rest: FloatArray, shape: Sequence[int], cell: IntArray, size: int) -
     if size < 2:
         raise InputError("a cluster size of at least 2 particles a side", str(size))
     window = tuple(min(size, n) for n in dims)
+    corner = np.zeros(dims, dtype=bool)
+    if len(cell) == corner.size:
+        corner[_fitting(dims, window)] = True
+        return LatticeClusters(dims, np.asarray(cell), window, corner)
     particle_at = _particle_at(dims, cell)
-    present = _window_sums((particle_at >= 0).astype(np.int64), window)
+    present = _window_sums(particle_at >= 0, window)
     fits = present == int(np.prod(window))
     directions = min(sum(n > 1 for n in dims), rest.shape[1])
     view = _windows(particle_at, window)
     for place in np.argwhere(~fits & (present > directions)):
         some = view[tuple(place)].reshape(-1)
         fits[tuple(place)] = rank(rest[some[some >= 0]]) >= directions
-    corner = np.zeros(dims, dtype=bool)
     corner[_fitting(dims, window)] = fits
     found = LatticeClusters(dims, np.asarray(cell), window, corner)
     alone = np.flatnonzero(found.cluster_counts() == 0)
@@ -205,24 +235,20 @@ def _fitting(shape: tuple[int, ...], window: tuple[int, ...]) -> tuple[slice, ..
     return tuple(slice(n - w + 1) for n, w in zip(shape, window, strict=True))
 
 
-def _window_sums(values: IntArray, window: tuple[int, ...]) -> IntArray:
+def _window_sums(values: IntArray | BoolArray, window: tuple[int, ...]) -> IntArray:
     """Sums of values (any axes) over windows of this size; each axis is shorter by its width less 1."""
+    sums = values.astype(np.int32)
     for axis, width in enumerate(window):
-        values = _windows_along(values, width, axis)
-    return values
-
-
-def _windows_along(values: IntArray, width: int, axis: int) -> IntArray:
-    total = np.cumsum(values, axis=axis)
-    total = np.insert(total, 0, 0, axis=axis)
-    count = values.shape[axis] - width + 1
-    return np.take(total, np.arange(width, width + count), axis) - np.take(total, np.arange(count), axis)
+        total, before = np.cumsum(sums, axis=axis, dtype=np.int32), (slice(None),) * axis
+        sums = total[(*before, slice(width - 1, None))].copy()
+        sums[(*before, slice(1, None))] -= total[(*before, slice(None, -width))]
+    return sums
 
 
 def _covering(corner: BoolArray, window: tuple[int, ...]) -> IntArray:
     """How many clusters each cell is in, an array of the shape of `corner` (one or more axes), a mask of the clusters'
     first cells."""
-    padded = np.pad(corner.astype(np.int64), [(w - 1, 0) for w in window])
+    padded = np.pad(corner, [(w - 1, 0) for w in window])
     return _window_sums(padded, window)
 
 

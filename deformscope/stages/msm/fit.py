@@ -77,11 +77,50 @@ def fit_beta(
     u[body.held] = (held_position - body.rest[body.held]) / body.scale
     method.put(u[None])
     spread = STATE_TOLERANCE * body.extent / body.scale
+    share = TOLERANCE[body.precision] * body.extent / body.scale
+    limit = 40 * len(body.rest) + 4000
+    if method.threads:
+        method.set(np.array([start]), np.zeros(1))
+        beta, evaluations, settled, found = method.follow(
+            target,
+            seen,
+            most=max_evaluations,
+            limit=limit,
+            start=start,
+            largest=LARGEST,
+            tolerance=tolerance,
+            spread=spread,
+            share=share,
+            relative=DERIVATIVE_TOLERANCE,
+        )
+    else:
+        beta, evaluations, settled = _followed(
+            method, body, target, seen, start=start, tolerance=tolerance, most=max_evaluations
+        )
+        method.set(np.array([beta]), np.zeros(1))
+        found = bool(method.relax(None, share, limit).state[0] == CONVERGED)
+    position = body.rest + method.layout.get(method.u, body.dim)[0] * body.scale
+    distance = np.linalg.norm(position[seen] - observed[seen], axis=1)
+    return Fit(beta, position, float(distance.mean()), evaluations, settled and found)
+
+
+def _followed(
+    method: Newton,
+    body: Msm,
+    target: FloatArray,
+    seen: BoolArray,
+    *,
+    start: float,
+    tolerance: float,
+    most: int,
+) -> tuple[float, int, bool]:
+    """The search of `fit_beta` where no kernel does it in one launch: beta, evaluations, whether it settled."""
+    spread = STATE_TOLERANCE * body.extent / body.scale
     low, high = 0.0, LARGEST
     before: tuple[float, float] | None = None
     beta, evaluations = start, 0
     settled = False
-    while evaluations < max_evaluations and not settled:
+    while evaluations < most and not settled:
         slope, curvature, moved = _downhill(method, body, beta, target, seen, spread)
         evaluations += 1
         low, high = (max(low, beta), high) if slope < 0.0 else (low, min(high, beta))
@@ -95,13 +134,7 @@ def fit_beta(
         before = (beta, slope)
         method.layout.put((method.layout.get(method.u, body.dim) + moved * (new - beta)), method.u)
         beta = new
-    method.set(np.array([beta]), np.zeros(1))
-    share = TOLERANCE[body.precision] * body.extent / body.scale
-    ended = method.relax(None, share, 40 * len(body.rest) + 4000)
-    position = body.rest + method.layout.get(method.u, body.dim)[0] * body.scale
-    distance = np.linalg.norm(position[seen] - observed[seen], axis=1)
-    found = settled and bool(ended.state[0] == CONVERGED)
-    return Fit(beta, position, float(distance.mean()), evaluations, found)
+    return beta, evaluations, settled
 
 
 def _downhill(

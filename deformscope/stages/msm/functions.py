@@ -6,6 +6,7 @@ from typing import Any
 
 import warp as wp
 
+from deformscope.stages.msm.members import members
 from deformscope.stages.msm.reference import MIN_DENOMINATOR, NO_ROTATION
 
 
@@ -483,4 +484,10 @@ def functions_for(dim: int, scalar: Any) -> SimpleNamespace:
                 x[2, 2] = stretch[2] * (z20 - z12)
         return u * x * wp.transpose(v) - change
 
-    return SimpleNamespace(**locals())
+    return members(
+        *(volume_denominator, denominator_change, singular_values, project, project_change),
+        turn=turn,
+        turn_change=turn_change,
+        vec=vec,
+        square=square,
+    )

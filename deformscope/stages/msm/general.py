@@ -1,7 +1,11 @@
-"""Clusters as index lists on a device: their rest data, and the launches that make goals of displacements."""
+"""Clusters as index lists on a device: their rest data, and the launches that make goals of displacements.
+
+With a beta along each axis or with S^p they have a material: see `materials`.
+"""
 
 from __future__ import annotations
 
+import functools
 from typing import Any
 
 import numpy as np
@@ -14,13 +18,25 @@ from deformscope.stages.msm.body import Body, BodyRest, Operator, Parameters, Re
 from deformscope.stages.msm.cluster_functions import GOAL, cluster_functions_for
 from deformscope.stages.msm.clusters import Clusters
 from deformscope.stages.msm.layout import Field, Layout, upload, widths
+from deformscope.stages.msm.materials import axis_weights
 from deformscope.stages.msm.reference import Basis
 
 
 class GeneralBody(Body):
-    """A body of any clusters and basis."""
+    """A body of any clusters and basis, whose candidates may have a beta along each of `axes` (d, d), or yield."""
 
-    def __init__(self, rest: BodyRest, clusters: Clusters, basis: Basis, scalar: type[Any], device: str) -> None:
+    def __init__(
+        self,
+        rest: BodyRest,
+        clusters: Clusters,
+        basis: Basis,
+        scalar: type[Any],
+        device: str,
+        *,
+        axes: FloatArray | None = None,
+        plastic: bool = False,
+    ) -> None:
+        self.axes, self.plastic = axes, plastic
         d = rest.position.shape[1]
         super().__init__(d, scalar, device)
         self.terms = d if basis == "linear" else {2: 5, 3: 9}[d]
@@ -77,6 +93,31 @@ class GeneralBody(Body):
     def _make_arrays(self, width: int) -> GeneralArrays:
         return GeneralArrays(self, width)
 
+    def weights(self, beta: FloatArray) -> FloatArray:
+        """(B, C, 2, d, d) W over its trace, and C, of every cluster for betas (B, d) or (B, C, d): see `materials`."""
+        if beta.ndim == 3:  # of each cluster: few of them differ
+            distinct, kind = np.unique(beta.reshape(-1, self.dim), axis=0, return_inverse=True)
+            return np.asarray(self.weights(distinct)[kind.reshape(beta.shape[:2]), np.arange(self.cluster_count)])
+        arrays, d = self.rest_arrays, self.dim
+        assert self.axes is not None
+        found = np.zeros((len(beta), self.cluster_count, 2, d, d))
+        for count in np.unique(arrays.span_count):
+            some = np.flatnonzero(arrays.span_count == count)
+            if count == 0:
+                found[:, some, 0] = np.eye(d) / d
+                continue
+            # most clusters of a lattice are alike
+            kinds = np.concatenate([arrays.a_qq[some], arrays.span[some]], axis=-1).reshape(len(some), -1)
+            _, first, kind = np.unique(np.round(kinds, 12), axis=0, return_index=True, return_inverse=True)
+            chosen = some[first]
+            gram = arrays.a_qq[chosen]
+            w, c = axis_weights(gram, arrays.span[chosen][:, :, :count], beta, self.axes)
+            trace = np.trace(w, axis1=-2, axis2=-1)[..., None, None]
+            # where nothing resists any rotation is as good: that of the moments
+            w = np.where(trace > 0.0, w / np.where(trace > 0.0, trace, 1.0), gram)
+            found[:, some] = np.stack([w, c], axis=2)[:, kind.reshape(-1)]
+        return found
+
     def lists(self, struct: object) -> Any:
         for name, value in self._lists.items():
             setattr(struct, name, value)
@@ -87,7 +128,8 @@ class GeneralArrays:
     """Rest data on the device, for lanes of one width."""
 
     def __init__(self, body: GeneralBody, width: int) -> None:
-        self.kernels = k.general_kernels_for(body.dim, body.terms, body.scalar, width)
+        material = body.plastic or body.axes is not None
+        self.kernels = k.general_kernels_for(body.dim, body.terms, body.scalar, width, material)
         functions = cluster_functions_for(body.dim, body.terms, body.scalar, width)
         self.rest = rest_struct(functions, body.rest_arrays, body.cluster_count, body.scalar, body.device)
         self.Kept, self.Motion = functions.Kept, self.kernels.Motion
@@ -99,7 +141,7 @@ class GeneralArrays:
 
 
 class GeneralOperator(Operator):
-    """Goals of clusters given as lists."""
+    """Goals of clusters given as lists, with S^p of those that yield."""
 
     def __init__(self, body: GeneralBody, layout: Layout, arrays: GeneralArrays) -> None:
         clusters = body.cluster_count
@@ -110,7 +152,8 @@ class GeneralOperator(Operator):
         self.lists = lists
         self.beta_stride = clusters * layout.abreast
         self.maps = self.cluster_field(self.dim + self.dim * body.terms)
-        self.material: Any = 0
+        self.strain = self.cluster_field(body.dim**2 if body.plastic else 1)
+        self.law: Any = None
         self._star = layout.field(self.dim)
 
     def residual(
@@ -136,11 +179,54 @@ class GeneralOperator(Operator):
         )
         self._fit(self.arrays.kernels.fit_clusters, self._star, parameters, running, self.unkept(), GOAL)
         self._finish(u, self._star, motion, running, before, ran_away)
+        if self.law is not None:  # S^p flows by the fits that the goals were made of
+            self.flow(self._star, stop=False)
 
     def cluster_values(self, values: FloatArray) -> Field:
-        """(B, C) one value for each cluster, as the kernels read them."""
+        """A beta for each cluster (B, C) as the kernels read them; along each axis (B, C or 1, d): W and C."""
+        layout, d = self.layout, self.dim
+        if self.body.axes is None:
+            return upload(self.by_group(values).transpose(0, 2, 1), layout.scalar, layout.device, 2 * layout.width)
+        betas = values[:, 0] if values.shape[1] == 1 else values
+        return self._pack(self.body.weights(betas).reshape(len(values), -1, 2 * d * d))
+
+    def put_plastic(self, plastic: FloatArray) -> None:
+        """S^p (B, C, d, d)."""
+        d = self.dim
+        self.strain.assign(self._pack((plastic - np.eye(d)).reshape(*plastic.shape[:2], d * d)))
+
+    def plastic(self) -> FloatArray:
+        """S^p (B, C, d, d)."""
+        d = self.dim
+        return self._cluster_fields(self.strain, d * d).reshape(-1, self.body.cluster_count, d, d) + np.eye(d)
+
+    def set_law(self, yield_strain: FloatArray, share: FloatArray, maximum: FloatArray) -> None:
+        """What `flow` goes by, (B,) each; share: of S - I that flows at once."""
+        self.law = [self.layout.each(each) for each in (yield_strain, share, maximum)]
+
+    @functools.cached_property
+    def _flowed(self) -> tuple[Field, Field, Field]:
+        every_group = wp.full(self.layout.groups, 1, dtype=int, device=self.layout.device)
+        return self.cluster_field(1), self.cluster_field(1), every_group
+
+    def flow(self, u: Field, *, stop: bool) -> None:
+        """S^p flows by the fits at displacements u."""
+        moved, size, every_group = self._flowed
+        inputs = [self.lists, self.arrays.rest, u, *self.law, int(stop), every_group]
+        self.launch(self.arrays.kernels.flow, self.body.cluster_count, inputs, [self.strain, moved, size])
+
+    def flowed(self) -> tuple[FloatArray, FloatArray]:
+        """Of the last flow, (B, C) each: the largest change of an entry of S^p, and |S - I|_2 before it."""
+        moved, size = (self._cluster_fields(each, 1)[..., 0] for each in self._flowed[:2])
+        return moved, size
+
+    def _pack(self, values: FloatArray) -> Field:
+        """(B, C, rows) as fields of clusters are laid out; the last candidate fills what is left of its group."""
         layout = self.layout
-        return upload(self.by_group(values).transpose(0, 2, 1), layout.scalar, layout.device, 2 * layout.width)
+        rows = self.by_group(values).transpose(3, 0, 2, 1)
+        host = np.zeros((values.shape[2], self.cluster_stride))
+        host[:, : self.cluster_stride - layout.width] = rows.reshape(values.shape[2], -1)
+        return upload(host, layout.scalar, layout.device)
 
     def cluster_gradient(self, adjoint: Field) -> FloatArray:
         """(B, C): see `Operator.cluster_gradient`."""
@@ -167,15 +253,12 @@ class GeneralOperator(Operator):
     def _fit(
         self, kernel: wp.Kernel, u: Field, parameters: Parameters, running: Field, kept: object, what: int
     ) -> None:
-        self.launch(
-            kernel,
-            self.body.cluster_count,
-            [
-                *(self.lists, self.arrays.rest, kept, self.material, u, parameters.beta, parameters.beta_stride),
-                *(parameters.theta, parameters.volume, what, running),
-            ],
-            [self.maps],
-        )
+        given = self.arrays.kernels.Given()
+        given.beta, given.theta, given.beta_stride = parameters.beta, parameters.theta, parameters.beta_stride
+        given.volume, given.what, given.strain = parameters.volume, what, self.strain
+        given.plastic, given.axes = int(self.body.plastic), int(self.body.axes is not None)
+        inputs = [self.lists, self.arrays.rest, kept, given, u, running]
+        self.launch(kernel, self.body.cluster_count, inputs, [self.maps])
 
     def _finish(self, u: Field, star: Field, motion: object, running: Field, out: Field, ran_away: Field) -> None:
         self.launch(

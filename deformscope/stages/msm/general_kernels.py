@@ -1,4 +1,7 @@
-"""Warp kernels of clusters given as index lists, for points without a lattice; candidates abreast in the lanes."""
+"""Warp kernels of clusters given as index lists, for points without a lattice; candidates abreast in the lanes.
+
+With a material (`materials`) clusters have a beta along each axis, or a plastic deformation S^p that flows.
+"""
 
 import functools
 from types import SimpleNamespace
@@ -6,29 +9,28 @@ from typing import Any
 
 import warp as wp
 
-from deformscope.stages.msm.cluster_functions import GOAL, cluster_functions_for
-from deformscope.stages.msm.lanes import Ints, Sized, lanes_for, module_options, rows_for
+from deformscope.stages.msm.cluster_functions import BY_BETA, BY_THETA, GOAL, NONE, cluster_functions_for
+from deformscope.stages.msm.functions import functions_for
+from deformscope.stages.msm.lanes import Ints, Sized, lanes_for, product_for, rows_for
 from deformscope.stages.msm.lattice_kernels import FAR, motion_for
+from deformscope.stages.msm.materials import LEAST_FACTOR
+from deformscope.stages.msm.members import kernel_in, members
+
+HALVINGS = 60
+"""Of the share that has to flow, down to rounding."""
+
+SHRINKS = 60
+"""Steps of S^p toward its bound; each leaves at most about a tenth of the distance."""
 
 
 @functools.cache
-def general_kernels_for(dim: int, terms: int, scalar: Any, width: int) -> SimpleNamespace:
-    """The kernels for `dim` = 2 or 3, `terms` = 2, 3 (linear) or 5, 9 (quadratic), and lanes of `width`."""
+def gathering_functions_for(dim: int, terms: int, scalar: Any, width: int) -> SimpleNamespace:
+    """The functions that gather the moments of a cluster and spread its goal map; arguments as `general_kernels_for`
+    has them."""
     numbers = wp.array(dtype=scalar)
-    module = f"deformscope_general_{dim}d_{terms}_{scalar.__name__}_{width}"
-    wp.get_module(module).options.update(module_options(scalar))
-    kernel = functools.partial(wp.kernel, module=module, enable_backward=False)
-    Motion = motion_for(scalar)
-    lanes = lanes_for(width, scalar)
-    lane, own, times, below = lanes.lane, lanes.own, lanes.times, lanes.below
     vecs, squares = rows_for(dim, width, scalar), rows_for(dim * dim, width, scalar)
     transforms = rows_for(dim * terms, width, scalar)
-    load, store, add, scale, row = vecs.load, vecs.store, vecs.add, vecs.scale, vecs.row
-    store_transform = transforms.store
-    cluster = cluster_functions_for(dim, terms, scalar, width)
-    fit, fit_change = cluster.fit, cluster.fit_change
     one = scalar(1.0)
-    far = scalar(FAR)
     number = f"wp::{scalar.__name__}"
 
     @wp.struct
@@ -52,6 +54,23 @@ def general_kernels_for(dim: int, terms: int, scalar: Any, width: int) -> Simple
         row_offsets: Ints
         row_clusters: Ints
         row_basis: numbers  # q~, `terms` an entry
+
+    @wp.struct
+    class Given:
+        """Parameters of the candidates, and what clusters have beyond a fit. plastic, axes: 0 or 1.
+
+        strain: S^p - I by rows, laid out as fields of clusters are; with axes, `beta` holds W and C alike
+        what: GOAL, BY_BETA or BY_THETA; beta_stride: see `body.Parameters`
+        """
+
+        beta: numbers
+        beta_stride: int
+        theta: numbers
+        volume: int
+        what: int
+        plastic: int
+        axes: int
+        strain: numbers
 
     def outer(name: str, count: int, rows: Any) -> Any:
         """The function m + w outer v for the `count` weights w of one member."""
@@ -79,6 +98,117 @@ def general_kernels_for(dim: int, terms: int, scalar: Any, width: int) -> Simple
         """m plus what a cluster's map (kept at `at` of `a`) makes of the basis of one of its particles."""
 
     @wp.func
+    def gathered(lists: Lists, group: int, c: int, u_in: numbers):
+        """A cluster's mean displacement, A~ - [I, 0] and A_pq - A_qq (both transposed)."""
+        centre = vecs.rows()
+        base = group * lists.particles * lists.abreast
+        for slot in range(lists.offsets[c], lists.offsets[c + 1]):
+            at = base + lists.members[slot] * lists.abreast
+            centre = vecs.add(centre, lists.share[slot], vecs.load(u_in, at, lists.particle_stride))
+        affine_t = transforms.rows()
+        change_t = squares.rows()
+        for slot in range(lists.offsets[c], lists.offsets[c + 1]):
+            at = base + lists.members[slot] * lists.abreast
+            away = vecs.add(vecs.load(u_in, at, lists.particle_stride), -one, centre)
+            affine_t = add_weighted(affine_t, lists.weight, slot, away)
+            change_t = add_moment(change_t, lists.moment, slot, away)
+        return centre, affine_t, change_t
+
+    return members(Lists, Given, gathered, add_map)
+
+
+@functools.cache
+def material_functions_for(dim: int, terms: int, scalar: Any, width: int) -> SimpleNamespace:
+    """Small matrices of lanes for `materials`. t, x, c are transposed as in `cluster_functions`; s, w and m are not."""
+    squares = rows_for(dim * dim, width, scalar)
+    moments = rows_for(dim * (dim + 1) // 2, width, scalar)
+    transforms = rows_for(terms * dim, width, scalar)
+    sized = Sized(f"material_{dim}x{terms}x{width}")
+    number = f"wp::{scalar.__name__}"
+    entries = f"for (int i = 0; i < {dim}; ++i) for (int j = 0; j < {dim}; ++j) for (int l = 0; l < {width}; ++l)"
+    along = range(dim)
+    squares_c = f"wp::mat_t<{dim * dim}, {width}, {number}>"
+    transforms_c = f"wp::mat_t<{terms * dim}, {width}, {number}>"
+    moments_c = f"wp::mat_t<{dim * (dim + 1) // 2}, {width}, {number}>"
+
+    @sized.func_native(
+        f"{moments_c} r; int k = 0; for (int i = 0; i < {dim}; ++i) for (int j = i; j < {dim}; ++j, ++k)"
+        f" for (int l = 0; l < {width}; ++l) r.data[k][l] = w.data[i * {dim} + j][l]; return r;"
+    )
+    def upper(w: squares.rows) -> moments.rows: ...
+
+    @sized.func_native(
+        f"{squares_c} r; int k = 0; for (int i = 0; i < {dim}; ++i) for (int j = i; j < {dim}; ++j, ++k)"
+        f" for (int l = 0; l < {width}; ++l) r.data[i * {dim} + j][l] = r.data[j * {dim} + i][l] = a.data[k][l];"
+        " return r;"
+    )
+    def full(a: moments.rows) -> squares.rows: ...
+
+    terms_xw = " + ".join(f"x.data[{k * dim} + i][l] * w.data[{k * dim} + j][l]" for k in along)
+
+    @sized.func_native(f"{squares_c} r; {entries} r.data[j * {dim} + i][l] = {terms_xw}; return r;")
+    def weighted(x: transforms.rows, w: squares.rows) -> squares.rows:
+        """X W, for the linear part X."""
+
+    terms_cs = " + ".join(
+        f"(a.data[i * {dim} + {k}][l] + c.data[{k * dim} + i][l]) * s.data[j * {dim} + {k}][l]" for k in along
+    )
+
+    @sized.func_native(
+        f"{squares_c} r; {entries} r.data[j * {dim} + i][l] = c.data[j * {dim} + i][l] + ({terms_cs}); return r;"
+    )
+    def with_plastic(c: squares.rows, a: squares.rows, s: squares.rows) -> squares.rows:
+        """(a + C) (I + s)^T - a: the moments over rest vectors that have yielded by s."""
+
+    terms_ts = " + ".join(f"t.data[{k * dim} + i][l] * s.data[{k * dim} + j][l]" for k in along)
+
+    @sized.func_native(
+        f"{squares_c} r; {entries} r.data[j * {dim} + i][l] = t.data[j * {dim} + i][l]"
+        f" + first * s.data[i * {dim} + j][l] + ({terms_ts}); return r;"
+    )
+    def on_plastic(t: squares.rows, s: squares.rows, first: scalar) -> squares.rows:
+        """(I + T) (I + s) - I; with first = 0 its change with T."""
+
+    terms_xc = " + ".join(
+        f"(x.data[{k * dim} + i][l] - t.data[{k * dim} + i][l]) * m.data[{k * dim} + j][l]" for k in along
+    )
+
+    @sized.func_native(
+        f"{transforms_c} r = x; {entries} r.data[j * {dim} + i][l] = t.data[j * {dim} + i][l] + ({terms_xc}); return r;"
+    )
+    def blended(x: transforms.rows, t: squares.rows, m: squares.rows) -> transforms.rows:
+        """T + (X - T) C."""
+
+    return members(
+        upper=upper, full=full, weighted=weighted, with_plastic=with_plastic, on_plastic=on_plastic, blended=blended
+    )
+
+
+@functools.cache
+def general_kernels_for(dim: int, terms: int, scalar: Any, width: int, material: bool = False) -> SimpleNamespace:
+    """The kernels for `dim` = 2 or 3, `terms` = 2, 3 (linear) or 5, 9 (quadratic), and lanes of `width`.
+
+    material: for clusters that have one, with `flow`
+    """
+    numbers = wp.array(dtype=scalar)
+    tag = f"{dim}d_{terms}_{scalar.__name__}_{width}"
+    kernel = kernel_in(f"{'material' if material else 'general'}_{tag}", scalar)
+    Motion = motion_for(scalar)
+    lanes = lanes_for(width, scalar)
+    lane, own, times, below = lanes.lane, lanes.own, lanes.times, lanes.below
+    vecs, squares = rows_for(dim, width, scalar), rows_for(dim * dim, width, scalar)
+    moments, transforms = rows_for(dim * (dim + 1) // 2, width, scalar), rows_for(dim * terms, width, scalar)
+    compliances = rows_for(6 if dim == 3 else 1, width, scalar)
+    load, store, add, scale, row = vecs.load, vecs.store, vecs.add, vecs.scale, vecs.row
+    times_null = product_for(terms, dim, dim, width, scalar)
+    cluster = cluster_functions_for(dim, terms, scalar, width)
+    gathering = gathering_functions_for(dim, terms, scalar, width)
+    gathered, add_map, Lists, Given = gathering.gathered, gathering.add_map, gathering.Lists, gathering.Given
+    of = material_functions_for(dim, terms, scalar, width)
+    zero, one = scalar(0.0), scalar(1.0)
+    far = scalar(FAR)
+
+    @wp.func
     def parameter(lists: Lists, values: numbers, stride: int, group: int, cluster_index: int):
         """A candidate's parameter, or (stride > 0) that of each cluster."""
         if stride > 0:
@@ -86,90 +216,123 @@ def general_kernels_for(dim: int, terms: int, scalar: Any, width: int) -> Simple
         return own(values, group * lists.abreast, 1)
 
     @wp.func
-    def gathered(lists: Lists, group: int, c: int, u_in: numbers):
-        """A cluster's mean displacement, A~ - [I, 0] and A_pq - A_qq (both transposed)."""
-        centre = vecs.rows()
-        base = group * lists.particles * lists.abreast
-        for slot in range(lists.offsets[c], lists.offsets[c + 1]):
-            at = base + lists.members[slot] * lists.abreast
-            centre = add(centre, lists.share[slot], load(u_in, at, lists.particle_stride))
-        affine_t = transforms.rows()
-        change_t = squares.rows()
-        for slot in range(lists.offsets[c], lists.offsets[c + 1]):
-            at = base + lists.members[slot] * lists.abreast
-            away = add(load(u_in, at, lists.particle_stride), -one, centre)
-            affine_t = add_weighted(affine_t, lists.weight, slot, away)
-            change_t = add_moment(change_t, lists.moment, slot, away)
-        return centre, affine_t, change_t
+    def null_of(rest: cluster.FitRest, c: int, affine_t: transforms.rows, target: squares.rows):
+        """The fit, whose terms that the cluster leaves undetermined follow what it is pulled to."""
+        null_t = transforms.own(rest.null_t, c, rest.stride, 0)
+        return transforms.add(affine_t, one, times_null(null_t, target))
 
-    def fit_of_cluster(changing: bool, name: str) -> Any:
-        """The function `fit` of one of the clusters, or `changing` its derivative; without a material of its own."""
+    @wp.func
+    def fit_in(
+        lists: Lists, rest: cluster.FitRest, kept: cluster.Kept, given: Given, u_in: numbers, group: int, c: int
+    ):
+        """A cluster's mean displacement and its goal map, as `cluster_functions.fit`; with a material toward R S^p and
+        with C in place of beta."""
+        centre, affine_t, change_t = gathered(lists, group, c, u_in)
+        at = (group * lists.clusters + c) * lists.abreast
+        volume = given.volume
+        what = given.what
+        theta = parameter(lists, given.theta, 0, group, c)
+        if wp.static(not material):
+            beta = parameter(lists, given.beta, given.beta_stride, group, c)
+            return centre, cluster.fit(
+                rest, c, 0, kept, at, wp.static(width), affine_t, change_t, beta, theta, volume, what
+            )
+        else:  # noqa: RET505 (a static `if` compiles one of the two)
+            stride = lists.cluster_stride
+            a_qq = moments.own(rest.a_qq, c, rest.stride, 0)
+            if given.axes != 0:
+                w = squares.load(given.beta, at, stride)
+                a_qq = of.upper(w)
+                change_t = of.weighted(affine_t, w)
+            s = squares.rows()
+            if given.plastic != 0:
+                s = squares.load(given.strain, at, stride)
+                change_t = of.with_plastic(change_t, of.full(a_qq), s)
+            turns = cluster.turn(a_qq, change_t)
+            turned = cluster.turned_part(turns)
+            target = turned
+            if given.plastic != 0:
+                target = of.on_plastic(turned, s, one)
+            if rest.has_null != 0:
+                affine_t = null_of(rest, c, affine_t, target)
+            if kept.stride > 0:
+                squares.store(kept.turned, at, kept.stride, turned, wp.static(width))
+                compliances.store(kept.compliance, at, kept.stride, cluster.compliance_part(turns), wp.static(width))
+            if volume != wp.static(NONE):
+                if kept.stride > 0:
+                    squares.store(kept.affine, at, kept.stride, cluster.square_part(affine_t), wp.static(width))
+                affine_t = cluster.conserve(rest, c, 0, affine_t, theta, volume, what)
+            if given.axes != 0:
+                along = squares.load(given.beta, at + wp.static(dim * dim) * stride, stride)
+                return centre, of.blended(affine_t, target, along)
+            beta = parameter(lists, given.beta, given.beta_stride, group, c)
+            if what == wp.static(BY_BETA):
+                return centre, cluster.mixed(affine_t, lane(one), target, lane(-one))
+            if what == wp.static(BY_THETA):
+                return centre, cluster.mixed(affine_t, beta, target, lane())
+            return centre, cluster.mixed(affine_t, beta, target, lane(one) - beta)
 
-        @wp.func(name=name)
-        def fit_one(
-            lists: Lists,
-            rest: cluster.FitRest,
-            kept: cluster.Kept,
-            material: int,
-            group: int,
-            c: int,
-            affine_t: transforms.rows,
-            change_t: squares.rows,
-            beta: numbers,
-            beta_stride: int,
-            theta: numbers,
-            volume: int,
-            what: int,
-        ):
-            at = (group * lists.clusters + c) * lists.abreast
-            b = parameter(lists, beta, beta_stride, group, c)
-            t = parameter(lists, theta, 0, group, c)
-            if wp.static(changing):
-                return fit_change(rest, c, 0, kept, at, affine_t, change_t, b, t, volume)
-            else:  # noqa: RET505 (a static `if` compiles one of the two)
-                return fit(rest, c, 0, kept, at, wp.static(width), affine_t, change_t, b, t, volume, what)
+    @wp.func
+    def change_in(
+        lists: Lists, rest: cluster.FitRest, kept: cluster.Kept, given: Given, u_in: numbers, group: int, c: int
+    ):
+        """Derivative of `fit_in` along a direction, from what it kept."""
+        centre, affine_t, change_t = gathered(lists, group, c, u_in)
+        at = (group * lists.clusters + c) * lists.abreast
+        volume = given.volume
+        theta = parameter(lists, given.theta, 0, group, c)
+        if wp.static(not material):
+            beta = parameter(lists, given.beta, given.beta_stride, group, c)
+            return centre, cluster.fit_change(rest, c, 0, kept, at, affine_t, change_t, beta, theta, volume)
+        else:  # noqa: RET505
+            stride = lists.cluster_stride
+            if given.axes != 0:
+                change_t = of.weighted(affine_t, squares.load(given.beta, at, stride))
+            s = squares.rows()
+            if given.plastic != 0:
+                s = squares.load(given.strain, at, stride)
+                change_t = of.with_plastic(change_t, squares.rows(), s)
+            turned = squares.load(kept.turned, at, kept.stride)
+            change = cluster.turn_change(turned, compliances.load(kept.compliance, at, kept.stride), change_t)
+            if given.plastic != 0:
+                change = of.on_plastic(change, s, zero)
+            if rest.has_null != 0:
+                affine_t = null_of(rest, c, affine_t, change)
+            if volume != wp.static(NONE):
+                before = squares.load(kept.affine, at, kept.stride)
+                affine_t = cluster.conserve_change(rest, c, 0, before, affine_t, theta, volume)
+            if given.axes != 0:
+                along = squares.load(given.beta, at + wp.static(dim * dim) * stride, stride)
+                return centre, of.blended(affine_t, change, along)
+            beta = parameter(lists, given.beta, given.beta_stride, group, c)
+            return centre, cluster.mixed(affine_t, beta, change, lane(one) - beta)
 
-        return fit_one
-
-    def fit_kernel(kernel: Any, name: str, material_type: Any, fit_of: Any) -> Any:
-        """The kernel that gathers the moments of a cluster, fits them by `fit_of`, and leaves its goal map."""
+    def fits(name: str, fit: Any) -> Any:
+        """The kernel that fits the clusters, and leaves their mean displacement (0 in a derivative by a parameter) and
+        blend of rotation and fit (eq. 3.7-3.14, 3.17)."""
 
         @kernel(name=name)
-        def fits(
+        def run(
             lists: Lists,
             rest: cluster.FitRest,
             kept: cluster.Kept,
-            material: material_type,
-            # In:
+            given: Given,
             u_in: numbers,
-            beta: numbers,
-            beta_stride: int,
-            theta: numbers,
-            volume: int,
-            what: int,
             running: Ints,
-            # Out:
             maps_out: numbers,
         ):
-            """Mean displacement (0 in a derivative by a parameter); blend of rotation and fit (eq. 3.7-3.14, 3.17)."""
             group, c = wp.tid()
             if running[group] == 0:
                 return
-            centre, affine_t, change_t = gathered(lists, group, c, u_in)
-            blend_t = fit_of(
-                lists, rest, kept, material, group, c, affine_t, change_t, beta, beta_stride, theta, volume, what
-            )
-            if what != wp.static(GOAL):
+            centre, blend_t = fit(lists, rest, kept, given, u_in, group, c)
+            if given.what != wp.static(GOAL):
                 centre = vecs.rows()
             at = (group * lists.clusters + c) * lists.abreast
             stride = lists.cluster_stride
             store(maps_out, at, stride, centre, wp.static(width))
-            store_transform(maps_out, at + wp.static(dim) * stride, stride, blend_t, wp.static(width))
+            transforms.store(maps_out, at + wp.static(dim) * stride, stride, blend_t, wp.static(width))
 
-        return fits
-
-    fit_clusters = fit_kernel(kernel, "fit_clusters", int, fit_of_cluster(False, "fit_one"))
-    fit_changes = fit_kernel(kernel, "fit_changes", int, fit_of_cluster(True, "change_one"))
+        return run
 
     @wp.func
     def ahead(lists: Lists, u: vecs.rows, before_in: numbers, motion: Motion, free: scalar, at: int):
@@ -246,4 +409,149 @@ def general_kernels_for(dim: int, terms: int, scalar: Any, width: int) -> Simple
                             new[i, l] = u[i, l]
             store(out, at, lists.particle_stride, new, wp.static(width))
 
-    return SimpleNamespace(**locals())
+    made = members(predict, finish, fits("fit_clusters", fit_in), fits("fit_changes", change_in), Lists, Given)
+    made.Motion = Motion
+    if material:
+        made.flow = flow_kernel_for(dim, terms, scalar, width)
+    return made
+
+
+@functools.cache
+def flow_kernel_for(dim: int, terms: int, scalar: Any, width: int) -> wp.Kernel:
+    """The kernel of the flow of S^p; arguments as `general_kernels_for` has them."""
+    numbers = wp.array(dtype=scalar)
+    kernel = kernel_in(f"material_{dim}d_{terms}_{scalar.__name__}_{width}", scalar)
+    gathering = gathering_functions_for(dim, terms, scalar, width)
+    Lists, gathered = gathering.Lists, gathering.gathered
+    cluster = cluster_functions_for(dim, terms, scalar, width)
+    functions = functions_for(dim, scalar)
+    square, vec, singular_values = functions.square, functions.vec, functions.singular_values
+    zero, one, two = scalar(0.0), scalar(1.0), scalar(2.0)
+    least_factor = scalar(LEAST_FACTOR)
+
+    @wp.func
+    def beyond(values: vec, share: scalar, span_count: int):
+        """|S - I|_2 that is left when the share of S - I has flown, and S^p is of measure 1 again."""
+        product = scalar(1.0)
+        for i in range(wp.static(dim)):
+            if i < span_count:
+                product *= wp.max(one + share * (values[i] - one), least_factor)
+        grow = wp.pow(product, one / scalar(span_count))
+        most = scalar(0.0)
+        for i in range(wp.static(dim)):
+            if i < span_count:
+                factor = wp.max(one + share * (values[i] - one), least_factor)
+                most = wp.max(most, wp.abs(values[i] / factor * grow - one))
+        return most
+
+    @wp.func
+    def strain_size(plastic: square):
+        """|S^p - I|_2."""
+        _u, values, _v = singular_values(plastic - wp.identity(n=wp.static(dim), dtype=scalar))
+        return values[0]
+
+    @wp.func
+    def unit_measure(plastic: square, span_axes: square, span_count: int):
+        """S^p with its determinant made 1: scaled within what the cluster spans."""
+        by = wp.pow(wp.determinant(plastic), -one / scalar(span_count))
+        if span_count == wp.static(dim):
+            return plastic * by
+        return plastic + (by - one) * (plastic * span_axes) * wp.transpose(span_axes)
+
+    @wp.func
+    def bounded(plastic: square, span_axes: square, span_count: int, maximum: scalar):
+        """S^p with |S^p - I|_2 at most `maximum` and its measure 1: less and less of the step from I to it."""
+        size = strain_size(plastic)
+        if size <= maximum:
+            return plastic
+        identity = wp.identity(n=wp.static(dim), dtype=scalar)
+        away = plastic - identity
+        share = one
+        out = identity
+        if maximum > zero:
+            for _shrink in range(wp.static(SHRINKS)):
+                share = share * (maximum / size)
+                out = unit_measure(identity + share * away, span_axes, span_count)
+                size = strain_size(out)
+                if wp.abs(size - maximum) <= scalar(1e-15) * maximum:
+                    break
+        return out
+
+    @kernel
+    def flow(
+        lists: Lists,
+        rest: cluster.FitRest,
+        # In:
+        u_in: numbers,
+        yield_strain: numbers,
+        share: numbers,
+        maximum: numbers,
+        stop: int,
+        running: Ints,
+        # Out:
+        strain: numbers,
+        moved_out: numbers,
+        size_out: numbers,
+    ):
+        """S^p of each cluster after a share of its S - I has flown (see `materials`), a candidate at a time.
+
+        stop: 1 to stop at the yield strain; moved: largest change of an entry of S^p; size: |S - I|_2 before
+        """
+        group, c = wp.tid()
+        if running[group] == 0:
+            return
+        span_count = rest.span_count[c]
+        span_axes = rest.span_axes[c]
+        _centre, affine_t, _change_t = gathered(lists, group, c, u_in)
+        at = (group * lists.clusters + c) * lists.abreast
+        stride = lists.cluster_stride
+        identity = wp.identity(n=wp.static(dim), dtype=scalar)
+        for l in range(wp.static(width)):
+            candidate = group * lists.abreast + l
+            a = square()
+            plastic = square()
+            for i in range(wp.static(dim)):
+                for j in range(wp.static(dim)):
+                    a[i, j] = affine_t[j * wp.static(dim) + i, l]
+                    plastic[i, j] = strain[at + (i * wp.static(dim) + j) * stride + l]
+                plastic[i, i] = plastic[i, i] + one
+            if span_count == wp.static(dim):
+                a = (a + identity) * wp.inverse(plastic)
+            else:  # only what is determined: the other singular values are 0, and come last
+                a = (a * span_axes + span_axes) * wp.transpose(span_axes) * wp.inverse(plastic)
+            _u, values, v = singular_values(a)
+            size = zero
+            for i in range(wp.static(dim)):
+                if i < span_count:
+                    size = wp.max(size, wp.abs(values[i] - one))
+            moved = zero
+            if size > yield_strain[candidate]:
+                by = share[candidate]
+                if stop != 0:
+                    high = one
+                    if beyond(values, one, span_count) < yield_strain[candidate]:
+                        low = zero
+                        for _halving in range(wp.static(HALVINGS)):
+                            middle = (low + high) / two
+                            if beyond(values, middle, span_count) > yield_strain[candidate]:
+                                low = middle
+                            else:
+                                high = middle
+                    by = wp.min(by, high)
+                change = square()
+                for k in range(wp.static(dim)):
+                    if k < span_count:
+                        factor = wp.max(one + by * (values[k] - one), least_factor)
+                        for i in range(wp.static(dim)):
+                            for j in range(wp.static(dim)):
+                                change[i, j] = change[i, j] + (factor - one) * v[i, k] * v[j, k]
+                new = unit_measure(plastic + change * plastic, span_axes, span_count)
+                new = bounded(new, span_axes, span_count, maximum[candidate])
+                for i in range(wp.static(dim)):
+                    for j in range(wp.static(dim)):
+                        moved = wp.max(moved, wp.abs(new[i, j] - plastic[i, j]))
+                        strain[at + (i * wp.static(dim) + j) * stride + l] = new[i, j] - identity[i, j]
+            moved_out[at + l] = moved
+            size_out[at + l] = size
+
+    return flow

@@ -12,10 +12,12 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from deformscope.arrays import FloatArray, IntArray
+from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.stages.msm import iteration_kernels as k
+from deformscope.stages.msm.anderson_kernels import MEMORY, anderson_kernels_for
 from deformscope.stages.msm.body import Body, BodyRest, Parameters
 from deformscope.stages.msm.layout import Field, upload
+from deformscope.stages.msm.multigrid import PATIENCE, Multigrid
 
 Progress = Callable[[int], None]
 
@@ -28,6 +30,13 @@ PART_BLOCKS, MOST_PARTS = {"cpu": 256, "cuda": 1024}, {"cpu": 256, "cuda": 512}
 ROUNDING = {wp.float32: 1e-8, wp.float64: 2e-15}
 """Residual that is but rounding, as a share of the displacements (or of a spacing)."""
 
+STRETCH = 0.05
+"""Share of a preconditioned body's longest side that no particle goes beyond in one Newton step: such steps bend it
+smoothly."""
+
+PREDICTED = 1e-2
+"""To what share the linear equations at rest are solved, for a state to begin from."""
+
 STAY = 256
 """Evaluations that a kernel that stays does before it comes back to be looked at."""
 
@@ -37,12 +46,17 @@ REPLAYS = {"cpu": 1, "cuda": 8}
 
 @dataclass(frozen=True, slots=True)
 class Ended:
-    """How the candidates ended, (B,) each; norm and error in particle spacings."""
+    """How the candidates ended, (B,) each; norm and error in particle spacings.
+
+    smoothed: evaluations in the preconditioner's finest level; unaided: went on without it
+    """
 
     state: IntArray
     norm: FloatArray
     error: FloatArray
     total: IntArray
+    smoothed: IntArray
+    unaided: BoolArray
 
 
 class Graph:
@@ -65,21 +79,23 @@ class Graph:
 class Iteration:
     """What both methods share: fields of the candidates, their parameters, and how sums over particles are taken."""
 
-    def __init__(self, body: Body, rest: BodyRest, size: int, volume: int) -> None:
+    def __init__(self, body: Body, rest: BodyRest, size: int, volume: int, *, aided: bool = False) -> None:
         self.body, self.volume = body, volume
         self.layout = body.layout(size)
         self.operator: Any = body.operator(self.layout)
-        self.kernels = k.iteration_kernels_for(body.dim, body.scalar, self.layout.width)
+        self.functions = k.newton_functions_for(body.dim, body.scalar, self.layout.width)
         self.kind = "cpu" if self.layout.device.startswith("cpu") else "cuda"
-        span = self.kernels.Span()
+        span = self.functions.Span()
         span.abreast, span.blocks = self.layout.abreast, self.layout.blocks
-        self.threads = self.operator.threads
+        self.multigrid = Multigrid(body, rest, self.layout, size, volume) if aided and Multigrid.worth(body) else None
+        self.threads = 0 if self.multigrid else self.operator.threads
         parts = min(-(-self.layout.blocks // PART_BLOCKS[self.kind]), MOST_PARTS[self.kind])
         span.parts, span.threads = 1 if self.threads else max(1, parts), THREADS[self.kind]
         span.front, span.group, span.stride = self.layout.front, self.layout.group, self.layout.stride
         span.metric = self.operator.metric
         span.metric_total = float(rest.metric.sum()) or 1.0
         self.span = span
+        self.state: Any
         self.pair, self.pair_out = self.layout.field(2 * body.dim), self.layout.field(2 * body.dim)
         self.u, self.direction = halves(self.pair)
         self.residual, self.changed = halves(self.pair_out)
@@ -103,6 +119,21 @@ class Iteration:
             if dtype in (wp.int32, wp.float32, wp.float64):
                 setattr(state, name, self.layout.each(zero, int if dtype is wp.int32 else dtype))
         return state
+
+    def _ended(self, state: Any, spent: IntArray) -> Ended:
+        """How they ended. spent: (B,) evaluations before the state's own"""
+        size = self.layout.candidates
+        smoothed, unaided = np.zeros(size, dtype=int), np.zeros(size, dtype=bool)
+        if self.multigrid is not None:
+            smoothed, unaided = self.multigrid.told(state.outers, spent > 0)
+        return Ended(
+            state=state.state.numpy()[:size].copy(),
+            norm=state.norm.numpy()[:size].copy(),
+            error=state.error.numpy()[:size].copy(),
+            total=state.total.numpy()[:size] + spent,
+            smoothed=smoothed,
+            unaided=unaided,
+        )
 
     def parts(self, rows: int) -> Field:
         count = rows * self.layout.groups * self.span.parts * self.layout.width
@@ -128,45 +159,67 @@ class Iteration:
         """Derivative of every free particle's goal by beta or theta at `u` into `out`."""
         self.operator.residual(self.u, out, self.parameters, self._every_group, what=by)
 
-    def launch(
-        self, kernel: wp.Kernel, dim: tuple[int, ...] | int, inputs: list[Any], outputs: list[Any] | None = None
-    ) -> None:
-        device, threads = self.layout.device, self.span.threads
-        wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs or [], device=device, block_dim=threads)
+    def launch(self, kernel: wp.Kernel, over: tuple[int, ...] | int, *inputs: Any) -> None:
+        """A kernel of both methods, whose arguments begin with how particles lie and what is kept of candidates."""
+        inputs = (self.span, self.state, *inputs)
+        wp.launch(kernel, dim=over, inputs=inputs, device=self.layout.device, block_dim=self.span.threads)
 
-    def launch_sums(self, kernel: wp.Kernel, dim: tuple[int, ...], inputs: list[Any], outputs: list[Any]) -> None:
+    def launch_sums(self, kernel: wp.Kernel, *inputs: Any, over: tuple[int, ...] = ()) -> None:
         """A kernel that takes sums over particles: every part by the threads of a block."""
-        self.launch(kernel, (*dim, self.span.parts * self.span.threads), inputs, outputs)
+        self.launch(kernel, (self.layout.groups, *over, self.span.parts * self.span.threads), *inputs)
+
+    def launch_blocks(self, kernel: wp.Kernel, *inputs: Any) -> None:
+        """A kernel over all lanes' worths."""
+        self.launch(kernel, (self.layout.groups, self.layout.blocks), *inputs)
+
+    def launch_groups(self, kernel: wp.Kernel, *inputs: Any) -> None:
+        """A kernel that joins the parts of sums."""
+        self.launch(kernel, (self.layout.groups, self.span.threads), *inputs)
 
     def all_groups(self) -> Field:
         return wp.full(self.layout.groups, 1, dtype=int, device=self.layout.device)
 
 
 class Newton(Iteration):
-    """Newton's steps on the energy, each solved by conjugate gradients; without eq. 3.17."""
+    """Newton's steps on the energy, each solved by conjugate gradients; without eq. 3.17.
+
+    Large lattices are preconditioned (`multigrid`).
+    """
 
     def __init__(self, body: Body, rest: BodyRest, size: int, volume: int) -> None:
-        super().__init__(body, rest, size, volume)
+        super().__init__(body, rest, size, volume, aided=True)
         layout = self.layout
         d = body.dim
+        self.kernels = k.newton_kernels_for(d, body.scalar, layout.width)
         self.step, self.rho = layout.field(d), layout.field(d)
-        self._parts = self.parts(2)
-        state = self._numbers(self.kernels.NewtonState)
+        state = self._numbers(self.functions.NewtonState)
+        state.u, state.direction, state.step, state.rho = self.u, self.direction, self.step, self.rho
+        state.residual, state.changed, state.parts = self.residual, self.changed, self.parts(2)
+        state.groups, state.most = layout.groups, 10 * len(rest.mass) * d + 100
         state.tolerance, state.floor = self.tolerance, self.floor
         self._relative = wp.zeros(1, dtype=wp.float64, device=layout.device)
         state.relative = self._relative
+        self._farthest = k.REACH if self.multigrid is None else max(k.REACH, STRETCH * self.multigrid.longest)
+        state.farthest.fill_(self._farthest)
         state.outer_groups, state.inner_groups = self.all_groups(), self.all_groups()
         self.state = state
-        self._most = 10 * len(rest.mass) * d + 100
+        self._free = rest.free
         self._kept = self.operator.kept(volume)
         self._parameters_changed()
 
     def _parameters_changed(self) -> None:
         device = self.layout.device
         self._outer, self._inner = (Graph(each, device) for each in (self._launch_outer, self._launch_inner))
+        self._plain, self._at_rest = Graph(self._launch_plain, device), Graph(self._launch_at_rest, device)
         self._aim, self._evaluate = Graph(self._launch_aim, device), Graph(self._launch_evaluate, device)
         self._derive: dict[int, Graph] = {}
         self._stay: Any = None
+        self._following: Any = None
+
+    def set(self, beta: FloatArray, theta: FloatArray) -> None:
+        super().set(beta, theta)
+        if self.multigrid is not None and self.multigrid.set(beta, theta):
+            self._parameters_changed()
 
     def relax(
         self, start: FloatArray | None, tolerance: float, max_iterations: int, progress: Progress | None = None
@@ -178,10 +231,15 @@ class Newton(Iteration):
         state = self.state
         if start is not None:
             self.put(start)
+        size = self.layout.candidates
+        spent = np.zeros(size, dtype=int)
+        if self.multigrid is not None:
+            self.multigrid.reset()
+            if start is not None and not start[:, self._free].any():
+                spent = self._predict(max_iterations)
         self._begin(tolerance, 0.0, outer=1)
         self.step.zero_()
-        done = 0
-        size = self.layout.candidates
+        done = int(spent.max())
         while done < max_iterations:
             if self.threads:
                 done += self._stay_for(max_iterations - done)
@@ -197,14 +255,58 @@ class Newton(Iteration):
             if progress is not None:
                 progress(size - int(np.count_nonzero(state.state.numpy()[:size] == k.RUNNING)))
             done += self._descend(max_iterations - done)
-        return Ended(*(each.numpy()[:size].copy() for each in (state.state, state.norm, state.error, state.total)))
+        return self._ended(state, spent)
+
+    def _predict(self, most: int) -> IntArray:
+        """Goes from rest, where some held particles have moved, to the static state of the equations linearised there;
+        evaluations that it took (B,). From where all the motion is still between two layers Newton's steps are short.
+        """
+        self._at_rest()
+        self._begin(0.0, PREDICTED, outer=0)
+        self._aim()
+        self._descend(most - 2)
+        self.launch_blocks(self.kernels.add_step)
+        return np.asarray(self.state.total.numpy()[: self.layout.candidates] + 2)
+
+    def _launch_at_rest(self) -> None:
+        everything, rest = self._every_group, self.step
+        rest.zero_()
+        self.operator.residual(rest, self.residual, self.parameters, everything, self._kept)
+        if self.multigrid is not None:
+            self.multigrid.linearise(rest, everything)
+        self.operator.change(self.u, self.residual, self.parameters, everything, self._kept)
+
+    def follow(self, target: FloatArray, seen: BoolArray, **search: float) -> tuple[float, int, bool, bool]:
+        """Beta of least mean distance of one candidate to displacements target (K, d) where seen (K,), from where `u`
+        is, in one launch; evaluations, whether it settled, and whether its state converged. search: see the kernel's"""
+        layout, device = self.layout, self.layout.device
+        if self._following is None:
+            given = self.operator.resident.BetaSearch()
+            given.target, given.found = layout.field(self.body.dim), wp.zeros(3, dtype=wp.float64, device=device)
+            given.seen = upload(np.zeros(layout.places), layout.scalar, device)
+            newton, pairs = [self.span, self.state], (self.pair, self.pair_out)
+            self._following = given, self.operator.follow(self.parameters, self._kept, newton, *pairs, given)
+        given, launch = self._following
+        layout.put(target[None], given.target)
+        places = np.zeros(layout.places)
+        places[layout.place] = seen
+        given.seen.assign(places)
+        for name, value in search.items():
+            setattr(given, name, value)
+        launch.set_param_by_name("search", given)
+        self.step.zero_()
+        launch.launch()
+        beta, evaluations, settled = given.found.numpy()
+        return float(beta), int(evaluations), bool(settled), bool(self.state.state.numpy()[0] == k.CONVERGED)
 
     def solve(self, relative: float) -> bool:
         """`step` of (I - J) step = `residual` where goals were last evaluated; whether it came to `relative` of it."""
         state = self.state
+        if self.multigrid is not None:
+            self.multigrid.reset()
         self._begin(0.0, relative, outer=0)
         self._aim()
-        self._descend(self._most)
+        self._descend(state.most)
         size = self.layout.candidates
         return bool((state.square.numpy()[:size] <= np.maximum(state.target.numpy()[:size], 1e-300)).all())
 
@@ -215,28 +317,14 @@ class Newton(Iteration):
         self._derive[by]()
 
     def _launch_aim(self) -> None:
-        span, kk, layout = self.span, self.kernels, self.layout
-        right, groups = self.residual, layout.groups
-        if self.threads:
-            wp.launch(
-                self.operator.resident.aim,
-                dim=groups * self.threads,
-                block_dim=self.threads,
-                inputs=[
-                    *(span, self.state, groups, self.threads, right),
-                    *(self.rho, self.direction, self.step, self._parts),
-                ],
-                device=layout.device,
-            )
+        kk, groups, threads, right = self.kernels, self.layout.groups, self.threads, self.residual
+        if threads:
+            inputs, device = [self.span, self.state, threads], self.layout.device
+            wp.launch(self.operator.resident.aim, groups * threads, inputs, device=device, block_dim=threads)
             return
-        self.launch_sums(
-            kk.inner_products,
-            (groups,),
-            [span, self.state.inner_groups, groups, right, right, right, right],
-            [self._parts],
-        )
-        self.launch(kk.aim, (groups, span.threads), [span, self.state, self._parts, groups])
-        self.launch(kk.begin, (groups, layout.blocks), [span, self.state, right], [self.rho, self.direction, self.step])
+        self.launch_sums(kk.inner_products, self.state.inner_groups, right, right, right, right)
+        self.launch_groups(kk.aim)
+        self.launch_blocks(kk.begin)
 
     def evaluate(self) -> None:
         """The residual at `u`, and with it what derivatives there need."""
@@ -244,15 +332,22 @@ class Newton(Iteration):
 
     def _launch_evaluate(self) -> None:
         self.operator.residual(self.u, self.residual, self.parameters, self._every_group, self._kept)
+        if self.multigrid is not None:
+            self.multigrid.linearise(self.u, self._every_group)
 
     def _descend(self, most: int) -> int:
         done = 0
         flags = self.state.inner_groups
         while self.threads and done < most and flags.numpy().any():
             done += self._stay_for(most - done)
+        inner, replays = self._inner, REPLAYS[self.kind]
+        if self.multigrid is not None and self.multigrid.given_up:
+            inner = self._plain
+        elif self.multigrid is not None:
+            replays = 1  # a cycle takes longer than a look
         while done < most and flags.numpy().any():
-            for _ in range(REPLAYS[self.kind]):
-                self._inner()
+            for _ in range(replays):
+                inner()
                 done += 1
         return done
 
@@ -262,56 +357,53 @@ class Newton(Iteration):
         set_first(self.tolerance, tolerance)
         set_first(self._relative, relative)
         count = layout.groups * layout.abreast
-        reach = k.REACH if outer else np.inf
+        reach = self._farthest if outer else np.inf
         kernels = self.operator.resident if self.threads else self.kernels
-        self.launch(
-            kernels.reset, count, [self.state, layout.groups, layout.abreast, wp.float64(reach), outer, 1 - outer]
-        )
+        self.launch(kernels.reset, count, wp.float64(reach), outer, 1 - outer)
 
     def _stay_for(self, most: int) -> int:
         """Up to STAY evaluations in one launch."""
         limit = min(STAY, most)
         if self._stay is None:
-            arrays = [self.pair, self.pair_out, self.u, self.direction, self.residual, self.changed]
-            self._stay = self.operator.stay_relaxing(
-                self.parameters,
-                self._kept,
-                self.span,
-                self.state,
-                self._most,
-                limit,
-                [*arrays, self.step, self.rho, self._parts],
-            )
+            newton, pairs = [self.span, self.state], (self.pair, self.pair_out)
+            self._stay = self.operator.stay_relaxing(self.parameters, self._kept, newton, *pairs)
         self._stay.set_param_by_name("limit", limit)
         self._stay.launch()
         return limit
 
     def _launch_outer(self) -> None:
-        kk, span, state, layout = self.kernels, self.span, self.state, self.layout
-        running, groups = state.outer_groups, layout.groups
-        self.launch(kk.move, (groups, layout.blocks), [span, state, self.step], [self.u])
-        self.operator.residual(self.u, self.residual, self.parameters, running, self._kept)
-        self.launch_sums(
-            kk.inner_products,
-            (groups,),
-            [span, running, groups, self.residual, self.residual, self.residual, self.step],
-            [self._parts],
-        )
-        self.launch(kk.judge, (groups, span.threads), [span, state, self._parts, groups])
-        self.launch(
-            kk.begin, (groups, layout.blocks), [span, state, self.residual], [self.rho, self.direction, self.step]
-        )
+        kk, running, r = self.kernels, self.state.outer_groups, self.residual
+        self.launch_blocks(kk.move)
+        self.operator.residual(self.u, r, self.parameters, running, self._kept)
+        self.launch_sums(kk.inner_products, running, r, r, r, self.step)
+        self.launch_groups(kk.judge)
+        if self.multigrid is not None:
+            self.multigrid.linearise(self.u, self.state.inner_groups)
+        self.launch_blocks(kk.begin)
 
     def _launch_inner(self) -> None:
-        kk, span, state, layout = self.kernels, self.span, self.state, self.layout
-        running, groups = state.inner_groups, layout.groups
-        p, q = self.direction, self.changed
-        self.operator.change(p, q, self.parameters, running, self._kept)
-        self.launch_sums(kk.inner_products, (groups,), [span, running, groups, p, q, p, p], [self._parts])
-        self.launch(kk.curvature, (groups, span.threads), [span, state, self._parts, groups])
-        self.launch_sums(kk.descend, (groups,), [span, state, groups, p, q], [self.step, self.rho, self._parts])
-        self.launch(kk.conjugate, (groups, span.threads), [span, state, self._parts, groups, self._most])
-        self.launch(kk.direct, (groups, layout.blocks), [span, state, self.rho], [p])
+        if self.multigrid is None:
+            self._launch_plain()
+            return
+        grid, running, rho = self.multigrid, self.state.inner_groups, self.rho
+        grid.cycle(rho, running)
+        self.launch_sums(self.kernels.inner_products, running, rho, grid.z, rho, rho)
+        self.launch_groups(grid.aided.mix, PATIENCE, grid.along, grid.plain, grid.applied)
+        self.launch_blocks(grid.aided.direct, grid.plain, grid.z)
+        self._launch_along()
+
+    def _launch_plain(self) -> None:
+        self._launch_along()
+        self.launch_blocks(self.kernels.direct)
+
+    def _launch_along(self) -> None:
+        """Goes along the direction."""
+        kk, running, p = self.kernels, self.state.inner_groups, self.direction
+        self.operator.change(p, self.changed, self.parameters, running, self._kept)
+        self.launch_sums(kk.inner_products, running, p, self.changed, p, p)
+        self.launch_groups(kk.curvature)
+        self.launch_sums(kk.descend)
+        self.launch_groups(kk.conjugate)
 
 
 class Anderson(Iteration):
@@ -321,14 +413,15 @@ class Anderson(Iteration):
         super().__init__(body, rest, size, volume)
         layout = self.layout
         d = body.dim
-        self.u_last, self.residual_last = layout.field(d), layout.field(d)
-        self.du, self.dr = layout.field(d * k.MEMORY), layout.field(d * k.MEMORY)
-        self._parts = self.parts(2 * (k.MEMORY + 1))
+        self.kernels = anderson_kernels_for(d, body.scalar, layout.width)
         state = self._numbers(self.kernels.AndersonState)
+        state.u, state.u_last, state.du = self.u, layout.field(d), layout.field(d * MEMORY)
+        state.residual, state.residual_last, state.dr = self.residual, layout.field(d), layout.field(d * MEMORY)
+        state.parts, state.sides = self.parts(2 * (MEMORY + 1)), layout.groups
         lanes = layout.groups * layout.abreast + layout.width
-        state.gamma = upload(np.zeros((k.MEMORY, lanes)), layout.scalar, layout.device)
+        state.gamma = upload(np.zeros((MEMORY, lanes)), layout.scalar, layout.device)
         state.stride = lanes
-        history = wp.types.matrix(shape=(k.MEMORY, k.MEMORY), dtype=wp.float64)
+        history = wp.types.matrix(shape=(MEMORY, MEMORY), dtype=wp.float64)
         state.gram = wp.zeros(lanes, dtype=history, device=layout.device)
         state.tolerance, state.floor = self.tolerance, self.floor
         self._relative = wp.zeros(1, dtype=wp.float64, device=layout.device)
@@ -368,7 +461,7 @@ class Anderson(Iteration):
         state = self.state
         self.tolerance.fill_(tolerance)
         for name in ("known", "total", "path", "gram", "count", "du", "dr"):
-            (getattr(self, name) if name in ("du", "dr") else getattr(state, name)).zero_()
+            getattr(state, name).zero_()
         state.state.fill_(k.RUNNING)
         state.mark.fill_(8)
         state.best.fill_(np.inf)
@@ -384,7 +477,7 @@ class Anderson(Iteration):
                 done += 1
             if progress is not None and done % 16 == 0:
                 progress(size - int(np.count_nonzero(state.state.numpy()[:size] == k.RUNNING)))
-        return Ended(*(each.numpy()[:size].copy() for each in (state.state, state.norm, state.error, state.total)))
+        return self._ended(state, np.zeros(size, dtype=int))
 
     def _launch_goals(self) -> None:
         self.operator.residual(self.u, self.residual, self.parameters, self.state.groups)
@@ -393,31 +486,15 @@ class Anderson(Iteration):
     def _launch_linear(self) -> None:
         running = self.state.groups
         self.operator.change(self.u, self.residual, self.parameters, running, self._kept)
-        self.launch(
-            self.kernels.add_field,
-            (self.layout.groups, self.layout.blocks),
-            [self.span, running, self.linear_right],
-            [self.residual],
-        )
+        self.launch_blocks(self.kernels.add_right, self.linear_right)
         self._launch_rest()
 
     def _launch_rest(self) -> None:
-        kk, span, state, layout = self.kernels, self.span, self.state, self.layout
-        groups = layout.groups
-        self.launch(
-            kk.remember,
-            (groups, layout.blocks),
-            [span, state, self.u, self.residual],
-            [self.u_last, self.residual_last, self.du, self.dr],
-        )
-        self.launch_sums(
-            kk.history_products,
-            (groups, k.MEMORY + 1),
-            [span, state, groups, self.residual, self.du, self.dr],
-            [self._parts],
-        )
-        self.launch(kk.accelerate, (groups, span.threads), [span, state, self._parts, groups])
-        self.launch(kk.advance, (groups, layout.blocks), [span, state, self.residual, self.du, self.dr], [self.u])
+        kk = self.kernels
+        self.launch_blocks(kk.remember)
+        self.launch_sums(kk.history_products, over=(MEMORY + 1,))
+        self.launch_groups(kk.accelerate)
+        self.launch_blocks(kk.advance)
 
 
 def set_first(array: Any, value: float) -> None:

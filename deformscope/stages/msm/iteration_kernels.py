@@ -1,8 +1,15 @@
-"""Warp kernels of the two methods for a static state: Newton's steps with conjugate gradients; Anderson acceleration.
+"""Warp kernels of Newton's steps with conjugate gradients: one for each part of an iteration, and kernels that stay.
 
 They take fields of particles as they lie (see `layout.py`), whatever the clusters. Sums over particles are
 taken in a fixed order, so that runs repeat bit for bit. Candidates are independent: what has ended gets steps of
 0, and a group in which all have ended is skipped.
+
+Kernels that stay do all passes of a step, and all steps, or many evaluations of a relaxation, in one launch. A block of
+threads keeps to one group of candidates and goes through its passes, meeting at a barrier after each. On a GPU that
+saves the launches between passes, which cost more than a small body's work, and what a pass leaves is still near when
+the next reads it; on a CPU a block is one thread, and there are no launches left to pay for at any size. There every
+launch, a single evaluation too, goes through one copy of all passes in one module: compiling is what a first start
+waits for.
 """
 
 import functools
@@ -11,11 +18,13 @@ from typing import Any
 
 import warp as wp
 
-from deformscope.stages.msm.lanes import Doubles, Ints, Sized, lanes_for, module_options, rows_for
-from deformscope.stages.msm.lattice_kernels import FAR
+from deformscope.stages.msm.cluster_functions import cluster_functions_for
+from deformscope.stages.msm.lanes import Doubles, Ints, Sized, lanes_for, rows_for
+from deformscope.stages.msm.lattice_kernels import FAR, lattice_functions_for
+from deformscope.stages.msm.members import kernel_in, members
 
-MEMORY = 8
-"""Earlier iterates that Anderson's acceleration combines."""
+THREADS = {wp.float32: 512, wp.float64: 256}
+"""Threads of a block on a GPU that stay, for which the compiler saves registers."""
 
 RUNNING, CONVERGED, DIVERGED, STALLED = 1, 0, -1, 2
 
@@ -66,7 +75,11 @@ def newton_functions_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
 
     @wp.struct
     class NewtonState:
-        """What Newton's steps keep of each candidate (arrays of B), and which groups have work to do."""
+        """What Newton's steps keep of each candidate (arrays of B), which groups have work to do, and on which fields.
+
+        residual: also the right-hand side of a linear solve; changed: derivative of the goals along `direction`, less
+        that; rho: residual of the linear solve; parts: of sums; groups: how many; most: steps of a linear solve
+        """
 
         tolerance: Doubles  # of the distance to the static state [spacing]; first entry
         floor: Doubles  # residual that is but rounding [spacing]; first entry
@@ -88,7 +101,8 @@ def newton_functions_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
         target: Doubles  # at which the inner residual ends
         slope: Doubles  # along the step, where it began
         taken: Doubles  # share of the step that was taken
-        reach: Doubles  # spacings that no particle goes beyond in the next step
+        farthest: Doubles  # spacings that no particle ever goes beyond in a step; first entry
+        reach: Doubles  # the same in the next step
         longest: Doubles  # spacings that the farthest particle went
         least: Doubles  # smallest curvature met in this solve, and in the one before
         least_before: Doubles
@@ -97,6 +111,21 @@ def newton_functions_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
         by: numbers  # how far to go along the step
         length: numbers  # along the direction
         mix: numbers  # how much of the last direction to keep
+        u: numbers
+        step: numbers
+        residual: numbers
+        direction: numbers
+        changed: numbers
+        rho: numbers
+        parts: Doubles
+        groups: int
+        most: int
+
+    @wp.func
+    def place_of(span: Span, group: int, block: int):
+        """Where a lane's worth begins in a field, and how many of its numbers are the group's."""
+        number = block * wp.static(width)
+        return span.front + group * span.group + number, span.group - number
 
     @wp.func
     def metric_of(span: Span, number: int):
@@ -126,6 +155,12 @@ def newton_functions_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
 
     @wp.func_native(f"{each} a.data[i + l] = v.c[l];")
     def put(a: Doubles, i: int, v: sums): ...
+
+    @wp.func
+    def keep(span: Span, parts_out: Doubles, row: int, item: int, v: sums):
+        """The sums of a block as its part of a row."""
+        if item % span.threads == 0:
+            put(parts_out, (row * span.parts + item / span.threads) * wp.static(width), v)
 
     def together(name: str, join: str) -> Any:
         """Joins the sums of every thread of a block; on a CPU the block is the thread."""
@@ -199,29 +234,23 @@ def newton_functions_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
         """<a, b> and <c, d> over every `parts`-th block of a group, from the `part`-th on."""
         first_sum = sums()
         second_sum = sums()
-        base = span.front + group * span.group
         for block in range(part, span.blocks, parts):
-            number = block * wp.static(width)
-            m = metric_of(span, number)
-            first_sum = add_product(
-                first_sum, m, load(a, base + number, span.stride), load(b, base + number, span.stride)
-            )
-            second_sum = add_product(
-                second_sum, m, load(c, base + number, span.stride), load(d, base + number, span.stride)
-            )
+            at, _count = place_of(span, group, block)
+            m = metric_of(span, block * wp.static(width))
+            first_sum = add_product(first_sum, m, load(a, at, span.stride), load(b, at, span.stride))
+            second_sum = add_product(second_sum, m, load(c, at, span.stride), load(d, at, span.stride))
         return first_sum, second_sum
 
     @wp.func
-    def move(span: Span, newton: NewtonState, step_in: numbers, u: numbers, group: int, block: int):
+    def move(span: Span, newton: NewtonState, group: int, block: int):
         """Goes along the step."""
-        at = span.front + group * span.group + block * wp.static(width)
-        count = span.group - block * wp.static(width)
+        at, count = place_of(span, group, block)
         by = of_candidate(span, newton.by, group, 0)
-        new = add(load(u, at, span.stride), one, scale(load(step_in, at, span.stride), by))
-        store(u, at, span.stride, new, count)
+        new = add(load(newton.u, at, span.stride), one, scale(load(newton.step, at, span.stride), by))
+        store(newton.u, at, span.stride, new, count)
 
     @wp.func
-    def judge(span: Span, newton: NewtonState, parts: Doubles, groups: int, group: int):
+    def judge(span: Span, newton: NewtonState, group: int):
         """After a Newton step: has it gone too far, is this the static state, and how well to solve for the next step.
 
         The energy falls along the step as long as its slope <residual, step> is positive; where the slope at the end is
@@ -237,8 +266,8 @@ def newton_functions_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
             newton.by[i] = scalar(0.0)
             newton.inner[i] = 0
             if newton.state[i] == wp.static(RUNNING):
-                norm = wp.sqrt(collected(span, parts, 0, groups, group, member, 0) / span.metric_total)
-                along = collected(span, parts, 1, groups, group, member, 0)
+                norm = wp.sqrt(collected(span, newton.parts, 0, newton.groups, group, member, 0) / span.metric_total)
+                along = collected(span, newton.parts, 1, newton.groups, group, member, 0)
                 newton.norm[i] = norm
                 newton.total[i] = newton.total[i] + 1
                 tolerance = newton.tolerance[0]
@@ -289,7 +318,7 @@ def newton_functions_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
                         newton.inners[i] = 0
                         newton.last[i] = 0
                         if newton.outers[i] > 0 and newton.backs[i] == 0:  # a straight step held: try a longer one
-                            newton.reach[i] = wp.min(wp.float64(2.0) * newton.reach[i], reach)
+                            newton.reach[i] = wp.min(wp.float64(2.0) * newton.reach[i], newton.farthest[0])
                         newton.backs[i] = 0
                         newton.slope[i] = nought
                         newton.outers[i] = newton.outers[i] + 1
@@ -303,19 +332,9 @@ def newton_functions_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
         newton.inner_groups[group] = any_inner
 
     @wp.func
-    def begin(
-        span: Span,
-        newton: NewtonState,
-        residual_in: numbers,
-        rho_out: numbers,
-        direction_out: numbers,
-        step_out: numbers,
-        group: int,
-        block: int,
-    ):
+    def begin(span: Span, newton: NewtonState, group: int, block: int):
         """Conjugate gradients start at a step of 0, unless the last step is to be shortened first."""
-        at = span.front + group * span.group + block * wp.static(width)
-        count = span.group - block * wp.static(width)
+        at, count = place_of(span, group, block)
         begins = lane()
         for l in range(wp.static(width)):
             member = group
@@ -323,13 +342,13 @@ def newton_functions_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
                 member = group * span.abreast + l
             begins[l] = scalar(newton.inner[member])
         keeps = lane(one) - begins
-        r = choose(begins, load(residual_in, at, span.stride))
-        store(rho_out, at, span.stride, r, count)
-        store(direction_out, at, span.stride, r, count)
-        store(step_out, at, span.stride, choose(keeps, load(step_out, at, span.stride)), count)
+        r = choose(begins, load(newton.residual, at, span.stride))
+        store(newton.rho, at, span.stride, r, count)
+        store(newton.direction, at, span.stride, r, count)
+        store(newton.step, at, span.stride, choose(keeps, load(newton.step, at, span.stride)), count)
 
     @wp.func
-    def curvature(span: Span, newton: NewtonState, parts: Doubles, groups: int, group: int):
+    def curvature(span: Span, newton: NewtonState, group: int):
         """How far to go along the direction p: to the minimum, by its curvature <p, (I - J) p>.
 
         Where the energy curves down (a crushed cluster about to turn, a strut about to buckle) the solve ends with a
@@ -339,8 +358,8 @@ def newton_functions_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
             i = group * span.abreast + member
             newton.length[i] = scalar(0.0)
             if newton.inner[i] == 1:
-                stiff = -collected(span, parts, 0, groups, group, member, 0)
-                own_square = collected(span, parts, 1, groups, group, member, 0)
+                stiff = -collected(span, newton.parts, 0, newton.groups, group, member, 0)
+                own_square = collected(span, newton.parts, 1, newton.groups, group, member, 0)
                 if stiff > flat * own_square:
                     length = newton.square[i] / stiff
                     newton.length[i] = scalar(length)
@@ -355,36 +374,23 @@ def newton_functions_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
                     newton.slope[i] = newton.slope[i] + length * newton.square[i]
 
     @wp.func
-    def descend(
-        span: Span,
-        newton: NewtonState,
-        direction_in: numbers,
-        change_in: numbers,
-        step: numbers,
-        rho: numbers,
-        group: int,
-        part: int,
-        parts: int,
-    ):
+    def descend(span: Span, newton: NewtonState, group: int, part: int, parts: int):
         """Goes along the direction; the new squared residual, and the longest |step_i|^2, as for `inner_products`."""
         square_sum = sums()
         longest = sums()
-        base = span.front + group * span.group
         length = of_candidate(span, newton.length, group, 0)
         for block in range(part, span.blocks, parts):
-            number = block * wp.static(width)
-            at = base + number
-            count = span.group - number
-            s = add(load(step, at, span.stride), one, scale(load(direction_in, at, span.stride), length))
-            r = add(load(rho, at, span.stride), one, scale(load(change_in, at, span.stride), length))
-            store(step, at, span.stride, s, count)
-            store(rho, at, span.stride, r, count)
-            square_sum = add_product(square_sum, metric_of(span, number), r, r)
+            at, count = place_of(span, group, block)
+            s = add(load(newton.step, at, span.stride), one, scale(load(newton.direction, at, span.stride), length))
+            r = add(load(newton.rho, at, span.stride), one, scale(load(newton.changed, at, span.stride), length))
+            store(newton.step, at, span.stride, s, count)
+            store(newton.rho, at, span.stride, r, count)
+            square_sum = add_product(square_sum, metric_of(span, block * wp.static(width)), r, r)
             longest = longer(longest, s)
         return square_sum, longest
 
     @wp.func
-    def conjugate(span: Span, newton: NewtonState, parts: Doubles, groups: int, most: int, group: int):
+    def conjugate(span: Span, newton: NewtonState, group: int):
         """Ends the solve, or mixes the next direction.
 
         No particle goes farther in one step than steps have proved good.
@@ -394,12 +400,12 @@ def newton_functions_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
             i = group * span.abreast + member
             newton.mix[i] = scalar(0.0)
             if newton.inner[i] == 1:
-                fresh = collected(span, parts, 0, groups, group, member, 0)
-                longest = wp.sqrt(collected(span, parts, 1, groups, group, member, 1))
+                fresh = collected(span, newton.parts, 0, newton.groups, group, member, 0)
+                longest = wp.sqrt(collected(span, newton.parts, 1, newton.groups, group, member, 1))
                 newton.total[i] = newton.total[i] + 1
                 newton.inners[i] = newton.inners[i] + 1
                 linear = newton.relative[0] > nought
-                done = newton.last[i] == 1 or fresh <= newton.target[i] or newton.inners[i] >= most
+                done = newton.last[i] == 1 or fresh <= newton.target[i] or newton.inners[i] >= newton.most
                 if not linear and longest > newton.reach[i]:
                     done = True
                 if not wp.isfinite(fresh):
@@ -424,30 +430,29 @@ def newton_functions_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
         newton.inner_groups[group] = any_inner
 
     @wp.func
-    def direct(span: Span, newton: NewtonState, rho_in: numbers, direction: numbers, group: int, block: int):
+    def direct(span: Span, newton: NewtonState, group: int, block: int):
         """The next direction."""
-        at = span.front + group * span.group + block * wp.static(width)
-        count = span.group - block * wp.static(width)
+        at, count = place_of(span, group, block)
         mix = of_candidate(span, newton.mix, group, 0)
-        p = add(load(rho_in, at, span.stride), one, scale(load(direction, at, span.stride), mix))
-        store(direction, at, span.stride, p, count)
+        p = add(load(newton.rho, at, span.stride), one, scale(load(newton.direction, at, span.stride), mix))
+        store(newton.direction, at, span.stride, p, count)
 
     @wp.func
-    def aim(span: Span, newton: NewtonState, parts: Doubles, groups: int, group: int):
+    def aim(span: Span, newton: NewtonState, group: int):
         """A linear solve ends at `relative` of its right-hand side."""
         for member in range(span.abreast):
             i = group * span.abreast + member
-            square = wp.max(collected(span, parts, 0, groups, group, member, 0), wp.float64(1e-300))
+            square = wp.max(collected(span, newton.parts, 0, newton.groups, group, member, 0), wp.float64(1e-300))
             newton.square[i] = square
             newton.target[i] = square * newton.relative[0] * newton.relative[0]
 
     @wp.func
-    def reset(newton: NewtonState, groups: int, abreast: int, reach: wp.float64, outer: int, inner: int, i: int):
+    def reset(span: Span, newton: NewtonState, reach: wp.float64, outer: int, inner: int, i: int):
         """Every candidate runs, from Newton's first step or (with `inner`) from a linear solve."""
-        if i < groups:
+        if i < newton.groups:
             newton.outer_groups[i] = outer
             newton.inner_groups[i] = inner
-        if i < groups * abreast:
+        if i < newton.groups * span.abreast:
             newton.state[i] = wp.static(RUNNING)
             newton.inner[i] = inner
             newton.outers[i] = 0
@@ -473,385 +478,429 @@ def newton_functions_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
             first_out[places[i] + k * stride] = value
             second_out[places[i] + k * stride] = value
 
-    return SimpleNamespace(**locals())
+    return members(
+        *(Span, NewtonState, place_of, metric_of, of_candidate, add_product, put, keep, fold, collected),
+        *(inner_products, move, judge, begin, curvature, descend, conjugate, direct, aim, reset, put_at),
+        sums=sums,
+        joined=joined,
+        longest_of=longest_of,
+    )
 
 
 @functools.cache
-def iteration_kernels_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
+def newton_kernels_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
     """A kernel for each part of an iteration, for fields of `dim` rows and lanes of `width`."""
     numbers = wp.array(dtype=scalar)
-    module = f"deformscope_iteration_{dim}d_{scalar.__name__}_{width}"
-    wp.get_module(module).options.update(module_options(scalar))
-    kernel = functools.partial(wp.kernel, module=module, enable_backward=False)
-    lanes = lanes_for(width, scalar)
-    lane = lanes.lane
+    kernel = kernel_in(f"newton_{dim}d_{scalar.__name__}_{width}", scalar)
     vecs = rows_for(dim, width, scalar)
-    load, store, add, scale, choose = vecs.load, vecs.store, vecs.add, vecs.scale, vecs.choose
-    history = wp.types.matrix(shape=(MEMORY, MEMORY), dtype=wp.float64)
-    history_vec = wp.types.vector(length=MEMORY, dtype=wp.float64)
-    one = scalar(1.0)
-    nought, unity = wp.float64(0.0), wp.float64(1.0)
-    far, growth = wp.float64(FAR), wp.float64(1e2)
-    ridge = wp.float64(1e-14 if scalar is wp.float64 else 1e-8)
     functions = newton_functions_for(dim, scalar, width)
-    Span, NewtonState, sums, put = functions.Span, functions.NewtonState, functions.sums, functions.put
-    metric_of, of_candidate, add_product = functions.metric_of, functions.of_candidate, functions.add_product
-    collected, fold, joined = functions.collected, functions.fold, functions.joined
+    Span, NewtonState, fold = functions.Span, functions.NewtonState, functions.fold
 
-    @wp.struct
-    class AndersonState:
-        """What Anderson's acceleration keeps of each candidate."""
+    def over_blocks(function: Any, *, outer: bool = False) -> Any:
+        """The kernel of what is done to each lane's worth of the groups that run (`outer`: Newton's steps)."""
 
-        tolerance: Doubles  # of the distance to the static state [spacing]; first entry
-        floor: Doubles  # residual that is but rounding [spacing]; first entry
-        relative: Doubles  # reduction of a residual that ends a linear solve; first entry, 0: goals
-        target: Doubles  # at which the residual of a linear solve ends
-        state: Ints
-        groups: Ints
-        count: Ints  # iterations of a group
-        known: Ints  # remembered changes that count
-        total: Ints
-        mark: Ints
-        path: Doubles
-        norm: Doubles
-        best: Doubles
-        error: Doubles
-        least: Doubles  # smallest |dr| / |du| met since the last mark, and in the stretch before
-        least_before: Doubles
-        gram: wp.array(dtype=history)
-        gamma: numbers  # weights of the remembered changes, slot by slot
-        stride: int
+        @kernel(name=function.__name__)
+        def run(span: Span, newton: NewtonState):
+            group, block = wp.tid()
+            runs = newton.inner_groups[group]
+            if wp.static(outer):
+                runs = newton.outer_groups[group]
+            if runs != 0:
+                function(span, newton, group, block)
 
-    @wp.func
-    def keep(span: Span, parts_out: Doubles, row: int, item: int, v: sums):
-        """The sums of a block as its part of a row."""
-        if item % span.threads == 0:
-            put(parts_out, (row * span.parts + item / span.threads) * wp.static(width), v)
+        return run
+
+    def over_sums(function: Any, *, outer: bool = False, largest: int = 0) -> Any:
+        """The kernel of what is done with two sums over each group; `largest`: the second is the largest."""
+
+        @kernel(name=function.__name__)
+        def run(span: Span, newton: NewtonState):
+            group, thread = wp.tid()
+            runs = newton.inner_groups[group]
+            if wp.static(outer):
+                runs = newton.outer_groups[group]
+            if runs != 0:
+                fold(span, newton.parts, 0, newton.groups, group, thread, 0)
+                fold(span, newton.parts, 1, newton.groups, group, thread, largest)
+                if thread == 0:
+                    function(span, newton, group)
+
+        return run
 
     @kernel
-    def inner_products(
-        span: Span, running: Ints, groups: int, a: numbers, b: numbers, c: numbers, d: numbers, parts_out: Doubles
-    ):
+    def inner_products(span: Span, newton: NewtonState, running: Ints, a: numbers, b: numbers, c: numbers, d: numbers):
         """Parts of <a, b> and of <c, d>."""
         group, item = wp.tid()
         if running[group] != 0:
             first_sum, second_sum = functions.inner_products(span, a, b, c, d, group, item, span.parts * span.threads)
-            keep(span, parts_out, group, item, joined(first_sum))
-            keep(span, parts_out, groups + group, item, joined(second_sum))
+            functions.keep(span, newton.parts, group, item, functions.joined(first_sum))
+            functions.keep(span, newton.parts, newton.groups + group, item, functions.joined(second_sum))
 
     @kernel
-    def move(span: Span, newton: NewtonState, step_in: numbers, u: numbers):
+    def add_step(span: Span, newton: NewtonState):
+        """u += step, of every group."""
         group, block = wp.tid()
-        if newton.outer_groups[group] != 0:
-            functions.move(span, newton, step_in, u, group, block)
+        at, count = functions.place_of(span, group, block)
+        moved = vecs.add(vecs.load(newton.u, at, span.stride), scalar(1.0), vecs.load(newton.step, at, span.stride))
+        vecs.store(newton.u, at, span.stride, moved, count)
 
     @kernel
-    def judge(span: Span, newton: NewtonState, parts: Doubles, groups: int):
-        group, thread = wp.tid()
-        if newton.outer_groups[group] != 0:
-            fold(span, parts, 0, groups, group, thread, 0)
-            fold(span, parts, 1, groups, group, thread, 0)
-            if thread == 0:
-                functions.judge(span, newton, parts, groups, group)
-
-    @kernel
-    def begin(
-        span: Span,
-        newton: NewtonState,
-        residual_in: numbers,
-        rho_out: numbers,
-        direction_out: numbers,
-        step_out: numbers,
-    ):
-        group, block = wp.tid()
-        if newton.inner_groups[group] != 0:
-            functions.begin(span, newton, residual_in, rho_out, direction_out, step_out, group, block)
-
-    @kernel
-    def curvature(span: Span, newton: NewtonState, parts: Doubles, groups: int):
-        group, thread = wp.tid()
-        if newton.inner_groups[group] != 0:
-            fold(span, parts, 0, groups, group, thread, 0)
-            fold(span, parts, 1, groups, group, thread, 0)
-            if thread == 0:
-                functions.curvature(span, newton, parts, groups, group)
-
-    @kernel
-    def descend(
-        span: Span,
-        newton: NewtonState,
-        groups: int,
-        direction_in: numbers,
-        change_in: numbers,
-        step: numbers,
-        rho: numbers,
-        parts_out: Doubles,
-    ):
+    def descend(span: Span, newton: NewtonState):
         group, item = wp.tid()
         if newton.inner_groups[group] != 0:
-            square_sum, longest = functions.descend(
-                span, newton, direction_in, change_in, step, rho, group, item, span.parts * span.threads
-            )
-            keep(span, parts_out, group, item, joined(square_sum))
-            keep(span, parts_out, groups + group, item, functions.longest_of(longest))
+            square_sum, longest = functions.descend(span, newton, group, item, span.parts * span.threads)
+            functions.keep(span, newton.parts, group, item, functions.joined(square_sum))
+            functions.keep(span, newton.parts, newton.groups + group, item, functions.longest_of(longest))
 
     @kernel
-    def conjugate(span: Span, newton: NewtonState, parts: Doubles, groups: int, most: int):
-        group, thread = wp.tid()
-        if newton.inner_groups[group] != 0:
-            fold(span, parts, 0, groups, group, thread, 0)
-            fold(span, parts, 1, groups, group, thread, 1)
-            if thread == 0:
-                functions.conjugate(span, newton, parts, groups, most, group)
-
-    @kernel
-    def direct(span: Span, newton: NewtonState, rho_in: numbers, direction: numbers):
-        group, block = wp.tid()
-        if newton.inner_groups[group] != 0:
-            functions.direct(span, newton, rho_in, direction, group, block)
-
-    @kernel
-    def aim(span: Span, newton: NewtonState, parts: Doubles, groups: int):
-        group, thread = wp.tid()
-        fold(span, parts, 0, groups, group, thread, 0)
-        if thread == 0:
-            functions.aim(span, newton, parts, groups, group)
-
-    @kernel
-    def reset(newton: NewtonState, groups: int, abreast: int, reach: wp.float64, outer: int, inner: int):
-        functions.reset(newton, groups, abreast, reach, outer, inner, wp.tid())
-
-    @kernel
-    def remember(
-        span: Span,
-        anderson: AndersonState,
-        # In:
-        u_in: numbers,
-        residual_in: numbers,
-        # Out:
-        u_last: numbers,
-        residual_last: numbers,
-        du_out: numbers,
-        dr_out: numbers,
-    ):
-        """Keep the change of iterate and of residual since the last iteration in this iteration's slot."""
-        group, block = wp.tid()
-        if anderson.groups[group] == 0:
-            return
-        at = span.front + group * span.group + block * wp.static(width)
-        count = span.group - block * wp.static(width)
-        u = load(u_in, at, span.stride)
-        r = load(residual_in, at, span.stride)
-        k = anderson.count[group]
-        if k > 0:
-            slot = at + ((k - 1) % wp.static(MEMORY)) * wp.static(dim) * span.stride
-            store(du_out, slot, span.stride, add(u, -one, load(u_last, at, span.stride)), count)
-            store(dr_out, slot, span.stride, add(r, -one, load(residual_last, at, span.stride)), count)
-        store(u_last, at, span.stride, u, count)
-        store(residual_last, at, span.stride, r, count)
-
-    @kernel
-    def history_products(
-        span: Span,
-        anderson: AndersonState,
-        groups: int,
-        # In:
-        residual_in: numbers,
-        du_in: numbers,
-        dr_in: numbers,
-        # Out:
-        parts_out: Doubles,
-    ):
-        """Parts of the newest residual change with each, of each with the residual; last the residual and the step."""
-        group, what, item = wp.tid()
-        if anderson.groups[group] == 0:
-            return
-        base = span.front + group * span.group
-        rows = wp.static(dim) * span.stride
-        newest = (wp.max(anderson.count[group] - 1, 0) % wp.static(MEMORY)) * rows
-        first_sum = sums()
-        second_sum = sums()
-        for block in range(item, span.blocks, span.parts * span.threads):
-            number = block * wp.static(width)
-            at = base + number
-            m = metric_of(span, number)
-            r = load(residual_in, at, span.stride)
-            if what == wp.static(MEMORY):
-                first_sum = add_product(first_sum, m, r, r)
-                du = load(du_in, at + newest, span.stride)
-                second_sum = add_product(second_sum, m, du, du)
-            else:
-                dr = load(dr_in, at + what * rows, span.stride)
-                first_sum = add_product(first_sum, m, dr, load(dr_in, at + newest, span.stride))
-                second_sum = add_product(second_sum, m, dr, r)
-        keep(span, parts_out, 2 * what * groups + group, item, joined(first_sum))
-        keep(span, parts_out, (2 * what + 1) * groups + group, item, joined(second_sum))
-
-    @kernel
-    def accelerate(span: Span, anderson: AndersonState, parts: Doubles, groups: int):
-        """Anderson's weights of the remembered changes: least squares of the residual over them, slightly damped.
-
-        The distance still to go is judged by the path over the last quarter of all iterations, since accelerated steps
-        are as long as the error that they remove, and by the residual over the smallest pull back that they met. A
-        linear solve ends on its residual as a share of the right-hand side: an estimate that waits for the end of a
-        stretch can come after the residual has reached rounding, where changes say nothing of the pull back. When the
-        residual has grown far above its best, the memory is dropped and a plain step follows.
-        """
-        group, thread = wp.tid()
-        if anderson.groups[group] == 0:
-            return
-        for row in range(wp.static(2 * MEMORY + 2)):
-            fold(span, parts, row, groups, group, thread, 0)
-        if thread > 0:
-            return
-        k = anderson.count[group]
-        any_running = int(0)
-        for member in range(span.abreast):
-            i = group * span.abreast + member
-            for slot in range(wp.static(MEMORY)):
-                anderson.gamma[slot * anderson.stride + i] = scalar(0.0)
-            if anderson.state[i] == wp.static(RUNNING):
-                norm = wp.sqrt(
-                    collected(span, parts, wp.static(2 * MEMORY), groups, group, member, 0) / span.metric_total
-                )
-                anderson.norm[i] = norm
-                anderson.total[i] = anderson.total[i] + 1
-                if k == 0:  # a linear solve starts at 0, where its residual is the right-hand side
-                    anderson.target[i] = anderson.relative[0] * norm
-                else:
-                    step = collected(span, parts, wp.static(2 * MEMORY + 1), groups, group, member, 0)
-                    newest_row = 2 * ((k - 1) % wp.static(MEMORY))
-                    change = collected(span, parts, newest_row, groups, group, member, 0)
-                    anderson.path[i] = anderson.path[i] + wp.sqrt(step / span.metric_total)
-                    if step > nought:
-                        anderson.least[i] = wp.min(anderson.least[i], wp.sqrt(change / step))
-                done = anderson.total[i]
-                least = wp.min(anderson.least[i], anderson.least_before[i])
-                left = wp.float64(10.0) * norm / wp.max(least, wp.float64(1e-12))
-                if not wp.isfinite(norm) or norm > far:
-                    anderson.state[i] = wp.static(DIVERGED)
-                elif norm <= anderson.target[i]:
-                    anderson.state[i] = wp.static(CONVERGED)
-                elif norm <= anderson.floor[0]:
-                    anderson.error[i] = left
-                    anderson.state[i] = wp.static(STALLED)
-                    if k == 0 or left <= anderson.tolerance[0]:
-                        anderson.state[i] = wp.static(CONVERGED)
-                elif done >= anderson.mark[i]:
-                    anderson.error[i] = wp.max(anderson.path[i], left)
-                    anderson.mark[i] = done + wp.max(done / 3, 8)
-                    anderson.path[i] = nought
-                    anderson.least_before[i] = anderson.least[i]
-                    anderson.least[i] = unity
-                    if anderson.error[i] <= anderson.tolerance[0]:
-                        anderson.state[i] = wp.static(CONVERGED)
-            if anderson.state[i] == wp.static(RUNNING):
-                any_running = int(1)
-                norm = anderson.norm[i]
-                known = anderson.known[i]
-                if k > 0:
-                    known = wp.min(known + 1, wp.static(MEMORY))
-                g = anderson.gram[i]
-                rhs = history_vec()
-                newest = wp.max(k - 1, 0) % wp.static(MEMORY)
-                for j in range(wp.static(MEMORY)):
-                    if k > 0:
-                        both = collected(span, parts, 2 * j, groups, group, member, 0)
-                        g[j, newest] = both
-                        g[newest, j] = both
-                    rhs[j] = collected(span, parts, 2 * j + 1, groups, group, member, 0)
-                anderson.gram[i] = g
-                if norm > growth * anderson.best[i]:
-                    anderson.best[i] = norm
-                    known = int(0)
-                anderson.best[i] = wp.min(anderson.best[i], norm)
-                anderson.known[i] = known
-                # scaled to a unit diagonal (the changes shrink by orders as it converges); Cholesky with a small ridge
-                unit = history_vec()
-                for j in range(wp.static(MEMORY)):
-                    age = (newest - j + wp.static(MEMORY)) % wp.static(MEMORY)
-                    if age < known and g[j, j] > nought:
-                        unit[j] = unity / wp.sqrt(g[j, j])
-                low = history()
-                for j in range(wp.static(MEMORY)):
-                    for m in range(j + 1):
-                        value = g[j, m] * unit[j] * unit[m]
-                        if j == m:
-                            value = unity + ridge
-                        for n in range(m):
-                            value -= low[j, n] * low[m, n]
-                        if j == m:
-                            low[j, j] = wp.sqrt(wp.max(value, ridge))
-                        else:
-                            low[j, m] = value / low[m, m]
-                y = history_vec()
-                for j in range(wp.static(MEMORY)):
-                    value = rhs[j] * unit[j]
-                    for m in range(j):
-                        value -= low[j, m] * y[m]
-                    y[j] = value / low[j, j]
-                for back in range(wp.static(MEMORY)):
-                    j = wp.static(MEMORY - 1) - back
-                    value = y[j]
-                    for m in range(j + 1, wp.static(MEMORY)):
-                        value -= low[m, j] * y[m]
-                    y[j] = value / low[j, j]
-                for j in range(wp.static(MEMORY)):
-                    anderson.gamma[j * anderson.stride + i] = scalar(y[j] * unit[j])
-        anderson.count[group] = k + 1
-        anderson.groups[group] = any_running
-
-    @kernel
-    def advance(
-        span: Span,
-        anderson: AndersonState,
-        # In:
-        residual_in: numbers,
-        du_in: numbers,
-        dr_in: numbers,
-        # Out:
-        u: numbers,
-    ):
-        """The accelerated step."""
-        group, block = wp.tid()
-        if anderson.groups[group] == 0:
-            return
-        at = span.front + group * span.group + block * wp.static(width)
-        count = span.group - block * wp.static(width)
-        runs = lane()
-        for l in range(wp.static(width)):
-            member = group
-            if span.abreast > 1:
-                member = group * span.abreast + l
-            if anderson.state[member] == wp.static(RUNNING):
-                runs[l] = one
-        moved = load(residual_in, at, span.stride)
-        for slot in range(wp.static(MEMORY)):
-            w = of_candidate(span, anderson.gamma, group, slot * anderson.stride)
-            row = at + slot * wp.static(dim) * span.stride
-            moved = add(moved, -one, scale(load(du_in, row, span.stride), w))
-            moved = add(moved, -one, scale(load(dr_in, row, span.stride), w))
-        store(u, at, span.stride, add(load(u, at, span.stride), one, choose(runs, moved)), count)
-
-    @kernel
-    def add_field(
-        span: Span,
-        running: Ints,
-        # In:
-        field_in: numbers,
-        # In and out:
-        total: numbers,
-    ):
-        """total += field."""
-        group, block = wp.tid()
-        if running[group] == 0:
-            return
-        at = span.front + group * span.group + block * wp.static(width)
-        count = span.group - block * wp.static(width)
-        store(total, at, span.stride, add(load(total, at, span.stride), one, load(field_in, at, span.stride)), count)
+    def reset(span: Span, newton: NewtonState, reach: wp.float64, outer: int, inner: int):
+        functions.reset(span, newton, reach, outer, inner, wp.tid())
 
     @kernel
     def put_at(places: Ints, values: numbers, stride: int, first_out: numbers, second_out: numbers):
         functions.put_at(places, values, stride, first_out, second_out, wp.tid())
 
-    return SimpleNamespace(**locals())
+    return members(
+        *(inner_products, add_step, descend, reset, put_at, over_blocks(functions.move, outer=True)),
+        *(over_blocks(functions.begin), over_blocks(functions.direct), over_sums(functions.judge, outer=True)),
+        *(over_sums(functions.curvature), over_sums(functions.conjugate, largest=1), over_sums(functions.aim)),
+    )
+
+
+@functools.cache
+def resident_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> SimpleNamespace:
+    """Kernels that stay, for lattices of `dim` = 2 or 3, scalar = wp.float32 or wp.float64; lanes of `width`, 1 on a
+    GPU.
+
+    `goals`, a single evaluation, is on a CPU alone: a GPU has `lattice_kernels` for it.
+    """
+    on_cpu = width > 1
+    numbers = wp.array(dtype=scalar)
+    steps_kernel, relax_kernel = (
+        kernel_in(
+            f"{'lattice' if on_cpu else name}_{dim}d_{scalar.__name__}_{width}_{window}",
+            scalar,
+            launch_bounds=THREADS[scalar],
+        )
+        for name in ("steps", "relax")
+    )
+    lattice = lattice_functions_for(dim, scalar, width, window)
+    vecs = rows_for(dim, width, scalar)
+    cluster = cluster_functions_for(dim, dim, scalar, width)
+    newton_f = newton_functions_for(dim, scalar, width)
+    Span, NewtonState, inner_products = newton_f.Span, newton_f.NewtonState, newton_f.inner_products
+
+    @wp.struct
+    class Passes:
+        """What the passes over a lattice go by; motion: of time stepping, or none.
+
+        pair: the displacement, and the direction or the displacement one step before, as one field; pair_out: the
+        residual and the direction's change
+        """
+
+        grid: lattice.Grid
+        site: lattice.Site
+        rest: cluster.FitRest
+        kept: cluster.Kept
+        fields: lattice.Fields
+        motion: lattice.Motion
+        threads: int  # of a block
+        pair: numbers
+        pair_out: numbers
+        ran_away: Ints
+
+    @wp.func_native(
+        """
+    #if defined(__CUDA_ARCH__)
+    __syncthreads();
+    #endif
+    """
+    )
+    def meet():
+        """All threads of the block have come here, and see what the others wrote."""
+
+    @wp.func(inline=False if on_cpu else None)
+    def operate(
+        passes: Passes,
+        u: numbers,
+        offset: int,
+        before_offset: int,
+        out: numbers,
+        changing: int,
+        group: int,
+        thread: int,
+    ):
+        """All passes over a group: goals (with `changing` their derivative) of what is at `offset` of u, into out.
+
+        before_offset: in u, of the displacement one time step before
+        """
+        grid = passes.grid
+        fields = passes.fields
+        motion = passes.motion
+        threads = passes.threads
+        if wp.static(window == 0):
+            for item in range(thread, grid.items_plane, threads):
+                lattice.windows_fast(grid, fields, motion, u, offset, u, before_offset, group, item)
+            meet()
+            for item in range(thread, grid.items_windows, threads):
+                lattice.windows_middle(grid, fields, group, item)
+        else:
+            for item in range(thread, grid.items_windows, threads):
+                lattice.windows_fast(grid, fields, motion, u, offset, u, before_offset, group, item)
+        meet()
+        site = passes.site
+        rest = passes.rest
+        kept = passes.kept
+        if changing != 0:
+            for item in range(thread, grid.items_fit, threads):
+                lattice.fit_changes(grid, site, rest, kept, fields, group, item)
+        else:
+            for item in range(thread, grid.items_fit, threads):
+                lattice.fit_clusters(grid, site, rest, kept, fields, group, item)
+        meet()
+        if wp.static(dim == 3):
+            for item in range(thread, grid.items_slow, threads):
+                lattice.spread_slow(grid, fields, group, item)
+            meet()
+        if wp.static(window == 0):
+            for item in range(thread, grid.items_spread, threads):
+                lattice.spread_middle(grid, fields, group, item)
+            meet()
+        for item in range(thread, grid.items_plane, threads):
+            lattice.finish(grid, fields, motion, u, offset, u, before_offset, out, passes.ran_away, group, item)
+        meet()
+
+    if on_cpu:
+
+        @relax_kernel
+        def goals(passes: Passes, running: Ints, changing: int, u_in: numbers, out: numbers):
+            """goal - u of every free particle; with `changing` J u - u where goals were last evaluated."""
+            group = wp.tid()
+            if running[group] != 0:
+                operate(passes, u_in, 0, 0, out, changing, group, 0)
+
+    @steps_kernel
+    def steps(passes: Passes, count: int, swapped: int):
+        """`count` time steps.
+
+        The displacement is in the first half of the pair, the one before in the second; each step they change places,
+        and with `swapped` they begin so.
+        """
+        index = wp.tid()
+        group = index / passes.threads
+        rows = wp.static(dim) * passes.grid.stride
+        pair = passes.pair
+        for n in range(count):
+            offset = ((n + swapped) % 2) * rows
+            operate(passes, pair, offset, rows - offset, pair, 0, group, index - group * passes.threads)
+
+    @wp.func
+    def keep(newton: NewtonState, row: int, group: int, thread: int, v: newton_f.sums):
+        """The group's sums, of which there is one part."""
+        if thread == 0:
+            newton_f.put(newton.parts, (row * newton.groups + group) * wp.static(width), v)
+
+    @wp.func(inline=False if on_cpu else None)
+    def iterate(passes: Passes, span: Span, newton: NewtonState, limit: int, group: int, thread: int):
+        """Up to `limit` evaluations of a group's Newton steps, or of its linear solve."""
+        threads = passes.threads
+        done = int(0)
+        while done < limit and (newton.outer_groups[group] != 0 or newton.inner_groups[group] != 0):
+            changing = newton.inner_groups[group]
+            offset = int(0)
+            if changing != 0:
+                offset = wp.static(dim) * passes.grid.stride
+            else:
+                for block in range(thread, span.blocks, threads):
+                    newton_f.move(span, newton, group, block)
+            meet()
+            operate(passes, passes.pair, offset, 0, passes.pair_out, changing, group, thread)
+            if changing != 0:
+                p = newton.direction
+                stiff, square = inner_products(span, p, newton.changed, p, p, group, thread, threads)
+                keep(newton, 0, group, thread, newton_f.joined(stiff))
+                keep(newton, 1, group, thread, newton_f.joined(square))
+                if thread == 0:
+                    newton_f.curvature(span, newton, group)
+                meet()
+                left, longest = newton_f.descend(span, newton, group, thread, threads)
+                keep(newton, 0, group, thread, newton_f.joined(left))
+                keep(newton, 1, group, thread, newton_f.longest_of(longest))
+                if thread == 0:
+                    newton_f.conjugate(span, newton, group)
+                meet()
+                for block in range(thread, span.blocks, threads):
+                    newton_f.direct(span, newton, group, block)
+            else:
+                r = newton.residual
+                own, along = inner_products(span, r, r, r, newton.step, group, thread, threads)
+                keep(newton, 0, group, thread, newton_f.joined(own))
+                keep(newton, 1, group, thread, newton_f.joined(along))
+                if thread == 0:
+                    newton_f.judge(span, newton, group)
+                meet()
+                if newton.inner_groups[group] != 0:
+                    for block in range(thread, span.blocks, threads):
+                        newton_f.begin(span, newton, group, block)
+            meet()
+            done += int(1)
+
+    @wp.func
+    def aim_at(span: Span, newton: NewtonState, group: int, thread: int, threads: int):
+        """A linear solve begins, with its right-hand side as the residual."""
+        right = newton.residual
+        square, _same = inner_products(span, right, right, right, right, group, thread, threads)
+        keep(newton, 0, group, thread, newton_f.joined(square))
+        if thread == 0:
+            newton_f.aim(span, newton, group)
+        meet()
+        for block in range(thread, span.blocks, threads):
+            newton_f.begin(span, newton, group, block)
+
+    @relax_kernel
+    def relax(passes: Passes, span: Span, newton: NewtonState, limit: int):
+        index = wp.tid()
+        group = index / passes.threads
+        iterate(passes, span, newton, limit, group, index - group * passes.threads)
+
+    @relax_kernel
+    def aim(span: Span, newton: NewtonState, threads: int):
+        index = wp.tid()
+        group = index / threads
+        aim_at(span, newton, group, index - group * threads, threads)
+
+    @wp.struct
+    class BetaSearch:
+        """One candidate's search for the beta of least error.
+
+        target: the observed displacement; seen: (places,) 1 where it is; most: evaluations; limit: iterations of a
+        state; start, largest, tolerance: of beta; spread, share: tolerance of the search's states, and of the last one;
+        relative: of their derivatives; found: beta, evaluations, and whether the last step was below the tolerance
+        """
+
+        target: numbers
+        seen: numbers
+        most: int
+        limit: int
+        start: wp.float64
+        largest: wp.float64
+        tolerance: wp.float64
+        spread: wp.float64
+        share: wp.float64
+        relative: wp.float64
+        found: Doubles
+
+    @wp.func
+    def slopes(span: Span, newton: NewtonState, search: BetaSearch, thread: int, threads: int):
+        """Slope of the summed distance along d state / d beta (`step`), and a curvature that never overshoots."""
+        slope = newton_f.sums()
+        curvature = newton_f.sums()
+        for block in range(thread, span.blocks, threads):
+            at, count = newton_f.place_of(span, 0, block)
+            for l in range(wp.min(count, wp.static(width))):
+                if search.seen[block * wp.static(width) + l] > scalar(0.0):
+                    square = wp.float64(1e-18)
+                    along = wp.float64(0.0)
+                    longer = wp.float64(0.0)
+                    for i in range(wp.static(dim)):
+                        here = at + i * span.stride + l
+                        away = wp.float64(newton.u[here]) - wp.float64(search.target[here])
+                        moved = wp.float64(newton.step[here])
+                        square += away * away
+                        along += away * moved
+                        longer += moved * moved
+                    distance = wp.sqrt(square)
+                    slope[0] = slope[0] + along / distance
+                    curvature[0] = curvature[0] + longer / distance
+        return newton_f.joined(slope), newton_f.joined(curvature)
+
+    @wp.func
+    def anew(span: Span, newton: NewtonState, tolerance: wp.float64, relative: wp.float64, outer: int, thread: int):
+        """Newton's steps (`outer`) or a linear solve of the one candidate begin."""
+        if thread == 0:
+            newton.tolerance[0] = tolerance
+            newton.relative[0] = relative
+            reach = wp.float64(wp.inf)
+            if outer == 1:
+                reach = wp.float64(REACH)
+            newton_f.reset(span, newton, reach, outer, 1 - outer, 0)
+        meet()
+
+    @kernel_in(f"follow_{dim}d_{scalar.__name__}_{width}_{window}", scalar, launch_bounds=THREADS[scalar])
+    def follow(passes: Passes, by_beta: Passes, span: Span, newton: NewtonState, search: BetaSearch):
+        """`fit.fit_beta` from the start to the end. by_beta: passes that make the derivative of the goals."""
+        thread = wp.tid()
+        threads = passes.threads
+        low = wp.float64(0.0)
+        high = search.largest
+        beta = search.start
+        beta_before = wp.float64(0.0)
+        slope_before = wp.float64(0.0)
+        evaluations = int(0)
+        settled = int(0)
+        last = int(0)
+        while last == 0:
+            if evaluations == search.most or settled != 0:
+                last = 1
+            spread = search.spread
+            if last != 0:
+                spread = search.share
+            if thread == 0:
+                passes.fields.beta[0] = scalar(beta)
+            anew(span, newton, spread, wp.float64(0.0), 1, thread)
+            iterate(passes, span, newton, search.limit, 0, thread)
+            if last == 0:
+                operate(by_beta, passes.pair, 0, 0, passes.pair_out, 0, 0, thread)
+                anew(span, newton, wp.float64(0.0), search.relative, 0, thread)
+                aim_at(span, newton, 0, thread, threads)
+                meet()
+                iterate(passes, span, newton, newton.most, 0, thread)
+                slope_sums, curvature_sums = slopes(span, newton, search, thread, threads)
+                keep(newton, 0, 0, thread, slope_sums)
+                keep(newton, 1, 0, thread, curvature_sums)
+                meet()
+                slope = newton.parts[0]
+                curvature = newton.parts[wp.static(width) * newton.groups]
+                evaluations += int(1)
+                if slope < wp.float64(0.0):
+                    low = wp.max(low, beta)
+                else:
+                    high = wp.min(high, beta)
+                step = wp.float64(0.0)
+                if curvature > wp.float64(0.0):
+                    step = -slope / curvature
+                if evaluations > 1 and slope != slope_before:
+                    secant = -slope * (beta - beta_before) / (slope - slope_before)
+                    if secant * slope < wp.float64(0.0):
+                        step = secant
+                tenth = wp.float64(0.1)
+                new = wp.clamp(beta + step, low + tenth * (beta - low), high - tenth * (high - beta))
+                if wp.abs(new - beta) <= search.tolerance:
+                    settled = int(1)
+                for block in range(thread, span.blocks, threads):
+                    at, count = newton_f.place_of(span, 0, block)
+                    along = vecs.load(newton.step, at, span.stride)
+                    moved = vecs.add(vecs.load(newton.u, at, span.stride), scalar(new - beta), along)
+                    vecs.store(newton.u, at, span.stride, moved, count)
+                    vecs.store(newton.step, at, span.stride, vecs.rows(), count)
+                meet()
+                beta_before = beta
+                slope_before = slope
+                beta = new
+        if thread == 0:
+            search.found[0] = beta
+            search.found[1] = wp.float64(evaluations)
+            search.found[2] = wp.float64(settled)
+
+    @relax_kernel
+    def reset(span: Span, newton: NewtonState, reach: wp.float64, outer: int, inner: int):
+        newton_f.reset(span, newton, reach, outer, inner, wp.tid())
+
+    @steps_kernel
+    def put_at(places: Ints, values: numbers, stride: int, first_out: numbers, second_out: numbers):
+        newton_f.put_at(places, values, stride, first_out, second_out, wp.tid())
+
+    made = members(Passes, BetaSearch, steps, relax, aim, reset, put_at, follow)
+    if on_cpu:
+        made.goals = goals
+    return made

@@ -1,21 +1,39 @@
 """Lanes: `width` numbers that go through a computation side by side, as one vector of the processor.
 
-A lane is a cell of the lattice or a candidate; the kernels do not care which. Width 16 fills the vector units of a CPU,
-whose compiler finds none of this parallelism in scalar kernels; width 1 is a plain number, for a GPU and for lists of
+A lane is a cell of the lattice or a candidate; the kernels do not care which. `LANES` fill a vector of the CPU, whose
+compiler finds none of this parallelism in scalar kernels; width 1 is a plain number, for a GPU and for lists of
 indices. `Rows` are small matrices of lanes, row by row. The loops of the native functions have no branches and run
 over the lanes innermost, which is what compilers turn into vector instructions; warp's own operators on matrices are
 not turned.
+
+Results depend on the width in their last digits: all lanes take as many of Newton's steps for their rotation as the one
+that needs most, and a static state's sums over particles are lane by lane.
 """
 
 import functools
+import os
 from types import SimpleNamespace
 from typing import Any
 
 import warp as wp
+from numpy._core._multiarray_umath import __cpu_features__
 
-CPU_FLAGS = "-march=native -mllvm=-inline-threshold=9000 -mllvm=-inline-cold-callsite-threshold=3000"
-"""For modules of lanes. Warp's own flags also cap the recursion of the search for vector instructions, which leaves
-most of the lanes to plain ones; without the high threshold matrices of lanes go through memory at every call."""
+FORCE_BITS = "DEFORMSCOPE_VECTOR_BITS"
+"""Environment variable that takes the place of what the processor says, for tests: 256 or 512."""
+
+VECTOR_BITS = int(os.environ.get(FORCE_BITS, 512 if __cpu_features__.get("AVX512F") else 256))
+"""Of a vector of this processor. Where half of the lanes fit, a step takes 1.2 to 1.3 times as long."""
+
+LANES = {wp.float32: VECTOR_BITS // 32, wp.float64: VECTOR_BITS // 64}
+"""Numbers that a CPU's vector units take side by side."""
+
+CPU_FLAGS = (
+    f"-march=native -mprefer-vector-width={VECTOR_BITS}"
+    " -mllvm=-inline-threshold=9000 -mllvm=-inline-cold-callsite-threshold=3000"
+)
+"""For modules of lanes. Compilers take half of an Intel processor's 512 bits if not told. Warp's own flags also cap the
+recursion of the search for vector instructions, which leaves most of the lanes to plain ones; without the high
+threshold matrices of lanes go through memory at every call."""
 
 Ints, Doubles = wp.array(dtype=int), wp.array(dtype=wp.float64)
 """Types of arrays that kernels take."""
@@ -58,7 +76,7 @@ def lanes_for(width: int, scalar: Any) -> SimpleNamespace:
     def below(a: lane, limit: scalar) -> int:
         """1 if every lane is below the limit (a lane that is not a number is not)."""
 
-    return SimpleNamespace(**locals())
+    return SimpleNamespace(lane=lane, own=own, times=times, least=least, below=below)
 
 
 @functools.cache
@@ -108,7 +126,8 @@ def rows_for(count: int, width: int, scalar: Any) -> SimpleNamespace:
     def choose(when: lane, m: rows) -> rows:
         """m where `when` is positive, else 0 (whatever m holds there)."""
 
-    return SimpleNamespace(**locals())
+    moving = {"load": load, "store": store, "own": own, "row": row, "with_row": with_row}
+    return SimpleNamespace(rows=rows, add=add, scale=scale, choose=choose, **moving)
 
 
 @functools.cache

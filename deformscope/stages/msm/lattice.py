@@ -2,24 +2,32 @@
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import warp as wp
 
-from deformscope.arrays import FloatArray, IntArray
+from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.stages.msm import lattice_kernels as k
-from deformscope.stages.msm.body import Body, BodyRest, Operator, Parameters, RestArrays, rest_struct
-from deformscope.stages.msm.cluster_functions import GOAL, cluster_functions_for
+from deformscope.stages.msm.body import Body, BodyRest, Operator, Parameters, RestArrays, rest_struct, upload_rows
+from deformscope.stages.msm.cluster_functions import BY_BETA, GOAL, cluster_functions_for
 from deformscope.stages.msm.clusters import FLAT_MOMENT_RATIO, LatticeClusters
+from deformscope.stages.msm.iteration_kernels import THREADS, resident_kernels_for
 from deformscope.stages.msm.layout import Field, Layout, upload, widths
-from deformscope.stages.msm.resident_kernels import THREADS, resident_kernels_for
 
 REGULAR = 1e-6
 """Spacings by which a particle may stand beside its place in an even lattice to be taken as standing on it."""
 
+FITTED, AT_ONCE = 100_000, 16_384
+"""Particles that a lattice's edges are fitted to, and of which places are compared at once (they fit into a cache)."""
+
 SLIDE = {"cpu": (3, 32), "cuda": (4, 8)}
 """Widest window that is summed up anew at each cell, and the run of a sum that slides over wider ones."""
+
+SLIDE_FROM = 500_000
+"""Cells from which on a GPU slides over wide windows: in smaller bodies too few threads would be left to slide."""
 
 RESIDENT_CELLS = 8192
 """Cells up to which one block of a GPU's threads goes through a whole body by itself."""
@@ -29,13 +37,23 @@ FIELDS = ("mass", "free", "pull", "sums_fast", "sums_middle", "maps", "maps_slow
 
 def lattice_edges(rest: FloatArray, clusters: LatticeClusters) -> FloatArray | None:
     """(axes, d) from one cell to the next along each axis, if the rest shape (K, d) is an even lattice, else None."""
-    index = np.column_stack(np.unravel_index(clusters.cell, clusters.shape)).astype(np.float64)
     used = [axis for axis, count in enumerate(clusters.shape) if count > 1]
-    centred = index[:, used] - index[:, used].mean(axis=0)
+
+    def index(some: Any) -> FloatArray:
+        left, found = clusters.cell[some], np.empty((len(clusters.shape), len(clusters.cell[some])))
+        for axis in reversed(range(len(found))):  # `np.unravel_index` takes five times as long
+            before = left // clusters.shape[axis]
+            found[axis], left = left - before * clusters.shape[axis], before
+        return found[used].T
+
+    count = len(rest)
+    some = slice(None) if count <= FITTED else np.random.default_rng(0).integers(count, size=FITTED)
+    middle, centre = index(some).mean(axis=0), rest[some].mean(axis=0)
     edges = np.zeros((len(clusters.shape), rest.shape[1]))
-    edges[used] = np.linalg.lstsq(centred, rest - rest.mean(axis=0), rcond=None)[0]
-    off = centred @ edges[used] - (rest - rest.mean(axis=0))
-    return edges if np.abs(off).max(initial=0.0) <= REGULAR else None
+    edges[used] = np.linalg.lstsq(index(some) - middle, rest[some] - centre, rcond=None)[0]
+    parts = [slice(first, first + AT_ONCE) for first in range(0, count, AT_ONCE)]
+    off = (np.abs((index(part) - middle) @ edges[used] - (rest[part] - centre)).max(initial=0.0) for part in parts)
+    return edges if all(each <= REGULAR for each in off) else None
 
 
 class LatticeBody(Body):
@@ -52,24 +70,19 @@ class LatticeBody(Body):
         window = (*(1,) * (3 - len(clusters.window)), *clusters.window)
         if d == 2 and shape[0] > 1:
             raise ValueError(f"expected a lattice of two axes in the plane; got {clusters.shape}")
-        self.shape, self.window = shape, window
-        self.cell = clusters.cell
+        self.shape, self.window, self.count = shape, window, int(np.prod(shape))
+        self.rest, self.cell = rest, clusters.cell
         self.corner = clusters.corner.reshape(shape)
         self.edges = np.zeros((3, d))
         self.edges[3 - len(edges) :] = edges
-        mass = np.zeros(int(np.prod(shape)))
-        mass[self.cell] = rest.mass
-        self.mass = mass.reshape(shape)
-        self.count = int(np.prod(shape))
-        counts = np.zeros(self.count)
-        counts[self.cell] = rest.counts
-        free = np.zeros(self.count)
-        free[self.cell] = rest.free
-        self.pull = np.divide(free, counts, out=np.zeros_like(free), where=counts > 0)
-        self.free = free
-        self.metric = np.zeros(self.count)
-        self.metric[self.cell] = rest.metric
-        self.alike = bool((self.mass == self.mass.flat[0]).all())
+        self.alike = len(self.cell) == self.count and bool((rest.mass == rest.mass[0]).all())
+        self._place = slice(None) if clusters.in_order else self.cell
+
+    def at_cells(self, values: FloatArray | BoolArray | float, dtype: Any = np.float64, spare: int = 0) -> FloatArray:
+        """Numbers of the particles, (K,), at their cells, 0 at others; `spare` more at the end."""
+        made = np.zeros(self.count + spare, dtype=dtype)
+        made[: self.count][self._place] = values
+        return made
 
     @property
     def clusters_at(self) -> IntArray:
@@ -100,40 +113,31 @@ class LatticeBody(Body):
 
         One row stands for all where they are alike, else there is one for each cell (0 where no cluster is).
         """
-        offset = [np.arange(w) - (w - 1) / 2 for w in self.window]
         if self.alike:
-            grid = np.stack(np.meshgrid(*offset, indexing="ij"), axis=-1).reshape(1, -1, 3)
-            mass = np.full(grid.shape[:2], self.mass.flat[0])
-            total = mass.sum(axis=1)
-            mean = np.zeros((1, 3))
-            second = np.einsum("nk,nka,nkb->nab", mass, grid, grid)
+            mass, chosen = np.full(self.window, self.rest.mass[0]), np.ones_like(self.corner[:1, :1, :1])
         else:
-            places = tuple(slice(n - w + 1) for n, w in zip(self.shape, self.window, strict=True))
-            total = np.zeros(self.shape)
-            first = np.zeros((*self.shape, 3))
-            second = np.zeros((*self.shape, 3, 3))
-            for step in np.ndindex(*self.window):
-                away = np.array([offset[axis][i] for axis, i in enumerate(step)])
-                part = self.mass[tuple(slice(i, i + s.stop) for i, s in zip(step, places, strict=True))]
-                total[places] += part
-                first[places] += part[..., None] * away
-                second[places] += part[..., None, None] * np.outer(away, away)
-            chosen = self.corner
-            total = np.where(chosen, total, 0.0).reshape(-1)
-            mean = np.divide(
-                first.reshape(-1, 3), total[:, None], out=np.zeros((self.count, 3)), where=total[:, None] > 0
-            )
-            second = second.reshape(-1, 3, 3) - total[:, None, None] * mean[:, :, None] * mean[:, None, :]
-            second[total == 0] = 0.0
+            mass, chosen = self.at_cells(self.rest.mass).reshape(self.shape), self.corner
+        kept = tuple(slice(n) for n in chosen.shape)
+
+        def sums(*axes: int) -> FloatArray:
+            """(n,) masses times the offsets along these axes, summed over windows."""
+            found = _window_sums(mass[None, ..., None], self.window, [axes.count(axis) for axis in range(3)])
+            return np.where(chosen, found[0, ..., 0][kept], 0.0).reshape(-1)
+
+        total = sums()
+        first = np.stack([sums(a) for a in range(3)], axis=-1)
+        mean = np.divide(first, total[:, None], out=np.zeros_like(first), where=total[:, None] > 0)
+        pairs = {(a, b): sums(a, b) for a in range(3) for b in range(a + 1)}
+        second = np.stack([pairs[max(a, b), min(a, b)] for a in range(3) for b in range(3)], axis=-1).reshape(-1, 3, 3)
+        second -= total[:, None, None] * mean[:, :, None] * mean[:, None, :]
         return total, mean, np.einsum("ai,nab,bj->nij", self.edges, second, self.edges)
 
 
-def _window_sums(values: FloatArray, window: tuple[int, ...], moment: int | None) -> FloatArray:
-    """(B, cells, d) sums over windows from each cell on, 0 where none fits; weighted with the offset along an axis."""
-    for axis, width in enumerate(window):
-        weight = np.arange(width) - (width - 1) / 2 if axis == moment else np.ones(width)
+def _window_sums(values: FloatArray, window: tuple[int, ...], powers: Sequence[int] = (0, 0, 0)) -> FloatArray:
+    """(B, cells, d) sums over windows from each cell on, 0 where none fits, of values times powers of the offsets."""
+    for axis, (width, power) in enumerate(zip(window, powers, strict=True)):
         views = np.lib.stride_tricks.sliding_window_view(values, width, axis=axis + 1)
-        total = views @ weight
+        total = views @ (np.arange(width) - (width - 1) / 2) ** power
         pad = [(0, 0)] * values.ndim
         pad[axis + 1] = (0, width - 1)
         values = np.pad(total, pad)
@@ -145,10 +149,9 @@ class _LatticeArrays:
 
     def __init__(self, body: LatticeBody, width: int) -> None:
         d, scalar, device = body.dim, body.scalar, body.device
-        limit, _ = SLIDE["cpu" if device.startswith("cpu") else "cuda"]
         wide = set(body.window[3 - d :])
-        window = 0 if device.startswith("cpu") or len(wide) > 1 or max(wide) > limit else max(wide)
-        self.window = window  # passes along two axes at once
+        small = max(wide) <= k.BOTH or RESIDENT_CELLS < body.count < SLIDE_FROM
+        self.window = window = max(wide) if width == 1 and len(wide) == 1 and small else 0
         self.kernels = k.lattice_kernels_for(d, scalar, width, window) if width == 1 else None
         self.functions = k.lattice_functions_for(d, scalar, width, window)
         self.resident = resident_kernels_for(d, scalar, width, window)
@@ -178,15 +181,11 @@ class _LatticeArrays:
         lift[full] = np.einsum("nik,nkj->nij", ordered[full], lift[full])
         spare = 2 * width
         site = self.functions.Site()
-        site.valid = upload(body.corner.astype(np.float64), scalar, device, spare)
+        site.valid = upload(body.corner, scalar, device, spare)
         site.stride = n + (spare if n > 1 else 0)
         site.step = int(n > 1)
 
-        def rows(each: FloatArray) -> Any:
-            """(n, ...) as rows of n."""
-            flat = each.reshape(n, -1).T
-            return upload(np.pad(flat, ((0, 0), (0, site.stride - n))), scalar, device)
-
+        rows = functools.partial(upload_rows, stride=site.stride, scalar=scalar, device=device)
         site.share = rows(np.divide(1.0, total, out=np.zeros(n), where=total > 0))
         site.mean = rows(mean[:, 3 - axes :])
         site.affine = rows(np.einsum("nij,aj->nia", pinv, edges))
@@ -194,21 +193,19 @@ class _LatticeArrays:
         site.edge_t = upload(edges, scalar, device)
         self.site = site
         null = np.eye(d) - np.einsum("nik,nk,njk->nij", vectors, determined, vectors)
-        self.rest = rest_struct(
-            functions,
-            RestArrays(gram / size[:, None, None], null, span, span_count, root, lift),
-            site.stride,
-            scalar,
-            device,
-        )
+        arrays = RestArrays(gram / size[:, None, None], null, span, span_count, root, lift)
+        self.rest = rest_struct(functions, arrays, site.stride, scalar, device)
         self.Kept, self.Motion = functions.Kept, self.functions.Motion
         spare += body.window[2]  # a window reaches over the last cell, too
-        self.mass = upload(
-            body.mass.reshape(-1)[:1] if body.alike else body.mass, scalar, device, 0 if body.alike else spare
-        )
-        self.free = upload(body.free, scalar, device, spare)
-        self.pull = upload(body.pull, scalar, device, spare)
-        self.metric = upload(body.metric, scalar, device, spare)
+        number = np.float64 if scalar is wp.float64 else np.float32
+
+        def at_cells(values: FloatArray | BoolArray) -> Any:
+            return wp.array(body.at_cells(values, number, spare), dtype=scalar, device=device)
+
+        rest = body.rest
+        self.mass = upload(rest.mass[:1], scalar, device) if body.alike else at_cells(rest.mass)
+        self.free, self.metric = at_cells(rest.free), at_cells(rest.metric)
+        self.pull = at_cells(rest.free / rest.counts)
 
 
 class LatticeOperator(Operator):
@@ -226,8 +223,8 @@ class LatticeOperator(Operator):
         grid.front, grid.group, grid.stride = layout.front, layout.group, layout.stride
         grid.cluster_end = ((grid.clusters_1 - 1) * n[2] + n[2] - w[2] + 1) * many
         limit, run = SLIDE["cpu" if layout.device.startswith("cpu") else "cuda"]
-        grid.run_0 = 1 if w[0] <= limit else run
-        grid.run_1 = 1 if w[1] <= limit else run
+        grid.run_0 = 1 if arrays.window or w[0] <= limit else run
+        grid.run_1 = 1 if arrays.window or w[1] <= limit else run
 
         def blocks(numbers: int) -> int:
             return -(-numbers // layout.width)
@@ -272,13 +269,8 @@ class LatticeOperator(Operator):
     def _goals(self, u: Field, out: Field, fields: object, running: Field, kept: object, *, changing: bool) -> None:
         a, layout = self.arrays, self.layout
         if a.kernels is None:
-            wp.launch(
-                a.resident.goals,
-                dim=layout.groups,
-                inputs=[self.grid, a.site, a.rest, kept, fields, self.still, running, int(changing), u],
-                outputs=[out, self._nothing],
-                device=layout.device,
-            )
+            inputs = [self._passes(kept, fields, self.still), running, int(changing), u, out]
+            wp.launch(a.resident.goals, layout.groups, inputs, device=layout.device)
             return
         self._windows(fields, self.still, running, u, u)
         self._fit(a.kernels.fit_changes if changing else a.kernels.fit_clusters, fields, running, kept)
@@ -311,72 +303,64 @@ class LatticeOperator(Operator):
     def cluster_gradient(self, adjoint: Field) -> FloatArray:
         """(B, C): see `Operator.cluster_gradient`."""
         axes = self.dim
-        maps = self._cluster_fields(self.maps, self.dim * (1 + axes))
         body = self.body
+        maps = self.layout.get(self.maps, self.dim * (1 + axes), body.clusters_at)
         weighted = np.zeros((self.layout.candidates, body.count, self.dim))
-        weighted[:, body.cell] = self.layout.get(adjoint, self.dim) * body.mass.reshape(-1)[body.cell, None]
+        weighted[:, body.cell] = self.layout.get(adjoint, self.dim) * body.rest.mass[:, None]
         weighted = weighted.reshape(-1, *body.shape, self.dim)
-        sums = [_window_sums(weighted, body.window, None)]
-        sums += [_window_sums(weighted, body.window, axis) for axis in range(3 - axes, 3)]
+        powers = [np.zeros(3, dtype=int), *np.eye(3, dtype=int)[3 - axes :]]
+        sums = [_window_sums(weighted, body.window, each) for each in powers]
         kept = np.concatenate([each[:, body.corner] for each in sums], axis=-1)
         return np.asarray(np.einsum("bcr,bcr->bc", maps, kept))
-
-    def _cluster_fields(self, field: Field, rows: int) -> FloatArray:
-        """(B, C, rows) of a field of clusters."""
-        layout = self.layout
-        host = np.asarray(field.numpy(), dtype=np.float64).reshape(rows, layout.stride)
-        body = host[:, layout.front : layout.front + layout.groups * layout.group]
-        body = body.reshape(rows, layout.groups, -1, layout.abreast)[:, :, self.body.clusters_at, :]
-        return body.transpose(1, 3, 2, 0).reshape(-1, len(self.body.clusters_at), rows)[: layout.candidates]
 
     def stay_stepping(
         self, pair: Field, swapped: bool, motion: object, parameters: Parameters, steps: int, ran_away: Field
     ) -> None:
         """`steps` time steps in one launch, of the displacement and the one before in the halves of `pair`."""
-        a, layout = self.arrays, self.layout
-        wp.launch(
-            a.resident.steps,
-            dim=layout.groups * self.threads,
-            block_dim=self.threads,
-            inputs=[
-                *(self.grid, a.site, a.rest, self.unkept(), self.fields(parameters), motion),
-                *(steps, int(swapped), self.threads, pair, ran_away),
-            ],
-            device=layout.device,
-        )
+        passes = self._stepping
+        passes.fields, passes.motion = self.fields(parameters), motion
+        passes.pair, passes.ran_away = pair, ran_away
+        self._stay(self.resident.steps, [passes, steps, int(swapped)])
 
     def stay_relaxing(
-        self,
-        parameters: Parameters,
-        kept: object,
-        span: object,
-        state: object,
-        most: int,
-        limit: int,
-        arrays: list[Any],
+        self, parameters: Parameters, kept: object, newton: list[Any], pair: Field, pair_out: Field
     ) -> Any:
-        """The command for up to `limit` evaluations of Newton's steps in one launch.
+        """The command for evaluations of Newton's steps in one launch, up to a limit. newton, pairs: for its kernel"""
+        passes = self._passes(kept, self.fields(parameters), self.still)
+        passes.pair, passes.pair_out = pair, pair_out
+        return self._stay(self.resident.relax, [passes, *newton, 0], record_cmd=True)
 
-        arrays: as its kernel lists them
-        """
-        a, layout = self.arrays, self.layout
-        return wp.launch(
-            a.resident.relax,
-            dim=layout.groups * self.threads,
-            block_dim=self.threads,
-            inputs=[
-                *(self.grid, a.site, a.rest, kept, self.fields(parameters), self.still, span, state),
-                *(layout.groups, most, limit, self.threads, *arrays, self._nothing),
-            ],
-            device=layout.device,
-            record_cmd=True,
-        )
+    def follow(
+        self, parameters: Parameters, kept: object, newton: list[Any], pair: Field, pair_out: Field, search: object
+    ) -> Any:
+        """The command for the search for the beta of least error in one launch."""
+        passes = self._passes(kept, self.fields(parameters), self.still)
+        passes.pair, passes.pair_out = pair, pair_out
+        by_beta = self._passes(self.unkept(), self.fields(parameters, BY_BETA), self.still)
+        return self._stay(self.resident.follow, [passes, by_beta, *newton, search], record_cmd=True)
+
+    def _stay(self, kernel: wp.Kernel, inputs: list[Any], *, record_cmd: bool = False) -> Any:
+        dim, device = self.layout.groups * self.threads, self.layout.device
+        return wp.launch(kernel, dim, inputs, device=device, block_dim=self.threads, record_cmd=record_cmd)
+
+    @functools.cached_property
+    def _stepping(self) -> Any:
+        """What steps go by, kept from call to call: to fill it anew takes as long as a short call's steps."""
+        return self._passes(self.unkept(), self._fields, self.still)
+
+    def _passes(self, kept: object, fields: object, motion: object) -> Any:
+        """What a kernel that stays goes by."""
+        passes = self.resident.Passes()
+        passes.grid, passes.site, passes.rest = self.grid, self.arrays.site, self.arrays.rest
+        passes.kept, passes.fields, passes.motion, passes.threads = kept, fields, motion, self.threads
+        passes.ran_away = self._nothing
+        return passes
 
     def _windows(self, fields: object, motion: object, running: Field, u: Field, before: Field) -> None:
         kk, grid = self.arrays.kernels, self.grid
-        first = grid.items_windows if self.arrays.window else grid.items_plane
+        first = grid.items_windows if self.arrays.functions.both else grid.items_plane
         self.launch(kk.windows_fast, first, [grid, fields, motion, running, u, before])
-        if not self.arrays.window:
+        if not self.arrays.functions.both:
             self.launch(kk.windows_middle, grid.items_windows, [grid, fields, running])
 
     def _fit(self, kernel: wp.Kernel, fields: object, running: Field, kept: object) -> None:
@@ -389,6 +373,6 @@ class LatticeOperator(Operator):
         kk, grid = self.arrays.kernels, self.grid
         if self.dim == 3:
             self.launch(kk.spread_slow, grid.items_slow, [grid, fields, running])
-        if not self.arrays.window:
+        if not self.arrays.functions.both:
             self.launch(kk.spread_middle, grid.items_spread, [grid, fields, running])
         self.launch(kk.finish, grid.items_plane, [grid, fields, motion, running, u, before], [out, ran_away])

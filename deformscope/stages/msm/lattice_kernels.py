@@ -18,6 +18,10 @@ import warp as wp
 
 from deformscope.stages.msm.cluster_functions import GOAL, cluster_functions_for
 from deformscope.stages.msm.lanes import Ints, lanes_for, module_options, product_for, rows_for
+from deformscope.stages.msm.members import members
+
+BOTH = 4
+"""Widest windows that a GPU sums up along two axes at once; of wider ones that takes longer than one more pass."""
 
 FAR = 1e4
 """Spacings beyond which a particle has run away."""
@@ -45,8 +49,8 @@ def motion_for(scalar: Any) -> Any:
 def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) -> SimpleNamespace:
     """The functions for `dim` = 2 or 3, scalar = wp.float32 or wp.float64, and lanes of `width`.
 
-    window: cells of a cluster along every axis, each summed up anew, two axes at once: a GPU then loads all its numbers
-    at once, and waits for fewer passes; 0: any windows and runs, as the grid says
+    window: cells of a cluster along every axis, each summed up anew, narrow ones along two axes at once: a GPU then
+    loads all its numbers at once, and waits for fewer passes; 0: any windows and runs, as the grid says
     """
     numbers = wp.array(dtype=scalar)
     axes = dim
@@ -64,6 +68,7 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
     cluster = cluster_functions_for(dim, dim, scalar, width)
     fit, fit_change = cluster.fit, cluster.fit_change
     one = scalar(1.0)
+    both = 0 < window <= BOTH
     number = f"wp::{scalar.__name__}"
     each = f"for (int l = 0; l < {width}; ++l)"
     moved = " + ".join(f"mean.data[{a}][l] * slopes.data[{a * dim} + i][l]" for a in range(axes))
@@ -245,6 +250,28 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
                     slopes = add(add(slopes, -one, old), one, new)
 
     @wp.func
+    def plane_share(grid: Grid, item: int):
+        """An item's first cell, and numbers from there to the end of its plane."""
+        plane = item / grid.blocks_plane
+        in_plane = (item - plane * grid.blocks_plane) * wp.static(width)
+        return plane * grid.plane + in_plane, grid.plane - in_plane
+
+    @wp.func
+    def share_of(grid: Grid, item: int, items: int, blocks: int, count_1: int):
+        """An item's first cell, how many of `count_1` lines it has, and numbers from there to the end of a line."""
+        per_plane = items / grid.cells_0
+        plane = item / per_plane
+        rest = item - plane * per_plane
+        segment = rest / blocks
+        in_line = (rest - segment * blocks) * wp.static(width)
+        first = segment * grid.run_1
+        count = grid.line - in_line
+        if grid.run_1 == 1:  # lines follow each other: the lanes run through
+            count = count_1 * grid.line - in_line
+        cell = plane * grid.plane + first * grid.line + in_line
+        return cell, wp.min(grid.run_1, count_1 - first), count
+
+    @wp.func
     def windows_fast(
         grid: Grid,
         fields: Fields,
@@ -256,64 +283,41 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
         group: int,
         item: int,
     ):
-        """Windows along the fast axis of m u, or of m x* (eq. 3.1, 3.2): sum, first moment."""
-        plane = item / grid.blocks_plane
-        in_plane = (item - plane * grid.blocks_plane) * wp.static(width)
-        cell = plane * grid.plane + in_plane
-        at = grid.front + group * grid.group + cell
-        count = grid.plane - in_plane
-        h = middle(cells_of(grid.window_2))
-        total = vecs.rows()
-        moment = vecs.rows()
-        for k in range(cells_of(grid.window_2)):
-            here = at + k * grid.abreast
-            v = load(u_in, offset + here, grid.stride)
-            if motion.stepping != 0:
-                v = ahead(grid, v, before_in, motion, fields.free, before_offset + here, cell + k * grid.abreast)
-            v = scale(v, particle_own(fields.mass, cell + k * grid.abreast, grid.abreast))
-            total = add(total, one, v)
-            moment = add(moment, scalar(k) - h, v)
-        store(fields.sums_fast, at, grid.stride, total, count)
-        store(fields.sums_fast, at + wp.static(dim) * grid.stride, grid.stride, moment, count)
+        """Windows along the fast axis of m u, or of m x* (eq. 3.1, 3.2): sum, first moment.
 
-    @wp.func
-    def windows_both(
-        grid: Grid,
-        fields: Fields,
-        motion: Motion,
-        u_in: numbers,
-        offset: int,
-        before_in: numbers,
-        before_offset: int,
-        group: int,
-        item: int,
-    ):
-        """`windows_fast` and `windows_middle` at once, for windows that are summed up anew at each cell."""
-        plane = item / grid.blocks_windows
-        in_plane = (item - plane * grid.blocks_windows) * wp.static(width)
-        cell = plane * grid.plane + in_plane
+        Narrow windows along the middle axis too: see `windows_middle`.
+        """
+        if wp.static(both):
+            cell, _steps, count = share_of(grid, item, grid.items_windows, grid.blocks_windows, grid.clusters_1)
+            lines = cells_of(grid.window_1)
+        else:
+            cell, count = plane_share(grid, item)
+            lines = int(1)
         at = grid.front + group * grid.group + cell
-        count = grid.clusters_1 * grid.line - in_plane
-        h = middle(cells_of(grid.window_1))
+        d = wp.static(dim)
+        h_1, h = middle(cells_of(grid.window_1)), middle(cells_of(grid.window_2))
         total = vecs.rows()
         mid = vecs.rows()
         fast = vecs.rows()
-        for j in range(cells_of(grid.window_1)):
-            along_line = vecs.rows()
+        for j in range(lines):
+            along = vecs.rows()
             for k in range(cells_of(grid.window_2)):
                 away = j * grid.line + k * grid.abreast
                 v = load(u_in, offset + at + away, grid.stride)
                 if motion.stepping != 0:
                     v = ahead(grid, v, before_in, motion, fields.free, before_offset + at + away, cell + away)
                 v = scale(v, particle_own(fields.mass, cell + away, grid.abreast))
-                along_line = add(along_line, one, v)
+                along = add(along, one, v)
                 fast = add(fast, scalar(k) - h, v)
-            total = add(total, one, along_line)
-            mid = add(mid, scalar(j) - h, along_line)
-        d = wp.static(dim)
-        store(fields.sums_middle, at, grid.stride, total, count)
-        store(fields.sums_middle, at + d * grid.stride, grid.stride, mid, count)
-        store(fields.sums_middle, at + 2 * d * grid.stride, grid.stride, fast, count)
+            total = add(total, one, along)
+            mid = add(mid, scalar(j) - h_1, along)
+        if wp.static(both):
+            store(fields.sums_middle, at, grid.stride, total, count)
+            store(fields.sums_middle, at + d * grid.stride, grid.stride, mid, count)
+            store(fields.sums_middle, at + 2 * d * grid.stride, grid.stride, fast, count)
+        else:
+            store(fields.sums_fast, at, grid.stride, total, count)
+            store(fields.sums_fast, at + d * grid.stride, grid.stride, fast, count)
 
     @wp.func
     def particle_own(values: numbers, cell: int, abreast: int):
@@ -337,18 +341,8 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
     @wp.func
     def windows_middle(grid: Grid, fields: Fields, group: int, item: int):
         """Windows along the middle axis: sum, first moment along it, and the first moment along the fast axis."""
-        per_plane = grid.items_windows / grid.cells_0
-        plane = item / per_plane
-        rest = item - plane * per_plane
-        segment = rest / grid.blocks_windows
-        in_line = (rest - segment * grid.blocks_windows) * wp.static(width)
-        first_line = segment * grid.run_1
-        steps = wp.min(grid.run_1, grid.clusters_1 - first_line)
-        count = grid.line - in_line
-        if grid.run_1 == 1:  # lines follow each other: the lanes run through
-            count = grid.clusters_1 * grid.line - in_line
-            first_line = 0
-        at = grid.front + group * grid.group + plane * grid.plane + first_line * grid.line + in_line
+        cell, steps, count = share_of(grid, item, grid.items_windows, grid.blocks_windows, grid.clusters_1)
+        at = grid.front + group * grid.group + cell
         d = wp.static(dim)
         source = fields.sums_fast
         target = fields.sums_middle
@@ -514,18 +508,8 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
     @wp.func
     def spread_middle(grid: Grid, fields: Fields, group: int, item: int):
         """The same along the middle axis: the shift with its slope, and the slope along the fast axis."""
-        per_plane = grid.items_spread / grid.cells_0
-        plane = item / per_plane
-        rest = item - plane * per_plane
-        segment = rest / grid.blocks_spread
-        in_line = (rest - segment * grid.blocks_spread) * wp.static(width)
-        first_line = segment * grid.run_1
-        steps = wp.min(grid.run_1, grid.cells_1 - first_line)
-        count = grid.line - in_line
-        if grid.run_1 == 1:
-            count = grid.plane - in_line
-            first_line = 0
-        at = grid.front + group * grid.group + plane * grid.plane + first_line * grid.line + in_line
+        cell, steps, count = share_of(grid, item, grid.items_spread, grid.blocks_spread, grid.cells_1)
+        at = grid.front + group * grid.group + cell
         d = wp.static(dim)
         source = fields.maps_slow
         target = fields.maps_middle
@@ -546,47 +530,6 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
         return new
 
     @wp.func
-    def ended(
-        grid: Grid,
-        fields: Fields,
-        motion: Motion,
-        total: vecs.rows,
-        u_in: numbers,
-        offset: int,
-        before_in: numbers,
-        before_offset: int,
-        out: numbers,
-        ran_away: Ints,
-        group: int,
-        at: int,
-        cell: int,
-        count: int,
-    ):
-        """What a particle makes of the sum of its goals: their mean (eq. 3.15), less where it is; 0 if held.
-
-        Stepping, its new position (eq. 3.11).
-        """
-        goal = scale(total, particle_own(fields.pull, cell, grid.abreast))
-        u = load(u_in, offset + at, grid.stride)
-        is_free = particle_own(fields.free, cell, grid.abreast)
-        if motion.stepping == 0:
-            if fields.what == wp.static(GOAL):
-                goal = add(goal, -one, scale(u, is_free))
-            store(out, offset + at, grid.stride, goal, count)
-        else:
-            star = ahead(grid, u, before_in, motion, fields.free, before_offset + at, cell)
-            new = add(star, motion.alpha, add(goal, -one, scale(star, is_free)))
-            length2 = lane()
-            for i in range(wp.static(dim)):
-                length2 += times(row(new, i), row(new, i))
-            if below(length2, far * far) != 0:
-                store(out, before_offset + at, grid.stride, new, count)
-            else:
-                first = group * grid.abreast
-                step = wp.min(grid.abreast - 1, 1)
-                store(out, before_offset + at, grid.stride, hold_back(new, u, ran_away, first, step, count), count)
-
-    @wp.func
     def finish(
         grid: Grid,
         fields: Fields,
@@ -604,60 +547,50 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
 
         Stepping, eq. 3.11: the new position, which may take the place of the one before. offset: from the first number
         of `u_in` to that of the field meant, and the same in `out`; before_offset: the same of `before_in`, and of
-        `out` when stepping.
+        `out` when stepping. Narrow windows along the middle axis too: see `spread_middle`.
         """
-        plane = item / grid.blocks_plane
-        in_plane = (item - plane * grid.blocks_plane) * wp.static(width)
-        cell = plane * grid.plane + in_plane
+        cell, count = plane_share(grid, item)
         at = grid.front + group * grid.group + cell
-        count = grid.plane - in_plane
         d = wp.static(dim)
-        h = middle(cells_of(grid.window_2))
+        h_1, h = middle(cells_of(grid.window_1)), middle(cells_of(grid.window_2))
+        if wp.static(both):
+            lines = cells_of(grid.window_1)
+        else:
+            lines = int(1)
         total = vecs.rows()
-        for k in range(cells_of(grid.window_2)):
-            here = at - k * grid.abreast
-            total = add(total, one, load(fields.maps_middle, here, grid.stride))
-            total = add(total, scalar(k) - h, load(fields.maps_middle, here + d * grid.stride, grid.stride))
-        ended(
-            grid, fields, motion, total, u_in, offset, before_in, before_offset, out, ran_away, group, at, cell, count
-        )  # fmt: skip
-
-    @wp.func
-    def finish_both(
-        grid: Grid,
-        fields: Fields,
-        motion: Motion,
-        u_in: numbers,
-        offset: int,
-        before_in: numbers,
-        before_offset: int,
-        out: numbers,
-        ran_away: Ints,
-        group: int,
-        item: int,
-    ):
-        """`spread_middle` and `finish` at once, for windows that are summed up anew at each cell."""
-        plane = item / grid.blocks_plane
-        in_plane = (item - plane * grid.blocks_plane) * wp.static(width)
-        cell = plane * grid.plane + in_plane
-        at = grid.front + group * grid.group + cell
-        count = grid.plane - in_plane
-        d = wp.static(dim)
-        h = middle(cells_of(grid.window_1))
-        total = vecs.rows()
-        for j in range(cells_of(grid.window_1)):
+        for j in range(lines):
             for k in range(cells_of(grid.window_2)):
                 here = at - j * grid.line - k * grid.abreast
-                total = add(total, one, load(fields.maps_slow, here, grid.stride))
-                total = add(total, scalar(j) - h, load(fields.maps_slow, here + d * grid.stride, grid.stride))
-                total = add(total, scalar(k) - h, load(fields.maps_slow, here + 2 * d * grid.stride, grid.stride))
-        ended(
-            grid, fields, motion, total, u_in, offset, before_in, before_offset, out, ran_away, group, at, cell, count
-        )  # fmt: skip
+                if wp.static(both):
+                    total = add(total, one, load(fields.maps_slow, here, grid.stride))
+                    slope = load(fields.maps_slow, here + d * grid.stride, grid.stride)
+                    total = add(total, scalar(j) - h_1, slope)
+                    total = add(total, scalar(k) - h, load(fields.maps_slow, here + 2 * d * grid.stride, grid.stride))
+                else:
+                    total = add(total, one, load(fields.maps_middle, here, grid.stride))
+                    total = add(total, scalar(k) - h, load(fields.maps_middle, here + d * grid.stride, grid.stride))
+        goal = scale(total, particle_own(fields.pull, cell, grid.abreast))
+        u = load(u_in, offset + at, grid.stride)
+        is_free = particle_own(fields.free, cell, grid.abreast)
+        if motion.stepping == 0:
+            if fields.what == wp.static(GOAL):
+                goal = add(goal, -one, scale(u, is_free))
+            store(out, offset + at, grid.stride, goal, count)
+        else:
+            star = ahead(grid, u, before_in, motion, fields.free, before_offset + at, cell)
+            new = add(star, motion.alpha, add(goal, -one, scale(star, is_free)))
+            length2 = lane()
+            for i in range(wp.static(dim)):
+                length2 += times(row(new, i), row(new, i))
+            if below(length2, far * far) == 0:
+                first, step = group * grid.abreast, wp.min(grid.abreast - 1, 1)
+                new = hold_back(new, u, ran_away, first, step, count)
+            store(out, before_offset + at, grid.stride, new, count)
 
-    if window:
-        windows_fast, finish = windows_both, finish_both
-    return SimpleNamespace(**locals())
+    found = members(Grid, Site, Fields, windows_fast, windows_middle, spread_slow, spread_middle, finish)
+    found.Motion, found.both = Motion, both
+    found.fit_clusters, found.fit_changes = fit_clusters, fit_changes
+    return found
 
 
 @functools.cache
@@ -735,4 +668,6 @@ def lattice_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> S
         if running[group] != 0:
             functions.finish(grid, fields, motion, u_in, 0, before_in, 0, out, ran_away, group, item)
 
-    return SimpleNamespace(**locals())
+    passes = {"windows_middle": windows_middle, "spread_slow": spread_slow, "spread_middle": spread_middle}
+    fits = {"fit_clusters": fit_clusters, "fit_changes": fit_changes}
+    return SimpleNamespace(windows_fast=windows_fast, finish=finish, **passes, **fits)

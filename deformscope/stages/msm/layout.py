@@ -8,13 +8,11 @@ from typing import Any, TypeAlias
 import numpy as np
 import warp as wp
 
-from deformscope.arrays import FloatArray, IntArray
+from deformscope.arrays import BoolArray, FloatArray, IntArray
+from deformscope.stages.msm.lanes import LANES
 
 Field: TypeAlias = "wp.array[Any]"
 """Numbers on a device, of a scalar type that is chosen at run time."""
-
-LANES = {wp.float32: 16, wp.float64: 8}
-"""Numbers that a CPU's vector units take side by side; a width that the machine lacks is taken in parts."""
 
 ABREAST_FROM = 4
 """Candidates from which on a CPU takes them side by side, and no longer the cells of one."""
@@ -65,12 +63,13 @@ class Layout:
         body[:, :, self.place, :] = filled.reshape(self.groups, self.abreast, -1, d).transpose(3, 0, 2, 1)
         into.assign(host.reshape(-1))
 
-    def get(self, field: Field, rows: int) -> FloatArray:
-        """The particles of a field, (B, K, rows) float64."""
-        host = np.asarray(field.numpy(), dtype=np.float64).reshape(rows, self.stride)
+    def get(self, field: Field, rows: int, place: IntArray | None = None) -> FloatArray:
+        """The particles of a field, or what is at other places (K,): (B, K, rows) float64."""
+        place = self.place if place is None else place
+        host = field.numpy().reshape(rows, self.stride)
         body = host[:, self.front : self.front + self.groups * self.group].reshape(rows, self.groups, -1, self.abreast)
-        found = body[:, :, self.place, :].transpose(1, 3, 2, 0)
-        return found.reshape(-1, len(self.place), rows)[: self.candidates]
+        found = np.array(body[:, :, place].transpose(1, 3, 2, 0), dtype=np.float64, order="C")
+        return found.reshape(-1, len(place), rows)[: self.candidates]
 
     def each(self, values: FloatArray, dtype: type[Any] | None = None) -> Field:
         """One number for each candidate, (B,); the last one is repeated to the end."""
@@ -99,13 +98,12 @@ def widths(candidates: int, scalar: type[Any], device: str, *, cells_in_lanes: b
     return (width, 1) if cells_in_lanes else (1, 1)
 
 
-def upload(values: FloatArray | IntArray, dtype: type[Any], device: str, spare: int = 0) -> Field:
+def upload(values: FloatArray | IntArray | BoolArray, dtype: type[Any], device: str, spare: int = 0) -> Field:
     """Numbers of any shape (rows, ...) on a device, flat, row after row; `spare` more at the end, for lanes that reach
     over it."""
-    host = np.ascontiguousarray(values).reshape(-1)
-    if spare:
-        host = np.concatenate([host, np.zeros(spare, dtype=host.dtype)])
-    return wp.array(host.astype(_dtype(dtype)), dtype=dtype, device=device)
+    host = np.zeros(np.size(values) + spare, dtype=_dtype(dtype))
+    host[: np.size(values)] = np.ravel(values)
+    return wp.array(host, dtype=dtype, device=device)
 
 
 def _dtype(scalar: type[Any]) -> Any:

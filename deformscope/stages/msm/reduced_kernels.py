@@ -13,6 +13,7 @@ import warp as wp
 
 from deformscope.stages.msm.functions import functions_for
 from deformscope.stages.msm.lanes import CPU_FLAGS, Doubles
+from deformscope.stages.msm.members import kernel_in, members
 
 BETA, THETA, TOLERANCE, MOST_ITERATIONS, STARTED, HELD = range(6)
 """Places in a candidate's row: numbers first, then what is held, then the transform to start from."""
@@ -36,14 +37,8 @@ FINEST_PATH = 1.0 / 256.0
 
 
 @functools.cache
-def reduced_kernels_for(dim: int, terms: int) -> SimpleNamespace:
-    """The kernels for `dim` = 2 or 3 and `terms` = 2, 3 (linear) or 5, 9 (quadratic)."""
-    module = f"deformscope_msm_reduced_{dim}d_{terms}"
-    # two modules: few need derivatives, and a GPU takes seconds to compile either
-    for name in (module, f"{module}_slopes"):
-        # flags as those of the lanes: compiled with others, warp's own headers would be taken through once more
-        options = {"enable_backward": False, "max_unroll": 1, "cpu_compiler_flags": CPU_FLAGS}
-        wp.get_module(name).options.update(options)
+def reduced_functions_for(dim: int, terms: int) -> SimpleNamespace:
+    """The functions; arguments as `reduced_kernels_for` has them."""
     scalar = wp.float64
     functions = functions_for(dim, scalar)
     vec, square, turn = functions.vec, functions.square, functions.turn
@@ -66,9 +61,6 @@ def reduced_kernels_for(dim: int, terms: int) -> SimpleNamespace:
 
     zero, one, two, half = scalar(0.0), scalar(1.0), scalar(2.0), scalar(0.5)
     tiny = scalar(1e-13)
-    far, infinite = scalar(1e6), scalar(math.inf)
-    near = scalar(1e-8)
-    finest = scalar(FINEST_PATH)
 
     @wp.struct
     class ReducedBody:
@@ -97,6 +89,28 @@ def reduced_kernels_for(dim: int, terms: int) -> SimpleNamespace:
         span_axes: square
         span_count: int
         radius: scalar
+
+    @wp.struct
+    class Frame:
+        """What conserving volume adds to the fit, `gain`, and what its derivatives need to know: `volume_frame`."""
+
+        gain: square
+        toward: square
+        left: square
+        right: square
+        stretch: vec
+        number: scalar
+
+    @wp.struct
+    class Sums:
+        """N, V, W, U, Y, K: sums over the modes."""
+
+        n: square
+        v: square
+        w: square
+        u: square
+        y: square
+        k: square
 
     @wp.func
     def head(values: basis_vec):
@@ -152,54 +166,44 @@ def reduced_kernels_for(dim: int, terms: int) -> SimpleNamespace:
 
         Eq. 3.17: A / den - A. Projection: theta (P - B), with B = A root and P the nearest matrix of the rest volume.
         """
+        frame = Frame()
         if body.volume == wp.static(PROJECT):
             toward, left, right, stretch, mu = project(a * body.root, body.span_count)
-            return toward * theta, toward, left, right, stretch, mu
-        den = volume_denominator(a, theta, body.span_axes, body.span_count)
-        return a * ((one - den) / den), a, a, a, vec(), den
+            frame.gain = toward * theta
+            frame.toward = toward
+            frame.left = left
+            frame.right = right
+            frame.stretch = stretch
+            frame.number = mu
+        else:
+            den = volume_denominator(a, theta, body.span_axes, body.span_count)
+            frame.gain = a * ((one - den) / den)
+            frame.number = den
+        return frame
 
     @wp.func
-    def volume_gain(body: ReducedBody, a: square, theta: scalar):
-        """What conserving volume adds to the fit, as multiples of `lift`."""
-        out, _toward, _left, _right, _stretch, _number = volume_frame(body, a, theta)
-        return out
-
-    @wp.func
-    def volume_change(
-        body: ReducedBody,
-        a: square,
-        theta: scalar,
-        toward: square,
-        left: square,
-        right: square,
-        stretch: vec,
-        number: scalar,
-        change: square,
-        theta_change: scalar,
-    ):
-        """Derivative of `volume_gain` for dA = change, dtheta = theta_change."""
+    def volume_change(body: ReducedBody, a: square, theta: scalar, frame: Frame, change: square, theta_change: scalar):
+        """Derivative of `volume_frame`'s gain for dA = change, dtheta = theta_change."""
         if body.volume == wp.static(PROJECT):
-            d_toward = project_change(left, right, stretch, number, body.span_count, change * body.root)
-            return d_toward * theta + toward * theta_change
+            d_toward = project_change(
+                frame.left, frame.right, frame.stretch, frame.number, body.span_count, change * body.root
+            )
+            return d_toward * theta + frame.toward * theta_change
+        den = frame.number
         d_den = denominator_change(a, change, theta, theta_change, body.span_axes, body.span_count)
-        return change * ((one - number) / number) - a * (d_den / (number * number))
+        return change * ((one - den) / den) - a * (d_den / (den * den))
 
     @wp.func
     def sums(body: ReducedBody, row: Doubles, beta: scalar, slope: bool):
-        """N, V, W, U, Y, K at beta, or their derivatives by beta: sums over the modes."""
-        n = square()
-        v = square()
-        w = square()
-        u = square()
-        y = square()
-        k = square()
+        """The sums at beta, or their derivatives by beta."""
+        m = Sums()
         if not slope:
-            u = identity()
+            m.u = identity()
             for i in range(wp.static(dim)):
                 for j in range(wp.static(dim)):
-                    w[i, j] = body.free_q[i][j]
-                    k[i, j] = row[wp.static(held_q) + i * wp.static(dim) + j]
-            v = body.lift_free
+                    m.w[i, j] = body.free_q[i][j]
+                    m.k[i, j] = row[wp.static(held_q) + i * wp.static(dim) + j]
+            m.v = body.lift_free
         for j in range(wp.static(terms)):
             g = gain(body, beta, j)
             first = g
@@ -212,13 +216,13 @@ def reduced_kernels_for(dim: int, terms: int) -> SimpleNamespace:
             b = head(body.mode[j])
             c = body.held_mode[j]
             p = held_moment(row, j)
-            n += wp.outer(above, b) * first
-            u -= wp.outer(c, b) * first
-            y += wp.outer(p, b) * first
-            v += wp.outer(above, a) * second
-            w -= wp.outer(c, a) * second
-            k += wp.outer(p, a) * second
-        return n, v, w, u, y, k
+            m.n += wp.outer(above, b) * first
+            m.u -= wp.outer(c, b) * first
+            m.y += wp.outer(p, b) * first
+            m.v += wp.outer(above, a) * second
+            m.w -= wp.outer(c, a) * second
+            m.k += wp.outer(p, a) * second
+        return m
 
     @wp.func
     def gain(body: ReducedBody, beta: scalar, mode: int):
@@ -295,7 +299,8 @@ def reduced_kernels_for(dim: int, terms: int) -> SimpleNamespace:
         by themselves. And their rotation and linear fit."""
         r, a = fit(body, row, t)
         linear = linear_part(a)
-        e = volume_gain(body, linear, theta)
+        frame = volume_frame(body, linear, theta)
+        e = frame.gain
         off = a * beta - t + lifted(body, e * beta)
         for i in range(wp.static(dim)):
             for j in range(wp.static(dim)):
@@ -329,9 +334,9 @@ def reduced_kernels_for(dim: int, terms: int) -> SimpleNamespace:
         return f, g
 
     @wp.func
-    def defect(a: square, r: square, e: square, n: square, v: square, w: square, u: square, y: square, k: square):
+    def defect(a: square, r: square, e: square, m: Sums):
         """What is to vanish: Y + R U + e N - A, and the turning part of R^T (K + e V) + W."""
-        return pack(y + r * u + e * n - a, axial(wp.transpose(r) * (k + e * v) + w))
+        return pack(m.y + r * m.u + e * m.n - a, axial(wp.transpose(r) * (m.k + e * m.v) + m.w))
 
     @wp.func
     def weight_of(k: square):
@@ -356,16 +361,8 @@ def reduced_kernels_for(dim: int, terms: int) -> SimpleNamespace:
         r: square,
         beta: scalar,
         theta: scalar,
-        gain: square,
-        toward: square,
-        left: square,
-        right: square,
-        stretch: vec,
-        number: scalar,
-        n: square,
-        v: square,
-        u: square,
-        k: square,
+        frame: Frame,
+        modes: Sums,
         weight: scalar,
         value: unknowns,
     ):
@@ -373,7 +370,7 @@ def reduced_kernels_for(dim: int, terms: int) -> SimpleNamespace:
 
         Unknowns that nothing determines (a rotation that the held particles leave free) stay 0.
         """
-        pull = wp.transpose(r) * (k + gain * v * beta)
+        pull = wp.transpose(r) * (modes.k + frame.gain * modes.v * beta)
         m = system()
         b = value
         place = order()
@@ -382,9 +379,9 @@ def reduced_kernels_for(dim: int, terms: int) -> SimpleNamespace:
             x = unknowns()
             x[column] = one
             da, dw = unpack(x)
-            de = volume_change(body, a, theta, toward, left, right, stretch, number, da, zero) * beta
+            de = volume_change(body, a, theta, frame, da, zero) * beta
             s = spin(dw)
-            change = pack(r * s * u + de * n - da, axial(wp.transpose(r) * de * v - s * pull))
+            change = pack(r * s * modes.u + de * modes.n - da, axial(wp.transpose(r) * de * modes.v - s * pull))
             for i in range(wp.static(size)):
                 m[i, column] = -change[i]
         for i in range(wp.static(dim * dim), wp.static(size)):
@@ -451,14 +448,33 @@ def reduced_kernels_for(dim: int, terms: int) -> SimpleNamespace:
             good = good and minors > zero
         return good
 
-    @wp.kernel(module=module, enable_backward=False)
-    def relax(
-        # In:
-        body: ReducedBody,
-        rows: wp.array2d(dtype=scalar),
-        # Out:
-        results: wp.array2d(dtype=scalar),
-    ):
+    made = members(
+        *(ReducedBody, Frame, turned_by, identity, volume_frame, volume_change, sums, assemble, fit, linear_part),
+        *(misfit, pack, unpack, defect, weight_of, weighed, solve, stable, spin, axial),
+    )
+    made.vec, made.square, made.triple, made.unknowns, made.turn = vec, square, triple, unknowns, turn
+    made.basis_vec, made.transform, made.start_at, made.held_centre = basis_vec, transform, start_at, held_centre
+    made.translation_at, made.row_width, made.result_width = translation_at, row_width, result_width
+    return made
+
+
+@functools.cache
+def reduced_kernels_for(dim: int, terms: int) -> SimpleNamespace:
+    """The kernels for `dim` = 2 or 3 and `terms` = 2, 3 (linear) or 5, 9 (quadratic)."""
+    name, scalar = f"msm_reduced_{dim}d_{terms}", wp.float64
+    # flags as those of the lanes: compiled with others, warp's own headers would be taken through once more
+    options = {"enable_backward": False, "max_unroll": 1, "cpu_compiler_flags": CPU_FLAGS}
+    # two modules: few need derivatives, and a GPU takes seconds to compile either
+    relaxing, differentiating = (kernel_in(each, scalar, options) for each in (name, f"{name}_slopes"))
+    of = reduced_functions_for(dim, terms)
+    ReducedBody, Frame, transform, square = of.ReducedBody, of.Frame, of.transform, of.square
+    start_at, translation_at, held_centre = of.start_at, of.translation_at, of.held_centre
+    zero, one, two, half = scalar(0.0), scalar(1.0), scalar(2.0), scalar(0.5)
+    tiny, near, finest = scalar(1e-13), scalar(1e-8), scalar(FINEST_PATH)
+    far, infinite = scalar(1e6), scalar(math.inf)
+
+    @relaxing
+    def relax(body: ReducedBody, rows: wp.array2d(dtype=scalar), results: wp.array2d(dtype=scalar)):
         """The static state of one candidate: Newton's steps on its few unknowns, from theta = 0, where the state is
         known, or from a given start. Where they fail they go to theta in parts."""
         candidate = wp.tid()
@@ -467,25 +483,25 @@ def reduced_kernels_for(dim: int, terms: int) -> SimpleNamespace:
         theta = row[wp.static(THETA)]
         tolerance = row[wp.static(TOLERANCE)]
         most = int(row[wp.static(MOST_ITERATIONS)])
-        n, v, w, u, y, k = sums(body, row, beta, False)
+        modes = of.sums(body, row, beta, False)
         # theta = 0: R maximises tr(R^T K); what K leaves free stays as at the start
-        r_start = identity()
+        r_start = of.identity()
         a_start = square()
         t = transform()
         if row[wp.static(STARTED)] != zero:
             for i in range(wp.static(dim)):
                 for j in range(wp.static(terms)):
                     t[i, j] = row[wp.static(start_at) + i * wp.static(terms) + j]
-            r_start, fitted = fit(body, row, t)
-            a_start = linear_part(fitted)
+            r_start, fitted = of.fit(body, row, t)
+            a_start = of.linear_part(fitted)
         r_free = r_start
-        pull = wp.sqrt(wp.ddot(k, k))
+        pull = wp.sqrt(wp.ddot(modes.k, modes.k))
         if pull > tiny:
-            turned, _compliance = turn(square(), wp.transpose(r_start) * k / pull + identity() * near)
-            r_free = r_start * (turned + identity())
-        a_free = y + r_free * u
+            turned, _compliance = of.turn(square(), wp.transpose(r_start) * modes.k / pull + of.identity() * near)
+            r_free = r_start * (turned + of.identity())
+        a_free = modes.y + r_free * modes.u
 
-        weight = weight_of(k)
+        weight = of.weight_of(modes.k)
         iterations = int(0)
         found = bool(False)
         error = infinite
@@ -502,15 +518,10 @@ def reduced_kernels_for(dim: int, terms: int) -> SimpleNamespace:
         residual = infinite
         for _attempt in range(wp.static(ATTEMPTS)):
             while iterations < most:
-                f = unknowns()
-                gain = square()
-                toward = square()
-                left = square()
-                right = square()
-                stretch = vec()
-                number = one
+                f = of.unknowns()
+                frame = Frame()
                 da = square()
-                dw = triple()
+                dw = of.triple()
                 before = infinite
                 last = bool(False)
                 settled = bool(False)
@@ -519,10 +530,10 @@ def reduced_kernels_for(dim: int, terms: int) -> SimpleNamespace:
                     lower = bool(False)
                     for _halving in range(wp.static(TRIALS)):
                         a_new = a + da * shorter
-                        r_new = turned_by(r, dw * shorter)
-                        gain, toward, left, right, stretch, number = volume_frame(body, a_new, target)
-                        f = defect(a_new, r_new, gain * beta, n, v, w, u, y, k)
-                        length = weighed(f, weight)
+                        r_new = of.turned_by(r, dw * shorter)
+                        frame = of.volume_frame(body, a_new, target)
+                        f = of.defect(a_new, r_new, frame.gain * beta, modes)
+                        length = of.weighed(f, weight)
                         if length < before or last:
                             a = a_new
                             r = r_new
@@ -534,21 +545,19 @@ def reduced_kernels_for(dim: int, terms: int) -> SimpleNamespace:
                         settled = bool(True)
                     if last or not lower or iterations >= most:
                         break
-                    step = solve(
-                        body, a, r, beta, target, gain, toward, left, right, stretch, number, n, v, u, k, weight, f
-                    )
-                    da, dw = unpack(step)
+                    step = of.solve(body, a, r, beta, target, frame, modes, weight, f)
+                    da, dw = of.unpack(step)
                     error = wp.length(step)
                     iterations += 1
                     last = error <= tolerance
                     if not error < far:
                         break
                 if settled and body.volume == wp.static(SCALE):
-                    settled = stable(n, beta * (one - number) / number)
+                    settled = of.stable(modes.n, beta * (one - frame.number) / frame.number)
                 if settled:
                     good_a = a
                     good_r = r
-                    good_gain = gain
+                    good_gain = frame.gain
                     if target == theta:
                         found = bool(True)
                         break
@@ -563,8 +572,8 @@ def reduced_kernels_for(dim: int, terms: int) -> SimpleNamespace:
                     own_start = bool(False)
                     a = good_a
                     r = good_r
-            t = assemble(body, row, beta, good_gain * beta, good_r, one, one, False)
-            residual, r, a = misfit(body, row, t, beta, theta)
+            t = of.assemble(body, row, beta, good_gain * beta, good_r, one, one, False)
+            residual, r, a = of.misfit(body, row, t, beta, theta)
             if not found or residual <= tolerance:
                 break
             # balanced, but another rotation fits better: on from that one
@@ -595,15 +604,9 @@ def reduced_kernels_for(dim: int, terms: int) -> SimpleNamespace:
                 place -= metres * body.held_mean[j]
             result[wp.static(translation_at) + i] = place
 
-    @wp.kernel(module=f"{module}_slopes", enable_backward=False)
-    def differentiate(
-        # In:
-        body: ReducedBody,
-        rows: wp.array2d(dtype=scalar),
-        # Out: for beta, then theta
-        results: wp.array3d(dtype=scalar),
-    ):
-        """Derivatives of the static state given as the start, by beta and theta (implicit function)."""
+    @differentiating
+    def differentiate(body: ReducedBody, rows: wp.array2d(dtype=scalar), results: wp.array3d(dtype=scalar)):
+        """Derivatives of the static state given as the start, by beta, then theta (implicit function)."""
         candidate = wp.tid()
         row = rows[candidate]
         beta = row[wp.static(BETA)]
@@ -612,27 +615,27 @@ def reduced_kernels_for(dim: int, terms: int) -> SimpleNamespace:
         for i in range(wp.static(dim)):
             for j in range(wp.static(terms)):
                 t[i, j] = row[wp.static(start_at) + i * wp.static(terms) + j]
-        r, fitted = fit(body, row, t)
-        a = linear_part(fitted)
-        n, v, _w, u, _y, k = sums(body, row, beta, False)
-        gain, toward, left, right, stretch, number = volume_frame(body, a, theta)
-        weight = weight_of(k)
+        r, fitted = of.fit(body, row, t)
+        a = of.linear_part(fitted)
+        modes = of.sums(body, row, beta, False)
+        frame = of.volume_frame(body, a, theta)
+        weight = of.weight_of(modes.k)
         for which in range(2):
             own = transform()
             own_e = square()  # how beta * gain changes at an unchanged state
-            value = unknowns()
+            value = of.unknowns()
             if which == 0:
-                dn, dv, dw, du, dy, dk = sums(body, row, beta, True)
-                own_e = gain
-                own = assemble(body, row, beta, gain * beta, r, zero, one, True)
-                value = defect(square(), r, gain * beta, dn, dv, dw, du, dy, dk)
+                d_modes = of.sums(body, row, beta, True)
+                own_e = frame.gain
+                own = of.assemble(body, row, beta, frame.gain * beta, r, zero, one, True)
+                value = of.defect(square(), r, frame.gain * beta, d_modes)
             else:
-                own_e = beta * volume_change(body, a, theta, toward, left, right, stretch, number, square(), one)
-            value += pack(own_e * n, axial(wp.transpose(r) * own_e * v))
-            x = solve(body, a, r, beta, theta, gain, toward, left, right, stretch, number, n, v, u, k, weight, value)
-            da, dturn = unpack(x)
-            de = own_e + beta * volume_change(body, a, theta, toward, left, right, stretch, number, da, zero)
-            own += assemble(body, row, beta, de, r * spin(dturn), one, zero, False)
+                own_e = beta * of.volume_change(body, a, theta, frame, square(), one)
+            value += of.pack(own_e * modes.n, of.axial(wp.transpose(r) * own_e * modes.v))
+            x = of.solve(body, a, r, beta, theta, frame, modes, weight, value)
+            da, dturn = of.unpack(x)
+            de = own_e + beta * of.volume_change(body, a, theta, frame, da, zero)
+            own += of.assemble(body, row, beta, de, r * of.spin(dturn), one, zero, False)
             result = results[candidate, which]
             for i in range(wp.static(dim)):
                 place = zero
@@ -642,4 +645,6 @@ def reduced_kernels_for(dim: int, terms: int) -> SimpleNamespace:
                     place -= metres * body.held_mean[j]
                 result[wp.static(translation_at) + i] = place
 
-    return SimpleNamespace(**locals())
+    made = members(ReducedBody, relax, differentiate, square=square)
+    made.vec, made.basis_vec, made.row_width, made.result_width = of.vec, of.basis_vec, of.row_width, of.result_width
+    return made

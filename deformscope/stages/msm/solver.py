@@ -16,13 +16,12 @@ from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.errors import InputError
 from deformscope.stages.msm.body import Body, BodyRest, Operator, Parameters
 from deformscope.stages.msm.cluster_functions import BY_BETA, BY_THETA, NONE, PROJECT, SCALE
-from deformscope.stages.msm.clusters import Clusters, LatticeClusters, held_mask, spacing
+from deformscope.stages.msm.clusters import Clusters, LatticeClusters, held_mask
 from deformscope.stages.msm.general import GeneralBody
 from deformscope.stages.msm.iteration import Anderson, Ended, Newton, halves
-from deformscope.stages.msm.iteration_kernels import CONVERGED, DIVERGED, iteration_kernels_for
+from deformscope.stages.msm.iteration_kernels import CONVERGED, DIVERGED, newton_kernels_for
 from deformscope.stages.msm.lattice import LatticeBody, lattice_edges
 from deformscope.stages.msm.layout import Field, upload
-from deformscope.stages.msm.material_body import MaterialBody
 from deformscope.stages.msm.materials import AxisBeta
 from deformscope.stages.msm.reduced import OneCluster
 from deformscope.stages.msm.reference import Basis, Volume
@@ -44,6 +43,9 @@ KEPT_NUMBERS = 2_000_000
 MOVES = 200
 """Moves that held particles make at most in time stepping; of more steps, several pass at each place."""
 
+KEPT_CALLS = 16
+"""Parameters, motions and recorded steps that a state of time stepping keeps on the device for the next call."""
+
 VOLUMES: dict[Volume, int] = {"scale": SCALE, "project": PROJECT}
 
 
@@ -56,6 +58,8 @@ class Relaxed:
     iterations: (B,) evaluations of goals or of their derivative; converged: (B,) `error` came below the tolerance;
     diverged: (B,) the state ran away (eq. 3.17 with overlapping clusters can): its position is what was reached, and is
     to be thrown away
+    smoothed: (B,) evaluations besides, in float32, on the finest level of a large lattice's preconditioner
+    unaided: (B,) the preconditioner did not help: plain conjugate gradients went on
     """
 
     position: FloatArray
@@ -64,6 +68,8 @@ class Relaxed:
     iterations: IntArray
     converged: BoolArray
     diverged: BoolArray
+    smoothed: IntArray
+    unaided: BoolArray
 
     @property
     def settled(self) -> FloatArray:
@@ -91,7 +97,10 @@ class Gradient:
 
 
 class Moving:
-    """The state of time stepping, on the device: displacements now and one step before, for B bodies."""
+    """The state of time stepping, on the device: displacements now and one step before, for B bodies.
+
+    held: indices of the held particles, where they stand in memory, and the displacements (B or 1, h, d) that they have
+    """
 
     def __init__(self, operator: Operator) -> None:
         self.last_dt = 0.0
@@ -103,6 +112,17 @@ class Moving:
         self.pair = self.layout.field(2 * operator.dim)
         self.swapped = False
         self.ran_away = self.layout.each(np.zeros(1), int)
+        self.running = wp.full(self.layout.groups, 1, dtype=int, device=self.layout.device)
+        self.held: tuple[Any, Any, Any] = (None, None, None)
+        self._kept: dict[Any, Any] = {}
+
+    def kept(self, key: tuple[Any, ...], make: Callable[[], Any]) -> Any:
+        """What `make` gave when it was first asked for with this key."""
+        if key not in self._kept:
+            if len(self._kept) >= KEPT_CALLS:
+                self._kept.clear()
+            self._kept[key] = make()
+        return self._kept[key]
 
     def move_to(self, operator: Operator) -> None:
         """The same state, stepped by another operator."""
@@ -155,8 +175,8 @@ class Msm:
         self.dim = self.rest.shape[1]
         self.precision = precision
         self.device = device
-        self.scale = spacing(self.rest)
-        self.extent = float(np.ptp(self.rest, axis=0).max())
+        self.scale = clusters.spacing(self.rest)
+        self.extent = float(max(np.ptp(along) for along in self.rest.T))
         self.cluster_count = clusters.count
         self._scalar = wp.float64 if precision == "float64" else wp.float32
         self._basis = basis
@@ -200,9 +220,11 @@ class Msm:
 
     def _hold(self, held: IntArray | Sequence[int]) -> None:
         self.held = np.asarray(held, dtype=np.int64).reshape(-1)
-        self.free = ~held_mask(len(self.rest), self.held)
+        self.free, self._held_rest = ~held_mask(len(self.rest), self.held), self.rest[self.held]
         counts = self._clusters.cluster_counts()
-        metric = np.where(self.free, counts * self.mass / self.mass.mean(), 0.0)
+        metric = counts * self.mass
+        metric /= self.mass.mean()
+        metric[self.held] = 0.0
         self._particles = BodyRest(self.rest / self.scale, self.mass, self.free, counts, metric)
 
     def _along(self, beta: AxisBeta, theta: FloatArray | float) -> Msm:
@@ -220,21 +242,13 @@ class Msm:
         return self._variants[key]
 
     def _build(self, scalar: type[Any]) -> Body:
-        if self._axes is not None or self._plastic:
-            return MaterialBody(
-                self._particles,
-                self._clusters,
-                self._basis,
-                scalar,
-                self.device,
-                axes=self._axes,
-                plastic=self._plastic,
-            )
-        if self._basis == "linear" and isinstance(self._clusters, LatticeClusters):
+        plain = self._axes is None and not self._plastic
+        if plain and self._basis == "linear" and isinstance(self._clusters, LatticeClusters):
             edges = lattice_edges(self._particles.position, self._clusters)
             if edges is not None and (self.dim == 3 or len(self._clusters.shape) == 2):
                 return LatticeBody(self._particles, self._clusters, edges, scalar, self.device)
-        return GeneralBody(self._particles, self._clusters, self._basis, scalar, self.device)
+        how: Any = {"axes": self._axes, "plastic": self._plastic}
+        return GeneralBody(self._particles, self._clusters, self._basis, scalar, self.device, **how)
 
     @functools.cached_property
     def _one(self) -> OneCluster | None:
@@ -263,7 +277,7 @@ class Msm:
             )
         shape = (-1 if len(self.held) else 1, len(self.held), self.dim)
         held_position = np.asarray(held_position, dtype=np.float64).reshape(shape)
-        held_u = (held_position - self.rest[self.held]) / self.scale
+        held_u = (held_position - self._held_rest) / self.scale
         beta, theta = np.atleast_1d(np.asarray(beta, np.float64)), np.atleast_1d(np.asarray(theta, np.float64))
         if beta.ndim == 2 and self._axes is None and beta.shape[1] != self.cluster_count:
             raise ValueError(f"expected a beta for each of {self.cluster_count} clusters; got {beta.shape[1]}")
@@ -373,6 +387,8 @@ class Msm:
             iterations=ended.total,
             converged=ended.state == CONVERGED,
             diverged=ended.state == DIVERGED,
+            smoothed=ended.smoothed,
+            unaided=ended.unaided,
         )
 
     def _relax_one(
@@ -398,7 +414,8 @@ class Msm:
             max_iterations=most,
         )
         position = one.positions(found, held)
-        return Relaxed(position, found.residual, found.error, found.iterations, found.converged, found.diverged)
+        few = (found.residual, found.error, found.iterations, found.converged, found.diverged)
+        return Relaxed(position, *few, np.zeros_like(found.iterations), np.zeros_like(found.converged))
 
     def _all_held(self, held_position: FloatArray, size: int) -> Relaxed:
         """The states where every particle is prescribed. held_position: (B, h, d)"""
@@ -406,7 +423,8 @@ class Msm:
         position[:, self.held] = held_position
         none = np.zeros(size)
         yes = np.ones(size, dtype=bool)
-        return Relaxed(position, none, none.copy(), np.zeros(size, dtype=int), yes, ~yes)
+        count = np.zeros(size, dtype=int)
+        return Relaxed(position, none, none.copy(), count, yes, ~yes, count.copy(), ~yes)
 
     # -- derivatives -----------------------------------------------------------------------------------------------
 
@@ -535,9 +553,10 @@ class Msm:
     def start(self, size: int = 1, position: FloatArray | None = None) -> Moving:
         """B bodies at rest without velocity, or at `position` (K, d) or (B, K, d)."""
         state = Moving(self._body.operator(self._body.layout(size)))
-        u = self._displacements(position)
-        state.layout.put(u, state.u)
-        state.layout.put(u, state.before)
+        if position is not None:
+            u = self._displacements(position)
+            state.layout.put(u, state.u)
+            state.layout.put(u, state.before)
         return state
 
     def step(
@@ -652,58 +671,57 @@ class _Stepping:
         dt: float,
         acceleration: Sequence[float] | None,
     ) -> None:
-        self.state = state
-        layout, operator = state.layout, state.operator
-        size = layout.candidates
+        self.state, self.dt = state, dt
+        operator, size = state.operator, state.layout.candidates
         push = np.zeros(body.dim) if acceleration is None else np.asarray(acceleration) / body.scale
-        self.first = operator.motion(alpha, dt / state.last_dt if state.last_dt else 1.0, push * dt**2)
-        self.motion = operator.motion(alpha, 1.0, push * dt**2)
-        self.dt = dt
-        stride = operator.beta_stride if beta.ndim > 1 else 0
-        values = (
-            operator.cluster_values(np.broadcast_to(beta, (size, *beta.shape[1:])))
-            if stride
-            else layout.each(np.broadcast_to(beta, (size,)))
-        )
-        self.parameters = Parameters(values, layout.each(np.broadcast_to(theta, (size,))), stride, volume)
-        self.running = wp.full(layout.groups, 1, dtype=int, device=layout.device)
-        self.places: Any = None
+        push = push * dt**2
+        self.motion = state.kept((alpha, push.tobytes()), lambda: operator.motion(alpha, 1.0, push))
+        going_on = dt / state.last_dt if state.last_dt else 1.0
+        self.first = self.motion if dt == state.last_dt else operator.motion(alpha, going_on, push)
+        beta = np.array(np.broadcast_to(beta, (size, *beta.shape[1:])))  # the caller's may change
+        theta = np.array(np.broadcast_to(theta, (size,)))
+        self.parameters = self._parameters(beta, theta, volume)
+        held, self.places, now = state.held
         if len(body.held):
-            self._find(body.held)
-            self._hold(held_u)
+            if held is not body.held:
+                self.places, now = self._find(body.held), None
+            if not np.array_equal(now, held_u):
+                self._hold(held_u)
+            state.held = body.held, self.places, held_u
 
-    def _find(self, held: IntArray) -> None:
-        """Find where the held particles (h,) of all candidates stand in memory."""
-        layout, operator = self.state.layout, self.state.operator
-        self.kernels = (
-            operator.resident if operator.threads else iteration_kernels_for(operator.dim, layout.scalar, layout.width)
+    def _parameters(self, beta: FloatArray, theta: FloatArray, volume: int) -> Parameters:
+        """Those of the last call that are on the device, with the values of this one."""
+        state, operator, layout = self.state, self.state.operator, self.state.layout
+        stride = operator.beta_stride if beta.ndim > 1 else 0
+        values: Any = operator.cluster_values if stride else layout.each
+        found, last = state.kept(
+            (stride, volume),
+            lambda: (Parameters(values(beta), layout.each(theta), stride, volume), {"beta": beta, "theta": theta}),
         )
-        places = np.concatenate(
-            [
-                layout.front
-                + layout.group * (c // layout.abreast)
-                + layout.place[held] * layout.abreast
-                + c % layout.abreast
-                for c in range(layout.candidates)
-            ]
-        )
-        self.places = upload(places, int, layout.device)
+        if not (np.array_equal(last["beta"], beta) and np.array_equal(last["theta"], theta)):
+            found.beta.assign(values(beta))
+            found.theta.assign(layout.each(theta))
+            last.update(beta=beta, theta=theta)
+        return found  # type: ignore[no-any-return]
+
+    def _find(self, held: IntArray) -> Field:
+        """Where the held particles (h,) of all candidates stand in memory."""
+        layout = self.state.layout
+        c = np.arange(layout.candidates)[:, None]
+        places = layout.front + layout.group * (c // layout.abreast) + layout.place[held] * layout.abreast
+        places += c % layout.abreast
+        return upload(places, int, layout.device)
 
     def _hold(self, held_u: FloatArray) -> None:
         """Put the held displacements (B, h, d), in particle spacings, into the state now and before."""
-        layout, state = self.state.layout, self.state
-        held_u = np.broadcast_to(held_u, (layout.candidates, *held_u.shape[1:]))
-        wp.launch(
-            self.kernels.put_at,
-            dim=len(self.places),
-            inputs=[
-                self.places,
-                upload(held_u.reshape(-1, held_u.shape[2]).T, layout.scalar, layout.device),
-                layout.stride,
-            ],
-            outputs=[state.u, state.before],
-            device=layout.device,
+        state, layout, operator = self.state, self.state.layout, self.state.operator
+        kernels = (
+            operator.resident if operator.threads else newton_kernels_for(operator.dim, layout.scalar, layout.width)
         )
+        held_u = np.broadcast_to(held_u, (layout.candidates, *held_u.shape[1:]))
+        values = upload(held_u.reshape(-1, held_u.shape[2]).T, layout.scalar, layout.device)
+        inputs, outputs = [self.places, values, layout.stride], [state.u, state.before]
+        wp.launch(kernels.put_at, len(self.places), inputs, outputs, device=layout.device)
 
     def run_moving(self, steps: int, before: FloatArray, after: FloatArray) -> None:
         """The next `steps` steps, on which the displacements of held particles go from `before` to `after`, (B, h,
@@ -715,35 +733,39 @@ class _Stepping:
         for move in range(moves):
             self._hold(before + (move + 1) / moves * (after - before))
             self.run(steps * (move + 1) // moves - steps * move // moves)
-            self.first = self.motion
+        self.state.held = (*self.state.held[:2], None)
 
     def run(self, steps: int) -> None:
         """The next `steps` steps."""
+        if steps > 0:
+            self.state.last_dt = self.dt
+            self._run(self.first, 1 if self.first is not self.motion else steps)
+            self._run(self.motion, steps - 1 if self.first is not self.motion else 0)
+            self.first = self.motion
+
+    def _run(self, motion: object, steps: int) -> None:
         state, operator = self.state, self.state.operator
-        if steps > 0:
-            state.last_dt = self.dt
-        if operator.threads:
-            for motion, count in ((self.first, min(steps, 1)), (self.motion, max(steps - 1, 0))):
-                if count:
-                    operator.stay_stepping(state.pair, state.swapped, motion, self.parameters, count, state.ran_away)
-                    state.swapped ^= bool(count % 2)
+        if operator.threads and steps:
+            operator.stay_stepping(state.pair, state.swapped, motion, self.parameters, steps, state.ran_away)
+            state.swapped ^= bool(steps % 2)
             return
-        if steps > 0:
-            self._one(self.first)
-        steps -= 1
-        if steps >= 4:
-            with wp.ScopedCapture(device=state.layout.device) as capture:
-                self._one(self.motion)
-                self._one(self.motion)
+        if steps > 1:
+            key = id(motion), id(self.parameters), state.swapped
+            graph, *_in_use = state.kept(key, lambda: (self._two(motion), motion, self.parameters))
             for _ in range(steps // 2):
-                wp.capture_launch(capture.graph)
-            steps %= 2
-        for _ in range(steps):
-            self._one(self.motion)
+                wp.capture_launch(graph)
+        if steps % 2:
+            self._one(motion)
+
+    def _two(self, motion: object) -> Any:
+        with wp.ScopedCapture(device=self.state.layout.device) as capture:
+            self._one(motion)
+            self._one(motion)
+        return capture.graph
 
     def _one(self, motion: object) -> None:
         state = self.state
-        state.operator.step(state.u, state.before, motion, self.parameters, self.running, state.ran_away)
+        state.operator.step(state.u, state.before, motion, self.parameters, state.running, state.ran_away)
         state.swapped = not state.swapped
 
 

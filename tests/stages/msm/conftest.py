@@ -83,7 +83,7 @@ def effort(monkeypatch: pytest.MonkeyPatch) -> Iterator[Effort]:
 
     for kind in (Newton, Anderson):
         monkeypatch.setattr(kind, "relax", relaxing(kind.relax))
-    monkeypatch.setattr(Newton, "solve", solving(Newton.solve, lambda self, relative: self._most))
+    monkeypatch.setattr(Newton, "solve", solving(Newton.solve, lambda self, relative: self.state.most))
     monkeypatch.setattr(Anderson, "solve", solving(Anderson.solve, lambda self, relative, most: most))
     monkeypatch.setattr(OneCluster, "relax", relaxing_one(OneCluster.relax))
     yield counted

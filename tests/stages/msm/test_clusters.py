@@ -105,6 +105,24 @@ def test_windows_are_those_found_cell_by_cell(shape: tuple[int, ...], share: flo
     np.testing.assert_array_equal(np.bincount(found.members, minlength=len(cell)), counts)
 
 
+@pytest.mark.parametrize("kind", ["uneven", "even", "mirrored", "flat", "turned", "hole", "shuffled"])
+def test_spacing_of_a_lattice_is_that_of_a_search(kind: str) -> None:
+    rng = np.random.default_rng(len(kind))
+    for shape in [(5, 4, 3), (6, 7), (2, 2, 9), (3, 3)]:
+        dims = (1, *shape[1:]) if kind == "flat" else shape
+        steps = [np.full(n, 0.0123) if kind == "even" else rng.uniform(0.5, 1.5, n) for n in dims]
+        axes = [np.cumsum(step) * (-1.0 if kind == "mirrored" else 1.0) + rng.normal() for step in steps]
+        rest = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(dims))
+        cell = np.arange(len(rest))
+        if kind == "turned":
+            rest = rest @ np.linalg.qr(rng.normal(size=(len(dims), len(dims))))[0]
+        elif kind in ("hole", "shuffled"):
+            cell = np.delete(cell, 2) if kind == "hole" else rng.permutation(cell)
+            rest = rest[cell]
+        found = LatticeClusters(dims, cell, tuple(min(2, n) for n in dims), np.ones(dims, dtype=bool))
+        assert found.spacing(rest) == clusters.spacing(rest)
+
+
 def test_lists_are_kept_as_given() -> None:
     found = clusters.Clusters([np.array([3, 1]), np.array([0, 1, 2])], 4)
     assert [row.tolist() for row in found] == [[3, 1], [0, 1, 2]]

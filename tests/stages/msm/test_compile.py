@@ -11,12 +11,11 @@ pytest.importorskip("warp")
 
 import warp as wp
 
+from deformscope.stages.msm.anderson_kernels import anderson_kernels_for
 from deformscope.stages.msm.general_kernels import general_kernels_for
-from deformscope.stages.msm.iteration_kernels import iteration_kernels_for
+from deformscope.stages.msm.iteration_kernels import newton_kernels_for, resident_kernels_for
 from deformscope.stages.msm.lattice_kernels import lattice_kernels_for
-from deformscope.stages.msm.material_kernels import material_kernels_for
 from deformscope.stages.msm.reduced_kernels import reduced_kernels_for
-from deformscope.stages.msm.resident_kernels import resident_kernels_for
 
 ARCH = 90
 """sm_90, an H100 or H200."""
@@ -25,7 +24,7 @@ GPU_WIDTH = 1
 """Lanes on a GPU: see `layout.widths`."""
 
 
-GPU_WINDOWS = (3, 0)
+GPU_WINDOWS = (3, 9, 0)
 """Cells of a cluster along every axis that kernels are made for; 0, any: see `lattice_functions_for`."""
 
 
@@ -37,9 +36,11 @@ def _kernels(kind: str, dim: int, terms: int, scalar: Any, window: int) -> list[
     elif kind == "general":
         made = general_kernels_for(dim, terms, scalar, GPU_WIDTH)
     elif kind == "material":
-        made = material_kernels_for(dim, terms, scalar, GPU_WIDTH)
-    elif kind == "iteration":
-        made = iteration_kernels_for(dim, scalar, GPU_WIDTH)
+        made = general_kernels_for(dim, terms, scalar, GPU_WIDTH, material=True)
+    elif kind == "newton":
+        made = newton_kernels_for(dim, scalar, GPU_WIDTH)
+    elif kind == "anderson":
+        made = anderson_kernels_for(dim, scalar, GPU_WIDTH)
     else:
         made = reduced_kernels_for(dim, terms)
     return [member for member in vars(made).values() if isinstance(member, wp.Kernel)]
@@ -71,8 +72,9 @@ CASES = [
         for dim in (2, 3)
         for scalar in SCALARS
         for window in GPU_WINDOWS
+        if kind == "lattice" or window < 9  # wide ones are for bodies too large for kernels that stay
     ),
-    *(_case("iteration", dim, dim, scalar) for dim in (2, 3) for scalar in SCALARS),
+    *(_case(kind, dim, dim, scalar) for kind in ("newton", "anderson") for dim in (2, 3) for scalar in SCALARS),
     *(
         _case(kind, dim, terms, scalar)
         for kind in ("general", "material")

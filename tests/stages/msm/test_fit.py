@@ -8,7 +8,8 @@ import pytest
 pytest.importorskip("warp")
 
 from deformscope.stages.msm import clusters
-from deformscope.stages.msm.fit import fit_beta, fit_beta_theta
+from deformscope.stages.msm.fit import LARGEST, _followed, fit_beta, fit_beta_theta
+from deformscope.stages.msm.iteration import Newton
 from deformscope.stages.msm.reference import Volume
 from deformscope.stages.msm.solver import Msm
 from tests.stages.bodies import pushed
@@ -35,6 +36,24 @@ def test_exact_observations_give_the_truth_and_unseen_particles_do_not_count(dev
     observed[::3] = np.nan
     found = fit_beta(engine, body.held_position, observed)
     assert found.value == pytest.approx(0.637, abs=1e-3)
+
+
+@pytest.mark.parametrize(("size", "start"), [(2, 0.5), (3, 0.1), (4, 0.9)])
+def test_one_launch_finds_what_evaluations_from_python_find(device: str, size: int, start: float) -> None:
+    rng = np.random.default_rng(6)
+    body = pushed((6, 8), rng)
+    engine = Msm(body.rest, body.clusters(size), body.held, device=device)
+    observed = engine.relax(body.held_position, 0.6).position[0] + rng.normal(0, 0.02 * engine.scale, body.rest.shape)
+    found = fit_beta(engine, body.held_position, observed, start=start)
+    method = Newton(engine._body, engine._particles, 1, 0)
+    u = np.zeros_like(body.rest)
+    u[body.held] = (body.held_position - body.rest[body.held]) / engine.scale
+    method.put(u[None])
+    target, seen = (observed - body.rest) / engine.scale, np.ones(len(body.rest), dtype=bool)
+    beta, evaluations, settled = _followed(method, engine, target, seen, start=start, tolerance=1e-4, most=40)
+    assert settled
+    assert 0.0 < beta < LARGEST
+    assert (found.value, found.evaluations) == (pytest.approx(beta, abs=1e-7), evaluations)
 
 
 def test_a_shape_beyond_the_model_ends_at_the_bound(device: str) -> None:

@@ -9,10 +9,14 @@ import pytest
 
 pytest.importorskip("warp")
 
+import warp as wp
+
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.stages.msm import clusters, reference
+from deformscope.stages.msm import lattice as lattice_body
 from deformscope.stages.msm.clusters import Clusters, LatticeClusters
 from deformscope.stages.msm.general import GeneralBody
+from deformscope.stages.msm.lanes import LANES
 from deformscope.stages.msm.lattice import LatticeBody
 from deformscope.stages.msm.reference import Rest, Volume
 from deformscope.stages.msm.solver import Msm, Precision
@@ -406,6 +410,49 @@ def test_a_candidate_that_is_not_a_number_spoils_no_other(device: str, precision
     ended = engine.relax(body.rest[body.held] * 1.1, 0.7, start=spoiled)
     np.testing.assert_array_equal(ended.position[others], kept.position[others])
     assert not ended.converged[[2, 4]].any()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", [Lattice((7, 8, 9), 3), Lattice((9, 8, 10), 6), Lattice((11, 12), 7)])
+def test_passes_one_lane_wide_step_as_the_kernels_that_stay(
+    monkeypatch: pytest.MonkeyPatch, device: str, case: Lattice
+) -> None:
+    """As on a GPU for larger bodies: a launch for each pass, of windows that are all summed up anew."""
+    body = case.build()
+    held = body.rest[body.held] + 0.2 * SPACING_M
+    beta = np.array([0.3, 0.8])
+
+    def stepped() -> tuple[FloatArray, int]:
+        engine = body.engine("float64", device)
+        state = engine.start(2)
+        if not lattice_body.RESIDENT_CELLS:
+            state.operator.threads = 0
+        engine.advance(state, held, beta, steps=7)
+        return engine.positions(state), state.operator.arrays.window
+
+    stays, _ = stepped()
+    monkeypatch.setattr(lattice_body, "RESIDENT_CELLS", 0)
+    monkeypatch.setattr(lattice_body, "widths", lambda *_args, **_options: (1, 1))
+    passes, window = stepped()
+    assert window == case.size
+    np.testing.assert_allclose(passes, stays, rtol=0, atol=1e-10 * SPACING_M)
+    assert np.abs(stays[0] - stays[1]).max() > 1e-4 * SPACING_M
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("count", [1, 5])
+def test_goals_do_not_depend_on_the_width_of_the_lanes_but_for_rounding(
+    monkeypatch: pytest.MonkeyPatch, count: int
+) -> None:
+    body = Lattice((5, 6, 7), 3).build()
+    states = body.states(count)
+    found = {}
+    for bits in (256, 512):
+        monkeypatch.setitem(LANES, wp.float64, bits // 64)
+        engine = body.engine("float64", "cpu")
+        found[bits] = engine.residual(states, 0.6)
+        assert engine._body.layout(count).width == bits // 64
+    np.testing.assert_allclose(found[256], found[512], rtol=0, atol=1e-11 * SPACING_M)
 
 
 def test_runs_repeat_bit_for_bit(device: str, precision: Precision) -> None:

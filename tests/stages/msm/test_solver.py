@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -171,6 +171,38 @@ def test_runs_repeat_bit_for_bit(device: str, precision: Precision) -> None:
         ends.append((relaxed, stepped))
     np.testing.assert_array_equal(ends[0][0], ends[1][0])
     np.testing.assert_array_equal(ends[0][1], ends[1][1])
+
+
+@pytest.mark.parametrize("shape", [(6, 7), (4, 4, 5)])
+@pytest.mark.parametrize("lists", [False, True])
+def test_what_a_call_leaves_on_the_device_changes_no_later_one(
+    device: str, precision: Precision, shape: tuple[int, ...], lists: bool
+) -> None:
+    body = pushed(shape, np.random.default_rng(4))
+    grouped = body.clusters(3)
+    some = clusters.Clusters(list(grouped), len(body.rest)) if lists else grouped
+    engine = Msm(body.rest, some, body.held, precision=precision, device=device)
+    kept, forgetful = engine.start(2), engine.start(2)
+    held, beta = body.held_position.copy(), np.array([0.2, 0.8])
+    by_cluster = np.linspace(0.1, 0.9, 2 * grouped.count).reshape(2, -1)
+    calls: list[dict[str, Any]] = [
+        {"steps": 7},
+        {"steps": 2},
+        {"steps": 5, "dt": 1e-3, "acceleration": [0.0] * (len(shape) - 1) + [-9.8]},
+        {"steps": 2, "alpha": 0.5},
+        {"steps": 4, "theta": 0.3, "volume": "project"},
+        {"steps": 3, "beta": by_cluster},
+        {"steps": 6, "held_from": body.rest[body.held]},
+    ]
+    for number, call in enumerate([*calls, *calls]):
+        held += 0.01 * (number % 3 == 2) * np.ptp(body.rest)  # in place: the engine must not take it for the old one
+        beta += 0.01 * (number % 4 == 1)
+        for state in (kept, forgetful):
+            engine.advance(state, held, **{"beta": beta, **call})
+        forgetful._kept.clear()
+        forgetful.held = None, None, None
+        np.testing.assert_array_equal(engine.positions(kept), engine.positions(forgetful))
+    assert np.isfinite(engine.positions(kept)).all()
 
 
 def test_size_and_units_do_not_matter(device: str, precision: Precision) -> None:

@@ -1,0 +1,405 @@
+"""A preconditioner for the linear equations of lattice bodies: geometric multigrid, in float32.
+
+A coarse level is a lattice body of its own, with clusters on about half the particles along each axis: its operator
+costs as little as that of the body, whatever the clusters' width, and nothing is assembled. Without conservation a
+body's energy is E_A + (1 - beta) (E_R - E_A): what no affine map fits, and what an affine map fits but no rotation
+does. The first grows with second derivatives of the displacement, the second with strain, so clusters that reach twice
+as far weigh them differently. A coarse level has the factors that keep both energies of smooth displacements: it is a
+multiple of an operator of another beta, which may be below 0. Conserved volume is strain, too.
+
+A cycle is symmetric: Chebyshev's iteration before and after the coarse correction, whose interpolation (linear) and
+restriction are transposed. No particle that is held moves, and no coarse one beside it. All levels are linearised where
+the fine one is. Any positive definite preconditioner gives the same solution, so what is simplified here can cost
+iterations but nothing else.
+"""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+from typing import Any, TypeGuard
+
+import numpy as np
+import warp as wp
+from scipy.spatial import cKDTree
+
+from deformscope.arrays import BoolArray, FloatArray, IntArray
+from deformscope.stages.msm.body import Body, BodyRest, Parameters
+from deformscope.stages.msm.clusters import FLAT_MOMENT_RATIO, LatticeClusters
+from deformscope.stages.msm.iteration_kernels import newton_functions_for
+from deformscope.stages.msm.lattice import RESIDENT_CELLS, LatticeBody
+from deformscope.stages.msm.layout import Field, Layout, upload
+from deformscope.stages.msm.multigrid_kernels import (
+    Cells,
+    Transfer,
+    aided_kernels_for,
+    smoother_for,
+    transfer_kernels_for,
+)
+
+LEAST = RESIDENT_CELLS
+"""Cells of the smallest body that is preconditioned: below, plain conjugate gradients are as quick."""
+
+NARROWEST, FEWEST = 5, 150
+"""Cells along an axis, and in all, below which a level is not coarsened further."""
+
+STIFFER = 1.25
+"""By which a coarse level's energies are raised: corrections that are too small cost less than those too large."""
+
+DEGREE, RANGE = 2, 5.0
+"""Of Chebyshev's iteration: its steps, and the ratio of the largest to the smallest eigenvalue that it damps."""
+
+PATIENCE = 150
+"""Directions of one solve after which it goes on without the preconditioner."""
+
+
+@dataclass(frozen=True, slots=True)
+class CoarseRest:
+    """A lattice, and how it interpolates to the next finer one.
+
+    present, held: (n0, n1, n2); mass: the same, over the mean mass of the body; corner: the same, where clusters are
+    window: (3,); edges: (3, d) from a cell to the next along each axis [spacings]
+    affine, strain: factors of the two energies; parent, ahead: of each axis, see `multigrid_kernels.Transfer`
+    spread: (n0, n1, n2) how much of the finer level's particles interpolates from each cell
+    """
+
+    present: BoolArray
+    held: BoolArray
+    mass: FloatArray
+    corner: BoolArray
+    window: tuple[int, ...]
+    edges: FloatArray
+    affine: float
+    strain: float
+    parent: tuple[IntArray, ...]
+    ahead: tuple[FloatArray, ...]
+    spread: FloatArray
+
+    def body(self, scalar: Any, device: str) -> LatticeBody:
+        """The lattice body, without what is in no cluster."""
+        d = self.edges.shape[1]
+        everything = np.flatnonzero(self.present)
+        counts = LatticeClusters(self.corner.shape, everything, self.window, self.corner).cluster_counts()
+        cell = everything[counts > 0]
+        counts = counts[counts > 0]
+        position = np.column_stack(np.unravel_index(cell, self.corner.shape)) @ self.edges
+        mass, free = self.mass.reshape(-1)[cell], ~self.held.reshape(-1)[cell]
+        rest = BodyRest(position.reshape(-1, d), mass, free, counts, np.where(free, counts * mass, 0.0))
+        clusters = LatticeClusters(self.corner.shape, cell, self.window, self.corner)
+        return LatticeBody(rest, clusters, self.edges, scalar, device)
+
+
+def coarser(fine: CoarseRest) -> CoarseRest | None:
+    """The next level, None where there is none."""
+    shape = fine.present.shape
+    thin = [1 < n < NARROWEST for n in shape]
+    if any(thin) or fine.present.size <= FEWEST:
+        return None
+    counts = [(n + 1) // 2 for n in shape]
+    ratio = np.array([(n - 1) / max(c - 1, 1) if n > 1 else 1.0 for n, c in zip(shape, counts, strict=True)])
+    place = [np.arange(n) / each for n, each in zip(shape, ratio, strict=True)]
+    parent = tuple(np.clip(p.astype(int), 0, max(c - 2, 0)) for p, c in zip(place, counts, strict=True))
+    ahead = tuple(p - i for p, i in zip(place, parent, strict=True))
+    near = np.ix_(*(np.rint(p).astype(int) for p in place))
+    cell = np.ravel_multi_index(np.broadcast_arrays(*near), counts).reshape(-1)
+
+    def total(values: FloatArray | BoolArray) -> FloatArray:
+        """(n0, n1, n2) sums over the fine cells that are nearest to each coarse one."""
+        return np.bincount(cell, values.reshape(-1).astype(float), minlength=int(np.prod(counts))).reshape(counts)
+
+    many = total(fine.present)
+    present, held = many > 0, total(fine.held) > 0
+    mass = np.divide(total(fine.mass), many, out=np.zeros_like(many), where=present)
+    window = tuple(w if w <= 3 else w // 2 + 1 for w in fine.window)
+    window = tuple(min(w, c) for w, c in zip(window, counts, strict=True))
+    edges = fine.edges * ratio[:, None]
+    axis = int(np.argmax(shape))
+    affine, strain = _energies(fine.window, axis)
+    affine_here, strain_here = _energies(window, axis)
+    corner = _corners(mass, window, edges)
+    volume, far = STIFFER * float(fine.corner.sum()) / max(float(corner.sum()), 1.0), float(ratio[axis])
+    spread = fine.present.astype(float)
+    for a, (i, t) in enumerate(zip(parent, ahead, strict=True)):
+        weights = np.zeros((len(i), counts[a]))
+        weights[np.arange(len(i)), i] = 1.0 - t
+        weights[np.arange(len(i)), np.minimum(i + 1, counts[a] - 1)] += t
+        spread = np.moveaxis(np.tensordot(spread, weights, axes=(a, 0)), -1, a)
+    return CoarseRest(
+        present=present,
+        held=held,
+        mass=mass,
+        corner=corner,
+        window=window,
+        edges=edges,
+        affine=fine.affine * affine * volume / (far**4 * affine_here),
+        strain=fine.strain * strain * volume / (far**2 * strain_here),
+        parent=parent,
+        ahead=ahead,
+        spread=spread,
+    )
+
+
+def levels_of(body: LatticeBody, rest: BodyRest) -> list[tuple[CoarseRest, LatticeBody]]:
+    """The body itself and its coarser levels, as bodies in float32."""
+
+    def at_cells(values: Any) -> Any:
+        grid = np.zeros(body.count, dtype=np.asarray(values).dtype)
+        grid[body.cell] = values
+        return grid.reshape(body.shape)
+
+    level: CoarseRest | None = CoarseRest(
+        present=at_cells(np.ones(len(body.cell), dtype=bool)),
+        held=at_cells(~rest.free),
+        mass=at_cells(rest.mass / rest.mass.mean()),
+        corner=body.corner,
+        window=body.window,
+        edges=body.edges,
+        affine=1.0,
+        strain=1.0,
+        parent=(),
+        ahead=(),
+        spread=np.ones(body.shape),
+    )
+    found = []
+    while level is not None:
+        found.append((level, level.body(wp.float32, body.device)))
+        level = coarser(level)
+    return found
+
+
+def _energies(window: tuple[int, ...], axis: int) -> tuple[float, float]:
+    """What a cluster stores of a displacement quadratic in space, and of a strain; over the same factors for all."""
+    w = window[axis]
+    second, fourth = (w * w - 1) / 12, (w * w - 1) * (3 * w * w - 7) / 240
+    return float(np.prod(window)) * (fourth + second**2), float(np.prod(window)) * second
+
+
+def _corners(mass: FloatArray, window: tuple[int, ...], edges: FloatArray) -> BoolArray:
+    """Where the particles of a window span as many directions as there are; masses (n0, n1, n2)."""
+    corner = np.zeros(mass.shape, dtype=bool)
+    corner[tuple(slice(n - w + 1) for n, w in zip(mass.shape, window, strict=True))] = True
+    if (mass > 0).all():
+        return corner
+    cell = np.flatnonzero(mass)
+    one = np.ones(len(cell))
+    rest = BodyRest(np.zeros((len(cell), edges.shape[1])), mass.reshape(-1)[cell], one > 0, one.astype(int), one)
+    body = LatticeBody(rest, LatticeClusters(mass.shape, cell, window, corner), edges, wp.float64, "cpu")
+    values = np.linalg.eigvalsh(body.moments()[2])
+    spanned = np.count_nonzero(values > FLAT_MOMENT_RATIO * np.maximum(values[:, -1:], 1e-300), axis=1)
+    return np.asarray(
+        corner & (spanned >= min(np.count_nonzero(np.array(mass.shape) > 1), edges.shape[1])).reshape(mass.shape)
+    )
+
+
+class _Level:
+    """A lattice body in float32, its fields for the candidates, and its parameters."""
+
+    def __init__(self, rest: CoarseRest, body: LatticeBody, size: int, volume: int) -> None:
+        self.rest, self.body, self.volume = rest, body, volume
+        self.layout: Layout = body.layout(size)
+        self.operator = body.operator(self.layout)
+        self.kept = self.operator.kept(volume)
+        d, layout = body.dim, self.layout
+        self.right, self.z, self.left, self.direction, self.changed = (layout.field(d) for _ in range(5))
+        self.u = self.direction  # its value is needed only while no cycle runs
+        self.ratio = rest.strain / rest.affine
+        zero = np.zeros(size)
+        self.shrink = layout.each(zero)
+        self.parameters = Parameters(layout.each(zero), layout.each(zero), 0, volume)
+        self.place = _cells(layout, body)
+        span = newton_functions_for(d, wp.float32, layout.width).Span()
+        span.abreast, span.blocks = layout.abreast, layout.blocks
+        span.front, span.group, span.stride = layout.front, layout.group, layout.stride
+        self.span = span
+        self.smooth = smoother_for(d, layout.width)
+        self.every_group = wp.full(layout.groups, 1, dtype=int, device=layout.device)
+
+    def set(self, beta: FloatArray, theta: FloatArray) -> bool:
+        """Whether other arrays than before hold the parameters. beta: (B,) or (B, C) of this level's clusters"""
+        own, mean = 1.0 - self.ratio * (1.0 - beta), beta.reshape(len(beta), -1).mean(axis=1)
+        theta_own = theta
+        if self.volume:
+            own_mean = 1.0 - self.ratio * (1.0 - mean)
+            theta_own = self.ratio * mean * theta / np.where(np.abs(own_mean) < 1e-3, 1e-3, own_mean)
+        strain = (1.0 - beta + (beta.T * theta).T).reshape(len(beta), -1)
+        self.layout.refill(self.shrink, 1.0 / np.maximum(1.0, self.ratio * strain.max(axis=1)))
+        self.layout.refill(self.parameters.theta, theta_own)
+        stride = self.operator.beta_stride if beta.ndim > 1 else 0
+        values = self.operator.cluster_values(own) if stride else self.layout.each(own)
+        if stride == self.parameters.beta_stride:
+            self.parameters.beta.assign(values)
+            return False
+        self.parameters = Parameters(values, self.parameters.theta, stride, self.volume)
+        return True
+
+
+def _cells(layout: Layout, body: LatticeBody) -> Any:
+    cells = Cells()
+    cells.front, cells.group, cells.stride, cells.abreast = layout.front, layout.group, layout.stride, layout.abreast
+    cells.cells_0, cells.cells_1, cells.cells_2 = body.shape
+    return cells
+
+
+class Multigrid:
+    """The preconditioner of a lattice body for one method's candidates."""
+
+    def __init__(self, body: LatticeBody, rest: BodyRest, layout: Layout, size: int, volume: int) -> None:
+        self.layout = layout
+        self.transfers = transfer_kernels_for(body.dim, body.scalar)
+        self.aided = aided_kernels_for(body.dim, body.scalar, layout.width)
+        body.coarse = body.coarse or levels_of(body, rest)
+        self.levels = [_Level(level, each, size, volume) for level, each in body.coarse]
+        self._between = [self._transfer(*pair) for pair in zip(self.levels, self.levels[1:], strict=False)]
+        self.z = layout.field(body.dim)
+        self.outside = _cells(layout, body)
+        self.along = layout.each(np.zeros(size), wp.float64)
+        self.plain, self.applied = (layout.each(np.zeros(size), int) for _ in range(2))
+        self.longest = max(body.shape)
+        self._steps = max(self.levels[-1].body.shape)
+        self._same_groups = self.levels[0].layout.groups == layout.groups
+
+    @staticmethod
+    def worth(body: Body) -> TypeGuard[LatticeBody]:
+        """Whether a body is large enough, and wide enough to be coarsened."""
+        if not isinstance(body, LatticeBody) or len(body.cell) <= LEAST:
+            return False
+        return min(n for n in body.shape if n > 1) >= NARROWEST
+
+    def _transfer(self, fine: _Level, coarse: _Level) -> tuple[Any, ...]:
+        """How to interpolate between two levels, and the weights of the restriction."""
+        device = self.layout.device
+        transfer = Transfer()
+        parents, ahead = coarse.rest.parent, coarse.rest.ahead
+        counts = coarse.body.shape
+        planes = [(i + t, np.arange(n)) for i, t, n in zip(parents, ahead, counts, strict=True)]
+        first = np.concatenate([np.searchsorted(x, at - 1, "right") for x, at in planes])
+        last = np.concatenate([np.searchsorted(x, at + 1, "left") - 1 for x, at in planes])
+        transfer.parent, transfer.first, transfer.last = (
+            upload(each, int, device) for each in (np.concatenate(parents), first, last)
+        )
+        transfer.ahead = upload(np.concatenate(ahead), wp.float32, device)
+        transfer.fine_1, transfer.fine_2 = len(parents[0]), len(parents[0]) + len(parents[1])
+        transfer.coarse_1, transfer.coarse_2 = counts[0], counts[0] + counts[1]
+        metric = coarse.operator.metric.numpy()[: coarse.body.count].astype(np.float64)
+        scale = fine.rest.affine / coarse.rest.affine
+        by_metric = np.divide(scale, metric, out=np.zeros_like(metric), where=metric > 0)
+        spread = coarse.rest.spread.reshape(-1)
+        half_mean = np.divide(0.5, spread, out=np.zeros_like(spread), where=spread > 1e-6)
+        present = upload(fine.rest.present.astype(np.float64), wp.float32, device)
+        return transfer, upload(by_metric, wp.float32, device), present, upload(half_mean, wp.float32, device)
+
+    def set(self, beta: FloatArray, theta: FloatArray) -> bool:
+        """Parameters of the candidates, beta (B,) or (B, C), theta (B,); whether what was recorded is to be so anew."""
+        near = self._nearest if beta.ndim > 1 else [None] * len(self.levels)
+        each = [beta if some is None else beta[:, some] for some in near]
+        changed = [level.set(own, theta) for level, own in zip(self.levels, each, strict=True)]
+        return any(changed)
+
+    @functools.cached_property
+    def _nearest(self) -> list[IntArray]:
+        """(C,) of each level: the body's cluster that is nearest to each of its own."""
+        middle = []
+        for level in self.levels:
+            body = level.body
+            corner = np.column_stack(np.unravel_index(body.clusters_at, body.shape))
+            middle.append((corner + (np.array(body.window) - 1) / 2) @ body.edges)
+        tree = cKDTree(middle[0])
+        return [np.asarray(tree.query(each)[1]) for each in middle]
+
+    def reset(self) -> None:
+        """Every candidate is preconditioned, and none was."""
+        for each in (self.plain, self.applied, self.along):
+            each.zero_()
+
+    @property
+    def given_up(self) -> bool:
+        """Whether all candidates go without."""
+        return bool(self.plain.numpy()[: self.layout.candidates].all())
+
+    def told(self, linearised: Field, predicted: BoolArray) -> tuple[IntArray, BoolArray]:
+        """(B,) evaluations in the finest level, and which candidates went on without. linearised: how often each was;
+        predicted: (B,) once more"""
+        size = self.layout.candidates
+        evaluations = linearised.numpy()[:size] + predicted + 2 * DEGREE * self.applied.numpy()[:size]
+        return evaluations, self.plain.numpy()[:size] != 0
+
+    def linearise(self, u: Field, running: Field) -> None:
+        """Linearises every level where the body is: its displacements, as those of the coarse particles."""
+        levels = self.levels
+        self._convert(self.transfers.put_in, u, levels[0].u)
+        for index, level in enumerate(levels):
+            flags = self._flags(level, running)
+            level.operator.residual(level.u, level.changed, level.parameters, flags, level.kept)
+            if index + 1 < len(levels):
+                transfer, _, present, half_mean = self._between[index]
+                self._restrict(transfer, index, (level.u, level.u, present, half_mean), levels[index + 1].u)
+
+    def cycle(self, rho: Field, running: Field) -> None:
+        """`z` of a residual."""
+        self._convert(self.transfers.put_in, rho, self.levels[0].right)
+        self._visit(0, running)
+        self._convert(self.transfers.take_out, self.levels[0].z, self.z)
+
+    def _visit(self, index: int, running: Field) -> None:
+        level = self.levels[index]
+        if index + 1 == len(self.levels):
+            self._smooth(level, running, self._steps, 0.75 * self._steps**2, begins=True)
+            return
+        coarse = self.levels[index + 1]
+        transfer, by_metric, _, _ = self._between[index]
+        self._smooth(level, running, DEGREE, RANGE, begins=True)
+        self._change(level, running)
+        self._restrict(transfer, index, (level.left, level.changed, level.operator.metric, by_metric), coarse.right)
+        self._visit(index + 1, running)
+        wp.launch(
+            self.transfers.prolong,
+            dim=(level.layout.groups * level.layout.abreast, level.body.count),
+            inputs=[transfer, level.place, coarse.place, coarse.z, level.changed, level.operator.arrays.free],
+            outputs=[level.z, level.left, level.direction],
+            device=level.layout.device,
+        )
+        self._smooth(level, running, DEGREE, RANGE, begins=False)
+
+    def _smooth(self, level: _Level, running: Field, steps: int, ratio: float, *, begins: bool) -> None:
+        """Chebyshev's iteration on eigenvalues from 1 / ratio of the largest to it (Saad 2003, algorithm 12.1)."""
+        half, middle = (1.0 - 1.0 / ratio) / 2.0, (1.0 + 1.0 / ratio) / 2.0
+        rho, keep, gain = half / middle, 0.0, 1.0 / middle
+        for step in range(steps):
+            if step > 0 or not begins:
+                self._change(level, running)
+            wp.launch(
+                level.smooth,
+                dim=(level.layout.groups, level.layout.blocks),
+                inputs=[
+                    *(level.span, self._flags(level, running), int(begins and step == 0), keep, gain),
+                    *(level.shrink, level.right, level.changed, level.z, level.left, level.direction),
+                ],
+                device=level.layout.device,
+            )
+            after = 1.0 / (2.0 * middle / half - rho)
+            keep, gain, rho = after * rho, 2.0 * after / half, after
+
+    def _change(self, level: _Level, running: Field) -> None:
+        level.operator.change(level.direction, level.changed, level.parameters, self._flags(level, running), level.kept)
+
+    def _flags(self, level: _Level, running: Field) -> Field:
+        """Which groups run, where the levels group the candidates as the body does."""
+        return running if self._same_groups else level.every_group
+
+    def _restrict(self, transfer: Any, index: int, fields: tuple[Field, ...], out: Field) -> None:
+        """Two fields that are added and the weights of fine and coarse cells, to the next level."""
+        fine, coarse = self.levels[index], self.levels[index + 1]
+        wp.launch(
+            self.transfers.restrict,
+            dim=(coarse.layout.groups * coarse.layout.abreast, coarse.body.count),
+            inputs=[transfer, fine.place, coarse.place, *fields],
+            outputs=[out],
+            device=coarse.layout.device,
+        )
+
+    def _convert(self, kernel: wp.Kernel, values: Field, out: Field) -> None:
+        """Between the body's fields and those of the first level."""
+        own = self.levels[0]
+        places = [self.outside, own.place] if kernel is self.transfers.put_in else [own.place, self.outside]
+        dim = (self.layout.groups * self.layout.abreast, own.body.count)
+        wp.launch(kernel, dim=dim, inputs=[*places, values], outputs=[out], device=self.layout.device)

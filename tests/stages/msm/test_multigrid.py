@@ -1,0 +1,219 @@
+"""The preconditioner of large lattices: symmetric, positive, as good for large bodies as for small, never harmful."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("warp")
+
+from deformscope.arrays import FloatArray
+from deformscope.stages.msm import clusters, iteration, multigrid, reference
+from deformscope.stages.msm.multigrid import Multigrid
+from deformscope.stages.msm.solver import Msm, Precision
+from tests.cases import slow, slow_but
+from tests.stages.bodies import lattice
+
+BODIES = {
+    "2D": ((9, 12), 3, 0.0, 0.0),
+    "2D, pairs": ((9, 12), 2, 0.0, 0.0),
+    "2D, wide": ((13, 17), 5, 0.0, 0.0),
+    "2D, holes": ((12, 15), 3, 0.08, 0.0),
+    "2D, held here and there": ((12, 15), 3, 0.0, 0.05),
+    "slender": ((6, 40), 3, 0.0, 0.0),
+    "3D": ((6, 7, 8), 3, 0.0, 0.0),
+    "3D, holes, held here and there": ((7, 8, 6), 2, 0.06, 0.03),
+}
+"""Lattice, cluster width, share of missing and of held particles."""
+
+QUICK = ("2D, wide", "2D, holes", "2D, held here and there", "3D")
+
+named = pytest.mark.parametrize("name", slow_but(QUICK, BODIES))
+
+
+@pytest.fixture(autouse=True)
+def all_sizes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Small bodies are preconditioned, too."""
+    monkeypatch.setattr(multigrid, "LEAST", 0)
+    monkeypatch.setattr(multigrid, "FEWEST", 20)
+
+
+def _poked(name: str, device: str = "cpu", precision: Precision = "float64") -> tuple[Msm, FloatArray]:
+    """A body whose bottom stands, and the middle of whose top is pushed in and aside; (n, d) where it is held."""
+    shape, size, missing, held_share = BODIES[name]
+    return _body(shape, size, missing, held_share, device, precision)
+
+
+def _body(
+    shape: tuple[int, ...],
+    size: int,
+    missing: float = 0.0,
+    held_share: float = 0.0,
+    device: str = "cpu",
+    precision: Precision = "float64",
+) -> tuple[Msm, FloatArray]:
+    rng = np.random.default_rng(2)
+    rest = lattice(shape, 1.0)
+    bottom, top = rest[:, 0] == 0, rest[:, 0] == shape[0] - 1
+    middle = (np.abs(rest[:, 1:] - (np.array(shape[1:]) - 1) / 2) <= np.array(shape[1:]) / 6).all(axis=1)
+    cell = np.flatnonzero((rng.random(len(rest)) >= missing) | bottom | top)
+    rest, bottom, tool = rest[cell], bottom[cell], (top & middle)[cell]
+    held = np.flatnonzero(bottom | tool | (rng.random(len(rest)) < held_share))
+    position = rest[held].copy()
+    position[tool[held]] += np.array([-0.08, 0.03, 0.0])[: len(shape)] * shape[0]
+    return Msm(rest, clusters.lattice(rest, shape, cell, size), held, device=device, precision=precision), position
+
+
+def _plain(monkeypatch: pytest.MonkeyPatch, engine: Msm) -> Msm:
+    """The same body, never preconditioned."""
+    made = engine.holding(engine.held)
+    with monkeypatch.context() as patch:
+        patch.setattr(Multigrid, "worth", staticmethod(lambda body: False))
+        for size in (1, 5):
+            for volume in ("scale", "project"):
+                made._method(*made._kind(np.full(size, float(volume == "project")), size, "project"))
+    return made
+
+
+def _newton(engine: Msm, beta: float, position: FloatArray) -> Any:
+    return engine._at(position[None], beta, 0.0, "scale")
+
+
+@named
+@pytest.mark.parametrize("beta", [0.0, slow(0.6), 0.99])
+def test_the_preconditioner_is_symmetric_and_positive(name: str, beta: float, device: str) -> None:
+    engine, held = _poked(name, device)
+    newton = _newton(engine, beta, engine.relax(held, beta).position[0])
+    grid, layout = newton.multigrid, newton.layout
+    assert len(grid.levels) > 1
+    unknowns = np.flatnonzero(np.repeat(engine.free, engine.dim))
+    columns = []
+    for one in unknowns:
+        unit = np.zeros((1, *engine.rest.shape))
+        unit.reshape(-1)[one] = 1.0
+        layout.put(unit, newton.rho)
+        grid.cycle(newton.rho, newton._every_group)
+        columns.append(layout.get(grid.z, engine.dim).reshape(-1)[unknowns])
+    metric = np.repeat(engine._particles.metric, engine.dim)[unknowns]
+    product = metric[:, None] * np.column_stack(columns) * np.sqrt(1 / np.outer(metric, metric))
+    size = np.linalg.norm(product, 2)
+    assert np.abs(product - product.T).max() < 2e-6 * size
+    assert np.linalg.eigvalsh(product + product.T).min() > 0.1
+
+
+@named
+@pytest.mark.parametrize("volume", ["scale", "project"])
+def test_states_are_those_without_it_and_obey_the_equations(
+    name: str, volume: reference.Volume, device: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    engine, held = _poked(name, device)
+    beta = np.array([0.0, 0.5, 0.8, 0.9, 0.99])
+    theta = 0.5 if volume == "project" else 0.0
+    found = engine.relax(held, beta, theta, volume=volume)
+    assert found.converged.all()
+    assert not found.unaided.any()
+    assert (found.smoothed > 0).all()
+    (method,) = engine._scratch.values()
+    assert not method.multigrid.plain.numpy().any()  # nor what fills up the lanes
+    plain = _plain(monkeypatch, engine).relax(held, beta, theta, volume=volume)
+    assert plain.converged.all()
+    assert (plain.smoothed == 0).all()
+    apart = np.sqrt(np.mean(np.sum((found.position - plain.position) ** 2, axis=-1), axis=-1))
+    assert apart.max() < 2e-9 * engine.extent  # each is known to 1e-9
+    rest = reference.build_rest(engine.rest, engine._clusters, engine.held)
+    for x, b in zip(found.position[[0, -1]], beta[[0, -1]], strict=True):
+        left = reference.goals(x, rest, float(b), theta, volume=volume) - x
+        assert np.sqrt(np.mean(np.sum(left**2, axis=-1))) < 1e-9 * engine.extent
+
+
+@pytest.mark.parametrize("name", ["2D, holes"])
+def test_derivatives_are_those_of_a_dense_solve(name: str, device: str) -> None:
+    engine, held = _poked(name, device)
+    position = engine.relax(held, 0.9, tolerance=1e-12).position[0]
+    rest = reference.build_rest(engine.rest, engine._clusters, engine.held)
+    unknowns = np.flatnonzero(np.repeat(engine.free, engine.dim))
+
+    def goals(x: FloatArray, beta: float = 0.9) -> FloatArray:
+        return reference.goals(x, rest, beta).reshape(-1)[unknowns]
+
+    h = 1e-5
+    jacobian = np.empty((len(unknowns), len(unknowns)))
+    for column, one in enumerate(unknowns):
+        away = np.zeros_like(position)
+        away.reshape(-1)[one] = h
+        jacobian[:, column] = (goals(position + away) - goals(position - away)) / (2 * h)
+    by_beta = (goals(position, 0.9 + h) - goals(position, 0.9 - h)) / (2 * h)
+    exact = np.linalg.solve(np.eye(len(unknowns)) - jacobian, by_beta)
+    found = engine.sensitivity(position, 0.9)
+    assert found.converged
+    np.testing.assert_allclose(found.beta[0].reshape(-1)[unknowns], exact, atol=1e-6 * np.abs(exact).max())
+    cotangent = np.random.default_rng(0).normal(size=position.shape)
+    slope = engine.gradient(position, 0.9, cotangent=cotangent)
+    assert slope.converged
+    np.testing.assert_allclose(slope.beta[0], cotangent.reshape(-1)[unknowns] @ exact, rtol=1e-5)
+
+
+def test_betas_of_clusters_are_those_without_it(device: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    engine, held = _poked("2D, holes", device)
+    beta = np.random.default_rng(1).uniform(0.0, 0.99, (5, engine.cluster_count))
+    found, plain = (each.relax(held, beta) for each in (engine, _plain(monkeypatch, engine)))
+    assert found.converged.all()
+    assert not found.unaided.any()
+    np.testing.assert_allclose(found.position, plain.position, atol=1e-8 * engine.extent)
+
+
+def test_in_float32_too(device: str) -> None:
+    engine, held = _poked("2D, wide", device, "float32")
+    exact, _ = _poked("2D, wide", device)
+    found, wanted = engine.relax(held, 0.9), exact.relax(held, 0.9)
+    assert found.converged.all()
+    np.testing.assert_allclose(found.position, wanted.position, atol=1e-4 * engine.extent)
+
+
+@pytest.mark.parametrize(("dim", "sides"), [(2, (17, 33, 65)), slow(3, (9, 17, 33))])
+@pytest.mark.parametrize("beta", [0.5, 0.9, 0.99])
+def test_cycles_hardly_grow_with_the_body(dim: int, sides: tuple[int, ...], beta: float, device: str) -> None:
+    """Of a linear solve to 1e-8; plain conjugate gradients need twice as many each time, at .99 three times."""
+    cycles = []
+    for side in sides:
+        engine, _ = _body((side,) * dim, 3, device=device)
+        newton = _newton(engine, beta, engine.rest)
+        right = np.zeros((1, *engine.rest.shape))
+        right[0, engine.rest[:, 0] == side - 2, 0] = 1.0  # just below the top
+        newton.layout.put(right, newton.residual)
+        assert newton.solve(1e-8)
+        cycles.append(int(newton.multigrid.applied.numpy()[0]))
+    assert cycles[-1] <= 1.6 * cycles[0], cycles
+    assert cycles[-1] <= 25, cycles
+
+
+@pytest.mark.parametrize("fault", ["negative", "not a number", "useless"])
+def test_a_bad_preconditioner_is_given_up(fault: str, device: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    engine, held = _poked("2D, holes", device)
+    plain = _plain(monkeypatch, engine).relax(held, 0.9)
+    wild = 10.0 ** np.random.default_rng(0).uniform(-3, 3, (1, *engine.rest.shape))
+    monkeypatch.setattr(iteration, "PATIENCE", 20)
+
+    def cycle(self: Multigrid, rho: Any, running: Any) -> None:
+        values = self.layout.get(rho, engine.dim)
+        factor = {"negative": -1.0, "not a number": np.nan, "useless": wild}[fault]
+        self.layout.put(values * factor, self.z)
+
+    monkeypatch.setattr(Multigrid, "cycle", cycle)
+    monkeypatch.setattr(iteration.Graph, "__call__", lambda self: self._launches())  # a host's copy is not recorded
+    found = engine.relax(held, 0.9)
+    assert found.converged.all()
+    assert found.unaided.all()
+    np.testing.assert_allclose(found.position, plain.position, atol=2e-9 * engine.extent)
+
+
+def test_small_bodies_go_without(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.undo()
+    engine, held = _poked("3D")
+    found = engine.relax(held, 0.5)
+    assert found.converged.all()
+    assert (found.smoothed == 0).all()
+    assert not found.unaided.any()
+    assert engine._method(*engine._kind(np.zeros(1), 1, "scale")).multigrid is None
