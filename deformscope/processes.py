@@ -23,8 +23,8 @@ SPAWN = multiprocessing.get_context("spawn")
 """How they are made: what other threads hold does not survive a fork."""
 END_S = 5.0
 """A process ends by itself within this, or is ended."""
-NICE = 10
-"""What computes beside a robot leaves the processor to what moves it."""
+NICE, LAST_NICE = 10, 19
+"""What computes beside a robot leaves the processor to what moves it; what follows devices leaves it to all else."""
 RENEW_S = 0.5
 """Long waits of the main thread are renewed so often: a signal that arrives just before a wait begins does not end it,
 and its handler runs only once the wait is over."""
@@ -103,36 +103,39 @@ def _begin(pipe: Connection, also: Callable[[], None] | None) -> None:
 
 
 @contextlib.contextmanager
-def computing(begin: Callable[..., None], *given: Any) -> Iterator[ProcessPoolExecutor]:
+def computing(begin: Callable[..., object], *given: Any, nice: int = NICE) -> Iterator[ProcessPoolExecutor]:
     """One such process of low priority, which calls `begin(*given)` first; at the end of the context it is ended, and
     what it computes then is given up."""
     with starting():
-        executor = ProcessPoolExecutor(1, SPAWN, _begin_modestly, (begin, *given))
+        executor = ProcessPoolExecutor(1, SPAWN, _follow_low, (nice, begin, *given))
         process_id = executor.submit(os.getpid)
     try:
         yield executor
     finally:
-        executor.shutdown(wait=False, cancel_futures=True)
+        began = process_id.done()
         with contextlib.suppress(Exception):  # it may have ended
             os.kill(process_id.result(0.0), signal.SIGKILL)
+        executor.shutdown(wait=began, cancel_futures=True)
 
 
-def _begin_modestly(begin: Callable[..., None], *given: Any) -> None:
+def _follow_low(nice: int, begin: Callable[..., object], *given: Any) -> None:
     follow_parent()
-    os.nice(NICE)
+    if nice:
+        os.setpriority(os.PRIO_PROCESS, 0, max(nice, os.getpriority(os.PRIO_PROCESS, 0)))
     begin(*given)
 
 
 @contextlib.contextmanager
 def child_process(
-    name: str, target: Callable[..., None], *arguments: Any, makes_others: bool = False
+    name: str, target: Callable[..., None], *arguments: Any, makes_others: bool = False, nice: int = 0
 ) -> Iterator[Connection]:
     """Run `target(pipe, *arguments)` in such a process, which is to end when the pipe does; yields the other end.
 
-    makes_others: it may have processes of its own
+    makes_others: it may have processes of its own; nice: its priority, where this process's is no lower; 0 = as here
     """
     ours, theirs = SPAWN.Pipe()
-    process = SPAWN.Process(target=_followed, args=(target, theirs, *arguments), name=name, daemon=not makes_others)
+    given = (nice, target, theirs, *arguments)
+    process = SPAWN.Process(target=_follow_low, args=given, name=name, daemon=not makes_others)
     with starting():
         process.start()
     theirs.close()
@@ -144,11 +147,6 @@ def child_process(
         if process.is_alive():
             process.kill()
             process.join()
-
-
-def _followed(target: Callable[..., None], *arguments: Any) -> None:
-    follow_parent()
-    target(*arguments)
 
 
 def follow_parent(*pipes: Connection) -> None:

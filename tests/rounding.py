@@ -7,25 +7,20 @@ from collections.abc import Collection
 import numpy as np
 
 from deformscope.rows import to_components
-from deformscope.stages.squeeze.trial import ContainerChange, ContentPosterior, SqueezeFeatures, TrackedContainer
 
 
-def differing_by_more(before: object, now: object, leave_out: Collection[str] = ()) -> str | None:
-    """As `rows.differing`, but for numbers that differ by less than 1e-6 of the largest beside them."""
+def differing_by_more(
+    before: object, now: object, leave_out: Collection[str] = (), *, share: float = 1e-6
+) -> str | None:
+    """As `rows.differing`, but for numbers that differ by less than this share of the largest beside them."""
     first, second = to_components(before, leave_out), to_components(now, leave_out)
     for name in sorted((first.keys() | second.keys()) - set(leave_out)):
         one, other = first.get(name), second.get(name)
         if one is None or other is None or one.shape != other.shape:
             return name
-        tracked = isinstance(before, (TrackedContainer, ContainerChange, SqueezeFeatures, ContentPosterior))
-        if tracked and name == "directions":
-            continue
         if one.dtype.kind == "f":
             scale = float(np.nanmax(np.abs(one), initial=0.0))
-            if not np.allclose(one, other, rtol=0.0, atol=(2e-3 if tracked else 1e-6) * scale, equal_nan=True):
-                return name
-        elif tracked and name == "agreeing":
-            if np.abs(one - other).max() > 5:
+            if not np.allclose(one, other, rtol=0.0, atol=share * scale, equal_nan=True):
                 return name
         elif not np.array_equal(one, other):
             return name

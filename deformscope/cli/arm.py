@@ -61,16 +61,14 @@ def home(config: HomeConfig) -> None:
 
 def go(config: GoConfig) -> None:
     """Bring the tip over a place."""
-    with recorder_of(config, RIG, real_time=True) as recorder:
-        place_m = arm_commands.go(config, config.above, config.height, recorder)
+    place_m = arm_commands.go(config, config.above, config.height, recorder_of(config, RIG, real_time=True))
     say(f"the tip's centre is at {_mm(place_m)} mm in the surface frame")
     write_json({"center_m": place_m}, config.output.json)
 
 
 def jog(config: JogConfig) -> None:
     """Move the tip by keys."""
-    with recorder_of(config, RIG, real_time=True) as recorder:
-        place_m = arm_commands.jog(config, recorder)
+    place_m = arm_commands.jog(config, recorder_of(config, RIG, real_time=True))
     say(f"the tip's centre is at {_mm(place_m)} mm in the surface frame")
     write_json({"center_m": place_m}, config.output.json)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from deformscope.cli.common import quiet_warp, recorder_of, say, write_json
 from deformscope.config.reproduce import ShapesConfig
 from deformscope.reproduce.shapes import all_sweeps
-from deformscope.session import Step
+from deformscope.session import Step, with_costs
 from deformscope.stages.msm.state_sweep import StateSweeps
 
 
@@ -13,8 +13,8 @@ def run(config: ShapesConfig) -> None:
     """Solve, record and write."""
     quiet_warp()
     with recorder_of(config) as recorder:
-        sweeps = all_sweeps()
-        recorder.write(Step((StateSweeps(sweeps),)))
+        sweeps, costs = with_costs("states", all_sweeps)
+        recorder.write(Step((StateSweeps(sweeps),), costs=tuple(costs)))
     for one in sweeps:
         say(one.to_text())
     write_json(sweeps, config.output.json)

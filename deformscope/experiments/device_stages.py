@@ -53,6 +53,9 @@ TOUCHING_N = 0.5
 """Force from which on an approach is in contact; it is over at half of it."""
 BEFORE_S, LONGEST_S = 0.5, 8.0
 """What belongs to an approach before that, and how long it lasts at most."""
+ALONG_WAY = 0.5
+"""Least share of the force along the arm's way: within it are 60 degrees. An arm that is led through the air while its
+sensor is pressed, as on `lab:bench`, tells no stiffness."""
 FOLLOW = 0.01
 """Share by which the force without contact follows each reading."""
 
@@ -141,12 +144,12 @@ def for_rig(options: LiveOptions, rig: Rig) -> LiveOptions:
             raise InputError("a place for --stage surface", "no T_arm_surface in [surface]", where=rig.name)
         T_surface_camera = np.linalg.inv(np.array(rig.surface.T_arm_surface)) @ np.array(camera.T_arm_camera)
         found |= {"focal_px": camera.focal_px, "center_px": camera.center_px, "distortion": camera.distortion}
-        found |= {"T_surface_camera": _rows(T_surface_camera)}
+        found |= {"T_surface_camera": tuple(map(tuple, T_surface_camera.tolist()))}
         found |= {"size_m": rig.surface.size_m, "thickness_m": rig.surface.top_m}
     if "contact" in options.names:
         along = np.eye(4)
         along[2, 3] = tool.length_m
-        found |= {"T_ee_tip": tool.T_ee_tip or _rows(along), "tip": tool.tip}
+        found |= {"T_ee_tip": tool.T_ee_tip or tuple(map(tuple, along.tolist())), "tip": tool.tip}
         found |= {"set_force_n": rig.workspace.target_force_n}
         found |= {"compliance_m_per_n": tool.compliance_m_per_n or 0.0, "compliance_sd": tool.compliance_sd}
     return dataclasses.replace(options, **found)
@@ -162,10 +165,6 @@ def _device_for(stage: str, kind: Kind, wanted: str, rig: Rig) -> str:
     if not names:
         raise InputError(f"a {kind} device for --stage {stage}", "none in the rig", where=rig.name)
     return wanted or (rig.camera.device if rig.camera.device in names else names[0])
-
-
-def _rows(matrix: FloatArray) -> tuple[tuple[float, ...], ...]:
-    return tuple(tuple(float(value) for value in row) for row in matrix)
 
 
 def stages_of(options: LiveOptions, streams: Sequence[Stream]) -> tuple[Stage, ...]:
@@ -312,21 +311,14 @@ def fit_moment(
     A pose that cannot be fitted (too few particles seen, none of those to be held) gives particles and the reason.
     """
     grid, tracked = _particles_at(rest, now, particles, longest_px)
-    nan = float("nan")
     nothing = MomentFit(
         rest_px=grid.rest_px,
         observed_px=tracked.position_px,
-        simulated_px=np.full_like(tracked.position_px, nan),
+        simulated_px=np.full_like(tracked.position_px, np.nan),
         seen=tracked.seen,
         held=np.zeros(0, np.int64),
         noise_px=tracked.noise_px,
         parameter=fit.model.parameter,
-        value=nan,
-        interval=(nan, nan),
-        verdict="unidentified",
-        verdict_text="",
-        aee_px=nan,
-        explained=nan,
     )
     try:
         held, _ = hold_what_is_seen(grid, tracked, particles.held, particles.contact_rect)
@@ -343,7 +335,7 @@ def fit_moment(
         verdict=estimate.verdict,
         verdict_text=estimate.verdict_text(),
         aee_px=estimate.aee,
-        explained=nan if estimate.explained is None else estimate.explained,
+        explained=nothing.explained if estimate.explained is None else estimate.explained,
     )
 
 
@@ -494,7 +486,10 @@ def fit_contact(
     length = float(np.linalg.norm(way))
     if length < 1e-4:
         raise InputError("an arm that moves into what it presses", f"{length * 1e3:.2g} mm of way")
-    normal = -way / length
+    normal, pressed_n = -way / length, force_n[peak] - force_n[0]
+    share = float(pressed_n @ normal / np.linalg.norm(pressed_n))
+    if share < ALONG_WAY:
+        raise InputError("an arm that presses along its way", f"{share:.0%} of the force along it")
     time_s = (approach.arm_ns - approach.arm_ns[0]) / 1e9
     fit = fit_approach(time_s, tip_m, force_n, normal, tip=tip, set_force_n=set_force_n, arm=arm)
     along, force_n, tip_m = -(tip_m @ normal)[: peak + 1], force_n[: peak + 1], tip_m[: peak + 1]
@@ -509,12 +504,8 @@ def fit_contact(
         stiffness_n_per_mm=fit.stiffness_n_per_mm,
         stiffness_interval=fit.interval_n_per_mm,
         rigid=fit.rigid,
-        modulus_pa=None,
         depth_m=fit.dent_m(min(fit.at_force_n, fit.peak_force_n)),
         peak_force_n=fit.peak_force_n,
-        beta=None,
-        beta_interval=None,
-        beta_verdict="not asked for",
         observed_m=np.zeros((0, 3)),
         simulated_m=np.zeros((0, 3)),
     )

@@ -73,24 +73,25 @@ class StageCounts:
         """Results per second."""
         return self.results / self.lasted_s if self.lasted_s > 0.0 else 0.0
 
+    @property
+    def lag_ms(self) -> dict[str, float] | None:
+        """How far results were behind their frame; None where there were none."""
+        if not self.late_s:
+            return None
+        return dict(zip(("p50", "p95", "max"), (1e3 * np.percentile(self.late_s, (50, 95, 100))).tolist(), strict=True))
+
     def as_json(self) -> dict[str, object]:
-        """Counts, and how far results were behind their frame [ms]; null where there were none."""
-        lag = None
-        if self.late_s:
-            p50, p95, most = (float(value) for value in np.percentile(self.late_s, (50, 95, 100)) * 1e3)
-            lag = {"p50": p50, "p95": p95, "max": most}
+        """All of it."""
         counts = {"frames": self.frames, "results": self.results, "failures": self.failures, "skipped": self.skipped}
         skipped_by = {"newer": self.left, "ended": self.skipped - self.left}
         more = {"rate_hz": self.rate_hz, "skipped_by": skipped_by, "reasons": self.reasons, "nothing": self.nothing}
-        return {**counts, "lag_ms": lag, **more}
+        return {**counts, "lag_ms": self.lag_ms, **more}
 
     def to_text(self) -> str:
         """The same in a line."""
         failed = f", {self.failures} of them FAILED" if self.failures else ""
-        lag = ""
-        if self.late_s:
-            p50, p95, most = np.percentile(self.late_s, (50, 95, 100)) * 1e3
-            lag = f", behind their frame by {p50:.0f} ms (median), {p95:.0f} ms (95 %), {most:.0f} ms at most"
+        late = "behind their frame by {p50:.0f} ms (median), {p95:.0f} ms (95 %), {max:.0f} ms at most"
+        lag = "" if self.lag_ms is None else f", {late.format(**self.lag_ms)}"
         why = f" ({self.left} for newer ones, {self.skipped - self.left} at the end)" if self.skipped else ""
         rate = f", {self.rate_hz:.3g}/s" if self.results else ""
         found = f"{self.results} results of {self.frames} frames{rate}{failed}, {self.skipped} skipped{why}{lag}"

@@ -11,8 +11,8 @@ import numpy as np
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.errors import InputError
-from deformscope.experiments.foam_video import ParticleOptions, last_pose, track
-from deformscope.experiments.whole_motion import TrackedMotion
+from deformscope.experiments.foam_video import ParticleOptions, last_pose
+from deformscope.experiments.whole_motion import TrackedMotion, tracked_motion
 from deformscope.session import Experiment, Step
 from deformscope.stages.fit.doubts import little_explained
 from deformscope.stages.fit.estimate import Comparison, Doubt, NoiseSource
@@ -73,11 +73,7 @@ def material_video(
 
     mask: (H, W) True where the thing is in the first frame
     """
-    times: list[float] = []
-    grid, history = yield from track(particles, mask, times)
-    if len(history) < 2:
-        raise InputError("at least two frames", "one", "a longer sequence, or a smaller --stride")
-    return (yield from _shown(find(TrackedMotion(grid, history, times))))
+    return (yield from _shown(find((yield from tracked_motion(particles, mask)))))
 
 
 def material_files(find: Callable[[], MaterialFit]) -> Experiment[MaterialFit]:

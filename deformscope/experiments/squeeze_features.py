@@ -279,8 +279,8 @@ def _with_vision(
     tracker = container_tracker(geometry)
     for one in found:
         if one.when_ns < frame_ns(steady[0]):
-            tracker.follow(one.pose, one.when_ns)
-    if tracker.rest is None or tracker.rest_ns > events.first_ns:
+            tracker.follow(one)
+    if tracker.rest is None or tracker.rest.when_ns > events.first_ns:
         reason = next((one.pose.reason for one in found if not one.pose.good), "not located before first contact")
         return TrialFeatures(events, replace(features, reason=f"before: {reason}"), tuple(found))
     image = seen.image(held, events.first_ns, events.first_interval_ns[0])

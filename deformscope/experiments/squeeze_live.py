@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 import math
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
@@ -100,8 +99,7 @@ class LiveTracking(Tracking):
                 self._fail(f"{type(error).__name__}: {error}")
             elif done.result():
                 one, costs = done.result()
-                behind = one.after((self._clock() - one.when_ns) / 1e9, self._skipped)
-                known.append(dataclasses.replace(behind, costs=tuple(costs)))
+                known.append(one.after((self._clock() - one.when_ns) / 1e9, self._skipped, tuple(costs)))
                 self._skipped = 0
         self.found += known
         return known
@@ -115,11 +113,10 @@ class LiveTracking(Tracking):
         if self.failed or not self._frames.air_ns or not self._frames.depth:
             return
         seen = SqueezeImages(self._frames, self._geometry)
-        located = any(one.pose.good for one in self.found)
+        together = 1 if any(one.pose.good for one in self.found) else REST_IMAGES
         for at in seen.due(first_ns):
             if (when_ns := frame_ns(seen.frames[at])) > self._newest_ns:
-                self._newest_ns = when_ns
-                image = seen.image(at, first_ns, together=1 if located else REST_IMAGES)
+                self._newest_ns, image = when_ns, seen.image(at, first_ns, together=together)
                 self._asked.append((self._executor.submit(with_costs, "track", self._job, image), when_ns))
         oldest_ns = next((when_ns for _, when_ns in self._asked if when_ns), self._clock())
         if self._clock() - oldest_ns > BEHIND_S * 1e9:

@@ -68,50 +68,50 @@ class TrackedImage:
     measured: DepthChange | None
     costs: tuple[StageCost, ...] = ()
 
-    def after(self, lag_s: float, skipped: int = 0) -> TrackedImage:
+    def after(self, lag_s: float, skipped: int = 0, costs: tuple[StageCost, ...] = ()) -> TrackedImage:
         """The same with how long after the image it was known, and how many images before it were left out."""
-        return dataclasses.replace(self, container=dataclasses.replace(self.container, lag_s=lag_s, skipped=skipped))
+        known = dataclasses.replace(self.container, lag_s=lag_s, skipped=skipped)
+        return dataclasses.replace(self, container=known, costs=costs)
 
 
 class ContainerTracker:
     """A camera that looks at a container of known form, and at the hand that squeezes it; where it was seen last.
 
-    rest: where the container stood before, None = not located yet; rest_ns: of its image
+    rest: the image in which it was located before, None = not yet
     """
 
     def __init__(self, section: ContainerSection, fingers: tuple[int, ...], camera: Intrinsics) -> None:
         """fingers: that squeeze. Raises InputError for a mesh that cannot be read and a camera with distortion."""
         self.renderer = ModelRenderer(container_model(section), camera)
         self._fingers, self._camera = fingers, camera
-        self.rest: PoseEstimate | None = None
-        self._start: PoseEstimate | None = None
-        self.rest_ns = self._start_ns = 0
+        self.rest: TrackedImage | None = None
+        self._start: TrackedImage | None = None
 
     def track(self, image: ContainerImage) -> TrackedImage:
         """Locate the container in the median of the frames until it is found once, then track it in the newest one."""
         return self.track_median(image, image.frames if self.rest is None else image.frames[-1:], -1)
 
-    def follow(self, pose: PoseEstimate, when_ns: int) -> None:
-        """Go on from a pose in an image, or from the rest where it was refused."""
-        if self.rest is None and pose.good:
-            self.rest, self.rest_ns = pose, when_ns
-        self._start, self._start_ns = (pose, when_ns) if pose.good else (self.rest, self.rest_ns)
+    def follow(self, found: TrackedImage) -> TrackedImage:
+        """Go on from an image, or from the rest where its pose was refused."""
+        self.rest = self.rest or (found if found.pose.good else None)
+        self._start = found if found.pose.good else self.rest
+        return found
 
     def track_median(self, image: ContainerImage, frames: tuple[DepthFrame, ...], of: int) -> TrackedImage:
         """The same in the median of some frames, as an image at the time of one of them, `of`."""
         frame, start = frames[of], self._start
-        expected = image.T_camera_hand @ image.T_hand_container if start is None else start.T_camera_container
+        expected = image.T_camera_hand @ image.T_hand_container if start is None else start.pose.T_camera_container
         depth = self._median_m(frames, expected)
         when_ns, tip = frame.stamp.host_ns, self._fingertip(image)
         hand = hand_pixels(depth, self._camera, moved(hand_capsules(image.angles_deg), image.T_camera_hand))
-        if self.rest is None:
+        if self.rest is None or start is None:
             pose = locate(self.renderer, depth, expected, yaws_deg=(0.0,), excluded=hand)
         else:
             radius_px = DENT_M / tip[2] * float(np.mean(self._camera.focal_px))
             center = tip[:2] / tip[2] * np.array(self._camera.focal_px) + np.array(self._camera.centre_px)
             excluded = hand | around(center, (depth.shape[0], depth.shape[1]), radius_px)
-            jump_m = JUMP_M + FASTEST_M_S * (when_ns - self._start_ns) / 1e9
-            rest, options = self.rest.T_camera_container, TrackOptions(jump_m=jump_m)
+            options = TrackOptions(jump_m=JUMP_M + FASTEST_M_S * (when_ns - start.when_ns) / 1e9)
+            rest = self.rest.pose.T_camera_container
             pose = track(self.renderer, depth, expected, rest=rest, excluded=excluded, options=options)
         since_s = (when_ns - image.first_ns) / 1e9 if image.first_ns else float("nan")
         measured, changed = None, ContainerChange(frame.index, since_s, pose.reason)
@@ -136,8 +136,7 @@ class ContainerTracker:
             directions=pose.directions,
             deviation_m=pose.deviation_m,
         )
-        self.follow(pose, when_ns)
-        return TrackedImage(when_ns, container=shown, change=changed, pose=pose, measured=measured)
+        return self.follow(TrackedImage(when_ns, container=shown, change=changed, pose=pose, measured=measured))
 
     def _median_m(self, frames: Sequence[DepthFrame], pose: FloatArray) -> FloatArray:
         """(H, W) of images taken together around the container [m], nan elsewhere and where none of them saw it."""
@@ -150,11 +149,9 @@ class ContainerTracker:
 
     def _fingertip(self, image: ContainerImage) -> FloatArray:
         """(3,) the middle of the pad of the finger that is nearer to the camera, camera frame [m]."""
-        found = []
-        for finger in self._fingers:
-            points = finger_points(image.angles_deg, finger)
-            found.append(points[1] + PAD_ALONG_M / DISTAL_LINK_M * (points[2] - points[1]))
-        tips = _moved(image.T_camera_hand, np.stack(found))
+        points = np.stack([finger_points(image.angles_deg, finger) for finger in self._fingers])
+        pads = points[:, 1] + PAD_ALONG_M / DISTAL_LINK_M * (points[:, 2] - points[:, 1])
+        tips = pads @ image.T_camera_hand[:3, :3].T + image.T_camera_hand[:3, 3]
         return np.asarray(tips[int(tips[:, 2].argmin())])
 
 
@@ -173,8 +170,3 @@ def container_model(section: ContainerSection) -> ContainerModel:
         return ContainerModel.cylinder(size[0] / 2, size[2])
     ((vertices_m, triangles),) = read_meshes([Path(section.mesh)], coarse=False)
     return ContainerModel.mesh(vertices_m, triangles.astype(np.int64))
-
-
-def _moved(T_camera_hand: FloatArray, points: FloatArray) -> FloatArray:
-    """(n, 3) points of the hand's frame in the camera's."""
-    return np.asarray(points @ T_camera_hand[:3, :3].T + T_camera_hand[:3, 3])

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures import Future
 from concurrent.futures.process import BrokenProcessPool
+from functools import partial
 from typing import Any
 
 import cv2
@@ -22,7 +23,7 @@ from deformscope.experiments.device_stages import (
     compute,
 )
 from deformscope.experiments.live_stages import StageExecutor
-from deformscope.processes import SPAWN, follow_parent, starting
+from deformscope.processes import LAST_NICE, computing
 from deformscope.stages.map.surface import fit_surface
 from deformscope.stages.regions.touches import MapGrid
 
@@ -31,55 +32,47 @@ class StageProcesses:
     """A process for every stage; they have loaded what they need when the context begins, before any device is opened.
 
     A process, no thread: both ask for Python's lock all the time. On two cores with `lab:bench` a fit of beta came
-    3.6 s after its frame from a thread, 0.6 s from a process.
+    3.6 s after its frame from a thread, 0.6 s from a process. Of the lowest priority unless `nice` says otherwise:
+    eight stages of the same priority as the recording left it 6 % of a core, and ended it.
     """
 
-    def __init__(self, names: Sequence[StageName], start_engine: Callable[[], None]) -> None:
+    def __init__(self, names: Sequence[StageName], start_engine: Callable[[], None], *, nice: int = LAST_NICE) -> None:
         """start_engine: starts what simulates, in the process of a stage that does"""
-        self._names, self._start_engine = names, start_engine
-        self.executors: dict[str, StageProcess] = {}
+        self._warm_ups = {name: partial(warm_up, name, start_engine) for name in names}
+        self._nice = nice
+        self._processes: dict[str, StageProcess] = {}
 
     def __enter__(self) -> Mapping[str, StageExecutor]:
-        self.executors = {name: StageProcess(name, self._start_engine) for name in self._names}
-        for process in self.executors.values():
-            process.wait()
-        return self.executors
+        self._processes = {name: StageProcess(warm, self._nice) for name, warm in self._warm_ups.items()}
+        for process in self._processes.values():
+            process.warm.result()
+        return self._processes
 
     def __exit__(self, kind: type[BaseException] | None, *raised: object) -> None:
-        for process in self.executors.values():
+        for process in self._processes.values():
             process.close()
 
 
-class StageProcess:
-    """One process; a new one where it has died."""
+class StageProcess(contextlib.ExitStack):
+    """One process; a new one where it has died. warm: is done once it has loaded what its stage needs"""
 
-    def __init__(self, name: StageName, start_engine: Callable[[], None]) -> None:
-        self._name = name
-        self._start_engine = start_engine
+    def __init__(self, warm_up: Callable[[], None], nice: int) -> None:
+        super().__init__()
+        self._warm_up, self._nice = warm_up, nice
         self._start()
 
     def _start(self) -> None:
-        with starting():
-            self._end, theirs = SPAWN.Pipe()
-            self._pool = ProcessPoolExecutor(1, SPAWN, follow_parent, (theirs,))
-            self._warm = self._pool.submit(warm_up, self._name, self._start_engine)
-
-    def wait(self) -> None:
-        """Return once it has loaded what its stage needs."""
-        self._warm.result()
+        self._executor = self.enter_context(computing(bool, nice=self._nice))
+        self.warm = self._executor.submit(self._warm_up)
 
     def submit(self, function: Callable[..., Any], /, *arguments: Any) -> Future[Any]:
         """Have it computed after what was submitted before."""
         try:
-            return self._pool.submit(function, *arguments)
+            return self._executor.submit(function, *arguments)
         except BrokenProcessPool:
+            self.close()
             self._start()
-            return self._pool.submit(function, *arguments)
-
-    def close(self) -> None:
-        """End it, and give up what it computes now."""
-        self._end.close()
-        self._pool.shutdown(cancel_futures=True)
+            return self._executor.submit(function, *arguments)
 
 
 def warm_up(name: StageName, start_engine: Callable[[], None]) -> None:

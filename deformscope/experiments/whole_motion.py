@@ -91,6 +91,15 @@ class Selection:
     text: str
 
 
+def tracked_motion(particles: ParticleOptions, mask: BoolArray | None) -> Experiment[TrackedMotion]:
+    """Follow particles through the frames that are sent. mask: (H, W) True where the thing is in the first frame"""
+    times: list[float] = []
+    grid, history = yield from track(particles, mask, times)
+    if len(history) < 2:
+        raise InputError("at least two frames", "one", "a longer sequence, or a smaller --stride")
+    return TrackedMotion(grid, history, times)
+
+
 def whole_motion(
     particles: ParticleOptions,
     fit: FitOptions,
@@ -103,11 +112,7 @@ def whole_motion(
     asked: what is chosen by held-out error; the rest stays as `fit` and `particles` have it
     mask: (H, W) True where the thing is in the first frame
     """
-    times: list[float] = []
-    grid, history = yield from track(particles, mask, times)
-    if len(history) < 2:
-        raise InputError("at least two frames", "one", "a longer sequence, or a smaller --stride")
-    motion = TrackedMotion(grid, history, times)
+    motion = yield from tracked_motion(particles, mask)
     with measuring("estimate"):
         found, way = fit_motion(motion, particles, fit, asked, progress)
     for index, comparison in enumerate(simulated(motion, particles, way, found)):

@@ -87,15 +87,27 @@ _STRIPES_OR_T = (
     Range("turned", 0, 2, "half"),
     Range("order", 0, 6, "permutation of the pieces"),
 )
-_DISC = (Range("centre x", 0.17, 0.43, "m"), Range("centre y", 0.14, 0.26, "m"))
+_INSIDE_OUT = Range("inside out", 0, 2, "half")
+_HARDNESS = Range("hardness", 0.9, 1.1, "of the nominal one")
 
+
+def _metres(**drawn: tuple[float, float]) -> tuple[Range, ...]:
+    """From and to [m], by what is drawn."""
+    return tuple(Range(what.replace("_", " "), *ends, "m") for what, ends in drawn.items())
+
+
+def _degrees(what: str, most: float) -> Range:
+    return Range(what, 0.0, most, "deg")
+
+
+_SPOT = _metres(centre_x=(0.08, 0.52), centre_y=(0.08, 0.32))
 DRAWN: dict[str, tuple[Range, ...]] = {
-    "homogeneous": (Range("hardness", 0.9, 1.1, "of the nominal one"),),
+    "homogeneous": (_HARDNESS,),
     "two": _BORDER,
     "three": _STRIPES_OR_T,
-    "disc": (*_DISC, Range("radius", 0.08, 0.10, "m"), Range("inside out", 0, 2, "half")),
+    "disc": (*_metres(centre_x=(0.17, 0.43), centre_y=(0.14, 0.26), radius=(0.08, 0.10)), _INSIDE_OUT),
     "gradient": (
-        Range("direction", 0.0, 360.0, "deg"),
+        _degrees("direction", 360.0),
         Range("softest", 45.0, 65.0, "N"),
         Range("firmest", 140.0, 180.0, "N"),
     ),
@@ -103,68 +115,39 @@ DRAWN: dict[str, tuple[Range, ...]] = {
         *_BORDER,
         *(Range(f"wave {i} height", 0.002, 0.004, "m") for i in (1, 2, 3)),
         *(Range(f"wave {i} length", 0.16, 0.30, "m") for i in (1, 2, 3)),
-        *(Range(f"wave {i} direction", 0.0, 180.0, "deg") for i in (1, 2, 3)),
-        *(Range(f"wave {i} phase", 0.0, 360.0, "deg") for i in (1, 2, 3)),
+        *(_degrees(f"wave {i} direction", 180.0) for i in (1, 2, 3)),
+        *(_degrees(f"wave {i} phase", 360.0) for i in (1, 2, 3)),
     ),
-    "soft-spot": (
-        Range("centre x", 0.08, 0.52, "m"),
-        Range("centre y", 0.08, 0.32, "m"),
-        Range("radius", 0.05, 0.06, "m"),
-    ),
-    "wavy": (
-        *_BORDER,
-        Range("wave height", 0.02, 0.04, "m"),
-        Range("wave length", 0.18, 0.30, "m"),
-        Range("wave phase", 0.0, 360.0, "deg"),
-    ),
+    "soft-spot": (*_SPOT, *_metres(radius=(0.05, 0.06))),
+    "wavy": (*_BORDER, *_metres(wave_height=(0.02, 0.04), wave_length=(0.18, 0.30)), _degrees("wave phase", 360.0)),
     "corner": (
-        Range("reach x", 0.24, 0.39, "m"),
-        Range("reach y", 0.20, 0.28, "m"),
+        *_metres(reach_x=(0.24, 0.39), reach_y=(0.20, 0.28)),
         Range("which corner", 0, 4, "from the origin, along x first"),
-        Range("inside out", 0, 2, "half"),
+        _INSIDE_OUT,
     ),
-    "strip": (*_BORDER[:2], Range("width", 0.12, 0.18, "m"), Range("inside out", 0, 2, "half")),
+    "strip": (*_BORDER[:2], *_metres(width=(0.12, 0.18)), _INSIDE_OUT),
     "patches": (
         *(Range(f"centre x {i}", low, low + 0.06, "m") for i, low in ((1, 0.12), (2, 0.42))),
         *(Range(f"centre y {i}", 0.14, 0.26, "m") for i in (1, 2)),
         *(Range(f"radius {i}", 0.07, 0.09, "m") for i in (1, 2)),
-        Range("inside out", 0, 2, "half"),
+        _INSIDE_OUT,
     ),
     "ring": (
-        Range("centre x", 0.20, 0.40, "m"),
-        Range("centre y", 0.17, 0.23, "m"),
-        Range("radius", 0.13, 0.16, "m"),
-        Range("width", 0.06, 0.08, "m"),
-        Range("inside out", 0, 2, "half"),
+        *_metres(centre_x=(0.20, 0.40), centre_y=(0.17, 0.23), radius=(0.13, 0.16), width=(0.06, 0.08)),
+        _INSIDE_OUT,
     ),
-    "zigzag": (
-        *_BORDER,
-        Range("wave height", 0.03, 0.05, "m"),
-        Range("wave length", 0.16, 0.26, "m"),
-        Range("wave phase", 0.0, 360.0, "deg"),
-    ),
-    "wedge": (Range("hardness", 0.9, 1.1, "of the nominal one"), Range("direction", 0.0, 360.0, "deg")),
-    "step": (Range("hardness", 0.9, 1.1, "of the nominal one"), *_BORDER),
-    "egg-crate": (
-        Range("hardness", 0.9, 1.1, "of the nominal one"),
-        Range("direction", 0.0, 90.0, "deg"),
-        Range("phase", 0.0, 360.0, "deg"),
-    ),
+    "zigzag": (*_BORDER, *_metres(wave_height=(0.03, 0.05), wave_length=(0.16, 0.26)), _degrees("wave phase", 360.0)),
+    "wedge": (_HARDNESS, _degrees("direction", 360.0)),
+    "step": (_HARDNESS, *_BORDER),
+    "egg-crate": (_HARDNESS, _degrees("direction", 90.0), _degrees("phase", 360.0)),
     "thin-thick": _BORDER,
-    "lump": (
-        *_BORDER,
-        Range("centre x", 0.08, 0.52, "m"),
-        Range("centre y", 0.08, 0.32, "m"),
-        Range("radius", 0.06, 0.06, "m"),
-    ),
+    "lump": (*_BORDER, *_SPOT, *_metres(radius=(0.06, 0.06))),
     "buried": (
-        Range("hardness", 0.9, 1.1, "of the nominal one"),
-        Range("centre x", 0.02, 0.18, "m"),
-        Range("centre y", 0.02, 0.18, "m"),
-        Range("radius", 0.02, 0.02, "m"),
+        _HARDNESS,
+        *_metres(centre_x=(0.02, 0.18), centre_y=(0.02, 0.18), radius=(0.02, 0.02)),
         Range("depth", 0.01, 0.02, "m from the surface to the ball"),
     ),
-    "empty": (Range("hardness", 0.9, 1.1, "of the nominal one"),),
+    "empty": (_HARDNESS,),
 }
 """What each kind of scene draws. "turned" below 1 leaves the pieces' order as named from the left, else reverses it."""
 

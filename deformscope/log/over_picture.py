@@ -9,7 +9,6 @@ from functools import partial
 import numpy as np
 import rerun as rr
 
-from deformscope.arrays import FloatArray
 from deformscope.log.canvas import Canvas
 from deformscope.log.estimate import log_comparison, log_estimate
 from deformscope.log.findings import RigFindings, log_evidence, log_findings, log_numbers, log_rig_findings
@@ -98,16 +97,12 @@ def _around_pair(result: Comparison, canvas: Canvas) -> Canvas:
         return dataclasses.replace(Canvas().around(every), spacing=spacing, origin=(0.0, 0.0), scale=(1.0, -1.0))
     shown = close_up(result)
     if not shown.surface:
-        return Canvas(low=_tuple(shown.low), high=_tuple(shown.high), spacing=spacing)
+        return Canvas(low=tuple(shown.low.tolist()), high=tuple(shown.high.tolist()), spacing=spacing)
     origin, scale = shown.middle, np.array([1.0, 1.0, shown.heights])
     return Canvas(
-        low=_tuple((shown.low - origin) * scale),
-        high=_tuple((shown.high - origin) * scale),
+        low=tuple(((shown.low - origin) * scale).tolist()),
+        high=tuple(((shown.high - origin) * scale).tolist()),
         spacing=spacing,
-        origin=_tuple(origin),
-        scale=_tuple(scale),
+        origin=tuple(origin.tolist()),
+        scale=tuple(scale.tolist()),
     )
-
-
-def _tuple(values: FloatArray) -> tuple[float, ...]:
-    return tuple(float(value) for value in values)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import os
 import shlex
 import threading
 import time
@@ -40,6 +39,7 @@ from deformscope.page.server.messages import (
     TakeRest,
 )
 from deformscope.pictures.evidence import Result, results_png
+from deformscope.processes import NICE
 from deformscope.stages.fit.at_value import errors_of, simulate
 from deformscope.stages.fit.calibrate import calibrate
 from deformscope.stages.fit.estimate import Comparison, Estimate
@@ -47,8 +47,6 @@ from deformscope.stages.fit.model import Model, Observation
 from deformscope.stages.msm.quiet import quiet_warp
 from deformscope.stages.msm.solver import Msm
 
-NICE = 5
-"""What reads devices and moves a robot goes first; what computes the flow comes after it, at nice 10."""
 FIRST_S = 10.0
 """So long it waits for the first picture."""
 VALUES, COARSELY = 25, 5
@@ -401,7 +399,6 @@ def run_fit(
     The pipe gives ("picture", image) after each ("want",), and ("command", of a page). It is given what a `PageFit`
     sends, ("note", what is done before that), and ("end", the options set last where keeps_last, or what went wrong).
     """
-    os.setpriority(os.PRIO_PROCESS, 0, max(NICE, os.getpriority(os.PRIO_PROCESS, 0)))
     quiet_warp()
 
     def send(*message: object) -> None:
@@ -414,7 +411,7 @@ def run_fit(
             if next_folder is None:
                 subject = subject_of(config, lambda words: send("note", words))
             else:
-                flow = stack.enter_context(StageProcesses(("flow",), quiet_warp))["flow"]
+                flow = stack.enter_context(StageProcesses(("flow",), quiet_warp, nice=NICE))["flow"]
                 send("want")
                 name, method = config.images.camera or "", config.images.flow
                 first = _first_picture(pipe, name)

@@ -22,6 +22,8 @@ from deformscope.page.server.page_server import PageServer
 from deformscope.processes import END_S, RENEW_S, child_process
 from deformscope.terminal import say
 
+NICE = 5
+"""What reads devices and moves a robot goes first; what computes the flow comes after it."""
 MOST_CHANGES = 1000
 """Of so many, the newest, it is kept how long they took to be seen."""
 
@@ -114,7 +116,7 @@ class FitProcess:
 
     def _listen(self) -> None:
         try:
-            with child_process("fit", self._target, makes_others=True) as pipe:
+            with child_process("fit", self._target, makes_others=True, nice=NICE) as pipe:
                 threading.Thread(target=self._send, args=(pipe,), daemon=True).start()
                 while not self.ending or time.monotonic() < self._until_s:
                     if not pipe.poll(0.5):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import os
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future
 from pathlib import Path
@@ -32,8 +31,6 @@ WIDTH_PX, RIM_PX = 800.0, 40.0
 """Of the picture of a pair."""
 EYE = np.array([[0.87, 0.0], [0.42, -0.3], [0.0, -1.0]])
 """From x, y, z of a body in space to a picture of it: from the front, a little from the right and above."""
-NICE = 10
-"""Of the process that computes the flow: what a person sets goes first, and so does what reads devices."""
 
 
 class ImagesSubject:
@@ -196,7 +193,6 @@ def motion_of(rest: ImageArray, newest: ImageArray, method: FlowMethod, threads:
     if rest.shape != newest.shape:
         came = f"{newest.shape[1]}x{newest.shape[0]} after {rest.shape[1]}x{rest.shape[0]}"
         raise InputError("pictures of one size", came, "take the one at rest again")
-    os.setpriority(os.PRIO_PROCESS, 0, max(NICE, os.getpriority(os.PRIO_PROCESS, 0)))
     cv2.setNumThreads(threads)
     pair = [ColorFrame(Stamp(index), index, image) for index, image in enumerate((rest, newest))]
     return CachedFlow(pair, method, lambda done: None)

@@ -11,7 +11,7 @@ import math
 import textwrap
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec
 
 import numpy as np
 import numpy.typing as npt
@@ -44,6 +44,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.colorbar import Colorbar
 
+P = ParamSpec("P")
 RECORDED, OTHER = (0, 114, 178), (213, 94, 0)
 """Of what was recorded, and of what other settings make of it; distinct to colour-blind readers too."""
 REGIONS = ("#56b4e9", "#e69f00", "#009e73", "#cc79a7", "#f0e442", "#0072b2", "#d55e00", "#999999")
@@ -93,67 +94,11 @@ def draw_map(quantity: str, maps: MapEstimate) -> DrawnMap:
         MAP_DRAWINGS[quantity](axes, maps)
         images.extend(axes.images)
 
-    png = _one(draw)
+    png = _one(draw, PLACE)
     if not images or quantity not in FIELDS:
         return DrawnMap(png)
     values = images[0].get_array()
     return DrawnMap(png, np.ma.filled(values, np.nan), images[0].to_rgba(values, bytes=True)[..., :3].copy())
-
-
-def gain_png(plan: PlannedTouch, cell_m: float, contacts_m: FloatArray | None = None) -> bytes:
-    """The expected information of a touch of each cell, the cells that may not be touched, the next touch and why.
-
-    contacts_m: (n, 2) touches so far
-    """
-    return _one(lambda axes: draw_gain(axes, plan, cell_m, contacts_m))
-
-
-def force_png(touch: TouchEstimate, name: str = "") -> bytes:
-    """Force over the depth of the tip, the fitted law, and where contact began. name: instead of the touch's number"""
-    return _one(lambda axes: draw_force(axes, touch, name), (0.14, 0.155, 0.8, 0.57))
-
-
-def error_png(perception: TouchPerception) -> bytes:
-    """The error of the model of a touch over its beta (Thesis eq. 4.6)."""
-    return _one(lambda axes: draw_error(axes, perception), (0.17, 0.155, 0.79, 0.66))
-
-
-def section_png(touch: TouchEstimate) -> bytes:
-    """The dent around the tip, observed and simulated: height over the distance from the contact."""
-    return _one(lambda axes: draw_section(axes, touch), (0.17, 0.155, 0.79, 0.62))
-
-
-def height_png(surface: SurfaceEstimate) -> bytes:
-    """The surface as its Gaussian process has it: height, and lines of equal standard deviation [mm]."""
-    return _one(lambda axes: draw_height(axes, surface))
-
-
-def region_comparison_png(recorded: MapEstimate, other: MapEstimate, name: str) -> bytes:
-    """Where the regions end: of a recorded map, and of the one that other settings give. name: of these"""
-    return _one(lambda axes: draw_region_comparison(axes, recorded, other, name), (0.12, 0.12, 0.84, 0.62))
-
-
-def touch_comparison_png(
-    quantity: Literal["stiffness", "beta"], recorded: Sequence[TouchEstimate], other: Sequence[TouchEstimate], name: str
-) -> bytes:
-    """What each touch gave, with its interval: as recorded, and with other settings. name: of these"""
-    return _one(lambda axes: draw_touch_comparison(axes, quantity, recorded, other, name), (0.16, 0.14, 0.8, 0.62))
-
-
-def text_png(words: str) -> bytes:
-    """Words where there is nothing to draw yet."""
-    return _one(lambda axes: _say(axes, words))
-
-
-def inclusions_png(found: InclusionsResult) -> bytes:
-    """How probably each cell lies above an inclusion, those that were found, and the true ones where these are
-    known."""
-    return _one(lambda axes: draw_inclusions(axes, found))
-
-
-def miss_probability_png(found: InclusionsResult) -> bytes:
-    """How probably an inclusion of each size is missed."""
-    return _one(lambda axes: draw_miss_probability(axes, found), (0.15, 0.155, 0.8, 0.62))
 
 
 def result_png(maps: MapEstimate, title: str = "", found: InclusionsResult | None = None) -> bytes:
@@ -713,13 +658,46 @@ def _headline(maps: MapEstimate) -> str:
 # Figures -------------------------------------------------------------------------------------------------------------
 
 
-def _one(draw: Callable[[Axes], None], place: tuple[float, float, float, float] = PLACE) -> bytes:
+def _one(
+    draw: Callable[Concatenate[Axes, P], None],
+    place: tuple[float, float, float, float],
+    *given: P.args,
+    **named: P.kwargs,
+) -> bytes:
     """place: of the axes in the picture: left, bottom, width, height, shares of it"""
     figure = canvas(WIDE, HIGH)  # no layout engine: it takes longer than the drawing
     axes = figure.add_axes(place)
-    draw(axes)
+    draw(axes, *given, **named)
     drawn: Any = figure.canvas
     figure.set_dpi(DPI)
     drawn.draw()
     picture: npt.NDArray[np.uint8] = np.asarray(drawn.buffer_rgba())[..., :3]
     return encode_png(np.ascontiguousarray(picture))
+
+
+def _picture(
+    draw: Callable[Concatenate[Axes, P], None], place: tuple[float, float, float, float] = PLACE
+) -> Callable[P, bytes]:
+    """The drawing as PNG, by a function that another process can be sent."""
+    return functools.partial(_one, draw, place)
+
+
+text_png = _picture(_say)
+gain_png = _picture(draw_gain)
+"""The expected information of a touch of each cell, the cells that may not be touched, the next touch and why."""
+force_png = _picture(draw_force, (0.14, 0.155, 0.8, 0.57))
+"""Force over the depth of the tip, the fitted law, and where contact began; a name instead of the touch's number."""
+error_png = _picture(draw_error, (0.17, 0.155, 0.79, 0.66))
+"""The error of the model of a touch over its beta (Thesis eq. 4.6)."""
+section_png = _picture(draw_section, (0.17, 0.155, 0.79, 0.62))
+"""The dent around the tip, observed and simulated: height over the distance from the contact."""
+height_png = _picture(draw_height)
+"""The surface as its Gaussian process has it: height, and lines of equal standard deviation [mm]."""
+region_comparison_png = _picture(draw_region_comparison, (0.12, 0.12, 0.84, 0.62))
+"""Where the regions end: of a recorded map, and of the one that other settings, which are named, give."""
+touch_comparison_png = _picture(draw_touch_comparison, (0.16, 0.14, 0.8, 0.62))
+"""What each touch gave, with its interval: as recorded, and with other settings, which are named."""
+inclusions_png = _picture(draw_inclusions)
+"""How probably each cell lies above an inclusion, those that were found, and the true ones where they are known."""
+miss_probability_png = _picture(draw_miss_probability, (0.15, 0.155, 0.8, 0.62))
+"""How probably an inclusion of each size is missed."""

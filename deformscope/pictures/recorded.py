@@ -15,6 +15,9 @@ DPI = 110
 MARKED = 30
 """Fewer points are marked each."""
 PHASES = ("#eef3f8", "#dfe6ee")
+APART = 0.024
+"""Of the names of phases, as a share of the axis: short phases follow one another within some tenths of a second."""
+DATA_AXES = "data", "axes fraction"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,6 +45,7 @@ def curves_png(
 
     figure = canvas(9.0, 0.9 + 1.75 * len(panels), layout="constrained")
     axes = figure.subplots(len(panels), 1, squeeze=False, sharex=True)[:, 0]
+    beside = -np.inf
     ends = [*phases, ("", max(float(one.at.max(initial=0.0)) for one in panels))]
     for panel, one in zip(axes, panels, strict=True):
         for at in range(one.values.shape[1]):
@@ -55,7 +59,10 @@ def curves_png(
         for at, ((name, start), (_, stop)) in enumerate(pairwise(ends)):
             panel.axvspan(start, stop, color=PHASES[at % 2], zorder=0, lw=0)
             if panel is axes[0]:
-                panel.annotate(name, (start, 1.02), xycoords=("data", "axes fraction"), fontsize=8)
+                beside = max(start, beside + APART * ends[-1][1])
+                where = {"textcoords": DATA_AXES, "rotation": 90, "ha": "center", "va": "bottom", "fontsize": 8}
+                lead = {"arrowstyle": "-", "lw": 0.5, "shrinkA": 0, "shrinkB": 0}
+                panel.annotate(name, (start, 1.0), (beside, 1.1), DATA_AXES, arrowprops=lead, **where)
         for at, (name, when) in enumerate(events):
             panel.axvline(
                 when, color="black", ls=LINES[at % len(LINES)], lw=1.1, label=name * (panel is axes[-1]) or None

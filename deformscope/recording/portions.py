@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -97,14 +97,20 @@ def item_size(item: Item) -> int:
     return ITEM_BYTES + (len(item.data) if isinstance(item, RawBytes) else arrays_size(item))
 
 
-def arrays_size(result: object) -> int:
-    """Bytes of the arrays in a dataclass."""
-    if not dataclasses.is_dataclass(result):
-        return 0
-    names = _field_names(type(result))  # type: ignore[arg-type]
-    return sum(value.nbytes for name in names if isinstance(value := getattr(result, name), np.ndarray))
+def arrays_size(value: object) -> int:
+    """Bytes of an array, and of those in a dataclass or a sequence, however deep."""
+    match value:
+        case np.ndarray():
+            return value.nbytes
+        case tuple() | list():
+            return sum(map(arrays_size, value))
+        case Mapping():
+            return sum(map(arrays_size, value.values()))
+    names = _field_names(type(value))  # type: ignore[arg-type]
+    return sum(arrays_size(getattr(value, name)) for name in names)
 
 
 @functools.cache
 def _field_names(kind: type[Any]) -> tuple[str, ...]:
-    return tuple(field.name for field in dataclasses.fields(kind))
+    """Of a dataclass; none of another type."""
+    return tuple(field.name for field in dataclasses.fields(kind)) if dataclasses.is_dataclass(kind) else ()

@@ -43,8 +43,10 @@ def git_state() -> dict[str, object]:
 
 
 def command() -> list[str]:
-    """The command line of this process."""
-    return list(sys.argv)
+    """The command line of this process as it was typed: without the folder that the program was found in."""
+    program = Path(sys.argv[0])
+    name = program.parent.name if program.name == "__main__.py" else program.name
+    return [name if program.is_absolute() else sys.argv[0], *sys.argv[1:]]
 
 
 def machine() -> str:

@@ -3,19 +3,30 @@
 from __future__ import annotations
 
 import json
-from collections import defaultdict
+from collections import Counter, defaultdict
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from deformscope.log.views import ShownStage
-from deformscope.recording.utf8_path import utf8_path
+from deformscope.frames import StageCost
+from deformscope.log import application
+from deformscope.log.canvas import Canvas
+from deformscope.log.exploration.layout import EXPLORATION
+from deformscope.log.exploration.results import CELL_M, exploration_views
+from deformscope.log.over_picture import OF_APPLICATION, picture_views
+from deformscope.log.rig_layout import RIG
+from deformscope.log.squeeze.layout import SQUEEZE
+from deformscope.log.squeeze.results import squeeze_views
+from deformscope.log.stages import STAGE_VIEWS
+from deformscope.log.views import ShownStage, Views, stages_of
+from deformscope.recording.item_rows import read_rows
+from deformscope.recording.reader import Replay
+from deformscope.rows import ENTITIES
+from deformscope.stages.msm.state_sweep import StateSweeps
 
-if TYPE_CHECKING:
-    from pyarrow import RecordBatch
-
+PICTURES = (application.IMAGES, application.FLOW, application.PAIR, application.PAIR_3D, application.FINDINGS)
 LIVE_MS = 1000.0
 """A stage is live whose results stand so shortly before the newest frame, in the median [ms]."""
 
@@ -44,54 +55,55 @@ class RecordedStage:
     when: str
 
 
-@dataclass(slots=True)
-class _Counted:
-    """rows: by entity and column; timelines: by entity; costs: (wall, cpu, behind) by stage [ms]"""
-
-    settings: dict[str, Any] = field(default_factory=dict)
-    rows: dict[str, dict[str, int]] = field(default_factory=lambda: defaultdict(lambda: defaultdict(int)))
-    timelines: dict[str, set[str]] = field(default_factory=lambda: defaultdict(set))
-    costs: dict[str, list[list[float]]] = field(default_factory=lambda: defaultdict(list))
-
-    def add(self, entity: str, batch: RecordBatch, timelines: set[str]) -> None:
-        """Count a portion of an entity."""
-        components = [name for name in batch.schema.names if hasattr(batch.column(name), "value_lengths")]
-        if entity == "__properties/session" and "settings" in components:
-            self.settings = json.loads(batch.column("settings")[-1].as_py()[0])
-        if entity == "cost":
-            rows = [
-                {name.split(":")[1]: row[name] for name in components} for row in batch.select(components).to_pylist()
-            ]
-            for row in rows:
-                values = [(row.get(name) or [np.nan])[0] for name in ("wall_ms", "cpu_ms", "behind_ms")]
-                self.costs[row["stage"][0]].append(values)
-        for name in components:
-            self.rows[entity][name] += sum(map(bool, batch.column(name).value_lengths().to_pylist()))
-        self.timelines[entity] |= timelines - {"log_time", "log_tick"}
+def registries() -> dict[str, Views[Any]]:
+    """The views that are registered for each of rerun's applications."""
+    over = picture_views(Canvas())
+    return {
+        EXPLORATION.name: exploration_views(0, None, CELL_M),
+        SQUEEZE.name: squeeze_views(None),
+        RIG.name: STAGE_VIEWS,
+        application.FINDINGS.variant("shapes").name: {StateSweeps: over[StateSweeps]},
+        **{one.name: {kind: over[kind] for kind in OF_APPLICATION[one.over_picture]} for one in PICTURES},
+    }
 
 
 def recorded_stages(path: Path) -> list[RecordedStage]:
-    """All that are registered for recordings of its kind, by chapter; whether they are in it or not."""
-    from rerun.chunk import RrdReader
+    """All that are registered for recordings of its kind, or for the kind that this is a variant of, by chapter;
+    whether they are in it or not."""
+    replay = Replay(path, trust=True)
+    every, counted = registries(), _Counted(json.loads(replay.properties.get("settings", "{}")))
+    for chunk in replay.chunks("/**"):
+        entity, batch = chunk.entity_path.strip("/"), chunk.to_record_batch()
+        for name in (name for name in batch.schema.names if hasattr(batch.column(name), "value_lengths")):
+            counted.rows[entity][name] += sum(map(bool, batch.column(name).value_lengths().to_pylist()))
+        counted.timelines[entity] |= (set(chunk.timeline_names) or {"static"}) - {"log_time", "log_tick"}
+    for row in read_rows(replay, (StageCost,)):
+        counted.costs[row.item.stage].append((row.item.wall_ms, row.item.cpu_ms, row.item.behind_ms))
+    of = max((one for one in every if f"{replay.identity[0]}-".startswith(f"{one}-")), key=len, default="")
+    views = every.get(of, {})
+    found = [_stage(kind, one, counted) for kind in views for one in stages_of(kind, views)]
+    return list({(one.name, one.entity): one for one in sorted(found, key=lambda one: one.chapter or 9)}.values())
 
-    from deformscope.log.registered import stages_in
 
-    reader = RrdReader(utf8_path(path))
-    store = next(one for one in reader.recordings() if one.application_id.startswith("deformscope"))
-    counted = _Counted()
-    for chunk in reader.stream(store=store):
-        counted.add(chunk.entity_path.strip("/"), chunk.to_record_batch(), set(chunk.timeline_names) or {"static"})
-    found = (_stage(kind, entity, stage, counted) for kind, entity, stage in stages_in(store.application_id))
-    return list({(one.name, one.entity): one for one in found}.values())
+@dataclass(frozen=True, slots=True)
+class _Counted:
+    """rows: by entity and column; timelines: by entity; costs: (wall, cpu, behind) by stage [ms]"""
+
+    settings: dict[str, Any]
+    rows: dict[str, Counter[str]] = field(default_factory=lambda: defaultdict(Counter))
+    timelines: dict[str, set[str]] = field(default_factory=lambda: defaultdict(set))
+    costs: dict[str, list[tuple[float | None, ...]]] = field(default_factory=lambda: defaultdict(list))
 
 
-def _stage(kind: type, entity: str, stage: ShownStage, counted: _Counted) -> RecordedStage:
+def _stage(kind: type, stage: ShownStage, counted: _Counted) -> RecordedStage:
+    entity = stage.entity or ENTITIES[kind]
     name = f"{kind.__name__}:{stage.field}" if stage.field else ""
     there = [one for one in counted.rows if f"{one}/".startswith(f"{entity}/")]
     rows = sum(counted.rows[one].get(name, 0) if name else max(counted.rows[one].values()) for one in there)
     timelines = set[str]().union(*(counted.timelines[one] for one in there)) if rows else set[str]()
     own = counted.costs.get(stage.name, [])
-    costs = np.array([*own, *(cost for one in stage.costs for cost in counted.costs.get(one, []))]).reshape(-1, 3)
+    every = [*own, *(cost for one in stage.costs for cost in counted.costs.get(one, []))]
+    costs = np.array(every, np.float64).reshape(-1, 3)
     known = costs[np.isfinite(costs[:, 2]), 2]
     behind_ms = float(np.median(known)) if len(known) else None
     computed = len(own) or len(costs)

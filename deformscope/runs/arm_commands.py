@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor, wait
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -116,7 +117,12 @@ def _arm_of(name: str, *, trusted: bool) -> Iterator[tuple[Any, Placement | None
         raise InputError.about(error, f"device {entry.name}") from error
 
 
-def go(config: MovingOptions, above: tuple[float, float] | None, height_m: float, recorder: Recorder) -> FloatArray:
+def go(
+    config: MovingOptions,
+    above: tuple[float, float] | None,
+    height_m: float,
+    recording: AbstractContextManager[Recorder],
+) -> FloatArray:
     """Bring the tip over a place (x, y) [m], so high [m]; (3,) where its centre then is, surface frame [m]."""
 
     def work(robot: Robot, setup: Setup) -> None:
@@ -127,10 +133,10 @@ def go(config: MovingOptions, above: tuple[float, float] | None, height_m: float
         to_above(robot, goal_m, UPRIGHT, height_m=crossing_m, deepest_m=goal_m, speed_m_s=speed_m_s)
 
     thickness_m = load_rig(config.rig, trusted=config.trust_rig).surface.top_m
-    return _moved(config, recorder, work, ("plan", "arm: reach"))
+    return _moved(config, recording, work, ("plan", "arm: reach"))
 
 
-def jog(config: MovingOptions, recorder: Recorder, keys: Keys | None = None) -> FloatArray:
+def jog(config: MovingOptions, recording: AbstractContextManager[Recorder], keys: Keys | None = None) -> FloatArray:
     """Move the tip by keys until somebody leaves; (3,) where its centre then is, surface frame [m]. keys: default:
     those of the terminal"""
 
@@ -145,7 +151,7 @@ def jog(config: MovingOptions, recorder: Recorder, keys: Keys | None = None) -> 
                     jogging.press(key, setup.clock())
                 robot.cycle(jogging.command(setup.clock()))
 
-    return _moved(config, recorder, work, NOT_YET)
+    return _moved(config, recording, work, NOT_YET)
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,14 +173,21 @@ class _Moved:
 
 
 def _moved(
-    config: MovingOptions, recorder: Recorder, work: Callable[[Robot, Setup], None], leave_out: tuple[str, ...]
+    config: MovingOptions,
+    recording: AbstractContextManager[Recorder],
+    work: Callable[[Robot, Setup], None],
+    leave_out: tuple[str, ...],
 ) -> FloatArray:
     """Open the devices, look at all that matters, ask, and let something move the robot, which is halted in the end.
 
     Where devices have threads of their own, the robot has one too: what they give is recorded in this one.
     """
     setup = setup_of(config.rig, ExploreOptions(), None, trusted=config.trust_rig).setup
-    with until_interrupted() as asked, open_rig_run(setup.open_source(), recorder) as opened:
+    with (
+        until_interrupted() as asked,
+        recording as recorder,
+        open_rig_run(setup.open_source(), recorder) as opened,
+    ):
         watch = opened.watch(asked)
         robot = setup.robot(opened.source, lambda seen, verdict: watch())
         with watch.halts(_Moved(robot)), ThreadPoolExecutor(1, "robot") as beside:
@@ -183,6 +196,8 @@ def _moved(
             while not moving.done():
                 recorder.write(opened.source.take(BATCH_S))
             stop = moving.result()
+        if stop is not None:
+            recorder.stopped_because(f"{stop.kind}: {stop.reason}")
     if stop is not None:
         leave_arm(stop, 0, asked, recorder.summary().path, arm_stopped=watch.arm_stopped)
     return robot.center_m

@@ -41,14 +41,13 @@ from deformscope.pictures.evidence import Result, results_png
 from deformscope.pictures.messages import estimate_tables
 from deformscope.pictures.report import Figure, Table
 from deformscope.recording.reader import Replay
-from deformscope.recording.recorder import Recorder, RecordingSummary
+from deformscope.recording.recorder import Recorder
 from deformscope.runs.calibration_report import poke_tables
 from deformscope.runs.result import (
-    LibraryResult,
     Note,
+    SourceResult,
     log_note,
     open_recorder,
-    recording_rows,
 )
 from deformscope.session import run
 from deformscope.stages.fit.calibrate import Calibration, FitOptions, Model, Observation
@@ -78,25 +77,18 @@ FLAT_SURFACE = "note: a flat surface by itself hardly feels beta; --thickness-m 
 
 
 @dataclass(frozen=True, slots=True)
-class CalibrationResult(LibraryResult):
+class CalibrationResult(SourceResult):
     """What `calibrate_beta` or `calibrate_theta` found.
 
     estimate: value, interval, verdicts, error curve; shown: observed and simulated particles
-    name: of the source; pokes: of a surface, where layers below it were fitted
+    pokes: of a surface, where layers below it were fitted
     pair: the observation and the model's settings that `model` is made of, where it was one pair
-    recording: what was recorded; problems: what of the source is damaged
-    settings, seed: what decides the result
     """
 
     estimate: Estimate
     shown: Result
-    name: str = ""
     pokes: PokesResult | None = None
     pair: tuple[Observation, Model] | None = None
-    recording: RecordingSummary | None = None
-    problems: tuple[str, ...] = ()
-    settings: Mapping[str, object] = dataclasses.field(default_factory=dict)
-    seed: int = 0
 
     @property
     def value(self) -> float:
@@ -148,16 +140,12 @@ class CalibrationResult(LibraryResult):
         if self.pokes is not None:
             found |= {"pokes": self.pokes.rows(), "tried": self.pokes.tried_json()}
             found |= {"field": self.pokes.model.field_kind, "model": None}
-        return found | ({"source_problems": list(self.problems)} if self.problems else {})
+        return self.with_problems(found)
 
     def tables(self) -> tuple[Table, ...]:
-        parameter, rows = self.estimate.parameter, []
-        if self.problems:
-            rows.append(("SOURCE DAMAGED", "; ".join(self.problems)))
-        if self.recording is not None:
-            rows += recording_rows(self.recording)
-            if self.recording.path is not None:
-                rows.append(("to look at it", f"{rerun_command()} {self.recording.path}"))
+        parameter, rows = self.estimate.parameter, self.source_rows()
+        if self.recording is not None and self.recording.path is not None:
+            rows.append(("to look at it", f"{rerun_command()} {self.recording.path}"))
         title = f"{parameter} of {self.name}" if self.name else f"Estimate of {parameter}"
         first, *others = estimate_tables(self.estimate, title)
         tables = [Table([*first.rows, *rows], caption=first.caption), *others]
@@ -420,7 +408,9 @@ def calibrate_pair_bytes(
         estimate: Estimate, comparisons: tuple[Comparison, ...], called: Sequence[str], name: str
     ) -> CalibrationResult:
         shown, recording = Result(estimate, comparisons, tuple(called)), recorder.summary()
-        return CalibrationResult(estimate, shown, name, pokes, None, recording, (), settings, output.seed)
+        return CalibrationResult(
+            estimate, shown, pokes, name=name, recording=recording, settings=settings, seed=output.seed
+        )
 
     if pokes is not None:
         name = names[0] if len(names) == 1 else f"{len(names)} pokes"

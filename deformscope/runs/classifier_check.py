@@ -43,9 +43,12 @@ class ClassifierCheckResult(LibraryResult):
                 one.score.modality,
                 format_right(one.score),
                 f"{one.score.calibration_error:.1%} ({{:.1%}} to {{:.1%}})".format(*one.error_interval),
+                f"{one.by_chance:.1%}",
+                f"{one.debiased.value:.1%} ({{:.1%}} to {{:.1%}})".format(*one.debiased.interval),
             )
             for one in check.times
         ]
+        columns = "after first contact", "by", "accuracy", "calibration error", "by chance", "without chance"
         return (
             Table(rows, caption=self.name),
             Table(
@@ -57,7 +60,7 @@ class ClassifierCheckResult(LibraryResult):
                 ("content", "named rightly", "interval"),
                 "Content by content",
             ),
-            *([Table(times, ("after first contact", "by", "accuracy", "calibration error"))] if times else []),
+            *([Table(times, columns)] if times else []),
         )
 
     def pictures(self) -> dict[str, bytes]:

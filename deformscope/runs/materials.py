@@ -44,11 +44,10 @@ from deformscope.pictures.report import Figure, ReportVerdict, Section, Table, h
 from deformscope.recording.item_rows import read_rows
 from deformscope.recording.items import read_found
 from deformscope.recording.reader import Replay
-from deformscope.recording.recorder import RecordingSummary
 from deformscope.runs.calibration import frames_of, images_recorder, pair_recorder, size_notes
 from deformscope.runs.calibration_report import provenance_sections, settings_section
 from deformscope.runs.material_report import material_bodies, material_figure, material_table
-from deformscope.runs.result import LibraryResult, Note, log_note, open_recorder, recording_rows
+from deformscope.runs.result import Note, SourceResult, log_note, open_recorder
 from deformscope.session import Step, run
 from deformscope.stages.fit.model import Model, Observation
 from deformscope.stages.fit.motion import Motion
@@ -123,19 +122,13 @@ class MaterialJob:
 
 
 @dataclass(frozen=True, slots=True)
-class MaterialResult(LibraryResult):
+class MaterialResult(SourceResult):
     """What `calibrate axes`, `field`, `yield` or `viscous` found.
 
-    estimate: the numbers; name: of the source; found: what they were compared with; recording: what was recorded
-    problems: what of the source is damaged; settings, seed: what decides the result
+    estimate: the numbers; found: what they were compared with
     """
 
     found: MaterialFit
-    name: str = ""
-    recording: RecordingSummary | None = None
-    problems: tuple[str, ...] = ()
-    settings: Mapping[str, object] = dataclasses.field(default_factory=dict)
-    seed: int = 0
 
     @property
     def estimate(self) -> MaterialEstimate:
@@ -143,13 +136,11 @@ class MaterialResult(LibraryResult):
         return self.found.estimate
 
     def as_json(self) -> dict[str, Any]:
-        return self.estimate.as_json() | ({"source_problems": list(self.problems)} if self.problems else {})
+        return self.with_problems(self.estimate.as_json())
 
     def tables(self) -> tuple[Table, ...]:
         table = material_table(self.estimate, self.name)
-        rows = [] if not self.problems else [("SOURCE DAMAGED", "; ".join(self.problems))]
-        rows += [] if self.recording is None else recording_rows(self.recording)
-        return (Table([*table.rows, *rows], caption=table.caption),)
+        return (Table([*table.rows, *self.source_rows()], caption=table.caption),)
 
     def figures(self) -> tuple[Figure, ...]:
         return (material_figure(self.found),)
@@ -228,7 +219,9 @@ def run_material_images(
         find = _finder(job, job.particles, unloading, progress)
         experiment = material_video(job.particles, find, None if mask is None else clean_mask(mask))
         found = run(frames_of(source, progress), experiment, recorder)
-        result = MaterialResult(found, source.name, None, tuple(source.problems()), used, job.seed)
+        result = MaterialResult(
+            found, name=source.name, problems=tuple(source.problems()), settings=used, seed=job.seed
+        )
         recorder.write(Step((result.findings(),)))
     return dataclasses.replace(result, recording=recorder.summary())
 
@@ -253,7 +246,7 @@ def run_material_files(
         with pair_recorder(seen, raws, used, output) as recorder:
             experiment = material_files(lambda: _of_pairs(seen, job, progress))
             name = ", ".join(name for name, _ in raws)
-            result = MaterialResult(run((), experiment, recorder), name, settings=used, seed=job.seed)
+            result = MaterialResult(run((), experiment, recorder), name=name, settings=used, seed=job.seed)
             recorder.write(Step((result.findings(),), frame=0))
         return dataclasses.replace(result, recording=recorder.summary())
     if len(raws) > 1:
@@ -265,7 +258,7 @@ def run_material_files(
     with open_recorder(output, used, PAIR if motion.rest.shape[1] == 2 else PAIR_3D) as recorder:
         recorder.write(InputFile("motion", raw))
         experiment = material_files(lambda: _of_motion(motion, job, progress))
-        result = MaterialResult(run((), experiment, recorder), name, settings=used, seed=job.seed)
+        result = MaterialResult(run((), experiment, recorder), name=name, settings=used, seed=job.seed)
         recorder.write(Step((result.findings(),), frame=0))
     return dataclasses.replace(result, recording=recorder.summary())
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -39,7 +39,6 @@ from deformscope.stages.squeeze.trial import (
     TrackedContainer,
 )
 
-T = TypeVar("T")
 SHOWN = 6
 """Touches, and maps, of which each has its pictures: the last, if there are more."""
 TIME = "time since the recording's start [s]"
@@ -112,19 +111,17 @@ def _stage_row(one: RecordedStage) -> tuple[str, ...]:
     return one.name, one.gives, f"/{one.entity}", ", ".join(one.timelines) or "-", rows, cost, live
 
 
-def _of(rows: Sequence[Row], kind: type[T]) -> list[T]:
-    return [row.item for row in rows if isinstance(row.item, kind)]
+def _read(replay: Replay, *kinds: type) -> list[list[Row]]:
+    """The rows of each kind, in order of time."""
+    every = list(read_rows(replay, kinds))
+    return [[row for row in every if isinstance(row.item, kind)] for kind in kinds]
 
 
 def _exploration(replay: Replay) -> Drawn:
     """Chapter 4."""
     kinds = SurfaceEstimate, TouchEstimate, MapEstimate, InclusionsResult, TouchPerception
-    rows = list(read_rows(replay, kinds))
-    touches, maps, found = _of(rows, TouchEstimate), _of(rows, MapEstimate), _of(rows, InclusionsResult)
-    seen = _of(rows, TouchPerception)
-    surfaces = [
-        Figure(drawn_of.height_png(one), "height of the surface (eq. 4.3, 4.4)") for one in _of(rows, SurfaceEstimate)
-    ]
+    looks, touches, maps, found, seen = ([row.item for row in rows] for rows in _read(replay, *kinds))
+    surfaces = [Figure(drawn_of.height_png(one), "height of the surface (eq. 4.3, 4.4)") for one in looks]
     touched: list[Part] = [_by_touch(touches)] if touches else []
     for one in touches[-SHOWN:]:
         number = one.number + 1
@@ -143,13 +140,8 @@ def _exploration(replay: Replay) -> Drawn:
         words = ", ".join(one for one in (words, format_verdict(maps[-1]), format_iou(maps[-1])) if one)
         result = drawn_of.result_png(maps[-1], found=found[-1] if found else None)
         whole.append(Figure(result, "what the touches measured"))
-    named_parts: dict[str, Sequence[Part]] = {
-        "Map": whole,
-        "Surface": surfaces,
-        "Touches": touched,
-        "Fields, touch by touch": fields,
-    }
-    return words, [Section(*one) for one in named_parts.items()]
+    surface, at_touches = Section("Surface", surfaces), Section("Touches", touched)
+    return words, [Section("Map", whole), surface, at_touches, Section("Fields, touch by touch", fields)]
 
 
 def _by_touch(touches: Sequence[TouchEstimate]) -> Figure:
@@ -179,11 +171,9 @@ def _progress(maps: Sequence[MapEstimate]) -> Figure:
 
 def _squeeze(replay: Replay) -> Drawn:
     """Chapter 2."""
-    tracked_kinds = (FingertipPressure, HandFrame, TrackedContainer, ContentPosterior, ContainerChange)
-    rows = list(read_rows(replay, (*tracked_kinds, SqueezeFeatures, SqueezeEvents, SqueezePhase)))
-    pressed, hand, tracked, named, changes = (
-        [row for row in rows if isinstance(row.item, one)] for one in tracked_kinds
-    )
+    seen_kinds = FingertipPressure, HandFrame, TrackedContainer, ContentPosterior, ContainerChange
+    rows = _read(replay, *seen_kinds, SqueezeFeatures, SqueezeEvents, SqueezePhase)
+    pressed, hand, tracked, named, changes, features, ended, begun = rows
     tracked, by_step = [row for row in tracked if row.item.good], [row for row in named if row.item.index >= 0]
     rest = np.linalg.inv(tracked[0].item.T_camera_container) if tracked else np.eye(4)
     seen = [row for row in changes if row.item.change_m is not None]
@@ -200,9 +190,9 @@ def _squeeze(replay: Replay) -> Drawn:
         _over_time("depth change, mean [mm]", seen, lambda one: [1e3 * np.nanmean(one.change_m)]),
         _over_time("probability [-]", by_step, lambda one: one.probability, labels),
     ]
-    phases = [(row.item.name, row.session_ns / 1e9) for row in rows if isinstance(row.item, SqueezePhase)]
+    phases = [(row.item.name, row.session_ns / 1e9) for row in begun]
     words, events = "squeezed, without first contact and steady state", list[tuple[str, float]]()
-    for row in (row for row in rows if isinstance(row.item, SqueezeEvents)):
+    for row in ended:
         took_s = (row.item.steady_ns - row.item.first_ns) / 1e9
         events = [("first contact", row.session_ns / 1e9 - took_s), ("steady state", row.session_ns / 1e9)]
         words = f"steady state {took_s:.2f} s after first contact"
@@ -210,7 +200,7 @@ def _squeeze(replay: Replay) -> Drawn:
         words += f"; taken for {named[-1].item.content}"
     shown = [one for one in panels if one is not None]
     curves = [Figure(curves_png(shown, TIME, events, phases), "a squeeze over time")] if shown else []
-    return words, [Section("Over time", curves), Section("Features", [*map(_features, _of(rows, SqueezeFeatures))])]
+    return words, [Section("Over time", curves), Section("Features", [_features(row.item) for row in features])]
 
 
 def _features(one: SqueezeFeatures) -> Part:

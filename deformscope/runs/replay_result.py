@@ -15,6 +15,8 @@ from deformscope.runs.result import LibraryResult
 CLOSE = 0.01
 """Largest difference that another machine's arithmetic may make: of the value and its interval as a share of the
 interval's width, of an error as a share of itself. On one machine there is none."""
+VERSIONS = "the versions in the recording's properties"
+"""What to look at where numbers differ."""
 
 
 class Different(InputError):
@@ -72,9 +74,9 @@ def compare(
         if (name := differing(before, now, leave_out(before))) is not None:
             if distance is None:
                 came = f"another {name} of {type(before).__name__}"
-                raise Different("the recorded numbers, to the last bit", came, where=path)
+                raise Different("the recorded numbers, to the last bit", came, VERSIONS, path)
             found.append(distance(before, now))
     if found and max(found) > CLOSE:
         came = f"numbers that differ by {max(found):.1%} of the interval or error"
-        raise Different("the recorded numbers", came, "the versions in the recording's properties", path)
+        raise Different("the recorded numbers", came, VERSIONS, path)
     return max(found, default=None)

@@ -5,6 +5,9 @@ from __future__ import annotations
 
 import dataclasses
 import tempfile
+from collections import defaultdict
+from collections.abc import Iterator
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -43,7 +46,7 @@ def replay_squeeze(recording: Replay) -> ReplayResult:
     for kind in kinds:
         before = _by_frame([one.item for one in read_results(path, (kind,), trust=True)])
         now = _by_frame([one for one in again.results if type(one) is kind])
-        last = max(before, default=(-1, False))
+        last = max(before, default=(-1, 0))
         within = [now[frame] for frame in sorted(now) if frame in before or frame <= last]
         compare([before[frame] for frame in sorted(before)], within, path, _later, what=kind.__name__)
         compared += len(before)
@@ -57,11 +60,13 @@ def replay_squeeze(recording: Replay) -> ReplayResult:
     )
 
 
-def _by_frame(results: list[Any]) -> dict[tuple[int, bool], Any]:
-    """Results by the frame that they are of, or their order, and whether of its median with others. What came after the
-    hand had opened was recorded, but no longer looked at: recorded results may be fewer at the end."""
-    of = [(getattr(one, "index", order), getattr(one, "lag_s", 0.0) is None) for order, one in enumerate(results)]
-    return dict(zip(of, results, strict=True))
+def _by_frame(results: list[Any]) -> dict[tuple[int, int], Any]:
+    """Results by the frame that they are of, or their order, and how many there were of it before: that of its median
+    with others is the last. What came after the hand had opened was recorded, but no longer looked at: recorded results
+    may be fewer at the end."""
+    counted: defaultdict[int, Iterator[int]] = defaultdict(count)
+    of = [getattr(one, "index", order) for order, one in enumerate(results)]
+    return {(frame, next(counted[frame])): one for frame, one in zip(of, results, strict=True)}
 
 
 def _later(before: object) -> list[str]:
@@ -140,7 +145,8 @@ def sighted_again(recording: Replay, items: list[Any], geometry: SqueezeGeometry
     recorded = [one.item for one in read_results(recording.path, (ContainerSighting,), trust=True)]
     if not recorded:
         return []
-    images = {one.index: one for one in items if isinstance(one, DepthFrame)}
+    camera = recording.settings["squeezed"]["names"]["camera"]
+    images = {one.index: one for one in items if isinstance(one, DepthFrame) and one.device == camera}
     arms = {one.stamp.host_ns: one for one in items if isinstance(one, ArmFrame)}
     hands = {one.stamp.host_ns: one for one in items if isinstance(one, HandFrame)}
     found: list[ContainerSighting] = []

@@ -6,6 +6,7 @@ import logging
 import os
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal, cast
 
 from deformscope.pictures.findings import Findings
@@ -56,6 +57,30 @@ class LibraryResult(ABC):
 
     def _repr_html_(self) -> str:
         return self.findings().html()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SourceResult(LibraryResult):
+    """What was found of a source.
+
+    name: of the source; recording: what was recorded; problems: what of the source is damaged
+    settings, seed: what decides the result
+    """
+
+    name: str = ""
+    recording: RecordingSummary | None = None
+    problems: tuple[str, ...] = ()
+    settings: Mapping[str, object] = field(default_factory=dict)
+    seed: int = 0
+
+    def with_problems(self, found: dict[str, Any]) -> dict[str, Any]:
+        """The JSON of what was found, with what of the source is damaged."""
+        return found | ({"source_problems": list(self.problems)} if self.problems else {})
+
+    def source_rows(self) -> Rows:
+        """What of the source is damaged, and where the recording is."""
+        damaged = [("SOURCE DAMAGED", "; ".join(self.problems))] if self.problems else []
+        return [*damaged, *([] if self.recording is None else recording_rows(self.recording))]
 
 
 def resolve_viewer(choice: ViewerChoice) -> Viewer:

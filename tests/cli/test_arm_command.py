@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from deformscope.cli import main
+from deformscope.cli.common import EXIT_LOSSES
 from deformscope.config import JogConfig
 from deformscope.lab import double_device
 from deformscope.recording.recorder import Recorder
@@ -61,6 +62,8 @@ class NoRecorder:
 
     def write(self, items: object) -> None: ...
 
+    def stopped_because(self, reason: str) -> None: ...
+
     def summary(self) -> object:
         return type("Summary", (), {"path": None})()
 
@@ -74,8 +77,11 @@ def typed(presses: list[tuple[int, str]]) -> Iterator[str]:
 
 def jogged(rig: Path, presses: list[tuple[int, str]]) -> np.ndarray:
     keys = typed(presses)
-    recorder: Recorder = NoRecorder()  # type: ignore[assignment]
-    return np.asarray(arm_commands.jog(JogConfig(str(rig)), recorder, lambda: next(keys)))
+    return np.asarray(arm_commands.jog(JogConfig(str(rig)), no_recording(), lambda: next(keys)))
+
+
+def no_recording() -> contextlib.AbstractContextManager[Recorder]:
+    return contextlib.nullcontext(NoRecorder())  # type: ignore[arg-type]
 
 
 def test_keys_move_the_tip_a_step_each(rig: Path) -> None:
@@ -117,8 +123,34 @@ def test_a_device_that_fails_at_closing_is_said(
     jogged(rig, [(5, "q")])
     assert capsys.readouterr().err.count(said) == 1
     with pytest.raises(StopIteration):  # whatever ends it
-        arm_commands.jog(JogConfig(str(rig)), NoRecorder(), iter(["d"]).__next__)  # type: ignore[arg-type]
+        arm_commands.jog(JogConfig(str(rig)), no_recording(), iter(["d"]).__next__)
     assert capsys.readouterr().err.count(said) == 1
+
+
+def test_a_jog_that_is_stopped_is_recorded_whole(
+    rig: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """By Ctrl-C, and by the supervisor."""
+    keys: Iterator[str] = iter(())
+    monkeypatch.setattr(arm_commands, "terminal_keys", lambda: contextlib.nullcontext(lambda: next(keys)))
+    command = ["arm", "jog", str(rig), "--record", str(tmp_path / "jog.rrd"), "--overwrite"]
+
+    def interrupted() -> Iterator[str]:
+        yield from [""] * 20
+        os.kill(os.getpid(), signal.SIGINT)
+        yield from [""] * 1000
+
+    keys = interrupted()
+    assert main(command) == 128 + signal.SIGINT
+    assert f"the recording is whole: {tmp_path / 'jog.rrd'}" in capsys.readouterr().err
+    assert main(["verify", str(tmp_path / "jog.rrd")]) in (0, EXIT_LOSSES)
+    assert "ended a person asked: Ctrl-C" in capsys.readouterr().out
+
+    keys = typed([(5 + 3 * count, "r") for count in range(200)])
+    rig.write_text(RIG + BOX.replace("0.75]", "0.3]"))
+    assert main(command) == 2
+    assert main(["verify", str(tmp_path / "jog.rrd")]) in (0, EXIT_LOSSES)
+    assert "ended workspace left" in capsys.readouterr().out
 
 
 def test_go_brings_the_tip_over_a_place(rig: Path, tmp_path: Path) -> None:

@@ -269,8 +269,7 @@ def test_committed_recordings_are_what_their_manifest_says(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """And what is computed of them again is the same: words and verdicts equal, numbers within 1e-6, as other
-    processors may round otherwise. What follows a container stops once its steps are small: there numbers agree within
-    0.2 %, directions of equal deviation are any, and counts of pixels within a few."""
+    processors may round otherwise."""
     monkeypatch.setattr(replay_result, "differing", differing_by_more)
     monkeypatch.setattr(
         replay_stages, "_difference", lambda before, now: 0.0 if not differing_by_more(before, now) else 1

@@ -5,8 +5,10 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import json
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -14,18 +16,23 @@ import pytest
 
 from deformscope.cli import main
 from deformscope.errors import InputError
+from deformscope.experiments import placing
 from deformscope.experiments.squeeze_tracking import REST_IMAGES
 from deformscope.files.classifier_file import save_classifier
 from deformscope.files.squeeze_dataset import SqueezeDataset
-from deformscope.frames import DepthFrame, TactileFrame
+from deformscope.frames import ArmFrame, DepthFrame, HandFrame, TactileFrame
+from deformscope.recording import items
 from deformscope.recording.item_rows import read_rows
 from deformscope.recording.items import read_items, read_results
 from deformscope.recording.reader import Replay
 from deformscope.rig.source import RigSource
 from deformscope.robot.squeeze_plan import draw_grasp
 from deformscope.robot.squeeze_setup import SqueezeSetup
+from deformscope.runs import replay_squeeze
 from deformscope.runs.opened_devices import SqueezeOpening
+from deformscope.runs.replay_squeeze import sighted_again, squeeze_again
 from deformscope.stages.squeeze.model import ContentModel, fit_model
+from deformscope.stages.squeeze.placement import ContainerSighting
 from deformscope.stages.squeeze.table import LabelledTable
 from deformscope.stages.squeeze.trial import (
     ContainerChange,
@@ -34,6 +41,7 @@ from deformscope.stages.squeeze.trial import (
     SqueezePhase,
     TrackedContainer,
 )
+from deformscope_drivers.clock import Stamp
 from tests.experiments.toy_squeeze import ToySqueeze, limits
 
 LABS: list[ToySqueeze] = []
@@ -220,7 +228,7 @@ def seeing_model() -> ContentModel:
 
 
 def test_the_container_is_tracked_and_seen_while_it_is_squeezed_and_replayed(
-    tmp_path: Path, toy: dict[str, Any]
+    tmp_path: Path, toy: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     toy["lab"] = {"camera": True}
     model, file = tmp_path / "m.npz", tmp_path / "r.rrd"
@@ -251,6 +259,40 @@ def test_the_container_is_tracked_and_seen_while_it_is_squeezed_and_replayed(
     assert {one.modality for one in while_squeezed} == {"tactile and vision_small"}
     assert all(one.vision_index in live for one in while_squeezed)
     assert main(["replay", str(file)]) == 0
+
+    ((twice, count),) = Counter(row.item.index for row in changes).most_common(1)
+    assert count == 2  # of the image, and of the median from there on
+
+    def one_is_another(recording: Replay) -> replay_squeeze.SqueezeAgain:
+        found = squeeze_again(recording)
+        of = {
+            one.index: (at, one)
+            for at, one in reversed([*enumerate(found.results)])
+            if isinstance(one, ContainerChange)
+        }
+        at, one = of[twice]
+        found.results[at] = dataclasses.replace(one, noise_m=1.0)
+        return found
+
+    monkeypatch.setattr(replay_squeeze, "squeeze_again", one_is_another)
+    assert main(["replay", str(file)]) == 2
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_the_container_is_sought_again_in_the_images_of_its_camera(order: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    nothing = np.zeros(0, np.int64)
+    sighting = ContainerSighting(7, np.array([7]), 1, 1, "before", False, None, "none", None, nothing)
+    monkeypatch.setattr(items, "read_results", lambda *_, **__: [SimpleNamespace(item=sighting)])
+    monkeypatch.setattr(placing, "sight", lambda images, *_: [one.device for one in images])
+    seen = [DepthFrame(Stamp(1), 7, np.zeros((2, 2), np.uint16), 1e-3, device=name) for name in ("camera", "other")]
+    moved = [
+        ArmFrame(Stamp(1), 0, *[np.zeros(6)] * 3, *[np.zeros(3)] * 5),
+        HandFrame(Stamp(1), 0, np.zeros(7), np.zeros(7), np.zeros(9), ("idle",) * 7),
+    ]
+    recording: Any = SimpleNamespace(path=Path("r.rrd"), settings={"squeezed": {"names": {"camera": "camera"}}})
+    geometry: Any = None
+
+    assert sighted_again(recording, [*seen[::order], *moved], geometry) == [["camera"]]
 
 
 def rows_of(file: Path, kind: type) -> list[Any]:

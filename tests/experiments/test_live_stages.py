@@ -8,6 +8,7 @@ import os
 import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
+from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from typing import Any
 
@@ -513,6 +514,17 @@ def test_a_force_without_an_arm_that_moves_is_refused() -> None:
         compute(stage, stage.packed(still))
 
 
+def test_a_force_across_the_way_of_the_arm_is_refused() -> None:
+    aside = [
+        dataclasses.replace(frame, position_m=frame.position_m[[2, 1, 0]]) if isinstance(frame, ArmFrame) else frame
+        for frame in approach()
+    ]
+    stage = Stage("contact", LiveOptions(("contact",), wrench="tip", arm="arm", T_ee_tip=TIP))
+
+    with pytest.raises(InputError, match=r"an arm that presses along its way; got -?0% of the force"):
+        compute(stage, stage.packed(aside))
+
+
 # What a rig must have -------------------------------------------------------------------------------------------------
 
 
@@ -646,6 +658,22 @@ def test_a_process_computes_and_is_replaced_when_it_has_died() -> None:
         with pytest.raises(Exception, match="terminated abruptly"):
             worker.submit(os_exit).result(60)
         assert worker.submit(math.sqrt, 16.0).result(60) == 4.0
+
+
+def test_a_recording_goes_before_every_stage() -> None:
+    here = priority()
+    with StageProcesses(["tactile", "contact"], int_nothing) as beside:
+        assert {one.submit(priority).result(60) for one in beside.values()} == {19}
+    with StageProcesses(["tactile"], int_nothing, nice=max(here, 12)) as beside:
+        assert beside["tactile"].submit(priority).result(60) == max(here, 12)
+        with pytest.raises(BrokenProcessPool):
+            beside["tactile"].submit(os_exit).result(60)
+        assert beside["tactile"].submit(priority).result(60) == max(here, 12)
+    assert priority() == here
+
+
+def priority() -> int:
+    return os.getpriority(os.PRIO_PROCESS, 0)
 
 
 def test_what_a_process_computes_in_the_end_is_given_up() -> None:

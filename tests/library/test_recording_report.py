@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import json
+from itertools import combinations
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
+from matplotlib.text import Annotation, Text
 
 from deformscope.cli import main
 from deformscope.images import PNG_SIGNATURE
+from deformscope.pictures import recorded
 from deformscope.pictures.recorded import Curves, curves_png
 from deformscope.runs.recording_report import RecordingReport, report_recording
 
@@ -35,6 +39,24 @@ def test_curves_show_events_and_phases() -> None:
     assert bare.shape == phases.shape == events.shape
     assert (bare != phases).any(axis=-1).mean() > 0.2  # most of the time is shaded
     assert 0.001 < (bare != events).any(axis=-1).mean() < 0.1  # a line and its name
+
+
+def test_names_of_short_phases_stand_side_by_side(monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn: list[Figure] = []
+    monkeypatch.setattr(recorded, "png_of", lambda figure, dpi: drawn.append(figure) or b"")
+    names = ("pre-shape", "look", "travel", "approach", "look", "air", "close", "squeeze", "hold", "open", "retreat")
+    begin = (0.3, 2.0, 3.1, 9.4, 14.8, 15.5, 15.6, 17.0, 17.4, 18.2, 19.0)
+
+    curves_png(
+        [Curves("force [N]", np.linspace(0.0, 25.0, 50), np.zeros((50, 1)))], "", (), [*zip(names, begin, strict=True)]
+    )
+
+    (figure,) = drawn
+    figure.canvas.draw()
+    shown = [one for one in figure.axes[0].texts if isinstance(one, Annotation)]
+    assert [one.get_text() for one in shown] == list(names)
+    boxes = [Text.get_window_extent(one) for one in shown]
+    assert not [pair for pair in combinations(boxes, 2) if pair[0].overlaps(pair[1])]
 
 
 @pytest.mark.parametrize("number", [1, 2])

@@ -265,7 +265,7 @@ def test_a_rig_is_refused_where_nothing_can_be_set(tmp_path: Path, capsys: pytes
 
 def test_a_rigs_camera_alone_is_opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(fit_process, "child_process", in_this_process)
-    monkeypatch.setattr(page_fit, "StageProcesses", lambda *given: nullcontext({"flow": Inline()}))
+    monkeypatch.setattr(page_fit, "StageProcesses", lambda *given, **also: nullcontext({"flow": Inline()}))
     arm = '[devices.tip]\ndriver = "optoforce"\nport = "/dev/none"\n'  # nothing of it is there
     config = BetaConfig((str(rig_of(tmp_path, arm, folder_camera(tmp_path))),))
 
@@ -290,7 +290,7 @@ def test_a_rigs_camera_alone_is_opened(tmp_path: Path, monkeypatch: pytest.Monke
 
 def test_a_camera_that_gives_nothing_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(fit_process, "child_process", in_this_process)
-    monkeypatch.setattr(page_fit, "StageProcesses", lambda *given: nullcontext({"flow": Inline()}))
+    monkeypatch.setattr(page_fit, "StageProcesses", lambda *given, **also: nullcontext({"flow": Inline()}))
     monkeypatch.setattr(fit_command, "picture_of", lambda item, camera: None)
     rig = rig_of(tmp_path, folder_camera(tmp_path).replace("loop = true", "loop = false"))
     with pytest.raises(InputError, match="come to its end"), set_on_page(BetaConfig((str(rig),)), print):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
@@ -60,7 +61,7 @@ class Beside:
         self.fit.bind(self.page, STREAMS, self.found.append)
 
     @contextmanager
-    def _process(self, name: str, target: Any, *, makes_others: bool) -> Iterator[Connection]:
+    def _process(self, name: str, target: Any, *, makes_others: bool, nice: int) -> Iterator[Connection]:
         ours, theirs = Pipe()
         self.configs.append(target.args[0])
         self.pipes.append(theirs)
@@ -231,8 +232,10 @@ def test_a_result_is_said_once_also_where_another_fit_begins_meanwhile(beside: B
 
 
 def test_in_its_process_it_is_the_same_fit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """In a thread of this process."""
-    monkeypatch.setattr(page_fit, "StageProcesses", lambda *given: nullcontext({"flow": Inline()}))
+    """In a thread of this process, whose priority stays as it is."""
+    changed: list[tuple[int, ...]] = []
+    monkeypatch.setattr(os, "setpriority", lambda *given: changed.append(given))
+    monkeypatch.setattr(page_fit, "StageProcesses", lambda *given, **also: nullcontext({"flow": Inline()}))
     ours, theirs = Pipe()
     config = BetaConfig(("rig.toml",), images=ImageOptions(camera="side", roi=(6, 5, 88, 105), grid=(5, 4)))
     thread = threading.Thread(target=run_fit, args=(config, lambda: tmp_path, False, theirs))
@@ -258,6 +261,7 @@ def test_in_its_process_it_is_the_same_fit(tmp_path: Path, monkeypatch: pytest.M
     thread.join(PATIENCE_S)
     assert not thread.is_alive()
     assert sorted(tmp_path.iterdir()) == files  # only what was held is kept
+    assert not changed
 
 
 @pytest.mark.slow

@@ -7,6 +7,7 @@ container was tracked once the hand had opened, in some of the images.
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -37,8 +38,8 @@ def test_they_are_whole_and_decoded_again_identically(
 def test_a_squeeze_of_before_opens_and_is_computed_again(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """To the last bit on the processor that it is of, else within its rounding."""
-    monkeypatch.setattr(replay_result, "differing", differing_by_more)
+    """But for 0.02 %: it was recorded when depths of the model had 32 bits."""
+    monkeypatch.setattr(replay_result, "differing", partial(differing_by_more, share=2e-4))
     recording = OLD / "squeeze.rrd"
     tracked = [row.item for row in read_results(recording, (TrackedContainer,), trust=True)]
 

@@ -21,3 +21,16 @@ def test_what_made_a_result(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(provenance, "VERSIONED", ("no-such-package",))
     assert provenance.versions()["no-such-package"] == "not installed"
     assert deformscope.__version__
+
+
+def test_a_command_names_no_folder_that_was_not_typed(monkeypatch: pytest.MonkeyPatch) -> None:
+    given = ["record", "/dev/rig.toml"]
+    for program, named in (
+        ("/home/ann/.venv/bin/deformscope", "deformscope"),
+        ("/home/ann/deformscope/__main__.py", "deformscope"),
+        ("/home/ann/mine.py", "mine.py"),
+        ("scripts/mine.py", "scripts/mine.py"),
+        ("-c", "-c"),
+    ):
+        monkeypatch.setattr(sys, "argv", [program, *given])
+        assert provenance.command() == [named, *given]

@@ -16,13 +16,12 @@ from deformscope.cli import main
 from deformscope.experiments.foam_video import ParticleOptions, foam_video
 from deformscope.files.sources import open_source
 from deformscope.frames import ColorFrame, StageCost
-from deformscope.log.registered import registries
 from deformscope.log.views import SOMETIMES, ShownStage, stages_of
 from deformscope.processes import SPAWN
 from deformscope.recording.item_rows import read_rows
 from deformscope.recording.reader import Replay
 from deformscope.recording.recorder import Recorder
-from deformscope.recording.stages import recorded_stages
+from deformscope.recording.stages import recorded_stages, registries
 from deformscope.rows import ENTITIES
 from deformscope.session import Compute, Moment, RigExperiment, Step, ask, measuring, run, with_costs
 from deformscope.stages.fit.calibrate import FitOptions

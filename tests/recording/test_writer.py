@@ -5,9 +5,13 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
 
+import numpy as np
 import pytest
 
+from deformscope.recording.portions import arrays_size
 from deformscope.recording.writer import Writer
 from tests.patience import PATIENCE_S
 
@@ -160,3 +164,23 @@ def test_one_that_hangs_is_left_behind_and_one_that_gets_on_is_not(gate: threadi
     assert writer.waiting_bytes == 7
     gate.set()
     assert writer.close(PATIENCE_S)
+
+
+def test_what_a_result_holds_within_others_counts_as_waiting() -> None:
+    pose = np.zeros((4, 4))
+    track = Track((Pose(pose), Pose(pose)), {"depth": np.zeros(10, np.float32)}, "name")
+
+    assert arrays_size(track) == 2 * pose.nbytes + 40
+    assert arrays_size((track, [pose])) == 3 * pose.nbytes + 40
+
+
+@dataclass(frozen=True)
+class Pose:
+    matrix: Any
+
+
+@dataclass(frozen=True)
+class Track:
+    poses: tuple[Pose, ...]
+    images: dict[str, Any]
+    name: str

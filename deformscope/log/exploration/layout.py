@@ -6,8 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
-import numpy as np
-
 from deformscope.arrays import FloatArray
 from deformscope.log.application import Application
 from deformscope.log.layout import RecordingLayout
@@ -61,8 +59,7 @@ class ExplorationLayout(RecordingLayout):
         if self.full:
             from deformscope.log.exploration.perception import log_frames
 
-            base_from_surface = np.eye(4) if self.base_from_surface is None else self.base_from_surface
-            log_frames(rec, base_from_surface, self.T_surface_camera)
+            log_frames(rec, self.base_from_surface, self.T_surface_camera)
 
     def prepare(
         self, results: Sequence[object], session_ns: int, place: Place, cell_m: float, failed: list[StageFailure]

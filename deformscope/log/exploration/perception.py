@@ -45,10 +45,14 @@ TOUCH = "touch"
 """Frame in the middle of the square around the newest touch."""
 
 
-def log_frames(rec: rr.RecordingStream, base_from_surface: FloatArray, T_surface_camera: FloatArray | None) -> None:
-    """Log the frames that stand still, and the names of what is logged later. T_surface_camera: None = not known"""
-    known = {"arm_base": np.linalg.inv(base_from_surface), "camera": T_surface_camera}
+def log_frames(
+    rec: rr.RecordingStream, base_from_surface: FloatArray | None, T_surface_camera: FloatArray | None
+) -> None:
+    """Log the frames that stand still, and the names of what is logged later. base_from_surface: (4, 4), None = the
+    same; T_surface_camera: (4, 4), None = not known"""
     none: FloatArray = np.eye(4)
+    base = none if base_from_surface is None else np.linalg.inv(base_from_surface)
+    known = {"arm_base": base, "camera": T_surface_camera}
     stands = {"world": (SURFACE_FRAME, none), "surface": ("world", none)}
     stands |= {name: ("surface", T) for name, T in known.items() if T is not None}
     for name, (parent, T) in stands.items():

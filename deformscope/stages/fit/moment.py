@@ -26,12 +26,12 @@ class MomentFit:
     held: IntArray
     noise_px: FloatArray
     parameter: str
-    value: float
-    interval: tuple[float, float]
-    verdict: str
-    verdict_text: str
-    aee_px: float
-    explained: float
+    value: float = float("nan")
+    interval: tuple[float, float] = (float("nan"), float("nan"))
+    verdict: str = "unidentified"
+    verdict_text: str = ""
+    aee_px: float = float("nan")
+    explained: float = float("nan")
 
 
 @dataclass(frozen=True, slots=True)

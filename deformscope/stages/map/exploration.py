@@ -95,7 +95,7 @@ class TouchEstimate:
         return f"{1e3 * self.depth_m:.1f} mm at {force}" if self.usable else force
 
     modulus_pa: float | None = field(
-        metadata=reported("modulus", unit="Pa", scale=1e-3, shown_unit="kPa", caption="modulus {}")
+        default=None, metadata=reported("modulus", unit="Pa", scale=1e-3, shown_unit="kPa", caption="modulus {}")
     )
     modulus_interval_pa: tuple[float, float] | None = field(default=None, metadata=reported(unit="Pa"))
     depth_m: float = field(metadata=reported(unit="m"))
@@ -113,12 +113,13 @@ class TouchEstimate:
     )
     peak_rate_interval_n_per_s: tuple[float, float] | None = field(default=None, metadata=reported(unit="N/s"))
     beta: float | None = field(
+        default=None,
         metadata=reported(
             unit="1", words=lambda touch: "" if touch.beta_verdict == NOT_ASKED else touch.beta_text, caption="{}"
-        )
+        ),
     )
-    beta_interval: tuple[float, float] | None = field(metadata=reported())
-    beta_verdict: str = field(metadata=reported())
+    beta_interval: tuple[float, float] | None = field(default=None, metadata=reported())
+    beta_verdict: str = field(default=NOT_ASKED, metadata=reported())
     observed_m: FloatArray
     simulated_m: FloatArray
     speed_m_s: float | None = field(default=None, metadata=reported(key="approach_speed_mm_s", json_scale=1e3))

@@ -20,6 +20,8 @@ LEAST_PIXELS = 150
 """Of a wall: a smaller one is taken as rigid."""
 MOST = 4
 """Walls, the largest ones."""
+LEVEL_M = 0.01
+"""A wall that rises by less is pressed alike all over: how it rises is the rendering's rounding."""
 
 
 def bulge_shapes(view: ModelView, height_m: FloatArray) -> FloatArray:
@@ -37,9 +39,10 @@ def bulge_shapes(view: ModelView, height_m: FloatArray) -> FloatArray:
     away = cv2.distanceTransform(inner.astype(np.uint8), cv2.DIST_L2, 3).astype(np.float64)
     shapes = np.zeros((*seen.shape, 2 * min(len(walls), MOST)))
     for number, wall in enumerate(walls[:MOST]):
-        share = np.where(label == wall, away, 0.0) / away[label == wall].max()
-        low, high = height_m[label == wall].min(), height_m[label == wall].max()
-        above = np.where(label == wall, 2.0 * height_m - low - high, 0.0) / max(high - low, 1e-6)
+        own = label == wall
+        share, height = np.where(own, away, 0.0) / away[own].max(), height_m[own]
+        low, high = height.min(), height.max()
+        above = np.where(own, 2.0 * height_m - low - high, 0.0) / max(high - low, LEVEL_M)
         shapes[..., 2 * number] = share * (2.0 - share)
         shapes[..., 2 * number + 1] = shapes[..., 2 * number] * above
     return shapes

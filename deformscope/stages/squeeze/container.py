@@ -96,11 +96,16 @@ class ModelRenderer:
         self._scene = o3d.t.geometry.RaycastingScene(nthreads=1)
         vertices, triangles = model.vertices_m.astype(np.float32), model.triangles.astype(np.uint32)
         self._scene.add_triangles(o3d.core.Tensor.from_numpy(vertices), o3d.core.Tensor.from_numpy(triangles))
+        first, second, third = np.moveaxis(model.vertices_m[model.triangles], 1, 0)
+        normal = np.cross(second - first, third - first)
+        self._outward = normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
+        self._away_m = np.einsum("ij,ij->i", self._outward, first)
 
     def rays(self, pixels: FloatArray | IntArray) -> FloatArray:
         """(..., 3) along pixels (..., 2) as (column, row), camera frame, with a length of 1 along the axis."""
-        aside = (np.asarray(pixels, dtype=np.float64) - self.camera.centre_px) / self.camera.focal_px
-        return np.concatenate([aside, np.ones((*aside.shape[:-1], 1))], axis=-1)
+        ray = np.ones((*pixels.shape[:-1], 3))
+        ray[..., :2] = (pixels - np.array(self.camera.centre_px)) / self.camera.focal_px
+        return ray
 
     def render(
         self, T_camera_container: FloatArray, pixels: FloatArray | IntArray, ray: FloatArray | None = None
@@ -108,13 +113,19 @@ class ModelRenderer:
         """What pixels (..., 2) as (column, row) see of the container at a pose (4, 4). ray: (..., 3), where known"""
         pose = np.asarray(T_camera_container, dtype=np.float64)
         ray = (self.rays(pixels) if ray is None else ray) @ pose[:3, :3]
+        eye = -pose[:3, 3] @ pose[:3, :3]  # in the container's frame, which does not move
         cast = np.empty((*ray.shape[:-1], 6), dtype=np.float32)
-        cast[..., :3] = -pose[:3, 3] @ pose[:3, :3]  # the eye in the container's frame, which does not move
-        cast[..., 3:] = ray
+        cast[..., :3], cast[..., 3:] = eye, ray
         hit = self._scene.cast_rays(o3d.core.Tensor.from_numpy(cast), nthreads=1)
-        depth = hit["t_hit"].numpy().astype(np.float64)
-        depth[~np.isfinite(depth)] = np.nan
-        return ModelView(depth, hit["primitive_normals"].numpy(), pose[:3, :3])
+        known = np.isfinite(hit["t_hit"].numpy())
+        # Which triangle is hit is Embree's; where, in float64: its last bit is another one on other processors.
+        triangle = np.where(known, hit["primitive_ids"].numpy(), 0)
+        outward = self._outward[triangle]
+        depth = np.full(known.shape, np.nan)
+        np.divide(
+            (self._away_m - self._outward @ eye)[triangle], np.einsum("...i,...i", outward, ray), out=depth, where=known
+        )
+        return ModelView(depth, outward, pose[:3, :3])
 
     def window(self, T_camera_container: FloatArray, shape: tuple[int, int], margin_px: int = 0) -> tuple[int, ...]:
         """(left, top, right, bottom) of the part of an image (H, W) that the container can be seen in, right and bottom

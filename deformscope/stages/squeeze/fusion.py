@@ -54,10 +54,12 @@ class Pool:
         return score + self.offset
 
 
-def fit_pool(logs: FloatArray, present: BoolArray, target: IntArray, centre: float = 1.0) -> Pool:
+def fit_pool(
+    logs: FloatArray, present: BoolArray, target: IntArray, centre: float = 1.0, near: Pool | None = None
+) -> Pool:
     """The most probable weights and offsets for (M, n, C) logarithms of posteriors of points left out, (n,) classes.
 
-    centre: of the weights before any data
+    centre: of the weights before any data; near: where the search begins, default there
     """
     modalities, count, classes = logs.shape
     shown = np.where(present[..., None], logs, 0.0)
@@ -79,7 +81,8 @@ def fit_pool(logs: FloatArray, present: BoolArray, target: IntArray, centre: flo
         gradient = np.concatenate([by_weight.ravel(), wrong.sum(axis=0) + offset / OFFSET_DEVIATION**2])
         return float(0.5 * penalty - log_posterior[row, target].sum()), gradient
 
-    start = np.concatenate([np.full(modalities * classes, centre), np.zeros(classes)])
+    near = near or Pool(np.full((modalities, classes), centre), np.zeros(classes))
+    start = np.concatenate([near.weight.ravel(), near.offset])
     bounds = [(0.0, None)] * (modalities * classes) + [(None, None)] * classes
     found = minimize(loss, start, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 100, "ftol": 1e-7}).x
     return Pool(found[:-classes].reshape(modalities, classes), found[-classes:])
@@ -186,9 +189,17 @@ def fit_expert(
             members.append(Member(name, columns, fitting(chosen, target, classes)))
         said.append(logs)
     stacked = np.stack(said)
-    rows = np.ones((len(said), int(known.sum())), dtype=bool)
-    pool = fit_pool(stacked[:, known], rows, target[known], 1.0 / len(said))
-    return Fitted(Expert(tuple(members), pool), everywhere(pool, stacked), known)
+
+    def pooled(of: BoolArray, near: Pool | None = None) -> Pool:
+        return fit_pool(stacked[:, of], np.ones((len(said), int(of.sum())), bool), target[of], 1.0 / len(said), near)
+
+    pool = pooled(known)
+    logs = everywhere(pool, stacked)
+    for one in np.unique(fold):
+        # The pool that weighs a point has not seen it either: else fusion learns from posteriors surer than new ones.
+        if (others := known & (fold != one)).any():
+            logs[fold == one] = everywhere(pooled(others, pool), stacked[:, fold == one])
+    return Fitted(Expert(tuple(members), pool), logs, known)
 
 
 # Several modalities --------------------------------------------------------------------------------------------------

@@ -30,11 +30,18 @@ TIMES_S = (0.2, 0.5, 1.0)
 @dataclass(frozen=True, slots=True)
 class TimeCheck:
     """What a model says so long after first contact, of the modalities of `score`; time_s: NaN = in the end, of all
-    that are fused; error_interval: of the calibration error, by drawing trials anew"""
+    that are fused; error_interval: of the calibration error, by drawing trials anew; by_chance: the error that a
+    perfectly calibrated model of the same posteriors has in the mean, as its bins hold few trials
+    debiased: root mean square error over the bins, without what chance adds to its square (Kumar, Liang and Ma 2019);
+    it is not below the mean error in the long run"""
 
     time_s: float = field(metadata=reported(json=lambda time_s: None if math.isnan(time_s) else time_s))
     score: ClassificationScore = field(metadata=reported(flat=True))
     error_interval: Interval = field(metadata=reported(key="calibration_interval"))
+    by_chance: float = field(metadata=reported(key="calibration_by_chance"))
+    debiased: Estimated = field(
+        metadata=reported(key="calibration_debiased", interval_key="calibration_debiased_interval")
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,7 +109,7 @@ def check_model(model: ContentModel, table: LabelledTable, *, level: float = 0.9
         stated = model.promised.get("level", level)
         expected = share_among_new(promised, score.worth, level, float(stated) if isinstance(stated, float) else level)
     calibrated = _calibrated(posterior, score, seed)
-    last = TimeCheck(math.nan, score, _error_interval(model, table, posterior, rows, level, seed))
+    last = _time_check(math.nan, score, posterior, _target(model, table, rows), seed)
     times = tuple(_times(model, table, level, seed))
     return ModelCheck(model.labels, score, alone, promised, expected, bins, calibrated, (*times, last) if times else ())
 
@@ -116,21 +123,43 @@ def _times(model: ContentModel, table: LabelledTable, level: float, seed: int) -
         rows = np.flatnonzero(~absent(now["tactile"]))
         names, posterior = model.predict_at(time_s, {name: values[rows] for name, values in now.items()})
         score = _score(model, table, posterior, rows, names, level)
-        yield TimeCheck(time_s, score, _error_interval(model, table, posterior, rows, level, seed))
+        yield _time_check(time_s, score, posterior, _target(model, table, rows), seed)
 
 
-def _error_interval(
-    model: ContentModel, table: LabelledTable, posterior: FloatArray, rows: IntArray, level: float, seed: int
-) -> Interval:
-    """Of the calibration error of a posterior (n, classes) of rows (n,). Few trials err upwards by chance alone."""
-    right = posterior.argmax(axis=1) == np.array([model.labels.index(one) for one in table.label[rows]])
+def _target(model: ContentModel, table: LabelledTable, rows: IntArray) -> IntArray:
+    """(n,) index of each label among those of the model."""
+    return np.array([model.labels.index(one) for one in table.label[rows]])
+
+
+def _time_check(
+    time_s: float, score: ClassificationScore, posterior: FloatArray, target: IntArray, seed: int
+) -> TimeCheck:
+    """With the calibration errors of a posterior (n, classes); few trials err upwards by chance. target: (n,)"""
+    right, size = posterior.argmax(axis=1) == target, len(target)
     sure, random = posterior.max(axis=1), np.random.default_rng([seed, 0xEC])
-    place, errors = np.minimum((sure * BINS).astype(int), BINS - 1), []
-    for _ in range(DRAWS):
-        drawn = random.integers(len(rows), size=len(rows))
-        errors.append(np.abs(np.bincount(place[drawn], (sure - right)[drawn], BINS)).sum() / len(rows))
-    low, high = np.quantile(errors, [0.5 - level / 2, 0.5 + level / 2])
-    return float(low), float(high)
+    place = np.minimum((sure * BINS).astype(int), BINS - 1)
+
+    def errors(of: IntArray) -> tuple[float, float]:
+        """The mean error of these trials, and the square of the debiased one."""
+        count = np.bincount(place[of], minlength=BINS)
+        off, hit = (np.bincount(place[of], values[of], BINS) for values in (sure - right, right))
+        several = count > 1
+        count, share = count[several], hit[several] / count[several]
+        square = (off[several] / count) ** 2 - share * (1.0 - share) / (count - 1)
+        return float(np.abs(off).sum()) / size, float(count @ square) / size
+
+    drawn = np.array([errors(random.integers(size, size=size)) for _ in range(DRAWS)])
+    low, high = np.quantile(drawn[:, 0], [0.5 - score.level / 2, 0.5 + score.level / 2])
+    perfect = [np.bincount(place, sure - (random.random(size) < sure), BINS) for _ in range(DRAWS)]
+    found, half = errors(np.arange(size))[1], stats.norm.ppf(0.5 + score.level / 2) * drawn[:, 1].std()
+    root, least, most = np.sqrt(np.maximum([found, found - half, found + half], 0.0)).tolist()
+    return TimeCheck(
+        time_s,
+        score,
+        error_interval=(float(low), float(high)),
+        by_chance=float(np.abs(perfect).sum(axis=1).mean()) / size,
+        debiased=Estimated(root, (least, most)),
+    )
 
 
 def _promised(model: ContentModel) -> Estimated | None:
@@ -151,7 +180,7 @@ def _score(
 ) -> ClassificationScore:
     """The score as that of an evaluation, for trials that each were answered once. posterior: (n, classes); rows: (n,)
     of the table"""
-    target = np.array([model.labels.index(one) for one in table.label[rows]])
+    target = _target(model, table, rows)
     answer = posterior.argmax(axis=1)
     right, sure = answer == target, posterior.max(axis=1)
     classes = len(model.labels)

@@ -333,6 +333,9 @@ def _solve(
         total += square
         right += along
     strength, directions = np.linalg.eigh(total)
+    directions *= np.sign(
+        directions[(np.abs(directions) > 0.3).argmax(axis=0), range(6)]
+    )  # none is all below 1 / 6^0.5
     known = strength > OBSERVED_M**-2
     to_rest = np.linalg.solve(turn, _between(pose, rest))
     along = np.where(known, (directions.T @ right) / np.maximum(strength, 1e-12), directions.T @ to_rest)

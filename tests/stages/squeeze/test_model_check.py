@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from deformscope.errors import InputError
+from deformscope.stages.squeeze import model_check
 from deformscope.stages.squeeze.model import ContentModel, fit_model
 from deformscope.stages.squeeze.model_check import check_model
 from tests.stages.squeeze.trials import stepped, two_modalities
@@ -75,6 +78,8 @@ def test_what_a_model_says_while_the_squeeze_goes_on_is_checked_at_each_time() -
     for one in found:
         low, high = one.error_interval
         assert 0.0 < low < high < 0.15  # 300 answers of a classifier that means what it says
+        assert low - 0.05 < one.by_chance < high
+        assert one.debiased.interval[0] <= one.debiased.value < one.score.calibration_error + 0.02
 
 
 def test_answers_that_are_too_sure_have_a_calibration_error_that_shows() -> None:
@@ -86,6 +91,31 @@ def test_answers_that_are_too_sure_have_a_calibration_error_that_shows() -> None
 
     assert after.score.calibration_error > before.error_interval[1]
     assert after.error_interval[0] <= after.score.calibration_error <= after.error_interval[1]
+    assert after.debiased.interval[0] > after.by_chance
+    assert before.debiased.interval[0] == 0.0
+
+
+@pytest.mark.parametrize("off", [0.0, 0.05, 0.15])
+def test_the_debiased_error_is_what_was_put_in_and_its_interval_holds_it(
+    off: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Answers whose probabilities are above the share that is right by as much, 300 at a time."""
+    monkeypatch.setattr(model_check, "DRAWS", 200)
+    held, values, chance = [], [], []
+    for seed in range(60):
+        random = np.random.default_rng(seed)
+        sure = random.uniform(0.6, 1.0, 300)
+        right = random.random(300) < sure - off
+        score: Any = SimpleNamespace(level=0.9)
+        posterior = np.stack([1.0 - sure, sure], axis=1)
+        found = model_check._time_check(0.2, score, posterior, right.astype(np.int64), seed)
+        held.append(found.debiased.interval[0] <= off <= found.debiased.interval[1])
+        values.append(found.debiased.value)
+        chance.append(found.by_chance)
+
+    assert np.mean(held) > 0.83
+    assert np.mean(values) == pytest.approx(off, abs=0.025)
+    assert 0.02 < np.mean(chance) < 0.06
 
 
 def test_a_table_without_steps_has_no_times() -> None:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import dataclasses
+from typing import Any
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
-from deformscope.stages.squeeze.container import ContainerModel, ModelRenderer
+from deformscope.stages.squeeze.container import ContainerModel, ModelRenderer, ModelView
 from deformscope.stages.squeeze.patch import around
 from deformscope.stages.squeeze.track import PoseEstimate, TrackOptions, locate, track
 from tests.stages.squeeze.views import BOX, CAMERA, COLUMN, CYLINDER, PIXELS, SHAPE, looking, moved, squeezed
@@ -126,8 +129,8 @@ def test_a_container_is_located_from_a_guess() -> None:
 def test_a_rendering_is_where_geometry_says() -> None:
     view = ModelRenderer(BOX, CAMERA).render(looking(1.0, 0.0, 90.0), np.array([[319.5, 239.5], [0.0, 0.0]]))
 
-    np.testing.assert_allclose(view.depth_m, [1.0 - 0.04, np.nan], atol=1e-6)
-    np.testing.assert_allclose(view.normal(np.array([True, False])), [[0.0, 0.0, -1.0]], atol=1e-6)
+    np.testing.assert_allclose(view.depth_m, [1.0 - 0.04, np.nan], atol=1e-14)
+    np.testing.assert_allclose(view.normal(np.array([True, False])), [[0.0, 0.0, -1.0]], atol=1e-14)
     round_one = ModelRenderer(CYLINDER, CAMERA).render(looking(1.0, 0.0, 33.0), np.array([[319.5, 239.5]]))
     np.testing.assert_allclose(round_one.depth_m, [1.0 - 0.045], atol=1e-5)
 
@@ -156,3 +159,33 @@ def test_a_full_carton_whose_walls_bulge_is_not_taken_for_one_that_stands_nearer
 
     assert found.good, found.reason
     assert np.linalg.norm(found.T_camera_container[:3, 3] - rest[:3, 3]) < 6e-4
+
+
+def test_rounding_of_the_rendering_moves_a_pose_by_no_more_than_itself(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As on another processor: last bits of the model's depths, a lid that is level included, are drawn."""
+    true, random = looking(0.9, 35.0, 60.0), np.random.default_rng(0)
+    pose = moved(true, np.array([0.003, -0.002, 0.001]), np.array([0.5, 0.0, 1.0]))
+    seen = squeezed(BOX, true, pose, random)
+    first = track(ModelRenderer(BOX, CAMERA), seen.depth_m, true, excluded=seen.finger)
+    render = ModelRenderer.render
+
+    def rounded(self: ModelRenderer, *given: Any) -> ModelView:
+        view = render(self, *given)
+        bits = random.integers(-1, 2, view.depth_m.shape)
+        return dataclasses.replace(view, depth_m=view.depth_m + bits * np.spacing(view.depth_m))
+
+    monkeypatch.setattr(ModelRenderer, "render", rounded)
+    again = track(ModelRenderer(BOX, CAMERA), seen.depth_m, true, excluded=seen.finger)
+
+    assert first.good
+    np.testing.assert_allclose(again.T_camera_container, first.T_camera_container, atol=1e-13)
+    np.testing.assert_allclose(again.directions, first.directions, atol=1e-9)
+
+
+def test_directions_have_a_sign_of_their_own() -> None:
+    true = looking(0.9, 35.0, 60.0)
+    for shift_m in (-0.002, 0.0, 0.002):
+        seen = squeezed(BOX, true, moved(true, np.array([shift_m, 0.0, 0.0]), np.zeros(3)), np.random.default_rng(0))
+        directions = track(ModelRenderer(BOX, CAMERA), seen.depth_m, true, excluded=seen.finger).directions
+        for one in directions:
+            assert one[np.flatnonzero(np.abs(one) > 0.3)[0]] > 0.0
