@@ -141,6 +141,18 @@ def newton_functions_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
             return own(values, offset + group, 0)
         return own(values, offset + group * span.abreast, 1)
 
+    @wp.func
+    def flagged(span: Span, flags: Ints, group: int):
+        """1 in the lanes of the candidates whose flag is 1, else 0."""
+        found = lane()
+        for l in range(wp.static(width)):
+            member = group
+            if span.abreast > 1:
+                member = group * span.abreast + l
+            if flags[member] == 1:
+                found[l] = one
+        return found
+
     @wp.func_native(
         f"{sums_c} r = s; for (int i = 0; i < {dim}; ++i) {each}"
         " r.c[l] += wp::float64(m.c[l] * a.data[i][l] * b.data[i][l]); return r;"
@@ -335,12 +347,7 @@ def newton_functions_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
     def begin(span: Span, newton: NewtonState, group: int, block: int):
         """Conjugate gradients start at a step of 0, unless the last step is to be shortened first."""
         at, count = place_of(span, group, block)
-        begins = lane()
-        for l in range(wp.static(width)):
-            member = group
-            if span.abreast > 1:
-                member = group * span.abreast + l
-            begins[l] = scalar(newton.inner[member])
+        begins = flagged(span, newton.inner, group)
         keeps = lane(one) - begins
         r = choose(begins, load(newton.residual, at, span.stride))
         store(newton.rho, at, span.stride, r, count)
@@ -479,7 +486,7 @@ def newton_functions_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
             second_out[places[i] + k * stride] = value
 
     return members(
-        *(Span, NewtonState, place_of, metric_of, of_candidate, add_product, put, keep, fold, collected),
+        *(Span, NewtonState, place_of, metric_of, of_candidate, flagged, add_product, put, keep, fold, collected),
         *(inner_products, move, judge, begin, curvature, descend, conjugate, direct, aim, reset, put_at),
         sums=sums,
         joined=joined,
