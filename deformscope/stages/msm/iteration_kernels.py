@@ -477,17 +477,27 @@ def newton_functions_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
             newton.least_before[i] = unity
             newton.reach[i] = reach
 
-    @wp.func
-    def put_at(places: Ints, values: numbers, stride: int, first_out: numbers, second_out: numbers, i: int):
-        """Puts vectors (component by component) at the places of two fields."""
-        for k in range(wp.static(dim)):
-            value = values[k * places.shape[0] + i]
-            first_out[places[i] + k * stride] = value
-            second_out[places[i] + k * stride] = value
+    def small_kernels(resetting: Any, putting: Any) -> tuple[Any, Any]:
+        """The kernels of `reset`, and of `put_at` that puts vectors (component by component) at the places of two
+        fields, by these decorators."""
+
+        @resetting(name="reset")
+        def reset_each(span: Span, newton: NewtonState, reach: wp.float64, outer: int, inner: int):
+            reset(span, newton, reach, outer, inner, wp.tid())
+
+        @putting
+        def put_at(places: Ints, values: numbers, stride: int, first_out: numbers, second_out: numbers):
+            i = wp.tid()
+            for k in range(wp.static(dim)):
+                value = values[k * places.shape[0] + i]
+                first_out[places[i] + k * stride] = value
+                second_out[places[i] + k * stride] = value
+
+        return reset_each, put_at
 
     return members(
         *(Span, NewtonState, place_of, metric_of, of_candidate, flagged, add_product, put, keep, fold, collected),
-        *(inner_products, move, judge, begin, curvature, descend, conjugate, direct, aim, reset, put_at),
+        *(inner_products, move, judge, begin, curvature, descend, conjugate, direct, aim, reset, small_kernels),
         sums=sums,
         joined=joined,
         longest_of=longest_of,
@@ -559,16 +569,9 @@ def newton_kernels_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
             functions.keep(span, newton.parts, group, item, functions.joined(square_sum))
             functions.keep(span, newton.parts, newton.groups + group, item, functions.longest_of(longest))
 
-    @kernel
-    def reset(span: Span, newton: NewtonState, reach: wp.float64, outer: int, inner: int):
-        functions.reset(span, newton, reach, outer, inner, wp.tid())
-
-    @kernel
-    def put_at(places: Ints, values: numbers, stride: int, first_out: numbers, second_out: numbers):
-        functions.put_at(places, values, stride, first_out, second_out, wp.tid())
-
     return members(
-        *(inner_products, add_step, descend, reset, put_at, over_blocks(functions.move, outer=True)),
+        *(inner_products, add_step, descend, over_blocks(functions.move, outer=True)),
+        *functions.small_kernels(kernel, kernel),
         *(over_blocks(functions.begin), over_blocks(functions.direct), over_sums(functions.judge, outer=True)),
         *(over_sums(functions.curvature), over_sums(functions.conjugate, largest=1), over_sums(functions.aim)),
     )
@@ -899,15 +902,8 @@ def resident_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> 
             search.found[1] = wp.float64(evaluations)
             search.found[2] = wp.float64(settled)
 
-    @relax_kernel
-    def reset(span: Span, newton: NewtonState, reach: wp.float64, outer: int, inner: int):
-        newton_f.reset(span, newton, reach, outer, inner, wp.tid())
-
-    @steps_kernel
-    def put_at(places: Ints, values: numbers, stride: int, first_out: numbers, second_out: numbers):
-        newton_f.put_at(places, values, stride, first_out, second_out, wp.tid())
-
-    made = members(Passes, BetaSearch, steps, relax, aim, reset, put_at, follow)
+    small = newton_f.small_kernels(relax_kernel, steps_kernel)
+    made = members(Passes, BetaSearch, steps, relax, aim, follow, *small)
     if on_cpu:
         made.goals = goals
     return made

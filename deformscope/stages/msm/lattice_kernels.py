@@ -154,24 +154,18 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
     def middle(window_here: int):
         return scalar(0.5) * scalar(window_here - 1)
 
-    if window:
-
-        @wp.func
-        def cells_of(asked: int):
+    @wp.func
+    def cells_of(asked: int):
+        if wp.static(window > 0):
             return wp.static(window)
-
-        @wp.func
-        def run_of(asked: int):
-            return wp.static(1)
-
-    else:
-
-        @wp.func
-        def cells_of(asked: int):
+        else:  # noqa: RET505 (a static `if` compiles one of the two)
             return asked
 
-        @wp.func
-        def run_of(asked: int):
+    @wp.func
+    def run_of(asked: int):
+        if wp.static(window > 0):
+            return wp.static(1)
+        else:  # noqa: RET505
             return asked
 
     @wp.func

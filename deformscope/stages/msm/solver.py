@@ -633,13 +633,7 @@ class Msm:
     @functools.cached_property
     def _unheld(self) -> Msm:
         """The same body with nothing held: there the goals of held particles are computed too."""
-        if not len(self.held):
-            return self
-        mass = self._particles.mass
-        free: list[int] = []
-        return Msm(
-            self.rest, self._clusters, free, mass=mass, basis=self._basis, precision=self.precision, device=self.device
-        )
+        return self.holding([]) if len(self.held) else self
 
 
 class _Stepping:
