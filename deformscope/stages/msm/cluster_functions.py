@@ -38,9 +38,6 @@ def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Simp
     moments = rows_for(moment_count, width, scalar)
     transforms = rows_for(terms * dim, width, scalar)
     turns = rows_for(square_count + compliance_count + 1, width, scalar)
-    load_moment, load_null, row_of_turn = moments.own, transforms.own, turns.row
-    store_square, load_square, store_compliance = squares.store, squares.load, compliances.store
-    load_compliance, add_transform = compliances.load, transforms.add
     times_null = product_for(terms, dim, dim, width, scalar)
     functions = functions_for(dim, scalar)
     square, turn_one = functions.square, functions.turn
@@ -213,7 +210,7 @@ def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Simp
             return turn_2d(a_qq, change_t)
         else:  # noqa: RET505 (what follows a static `if` is compiled in any case; a static `else` is not)
             turned = turn_3d(a_qq, change_t)
-            if least(row_of_turn(turned, 15)) > zero:
+            if least(turns.row(turned, 15)) > zero:
                 return turned
             return settle(turned, a_qq, change_t)
 
@@ -383,18 +380,18 @@ def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Simp
 
         affine_t: A~ - [I, 0] (eq. 3.7, 3.14); change_t: A_pq - A_qq, normalised by the trace of A_qq
         """
-        turns = turn(load_moment(rest.a_qq, cluster, rest.stride, step), change_t)
+        turns = turn(moments.own(rest.a_qq, cluster, rest.stride, step), change_t)
         turned = turned_part(turns)
         if rest.has_null != 0:  # terms that the cluster leaves undetermined follow its rotation
-            affine_t = add_transform(
-                affine_t, one, times_null(load_null(rest.null_t, cluster, rest.stride, step), turned)
+            affine_t = transforms.add(
+                affine_t, one, times_null(transforms.own(rest.null_t, cluster, rest.stride, step), turned)
             )
         if kept.stride > 0:
-            store_square(kept.turned, position, kept.stride, turned, count)
-            store_compliance(kept.compliance, position, kept.stride, compliance_part(turns), count)
+            squares.store(kept.turned, position, kept.stride, turned, count)
+            compliances.store(kept.compliance, position, kept.stride, compliance_part(turns), count)
         if volume != wp.static(NONE):
             if kept.stride > 0:
-                store_square(kept.affine, position, kept.stride, square_part(affine_t), count)
+                squares.store(kept.affine, position, kept.stride, square_part(affine_t), count)
             affine_t = conserve(rest, cluster, step, affine_t, theta, volume, what)
         if what == wp.static(BY_BETA):
             return mixed(affine_t, lane(one), turned, lane(-one))
@@ -416,14 +413,14 @@ def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Simp
         volume: int,
     ):
         """Derivative of `fit` along a direction whose own fit and moments are `affine_t` and `change_t`."""
-        turned = load_square(kept.turned, position, kept.stride)
-        change = turn_change(turned, load_compliance(kept.compliance, position, kept.stride), change_t)
+        turned = squares.load(kept.turned, position, kept.stride)
+        change = turn_change(turned, compliances.load(kept.compliance, position, kept.stride), change_t)
         if rest.has_null != 0:
-            affine_t = add_transform(
-                affine_t, one, times_null(load_null(rest.null_t, cluster, rest.stride, step), change)
+            affine_t = transforms.add(
+                affine_t, one, times_null(transforms.own(rest.null_t, cluster, rest.stride, step), change)
             )
         if volume != wp.static(NONE):
-            before = load_square(kept.affine, position, kept.stride)
+            before = squares.load(kept.affine, position, kept.stride)
             affine_t = conserve_change(rest, cluster, step, before, affine_t, theta, volume)
         return mixed(affine_t, beta, change, lane(one) - beta)
 

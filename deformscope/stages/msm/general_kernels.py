@@ -334,15 +334,6 @@ def general_kernels_for(dim: int, terms: int, scalar: Any, width: int, material:
 
         return run
 
-    @wp.func
-    def ahead(lists: Lists, u: vecs.rows, before_in: numbers, motion: Motion, free: scalar, at: int):
-        """x* of eq. 3.1, 3.2: where the last motion and the push would take a free particle."""
-        moved = add(u, free * motion.going_on, add(u, -one, load(before_in, at, lists.particle_stride)))
-        for k in range(wp.static(dim)):
-            for l in range(wp.static(width)):
-                moved[k, l] = moved[k, l] + free * motion.push[k]
-        return moved
-
     @kernel
     def predict(
         lists: Lists,
@@ -354,11 +345,14 @@ def general_kernels_for(dim: int, terms: int, scalar: Any, width: int, material:
         # Out:
         star_out: numbers,
     ):
-        """x* of eq. 3.1, 3.2."""
+        """x* of eq. 3.1, 3.2: where the last motion and the push would take a free particle."""
         group, particle = wp.tid()
         at = (group * lists.particles + particle) * lists.abreast
-        u = load(u_in, at, lists.particle_stride)
-        star = ahead(lists, u, before_in, motion, free[particle], at)
+        u, is_free = load(u_in, at, lists.particle_stride), free[particle]
+        star = add(u, is_free * motion.going_on, add(u, -one, load(before_in, at, lists.particle_stride)))
+        for k in range(wp.static(dim)):
+            for l in range(wp.static(width)):
+                star[k, l] = star[k, l] + is_free * motion.push[k]
         store(star_out, at, lists.particle_stride, star, wp.static(width))
 
     @kernel

@@ -201,6 +201,9 @@ class Newton(Iteration):
         state.relative = self._relative
         self._farthest = k.REACH if self.multigrid is None else max(k.REACH, STRETCH * self.multigrid.longest)
         state.farthest.fill_(self._farthest)
+        if self.multigrid is not None:
+            grid, state.patience = self.multigrid, PATIENCE
+            state.z, state.along, state.plain, state.applied = grid.z, grid.along, grid.plain, grid.applied
         state.outer_groups, state.inner_groups = self.all_groups(), self.all_groups()
         self.state = state
         self._free = rest.free
@@ -385,8 +388,8 @@ class Newton(Iteration):
         grid, running, rho = self.multigrid, self.state.inner_groups, self.rho
         grid.cycle(rho, running)
         self.launch_sums(self.kernels.inner_products, running, rho, grid.z, rho, rho)
-        self.launch_groups(grid.aided.mix, PATIENCE, grid.along, grid.plain, grid.applied)
-        self.launch_blocks(grid.aided.direct, grid.plain, grid.z)
+        self.launch_groups(self.kernels.mix_aided)
+        self.launch_blocks(self.kernels.direct_aided)
         self._launch_along()
 
     def _launch_plain(self) -> None:

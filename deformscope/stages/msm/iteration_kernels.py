@@ -54,7 +54,7 @@ def newton_functions_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
     far, reach = wp.float64(FAR), wp.float64(REACH)
     double = scalar is wp.float64
     flat = wp.float64(1e-12 if double else 1e-7)
-    sharp = wp.float64(SHARP)
+    sharp, positive = wp.float64(SHARP), wp.float64(1e-6)
 
     @wp.struct
     class Span:
@@ -111,6 +111,11 @@ def newton_functions_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
         by: numbers  # how far to go along the step
         length: numbers  # along the direction
         mix: numbers  # how much of the last direction to keep
+        along: Doubles  # with a preconditioner: <rho, z> at the last direction
+        plain: Ints  # 1 for a candidate that goes on without it
+        applied: Ints  # how often it was applied
+        patience: int  # directions of a solve after which a candidate goes on without it
+        z: numbers  # it, applied to rho
         u: numbers
         step: numbers
         residual: numbers
@@ -445,6 +450,43 @@ def newton_functions_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
         store(newton.direction, at, span.stride, p, count)
 
     @wp.func
+    def mix_aided(span: Span, newton: NewtonState, group: int):
+        """How much of the last direction to keep, with a preconditioner; a candidate goes on without it (z = rho) once
+        it is not positive there, or a solve takes more than `patience` directions."""
+        for member in range(span.abreast):
+            i = group * span.abreast + member
+            if newton.inner[i] == 1:
+                product = collected(span, newton.parts, 0, newton.groups, group, member, 0)
+                square = collected(span, newton.parts, 1, newton.groups, group, member, 0)
+                last = newton.along[i]
+                if newton.inners[i] == 0:
+                    last = nought
+                if newton.plain[i] == 0:
+                    if product >= positive * square and wp.isfinite(product) and newton.inners[i] < newton.patience:
+                        newton.applied[i] = newton.applied[i] + 1
+                    else:
+                        newton.plain[i] = 1
+                        last = nought
+                if newton.plain[i] != 0:
+                    product = square
+                newton.mix[i] = scalar(0.0)
+                if last > nought:
+                    newton.mix[i] = scalar(product / last)
+                newton.square[i] = product
+                newton.along[i] = product
+
+    @wp.func
+    def direct_aided(span: Span, newton: NewtonState, group: int, block: int):
+        """The next direction, with a preconditioner."""
+        at, count = place_of(span, group, block)
+        without = flagged(span, newton.plain, group)
+        z = choose(lane(one) - without, load(newton.z, at, span.stride))
+        p = add(choose(without, load(newton.rho, at, span.stride)), one, z)
+        mix = of_candidate(span, newton.mix, group, 0)
+        p = add(p, one, scale(load(newton.direction, at, span.stride), mix))
+        store(newton.direction, at, span.stride, p, count)
+
+    @wp.func
     def aim(span: Span, newton: NewtonState, group: int):
         """A linear solve ends at `relative` of its right-hand side."""
         for member in range(span.abreast):
@@ -498,6 +540,7 @@ def newton_functions_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
     return members(
         *(Span, NewtonState, place_of, metric_of, of_candidate, flagged, add_product, put, keep, fold, collected),
         *(inner_products, move, judge, begin, curvature, descend, conjugate, direct, aim, reset, small_kernels),
+        *(mix_aided, direct_aided),
         sums=sums,
         joined=joined,
         longest_of=longest_of,
@@ -573,6 +616,7 @@ def newton_kernels_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
         *(inner_products, add_step, descend, over_blocks(functions.move, outer=True)),
         *functions.small_kernels(kernel, kernel),
         *(over_blocks(functions.begin), over_blocks(functions.direct), over_sums(functions.judge, outer=True)),
+        *(over_sums(functions.mix_aided), over_blocks(functions.direct_aided)),
         *(over_sums(functions.curvature), over_sums(functions.conjugate, largest=1), over_sums(functions.aim)),
     )
 

@@ -34,7 +34,6 @@ from deformscope.stages.msm.layout import Field, Layout, upload
 from deformscope.stages.msm.multigrid_kernels import (
     Cells,
     Transfer,
-    aided_kernels_for,
     smoother_for,
     transfer_kernels_for,
 )
@@ -246,7 +245,6 @@ class Multigrid:
     def __init__(self, body: LatticeBody, rest: BodyRest, layout: Layout, size: int, volume: int) -> None:
         self.layout = layout
         self.kernels = transfer_kernels_for(body.dim, body.scalar)
-        self.aided = aided_kernels_for(body.dim, body.scalar, layout.width)
         body.coarse = body.coarse or levels_of(body, rest)
         self.levels = [_Level(level, each, size, volume) for level, each in body.coarse]
         self._between = [self._transfers(*pair) for pair in zip(self.levels, self.levels[1:], strict=False)]

@@ -11,7 +11,7 @@ from typing import Any
 import warp as wp
 
 from deformscope.stages.msm.iteration_kernels import newton_functions_for
-from deformscope.stages.msm.lanes import Doubles, Ints, lanes_for, rows_for
+from deformscope.stages.msm.lanes import Ints, rows_for
 from deformscope.stages.msm.members import kernel_in, members
 
 
@@ -142,68 +142,3 @@ def smoother_for(dim: int, width: int) -> Any:
             store(direction, at, span.stride, d, count)
 
     return smooth
-
-
-@functools.cache
-def aided_kernels_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
-    """What conjugate gradients do otherwise with a preconditioner."""
-    numbers = wp.array(dtype=scalar)
-    kernel = kernel_in(f"aided_{dim}d_{scalar.__name__}_{width}", scalar)
-    rows, newton = rows_for(dim, width, scalar), newton_functions_for(dim, scalar, width)
-    lane = lanes_for(width, scalar).lane
-    load, store, add, scale, choose = rows.load, rows.store, rows.add, rows.scale, rows.choose
-    of_candidate, fold, collected = newton.of_candidate, newton.fold, newton.collected
-    Span, NewtonState = newton.Span, newton.NewtonState
-    one, nought, small = scalar(1.0), wp.float64(0.0), wp.float64(1e-6)
-
-    @kernel
-    def mix(span: Span, state: NewtonState, patience: int, along: Doubles, plain: Ints, applied: Ints):
-        """How much of the last direction to keep.
-
-        A candidate goes on without the preconditioner (z = residual) once that is not positive there, or a solve takes
-        more than `patience` directions.
-
-        along: <residual, z> at the last direction; plain: whether a candidate goes without; applied: preconditionings
-        """
-        group, thread = wp.tid()
-        if state.inner_groups[group] == 0:
-            return
-        fold(span, state.parts, 0, state.groups, group, thread, 0)
-        fold(span, state.parts, 1, state.groups, group, thread, 0)
-        if thread > 0:
-            return
-        for member in range(span.abreast):
-            i = group * span.abreast + member
-            if state.inner[i] == 1:
-                product = collected(span, state.parts, 0, state.groups, group, member, 0)
-                square = collected(span, state.parts, 1, state.groups, group, member, 0)
-                last = along[i]
-                if state.inners[i] == 0:
-                    last = nought
-                if plain[i] == 0:
-                    if product >= small * square and wp.isfinite(product) and state.inners[i] < patience:
-                        applied[i] = applied[i] + 1
-                    else:
-                        plain[i] = 1
-                        last = nought
-                if plain[i] != 0:
-                    product = square
-                state.mix[i] = scalar(0.0)
-                if last > nought:
-                    state.mix[i] = scalar(product / last)
-                state.square[i] = product
-                along[i] = product
-
-    @kernel
-    def direct(span: Span, state: NewtonState, plain: Ints, z_in: numbers):
-        """The next direction."""
-        group, block = wp.tid()
-        if state.inner_groups[group] != 0:
-            at, count = newton.place_of(span, group, block)
-            without = newton.flagged(span, plain, group)
-            z = choose(lane(one) - without, load(z_in, at, span.stride))
-            p = add(choose(without, load(state.rho, at, span.stride)), one, z)
-            p = add(p, one, scale(load(state.direction, at, span.stride), of_candidate(span, state.mix, group, 0)))
-            store(state.direction, at, span.stride, p, count)
-
-    return members(mix, direct)
