@@ -7,7 +7,7 @@ from typing import Any
 import warp as wp
 
 from deformscope.stages.msm.iteration_kernels import CONVERGED, DIVERGED, RUNNING, STALLED, newton_functions_for
-from deformscope.stages.msm.lanes import Doubles, Ints, lanes_for, rows_for
+from deformscope.stages.msm.lanes import Doubles, Ints, rows_for
 from deformscope.stages.msm.lattice_kernels import FAR
 from deformscope.stages.msm.members import kernel_in, members
 
@@ -20,7 +20,6 @@ def anderson_kernels_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
     """A kernel for each part of an iteration, for fields of `dim` rows and lanes of `width`."""
     numbers = wp.array(dtype=scalar)
     kernel = kernel_in(f"anderson_{dim}d_{scalar.__name__}_{width}", scalar)
-    lane = lanes_for(width, scalar).lane
     vecs = rows_for(dim, width, scalar)
     load, store, add, scale, choose = vecs.load, vecs.store, vecs.add, vecs.scale, vecs.choose
     history = wp.types.matrix(shape=(MEMORY, MEMORY), dtype=wp.float64)
@@ -30,12 +29,9 @@ def anderson_kernels_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
     far, growth = wp.float64(FAR), wp.float64(1e2)
     ridge = wp.float64(1e-14 if scalar is wp.float64 else 1e-8)
     functions = newton_functions_for(dim, scalar, width)
-    Span, sums, place_of, fold, joined = (
-        getattr(functions, name) for name in ("Span", "sums", "place_of", "fold", "joined")
-    )
-    metric_of, of_candidate, add_product, keep = (
-        getattr(functions, name) for name in ("metric_of", "of_candidate", "add_product", "keep")
-    )
+    Span, sums, place_of, metric_of = functions.Span, functions.sums, functions.place_of, functions.metric_of
+    of_candidate, add_product = functions.of_candidate, functions.add_product
+    fold, joined, keep = functions.fold, functions.joined, functions.keep
 
     @wp.struct
     class AndersonState:
@@ -235,13 +231,7 @@ def anderson_kernels_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
         if anderson.groups[group] == 0:
             return
         at, count = place_of(span, group, block)
-        runs = lane()
-        for l in range(wp.static(width)):
-            member = group
-            if span.abreast > 1:
-                member = group * span.abreast + l
-            if anderson.state[member] == wp.static(RUNNING):
-                runs[l] = one
+        runs = functions.flagged(span, anderson.state, group)  # RUNNING is 1
         moved = load(anderson.residual, at, span.stride)
         for slot in range(wp.static(MEMORY)):
             w = of_candidate(span, anderson.gamma, group, slot * anderson.stride)

@@ -115,14 +115,21 @@ def _followed(
     most: int,
 ) -> tuple[float, int, bool]:
     """The search of `fit_beta` where no kernel does it in one launch: beta, evaluations, whether it settled."""
-    spread = STATE_TOLERANCE * body.extent / body.scale
-    low, high = 0.0, LARGEST
+    layout, spread = method.layout, STATE_TOLERANCE * body.extent / body.scale
+    low, high, beta, evaluations = 0.0, LARGEST, start, 0
     before: tuple[float, float] | None = None
-    beta, evaluations = start, 0
     settled = False
     while evaluations < most and not settled:
-        slope, curvature, moved = _downhill(method, body, beta, target, seen, spread)
+        method.set(np.array([beta]), np.zeros(1))
+        method.relax(None, spread, 40 * len(body.rest) + 4000)
+        method.derive(BY_BETA)
+        method.solve(DERIVATIVE_TOLERANCE)
         evaluations += 1
+        u, moved = (layout.get(each, body.dim) for each in (method.u, method.step))
+        away, along = (u[0] - target)[seen], moved[0][seen]
+        distance = np.maximum(np.sqrt(np.sum(away * away, axis=1)), 1e-9)
+        slope = float(np.sum(np.sum(away * along, axis=1) / distance))
+        curvature = float(np.sum(np.sum(along * along, axis=1) / distance))  # with it no step overshoots
         low, high = (max(low, beta), high) if slope < 0.0 else (low, min(high, beta))
         step = -slope / curvature if curvature > 0.0 else 0.0
         if before is not None and slope != before[1]:
@@ -132,25 +139,9 @@ def _followed(
         new = float(np.clip(beta + step, low + 0.1 * (beta - low), high - 0.1 * (high - beta)))
         settled = abs(new - beta) <= tolerance
         before = (beta, slope)
-        method.layout.put((method.layout.get(method.u, body.dim) + moved * (new - beta)), method.u)
+        layout.put(u + moved * (new - beta), method.u)
         beta = new
     return beta, evaluations, settled
-
-
-def _downhill(
-    method: Newton, body: Msm, beta: float, target: FloatArray, seen: BoolArray, tolerance: float
-) -> tuple[float, float, FloatArray]:
-    """Slope of the summed distance at beta, a curvature that never overshoots, and d state / d beta (1, K, d)."""
-    method.set(np.array([beta]), np.zeros(1))
-    method.relax(None, tolerance, 40 * len(body.rest) + 4000)
-    method.derive(BY_BETA)
-    method.solve(DERIVATIVE_TOLERANCE)
-    moved = method.layout.get(method.step, body.dim)
-    away = (method.layout.get(method.u, body.dim)[0] - target)[seen]
-    along = moved[0][seen]
-    distance = np.maximum(np.sqrt(np.sum(away * away, axis=1)), 1e-9)
-    slope = float(np.sum(np.sum(away * along, axis=1) / distance))
-    return slope, float(np.sum(np.sum(along * along, axis=1) / distance)), moved
 
 
 def fit_beta_theta(

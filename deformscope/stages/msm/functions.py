@@ -182,24 +182,6 @@ def functions_for(dim: int, scalar: Any) -> SimpleNamespace:
     turn = turn_2d if dim == 2 else turn_3d
 
     @wp.func
-    def turn_change_2d(turned: square, compliance: square, change: square):
-        """dR for dA_pq = change, where R - I = turned."""
-        b = change + wp.transpose(turned) * change
-        angle = compliance[0, 0] * (b[1, 0] - b[0, 1])
-        spin = square(zero, -angle, angle, zero)
-        return spin + turned * spin
-
-    @wp.func
-    def turn_change_3d(turned: square, compliance: square, change: square):
-        """dR for dA_pq = change, where R - I = turned."""
-        b = change + wp.transpose(turned) * change
-        w = compliance * vec(b[2, 1] - b[1, 2], b[0, 2] - b[2, 0], b[1, 0] - b[0, 1])
-        spin = wp.skew(w)
-        return spin + turned * spin
-
-    turn_change = turn_change_2d if dim == 2 else turn_change_3d
-
-    @wp.func
     def volume_denominator(a: square, theta: scalar, span_axes: square, span_count: int):
         """Denominator of eq. 3.17 for what the cluster spans: volume, area or length; kept away from 0."""
         measure = wp.determinant(a)
@@ -487,7 +469,6 @@ def functions_for(dim: int, scalar: Any) -> SimpleNamespace:
     return members(
         *(volume_denominator, denominator_change, singular_values, project, project_change),
         turn=turn,
-        turn_change=turn_change,
         vec=vec,
         square=square,
     )

@@ -243,18 +243,15 @@ class Newton(Iteration):
         while done < max_iterations:
             if self.threads:
                 done += self._stay_for(max_iterations - done)
-                if progress is not None:
-                    progress(size - int(np.count_nonzero(state.state.numpy()[:size] == k.RUNNING)))
-                if not state.outer_groups.numpy().any():
-                    break
-                continue
-            self._outer()
-            done += 1
-            if not state.outer_groups.numpy().any():
-                break
+            else:
+                self._outer()
+                done += 1
             if progress is not None:
                 progress(size - int(np.count_nonzero(state.state.numpy()[:size] == k.RUNNING)))
-            done += self._descend(max_iterations - done)
+            if not state.outer_groups.numpy().any():
+                break
+            if not self.threads:
+                done += self._descend(max_iterations - done)
         return self._ended(state, spent)
 
     def _predict(self, most: int) -> IntArray:

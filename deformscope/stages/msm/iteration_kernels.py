@@ -141,6 +141,18 @@ def newton_functions_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
             return own(values, offset + group, 0)
         return own(values, offset + group * span.abreast, 1)
 
+    @wp.func
+    def flagged(span: Span, flags: Ints, group: int):
+        """1 in the lanes of the candidates whose flag is 1, else 0."""
+        found = lane()
+        for l in range(wp.static(width)):
+            member = group
+            if span.abreast > 1:
+                member = group * span.abreast + l
+            if flags[member] == 1:
+                found[l] = one
+        return found
+
     @wp.func_native(
         f"{sums_c} r = s; for (int i = 0; i < {dim}; ++i) {each}"
         " r.c[l] += wp::float64(m.c[l] * a.data[i][l] * b.data[i][l]); return r;"
@@ -335,12 +347,7 @@ def newton_functions_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
     def begin(span: Span, newton: NewtonState, group: int, block: int):
         """Conjugate gradients start at a step of 0, unless the last step is to be shortened first."""
         at, count = place_of(span, group, block)
-        begins = lane()
-        for l in range(wp.static(width)):
-            member = group
-            if span.abreast > 1:
-                member = group * span.abreast + l
-            begins[l] = scalar(newton.inner[member])
+        begins = flagged(span, newton.inner, group)
         keeps = lane(one) - begins
         r = choose(begins, load(newton.residual, at, span.stride))
         store(newton.rho, at, span.stride, r, count)
@@ -470,17 +477,27 @@ def newton_functions_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
             newton.least_before[i] = unity
             newton.reach[i] = reach
 
-    @wp.func
-    def put_at(places: Ints, values: numbers, stride: int, first_out: numbers, second_out: numbers, i: int):
-        """Puts vectors (component by component) at the places of two fields."""
-        for k in range(wp.static(dim)):
-            value = values[k * places.shape[0] + i]
-            first_out[places[i] + k * stride] = value
-            second_out[places[i] + k * stride] = value
+    def small_kernels(resetting: Any, putting: Any) -> tuple[Any, Any]:
+        """The kernels of `reset`, and of `put_at` that puts vectors (component by component) at the places of two
+        fields, by these decorators."""
+
+        @resetting(name="reset")
+        def reset_each(span: Span, newton: NewtonState, reach: wp.float64, outer: int, inner: int):
+            reset(span, newton, reach, outer, inner, wp.tid())
+
+        @putting
+        def put_at(places: Ints, values: numbers, stride: int, first_out: numbers, second_out: numbers):
+            i = wp.tid()
+            for k in range(wp.static(dim)):
+                value = values[k * places.shape[0] + i]
+                first_out[places[i] + k * stride] = value
+                second_out[places[i] + k * stride] = value
+
+        return reset_each, put_at
 
     return members(
-        *(Span, NewtonState, place_of, metric_of, of_candidate, add_product, put, keep, fold, collected),
-        *(inner_products, move, judge, begin, curvature, descend, conjugate, direct, aim, reset, put_at),
+        *(Span, NewtonState, place_of, metric_of, of_candidate, flagged, add_product, put, keep, fold, collected),
+        *(inner_products, move, judge, begin, curvature, descend, conjugate, direct, aim, reset, small_kernels),
         sums=sums,
         joined=joined,
         longest_of=longest_of,
@@ -552,16 +569,9 @@ def newton_kernels_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
             functions.keep(span, newton.parts, group, item, functions.joined(square_sum))
             functions.keep(span, newton.parts, newton.groups + group, item, functions.longest_of(longest))
 
-    @kernel
-    def reset(span: Span, newton: NewtonState, reach: wp.float64, outer: int, inner: int):
-        functions.reset(span, newton, reach, outer, inner, wp.tid())
-
-    @kernel
-    def put_at(places: Ints, values: numbers, stride: int, first_out: numbers, second_out: numbers):
-        functions.put_at(places, values, stride, first_out, second_out, wp.tid())
-
     return members(
-        *(inner_products, add_step, descend, reset, put_at, over_blocks(functions.move, outer=True)),
+        *(inner_products, add_step, descend, over_blocks(functions.move, outer=True)),
+        *functions.small_kernels(kernel, kernel),
         *(over_blocks(functions.begin), over_blocks(functions.direct), over_sums(functions.judge, outer=True)),
         *(over_sums(functions.curvature), over_sums(functions.conjugate, largest=1), over_sums(functions.aim)),
     )
@@ -892,15 +902,8 @@ def resident_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> 
             search.found[1] = wp.float64(evaluations)
             search.found[2] = wp.float64(settled)
 
-    @relax_kernel
-    def reset(span: Span, newton: NewtonState, reach: wp.float64, outer: int, inner: int):
-        newton_f.reset(span, newton, reach, outer, inner, wp.tid())
-
-    @steps_kernel
-    def put_at(places: Ints, values: numbers, stride: int, first_out: numbers, second_out: numbers):
-        newton_f.put_at(places, values, stride, first_out, second_out, wp.tid())
-
-    made = members(Passes, BetaSearch, steps, relax, aim, reset, put_at, follow)
+    small = newton_f.small_kernels(relax_kernel, steps_kernel)
+    made = members(Passes, BetaSearch, steps, relax, aim, follow, *small)
     if on_cpu:
         made.goals = goals
     return made

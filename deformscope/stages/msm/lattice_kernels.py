@@ -17,8 +17,8 @@ from typing import Any
 import warp as wp
 
 from deformscope.stages.msm.cluster_functions import GOAL, cluster_functions_for
-from deformscope.stages.msm.lanes import Ints, lanes_for, module_options, product_for, rows_for
-from deformscope.stages.msm.members import members
+from deformscope.stages.msm.lanes import Ints, lanes_for, product_for, rows_for
+from deformscope.stages.msm.members import kernel_in, members
 
 BOTH = 4
 """Widest windows that a GPU sums up along two axes at once; of wider ones that takes longer than one more pass."""
@@ -154,24 +154,18 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
     def middle(window_here: int):
         return scalar(0.5) * scalar(window_here - 1)
 
-    if window:
-
-        @wp.func
-        def cells_of(asked: int):
+    @wp.func
+    def cells_of(asked: int):
+        if wp.static(window > 0):
             return wp.static(window)
-
-        @wp.func
-        def run_of(asked: int):
-            return wp.static(1)
-
-    else:
-
-        @wp.func
-        def cells_of(asked: int):
+        else:  # noqa: RET505 (a static `if` compiles one of the two)
             return asked
 
-        @wp.func
-        def run_of(asked: int):
+    @wp.func
+    def run_of(asked: int):
+        if wp.static(window > 0):
+            return wp.static(1)
+        else:  # noqa: RET505
             return asked
 
     @wp.func
@@ -597,9 +591,7 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
 def lattice_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> SimpleNamespace:
     """A kernel for each pass: a GPU's threads share the items of all groups."""
     numbers = wp.array(dtype=scalar)
-    module = f"deformscope_lattice_{dim}d_{scalar.__name__}_{width}_{window}"
-    wp.get_module(module).options.update(module_options(scalar))
-    kernel = functools.partial(wp.kernel, module=module, enable_backward=False)
+    kernel = kernel_in(f"lattice_{dim}d_{scalar.__name__}_{width}_{window}", scalar)
     fitting = functools.partial(kernel, launch_bounds=(256, 2))  # else too few threads fit to hide what they wait for
     functions = lattice_functions_for(dim, scalar, width, window)
     cluster = cluster_functions_for(dim, dim, scalar, width)
@@ -648,11 +640,6 @@ def lattice_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> S
 
         return fits
 
-    windows_middle, spread_slow, spread_middle = (
-        pass_of(name) for name in ("windows_middle", "spread_slow", "spread_middle")
-    )
-    fit_clusters, fit_changes = fit_of("fit_clusters"), fit_of("fit_changes")
-
     @kernel
     def finish(
         grid: functions.Grid,
@@ -668,6 +655,5 @@ def lattice_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> S
         if running[group] != 0:
             functions.finish(grid, fields, motion, u_in, 0, before_in, 0, out, ran_away, group, item)
 
-    passes = {"windows_middle": windows_middle, "spread_slow": spread_slow, "spread_middle": spread_middle}
-    fits = {"fit_clusters": fit_clusters, "fit_changes": fit_changes}
-    return SimpleNamespace(windows_fast=windows_fast, finish=finish, **passes, **fits)
+    passes = (pass_of(name) for name in ("windows_middle", "spread_slow", "spread_middle"))
+    return members(windows_fast, finish, *passes, fit_of("fit_clusters"), fit_of("fit_changes"))

@@ -16,11 +16,13 @@ iterations but nothing else.
 from __future__ import annotations
 
 import functools
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, TypeGuard
+from typing import Any, TypeAlias, TypeGuard
 
 import numpy as np
 import warp as wp
+from scipy.sparse import block_diag, csr_array
 from scipy.spatial import cKDTree
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
@@ -36,6 +38,8 @@ from deformscope.stages.msm.multigrid_kernels import (
     smoother_for,
     transfer_kernels_for,
 )
+
+Launch: TypeAlias = Callable[[], None]
 
 LEAST = RESIDENT_CELLS
 """Cells of the smallest body that is preconditioned: below, plain conjugate gradients are as quick."""
@@ -59,8 +63,8 @@ class CoarseRest:
 
     present, held: (n0, n1, n2); mass: the same, over the mean mass of the body; corner: the same, where clusters are
     window: (3,); edges: (3, d) from a cell to the next along each axis [spacings]
-    affine, strain: factors of the two energies; parent, ahead: of each axis, see `multigrid_kernels.Transfer`
-    spread: (n0, n1, n2) how much of the finer level's particles interpolates from each cell
+    affine, strain: factors of the two energies; weights: (n, n0), (m, n1), (l, n2) from its planes to the finer ones,
+    along each axis; spread: (n0, n1, n2) how much of the finer level's particles interpolates from each cell
     """
 
     present: BoolArray
@@ -71,8 +75,7 @@ class CoarseRest:
     edges: FloatArray
     affine: float
     strain: float
-    parent: tuple[IntArray, ...]
-    ahead: tuple[FloatArray, ...]
+    weights: list[Any]
     spread: FloatArray
 
     def body(self, scalar: Any, device: str) -> LatticeBody:
@@ -80,8 +83,7 @@ class CoarseRest:
         d = self.edges.shape[1]
         everything = np.flatnonzero(self.present)
         counts = LatticeClusters(self.corner.shape, everything, self.window, self.corner).cluster_counts()
-        cell = everything[counts > 0]
-        counts = counts[counts > 0]
+        cell, counts = everything[counts > 0], counts[counts > 0]
         position = np.column_stack(np.unravel_index(cell, self.corner.shape)) @ self.edges
         mass, free = self.mass.reshape(-1)[cell], ~self.held.reshape(-1)[cell]
         rest = BodyRest(position.reshape(-1, d), mass, free, counts, np.where(free, counts * mass, 0.0))
@@ -92,14 +94,14 @@ class CoarseRest:
 def coarser(fine: CoarseRest) -> CoarseRest | None:
     """The next level, None where there is none."""
     shape = fine.present.shape
-    thin = [1 < n < NARROWEST for n in shape]
-    if any(thin) or fine.present.size <= FEWEST:
+    if any(1 < n < NARROWEST for n in shape) or fine.present.size <= FEWEST:
         return None
     counts = [(n + 1) // 2 for n in shape]
     ratio = np.array([(n - 1) / max(c - 1, 1) if n > 1 else 1.0 for n, c in zip(shape, counts, strict=True)])
     place = [np.arange(n) / each for n, each in zip(shape, ratio, strict=True)]
-    parent = tuple(np.clip(p.astype(int), 0, max(c - 2, 0)) for p, c in zip(place, counts, strict=True))
-    ahead = tuple(p - i for p, i in zip(place, parent, strict=True))
+    weights, exact = (
+        [_interpolation(p, c, dtype) for p, c in zip(place, counts, strict=True)] for dtype in (np.float32, np.float64)
+    )
     near = np.ix_(*(np.rint(p).astype(int) for p in place))
     cell = np.ravel_multi_index(np.broadcast_arrays(*near), counts).reshape(-1)
 
@@ -110,20 +112,13 @@ def coarser(fine: CoarseRest) -> CoarseRest | None:
     many = total(fine.present)
     present, held = many > 0, total(fine.held) > 0
     mass = np.divide(total(fine.mass), many, out=np.zeros_like(many), where=present)
-    window = tuple(w if w <= 3 else w // 2 + 1 for w in fine.window)
-    window = tuple(min(w, c) for w, c in zip(window, counts, strict=True))
+    window = tuple(min(w if w <= 3 else w // 2 + 1, c) for w, c in zip(fine.window, counts, strict=True))
     edges = fine.edges * ratio[:, None]
     axis = int(np.argmax(shape))
     affine, strain = _energies(fine.window, axis)
     affine_here, strain_here = _energies(window, axis)
     corner = _corners(mass, window, edges)
     volume, far = STIFFER * float(fine.corner.sum()) / max(float(corner.sum()), 1.0), float(ratio[axis])
-    spread = fine.present.astype(float)
-    for a, (i, t) in enumerate(zip(parent, ahead, strict=True)):
-        weights = np.zeros((len(i), counts[a]))
-        weights[np.arange(len(i)), i] = 1.0 - t
-        weights[np.arange(len(i)), np.minimum(i + 1, counts[a] - 1)] += t
-        spread = np.moveaxis(np.tensordot(spread, weights, axes=(a, 0)), -1, a)
     return CoarseRest(
         present=present,
         held=held,
@@ -133,19 +128,25 @@ def coarser(fine: CoarseRest) -> CoarseRest | None:
         edges=edges,
         affine=fine.affine * affine * volume / (far**4 * affine_here),
         strain=fine.strain * strain * volume / (far**2 * strain_here),
-        parent=parent,
-        ahead=ahead,
-        spread=spread,
+        weights=weights,
+        spread=np.einsum("abc,ai,bj,ck->ijk", fine.present, *(each.toarray() for each in exact), optimize=True),
     )
+
+
+def _interpolation(place: FloatArray, count: int, dtype: type[Any]) -> Any:
+    """(n, count) linear interpolation from planes to between them: to places (n,) from 0 to count - 1."""
+    before = np.clip(place.astype(int), 0, max(count - 2, 0))
+    ahead = (place - before).astype(dtype)
+    planes = np.minimum(np.stack([before, before + 1], axis=1), count - 1)
+    both = np.stack([1 - ahead, ahead], axis=1)
+    return csr_array((both.ravel(), planes.ravel(), 2 * np.arange(len(place) + 1)), shape=(len(place), count))
 
 
 def levels_of(body: LatticeBody, rest: BodyRest) -> list[tuple[CoarseRest, LatticeBody]]:
     """The body itself and its coarser levels, as bodies in float32."""
 
     def at_cells(values: Any) -> Any:
-        grid = np.zeros(body.count, dtype=np.asarray(values).dtype)
-        grid[body.cell] = values
-        return grid.reshape(body.shape)
+        return body.at_cells(values, np.asarray(values).dtype).reshape(body.shape)
 
     level: CoarseRest | None = CoarseRest(
         present=at_cells(np.ones(len(body.cell), dtype=bool)),
@@ -156,8 +157,7 @@ def levels_of(body: LatticeBody, rest: BodyRest) -> list[tuple[CoarseRest, Latti
         edges=body.edges,
         affine=1.0,
         strain=1.0,
-        parent=(),
-        ahead=(),
+        weights=[],
         spread=np.ones(body.shape),
     )
     found = []
@@ -245,11 +245,11 @@ class Multigrid:
 
     def __init__(self, body: LatticeBody, rest: BodyRest, layout: Layout, size: int, volume: int) -> None:
         self.layout = layout
-        self.transfers = transfer_kernels_for(body.dim, body.scalar)
+        self.kernels = transfer_kernels_for(body.dim, body.scalar)
         self.aided = aided_kernels_for(body.dim, body.scalar, layout.width)
         body.coarse = body.coarse or levels_of(body, rest)
         self.levels = [_Level(level, each, size, volume) for level, each in body.coarse]
-        self._between = [self._transfer(*pair) for pair in zip(self.levels, self.levels[1:], strict=False)]
+        self._between = [self._transfers(*pair) for pair in zip(self.levels, self.levels[1:], strict=False)]
         self.z = layout.field(body.dim)
         self.outside = _cells(layout, body)
         self.along = layout.each(np.zeros(size), wp.float64)
@@ -265,28 +265,32 @@ class Multigrid:
             return False
         return min(n for n in body.shape if n > 1) >= NARROWEST
 
-    def _transfer(self, fine: _Level, coarse: _Level) -> tuple[Any, ...]:
-        """How to interpolate between two levels, and the weights of the restriction."""
-        device = self.layout.device
-        transfer = Transfer()
-        parents, ahead = coarse.rest.parent, coarse.rest.ahead
-        counts = coarse.body.shape
-        planes = [(i + t, np.arange(n)) for i, t, n in zip(parents, ahead, counts, strict=True)]
-        first = np.concatenate([np.searchsorted(x, at - 1, "right") for x, at in planes])
-        last = np.concatenate([np.searchsorted(x, at + 1, "left") - 1 for x, at in planes])
-        transfer.parent, transfer.first, transfer.last = (
-            upload(each, int, device) for each in (np.concatenate(parents), first, last)
-        )
-        transfer.ahead = upload(np.concatenate(ahead), wp.float32, device)
-        transfer.fine_1, transfer.fine_2 = len(parents[0]), len(parents[0]) + len(parents[1])
-        transfer.coarse_1, transfer.coarse_2 = counts[0], counts[0] + counts[1]
+    def _transfers(self, fine: _Level, coarse: _Level) -> tuple[Launch, Launch, Launch]:
+        """Between two levels: what is left to the coarse one, its correction back, and displacements to it."""
+        device, rest = self.layout.device, coarse.rest
+        to_fine = block_diag(rest.weights, format="csr")
+
+        def launch(weights: Any, source: _Level, target: _Level, fields: tuple[Any, ...], out: Field) -> Launch:
+            """fields: two that are added, and the weights of the cells of source and target"""
+            transfer = Transfer()
+            transfer.begin, transfer.plane = upload(weights.indptr, int, device), upload(weights.indices, int, device)
+            transfer.weight = upload(weights.data, wp.float32, device)
+            given = [each if isinstance(each, wp.array) else upload(each, wp.float32, device) for each in fields]
+            dim = (target.layout.groups * target.layout.abreast, target.body.count)
+            inputs = [transfer, source.place, target.place, *given]
+            return functools.partial(wp.launch, self.kernels.gather, dim, inputs, [out], device=device)
+
         metric = coarse.operator.metric.numpy()[: coarse.body.count].astype(np.float64)
-        scale = fine.rest.affine / coarse.rest.affine
-        by_metric = np.divide(scale, metric, out=np.zeros_like(metric), where=metric > 0)
-        spread = coarse.rest.spread.reshape(-1)
-        half_mean = np.divide(0.5, spread, out=np.zeros_like(spread), where=spread > 1e-6)
-        present = upload(fine.rest.present.astype(np.float64), wp.float32, device)
-        return transfer, upload(by_metric, wp.float32, device), present, upload(half_mean, wp.float32, device)
+        by_metric = np.divide(fine.rest.affine / rest.affine, metric, out=np.zeros_like(metric), where=metric > 0)
+        half_mean = np.divide(0.5, rest.spread, out=np.zeros_like(rest.spread), where=rest.spread > 1e-6)
+        half_free, ones = 0.5 * fine.operator.arrays.free.numpy(), np.ones(coarse.body.count)
+        left = (fine.left, fine.changed, fine.operator.metric, by_metric)
+        to_coarse = to_fine.T.tocsr()
+        return (
+            launch(to_coarse, fine, coarse, left, coarse.right),
+            launch(to_fine, coarse, fine, (coarse.z, coarse.z, ones, half_free), fine.direction),
+            launch(to_coarse, fine, coarse, (fine.u, fine.u, fine.rest.present, half_mean), coarse.u),
+        )
 
     def set(self, beta: FloatArray, theta: FloatArray) -> bool:
         """Parameters of the candidates, beta (B,) or (B, C), theta (B,); whether what was recorded is to be so anew."""
@@ -326,38 +330,33 @@ class Multigrid:
     def linearise(self, u: Field, running: Field) -> None:
         """Linearises every level where the body is: its displacements, as those of the coarse particles."""
         levels = self.levels
-        self._convert(self.transfers.put_in, u, levels[0].u)
+        self._convert(self.kernels.put_in, u, levels[0].u)
         for index, level in enumerate(levels):
             flags = self._flags(level, running)
             level.operator.residual(level.u, level.changed, level.parameters, flags, level.kept)
             if index + 1 < len(levels):
-                transfer, _, present, half_mean = self._between[index]
-                self._restrict(transfer, index, (level.u, level.u, present, half_mean), levels[index + 1].u)
+                _restrict, _correct, displace = self._between[index]
+                displace()
 
     def cycle(self, rho: Field, running: Field) -> None:
         """`z` of a residual."""
-        self._convert(self.transfers.put_in, rho, self.levels[0].right)
+        self._convert(self.kernels.put_in, rho, self.levels[0].right)
         self._visit(0, running)
-        self._convert(self.transfers.take_out, self.levels[0].z, self.z)
+        self._convert(self.kernels.take_out, self.levels[0].z, self.z)
 
     def _visit(self, index: int, running: Field) -> None:
         level = self.levels[index]
         if index + 1 == len(self.levels):
             self._smooth(level, running, self._steps, 0.75 * self._steps**2, begins=True)
             return
-        coarse = self.levels[index + 1]
-        transfer, by_metric, _, _ = self._between[index]
+        restrict, correct, _displace = self._between[index]
         self._smooth(level, running, DEGREE, RANGE, begins=True)
         self._change(level, running)
-        self._restrict(transfer, index, (level.left, level.changed, level.operator.metric, by_metric), coarse.right)
+        restrict()
         self._visit(index + 1, running)
-        wp.launch(
-            self.transfers.prolong,
-            dim=(level.layout.groups * level.layout.abreast, level.body.count),
-            inputs=[transfer, level.place, coarse.place, coarse.z, level.changed, level.operator.arrays.free],
-            outputs=[level.z, level.left, level.direction],
-            device=level.layout.device,
-        )
+        correct()
+        self._step(level, running, 1.0, 0.0)  # along what came back
+        self._change(level, running)
         self._smooth(level, running, DEGREE, RANGE, begins=False)
 
     def _smooth(self, level: _Level, running: Field, steps: int, ratio: float, *, begins: bool) -> None:
@@ -365,19 +364,18 @@ class Multigrid:
         half, middle = (1.0 - 1.0 / ratio) / 2.0, (1.0 + 1.0 / ratio) / 2.0
         rho, keep, gain = half / middle, 0.0, 1.0 / middle
         for step in range(steps):
-            if step > 0 or not begins:
+            if step > 0:
                 self._change(level, running)
-            wp.launch(
-                level.smooth,
-                dim=(level.layout.groups, level.layout.blocks),
-                inputs=[
-                    *(level.span, self._flags(level, running), int(begins and step == 0), keep, gain),
-                    *(level.shrink, level.right, level.changed, level.z, level.left, level.direction),
-                ],
-                device=level.layout.device,
-            )
+            self._step(level, running, keep, gain, begins=begins and step == 0)
             after = 1.0 / (2.0 * middle / half - rho)
             keep, gain, rho = after * rho, 2.0 * after / half, after
+
+    def _step(self, level: _Level, running: Field, keep: float, gain: float, *, begins: bool = False) -> None:
+        """Goes on along `keep` of the last direction and `gain` of what is left."""
+        inputs = [level.span, self._flags(level, running), int(begins), keep, gain, level.shrink, level.right]
+        inputs += [level.changed, level.z, level.left, level.direction]
+        dim = (level.layout.groups, level.layout.blocks)
+        wp.launch(level.smooth, dim, inputs, device=level.layout.device)
 
     def _change(self, level: _Level, running: Field) -> None:
         level.operator.change(level.direction, level.changed, level.parameters, self._flags(level, running), level.kept)
@@ -386,20 +384,9 @@ class Multigrid:
         """Which groups run, where the levels group the candidates as the body does."""
         return running if self._same_groups else level.every_group
 
-    def _restrict(self, transfer: Any, index: int, fields: tuple[Field, ...], out: Field) -> None:
-        """Two fields that are added and the weights of fine and coarse cells, to the next level."""
-        fine, coarse = self.levels[index], self.levels[index + 1]
-        wp.launch(
-            self.transfers.restrict,
-            dim=(coarse.layout.groups * coarse.layout.abreast, coarse.body.count),
-            inputs=[transfer, fine.place, coarse.place, *fields],
-            outputs=[out],
-            device=coarse.layout.device,
-        )
-
     def _convert(self, kernel: wp.Kernel, values: Field, out: Field) -> None:
         """Between the body's fields and those of the first level."""
         own = self.levels[0]
-        places = [self.outside, own.place] if kernel is self.transfers.put_in else [own.place, self.outside]
+        places = [self.outside, own.place] if kernel is self.kernels.put_in else [own.place, self.outside]
         dim = (self.layout.groups * self.layout.abreast, own.body.count)
         wp.launch(kernel, dim=dim, inputs=[*places, values], outputs=[out], device=self.layout.device)

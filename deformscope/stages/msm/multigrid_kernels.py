@@ -11,7 +11,8 @@ from typing import Any
 import warp as wp
 
 from deformscope.stages.msm.iteration_kernels import newton_functions_for
-from deformscope.stages.msm.lanes import Doubles, Ints, lanes_for, module_options, rows_for
+from deformscope.stages.msm.lanes import Doubles, Ints, lanes_for, rows_for
+from deformscope.stages.msm.members import kernel_in, members
 
 
 @wp.struct
@@ -29,31 +30,20 @@ class Cells:
 
 @wp.struct
 class Transfer:
-    """Linear interpolation from a coarse lattice, axis after axis: that of axis 0 first.
+    """Linear interpolation between two lattices, or its transpose: of each plane of the target, axis after axis, the
+    planes of the source, numbered so too, and their weights, from `begin` on."""
 
-    parent, ahead: of each fine plane, the coarse plane before it and how far beyond that it lies (of 1); first, last:
-    of each coarse plane, the fine ones that interpolate from it; fine_1, coarse_1...: where axis 1 begins in these
-    """
-
-    parent: Ints
-    ahead: wp.array(dtype=wp.float32)
-    first: Ints
-    last: Ints
-    fine_1: int
-    fine_2: int
-    coarse_1: int
-    coarse_2: int
+    begin: Ints
+    plane: Ints
+    weight: wp.array(dtype=wp.float32)
 
 
 @functools.cache
 def transfer_kernels_for(dim: int, scalar: Any) -> SimpleNamespace:
     """The kernels for fields of `dim` rows; `scalar` is that of the fields that are preconditioned."""
     numbers = wp.array(dtype=wp.float32)
-    module = f"deformscope_transfer_{dim}d_{scalar.__name__}"
-    wp.get_module(module).options.update(module_options(wp.float32))
-    kernel = functools.partial(wp.kernel, module=module, enable_backward=False)
+    kernel = kernel_in(f"transfer_{dim}d_{scalar.__name__}", wp.float32)
     vec = wp.types.vector(length=dim, dtype=wp.float32)
-    one = wp.float32(1.0)
 
     @wp.func
     def at(place: Cells, candidate: int, cell: int):
@@ -72,111 +62,53 @@ def transfer_kernels_for(dim: int, scalar: Any) -> SimpleNamespace:
 
         return convert
 
-    put_in, take_out = conversion("put_in", scalar, wp.float32), conversion("take_out", wp.float32, scalar)
-
-    @wp.func
-    def weight(transfer: Transfer, offset: int, fine: int, coarse: int):
-        """How much of a coarse plane goes to a fine one."""
-        t = transfer.ahead[offset + fine]
-        if transfer.parent[offset + fine] == coarse:
-            return one - t
-        return t
-
     @kernel
-    def restrict(
+    def gather(
         transfer: Transfer,
-        fine: Cells,
-        coarse: Cells,
-        # In: two fields that are added, a weight of each fine cell, and of each coarse one
+        source: Cells,
+        target: Cells,
+        # In: two fields that are added, a weight of each cell of the source, and of each of the target
         values: numbers,
         more: numbers,
-        fine_weight: numbers,
-        coarse_weight: numbers,
+        source_weight: numbers,
+        target_weight: numbers,
         # Out:
         out: numbers,
     ):
-        """The transpose of the interpolation, of a field times a weight."""
         candidate, cell = wp.tid()
-        i0 = cell / (coarse.cells_1 * coarse.cells_2)
-        rest = cell - i0 * coarse.cells_1 * coarse.cells_2
-        i1 = rest / coarse.cells_2
-        i2 = rest - i1 * coarse.cells_2
+        t0 = cell / (target.cells_1 * target.cells_2)
+        rest = cell - t0 * target.cells_1 * target.cells_2
+        t1 = target.cells_0 + rest / target.cells_2
+        t2 = target.cells_0 + target.cells_1 + rest % target.cells_2
         total = vec()
-        if coarse_weight[cell] > wp.float32(0.0):
-            for f0 in range(transfer.first[i0], transfer.last[i0] + 1):
-                w0 = weight(transfer, 0, f0, i0)
-                for f1 in range(transfer.first[transfer.coarse_1 + i1], transfer.last[transfer.coarse_1 + i1] + 1):
-                    w1 = w0 * weight(transfer, transfer.fine_1, f1, i1)
-                    for f2 in range(transfer.first[transfer.coarse_2 + i2], transfer.last[transfer.coarse_2 + i2] + 1):
-                        own = (f0 * fine.cells_1 + f1) * fine.cells_2 + f2
-                        w = w1 * weight(transfer, transfer.fine_2, f2, i2) * fine_weight[own]
-                        i = at(fine, candidate, own)
+        if target_weight[cell] > wp.float32(0.0):
+            for a in range(transfer.begin[t0], transfer.begin[t0 + 1]):
+                for b in range(transfer.begin[t1], transfer.begin[t1 + 1]):
+                    w1 = transfer.weight[a] * transfer.weight[b]
+                    line = (transfer.plane[a] * source.cells_1 + transfer.plane[b] - source.cells_0) * source.cells_2
+                    for c in range(transfer.begin[t2], transfer.begin[t2 + 1]):
+                        own = line + transfer.plane[c] - source.cells_0 - source.cells_1
+                        w = w1 * transfer.weight[c] * source_weight[own]
+                        i = at(source, candidate, own)
                         for k in range(wp.static(dim)):
-                            total[k] += w * (values[i + k * fine.stride] + more[i + k * fine.stride])
-        o = at(coarse, candidate, cell)
+                            total[k] += w * (values[i + k * source.stride] + more[i + k * source.stride])
+        o = at(target, candidate, cell)
         for k in range(wp.static(dim)):
-            out[o + k * coarse.stride] = coarse_weight[cell] * total[k]
+            out[o + k * target.stride] = target_weight[cell] * total[k]
 
-    @kernel
-    def prolong(
-        transfer: Transfer,
-        fine: Cells,
-        coarse: Cells,
-        # In:
-        values: numbers,
-        changed: numbers,
-        free: numbers,
-        # In and out:
-        z: numbers,
-        left: numbers,
-        # Out:
-        direction: numbers,
-    ):
-        """Adds the coarse correction, which is the next direction; what is left takes what the last one changed."""
-        candidate, cell = wp.tid()
-        if free[cell] <= wp.float32(0.0):
-            return
-        f0 = cell / (fine.cells_1 * fine.cells_2)
-        rest = cell - f0 * fine.cells_1 * fine.cells_2
-        f1 = rest / fine.cells_2
-        f2 = rest - f1 * fine.cells_2
-        total = vec()
-        for a in range(2):
-            i0 = wp.min(transfer.parent[f0] + a, coarse.cells_0 - 1)
-            w0 = weight(transfer, 0, f0, transfer.parent[f0] + a)
-            for b in range(2):
-                p1 = transfer.parent[transfer.fine_1 + f1] + b
-                i1 = wp.min(p1, coarse.cells_1 - 1)
-                w1 = w0 * weight(transfer, transfer.fine_1, f1, p1)
-                for c in range(2):
-                    p2 = transfer.parent[transfer.fine_2 + f2] + c
-                    i2 = wp.min(p2, coarse.cells_2 - 1)
-                    w = w1 * weight(transfer, transfer.fine_2, f2, p2)
-                    i = at(coarse, candidate, (i0 * coarse.cells_1 + i1) * coarse.cells_2 + i2)
-                    for k in range(wp.static(dim)):
-                        total[k] += w * values[i + k * coarse.stride]
-        o = at(fine, candidate, cell)
-        for k in range(wp.static(dim)):
-            here = o + k * fine.stride
-            direction[here] = total[k]
-            z[here] = z[here] + total[k]
-            left[here] = left[here] + changed[here]
-
-    return SimpleNamespace(**locals())
+    return members(gather, conversion("put_in", scalar, wp.float32), conversion("take_out", wp.float32, scalar))
 
 
 @functools.cache
 def smoother_for(dim: int, width: int) -> Any:
     """The kernel of a step of Chebyshev's iteration, for fields of float32 in lanes of `width`."""
     numbers = wp.array(dtype=wp.float32)
-    module = f"deformscope_smoother_{dim}d_{width}"
-    wp.get_module(module).options.update(module_options(wp.float32))
     rows, newton = rows_for(dim, width, wp.float32), newton_functions_for(dim, wp.float32, width)
     load, store, add, scale = rows.load, rows.store, rows.add, rows.scale
     of_candidate, Span = newton.of_candidate, newton.Span
     one = wp.float32(1.0)
 
-    @wp.kernel(module=module, enable_backward=False)
+    @kernel_in(f"smoother_{dim}d_{width}", wp.float32)
     def smooth(
         span: Span,
         running: Ints,
@@ -216,9 +148,7 @@ def smoother_for(dim: int, width: int) -> Any:
 def aided_kernels_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
     """What conjugate gradients do otherwise with a preconditioner."""
     numbers = wp.array(dtype=scalar)
-    module = f"deformscope_aided_{dim}d_{scalar.__name__}_{width}"
-    wp.get_module(module).options.update(module_options(scalar))
-    kernel = functools.partial(wp.kernel, module=module, enable_backward=False)
+    kernel = kernel_in(f"aided_{dim}d_{scalar.__name__}_{width}", scalar)
     rows, newton = rows_for(dim, width, scalar), newton_functions_for(dim, scalar, width)
     lane = lanes_for(width, scalar).lane
     load, store, add, scale, choose = rows.load, rows.store, rows.add, rows.scale, rows.choose
@@ -270,18 +200,10 @@ def aided_kernels_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
         group, block = wp.tid()
         if state.inner_groups[group] != 0:
             at, count = newton.place_of(span, group, block)
-            without = lane()
-            for l in range(wp.static(width)):
-                member = group
-                if span.abreast > 1:
-                    member = group * span.abreast + l
-                without[l] = scalar(plain[member])
-            p = add(
-                choose(without, load(state.rho, at, span.stride)),
-                one,
-                choose(lane(one) - without, load(z_in, at, span.stride)),
-            )
+            without = newton.flagged(span, plain, group)
+            z = choose(lane(one) - without, load(z_in, at, span.stride))
+            p = add(choose(without, load(state.rho, at, span.stride)), one, z)
             p = add(p, one, scale(load(state.direction, at, span.stride), of_candidate(span, state.mix, group, 0)))
             store(state.direction, at, span.stride, p, count)
 
-    return SimpleNamespace(**locals())
+    return members(mix, direct)

@@ -35,7 +35,7 @@ import warp as wp
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.stages.msm import reduced_kernels as k
 from deformscope.stages.msm.clusters import FLAT_MOMENT_RATIO, held_mask, single
-from deformscope.stages.msm.reference import Basis, RestCluster, Volume, build_rest
+from deformscope.stages.msm.reference import Basis, Volume, build_rest
 
 VOLUMES: dict[Volume, int] = {"scale": k.SCALE, "project": k.PROJECT}
 
@@ -70,17 +70,6 @@ class Equilibrium:
     iterations: IntArray
     converged: BoolArray
     diverged: BoolArray
-
-
-@dataclass(frozen=True, slots=True)
-class ReducedSensitivity:
-    """Derivatives of static states. transform_beta, transform_theta: (B, d, terms) [m]; translation_beta,
-    translation_theta: (B, d) [m]"""
-
-    transform_beta: FloatArray
-    translation_beta: FloatArray
-    transform_theta: FloatArray
-    translation_theta: FloatArray
 
 
 class OneCluster:
@@ -131,53 +120,39 @@ class OneCluster:
         self._mean_weights = held_m / (held_m.sum() or 1.0)
         self._rest_mean = np.average(self.rest, axis=0, weights=m)
 
-        self._k = k.reduced_kernels_for(d, self.terms)
-        volumes: tuple[Volume, ...] = ("scale", "project")
-        self._bodies = {
-            volume: self._body(volume, cluster, gram, held_gram, mode, shares, white, held_mean) for volume in volumes
-        }
+        self._k = kk = k.reduced_kernels_for(d, self.terms)
+
+        def rest_data(volume: Volume) -> Any:
+            body = kk.ReducedBody()
+            free_gram, linear = gram - held_gram, np.eye(d, self.terms)
+            lift = linear if volume == "scale" else cluster.lift
+            span = np.zeros((d, d))
+            span[:, : cluster.span.shape[1]] = cluster.span
+
+            def rows(values: FloatArray, dtype: type[Any] = kk.basis_vec) -> Any:
+                return wp.array(np.ascontiguousarray(values), dtype=dtype, device=self.device)
+
+            body.mode = rows(mode.T)
+            body.free_mode = rows((free_gram @ mode).T)
+            body.lifted_mode = rows((lift @ free_gram @ mode).T, kk.vec)
+            body.held_mode = rows((held_gram @ mode)[:d].T, kk.vec)
+            body.share = rows(shares, wp.float64)
+            body.free_q = rows(free_gram[:d])
+            body.null = rows(linear - gram[:d] @ white @ white.T)
+            body.gram = rows(gram)
+            body.lift = rows(lift)
+            body.lift_free = kk.square(*(lift @ free_gram[:, :d]).ravel())
+            body.root = kk.square(*cluster.root.ravel())
+            body.volume = VOLUMES[volume]
+            body.held_mean = kk.basis_vec(*held_mean)
+            body.a_qq = kk.square(*gram[:d, :d].ravel())
+            body.span_axes = kk.square(*span.ravel())
+            body.span_count = cluster.span.shape[1]
+            body.radius = self.radius
+            return body
+
+        self._bodies = {volume: rest_data(volume) for volume in VOLUMES}
         self._work: dict[tuple[int, Volume], _Work] = {}
-
-    def _body(
-        self,
-        volume: Volume,
-        cluster: RestCluster,
-        gram: FloatArray,
-        held_gram: FloatArray,
-        mode: FloatArray,
-        share: FloatArray,
-        white: FloatArray,
-        held_mean: FloatArray,
-    ) -> Any:
-        """The rest data on the device. mode: (terms, terms) in columns; white: (terms, n), white^T G white = I"""
-        d, kk = self.dim, self._k
-        body = kk.ReducedBody()
-        free_gram, linear = gram - held_gram, np.eye(d, self.terms)
-        lift = linear if volume == "scale" else cluster.lift
-        span = np.zeros((d, d))
-        span[:, : cluster.span.shape[1]] = cluster.span
-
-        def rows(values: FloatArray, dtype: type[Any] = kk.basis_vec) -> Any:
-            return wp.array(np.ascontiguousarray(values), dtype=dtype, device=self.device)
-
-        body.mode = rows(mode.T)
-        body.free_mode = rows((free_gram @ mode).T)
-        body.lifted_mode = rows((lift @ free_gram @ mode).T, kk.vec)
-        body.held_mode = rows((held_gram @ mode)[:d].T, kk.vec)
-        body.share = rows(share, wp.float64)
-        body.free_q = rows(free_gram[:d])
-        body.null = rows(linear - gram[:d] @ white @ white.T)
-        body.gram = rows(gram)
-        body.lift = rows(lift)
-        body.lift_free = kk.square(*(lift @ free_gram[:, :d]).ravel())
-        body.root = kk.square(*cluster.root.ravel())
-        body.volume = VOLUMES[volume]
-        body.held_mean = kk.basis_vec(*held_mean)
-        body.a_qq = kk.square(*gram[:d, :d].ravel())
-        body.span_axes = kk.square(*span.ravel())
-        body.span_count = cluster.span.shape[1]
-        body.radius = self.radius
-        return body
 
     def hold(self, held_position: FloatArray) -> HeldMoments:
         """Held positions (n, d) or (B, n, d) [m], reduced to their moments."""
@@ -232,7 +207,13 @@ class OneCluster:
             diverged=state == k.DIVERGED,
         )
 
-    def sensitivity(
+    def positions(self, equilibrium: Equilibrium, held: HeldMoments) -> FloatArray:
+        """Where every particle is, (B, K, d) [m]; held ones where they were put."""
+        out = self._expanded(equilibrium.transform, equilibrium.translation)
+        out[:, self.held] = held.position
+        return out
+
+    def changes(
         self,
         equilibrium: Equilibrium,
         held: HeldMoments,
@@ -240,32 +221,18 @@ class OneCluster:
         theta: FloatArray | float = 0.0,
         *,
         volume: Volume = "scale",
-    ) -> ReducedSensitivity:
-        """How static states change with beta and theta, (B,) or one (implicit differentiation, with Newton's own
-        matrix)."""
+    ) -> tuple[FloatArray, FloatArray]:
+        """How every particle of static states moves with beta and with theta, two of (B, K, d) [m]; held ones stay.
+
+        By implicit differentiation, with Newton's own matrix. beta, theta: (B,) or one
+        """
         work = self._filled(len(equilibrium.transform), held, beta, theta, 0.0, 0, volume)
         work.start[:] = equilibrium.transform.reshape(len(work.start), -1) / self.radius
         result = work.differentiate()
         split = k.TRANSFORM + self.dim * self.terms
         transform = result[:, :, k.TRANSFORM : split].reshape(len(result), 2, self.dim, self.terms)
-        translation = result[:, :, split:]
-        return ReducedSensitivity(transform[:, 0], translation[:, 0], transform[:, 1], translation[:, 1])
-
-    def positions(self, equilibrium: Equilibrium, held: HeldMoments) -> FloatArray:
-        """Where every particle is, (B, K, d) [m]; held ones where they were put."""
-        out = self._expanded(equilibrium.transform, equilibrium.translation)
-        out[:, self.held] = held.position
-        return out
-
-    def changes(self, sensitivity: ReducedSensitivity) -> tuple[FloatArray, FloatArray]:
-        """How every particle moves with beta and with theta, two of (B, K, d) [m]; held ones stay."""
-        pairs = (
-            (sensitivity.transform_beta, sensitivity.translation_beta),
-            (sensitivity.transform_theta, sensitivity.translation_theta),
-        )
-        by_beta, by_theta = (self._expanded(transform, translation) for transform, translation in pairs)
-        by_beta[:, self.held] = 0.0
-        by_theta[:, self.held] = 0.0
+        by_beta, by_theta = (self._expanded(transform[:, n], result[:, n, split:]) for n in range(2))
+        by_beta[:, self.held] = by_theta[:, self.held] = 0.0
         return by_beta, by_theta
 
     def _expanded(self, transform: FloatArray, translation: FloatArray) -> FloatArray:

@@ -353,7 +353,8 @@ class Msm:
         share = TOLERANCE[self.precision] if tolerance is None else tolerance
         most = _most_iterations(len(self.rest)) if max_iterations is None else max_iterations
         if self._one is not None:
-            return self._relax_one(held_position, beta_b.reshape(size, -1)[:, 0], theta_b, volume, start, share, most)
+            how: Any = {"volume": volume, "start": start, "tolerance": share, "max_iterations": most}
+            return self._relax_one(held_position, beta_b.reshape(size, -1)[:, 0], theta_b, **how)
         at_once = max(1, PARTICLES_AT_ONCE // len(self.rest))
         parts = []
         for first in range(0, size, at_once):
@@ -392,27 +393,13 @@ class Msm:
         )
 
     def _relax_one(
-        self,
-        held_position: FloatArray,
-        beta: FloatArray,
-        theta: FloatArray,
-        volume: Volume,
-        start: FloatArray | None,
-        tolerance: float,
-        most: int,
+        self, held_position: FloatArray, beta: FloatArray, theta: FloatArray, *, tolerance: float, **how: Any
     ) -> Relaxed:
+        """`relax` of one cluster. how: for `OneCluster.relax`"""
         one = self._one
         assert one is not None
         held = one.hold(np.asarray(held_position, dtype=np.float64))
-        found = one.relax(
-            held,
-            beta,
-            theta,
-            volume=volume,
-            start=start,
-            tolerance=tolerance * self.extent / one.radius,
-            max_iterations=most,
-        )
+        found = one.relax(held, beta, theta, tolerance=tolerance * self.extent / one.radius, **how)
         position = one.positions(found, held)
         few = (found.residual, found.error, found.iterations, found.converged, found.diverged)
         return Relaxed(position, *few, np.zeros_like(found.iterations), np.zeros_like(found.converged))
@@ -545,7 +532,7 @@ class Msm:
         assert one is not None
         held = one.hold(position[:, self.held])
         found = one.relax(held, np.asarray(beta, np.float64).reshape(-1), theta, volume=volume, start=position)
-        moved = one.changes(one.sensitivity(found, held, beta, theta, volume=volume))
+        moved = one.changes(found, held, beta, theta, volume=volume)
         return Sensitivity(moved[0], moved[1], bool(found.converged.all()))
 
     # -- time stepping ---------------------------------------------------------------------------------------------
@@ -646,13 +633,7 @@ class Msm:
     @functools.cached_property
     def _unheld(self) -> Msm:
         """The same body with nothing held: there the goals of held particles are computed too."""
-        if not len(self.held):
-            return self
-        mass = self._particles.mass
-        free: list[int] = []
-        return Msm(
-            self.rest, self._clusters, free, mass=mass, basis=self._basis, precision=self.precision, device=self.device
-        )
+        return self.holding([]) if len(self.held) else self
 
 
 class _Stepping:
