@@ -488,7 +488,7 @@ def fit_contact(
         raise InputError("an arm that moves into what it presses", f"{length * 1e3:.2g} mm of way")
     normal, pressed_n = -way / length, force_n[peak] - force_n[0]
     share = float(pressed_n @ normal / np.linalg.norm(pressed_n))
-    if share < ALONG_WAY:
+    if not share >= ALONG_WAY:  # nan: no force at all
         raise InputError("an arm that presses along its way", f"{share:.0%} of the force along it")
     time_s = (approach.arm_ns - approach.arm_ns[0]) / 1e9
     fit = fit_approach(time_s, tip_m, force_n, normal, tip=tip, set_force_n=set_force_n, arm=arm)

@@ -111,6 +111,7 @@ class PlacingArm:
         self._begin, self._cycled = begin, cycled
         self._made: Robot | None = None
         self._placed: GraspPlan | None = None
+        self._off = ""
         self.reached, self.stands = "", True
 
     def _robot(self, squeezing: bool = False) -> Robot:
@@ -146,7 +147,7 @@ class PlacingArm:
                         robot.cycle()
                         while not robot.seen.arms:  # its last pose may be of before the squeeze
                             robot.cycle()
-                        if off := strayed(robot, plan):
+                        if off := self._off or strayed(robot, plan):
                             raise self._stop("arm was moved", off, Fault.ASKED)
                         self._placed = None
                         withdraw(robot, plan, self._entered)
@@ -174,7 +175,9 @@ class PlacingArm:
         def why() -> str:
             verdict = robot.look_on()
             off = strayed(robot, plan) if robot.seen.arms else ""
-            return off if verdict.action is Action.GO_ON else f"{verdict.fault}: {verdict.reason}"
+            now = off if verdict.action is Action.GO_ON else f"{verdict.fault}: {verdict.reason}"
+            self._off = self._off or now
+            return now
 
         try:
             yield why
@@ -187,7 +190,8 @@ class PlacingArm:
             self._made.ask_to_stop(reason)
 
     def halt(self, reason: str) -> bool:
-        """Erase what waits in the arm; whether it was reached, or never commanded."""
+        """Erase what waits in the arm; whether it was reached, or never commanded. It is watched no further."""
+        self._placed = None
         self.stands = self._made is None or self._made.halt(reason)
         return self.stands
 
@@ -223,7 +227,8 @@ class PlacingArm:
                 self._back_off(robot)
                 raise self._stopped_by(verdict) from error
             kind = "arm did not come there" if isinstance(error, NotThere) else "arm did not move"
-            raise self._stop(kind, " ".join(str(error).split()), Fault.WORKSPACE) from error
+            cause = Fault.LINK if isinstance(error, DeviceError) else Fault.WORKSPACE
+            raise self._stop(kind, " ".join(str(error).split()), cause) from error
 
     def _back_off(self, robot: Robot) -> None:
         """Back along the hand, away from what was felt."""
@@ -373,10 +378,12 @@ class Placing:
             raise stopped
 
     def _still_stands(self, when: str) -> RigExperiment[None]:
-        """Look, and raise SqueezeEnded where the container is not as it was before."""
-        change = (yield from self._look(when, near=True)).change
-        if change is not None and change.told:
-            met = "the hand has met it" if when == "placed" else "somebody has moved it"
+        """Look, and raise SqueezeEnded where the container is not as it was before. The hand that was placed may hide
+        it; where the robot has not moved yet, it is to be seen as before."""
+        placed = when == "placed"
+        change = (yield from self._look(when, near=placed)).change
+        if change is not None and (change.told if placed else change.kind != "stands"):
+            met = "the hand has met it" if placed else "somebody has moved it"
             raise self._ended(f"{CONTAINER} {change.kind}", change.words, f"the container: {met}")
 
     def _look(self, when: str, *, near: bool = False) -> RigExperiment[ContainerSighting]:

@@ -27,6 +27,7 @@ from deformscope.robot.squeeze_supervisor import ADVICE, SqueezeFault
 from deformscope.session import Inline, Moment, Step
 from deformscope.stages.squeeze.events import BASELINE_FRAMES, EventRule, OnsetDetector, StillDetector
 from deformscope.stages.squeeze.trial import SqueezePhase, SqueezeStop
+from deformscope_drivers.errors import DeviceError
 from deformscope_drivers.priority import STEERING, be_prompt
 
 KEEP_EVERY = 5
@@ -193,9 +194,11 @@ class SqueezingHand:
         if not isinstance(command, PreShape | SqueezeOnce | HandWait):
             if self.arm is None:
                 raise TypeError(f"no command of this hand: {command!r}")
+            if self._robot.supervisor.verdict.fault is not SqueezeFault.NONE:  # asked for while the arm did nothing
+                raise self._ended(SqueezeStopped(self._robot.supervisor.verdict))
             return self.arm.do(command)
         try:
-            with contextlib.nullcontext(lambda: "") if self.arm is None else self.arm.watched() as self._arm_faulty:
+            with self._watching():
                 match command:
                     case PreShape():
                         self.begin("pre-shape")
@@ -207,9 +210,22 @@ class SqueezingHand:
                         self._robot.stand_by(command.seconds)
         except SqueezeStopped as stopped:
             raise self._ended(stopped) from stopped
-        finally:
-            self._arm_faulty = lambda: ""
         return None
+
+    @contextlib.contextmanager
+    def _watching(self) -> Iterator[None]:
+        """The arm is judged in each control period; not any more while the fingers open after a stop."""
+        if self.arm is None:
+            yield
+            return
+        try:
+            with self.arm.watched() as self._arm_faulty:
+                try:
+                    yield
+                finally:
+                    self._arm_faulty = lambda: ""
+        except DeviceError as error:
+            self._robot.fail(SqueezeFault.ARM, " ".join(str(error).split()))
 
     def _squeeze(self) -> None:
         """Close, hold, open; the events end the phases."""
@@ -266,11 +282,13 @@ class SqueezingHand:
         verdict, robot = stopped.verdict, self._robot
         self.halt(str(verdict.fault))
         self.begin("stopped")
-        if verdict.fault in RELEASES and self.stands and self.restored:
-            with contextlib.suppress(SqueezeStopped):
-                robot.release()
-        self.doing = ""
         advice = ADVICE.get(verdict.fault, "")
+        if verdict.fault in RELEASES and self.stands and self.restored:
+            try:
+                robot.release()
+            except SqueezeStopped as error:
+                advice = f"the fingers did not open: {error.verdict.fault}: {error.verdict.reason}; {advice}"
+        self.doing = ""
         stop = SqueezeStop(str(verdict.fault), verdict.reason, advice, self.stands, self.restored)
         return SqueezeEnded(stop, verdict.time_ns)
 
@@ -286,9 +304,9 @@ class SqueezingHand:
 
     def cycled(self) -> None:
         """In each control period, the arm's too. An arm that must not stand so ends what the hand does, in the same
-        period."""
+        period; but for fingers that open, as an arm that is pushed is freed by that (it does not withdraw then)."""
         self._on_cycle()
-        if faulty := self._arm_faulty():
+        if (faulty := self._arm_faulty()) and self.doing != OPEN:
             self._robot.supervisor.stop(SqueezeFault.ARM, faulty, self._clock())
         self._periods += 1
         if self._keep is not None and self._periods % KEEP_EVERY == 0:

@@ -17,7 +17,7 @@ from deformscope.cli import main
 from deformscope.errors import InputError
 from deformscope.recording.items import read_results
 from deformscope.recording.lateness import RecordingError
-from deformscope.stages.map.exploration import StageFailure
+from deformscope.stages.map.exploration import MapEstimate, StageFailure
 from tests.cases import slow_but
 from tests.cli.fake_bench import FakeBench, FakeRobot, use_fake_bench
 
@@ -64,7 +64,9 @@ def fail_on(monkeypatch: pytest.MonkeyPatch, target: str, touch: int | None, err
     whole = getattr(owner, name)
 
     def failing(*arguments: Any, **options: Any) -> Any:
-        if touch == len(made) and not failed:
+        maps = [each for each in arguments if isinstance(each, MapEstimate)]
+        number = len(maps[0].contacts_m) if maps else len(made)  # a picture may be drawn while later touches are made
+        if touch == number and not failed:
             failed.append(touch)
             raise error
         if touch is None and made:

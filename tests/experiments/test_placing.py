@@ -16,10 +16,11 @@ from deformscope.log.squeeze.results import prepare_squeeze_results
 from deformscope.robot.advice import advice
 from deformscope.robot.placement import best_joints
 from deformscope.robot.readings import ArmSample, ForceSample, RobotObservation
-from deformscope.robot.squeeze_plan import draw_grasps, grasp_at
+from deformscope.robot.squeeze_plan import GripShape, draw_grasps, grasp_at
 from deformscope.robot.supervisor import Fault, Supervisor
 from deformscope.rows import differing, from_components, to_components
 from deformscope_drivers.arm.kinematics import transform
+from deformscope_drivers.errors import LinkLost
 from deformscope_drivers.jaco import JacoDouble
 from studies.placing import PlacedTrial
 
@@ -243,8 +244,18 @@ ARM_FAULTS = {
 turns, each with two of the hand's periods."""
 
 
-@pytest.mark.parametrize("fault", ARM_FAULTS)
-@pytest.mark.parametrize("phase", ["close", "hold"])
+QUICK = {("close", "cable"), ("close", "pushed"), ("hold", "twisted")}
+"""Phase and fault of those that are not slow together."""
+
+
+@pytest.mark.parametrize(
+    ("phase", "fault"),
+    [
+        pytest.param(phase, fault, marks=() if (phase, fault) in QUICK else pytest.mark.slow)
+        for phase in ("close", "hold")
+        for fault in ARM_FAULTS
+    ],
+)
 def test_an_arm_that_does_not_stand_ends_the_squeeze_in_time(fault: str, phase: str) -> None:
     strike, noticed, within_s = ARM_FAULTS[fault]
     trial = PlacedTrial("jaco")
@@ -262,6 +273,7 @@ def test_an_arm_that_does_not_stand_ends_the_squeeze_in_time(fault: str, phase: 
     assert trial.lab.arm.stopped_because
 
 
+@pytest.mark.slow
 def test_a_kuka_whose_cable_is_pulled_ends_the_squeeze_in_time() -> None:
     trial = PlacedTrial("kuka")
     wire, when_ns = trial.lab.wire, list[int]()
@@ -327,6 +339,49 @@ def test_an_arm_that_was_turned_does_not_withdraw() -> None:
     assert "retreat" not in trial.phases
 
 
+@pytest.mark.parametrize(
+    ("limit", "kind"),
+    [({"over_squeeze_m": 0.0008}, "container over-squeezed"), ({"still_timeout_s": 0.3}, "no steady state")],
+)
+def test_after_a_stop_the_fingers_open_though_an_arm_carries_the_hand(limit: dict[str, float], kind: str) -> None:
+    trial = PlacedTrial("kuka")
+    trial.setup = replace(trial.setup, squeeze=replace(trial.setup.squeeze, **limit))
+    found = trial.go()
+    assert found.stop is not None
+    assert found.stop.kind == kind
+    assert "did not open" not in found.stop.advice
+    angles = np.array([axis.position_deg for axis in trial.lab.simulated.hand.motion.axes])
+    open_deg = np.array(GripShape.of(trial.setup.container, trial.setup.squeeze).open_deg)
+    np.testing.assert_allclose(angles, open_deg, atol=1.0)
+
+
+def test_an_arm_that_is_pushed_while_the_fingers_open_lets_them_open_and_does_not_withdraw() -> None:
+    trial = PlacedTrial("jaco")
+    trial.at("open", lambda: turned(0, 1.5)(jaco_of(trial)), 0.05)
+    found = trial.go()
+    assert found.stop is None
+    assert found.features is not None
+    assert found.withdrawal is not None
+    assert found.withdrawal.kind == "arm was moved"
+    assert "retreat" not in trial.phases
+    angles = np.array([axis.position_deg for axis in trial.lab.simulated.hand.motion.axes])
+    open_deg = np.array(GripShape.of(trial.setup.container, trial.setup.squeeze).open_deg)
+    np.testing.assert_allclose(angles, open_deg, atol=1.0)
+
+
+def test_an_arm_that_cannot_be_watched_any_more_is_a_stop_with_its_reason(monkeypatch: pytest.MonkeyPatch) -> None:
+    trial = PlacedTrial("kuka")
+
+    def lost(**named: bool) -> object:
+        raise LinkLost("the arm's port", "it is gone")
+
+    trial.at("approach", lambda: monkeypatch.setattr(trial.arm, "_robot", lost))
+    found = trial.go()
+    assert found.stop is not None
+    assert "it is gone" in found.stop.reason
+    assert "close" not in trial.phases
+
+
 # Before it moves -----------------------------------------------------------------------------------------------------
 
 
@@ -341,13 +396,32 @@ def test_an_arm_that_was_moved_while_a_person_was_asked_does_not_set_out() -> No
     assert "travel" not in trial.phases
 
 
-def test_a_container_that_was_moved_while_a_person_was_asked_is_not_driven_to() -> None:
+@pytest.mark.parametrize(
+    ("by_m", "kind"), [(0.02, "moved"), (3.0, "gone"), pytest.param(0.3, "moved", marks=pytest.mark.slow)]
+)
+def test_a_container_that_was_moved_while_a_person_was_asked_is_not_driven_to(by_m: float, kind: str) -> None:
     trial = PlacedTrial("kuka")
-    trial.asks = lambda: trial.lab.simulated.shift(0.02, 0.0)
+    trial.asks = lambda: trial.lab.simulated.shift(-by_m if by_m == 0.3 else by_m, 0.0)
     found = trial.go()
     assert found.stop is not None
-    assert found.stop.kind == "container moved"
+    assert found.stop.kind == f"container {kind}"
     assert [one.when for one in found.sightings] == ["before", "asked"]
+    assert "travel" not in trial.phases
+
+
+def test_what_asks_to_stop_while_it_looks_keeps_the_arm_from_setting_out() -> None:
+    trial = PlacedTrial("kuka")
+
+    def once_it_looks() -> None:
+        if trial.hand.doing:
+            trial.lab.schedule(trial.lab.clock() + S // 20, once_it_looks)
+        else:
+            trial.lab.schedule(trial.lab.clock() + S // 5, lambda: trial.hand.ask_to_stop("the page is hidden"))
+
+    trial.at("pre-shape", once_it_looks)
+    found = trial.go()
+    assert found.stop is not None
+    assert found.stop.kind == "a person asked"
     assert "travel" not in trial.phases
 
 
