@@ -65,7 +65,7 @@ class GeneralBody(Body):
         self.rest_arrays = RestArrays(a_qq, null, span, span_count, root, lift)
         order = np.argsort(clusters.members, kind="stable")
         cluster_of = np.repeat(np.arange(count), np.diff(clusters.offsets))
-        self._lists: dict[str, Any] = {
+        self.lists: dict[str, Any] = {
             "offsets": upload(clusters.offsets, int, device),
             "members": upload(clusters.members, int, device),
             "share": upload(np.concatenate(share), scalar, device),
@@ -118,11 +118,6 @@ class GeneralBody(Body):
             found[:, some] = np.stack([w, c], axis=2)[:, kind.reshape(-1)]
         return found
 
-    def lists(self, struct: object) -> Any:
-        for name, value in self._lists.items():
-            setattr(struct, name, value)
-        return struct
-
 
 class GeneralArrays:
     """Rest data on the device, for lanes of one width."""
@@ -146,7 +141,9 @@ class GeneralOperator(Operator):
     def __init__(self, body: GeneralBody, layout: Layout, arrays: GeneralArrays) -> None:
         clusters = body.cluster_count
         super().__init__(body, layout, arrays, layout.groups * clusters * layout.abreast + layout.width)
-        lists = body.lists(arrays.kernels.Lists())
+        lists = arrays.kernels.Lists()
+        for name, value in body.lists.items():
+            setattr(lists, name, value)
         lists.abreast, lists.particles, lists.clusters = layout.abreast, body.particle_count, clusters
         lists.particle_stride, lists.cluster_stride = layout.stride, self.cluster_stride
         self.lists = lists
@@ -161,7 +158,7 @@ class GeneralOperator(Operator):
     ) -> None:
         kept = self.unkept() if kept is None else kept
         self._fit(self.arrays.kernels.fit_clusters, u, parameters, running, kept, what)
-        star = u if what == GOAL else self._zero()
+        star = u if what == GOAL else self._zero
         self._finish(star, star, self.still, running, out, self._nothing)
 
     def change(self, direction: Field, out: Field, parameters: Parameters, running: Field, kept: object) -> None:
@@ -245,10 +242,9 @@ class GeneralOperator(Operator):
         body = host[:, : self.cluster_stride - layout.width].reshape(rows, layout.groups, -1, layout.abreast)
         return body.transpose(1, 3, 2, 0).reshape(-1, self.body.cluster_count, rows)[: layout.candidates]
 
+    @functools.cached_property
     def _zero(self) -> Field:
-        if not hasattr(self, "_zeros"):
-            self._zeros = self.layout.field(self.dim)
-        return self._zeros
+        return self.layout.field(self.dim)
 
     def _fit(
         self, kernel: wp.Kernel, u: Field, parameters: Parameters, running: Field, kept: object, what: int

@@ -59,12 +59,10 @@ def lattice_edges(rest: FloatArray, clusters: LatticeClusters) -> FloatArray | N
 class LatticeBody(Body):
     """A body whose clusters are windows of an even lattice; linear basis."""
 
-    terms: int
-
     def __init__(
         self, rest: BodyRest, clusters: LatticeClusters, edges: FloatArray, scalar: type[Any], device: str
     ) -> None:
-        d = self.terms = rest.position.shape[1]
+        d = rest.position.shape[1]
         super().__init__(d, scalar, device)
         shape = (*(1,) * (3 - len(clusters.shape)), *clusters.shape)
         window = (*(1,) * (3 - len(clusters.window)), *clusters.window)
@@ -158,8 +156,7 @@ class _LatticeArrays:
         functions = cluster_functions_for(d, d, scalar, width)
         total, mean, gram = body.moments()
         n = len(total)
-        axes = d  # along which the passes take moments
-        edges = body.edges[3 - axes :]
+        edges = body.edges[3 - d :]  # along which the passes take moments
         values, vectors = np.linalg.eigh(gram)
         determined = values > FLAT_MOMENT_RATIO * np.maximum(values[:, -1:], np.finfo(float).tiny)
         inverse = np.where(determined, 1.0 / np.where(determined, values, 1.0), 0.0)
@@ -187,7 +184,7 @@ class _LatticeArrays:
 
         rows = functools.partial(upload_rows, stride=site.stride, scalar=scalar, device=device)
         site.share = rows(np.divide(1.0, total, out=np.zeros(n), where=total > 0))
-        site.mean = rows(mean[:, 3 - axes :])
+        site.mean = rows(mean[:, 3 - d :])
         site.affine = rows(np.einsum("nij,aj->nia", pinv, edges))
         site.moment = rows(np.einsum("ai,n->nia", edges, 1.0 / size))
         site.edge_t = upload(edges, scalar, device)
@@ -302,8 +299,7 @@ class LatticeOperator(Operator):
 
     def cluster_gradient(self, adjoint: Field) -> FloatArray:
         """(B, C): see `Operator.cluster_gradient`."""
-        axes = self.dim
-        body = self.body
+        body, axes = self.body, self.dim
         maps = self.layout.get(self.maps, self.dim * (1 + axes), body.clusters_at)
         weighted = np.zeros((self.layout.candidates, body.count, self.dim))
         weighted[:, body.cell] = self.layout.get(adjoint, self.dim) * body.rest.mass[:, None]

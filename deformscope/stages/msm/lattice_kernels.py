@@ -53,25 +53,22 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
     loads all its numbers at once, and waits for fewer passes; 0: any windows and runs, as the grid says
     """
     numbers = wp.array(dtype=scalar)
-    axes = dim
     Motion = motion_for(scalar)
     lanes = lanes_for(width, scalar)
     lane, own, times, below = lanes.lane, lanes.own, lanes.times, lanes.below
     vecs = rows_for(dim, width, scalar)
-    axis_vecs = rows_for(axes, width, scalar)
-    maps = rows_for(axes * dim, width, scalar)
+    maps = rows_for(dim * dim, width, scalar)
     load, store, add, row, with_row = vecs.load, vecs.store, vecs.add, vecs.row, vecs.with_row
-    scale, own_mean = vecs.scale, axis_vecs.own
+    scale, own_mean = vecs.scale, vecs.own
     own_map, store_map, only_map = maps.own, maps.store, maps.choose
-    square_times_map = product_for(dim, axes, dim, width, scalar)
-    map_times_square = product_for(axes, dim, dim, width, scalar)
+    product = product_for(dim, dim, dim, width, scalar)
     cluster = cluster_functions_for(dim, dim, scalar, width)
     fit, fit_change = cluster.fit, cluster.fit_change
     one = scalar(1.0)
     both = 0 < window <= BOTH
     number = f"wp::{scalar.__name__}"
     each = f"for (int l = 0; l < {width}; ++l)"
-    moved = " + ".join(f"mean.data[{a}][l] * slopes.data[{a * dim} + i][l]" for a in range(axes))
+    moved = " + ".join(f"mean.data[{a}][l] * slopes.data[{a * dim} + i][l]" for a in range(dim))
     far = scalar(FAR)
 
     def matrix_c(rows: int) -> str:
@@ -344,22 +341,22 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
         slide_in(source, d, at, grid.line, grid.window_1, steps, grid.stride, target, 2 * d, -1, count)
 
     @wp.func_native(
-        f"{matrix_c(axes * dim)} r; for (int a = 0; a < {axes}; ++a) for (int i = 0; i < {dim}; ++i) {each}"
+        f"{matrix_c(dim * dim)} r; for (int a = 0; a < {dim}; ++a) for (int i = 0; i < {dim}; ++i) {each}"
         f" r.data[a * {dim} + i][l] = valid.c[l] > 0 ? moments.data[a * {dim} + i][l]"
         f" - mean.data[a][l] * total.data[i][l] : {number}(0); return r;"
     )
-    def centred(moments: maps.rows, mean: axis_vecs.rows, total: vecs.rows, valid: lane) -> maps.rows:
+    def centred(moments: maps.rows, mean: vecs.rows, total: vecs.rows, valid: lane) -> maps.rows:
         """First moments about the centre of mass; 0 where there is no cluster."""
 
     @wp.func_native(
         f"{matrix_c(dim)} r; for (int i = 0; i < {dim}; ++i) {each} r.data[i][l] = valid.c[l] > 0"
         f" ? share.c[l] * total.data[i][l] - ({moved}) : {number}(0); return r;"
     )
-    def shift_of(total: vecs.rows, share: lane, mean: axis_vecs.rows, slopes: maps.rows, valid: lane) -> vecs.rows:
+    def shift_of(total: vecs.rows, share: lane, mean: vecs.rows, slopes: maps.rows, valid: lane) -> vecs.rows:
         """Goal displacement at the middle of the window."""
 
     @wp.func_native(
-        f"{matrix_c(axes * dim)} r; for (int i = 0; i < {dim}; ++i) {each} {{ r.data[i][l] = a.data[i][l];"
+        f"{matrix_c(dim * dim)} r; for (int i = 0; i < {dim}; ++i) {each} {{ r.data[i][l] = a.data[i][l];"
         f" r.data[{dim} + i][l] = b.data[i][l];"
         + (f" r.data[{2 * dim} + i][l] = c.data[i][l];" if dim == 3 else "")
         + " } return r;"
@@ -389,8 +386,8 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
             step = differ * site.step
             mean = own_mean(site.mean, place, site.stride, step)
             moments = centred(moments, mean, total, valid)
-            affine_t = square_times_map(own_map(site.affine, place, site.stride, step), moments)
-            change_t = square_times_map(own_map(site.moment, place, site.stride, step), moments)
+            affine_t = product(own_map(site.affine, place, site.stride, step), moments)
+            change_t = product(own_map(site.moment, place, site.stride, step), moments)
             beta = parameter(grid, fields.beta, fields.beta_stride, group, cell)
             theta = parameter(grid, fields.theta, 0, group, cell)
             volume = fields.volume
@@ -398,7 +395,7 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
                 blend_t = fit_change(rest, place, step, kept, at, affine_t, change_t, beta, theta, volume)
             else:
                 blend_t = fit(rest, place, step, kept, at, count, affine_t, change_t, beta, theta, volume, fields.what)
-            slopes = map_times_square(own_map(site.edge_t, 0, 1, 0), blend_t)
+            slopes = product(own_map(site.edge_t, 0, 1, 0), blend_t)
             share = own(site.share, place, step)
             if fields.what != wp.static(GOAL):
                 share = lane()
