@@ -87,7 +87,9 @@ class Iteration:
         self.kind = "cpu" if self.layout.device.startswith("cpu") else "cuda"
         span = self.functions.Span()
         span.abreast, span.blocks = self.layout.abreast, self.layout.blocks
-        self.multigrid = Multigrid(body, rest, self.layout, size, volume) if aided and Multigrid.worth(body) else None
+        self.multigrid = (
+            Multigrid(body, rest, self.layout, size, volume) if aided and Multigrid.worth(body, rest) else None
+        )
         self.threads = 0 if self.multigrid else self.operator.threads
         parts = min(-(-self.layout.blocks // PART_BLOCKS[self.kind]), MOST_PARTS[self.kind])
         span.parts, span.threads = 1 if self.threads else max(1, parts), THREADS[self.kind]
@@ -238,7 +240,7 @@ class Newton(Iteration):
         spent = np.zeros(size, dtype=int)
         if self.multigrid is not None:
             self.multigrid.reset()
-            if start is not None and not start[:, self._free].any():
+            if start is not None and start.any() and not start[:, self._free].any():
                 spent = self._predict(max_iterations)
         self._begin(tolerance, 0.0, outer=1)
         self.step.zero_()
@@ -283,12 +285,12 @@ class Newton(Iteration):
         if self._following is None:
             given = self.operator.resident.BetaSearch()
             given.target, given.found = layout.field(self.body.dim), wp.zeros(3, dtype=wp.float64, device=device)
-            given.seen = upload(np.zeros(layout.places), layout.scalar, device)
+            given.seen = upload(np.zeros(layout.places), layout.scalar, device, layout.width)
             newton, pairs = [self.span, self.state], (self.pair, self.pair_out)
             self._following = given, self.operator.follow(self.parameters, self._kept, newton, *pairs, given)
         given, launch = self._following
         layout.put(target[None], given.target)
-        places = np.zeros(layout.places)
+        places = np.zeros(layout.places + layout.width)
         places[layout.place] = seen
         given.seen.assign(places)
         for name, value in search.items():

@@ -455,6 +455,7 @@ def newton_functions_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
         it is not positive there, or a solve takes more than `patience` directions."""
         for member in range(span.abreast):
             i = group * span.abreast + member
+            newton.mix[i] = scalar(0.0)  # also of what ended: its direction may be 0 / 0
             if newton.inner[i] == 1:
                 product = collected(span, newton.parts, 0, newton.groups, group, member, 0)
                 square = collected(span, newton.parts, 1, newton.groups, group, member, 0)
@@ -469,10 +470,9 @@ def newton_functions_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
                         last = nought
                 if newton.plain[i] != 0:
                     product = square
-                newton.mix[i] = scalar(0.0)
                 if last > nought:
                     newton.mix[i] = scalar(product / last)
-                newton.square[i] = product
+                newton.square[i] = wp.max(product, wp.float64(1e-300))
                 newton.along[i] = product
 
     @wp.func
@@ -514,6 +514,7 @@ def newton_functions_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
             newton.by[i] = scalar(0.0)
             newton.slope[i] = nought
             newton.taken[i] = nought
+            newton.norm[i] = wp.float64(wp.inf)
             newton.error[i] = wp.float64(wp.inf)
             newton.least[i] = unity
             newton.least_before[i] = unity

@@ -12,24 +12,31 @@ that needs most, and a static state's sums over particles are lane by lane.
 
 import functools
 import os
+import platform
 from types import SimpleNamespace
 from typing import Any
 
 import warp as wp
 from numpy._core._multiarray_umath import __cpu_features__
 
+from deformscope.errors import InputError
+
 FORCE_BITS = "DEFORMSCOPE_VECTOR_BITS"
 """Environment variable that takes the place of what the processor says, for tests: 256 or 512."""
 
-VECTOR_BITS = int(os.environ.get(FORCE_BITS, 512 if __cpu_features__.get("AVX512F") else 256))
+_FORCED = os.environ.get(FORCE_BITS, "512" if __cpu_features__.get("AVX512F") else "256")
+if _FORCED not in ("256", "512"):
+    raise InputError(f"{FORCE_BITS} = 256 or 512", repr(_FORCED))
+VECTOR_BITS = int(_FORCED)
 """Of a vector of this processor. Where half of the lanes fit, a step takes 1.2 to 1.3 times as long."""
 
 LANES = {wp.float32: VECTOR_BITS // 32, wp.float64: VECTOR_BITS // 64}
 """Numbers that a CPU's vector units take side by side."""
 
 CPU_FLAGS = (
-    f"-march=native -mprefer-vector-width={VECTOR_BITS}"
-    " -mllvm=-inline-threshold=9000 -mllvm=-inline-cold-callsite-threshold=3000"
+    "-march=native"
+    + (f" -mprefer-vector-width={VECTOR_BITS}" if platform.machine() in ("x86_64", "AMD64") else "")
+    + " -mllvm=-inline-threshold=9000 -mllvm=-inline-cold-callsite-threshold=3000"
 )
 """For modules of lanes. Compilers take half of an Intel processor's 512 bits if not told. Warp's own flags also cap the
 recursion of the search for vector instructions, which leaves most of the lanes to plain ones; without the high

@@ -22,6 +22,7 @@ from typing import Any, TypeAlias, TypeGuard
 
 import numpy as np
 import warp as wp
+from scipy.ndimage import label
 from scipy.sparse import block_diag, csr_array
 from scipy.spatial import cKDTree
 
@@ -51,6 +52,9 @@ STIFFER = 1.25
 
 DEGREE, RANGE = 2, 5.0
 """Of Chebyshev's iteration: its steps, and the ratio of the largest to the smallest eigenvalue that it damps."""
+
+LONGEST = 24
+"""Cells along an axis of the coarsest level, whose equations take as many steps, at most."""
 
 PATIENCE = 150
 """Directions of one solve after which it goes on without the preconditioner."""
@@ -257,11 +261,18 @@ class Multigrid:
         self._same_groups = self.levels[0].layout.groups == layout.groups
 
     @staticmethod
-    def worth(body: Body) -> TypeGuard[LatticeBody]:
-        """Whether a body is large enough, and wide enough to be coarsened."""
-        if not isinstance(body, LatticeBody) or len(body.cell) <= LEAST:
+    def worth(body: Body, rest: BodyRest) -> TypeGuard[LatticeBody]:
+        """Whether a body is large enough, wide enough to be coarsened until little is left, and held in every piece: a
+        piece that nothing holds stays where it is. In float64: the last digits of float32 hide what slow modes pull."""
+        if not isinstance(body, LatticeBody) or len(body.cell) <= LEAST or body.scalar is not wp.float64:
             return False
-        return min(n for n in body.shape if n > 1) >= NARROWEST
+        shape = np.array(body.shape)
+        while min(shape[shape > 1], default=0) >= NARROWEST and np.prod(shape) > FEWEST:
+            shape = (shape + 1) // 2
+        if tuple(shape) == tuple(body.shape) or shape.max() > LONGEST:
+            return False
+        pieces, count = label(body.at_cells(np.ones(len(body.cell)), float).reshape(body.shape), np.ones((3, 3, 3)))
+        return bool(len(np.unique(pieces.reshape(-1)[body.cell[~rest.free]])) == count)
 
     def _transfers(self, fine: _Level, coarse: _Level) -> tuple[Launch, Launch, Launch]:
         """Between two levels: what is left to the coarse one, its correction back, and displacements to it."""

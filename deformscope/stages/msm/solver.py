@@ -590,9 +590,8 @@ class Msm:
     ) -> None:
         """`step`, whose result stays on the device; on a GPU it returns before the steps are taken."""
         if isinstance(beta, AxisBeta):
-            self._along(beta, theta).advance(
-                state, held_position, beta.value[:, None, :], alpha=alpha, dt=dt, acceleration=acceleration, steps=steps
-            )
+            how: Any = {"alpha": alpha, "dt": dt, "acceleration": acceleration, "steps": steps, "held_from": held_from}
+            self._along(beta, theta).advance(state, held_position, beta.value[:, None, :], **how)
             return
         if state.operator.body is not self._body:
             state.move_to(self._body.operator(self._body.layout(state.layout.candidates)))

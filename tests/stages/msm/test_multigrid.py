@@ -70,7 +70,7 @@ def _plain(monkeypatch: pytest.MonkeyPatch, engine: Msm) -> Msm:
     """The same body, never preconditioned."""
     made = engine.holding(engine.held)
     with monkeypatch.context() as patch:
-        patch.setattr(Multigrid, "worth", staticmethod(lambda body: False))
+        patch.setattr(Multigrid, "worth", staticmethod(lambda body, rest: False))
         for size in (1, 5):
             for volume in ("scale", "project"):
                 made._method(*made._kind(np.full(size, float(volume == "project")), size, "project"))
@@ -164,12 +164,44 @@ def test_betas_of_clusters_are_those_without_it(device: str, monkeypatch: pytest
     np.testing.assert_allclose(found.position, plain.position, atol=1e-8 * engine.extent)
 
 
-def test_in_float32_too(device: str) -> None:
-    engine, held = _poked("2D, wide", device, "float32")
-    exact, _ = _poked("2D, wide", device)
-    found, wanted = engine.relax(held, 0.9), exact.relax(held, 0.9)
+def test_a_candidate_that_nothing_moves_stays_among_others(device: str) -> None:
+    engine, held = _poked("2D, wide", device)
+    rest = engine.rest[engine.held]
+    some = rest + np.array([0.0, 0.4, 0.7, 1.0, 0.0])[:, None, None] * (held - rest)
+    found = engine.relax(some, 0.7)
     assert found.converged.all()
-    np.testing.assert_allclose(found.position, wanted.position, atol=1e-4 * engine.extent)
+    np.testing.assert_allclose(found.position[[0, 4]], engine.rest[None].repeat(2, axis=0), atol=1e-9)
+    alone = engine.relax(some[2], 0.7)
+    np.testing.assert_allclose(found.position[2], alone.position[0], atol=1e-8 * engine.extent)
+    moves = engine.sensitivity(found.position, 0.7)
+    assert moves.converged
+    assert np.abs(moves.beta[0]).max() < 1e-9
+    np.testing.assert_allclose(moves.beta[2], engine.sensitivity(alone.position, 0.7).beta[0], atol=1e-7)
+    pull = np.ones_like(found.position)
+    pull[1] = 0.0
+    assert np.isfinite(engine.gradient(found.position, 0.7, cotangent=pull).beta).all()
+
+
+@pytest.mark.parametrize("kind", ["float32", "long", "cut apart", "narrow"])
+def test_what_it_does_not_serve_goes_without(kind: str, device: str) -> None:
+    shape = {"long": (6, 400), "narrow": (4, 40)}.get(kind, (14, 31))
+    precision: Precision = "float32" if kind == "float32" else "float64"
+    engine, position = _body(shape, 3, device=device, precision=precision)
+    if kind == "cut apart":  # nothing holds the piece on the right
+        cell = np.flatnonzero((engine.rest[:, 1] < 14) | (engine.rest[:, 1] > 16))
+        rest = engine.rest[cell]
+        held = np.flatnonzero((rest[:, 0] == 0) & (rest[:, 1] < 14))
+        engine, position = Msm(rest, clusters.lattice(rest, shape, cell, 3), held, device=device), rest[held]
+    method = engine._method(*engine._kind(np.zeros(1), 1, "scale"))
+    assert method.multigrid is None
+    assert engine.relax(position, 0.5, max_iterations=5).smoothed[0] == 0
+
+
+def test_a_residual_that_was_never_taken_is_not_told(device: str) -> None:
+    engine, held = _poked("2D, wide", device)
+    found = engine.relax(held, 0.7, max_iterations=2)
+    assert not found.converged[0]
+    assert found.residual[0] > 1e-6
 
 
 @pytest.mark.parametrize(("dim", "sides"), [(2, (17, 33, 65)), slow(3, (9, 17, 33))])
