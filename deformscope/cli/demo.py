@@ -33,4 +33,4 @@ def run(config: DemoConfig) -> None:
         calibrate(BetaConfig((f"sample:{SAMPLE}",), output=output))
     else:
         explore(ExploreConfig(rig=SCENE, budget=TOUCHES, detail=config.detail, output=output))
-    say(f"open it with: {rerun_command()} {shlex.quote(str(output.record))}")
+    say(f"open it with: {rerun_command()} --bind 127.0.0.1 {shlex.quote(str(output.record))}")

@@ -55,7 +55,9 @@ def curves_png(
                 panel.plot(one.at, one.values[:, at], **given)
             else:
                 off = np.abs(np.stack([one.low[:, at], one.high[:, at]]) - one.values[:, at])
-                panel.errorbar(one.at, one.values[:, at], np.nan_to_num(off), capsize=3, elinewidth=1, **given)
+                panel.errorbar(
+                    one.at, one.values[:, at], np.where(np.isfinite(off), off, 0.0), capsize=3, elinewidth=1, **given
+                )
         for at, ((name, start), (_, stop)) in enumerate(pairwise(ends)):
             panel.axvspan(start, stop, color=PHASES[at % 2], zorder=0, lw=0)
             if panel is axes[0]:

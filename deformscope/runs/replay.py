@@ -105,7 +105,10 @@ def _fits(recording: Replay, config: ReplayConfig, progress: Progress | None) ->
         select = None if motion is None else msgspec.convert(motion["select"], tuple[Selectable, ...])
     except (KeyError, msgspec.ValidationError) as error:
         raise InputError(
-            "a recording of a calibration", f"settings of another kind ({error})", where=config.recording
+            "a recording of a calibration, with its inputs",
+            "settings of another command",
+            f"open it, or `deformscope report {config.recording}`",
+            config.recording,
         ) from error
     if fit.model.device != "cpu":  # the recording's GPU may not be here
         fit = dataclasses.replace(fit, model=dataclasses.replace(fit.model, device=pick_device("auto")))
