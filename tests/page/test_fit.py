@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shlex
 import threading
+import time
 from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
 from multiprocessing import Pipe
@@ -78,7 +79,7 @@ class Watched:
     def __init__(self, config: BetaConfig | ThetaConfig) -> None:
         self.session = PageSession("test")
         self.files: dict[str, bytes] = {}
-        self._changed = threading.Condition()
+        self._changed = threading.Event()
         self.session.watch(self._change)
         quiet_warp()
         self.fitting = PageFit(config, subject_of(config, lambda words: None), self._take, keeps_last=True)
@@ -92,13 +93,15 @@ class Watched:
             self.session.enter("adjusting", commands=commands, fit=state)
 
     def _change(self) -> None:
-        with self._changed:
-            self._changed.notify_all()
+        self._changed.set()  # the session is locked here: what waits for it must hold nothing
 
     def until(self, wanted: Any) -> Any:
-        with self._changed:
-            assert self._changed.wait_for(lambda: wanted(self.session.state.fit), PATIENCE_S)
-        return self.session.state.fit
+        until_s = time.monotonic() + PATIENCE_S
+        while True:
+            self._changed.clear()
+            if wanted(fit := self.session.state.fit):
+                return fit
+            assert self._changed.wait(max(until_s - time.monotonic(), 0.0))
 
     def set(self, number: int, **changes: Any) -> None:
         """These settings alone are not as they began."""

@@ -52,7 +52,7 @@ class Camera(Watched):
     """A fit of pictures that a test gives. before: what was shown as the last of them came"""
 
     def __init__(self, folder: Path, beside: Executor | None = None) -> None:
-        self.files, self._changed = {}, threading.Condition()
+        self.files, self._changed = {}, threading.Event()
         self.session = PageSession("test")
         self.session.watch(self._change)
         quiet_warp()
