@@ -55,7 +55,7 @@ BEFORE_S, LONGEST_S = 0.5, 8.0
 """What belongs to an approach before that, and how long it lasts at most."""
 ALONG_WAY = 0.5
 """Least share of the force along the arm's way: within it are 60 degrees. An arm that is led through the air while its
-sensor is pressed, as on `lab:bench`, tells no stiffness."""
+sensor is pressed, as on `lab:bench`, gives no stiffness."""
 FOLLOW = 0.01
 """Share by which the force without contact follows each reading."""
 

@@ -382,7 +382,7 @@ class Placing:
         it; where the robot has not moved yet, it is to be seen as before."""
         placed = when == "placed"
         change = (yield from self._look(when, near=placed)).change
-        if change is not None and (change.told if placed else change.kind != "stands"):
+        if change is not None and (change.changed if placed else change.kind != "stands"):
             met = "the hand has met it" if placed else "somebody has moved it"
             raise self._ended(f"{CONTAINER} {change.kind}", change.words, f"the container: {met}")
 

@@ -218,14 +218,15 @@ class SqueezingHand:
         if self.arm is None:
             yield
             return
-        try:
-            with self.arm.watched() as self._arm_faulty:
-                try:
-                    yield
-                finally:
-                    self._arm_faulty = lambda: ""
-        except DeviceError as error:
-            self._robot.fail(SqueezeFault.ARM, " ".join(str(error).split()))
+        with contextlib.ExitStack() as watch:
+            try:
+                self._arm_faulty = watch.enter_context(self.arm.watched())
+            except DeviceError as error:  # the arm's alone: what the hand raises is not its fault
+                self._robot.fail(SqueezeFault.ARM, " ".join(str(error).split()))
+            try:
+                yield
+            finally:
+                self._arm_faulty = lambda: ""
 
     def _squeeze(self) -> None:
         """Close, hold, open; the events end the phases."""

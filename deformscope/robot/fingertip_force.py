@@ -41,7 +41,7 @@ class PadRate:
 
 class FingertipForce:
     """pads: the arrays, open, two a finger in the controller's order; squeezing: what the fingers press is theirs to
-    judge, and nothing that pushes the arm: their forces say 0, while silence and equal frames are told as ever"""
+    judge, and nothing that pushes the arm: their forces say 0, while silence and equal frames are reported as ever"""
 
     def __init__(self, pads: Dsa, *, squeezing: bool = False) -> None:
         self._pads, self._squeezing = pads, squeezing

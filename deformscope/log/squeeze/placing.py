@@ -34,7 +34,7 @@ def log_place_start(rec: Sink, streams: Sequence[Stream], base_from_table: Float
 
 def log_sighting(now: ResultBatch, seen: ContainerSighting) -> None:
     """The container where it was found, in space and over the image; what became of it in words."""
-    changed = seen.change is not None and seen.change.told
+    changed = seen.change is not None and seen.change.changed
     color = BAD if changed else LOOKS[seen.when]
     level = "WARN" if changed or seen.fit is None else "INFO"
     now.show(f"{WORDS}/{seen.when}", rr.TextLog(f"container {seen.when}: {seen.words}", level=level))

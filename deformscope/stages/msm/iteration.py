@@ -127,7 +127,7 @@ class Iteration:
         size = self.layout.candidates
         smoothed, unaided = np.zeros(size, dtype=int), np.zeros(size, dtype=bool)
         if self.multigrid is not None:
-            smoothed, unaided = self.multigrid.told(state.outers, spent > 0)
+            smoothed, unaided = self.multigrid.used(state.outers, spent > 0)
         return Ended(
             state=state.state.numpy()[:size].copy(),
             norm=state.norm.numpy()[:size].copy(),

@@ -329,7 +329,7 @@ class Multigrid:
         """Whether all candidates go without."""
         return bool(self.plain.numpy()[: self.layout.candidates].all())
 
-    def told(self, linearised: Field, predicted: BoolArray) -> tuple[IntArray, BoolArray]:
+    def used(self, linearised: Field, predicted: BoolArray) -> tuple[IntArray, BoolArray]:
         """(B,) evaluations in the finest level, and which candidates went on without. linearised: how often each was;
         predicted: (B,) once more"""
         size = self.layout.candidates

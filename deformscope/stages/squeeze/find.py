@@ -103,7 +103,7 @@ class ContainerShift:
 
     @property
     @derived(key=None)
-    def told(self) -> bool:
+    def changed(self) -> bool:
         """It is not as it was, by what is seen."""
         return self.kind not in ("stands", "hidden")
 
