@@ -13,7 +13,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import combinations
-from typing import Protocol
 
 import numpy as np
 
@@ -39,36 +38,10 @@ Filtered = Callable[[FloatArray, int], FloatArray]
 """(..., m) force behind filters of log times (...,), or its derivative by log time."""
 
 
-class Spectrum(Protocol):
-    """A kind of creep. priors: means (c, k) and deviations (k,) of the parameters of each choice of nodes"""
-
-    @property
-    def prior(self) -> float:
-        """Its probability, with all choices of nodes."""
-        ...
-
-    @property
-    def endless(self) -> bool: ...
-
-    @property
-    def most(self) -> int:
-        """How many filters it has."""
-        ...
-
-    def priors(self) -> tuple[FloatArray, FloatArray]: ...
-
-    def filters(self, parameters: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Strengths (d, b) and retardation times (d, b) [s] of parameters (d, k)."""
-        ...
-
-    def felt(self, parameters: FloatArray, filtered: Filtered) -> tuple[FloatArray, FloatArray]:
-        """(d, m) what the filters add to the force, and (d, k, m) its derivatives."""
-        ...
-
-
 @dataclass(frozen=True, slots=True)
 class Branches:
-    """So many filters; parameters (2 b,): log j, then log l of each. nodes: (n,) of log l; prior: probability"""
+    """So many filters; parameters (2 b,): log j, then log l of each. nodes: (n,) of log l; prior: probability, of all
+    choices of nodes together"""
 
     count: int
     nodes: FloatArray
@@ -77,18 +50,22 @@ class Branches:
 
     @property
     def most(self) -> int:
+        """How many filters it has."""
         return self.count
 
     def priors(self) -> tuple[FloatArray, FloatArray]:
+        """Means (c, k) and deviations (k,) of the parameters of each choice of nodes."""
         chosen = np.array(list(combinations(self.nodes, self.count)), dtype=np.float64)
         log_j = np.full(chosen.shape, np.log(STRENGTH_MEDIAN / max(self.count, 1)))
         apart = float(self.nodes[1] - self.nodes[0])
         return np.hstack([log_j, chosen]), np.repeat([STRENGTH_SPREAD, NODE_SD * apart], self.count)
 
     def filters(self, parameters: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Strengths (d, b) and retardation times (d, b) [s] of parameters (d, k)."""
         return _exp(parameters[:, : self.count]), _exp(parameters[:, self.count :])
 
     def felt(self, parameters: FloatArray, filtered: Filtered) -> tuple[FloatArray, FloatArray]:
+        """(d, m) what the filters add to the force, and (d, k, m) its derivatives."""
         strength, log_l = _exp(parameters[:, : self.count, None]), parameters[:, self.count :]
         each = strength * filtered(log_l, 0)
         return each.sum(axis=1), np.concatenate([each, strength * filtered(log_l, 1)], axis=1)
@@ -97,7 +74,7 @@ class Branches:
 @dataclass(frozen=True, slots=True)
 class Endless:
     """Filters of the log times (b,), whose strengths go as l^n; parameters (2,): log of their sum within the hold, and
-    n. within: (b,) which are"""
+    n. within: (b,) which are; methods as of `Branches`"""
 
     log_times: FloatArray
     within: FloatArray
@@ -138,6 +115,9 @@ class Endless:
         mean_log = (grown * self.within * self.log_times).sum(axis=1, keepdims=True) / within
         strength = _exp(log_sum) * grown / within
         return strength, strength * (self.log_times - mean_log)
+
+
+Spectrum = Branches | Endless
 
 
 def _exp(log: FloatArray) -> FloatArray:
