@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from deformscope.stages.poke.contact import ArmCompliance
+from deformscope.stages.poke.creep import fit_creep
 from studies.creep import STUDY, CreepCoverageConfig
-from studies.creep_laws import LAWS, LawOutcome, law_cases, law_table
+from studies.creep_laws import LAWS, UP, LawOutcome, law_cases, law_table
 from studies.independent import viscoelastic
 
 
@@ -66,3 +68,21 @@ def test_what_a_hold_did_not_see_is_named() -> None:
     assert sum("short-record" in one.reasons for one in slow) >= 10
     assert sum(bool(one.reasons) for one in elastic) <= 1
     assert np.mean([one.kept for one in slow]) > 0.75
+
+
+def test_the_force_kept_is_right_where_much_relaxed_on_the_way_down() -> None:
+    """Under a power law the dent at the set force is much deeper than the one at once: the approach took longer."""
+    law, after_s = viscoelastic.power_law(0.2, 0.001), np.array([0.5, 8.0])
+    made = viscoelastic.touched(law, 0.0, 8.0, after_s, np.random.default_rng(2))
+    fit = fit_creep(
+        made.time_s,
+        -made.place_m[:, None] * UP,
+        made.force_n[:, None] * UP,
+        UP,
+        loading=made.loading,
+        held=len(made.time_s),
+        arm=ArmCompliance(viscoelastic.ARM_M_PER_N, viscoelastic.ARM_OFF_M_PER_N),
+        radius_m=viscoelastic.RADIUS_M,
+    )
+    said = [one.share for one in fit.force_kept if one.after_s in (0.5, fit.held_s)]
+    assert said == pytest.approx(made.kept, abs=0.015)
