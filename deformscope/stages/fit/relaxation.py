@@ -61,7 +61,7 @@ class ForceKept:
 
     def __str__(self) -> str:
         low, high = self.interval
-        return f"keeps {self.share:.1%} ({low:.1%} to {high:.1%}) of the force after {self.after_s:.2g} s"
+        return f"keeps {self.share:.1%} ({low:.1%} to {high:.1%}) of its force after {self.after_s:.2g} s"
 
 
 def kept_of(

@@ -132,10 +132,16 @@ class TouchEstimate:
 
     creep: CreepFit | None = field(
         default=None,
-        metadata=reported(
-            "creep", words=lambda touch: "" if touch.creep is None else touch.creep.brief, caption="creep: {}"
-        ),
+        metadata=reported("creep", words=lambda touch: "" if touch.creep is None else touch.creep.brief),
     )
+
+    @property
+    @derived("force, held in place", key=None, caption="{}")
+    def force_kept_text(self) -> str:
+        """The reasons to doubt the creep, and the force that is kept to the end of the hold; empty without a hold."""
+        if self.creep is None or not self.creep.force_kept:
+            return ""
+        return ", ".join([*(one.code for one in self.creep.reasons), str(self.creep.force_kept[-1])])
 
     @property
     def usable(self) -> bool:

@@ -64,7 +64,7 @@ class RecoveryEstimate(ReportedResult):
     )
     force_kept: tuple[ForceKept, ...] = field(
         metadata=reported(
-            "held in place", words=lambda found: "; ".join(map(str, (found.force_kept[0], found.force_kept[-1])))
+            "force, held in place", words=lambda found: "; ".join(map(str, (found.force_kept[0], found.force_kept[-1])))
         )
     )
     set: Number = field(metadata=reported("permanent set", key="permanent_set_share", digits=".1%"))

@@ -121,15 +121,13 @@ class CreepFit:
 
     @property
     def brief(self) -> str:
-        """Verdict, reasons, what relaxes, and the force that is kept to the end of the hold."""
+        """Verdict, reasons, and what relaxes."""
         least, most = self.share_interval
-        relaxes = f"{self.share:.0%} relaxes ({least:.0%} to {most:.0%})"
+        if self.verdict in ("elastic", "slipping"):
+            return self.verdict
         if self.reasons:
-            relaxes = f"{self.reasons[0].code}: at least {least:.0%} relaxes"
-        words = [self.verdict, *([] if self.verdict in ("elastic", "slipping") else [relaxes])]
-        if self.force_kept:
-            words.append(str(self.force_kept[-1]))
-        return ", ".join(words)
+            return f"{self.verdict}, {self.reasons[0].code}: at least {least:.0%} relaxes"
+        return f"{self.verdict}, {self.share:.0%} relaxes ({least:.0%} to {most:.0%})"
 
     @property
     def text(self) -> str:
