@@ -18,7 +18,7 @@ TUNING = range(1000, 2000)
 def reported(count: int, first: int = 0) -> range:
     """`count` reported seeds from `first` on. Raises InputError where they would run into those for tuning."""
     seeds = range(first, first + count)
-    if count < 1 or first < REPORTED.start or seeds.stop > REPORTED.stop:
-        expected = f"seeds from {REPORTED.start} to {REPORTED.stop - 1}"
+    if count < 1 or first < REPORTED.start or (first < TUNING.stop and seeds.stop > TUNING.start):
+        expected = f"seeds from {REPORTED.start} to {REPORTED.stop - 1}, or from {TUNING.stop} on"
         raise InputError(expected, f"{count} from {first}", "the next ones are kept for choosing constants")
     return seeds
