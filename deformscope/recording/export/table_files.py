@@ -135,7 +135,7 @@ TABLE_FILES: dict[str, Callable[[Path, pa.Schema], TableFile]] = {
 
 
 def _is_flat(kind: pa.DataType) -> bool:
-    return pa.types.is_list(kind) or pa.types.is_string(kind) or pa.types.is_large_binary(kind)
+    return bool(pa.types.is_list(kind) or pa.types.is_string(kind) or pa.types.is_large_binary(kind))
 
 
 def _item_type(kind: pa.DataType) -> Any:
@@ -143,7 +143,7 @@ def _item_type(kind: pa.DataType) -> Any:
 
 
 def _is_numbers(kind: pa.DataType) -> bool:
-    return pa.types.is_list(kind) and not pa.types.is_string(kind.value_type)
+    return bool(pa.types.is_list(kind) and not pa.types.is_string(kind.value_type))
 
 
 def _flat(column: pa.Array) -> tuple[npt.NDArray[Any], npt.NDArray[np.int64]]:
