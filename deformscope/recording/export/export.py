@@ -175,10 +175,9 @@ def _described(stream: RecordedStream, files: Sequence[ExportedFile]) -> dict[st
         for one in stream.schema
     ]
     known = stream.about
-    device = {"name": stream.device, "kind": known.kind, "driver": known.driver} if known is not None else None
-    simulated = {"simulated": known.simulated} if known is not None else {}
+    said = {} if known is None else {"kind": known.kind, "driver": known.driver, "simulated": known.simulated}
+    device = None if known is None else {"name": stream.device, **said}
     own = [one.file for one in files if one.entity == stream.entity]
-    device = None if device is None else device | simulated
     return {"entity": stream.entity, "files": own, "device": device, "columns": columns}
 
 
@@ -211,13 +210,14 @@ def _draft(folder: Path, *, overwrite: bool) -> Iterator[Path]:
 
 def _replace(folder: Path, draft: Path) -> None:
     """Take away what an earlier export wrote, and move the draft's files there."""
+    new = [path.relative_to(draft) for path in draft.rglob("*") if path.is_file()]
     try:
-        ours = [one["file"] for one in json.loads((folder / MANIFEST).read_bytes())["files"]]
+        ours = [folder / one["file"] for one in json.loads((folder / MANIFEST).read_bytes())["files"]]
     except (OSError, ValueError, TypeError, KeyError):
         ours = []
-    new = [path.relative_to(draft) for path in draft.rglob("*") if path.is_file()]
-    images = [path for path in folder.rglob("*") if OURS.fullmatch(path.name)] if not ours or "." in ours else []
-    for path in [*(folder / name for name in ours), *images]:
+    folders = {folder, *(path for path in ours if path.is_dir()), *((folder / name).parent for name in new)}
+    images = [path for one in folders if one.is_dir() for path in one.iterdir() if OURS.fullmatch(path.name)]
+    for path in (*ours, *images):
         if path.is_file() and path.resolve().is_relative_to(folder.resolve()):
             path.unlink()
     for name in new:

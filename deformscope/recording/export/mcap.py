@@ -48,7 +48,7 @@ def write_mcap(
         missing = "pip install 'deformscope[mcap]'"
         raise InputError("the packages mcap and mcap-ros2-support", "none", missing) from None
     with path.open("wb") as file:
-        writer = Writer(file, chunk_size=1 << 20, compression=CompressionType.ZSTD)
+        writer: Any = Writer(file, chunk_size=1 << 20, compression=CompressionType.ZSTD)
         writer.start(profile="ros2", library="deformscope")
         bag = _Bag(writer, serialize_dynamic)
         topics = _Topics(bag, tables, chosen)
@@ -217,7 +217,7 @@ _NOTHING: dict[str, Any] = {"double": math.nan, "float": math.nan, "string": "",
 def _lens(tables: RecordingTables, camera: str) -> Row | None:
     """The calibration of the depth camera; None where the recording does not say it."""
     looks = [entity for entity, stream in tables.streams.items() if LookFrames in stream.kinds]
-    found = next((batch.to_pylist()[0] for _, batch in tables.batches(looks)), {}) if looks else {}
+    found: Row = next((batch.to_pylist()[0] for _, batch in tables.batches(looks)), {}) if looks else {}
     if not found:
         try:
             found = tomllib.loads(tables.settings.get("rig", "")).get("camera", {})
@@ -226,7 +226,7 @@ def _lens(tables: RecordingTables, camera: str) -> Row | None:
     if not found.get("focal_px") or found.get("device") not in (None, camera):
         return None
     (fx, fy), (cx, cy) = found["focal_px"], found["center_px"]
-    lens = {"distortion_model": "plumb_bob", "d": [*map(float, found.get("distortion") or (0.0,) * 5)]}
+    lens: Row = {"distortion_model": "plumb_bob", "d": [*map(float, found.get("distortion") or (0.0,) * 5)]}
     lens |= {"k": [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0], "r": [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]}
     lens |= {"p": [fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0], "binning_x": 0, "binning_y": 0}
     return lens | {"roi": {"x_offset": 0, "y_offset": 0, "height": 0, "width": 0, "do_rectify": False}}
