@@ -197,7 +197,10 @@ def read_mcap(path: Path) -> Iterator[tuple[str, int, Any]]:
 
 
 @pytest.mark.parametrize("path", [BENCH, EXPLORED], ids=lambda path: path.stem)
-def test_an_mcap_is_read_alike_by_two_readers_of_others(path: Path, tmp_path: Path) -> None:
+def test_an_mcap_is_read_alike_by_two_readers_of_others(
+    path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(RECORDINGS.parent)  # where the arm's URDF is, as these recordings have it
     pytest.importorskip("mcap_ros2")
     rosbags = pytest.importorskip("rosbags.highlevel")
 
@@ -254,6 +257,10 @@ def _check_standard(path: Path, by_topic: dict[str, list[tuple[int, Any]]]) -> N
             assert {one.header.frame_id for _, one in own} == {device}
         if kind == "arm":
             angles = [np.asarray(one.position) for _, one in by_topic[f"/{device}/joint_states"]]
+            assert by_topic[f"/{device}/joint_states"][0][1].name[0].endswith("_joint_1")
+            assert all(
+                name in by_topic[f"/{device}/robot_description"][0][1].data for name in own_names(by_topic, device)
+            )
             np.testing.assert_allclose(angles, np.deg2rad([item.joint_deg for item in items]), rtol=1e-15)
     depth = next(stream for stream in RecordingTables(Replay(path)).streams if stream.startswith("depth/"))
     device = depth.partition("/")[2]
@@ -266,6 +273,12 @@ def _check_standard(path: Path, by_topic: dict[str, list[tuple[int, Any]]]) -> N
     lens = by_topic[f"/{device}/depth/camera_info"]
     assert len(lens) == len(images)
     assert lens[0][1].k[0] > 100
+    ((_, still),) = by_topic["/tf_static"]
+    moving = {one.child_frame_id for _, message in by_topic["/tf"] for one in message.transforms}
+    fixed = {one.child_frame_id: one for one in still.transforms}
+    assert not moving & set(fixed)
+    turns = [[getattr(one.transform.rotation, axis) for axis in "xyzw"] for one in fixed.values()]
+    np.testing.assert_allclose(np.linalg.norm(turns, axis=1), 1.0, atol=1e-6)
     parents = {one.header.frame_id for _, message in by_topic["/tf"] for one in message.transforms}
     assert not any("#" in name for name in parents)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import errno
 import json
 import os
@@ -103,7 +104,7 @@ def export(replay: Replay, asked: ExportRequest, note: Note) -> Exported:
                 files = _write_tables(tables, chosen, draft, asked.to, about, note)
         if asked.manifest:
             about |= {"streams": [_described(one, files) for one in chosen.values()], "files": files}
-            text = json.dumps(about, indent=2, default=_plain)
+            text = json.dumps(about, indent=2, default=dataclasses.asdict)
             (draft / MANIFEST).write_text(f"{text}\n", encoding="utf-8")
     images = [
         ExportedImages(one.device, one.what, asked.folder / _inside(one.folder, draft), one.count) for one in images
@@ -237,7 +238,3 @@ def _inside(path: Path, draft: Path) -> str:
 def _reason(error: OSError) -> str:
     number = re.search(r"errno (\d+)\]", str(error))  # Arrow's errors have it in words alone
     return (os.strerror(int(number[1])) if number else error.strerror or str(error)).lower()
-
-
-def _plain(value: Any) -> Any:
-    return {"entity": value.entity, "file": value.file, "rows": value.rows}

@@ -13,9 +13,9 @@ import re
 import tomllib
 from collections import Counter
 from collections.abc import Callable, Mapping
-from itertools import groupby
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 
@@ -34,6 +34,8 @@ LATCHED = (
     "  liveliness_lease_duration: {sec: 9223372036, nsec: 854775807}\n  avoid_ros_namespace_conventions: false\n"
 )
 """What rosbag2 offers of a topic whose last message also those get who come late."""
+MOVABLE = ("revolute", "continuous", "prismatic")
+"""Joints of a URDF that an arm's angles turn; those of fingers follow."""
 Row = dict[str, Any]
 
 
@@ -105,9 +107,14 @@ class _Topics:
         self._camera = depth[0] if depth else "camera"
         self._lens = _lens(tables, self._camera)
         self._unposted: list[tuple[int, Row]] = []
+        self._still: list[Row] = []
+        self._moving: set[str] = set()
+        self._joints: dict[str, list[str]] = {}
         for stream in chosen.values():
             if stream.about is not None and stream.about.urdf is not None and stream.about.urdf.is_file():
                 text = stream.about.urdf.read_text(encoding="utf-8")
+                joints = [one for one in ElementTree.fromstring(text).iter("joint") if one.get("type") in MOVABLE]
+                self._joints[stream.device] = [one.get("name", "") for one in joints]
                 if tables.anonymous:
                     text = re.sub(r'filename="[^"]*/', 'filename="', text)
                 topic = f"{_topic(stream.device)}/robot_description"
@@ -129,8 +136,12 @@ class _Topics:
         self._write_standard(stream, row, header, ns)
 
     def close(self) -> None:
-        """Write what is left."""
+        """Write what is left: the last transforms, and in one message those that stand still."""
         self._post()
+        # A joint's rest pose stands still in the recording too; for ROS a frame either moves or does not.
+        if own := [one for one in self._still if one["child_frame_id"] not in self._moving]:
+            still = {"transforms": own}
+            self._bag.add("/tf_static", "tf2_msgs/TFMessage", None, still, self._start_ns, latched=True)
 
     def _write_standard(self, stream: RecordedStream, row: Row, header: Row, ns: int) -> None:
         topic = _topic(stream.device)
@@ -141,6 +152,8 @@ class _Topics:
                 self._write_wrenches(topic, row, header, ns)
             elif kind is ArmFrame:
                 state = _joints(row, header, "joint", "joint_velocity", "joint_torque")
+                if len(own := self._joints.get(stream.device, [])) >= len(state["name"]):
+                    state["name"] = own[: len(state["name"])]
                 self._bag.add(f"{topic}/joint_states", "sensor_msgs/JointState", None, state, ns)
                 self._write_wrenches(topic, row, header, ns)
             elif kind is HandFrame:
@@ -190,19 +203,19 @@ class _Topics:
         turn |= {"w": 1.0 if scalar is None else scalar}
         transform = {"header": _header(ns, parent), "child_frame_id": child}
         transform |= {"transform": {"translation": place, "rotation": turn}}
-        if row["session_ns"] is None:  # stands still
-            message = {"transforms": [transform]}
-            self._bag.add("/tf_static", "tf2_msgs/TFMessage", None, message, ns, latched=True)
+        if row["session_ns"] is None:
+            self._still.append(transform)
             return
         if self._unposted and self._unposted[0][0] != ns:
             self._post()
         self._unposted.append((ns, transform))
+        self._moving.add(child)
 
     def _post(self) -> None:
         """Transforms of one moment are one message."""
-        for ns, own in groupby(self._unposted, lambda one: one[0]):
-            message = {"transforms": [transform for _, transform in own]}
-            self._bag.add("/tf", "tf2_msgs/TFMessage", None, message, ns)
+        if self._unposted:
+            message = {"transforms": [transform for _, transform in self._unposted]}
+            self._bag.add("/tf", "tf2_msgs/TFMessage", None, message, self._unposted[0][0])
         self._unposted = []
 
     def _frame_name(self, name: str) -> str:
