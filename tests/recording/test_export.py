@@ -257,10 +257,10 @@ def _check_standard(path: Path, by_topic: dict[str, list[tuple[int, Any]]]) -> N
             assert {one.header.frame_id for _, one in own} == {device}
         if kind == "arm":
             angles = [np.asarray(one.position) for _, one in by_topic[f"/{device}/joint_states"]]
-            assert by_topic[f"/{device}/joint_states"][0][1].name[0].endswith("_joint_1")
-            assert all(
-                name in by_topic[f"/{device}/robot_description"][0][1].data for name in own_names(by_topic, device)
-            )
+            names = list(by_topic[f"/{device}/joint_states"][0][1].name)
+            assert names[0].endswith("_joint_1")
+            ((_, urdf),) = by_topic[f"/{device}/robot_description"]
+            assert all(f'"{name}"' in urdf.data for name in names)
             np.testing.assert_allclose(angles, np.deg2rad([item.joint_deg for item in items]), rtol=1e-15)
     depth = next(stream for stream in RecordingTables(Replay(path)).streams if stream.startswith("depth/"))
     device = depth.partition("/")[2]
@@ -386,6 +386,22 @@ def test_an_earlier_export_is_replaced_and_other_files_stay(tmp_path: Path, capf
     assert main([*asked, "parquet", "--only", "wrench/tip", "--overwrite"]) == 0
     left = sorted(path.relative_to(out).as_posix() for path in out.rglob("*") if path.is_file())
     assert left == ["export.json", "notes.txt", "wrench/tip.parquet"]
+
+
+def test_devices_of_any_name_have_files_of_their_own_within_the_folder(tmp_path: Path) -> None:
+    names = ("..", "a b", "a_b", "über/x", "a.b")
+    streams = tuple(rig.Stream(name, "wrench", "optoforce") for name in names)
+    path = tmp_path / "r.rrd"
+    with Recorder(path, "none", {"rig": ""}, application=RIG) as made:
+        made.start(RigLayout(streams), rig.START_NS)
+        made.write([rig.wrench(at, name) for at in range(30) for name in names[: 1 + at % 5]])
+    found = export(Replay(path), ExportRequest(to="parquet", folder=tmp_path / "out"), quiet)
+    rows = {one.entity: pq.read_table(tmp_path / "out" / one.file).num_rows for one in found.files}
+    assert rows == {f"wrench/{name}": 30 - 6 * at for at, name in enumerate(names)}
+    files = list((tmp_path / "out").rglob("*.parquet"))
+    assert len(files) == 5
+    assert {path.parent for path in files} == {tmp_path / "out" / "wrench"}
+    assert ds.open_recording(path).table("über/x/force").num_rows == 12
 
 
 def test_of_two_exports_at_once_one_is_there_whole(tmp_path: Path) -> None:
