@@ -24,6 +24,7 @@ from deformscope.cli import main
 from deformscope.frames import ArmFrame, HandFrame, Item, SessionNote, TactileFrame, WrenchFrame
 from deformscope.log.rig_layout import RIG, RigLayout
 from deformscope.recording.export.export import ExportRequest, _draft, export
+from deformscope.recording.facts import run_rrd
 from deformscope.recording.items import read_items, read_results
 from deformscope.recording.reader import Replay
 from deformscope.recording.recorder import Recorder
@@ -94,6 +95,19 @@ def test_a_table_holds_every_frame_to_the_last_bit(path: Path) -> None:
         times = table.column("session_ns").to_numpy()
         assert np.all(np.diff(times) >= 0)
         assert len(np.unique(table.column("host_ns").to_numpy() - times)) == 1
+
+
+def test_rows_that_stand_in_several_portions_are_joined(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    split = tmp_path / "split.rrd"  # images apart from their stamps, as rerun's own tool lays them out
+    assert run_rrd("optimize", BENCH, "-o", split) == ""
+    monkeypatch.setattr(Replay, "_check_format", lambda replay: None)
+    first, second = (RecordingTables(Replay(path, trust=True)) for path in (BENCH, split))
+    assert sum(one.rows for one in second.streams.values()) > sum(one.rows for one in first.streams.values())
+    assert list(first.streams) == list(second.streams)
+    for entity in first.streams:
+        names = first.streams[entity].schema.names
+        one, other = first.table(entity), second.table(entity)
+        assert repr(one.to_pydict()) == repr(other.select(names).to_pydict()), entity
 
 
 def test_a_quantity_of_a_device_is_a_table_with_units() -> None:
