@@ -18,7 +18,6 @@ from typing import Any
 
 import warp as wp
 
-from deformscope.stages.msm.cluster_functions import cluster_functions_for
 from deformscope.stages.msm.lanes import Doubles, Ints, Sized, lanes_for, rows_for
 from deformscope.stages.msm.lattice_kernels import FAR, lattice_functions_for
 from deformscope.stages.msm.members import kernel_in, members
@@ -640,29 +639,10 @@ def resident_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> 
         for name in ("steps", "relax")
     )
     lattice = lattice_functions_for(dim, scalar, width, window)
+    Passes = lattice.Passes
     vecs = rows_for(dim, width, scalar)
-    cluster = cluster_functions_for(dim, dim, scalar, width)
     newton_f = newton_functions_for(dim, scalar, width)
     Span, NewtonState, inner_products = newton_f.Span, newton_f.NewtonState, newton_f.inner_products
-
-    @wp.struct
-    class Passes:
-        """What the passes over a lattice go by; motion: of time stepping, or none.
-
-        pair: the displacement, and the direction or the displacement one step before, as one field; pair_out: the
-        residual and the direction's change
-        """
-
-        grid: lattice.Grid
-        site: lattice.Site
-        rest: cluster.FitRest
-        kept: cluster.Kept
-        fields: lattice.Fields
-        motion: lattice.Motion
-        threads: int  # of a block
-        pair: numbers
-        pair_out: numbers
-        ran_away: Ints
 
     @wp.func_native(
         """
@@ -689,40 +669,36 @@ def resident_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> 
 
         before_offset: in u, of the displacement one time step before
         """
-        grid = passes.grid
-        fields = passes.fields
-        motion = passes.motion
-        threads = passes.threads
+        own = passes  # a copy, which nothing that is stored in a field can change
+        grid = own.grid
+        threads = own.threads
         if wp.static(window == 0):
             for item in range(thread, grid.items_plane, threads):
-                lattice.windows_fast(grid, fields, motion, u, offset, u, before_offset, group, item)
+                lattice.windows_fast(own, u, offset, u, before_offset, group, item)
             meet()
             for item in range(thread, grid.items_windows, threads):
-                lattice.windows_middle(grid, fields, group, item)
+                lattice.windows_middle(own, group, item)
         else:
             for item in range(thread, grid.items_windows, threads):
-                lattice.windows_fast(grid, fields, motion, u, offset, u, before_offset, group, item)
+                lattice.windows_fast(own, u, offset, u, before_offset, group, item)
         meet()
-        site = passes.site
-        rest = passes.rest
-        kept = passes.kept
         if changing != 0:
             for item in range(thread, grid.items_fit, threads):
-                lattice.fit_changes(grid, site, rest, kept, fields, group, item)
+                lattice.fit_changes(own, group, item)
         else:
             for item in range(thread, grid.items_fit, threads):
-                lattice.fit_clusters(grid, site, rest, kept, fields, group, item)
+                lattice.fit_clusters(own, group, item)
         meet()
         if wp.static(dim == 3):
             for item in range(thread, grid.items_slow, threads):
-                lattice.spread_slow(grid, fields, group, item)
+                lattice.spread_slow(own, group, item)
             meet()
         if wp.static(window == 0):
             for item in range(thread, grid.items_spread, threads):
-                lattice.spread_middle(grid, fields, group, item)
+                lattice.spread_middle(own, group, item)
             meet()
         for item in range(thread, grid.items_plane, threads):
-            lattice.finish(grid, fields, motion, u, offset, u, before_offset, out, passes.ran_away, group, item)
+            lattice.finish(own, u, offset, u, before_offset, out, group, item)
         meet()
 
     if on_cpu:
@@ -948,7 +924,7 @@ def resident_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> 
             search.found[2] = wp.float64(settled)
 
     small = newton_f.small_kernels(relax_kernel, steps_kernel)
-    made = members(Passes, BetaSearch, steps, relax, aim, follow, *small)
+    made = members(BetaSearch, steps, relax, aim, follow, *small)
     if on_cpu:
         made.goals = goals
     return made

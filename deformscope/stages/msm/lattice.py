@@ -269,17 +269,14 @@ class LatticeOperator(Operator):
             inputs = [self._passes(kept, fields, self.still), running, int(changing), u, out]
             wp.launch(a.resident.goals, layout.groups, inputs, device=layout.device)
             return
-        self._windows(fields, self.still, running, u, u)
-        self._fit(a.kernels.fit_changes if changing else a.kernels.fit_clusters, fields, running, kept)
-        self._spread(fields, self.still, running, u, u, out, self._nothing)
+        self._launch_passes(self._passes(kept, fields, self.still), running, u, u, out, changing=changing)
 
     def step(
         self, u: Field, before: Field, motion: object, parameters: Parameters, running: Field, ran_away: Field
     ) -> None:
-        fields = self.fields(parameters)
-        self._windows(fields, motion, running, u, before)
-        self._fit(self.arrays.kernels.fit_clusters, fields, running, self.unkept())
-        self._spread(fields, motion, running, u, before, before, ran_away)
+        passes = self._passes(self.unkept(), self.fields(parameters), motion)
+        passes.ran_away = ran_away
+        self._launch_passes(passes, running, u, before, before)
 
     def fields(self, parameters: Parameters, what: int = GOAL) -> Any:
         """What the passes work on, for these parameters."""
@@ -346,29 +343,24 @@ class LatticeOperator(Operator):
 
     def _passes(self, kept: object, fields: object, motion: object) -> Any:
         """What a kernel that stays goes by."""
-        passes = self.resident.Passes()
+        passes = self.arrays.functions.Passes()
         passes.grid, passes.site, passes.rest = self.grid, self.arrays.site, self.arrays.rest
         passes.kept, passes.fields, passes.motion, passes.threads = kept, fields, motion, self.threads
         passes.ran_away = self._nothing
         return passes
 
-    def _windows(self, fields: object, motion: object, running: Field, u: Field, before: Field) -> None:
-        kk, grid = self.arrays.kernels, self.grid
-        first = grid.items_windows if self.arrays.functions.both else grid.items_plane
-        self.launch(kk.windows_fast, first, [grid, fields, motion, running, u, before])
-        if not self.arrays.functions.both:
-            self.launch(kk.windows_middle, grid.items_windows, [grid, fields, running])
-
-    def _fit(self, kernel: wp.Kernel, fields: object, running: Field, kept: object) -> None:
-        grid = self.grid
-        self.launch(kernel, grid.items_fit, [grid, self.arrays.site, self.arrays.rest, kept, fields, running])
-
-    def _spread(
-        self, fields: object, motion: object, running: Field, u: Field, before: Field, out: Field, ran_away: Field
+    def _launch_passes(
+        self, passes: object, running: Field, u: Field, before: Field, out: Field, *, changing: bool = False
     ) -> None:
-        kk, grid = self.arrays.kernels, self.grid
+        """One launch for each pass."""
+        kk, grid, both = self.arrays.kernels, self.grid, self.arrays.functions.both
+        first = grid.items_windows if both else grid.items_plane
+        self.launch(kk.windows_fast, first, [passes, running, u, before])
+        if not both:
+            self.launch(kk.windows_middle, grid.items_windows, [passes, running])
+        self.launch(kk.fit_changes if changing else kk.fit_clusters, grid.items_fit, [passes, running])
         if self.dim == 3:
-            self.launch(kk.spread_slow, grid.items_slow, [grid, fields, running])
-        if not self.arrays.functions.both:
-            self.launch(kk.spread_middle, grid.items_spread, [grid, fields, running])
-        self.launch(kk.finish, grid.items_plane, [grid, fields, motion, running, u, before], [out, ran_away])
+            self.launch(kk.spread_slow, grid.items_slow, [passes, running])
+        if not both:
+            self.launch(kk.spread_middle, grid.items_spread, [passes, running])
+        self.launch(kk.finish, grid.items_plane, [passes, running, u, before], [out])
