@@ -63,7 +63,7 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
     own_map, store_map, only_map = maps.own, maps.store, maps.choose
     product = product_for(dim, dim, dim, width, scalar)
     cluster = cluster_functions_for(dim, dim, scalar, width)
-    fit, fit_change = cluster.fit, cluster.fit_change
+    own_moments = rows_for(dim * (dim + 1) // 2, width, scalar).own
     one = scalar(1.0)
     both = 0 < window <= BOTH
     number = f"wp::{scalar.__name__}"
@@ -417,9 +417,14 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
             theta = parameter(grid, fields.theta, 0, group, cell)
             volume = fields.volume
             if wp.static(changing):
-                blend_t = fit_change(rest, place, step, kept, at, affine_t, change_t, beta, theta, volume)
+                t = cluster.turned_change(kept, at, change_t)
+                blend_t = cluster.blend_change(rest, place, step, kept, at, affine_t, t, beta, theta, volume)
             else:
-                blend_t = fit(rest, place, step, kept, at, count, affine_t, change_t, beta, theta, volume, fields.what)
+                a_qq = own_moments(rest.a_qq, place, rest.stride, step)
+                t = cluster.turned(kept, at, count, a_qq, change_t)
+                blend_t = cluster.blend(
+                    rest, place, step, kept, at, count, affine_t, t, beta, theta, volume, fields.what
+                )
             slopes = product(own_map(site.edge_t, 0, 1, 0), blend_t)
             share = own(site.share, place, step)
             if fields.what != wp.static(GOAL):

@@ -21,7 +21,6 @@ from deformscope.stages.msm.reference import Rest, Volume
 from deformscope.stages.msm.solver import TOLERANCE, Msm, Precision
 from tests.cases import slow
 from tests.stages.bodies import SPACING_M, lattice
-from tests.stages.msm.conftest import Effort
 
 
 @dataclass(frozen=True)
