@@ -13,13 +13,15 @@ import warp as wp
 from deformscope.stages.msm.functions import functions_for
 from deformscope.stages.msm.lanes import Ints, lanes_for, product_for, rows_for
 from deformscope.stages.msm.members import members
-from deformscope.stages.msm.reference import NO_ROTATION
+from deformscope.stages.msm.reference import NO_ROTATION, Volume
 
 GOAL, BY_BETA, BY_THETA = 0, 1, 2
 """What a fit gives: the goal map, or its derivative by beta or by theta."""
 
 NONE, SCALE, PROJECT = 0, 1, 2
 """Volume conservation: none (theta = 0), Thesis eq. 3.17, or the projection onto the rest volume."""
+
+VOLUMES: dict[Volume, int] = {"scale": SCALE, "project": PROJECT}
 
 NEWTON_STEPS = 8
 
@@ -371,7 +373,7 @@ def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Simp
 
     @wp.func
     def turned(kept: Kept, position: int, count: int, a_qq: moments.rows, change_t: squares.rows):
-        """R - I (eq. 3.9) of rest moments and their change, normalised by the trace of A_qq; kept for `turned_change`."""
+        """R - I (eq. 3.9) of rest moments and their change, over the trace of A_qq; kept for `turned_change`."""
         turns = turn(a_qq, change_t)
         t = turned_part(turns)
         if kept.stride > 0:
@@ -428,7 +430,7 @@ def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Simp
         theta: lane,
         volume: int,
     ):
-        """Derivative of `blend` along a direction whose own fit is `affine_t`, and along which the target changes so."""
+        """Derivative of `blend` along a direction whose own fit is `affine_t`; change: of the target along it."""
         affine_t = with_null(rest, cluster, step, affine_t, change)
         if volume != wp.static(NONE):
             before = squares.load(kept.affine, position, kept.stride)

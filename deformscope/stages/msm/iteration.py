@@ -59,23 +59,6 @@ class Ended:
     unaided: BoolArray
 
 
-class Graph:
-    """Launches that are recorded the first time, and replayed ever after."""
-
-    def __init__(self, launches: Callable[[], None], device: str) -> None:
-        self._launches, self._device = launches, device
-        self._graph: Any = None
-
-    def __call__(self) -> None:
-        if self._graph is None:
-            self._launches()  # loads the kernels, so that the capture records launches only
-            with wp.ScopedCapture(device=self._device) as capture:
-                self._launches()
-            self._graph = capture.graph
-        else:
-            wp.capture_launch(self._graph)
-
-
 class Iteration:
     """What both methods share: fields of the candidates, their parameters, and how sums over particles are taken."""
 
@@ -105,6 +88,7 @@ class Iteration:
         self.beta, self.theta = self.layout.each(zero), self.layout.each(zero)
         self.parameters = Parameters(self.beta, self.theta, 0, volume)
         self._every_group = self.all_groups()
+        self._graphs: dict[Any, Any] = {}
         self.tolerance = wp.zeros(1, dtype=wp.float64, device=self.layout.device)
         self.floor = wp.zeros(1, dtype=wp.float64, device=self.layout.device)
 
@@ -156,6 +140,18 @@ class Iteration:
 
     def _parameters_changed(self) -> None:
         """The recorded launches hold other arrays than those in use."""
+        self._graphs.clear()
+
+    def replay(self, launches: Callable[..., None], *given: Any) -> None:
+        """Launches that are recorded the first time, and replayed ever after."""
+        key = (launches, *given)
+        if key in self._graphs:
+            wp.capture_launch(self._graphs[key])
+            return
+        launches(*given)  # loads the kernels, so that the capture records launches only
+        with wp.ScopedCapture(device=self.layout.device) as capture:
+            launches(*given)
+        self._graphs[key] = capture.graph
 
     def derive_goals(self, by: int, out: Field) -> None:
         """Derivative of every free particle's goal by beta or theta at `u` into `out`."""
@@ -210,16 +206,12 @@ class Newton(Iteration):
         self.state = state
         self._free = rest.free
         self._kept = self.operator.kept(volume)
-        self._parameters_changed()
-
-    def _parameters_changed(self) -> None:
-        device = self.layout.device
-        self._outer, self._inner = (Graph(each, device) for each in (self._launch_outer, self._launch_inner))
-        self._plain, self._at_rest = Graph(self._launch_plain, device), Graph(self._launch_at_rest, device)
-        self._aim, self._evaluate = Graph(self._launch_aim, device), Graph(self._launch_evaluate, device)
-        self._derive: dict[int, Graph] = {}
         self._stay: Any = None
         self._following: Any = None
+
+    def _parameters_changed(self) -> None:
+        super()._parameters_changed()
+        self._stay = self._following = None
 
     def set(self, beta: FloatArray, theta: FloatArray) -> None:
         super().set(beta, theta)
@@ -249,7 +241,7 @@ class Newton(Iteration):
             if self.threads:
                 done += self._stay_for(max_iterations - done)
             else:
-                self._outer()
+                self.replay(self._launch_outer)
                 done += 1
             if progress is not None:
                 progress(size - int(np.count_nonzero(state.state.numpy()[:size] == k.RUNNING)))
@@ -263,9 +255,9 @@ class Newton(Iteration):
         """Goes from rest, where some held particles have moved, to the static state of the equations linearised there;
         evaluations that it took (B,). From where all the motion is still between two layers Newton's steps are short.
         """
-        self._at_rest()
+        self.replay(self._launch_at_rest)
         self._begin(0.0, PREDICTED, outer=0)
-        self._aim()
+        self.replay(self._launch_aim)
         self._descend(most - 2)
         self.launch_blocks(self.kernels.add_step)
         return np.asarray(self.state.total.numpy()[: self.layout.candidates] + 2)
@@ -307,16 +299,14 @@ class Newton(Iteration):
         if self.multigrid is not None:
             self.multigrid.reset()
         self._begin(0.0, relative, outer=0)
-        self._aim()
+        self.replay(self._launch_aim)
         self._descend(state.most)
         size = self.layout.candidates
         return bool((state.square.numpy()[:size] <= np.maximum(state.target.numpy()[:size], 1e-300)).all())
 
     def derive(self, by: int) -> None:
         """Derivative of every free particle's goal by beta or theta at `u` into `residual`."""
-        if by not in self._derive:
-            self._derive[by] = Graph(lambda: self.derive_goals(by, self.residual), self.layout.device)
-        self._derive[by]()
+        self.replay(self.derive_goals, by, self.residual)
 
     def _launch_aim(self) -> None:
         kk, groups, threads, right = self.kernels, self.layout.groups, self.threads, self.residual
@@ -330,7 +320,7 @@ class Newton(Iteration):
 
     def evaluate(self) -> None:
         """The residual at `u`, and with it what derivatives there need."""
-        self._evaluate()
+        self.replay(self._launch_evaluate)
 
     def _launch_evaluate(self) -> None:
         self.operator.residual(self.u, self.residual, self.parameters, self._every_group, self._kept)
@@ -342,14 +332,14 @@ class Newton(Iteration):
         flags = self.state.inner_groups
         while self.threads and done < most and flags.numpy().any():
             done += self._stay_for(most - done)
-        inner, replays = self._inner, REPLAYS[self.kind]
+        inner, replays = self._launch_inner, REPLAYS[self.kind]
         if self.multigrid is not None and self.multigrid.given_up:
-            inner = self._plain
+            inner = self._launch_plain
         elif self.multigrid is not None:
             replays = 1  # a cycle takes longer than a look
         while done < most and flags.numpy().any():
             for _ in range(replays):
-                inner()
+                self.replay(inner)
                 done += 1
         return done
 
@@ -432,11 +422,6 @@ class Anderson(Iteration):
         self.state = state
         self._kept = self.operator.kept(volume)
         self.linear_right = layout.field(d)
-        self._parameters_changed()
-
-    def _parameters_changed(self) -> None:
-        device = self.layout.device
-        self._goals, self._linear = (Graph(each, device) for each in (self._launch_goals, self._launch_linear))
 
     def relax(
         self, start: FloatArray, tolerance: float, max_iterations: int, progress: Progress | None = None
@@ -444,7 +429,7 @@ class Anderson(Iteration):
         """The static states from displacements (B or 1, K, d); tolerance and result in particle spacings."""
         self.put(start)
         set_first(self._relative, 0.0)
-        return self._iterate(self._goals, tolerance, max_iterations, progress)
+        return self._iterate(self._launch_goals, tolerance, max_iterations, progress)
 
     def solve(self, relative: float, max_iterations: int) -> bool:
         """y of y = J y + right (`linear_right`) where `evaluate` was last called, into `u`; whether what is left came
@@ -453,13 +438,15 @@ class Anderson(Iteration):
         set_first(self.floor, 0.0)
         set_first(self._relative, relative)
         self.u.zero_()
-        return bool((self._iterate(self._linear, 0.0, max_iterations, None).state == k.CONVERGED).all())
+        return bool((self._iterate(self._launch_linear, 0.0, max_iterations, None).state == k.CONVERGED).all())
 
     def evaluate(self) -> None:
         """The residual at `u`, and with it what derivatives there need."""
         self.operator.residual(self.u, self.residual, self.parameters, self.all_groups(), self._kept)
 
-    def _iterate(self, graph: Graph, tolerance: float, max_iterations: int, progress: Progress | None) -> Ended:
+    def _iterate(
+        self, launches: Callable[[], None], tolerance: float, max_iterations: int, progress: Progress | None
+    ) -> Ended:
         state = self.state
         self.tolerance.fill_(tolerance)
         for name in ("known", "total", "path", "gram", "count", "du", "dr"):
@@ -475,7 +462,7 @@ class Anderson(Iteration):
         size = self.layout.candidates
         while done < max_iterations and state.groups.numpy().any():
             for _ in range(min(REPLAYS[self.kind], max_iterations - done)):
-                graph()
+                self.replay(launches)
                 done += 1
             if progress is not None and done % 16 == 0:
                 progress(size - int(np.count_nonzero(state.state.numpy()[:size] == k.RUNNING)))

@@ -556,34 +556,24 @@ def newton_kernels_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
     functions = newton_functions_for(dim, scalar, width)
     Span, NewtonState, fold = functions.Span, functions.NewtonState, functions.fold
 
-    def over_blocks(function: Any, *, outer: bool = False) -> Any:
-        """The kernel of what is done to each lane's worth of the groups that run (`outer`: Newton's steps)."""
+    def kernel_of(function: Any, *, outer: bool = False, sums: bool = True, largest: int = 0) -> Any:
+        """The kernel of what is done with two sums over each group that runs (`largest`: the second is the largest), or
+        else to each lane's worth; outer: of Newton's steps."""
 
         @kernel(name=function.__name__)
         def run(span: Span, newton: NewtonState):
-            group, block = wp.tid()
+            group, item = wp.tid()
             runs = newton.inner_groups[group]
             if wp.static(outer):
                 runs = newton.outer_groups[group]
             if runs != 0:
-                function(span, newton, group, block)
-
-        return run
-
-    def over_sums(function: Any, *, outer: bool = False, largest: int = 0) -> Any:
-        """The kernel of what is done with two sums over each group; `largest`: the second is the largest."""
-
-        @kernel(name=function.__name__)
-        def run(span: Span, newton: NewtonState):
-            group, thread = wp.tid()
-            runs = newton.inner_groups[group]
-            if wp.static(outer):
-                runs = newton.outer_groups[group]
-            if runs != 0:
-                fold(span, newton.parts, 0, newton.groups, group, thread, 0)
-                fold(span, newton.parts, 1, newton.groups, group, thread, largest)
-                if thread == 0:
-                    function(span, newton, group)
+                if wp.static(sums):
+                    fold(span, newton.parts, 0, newton.groups, group, item, 0)
+                    fold(span, newton.parts, 1, newton.groups, group, item, largest)
+                    if item == 0:
+                        function(span, newton, group)
+                else:
+                    function(span, newton, group, item)
 
         return run
 
@@ -612,12 +602,13 @@ def newton_kernels_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
             functions.keep(span, newton.parts, group, item, functions.joined(square_sum))
             functions.keep(span, newton.parts, newton.groups + group, item, functions.longest_of(longest))
 
+    f = functions
     return members(
-        *(inner_products, add_step, descend, over_blocks(functions.move, outer=True)),
-        *functions.small_kernels(kernel, kernel),
-        *(over_blocks(functions.begin), over_blocks(functions.direct), over_sums(functions.judge, outer=True)),
-        *(over_sums(functions.mix_aided), over_blocks(functions.direct_aided)),
-        *(over_sums(functions.curvature), over_sums(functions.conjugate, largest=1), over_sums(functions.aim)),
+        *(inner_products, add_step, descend, kernel_of(f.move, outer=True, sums=False)),
+        *f.small_kernels(kernel, kernel),
+        *(kernel_of(each, sums=False) for each in (f.begin, f.direct, f.direct_aided)),
+        *(kernel_of(each) for each in (f.mix_aided, f.curvature, f.aim)),
+        *(kernel_of(f.judge, outer=True), kernel_of(f.conjugate, largest=1)),
     )
 
 

@@ -34,10 +34,9 @@ import warp as wp
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.stages.msm import reduced_kernels as k
+from deformscope.stages.msm.cluster_functions import VOLUMES
 from deformscope.stages.msm.clusters import FLAT_MOMENT_RATIO, held_mask, single
 from deformscope.stages.msm.reference import Basis, Volume, build_rest
-
-VOLUMES: dict[Volume, int] = {"scale": k.SCALE, "project": k.PROJECT}
 
 SMALLEST_TOLERANCE = 2e-12
 """Share of a cluster's radius to which the numbers themselves determine a static state."""

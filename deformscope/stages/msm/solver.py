@@ -15,7 +15,7 @@ from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.errors import InputError
 from deformscope.stages.msm import multigrid
 from deformscope.stages.msm.body import Body, BodyRest, Operator, Parameters
-from deformscope.stages.msm.cluster_functions import BY_BETA, BY_THETA, NONE, PROJECT, SCALE
+from deformscope.stages.msm.cluster_functions import BY_BETA, BY_THETA, NONE, VOLUMES
 from deformscope.stages.msm.clusters import Clusters, LatticeClusters, held_mask
 from deformscope.stages.msm.general import GeneralBody
 from deformscope.stages.msm.iteration import Anderson, Ended, Newton, halves
@@ -48,8 +48,6 @@ TRIED_STEPS = 3000
 
 KEPT_CALLS = 16
 """Parameters, motions and recorded steps that a state of time stepping keeps on the device for the next call."""
-
-VOLUMES: dict[Volume, int] = {"scale": SCALE, "project": PROJECT}
 
 
 @dataclass(frozen=True, slots=True)
