@@ -6,7 +6,7 @@ Launches are recorded once and replayed: on a CPU too, where a launch from Pytho
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -153,9 +153,11 @@ class Iteration:
             launches(*given)
         self._graphs[key] = capture.graph
 
-    def derive_goals(self, by: int, out: Field) -> None:
-        """Derivative of every free particle's goal by beta or theta at `u` into `out`."""
-        self.operator.residual(self.u, out, self.parameters, self._every_group, what=by)
+    def derive_goals(self, by: int, volume: int, out: Field) -> None:
+        """Derivative of every free particle's goal by beta or theta at `u` into `out`; volume: how it is conserved, by
+        theta also where that is 0."""
+        parameters = replace(self.parameters, volume=volume)
+        self.operator.residual(self.u, out, parameters, self._every_group, what=by)
 
     def launch(self, kernel: wp.Kernel, over: tuple[int, ...] | int, *inputs: Any) -> None:
         """A kernel of both methods, whose arguments begin with how particles lie and what is kept of candidates."""
@@ -304,9 +306,9 @@ class Newton(Iteration):
         size = self.layout.candidates
         return bool((state.square.numpy()[:size] <= np.maximum(state.target.numpy()[:size], 1e-300)).all())
 
-    def derive(self, by: int) -> None:
-        """Derivative of every free particle's goal by beta or theta at `u` into `residual`."""
-        self.replay(self.derive_goals, by, self.residual)
+    def derive(self, by: int, volume: int | None = None) -> None:
+        """`derive_goals` into `residual`; volume: default that of the method."""
+        self.replay(self.derive_goals, by, self.volume if volume is None else volume, self.residual)
 
     def _launch_aim(self) -> None:
         kk, groups, threads, right = self.kernels, self.layout.groups, self.threads, self.residual

@@ -479,11 +479,11 @@ class Msm:
         good = True
         for by in (BY_BETA, BY_THETA):
             if isinstance(method, Newton):
-                self._derive(method, by, position, beta, theta, volume)
+                method.derive(by, VOLUMES[volume] if by == BY_THETA else None)
                 good &= method.solve(LINEAR_TOLERANCE[self.precision])
                 out.append(method.layout.get(method.step, self.dim) * self.scale)
             else:
-                method.derive_goals(by, method.linear_right)
+                method.derive_goals(by, method.volume, method.linear_right)
                 good &= method.solve(LINEAR_TOLERANCE["float64"], _most_iterations(len(self.rest)))
                 out.append(method.layout.get(method.u, self.dim) * self.scale)
                 method.layout.put(self._displacements(position), method.u)
@@ -522,27 +522,9 @@ class Msm:
         adjoint = method.layout.get(method.step, self.dim)
         method.derive(BY_BETA)
         by_cluster = method.operator.cluster_gradient(method.step) / self._particles.mass.mean()
-        self._derive(method, BY_THETA, position, beta, theta, volume)
+        method.derive(BY_THETA, VOLUMES[volume])
         by_theta = np.sum(metric * adjoint * method.layout.get(method.residual, self.dim), axis=(1, 2))
         return Gradient(by_cluster.sum(axis=1), by_theta, by_cluster, good)
-
-    def _derive(
-        self,
-        method: Newton,
-        by: int,
-        position: FloatArray,
-        beta: FloatArray | float,
-        theta: FloatArray | float,
-        volume: Volume,
-    ) -> None:
-        """Derivative of the goals at positions (B, K, d) into the method's residual; by theta also where that is 0,
-        without conservation."""
-        if by == BY_THETA and method.volume == NONE:
-            conserving = self._at(position, beta, theta, volume, method_kind=Newton, conserving=True)
-            conserving.derive(by)
-            wp.copy(method.residual, conserving.residual)
-        else:
-            method.derive(by)
 
     def _at(
         self,
@@ -550,19 +532,12 @@ class Msm:
         beta: FloatArray | float,
         theta: FloatArray | float,
         volume: Volume,
-        *,
-        conserving: bool = False,
         method_kind: type[Newton] | None = None,
     ) -> Any:
-        """The method, evaluated at positions (B, K, d).
-
-        conserving: with volume conservation though theta is 0; method_kind: which, where it only is to be evaluated
-        """
+        """The method, evaluated at positions (B, K, d). method_kind: which, where it only is to be evaluated"""
         _, beta_b, theta_b = self._candidates(position[:, self.held], beta, theta)
         size = max(len(position), len(beta_b))
         kind, size, how = self._kind(theta_b, size, volume)
-        if conserving and how == NONE:
-            kind, how = (Newton if volume == "project" else Anderson), VOLUMES[volume]
         method = self._method(method_kind or kind, size, how)
         method.set(np.broadcast_to(beta_b, (size, *beta_b.shape[1:])), np.broadcast_to(theta_b, (size,)))
         method.layout.put(self._displacements(position), method.u)
@@ -661,7 +636,7 @@ class Msm:
         if isinstance(beta, AxisBeta):
             return self._along(beta, theta).residual(position, beta.value[:, None, :])
         position = np.asarray(position, dtype=np.float64).reshape(-1, *self.rest.shape)
-        method = self._at(position, beta, theta, volume, method_kind=Newton)
+        method = self._at(position, beta, theta, volume, Newton)
         return np.asarray(method.layout.get(method.residual, self.dim) * self.scale)
 
     def reaction(self, position: FloatArray, beta: FloatArray | float, theta: FloatArray | float = 0.0) -> FloatArray:
