@@ -89,13 +89,11 @@ class Iteration:
         self.parameters = Parameters(self.beta, self.theta, 0, volume)
         self._every_group = self.all_groups()
         self._graphs: dict[Any, Any] = {}
-        self.tolerance = wp.zeros(1, dtype=wp.float64, device=self.layout.device)
-        self.floor = wp.zeros(1, dtype=wp.float64, device=self.layout.device)
 
     def put(self, u: FloatArray) -> None:
         """Starts at displacements (B or 1, K, d); what of a residual is rounding grows with them."""
         self.layout.put(u, self.u)
-        set_first(self.floor, ROUNDING[self.layout.scalar] * max(1.0, float(np.abs(u).max(initial=0.0))))
+        set_first(self.state.floor, ROUNDING[self.layout.scalar] * max(1.0, float(np.abs(u).max(initial=0.0))))
 
     def _numbers(self, struct: Any) -> Any:
         """A struct whose arrays have a number for each candidate, 0, of the type that it says."""
@@ -196,9 +194,6 @@ class Newton(Iteration):
         state.u, state.direction, state.step, state.rho = self.u, self.direction, self.step, self.rho
         state.residual, state.changed, state.parts = self.residual, self.changed, self.parts(2)
         state.groups, state.most = layout.groups, 10 * len(rest.mass) * d + 100
-        state.tolerance, state.floor = self.tolerance, self.floor
-        self._relative = wp.zeros(1, dtype=wp.float64, device=layout.device)
-        state.relative = self._relative
         self._farthest = k.REACH if self.multigrid is None else max(k.REACH, STRETCH * self.multigrid.longest)
         state.farthest.fill_(self._farthest)
         if self.multigrid is not None:
@@ -348,8 +343,8 @@ class Newton(Iteration):
     def _begin(self, tolerance: float, relative: float, *, outer: int) -> None:
         """Every candidate runs anew: Newton's steps (`outer`), or a linear solve."""
         layout = self.layout
-        set_first(self.tolerance, tolerance)
-        set_first(self._relative, relative)
+        set_first(self.state.tolerance, tolerance)
+        set_first(self.state.relative, relative)
         count = layout.groups * layout.abreast
         reach = self._farthest if outer else np.inf
         kernels = self.operator.resident if self.threads else self.kernels
@@ -417,9 +412,6 @@ class Anderson(Iteration):
         state.stride = lanes
         history = wp.types.matrix(shape=(MEMORY, MEMORY), dtype=wp.float64)
         state.gram = wp.zeros(lanes, dtype=history, device=layout.device)
-        state.tolerance, state.floor = self.tolerance, self.floor
-        self._relative = wp.zeros(1, dtype=wp.float64, device=layout.device)
-        state.relative = self._relative
         state.groups, state.count = self.all_groups(), self.all_groups()
         self.state = state
         self._kept = self.operator.kept(volume)
@@ -430,15 +422,15 @@ class Anderson(Iteration):
     ) -> Ended:
         """The static states from displacements (B or 1, K, d); tolerance and result in particle spacings."""
         self.put(start)
-        set_first(self._relative, 0.0)
+        set_first(self.state.relative, 0.0)
         return self._iterate(self._launch_goals, tolerance, max_iterations, progress)
 
     def solve(self, relative: float, max_iterations: int) -> bool:
         """y of y = J y + right (`linear_right`) where `evaluate` was last called, into `u`; whether what is left came
         to `relative` of the right-hand side.
         """
-        set_first(self.floor, 0.0)
-        set_first(self._relative, relative)
+        set_first(self.state.floor, 0.0)
+        set_first(self.state.relative, relative)
         self.u.zero_()
         return bool((self._iterate(self._launch_linear, 0.0, max_iterations, None).state == k.CONVERGED).all())
 
@@ -450,7 +442,7 @@ class Anderson(Iteration):
         self, launches: Callable[[], None], tolerance: float, max_iterations: int, progress: Progress | None
     ) -> Ended:
         state = self.state
-        self.tolerance.fill_(tolerance)
+        set_first(state.tolerance, tolerance)
         for name in ("known", "total", "path", "gram", "count", "du", "dr"):
             getattr(state, name).zero_()
         state.state.fill_(k.RUNNING)
@@ -489,7 +481,7 @@ class Anderson(Iteration):
 
 
 def set_first(array: Any, value: float) -> None:
-    """Sets an array of one number; on a CPU without a launch."""
+    """Sets the first entry of an array, which is all that is read of it; on a CPU without a launch."""
     if array.device.is_cpu:
         array.numpy()[0] = value
     else:

@@ -244,7 +244,7 @@ class LatticeOperator(Operator):
         fields.maps = self.maps = layout.field(d + d * d)
         fields.maps_slow = layout.field(3 * d) if d == 3 else fields.maps
         fields.maps_middle = layout.field(2 * d)
-        self._fields = fields
+        self.fields = fields
         self.beta_stride = layout.group
         self.resident = arrays.resident
         if layout.device.startswith("cpu"):
@@ -324,7 +324,7 @@ class LatticeOperator(Operator):
         """What the passes go by, without motion. kept: where to leave what `change` needs (None: nowhere)"""
         passes = self.arrays.functions.Passes()
         passes.grid, passes.site, passes.rest = self.grid, self.arrays.site, self.arrays.rest
-        passes.kept, passes.fields, passes.motion = kept or self.unkept(), self._fields, self.still
+        passes.kept, passes.fields, passes.motion = kept or self.unkept(), self.fields, self.still
         passes.threads, passes.ran_away = self.threads, self._nothing
         if parameters is not None:
             self._set(passes, parameters, what)
