@@ -57,7 +57,7 @@ def quiet_warp() -> None:
     import warp as wp
 
     quiet.quiet_warp()
-    compiled = any(Path(wp.config.kernel_cache_dir).glob("wp_deformscope_*"))
+    compiled = any(Path(str(wp.config.kernel_cache_dir)).glob("wp_deformscope_*"))
     if not compiled and is_watched() and multiprocessing.parent_process() is None:
         say("compiling kernels once, about 30 s: they are kept for later starts")
 
