@@ -18,6 +18,7 @@ from deformscope.results.declared import derived, quantities, reported
 from deformscope.results.render import Rows, format_value, to_columns, to_json, units_of
 from deformscope.runs.result import LibraryResult
 from deformscope.stages.map.exploration import (
+    PLATEAU_FACTOR,
     DetectionLimit,
     InclusionsResult,
     MapEstimate,
@@ -226,6 +227,8 @@ class ExplorationResult(LibraryResult):
         if self.thickness.known_by == NOT_KNOWN:
             why = "no thickness_m in [surface], and the camera sees no table beside the foam"
             rows.append(("modulus", f"not known: {why}"))
+        elif any(one.modulus_text for one in self.regions):
+            rows.append(("modulus", f"no interval: foam that yields may have up to {PLATEAU_FACTOR:g} times as much"))
         if (truth := self.truth) is not None and truth.iou is not None:
             off = "" if truth.boundary_m is None else f", border {100 * truth.boundary_m:.1f} cm off"
             true = counted(truth.region_count, "region")
@@ -260,7 +263,7 @@ class ExplorationResult(LibraryResult):
         if region.rigid:
             return f"{loss}{region.level_text} N/mm (a lower bound: hardly dented)"
         low, high = region.stiffness_interval_n_per_mm
-        modulus = f"; modulus {format_value(region, 'modulus_pa')}" if region.modulus_pa is not None else ""
+        modulus = f"; modulus {format_value(region, 'modulus_pa')} if linear" if region.modulus_pa is not None else ""
         return f"{loss}{region.level_text} N/mm ({low:.3g} to {high:.3g}) at {self.set_force_n:g} N{modulus}"
 
     def _missed_rows(self) -> Rows:
