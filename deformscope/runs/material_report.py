@@ -187,7 +187,7 @@ def _recovery_rows(found: RecoveryEstimate) -> Rows:
         ("permanent set", f"{format_value(found, 'set')} of the push"),
         ("verdict", f"{found.verdict}: {_lowered(found.reasons) or meaning}"),
         *reason_rows(found.reasons),
-        *to_rows(found, "instant", "relaxed", "largest"),
+        *to_rows(found, "force_kept", "instant", "relaxed", "largest"),
         ("held, then watched", f"{found.held_s:.3g} s, {found.watched_s:.3g} s after frame {found.released}"),
         *to_rows(found, "explained"),
     ]

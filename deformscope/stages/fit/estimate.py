@@ -42,6 +42,7 @@ DoubtCode = Literal[
     "held-off",
     "setting",
     "short-record",
+    "no-plateau",
     "large-strain",
 ]
 

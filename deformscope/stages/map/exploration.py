@@ -130,7 +130,12 @@ class TouchEstimate:
         """How long the force was held [s]."""
         return 0.0 if self.creep is None else self.creep.held_s
 
-    creep: CreepFit | None = field(default=None, metadata=reported())
+    creep: CreepFit | None = field(
+        default=None,
+        metadata=reported(
+            "creep", words=lambda touch: "" if touch.creep is None else touch.creep.brief, caption="creep: {}"
+        ),
+    )
 
     @property
     def usable(self) -> bool:
