@@ -43,6 +43,7 @@ DoubtCode = Literal[
     "setting",
     "short-record",
     "large-strain",
+    "smooth-error",
 ]
 
 
