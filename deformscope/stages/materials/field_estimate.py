@@ -30,22 +30,20 @@ def place_verdicts(interval: FloatArray) -> tuple[Verdict, ...]:
 class DirectionalStiffness:
     """Of a material that is stiffer along one direction. stiffest, softest: (d,) of unit length
 
-    ratio: of Young's moduli along these; interval: of it
+    ratio: of Young's moduli along these: an estimate that has no interval
     """
 
     stiffest: FloatArray
     softest: FloatArray
     ratio: float
-    interval: tuple[float, float]
 
 
 def directions_text(found: DirectionalStiffness | None) -> str:
     """Ratio and direction; empty where there are none."""
     if found is None:
         return ""
-    low, high = found.interval
     along = ", ".join(f"{one:.2f}" for one in found.stiffest)
-    return f"{found.ratio:.3g} ({low:.3g} to {high:.3g}), stiffest along ({along})"
+    return f"about {found.ratio:.2g}, stiffest along ({along})"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
