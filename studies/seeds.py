@@ -14,6 +14,15 @@ REPORTED = range(1000)
 TUNING = range(1000, 2000)
 """Seeds that constants are chosen on, and that no reported figure uses."""
 
+INDEPENDENT = range(2000, 3000)
+"""Seeds of generators that share no code with the estimators (`studies.independent`), drawn once: no constant was
+chosen on them."""
+
+
+def independent(count: int, first: int = 0) -> range:
+    """`count` of these seeds, from the `first` of them on. Raises InputError where there are not so many."""
+    return range(INDEPENDENT.start + (seeds := reported(count, first)).start, INDEPENDENT.start + seeds.stop)
+
 
 def reported(count: int, first: int = 0) -> range:
     """`count` reported seeds from `first` on. Raises InputError where they would run into those for tuning."""

@@ -11,7 +11,14 @@ import numpy as np
 
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.experiments.options import SHALLOW_M
-from deformscope.pictures.messages import counted, format_claim, format_failure, format_stop, format_travel
+from deformscope.pictures.messages import (
+    counted,
+    format_claim,
+    format_failure,
+    format_regions,
+    format_stop,
+    format_travel,
+)
 from deformscope.pictures.report import Figure, Table
 from deformscope.recording.losses import named
 from deformscope.results.declared import derived, quantities, reported
@@ -130,6 +137,12 @@ class ExplorationResult(LibraryResult):
 
     @property
     @derived()
+    def region_count_at_least(self) -> bool:
+        """Whether there may be more: as many are the most that are told apart."""
+        return self.estimate is not None and self.estimate.at_least
+
+    @property
+    @derived()
     def regions(self) -> tuple[MapRegion, ...]:
         """Each region, the softest first."""
         return () if self.estimate is None else self.estimate.regions
@@ -200,11 +213,9 @@ class ExplorationResult(LibraryResult):
         """The verdict with its probability, and what else is likely."""
         if self.estimate is None:
             return "none: no touch gave a map"
-        kind = counted(self.estimate.region_count, "region")
+        kind = format_regions(self.estimate)
         if self.verdict == "gradual":
             kind = f"gradual: no regions, the {'energy loss' if self.feel == 'loss' else 'stiffness'} changes smoothly"
-        if self.regions_by == "beta":
-            kind += " between isopleths of beta"
         return f"{kind} ({format_claim(self.verdict_probability)}{self._rival()})"
 
     def _rival(self) -> str:

@@ -221,7 +221,8 @@ class MapEstimate:
     beta, beta_sd: (rows, columns), None before two touches gave one
     labels: (rows, columns) region of each cell, 0 the softest, -1 without regions
     label_probability: of that label, the doubt about the number of regions and about `gradual` included
-    region_count: 0 without regions; verdict: "regions" or "gradual"; probability: of verdict and region_count
+    region_count: 0 without regions; at_least: there may be more, it is the most that are told apart
+    verdict: "regions" or "gradual"; probability: of verdict and region_count
     level_n_per_mm: (region_count,) stiffness of each region; level_interval_n_per_mm: (region_count, 2) of 90 %
     level_rigid: (region_count,) regions whose level is a lower bound, at which the interval begins; it is open above
     contacts_m: (n, 2) touches so far; tip_radius_m: of what touched
@@ -266,6 +267,7 @@ class MapEstimate:
     level_loss: FloatArray | None = None
     level_loss_interval: FloatArray | None = None
     isopleths: FloatArray | None = None
+    at_least: bool = False
 
     @property
     def mapped(self) -> str:
