@@ -142,7 +142,19 @@ def _model(found: Arrays) -> ContentModel:
     if not all(isinstance(one, dict) for one in about):
         raise ValueError("settings, promised or provenance")
     seen = {name: _array(found, f"seen.{name}", "i", (None,)) for name in modalities if f"seen.{name}" in found}
-    return ContentModel(labels, modalities, fusion, steps, step_fusion, step_s, *about, seen=seen)
+    settings, promised, provenance = about
+    return ContentModel(
+        labels,
+        modalities,
+        fusion,
+        steps,
+        step_fusion,
+        step_s,
+        settings=settings,
+        promised=promised,
+        provenance=provenance,
+        seen=seen,
+    )
 
 
 def _take(found: Arrays, prefix: str, described: Mapping[str, Any], classes: int) -> ModalityModel:
