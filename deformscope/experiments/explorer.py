@@ -479,6 +479,7 @@ class Explorer:
             labels=found.labels,
             label_probability=found.label_probability,
             region_count=found.region_count,
+            at_least=found.at_least,
             verdict=found.verdict,
             probability=found.probability[str(found.region_count or "gradual")],
             level_n_per_mm=np.exp(found.level),

@@ -17,8 +17,13 @@ def counted(number: int, word: str) -> str:
 
 def format_verdict(maps: MapEstimate) -> str:
     """How many regions there are, if any."""
+    return "gradual: no regions" if maps.verdict == "gradual" else format_regions(maps)
+
+
+def format_regions(maps: MapEstimate) -> str:
+    """How many regions there are, and between what."""
     between = "" if maps.isopleths is None else " between isopleths of beta"
-    return "gradual: no regions" if maps.verdict == "gradual" else counted(maps.region_count, "region") + between
+    return counted(maps.region_count, "region") + " or more" * maps.at_least + between
 
 
 def format_claim(probability: float | None) -> str:

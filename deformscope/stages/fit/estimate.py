@@ -44,6 +44,7 @@ DoubtCode = Literal[
     "short-record",
     "no-plateau",
     "large-strain",
+    "smooth-error",
 ]
 
 
