@@ -182,6 +182,8 @@ class CodecField:
     form: Form
     kind: Any
     optional: bool
+    later: bool = False
+    """It has a default: recordings of before the field was there lack it."""
 
 
 def to_columns(items: Sequence[object], leave_out: Collection[str] = ()) -> dict[str, Column]:
@@ -210,7 +212,7 @@ def from_components(
     given: Mapping[str, Any] | None = None,
     read_image: Callable[[bytes, str], Any] = decode_image,
 ) -> T:
-    """What `to_components` took apart; raises KeyError where a part is missing.
+    """What `to_components` took apart; raises KeyError where a part is missing that has no default.
 
     components: flat arrays, or lists of words, by field; given: fields that were left out
     read_image: what becomes of an encoded image, of which the second argument says which it is
@@ -221,6 +223,8 @@ def from_components(
             continue
         if field.optional and not _is_there(field, components):
             made[field.name] = None
+        elif field.later and not any(_holds(field, name) for name in components):
+            continue
         elif field.form == "nested":
             prefix = field.name + "."
             inner = {name.removeprefix(prefix): v for name, v in components.items() if name.startswith(prefix)}
@@ -274,7 +278,14 @@ def _plain(value: object) -> Any:
 @cache
 def _fields(kind: Any) -> tuple[CodecField, ...]:
     hints = get_type_hints(kind)
-    return tuple(_field(field.name, hints[field.name]) for field in dataclasses.fields(cast("Any", kind)))
+    return tuple(
+        dataclasses.replace(_field(field.name, hints[field.name]), later=_has_default(field))
+        for field in dataclasses.fields(cast("Any", kind))
+    )
+
+
+def _has_default(field: dataclasses.Field[Any]) -> bool:
+    return field.default is not dataclasses.MISSING or field.default_factory is not dataclasses.MISSING
 
 
 def _field(name: str, hint: Any) -> CodecField:
@@ -310,6 +321,11 @@ def _is_array(kind: object) -> bool:
 
 def _is_enum(kind: object) -> bool:
     return isinstance(kind, type) and issubclass(kind, enum.Enum)
+
+
+def _holds(field: CodecField, component: str) -> bool:
+    """Whether a component is of this field."""
+    return component in (field.name, field.name + SHAPE) or component.startswith(field.name + ".")
 
 
 def _is_there(field: CodecField, components: Mapping[str, Any]) -> bool:

@@ -399,7 +399,7 @@ def test_a_gradual_surface_has_no_regions_anywhere(
 ) -> None:
     from deformscope.stages.regions.posterior import RegionPosterior
 
-    sure = {"1": 0.0, "2": 0.02, "3": 0.03, "gradual": 0.95}
+    sure = {"1": 0.0, "2": 0.02, "3": 0.03, "4": 0.0, "5": 0.0, "gradual": 0.95}
     monkeypatch.setattr(RegionPosterior, "probability", sure)
     told, arrays = tmp_path / "e.json", tmp_path / "e.npz"
 
