@@ -130,7 +130,7 @@ class Operator(ABC):
             kept = self.arrays.Kept()
             kept.turned = self.cluster_field(d * d)
             kept.compliance = self.cluster_field(6 if d == 3 else 1)
-            kept.affine = self.cluster_field(d * d if volume else 1)
+            kept.frame = self.cluster_field(2 * d * d + d + 1 if volume else 1)
             kept.stride = self.cluster_stride
             self._kept[volume] = kept
         return self._kept[volume]
@@ -139,7 +139,7 @@ class Operator(ABC):
         """For a `residual` that leaves nothing."""
         if -1 not in self._kept:
             kept = self.arrays.Kept()
-            kept.turned = kept.compliance = kept.affine = self.maps
+            kept.turned = kept.compliance = kept.frame = self.maps
             kept.stride = 0
             self._kept[-1] = kept
         return self._kept[-1]

@@ -259,9 +259,7 @@ def general_kernels_for(dim: int, terms: int, scalar: Any, width: int, material:
                 squares.store(kept.turned, at, kept.stride, turned, wp.static(width))
                 compliances.store(kept.compliance, at, kept.stride, cluster.compliance_part(turns), wp.static(width))
             if volume != wp.static(NONE):
-                if kept.stride > 0:
-                    squares.store(kept.affine, at, kept.stride, cluster.square_part(affine_t), wp.static(width))
-                affine_t = cluster.conserve(rest, c, 0, affine_t, theta, volume, what)
+                affine_t = cluster.conserve(rest, c, 0, kept, at, wp.static(width), affine_t, theta, volume, what)
             if given.axes != 0:
                 along = squares.load(given.beta, at + wp.static(dim * dim) * stride, stride)
                 return centre, of.blended(affine_t, target, along)
@@ -299,8 +297,7 @@ def general_kernels_for(dim: int, terms: int, scalar: Any, width: int, material:
             if rest.has_null != 0:
                 affine_t = null_of(rest, c, affine_t, change)
             if volume != wp.static(NONE):
-                before = squares.load(kept.affine, at, kept.stride)
-                affine_t = cluster.conserve_change(rest, c, 0, before, affine_t, theta, volume)
+                affine_t = cluster.conserve_change(rest, c, 0, kept, at, affine_t, theta, volume)
             if given.axes != 0:
                 along = squares.load(given.beta, at + wp.static(dim * dim) * stride, stride)
                 return centre, of.blended(affine_t, change, along)

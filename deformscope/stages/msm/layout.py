@@ -15,7 +15,7 @@ Field: TypeAlias = "wp.array[Any]"
 """Numbers on a device, of a scalar type that is chosen at run time."""
 
 ABREAST_FROM = 4
-"""Candidates from which on a CPU takes them side by side, and no longer the cells of one."""
+"""Candidates from which on a CPU takes them side by side, where the cells of one cannot be: else from a full vector on."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +93,7 @@ def widths(candidates: int, scalar: type[Any], device: str, *, cells_in_lanes: b
     if not device.startswith("cpu"):
         return 1, 1
     width = LANES[scalar]
-    if candidates >= ABREAST_FROM:
+    if candidates >= (width if cells_in_lanes else ABREAST_FROM):
         return width, width
     return (width, 1) if cells_in_lanes else (1, 1)
 
