@@ -196,7 +196,8 @@ class PosedPoke:
         else:
             below = _covered(poke.touched[:, :2], upper, self.scene.spacing)
         self.touched = self.scene.open[below]
-        self.body = hold(self.scene, self.touched, Law(0.0, cluster_size=size), precision, device)
+        law = Law(0.0, cluster_size=size)
+        self.body = hold(self.scene, self.touched, law, precision, device, slips=poke.tip.slips)
         rest = self.scene.rest[self.touched]
         self.at = rest + _between(poke.touched[:, :2], poke.touched_by, rest[:, :2])
         weights, inside = layers.interpolation(poke.points[:, :2], flat_edge(poke.at, poke.tip))

@@ -116,3 +116,16 @@ def test_beta_is_sought_in_the_range_that_is_asked_for() -> None:
     assert estimate.bounds == (0.0, 0.3)
     assert estimate.interval[1] == 0.3
     assert estimate.verdict in ("at-bound", "unidentified")
+
+
+def test_an_interval_from_beta_0_on_does_not_hang_on_rounding() -> None:
+    """At beta = 0 theta does nothing, and the best law is next to it: what theta does there is rounding alone."""
+    seen = seen_poke(poked((0.09, 0.08), law=Law(0.0, 0.0, 3), noise=1e-4))
+    single, double = (
+        fit_pokes(surface(), [seen], spacing=SPACING, cluster_sizes=[3], precision=precision)
+        for precision in ("float32", "float64")
+    )
+    assert single.best.law.beta < 1e-2
+    low, high = (conclude(one, level=0.9, settings={}, provenance={}).estimate.interval for one in (single, double))
+    assert 0.01 < high[1] < 0.6
+    assert low == pytest.approx(high, rel=0.02, abs=1e-3)
