@@ -61,7 +61,9 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "session": ("frames",),
     "rows": ("arrays", "frames", "images", "stages.map", "stages.squeeze"),
     "page.server": ("errors",),
-    "recording": ("arrays", "errors", "frames", "images", "log", "page.server", "rows", "session", *STAGES),
+    "recording": (
+        *("arrays", "errors", "frames", "images", "log", "page.server", "results", "rows", "session", *STAGES),
+    ),
     "files": ("arrays", "errors", "file_io", "frames", "images", "recording", *STAGES),
     "experiments": (
         *("arrays", "capsule", "config", "errors", "file_io", "files", "frames", "images", "processes", "recording"),

@@ -67,10 +67,10 @@ from deformscope_drivers.clock import Stamp
 PairArrays: TypeAlias = Mapping[str, Any]
 """A pair by name, as in a pair file: `rest (K, d)`, `deformed (K, d)` [m], `held (n,)`, and what else one holds."""
 
-FLOW_S_PER_PX = 3e-6
-"""Flow both ways between two frames takes about so long on two cores [s/px]: 0.9 s at 640x480."""
-FOLLOWED_S, FEWEST_FRAMES = 45.0, 16
-"""Frames of a long sequence are followed for so long, but no fewer than these; the fit takes the rest of a minute."""
+FLOW_S_PER_PX = 5e-7
+"""Flow both ways from a frame to the next in steady motion takes about so long on two cores [s/px]."""
+FOLLOWED_S, FEWEST_FRAMES = 7.5, 16
+"""Frames of a long sequence are followed for so long, but no fewer than these; in jumps up to 7 times that."""
 LAYERS_S, MOST_PARTICLES = 6e-6, 11_000
 """A fit of layers takes about so long for each cluster size and particle to the power 4 / 3 [s], and has so many
 particles by default."""

@@ -13,13 +13,15 @@ import warp as wp
 from deformscope.stages.msm.functions import functions_for
 from deformscope.stages.msm.lanes import Ints, lanes_for, product_for, rows_for
 from deformscope.stages.msm.members import members
-from deformscope.stages.msm.reference import NO_ROTATION
+from deformscope.stages.msm.reference import NO_ROTATION, Volume
 
 GOAL, BY_BETA, BY_THETA = 0, 1, 2
 """What a fit gives: the goal map, or its derivative by beta or by theta."""
 
 NONE, SCALE, PROJECT = 0, 1, 2
 """Volume conservation: none (theta = 0), Thesis eq. 3.17, or the projection onto the rest volume."""
+
+VOLUMES: dict[Volume, int] = {"scale": SCALE, "project": PROJECT}
 
 NEWTON_STEPS = 8
 
@@ -386,7 +388,31 @@ def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Simp
         return affine_t
 
     @wp.func
-    def fit(
+    def with_null(rest: FitRest, cluster: int, step: int, affine_t: transforms.rows, target: squares.rows):
+        """The fit, whose terms that the cluster leaves undetermined follow what it is pulled to."""
+        if rest.has_null != 0:
+            null_t = transforms.own(rest.null_t, cluster, rest.stride, step)
+            affine_t = transforms.add(affine_t, one, times_null(null_t, target))
+        return affine_t
+
+    @wp.func
+    def turned(kept: Kept, position: int, count: int, a_qq: moments.rows, change_t: squares.rows):
+        """R - I (eq. 3.9) of rest moments and their change, over the trace of A_qq; kept for `turned_change`."""
+        turns = turn(a_qq, change_t)
+        t = turned_part(turns)
+        if kept.stride > 0:
+            squares.store(kept.turned, position, kept.stride, t, count)
+            compliances.store(kept.compliance, position, kept.stride, compliance_part(turns), count)
+        return t
+
+    @wp.func
+    def turned_change(kept: Kept, position: int, change_t: squares.rows):
+        """Derivative of `turned` for a change of its moments."""
+        t = squares.load(kept.turned, position, kept.stride)
+        return turn_change(t, compliances.load(kept.compliance, position, kept.stride), change_t)
+
+    @wp.func
+    def blend(
         rest: FitRest,
         cluster: int,
         step: int,
@@ -394,58 +420,42 @@ def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Simp
         position: int,
         count: int,
         affine_t: transforms.rows,
-        change_t: squares.rows,
+        target: squares.rows,
         beta: lane,
         theta: lane,
         volume: int,
         what: int,
     ):
-        """The blend of a cluster's rotation and its linear (quadratic) fit (Thesis eq. 3.9 to 3.14, 3.17), less rest.
+        """The blend of a cluster's rotation and its linear (quadratic) fit (Thesis eq. 3.10 to 3.14, 3.17), less rest.
 
-        affine_t: A~ - [I, 0] (eq. 3.7, 3.14); change_t: A_pq - A_qq, normalised by the trace of A_qq
+        affine_t: A~ - [I, 0] (eq. 3.7, 3.14); target: R - I, or that of the rest vectors that it has
         """
-        turns = turn(moments.own(rest.a_qq, cluster, rest.stride, step), change_t)
-        turned = turned_part(turns)
-        if rest.has_null != 0:  # terms that the cluster leaves undetermined follow its rotation
-            affine_t = transforms.add(
-                affine_t, one, times_null(transforms.own(rest.null_t, cluster, rest.stride, step), turned)
-            )
-        if kept.stride > 0:
-            squares.store(kept.turned, position, kept.stride, turned, count)
-            compliances.store(kept.compliance, position, kept.stride, compliance_part(turns), count)
+        affine_t = with_null(rest, cluster, step, affine_t, target)
         if volume != wp.static(NONE):
             affine_t = conserve(rest, cluster, step, kept, position, count, affine_t, theta, volume, what)
         if what == wp.static(BY_BETA):
-            return mixed(affine_t, lane(one), turned, lane(-one))
+            return mixed(affine_t, lane(one), target, lane(-one))
         if what == wp.static(BY_THETA):
-            return mixed(affine_t, beta, turned, lane())
-        return mixed(affine_t, beta, turned, lane(one) - beta)
+            return mixed(affine_t, beta, target, lane())
+        return mixed(affine_t, beta, target, lane(one) - beta)
 
     @wp.func
-    def fit_change(
+    def blend_change(
         rest: FitRest,
         cluster: int,
         step: int,
         kept: Kept,
         position: int,
         affine_t: transforms.rows,
-        change_t: squares.rows,
+        change: squares.rows,
         beta: lane,
         theta: lane,
         volume: int,
     ):
-        """Derivative of `fit` along a direction whose own fit and moments are `affine_t` and `change_t`."""
-        turned = squares.load(kept.turned, position, kept.stride)
-        change = turn_change(turned, compliances.load(kept.compliance, position, kept.stride), change_t)
-        if rest.has_null != 0:
-            affine_t = transforms.add(
-                affine_t, one, times_null(transforms.own(rest.null_t, cluster, rest.stride, step), change)
-            )
+        """Derivative of `blend` along a direction whose own fit is `affine_t`; change: of the target along it."""
+        affine_t = with_null(rest, cluster, step, affine_t, change)
         if volume != wp.static(NONE):
             affine_t = conserve_change(rest, cluster, step, kept, position, affine_t, theta, volume)
         return mixed(affine_t, beta, change, lane(one) - beta)
 
-    return members(
-        *(FitRest, Kept, fit, fit_change, turn, turned_part, compliance_part, mixed, conserve, conserve_change),
-        turn_change=turn_change,
-    )
+    return members(FitRest, Kept, turned, turned_change, with_null, blend, blend_change)

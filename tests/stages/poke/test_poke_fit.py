@@ -11,6 +11,7 @@ from deformscope.errors import InputError
 from deformscope.stages.msm.poke import Law, Poke, Tip
 from deformscope.stages.poke.poke_estimate import conclude, continuum
 from deformscope.stages.poke.poke_fit import default_spacing, fit_pokes, seen_poke
+from tests.stages import reference_states
 from tests.stages.pokes import LAW, SPACING, STIFFNESS, poked, surface
 
 
@@ -135,6 +136,6 @@ def test_the_moduli_of_an_even_strain_are_those_of_the_energy() -> None:
     young, poisson = continuum(law, k, h)
     lame, mu = young * poisson / ((1 + poisson) * (1 - 2 * poisson)), 0.5 * young / (1 + poisson)
     for strain in (np.diag([1e-5, 0, 0]), np.diag([1e-5, -1e-5, 0]), np.full((3, 3), 1e-5)):
-        energy = k * reference.energy(rest @ (np.eye(3) + strain), body, law.beta, law.theta) / h**3
+        energy = k * reference_states.energy(rest @ (np.eye(3) + strain), body, law.beta, law.theta) / h**3
         expected = 0.5 * lame * np.trace(strain) ** 2 + mu * np.sum(strain**2)
         assert energy == pytest.approx(expected, rel=1e-3)
