@@ -42,7 +42,8 @@ def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Simp
     turns = rows_for(square_count + compliance_count + 1, width, scalar)
     times_null = product_for(terms, dim, dim, width, scalar)
     functions = functions_for(dim, scalar)
-    square, turn_one = functions.square, functions.turn
+    frames = rows_for(2 * square_count + dim + 1, width, scalar)
+    square, vec, turn_one = functions.square, functions.vec, functions.turn
     denominator_of, denominator_change = functions.volume_denominator, functions.denominator_change
     project, project_change = functions.project, functions.project_change
     transform = wp.types.matrix(shape=(dim, terms), dtype=scalar)
@@ -70,11 +71,12 @@ def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Simp
 
     @wp.struct
     class Kept:
-        """What a fit leaves for its derivative: R - I and the compliance of the rotation, and A - I (transposed)."""
+        """What a fit leaves for its derivative: R - I (transposed), the compliance of the rotation, and of a conserved
+        volume the frame: u, v, stretch and mu of `functions.project`, or for eq. 3.17 A - I (transposed)."""
 
         turned: numbers
         compliance: numbers
-        affine: numbers
+        frame: numbers
         stride: int
 
     @wp.func_native(
@@ -283,9 +285,19 @@ def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Simp
 
     @wp.func(inline=False)  # long, and not needed where theta = 0
     def conserve(
-        rest: FitRest, cluster: int, step: int, affine_t: transforms.rows, theta: lane, volume: int, what: int
+        rest: FitRest,
+        cluster: int,
+        step: int,
+        kept: Kept,
+        position: int,
+        count: int,
+        affine_t: transforms.rows,
+        theta: lane,
+        volume: int,
+        what: int,
     ):
         """A~_theta - [I, 0] of A~ - [I, 0] (transposed): eq. 3.17, or the projection; or its derivative by theta."""
+        frame = frames.rows()
         for l in range(width):
             own_cluster = cluster + l * step
             k = rest.span_count[own_cluster]
@@ -296,7 +308,13 @@ def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Simp
                     a[i, j] = affine_t[j * wp.static(dim) + i, l]
                 a[i, i] += one
             if volume == wp.static(PROJECT):
-                change, _u, _v, _stretch, _mu = project(a * rest.root[own_cluster], k)
+                change, u, v, stretch, mu = project(a * rest.root[own_cluster], k)
+                for i in range(wp.static(dim)):
+                    for j in range(wp.static(dim)):
+                        frame[i * wp.static(dim) + j, l] = u[i, j]
+                        frame[wp.static(square_count) + i * wp.static(dim) + j, l] = v[i, j]
+                    frame[wp.static(2 * square_count) + i, l] = stretch[i]
+                frame[wp.static(2 * square_count + dim), l] = mu
                 lifted = change * rest.lift[own_cluster]
                 for t in range(wp.static(terms)):
                     for i in range(wp.static(dim)):
@@ -305,6 +323,8 @@ def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Simp
                         else:
                             affine_t[t * wp.static(dim) + i, l] += th * lifted[i, t]
             else:
+                for t in range(wp.static(square_count)):
+                    frame[t, l] = affine_t[t, l]
                 denominator = denominator_of(a, th, rest.span_axes[own_cluster], k)
                 change = square()
                 if what == wp.static(BY_THETA):
@@ -317,6 +337,8 @@ def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Simp
                 for i in range(wp.static(dim)):
                     for j in range(wp.static(dim)):
                         affine_t[j * wp.static(dim) + i, l] += change[i, j]
+        if kept.stride > 0:
+            frames.store(kept.frame, position, kept.stride, frame, count)
         return affine_t
 
     @wp.func(inline=False)
@@ -324,31 +346,39 @@ def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Simp
         rest: FitRest,
         cluster: int,
         step: int,
-        before_t: squares.rows,
+        kept: Kept,
+        position: int,
         affine_t: transforms.rows,
         theta: lane,
         volume: int,
     ):
-        """Derivative of `conserve` for the change `affine_t`, where A - I (transposed) was `before_t`."""
+        """Derivative of `conserve` for the change `affine_t`, with the frame that it left."""
+        frame = frames.load(kept.frame, position, kept.stride)
         for l in range(width):
             own_cluster = cluster + l * step
             k = rest.span_count[own_cluster]
             th = theta[l]
-            a = square()
             da = square()
+            u = square()
+            v = square()
+            stretch = vec()
             for i in range(wp.static(dim)):
                 for j in range(wp.static(dim)):
-                    a[i, j] = before_t[j * wp.static(dim) + i, l]
                     da[i, j] = affine_t[j * wp.static(dim) + i, l]
-                a[i, i] += one
+                    u[i, j] = frame[i * wp.static(dim) + j, l]
+                    v[i, j] = frame[wp.static(square_count) + i * wp.static(dim) + j, l]
+                stretch[i] = frame[wp.static(2 * square_count) + i, l]
             if volume == wp.static(PROJECT):
-                _change, u, v, stretch, mu = project(a * rest.root[own_cluster], k)
+                mu = frame[wp.static(2 * square_count + dim), l]
                 lifted = project_change(u, v, stretch, mu, k, da * rest.root[own_cluster]) * rest.lift[own_cluster]
                 for t in range(wp.static(terms)):
                     for i in range(wp.static(dim)):
                         affine_t[t * wp.static(dim) + i, l] += th * lifted[i, t]
             else:
                 axes = rest.span_axes[own_cluster]
+                a = wp.transpose(u)
+                for i in range(wp.static(dim)):
+                    a[i, i] += one
                 denominator = denominator_of(a, th, axes, k)
                 by = denominator_change(a, da, th, zero, axes, k)
                 change = da * (one / denominator - one) - a * (by / (denominator * denominator))
@@ -356,12 +386,6 @@ def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Simp
                     for j in range(wp.static(dim)):
                         affine_t[j * wp.static(dim) + i, l] += change[i, j]
         return affine_t
-
-    @wp.func_native(
-        f"{matrix_c(square_count)} r; for (int k = 0; k < {square_count}; ++k) {each} r.data[k][l] = a.data[k][l];"
-        " return r;"
-    )
-    def square_part(a: transforms.rows) -> squares.rows: ...
 
     @wp.func
     def with_null(rest: FitRest, cluster: int, step: int, affine_t: transforms.rows, target: squares.rows):
@@ -408,9 +432,7 @@ def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Simp
         """
         affine_t = with_null(rest, cluster, step, affine_t, target)
         if volume != wp.static(NONE):
-            if kept.stride > 0:
-                squares.store(kept.affine, position, kept.stride, square_part(affine_t), count)
-            affine_t = conserve(rest, cluster, step, affine_t, theta, volume, what)
+            affine_t = conserve(rest, cluster, step, kept, position, count, affine_t, theta, volume, what)
         if what == wp.static(BY_BETA):
             return mixed(affine_t, lane(one), target, lane(-one))
         if what == wp.static(BY_THETA):
@@ -433,8 +455,7 @@ def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Simp
         """Derivative of `blend` along a direction whose own fit is `affine_t`; change: of the target along it."""
         affine_t = with_null(rest, cluster, step, affine_t, change)
         if volume != wp.static(NONE):
-            before = squares.load(kept.affine, position, kept.stride)
-            affine_t = conserve_change(rest, cluster, step, before, affine_t, theta, volume)
+            affine_t = conserve_change(rest, cluster, step, kept, position, affine_t, theta, volume)
         return mixed(affine_t, beta, change, lane(one) - beta)
 
     return members(FitRest, Kept, turned, turned_change, with_null, blend, blend_change)

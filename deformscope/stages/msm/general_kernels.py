@@ -318,6 +318,8 @@ def general_kernels_for(dim: int, terms: int, scalar: Any, width: int, material:
         star_in: numbers,
         motion: Motion,
         pull: numbers,
+        sides: numbers,
+        held_axis: int,
         running: Ints,
         # Out:
         out: numbers,
@@ -325,8 +327,8 @@ def general_kernels_for(dim: int, terms: int, scalar: Any, width: int, material:
     ):
         """Mean goal of each particle over its clusters (eq. 3.15), less where it is; 0 if held.
 
-        pull: 1 / number of clusters, 0 for a held particle. Stepping, eq. 3.11: the new position. A particle
-        that would run away stays, and marks its candidate.
+        pull: 1 / number of clusters, 0 for a held particle; sides, held_axis: see `lattice_kernels`. Stepping,
+        eq. 3.11: the new position. A particle that would run away stays, and marks its candidate.
         """
         group, particle = wp.tid()
         if running[group] == 0:
@@ -342,6 +344,9 @@ def general_kernels_for(dim: int, terms: int, scalar: Any, width: int, material:
             )
         pulled = scale(total, lane(pull[particle]))
         if motion.stepping == 0:
+            for i in range(wp.static(dim)):
+                if i == held_axis:
+                    pulled = vecs.with_row(pulled, i, vecs.row(pulled, i) * sides[particle])
             store(out, at, lists.particle_stride, pulled, wp.static(width))
         else:
             new = add(star, motion.alpha, pulled)

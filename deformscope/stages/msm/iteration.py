@@ -64,7 +64,7 @@ class Iteration:
 
     def __init__(self, body: Body, rest: BodyRest, size: int, volume: int, *, aided: bool = False) -> None:
         self.body, self.volume = body, volume
-        self.layout = body.layout(size)
+        self.layout = body.layout(size, filled=volume != 0)
         self.operator: Any = body.operator(self.layout)
         self.functions = k.newton_functions_for(body.dim, body.scalar, self.layout.width)
         self.kind = "cpu" if self.layout.device.startswith("cpu") else "cuda"

@@ -85,8 +85,8 @@ class LatticeBody(Body):
         """Flat cell of each cluster, (C,)."""
         return np.flatnonzero(self.corner.reshape(-1))
 
-    def layout(self, candidates: int) -> Layout:
-        width, abreast = widths(candidates, self.scalar, self.device, cells_in_lanes=True)
+    def layout(self, candidates: int, *, filled: bool = False) -> Layout:
+        width, abreast = widths(candidates, self.scalar, self.device, cells_in_lanes=True, filled=filled)
         cells = self.count * abreast
         line, plane = self.shape[2] * abreast, self.shape[1] * self.shape[2] * abreast
         group = -(-cells // width) * width
@@ -201,6 +201,7 @@ class _LatticeArrays:
         self.mass = upload(rest.mass[:1], scalar, device) if body.alike else at_cells(rest.mass)
         self.free, self.metric = at_cells(rest.free), at_cells(rest.metric)
         self.pull = at_cells(rest.free / rest.counts)
+        self.sides = self.free if rest.held_axis < 0 else at_cells(~rest.slipping)
 
 
 class LatticeOperator(Operator):
@@ -240,6 +241,7 @@ class LatticeOperator(Operator):
         d = body.dim
         fields = kk.Fields()
         fields.mass, fields.free, fields.pull = arrays.mass, arrays.free, arrays.pull
+        fields.sides, fields.held_axis = arrays.sides, body.rest.held_axis
         fields.sums_fast, fields.sums_middle = layout.field(2 * d), layout.field(3 * d)
         fields.maps = self.maps = layout.field(d + d * d)
         fields.maps_slow = layout.field(3 * d) if d == 3 else fields.maps

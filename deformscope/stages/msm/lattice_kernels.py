@@ -130,12 +130,15 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
         """What the passes read of particles, leave to each other, and know of the candidates.
 
         mass: one value if all are alike; pull: 1 / number of clusters, 0 for a held particle and for a missing one
+        sides: 0 for a particle that is held along `held_axis` alone, -1 if none is
         what: GOAL, BY_BETA or BY_THETA; beta_stride: see `body.Parameters`
         """
 
         mass: numbers
         free: numbers
         pull: numbers
+        sides: numbers
+        held_axis: int
         sums_fast: numbers
         sums_middle: numbers
         maps: numbers
@@ -569,6 +572,9 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
         if motion.stepping == 0:
             if fields.what == wp.static(GOAL):
                 goal = add(goal, -one, scale(u, is_free))
+            for i in range(wp.static(dim)):
+                if i == fields.held_axis:
+                    goal = with_row(goal, i, times(row(goal, i), particle_own(fields.sides, cell, grid.abreast)))
             store(out, offset + at, grid.stride, goal, count)
         else:
             star = ahead(grid, u, before_in, motion, fields.free, before_offset + at, cell)

@@ -153,7 +153,8 @@ class Msm:
 
     rest: (K, d) positions at rest, d = 2 or 3; clusters: which particles belong together; held: (n,) indices of the
     particles whose position is prescribed; mass: (K,), default 1 each; basis: "linear" (also rigid, with beta = 0) or
-    "quadratic"; precision: of the state; device: "cpu", "cuda:0"...
+    "quadratic"; slipping: which of the held particles are so along one axis alone, and that axis: static states of more
+    than one cluster find where they slip to; precision: of the state; device: "cpu", "cuda:0"...
 
     One candidate is one beta, one theta and one set of held positions. Whatever has a leading axis of B runs as B
     candidates; the rest is shared. Windows of an even lattice with a linear basis are summed axis by axis, at a cost
@@ -169,6 +170,7 @@ class Msm:
         *,
         mass: FloatArray | None = None,
         basis: Basis = "linear",
+        slipping: tuple[IntArray, int] | None = None,
         precision: Precision = "float64",
         device: str = "cpu",
     ) -> None:
@@ -183,7 +185,7 @@ class Msm:
         self._basis = basis
         self.mass = np.ones(len(self.rest)) if mass is None else np.asarray(mass, np.float64)
         self._clusters = clusters
-        self._hold(held)
+        self._hold(held, slipping)
         self._scratch: dict[Any, Any] = {}
         self._axes: FloatArray | None = None
         self._plastic = False
@@ -226,14 +228,18 @@ class Msm:
         made._scratch, made._variants = {}, {}
         return made
 
-    def _hold(self, held: IntArray | Sequence[int]) -> None:
+    def _hold(self, held: IntArray | Sequence[int], slipping: tuple[IntArray, int] | None = None) -> None:
         self.held = np.asarray(held, dtype=np.int64).reshape(-1)
         self.free, self._held_rest = ~held_mask(len(self.rest), self.held), self.rest[self.held]
+        some, axis = (np.zeros(0, dtype=np.int64), -1) if slipping is None else slipping
+        slips = held_mask(len(self.rest), some)
+        self.free |= slips
         counts = self._clusters.cluster_counts()
         metric = counts * self.mass
         metric /= self.mass.mean()
-        metric[self.held] = 0.0
-        self._particles = BodyRest(self.rest / self.scale, self.mass, self.free, counts, metric)
+        metric[~self.free] = 0.0
+        place = self.rest / self.scale
+        self._particles = BodyRest(place, self.mass, self.free, counts, metric, slipping=slips, held_axis=axis)
 
     def _along(self, beta: AxisBeta, theta: FloatArray | float) -> Msm:
         """The variant for betas along these axes, kept for the next call. theta: (B,) or one, all 0"""
@@ -267,6 +273,11 @@ class Msm:
             return None
         mass = self._particles.mass
         return OneCluster(self.rest, self.held, mass=mass, basis=self._basis, device=self.device)
+
+    @property
+    def slips(self) -> bool:
+        """Whether some particles are held along one axis alone."""
+        return self._particles.held_axis >= 0
 
     @property
     def counts(self) -> IntArray:
@@ -505,7 +516,9 @@ class Msm:
         (that of held particles does not count). With eq. 3.17 overlapping clusters have no symmetric equations; there
         the derivatives by beta and theta are solved for, and those by cluster are not given (nan).
         """
-        cotangent = np.asarray(cotangent, np.float64).reshape(-1, *self.rest.shape)
+        cotangent = np.array(cotangent, np.float64).reshape(-1, *self.rest.shape)
+        if self.slips:
+            cotangent[:, self._particles.slipping, self._particles.held_axis] = 0.0
         position = np.asarray(position, np.float64).reshape(-1, *self.rest.shape)
         theta_b = np.atleast_1d(np.asarray(theta, np.float64))
         if self._one is not None or (theta_b.any() and volume == "scale"):
@@ -558,6 +571,8 @@ class Msm:
 
     def start(self, size: int = 1, position: FloatArray | None = None) -> Moving:
         """B bodies at rest without velocity, or at `position` (K, d) or (B, K, d)."""
+        if self.slips:
+            raise ValueError("expected no slipping particles in time stepping; got some")
         state = Moving(self._body.operator(self._body.layout(size)))
         if position is not None:
             u = self._displacements(position)
