@@ -40,6 +40,7 @@ from deformscope.frames import (
     WrenchFrame,
 )
 from deformscope.images import decode_image
+from deformscope.results.declared import came_later
 from deformscope.stages.map.exploration import (
     ExplorationStop,
     InclusionsResult,
@@ -183,7 +184,7 @@ class CodecField:
     kind: Any
     optional: bool
     later: bool = False
-    """It has a default: recordings of before the field was there lack it."""
+    """Recordings of before the field was there lack it: see `LATER`."""
 
 
 def to_columns(items: Sequence[object], leave_out: Collection[str] = ()) -> dict[str, Column]:
@@ -212,7 +213,7 @@ def from_components(
     given: Mapping[str, Any] | None = None,
     read_image: Callable[[bytes, str], Any] = decode_image,
 ) -> T:
-    """What `to_components` took apart; raises KeyError where a part is missing that has no default.
+    """What `to_components` took apart; raises KeyError where a part is missing that is not of `LATER`.
 
     components: flat arrays, or lists of words, by field; given: fields that were left out
     read_image: what becomes of an encoded image, of which the second argument says which it is
@@ -279,13 +280,9 @@ def _plain(value: object) -> Any:
 def _fields(kind: Any) -> tuple[CodecField, ...]:
     hints = get_type_hints(kind)
     return tuple(
-        dataclasses.replace(_field(field.name, hints[field.name]), later=_has_default(field))
+        dataclasses.replace(_field(field.name, hints[field.name]), later=came_later(field))
         for field in dataclasses.fields(cast("Any", kind))
     )
-
-
-def _has_default(field: dataclasses.Field[Any]) -> bool:
-    return field.default is not dataclasses.MISSING or field.default_factory is not dataclasses.MISSING
 
 
 def _field(name: str, hint: Any) -> CodecField:

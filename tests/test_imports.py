@@ -59,7 +59,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
     # The simulated world must not share the model that is fitted to it.
     "lab": ("arrays", "capsule", "errors", "processes", "rig", "robot", "solid"),
     "session": ("frames",),
-    "rows": ("arrays", "frames", "images", "stages.map", "stages.squeeze"),
+    "rows": ("arrays", "frames", "images", "results", "stages.map", "stages.squeeze"),
     "page.server": ("errors",),
     "recording": (
         *("arrays", "errors", "frames", "images", "log", "page.server", "results", "rows", "session", *STAGES),

@@ -14,7 +14,7 @@ import numpy as np
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.errors import InputError
-from deformscope.results.declared import derived, reported
+from deformscope.results.declared import LATER, derived, reported
 from deformscope.results.render import format_value
 from deformscope.stages.poke.creep import CreepFit
 
@@ -273,7 +273,7 @@ class MapEstimate:
     level_loss: FloatArray | None = None
     level_loss_interval: FloatArray | None = None
     isopleths: FloatArray | None = None
-    at_least: bool = False
+    at_least: bool = field(default=False, metadata=LATER)
 
     @property
     def mapped(self) -> str:

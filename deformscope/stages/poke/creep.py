@@ -20,13 +20,14 @@ measured forces did on the way in less what they gave on the way out.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
 
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
+from deformscope.results.declared import LATER
 from deformscope.stages.fit.estimate import Doubt
 from deformscope.stages.fit.relaxation import ForceKept, kept_of, relaxing, seen_of
 from deformscope.stages.fit.weighted_draws import median_and_interval
@@ -105,10 +106,10 @@ class CreepFit:
     speed_m_s: float
     verdict: CreepBehaviour
     why: str = ""
-    reasons: tuple[Doubt, ...] = ()
-    force_kept: tuple[ForceKept, ...] = ()
-    short_record: float = 0.0
-    no_plateau: float = 0.0
+    reasons: tuple[Doubt, ...] = field(default=(), metadata=LATER)
+    force_kept: tuple[ForceKept, ...] = field(default=(), metadata=LATER)
+    short_record: float = field(default=0.0, metadata=LATER)
+    no_plateau: float = field(default=0.0, metadata=LATER)
     viscous: float | None = None
     plastic: float | None = None
     slipping: float | None = None
