@@ -10,7 +10,7 @@ import dataclasses
 import json
 import logging
 import re
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, cast
@@ -92,19 +92,8 @@ MOST_COLUMNS = 24
 BATCH_ROWS, BATCH_BYTES = 1 << 16, 4 << 20
 """Rows are gathered until they are so many, or so much."""
 KEPT_TEXT = {
-    *(
-        "verdict",
-        "beta_verdict",
-        "stiffness_verdict",
-        "stage",
-        "name",
-        "parameter",
-        "about",
-        "link",
-        "unit",
-        "gain_unit",
-    ),
-    *("modality", "labels", "state", "parent_frame", "child_frame"),
+    *("verdict", "beta_verdict", "stiffness_verdict", "stage", "name", "parameter", "about", "link", "unit"),
+    *("gain_unit", "modality", "labels", "state", "parent_frame", "child_frame"),
 }
 """Text that is the program's own: all other may name a person, a machine or a path, and is left out where an export is
 anonymous."""
@@ -201,9 +190,10 @@ class RecordedStream:
         places = [pa.field("session_ns", pa.int64()), pa.field("host_ns", pa.int64())]
         none = pa.Table.from_batches([], pa.schema(list(self._types.items())))
         fields = {one.name: one for one in places}
-        fields |= {name: pa.field(name, array.type) for name, array in self._own(none).items()}
+        own = self._own(none)
+        fields |= {name: pa.field(name, array.type) for name, array in own.items()}
         fields |= {name: one for name, one in self._extra_fields().items() if name not in fields}
-        if offset_ns is None and "host_ns" not in self._own(none):
+        if offset_ns is None and "host_ns" not in own:
             del fields["host_ns"]
         if anonymous:
             text = (pa.string(), pa.list_(pa.string()))
@@ -315,13 +305,10 @@ class RecordingTables:
             if not named or (self.anonymous and entity.split("/")[0] in PRIVATE):
                 continue
             raw = _raw(batch, named)
-            kinds = {
-                _KINDS[name.partition(":")[0]]: None for name in raw.schema.names if name.partition(":")[0] in _KINDS
-            }
-            at = TRANSFORMS if not kinds else entity
+            at = _stream_of(chunk.entity_path, named)
             stream = found.setdefault(at, RecordedStream(at))
-            own = [*stream.kinds, *(kind for kind in kinds if kind not in stream.kinds)]
-            stream.kinds = tuple(sorted(own, key=lambda kind: kind is not StageResult))
+            kinds = dict.fromkeys([*stream.kinds, *_kinds_of(raw.schema.names)])
+            stream.kinds = tuple(sorted(kinds, key=lambda kind: kind is not StageResult))
             stream.see(chunk, raw)
             stamps = [name for name in raw.schema.names if name.endswith(":stamp.host_ns")]
             if not offsets and stamps and (stamp := raw.column(stamps[0])[0].as_py()):
@@ -362,13 +349,10 @@ class RecordingTables:
         waiting: dict[str, list[pa.Table]] = {entity: [] for entity in streams}
         ready: dict[str, list[pa.RecordBatch]] = {entity: [] for entity in streams}
         for chunk in self._replay.chunks(*sorted(set().union(*(self.streams[one].paths for one in streams)))):
-            entity = "/".join(entity_parts(chunk.entity_path))
             batch = chunk.to_record_batch()
             named = _named(chunk.entity_path, chunk.is_static, batch.schema.names)
-            if not named:
-                continue
-            entity = TRANSFORMS if all(name.startswith("Transform3D") for name in named if ":" in name) else entity
-            if entity not in starts:
+            entity = _stream_of(chunk.entity_path, named)
+            if not named or entity not in starts:
                 continue
             stream = self.streams[entity]
             waiting[entity].append(_raw(batch, named, stream._types))
@@ -403,6 +387,16 @@ class RecordingTables:
 
 def _quantity(schema: pa.Schema, prefix: str) -> list[str]:
     return [name for name in schema.names if f"{name}_".startswith(f"{prefix}_")]
+
+
+def _kinds_of(names: Iterable[str]) -> list[type]:
+    """Of what columns hold, without a rerun transform."""
+    return [_KINDS[owner] for owner in dict.fromkeys(name.partition(":")[0] for name in names) if owner in _KINDS]
+
+
+def _stream_of(path: str, named: Mapping[str, str]) -> str:
+    """The stream that a portion belongs to: its entity, or that of all transforms. named: its columns (`_named`)"""
+    return "/".join(entity_parts(path)) if _kinds_of(named.values()) else TRANSFORMS
 
 
 def _named(path: str, static: bool, names: Sequence[str]) -> dict[str, str]:

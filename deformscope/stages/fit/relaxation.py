@@ -19,18 +19,26 @@ SLOW_LEAST, SLOW_SHARE = 0.03, 0.2
 one is what a drift of the sensor may be."""
 
 
-def relaxing(strength: FloatArray, retarded_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(d, b) shares of the modulus that relax, and (d, b) their times [s], of strengths and retardation times (d, b).
+def relaxation_modes(strength: FloatArray, retarded_s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Rates (d, m) [1/s] at which branches of strengths and retardation times (d, b) relax, the modes (d, b, m) that do
+    so, in sqrt(j_i l_i) E_i, and how fast the displacement drives each (d, m).
 
-    Held still, branches relax by dE_i/dt = (F - E_i) / l_i with F = y - sum_k j_k E_k. In sqrt(j_i l_i) E_i that is a
-    symmetric matrix, whose eigenvectors are orthogonal: what it has of sqrt(j_i / l_i) makes the shares.
+    Under a displacement y, dE_i/dt = (F - E_i) / l_i with F = y - sum_k j_k E_k. In sqrt(j_i l_i) E_i that is a
+    symmetric matrix, whose eigenvectors are orthogonal.
     """
-    if strength.shape[1] == 0:
-        return strength, retarded_s
     drive = np.sqrt(strength / retarded_s)
     rates = drive[:, :, None] * drive[:, None, :] + np.eye(strength.shape[1]) / retarded_s[:, :, None]
     rate, mode = np.linalg.eigh(rates)
-    return (drive[:, None, :] @ mode)[:, 0] ** 2 / rate, 1.0 / rate
+    return rate, mode, (drive[:, None, :] @ mode)[:, 0]
+
+
+def relaxing(strength: FloatArray, retarded_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(d, b) shares of the modulus that relax, and (d, b) their times [s], of strengths and retardation times (d, b)
+    that are held still."""
+    if strength.shape[1] == 0:
+        return strength, retarded_s
+    rate, _, drive = relaxation_modes(strength, retarded_s)
+    return drive**2 / rate, 1.0 / rate
 
 
 def force_kept(

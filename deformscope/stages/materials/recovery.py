@@ -33,7 +33,7 @@ from deformscope.stages.fit.creep_spectra import (
     Spectrum,
 )
 from deformscope.stages.fit.estimate import Doubt
-from deformscope.stages.fit.relaxation import kept_of, mean_relaxation_s, seen_of
+from deformscope.stages.fit.relaxation import kept_of, mean_relaxation_s, relaxation_modes, seen_of
 from deformscope.stages.fit.weighted_draws import draw_about, median_and_interval, pooled
 from deformscope.stages.materials.recovery_estimate import Number, RecoveryBehaviour, RecoveryEstimate
 
@@ -366,12 +366,8 @@ def _driven(
 ) -> tuple[FloatArray, FloatArray]:
     """(d, T) what branches (d, b) take off the force under a displacement (d, T) that goes straight from frame to
     frame, `gap_s` (T - 1,) apart, each step exact; and (d, b) the branches at its end."""
-    # scaled by the root of j_i l_i the rates are a symmetric matrix, whose eigenvectors are orthogonal
-    drive = np.sqrt(strength / retarded)
-    rates = -drive[:, :, None] * drive[:, None, :] - np.eye(strength.shape[1]) / retarded[:, :, None]
-    rate, mode = np.linalg.eigh(rates)
-    push = np.einsum("dbm,db->dm", mode, drive)
-    turn = rate * gap_s[:, None, None]
+    rate, mode, push = relaxation_modes(strength, retarded)
+    turn = -rate * gap_s[:, None, None]
     first = np.expm1(turn) / turn
     before, rise = amplitude.T[:-1, :, None], np.diff(amplitude.T, axis=0)[..., None]
     more = gap_s[:, None, None] * push * (first * before + (first - 1.0) / turn * rise)
