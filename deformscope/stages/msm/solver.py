@@ -43,6 +43,10 @@ KEPT_NUMBERS = 2_000_000
 MOVES = 200
 """Moves that held particles make at most in time stepping; of more steps, several pass at each place."""
 
+RESUMED_ITERATIONS = 24_000
+"""At least so many iterations for a second beginning: it is near the state that it comes to, but at beta .95 to .99, where
+little pulls a body back, pressed ones need up to 10 000."""
+
 TRIED_STEPS = 3000
 """Time steps within which a body that eq. 3.17 leaves no stable state has run away."""
 
@@ -350,7 +354,8 @@ class Msm:
         volume: "scale" (eq. 3.17) or "project" (stable): see `reference`
         start: (K, d) or (B, K, d), default rest
         tolerance: on the estimated distance from the static state, as a share of the body's extent
-        max_iterations: default 4000, or 40 a particle where that is more (long thin bodies bend slowly)
+        max_iterations: default 4000, or 40 a particle where that is more (long thin bodies bend slowly). By default,
+        candidates that eq. 3.17 keeps from converging have a second beginning, at the state without conservation
         progress: called with (candidates done, candidates) now and then
         """
         if isinstance(beta, AxisBeta):
@@ -415,8 +420,8 @@ class Msm:
             start = np.broadcast_to(start, (size, count, dim))[rows]
         beta, theta = beta[rows], theta[rows]
         free = self.relax(held, beta, start=start, tolerance=tolerance)
-        how: Any = {"start": free.position, "tolerance": tolerance, "max_iterations": _most_iterations(count)}
-        again = self.relax(held, beta, theta, **how)
+        most = max(RESUMED_ITERATIONS, _most_iterations(count))
+        again = self.relax(held, beta, theta, start=free.position, tolerance=tolerance, max_iterations=most)
         if not again.converged.all():
             state = self.start(len(rows), free.position)
             self.advance(state, held, beta, theta, steps=TRIED_STEPS)
