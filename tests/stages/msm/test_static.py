@@ -11,7 +11,7 @@ import pytest
 pytest.importorskip("warp")
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
-from deformscope.stages.msm import clusters, reference
+from deformscope.stages.msm import clusters, iteration, reference
 from deformscope.stages.msm.clusters import Clusters
 from deformscope.stages.msm.reference import Rest, Volume
 from deformscope.stages.msm.solver import Msm, Precision, Relaxed
@@ -350,6 +350,44 @@ def test_a_tolerance_that_rounding_forbids_is_no_divergence(device: str, shape: 
     found = engine.relax(body.held_position, np.linspace(0.1, 0.9, 20), tolerance=1e-17)
     assert found.residual.max() < 1e-11 * engine.extent
     assert not found.diverged.any()
+
+
+# -- time limit and progress -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("volume", "theta"), [*MODES, ("scale", 0.3)])
+@pytest.mark.parametrize("shape", [(12, 12, 12), (22, 22, 22)])
+def test_a_solve_whose_time_is_over_says_so_and_what_is_left(
+    device: str, shape: tuple[int, ...], volume: Volume, theta: float
+) -> None:
+    """Kernels that stay for some hundred evaluations, and a preconditioned lattice."""
+    body = pushed(shape, np.random.default_rng(19))
+    engine = Msm(body.rest, body.clusters(3), body.held, device=device)
+    found = engine.relax(body.held_position, 0.95, theta, volume=volume, limit_s=0.0)
+    assert found.out_of_time.all()
+    assert not found.converged.any()
+    assert not found.diverged.any()
+    left = _rms(engine.residual(found.position, 0.95, theta, volume=volume))
+    assert 1e-9 * engine.extent < left[0] < 10.0 * found.residual[0]
+    if volume == "project" or theta == 0.0:  # an accelerated step follows the last residual of the others
+        assert found.residual[0] < 10.0 * left[0]
+    assert not engine.relax(body.held_position, 0.95, theta, volume=volume, limit_s=600.0).out_of_time.any()
+
+
+@pytest.mark.parametrize(("volume", "theta"), [*MODES, ("scale", 0.3)])
+def test_one_long_solve_tells_that_it_runs(
+    device: str, monkeypatch: pytest.MonkeyPatch, volume: Volume, theta: float
+) -> None:
+    monkeypatch.setattr(iteration, "TELL_EVERY_S", 0.0)
+    body = pushed((22, 22, 22), np.random.default_rng(20))
+    engine = Msm(body.rest, body.clusters(3), body.held, device=device)
+    seen: list[tuple[int, int]] = []
+    found = engine.relax(
+        body.held_position, 0.9, theta, volume=volume, progress=lambda done, of: seen.append((done, of))
+    )
+    assert found.converged.all()
+    assert seen[-1] == (1, 1)
+    assert seen.count((0, 1)) > 3  # within its linear equations, too
 
 
 # -- warm starts -----------------------------------------------------------------------------------------------------
