@@ -682,8 +682,9 @@ class Msm:
     def reaction(self, position: FloatArray, beta: FloatArray | float, theta: FloatArray | float = 0.0) -> FloatArray:
         """Force that each particle asks of what holds it, per unit of the body's stiffness k [m]: (B, K, d).
 
-        The gradient of the energy (`reference.reaction`), with volume conserved by projection since eq. 3.17 has none;
-        at a static state 0 at the free particles. position: (K, d) or (B, K, d)
+        The gradient of the energy: m_i (x_i - goal_i), summed over the particle's clusters, with volume conserved by
+        projection since eq. 3.17 has no energy; at a static state 0 at the free particles.
+        position: (K, d) or (B, K, d)
         """
         pull = self._unheld.residual(position, beta, theta, volume="project")
         return -pull * (self._particles.counts * self._particles.mass)[:, None]

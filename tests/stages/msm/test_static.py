@@ -16,6 +16,7 @@ from deformscope.stages.msm.clusters import Clusters
 from deformscope.stages.msm.reference import Rest, Volume
 from deformscope.stages.msm.solver import Msm, Precision, Relaxed
 from tests.cases import slow_but
+from tests.stages import reference_states
 from tests.stages.bodies import SPACING_M, lattice, pushed
 
 TIGHT = 1e-13
@@ -87,7 +88,7 @@ def _left(press: Press, found: Relaxed, rows: BoolArray, volume: Volume) -> Floa
     spec = press.spec
     return np.array(
         [
-            _rms((reference.goals(x, spec, float(b), float(t), volume=volume) - x)[None])[0]
+            _rms((reference_states.goals(x, spec, float(b), float(t), volume=volume) - x)[None])[0]
             for x, b, t in zip(found.position[rows], press.beta[rows], press.theta[rows], strict=True)
         ]
     )
@@ -305,7 +306,7 @@ def test_masses_weigh_as_in_the_reference(device: str, grouping: str, volume: Vo
     np.testing.assert_allclose(states[1], states[0], rtol=0.0, atol=limit)
     np.testing.assert_allclose(states[2], states[0], rtol=0.0, atol=limit)
     spec = reference.build_rest(body.rest, grouped, body.held, mass)
-    left = reference.goals(states[0], spec, 0.7, theta, volume=volume) - states[0]
+    left = reference_states.goals(states[0], spec, 0.7, theta, volume=volume) - states[0]
     assert np.abs(left).max() < 1e-10 * engine.extent
     # the heavy particle matters: even masses give another state
     assert np.abs(states[3] - states[0]).max() > 1e-3 * engine.extent
