@@ -42,6 +42,9 @@ PREDICTED = 1e-2
 STAY = 256
 """Evaluations that a kernel that stays does before it comes back to be looked at."""
 
+TURN = 8
+"""Evaluations of a search for beta in one launch; most searches need no more."""
+
 REPLAYS = {"cpu": 1, "cuda": 8}
 """Iterations between looks at which candidates still run: on a GPU, a look waits for the device."""
 
@@ -297,13 +300,15 @@ class Newton(Iteration):
             self.multigrid.linearise(rest, everything)
         self.operator.change(self.u, self.residual, self.parameters, everything, self._kept)
 
-    def follow(self, target: FloatArray, seen: BoolArray, **search: float) -> tuple[float, int, bool, bool]:
+    def follow(
+        self, target: FloatArray, seen: BoolArray, start: float, largest: float, **search: float
+    ) -> tuple[float, int, bool, bool]:
         """Beta of least mean distance of one candidate to displacements target (K, d) where seen (K,), from where `u`
-        is, in one launch; evaluations, whether it settled, and whether its state converged. search: see the kernel's"""
+        is; evaluations, whether it settled, and whether its state converged. largest: beta; search: see the kernel's"""
         layout, device = self.layout, self.layout.device
         if self._following is None:
             given = self.operator.resident.BetaSearch()
-            given.target, given.found = layout.field(self.body.dim), wp.zeros(3, dtype=wp.float64, device=device)
+            given.target, given.found = layout.field(self.body.dim), wp.zeros(8, dtype=wp.float64, device=device)
             given.seen = upload(np.zeros(layout.places), layout.scalar, device, layout.width)
             newton, pairs = [self.span, self.state], (self.pair, self.pair_out)
             self._following = given, self.operator.follow(self.parameters, self._kept, newton, *pairs, given)
@@ -312,12 +317,14 @@ class Newton(Iteration):
         places = np.zeros(layout.places + layout.width)
         places[layout.place] = seen
         given.seen.assign(places)
-        for name, value in search.items():
+        given.found.assign(np.array([start, 0.0, 0.0, 0.0, largest, 0.0, 0.0, 0.0]))
+        for name, value in {"turn": TURN, **search}.items():
             setattr(given, name, value)
         launch.set_param_by_name("search", given)
         self.step.zero_()
-        launch.launch()
-        beta, evaluations, settled = given.found.numpy()
+        while not given.found.numpy()[-1]:  # each launch ends soon, so that Ctrl-C is seen
+            launch.launch()
+        beta, evaluations, settled, *_ = given.found.numpy()
         return float(beta), int(evaluations), bool(settled), bool(self.state.state.numpy()[0] == k.CONVERGED)
 
     def solve(self, relative: float) -> bool:
