@@ -1,0 +1,232 @@
+"""A source of others as a rig: what it holds, frame by frame, in order of time, as `session.run` takes it."""
+
+from __future__ import annotations
+
+import heapq
+import itertools
+import math
+from collections.abc import Iterator, Mapping
+from datetime import datetime
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from deformscope.errors import InputError
+from deformscope.frames import Frame, HealthReport, Item, Stream
+from deformscope.imports.frame_builder import TIME_NS, FrameBuilder, Pose, pose_of
+from deformscope.imports.import_map import ASKED, ImportMap, MappedStream
+from deformscope.imports.readers import Message, Reader, Topic
+from deformscope.recording.portions import item_size
+from deformscope.recording.streams import columns_of
+from deformscope_drivers.clock import Stamp
+from deformscope_drivers.health import Health, Link
+
+DRIVER = "imported"
+"""Of a stream that no driver gave."""
+BATCH_NS, BATCH_BYTES = 200_000_000, 16 << 20
+APART_S = 10.0
+"""A stream so far from all others in time has another clock, or the map would say so."""
+WAITING = 64
+"""Messages of a stream of several topics that wait for those of the same time."""
+
+
+class ImportSource:
+    """`with open_reader(path) as reader: source = ImportSource(reader, read_map(file))`; raises InputError for what the
+    map must say. `take` gives about a fifth of a second at a time; ended: nothing is left"""
+
+    def __init__(self, reader: Reader, asked: ImportMap) -> None:
+        self._topics = reader.topics()
+        for stream in asked.streams:
+            for name in (*stream.topics, *([stream.pose] if stream.pose else ())):
+                if name not in self._topics:
+                    known = ", ".join(self._topics) or "nothing"
+                    raise InputError(f"topics of {stream.device} out of the source's", repr(name), known)
+        self._made = {stream.device: _Stream(stream, self._topics) for stream in asked.streams}
+        known = reader.about.get("devices", {})
+        self.streams = tuple(one.describe(known.get(name)) for name, one in self._made.items())
+        self.ended = False
+        self._frames = self._read(reader)
+        self._next = next(self._frames, None)
+        if self._next is None:
+            raise InputError("a source with frames for the map's streams", "none", "pose and joints in the map")
+        self.start_ns = self._next.stamp.host_ns if asked.start_ns is None else asked.start_ns
+
+    def take(self, wait_s: float) -> list[Item]:
+        """The next frames. wait_s: is not waited"""
+        found: list[Item] = []
+        size = 0
+        until_ns = math.inf if self._next is None else self._next.stamp.host_ns + BATCH_NS
+        while self._next is not None and self._next.stamp.host_ns <= until_ns and size < BATCH_BYTES:
+            found.append(self._next)
+            size += item_size(self._next)
+            self._next = next(self._frames, None)
+        if self._next is None and not self.ended:
+            self.ended = True
+            self._check_clocks()
+        return sorted(found, key=lambda one: one.stamp.host_ns)  # type: ignore[union-attr]
+
+    def look(self) -> HealthReport:
+        """How many frames each device gave, and how many could not be made: of their messages some lacked."""
+        looks = tuple((name, one.health()) for name, one in self._made.items())
+        return HealthReport(max((one.last_ns for one in self._made.values()), default=0), looks)
+
+    def rest(self) -> list[Item]:
+        """Nothing is held back."""
+        return []
+
+    def close(self) -> None:
+        """What is read is closed by who opened it."""
+
+    def _read(self, reader: Reader) -> Iterator[Frame]:
+        tables = {name for name, one in self._topics.items() if one.type in ("csv", "parquet")}
+        if tables:
+            yield from heapq.merge(*(one.frames(reader) for one in self._made.values()), key=_when)
+            return
+        by_topic: dict[str, list[_Stream]] = {}
+        for one in self._made.values():
+            for name in dict.fromkeys((*one.stream.topics, *([one.stream.pose] if one.stream.pose else ()))):
+                by_topic.setdefault(name, []).append(one)
+        posed = [one for one in self._made.values() if one.stream.child]
+        if posed and "/tf_static" in self._topics:
+            by_topic.setdefault("/tf_static", []).extend(posed)
+        for message in reader.messages(by_topic):
+            for one in by_topic[message.topic]:
+                if (frame := one.take(message)) is not None:
+                    yield frame
+
+    def _check_clocks(self) -> None:
+        if empty := [one for one in self._made.values() if not one.count]:
+            came = f"none of {empty[0].lost} messages" if empty[0].lost else "none"
+            raise InputError(f"frames of {empty[0].stream.device}", came, "its topics, pose and joints in the map")
+        spans = {name: (one.first_ns, one.last_ns) for name, one in self._made.items()}
+        for (name, (first, last)), (other, (begin, end)) in itertools.combinations(spans.items(), 2):
+            apart_s = max(begin - last, first - end) / 1e9
+            if apart_s > APART_S:
+                latest = max((name, other), key=lambda one: abs(spans[one][0] - self.start_ns))
+                came = f"stamps {apart_s:.4g} s from those of {name if latest == other else other}"
+                raise self._made[latest].stream.missing("offset_s", "how its clock differs", came)
+
+
+class _Stream:
+    """One stream of the map, as it is read."""
+
+    def __init__(self, stream: MappedStream, topics: Mapping[str, Topic]) -> None:
+        self.stream, self._builder = stream, FrameBuilder(stream, topics)
+        self._is_table = all(topics[name].type in ("csv", "parquet") for name in stream.topics)
+        self._types = {name: one.type for name, one in topics.items()}
+        self.count = self.lost = self.first_ns = self.last_ns = 0
+        self._waiting: dict[int, dict[str, Message]] = {}
+        self._links: dict[str, tuple[str, Pose]] = {}
+        self._pose: Pose | None = None
+        needs_pose = stream.kind == "arm" and not self._builder.own and "position_x_m" not in self._builder.columns
+        if needs_pose and stream.pose in ("", ASKED):
+            raise stream.missing("pose", "topic of the end's pose in the base frame (PoseStamped, or transforms)")
+        if stream.pose and self._types[stream.pose].endswith("TFMessage"):
+            for key in ("parent", "child"):
+                if getattr(stream, key) in ("", ASKED):
+                    raise stream.missing(key, "a frame of the transforms: the arm's base, its end")
+        if self._is_table and not self._builder.own and stream.time in ("header", "log", ASKED) and not stream.rate_hz:
+            raise stream.missing("time", "the column of its times, or rate_hz", stream.time)
+
+    def describe(self, known: Mapping[str, Any] | None) -> Stream:
+        if known is not None:
+            return msgspec.convert({**known, "device": self.stream.device, "driver": DRIVER}, Stream)
+        forces = len(columns_of("force_n", self._builder.columns))
+        torques = bool(columns_of("torque_nm", self._builder.columns))
+        pads = self.stream.pads
+        return Stream(
+            self.stream.device, self.stream.kind, DRIVER, pads=pads, channels=max(forces // 3, 1), torques=torques
+        )
+
+    def health(self) -> Health:
+        span_s = (self.last_ns - self.first_ns) / 1e9
+        rate_hz = (self.count - 1) / span_s if span_s > 0 else 0.0
+        return Health(Link.CLOSED, "", self.count, lost=self.lost + len(self._waiting), rate_hz=rate_hz)
+
+    def frames(self, reader: Reader) -> Iterator[Frame]:
+        """Of tables: all rows."""
+        for message in reader.messages(self.stream.topics):
+            if (frame := self.take(message)) is not None:
+                yield frame
+
+    def take(self, message: Message) -> Frame | None:
+        """The frame that a message makes whole. Raises InputError for stamps that go back."""
+        if message.topic == "/tf_static" or message.topic == self.stream.pose:
+            self._follow(message.value)
+            if message.topic not in self.stream.topics:
+                return None
+        ns = self._when(message)
+        together = {message.topic: message}
+        if len(self.stream.topics) > 1:
+            together = self._waiting.setdefault(ns, {})
+            together[message.topic] = message
+            if len(together) < len(self.stream.topics):
+                if len(self._waiting) > WAITING:
+                    self._waiting.pop(next(iter(self._waiting)))
+                    self.lost += 1
+                return None
+            del self._waiting[ns]
+        frame = self._builder.build(together, Stamp(ns), self.count, self._pose)
+        if frame is None:
+            self.lost += 1
+            return None
+        if self.count and ns < self.last_ns:
+            came = f"one {(self.last_ns - ns) / 1e9:.4g} s before the last, in frame {frame.index}"
+            raise InputError(f"stamps of {self.stream.device} that only rise", came, 'time = "log", or a part of it')
+        self.first_ns = self.first_ns if self.count else ns
+        self.last_ns, self.count = ns, self.count + 1
+        return frame
+
+    def _when(self, message: Message) -> int:
+        """A message's stamp [ns]."""
+        stream = self.stream
+        offset_ns = round(float(stream.offset_s) * 1e9)
+        if self._is_table:
+            name = "host_ns" if self._builder.own else stream.time
+            if name in ("header", "log"):
+                return round(self.count * 1e9 / stream.rate_hz) + offset_ns
+            try:
+                value = message.get(name)
+            except KeyError:
+                raise stream.missing("time", "the column of its times", name) from None
+            if isinstance(value, datetime):
+                return int(np.datetime64(value, "ns").astype(np.int64)) + offset_ns
+            unit = "ns" if self._builder.own else stream.time_unit
+            if unit not in TIME_NS:
+                raise stream.missing("time_unit", "one of s, ms, us, ns", unit or "")
+            if not isinstance(value, int | float) or not math.isfinite(value):
+                raise InputError(f"times of {stream.device} in {name}", repr(value), "skip_rows, or another table")
+            scaled = value * TIME_NS[unit]
+            return (scaled if isinstance(scaled, int) else round(scaled)) + offset_ns
+        if stream.time == "log":
+            return message.log_ns + offset_ns
+        try:
+            stamp = message.get("header.stamp")
+        except KeyError:
+            raise stream.missing("time", '"log": its messages have no stamps', stream.time) from None
+        ns = int(stamp.sec) * 10**9 + int(stamp.nanosec)
+        if not ns:
+            raise stream.missing("time", '"log": its stamps are 0', stream.time)
+        return ns + offset_ns
+
+    def _follow(self, value: Any) -> None:
+        """Keep the newest pose of the end."""
+        if not hasattr(value, "transforms"):
+            self._pose = pose_of(getattr(value, "pose", value))
+            return
+        for one in value.transforms:
+            self._links[one.child_frame_id.lstrip("/")] = one.header.frame_id.lstrip("/"), pose_of(one.transform)
+        at, T, parent = self.stream.child.lstrip("/"), np.eye(4), self.stream.parent.lstrip("/")
+        for _ in range(len(self._links) + 1):
+            if at == parent:
+                self._pose = T
+                return
+            if at not in self._links:
+                return
+            at, link = self._links[at]
+            T = link @ T
+
+
+def _when(frame: Frame) -> int:
+    return frame.stamp.host_ns
