@@ -15,7 +15,7 @@ from deformscope.errors import InputError
 from deformscope.frames import ArmFrame, ColorFrame, DepthFrame, Frame, HandFrame, Kind, TactileFrame, WrenchFrame
 from deformscope.images import decode_image
 from deformscope.imports.import_map import ASKED, MappedStream
-from deformscope.imports.readers import Message, Topic
+from deformscope.imports.readers import TABLE_TYPES, Message, Topic
 from deformscope.recording.streams import UNITS, columns_of, split_unit
 from deformscope_drivers.clock import Stamp
 
@@ -105,7 +105,10 @@ class FrameBuilder:
                 self._check_own(name, units[name])
             return
         self._fields = {name: (field, self._factor(name, field, unit)) for name, (field, unit) in standard.items()}
+        is_table = all(one.type in TABLE_TYPES for one in of)
         for name, field in stream.columns.items():
+            if is_table and field not in units:
+                raise stream.missing(f"columns.{name}", f"one of {', '.join(units)}", field)
             self._fields[name] = field, self._factor(name, field, units.get(field, ""))
 
     @property
@@ -148,6 +151,9 @@ class FrameBuilder:
             return _MAKE[self.stream.kind](self, row, stamp, index, messages, pose)
         except KeyError as error:
             raise self.stream.missing(f"columns.{error.args[0]}", "the source's field that holds it", "") from error
+        except (TypeError, ValueError) as error:  # as of arrays whose sizes do not fit together
+            came = f"in frame {index}: {' '.join(str(error).split())[:160]}"
+            raise InputError(f"a {self.stream.kind} frame of {self.stream.device}", came, "its columns") from error
 
     def _row(self, message: Message) -> dict[str, Any]:
         fields = self._fields

@@ -11,7 +11,7 @@ import msgspec
 from deformscope.frames import Pad
 from deformscope.imports.frame_builder import KINDS, STANDARD
 from deformscope.imports.import_map import ASKED, ImportMap, MappedStream
-from deformscope.imports.readers import Reader, Topic
+from deformscope.imports.readers import TABLE_TYPES, Reader, Topic
 
 TIMES = ("host_ns", "time", "timestamp", "stamp", "t")
 """Names of columns that hold times, in small letters, the likeliest first."""
@@ -86,7 +86,7 @@ def propose(reader: Reader, found: list[Found]) -> ImportMap:
     joints = [one for one in found if one.topic.type.endswith("JointState")]
     for one in found:
         device = one.topic.name.rsplit(".", 1)[0].strip("/").replace("/", "_")
-        if one.topic.type in ("csv", "parquet"):
+        if one.topic.type in TABLE_TYPES:
             streams.append(_table(one, device))
             continue
         if one.topic.type not in STANDARD or (joints and one in poses):
@@ -124,7 +124,7 @@ def _own(one: Found, kind: Any, found: list[Found], about: Mapping[str, Any]) ->
     known = about.get("devices", {})
     device = next((name for name in known if name == device or _plain(name) == device), device)
     topics = [one.topic.name]
-    if kind in ("color", "depth") and one.topic.type not in ("csv", "parquet"):
+    if kind in ("color", "depth") and one.topic.type not in TABLE_TYPES:
         there = {each.topic.name for each in found}
         images = (f"/{_plain(device)}/{name}" for name in ("color/compressed", "depth/image"))
         topics += [name for name in images if name in there]

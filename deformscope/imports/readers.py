@@ -15,6 +15,7 @@ from deformscope.errors import InputError
 
 BAGS = (".bag", ".mcap", ".db3")
 TABLES = (".csv", ".parquet")
+TABLE_TYPES = ("csv", "parquet")
 BATCH_ROWS = 4096
 PACKAGE = "deformscope_msgs/msg/"
 """Of the messages of our own exports."""

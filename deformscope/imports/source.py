@@ -16,7 +16,7 @@ from deformscope.errors import InputError
 from deformscope.frames import Frame, HealthReport, Item, Stream
 from deformscope.imports.frame_builder import TIME_NS, FrameBuilder, Pose, pose_of
 from deformscope.imports.import_map import ASKED, ImportMap, MappedStream
-from deformscope.imports.readers import Message, Reader, Topic
+from deformscope.imports.readers import TABLE_TYPES, Message, Reader, Topic
 from deformscope.recording.portions import item_size
 from deformscope.recording.streams import columns_of
 from deformscope_drivers.clock import Stamp
@@ -79,7 +79,7 @@ class ImportSource:
         """What is read is closed by who opened it."""
 
     def _read(self, reader: Reader) -> Iterator[Frame]:
-        tables = {name for name, one in self._topics.items() if one.type in ("csv", "parquet")}
+        tables = {name for name, one in self._topics.items() if one.type in TABLE_TYPES}
         if tables:
             yield from heapq.merge(*(one.frames(reader) for one in self._made.values()), key=_when)
             return
@@ -113,7 +113,7 @@ class _Stream:
 
     def __init__(self, stream: MappedStream, topics: Mapping[str, Topic]) -> None:
         self.stream, self._builder = stream, FrameBuilder(stream, topics)
-        self._is_table = all(topics[name].type in ("csv", "parquet") for name in stream.topics)
+        self._is_table = all(topics[name].type in TABLE_TYPES for name in stream.topics)
         self._types = {name: one.type for name, one in topics.items()}
         self.count = self.lost = self.first_ns = self.last_ns = 0
         self._waiting: dict[int, dict[str, Message]] = {}
