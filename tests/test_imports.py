@@ -66,7 +66,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
     ),
     "files": ("arrays", "errors", "file_io", "frames", "images", "recording", *STAGES),
     # What others recorded, as frames.
-    "imports": ("arrays", "errors", "frames", "images", "recording", "rows"),
+    "imports": ("arrays", "errors", "file_io", "files", "frames", "images", "recording", "rig", "rows"),
     "experiments": (
         *("arrays", "capsule", "config", "errors", "file_io", "files", "frames", "images", "processes", "recording"),
         *("results", "rig", "robot", "rows", "session", "version", *STAGES),

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Mapping
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,7 +16,7 @@ import numpy.typing as npt
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 from deformscope.frames import ArmFrame, ColorFrame, DepthFrame, Frame, HandFrame, Kind, TactileFrame, WrenchFrame
-from deformscope.images import decode_image
+from deformscope.images import PNG_SIGNATURE, decode_image, read_image
 from deformscope.imports.import_map import ASKED, MappedStream
 from deformscope.imports.readers import TABLE_TYPES, Message, Topic
 from deformscope.recording.streams import UNITS, columns_of, split_unit
@@ -27,12 +30,11 @@ KINDS: dict[Kind, type] = {
     "color": ColorFrame,
     "depth": DepthFrame,
 }
-_VECTOR = {axis: axis for axis in "xyz"}
 STANDARD: dict[str, tuple[Kind, dict[str, tuple[str, str]]]] = {
     "geometry_msgs/msg/WrenchStamped": (
         "wrench",
-        {f"force_{axis}_n": (f"wrench.force.{axis}", "N") for axis in _VECTOR}
-        | {f"torque_{axis}_nm": (f"wrench.torque.{axis}", "N m") for axis in _VECTOR},
+        {f"force_{axis}_n": (f"wrench.force.{axis}", "N") for axis in "xyz"}
+        | {f"torque_{axis}_nm": (f"wrench.torque.{axis}", "N m") for axis in "xyz"},
     ),
     "sensor_msgs/msg/JointState": (
         "arm",
@@ -44,7 +46,7 @@ STANDARD: dict[str, tuple[Kind, dict[str, tuple[str, str]]]] = {
     ),
     "geometry_msgs/msg/PoseStamped": (
         "arm",
-        {f"position_{axis}_m": (f"pose.position.{axis}", "m") for axis in _VECTOR}
+        {f"position_{axis}_m": (f"pose.position.{axis}", "m") for axis in "xyz"}
         | {f"q{axis}": (f"pose.orientation.{axis}", "") for axis in "xyzw"},
     ),
     "sensor_msgs/msg/Image": ("depth", {}),
@@ -80,9 +82,24 @@ SI = {
 """What each unit is of, and how much of it."""
 Pose = npt.NDArray[np.float64]
 """(4, 4) the end's to the base's frame [m]."""
+Row = dict[str, Any]
+CLOUDS = (".pcd", ".ply")
+REAL_STEP_M = 1e-4
+"""In which distances that come as real numbers are kept."""
 TIME_NS = {"ns": 1, "us": 10**3, "ms": 10**6, "s": 10**9}
+DEPTH_ENCODINGS = ("16UC1", "mono16", "32FC1")
 COLOR_ENCODINGS = {"rgb8": 3, "bgr8": 3, "mono8": 1, "rgba8": 4, "bgra8": 4}
 POINT_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
+
+
+@dataclass(frozen=True, slots=True)
+class At:
+    """Where a frame stands, the messages that it is made of, and the pose of the arm's end."""
+
+    stamp: Stamp
+    index: int
+    values: Sequence[Any]
+    pose: Pose | None
 
 
 class FrameBuilder:
@@ -138,17 +155,15 @@ class FrameBuilder:
         return 1.0 if given == wanted else SI[given][1] / SI[wanted][1]
 
     def build(self, messages: Mapping[str, Message], stamp: Stamp, index: int, pose: Pose | None) -> Frame | None:
-        """The frame of these messages, by topic; None where they are not of it. pose: (4, 4) end to base [m]"""
-        row: dict[str, Any] = {}
+        """The frame of these messages, by topic; None where they are not of it. pose: of the arm's end"""
+        row: Row = {}
         for message in messages.values():
             row |= self._row(message)
-        if self.own and row.get("device_ticks") is not None:
-            stamp = Stamp(stamp.host_ns, int(row["device_ticks"]), row.get("late_ns"))
-        elif self.own and row.get("late_ns") is not None:
-            stamp = Stamp(stamp.host_ns, None, row["late_ns"])
-        index = int(row.get("index", index)) if self.own else index
+        if self.own:
+            stamp = Stamp(stamp.host_ns, row.get("device_ticks"), row.get("late_ns"))
+            index = int(row.get("index", index))
         try:
-            return _MAKE[self.stream.kind](self, row, stamp, index, messages, pose)
+            return _MAKE[self.stream.kind](self, row, At(stamp, index, [one.value for one in messages.values()], pose))
         except KeyError as error:
             raise self.stream.missing(f"columns.{error.args[0]}", "the source's field that holds it", "") from error
         except (TypeError, ValueError) as error:  # as of arrays whose sizes do not fit together
@@ -187,52 +202,47 @@ class FrameBuilder:
         return np.array([np.nan if row[one] is None else row[one] for one in columns], kind)
 
 
-def _wrench(self: FrameBuilder, row: Any, stamp: Stamp, index: int, messages: Any, pose: Pose | None) -> Frame | None:
+def _wrench(self: FrameBuilder, row: Row, at: At) -> Frame | None:
     force = self.values(row, "force_n").reshape(-1, 3)
     torque = self.values(row, "torque_nm", size=force.size).reshape(-1, 3)
     if self.stream.nan == "refuse" and not self.own and not np.isfinite(force).all():
-        raise InputError(f"forces of {self.stream.device} that are numbers", f"NaN in frame {index}", 'nan = "keep"')
+        raise InputError(f"forces of {self.stream.device} that are numbers", f"NaN in frame {at.index}", 'nan = "keep"')
     counts = self.values(row, "counts", np.int64, 0)
     flags = bool(row.get("overload", False)), bool(row.get("usable", True))
     known = None if np.isnan(torque).all() else torque
-    return WrenchFrame(stamp, index, counts, force, known, *flags, self.stream.device)
+    return WrenchFrame(at.stamp, at.index, counts, force, known, *flags, self.stream.device)
 
 
-def _tactile(self: FrameBuilder, row: Any, stamp: Stamp, index: int, messages: Any, pose: Pose | None) -> Frame | None:
-    shapes = [(pad.rows, pad.columns) for pad in self.stream.pads]
-    if not shapes:
-        raise self.stream.missing("pads", "name, rows, columns, texel_m, index, finger and part of each", "")
-    pressure = self.values(row, "pressure_pa")
-    texels = sum(rows * columns for rows, columns in shapes)
-    if len(pressure) != texels:
-        raise self.stream.missing("pads", f"{len(pressure)} texels in all", f"{texels} texels")
-    parts = np.split(pressure, np.cumsum([rows * columns for rows, columns in shapes])[:-1])
-    pads = tuple(part.reshape(shape) for part, shape in zip(parts, shapes, strict=True))
-    return TactileFrame(stamp, index, self.values(row, "counts", np.uint16, 0), pads, self.stream.device)
+def _tactile(self: FrameBuilder, row: Row, at: At) -> Frame | None:
+    shapes, pressure = [(pad.rows, pad.columns) for pad in self.stream.pads], self.values(row, "pressure_pa")
+    ends = np.cumsum([rows * columns for rows, columns in shapes])
+    if not shapes or len(pressure) != ends[-1]:
+        about = f"name, rows, columns, texel_m, index, finger, part of each, {len(pressure)} texels in all"
+        raise self.stream.missing("pads", about, f"{ends[-1]} texels" if shapes else "")
+    pads = tuple(one.reshape(shape) for one, shape in zip(np.split(pressure, ends[:-1]), shapes, strict=True))
+    return TactileFrame(at.stamp, at.index, self.values(row, "counts", np.uint16, 0), pads, self.stream.device)
 
 
-def _arm(self: FrameBuilder, row: Any, stamp: Stamp, index: int, messages: Any, pose: Pose | None) -> Frame | None:
+def _arm(self: FrameBuilder, row: Row, at: At) -> Frame | None:
     from deformscope_drivers.arm.kinematics import euler_xyz_from_rotation
 
-    if names := self.stream.joints:
-        had = [list(one.value.name) for one in messages.values() if hasattr(one.value, "name")]
-        if had and not set(names) <= set(had[0]):
+    named = [list(one.name) for one in at.values if hasattr(one, "name")]
+    if (names := self.stream.joints) and named:
+        if not set(names) <= set(named[0]):
             return None  # another robot's, or another part's
-        order = [had[0].index(name) for name in names] if had else list(range(len(names)))
-        row = {name: value if len(value) == 0 else np.asarray(value)[order] for name, value in row.items()}
-    row = {name: value for name, value in row.items() if not (hasattr(value, "__len__") and len(value) == 0)}
+        order = [named[0].index(name) for name in names]
+        row = {name: np.asarray(value)[order] if np.size(value) > 1 else value for name, value in row.items()}
+    row, pose = {name: value for name, value in row.items() if np.size(value)}, at.pose
     if "qw" in row:
-        pose = _pose([row.pop(f"q{axis}") for axis in "xyzw"], [row[f"position_{axis}_m"] for axis in "xyz"])
-    if not columns_of("position_m", row):
-        if pose is None:
-            return None
+        pose = _pose([row.pop(f"q{axis}") for axis in "xyzw"], [row.pop(f"position_{axis}_m") for axis in "xyz"])
+    if pose is not None:
         row |= {"position_m": pose[:3, 3], "rotation_rad": euler_xyz_from_rotation(pose[:3, :3])}
-    elif pose is not None:
-        row["rotation_rad"] = euler_xyz_from_rotation(pose[:3, :3])
+    elif not columns_of("position_m", row):
+        return None  # no pose has come yet
     joints = self.values(row, "joint_deg", size=0)
     return ArmFrame(
-        stamp=stamp,
-        index=index,
+        stamp=at.stamp,
+        index=at.index,
         joint_deg=joints,
         joint_velocity_deg_s=self.values(row, "joint_velocity_deg_s", size=len(joints)),
         joint_torque_nm=self.values(row, "joint_torque_nm", size=len(joints)),
@@ -246,62 +256,84 @@ def _arm(self: FrameBuilder, row: Any, stamp: Stamp, index: int, messages: Any, 
     )
 
 
-def _hand(self: FrameBuilder, row: Any, stamp: Stamp, index: int, messages: Any, pose: Pose | None) -> Frame | None:
-    row = {("position_deg" if name == "joint_deg" else name): value for name, value in row.items()}
-    row = {("velocity_deg_s" if name == "joint_velocity_deg_s" else name): value for name, value in row.items()}
+def _hand(self: FrameBuilder, row: Row, at: At) -> Frame | None:
+    row = {name.removeprefix("joint_velocity").removeprefix("joint"): value for name, value in row.items()} | row
+    row = {{"_deg": "position_deg", "_deg_s": "velocity_deg_s"}.get(name, name): value for name, value in row.items()}
     position = self.values(row, "position_deg")
     velocity, heat = self.values(row, "velocity_deg_s", size=len(position)), self.values(row, "temperature_c", size=9)
-    columns = columns_of("state", row)
-    states = row["state"] if columns == ["state"] else [row[one] for one in columns]
-    return HandFrame(stamp, index, position, velocity, heat, tuple(states), self.stream.device)
+    states = [row[one] for one in columns_of("state", row)]
+    states = states[0] if len(states) == 1 and not isinstance(states[0], str) else states
+    return HandFrame(at.stamp, at.index, position, velocity, heat, tuple(states), self.stream.device)
 
 
-def _color(self: FrameBuilder, row: Any, stamp: Stamp, index: int, messages: Any, pose: Pose | None) -> Frame | None:
-    image, _ = _images(self, row, messages)
-    return None if image is None else ColorFrame(stamp, index, image, self.stream.device)
+def _color(self: FrameBuilder, row: Row, at: At) -> Frame | None:
+    image, _ = _images(self, row, at)
+    if image is None:
+        raise KeyError("image")
+    return ColorFrame(at.stamp, at.index, image, self.stream.device)
 
 
-def _depth(self: FrameBuilder, row: Any, stamp: Stamp, index: int, messages: Any, pose: Pose | None) -> Frame | None:
-    color, depth = _images(self, row, messages)
+def _depth(self: FrameBuilder, row: Row, at: At) -> Frame | None:
+    color, depth = _images(self, row, at)
     if depth is None:
         raise KeyError("depth")
-    unit_m = float(row.get("unit_m") or (1e-3 if depth.dtype == np.uint16 else self.stream.unit_m))
+    unit_m = float(row.get("unit_m") or self.stream.unit_m or (1e-3 if depth.dtype == np.uint16 else REAL_STEP_M))
     if depth.dtype != np.uint16:
         counts = np.rint(np.nan_to_num(depth.astype(np.float64), nan=0.0, posinf=0.0, neginf=0.0) / unit_m)
         depth = np.where((counts > 0) & (counts < 65536), counts, 0).astype(np.uint16)
-    return DepthFrame(stamp, index, depth, unit_m, color, self.stream.device)
+    return DepthFrame(at.stamp, at.index, depth, unit_m, color, self.stream.device)
 
 
-def _images(self: FrameBuilder, row: Mapping[str, Any], messages: Mapping[str, Message]) -> tuple[Any, Any]:
+def _images(self: FrameBuilder, row: Row, at: At) -> tuple[Any, Any]:
     """A colour image and one of distances, uint16 or real numbers in metres; None where there is none."""
-    where = self.stream.device
+    stream = self.stream
     encoded = row.get("image") or row.get("color"), row.get("depth")
-    color, depth = (None if one is None else decode_image(bytes(one), where) for one in encoded)
-    for message in messages.values():
-        value = message.value
-        if hasattr(value, "point_step"):
-            depth = _cloud_depth(self.stream, value)
+    color, depth = (None if one is None else decode_image(bytes(one), stream.device) for one in encoded)
+    for value in at.values:
+        if isinstance(value, Path):
+            image, is_depth = _of_file(stream, value), stream.kind == "depth"
+        elif hasattr(value, "point_step"):
+            image, is_depth = _cloud_depth(stream, value), True
         elif hasattr(value, "encoding"):
-            image = _raw_image(self.stream, value)
-            color, depth = (color, image) if value.encoding in ("16UC1", "mono16", "32FC1") else (image, depth)
-        elif hasattr(value, "format") and hasattr(value, "data"):
-            is_depth = "compressedDepth" in value.format or (self.stream.kind == "depth" and "16UC1" in value.format)
-            data = bytes(value.data)
-            start = max(data.find(b"\x89PNG"), 0) if is_depth else 0
-            image = decode_image(data[start:], where)
-            color, depth = (color, image) if is_depth else (image, depth)
+            image, is_depth = _raw_image(stream, value), value.encoding in DEPTH_ENCODINGS
+        elif hasattr(value, "format"):
+            is_depth = "compressedDepth" in value.format or (stream.kind == "depth" and "16UC1" in value.format)
+            data = bytes(value.data)  # a depth image has a head of its own before the PNG
+            image = decode_image(data[max(data.find(PNG_SIGNATURE), 0) if is_depth else 0 :], stream.device)
+        else:
+            continue
+        color, depth = (color, image) if is_depth else (image, depth)
     return color, depth
+
+
+def _of_file(stream: MappedStream, path: Path) -> Any:
+    """An image file, or the distances of one of points."""
+    if path.suffix.lower() not in CLOUDS:
+        if stream.kind == "depth" and not stream.unit_m:
+            raise stream.missing("unit_m", "what one step of its images is [m]: 0.001 where they are in mm", "")
+        return read_image(path)
+    if (unit := stream.units.get("points", "")) not in SI or SI[unit][0] != "m":
+        raise stream.missing("units.points", "m, cm, mm or um", unit)
+    import open3d as o3d
+
+    points = np.asarray(o3d.io.read_point_cloud(path, remove_nan_points=False).points) * SI[unit][1]
+    head = path.read_bytes()[:4096].decode("latin-1")
+    size = [re.search(rf"^{name} (\d+)$", head, re.MULTILINE) for name in ("HEIGHT", "WIDTH")]
+    height, width = (int(one[1]) if one is not None else 1 for one in size)
+    if not len(points):
+        raise InputError("points", "a file that is none, damaged or empty", where=path)
+    return depth_of_points(stream, points.reshape((height, width, 3) if height * width == len(points) else (1, -1, 3)))
 
 
 def _raw_image(stream: MappedStream, value: Any) -> Any:
     """(H, W) or (H, W, 3) of a message. Raises InputError for an encoding that is not known."""
     order = ">" if value.is_bigendian else "<"
-    if value.encoding in ("16UC1", "mono16", "32FC1"):
+    if value.encoding in DEPTH_ENCODINGS:
         kind = np.dtype(f"{order}{'f4' if value.encoding == '32FC1' else 'u2'}")
         rows = np.frombuffer(value.data, np.uint8).reshape(value.height, value.step)[:, : value.width * kind.itemsize]
         return np.ascontiguousarray(rows).view(kind).astype(kind.newbyteorder("="))
     if value.encoding not in COLOR_ENCODINGS:
-        known = ", ".join(("16UC1", "32FC1", *COLOR_ENCODINGS))
+        known = ", ".join((*DEPTH_ENCODINGS, *COLOR_ENCODINGS))
         raise InputError(f"images of {stream.device} encoded as {known}", repr(value.encoding))
     channels = COLOR_ENCODINGS[value.encoding]
     rows = np.frombuffer(value.data, np.uint8).reshape(value.height, value.step)[:, : value.width * channels]

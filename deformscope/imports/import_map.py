@@ -30,13 +30,15 @@ class MappedStream:
     topics: topics, tables or files that they are made of; of several, those of one time make a frame
     columns: where each column (named as in an export) stands in the source, if not as its type has it
     units: of the source's fields that do not say them themselves
-    time: the column or field of its stamps; `header`, or `log` for when it was recorded; time_unit: s, ms, us or ns
+    time: the column of its stamps; of messages `header`, or `log` for when they were recorded; of files, a text file
+    with a stamp in each line, after the file's name or in their order; time_unit: s, ms, us or ns
     offset_s: added to its stamps, where its clock is another one [s]
     nan: `keep` takes forces that are no numbers, which are refused otherwise
-    unit_m: step in which distances that come as real numbers are kept [m]
+    unit_m: what a step of distances is [m]: of files always; of real numbers it is chosen, 1e-4 without it
     pose: topic of the end's poses, for states of joints; parent, child: its frames where that is of transforms
     joints: names, in their order; focal_px, center_px, size_px: of the camera that points are projected into
     pads: of a tactile sensor; rate_hz: of rows without a time
+    driver, config: whose bytes they are, and how it is set as in a rig file; topics are then received and sent bytes
     """
 
     device: str
@@ -48,7 +50,7 @@ class MappedStream:
     time_unit: str = ""
     offset_s: float | Literal["?"] = 0.0
     nan: Literal["refuse", "keep"] = "refuse"
-    unit_m: float = 1e-4
+    unit_m: float = 0.0
     pose: str = ""
     parent: str = ""
     child: str = ""
@@ -58,6 +60,8 @@ class MappedStream:
     size_px: tuple[int, int] | None = None
     pads: tuple[Pad, ...] = ()
     rate_hz: float = 0.0
+    driver: str = ""
+    config: dict[str, Any] = field(default_factory=dict)
 
     def missing(self, key: str, expected: str, came: object = ASKED) -> InputError:
         """The error that asks for a key."""
@@ -85,6 +89,15 @@ class ImportMap:
                 if one.name in ("device", "kind", "topics") or value != getattr(usual, one.name):
                     lines.append(f"{one.name} = {_toml(msgspec.to_builtins(value))}")
         return "\n".join(lines).lstrip() + "\n"
+
+    def rig_text(self) -> str:
+        """The devices whose bytes are imported, as a rig file has them; empty without one."""
+        found = ""
+        for one in self.streams:
+            if one.driver:
+                lines = [f"{key} = {_toml(value)}\n" for key, value in {"driver": one.driver, **one.config}.items()]
+                found += f"[devices.{one.device}]\n{''.join(lines)}"
+        return found
 
 
 def read_map(path: Path) -> ImportMap:

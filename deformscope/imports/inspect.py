@@ -8,8 +8,8 @@ from typing import Any
 
 import msgspec
 
-from deformscope.frames import Pad
-from deformscope.imports.frame_builder import KINDS, STANDARD
+from deformscope.frames import Kind, Pad
+from deformscope.imports.frame_builder import CLOUDS, KINDS, STANDARD
 from deformscope.imports.import_map import ASKED, ImportMap, MappedStream
 from deformscope.imports.readers import TABLE_TYPES, Reader, Topic
 
@@ -88,6 +88,19 @@ def propose(reader: Reader, found: list[Found]) -> ImportMap:
         device = one.topic.name.rsplit(".", 1)[0].strip("/").replace("/", "_")
         if one.topic.type in TABLE_TYPES:
             streams.append(_table(one, device))
+            continue
+        if one.topic.type in ("bytes", "candump"):
+            config = {"bus": f"socketcan:{one.topic.name.partition('/')[0]}"} if one.topic.type == "candump" else {}
+            capture = MappedStream(device=device, kind="wrench", topics=(one.topic.name,), driver=ASKED, config=config)
+            streams.append(capture)
+            continue
+        if one.topic.type == "files":
+            is_cloud = one.topic.name.endswith(CLOUDS)
+            device = one.topic.name.rpartition("/")[0].replace("/", "_") or "camera"
+            units = {"points": ASKED} if is_cloud else {}
+            kind: Kind = "color" if one.topic.name.endswith(".jpg") else "depth"
+            asked = MappedStream(device=device, kind=kind, topics=(one.topic.name,), units=units, time=ASKED)
+            streams.append(replace(asked, time_unit=ASKED))
             continue
         if one.topic.type not in STANDARD or (joints and one in poses):
             continue

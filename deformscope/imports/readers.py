@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import json
+import re
+from collections import Counter
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,9 +14,12 @@ from typing import Any, Protocol
 import pyarrow as pa
 
 from deformscope.errors import InputError
+from deformscope.files.sources import natural_key
 
 BAGS = (".bag", ".mcap", ".db3")
 TABLES = (".csv", ".parquet")
+FILES = (".png", ".tif", ".tiff", ".jpg", ".pcd", ".ply")
+CANDUMP = re.compile(r"\((\d+)\.(\d+)\)\s+(\S+)\s+([0-9A-Fa-f]+)#([0-9A-Fa-f]*)(\s+[RT])?\s*$")
 TABLE_TYPES = ("csv", "parquet")
 BATCH_ROWS = 4096
 PACKAGE = "deformscope_msgs/msg/"
@@ -76,6 +81,12 @@ def open_reader(path: Path, skip_rows: int = 0) -> Iterator[Reader]:
     if is_bag:
         with _opened_bag(path) as reader:
             yield reader
+        return
+    if path.is_file() and path.suffix.lower() in (".bin", ".raw", ".log"):
+        yield ByteReader(path)
+        return
+    if path.is_dir() and (files := _numbered(path)) and not any(path.rglob("*.parquet")):
+        yield FileReader(path, files)
         return
     tables = [path] if path.is_file() else sorted(one for one in path.rglob("*") if one.suffix.lower() in TABLES)
     if not tables or tables[0].suffix.lower() not in TABLES:
@@ -149,6 +160,67 @@ def _metadata(path: Path) -> dict[str, Any]:
         except Exception as error:
             raise _unreadable(path, error) from error
     return {name: json.loads(value) for name, value in metadata[0].metadata.items()} if metadata else {}
+
+
+class ByteReader:
+    """Bytes of a device: a file as they came (`.bin`, `.raw`), or frames of a CAN bus as candump logs them (`.log`)."""
+
+    about: Mapping[str, Any] = {}
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+
+    def topics(self) -> dict[str, Topic]:
+        if self._path.suffix.lower() != ".log":
+            return {self._path.name: Topic(self._path.name, "bytes")}
+        found: Counter[str] = Counter(message.topic for message in self.messages(None))
+        return {name: Topic(name, "candump", count) for name, count in found.items()}
+
+    def messages(self, topics: Collection[str] | None) -> Iterator[Message]:
+        """topics: None = all"""
+        if self._path.suffix.lower() != ".log":
+            with self._path.open("rb") as file:
+                while data := file.read(1 << 16):
+                    yield Message(self._path.name, 0, data)
+            return
+        with self._path.open(encoding="ascii", errors="replace") as lines:
+            for number, line in enumerate(lines, 1):
+                if not (found := CANDUMP.match(line)) or len(found[5]) % 2:
+                    if not line.strip():
+                        continue
+                    expected = "lines as of candump -L, (SECONDS) BUS ID#DATA"
+                    raise InputError(expected, repr(line.strip()[:60]), where=f"{self._path}:{number}")
+                topic = f"{found[3]}/{int(found[4], 16):x}"
+                if topics is None or topic in topics:
+                    ns = int(found[1]) * 10**9 + int(found[2].ljust(9, "0")[:9])
+                    yield Message(topic, ns, bytes.fromhex(found[5]))
+
+
+class FileReader:
+    """A folder of images or of points, a file a frame, by folder and ending; a topic is a pattern (`depth/*.png`)."""
+
+    about: Mapping[str, Any] = {}
+
+    def __init__(self, path: Path, files: Mapping[str, list[Path]]) -> None:
+        self.path, self._files = path, files
+
+    def topics(self) -> dict[str, Topic]:
+        return {name: Topic(name, "files", len(files)) for name, files in self._files.items()}
+
+    def messages(self, topics: Collection[str]) -> Iterator[Message]:
+        for name in topics:
+            for path in self._files[name]:
+                yield Message(name, 0, path)
+
+
+def _numbered(folder: Path) -> dict[str, list[Path]]:
+    """Files of images and points in natural order, by pattern."""
+    found: dict[str, list[Path]] = {}
+    for path in sorted(folder.rglob("*"), key=natural_key):
+        if path.suffix.lower() in FILES and path.is_file():
+            place = path.relative_to(folder).parent / f"*{path.suffix}"
+            found.setdefault(place.as_posix(), []).append(path)
+    return found
 
 
 class TableReader:

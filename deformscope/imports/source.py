@@ -7,18 +7,22 @@ import itertools
 import math
 from collections.abc import Iterator, Mapping
 from datetime import datetime
+from pathlib import Path
 from typing import Any
 
 import msgspec
 import numpy as np
 
 from deformscope.errors import InputError
-from deformscope.frames import Frame, HealthReport, Item, Stream
+from deformscope.file_io import read_file
+from deformscope.frames import Frame, HealthReport, Item, RawBytes, Stream, host_ns
+from deformscope.imports.captures import CaptureStream
 from deformscope.imports.frame_builder import TIME_NS, FrameBuilder, Pose, pose_of
 from deformscope.imports.import_map import ASKED, ImportMap, MappedStream
-from deformscope.imports.readers import TABLE_TYPES, Message, Reader, Topic
+from deformscope.imports.readers import TABLE_TYPES, FileReader, Message, Reader
 from deformscope.recording.portions import item_size
 from deformscope.recording.streams import columns_of
+from deformscope.rig.rig_file import parse_rig
 from deformscope_drivers.clock import Stamp
 from deformscope_drivers.health import Health, Link
 
@@ -42,7 +46,12 @@ class ImportSource:
                 if name not in self._topics:
                     known = ", ".join(self._topics) or "nothing"
                     raise InputError(f"topics of {stream.device} out of the source's", repr(name), known)
-        self._made = {stream.device: _Stream(stream, self._topics) for stream in asked.streams}
+        text = asked.rig_text()
+        configs = {one.name: one.config for one in parse_rig(text, "the map").devices} if text else {}
+        self._made: dict[str, _Stream | CaptureStream] = {
+            one.device: CaptureStream(one, configs[one.device], reader) if one.driver else _Stream(one, reader)
+            for one in asked.streams
+        }
         known = reader.about.get("devices", {})
         self.streams = tuple(one.describe(known.get(name)) for name, one in self._made.items())
         self.ended = False
@@ -50,21 +59,21 @@ class ImportSource:
         self._next = next(self._frames, None)
         if self._next is None:
             raise InputError("a source with frames for the map's streams", "none", "pose and joints in the map")
-        self.start_ns = self._next.stamp.host_ns if asked.start_ns is None else asked.start_ns
+        self.start_ns = host_ns(self._next) if asked.start_ns is None else asked.start_ns
 
     def take(self, wait_s: float) -> list[Item]:
         """The next frames. wait_s: is not waited"""
         found: list[Item] = []
         size = 0
-        until_ns = math.inf if self._next is None else self._next.stamp.host_ns + BATCH_NS
-        while self._next is not None and self._next.stamp.host_ns <= until_ns and size < BATCH_BYTES:
+        until_ns = math.inf if self._next is None else host_ns(self._next) + BATCH_NS
+        while self._next is not None and host_ns(self._next) <= until_ns and size < BATCH_BYTES:
             found.append(self._next)
             size += item_size(self._next)
             self._next = next(self._frames, None)
         if self._next is None and not self.ended:
             self.ended = True
             self._check_clocks()
-        return sorted(found, key=lambda one: one.stamp.host_ns)  # type: ignore[union-attr]
+        return sorted(found, key=host_ns)
 
     def look(self) -> HealthReport:
         """How many frames each device gave, and how many could not be made: of their messages some lacked."""
@@ -78,16 +87,16 @@ class ImportSource:
     def close(self) -> None:
         """What is read is closed by who opened it."""
 
-    def _read(self, reader: Reader) -> Iterator[Frame]:
-        tables = {name for name, one in self._topics.items() if one.type in TABLE_TYPES}
-        if tables:
-            yield from heapq.merge(*(one.frames(reader) for one in self._made.values()), key=_when)
+    def _read(self, reader: Reader) -> Iterator[Frame | RawBytes]:
+        if {one.type for one in self._topics.values()} & {*TABLE_TYPES, "files", "bytes", "candump"}:
+            yield from heapq.merge(*(one.frames(reader) for one in self._made.values()), key=host_ns)
             return
         by_topic: dict[str, list[_Stream]] = {}
-        for one in self._made.values():
+        streams = [one for one in self._made.values() if isinstance(one, _Stream)]
+        for one in streams:
             for name in dict.fromkeys((*one.stream.topics, *([one.stream.pose] if one.stream.pose else ()))):
                 by_topic.setdefault(name, []).append(one)
-        posed = [one for one in self._made.values() if one.stream.child]
+        posed = [one for one in streams if one.stream.child]
         if posed and "/tf_static" in self._topics:
             by_topic.setdefault("/tf_static", []).extend(posed)
         for message in reader.messages(by_topic):
@@ -111,9 +120,12 @@ class ImportSource:
 class _Stream:
     """One stream of the map, as it is read."""
 
-    def __init__(self, stream: MappedStream, topics: Mapping[str, Topic]) -> None:
+    def __init__(self, stream: MappedStream, reader: Reader) -> None:
+        topics = reader.topics()
         self.stream, self._builder = stream, FrameBuilder(stream, topics)
-        self._is_table = all(topics[name].type in TABLE_TYPES for name in stream.topics)
+        self._is_table = all(topics[name].type in (*TABLE_TYPES, "files") for name in stream.topics)
+        is_file = topics[stream.topics[0]].type == "files"
+        self._times = _file_times(stream, reader) if is_file and not stream.rate_hz else None
         self._types = {name: one.type for name, one in topics.items()}
         self.count = self.lost = self.first_ns = self.last_ns = 0
         self._waiting: dict[int, dict[str, Message]] = {}
@@ -126,7 +138,8 @@ class _Stream:
             for key in ("parent", "child"):
                 if getattr(stream, key) in ("", ASKED):
                     raise stream.missing(key, "a frame of the transforms: the arm's base, its end")
-        if self._is_table and not self._builder.own and stream.time in ("header", "log", ASKED) and not stream.rate_hz:
+        foreign = self._is_table and not is_file and not self._builder.own and not stream.rate_hz
+        if foreign and stream.time in ("header", "log", ASKED):
             raise stream.missing("time", "the column of its times, or rate_hz", stream.time)
 
     def describe(self, known: Mapping[str, Any] | None) -> Stream:
@@ -184,10 +197,10 @@ class _Stream:
         offset_ns = round(float(stream.offset_s) * 1e9)
         if self._is_table:
             name = "host_ns" if self._builder.own else stream.time
-            if name in ("header", "log"):
+            if name in ("header", "log") and self._times is None:
                 return round(self.count * 1e9 / stream.rate_hz) + offset_ns
             try:
-                value = message.get(name)
+                value = message.get(name) if self._times is None else self._times[message.value]
             except KeyError:
                 raise stream.missing("time", "the column of its times", name) from None
             if isinstance(value, datetime):
@@ -228,5 +241,21 @@ class _Stream:
             T = link @ T
 
 
-def _when(frame: Frame) -> int:
-    return frame.stamp.host_ns
+def _file_times(stream: MappedStream, reader: Reader) -> dict[Path, int | float]:
+    """The stamp of each file, as the text file of the map has it."""
+    if stream.time in ("header", "log", ASKED) or not isinstance(reader, FileReader):
+        raise stream.missing("time", "a text file with a stamp in each line, or rate_hz", stream.time)
+    path, files = reader.path / stream.time, [message.value for message in reader.messages(stream.topics)]
+    text = read_file(path, f"times of {stream.device}, a text file").decode("utf-8", "replace")
+    rows = [line.replace(",", " ").split() for line in text.splitlines() if line.strip() and not line.startswith("#")]
+    try:
+        stamps = [(row[0], (int if row[-1].lstrip("-").isdigit() else float)(row[-1])) for row in rows]
+    except ValueError as error:
+        raise InputError(f"a stamp at the end of each line of {stream.time}", str(error), where=path) from error
+    named = dict(stamps) if all(len(row) > 1 for row in rows) else {}
+    if not named and len(stamps) != len(files):
+        raise InputError(f"{len(files)} stamps, one a file", str(len(stamps)), where=path)
+    if missing := [one.name for one in files if named and one.name not in named and one.stem not in named]:
+        raise InputError(f"a stamp of every file of {stream.device}", f"none of {missing[0]}", where=path)
+    each = [named[one.name if one.name in named else one.stem] for one in files] if named else [ns for _, ns in stamps]
+    return dict(zip(files, each, strict=True))

@@ -51,7 +51,11 @@ def import_source(config: ImportConfig) -> RecordResult:
         raise InputError("--map", "none", f"deformscope import --inspect {config.source} > map.toml")
     asked = read_map(config.map)
     text = config.map.read_text(encoding="utf-8")
-    settings = {"rig": "", "rig_name": config.source.name, "import": {"source": config.source.name, "map": text}}
+    settings = {
+        "rig": asked.rig_text(),
+        "rig_name": config.source.name,
+        "import": {"source": config.source.name, "map": text},
+    }
     with (
         open_reader(config.source, asked.skip_rows) as reader,
         contextlib.closing(ImportSource(reader, asked)) as source,
