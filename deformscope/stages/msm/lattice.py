@@ -32,10 +32,6 @@ SLIDE_FROM = 500_000
 RESIDENT_CELLS = 8192
 """Cells up to which one block of a GPU's threads goes through a whole body by itself."""
 
-MANY, MANY_THREADS = 200, 256
-"""Candidates from which there are more than a GPU has multiprocessors. In single precision their steps are taken by
-smaller blocks, two on a multiprocessor: one works while the other waits for memory."""
-
 
 def lattice_edges(rest: FloatArray, clusters: LatticeClusters) -> FloatArray | None:
     """(axes, d) from one cell to the next along each axis, if the rest shape (K, d) is an even lattice, else None."""
@@ -257,7 +253,6 @@ class LatticeOperator(Operator):
             self.threads = 1
         elif body.count <= RESIDENT_CELLS:  # else passes are launched one by one
             self.threads = THREADS[layout.scalar]
-        self._stepping_threads = min(self.threads, MANY_THREADS if layout.groups >= MANY else self.threads)
 
     def residual(
         self, u: Field, out: Field, parameters: Parameters, running: Field, kept: object = None, what: int = GOAL
@@ -300,7 +295,7 @@ class LatticeOperator(Operator):
         passes = self._stepping
         self._set(passes, parameters)
         passes.motion, passes.pair, passes.ran_away = motion, pair, ran_away
-        self._stay(self.resident.steps, [passes, steps, int(swapped)], self._stepping_threads)
+        self._stay(self.resident.steps, [passes, steps, int(swapped)])
 
     def stay_relaxing(
         self, parameters: Parameters, kept: object, newton: list[Any], pair: Field, pair_out: Field
@@ -308,7 +303,7 @@ class LatticeOperator(Operator):
         """The command for evaluations of Newton's steps in one launch, up to a limit. newton, pairs: for its kernel"""
         passes = self._passes(parameters, kept)
         passes.pair, passes.pair_out = pair, pair_out
-        return self._stay(self.resident.relax, [passes, *newton, 0], self.threads, record_cmd=True)
+        return self._stay(self.resident.relax, [passes, *newton, 0], record_cmd=True)
 
     def follow(
         self, parameters: Parameters, kept: object, newton: list[Any], pair: Field, pair_out: Field, search: object
@@ -316,19 +311,16 @@ class LatticeOperator(Operator):
         """The command for some evaluations of the search for the beta of least error."""
         passes, by_beta = self._passes(parameters, kept), self._passes(parameters, what=BY_BETA)
         passes.pair, passes.pair_out = pair, pair_out
-        return self._stay(self.resident.follow, [passes, by_beta, *newton, search], self.threads, record_cmd=True)
+        return self._stay(self.resident.follow, [passes, by_beta, *newton, search], record_cmd=True)
 
-    def _stay(self, kernel: wp.Kernel, inputs: list[Any], threads: int, *, record_cmd: bool = False) -> Any:
-        """A kernel in which `threads` go through each group."""
-        dim, device = self.layout.groups * threads, self.layout.device
-        return wp.launch(kernel, dim, inputs, device=device, block_dim=threads, record_cmd=record_cmd)
+    def _stay(self, kernel: wp.Kernel, inputs: list[Any], *, record_cmd: bool = False) -> Any:
+        dim, device = self.layout.groups * self.threads, self.layout.device
+        return wp.launch(kernel, dim, inputs, device=device, block_dim=self.threads, record_cmd=record_cmd)
 
     @functools.cached_property
     def _stepping(self) -> Any:
         """What steps go by, kept from call to call: to fill it anew takes as long as a short call's steps."""
-        passes = self._passes(None)
-        passes.threads = self._stepping_threads
-        return passes
+        return self._passes(None)
 
     def _passes(self, parameters: Parameters | None, kept: object = None, what: int = GOAL) -> Any:
         """What the passes go by, without motion. kept: where to leave what `change` needs (None: nowhere)"""

@@ -44,9 +44,9 @@ KEPT_NUMBERS = 2_000_000
 MOVES = 200
 """Moves that held particles make at most in time stepping; of more steps, several pass at each place."""
 
-RESUMED_ITERATIONS = 24_000
+RESUMED_ITERATIONS = 32_000
 """At least so many iterations for a second beginning: it is near the state that it comes to, but at beta .95 to .99,
-where little pulls a body back, pressed ones need up to 10 000."""
+where little pulls a body back, pressed ones need up to 13 000."""
 
 TRIED_STEPS = 3000
 """Time steps within which a body that eq. 3.17 leaves no stable state has run away."""

@@ -11,7 +11,6 @@ import pytest
 pytest.importorskip("warp")
 
 from deformscope.stages.msm import clusters, reference, solver
-from deformscope.stages.msm import lattice as lattices
 from deformscope.stages.msm.reference import Basis
 from deformscope.stages.msm.solver import Msm, Precision
 from tests.cases import slow_but
@@ -161,17 +160,6 @@ def test_candidates_taken_in_turns_are_the_same(device: str, monkeypatch: pytest
     np.testing.assert_array_equal(in_turns.converged, at_once.converged)
     assert {all_ for _, all_ in seen} == {7}
     assert max(done for done, _ in seen) >= 6
-
-
-def test_many_candidates_step_as_few_do(device: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """On a GPU many are stepped by smaller blocks."""
-    body = pushed((4, 5, 6), np.random.default_rng(21))
-    betas, ends = np.linspace(0, 0.95, 5), []
-    for many in (1, 1000):
-        monkeypatch.setattr(lattices, "MANY", many)
-        engine = Msm(body.rest, body.clusters(3), body.held, precision="float32", device=device)
-        ends.append(engine.step(engine.start(len(betas)), body.held_position, betas, steps=50))
-    np.testing.assert_array_equal(ends[0], ends[1])
 
 
 def test_runs_repeat_bit_for_bit(device: str, precision: Precision) -> None:
