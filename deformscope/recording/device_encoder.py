@@ -24,7 +24,7 @@ class DeviceEncoder:
 
     layout: of what is recorded; start_ns: host time at which `session` is 0 [ns]; lossless: devices whose colour images
     are kept without loss; at_frames: of inputs, and of results that stand at no moment
-    failed: takes results that could not be shown
+    failed: takes results that could not be shown; gather_s: items are gathered for so long [s]
     """
 
     def __init__(
@@ -35,13 +35,14 @@ class DeviceEncoder:
         lossless: Collection[str],
         at_frames: Encoder,
         failed: list[StageFailure],
+        gather_s: float,
     ) -> None:
         self._outputs, self._layout, self._at_frames, self._failed = outputs, layout, at_frames, failed
         self._start_ns, self._streams, self._lossless = start_ns, layout.streams, frozenset(lossless)
         self._camera = next((stream.device for stream in layout.streams if stream.kind == "depth"), None)
         self._touch = self._newest_ns = 0
         self._pictures_ns = RisingTimes()
-        self._portions = Portions()
+        self._portions = Portions(gather_s)
         self._scales: dict[str, tuple[object, int]] = {}
         self._results: list[StageResult] = []
         self._latest: dict[str, StageResult] = {}

@@ -15,14 +15,17 @@ from deformscope.frames import HealthReport, Item, LinkChange, RawBytes, Session
 
 GATHER_S, GATHER_BYTES = 1.0, 8 << 20
 """Items are gathered for so long, or until they are so much."""
+GATHER_LIVE_S = 0.15
+"""The same of what goes on by itself: what is gathered is lost where the process is killed."""
 ITEM_BYTES = 1 << 10
 """An item costs so much memory beside its arrays."""
 
 
 class Portions:
-    """Items of one touch after the other."""
+    """Items of one touch after the other, gathered for so long [s]."""
 
-    def __init__(self) -> None:
+    def __init__(self, gather_s: float = GATHER_S) -> None:
+        self._gather_s = gather_s
         self._items: list[Item] = []
         self._bytes = self._touch = 0
         self._since = 0.0
@@ -40,12 +43,12 @@ class Portions:
             self._since = time.monotonic()
         self._items += items
         self._bytes += size
-        if self._bytes >= GATHER_BYTES or host_ns(self._items[-1]) - host_ns(self._items[0]) >= GATHER_S * 1e9:
+        if self._bytes >= GATHER_BYTES or host_ns(self._items[-1]) - host_ns(self._items[0]) >= self._gather_s * 1e9:
             yield from self.rest()
 
     def overdue(self) -> Iterator[tuple[list[Item], int]]:
-        """The gathered items, once they have waited for `GATHER_S`."""
-        if time.monotonic() - self._since >= GATHER_S:
+        """The gathered items, once they have waited for that long."""
+        if time.monotonic() - self._since >= self._gather_s:
             yield from self.rest()
 
     def rest(self) -> Iterator[tuple[list[Item], int]]:

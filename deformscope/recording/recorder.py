@@ -29,7 +29,7 @@ from deformscope.recording.live import LiveFeed, ViewerKind
 from deformscope.recording.losses import losses_of
 from deformscope.recording.outputs import Encoder, Outputs, open_window, page_feed
 from deformscope.recording.picture_encoder import PictureEncoder
-from deformscope.recording.portions import arrays_size, counted_as, item_size
+from deformscope.recording.portions import GATHER_LIVE_S, GATHER_S, arrays_size, counted_as, item_size
 from deformscope.recording.rrd_file import RecordingFile, leave_streams_alone
 from deformscope.recording.target import RecordingTarget
 from deformscope.recording.writer import Writer
@@ -178,7 +178,8 @@ class Recorder:
         self._put(lambda: self._outputs.lay_out(views, shown), 0)
         self._put(lambda: self._outputs.log(log_start), 0)
         at_frames = PictureEncoder(self._outputs, None)
-        self._encoder = DeviceEncoder(self._outputs, layout, start_ns, lossless, at_frames, self._not_shown)
+        gather_s = GATHER_LIVE_S if self._real_time else GATHER_S
+        self._encoder = DeviceEncoder(self._outputs, layout, start_ns, lossless, at_frames, self._not_shown, gather_s)
 
     def write(self, items: object) -> None:
         """Record one thing, or a sequence of things, without loss; an empty one asks whether it can go on.

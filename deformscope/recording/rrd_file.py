@@ -1,4 +1,4 @@
-"""The file of a recording in progress: flushed every second, and readable whatever ends the process.
+"""The file of a recording in progress: flushed several times a second, and readable whatever ends the process.
 
 What is recorded goes to two files. `NAME.part.rrd` has all of it at the next flush, in many small portions and without
 a footer: for one, rerun keeps some kilobytes of memory for each portion until the file is closed (1 MB for each second
@@ -34,13 +34,13 @@ if TYPE_CHECKING:
     from deformscope.log.merged import Merged
     from deformscope.log.rig import Batch
 
-BEAT_S = 1.0
+BEAT_S = 0.15
 BEAT_FRAMES = 32
 BEAT_BYTES = 16 << 20
 """Given since the last flush: what rerun has yet to write is not missing on the disk when its room is looked at."""
 FULL_BYTES = 1 << 20
 """With less room than this a file cannot even be ended."""
-BEATS_MERGED = 30
+BEATS_MERGED = 200
 """Beats from one flush of the merged file to the next: each ends the portions that rerun is gathering."""
 FLUSH_TIMEOUT_S = 20.0
 CLOSE_TIMEOUT_S = 60.0
