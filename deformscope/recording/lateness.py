@@ -13,6 +13,12 @@ TASKS = Path("/proc/self/task")
 FILE_WRITER = "file_writer"
 """rerun's name of a thread that writes a file."""
 FREE_BYTES = 64 << 20
+RESERVE_S, MOST_RESERVE_BYTES = 5.0, 1 << 30
+"""A recording is ended while the disk still has room for so long, at the rate at which it fills, or for so much."""
+ANNOUNCED_S = (60.0, 300.0, 1200.0)
+"""It is said once when the disk will be full within each of these."""
+WINDOW_S = 10.0
+"""The rate at which a disk fills is taken over so long."""
 WAITED, BUSY = 0.5, 0.8
 """Shares of the looks at which the disk is the reason, and of a core at which more of it would not help. Chosen."""
 OTHER_DISK = "another disk"
@@ -22,11 +28,41 @@ class RecordingError(InputError):
     """The recording cannot go on: the disk is full, gone or too slow, or the processor is."""
 
 
-def check_room(path: Path, hint: str = OTHER_DISK) -> None:
-    """Raise RecordingError where the disk has too little room for a file there. hint: what to try then"""
-    free = shutil.disk_usage(path.parent).free
-    if free < FREE_BYTES:
-        raise RecordingError(f"{FREE_BYTES >> 20} MiB free on the disk", f"{free >> 20} MiB free", hint, path)
+def check_room(path: Path, reserve: int = 0) -> None:
+    """Raise RecordingError where the disk has too little room for a file there. reserve: bytes that it needs at least,
+    where that is more than it needs in any case"""
+    free, need = shutil.disk_usage(path.parent).free, max(FREE_BYTES, reserve)
+    if free < need:
+        raise RecordingError(f"{need >> 20} MiB free on the disk", f"{free >> 20} MiB free", OTHER_DISK, path)
+
+
+class DiskForecast:
+    """When the disk will be full, by the rate at which its free room has become less, whatever fills it."""
+
+    def __init__(self) -> None:
+        self._since: tuple[float, int] | None = None
+        self._announced = len(ANNOUNCED_S)
+        self.bytes_per_s = 0.0
+
+    @property
+    def reserve(self) -> int:
+        """What has to be free for the recording to be ended in time [bytes]."""
+        return min(round(self.bytes_per_s * RESERVE_S), MOST_RESERVE_BYTES)
+
+    def look(self, free: int, now_s: float) -> str:
+        """Take note of what is free [bytes], at a time [s]; what is to be said of it, empty = nothing new."""
+        began_s, before = self._since or (now_s, free)
+        self._since = began_s, before
+        if now_s - began_s < WINDOW_S:
+            return ""
+        self.bytes_per_s, self._since = max(0.0, (before - free) / (now_s - began_s)), (now_s, free)
+        left_s = (free - max(FREE_BYTES, self.reserve)) / self.bytes_per_s if self.bytes_per_s else float("inf")
+        within = sum(left_s > limit_s for limit_s in ANNOUNCED_S)
+        if within >= self._announced:
+            return ""
+        self._announced = within
+        lasts = f"{left_s / 60:.0f} min" if left_s > 90 else f"{max(left_s, 0):.0f} s"
+        return f"the disk will be full in {lasts} ({free / 1e9:.1f} GB free, {self.bytes_per_s / 1e6:.1f} MB/s)"
 
 
 def writes_are_held_up() -> bool:

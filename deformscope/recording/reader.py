@@ -225,13 +225,13 @@ class Replay:
             raise _unreadable(self.path) from error
 
     def _values(self, entity: str) -> dict[str, Any]:
-        """Each property's one value; empty where there are none."""
+        """Each property's one value, the last where a recovered recording has another; empty where there are none."""
+        found: dict[str, Any] = {}
         for chunk in self.chunks(entity):
             batch = chunk.to_record_batch()
             names = [name for name in batch.schema.names if not name.startswith("rerun.controls.")]
-            if found := {name: cell[0] for name in names if (cell := batch.column(name)[-1].as_py())}:
-                return found
-        return {}
+            found |= {name: cell[0] for name in names if (cell := batch.column(name)[-1].as_py())}
+        return found
 
 
 def _ours(application: str) -> bool:

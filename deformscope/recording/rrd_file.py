@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, cast
 
 from deformscope.errors import printable
 from deformscope.recording import lateness
-from deformscope.recording.lateness import OTHER_DISK, RecordingError, check_room, writes_are_held_up
+from deformscope.recording.lateness import OTHER_DISK, DiskForecast, RecordingError, check_room, writes_are_held_up
 from deformscope.recording.ledger import LedgerWriter, ledger_path
 from deformscope.recording.utf8_path import utf8_path
 
@@ -85,6 +85,7 @@ class RecordingFile:
         )
         self._merged: Merged = Merged()
         self._ledger = LedgerWriter(ledger_path(part), part)
+        self._forecast = DiskForecast()
         self._given: dict[str, tuple[float, float]] = {}
         self._beat_at = 0.0
         self._looks = self._beats = self._unflushed = 0
@@ -205,8 +206,12 @@ class RecordingFile:
         job(cast("rr.RecordingStream", _Each(streams)))
 
     def _look_at_disk(self) -> None:
+        if not self._deterministic:
+            free = shutil.disk_usage(self.path.parent).free
+            if said := self._forecast.look(free, time.monotonic()):
+                _logger.warning("%s: the recording, and a robot with it, is stopped before that", said)
         try:
-            check_room(self.path)
+            check_room(self.path, self._forecast.reserve)
         except RecordingError as error:
             if self._merged_stream is None or self._merged_path.stat().st_size < lateness.FREE_BYTES:
                 self.broken = shutil.disk_usage(self.path.parent).free < FULL_BYTES
