@@ -2,10 +2,12 @@
 
 deformscope verify run.rrd
 deformscope verify run.rrd --stages
+deformscope verify run.rrd --privacy
 """
 
 from __future__ import annotations
 
+import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,12 +20,15 @@ from deformscope.recording.facts import Facts, read_facts, run_rrd
 from deformscope.recording.ledger import LedgerCheck, check_recording, read_counts
 from deformscope.recording.lock import is_being_written
 from deformscope.recording.losses import named, to_text
-from deformscope.recording.reader import check_magic
+from deformscope.recording.provenance import left_out
+from deformscope.recording.reader import Replay, check_magic
 
 if TYPE_CHECKING:
     from deformscope.recording.stages import RecordedStage
 
 WHOLE = "every byte is as it was recorded"
+SHOWN_LETTERS = 90
+"""Of what a recording says."""
 UNCHECKED = "not checked, as there is no ledger: a flipped bit would go unnoticed"
 
 
@@ -79,6 +84,8 @@ def run(config: VerifyConfig) -> int:
     }
     if config.stages and not problems:
         found["stages"] = _list_stages(path)
+    if config.privacy and not problems:
+        found["privacy"] = _list_private(path)
     write_json(found, config.json)
     if problems:
         hint = f"an intact copy, or what can be read of it: deformscope recover {path}"
@@ -102,6 +109,17 @@ def _list_stages(path: Path) -> list[RecordedStage]:
     if not any(one.computed for one in stages):
         say("costs: not recorded, as before they were measured, and in deterministic recordings")
     return stages
+
+
+def _list_private(path: Path) -> dict[str, str]:
+    """Print what it says of people and machines, by its place."""
+    from deformscope.recording.streams import RecordingTables
+
+    replay = Replay(path, trust=True)
+    found = left_out(replay.properties) | RecordingTables(replay).left_out()
+    lines = {place: textwrap.shorten(said, SHOWN_LETTERS, placeholder=" ...") for place, said in found.items()}
+    show_table("what it says of people and machines (export --anonymous leaves it out)", [*lines.items()])
+    return found
 
 
 def _check(path: Path) -> LedgerCheck | None:

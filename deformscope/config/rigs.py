@@ -132,6 +132,9 @@ class VerifyConfig(CommandOptions):
     stages: bool = False
     """List every stage of computation, by chapter of the thesis: where it is in the recording, how many rows, what it
     cost, whether it was live; and what is missing."""
+    privacy: bool = False
+    """List what it says of people and machines, as commands, paths, words, serial numbers: what `export --anonymous`
+    leaves out."""
     json: flags.JsonFlag = None
     """Write the findings as JSON; with -, stdout is the JSON alone."""
 

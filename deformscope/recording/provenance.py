@@ -7,7 +7,7 @@ import json
 import platform
 import subprocess
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from deformscope.rows import FORMAT
@@ -74,6 +74,20 @@ def exported(properties: Mapping[str, object], *, anonymous: bool) -> dict[str, 
         return found
     kept = {name: value for name, value in found.items() if name in ("format", "seed", "versions")}
     return kept | {"settings": _numbers(found.get("settings"))}
+
+
+def left_out(properties: Mapping[str, object]) -> dict[str, str]:
+    """What an anonymous export does not say of how the recording was made, by its place (`settings.rig`)."""
+    return dict(_differing("", exported(properties, anonymous=False), exported(properties, anonymous=True)))
+
+
+def _differing(place: str, whole: object, kept: object) -> Iterator[tuple[str, str]]:
+    if isinstance(whole, Mapping):
+        for name, value in whole.items():
+            inner = kept.get(name) if isinstance(kept, Mapping) else None
+            yield from _differing(f"{place}.{name}".lstrip("."), value, inner)
+    elif whole != kept and whole not in (None, "", []):
+        yield place, whole if isinstance(whole, str) else json.dumps(whole)
 
 
 def _parsed(value: object) -> object:

@@ -118,6 +118,7 @@ class RecordedStream:
     """One stream. entity: where it stands in the recording; kinds: of what each row holds; about: the device, or None
     schema: of its batches; rows: how many there are, those that were recorded in part included
     until_ns: time of the last since the recording's start [ns]; paths: of the entities, in rerun's spelling
+    words: columns that an anonymous export leaves out
     """
 
     entity: str
@@ -127,6 +128,7 @@ class RecordedStream:
     rows: int = 0
     until_ns: int = 0
     paths: set[str] = field(default_factory=set)
+    words: tuple[str, ...] = ()
     _types: dict[str, pa.DataType] = field(default_factory=dict)
     _widths: dict[str, set[int]] = field(default_factory=dict)
     _extra: dict[str, set[str]] = field(default_factory=dict)
@@ -195,9 +197,10 @@ class RecordedStream:
         fields |= {name: one for name, one in self._extra_fields().items() if name not in fields}
         if offset_ns is None and "host_ns" not in own:
             del fields["host_ns"]
+        text = (pa.string(), pa.list_(pa.string()))
+        self.words = tuple(name for name, one in fields.items() if one.type in text and name not in KEPT_TEXT)
         if anonymous:
-            text = (pa.string(), pa.list_(pa.string()))
-            fields = {name: one for name, one in fields.items() if one.type not in text or name in KEPT_TEXT}
+            fields = {name: one for name, one in fields.items() if name not in self.words}
         said = {one.key: one.unit for kind in self.kinds for one in quantities(kind) if one.key and one.unit}
         units = {name: unit for name in fields if (unit := _unit(name, said)) is not None}
         known = [one.with_metadata(units[name]) if name in units else one for name, one in fields.items()]
@@ -318,6 +321,20 @@ class RecordingTables:
             stream.about = about.get(entity)
             stream.arrange(offset, self.anonymous)
         return dict(sorted(found.items())), offset
+
+    def left_out(self) -> dict[str, str]:
+        """What an anonymous export leaves out of the streams, by entity and column, and what devices say of
+        themselves, which no export has."""
+        found: dict[str, str] = {}
+        for entity, stream in self.streams.items():
+            if entity.split("/")[0] in PRIVATE:
+                found[entity] = f"bytes as they were, {stream.rows} rows"
+            else:
+                found |= {f"{entity} {name}": f"words, {stream.rows} rows" for name in stream.words}
+            known = stream.about
+            said = {} if known is None else {"serial": known.serial, "firmware": known.firmware, "urdf": known.urdf}
+            found |= {f"{entity} {name}": str(value) for name, value in said.items() if value}
+        return found
 
     def select(self, names: Sequence[str] = ()) -> dict[str, RecordedStream]:
         """Those of these entities, or below them, or of these devices; without a name all. Raises InputError for one

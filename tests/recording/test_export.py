@@ -327,6 +327,15 @@ def test_nothing_of_a_person_or_a_machine_is_in_an_anonymous_export(tmp_path: Pa
     assert manifest["provenance"]["settings"] == {"seconds": 2.0, "nested": {"n": 3}}
     assert "versions" in manifest["provenance"]
     assert not [one for one in manifest["streams"] if one["entity"].startswith("raw/")]
+    assert main(["verify", str(path), "--privacy", "--json", str(tmp_path / "told.json")]) in (0, 3)
+    said = json.loads((tmp_path / "told.json").read_text())["privacy"]  # all of it is listed, with its place
+    assert {one for one in said if one.startswith("settings")} == {
+        "settings.rig",
+        "settings.label",
+        "settings.nested.who",
+    }
+    assert [said[f"{kind} serial"] for kind in ("wrench/fingertip", "tactile/skin")] == [secret] * 2
+    assert {"note text", "raw/fingertip", "platform", "command"} <= set(said)
     plain = exported(path, "csv", tmp_path / "plain")
     assert secret in (plain / "note.csv").read_text() + (plain / "export.json").read_text()
 
