@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from deformscope.cli.common import EXIT_LOSSES
 from deformscope.page.server.viewer_files import viewer_executable
 from tests.offline import NO_NAMESPACES
 from tests.patience import PATIENCE_S
@@ -70,7 +71,7 @@ def looked_up(script: str, home: Path, **environment: str) -> list[str]:
     )  # fmt: skip
     if done.returncode == NO_NAMESPACES:
         pytest.skip(f"no network of its own here: {done.stdout}")
-    assert done.returncode == 0, done.stderr
+    assert done.returncode in (0, EXIT_LOSSES), done.stderr  # a busy machine may lose a reading
     return [line.split()[-1] for line in done.stdout.splitlines() if line.startswith("looked up ")]
 
 
