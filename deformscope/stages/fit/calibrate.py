@@ -18,6 +18,7 @@ from deformscope.stages.fit.at_value import at_value
 from deformscope.stages.fit.distance import distances, explained_share, nearest_error, unexplained
 from deformscope.stages.fit.doubts import (
     NOISE_NAMED,
+    bulging,
     found_in_numbers,
     implausible_lengths,
     known_of,
@@ -142,7 +143,10 @@ def calibrate(
     identified = identifiability(seen, comparisons, inferred)
     ratio = residual_ratio(seen, [c.simulated for c in comparisons], inference.floor)
     noise = ratio, inferred.noise, source
-    numbers = found_in_numbers(model.parameter, value, ends, bounds, identified, converged=converged, noise=noise)
+    below = inferred.posterior.rank(value)
+    numbers = found_in_numbers(
+        model.parameter, value, ends, bounds, identified, converged=converged, noise=noise, below=below
+    )
     shown = [*shape_doubts(seen), *(_in_residuals(judged, best, inference) if pace is None and converged else ())]
     shown += either if "two-materials" not in (one.code for one in shown) else []
     here = [setting(seen, model, identified.misfit, inferred.noise)] if model.parameter == "theta" else []
@@ -266,7 +270,8 @@ def _in_residuals(search: Search, best: int, inference: Inference, rival: float 
         each = zip(search.seen, search.bodies, shapes, strict=True)
         return [search.relax(body, shape[one.held], tried, None).settled for one, body, shape in each]
 
-    yield from swapped_axes(search.seen, simulate, search.weight, rival)
+    bulge = bulging(search.seen, search.bodies, search.values(tried)[0])
+    yield from swapped_axes(search.seen, simulate, bulge, search.weight, rival)
     yield from _two_betas(search, best, inference, rival)
 
 

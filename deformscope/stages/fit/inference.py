@@ -154,7 +154,7 @@ class Inference:
         parameter."""
         part = self.parts[row]
         residual = np.tensordot(mix, residual, 1)
-        onto = part.summary(residual)
+        onto = part.summary(residual, responses[len(responses) // 2])
         each = [part.log_summary(residual, onto, response) for response in responses]
         return np.asarray(np.sum(share * np.stack(each), axis=0))
 

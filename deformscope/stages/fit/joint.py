@@ -20,6 +20,7 @@ from deformscope.errors import InputError
 from deformscope.stages.fit.calibrate import TURNED, check_observations, check_range, identifiability, shape_doubts
 from deformscope.stages.fit.distance import distances, nearest_error
 from deformscope.stages.fit.doubts import (
+    bulging,
     found_in_numbers,
     noise_source,
     of_stiffness,
@@ -273,7 +274,7 @@ class _Joint:
             each = zip(self.seen, self.bodies, shapes, strict=True)
             return [body.relax(shape[one.held], betas, thetas, volume="project").settled for one, body, shape in each]
 
-        yield from swapped_axes(self.seen, simulate)
+        yield from swapped_axes(self.seen, simulate, bulging(self.seen, self.bodies, tried))
         here = (beta, theta)
         grouped = [self.options.model.grouping(one) for one in self.seen]
         if any(one.count < 2 for one in grouped):

@@ -41,6 +41,8 @@ class Observation:
     held_measured: whether the held positions were measured, with the noise of the others, or are exact; None = unknown
     tip: what pressed the particles of `contact`, if it is known; tip_at: (d,) where its axis met the body [unit], which
     particles show no better than they stand apart, if it is known
+    held_shift: deviation of what all that is held is off by, as one [unit]: of a robot's or a fixture's registration;
+    None = some hundredths of a spacing (`systematic.TOOL_SHIFT`)
     loose: held particles whose position is no measurement but estimated, None = none
     """
 
@@ -61,6 +63,7 @@ class Observation:
     tip_at: FloatArray | None = None
     loose: IntArray | None = None
     noise_source: NoiseSource = "given"
+    held_shift: float | None = None
 
     def __post_init__(self) -> None:
         count, d = self.rest.shape

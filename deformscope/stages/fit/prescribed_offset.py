@@ -39,8 +39,8 @@ ROUNDS = 4
 SETTLED = 0.02
 """A last change of the estimated positions below this ends the rounds [spacings]."""
 
-LENGTHS, SIZES = (1.0, 3.0, 8.0), 3
-"""Of the smooth fields, those of one roughness and these lengths, and every so manieth size, stand for all."""
+FIELDS_TRIED, SIZES = (("matern", (1.0, 3.0, 8.0)), ("gaussian", (1.4, 2.8, 4.0))), 3
+"""Of the smooth fields, those of these roughnesses and lengths, and every so manieth size, stand for all."""
 
 EFFECT = 0.02
 """Share of the (stretched) range by which the parameter is changed for a derivative."""
@@ -136,8 +136,10 @@ def _steps(
 def _few_hypotheses(every: NoiseHypotheses) -> IntArray:
     """(n,) indices of the hypotheses that stand for all."""
     sizes = np.unique(every.size)[1::SIZES]
-    some = (every.field == CORRELATIONS.index("matern")) & np.isin(every.length, LENGTHS) & np.isin(every.size, sizes)
-    return np.flatnonzero(some | (every.size == 0.0))
+    some = [
+        (every.field == CORRELATIONS.index(rough)) & np.isin(every.length, lengths) for rough, lengths in FIELDS_TRIED
+    ]
+    return np.flatnonzero((np.any(some, axis=0) & np.isin(every.size, sizes)) | (every.size == 0.0))
 
 
 def held_off(seen: Sequence[Observation], stated: Sequence[Observation]) -> Iterator[Doubt]:

@@ -20,6 +20,7 @@ from deformscope.stages.fit.calibrate import BETA_LIMIT, TURNED, Model, Observat
 from deformscope.stages.fit.distance import explained_share, unexplained
 from deformscope.stages.fit.doubts import (
     LIKE_NOISE,
+    bulging,
     little_explained,
     noise_contradicted,
     not_converged,
@@ -553,7 +554,9 @@ class _YieldFit:
             states = self.run(strains, betas, np.repeat(creep, count), held)[0]
             return [states[:, at] for at in rows]
 
-        yield from swapped_axes(frames, simulate)
+        yield from swapped_axes(
+            frames, simulate, bulging(frames, [self.body.holding(one.held) for one in frames], tried)
+        )
         if self.body.cluster_count < 2:
             return
         # at the frame with the largest motion: errors of all frames are much the same
