@@ -65,7 +65,8 @@ class Pushed:
 
 def lattice(shape: tuple[int, ...]) -> Floats:
     """(K, d), last axis fastest."""
-    return CELL * np.stack(np.meshgrid(*map(np.arange, shape), indexing="ij"), axis=-1).reshape(-1, len(shape))
+    places = np.stack(np.meshgrid(*map(np.arange, shape), indexing="ij"), axis=-1).reshape(-1, len(shape))
+    return np.asarray(CELL * places, dtype=np.float64)
 
 
 def pushed_clusters(rng: np.random.Generator, errors: Errors, dim: int) -> Pushed:

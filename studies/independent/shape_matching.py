@@ -44,6 +44,7 @@ def static_state(rest: Floats, rows: Ints, beta: float, held: Ints, place: Float
     factor = cho_factor(matrix[np.ix_(free, free)])
     state = rest.copy()
     state[held] = place
+    change = np.inf
     small = SETTLED * float(np.ptp(rest, axis=0).max())
     for _ in range(TURNS):
         u, _, vt = np.linalg.svd(np.einsum("cni,cnj->cij", state[rows], local))
