@@ -22,7 +22,7 @@ from deformscope.stages.fit.estimate import DoubtCode, Verdict
 from studies.beta import observed
 from studies.field_bodies import SPACING_M
 from studies.independent.observed import Errors, Motion, pushed_clusters, pushed_elements
-from studies.independent.plane_elements import stiffness
+from studies.independent.plane_elements import Floats, stiffness
 from studies.quantities import Quantity, Rate, Row, by, rows
 from studies.random_bodies import BOUNDS, CANDIDATES, RandomBody, random_body, random_dim, random_noise, random_sigma
 from studies.unseen_pokes import FoamBody, observe_foam
@@ -59,7 +59,7 @@ EXPECTED: dict[Data, DoubtCode] = {
 }
 """What is wrong with the data, where something is; elsewhere such a reason is a false alarm."""
 
-MATERIALS: dict[Data, FloatArray] = {
+MATERIALS: dict[Data, Floats] = {
     "other solver: whole face, nu 0": stiffness(1.0, 0.0),
     "other solver: whole face, nu .3": stiffness(1.0, 0.3),
     "other solver: whole face, nu .45": stiffness(1.0, 0.45),

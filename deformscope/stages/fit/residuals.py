@@ -187,10 +187,12 @@ class Residuals:
             return np.asarray(weight.reshape(*residual.shape[1:], 1))
         count = max(1, min(most, int(np.count_nonzero(size > SUMMARY_LEAST**2 * size[0]))))
         onto = moved.T @ axes[:, :count] / np.sqrt(size[:count])
-        others = self.errors.modes(response, held=True).reshape(len(onto), -1) * weight[:, None]
-        across, spread, _ = np.linalg.svd(others - onto @ (onto.T @ others), full_matrices=False)
-        onto = np.concatenate([onto, across[:, spread > SYSTEMATIC_LEAST]], axis=1) * weight[:, None]
-        return np.asarray(onto.reshape(*residual.shape[1:], -1))
+        if one.weight @ one.field**2 < np.mean(one.weight @ one.white**2 * self.errors.noise**2):
+            # where misfit and shared errors outweigh white noise, details are no knowledge of the parameter
+            others = self.errors.modes(response, held=True).reshape(len(onto), -1) * weight[:, None]
+            across, spread, _ = np.linalg.svd(others - onto @ (onto.T @ others), full_matrices=False)
+            onto = np.concatenate([onto, across[:, spread > SYSTEMATIC_LEAST]], axis=1)
+        return np.asarray((onto * weight[:, None]).reshape(*residual.shape[1:], -1))
 
     def log_summary(self, residual: FloatArray, onto: FloatArray, response: FloatArray) -> FloatArray:
         """Log likelihood (f,) of the projections of residuals (f, n, d) onto directions (n, d, q): Student's t, as wide
