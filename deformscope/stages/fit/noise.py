@@ -289,19 +289,19 @@ class ErrorModel:
             key = (int(every.field[row]), float(every.length[row]), bool(every.held[row]), bool(every.shared[row]))
             groups.setdefault(key, []).append(at)
         r = len(residual)
+        white = (residual / self.noise[:, None]).reshape(len(residual), -1)
         modes = {held: np.moveaxis(self.modes(response, held=held), -1, 0) for held in (False, True)}
         count = residual.shape[1] * self.dim
         for key, places in groups.items():
             both = np.concatenate([residual, modes[key[2]]])
             found, log_det[places] = self._quadratic(both, response, key, every.size[rows[places]])
-            if settle:
-                least = np.einsum("hii->hi", found[:, :r, :r]).min(axis=1)
+            if settle and not self._trusted(float(np.sum(white**2, axis=1).min()) / count):
+                least = np.maximum(np.einsum("hii->hi", found[:, :r, :r]).min(axis=1), 0.0)
                 self.log_scale[rows[places]] = 0.5 * np.log(least / count + self._least**2)
             variance = np.exp(-2.0 * self.log_scale[rows[places]])[:, None, None]
             inner, across = variance * found[:, r:, r:] + np.eye(len(both) - r), found[:, :r, r:]
             product[places] = found[:, :r, :r] - across @ np.linalg.solve(inner, variance * across.transpose(0, 2, 1))
             log_det[places] += np.linalg.slogdet(inner)[1]
-        white = (residual / self.noise[:, None]).reshape(len(residual), -1)
         return Products(rows, product, log_det + 2.0 * self.log_noise, white @ white.T, count)
 
     def judged(self, found: Products, mix: FloatArray) -> Evidence:
@@ -311,8 +311,11 @@ class ErrorModel:
         pairs = np.where(i == j, 1.0, 2.0)[:, None] * mix.T[i] * mix.T[j]
         chi2 = np.maximum(found.product[:, i, j] @ pairs, 0.0)
         plain = float(np.min(found.white[i, j] @ pairs, initial=np.inf)) / found.count
-        trusted = self.measured.noise is not None and plain < SCALE_LEAST**2
-        return self._scaled(chi2, found.log_det[:, None], found.count, found.rows, trusted)
+        return self._scaled(chi2, found.log_det[:, None], found.count, found.rows, self._trusted(plain))
+
+    def _trusted(self, square: float) -> bool:
+        """Whether residuals of this mean square, in units of the stated noise, are no sample of it."""
+        return self.measured.noise is not None and square < SCALE_LEAST**2
 
     def _quadratic(
         self, residual: FloatArray, response: FloatArray, key: Field, sizes: FloatArray

@@ -41,6 +41,9 @@ held 0.83 to 0.84 where errors were shared over 3 and 6 cells, at 0.3 0.87 to 0.
 SYSTEMATIC_LEAST = 0.1
 """Deviations of the noise that an error of tool or camera must make along a direction, or it is left out."""
 
+RESOLVED = 1e-14
+"""Share of the mean variance of projections below which a variance is a rounding error."""
+
 SUMMARIES, SUMMARY_LEAST = 3, 0.02
 """Directions that stand for what the parameter does to the particles: as many at most, and down to this share."""
 
@@ -200,7 +203,10 @@ class Residuals:
         one = self.explanation
         z = np.tensordot(residual, onto, 2)
         freedom, q = TEMPER * residual.shape[1] * residual.shape[2], onto.shape[2]
-        covariance = self.errors.projected(onto, response, self.kept) * one.white[:, None, None] ** 2
+        covariance = self.errors.projected(onto, response, self.kept)
+        # where there is next to no noise, errors of a tool outweigh it by more than numbers resolve
+        covariance += RESOLVED * np.trace(covariance, axis1=1, axis2=2)[:, None, None] / q * np.eye(q)
+        covariance *= one.white[:, None, None] ** 2
         chi2 = np.einsum("fi,hij,fj->hf", z, np.linalg.inv(covariance), z)
         log_det = np.linalg.slogdet(covariance)[1][:, None]
         each = -0.5 * log_det - 0.5 * (freedom + q) * np.log1p(chi2 / freedom)
