@@ -40,6 +40,7 @@ from deformscope.frames import (
     WrenchFrame,
 )
 from deformscope.images import decode_image
+from deformscope.results.declared import came_later
 from deformscope.stages.map.exploration import (
     ExplorationStop,
     InclusionsResult,
@@ -175,13 +176,15 @@ class Column:
 
 
 @dataclass(frozen=True, slots=True)
-class _Field:
-    """kind: of the value, of a tuple's values, or of the dataclass inside"""
+class CodecField:
+    """One field of a dataclass. kind: of the value, of a tuple's values, or of the dataclass inside"""
 
     name: str
     form: Form
     kind: Any
     optional: bool
+    later: bool = False
+    """Recordings of before the field was there lack it: see `LATER`."""
 
 
 def to_columns(items: Sequence[object], leave_out: Collection[str] = ()) -> dict[str, Column]:
@@ -210,7 +213,7 @@ def from_components(
     given: Mapping[str, Any] | None = None,
     read_image: Callable[[bytes, str], Any] = decode_image,
 ) -> T:
-    """What `to_components` took apart; raises KeyError where a part is missing.
+    """What `to_components` took apart; raises KeyError where a part is missing that is not of `LATER`.
 
     components: flat arrays, or lists of words, by field; given: fields that were left out
     read_image: what becomes of an encoded image, of which the second argument says which it is
@@ -221,6 +224,8 @@ def from_components(
             continue
         if field.optional and not _is_there(field, components):
             made[field.name] = None
+        elif field.later and not any(_holds(field, name) for name in components):
+            continue
         elif field.form == "nested":
             prefix = field.name + "."
             inner = {name.removeprefix(prefix): v for name, v in components.items() if name.startswith(prefix)}
@@ -246,6 +251,13 @@ def differing(before: object, now: object, leave_out: Collection[str] = ()) -> s
     return None
 
 
+def field_of(kind: type, component: str) -> CodecField | None:
+    """The field that a component `FIELD` or `FIELD.INNER` holds; None for a shape, and what is no field."""
+    name, _, inner = component.partition(".")
+    found = next((field for field in _fields(cast("Any", kind)) if field.name == name), None)
+    return field_of(found.kind, inner) if found is not None and found.form == "nested" else found
+
+
 def to_json(value: object) -> str:
     """Dataclasses, mappings and the like as JSON."""
     return json.dumps(msgspec.to_builtins(value, enc_hook=_plain), sort_keys=True)
@@ -265,36 +277,39 @@ def _plain(value: object) -> Any:
 
 
 @cache
-def _fields(kind: Any) -> tuple[_Field, ...]:
+def _fields(kind: Any) -> tuple[CodecField, ...]:
     hints = get_type_hints(kind)
-    return tuple(_field(field.name, hints[field.name]) for field in dataclasses.fields(cast("Any", kind)))
+    return tuple(
+        dataclasses.replace(_field(field.name, hints[field.name]), later=came_later(field))
+        for field in dataclasses.fields(cast("Any", kind))
+    )
 
 
-def _field(name: str, hint: Any) -> _Field:
+def _field(name: str, hint: Any) -> CodecField:
     options = get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
     kinds = tuple(option for option in options if option is not NoneType)
     optional, kind = len(kinds) < len(options), kinds[0]
     inner, varied = get_args(kind), Ellipsis in get_args(kind)
     if kinds == get_args(ImageArray):
-        return _Field(name, "image", kind, optional)
+        return CodecField(name, "image", kind, optional)
     if len(kinds) > 1:
-        return _Field(name, "json", hint, optional)
+        return CodecField(name, "json", hint, optional)
     if _is_array(kind):
-        return _Field(name, "array", kind, optional)
+        return CodecField(name, "array", kind, optional)
     if kind is bytes and not optional:
-        return _Field(name, "bytes", kind, optional)
+        return CodecField(name, "bytes", kind, optional)
     if get_origin(kind) is Literal and set(map(type, inner)) == {str}:
-        return _Field(name, "value", str, optional)
+        return CodecField(name, "value", str, optional)
     if kind in _ARROW or _is_enum(kind):
-        return _Field(name, "value", kind, optional)
+        return CodecField(name, "value", kind, optional)
     if dataclasses.is_dataclass(kind):
-        return _Field(name, "nested", kind, optional)
+        return CodecField(name, "nested", kind, optional)
     if get_origin(kind) is tuple and not (optional and varied):  # None and () would be one
         if inner[0] in _ARROW and set(inner) <= {inner[0], Ellipsis}:
-            return _Field(name, "tuple", inner[0], optional)
+            return CodecField(name, "tuple", inner[0], optional)
         if _is_array(inner[0]) and varied:
-            return _Field(name, "arrays", inner[0], optional)
-    return _Field(name, "json", kind, optional)
+            return CodecField(name, "arrays", inner[0], optional)
+    return CodecField(name, "json", kind, optional)
 
 
 def _is_array(kind: object) -> bool:
@@ -305,7 +320,12 @@ def _is_enum(kind: object) -> bool:
     return isinstance(kind, type) and issubclass(kind, enum.Enum)
 
 
-def _is_there(field: _Field, components: Mapping[str, Any]) -> bool:
+def _holds(field: CodecField, component: str) -> bool:
+    """Whether a component is of this field."""
+    return component in (field.name, field.name + SHAPE) or component.startswith(field.name + ".")
+
+
+def _is_there(field: CodecField, components: Mapping[str, Any]) -> bool:
     """Whether an optional field is not None: it has a value, or the shape of none."""
     if field.form == "nested":
         return any(len(value) > 0 for name, value in components.items() if name.startswith(field.name + "."))
@@ -316,7 +336,7 @@ def _is_there(field: _Field, components: Mapping[str, Any]) -> bool:
 # To columns ----------------------------------------------------------------------------------------------------------
 
 
-def _values(field: _Field, values: Sequence[Any]) -> dict[str, Column]:
+def _values(field: CodecField, values: Sequence[Any]) -> dict[str, Column]:
     lengths = np.array([value is not None for value in values], np.int64)
     there = values if lengths.all() else [value for value in values if value is not None]
     if _is_enum(field.kind):
@@ -324,17 +344,17 @@ def _values(field: _Field, values: Sequence[Any]) -> dict[str, Column]:
     return {field.name: Column(pa.array(list(map(field.kind, there)), _ARROW[field.kind]), lengths)}
 
 
-def _tuples(field: _Field, values: Sequence[Any]) -> dict[str, Column]:
+def _tuples(field: CodecField, values: Sequence[Any]) -> dict[str, Column]:
     rows = [value or () for value in values]
     flat = pa.array(list(map(field.kind, chain.from_iterable(rows))), _ARROW[field.kind])
     return {field.name: Column(flat, _lengths(rows))}
 
 
-def _bytes(field: _Field, values: Sequence[bytes]) -> dict[str, Column]:
+def _bytes(field: CodecField, values: Sequence[bytes]) -> dict[str, Column]:
     return {field.name: Column(pa.array(np.frombuffer(b"".join(values), np.uint8)), _lengths(values))}
 
 
-def _arrays(field: _Field, values: Sequence[Any]) -> dict[str, Column]:
+def _arrays(field: CodecField, values: Sequence[Any]) -> dict[str, Column]:
     arrays = [None if value is None else np.asarray(value) for value in values]
     there = [array for array in arrays if array is not None]
     lengths = np.array([0 if array is None else array.size for array in arrays], np.int64)
@@ -345,7 +365,7 @@ def _arrays(field: _Field, values: Sequence[Any]) -> dict[str, Column]:
     return found
 
 
-def _tuples_of_arrays(field: _Field, values: Sequence[Sequence[Any]]) -> dict[str, Column]:
+def _tuples_of_arrays(field: CodecField, values: Sequence[Sequence[Any]]) -> dict[str, Column]:
     rows = [[np.asarray(array) for array in row] for row in values]
     lengths = np.array([sum(array.size for array in row) for row in rows], np.int64)
     shapes = [[side for array in row for side in (array.ndim, *array.shape)] for row in rows]
@@ -353,7 +373,7 @@ def _tuples_of_arrays(field: _Field, values: Sequence[Sequence[Any]]) -> dict[st
     return {field.name: Column(pa.array(flat), lengths), field.name + SHAPE: _shapes(shapes)}
 
 
-def _nested(field: _Field, values: Sequence[object]) -> dict[str, Column]:
+def _nested(field: CodecField, values: Sequence[object]) -> dict[str, Column]:
     there = np.array([value is not None for value in values])
     found = {}
     for name, column in to_columns([value for value in values if value is not None]).items():
@@ -363,7 +383,7 @@ def _nested(field: _Field, values: Sequence[object]) -> dict[str, Column]:
     return found
 
 
-def _as_json(field: _Field, values: Sequence[object]) -> dict[str, Column]:
+def _as_json(field: CodecField, values: Sequence[object]) -> dict[str, Column]:
     texts = [to_json(value) for value in values if value is not None]
     return {field.name: Column(pa.array(texts, pa.string()), np.array([value is not None for value in values], int))}
 
@@ -380,7 +400,7 @@ def _lengths(rows: Sequence[Sized]) -> IntArray:
     return np.fromiter(map(len, rows), np.int64, len(rows))
 
 
-_ENCODERS: dict[Form, Callable[[_Field, Sequence[Any]], dict[str, Column]]] = {
+_ENCODERS: dict[Form, Callable[[CodecField, Sequence[Any]], dict[str, Column]]] = {
     "value": _values,
     "tuple": _tuples,
     "bytes": _bytes,
@@ -394,22 +414,22 @@ _ENCODERS: dict[Form, Callable[[_Field, Sequence[Any]], dict[str, Column]]] = {
 # From components -----------------------------------------------------------------------------------------------------
 
 
-def _value(field: _Field, components: Mapping[str, Any]) -> Any:
+def _value(field: CodecField, components: Mapping[str, Any]) -> Any:
     value = components[field.name][0]
     return field.kind[value] if _is_enum(field.kind) else field.kind(value)
 
 
-def _tuple(field: _Field, components: Mapping[str, Any]) -> tuple[Any, ...]:
+def _tuple(field: CodecField, components: Mapping[str, Any]) -> tuple[Any, ...]:
     return tuple(map(field.kind, components[field.name]))
 
 
-def _array(field: _Field, components: Mapping[str, Any]) -> npt.NDArray[Any]:
+def _array(field: CodecField, components: Mapping[str, Any]) -> npt.NDArray[Any]:
     flat = np.asarray(components[field.name])
     shape = components.get(field.name + SHAPE)
     return flat if shape is None else flat.reshape([int(side) for side in shape])
 
 
-def _tuple_of_arrays(field: _Field, components: Mapping[str, Any]) -> tuple[npt.NDArray[Any], ...]:
+def _tuple_of_arrays(field: CodecField, components: Mapping[str, Any]) -> tuple[npt.NDArray[Any], ...]:
     flat, sides = np.asarray(components[field.name]), [int(side) for side in components[field.name + SHAPE]]
     found, at, place = list[npt.NDArray[Any]](), 0, 0
     while place < len(sides):
@@ -420,7 +440,7 @@ def _tuple_of_arrays(field: _Field, components: Mapping[str, Any]) -> tuple[npt.
     return tuple(found)
 
 
-_DECODERS: dict[Form, Callable[[_Field, Mapping[str, Any]], Any]] = {
+_DECODERS: dict[Form, Callable[[CodecField, Mapping[str, Any]], Any]] = {
     "value": _value,
     "tuple": _tuple,
     "bytes": lambda field, components: np.asarray(components[field.name], np.uint8).tobytes(),

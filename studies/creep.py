@@ -2,6 +2,7 @@
 
 python -m studies creep
 python -m studies creep --objects 400 --hold 4 --jobs 16 --json creep.json
+python -m studies creep --objects 1 --laws 200
 
 Touches of foams that creep, keep a dent or are slid over, in finite elements: are fit and verdict right?
 
@@ -10,13 +11,15 @@ times of TIMES_S, and how far the arm's compliance is off its calibration. The t
 slab pressed without memory, all of its modulus and what is left of it; the truth of a loss that of the true forces.
 Plastic foams creep too, and keep KEEPS of each dent. A tip that goes aside while it presses sticks, or slides once it
 has felt a part of what sticking would come to.
+
+Beside these: foams of laws that the fit knows and of laws that it does not know, by another generator (`creep_laws`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated, Literal, get_args
+from typing import Annotated, Any, Literal, get_args
 
 import numpy as np
 from tyro.conf import arg
@@ -35,6 +38,7 @@ from deformscope.lab.touching import Sensing, force_curve
 from deformscope.pictures.report import Table
 from deformscope.stages.poke.contact import ArmCompliance
 from deformscope.stages.poke.creep import CreepBehaviour, fit_creep
+from studies.creep_laws import LawOutcome, law_cases, law_table, try_law
 from studies.held_touch import HeldTouch, held_touch
 from studies.quantities import KnownEstimate, by, counts, interval_rows, interval_table
 from studies.seeds import reported
@@ -132,9 +136,9 @@ def try_creep(case: CreepCase) -> KnownEstimate:
     nothing = (np.nan, np.nan)
     estimates = (
         (fit.instant_n_per_mm, fit.instant_interval),
-        (fit.relaxed_n_per_mm, fit.relaxed_interval),
+        (fit.relaxed_n_per_mm or np.nan, fit.relaxed_interval or nothing),
         (fit.share, fit.share_interval),
-        (fit.time_s, fit.time_interval),
+        (fit.time_s or np.nan, fit.time_interval or nothing),
         (np.nan if fit.loss is None else fit.loss, fit.loss_interval or nothing),
         (np.nan if fit.kept is None else fit.kept, fit.kept_interval or nothing),
     )
@@ -161,21 +165,27 @@ class CreepCoverageConfig(StudyOptions):
     hold: Annotated[float, arg(metavar="S")] = 8.0
     """How long the force is held [s]."""
 
+    laws: Annotated[int, flags.least(0)] = 60
+    """Touches of each law of viscoelasticity, by hereditary integrals that share no code with the fit; each takes less
+    than a second. Their seeds are 2000 and on."""
+
     def check(self) -> None:
         if not 0.5 <= self.hold <= 60.0:
             raise InputError("0.5 to 60 s after --hold", f"{self.hold:g}")
 
 
-def trials(options: CreepCoverageConfig) -> list[Trials[CreepCase, KnownEstimate]]:
-    """All foams, and a quarter as many of each other kind."""
+def trials(options: CreepCoverageConfig) -> list[Trials[Any, Any]]:
+    """All foams, and a quarter as many of each other kind; and each law of viscoelasticity."""
     seeds = reported(options.objects, options.output.seed)
     few = seeds[: max(1, len(seeds) // 4)]
     cases = [CreepCase(seed, options.hold) for seed in seeds]
     cases += [CreepCase(seed, options.hold, kind) for kind in KINDS[1:] for seed in few]
-    return [Trials("touches", try_creep, cases)]
+    return [Trials("touches", try_creep, cases), Trials("laws", try_law, law_cases(options.laws))]
 
 
-def report(options: CreepCoverageConfig, seconds: float, tried: Sequence[KnownEstimate]) -> StudyReport:
+def report(
+    options: CreepCoverageConfig, seconds: float, tried: Sequence[KnownEstimate], laws: Sequence[LawOutcome]
+) -> StudyReport:
     """A table of each kind, and what they were taken for."""
     kinds = by(tried, lambda one: one.kind)
     lines = {kind: interval_rows(some, QUANTITIES) for kind, some in kinds.items()}
@@ -186,7 +196,11 @@ def report(options: CreepCoverageConfig, seconds: float, tried: Sequence[KnownEs
     names = get_args(CreepBehaviour)
     taken = [(kind, *(some.get(name, 0) for name in names)) for kind, some in verdicts.items()]
     tables.append(Table(taken, ("touches of", *names), "what they were taken for"))
-    return StudyReport(tables, {"hold_s": options.hold, "rows": lines, "verdicts": verdicts})
+    found = {"hold_s": options.hold, "rows": lines, "verdicts": verdicts}
+    if laws:
+        counted, found["laws"] = law_table(laws)
+        tables.append(counted)
+    return StudyReport(tables, found)
 
 
 STUDY = Study(CreepCoverageConfig, trials, report)

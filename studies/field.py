@@ -2,8 +2,11 @@
 
 python -m studies field
 python -m studies field --kinds "two, stretch" "three, shear" --objects 20 --json field.json
+python -m studies field --independent --objects 20
 
-Plates and slabs whose stiffness differs from place to place, by the laboratory's finite elements (`field_bodies`).
+Plates and slabs whose stiffness differs from place to place, by the laboratory's finite elements (`field_bodies`); and
+plates that share nothing with the estimator (`independent.orthotropic_elements`): one material, as stiff in every
+direction or not, seen by a camera that is off or not, and some that differ from place to place.
 """
 
 from __future__ import annotations
@@ -22,22 +25,26 @@ from deformscope.config import flags
 from deformscope.config.reproduce import StudyOptions
 from deformscope.errors import InputError
 from deformscope.pictures.report import Table
+from deformscope.stages.fit.model import Observation
 from deformscope.stages.materials.field import fit_field
 from studies.field_bodies import NOISE_REACH, NOISE_SHARES, SPACING_M, Way, Young, elastic_pair
+from studies.independent.orthotropic_elements import OrthotropicLaw, isotropic, orthotropic, plate
 from studies.quantities import Rate, by, of_cases
-from studies.seeds import reported
+from studies.seeds import independent, reported
 
 PLATE, SLAB = (17, 13), (11, 6, 4)
 
 
 @dataclass(frozen=True, slots=True)
 class FieldBody:
-    """young: modulus of places (n, d) [m]; materials: how many there are, 0 = gradual"""
+    """young: modulus of places (n, d) [m]; materials: how many there are, 0 = gradual; None: of the seed"""
 
     shape: tuple[int, ...]
     way: Way
-    young: Young
+    young: Young | None
     materials: int
+    stiffer: float = 1.0
+    camera: bool = False
 
 
 def _bodies() -> dict[str, FieldBody]:
@@ -64,6 +71,37 @@ def _bodies() -> dict[str, FieldBody]:
 BODIES = _bodies()
 """By name."""
 
+WAYS: tuple[Way, ...] = ("stretch", "shear")
+INDEPENDENT_BODIES = (
+    {f"orthotropic, {way}": FieldBody(PLATE, way, None, 1, stiffer=2.5) for way in WAYS}
+    | {f"camera off, {way}": FieldBody(PLATE, way, None, 1, camera=True) for way in WAYS}
+    | {f"one, own elements, {way}": FieldBody(PLATE, way, None, 1) for way in WAYS}
+    | {f"two, own elements, {way}": FieldBody(PLATE, way, None, 2) for way in WAYS}
+    | {f"gradual, own elements, {way}": FieldBody(PLATE, way, None, 0) for way in WAYS}
+)
+"""By name: of a generator that shares nothing with the estimator. stiffer: along one direction than across it."""
+
+
+def _own_young(materials: int, rng: np.random.Generator) -> Young:
+    """One material, two with a border across x, or a change along any direction."""
+    ratio, border, angle = rng.uniform(3.0, 5.0), rng.uniform(0.05, 0.11), rng.uniform(0.0, np.pi)
+    across = np.array([np.cos(angle), np.sin(angle)])
+    return {
+        0: lambda place: np.asarray(ratio ** (place @ across / 0.16)),
+        1: lambda place: np.ones(len(place)),
+        2: lambda place: np.where(place[:, 0] < border, 1.0, ratio),
+    }[materials]
+
+
+def _own_plate(body: FieldBody, seed: int) -> tuple[Observation, Young, OrthotropicLaw]:
+    rng = np.random.default_rng([seed, 0xF1E])
+    law = isotropic(float(rng.uniform(0.1, 0.45))) if body.stiffer == 1.0 else orthotropic(rng, body.stiffer)
+    young = _own_young(body.materials, rng)
+    seen = plate((body.shape[0], body.shape[1]), law, young, way=body.way, camera=body.camera, rng=rng)
+    everyone = np.ones(len(seen.rest), dtype=bool)
+    cell = np.arange(len(seen.rest))
+    return Observation(seen.rest, seen.deformed, seen.held, everyone, shape=seen.shape, cell=cell), young, law
+
 
 @dataclass(frozen=True, slots=True)
 class FieldOutcome:
@@ -73,6 +111,8 @@ class FieldOutcome:
     border: how far the farthest wrong cell is from one of the material that it was given [spacings], 0 = none is wrong;
     NaN where there are no materials, or another number
     held: share of the places whose interval holds the truth; beta_ratio: of 1 - beta, over the true ratio of stiffness
+    claims: places differ; reasons: to doubt it; directions: ratio of moduli along those that are named, over the
+    true one, None where none are
     """
 
     kind: str
@@ -85,20 +125,32 @@ class FieldOutcome:
     held: float
     rms_log: float
     beta_ratio: float
+    claims: bool = False
+    reasons: tuple[str, ...] = ()
+    directions: float | None = None
 
 
 def try_field(case: tuple[str, int]) -> FieldOutcome:
     """Deform the body of that name under the noise of that seed, and fit it."""
     kind, seed = case
-    body = BODIES[kind]
-    rng = np.random.default_rng(seed)
-    reach, size = (float(np.exp(rng.uniform(*np.log(ends)))) for ends in (NOISE_REACH, NOISE_SHARES))
-    seen = elastic_pair(body.shape, body.young, way=body.way, noise_m=SPACING_M * size, reach=reach, seed=seed)
+    body = (BODIES | INDEPENDENT_BODIES)[kind]
+    law = None
+    if body.young is None:
+        seen, young_of, law = _own_plate(body, seed)
+    else:
+        young_of, rng = body.young, np.random.default_rng(seed)
+        reach, size = (float(np.exp(rng.uniform(*np.log(ends)))) for ends in (NOISE_REACH, NOISE_SHARES))
+        seen = elastic_pair(body.shape, young_of, way=body.way, noise_m=SPACING_M * size, reach=reach, seed=seed)
     found, _ = fit_field(seen)
-    young = body.young(found.place)
+    young = young_of(found.place)
     true = young / np.exp(np.log(young).mean())
     contrast = float(young.max() / young.min())
-    right_name = {0: "gradual", 1: "uniform"}.get(body.materials, "materials")
+    one = "uniform" if body.stiffer == 1.0 else "anisotropic"
+    right_name = {0: "gradual", 1: one}.get(body.materials, "materials")
+    along = found.directions
+    directions = None
+    if law is not None and along is not None:
+        directions = along.ratio * law.modulus(along.softest) / law.modulus(along.stiffest)
     right = found.verdict == right_name and max(found.materials, 0) == body.materials
     border = np.nan
     if body.materials > 1 and found.materials == body.materials:
@@ -118,6 +170,9 @@ def try_field(case: tuple[str, int]) -> FieldOutcome:
         float(np.mean((low <= true) & (true <= high))),
         float(np.sqrt(np.mean(np.log(found.stiffness / true) ** 2))),
         found.beta_ratio / contrast,
+        claims=found.verdict in ("gradual", "materials"),
+        reasons=tuple(reason.code for reason in found.reasons),
+        directions=directions,
     )
 
 
@@ -133,16 +188,26 @@ class FieldCoverageConfig(StudyOptions):
     """Bodies by name, as the table has them; default: all."""
     objects: flags.ManyFlag = 6
     """Bodies of each kind, from seed SEED on; a plate takes some 5 s, a slab 30."""
+    independent: bool = False
+    """Plates of a generator that shares nothing with the estimator, from seed 2000 + SEED on."""
 
     def check(self) -> None:
-        if unknown := [one for one in self.kinds if one not in BODIES]:
-            raise InputError(f"--kinds of {'; '.join(BODIES)}", "; ".join(unknown))
+        if unknown := [one for one in self.kinds if one not in _known(self)]:
+            raise InputError(f"--kinds of {'; '.join(_known(self))}", "; ".join(unknown))
+
+
+def _known(options: FieldCoverageConfig) -> dict[str, FieldBody]:
+    return INDEPENDENT_BODIES if options.independent else BODIES
+
+
+def _seeds(options: FieldCoverageConfig) -> range:
+    return (independent if options.independent else reported)(options.objects, options.output.seed)
 
 
 def trials(options: FieldCoverageConfig) -> list[Trials[tuple[str, int], FieldOutcome]]:
     """So many bodies of each kind."""
-    seeds = reported(options.objects, options.output.seed)
-    return [Trials("bodies", try_field, [(kind, seed) for kind in options.kinds or tuple(BODIES) for seed in seeds])]
+    kinds = options.kinds or tuple(_known(options))
+    return [Trials("bodies", try_field, [(kind, seed) for kind in kinds for seed in _seeds(options)])]
 
 
 def _right(write: Callable[[Sequence[FieldOutcome]], str]) -> Callable[[Sequence[FieldOutcome]], str]:
@@ -150,8 +215,14 @@ def _right(write: Callable[[Sequence[FieldOutcome]], str]) -> Callable[[Sequence
     return lambda some: write(right) if (right := [one for one in some if one.right]) else "-"
 
 
+def _span(values: Sequence[float | None]) -> str:
+    """Least and largest of those that are known."""
+    known = [one for one in values if one is not None]
+    return f"{min(known):.2f} to {max(known):.2f}" if known else "-"
+
+
 def _border(right: Sequence[FieldOutcome]) -> str:
-    several = BODIES[right[0].kind].materials > 1
+    several = (BODIES | INDEPENDENT_BODIES)[right[0].kind].materials > 1
     return f"{np.mean([one.border < 1.0 + 1e-6 for one in right]):.0%}" if several else "-"
 
 
@@ -167,6 +238,9 @@ QUANTITIES: dict[str, Callable[[Sequence[FieldOutcome]], str]] = {
     "intervals hold ratio, places": lambda some: (
         f"{np.mean([one.covered for one in some]):.2f}, {np.mean([one.held for one in some]):.2f}"
     ),
+    "says that places differ": lambda some: of_cases(Rate.of(one.claims for one in some)),
+    "smooth-error named": lambda some: str(sum("smooth-error" in one.reasons for one in some)),
+    "ratio of directions over the true one": lambda some: _span([one.directions for one in some]),
     "1 - beta over the true ratio": lambda some: f"{np.median([one.beta_ratio for one in some]):.2f}",
 }
 """Columns of the table by their headings."""
@@ -179,7 +253,7 @@ def field_rows(tried: Sequence[FieldOutcome]) -> list[tuple[str, ...]]:
 
 def report(options: FieldCoverageConfig, seconds: float, tried: Sequence[FieldOutcome]) -> StudyReport:
     """A line of each kind."""
-    seeds = reported(options.objects, options.output.seed)
+    seeds = _seeds(options)
     caption = f"Fields of stiffness, seeds {seeds.start} to {seeds.stop - 1}; ratio, border: where the verdict is right"
     return StudyReport([Table(field_rows(tried), tuple(QUANTITIES), caption)], tried)
 

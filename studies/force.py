@@ -2,6 +2,7 @@
 
 python -m studies force
 python -m studies force --full --kinds halves "stiff disc" --slabs 8 --jobs 16 --resume forces.jsonl --json force.json
+python -m studies force --full --slabs 4 --seed 2000 --scatter 0 0.03 --conditions "as told" "nu 0.45" "twice as deep"
 
 Random slabs, half of whose 24 pokes are fitted: do the intervals of the force hold at the other half?
 
@@ -29,7 +30,16 @@ from deformscope.cli.study import Study, StudyReport, Trials
 from deformscope.config import flags
 from deformscope.config.reproduce import StudyOptions
 from deformscope.errors import InputError
-from deformscope.reproduce.poke_slabs import KINDS, POKE_GROUPS, PokedSlab, PokeGroup, SlabKind, Split, draw_slab
+from deformscope.reproduce.poke_slabs import (
+    KINDS,
+    POISSON,
+    POKE_GROUPS,
+    PokedSlab,
+    PokeGroup,
+    SlabKind,
+    Split,
+    draw_slab,
+)
 from deformscope.reproduce.poke_study import GRID, OTHER_TIPS, TIP, Press, observe, plan_of
 from deformscope.stages.poke.comparison import Score, predict_seen
 from deformscope.stages.poke.fitted import FittedModel, Prediction
@@ -52,10 +62,18 @@ WRONG = 0.2
 """A force that is off by more is counted."""
 
 
+Condition = Literal["as told", "nu 0.45", "thickness told 10 % more", "twice as deep"]
+"""What differs from the foam and the pokes that the model is meant for; `twice as deep`: unseen pokes go about twice as
+deep as the fitted ones."""
+
+NEARLY_INCOMPRESSIBLE, TOLD_MORE, DEEPER = 0.45, 1.1, 2.0
+"""Poisson's ratio; told thickness over the true one; depth of unseen pokes over that of fitted ones."""
+
+
 @dataclass(frozen=True, slots=True)
 class ForceCase:
     """A slab to try. scatter: deviation of the force's logarithm from poke to poke; full: with finite
-    elements; split: which half is fitted"""
+    elements; split: which half is fitted; condition: of the full way alone; device: that fits and predicts"""
 
     kind: SlabKind
     seed: int
@@ -63,6 +81,8 @@ class ForceCase:
     full: bool = False
     level: float = 0.9
     split: Split = "alternate"
+    condition: Condition = "as told"
+    device: str = "cpu"
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,17 +130,22 @@ def slab_cases(
     full: bool,
     level: float = 0.9,
     split: Split = "alternate",
+    conditions: Sequence[Condition] = ("as told",),
+    device: str = "cpu",
 ) -> list[SlabCases]:
-    """Every slab under every scatter, seed by seed."""
+    """Every slab under every condition and scatter, seed by seed."""
     return [
-        tuple(ForceCase(kind, seed, one, full, level, split) for one in scatters) for seed in seeds for kind in kinds
+        tuple(ForceCase(kind, seed, one, full, level, split, condition, device) for one in scatters)
+        for seed in seeds
+        for kind in kinds
+        for condition in conditions
     ]
 
 
 def try_slab(cases: SlabCases) -> tuple[TriedSlab, ...]:
     """Draw the slab, fit half of its pokes and predict the others, under each scatter."""
     drawn = draw_slab(cases[0].kind, cases[0].seed, cases[0].split)
-    pressed = _press(drawn) if cases[0].full else None
+    pressed = _press(drawn, cases[0].condition, cases[0].device) if cases[0].full else None
     tried = []
     for case in cases:
         factor = np.exp(case.scatter * np.random.default_rng([case.seed, 29]).normal(size=len(drawn.places)))
@@ -148,18 +173,24 @@ class _Pressed:
     unseen: tuple[tuple[Press, SeenPoke, Prediction, Score], ...]
 
 
-def _press(drawn: PokedSlab) -> _Pressed:
+def _press(drawn: PokedSlab, condition: Condition, device: str) -> _Pressed:
     plan = plan_of(drawn, TIPS)
+    slab = drawn.slab(NEARLY_INCOMPRESSIBLE if condition == "nu 0.45" else POISSON)
 
     def measured(press: Press) -> SeenPoke:
-        return seen_poke(observe(plan.slab, press, ELEMENT))
+        return seen_poke(observe(slab, press, ELEMENT))
 
-    surface = MeasuredSurface(plan.slab.grid(GRID), plan.slab.size[2])
-    model = model_of(fit_pokes(surface, [measured(press) for press in plan.fitted]), {})
+    thickness = slab.size[2] * (TOLD_MORE if condition == "thickness told 10 % more" else 1.0)
+    fitted = [measured(press) for press in plan.fitted]
+    model = model_of(fit_pokes(MeasuredSurface(slab.grid(GRID), thickness), fitted, device=device), {})
     unseen = []
     for press in plan.unseen:
         poke = measured(press)
-        found, _, score = predict_seen(model, poke)
+        if condition == "twice as deep":  # depth goes with force: the elements are linear
+            deep = DEEPER * float(np.median([one.depth for one in fitted]))
+            press = dataclasses.replace(press, force=press.force * deep / poke.depth)
+            poke = measured(press)
+        found, _, score = predict_seen(model, poke, device=device)
         unseen.append((press, poke, found, score))
     return _Pressed(model, tuple(unseen))
 
@@ -223,19 +254,26 @@ class ForceCoverageConfig(StudyOptions):
     slab."""
     split: Literal["alternate", "random"] = "alternate"
     """Which half is fitted: every other poke, as on a chess board, or any half."""
+    conditions: Annotated[tuple[Condition, ...], arg(metavar="CONDITION...")] = ("as told",)
+    """With --full: what differs from the foam and the pokes that the model is meant for."""
+    device: flags.Device = "cpu"
+    """That fits the models and predicts, with --full."""
     level: flags.LevelFlag = 0.9
     """Confidence level of the intervals."""
 
     def check(self) -> None:
+        if self.conditions != ("as told",) and not self.full:
+            raise InputError("--full with --conditions", "none: the fast way knows no condition but `as told`")
         if not self.scatter or any(not 0.0 <= one < 1.0 for one in self.scatter):
             raise InputError("shares from 0 to below 1 after --scatter", " ".join(f"{one:g}" for one in self.scatter))
 
 
 Pokes = tuple[str, Sequence[TriedSlab], Sequence[UnseenForce]]
-"""Of one group: on slabs of which kind, or of all, these slabs, and the pokes."""
+"""Of one group under one condition: on slabs of which kind, or of all, these slabs, and the pokes."""
 
 QUANTITIES: tuple[Quantity[Pokes], ...] = (
     Quantity("slab", lambda some: some[0], {"slab": str}),
+    Quantity("condition", lambda some: some[1][0].case.condition, {"condition": str}),
     Quantity("group", lambda some: some[2][0].group, {"unseen pokes": str}),
     Quantity("scatter", lambda some: some[1][0].case.scatter),
     Quantity("full", lambda some: some[1][0].case.full),
@@ -267,7 +305,7 @@ def _rms(errors: Sequence[float]) -> float | None:
 
 
 COLUMNS = (
-    *("slab", "unseen pokes", "number", "force off (rms)", "nearest is of its material", "by a fifth"),
+    *("slab", "condition", "unseen pokes", "number", "force off (rms)", "nearest is of its material", "by a fifth"),
     *("held (95 % band)", "width", "surface off"),
 )
 
@@ -275,7 +313,7 @@ COLUMNS = (
 def force_rows(tried: Sequence[TriedSlab]) -> list[Row]:
     """All slabs together, then each kind by itself."""
     groups: list[Pokes] = []
-    for slabs in by(tried, lambda one: one.case.scatter).values():
+    for slabs in by(tried, lambda one: (one.case.condition, one.case.scatter)).values():
         for kind in (None, *KINDS):
             chosen = [one for one in slabs if kind in (None, one.case.kind)]
             pokes = by((poke for one in chosen for poke in one.pokes), lambda poke: poke.group)
@@ -286,7 +324,16 @@ def force_rows(tried: Sequence[TriedSlab]) -> list[Row]:
 def trials(options: ForceCoverageConfig) -> list[Trials[SlabCases, tuple[TriedSlab, ...]]]:
     """Every slab, under every scatter."""
     seeds = reported(options.slabs, options.output.seed)
-    cases = slab_cases(options.kinds or KINDS, seeds, options.scatter, options.full, options.level, options.split)
+    cases = slab_cases(
+        options.kinds or KINDS,
+        seeds,
+        options.scatter,
+        options.full,
+        options.level,
+        options.split,
+        options.conditions,
+        options.device,
+    )
     return [Trials("random slabs", try_slab, cases)]
 
 

@@ -2,6 +2,7 @@
 
 python -m studies regions --objects 300 --jobs 8 --json -
 python -m studies regions --objects 50 --scatter 0.08 --only "scatter 8 %"
+python -m studies regions --objects 24 --touches 16 --only "4 materials"
 
 Do a map's probabilities and intervals hold? Explorations of known surfaces, touched in closed form.
 
@@ -35,7 +36,7 @@ from deformscope.lab.scenes import built_in
 from deformscope.lab.session_errors import LabErrors, SessionErrors
 from deformscope.pictures.report import Table
 from deformscope.reproduce.closed_form_table import FIT_SD, LOG_N_PER_MM_60
-from deformscope.stages.map.map_score import TrueMap, match_regions
+from deformscope.stages.map.map_score import Z_90, TrueMap, match_regions
 from deformscope.stages.map.plan import FieldKernel, PlanOptions, plan_touch
 from deformscope.stages.regions.partitions import draw
 from deformscope.stages.regions.posterior import (
@@ -47,8 +48,9 @@ from deformscope.stages.regions.posterior import (
 )
 from deformscope.stages.regions.touch_error import LAW_SD, SCATTER_LENGTH_M, SCATTER_SHARED
 from deformscope.stages.regions.touches import MapGrid, StiffnessSample
+from studies.independent.random_maps import random_surface
 from studies.quantities import Quantity, Rate, band, by, number, rows, share, table
-from studies.seeds import reported
+from studies.seeds import INDEPENDENT, reported
 
 SCENES = (
     *("homogeneous-60", "homogeneous-110", "two-60-150", "two-110-150", "three-60-110-200", "disc", "gradient"),
@@ -64,7 +66,7 @@ BLUR_M = (0.006, 0.009)
 BINS = 5
 FIXED = 1.0
 
-Truth = Literal["prior", "scenes"]
+Truth = Literal["prior", "scenes", "maps"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +74,8 @@ class RegionCondition:
     """Where truths come from, and what the session keeps from the estimator.
 
     errors: None draws scatter, gain and arm from the estimator's own prior; gain_at, arm_at: fixed at so many of their
-    deviations, the sign by the seed, instead of drawn
+    deviations, the sign by the seed, instead of drawn; materials: on maps of an independent generator
+    (`studies.independent.random_maps`), which has its own errors, 0 = a gradual change
     """
 
     name: str
@@ -80,6 +83,7 @@ class RegionCondition:
     errors: LabErrors | None
     gain_at: float | None = None
     arm_at: float | None = None
+    materials: int = 0
 
 
 def scattered(share: float) -> RegionCondition:
@@ -97,6 +101,12 @@ REGION_CONDITIONS = (
 )
 """The first is the stated prior; then the laboratory with all its errors, one of them at a value of its own; the last
 two violate the model on either side: a scatter that neighbours share, and none."""
+
+INDEPENDENT_CONDITIONS = tuple(
+    RegionCondition(f"{number} materials" if number else "gradual maps", "maps", LabErrors.none(), materials=number)
+    for number in range(6)
+)
+"""Where nothing is shared with the estimator: maps, contacts and errors of their own."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,6 +127,7 @@ class RegionOutcome:
     level_z: (levels,) what is reported less the truth, in reported deviations;
     width: mean of the intervals of log stiffness; wrong_claimed, wrong: share of the surface with a wrong label, where
     the number is right and above 1; scatter: as learned; touches: made
+    cells_held: share of the surface whose true log stiffness lies in the 90 % interval; at_least: count may be more
     """
 
     condition: str
@@ -134,6 +145,8 @@ class RegionOutcome:
     scatter_true: float
     scatter: float
     touches: int
+    cells_held: float = np.nan
+    at_least: bool = False
 
     @property
     def right(self) -> bool:
@@ -173,6 +186,8 @@ class KnownSurface:
 
 def known_surface(condition: RegionCondition, seed: int, prior: RegionPrior) -> KnownSurface:
     """What is explored: the same for each seed."""
+    if condition.truth == "maps":
+        return _from_maps(condition.materials, seed)
     stream = zlib.crc32(condition.name.encode())  # sessions of two conditions have nothing in common
     rng = np.random.default_rng([seed, stream])
     grid, places_m = MapGrid(cell_m=CELL_M), MapGrid(cell_m=PlanOptions().cell_m).centres_m
@@ -200,12 +215,31 @@ def known_surface(condition: RegionCondition, seed: int, prior: RegionPrior) -> 
     return KnownSurface(true, places_m, felt, gain, arm, session.scatter_sd, seed)
 
 
+def _from_maps(materials: int, seed: int) -> KnownSurface:
+    """A surface of the independent generator."""
+    grid, places_m = MapGrid(cell_m=CELL_M), MapGrid(cell_m=PlanOptions().cell_m).centres_m
+    surface = random_surface(materials, INDEPENDENT.start + seed)
+    log_stiffness = surface.log_stiffness(grid.centres_m).reshape(grid.shape)
+    true = TrueMap(None, np.zeros(0), np.zeros(0, dtype=bool), log_stiffness)
+    if materials:
+        true = _true(surface.labels(grid.centres_m).reshape(grid.shape), surface.level)
+    return KnownSurface(
+        true=true,
+        places_m=places_m,
+        felt=surface.felt(places_m),
+        gain=0.0,
+        arm=0.0,
+        scatter_sd=surface.scatter_sd,
+        seed=INDEPENDENT.start + seed,
+    )
+
+
 def _from_prior(
     rng: np.random.Generator, prior: RegionPrior, grid: MapGrid, places_m: FloatArray
 ) -> tuple[TrueMap, FloatArray]:
     """A map of the prior, and what a contact feels at places (p, 2): off where it feels two regions."""
-    count = int(rng.choice(4, p=[prior.one, prior.two, prior.three, prior.gradual])) + 1
-    if count == 4:
+    count = int(rng.choice(len(prior.regions) + 1, p=[*prior.regions, prior.gradual])) + 1
+    if count > len(prior.regions):
         return _smooth(rng, prior, grid, places_m)
     level = prior.level_sd * rng.standard_normal(count)
     while count > 1 and np.diff(np.sort(level)).min() < prior.least_contrast:
@@ -311,6 +345,8 @@ def explore_known(case: RegionCase) -> RegionOutcome:
         scatter_true=surface.scatter_sd,
         scatter=shown.scatter,
         touches=len(posterior.touches),
+        cells_held=float((np.abs(shown.field - truth.log_stiffness) <= Z_90 * shown.field_sd).mean()),
+        at_least=shown.at_least,
     )
 
 
@@ -370,7 +406,8 @@ class RegionCoverageConfig(StudyOptions):
     scatter: Annotated[float | None, arg(metavar="SHARE")] = None
     """One more condition: foam whose log stiffness scatters by this, such as 0.08."""
     only: Annotated[str, arg(metavar="NAME,NAME...")] = ""
-    """These conditions alone, such as "stated prior,scatter 6 %"."""
+    """These conditions alone, such as "stated prior,scatter 6 %"; also "gradual maps" and "1 materials" to
+    "5 materials", which share nothing with the estimator."""
     touches: flags.ManyFlag = 8
     """Touches of each exploration at most."""
 
@@ -403,20 +440,21 @@ QUANTITIES: tuple[Quantity[Sequence[RegionOutcome]], ...] = (
         lambda some: _or_nan(np.mean, [one.wrong_claimed for one in some]),
         {"claimed share": number(3)},
     ),
+    Quantity("cells_held", lambda some: float(np.mean([one.cells_held for one in some])), {"cells held": number(2)}),
     Quantity("scatter_learned", lambda some: float(np.median([one.scatter for one in some]))),
     Quantity("touches", lambda some: float(np.mean([one.touches for one in some])), {"touches": number(1)}),
 )
 
 
 def _conditions(options: RegionCoverageConfig) -> list[RegionCondition]:
-    every = list(REGION_CONDITIONS)
+    every = [*REGION_CONDITIONS, *INDEPENDENT_CONDITIONS]
     if options.scatter is not None and scattered(options.scatter) not in every:
         every.append(scattered(options.scatter))
     named = [name.strip() for name in options.only.split(",") if name.strip()]
     known = [one.name for one in every]
     if unknown := [name for name in named if name not in known]:
         raise InputError(f"conditions out of {', '.join(known)}", ", ".join(map(repr, unknown)), "leave --only out")
-    return [one for one in every if one.name in named] if named else every
+    return [one for one in every if one.name in named] if named else [one for one in every if one.truth != "maps"]
 
 
 def trials(options: RegionCoverageConfig) -> list[Trials[RegionCase, RegionOutcome]]:

@@ -59,9 +59,11 @@ LAYERS: dict[str, tuple[str, ...]] = {
     # The simulated world must not share the model that is fitted to it.
     "lab": ("arrays", "capsule", "errors", "processes", "rig", "robot", "solid"),
     "session": ("frames",),
-    "rows": ("arrays", "frames", "images", "stages.map", "stages.squeeze"),
+    "rows": ("arrays", "frames", "images", "results", "stages.map", "stages.squeeze"),
     "page.server": ("errors",),
-    "recording": ("arrays", "errors", "frames", "images", "log", "page.server", "rows", "session", *STAGES),
+    "recording": (
+        *("arrays", "errors", "frames", "images", "log", "page.server", "results", "rows", "session", *STAGES),
+    ),
     "files": ("arrays", "errors", "file_io", "frames", "images", "recording", *STAGES),
     "experiments": (
         *("arrays", "capsule", "config", "errors", "file_io", "files", "frames", "images", "processes", "recording"),

@@ -18,8 +18,6 @@ from deformscope.bench.numpy_step import NumpyLattice
 from deformscope.bench.peers import Peer, PeerFailed
 from deformscope.bench.plan import BETA, CLUSTER, MIDDLE, BenchPlan, Note, side_of
 from deformscope.bench.timing import OURS, Contestant, Timing, TimingRow, clock, compare
-from deformscope.stages.msm.body import Parameters
-from deformscope.stages.msm.lattice import FIELDS
 from deformscope.stages.msm.solver import Msm
 
 WIDE_CLUSTER, WIDE_AT = 9, 50_653
@@ -30,6 +28,8 @@ SETUP_MOST_S = 40.0
 COPIED_BYTES, COPIES = 1 << 28, 8
 CACHES_BYTES = 1 << 27
 """Of a step's arrays, below which they may stay in a cache and memory's bandwidth bounds nothing."""
+READ, LEFT = ("mass", "free", "pull"), ("sums_fast", "sums_middle", "maps", "maps_slow", "maps_middle")
+"""Fields of a lattice's passes: of particles, and what one pass leaves to the next."""
 MEMORY_LEAST = 10_000
 """Particles below which the process's own memory, which comes in pages and pools, shows nothing."""
 
@@ -79,9 +79,8 @@ class Stepping:
 
     def moved_bytes(self) -> int:
         """Bytes of all fields that a step reads, and of those it writes and reads again: the least that must move."""
-        state, number = self.state, self.state.layout.each(np.zeros(1))
-        fields = state.operator.fields(Parameters(number, number, 0, 0))
-        arrays = [state.u, state.before, state.before, *(getattr(fields, name) for name in (*FIELDS, *FIELDS[3:]))]
+        state, fields = self.state, self.state.operator.fields
+        arrays = [state.u, state.before, state.before, *(getattr(fields, name) for name in (*READ, *LEFT, *LEFT))]
         return sum(int(each.capacity) for each in arrays)
 
 

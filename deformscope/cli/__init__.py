@@ -122,7 +122,7 @@ COMMANDS: dict[str, Command] = {
     "discard": _command(
         "mark a recording, or an episode of it, as not to be used", "DiscardRecordingConfig", "discard"
     ),
-    "export": _command("the images of a recording as files", "ExportConfig", "export"),
+    "export": _command("a recording in formats of others", "ExportConfig", "export"),
     "double": _command("run simulated devices on real transports", "DoubleConfig", "double"),
     "bench": _command("what MSM costs on this machine", "BenchConfig", "bench"),
 }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import multiprocessing
 import os
 import sys
 import time
@@ -20,8 +21,9 @@ from deformscope.pictures.findings import table_text
 from deformscope.pictures.report import Figure, Table
 from deformscope.plain import plain
 from deformscope.runs.result import open_recorder
-from deformscope.stages.msm.quiet import quiet_warp as quiet_warp
+from deformscope.stages.msm import quiet
 from deformscope.terminal import fit_progress as fit_progress
+from deformscope.terminal import is_watched
 from deformscope.terminal import say as say
 from deformscope.terminal import status_line as status_line
 
@@ -48,6 +50,16 @@ def console() -> Console:
     from rich.console import Console
 
     return Console(stderr=True, highlight=False)
+
+
+def quiet_warp() -> None:
+    """Start warp without its greeting; where none of its kernels was ever compiled, say why the first start is slow."""
+    import warp as wp
+
+    quiet.quiet_warp()
+    compiled = any(Path(str(wp.config.kernel_cache_dir)).glob("wp_deformscope_*"))
+    if not compiled and is_watched() and multiprocessing.parent_process() is None:
+        say("compiling kernels once, about 30 s: they are kept for later starts")
 
 
 def show(*found: object) -> None:

@@ -1,6 +1,7 @@
-"""`deformscope export`: the images of a recording as files.
+"""`deformscope export`: a recording in formats of others.
 
-deformscope export r.rrd --images frames
+deformscope export r.rrd --to parquet --out tables
+deformscope export r.rrd --to mcap --out bag --only wrench arm
 deformscope export r.rrd --images frames --camera front
 """
 
@@ -8,16 +9,29 @@ from __future__ import annotations
 
 from deformscope.cli.common import fit_progress, show_table, write_json
 from deformscope.config import ExportConfig
-from deformscope.recording.export import export_images
+from deformscope.recording.export.export import Credits, ExportRequest, export
 from deformscope.recording.reader import Replay
+from deformscope.recording.streams import SCHEMA_VERSION
 
 
 def run(config: ExportConfig) -> None:
-    """Write them, byte for byte as they were recorded."""
-    replay = Replay(config.recording)
-    with fit_progress() as note:
-        found = export_images(replay, config.images, config.camera, overwrite=config.overwrite, note=note)
-    show_table(
-        str(config.recording), [(f"{one.what} of {one.device}", f"{one.count} in {one.folder}") for one in found]
+    """Write it, and list what was written."""
+    asked = ExportRequest(
+        to=config.format,
+        folder=config.folder,
+        only=config.only,
+        camera=config.camera,
+        anonymous=config.anonymous,
+        credits=Credits(config.license, config.author, config.citation),
+        overwrite=config.overwrite,
+        manifest=config.to is not None,
     )
-    write_json({"recording": config.recording, "images": found}, config.json)
+    with fit_progress() as note:
+        found = export(Replay(config.recording), asked, note)
+    if config.format == "images":
+        rows = [(f"{one.what} of {one.device}", f"{one.count} in {one.folder}") for one in found.images]
+    else:
+        rows = [(one.entity, f"{one.rows} in {found.folder / one.file}") for one in found.files]
+    show_table(str(config.recording), rows)
+    said = {"recording": config.recording, "schema_version": SCHEMA_VERSION, "format": config.format}
+    write_json(said | {"folder": found.folder, "images": found.images, "files": found.files}, config.json)

@@ -15,6 +15,7 @@ from deformscope.config.options import CommandOptions, OutputOptions, RecordedOp
 from deformscope.errors import InputError
 
 WatchedStage = Literal["flow", "particles", "beta", "theta", "field", "surface", "tactile", "contact"]
+ExportFormat = Literal["csv", "parquet", "mcap", "video", "npz", "images"]
 StageWord = WatchedStage | Literal["tracking", "depth-change", "posterior"]
 """Stages of a rig; the last three belong to a squeeze, and are refused with that reason."""
 
@@ -183,19 +184,52 @@ class DiscardRecordingConfig(CommandOptions):
 
 @dataclass(frozen=True, slots=True)
 class ExportConfig(CommandOptions):
-    """Write the images of a recording as files, byte for byte as they were recorded: JPEG or PNG, distances as 16 bit
-    PNG in the camera's unit. Their names are their places in the camera's stream."""
+    """Write a recording in a format of others: its streams as CSV, Parquet or NumPy files, all of it as MCAP with ROS 2
+    messages, its images as files (byte for byte as they were recorded) or videos. Units stand in the names of columns
+    and in their metadata; `export.json` lists what was written."""
 
     recording: flags.RecordingFlag
     """The recording."""
-    images: Annotated[Path, arg(metavar="FOLDER")]
-    """Where they go; several cameras get a folder each in it."""
+    to: ExportFormat | None = None
+    """The format. mcap needs `pip install 'deformscope[mcap]'`."""
+    out: Annotated[Path | None, flags.one_word("FOLDER", Path), flags.unset] = None
+    """Where it goes: a new folder, or an empty one. It is there once all is written."""
+    images: Annotated[Path | None, flags.one_word("FOLDER", Path), flags.unset] = None
+    """Short for --to images --out FOLDER, without `export.json`; several cameras get a folder each in it. Names are
+    places in the camera's stream, distances 16 bit PNG in the camera's unit."""
+    only: Annotated[tuple[str, ...], arg(metavar="ENTITY...", help_behavior_hint="")] = ()
+    """Entities (wrench/tip), all below one (exploration), or devices (tip); default: all."""
     camera: flags.CameraFlag = None
-    """Those of this camera alone."""
+    """Images of this camera alone."""
+    anonymous: bool = False
+    """Leave out what may name a person, a machine or a path: commands, notes and other words, serial numbers, raw bytes
+    of devices, input files."""
+    license: str = ""
+    """Of the data, as an SPDX identifier (CC-BY-4.0); goes along into every format."""
+    author: Annotated[tuple[str, ...], arg(metavar="NAME...", help_behavior_hint="")] = ()
+    """Who made the data; goes along too, also where the rest is anonymous."""
+    citation: str = ""
+    """How the data are cited; goes along too."""
     overwrite: bool = False
-    """Replace the images of an earlier export. Without it, a folder that holds something is refused."""
+    """Replace the files of an earlier export. Without it, a folder that holds something is refused."""
     json: flags.JsonFlag = None
     """Write what was written as JSON; with -, stdout is the JSON alone."""
+
+    def check(self) -> None:
+        if (self.to is None) == (self.images is None) or (self.to is None) != (self.out is None):
+            raise InputError("a format and a folder", "none, or more than one", "--to parquet --out FOLDER")
+        if self.camera is not None and self.format not in ("images", "video"):
+            raise InputError("--camera with images or video", self.format, f"--only {self.camera}")
+
+    @property
+    def format(self) -> ExportFormat:
+        """The format, also where it is asked for by --images."""
+        return self.to or "images"
+
+    @property
+    def folder(self) -> Path:
+        """Where it goes."""
+        return self.out or self.images or Path()
 
 
 @dataclass(frozen=True, slots=True)

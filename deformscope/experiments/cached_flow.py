@@ -8,7 +8,7 @@ from deformscope.arrays import BoolArray, ImageArray
 from deformscope.errors import InputError
 from deformscope.experiments.foam_video import ParticleOptions
 from deformscope.frames import ColorFrame
-from deformscope.stages.see.flow import FlowField, FlowMethod, flow_both_ways
+from deformscope.stages.see.flow import FlowField, FlowMethod, FlowStep, flow_onward
 from deformscope.stages.see.particles import ParticleGrid, Tracked, advance, seed_grid, select_held, start
 
 MOST_BYTES = 2 << 30
@@ -26,9 +26,11 @@ class CachedFlow:
         self._flows: list[tuple[FlowField, FlowField]] = []
         images: list[ImageArray] = []
         held_bytes = 0
+        step: FlowStep | None = None
         for done, frame in enumerate(frames, 1):
             if images:
-                forward, backward = flow_both_ways(images[-1], frame.image, method)
+                step = flow_onward(images[-1], frame.image, method, step)
+                forward, backward = step.forward, step.backward
                 self._flows.append((forward, FlowField(backward.flow_px)))  # all of them that `advance` looks at
                 maps = (forward.flow_px, forward.noise_px, forward.misfit, backward.flow_px)
                 held_bytes += sum(one.nbytes for one in maps if one is not None)

@@ -424,7 +424,7 @@ class Explorer:
         """What the map takes of a touch, None where it has not what is mapped; and its contact, as on the level
         layer."""
         felt = self.search.sample(touched.xy_m, contact.fit)
-        stiffness = self._quantity.stiffness(felt, creep, contact.speed_m_s)
+        stiffness = self._stage("creep", lambda: self._quantity.stiffness(felt, creep, contact.speed_m_s))
         if stiffness is None:
             return contact, None
         shift = None
@@ -479,6 +479,7 @@ class Explorer:
             labels=found.labels,
             label_probability=found.label_probability,
             region_count=found.region_count,
+            at_least=found.at_least,
             verdict=found.verdict,
             probability=found.probability[str(found.region_count or "gradual")],
             level_n_per_mm=np.exp(found.level),

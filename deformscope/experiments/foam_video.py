@@ -19,7 +19,7 @@ from deformscope.errors import InputError
 from deformscope.session import Experiment, Step, measuring
 from deformscope.stages.fit.calibrate import Calibration, FitOptions, Model, Observation, Progress, calibrate
 from deformscope.stages.fit.estimate import Comparison
-from deformscope.stages.see.flow import FlowMethod, flow_both_ways
+from deformscope.stages.see.flow import FlowMethod, FlowStep, flow_onward
 from deformscope.stages.see.particles import ParticleGrid, Rect, Tracked, advance, seed_grid, select_held, start
 
 FRAMES_AT_ONCE = 256
@@ -105,15 +105,16 @@ def track(
     if times is not None:
         times.append(0.0)
     step = Step((grid, history[0]))
+    flow: FlowStep | None = None
     while True:
         following = yield step
         if following is None:
             return grid, history
-        forward, backward = flow_both_ways(frame.image, following.image, particles.flow)
-        history.append(advance(history[-1], forward, backward))
+        flow = flow_onward(frame.image, following.image, particles.flow, flow)
+        history.append(advance(history[-1], flow.forward, flow.backward))
         if times is not None:
             times.append(1e-9 * (following.stamp.host_ns - began.host_ns))
-        step = Step((forward, history[-1]))
+        step = Step((flow.forward, history[-1]))
         frame = following
 
 

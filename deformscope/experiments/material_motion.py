@@ -15,7 +15,7 @@ from deformscope.experiments.foam_video import ParticleOptions, last_pose
 from deformscope.experiments.whole_motion import TrackedMotion, tracked_motion
 from deformscope.session import Experiment, Step
 from deformscope.stages.fit.doubts import little_explained
-from deformscope.stages.fit.estimate import Comparison, Doubt, NoiseSource
+from deformscope.stages.fit.estimate import Comparison, NoiseSource
 from deformscope.stages.fit.model import Model, Observation
 from deformscope.stages.fit.motion import Motion
 from deformscope.stages.fit.search import Progress
@@ -42,9 +42,6 @@ MaterialEstimate = AxisEstimate | FieldEstimate | YieldEstimate | RecoveryEstima
 
 MOST_FRAMES = 8
 """Of a camera's motion that yielding is fitted to: a history of loads takes seconds a frame."""
-
-WATCHED_LEAST = 1.0
-"""A recovery is watched long enough if it was for so many times its mean relaxation time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -290,7 +287,7 @@ def _recovery(
     after = moved[cycle.loaded :, known]
     left = after - amplitude[cycle.loaded :, None, None] * shape
     explained = 1.0 - float(np.sum(left**2) / np.sum(after**2))
-    reasons = (*little_explained(explained, left_is_noise=False), *_watched(found))
+    reasons = (*little_explained(explained, left_is_noise=False), *found.reasons)
     verdict = "unidentified" if any(one.allows == "unidentified" for one in reasons) else found.verdict
     settings = found.settings | {"unloading": cycle.as_json(), "particles": int(known.sum())}
     estimate = dataclasses.replace(
@@ -307,15 +304,3 @@ def _recovery(
     states = motion.rest + size[:, None, None] * rise
     every = _beside(motion, states, first)
     return MaterialFit(estimate, every[max(0, -first) :], motion)
-
-
-def _watched(found: RecoveryEstimate) -> list[Doubt]:
-    """Whether the record is long enough for what it shows."""
-    slowest = found.time_s.interval[1]
-    if found.verdict in ("elastic", "plastic") or found.watched_s >= WATCHED_LEAST * slowest:
-        return []
-    text = (
-        f"what recovers takes {found.time_s.value:.2g} s (up to {slowest:.2g} s), and {found.watched_s:.2g} s were "
-        "watched after the release: a slow recovery and a permanent set look alike; record longer"
-    )
-    return [Doubt("short-record", text)]

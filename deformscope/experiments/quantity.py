@@ -9,6 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from deformscope.arrays import FloatArray
+from deformscope.errors import InputError
 from deformscope.stages.map.exploration import MapEstimate
 from deformscope.stages.map.loss import by_loss, loss_sample
 from deformscope.stages.poke.creep import REFERENCE_SPEED_M_S, CreepFit
@@ -76,6 +77,8 @@ class RelaxedStiffness(ApparentStiffness):
     ) -> StiffnessSample | None:
         if felt.rigid or creep is None:
             return felt if felt.rigid else None
+        if creep.relaxed_n_per_mm is None or creep.relaxed_log_sd is None:
+            raise InputError("a relaxed stiffness", creep.reasons[0].text, "a longer `hold_s`, or feel=apparent")
         log_sd = float(np.hypot(creep.relaxed_log_sd, LAW_SD))
         return dataclasses.replace(felt, log_stiffness=float(np.log(creep.relaxed_n_per_mm)), log_sd=log_sd)
 

@@ -155,6 +155,7 @@ class ThesisSearch(RegionSearch):
             labels=labels,
             label_probability=cut.probability,
             region_count=len(every),
+            at_least=False,
             verdict="regions",
             probability=self.region_map.probability.get(str(len(every)), 0.0),
             level_n_per_mm=np.exp(level),

@@ -5,6 +5,7 @@
                 the accuracy that the evaluation found, provenance
     fusion.weight (M, C), fusion.offset (C,): how reliable each modality is for each class; step_fusion.3.weight...: the
     same for the modalities with steps at step 3, where there are several
+    seen.NAME (N,): fingerprints of the trials that it was trained on; files of before have none
     m0.used (p,), m0.mean, m0.scale, m0.centre (q,), m0.directions (q, d), m0.weight (K, C), m0.offset (C,), and of its
     classifiers m0.c0.points..., in the order of `told`; s0.3.used...: the same for step 3 of the first modality with
     steps
@@ -44,6 +45,7 @@ KINDS: dict[str, type[Classifier]] = {
 def classifier_arrays(model: ContentModel) -> dict[str, npt.NDArray[Any]]:
     """A model as the arrays of its file, by name; shapes as in `_take` and `_member`."""
     arrays: dict[str, npt.NDArray[Any]] = {"fusion.weight": model.fusion.weight, "fusion.offset": model.fusion.offset}
+    arrays |= {f"seen.{name}": prints for name, prints in model.seen.items()}
     described: dict[str, Any] = {
         "labels": model.labels,
         "modalities": [
@@ -139,7 +141,20 @@ def _model(found: Arrays) -> ContentModel:
     about: list[Mapping[str, object]] = [described["settings"], described["promised"], described["provenance"]]
     if not all(isinstance(one, dict) for one in about):
         raise ValueError("settings, promised or provenance")
-    return ContentModel(labels, modalities, fusion, steps, step_fusion, step_s, *about)
+    seen = {name: _array(found, f"seen.{name}", "i", (None,)) for name in modalities if f"seen.{name}" in found}
+    settings, promised, provenance = about
+    return ContentModel(
+        labels,
+        modalities,
+        fusion,
+        steps,
+        step_fusion,
+        step_s,
+        settings=settings,
+        promised=promised,
+        provenance=provenance,
+        seen=seen,
+    )
 
 
 def _take(found: Arrays, prefix: str, described: Mapping[str, Any], classes: int) -> ModalityModel:

@@ -157,5 +157,8 @@ def recovery_png(found: RecoveryEstimate) -> bytes:
     axis.set(xlabel="time [s]", ylabel="share of the largest displacement [-]")
     axis.grid(alpha=0.3)
     axis.legend()
-    axis.set_title(f"{found.verdict}: {found.share.value:.0%} of the modulus relaxes", fontsize=10)
+    least = "at least " * bool(found.reasons)
+    axis.set_title(f"{found.verdict}: {least}{found.share.value:.0%} of the modulus relaxes", fontsize=10)
+    if found.force_kept:
+        axis.set_xlabel(f"time [s]\nheld in place it {found.force_kept[-1]}")
     return png_of(figure, 130)

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from deformscope.pictures.report import Table
 from deformscope.stages.fit.estimate import Choice, Doubt, Estimate, explained_text
 from deformscope.stages.map.exploration import InclusionsResult, MapEstimate, StageFailure
-from deformscope.stages.poke.creep import CreepFit
 
 
 def counted(number: int, word: str) -> str:
@@ -18,8 +17,13 @@ def counted(number: int, word: str) -> str:
 
 def format_verdict(maps: MapEstimate) -> str:
     """How many regions there are, if any."""
+    return "gradual: no regions" if maps.verdict == "gradual" else format_regions(maps)
+
+
+def format_regions(maps: MapEstimate) -> str:
+    """How many regions there are, and between what."""
     between = "" if maps.isopleths is None else " between isopleths of beta"
-    return "gradual: no regions" if maps.verdict == "gradual" else counted(maps.region_count, "region") + between
+    return counted(maps.region_count, "region") + " or more" * maps.at_least + between
 
 
 def format_claim(probability: float | None) -> str:
@@ -55,22 +59,6 @@ def format_travel(travel_m: float) -> str:
 def format_iou(maps: MapEstimate) -> str:
     """How good the map is, and against what; empty where the truth is not known."""
     return "" if maps.iou is None else f"IoU {maps.iou:.3f} with the truth"
-
-
-def format_creep(creep: CreepFit) -> str:
-    """What a hold said of the foam's creep."""
-    loss = "" if creep.loss is None else f", a touch loses {creep.loss:.0%} of its energy"
-    if creep.verdict == "elastic":
-        return f"elastic within {creep.held_s:.3g} s{loss}"
-    if creep.verdict == "slipping":
-        return f"slipping: {creep.why}; what it says of creep is doubtful"
-    if creep.kept is not None and creep.kept_interval is not None and creep.verdict == "plastic":
-        loss += ", {:.0%} ({:.0%} to {:.0%}) of the dent stays".format(creep.kept, *creep.kept_interval)
-    low, high = creep.relaxed_interval
-    least, most = creep.share_interval
-    relaxed = f"{creep.relaxed_n_per_mm:.3g} N/mm ({low:.3g} to {high:.3g}) when relaxed"
-    share = f"{creep.share:.0%} ({least:.0%} to {most:.0%}) of the modulus relaxes in {creep.time_s:.2g} s"
-    return f"{creep.verdict}: {relaxed}, {share}{loss}"
 
 
 def format_inclusions(found: InclusionsResult) -> str:

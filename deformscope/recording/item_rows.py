@@ -6,7 +6,7 @@ import heapq
 import logging
 import re
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Protocol
@@ -69,7 +69,7 @@ def read_rows(
     warning. read_image: what becomes of an encoded image, of which the second argument says which it is
     device: what comes from this one alone
     """
-    starts = _Starts(replay, kinds, device)
+    starts = Starts((_earliest(chunk), str(chunk.id)) for chunk, _, _ in portions(replay, kinds, device))
     parts: dict[bytes, _Part] = {}
     waiting: list[tuple[int, bytes]] = []
     cut_off: Counter[tuple[str, str]] = Counter()
@@ -92,12 +92,11 @@ def read_rows(
         _logger.warning("%d %s of %s were recorded in part, and are left out", count, kind_name, name)
 
 
-class _Starts:
-    """The earliest time of each portion that is still to come."""
+class Starts:
+    """The earliest time of each portion that is still to come. coming: (earliest time [ns], id) of each"""
 
-    def __init__(self, replay: Chunked, kinds: Sequence[type], device: str | None) -> None:
-        found = portions(replay, kinds, device)
-        self._coming = [(min(_times(chunk), default=0), str(chunk.id)) for chunk, _, _ in found]
+    def __init__(self, coming: Iterable[tuple[int, str]]) -> None:
+        self._coming = list(coming)
         heapq.heapify(self._coming)
         self._done: set[str] = set()
 
@@ -116,11 +115,15 @@ def portions(replay: Chunked, kinds: Sequence[type], device: str | None = None) 
     for chunk in replay.chunks(*(f"/{entity}" for entity in alone), *(f"/{entity}/**" for entity in of_devices)):
         if chunk.is_static or "session" not in chunk.timeline_names:
             continue
-        first, *names = (_unescaped(part) for part in _PART.findall(chunk.entity_path))
+        first, *names = entity_parts(chunk.entity_path)
         kind = alone.get(chunk.entity_path.strip("/")) or (of_devices.get(first) if len(names) == 1 else None)
         name = names[0] if kind in OF_DEVICES else ""
         if kind is not None and device in (None, name):  # else a plot, or something else to look at
             yield chunk, kind, name
+
+
+def _earliest(chunk: Chunk) -> int:
+    return min(_times(chunk), default=0)
 
 
 def _times(chunk: Chunk) -> list[int]:
@@ -165,6 +168,11 @@ def _cells(column: ListArray) -> list[Any]:
         cut = values.to_numpy(zero_copy_only=False)
     rows = [cut[first:last] for first, last in pairwise(offsets)]
     return [row if there else None for row, there in zip(rows, column.is_valid().to_pylist(), strict=True)]
+
+
+def entity_parts(path: str) -> list[str]:
+    """The parts of an entity's path, with devices' names as they were before they became part of it."""
+    return [_unescaped(part) for part in _PART.findall(path)]
 
 
 def _unescaped(part: str) -> str:

@@ -64,3 +64,29 @@ def properties(settings: Mapping[str, object], *, brief: bool) -> dict[str, obje
         found |= {"versions": json.dumps(versions()), "git": json.dumps(git_state())}
         found |= {"command": json.dumps(command()), "platform": machine()}
     return found
+
+
+def exported(properties: Mapping[str, object], *, anonymous: bool) -> dict[str, object]:
+    """What an export says of how the recording was made. anonymous: versions, and of the settings the numbers alone:
+    commands, machines, commits and words may name a person, a machine or a path"""
+    found = {name: _parsed(value) for name, value in properties.items()}
+    if not anonymous:
+        return found
+    kept = {name: value for name, value in found.items() if name in ("format", "seed", "versions")}
+    return kept | {"settings": _numbers(found.get("settings"))}
+
+
+def _parsed(value: object) -> object:
+    try:
+        return json.loads(value) if isinstance(value, str) else value
+    except ValueError:
+        return value
+
+
+def _numbers(value: object) -> object:
+    if isinstance(value, Mapping):
+        inner = {name: _numbers(one) for name, one in value.items()}
+        return {name: one for name, one in inner.items() if one not in (None, {}, [])}
+    if isinstance(value, list):
+        return [one for one in map(_numbers, value) if one is not None]
+    return value if isinstance(value, bool | int | float) else None

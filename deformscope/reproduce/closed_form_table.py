@@ -45,13 +45,13 @@ def true_log_stiffness(modulus_pa: FloatArray) -> FloatArray:
     return np.asarray(LOG_N_PER_MM_60 + 2.0 / 3.0 * np.log(modulus_pa / initial_modulus_pa(60.0)))
 
 
-def run_closed_form(job: TableJob) -> TableRun:
-    """Explore one scene."""
+def run_closed_form(job: TableJob, prior: RegionPrior | None = None) -> TableRun:
+    """Explore one scene. prior: of the estimator, None = as `explore` has it"""
     began = time.perf_counter()
     scene, options = built_in(job.scene, job.seed), PlanOptions(planner=job.planner, budget=job.touches)
     truth, random = _truth(scene), np.random.default_rng([job.seed, 0xC10])
     errors = (LabErrors.none() if job.clean else LabErrors()).draw([job.seed, 0xC11])
-    posterior = RegionPosterior.before_touches(MapGrid(scene.size_m), seed=job.seed)
+    posterior = RegionPosterior.before_touches(MapGrid(scene.size_m), prior, seed=job.seed)
     after: list[MapAfter] = []
     stop_after, travel_m = None, 0.0
     with threadpool_limits(1):

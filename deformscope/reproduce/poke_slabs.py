@@ -74,8 +74,8 @@ class PokedSlab:
             return np.asarray(low * (high / low) ** share)
         return np.where(inside > 0.0, high, low)
 
-    def slab(self) -> Slab:
-        return Slab(SIZE, self.young, POISSON)
+    def slab(self, poisson: float = POISSON) -> Slab:
+        return Slab(SIZE, self.young, poisson)
 
     def apparent(self, place: FloatArray) -> FloatArray:
         """Young's modulus (n,) [Pa] of the slab of one material that a poke at places (n, 2) would meet as this one."""

@@ -98,6 +98,15 @@ derived = _as_decorator(Quantity)
 """Stands on a method, or below `@property`, that is reported as a field is; arguments as `Quantity` has them."""
 
 
+LATER: Mapping[str, object] = {"deformscope.later": True}
+"""The metadata of a field that came after recordings of its class were made: those are read with its default."""
+
+
+def came_later(field: dataclasses.Field[Any]) -> bool:
+    """Whether a field is declared with `LATER`."""
+    return field.metadata.keys() >= LATER.keys()
+
+
 def quantities(kind: type) -> tuple[Quantity, ...]:
     """What is reported of a dataclass, in the order in which it is declared."""
     return _quantities(cast("Any", kind))

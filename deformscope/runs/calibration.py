@@ -59,6 +59,7 @@ from deformscope.stages.msm.poke import Law
 from deformscope.stages.msm.quiet import quiet_warp
 from deformscope.stages.poke.fitted import FittedModel, from_pair
 from deformscope.stages.poke.poke_estimate import PokesResult
+from deformscope.stages.poke.poke_fit import NEWEST
 from deformscope.stages.see.particles import clean_mask
 from deformscope.version import __version__
 from deformscope_drivers.clock import Stamp
@@ -66,11 +67,11 @@ from deformscope_drivers.clock import Stamp
 PairArrays: TypeAlias = Mapping[str, Any]
 """A pair by name, as in a pair file: `rest (K, d)`, `deformed (K, d)` [m], `held (n,)`, and what else one holds."""
 
-FLOW_S_PER_PX = 3e-6
-"""Flow both ways between two frames takes about so long on two cores [s/px]: 0.9 s at 640x480."""
-FOLLOWED_S, FEWEST_FRAMES = 45.0, 16
-"""Frames of a long sequence are followed for so long, but no fewer than these; the fit takes the rest of a minute."""
-LAYERS_S, MOST_PARTICLES = 9e-5, 11_000
+FLOW_S_PER_PX = 5e-7
+"""Flow both ways from a frame to the next in steady motion takes about so long on two cores [s/px]."""
+FOLLOWED_S, FEWEST_FRAMES = 7.5, 16
+"""Frames of a long sequence are followed for so long, but no fewer than these; in jumps up to 7 times that."""
+LAYERS_S, MOST_PARTICLES = 6e-6, 11_000
 """A fit of layers takes about so long for each cluster size and particle to the power 4 / 3 [s], and has so many
 particles by default."""
 FLAT_SURFACE = "note: a flat surface by itself hardly feels beta; --thickness-m fits the material below it"
@@ -245,7 +246,7 @@ def _layers(config: BetaConfig | ThetaConfig) -> LayersOptions | None:
     if not isinstance(config, BetaConfig) or config.layers.thickness_m is None:
         return None
     most = None if config.search.fine else MOST_PARTICLES
-    own = {"cluster_size": config.cluster_size, "theta": config.theta, "most_particles": most}
+    own = {"cluster_size": config.cluster_size, "theta": config.theta, "most_particles": most, "version": NEWEST}
     return LayersOptions(**config.layers.shared(LayersOptions) | own)
 
 
@@ -385,7 +386,8 @@ def calibrate_pair_bytes(
 
     def say_before(particles: int, spacing_m: float, finest_m: float) -> None:
         sizes = 3 if layers is None or layers.cluster_size is None else 1
-        if (seconds := LAYERS_S * sizes * particles ** (4 / 3)) > 10.0:
+        seconds = LAYERS_S * sizes * particles ** (4 / 3)
+        if seconds > 10.0 or spacing_m > finest_m:
             words = f"{particles} particles, {1e3 * spacing_m:.2g} mm apart: the fit takes about {_minutes(seconds)}"
             finer = f"; --fine sets them {1e3 * finest_m:.2g} mm apart" if spacing_m > finest_m else ""
             note(f"{words} on two cores{finer}")

@@ -48,18 +48,18 @@ class ClassificationResult(LibraryResult):
 
     @property
     def interval(self) -> tuple[float, float]:
-        """Of that accuracy."""
+        """Of that accuracy, in the containers that were squeezed."""
         return self.evaluation.best.accuracy.interval
 
     def __repr__(self) -> str:
-        return f"<{format_accuracy(self.evaluation.best)}>"
+        return f"<{format_told(self.evaluation, self.evaluation.trusted)}>"
 
     def model(self, progress: Progress | None = None) -> ContentModel:
         """A classifier trained on all trials; `predict_proba` names contents from new features."""
-        found, best = self.evaluation, self.evaluation.best
+        found, best = self.evaluation, self.evaluation.trusted
         promised = {
             "accuracy": best.accuracy.value,
-            "interval": best.accuracy.interval,
+            "interval": found.elsewhere(best),
             "balanced_accuracy": best.balanced.value,
             "level": best.level,
             "protocol": found.protocol,
@@ -99,6 +99,9 @@ class ClassificationResult(LibraryResult):
             "split_accuracy": score.split_accuracy,
             "recommended": score is found.best,
         }
+        if score is found.best:
+            entry |= {"interval_elsewhere": found.elsewhere(found.trusted), "near_copies": found.copies}
+            entry["without_near_copies"] = None if found.without_copies is None else to_json(found.without_copies)
         if score.pair is not None:
             return entry | {"trained_on": score.pair[0], "tested_on": score.pair[1]}
         if score.protocol == found.protocol:
@@ -121,7 +124,8 @@ class ClassificationResult(LibraryResult):
         table = found.table
         sizes = [int((table.label == one).sum()) for one in table.classes]
         rows: list[tuple[str, str]] = [
-            ("result", format_accuracy(found.best)),
+            *([("without near copies", format_told(found, found.without_copies))] if found.without_copies else []),
+            ("result" if not found.copies else "with near copies", format_told(found, found.best)),
             ("trials", f"{len(table)} of {len(table.classes)} classes, {min(sizes)} to {max(sizes)} each"),
         ]
         if table.group is not None:
@@ -149,6 +153,19 @@ def format_accuracy(score: ClassificationScore) -> str:
     """Accuracy with its interval, and what naming the most frequent class would reach."""
     method = f"{score.modality}, {score.method}, {score.splits} {format_split(score)}"
     return f"{format_right(score)}, chance {score.chance:.1%}: {method}"
+
+
+def format_told(found: Evaluation, score: ClassificationScore) -> str:
+    """As `format_accuracy`; where no groups are told the interval for another container comes first."""
+    if found.protocol == "group":
+        return format_accuracy(score)
+    low, high = found.elsewhere(score)
+    (near_low, near_high), method = score.accuracy.interval, f"{score.modality}, {score.method}"
+    return (
+        f"{score.accuracy.value:.1%} right; in another container or session {low:.1%} to {high:.1%}, in new trials of "
+        f"those that were squeezed {near_low:.1%} to {near_high:.1%} ({score.level:.0%} intervals), chance "
+        f"{score.chance:.1%}: {method}, {score.splits} {format_split(score)}"
+    )
 
 
 def format_right(score: ClassificationScore) -> str:

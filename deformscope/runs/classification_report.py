@@ -11,7 +11,7 @@ from deformscope.pictures.palette import GOOD, IDLE, WARN, hexadecimal
 from deformscope.pictures.report import Figure, Part, ReportVerdict, Section, Table, html_report
 from deformscope.results.render import to_columns
 from deformscope.runs.calibration_report import provenance_sections
-from deformscope.runs.classification import ClassificationResult, format_accuracy, format_fusion, score_tables
+from deformscope.runs.classification import ClassificationResult, format_fusion, format_told, score_tables
 from deformscope.stages.squeeze.evaluation import Evaluation
 from deformscope.stages.squeeze.groupings import ALPHA
 from deformscope.stages.squeeze.model import ContentModel
@@ -150,12 +150,12 @@ CALIBRATION_WORDS = (
 
 
 def _verdict(found: Evaluation) -> ReportVerdict:
-    best = found.best
+    best = found.trusted
     low, _ = best.accuracy.interval
     color = GOOD if low > best.chance else WARN if best.accuracy.value > best.chance else IDLE
     known = "better than chance" if low > best.chance else "NOT distinguishable from chance"
     words = (f"Contents are known {known}.", *(f"Note: {one}." for one in found.notes))
-    return ReportVerdict(_sentence(format_accuracy(best)), words, hexadecimal(color))
+    return ReportVerdict(_sentence(format_told(found, best)), words, hexadecimal(color))
 
 
 def _sentence(words: str) -> str:

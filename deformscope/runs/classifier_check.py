@@ -94,6 +94,9 @@ class ClassifierCheckResult(LibraryResult):
 
 def format_promise(check: ModelCheck) -> str:
     """Whether the accuracy is what the model's file promises."""
+    if check.trained:
+        count = int(check.score.trials.sum())
+        return f"not judged: {check.trained} of {count} trials trained this model, and say nothing of new ones"
     if check.promised is None or check.expected is None:
         return "nothing: the file holds no accuracy"
     better = check.score.accuracy.value > check.expected[1]
@@ -115,7 +118,7 @@ def format_calibration(check: ModelCheck) -> str:
 def check_page(result: ClassifierCheckResult, seed: int, settings: Mapping[str, object]) -> str:
     """As one HTML page."""
     check = result.check
-    well = check.calibration_kept and check.kept is not False
+    well = check.calibration_kept and check.kept is not False and not check.trained
     words = (f"Promised: {format_promise(check)}.", f"Calibration: {format_calibration(check)}.")
     verdict = ReportVerdict(format_right(check.score), words, hexadecimal(GOOD if well else WARN))
     sections = [Section("", [verdict, *result.tables()]), Section("Answers", list(result.figures()))]

@@ -11,13 +11,21 @@ import numpy as np
 
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.experiments.options import SHALLOW_M
-from deformscope.pictures.messages import counted, format_claim, format_failure, format_stop, format_travel
+from deformscope.pictures.messages import (
+    counted,
+    format_claim,
+    format_failure,
+    format_regions,
+    format_stop,
+    format_travel,
+)
 from deformscope.pictures.report import Figure, Table
 from deformscope.recording.losses import named
 from deformscope.results.declared import derived, quantities, reported
 from deformscope.results.render import Rows, format_value, to_columns, to_json, units_of
 from deformscope.runs.result import LibraryResult
 from deformscope.stages.map.exploration import (
+    PLATEAU_FACTOR,
     DetectionLimit,
     InclusionsResult,
     MapEstimate,
@@ -129,6 +137,12 @@ class ExplorationResult(LibraryResult):
 
     @property
     @derived()
+    def region_count_at_least(self) -> bool:
+        """Whether there may be more: as many are the most that are told apart."""
+        return self.estimate is not None and self.estimate.at_least
+
+    @property
+    @derived()
     def regions(self) -> tuple[MapRegion, ...]:
         """Each region, the softest first."""
         return () if self.estimate is None else self.estimate.regions
@@ -199,11 +213,9 @@ class ExplorationResult(LibraryResult):
         """The verdict with its probability, and what else is likely."""
         if self.estimate is None:
             return "none: no touch gave a map"
-        kind = counted(self.estimate.region_count, "region")
+        kind = format_regions(self.estimate)
         if self.verdict == "gradual":
             kind = f"gradual: no regions, the {'energy loss' if self.feel == 'loss' else 'stiffness'} changes smoothly"
-        if self.regions_by == "beta":
-            kind += " between isopleths of beta"
         return f"{kind} ({format_claim(self.verdict_probability)}{self._rival()})"
 
     def _rival(self) -> str:
@@ -226,6 +238,8 @@ class ExplorationResult(LibraryResult):
         if self.thickness.known_by == NOT_KNOWN:
             why = "no thickness_m in [surface], and the camera sees no table beside the foam"
             rows.append(("modulus", f"not known: {why}"))
+        elif any(one.modulus_text for one in self.regions):
+            rows.append(("modulus", f"no interval: foam that yields may have up to {PLATEAU_FACTOR:g} times as much"))
         if (truth := self.truth) is not None and truth.iou is not None:
             off = "" if truth.boundary_m is None else f", border {100 * truth.boundary_m:.1f} cm off"
             true = counted(truth.region_count, "region")
@@ -260,7 +274,7 @@ class ExplorationResult(LibraryResult):
         if region.rigid:
             return f"{loss}{region.level_text} N/mm (a lower bound: hardly dented)"
         low, high = region.stiffness_interval_n_per_mm
-        modulus = f"; modulus {format_value(region, 'modulus_pa')}" if region.modulus_pa is not None else ""
+        modulus = f"; modulus {format_value(region, 'modulus_pa')} if linear" if region.modulus_pa is not None else ""
         return f"{loss}{region.level_text} N/mm ({low:.3g} to {high:.3g}) at {self.set_force_n:g} N{modulus}"
 
     def _missed_rows(self) -> Rows:

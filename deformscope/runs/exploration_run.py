@@ -277,7 +277,6 @@ def _remarks(result: object, made: int, budget: int, spent_s: float) -> Iterator
     """What is printed of a result. made: touches so far, of `budget` at most; spent_s: on them [s]"""
     from deformscope.pictures.messages import (
         format_claim,
-        format_creep,
         format_failure,
         format_inclusions,
         format_iou,
@@ -310,7 +309,7 @@ def _remarks(result: object, made: int, budget: int, spent_s: float) -> Iterator
         yield f"  measured at {_cm(result.xyz_m[:2])} cm: {to_line(result)}"
         if result.creep is not None:
             at = "" if result.speed_m_s is None else f", felt at {1e3 * result.speed_m_s:.2g} mm/s"
-            yield f"  creep{at}: {format_creep(result.creep)}"
+            yield f"  creep{at}: {result.creep.text}"
     elif isinstance(result, MapEstimate):
         truth = f", {format_iou(result)}" if format_iou(result) else ""
         yield f"  map so far: {format_verdict(result)} ({format_claim(result.claimed)}){truth}"

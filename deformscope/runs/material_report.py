@@ -134,6 +134,7 @@ def _unloading(settings: dict[str, object]) -> Rows:
 def _field_rows(found: FieldEstimate) -> Rows:
     meaning = {
         "uniform": "no place differs from the others, as far as can be seen",
+        "anisotropic": "one material, stiffer along one direction; no place differs from the others",
         "materials": f"{found.materials} materials with sharp borders",
         "gradual": "it changes from place to place, by no few materials",
         "unidentified": "how stiff most places are against the others is not known",
@@ -152,7 +153,7 @@ def _field_rows(found: FieldEstimate) -> Rows:
         *to_rows(found, "ratio"),
         ("verdict", f"{found.verdict}: {_lowered(found.reasons) or meaning}"),
         *reason_rows(found.reasons),
-        *to_rows(found, "determined"),
+        *to_rows(found, "determined", "directions"),
     ]
     for number, one in enumerate(found.levels() if found.materials > 1 else []):
         numbers = f"{one['stiffness_over_softest']:.3g} times the softest, beta {one['beta']:.2g}, {one['share']:.0%}"
@@ -187,7 +188,7 @@ def _recovery_rows(found: RecoveryEstimate) -> Rows:
         ("permanent set", f"{format_value(found, 'set')} of the push"),
         ("verdict", f"{found.verdict}: {_lowered(found.reasons) or meaning}"),
         *reason_rows(found.reasons),
-        *to_rows(found, "instant", "relaxed", "largest"),
+        *to_rows(found, "force_kept", "instant", "relaxed", "largest"),
         ("held, then watched", f"{found.held_s:.3g} s, {found.watched_s:.3g} s after frame {found.released}"),
         *to_rows(found, "explained"),
     ]

@@ -8,6 +8,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, cast
 
+import pyarrow as pa
+
 from deformscope.frames import ColorFrame, Item, SessionNote
 from deformscope.pictures.findings import cell_text
 from deformscope.pictures.report import Table
@@ -15,6 +17,7 @@ from deformscope.plain import plain
 from deformscope.recording.discards import Discard, discards_of
 from deformscope.recording.items import read_estimates, read_items, read_results
 from deformscope.recording.reader import Replay
+from deformscope.recording.streams import RecordingTables
 from deformscope.runs.result import LibraryResult
 
 
@@ -51,6 +54,20 @@ class OpenRecording(LibraryResult):
     def items(self) -> Iterator[Item]:
         """Everything that the devices of a rig gave, in its order."""
         return read_items(self.path, trust=True)
+
+    @cached_property
+    def _tables(self) -> RecordingTables:
+        return RecordingTables(self._replay)
+
+    def streams(self) -> tuple[str, ...]:
+        """The names that `table` takes: the entities of devices, results and transforms."""
+        return tuple(self._tables.streams)
+
+    def table(self, name: str) -> pa.Table:
+        """A stream as an Arrow table: by its entity (`wrench/tip`), or DEVICE/QUANTITY (`tip/force`) for the times and
+        the columns of that quantity alone. Units are in the names of columns and in their metadata (`unit`);
+        `.to_pandas()` works where pandas is installed. Raises InputError for what is not there."""
+        return self._tables.table(name)
 
     def notes(self) -> tuple[SessionNote, ...]:
         """What was remarked while it was recorded: notes, episodes, tares, alarms of sensors, discards, each with its

@@ -24,6 +24,7 @@ from deformscope.cli import EXIT_INPUT, EXIT_INTERRUPTED, main
 from deformscope.stages.msm import reference
 from deformscope.stages.msm.clusters import lattice
 from tests.patience import PATIENCE_S
+from tests.stages import reference_states
 
 SHORT = ["bench", "--quick", "--device", "cpu", "--sizes", "64", "--repeats", "3"]
 TOP = {"format", "complete", "machine", "settings", "rows"}
@@ -173,7 +174,7 @@ def test_numpy_takes_the_reference_s_step(shape: tuple[int, ...], size: int) -> 
     index = np.flatnonzero(held)
     x, v = rest + 0.3 * rng.standard_normal(rest.shape), rng.standard_normal(rest.shape)
     body = reference.build_rest(rest, lattice(rest, shape, np.arange(len(rest)), size), index)
-    x_wanted, v_wanted = reference.step(x, v, body, rest[index] + 0.1, beta=0.7, alpha=0.8, dt=1.0)
+    x_wanted, v_wanted = reference_states.step(x, v, body, rest[index] + 0.1, beta=0.7, alpha=0.8, dt=1.0)
 
     x_new, v_new = NumpyLattice.build(size, held).step(
         x.T.reshape(d, *shape), v.T.reshape(d, *shape), (rest[index] + 0.1).T, 0.7, alpha=0.8, dt=1.0

@@ -32,6 +32,7 @@ from deformscope.runs import replay_result
 from deformscope.stages.fit.estimate import Posterior
 from deformscope.stages.msm import reference
 from tests.rounding import differing_by_more
+from tests.stages import reference_states
 from tests.stages.bodies import pushed
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -43,7 +44,7 @@ def pair(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A pair of known beta 0.6, without noise."""
     body = pushed((5, 6), np.random.default_rng(1))
     spec = reference.build_rest(body.rest, body.clusters(3), body.held)
-    deformed, _ = reference.relax(spec, body.held_position, beta=0.6)
+    deformed, _ = reference_states.relax(spec, body.held_position, beta=0.6)
     path = tmp_path_factory.mktemp("pair") / "pair.npz"
     np.savez(path, rest=body.rest, deformed=deformed, held=body.held)
     return path

@@ -585,3 +585,25 @@ def test_the_viewer_goes_with_the_display(monkeypatch: pytest.MonkeyPatch) -> No
     assert resolve_viewer("page") == "page"
     monkeypatch.setenv("WAYLAND_DISPLAY", "wayland-0")
     assert resolve_viewer("auto") == "native"
+
+
+# The first start
+
+
+@pytest.mark.parametrize(("compiled", "watched"), [(False, True), (True, True), (False, False)])
+def test_a_first_start_says_that_it_compiles(
+    compiled: bool,
+    watched: bool,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    warp = pytest.importorskip("warp")
+    common.quiet_warp()
+    capsys.readouterr()
+    monkeypatch.setattr(warp.config, "kernel_cache_dir", str(tmp_path))
+    monkeypatch.setattr(common, "is_watched", lambda: watched)
+    if compiled:
+        (tmp_path / "wp_deformscope_lattice_3d_float64_8_0_0123456").mkdir()
+    common.quiet_warp()
+    assert ("compiling kernels once" in capsys.readouterr().err) == (watched and not compiled)

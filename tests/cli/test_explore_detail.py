@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
+from deformscope import open_recording
 from deformscope.cli import main
 from deformscope.experiments.measured import SetupGeometry
 from deformscope.frames import ArmFrame, DepthFrame
@@ -72,6 +73,13 @@ def test_force_and_pose_are_the_forces_rows_with_the_arm_between_its_states(expl
     (felt,) = read_series(path, ForcePose, trust=True)
     (used,) = of(path, TouchFrames)
     np.testing.assert_array_equal(felt.host_ns, used.wrench_ns)
+    table = open_recording(path).table("exploration/force_pose")
+    np.testing.assert_array_equal(table.column("host_ns"), felt.host_ns)
+    assert table.schema.names[-9:-3] == [
+        *(f"force_{axis}_n" for axis in "xyz"),
+        *(f"position_{axis}_m" for axis in "xyz"),
+    ]
+    np.testing.assert_array_equal(np.column_stack(table.columns[-9:]), felt.values)
     placement = SetupGeometry.from_json(Replay(path, trust=True).settings["setup"]).placement
     states = {one.stamp.host_ns: one for one in read_items(path, trust=True, kinds=(ArmFrame,))}
     times = sorted({*used.arm_ns.tolist(), *used.pose_ns.tolist(), used.end_ns})

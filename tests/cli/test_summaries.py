@@ -16,6 +16,7 @@ pytest.importorskip("tyro")
 from deformscope.cli import main
 from deformscope.stages.msm import reference
 from tests.pictures.test_report import Page
+from tests.stages import reference_states
 from tests.stages.bodies import pushed
 
 FAST = ["--candidates", "12", "--viewer", "none"]
@@ -26,7 +27,7 @@ def pair(tmp_path: Path) -> Path:
     """A pair of known beta 0.6, whose name would be markup if it were not escaped."""
     body = pushed((5, 6), np.random.default_rng(1))
     spec = reference.build_rest(body.rest, body.clusters(3), body.held)
-    deformed, _ = reference.relax(spec, body.held_position, beta=0.6)
+    deformed, _ = reference_states.relax(spec, body.held_position, beta=0.6)
     path = tmp_path / "a<b>&c.npz"
     np.savez(path, rest=body.rest, deformed=deformed, held=body.held)
     return path

@@ -21,6 +21,7 @@ from deformscope.stages.fit.estimate import Comparison, Estimate
 from deformscope.stages.msm import clusters, reference
 from deformscope.stages.see.particles import ParticleGrid, Tracked
 from deformscope_drivers.clock import Stamp
+from tests.stages import reference_states
 
 SIZE = (200, 160)
 RNG_SEED = 7
@@ -88,7 +89,7 @@ def pushed() -> tuple[list[FloatArray], ParticleOptions, float]:
     for depth in (7.0, 14.0):
         target = rest[held].copy()
         target[:2, 1] += depth
-        moved, _ = reference.relax(spec, target, beta=beta)
+        moved, _ = reference_states.relax(spec, target, beta=beta)
         images.append(warped(rest, moved, Texture()))
     particles = ParticleOptions(
         roi=(14.0, 22.0, spacing * cols, spacing * rows),

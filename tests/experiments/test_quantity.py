@@ -11,6 +11,7 @@ from deformscope.errors import InputError
 from deformscope.experiments.options import ExploreOptions
 from deformscope.experiments.quantity import ApparentStiffness, EnergyLoss, RelaxedStiffness, StiffnessAtReferenceSpeed
 from deformscope.experiments.search import InclusionSearch, RegionSearch, ThesisSearch
+from deformscope.stages.fit.estimate import Doubt
 from deformscope.stages.map.loss import LEAST_LOSS
 from deformscope.stages.map.measured import TouchMeasurement
 from deformscope.stages.poke.creep import REFERENCE_SPEED_M_S, CreepFit
@@ -127,3 +128,15 @@ def test_an_approach_is_a_touch_without_its_hold_and_its_way_back() -> None:
     assert whole.approach.held is None
     approach = whole.approach
     assert approach.approach is approach
+
+
+def test_a_touch_whose_end_was_not_seen_has_no_relaxed_stiffness() -> None:
+    unseen = dataclasses.replace(
+        CREEP,
+        relaxed_n_per_mm=None,
+        relaxed_interval=None,
+        relaxed_log_sd=None,
+        reasons=(Doubt("short-record", "the relaxed state was not seen"),),
+    )
+    with pytest.raises(InputError, match="the relaxed state was not seen"):
+        RelaxedStiffness().stiffness(FELT, unseen, None)

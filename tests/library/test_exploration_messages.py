@@ -70,7 +70,8 @@ def found_with(**changed: Any) -> ExplorationResult:
 def test_every_number_has_its_meaning() -> None:
     rows = dict(found_with().rows())
     assert rows["verdict"] == "2 regions (probability 0.60, 3 regions 0.31)"
-    assert rows["region 1"] == "0.5 N/mm (0.45 to 0.55) at 3 N; modulus 50 kPa (40 to 60)"
+    assert rows["region 1"] == "0.5 N/mm (0.45 to 0.55) at 3 N; modulus about 50 kPa if linear"
+    assert rows["modulus"] == "no interval: foam that yields may have up to 2.8 times as much"
     assert rows["region 2"] == "> 8.57 N/mm (a lower bound: hardly dented)"
     assert rows["truth"] == "3 regions; IoU of the map's with them 0.513, border 4.6 cm off"
     assert rows["ended"] == "all touches that were allowed are made"

@@ -18,6 +18,7 @@ import deformscope as ds
 from deformscope.cli import main
 from deformscope.stages.msm import reference
 from tests.patience import PATIENCE_S
+from tests.stages import reference_states
 from tests.stages.bodies import pushed
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -28,7 +29,7 @@ def arrays() -> dict[str, np.ndarray]:
     """A pair of beta 0.6, as arrays."""
     body = pushed((5, 6), np.random.default_rng(1))
     spec = reference.build_rest(body.rest, body.clusters(3), body.held)
-    deformed, _ = reference.relax(spec, body.held_position, beta=0.6)
+    deformed, _ = reference_states.relax(spec, body.held_position, beta=0.6)
     return {"rest": body.rest, "deformed": deformed, "held": body.held, "force_n": np.array(2.0)}
 
 

@@ -20,7 +20,7 @@ from deformscope.files.pairs import parse_pair
 from deformscope.files.sources import open_source
 from deformscope.runs import calibration
 from deformscope.stages.poke.layers import MeasuredSurface
-from deformscope.stages.poke.poke_fit import seen_poke, spacing_for
+from deformscope.stages.poke.poke_fit import NEWEST, seen_poke, spacing_for
 from tests.cli.test_predict_command import THICKNESS, write_pair
 
 COUNT, KEPT = 37, 16
@@ -181,8 +181,13 @@ def test_the_finest_lattice_is_taken_where_it_is_asked_for() -> None:
         assert options.most_particles == most
 
 
-def test_a_recording_of_before_has_the_lattice_that_it_had() -> None:
-    assert msgspec.convert({"thickness_m": 0.05}, LayersOptions).most_particles is None
+def test_a_recording_of_before_has_the_lattice_and_the_fit_that_it_had() -> None:
+    before = msgspec.convert({"thickness_m": 0.05}, LayersOptions)
+    assert before.most_particles is None
+    assert before.version == 1
+    now = calibration._layers(BetaConfig(("p.npz",), layers=LayersFlags(thickness_m=0.05)))
+    assert now is not None
+    assert now.version == NEWEST
 
 
 # Time left -----------------------------------------------------------------------------------------------------------

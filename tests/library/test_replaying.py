@@ -14,6 +14,7 @@ from deformscope.cli import main
 from deformscope.recording.items import read_estimates
 from deformscope.recording.reader import Replay
 from deformscope.stages.msm import reference
+from tests.stages import reference_states
 from tests.stages.bodies import pushed
 
 
@@ -22,7 +23,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A recording of the fit of a pair."""
     body, path = pushed((4, 5), np.random.default_rng(1)), tmp_path_factory.mktemp("fit") / "run.rrd"
     spec = reference.build_rest(body.rest, body.clusters(3), body.held)
-    deformed, _ = reference.relax(spec, body.held_position, beta=0.6)
+    deformed, _ = reference_states.relax(spec, body.held_position, beta=0.6)
     pair = {"rest": body.rest, "deformed": deformed, "held": body.held}
     ds.calibrate_beta(pair, candidates=12, record=path)
     return path

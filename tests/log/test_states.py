@@ -13,6 +13,7 @@ from deformscope.cli import main
 from deformscope.recording.stages import recorded_stages
 from deformscope.reproduce import shapes
 from deformscope.stages.msm import reference
+from tests.stages import reference_states
 
 
 def rows(path: Path, entity: str, timeline: str, component: str = "Points2D:positions") -> dict[int, FloatArray]:
@@ -59,7 +60,7 @@ def test_the_sheet_stands_at_every_beta_as_an_independent_solve_has_it(recording
 
     assert sorted(found) == list(range(100))
     for step in (0, 37, 80):
-        solved = reference.relax(rest, seen.deformed[seen.held], beta=step / 100.0)[0]
+        solved = reference_states.relax(rest, seen.deformed[seen.held], beta=step / 100.0)[0]
         np.testing.assert_allclose(found[step], free(body, solved), atol=1e-6)
 
 
@@ -74,7 +75,7 @@ def test_the_cube_stands_at_every_theta_as_an_independent_solve_has_it(recording
 
     assert sorted(found) == sorted(volume) == list(range(101))
     for step in (0, 30):
-        solved = reference.relax(
+        solved = reference_states.relax(
             rest, seen.deformed[seen.held], beta=shapes.CUBE_BETA, theta=step / 100.0, tolerance=1e-8
         )[0]
         np.testing.assert_allclose(found[step], free(body, solved), atol=1e-5)

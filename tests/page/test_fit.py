@@ -40,6 +40,7 @@ from deformscope.stages.msm import reference
 from deformscope.stages.msm.quiet import quiet_warp
 from tests.page.pages import page_script
 from tests.patience import PATIENCE_S
+from tests.stages import reference_states
 from tests.stages.bodies import pushed
 
 
@@ -49,7 +50,7 @@ def pair(tmp_path: Path) -> Path:
     rng = np.random.default_rng(1)
     body = pushed((4, 5), rng)
     spec = reference.build_rest(body.rest, body.clusters(3), body.held)
-    deformed, _ = reference.relax(spec, body.held_position, beta=0.6)
+    deformed, _ = reference_states.relax(spec, body.held_position, beta=0.6)
     deformed[np.setdiff1d(np.arange(len(deformed)), body.held)] += rng.normal(
         0, 1e-3, (len(deformed) - len(body.held), 2)
     )

@@ -10,13 +10,14 @@ from deformscope.errors import InputError
 from deformscope.reproduce.shapes import HeldLattice, column, cube, sheet
 from deformscope.stages.msm import reference
 from studies.figures import pushed, search_known
+from tests.stages import reference_states
 
 
 def solved(body: HeldLattice, beta: float) -> FloatArray:
     """(K, d) by `reference`, which shares no code with the solver."""
     seen, model = body.seen, body.model
     rest = reference.build_rest(seen.rest, model.grouping(seen), seen.held, basis=model.basis)
-    return reference.relax(rest, seen.deformed[seen.held], beta=beta)[0]
+    return reference_states.relax(rest, seen.deformed[seen.held], beta=beta)[0]
 
 
 @pytest.mark.parametrize("beta", [0.0, 0.4, 0.9])

@@ -23,6 +23,7 @@ from studies.random_bodies import (
 )
 from studies.unseen_pokes import FoamBody, PokeCase, try_unseen_poke
 from tests.cases import slow_but
+from tests.stages import reference_states
 
 FAST = 12
 EXACT = [one.name for one in CONDITIONS].index("independent noise, held stated exact")
@@ -54,7 +55,7 @@ def test_the_truths_are_static_states_of_the_reference() -> None:
     body = random_body(np.random.default_rng(1), 2)
     grouped = clusters.lattice(body.rest, body.shape, np.arange(len(body.rest)), body.cluster_size)
     spec = reference.build_rest(body.rest, grouped, body.held)
-    expected, _ = reference.relax(spec, body.held_position, beta=0.7)
+    expected, _ = reference_states.relax(spec, body.held_position, beta=0.7)
     np.testing.assert_allclose(body.deform(0.7), expected, atol=1e-9)
 
 

@@ -10,6 +10,7 @@ from scipy.stats import binom
 
 from deformscope.lab.session_errors import LabErrors
 from deformscope.stages.regions.posterior import RegionPrior
+from studies.independent.random_maps import random_surface
 from studies.quantities import rows
 from studies.regions import (
     QUANTITIES,
@@ -23,6 +24,25 @@ from studies.regions import (
     reliability,
     scattered,
 )
+
+
+@pytest.mark.parametrize("count", range(6))
+def test_random_surfaces_are_of_as_many_materials_that_all_cover_enough(count: int) -> None:
+    x, y = np.meshgrid(np.linspace(0.005, 0.595, 60), np.linspace(0.005, 0.395, 40))
+    places = np.column_stack([x.ravel(), y.ravel()])
+    for seed in range(2990, 2995):
+        surface, again = random_surface(count, seed), random_surface(count, seed)
+        assert np.array_equal(surface.felt(places), again.felt(places))
+        assert len(np.unique(surface.labels(places))) == max(count, 1)
+        if count:
+            assert np.bincount(surface.labels(places)).min() > 0.07 * len(places)
+            assert set(surface.log_stiffness(places)) == set(surface.level)
+            # a contact feels what is under it
+            off = surface.felt(places) - surface.scatter(places)
+            assert off.min() > surface.level.min() - 1e-9
+            assert off.max() < surface.level.max() + 1e-9
+        assert np.std(surface.scatter(places)) < 3.0 * surface.scatter_sd
+
 
 NOTHING = RegionOutcome("one", 0, 1, 1, 0.5, {}, 1, 1, (0.0,), 0.1, np.nan, np.nan, 0.05, 0.05, 12)
 

@@ -42,7 +42,9 @@ DoubtCode = Literal[
     "held-off",
     "setting",
     "short-record",
+    "no-plateau",
     "large-strain",
+    "smooth-error",
 ]
 
 

@@ -2,36 +2,133 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
-from deformscope.arrays import FloatArray
+from deformscope.arrays import BoolArray, FloatArray
+from deformscope.stages.fit.estimate import Doubt
+
+RAMP_STEPS = 60
+"""Of an approach, whose force is summed over."""
+KEPT_AFTER_S = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0)
+DOUBTED = 0.5
+"""Probability that the relaxed state was not seen from which on that is a reason."""
+SLOW_LEAST, SLOW_SHARE = 0.03, 0.2
+"""Strength of a branch that outlasts the record, and its share of all strengths, from which on it matters: a fainter
+one is what a drift of the sensor may be."""
+
+
+def relaxation_modes(strength: FloatArray, retarded_s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Rates (d, m) [1/s] at which branches of strengths and retardation times (d, b) relax, the modes (d, b, m) that do
+    so, in sqrt(j_i l_i) E_i, and how fast the displacement drives each (d, m).
+
+    Under a displacement y, dE_i/dt = (F - E_i) / l_i with F = y - sum_k j_k E_k. In sqrt(j_i l_i) E_i that is a
+    symmetric matrix, whose eigenvectors are orthogonal.
+    """
+    drive = np.sqrt(strength / retarded_s)
+    rates = drive[:, :, None] * drive[:, None, :] + np.eye(strength.shape[1]) / retarded_s[:, :, None]
+    rate, mode = np.linalg.eigh(rates)
+    return rate, mode, (drive[:, None, :] @ mode)[:, 0]
 
 
 def relaxing(strength: FloatArray, retarded_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(d, b) shares of the modulus that relax, and (d, b) their times [s], of strengths and retardation times (d, b):
-    the eigenvectors and eigenvalues of the rates below."""
+    """(d, b) shares of the modulus that relax, and (d, b) their times [s], of strengths and retardation times (d, b)
+    that are held still."""
     if strength.shape[1] == 0:
         return strength, retarded_s
-    rates = (np.eye(strength.shape[1]) + strength[:, None, :]) / retarded_s[:, :, None]
-    rate, mode = np.linalg.eig(rates)
-    into = np.linalg.solve(mode, (1.0 / retarded_s)[..., None])[..., 0]
-    share = (strength[:, None, :] @ mode)[:, 0] * into / rate
-    return np.asarray(share.real), np.asarray(1.0 / rate.real)
+    rate, _, drive = relaxation_modes(strength, retarded_s)
+    return drive**2 / rate, 1.0 / rate
+
+
+def force_kept(
+    strength: FloatArray, retarded_s: FloatArray, exponent: FloatArray, ramp_s: float, after_s: FloatArray
+) -> FloatArray:
+    """(d, T) share of the force at the end of an approach that is left `after_s` (T,) later, held in place.
+
+    strength, retarded_s: (d, b); exponent: (d,) of the elastic force over the time of the approach, which is even and
+    takes `ramp_s`
+    """
+    share, relaxed_s = relaxing(strength, retarded_s)
+    gone = (np.arange(RAMP_STEPS) + 0.5) / RAMP_STEPS
+    grown = np.diff((np.arange(RAMP_STEPS + 1) / RAMP_STEPS) ** exponent[:, None], axis=1)
+    # what a branch still carries of the approach at its end
+    carries = (np.exp(-(1.0 - gone) * ramp_s / relaxed_s[..., None]) * grown[:, None]).sum(axis=2)
+    left = np.exp(-np.append(0.0, after_s) / relaxed_s[..., None]) * carries[..., None]
+    force = 1.0 - (share[..., None] * (1.0 - left)).sum(axis=1)
+    return np.asarray(force[:, 1:] / force[:, :1])
+
+
+@dataclass(frozen=True, slots=True)
+class ForceKept:
+    """share: of the force at the end of the push that is left `after_s` later [s], held in place; interval: of 90 %"""
+
+    after_s: float
+    share: float
+    interval: tuple[float, float]
+
+    def __str__(self) -> str:
+        low, high = self.interval
+        return f"keeps {self.share:.1%} ({low:.1%} to {high:.1%}) of its force after {self.after_s:.2g} s"
+
+
+def kept_of(
+    strength: FloatArray, retarded_s: FloatArray, exponent: FloatArray, ramp_s: float, held_s: float
+) -> tuple[ForceKept, ...]:
+    """The force that is kept after round times within the hold, and at its end, of draws that are alike; arguments as
+    of `force_kept`."""
+    after_s = np.array([*(one for one in KEPT_AFTER_S if one < 0.95 * held_s), held_s])
+    kept = np.quantile(force_kept(strength, retarded_s, exponent, ramp_s, after_s), (0.05, 0.5, 0.95), axis=0).T
+    return tuple(
+        ForceKept(float(after), float(middle), (float(low), float(high)))
+        for after, (low, middle, high) in zip(after_s, kept, strict=True)
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class RelaxationSeen:
+    """What a record of relaxation saw of it.
+
+    reasons: to doubt its end; short_record, no_plateau: probabilities that a branch outlasts it, and that nothing ends
+    within: (d,) draws of which all relaxes within the record; share: (d,) of the modulus that relaxes, of what creeps
+    without end within the record
+    """
+
+    reasons: tuple[Doubt, ...]
+    short_record: float
+    no_plateau: float
+    within: BoolArray
+    share: FloatArray
+
+    def bounded(self, middle: float, interval: tuple[float, float], top: float) -> tuple[float, tuple[float, float]]:
+        """A value with its interval; with a reason its lower bound, the interval open as far as `top`."""
+        return (interval[0], (interval[0], top)) if self.reasons else (middle, interval)
+
+
+def seen_of(
+    strength: FloatArray, retarded_s: FloatArray, endless: BoolArray, weight: FloatArray, record_s: float
+) -> RelaxationSeen:
+    """Whether what relaxes does so within a record, of draws: strength, retarded_s (d, b); endless, weight (d,), which
+    adds up to 1."""
+    slow = np.where(retarded_s / (1.0 + strength) > record_s, strength, 0.0)
+    most, all_of_it = slow.max(axis=1, initial=0.0), np.maximum(strength.sum(axis=1), 1e-12)
+    outlasts = ~endless & (slow.sum(axis=1) > np.maximum(SLOW_LEAST, SLOW_SHARE * all_of_it))
+    short, no_end = float(weight[outlasts].sum()), float(weight[endless].sum())
+    within = ~endless & (most < SLOW_LEAST)
+    reasons: tuple[Doubt, ...] = ()
+    if short + no_end > DOUBTED or not weight[within].sum() > 0.0:
+        each = (
+            f"{short:.0%} that a branch outlasts the {record_s:.2g} s recorded, {no_end:.0%} that it creeps without end"
+        )
+        text = f"the relaxed state was not seen ({each}): shares and times are lower bounds; hold longer"
+        reasons = (Doubt("no-plateau" if no_end > short else "short-record", text),)
+    counted = np.where(endless[:, None] & (retarded_s > record_s), 0.0, strength).sum(axis=1)
+    return RelaxationSeen(
+        reasons=reasons, short_record=short, no_plateau=no_end, within=within, share=counted / (1.0 + counted)
+    )
 
 
 def mean_relaxation_s(strength: FloatArray, retarded_s: FloatArray) -> FloatArray:
-    """(d,) mean relaxation time of strengths and retardation times (d, b), each branch weighed by its share.
-
-    Held still, the branches relax by dE_i/dt = (F - E_i) / l_i with F = y - sum_k j_k E_k: the area under the
-    relaxing force over what relaxes is that mean. With A the matrix of these rates, it is found without its
-    eigenvalues: the force goes from y to y / (1 + sum j), and the area is j . A^-1 (E_inf) .
-    """
-    count, branches = strength.shape
-    if branches == 0:
-        return np.zeros(count)
-    rates = (np.eye(branches) + strength[:, None, :]) / retarded_s[:, :, None]
-    settled = np.broadcast_to((1.0 / (1.0 + strength.sum(axis=1)))[:, None], (count, branches))
-    # F(t) - F(inf) = sum_k j_k (E_inf - E_k(t)), whose integral is j . A^-1 E_inf
-    area = (strength * np.linalg.solve(rates, settled[..., None])[..., 0]).sum(axis=1)
-    relaxes = strength.sum(axis=1) * settled[:, 0]
-    return np.asarray(area / np.maximum(relaxes, 1e-12))
+    """(d,) mean relaxation time of strengths and retardation times (d, b), each branch weighed by its share."""
+    share, relaxed_s = relaxing(strength, retarded_s)
+    return np.asarray((share * relaxed_s).sum(axis=1) / np.maximum(share.sum(axis=1), 1e-12))

@@ -14,7 +14,7 @@ import numpy as np
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.errors import InputError
-from deformscope.results.declared import derived, reported
+from deformscope.results.declared import LATER, derived, reported
 from deformscope.results.render import format_value
 from deformscope.stages.poke.creep import CreepFit
 
@@ -95,7 +95,7 @@ class TouchEstimate:
         return f"{1e3 * self.depth_m:.1f} mm at {force}" if self.usable else force
 
     modulus_pa: float | None = field(
-        default=None, metadata=reported("modulus", unit="Pa", scale=1e-3, shown_unit="kPa", caption="modulus {}")
+        default=None, metadata=reported("modulus", unit="Pa", scale=1e-3, shown_unit="kPa", caption="modulus about {}")
     )
     modulus_interval_pa: tuple[float, float] | None = field(default=None, metadata=reported(unit="Pa"))
     depth_m: float = field(metadata=reported(unit="m"))
@@ -130,7 +130,18 @@ class TouchEstimate:
         """How long the force was held [s]."""
         return 0.0 if self.creep is None else self.creep.held_s
 
-    creep: CreepFit | None = field(default=None, metadata=reported())
+    creep: CreepFit | None = field(
+        default=None,
+        metadata=reported("creep", words=lambda touch: "" if touch.creep is None else touch.creep.brief),
+    )
+
+    @property
+    @derived("force, held in place", key=None, caption="{}")
+    def force_kept_text(self) -> str:
+        """The reasons to doubt the creep, and the force that is kept to the end of the hold; empty without a hold."""
+        if self.creep is None or not self.creep.force_kept:
+            return ""
+        return ", ".join([*(one.code for one in self.creep.reasons), str(self.creep.force_kept[-1])])
 
     @property
     def usable(self) -> bool:
@@ -165,8 +176,9 @@ class MapRegion:
     """A region of a map: a place where all is alike.
 
     stiffness_n_per_mm, stiffness_interval_n_per_mm: (2,) of 90 %; rigid: the former is a lower bound
-    modulus_pa, modulus_interval_pa: (2,) Young's modulus; None where the thickness is not known, the interval where it
-    is a bound too
+    modulus_pa, modulus_interval_pa: (2,) Young's modulus of linear foam that would feel so; shown without the interval,
+    which does not know of foam whose stress has a plateau: that is up to `PLATEAU_FACTOR` times stiffer; None where the
+    thickness is not known, the interval where it is a bound too
     loss, loss_interval: (2,) share of a touch's energy; None where it is not mapped
     """
 
@@ -175,7 +187,7 @@ class MapRegion:
     )
     stiffness_interval_n_per_mm: FloatArray = field(metadata=reported(key="interval", json=np.log))
     modulus_pa: float | None = field(
-        metadata=reported(unit="Pa", scale=1e-3, shown_unit="kPa", interval="modulus_interval_pa")
+        metadata=reported(unit="Pa", scale=1e-3, shown_unit="kPa", words=lambda one: one.modulus_text)
     )
     modulus_interval_pa: FloatArray | None = field(metadata=reported(unit="Pa"))
     rigid: bool = field(metadata=reported())
@@ -197,8 +209,11 @@ class MapRegion:
     @property
     def modulus_text(self) -> str:
         """Its modulus; empty where it was not told apart from stiffness, or is a bound."""
-        return "" if self.modulus_pa is None or self.rigid else f"{self.modulus_pa / 1e3:.3g} kPa"
+        return "" if self.modulus_pa is None or self.rigid else f"about {self.modulus_pa / 1e3:.3g} kPa"
 
+
+PLATEAU_FACTOR = 2.8
+"""Modulus of foam that yields over that of linear foam that feels the same at 3 N, at most (docs/exploring.md)."""
 
 REGION_LABELS = "region from 0, the softest, or the one that loses least; -1: no regions"
 
@@ -212,7 +227,8 @@ class MapEstimate:
     beta, beta_sd: (rows, columns), None before two touches gave one
     labels: (rows, columns) region of each cell, 0 the softest, -1 without regions
     label_probability: of that label, the doubt about the number of regions and about `gradual` included
-    region_count: 0 without regions; verdict: "regions" or "gradual"; probability: of verdict and region_count
+    region_count: 0 without regions; at_least: there may be more, it is the most that are told apart
+    verdict: "regions" or "gradual"; probability: of verdict and region_count
     level_n_per_mm: (region_count,) stiffness of each region; level_interval_n_per_mm: (region_count, 2) of 90 %
     level_rigid: (region_count,) regions whose level is a lower bound, at which the interval begins; it is open above
     contacts_m: (n, 2) touches so far; tip_radius_m: of what touched
@@ -257,6 +273,7 @@ class MapEstimate:
     level_loss: FloatArray | None = None
     level_loss_interval: FloatArray | None = None
     isopleths: FloatArray | None = None
+    at_least: bool = field(default=False, metadata=LATER)
 
     @property
     def mapped(self) -> str:
@@ -392,12 +409,11 @@ class InclusionsResult:
         rows = []
         for number in range(len(self)):
             x, y = 100.0 * self.centre_m[number]
-            low, high = 100.0 * self.radius_interval_m[number]
             depth = {"shallow": "up to {:g} cm deep", "deep": "deeper than {:g} cm"}.get(self.depth[number])
             parts = [
                 f"{'stiff' if self.stiff[number] else 'soft'}, its middle at ({x:.1f}, {y:.1f}) cm"
                 f" (90 % within {100.0 * self.within_m[number]:.1f} cm)",
-                f"radius {100.0 * self.radius_m[number]:.1f} cm ({low:.1f} to {high:.1f})",
+                f"radius about {100.0 * self.radius_m[number]:.1f} cm",
                 "its depth cannot be told" if depth is None else depth.format(100.0 * self.deep_m),
                 f"probability {self.probability[number]:.2f}",
             ]
@@ -409,7 +425,7 @@ class InclusionsResult:
         each = ", ".join(
             f"{100.0 * radius:.3g} cm {share:.2f}" for radius, share in zip(self.size_m, self.missed, strict=True)
         )
-        wanted = f"of {100.0 * self.smallest_m:.3g} cm radius or more {self.missed_smallest:.3f}"
+        wanted = f"of {100.0 * self.smallest_m:.3g} cm radius or more, chance about {self.missed_smallest:.2f}"
         taken = (
             f"balls {self.contrast:g} times as stiff or soft or more, at most {100.0 * self.deepest_m:g} cm deep;"
             f" {self.prior:g} before any touch"

@@ -6,14 +6,15 @@ quadratic in the displacements u, with one factor exp(p) for each cell c:
     E = 1/2 u^T K u,    K = K_0 + sum_c exp(p_c) K_c
 
 "elastic": K_c is the bilinear finite element of modulus 1 (plane stress in the plane), K_0 = 0, and p is the logarithm
-of the modulus. "beta": the model's own energy of 2^d clusters (design: sum of (1 - beta) E_rigid + beta E_affine). For
-small deformations the rigid part is that of the strain e beside the affine part, (1 - beta) |e q|^2 + |what no linear
-map explains|^2: K_c is the strain's, K_0 what keeps a cell from other than linear deformations, p = log(1 - beta).
+of the modulus; the material may be stiffer along one direction, the same in all cells. "beta": the model's own energy
+of 2^d clusters (design: sum of (1 - beta) E_rigid + beta E_affine). For small deformations the rigid part is that of
+the strain e beside the affine part, (1 - beta) |e q|^2 + |what no linear map explains|^2: K_c is the strain's, K_0 what
+keeps a cell from other than linear deformations, p = log(1 - beta).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from typing import Literal
 
@@ -30,7 +31,7 @@ GAUSS = 0.5 / np.sqrt(3.0)
 """Of the quadrature's points from a cell's middle [cells]."""
 
 NU_STEP = 1e-4
-"""Of Poisson's ratio, for the derivative by it."""
+"""Of Poisson's ratio, and of what makes a material anisotropic, for the derivative by it."""
 
 
 def lattice_cells(shape: tuple[int, ...], cell: IntArray) -> IntArray:
@@ -47,11 +48,11 @@ def lattice_cells(shape: tuple[int, ...], cell: IntArray) -> IntArray:
     return np.asarray(found[(found >= 0).all(axis=1)])
 
 
-def elastic_cells(corner: FloatArray, nu: float) -> FloatArray:
-    """(C, m d, m d) stiffness of bilinear cells of modulus 1. corner: (C, m, d), m = 2^d; nu: Poisson's ratio"""
+def elastic_cells(corner: FloatArray, nu: float, bent: FloatArray | None = None) -> FloatArray:
+    """(C, m d, m d) stiffness of bilinear cells of modulus 1. corner: (C, m, d), m = 2^d; nu, bent: `elasticity`"""
     d = corner.shape[2]
     offset = np.array(list(product((-0.5, 0.5), repeat=d)))
-    law = _elasticity(d, nu)
+    law = elasticity(d, nu, bent)
     total = np.zeros((len(corner), corner.shape[1] * d, corner.shape[1] * d))
     for point in offset * (2.0 * GAUSS):
         factor = 0.5 + 2.0 * offset * point  # (m, d) of each corner's shape function, along each axis
@@ -82,15 +83,36 @@ def beta_cells(corner: FloatArray) -> tuple[FloatArray, FloatArray]:
     return strain, np.einsum("cka,ckb->cab", left, left)
 
 
-def _elasticity(d: int, nu: float) -> FloatArray:
-    """(3, 3) or (6, 6) stresses of strains (engineering shear) at Young's modulus 1; plane stress for d = 2."""
+def elasticity(d: int, nu: float, bent: FloatArray | None = None) -> FloatArray:
+    """(3, 3) or (6, 6) stresses of strains (engineering shear) at Young's modulus 1; plane stress for d = 2.
+
+    bent: (m,) upper triangle of a symmetric matrix that is added to the law's logarithm, in a basis in which turning
+    the axes is a rotation (Mandel: shear times sqrt 2): an anisotropic material, positive definite whatever the numbers
+    """
     if d == 2:
-        return np.array([[1.0, nu, 0.0], [nu, 1.0, 0.0], [0.0, 0.0, 0.5 * (1.0 - nu)]]) / (1.0 - nu**2)
-    shear = 0.5 / (1.0 + nu)
-    law = np.zeros((6, 6))
-    law[:3, :3] = nu / ((1.0 + nu) * (1.0 - 2.0 * nu))
-    law += np.diag([2.0 * shear] * 3 + [shear] * 3)
-    return law
+        law = np.array([[1.0, nu, 0.0], [nu, 1.0, 0.0], [0.0, 0.0, 0.5 * (1.0 - nu)]]) / (1.0 - nu**2)
+    else:
+        shear = 0.5 / (1.0 + nu)
+        law = np.zeros((6, 6))
+        law[:3, :3] = nu / ((1.0 + nu) * (1.0 - 2.0 * nu))
+        law += np.diag([2.0 * shear] * 3 + [shear] * 3)
+    if bent is None:
+        return law
+    size = len(law)
+    mandel = np.where(np.arange(size) < d, 1.0, np.sqrt(2.0))
+    value, vector = np.linalg.eigh(law * np.outer(mandel, mandel))
+    added = np.zeros((size, size))
+    added[np.triu_indices(size)] = bent
+    value, vector = np.linalg.eigh((vector * np.log(value)) @ vector.T + added + np.triu(added, 1).T)
+    return np.asarray((vector * np.exp(value)) @ vector.T / np.outer(mandel, mandel))
+
+
+def directional_modulus(law: FloatArray, along: FloatArray) -> FloatArray:
+    """(n,) Young's modulus along directions (n, d) of unit length. law: as `elasticity` has it"""
+    d = along.shape[1]
+    pairs = [(i, i) for i in range(d)] + [(i, j) for i in range(d) for j in range(i + 1, d)]
+    stress = np.stack([along[:, i] * along[:, j] for i, j in pairs], axis=1)
+    return np.asarray(1.0 / np.einsum("ns,st,nt->n", stress, np.linalg.inv(law), stress))
 
 
 def _strain(gradient: FloatArray) -> FloatArray:
@@ -108,11 +130,13 @@ def _strain(gradient: FloatArray) -> FloatArray:
 @dataclass(frozen=True, slots=True)
 class CellState:
     """A static state. moved: (K, d); slope: (K d, C) derivative by each cell's p; by_nu: (K d,), zero for "beta"
+    by_bent: (K d, m) derivative by what makes it anisotropic, (K d, 0) where nothing does
     response: (K d, n d) of every displacement to the held ones; force: (K, d) that what holds the body exerts"""
 
     moved: FloatArray
     slope: FloatArray
     by_nu: FloatArray
+    by_bent: FloatArray
     response: FloatArray
     force: FloatArray
 
@@ -134,9 +158,12 @@ class CellModel:
         self.free = np.setdiff1d(np.arange(rest.size), self.fixed)
         self._fixed_cells = beta_cells(self.corner) if law == "beta" else None
 
-    def state(self, p: FloatArray, moved: FloatArray, nu: float = 0.3, *, slopes: bool = True) -> CellState:
-        """Displacements and their derivatives. p: (C,); moved: (K, d), read where held; both at any scale"""
-        each = self._cells(nu)
+    def state(
+        self, p: FloatArray, moved: FloatArray, nu: float = 0.3, bent: FloatArray | None = None, *, slopes: bool = True
+    ) -> CellState:
+        """Displacements and their derivatives. p: (C,); moved: (K, d), read where held; both at any scale; nu, bent:
+        `elasticity`"""
+        each = self._cells(nu, bent)
         base = 0.0 if self._fixed_cells is None else self._fixed_cells[1]
         whole = self._assembled(np.exp(p)[:, None, None] * each + base)
         factors = splu(whole[np.ix_(self.free, self.free)].tocsc())
@@ -146,33 +173,36 @@ class CellModel:
         u[self.free] = factors.solve(-(coupling @ u[self.fixed]))
         force = np.zeros(u.size)
         force[self.fixed] = (whole @ u)[self.fixed]
+        none = np.zeros((0, 0))
+        plain = CellState(
+            moved=u.reshape(-1, self.d),
+            slope=none,
+            by_nu=none,
+            by_bent=none,
+            response=none,
+            force=force.reshape(-1, self.d),
+        )
         if not slopes:
-            none = np.zeros((0, 0))
-            return CellState(
-                moved=u.reshape(-1, self.d), slope=none, by_nu=none, response=none, force=force.reshape(-1, self.d)
-            )
+            return plain
         response = np.zeros((u.size, self.fixed.size))
         response[self.free] = factors.solve(-coupling.toarray())
         response[self.fixed, np.arange(self.fixed.size)] = 1.0
         loads = np.exp(p)[:, None] * np.einsum("cab,cb->ca", each, u[self.dof])
         slope = self._solved(factors, self._columns(loads))
-        by_nu: FloatArray = np.zeros((u.size, 1))
+        own = np.append(nu, [] if bent is None else bent)
+        by_own: FloatArray = np.zeros((u.size, len(own)))
         if self.law == "elastic":
-            change = (self._cells(nu + NU_STEP) - self._cells(nu - NU_STEP)) / (2.0 * NU_STEP)
-            load = np.zeros(u.size)
-            np.add.at(load, self.dof, np.exp(p)[:, None] * np.einsum("cab,cb->ca", change, u[self.dof]))
-            by_nu = self._solved(factors, load[:, None])
-        return CellState(
-            moved=u.reshape(-1, self.d),
-            slope=slope,
-            by_nu=by_nu[:, 0],
-            response=response,
-            force=force.reshape(-1, self.d),
-        )
+            load = np.zeros(by_own.shape)
+            for at, step in enumerate(NU_STEP * np.eye(len(own))):
+                ahead, behind = ((one[0], None if bent is None else one[1:]) for one in (own + step, own - step))
+                change = (self._cells(*ahead) - self._cells(*behind)) / (2.0 * NU_STEP)
+                np.add.at(load[:, at], self.dof, np.exp(p)[:, None] * np.einsum("cab,cb->ca", change, u[self.dof]))
+            by_own = self._solved(factors, load)
+        return replace(plain, slope=slope, by_nu=by_own[:, 0], by_bent=by_own[:, 1:], response=response)
 
-    def _cells(self, nu: float) -> FloatArray:
-        """Stiffness of each cell's particles (C or 1, 2^d d, 2^d d) at modulus 1 and Poisson's ratio nu."""
-        return elastic_cells(self.corner, nu) if self._fixed_cells is None else self._fixed_cells[0]
+    def _cells(self, nu: float, bent: FloatArray | None) -> FloatArray:
+        """Stiffness of each cell's particles (C or 1, 2^d d, 2^d d) at modulus 1."""
+        return elastic_cells(self.corner, nu, bent) if self._fixed_cells is None else self._fixed_cells[0]
 
     def _assembled(self, each: FloatArray) -> csc_array:
         """(K d, K d) sum of the cells' matrices (C, 2^d d, 2^d d)."""

@@ -7,12 +7,14 @@ have one. A beta for each cell is fitted beside it, in the same places.
 
 How far a smooth field hangs together is chosen by blocks of particles left out. Whether a few materials with borders
 describe it better is decided by evidence: with what density every number was predicted from those before it, less what
-a border of that length costs. An interval holds every description that this does not rule out, so that a place of
-which the data say nothing keeps what it had before them.
+a border of that length costs. So is whether places differ at all: one material, one that is stiffer along a direction,
+and one that was seen with a smooth error stand beside them. An interval holds every description that this does not rule
+out, so that a place of which the data say nothing keeps what it had before them.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
@@ -28,7 +30,14 @@ from deformscope.stages.fit.doubts import little_explained, not_converged, order
 from deformscope.stages.fit.estimate import Comparison, Doubt, limited
 from deformscope.stages.fit.model import Model, Observation
 from deformscope.stages.fit.search import Progress
-from deformscope.stages.materials.field_estimate import WEAK_FACTOR, FieldEstimate, FieldKind, place_verdicts
+from deformscope.stages.materials.cell_model import directional_modulus, elasticity
+from deformscope.stages.materials.field_estimate import (
+    WEAK_FACTOR,
+    DirectionalStiffness,
+    FieldEstimate,
+    FieldKind,
+    place_verdicts,
+)
 from deformscope.stages.materials.field_fit import (
     LEAST_MOTION,
     FieldFit,
@@ -36,6 +45,7 @@ from deformscope.stages.materials.field_fit import (
     Folds,
     LeftOutError,
     NoiseModel,
+    Rival,
     StiffnessPrior,
     in_whole_cells,
     likeliest_noise,
@@ -72,6 +82,10 @@ BORDER_COST = 0.4
 PLAUSIBLE = 0.05
 """Probability of a description from which on intervals hold it."""
 
+SHOWN, DIRECTIONS_SHOWN = 1e-4, 1e-3
+"""Probability of one material below which places differ, and of a plain one among these below which directions do. Of
+noise that is smoother than the model's one material had 6e-4, and a plain one 7e-3, where neither differs."""
+
 CELLS_ERROR = 0.03
 """Deviation of the log ratio of two materials that is the cells' own, as they are as coarse as the particles: of bodies
 without noise 0.96 to 1.02 of the true ratio was found."""
@@ -88,16 +102,21 @@ DRAWS = 40
 DETERMINED_LEAST = 0.5
 """Share of the places that must be determined, so that the whole has another verdict than unidentified."""
 
+DIRECTIONS = 360
+"""In which an anisotropic material is looked at."""
+
 STRAIN_MOST = 0.15
 """Change of a cell's sides, as a share, beyond which small deformations are no description (95 % of all sides)."""
 
 
 @dataclass(frozen=True, slots=True)
 class Description:
-    """One way to describe the field. label: (C,) materials, -1 where it is smooth; root: of the covariance after the
-    data (C + 1, q); weight: logarithm of its probability, but for what all share; misfit: chi2 for each number"""
+    """One way to describe the field. fit: that it is a point of; label: (C,) materials, -1 where it is smooth; root: of
+    the covariance after the data (p, q); weight: logarithm of its probability, but for what all share; misfit: chi2 for
+    each number"""
 
     name: str
+    fit: FieldFit
     label: IntArray
     prior: StiffnessPrior
     point: FieldPoint
@@ -109,13 +128,14 @@ class Description:
 
     def relative(self, edges: IntArray, sds: float) -> tuple[FloatArray, FloatArray, FloatArray]:
         """(C,) log stiffness over its mean, and the ends of its interval; a cell at a border may be of either side."""
-        mean = self.point.at[:-1].mean()
-        root = self.root[:-1] - self.root[:-1].mean(axis=0)
+        at, root = self._cells
+        mean = at.mean()
+        root = root - root.mean(axis=0)
         variance = (root**2).sum(axis=1) * max(1.0, self.misfit)
         if self.label[0] < 0:
-            p, reach = self.point.at[:-1] - mean, sds * np.sqrt(variance)
+            p, reach = at - mean, sds * np.sqrt(variance)
             return p, p - reach, p + reach
-        p = (self._pure(edges) @ self.point.at[:-1])[self.label] - mean
+        p = (self._pure(edges) @ at)[self.label] - mean
         # each cell at a border may be of either side, which moves the mean of all
         variance = variance + len(border_cells(self.label, edges)) * (0.5 * np.ptp(p) / len(p)) ** 2
         low, high = p - sds * np.sqrt(variance), p + sds * np.sqrt(variance)
@@ -127,7 +147,7 @@ class Description:
 
     def contrast(self, edges: IntArray, sds: float) -> tuple[float, tuple[float, float]]:
         """Stiffest over softest, and its interval of `sds` standard deviations. edges: (n, 2) neighbouring clusters"""
-        p, root = self.point.at[:-1], self.root[:-1]
+        p, root = self._cells
         if self.label[0] >= 0:
             pure = self._pure(edges)
             p, root = pure @ p, pure @ root
@@ -138,6 +158,12 @@ class Description:
         sd = float(np.hypot(np.linalg.norm(root[high] - root[low]) * max(1.0, self.misfit) ** 0.5, CELLS_ERROR))
         low_end, high_end = (float(np.exp(apart + sign * sds * sd)) for sign in (-1.0, 1.0))
         return float(np.exp(apart)), (max(low_end, 1.0), high_end)
+
+    @property
+    def _cells(self) -> tuple[FloatArray, FloatArray]:
+        """Log stiffness (C,) and the root of its covariance (C, q)."""
+        count = len(self.label)
+        return self.point.at[:count], self.root[:count]
 
     def _pure(self, edges: IntArray) -> FloatArray:
         """(k, C) means over each material's cells that no border passes through, or over all where there are none."""
@@ -161,48 +187,47 @@ def fit_field(
         if progress is not None:
             progress("descriptions of the field", number, steps)
 
-    reach, noise, point = _smooth(fit)
-    done(1)
-    found = [_described(fit, "smooth", fit.prior(reach), noise, point)]
     edges = neighbours(fit.place, fit.spacing)
-    others: list[Description] = []  # of as many materials, with other borders
-    for count in MATERIALS:
-        some = _materials(fit, found, edges, count)
-        found += some[:1]
-        others += some[1:]
-        done(1 + count)
-        if not some or (count > 2 and some[0].weight < found[-2].weight):
-            break
+    reach, found, others = _descriptions(fit, edges, done)
     weight = np.array([one.weight for one in found])
     probability = np.exp(weight - logsumexp(weight))
     plausible = probability >= PLAUSIBLE
-    uniform = found[1]
-    chosen = uniform if plausible[1] else found[int(weight.argmax())]  # that places differ has to be shown
+    chosen, one_material = _chosen(found, probability)
     value, _, _ = chosen.relative(edges, sds)
-    held = [one for one, kept in zip(found, plausible, strict=True) if kept]
+    held = [one for one, kept in zip(found, plausible, strict=True) if kept or one is chosen]
     held += [one for one in others if one.weight > logsumexp(weight) + np.log(PLAUSIBLE)]
+    differ = any(one.label.max() != 0 for one in held)
     if chosen.label.max() == 0:
-        held += _hidden(fit, noise, chosen)
+        held += _hidden(chosen)
     ends = [one.relative(edges, sds)[1:] for one in held]
     interval = np.stack([np.min([low for low, _ in ends], axis=0), np.max([high for _, high in ends], axis=0)], axis=1)
     done(steps - 1)
     beta, beta_ends, beta_state, beta_aee = _betas(seen, chosen, reach, sds, device)
     motion = float(np.sum(fit.target**2))
-    left = float(np.sum((fit.target - chosen.point.moved) ** 2))
+    left = float(np.sum((fit.target - chosen.point.state.moved.ravel()[fit.rows]) ** 2))
     explained = 1.0 - left / motion if motion > fit.size**2 * EXPLAINABLE else 0.0
-    reasons = [*not_converged(chosen.point.converged), *_large_strain(fit), *_part_of_a_face(fit)]
+    reasons = [
+        *not_converged(chosen.point.converged),
+        *_large_strain(fit),
+        *_part_of_a_face(fit),
+        *_smooth_error(chosen, differ),
+    ]
     reasons += little_explained(explained, left_is_noise=chosen.misfit < 2.0)
     verdicts = tuple(limited(one, reasons) for one in place_verdicts(np.exp(interval)))
     kind: FieldKind = "gradual" if chosen.label[0] < 0 else "materials" if chosen.label.max() > 0 else "uniform"
+    directions = None
+    if chosen.fit.rival == "anisotropic":
+        kind, directions = "anisotropic", _directions(chosen)
     determined = np.mean([one != "unidentified" for one in verdicts]) >= DETERMINED_LEAST
     contrasts = [one.contrast(edges, sds)[1] for one in held]
-    if kind == "uniform" and max(high for _, high in contrasts) > WEAK_FACTOR:
+    if kind in ("uniform", "anisotropic") and max(high for _, high in contrasts) > WEAK_FACTOR:
         determined = np.False_
-    if not determined or any(one.allows == "unidentified" for one in reasons):
+    doubted = one_material < PLAUSIBLE and differ and kind in ("uniform", "anisotropic")
+    if not determined or doubted or any(one.allows == "unidentified" for one in reasons):
         kind = "unidentified"
-    absolute, absolute_ends = _absolute(fit, chosen, value, interval, np.random.default_rng(seed), sds)
+    absolute, absolute_ends = _absolute(chosen, value, interval, np.random.default_rng(seed), sds)
     ratio, _ = chosen.contrast(edges, sds)
-    same = min(low for low, _ in contrasts), max(high for _, high in contrasts)
+    ratio_ends = min(low for low, _ in contrasts), max(high for _, high in contrasts)
     d = seen.rest.shape[1]
     off = np.linalg.norm((chosen.point.state.moved - fit.displacement)[seen.observed], axis=1)
     stiffest = 1.0 - beta
@@ -215,7 +240,7 @@ def fit_field(
         verdicts=verdicts,
         material=chosen.label,
         ratio=ratio,
-        ratio_interval=same,
+        ratio_interval=ratio_ends,
         beta=beta,
         beta_interval=beta_ends,
         beta_ratio=float(stiffest.max() / stiffest.min()),
@@ -223,8 +248,9 @@ def fit_field(
         absolute_interval=absolute_ends,
         verdict=kind,
         reasons=ordered(reasons),
+        directions=directions,
         poisson=fit.nu(chosen.point.at),
-        poisson_sd=fit.nu_sd(chosen.point.at, float(np.linalg.norm(chosen.root[-1]))),
+        poisson_sd=fit.nu_sd(chosen.point.at, float(np.linalg.norm(chosen.root[len(fit.cells)]))),
         reach=reach,
         tried=tuple(one.name for one in found),
         held_out=np.array([one.judged.total for one in found]) / len(fit.target),
@@ -244,6 +270,38 @@ def fit_field(
     return estimate, Comparison(
         rest=seen.rest, observed=seen.deformed, simulated=beta_state, seen=seen.observed, held=seen.held, unit=seen.unit
     )
+
+
+def _descriptions(
+    fit: FieldFit, edges: IntArray, done: Callable[[int], None]
+) -> tuple[float, list[Description], list[Description]]:
+    """How far a smooth field hangs together [spacings]; all descriptions: smooth, one material, more, and last one that
+    is anisotropic and one that was seen with a smooth error; and others of as many materials, with other borders."""
+    reach, noise, point = _smooth(fit)
+    done(1)
+    found = [_described(fit, "smooth", fit.prior(reach), noise, point)]
+    others: list[Description] = []
+    for count in MATERIALS:
+        some = _materials(fit, found, edges, count)
+        found += some[:1]
+        others += some[1:]
+        done(1 + count)
+        if not some or (count > 2 and some[0].weight < found[-2].weight):
+            break
+    return reach, [*found, _rival(found[1], "anisotropic"), _rival(found[1], "smooth error")], others
+
+
+def _chosen(found: list[Description], probability: FloatArray) -> tuple[Description, float]:
+    """The description that is told, and the probability of one material, plain, anisotropic or seen with a smooth
+    error.
+
+    That places differ has to be shown, and so has that directions do: evidence is as good as the model of the noise.
+    """
+    plain, bent, error = probability[[1, -2, -1]].tolist()
+    same = plain + bent + error
+    if same < SHOWN:
+        return found[int(probability.argmax())], same
+    return found[1 if plain >= DIRECTIONS_SHOWN * same else -1 if error >= PLAUSIBLE * same else -2], same
 
 
 def _smooth(fit: FieldFit) -> tuple[float, NoiseModel, FieldPoint]:
@@ -284,6 +342,7 @@ def _described(
     misfit = float(left @ left) / len(left)
     return Description(
         name=name,
+        fit=fit,
         label=label,
         prior=prior,
         point=point,
@@ -355,10 +414,38 @@ def _bordered(fit: FieldFit, noise: NoiseModel, label: IntArray, edges: IntArray
     return min(tried, key=lambda one: one[0])[1:]
 
 
-def _hidden(fit: FieldFit, noise: NoiseModel, one: Description) -> list[Description]:
+def _rival(uniform: Description, rival: Rival) -> Description:
+    """One material in all places that a rival tells from the plain one."""
+    fit = FieldFit(uniform.fit.seen, "elastic", rival)
+    prior = fit.levels(uniform.label)
+    point = fit.fit(prior, uniform.noise)
+    noise, _ = likeliest_noise(fit, prior, point)
+    return _described(fit, f"one material, {rival}", prior, noise, fit.fit(prior, noise, point.at), uniform.label)
+
+
+def _directions(one: Description) -> DirectionalStiffness:
+    """Along which direction an anisotropic material is stiffest, and over the softest how much."""
+    fit, d, at = one.fit, one.fit.place.shape[1], one.point.at
+    along = _all_directions(d)
+    found = directional_modulus(elasticity(d, fit.nu(at), fit.bent(at)), along)
+    low, high = int(found.argmin()), int(found.argmax())
+    return DirectionalStiffness(along[high], along[low], ratio=float(found[high] / found[low]))
+
+
+def _all_directions(d: int) -> FloatArray:
+    """(n, d) of unit length, evenly over a half circle, or a half sphere (golden spiral)."""
+    turn = np.arange(DIRECTIONS)
+    if d == 2:
+        angle = np.pi * turn / DIRECTIONS
+        return np.column_stack([np.cos(angle), np.sin(angle)])
+    up, angle = (turn + 0.5) / DIRECTIONS, np.pi * (3.0 - np.sqrt(5.0)) * turn
+    return np.column_stack([np.sqrt(1.0 - up**2) * np.cos(angle), np.sqrt(1.0 - up**2) * np.sin(angle), up])
+
+
+def _hidden(one: Description) -> list[Description]:
     """A body that looks uniform, as two materials whose border is across an axis: what contrast could be there unseen.
     Layers that strain alike show none."""
-    found = []
+    fit, noise, found = one.fit, one.noise, []
     for number, along in enumerate(fit.place.T):
         for share in SPLITS:
             label = (along > np.quantile(along, share)).astype(np.int64)
@@ -399,19 +486,19 @@ def _betas(
 
 
 def _absolute(
-    fit: FieldFit, chosen: Description, value: FloatArray, interval: FloatArray, rng: np.random.Generator, sds: float
+    chosen: Description, value: FloatArray, interval: FloatArray, rng: np.random.Generator, sds: float
 ) -> tuple[FloatArray | None, FloatArray | None]:
     """(C,) stiffness of each cell [N per unit], modulus times spacing (in the plane, times thickness), and its
     interval, by the net force on what was touched."""
-    seen = fit.seen
+    fit, seen, count = chosen.fit, chosen.fit.seen, len(value)
     if seen.force_n is None or not len(seen.touched) or fit.size <= LEAST_MOTION:
         return None, None
     q = chosen.root.shape[1]
     every = []
     for draw in np.concatenate([np.zeros((1, q)), rng.standard_normal((DRAWS, q))]):
         at = chosen.point.at + chosen.root @ draw
-        p = at[:-1] - at[:-1].mean()
-        force = fit.model.state(p, fit.displacement, fit.nu(at), slopes=False).force
+        p = at[:count] - at[:count].mean()
+        force = fit.model.state(p, fit.displacement, fit.nu(at), fit.bent(at), slopes=False).force
         every.append(float(np.log(np.linalg.norm(force[fit.whole_touched].sum(axis=0)))))
     scale = float(np.log(seen.force_n / fit.spacing) - every[0])
     doubt = np.hypot(np.std(every[1:]), 0.0 if seen.force_noise_n is None else seen.force_noise_n / seen.force_n)
@@ -427,6 +514,17 @@ def _part_of_a_face(fit: FieldFit) -> list[Doubt]:
         "strains alike; hold and move whole faces (stretch or shear it)"
     )
     return [Doubt("setting", text, "unidentified")]
+
+
+def _smooth_error(chosen: Description, differ: bool) -> list[Doubt]:
+    """differ: places that differ explain what was seen, too"""
+    if chosen.fit.rival != "smooth error":
+        return []
+    text = (
+        "one material explains it if what was seen has a smooth error (a scale or a drift that differs between the two "
+        "states, a lens); see that camera and body stand still, or measure it with nothing moved"
+    )
+    return [Doubt("smooth-error", text, "unidentified" if differ else "weak")]
 
 
 def _large_strain(fit: FieldFit) -> list[Doubt]:

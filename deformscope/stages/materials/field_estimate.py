@@ -12,7 +12,7 @@ from deformscope.results.declared import derived, reported
 from deformscope.results.render import ReportedResult
 from deformscope.stages.fit.estimate import Doubt, LengthUnit, Verdict, converged_text, explained_text
 
-FieldKind = Literal["uniform", "materials", "gradual", "unidentified"]
+FieldKind = Literal["uniform", "anisotropic", "materials", "gradual", "unidentified"]
 
 IDENTIFIED_FACTOR, WEAK_FACTOR = 1.5, 2.5
 """A place whose interval spans less than these factors is identified, or weak."""
@@ -26,6 +26,26 @@ def place_verdicts(interval: FloatArray) -> tuple[Verdict, ...]:
     )
 
 
+@dataclass(frozen=True, slots=True)
+class DirectionalStiffness:
+    """Of a material that is stiffer along one direction. stiffest, softest: (d,) of unit length
+
+    ratio: of Young's moduli along these: an estimate that has no interval
+    """
+
+    stiffest: FloatArray
+    softest: FloatArray
+    ratio: float
+
+
+def directions_text(found: DirectionalStiffness | None) -> str:
+    """Ratio and direction; empty where there are none."""
+    if found is None:
+        return ""
+    along = ", ".join(f"{one:.2f}" for one in found.stiffest)
+    return f"about {found.ratio:.2g}, stiffest along ({along})"
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FieldEstimate(ReportedResult):
     """What one deformation shows of a body's stiffness from place to place.
@@ -36,7 +56,9 @@ class FieldEstimate(ReportedResult):
     ratio: stiffest over softest, and its interval
     beta: (C,) of clusters of 2^d particles, beta_interval: (C, 2); beta_ratio: of 1 - beta, largest over smallest
     absolute: (C,) stiffness of a cell [N per unit], absolute_interval: (C, 2); None without a force
-    verdict: "uniform", "materials", "gradual"; "unidentified" where at most of the places the data do not tell
+    directions: of one anisotropic material, else None
+    verdict: "uniform", "anisotropic" (one material, stiffer along a direction), "materials", "gradual"; "unidentified"
+    where at most of the places the data do not tell
     reasons: to doubt it
     poisson, poisson_sd: Poisson's ratio; reach: of the smooth field [spacings]
     held_out: (h,) error of what was left out, chi2 for each number, of each of `tried` (borders as they were found from
@@ -95,6 +117,10 @@ class FieldEstimate(ReportedResult):
     )
     spacing: float = field(metadata=reported(length=True))
     beta_ratio: float = field(metadata=reported())
+    directions: DirectionalStiffness | None = field(
+        default=None,
+        metadata=reported("stiffest over softest direction", words=lambda found: directions_text(found.directions)),
+    )
     poisson: float = field(
         metadata=reported(
             "Poisson's ratio",

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -42,8 +43,19 @@ SIZES = np.exp(np.linspace(np.log(1e-6), np.log(1.0), 401))
 STATED_SPREAD = 1.0
 """Log-normal deviation of the true noise about a stated one."""
 
+Rival = Literal["none", "anisotropic", "smooth error"]
+"""What else than places may explain what was seen."""
+
 NU, NU_SPREAD = 0.3, 0.15
 """Poisson's ratio before the data. In the plane it is what the thickness leaves of it."""
+
+BENT_SPREAD = 0.5
+"""Deviation of the logarithms of an anisotropic material's stiffness before the data: two moduli differ by a factor of
+two (one deviation)."""
+
+ERROR_SPREADS = (0.1, 0.03)
+"""Smooth errors of what was seen, as shares of the largest displacement: linear in place (the camera's scale, a drift
+of one side) and quadratic (a lens)."""
 
 ODDS, ODDS_SPREAD = float(np.log(0.4)), 1.0
 """log((1 - beta) / beta) of the whole body before the data."""
@@ -72,9 +84,10 @@ class NoiseModel:
 
 @dataclass(frozen=True, slots=True)
 class StiffnessPrior:
-    """What is assumed of all parameters, those of the cells and one more (Poisson's ratio, or the whole body's level).
+    """What is assumed of all parameters, those of the cells and what they share (Poisson's ratio, or the whole body's
+    level, and what a rival has).
 
-    mean: (C + 1,); root: (C + 1, q) of the covariance
+    mean: (C + 1 + m,); root: (C + 1 + m, q) of the covariance
     """
 
     mean: FloatArray
@@ -84,16 +97,17 @@ class StiffnessPrior:
 class FieldFit:
     """One observation, to which cells of one law are fitted.
 
-    Parameters (C + 1,) are of each cell the logarithm of its modulus, and Poisson's ratio; or of each cell the odds of
-    1 - beta, and what of these all cells share.
+    Parameters (C + 1 + m,) are of each cell the logarithm of its modulus, and Poisson's ratio; or of each cell the odds
+    of 1 - beta, and what of these all cells share. The m others are a rival's: of "anisotropic" what makes the material
+    so (`cell_model.elasticity`), of "smooth error" the displacements that are errors (`smooth_modes`).
 
     cells: (C, 2^d); place: (C, d) [unit]; held: (n,) particles whose displacement is prescribed; displacement: (K, d)
     without the rigid motion [spacings]; rows: (m,) of its numbers, those that are judged; target: (m,)
     """
 
-    def __init__(self, seen: Observation, law: Law) -> None:
+    def __init__(self, seen: Observation, law: Law, rival: Rival = "none") -> None:
         cells = _cells_of(seen)
-        self.seen, self.law, self.cells = seen, law, cells
+        self.seen, self.law, self.cells, self.rival = seen, law, cells, rival
         self.spacing = float(np.median(np.linalg.norm(seen.rest[cells[:, 1]] - seen.rest[cells[:, 0]], axis=1)))
         self.place = seen.rest[cells].mean(axis=1)
         self.held = np.union1d(seen.held, _beside_tool(seen, cells))
@@ -109,6 +123,12 @@ class FieldFit:
         self.target = self.displacement.ravel()[self.rows]
         self.size = max(float(np.abs(self.displacement[seen.observed]).max()), LEAST_MOTION)
         self._reach = cdist(seen.rest, seen.rest) / self.spacing
+        self._modes, spread = smooth_modes(seen.rest)
+        self._rival_root = {
+            "none": np.zeros((0, 0)),
+            "anisotropic": BENT_SPREAD * bent_root(d),
+            "smooth error": self.size * np.diag(spread),
+        }[rival]
 
     def prior(self, reach: float) -> StiffnessPrior:
         """A smooth field. reach: [spacings]"""
@@ -126,32 +146,49 @@ class FieldFit:
     def _with_common(self, root: FloatArray) -> StiffnessPrior:
         """The prior of parameters (C + 1,): of cells with root (C, q), and of Poisson's ratio; of `beta`, a level that
         all share."""
-        count, own = root.shape
-        full = np.zeros((count + 1, own + 1))
+        (count, own), more = root.shape, len(self._rival_root)
+        full = np.zeros((count + 1 + more, own + 1 + more))
         full[:count, :own], full[count, own] = root, NU_SPREAD
-        mean = np.append(np.zeros(count), NU)
+        full[count + 1 :, own + 1 :] = self._rival_root
+        mean = np.concatenate([np.zeros(count), [NU], np.zeros(more)])
         if self.law == "beta":
             full[:, own] = ODDS_SPREAD
             mean[:] = ODDS
         return StiffnessPrior(mean, full)
 
     def state(self, at: FloatArray) -> tuple[CellState, FloatArray, FloatArray]:
-        """The displacements of parameters (C + 1,), those that are judged (n,), and their derivatives (n, C + 1)."""
-        state = self.model.state(self.log_stiffness(at), self.displacement, self.nu(at))
-        slope = state.slope * (1.0 - expit(at[:-1])) if self.law == "beta" else state.slope
-        return state, state.moved.ravel()[self.rows], np.column_stack([slope, self._bend(at) * state.by_nu])[self.rows]
+        """The displacements of parameters (p,), those that are judged (n,), smooth errors included, and their
+        derivatives (n, p)."""
+        count, held = len(self.cells), self.displacement
+        # of the held particles too, which are where they were seen less their error
+        fixed = np.zeros_like(self._modes) if self.seen.held_measured is False else self._modes
+        if error := self.rival == "smooth error":
+            held = held - (fixed @ at[count + 1 :]).reshape(held.shape)
+        state = self.model.state(self.log_stiffness(at), held, self.nu(at), self.bent(at))
+        moved = state.moved.ravel()[self.rows]
+        slope = state.slope * (1.0 - expit(at[:count])) if self.law == "beta" else state.slope
+        columns = [slope[self.rows], (self._bend(at) * state.by_nu)[self.rows, None], state.by_bent[self.rows]]
+        if error:
+            moved = moved + self._modes[self.rows] @ at[count + 1 :]
+            columns.append(self._modes[self.rows] - state.response[self.rows] @ fixed[self.model.fixed])
+        return state, moved, np.concatenate(columns, axis=1)
 
     def log_stiffness(self, at: FloatArray) -> FloatArray:
         """(C,) what the cells' energies are multiplied by: of a modulus 1, or 1 - beta."""
-        return np.asarray(-np.logaddexp(0.0, -at[:-1]) if self.law == "beta" else at[:-1])
+        p = at[: len(self.cells)]
+        return np.asarray(-np.logaddexp(0.0, -p) if self.law == "beta" else p)
+
+    def bent(self, at: FloatArray) -> FloatArray | None:
+        """(m,) what makes the material of parameters (p,) anisotropic; None where nothing does."""
+        return at[len(self.cells) + 1 :] if self.rival == "anisotropic" else None
 
     def nu(self, at: FloatArray) -> float:
-        """Poisson's ratio of parameters (p,): the last one, bent where it comes near its bounds (a ratio that is cut
-        off there has no derivative, and the fit does not settle)."""
-        return self._half * (1.0 + float(np.tanh(at[-1] / self._half - 1.0)))
+        """Poisson's ratio of parameters (p,): the first after the cells', bent where it comes near its bounds (a ratio
+        that is cut off there has no derivative, and the fit does not settle)."""
+        return self._half * (1.0 + float(np.tanh(at[len(self.cells)] / self._half - 1.0)))
 
     def nu_sd(self, at: FloatArray, sd: float) -> float:
-        """Standard deviation of Poisson's ratio at parameters (p,), of that of the last one."""
+        """Standard deviation of Poisson's ratio at parameters (p,), of that of its own."""
         return self._bend(at) * sd
 
     @property
@@ -159,8 +196,8 @@ class FieldFit:
         return 0.45 if self.displacement.shape[1] == 2 else 0.245
 
     def _bend(self, at: FloatArray) -> float:
-        """Slope of Poisson's ratio by its parameter, the last of (p,)."""
-        return 1.0 - float(np.tanh(at[-1] / self._half - 1.0)) ** 2
+        """Slope of Poisson's ratio by its parameter, of (p,)."""
+        return 1.0 - float(np.tanh(at[len(self.cells)] / self._half - 1.0)) ** 2
 
     def noise_root(self, reach: float, response: FloatArray) -> FloatArray:
         """(n, n) Cholesky factor of the covariance of errors of size 1. response: (K d, n d) of the held positions"""
@@ -204,7 +241,7 @@ class FieldFit:
                 if float(step @ downhill) < SETTLED:
                     converged = True
                     break
-                change = float(np.abs(prior.root @ step)[:-1].max(initial=0.0))
+                change = float(np.abs(prior.root @ step)[: len(self.cells)].max(initial=0.0))
                 step *= min(1.0, MOST_STEP / max(change, 1e-12))
                 z = z + step
             at = prior.mean + prior.root @ z
@@ -214,7 +251,7 @@ class FieldFit:
 
 @dataclass(frozen=True, slots=True)
 class FieldPoint:
-    """A fit, and what it is linear in about it. at: (C + 1,); moved: (n,); slope: (n, C + 1)"""
+    """A fit, and what it is linear in about it. at: (p,); moved: (n,); slope: (n, p)"""
 
     at: FloatArray
     state: CellState
@@ -231,6 +268,29 @@ def matern(distance: FloatArray) -> FloatArray:
     """Correlation at distances of so many lengths (Matern, 3/2)."""
     root = np.sqrt(3.0) * distance
     return np.asarray((1.0 + root) * np.exp(-root))
+
+
+def smooth_modes(rest: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(K d, m) displacements of points (K, d) that are linear and quadratic in place, one at the farthest, and (m,) how
+    large each may be."""
+    d = rest.shape[1]
+    x = rest - 0.5 * (rest.max(axis=0) + rest.min(axis=0))
+    x = x / np.abs(x).max()
+    quadratic = [x[:, i] * x[:, j] for i in range(d) for j in range(i, d)]
+    shapes = np.stack([*x.T, *quadratic], axis=1)
+    spread = np.repeat(ERROR_SPREADS, [d, len(quadratic)])
+    return np.kron(shapes, np.eye(d)), np.repeat(spread, d)
+
+
+def bent_root(d: int) -> FloatArray:
+    """(m, m) root of the covariance of an anisotropic law's numbers (`cell_model.elasticity`) for which no direction is
+    special; their geometric mean stays as it is, which positions cannot tell."""
+    size = d * (d + 1) // 2
+    row, column = np.triu_indices(size)
+    root = np.diag(np.where(row == column, 1.0, np.sqrt(0.5)))
+    own = row == column
+    root[np.ix_(own, own)] -= 1.0 / size
+    return root
 
 
 def without_rigid(seen: Observation) -> FloatArray:
@@ -366,8 +426,8 @@ class Folds:
     def judge(
         self, point: FieldPoint, target: FloatArray, find: Callable[[FloatArray, FloatArray], FloatArray]
     ) -> LeftOutError:
-        """How far what is left out is from what the others say. find: gives parameters (C + 1,) of what is wanted (n,)
-        and its derivatives (n, C + 1), whitened"""
+        """How far what is left out is from what the others say. find: gives parameters (p,) of what is wanted (n,) and
+        its derivatives (n, p), whitened"""
         wanted = point.linear(target)
         square = np.empty(len(wanted))
         for part, (order, count, _) in enumerate(self.parts):
@@ -378,14 +438,14 @@ class Folds:
 
 
 def smooth_mean(prior: StiffnessPrior, y: FloatArray, w: FloatArray) -> FloatArray:
-    """(C + 1,) parameters of a prior, of whitened rows: y (n,) wanted, w (n, C + 1) derivatives."""
+    """(p,) parameters of a prior, of whitened rows: y (n,) wanted, w (n, p) derivatives."""
     own = w @ prior.root
     z = np.linalg.solve(own.T @ own + np.eye(own.shape[1]), own.T @ (y - w @ prior.mean))
     return np.asarray(prior.mean + prior.root @ z)
 
 
 def posterior(fit: FieldFit, prior: StiffnessPrior, noise: NoiseModel, point: FieldPoint) -> FloatArray:
-    """(C + 1, q) root of the parameters' covariance after the data."""
+    """(p, q) root of the parameters' covariance after the data."""
     root = fit.noise_root(noise.reach, point.state.response) * noise.size
     w = solve_triangular(root, point.slope @ prior.root, lower=True)
     inner = np.linalg.cholesky(w.T @ w + np.eye(w.shape[1]))

@@ -10,29 +10,42 @@ strength j_i and retardation time l_i (`stages.poke.creep`), and p the share tha
 nothing but a force shows f; once it is off f is 0, and what is left recovers by what the branches remember. So a motion
 without force is asked by its recovery alone, and one with force by its relaxation too, which shows the stiffness.
 
-None, one and two branches, with and without a set, are compared by their evidence and averaged.
+None to three branches, and a spectrum that reaches no plateau (`stages.fit.creep_spectra`), with and without a set,
+are compared by their evidence and averaged. What the record did not see to its end is a reason, and a bound.
 """
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
 import scipy  # its parts are imported as they are first used
 
-from deformscope.arrays import FloatArray
+from deformscope.arrays import BoolArray, FloatArray
 from deformscope.errors import InputError
-from deformscope.stages.fit.relaxation import mean_relaxation_s
+from deformscope.stages.fit.creep_spectra import (
+    ENDLESS_HOLDS,
+    STRENGTH_MEDIAN,
+    STRENGTH_SPREAD,
+    Branches,
+    Endless,
+    Spectrum,
+)
+from deformscope.stages.fit.estimate import Doubt
+from deformscope.stages.fit.relaxation import kept_of, mean_relaxation_s, relaxation_modes, seen_of
 from deformscope.stages.fit.weighted_draws import draw_about, median_and_interval, pooled
 from deformscope.stages.materials.recovery_estimate import Number, RecoveryBehaviour, RecoveryEstimate
 
-STRENGTH_MEDIAN, STRENGTH_SPREAD = 0.2, 0.9
-"""Log-normal prior of a branch's strength, as `stages.poke.creep` has it."""
 SET_MEDIAN, SET_SPREAD = 0.06, 1.0
 """Log-normal prior of the share that is kept: 1 to 40 % [assumed]."""
-SLOWEST = 5.0
+SLOWEST = 10.0
 """Retardation times go from the time between frames to so many times what was recorded since the push."""
-MOST_BRANCHES = 2
+MOST_BRANCHES = 3
+PRESSED = 0.95
+"""Share of the largest displacement at which the push has come to its end."""
+FORCE_DRAWS = 400
+"""Of all draws, from which the force that is kept is computed."""
 NOTICED = 0.03
 """Share that relaxes, or is kept, from which on a thing counts as viscous, or plastic."""
 SURE = 0.95
@@ -80,32 +93,48 @@ def fit_recovery(
         hint = "record on after the tool is off: some times as long as the recovery takes"
         raise InputError(f"{LEAST_AFTER} frames or more after the release", came, hint)
     law = _RecoveryLaw(time_s, amplitude, released, force_n, force_sd_n)
-    models = [(branches, kept) for branches in range(MOST_BRANCHES + 1) for kept in (False, True)]
-    law.widen(law.best(MOST_BRANCHES, kept=True), MOST_BRANCHES)
+    models = [(spectrum, kept) for spectrum in law.spectra for kept in (False, True)]
+    law.widen(law.best(law.spectra[2], kept=True), law.spectra[2])
     draws = [
-        law.posterior(branches, kept, np.random.default_rng([seed, at])) for at, (branches, kept) in enumerate(models)
+        law.posterior(spectrum, kept, np.random.default_rng([seed, at])) for at, (spectrum, kept) in enumerate(models)
     ]
     weight = pooled([one.log_evidence for one in draws], [one.weight for one in draws])
-    strength, mean_s, kept, stiffness = (
-        np.concatenate([getattr(one, name) for one in draws]) for name in ("strength", "mean_s", "kept", "stiffness")
+    every, retarded_s, mean_s, kept, stiffness, endless = (
+        np.concatenate([getattr(one, name) for one in draws])
+        for name in ("strength", "retarded_s", "mean_s", "kept", "stiffness", "endless")
     )
-    share = strength / (1.0 + strength)
-    creeps = strength > 0.0
+    watched_s = float(time_s[-1] - time_s[min(released, last)])
+    pressed = int(np.argmax(amplitude >= PRESSED * amplitude.max()))
+    held_s = float(time_s[released - 1] - time_s[pressed])
+    record_s = max(watched_s, held_s if force_n is not None else 0.0)
+    seen = seen_of(every, retarded_s, endless, weight, record_s)
+    share, creeps = seen.share, every.any(axis=1)
+    judged = weight * (seen.within if not seen.reasons else 1.0)
+    verdict = _verdict(share, kept, weight)
+    mean_time = median_and_interval(mean_s[creeps], judged[creeps], level)
+    if not seen.reasons and verdict not in ("elastic", "plastic") and mean_time[1][1] > record_s:
+        seen = dataclasses.replace(seen, reasons=(_alike(mean_time, watched_s),))
+    some = np.random.default_rng(seed).choice(len(weight), FORCE_DRAWS, p=weight / weight.sum())
+    ramp_s = float(time_s[pressed] - time_s[_begin(amplitude)])
+    relaxed = _per_unit(stiffness * (1.0 - share), weight, largest, level)
+    if seen.reasons:
+        relaxed = Number(relaxed.interval[1], (0.0, relaxed.interval[1]))
     middle = int(np.argmax([one.log_evidence for one in draws]))
     simulated = np.full(len(time_s), np.nan)
     simulated[released:] = law.simulated(draws[middle].best[None], models[middle][0])[0][0]
     return RecoveryEstimate(
-        share=Number(*median_and_interval(share, weight, level)),
-        time_s=Number(*median_and_interval(mean_s[creeps], weight[creeps], level)),
+        share=Number(*seen.bounded(*median_and_interval(share, weight, level), 1.0)),
+        time_s=Number(*seen.bounded(*mean_time, np.inf)),
         set=Number(*median_and_interval(kept, weight, level)),
         instant=_per_unit(stiffness, weight, largest, level) if force_n is not None else None,
-        relaxed=_per_unit(stiffness * (1.0 - share), weight, largest, level) if force_n is not None else None,
-        verdict=_verdict(share, kept, weight),
+        relaxed=relaxed if force_n is not None else None,
+        verdict=verdict,
         level=level,
-        reasons=(),
+        reasons=seen.reasons,
+        force_kept=kept_of(every[some], retarded_s[some], np.ones(FORCE_DRAWS), ramp_s, record_s),
         explained=1.0,
         held_s=float(time_s[released - 1] - time_s[_begin(amplitude)]),
-        watched_s=float(time_s[-1] - time_s[min(released, last)]),
+        watched_s=watched_s,
         released=released,
         largest=largest,
         time=time_s - time_s[0],
@@ -113,6 +142,16 @@ def fit_recovery(
         simulated=simulated,
         settings={"seed": seed, "frames": len(time_s), "with_force": force_n is not None, "noise": law.sd},
     )
+
+
+def _alike(mean_time: tuple[float, tuple[float, float]], watched_s: float) -> Doubt:
+    """That a recovery may be slower than was watched. mean_time: median and interval [s]"""
+    middle, (_, slowest) = mean_time
+    text = (
+        f"what recovers takes {middle:.2g} s (up to {slowest:.2g} s), and {watched_s:.2g} s were watched after the "
+        "release: a slow recovery and a permanent set look alike; record longer"
+    )
+    return Doubt("short-record", text)
 
 
 def _per_unit(stiffness: FloatArray, weight: FloatArray, largest: float, level: float) -> Number:
@@ -150,8 +189,8 @@ def _released(time_s: FloatArray, amplitude: FloatArray, loaded: int) -> int:
     best = None
     for released in tried[::-1]:
         law = _RecoveryLaw(time_s, amplitude, int(released))
-        best = law.best(1, kept=True, start=best)
-        off = law.residuals(best[None], 1)[0][: last + 1 - released]
+        best = law.best(law.spectra[1], kept=True, start=best)
+        off = law.residuals(best[None], law.spectra[1])[0][: last + 1 - released]
         free = last + 1 - released
         likely.append(-0.5 * float(off @ off) - free * float(np.log(law.sd * np.sqrt(2.0 * np.pi))))
     return int(tried[::-1][int(np.argmax(likely))])
@@ -159,21 +198,24 @@ def _released(time_s: FloatArray, amplitude: FloatArray, loaded: int) -> int:
 
 @dataclass(frozen=True, slots=True)
 class _RecoveryDraws:
-    """Of one model: log evidence, its best parameters; weight (d,); sum of j_i, mean relaxation time [s], share kept,
-    and force for the largest displacement at once [N], all (d,)."""
+    """Of one model: log evidence, its best parameters; weight (d,); j_i and l_i [s] (d, b), what is not there with a
+    strength of 0; mean relaxation time [s], share kept, force for the largest displacement at once [N], and whether
+    the spectrum has no end, all (d,)."""
 
     log_evidence: float
     best: FloatArray
     weight: FloatArray
     strength: FloatArray
+    retarded_s: FloatArray
     mean_s: FloatArray
     kept: FloatArray
     stiffness: FloatArray
+    endless: BoolArray
 
 
 class _RecoveryLaw:
-    """The law over one motion; parameters: log j and log l of each branch, the error that all frames after the release
-    share, how far between its two frames the release lies, then log of the share kept, and log of the stiffness, where
+    """The law over one motion; parameters: those of a spectrum, the error that all frames after the release share, how
+    far between its two frames the release lies, then log of the share kept, and log of the stiffness, where
     these are there."""
 
     def __init__(
@@ -190,6 +232,9 @@ class _RecoveryLaw:
         fast, slow = np.log(float(np.median(np.diff(time_s)))), np.log(SLOWEST * span)
         self._log_time, self._time_spread = 0.5 * (fast + slow), 0.25 * (slow - fast)
         self._limits = fast - 2.0, slow + 2.0
+        nodes = np.array([fast, slow])
+        self.spectra: list[Spectrum] = [Branches(count, nodes, 0.5**count) for count in range(MOST_BRANCHES + 1)]
+        self.spectra.append(Endless.over(np.exp(fast), SLOWEST * span / ENDLESS_HOLDS, 1.0, 0.25))
         # neighbouring frames share no motion beyond a straight one
         bend = np.diff(amplitude[released:], 2)
         scatter = 1.4826 * float(np.median(np.abs(bend))) / np.sqrt(6.0) if len(bend) else 0.0
@@ -200,9 +245,9 @@ class _RecoveryLaw:
             self._force, self._force_scale = force_n[1:released] / most, most
             self._force_sd = np.hypot(FORCE_SD, force_sd_n / most)
 
-    def widen(self, best: FloatArray, branches: int) -> None:
+    def widen(self, best: FloatArray, spectrum: Spectrum) -> None:
         """Take what the best fit (p,) leaves as noise, and that neighbours share it."""
-        off = self.residuals(best[None], branches)[0][: len(self._amplitude) - self._released]
+        off = self.residuals(best[None], spectrum)[0][: len(self._amplitude) - self._released]
         if len(off) <= len(best):
             return
         size = max(1.0, float(np.sqrt(np.mean(off**2))))
@@ -210,17 +255,18 @@ class _RecoveryLaw:
         shared = np.sqrt((1.0 + np.clip(alike, 0.0, 0.9)) / (1.0 - np.clip(alike, 0.0, 0.9)))
         self.sd *= size * float(shared)
 
-    def best(self, branches: int, *, kept: bool, start: FloatArray | None = None) -> FloatArray:
-        """The likeliest parameters (p,) of so many branches. start: (p,), from which they are sought"""
+    def best(self, spectrum: Spectrum, *, kept: bool, start: FloatArray | None = None) -> FloatArray:
+        """The likeliest parameters (p,) of a spectrum. start: (p,), from which they are sought"""
         if start is None:
-            apart = np.linspace(-0.7, 0.7, branches) if branches > 1 else np.zeros(branches)
-            parts = [np.full(branches, np.log(STRENGTH_MEDIAN)), self._log_time + self._time_spread * apart, [0.0, 0.5]]
-            parts += [[np.log(SET_MEDIAN)]] * kept + [[0.0]] * (self._force is not None)
-            start = np.concatenate(parts)
+            middle, spread = self._priors(spectrum)
+            if not spectrum.endless and spectrum.most > 1:
+                middle = middle + spread * np.append(np.zeros(spectrum.most), np.linspace(-0.7, 0.7, spectrum.most))
+            more = [0.0, 0.5, *[np.log(SET_MEDIAN)] * kept, *[0.0] * (self._force is not None)]
+            start = np.append(middle, more)
         found = scipy.optimize.least_squares(
-            lambda one: self.residuals(one[None], branches)[0],
+            lambda one: self.residuals(one[None], spectrum)[0],
             start,
-            jac=lambda one: self.jacobian(one, branches),
+            jac=lambda one: self.jacobian(one, spectrum),
             x_scale="jac",
             ftol=1e-7,
             xtol=1e-6,
@@ -228,70 +274,62 @@ class _RecoveryLaw:
         )
         return np.asarray(found.x)
 
-    def posterior(self, branches: int, kept: bool, random: np.random.Generator) -> _RecoveryDraws:
+    def posterior(self, spectrum: Spectrum, kept: bool, random: np.random.Generator) -> _RecoveryDraws:
         """Weighted draws of the parameters of one model."""
-        best = self.best(branches, kept=kept)
-        size = branches * np.log(2.0 * np.pi * STRENGTH_SPREAD * self._time_spread)
-        size += kept * np.log(np.sqrt(2.0 * np.pi) * SET_SPREAD)
+        best = self.best(spectrum, kept=kept)
+        spread = np.append(self._priors(spectrum)[1], [SET_SPREAD] * kept)
+        size = float(np.log(np.sqrt(2.0 * np.pi) * spread).sum() - np.log(spectrum.prior))
         drawn, weight, log_evidence = draw_about(
-            best, self.jacobian(best, branches), lambda some: self.residuals(some, branches), float(size), random
+            best, self.jacobian(best, spectrum), lambda some: self.residuals(some, spectrum), size, random
         )
-        strength, retarded_s = np.exp(drawn[:, :branches]), np.exp(self._log_times(drawn, branches))
-        at = 2 * branches + 2
-        share = np.exp(drawn[:, at]) if kept else np.zeros(len(drawn))
-        stiffness = self._force_scale * np.exp(drawn[:, -1]) if self._force is not None else np.zeros(len(drawn))
-        mean_s = mean_relaxation_s(strength, retarded_s)
+        strength, retarded_s = self._filters(drawn, spectrum)
+        at = self._size(spectrum) + 2
+        none = ((0, 0), (0, max(one.most for one in self.spectra) - spectrum.most))
         return _RecoveryDraws(
             log_evidence=log_evidence,
             best=best,
             weight=weight,
-            strength=strength.sum(axis=1),
-            mean_s=mean_s,
-            kept=share,
-            stiffness=stiffness,
+            strength=np.pad(strength, none),
+            retarded_s=np.pad(retarded_s, none, constant_values=1.0),
+            mean_s=mean_relaxation_s(strength, retarded_s),
+            kept=np.exp(drawn[:, at]) if kept else np.zeros(len(drawn)),
+            stiffness=self._force_scale * np.exp(drawn[:, -1]) if self._force is not None else np.zeros(len(drawn)),
+            endless=np.full(len(drawn), spectrum.endless),
         )
 
-    def jacobian(self, at: FloatArray, branches: int) -> FloatArray:
+    def jacobian(self, at: FloatArray, spectrum: Spectrum) -> FloatArray:
         """(m, k) of the residuals, by central differences, all in one pass."""
         step = 1e-4 * np.eye(len(at))
-        both = self.residuals(np.concatenate([at + step, at - step]), branches)
+        both = self.residuals(np.concatenate([at + step, at - step]), spectrum)
         return np.asarray((both[: len(at)] - both[len(at) :]).T / 2e-4)
 
-    def residuals(self, at: FloatArray, branches: int) -> FloatArray:
+    def residuals(self, at: FloatArray, spectrum: Spectrum) -> FloatArray:
         """(d, m) of parameters (d, k): shares after the release, forces before it, then what priors hold against."""
-        share, force = self.simulated(at, branches)
+        share, force = self.simulated(at, spectrum)
         parts = [(self._amplitude[self._released :] - share) / self.sd]
         if self._force is not None:
             parts.append((self._force - force) / self._force_sd)
-        offset, between = at[:, 2 * branches : 2 * branches + 1], at[:, 2 * branches + 1 : 2 * branches + 2]
-        parts += [
-            (at[:, :branches] - np.log(STRENGTH_MEDIAN)) / STRENGTH_SPREAD,
-            (at[:, branches : 2 * branches] - self._log_time) / self._time_spread,
-            offset / OFFSET_SD,
-            (between - 0.5) / BETWEEN_SD,
-        ]
-        if self._has_set(at, branches):
-            parts.append((at[:, 2 * branches + 2 : 2 * branches + 3] - np.log(SET_MEDIAN)) / SET_SPREAD)
+        size, (middle, spread) = self._size(spectrum), self._priors(spectrum)
+        offset, between = at[:, size : size + 1], at[:, size + 1 : size + 2]
+        parts += [(at[:, :size] - middle) / spread, offset / OFFSET_SD, (between - 0.5) / BETWEEN_SD]
+        if self._has_set(at, spectrum):
+            parts.append((at[:, size + 2 : size + 3] - np.log(SET_MEDIAN)) / SET_SPREAD)
         return np.concatenate(parts, axis=1)
 
-    def simulated(self, at: FloatArray, branches: int) -> tuple[FloatArray, FloatArray]:
+    def simulated(self, at: FloatArray, spectrum: Spectrum) -> tuple[FloatArray, FloatArray]:
         """Shares (d, T - released) after the release, and forces (d, released - 1) before it, of parameters (d, k)."""
         released, count = self._released, len(self._time)
-        strength, retarded = np.exp(at[:, :branches]), np.exp(self._log_times(at, branches))
-        offset, between = at[:, 2 * branches, None], np.clip(at[:, 2 * branches + 1], 0.0, 1.0)
-        kept = np.exp(at[:, 2 * branches + 2]) if self._has_set(at, branches) else np.zeros(len(at))
+        strength, retarded = self._filters(at, spectrum)
+        size = self._size(spectrum)
+        offset, between = at[:, size, None], np.clip(at[:, size + 1], 0.0, 1.0)
+        kept = np.exp(at[:, size + 2]) if self._has_set(at, spectrum) else np.zeros(len(at))
         most = self._most[released - 1]
         driven = self._amplitude - kept[:, None] * self._most  # (d, T) what is elastic or creeps
-        branch: FloatArray = np.zeros((len(at), branches))
-        force = np.empty((len(at), released))
-        if branches:
-            steps = _BranchSteps.of(strength, retarded, np.diff(self._time[:released]))
-            for frame in range(released):
-                if frame:
-                    branch = steps.step(branch, driven[:, frame - 1], driven[:, frame], frame - 1)
-                force[:, frame] = driven[:, frame] - np.sum(strength * branch, axis=1)
-        else:
-            force[:] = driven[:, :released]
+        force = driven[:, :released].copy()
+        branch: FloatArray = np.zeros((len(at), spectrum.most))
+        if spectrum.most:
+            carried, branch = _driven(strength, retarded, np.diff(self._time[:released]), driven[:, :released])
+            force -= carried
         after: FloatArray = np.empty((len(at), count - released))
         if count > released:
             gap = self._time[released] - self._time[released - 1]
@@ -302,47 +340,42 @@ class _RecoveryLaw:
         scale = np.exp(at[:, -1])[:, None] if self._force is not None else 1.0
         return after + kept[:, None] * most + offset, scale * np.maximum(force[:, 1:], 0.0)
 
-    def _log_times(self, at: FloatArray, branches: int) -> FloatArray:
-        """(n, branches) log times of the branches, within their limits, of parameters (n, p)."""
-        return np.asarray(np.clip(at[:, branches : 2 * branches], *self._limits))
+    def _filters(self, at: FloatArray, spectrum: Spectrum) -> tuple[FloatArray, FloatArray]:
+        """Strengths and retardation times (n, b) [s], these within their limits, of parameters (n, p)."""
+        strength, retarded_s = spectrum.filters(at[:, : self._size(spectrum)])
+        return strength, np.clip(retarded_s, *np.exp(self._limits))
 
-    def _has_set(self, at: FloatArray, branches: int) -> bool:
-        return bool(at.shape[1] > 2 * branches + 2 + (self._force is not None))
+    def _priors(self, spectrum: Spectrum) -> tuple[FloatArray, FloatArray]:
+        """(k,) means and deviations of a spectrum's parameters: one Gaussian in place of a sum."""
+        means, spread = spectrum.priors()
+        if spectrum.endless:
+            return means.mean(axis=0), np.hypot(spread, means.std(axis=0))
+        count = spectrum.most
+        middle = np.repeat([np.log(STRENGTH_MEDIAN), self._log_time], count)
+        return middle, np.repeat([STRENGTH_SPREAD, self._time_spread], count)
+
+    def _size(self, spectrum: Spectrum) -> int:
+        return len(self._priors(spectrum)[0])
+
+    def _has_set(self, at: FloatArray, spectrum: Spectrum) -> bool:
+        return bool(at.shape[1] > self._size(spectrum) + 2 + (self._force is not None))
 
 
-@dataclass(frozen=True, slots=True)
-class _BranchSteps:
-    """Branches driven by a displacement that goes straight from frame to frame, each step exact.
-
-    rate: (d, b) eigenvalues of how branches relax under a displacement; into, out: (d, b, b) to their eigenvectors and
-    back; push: (d, b) what drives each; gap_s: (n,) between frames
-    """
-
-    rate: FloatArray
-    into: FloatArray
-    out: FloatArray
-    push: FloatArray
-    gap_s: FloatArray
-
-    @classmethod
-    def of(cls, strength: FloatArray, retarded: FloatArray, gap_s: FloatArray) -> _BranchSteps:
-        matrix = -(np.eye(strength.shape[1]) + strength[:, None, :]) / retarded[:, :, None]
-        # alike to a symmetric matrix, whose eigenvectors are orthogonal: scaled by the root of j_i l_i
-        root = np.sqrt(strength * retarded)
-        even = matrix * root[:, :, None] / root[:, None, :]
-        rate, vectors = np.linalg.eigh(0.5 * (even + even.transpose(0, 2, 1)))
-        into, out = vectors.transpose(0, 2, 1) * root[:, None, :], vectors / root[:, :, None]
-        return cls(rate=rate, into=into, out=out, push=np.einsum("dij,dj->di", into, 1.0 / retarded), gap_s=gap_s)
-
-    def step(self, branch: FloatArray, before: FloatArray, now: FloatArray, at: int) -> FloatArray:
-        """(d, b) from one frame to the next, the displacement (d,) going from `before` to `now`."""
-        gap = self.gap_s[at]
-        turn = self.rate * gap
-        first = np.expm1(turn) / turn
-        second = (first - 1.0) / turn
-        moved = np.exp(turn) * np.einsum("dij,dj->di", self.into, branch)
-        moved += gap * self.push * (first * before[:, None] + second * (now - before)[:, None])
-        return np.asarray(np.einsum("dij,dj->di", self.out, moved))
+def _driven(
+    strength: FloatArray, retarded: FloatArray, gap_s: FloatArray, amplitude: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """(d, T) what branches (d, b) take off the force under a displacement (d, T) that goes straight from frame to
+    frame, `gap_s` (T - 1,) apart, each step exact; and (d, b) the branches at its end."""
+    rate, mode, push = relaxation_modes(strength, retarded)
+    turn = -rate * gap_s[:, None, None]
+    first = np.expm1(turn) / turn
+    before, rise = amplitude.T[:-1, :, None], np.diff(amplitude.T, axis=0)[..., None]
+    more = gap_s[:, None, None] * push * (first * before + (first - 1.0) / turn * rise)
+    left, state = np.exp(turn), np.zeros((len(gap_s) + 1, *strength.shape))
+    for at in range(len(gap_s)):
+        state[at + 1] = left[at] * state[at] + more[at]
+    ended = np.einsum("dbm,dm->db", mode, state[-1]) / np.sqrt(strength * retarded)
+    return np.einsum("tdm,dm->dt", state, push), ended
 
 
 def _lifted(

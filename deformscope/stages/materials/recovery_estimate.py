@@ -9,6 +9,7 @@ from deformscope.arrays import FloatArray
 from deformscope.results.declared import derived, reported
 from deformscope.results.render import ReportedResult
 from deformscope.stages.fit.estimate import Doubt, LengthUnit
+from deformscope.stages.fit.relaxation import ForceKept
 
 RecoveryBehaviour = Literal["elastic", "viscous", "plastic", "viscoplastic", "unidentified"]
 
@@ -29,6 +30,8 @@ class RecoveryEstimate(ReportedResult):
     """What a push and its recovery show.
 
     share: of the modulus that relaxes; time_s: mean relaxation time [s], each branch weighed by its share
+    share and time_s are lower bounds, relaxed an upper bound, where a reason says that the end was not seen
+    force_kept: share of the force at the end of the push that is left, held there, for times within what was recorded
     set: share of the largest displacement that is kept for good
     instant, relaxed: force over displacement of what was pressed, at once and when all has relaxed [N per unit]; None
     without a force
@@ -57,6 +60,11 @@ class RecoveryEstimate(ReportedResult):
             "mean relaxation time",
             key="relaxation_time_s",
             shown_unit="s",
+        )
+    )
+    force_kept: tuple[ForceKept, ...] = field(
+        metadata=reported(
+            "force, held in place", words=lambda found: "; ".join(map(str, (found.force_kept[0], found.force_kept[-1])))
         )
     )
     set: Number = field(metadata=reported("permanent set", key="permanent_set_share", digits=".1%"))

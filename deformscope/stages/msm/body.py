@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from types import SimpleNamespace
 from typing import Any
 
@@ -21,6 +21,7 @@ class BodyRest:
 
     position: (K, d); mass: (K,); free: (K,) bool; counts: (K,) clusters of each
     metric: (K,) N_i m_i over the mean mass, in which the goal map is symmetric; 0 where held
+    slipping: (K,) free but along `held_axis`; -1: none is
     """
 
     position: FloatArray
@@ -28,6 +29,8 @@ class BodyRest:
     free: BoolArray
     counts: IntArray
     metric: FloatArray
+    slipping: BoolArray = field(default_factory=lambda: np.zeros(0, dtype=bool))
+    held_axis: int = -1
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,7 +133,7 @@ class Operator(ABC):
             kept = self.arrays.Kept()
             kept.turned = self.cluster_field(d * d)
             kept.compliance = self.cluster_field(6 if d == 3 else 1)
-            kept.affine = self.cluster_field(d * d if volume else 1)
+            kept.frame = self.cluster_field(2 * d * d + d + 1 if volume else 1)
             kept.stride = self.cluster_stride
             self._kept[volume] = kept
         return self._kept[volume]
@@ -139,7 +142,7 @@ class Operator(ABC):
         """For a `residual` that leaves nothing."""
         if -1 not in self._kept:
             kept = self.arrays.Kept()
-            kept.turned = kept.compliance = kept.affine = self.maps
+            kept.turned = kept.compliance = kept.frame = self.maps
             kept.stride = 0
             self._kept[-1] = kept
         return self._kept[-1]
@@ -205,7 +208,8 @@ class Body(ABC):
     def _make_arrays(self, width: int) -> Any: ...
 
     @abstractmethod
-    def layout(self, candidates: int) -> Layout: ...
+    def layout(self, candidates: int, *, filled: bool = False) -> Layout:
+        """filled: see `layout.widths`, where the lanes of a lattice may be its cells."""
 
     @abstractmethod
     def operator(self, layout: Layout) -> Operator: ...

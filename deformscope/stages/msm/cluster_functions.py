@@ -13,13 +13,15 @@ import warp as wp
 from deformscope.stages.msm.functions import functions_for
 from deformscope.stages.msm.lanes import Ints, lanes_for, product_for, rows_for
 from deformscope.stages.msm.members import members
-from deformscope.stages.msm.reference import NO_ROTATION
+from deformscope.stages.msm.reference import NO_ROTATION, Volume
 
 GOAL, BY_BETA, BY_THETA = 0, 1, 2
 """What a fit gives: the goal map, or its derivative by beta or by theta."""
 
 NONE, SCALE, PROJECT = 0, 1, 2
 """Volume conservation: none (theta = 0), Thesis eq. 3.17, or the projection onto the rest volume."""
+
+VOLUMES: dict[Volume, int] = {"scale": SCALE, "project": PROJECT}
 
 NEWTON_STEPS = 8
 
@@ -40,7 +42,8 @@ def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Simp
     turns = rows_for(square_count + compliance_count + 1, width, scalar)
     times_null = product_for(terms, dim, dim, width, scalar)
     functions = functions_for(dim, scalar)
-    square, turn_one = functions.square, functions.turn
+    frames = rows_for(2 * square_count + dim + 1, width, scalar)
+    square, vec, turn_one = functions.square, functions.vec, functions.turn
     denominator_of, denominator_change = functions.volume_denominator, functions.denominator_change
     project, project_change = functions.project, functions.project_change
     transform = wp.types.matrix(shape=(dim, terms), dtype=scalar)
@@ -68,11 +71,12 @@ def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Simp
 
     @wp.struct
     class Kept:
-        """What a fit leaves for its derivative: R - I and the compliance of the rotation, and A - I (transposed)."""
+        """What a fit leaves for its derivative: R - I (transposed), the compliance of the rotation, and of a conserved
+        volume the frame: u, v, stretch and mu of `functions.project`, or for eq. 3.17 A - I (transposed)."""
 
         turned: numbers
         compliance: numbers
-        affine: numbers
+        frame: numbers
         stride: int
 
     @wp.func_native(
@@ -281,9 +285,19 @@ def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Simp
 
     @wp.func(inline=False)  # long, and not needed where theta = 0
     def conserve(
-        rest: FitRest, cluster: int, step: int, affine_t: transforms.rows, theta: lane, volume: int, what: int
+        rest: FitRest,
+        cluster: int,
+        step: int,
+        kept: Kept,
+        position: int,
+        count: int,
+        affine_t: transforms.rows,
+        theta: lane,
+        volume: int,
+        what: int,
     ):
         """A~_theta - [I, 0] of A~ - [I, 0] (transposed): eq. 3.17, or the projection; or its derivative by theta."""
+        frame = frames.rows()
         for l in range(width):
             own_cluster = cluster + l * step
             k = rest.span_count[own_cluster]
@@ -294,7 +308,13 @@ def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Simp
                     a[i, j] = affine_t[j * wp.static(dim) + i, l]
                 a[i, i] += one
             if volume == wp.static(PROJECT):
-                change, _u, _v, _stretch, _mu = project(a * rest.root[own_cluster], k)
+                change, u, v, stretch, mu = project(a * rest.root[own_cluster], k)
+                for i in range(wp.static(dim)):
+                    for j in range(wp.static(dim)):
+                        frame[i * wp.static(dim) + j, l] = u[i, j]
+                        frame[wp.static(square_count) + i * wp.static(dim) + j, l] = v[i, j]
+                    frame[wp.static(2 * square_count) + i, l] = stretch[i]
+                frame[wp.static(2 * square_count + dim), l] = mu
                 lifted = change * rest.lift[own_cluster]
                 for t in range(wp.static(terms)):
                     for i in range(wp.static(dim)):
@@ -303,6 +323,8 @@ def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Simp
                         else:
                             affine_t[t * wp.static(dim) + i, l] += th * lifted[i, t]
             else:
+                for t in range(wp.static(square_count)):
+                    frame[t, l] = affine_t[t, l]
                 denominator = denominator_of(a, th, rest.span_axes[own_cluster], k)
                 change = square()
                 if what == wp.static(BY_THETA):
@@ -315,6 +337,8 @@ def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Simp
                 for i in range(wp.static(dim)):
                     for j in range(wp.static(dim)):
                         affine_t[j * wp.static(dim) + i, l] += change[i, j]
+        if kept.stride > 0:
+            frames.store(kept.frame, position, kept.stride, frame, count)
         return affine_t
 
     @wp.func(inline=False)
@@ -322,31 +346,39 @@ def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Simp
         rest: FitRest,
         cluster: int,
         step: int,
-        before_t: squares.rows,
+        kept: Kept,
+        position: int,
         affine_t: transforms.rows,
         theta: lane,
         volume: int,
     ):
-        """Derivative of `conserve` for the change `affine_t`, where A - I (transposed) was `before_t`."""
+        """Derivative of `conserve` for the change `affine_t`, with the frame that it left."""
+        frame = frames.load(kept.frame, position, kept.stride)
         for l in range(width):
             own_cluster = cluster + l * step
             k = rest.span_count[own_cluster]
             th = theta[l]
-            a = square()
             da = square()
+            u = square()
+            v = square()
+            stretch = vec()
             for i in range(wp.static(dim)):
                 for j in range(wp.static(dim)):
-                    a[i, j] = before_t[j * wp.static(dim) + i, l]
                     da[i, j] = affine_t[j * wp.static(dim) + i, l]
-                a[i, i] += one
+                    u[i, j] = frame[i * wp.static(dim) + j, l]
+                    v[i, j] = frame[wp.static(square_count) + i * wp.static(dim) + j, l]
+                stretch[i] = frame[wp.static(2 * square_count) + i, l]
             if volume == wp.static(PROJECT):
-                _change, u, v, stretch, mu = project(a * rest.root[own_cluster], k)
+                mu = frame[wp.static(2 * square_count + dim), l]
                 lifted = project_change(u, v, stretch, mu, k, da * rest.root[own_cluster]) * rest.lift[own_cluster]
                 for t in range(wp.static(terms)):
                     for i in range(wp.static(dim)):
                         affine_t[t * wp.static(dim) + i, l] += th * lifted[i, t]
             else:
                 axes = rest.span_axes[own_cluster]
+                a = wp.transpose(u)
+                for i in range(wp.static(dim)):
+                    a[i, i] += one
                 denominator = denominator_of(a, th, axes, k)
                 by = denominator_change(a, da, th, zero, axes, k)
                 change = da * (one / denominator - one) - a * (by / (denominator * denominator))
@@ -355,14 +387,32 @@ def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Simp
                         affine_t[j * wp.static(dim) + i, l] += change[i, j]
         return affine_t
 
-    @wp.func_native(
-        f"{matrix_c(square_count)} r; for (int k = 0; k < {square_count}; ++k) {each} r.data[k][l] = a.data[k][l];"
-        " return r;"
-    )
-    def square_part(a: transforms.rows) -> squares.rows: ...
+    @wp.func
+    def with_null(rest: FitRest, cluster: int, step: int, affine_t: transforms.rows, target: squares.rows):
+        """The fit, whose terms that the cluster leaves undetermined follow what it is pulled to."""
+        if rest.has_null != 0:
+            null_t = transforms.own(rest.null_t, cluster, rest.stride, step)
+            affine_t = transforms.add(affine_t, one, times_null(null_t, target))
+        return affine_t
 
     @wp.func
-    def fit(
+    def turned(kept: Kept, position: int, count: int, a_qq: moments.rows, change_t: squares.rows):
+        """R - I (eq. 3.9) of rest moments and their change, over the trace of A_qq; kept for `turned_change`."""
+        turns = turn(a_qq, change_t)
+        t = turned_part(turns)
+        if kept.stride > 0:
+            squares.store(kept.turned, position, kept.stride, t, count)
+            compliances.store(kept.compliance, position, kept.stride, compliance_part(turns), count)
+        return t
+
+    @wp.func
+    def turned_change(kept: Kept, position: int, change_t: squares.rows):
+        """Derivative of `turned` for a change of its moments."""
+        t = squares.load(kept.turned, position, kept.stride)
+        return turn_change(t, compliances.load(kept.compliance, position, kept.stride), change_t)
+
+    @wp.func
+    def blend(
         rest: FitRest,
         cluster: int,
         step: int,
@@ -370,62 +420,42 @@ def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Simp
         position: int,
         count: int,
         affine_t: transforms.rows,
-        change_t: squares.rows,
+        target: squares.rows,
         beta: lane,
         theta: lane,
         volume: int,
         what: int,
     ):
-        """The blend of a cluster's rotation and its linear (quadratic) fit (Thesis eq. 3.9 to 3.14, 3.17), less rest.
+        """The blend of a cluster's rotation and its linear (quadratic) fit (Thesis eq. 3.10 to 3.14, 3.17), less rest.
 
-        affine_t: A~ - [I, 0] (eq. 3.7, 3.14); change_t: A_pq - A_qq, normalised by the trace of A_qq
+        affine_t: A~ - [I, 0] (eq. 3.7, 3.14); target: R - I, or that of the rest vectors that it has
         """
-        turns = turn(moments.own(rest.a_qq, cluster, rest.stride, step), change_t)
-        turned = turned_part(turns)
-        if rest.has_null != 0:  # terms that the cluster leaves undetermined follow its rotation
-            affine_t = transforms.add(
-                affine_t, one, times_null(transforms.own(rest.null_t, cluster, rest.stride, step), turned)
-            )
-        if kept.stride > 0:
-            squares.store(kept.turned, position, kept.stride, turned, count)
-            compliances.store(kept.compliance, position, kept.stride, compliance_part(turns), count)
+        affine_t = with_null(rest, cluster, step, affine_t, target)
         if volume != wp.static(NONE):
-            if kept.stride > 0:
-                squares.store(kept.affine, position, kept.stride, square_part(affine_t), count)
-            affine_t = conserve(rest, cluster, step, affine_t, theta, volume, what)
+            affine_t = conserve(rest, cluster, step, kept, position, count, affine_t, theta, volume, what)
         if what == wp.static(BY_BETA):
-            return mixed(affine_t, lane(one), turned, lane(-one))
+            return mixed(affine_t, lane(one), target, lane(-one))
         if what == wp.static(BY_THETA):
-            return mixed(affine_t, beta, turned, lane())
-        return mixed(affine_t, beta, turned, lane(one) - beta)
+            return mixed(affine_t, beta, target, lane())
+        return mixed(affine_t, beta, target, lane(one) - beta)
 
     @wp.func
-    def fit_change(
+    def blend_change(
         rest: FitRest,
         cluster: int,
         step: int,
         kept: Kept,
         position: int,
         affine_t: transforms.rows,
-        change_t: squares.rows,
+        change: squares.rows,
         beta: lane,
         theta: lane,
         volume: int,
     ):
-        """Derivative of `fit` along a direction whose own fit and moments are `affine_t` and `change_t`."""
-        turned = squares.load(kept.turned, position, kept.stride)
-        change = turn_change(turned, compliances.load(kept.compliance, position, kept.stride), change_t)
-        if rest.has_null != 0:
-            affine_t = transforms.add(
-                affine_t, one, times_null(transforms.own(rest.null_t, cluster, rest.stride, step), change)
-            )
+        """Derivative of `blend` along a direction whose own fit is `affine_t`; change: of the target along it."""
+        affine_t = with_null(rest, cluster, step, affine_t, change)
         if volume != wp.static(NONE):
-            before = squares.load(kept.affine, position, kept.stride)
-            affine_t = conserve_change(rest, cluster, step, before, affine_t, theta, volume)
+            affine_t = conserve_change(rest, cluster, step, kept, position, affine_t, theta, volume)
         return mixed(affine_t, beta, change, lane(one) - beta)
 
-    return members(
-        *(FitRest, Kept, fit, fit_change, turn, turned_part, compliance_part, mixed, conserve, conserve_change),
-        *(square_part,),
-        turn_change=turn_change,
-    )
+    return members(FitRest, Kept, turned, turned_change, with_null, blend, blend_change)

@@ -182,19 +182,31 @@ def functions_for(dim: int, scalar: Any) -> SimpleNamespace:
     turn = turn_2d if dim == 2 else turn_3d
 
     @wp.func
-    def volume_denominator(a: square, theta: scalar, span_axes: square, span_count: int):
-        """Denominator of eq. 3.17 for what the cluster spans: volume, area or length; kept away from 0."""
+    def spanned(a: square, span_axes: square, span_count: int):
+        """What A makes of the axes that a flat cluster spans, and their metric (I beyond)."""
+        inside = a * span_axes  # columns beyond span_count are 0
+        metric = wp.transpose(inside) * inside
+        for k in range(wp.static(dim)):
+            if k >= span_count:
+                metric[k, k] = one
+        return inside, metric
+
+    @wp.func
+    def measured(a: square, span_axes: square, span_count: int):
+        """Volume, area or length of what the cluster spans, and its root: the length of a side."""
         measure = wp.determinant(a)
         if span_count < wp.static(dim):
-            inside = a * span_axes  # columns beyond span_count are 0
-            metric = wp.transpose(inside) * inside
-            for k in range(wp.static(dim)):
-                if k >= span_count:
-                    metric[k, k] = one
+            _inside, metric = spanned(a, span_axes, span_count)
             measure = wp.sqrt(wp.max(wp.determinant(metric), zero))
         root = wp.pow(wp.abs(measure), one / scalar(wp.max(span_count, 1)))
         if measure < zero:
             root = -root
+        return measure, root
+
+    @wp.func
+    def volume_denominator(a: square, theta: scalar, span_axes: square, span_count: int):
+        """Denominator of eq. 3.17 for what the cluster spans; kept away from 0."""
+        _measure, root = measured(a, span_axes, span_count)
         return wp.max(theta * root + (one - theta), min_denominator)
 
     @wp.func
@@ -213,25 +225,17 @@ def functions_for(dim: int, scalar: Any) -> SimpleNamespace:
         a: square, change: square, theta: scalar, theta_change: scalar, span_axes: square, span_count: int
     ):
         """Derivative of `volume_denominator` for dA = change, dtheta = theta_change; 0 where it is clamped."""
-        measure = wp.determinant(a)
+        measure, root = measured(a, span_axes, span_count)
         d_measure = determinant_change(a, change)
         if span_count < wp.static(dim):
-            inside = a * span_axes  # columns beyond span_count are 0
-            metric = wp.transpose(inside) * inside
+            inside, metric = spanned(a, span_axes, span_count)
             half_change = wp.transpose(inside) * (change * span_axes)
-            for k in range(wp.static(dim)):
-                if k >= span_count:
-                    metric[k, k] = one
-            measure = wp.sqrt(wp.max(wp.determinant(metric), zero))
             d_measure = zero
             if measure > zero:
                 d_measure = determinant_change(metric, half_change + wp.transpose(half_change)) / (two * measure)
-        count = scalar(wp.max(span_count, 1))
-        root = wp.pow(wp.abs(measure), one / count)
-        if measure < zero:
-            root = -root
         out = zero
         if theta * root + (one - theta) > min_denominator and measure != zero:
+            count = scalar(wp.max(span_count, 1))
             out = theta * root / (count * measure) * d_measure + theta_change * (root - one)
         return out
 

@@ -79,7 +79,7 @@ class GeneralBody(Body):
         self.member_mass = rest.mass[clusters.members]
         self.members, self.offsets = clusters.members, clusters.offsets
 
-    def layout(self, candidates: int) -> Layout:
+    def layout(self, candidates: int, *, filled: bool = False) -> Layout:
         width, abreast = widths(candidates, self.scalar, self.device, cells_in_lanes=False)
         groups = -(-candidates // abreast)
         group = self.particle_count * abreast
@@ -132,6 +132,7 @@ class GeneralArrays:
         spare = 2 * width
         self.free = upload(free, body.scalar, body.device, spare)
         self.pull = upload(free / body.rest.counts, body.scalar, body.device, spare)
+        self.sides = self.free if body.rest.held_axis < 0 else upload(~body.rest.slipping, body.scalar, body.device)
         self.metric = upload(body.rest.metric, body.scalar, body.device, spare)
 
 
@@ -257,9 +258,10 @@ class GeneralOperator(Operator):
         self.launch(kernel, self.body.cluster_count, inputs, [self.maps])
 
     def _finish(self, u: Field, star: Field, motion: object, running: Field, out: Field, ran_away: Field) -> None:
+        arrays = self.arrays
         self.launch(
-            self.arrays.kernels.finish,
+            arrays.kernels.finish,
             self.body.particle_count,
-            [self.lists, self.maps, u, star, motion, self.arrays.pull, running],
+            [self.lists, self.maps, u, star, motion, arrays.pull, arrays.sides, self.body.rest.held_axis, running],
             [out, ran_away],
         )

@@ -9,9 +9,9 @@ from typing import Any
 
 import warp as wp
 
-from deformscope.stages.msm.cluster_functions import BY_BETA, BY_THETA, GOAL, NONE, cluster_functions_for
+from deformscope.stages.msm.cluster_functions import GOAL, cluster_functions_for
 from deformscope.stages.msm.functions import functions_for
-from deformscope.stages.msm.lanes import Ints, Sized, lanes_for, product_for, rows_for
+from deformscope.stages.msm.lanes import Ints, Sized, lanes_for, rows_for
 from deformscope.stages.msm.lattice_kernels import FAR, motion_for
 from deformscope.stages.msm.materials import LEAST_FACTOR
 from deformscope.stages.msm.members import kernel_in, members
@@ -198,9 +198,7 @@ def general_kernels_for(dim: int, terms: int, scalar: Any, width: int, material:
     lane, own, times, below = lanes.lane, lanes.own, lanes.times, lanes.below
     vecs, squares = rows_for(dim, width, scalar), rows_for(dim * dim, width, scalar)
     moments, transforms = rows_for(dim * (dim + 1) // 2, width, scalar), rows_for(dim * terms, width, scalar)
-    compliances = rows_for(6 if dim == 3 else 1, width, scalar)
     load, store, add, scale, row = vecs.load, vecs.store, vecs.add, vecs.scale, vecs.row
-    times_null = product_for(terms, dim, dim, width, scalar)
     cluster = cluster_functions_for(dim, terms, scalar, width)
     gathering = gathering_functions_for(dim, terms, scalar, width)
     gathered, add_map, Lists, Given = gathering.gathered, gathering.add_map, gathering.Lists, gathering.Given
@@ -215,101 +213,56 @@ def general_kernels_for(dim: int, terms: int, scalar: Any, width: int, material:
             return own(values, group * stride + cluster_index * lists.abreast, 1)
         return own(values, group * lists.abreast, 1)
 
-    @wp.func
-    def null_of(rest: cluster.FitRest, c: int, affine_t: transforms.rows, target: squares.rows):
-        """The fit, whose terms that the cluster leaves undetermined follow what it is pulled to."""
-        null_t = transforms.own(rest.null_t, c, rest.stride, 0)
-        return transforms.add(affine_t, one, times_null(null_t, target))
+    def fits(changing: bool, name: str) -> Any:
+        """The kernel that fits the clusters, or with `changing` its derivative from what it kept; it leaves their mean
+        displacement (0 in a derivative by a parameter) and blend of rotation and fit (eq. 3.7-3.14, 3.17), with a
+        material toward R S^p and with C in place of beta."""
 
-    @wp.func
-    def fit_in(
-        lists: Lists, rest: cluster.FitRest, kept: cluster.Kept, given: Given, u_in: numbers, group: int, c: int
-    ):
-        """A cluster's mean displacement and its goal map, as `cluster_functions.fit`; with a material toward R S^p and
-        with C in place of beta."""
-        centre, affine_t, change_t = gathered(lists, group, c, u_in)
-        at = (group * lists.clusters + c) * lists.abreast
-        volume = given.volume
-        what = given.what
-        theta = parameter(lists, given.theta, 0, group, c)
-        if wp.static(not material):
-            beta = parameter(lists, given.beta, given.beta_stride, group, c)
-            return centre, cluster.fit(
-                rest, c, 0, kept, at, wp.static(width), affine_t, change_t, beta, theta, volume, what
-            )
-        else:  # noqa: RET505 (a static `if` compiles one of the two)
+        @wp.func(name=f"{name}_at")
+        def blended(
+            lists: Lists,
+            rest: cluster.FitRest,
+            kept: cluster.Kept,
+            given: Given,
+            group: int,
+            c: int,
+            affine_t: transforms.rows,
+            change_t: squares.rows,
+        ):
+            at = (group * lists.clusters + c) * lists.abreast
             stride = lists.cluster_stride
             a_qq = moments.own(rest.a_qq, c, rest.stride, 0)
-            if given.axes != 0:
-                w = squares.load(given.beta, at, stride)
-                a_qq = of.upper(w)
-                change_t = of.weighted(affine_t, w)
             s = squares.rows()
-            if given.plastic != 0:
-                s = squares.load(given.strain, at, stride)
-                change_t = of.with_plastic(change_t, of.full(a_qq), s)
-            turns = cluster.turn(a_qq, change_t)
-            turned = cluster.turned_part(turns)
-            target = turned
-            if given.plastic != 0:
-                target = of.on_plastic(turned, s, one)
-            if rest.has_null != 0:
-                affine_t = null_of(rest, c, affine_t, target)
-            if kept.stride > 0:
-                squares.store(kept.turned, at, kept.stride, turned, wp.static(width))
-                compliances.store(kept.compliance, at, kept.stride, cluster.compliance_part(turns), wp.static(width))
-            if volume != wp.static(NONE):
-                if kept.stride > 0:
-                    squares.store(kept.affine, at, kept.stride, cluster.square_part(affine_t), wp.static(width))
-                affine_t = cluster.conserve(rest, c, 0, affine_t, theta, volume, what)
-            if given.axes != 0:
-                along = squares.load(given.beta, at + wp.static(dim * dim) * stride, stride)
-                return centre, of.blended(affine_t, target, along)
+            if wp.static(material):
+                if given.axes != 0:
+                    w = squares.load(given.beta, at, stride)
+                    a_qq = of.upper(w)
+                    change_t = of.weighted(affine_t, w)
+                if given.plastic != 0:
+                    s = squares.load(given.strain, at, stride)
+                    full = of.full(a_qq)
+                    if wp.static(changing):
+                        full = squares.rows()
+                    change_t = of.with_plastic(change_t, full, s)
+            if wp.static(changing):
+                target = cluster.turned_change(kept, at, change_t)
+            else:
+                target = cluster.turned(kept, at, wp.static(width), a_qq, change_t)
+            if wp.static(material):
+                if given.plastic != 0:
+                    target = of.on_plastic(target, s, wp.static(zero if changing else one))
+                if given.axes != 0:
+                    along = squares.load(given.beta, at + wp.static(dim * dim) * stride, stride)
+                    return of.blended(cluster.with_null(rest, c, 0, affine_t, target), target, along)
+            volume, what = given.volume, given.what
+            theta = parameter(lists, given.theta, 0, group, c)
             beta = parameter(lists, given.beta, given.beta_stride, group, c)
-            if what == wp.static(BY_BETA):
-                return centre, cluster.mixed(affine_t, lane(one), target, lane(-one))
-            if what == wp.static(BY_THETA):
-                return centre, cluster.mixed(affine_t, beta, target, lane())
-            return centre, cluster.mixed(affine_t, beta, target, lane(one) - beta)
-
-    @wp.func
-    def change_in(
-        lists: Lists, rest: cluster.FitRest, kept: cluster.Kept, given: Given, u_in: numbers, group: int, c: int
-    ):
-        """Derivative of `fit_in` along a direction, from what it kept."""
-        centre, affine_t, change_t = gathered(lists, group, c, u_in)
-        at = (group * lists.clusters + c) * lists.abreast
-        volume = given.volume
-        theta = parameter(lists, given.theta, 0, group, c)
-        if wp.static(not material):
-            beta = parameter(lists, given.beta, given.beta_stride, group, c)
-            return centre, cluster.fit_change(rest, c, 0, kept, at, affine_t, change_t, beta, theta, volume)
-        else:  # noqa: RET505
-            stride = lists.cluster_stride
-            if given.axes != 0:
-                change_t = of.weighted(affine_t, squares.load(given.beta, at, stride))
-            s = squares.rows()
-            if given.plastic != 0:
-                s = squares.load(given.strain, at, stride)
-                change_t = of.with_plastic(change_t, squares.rows(), s)
-            turned = squares.load(kept.turned, at, kept.stride)
-            change = cluster.turn_change(turned, compliances.load(kept.compliance, at, kept.stride), change_t)
-            if given.plastic != 0:
-                change = of.on_plastic(change, s, zero)
-            if rest.has_null != 0:
-                affine_t = null_of(rest, c, affine_t, change)
-            if volume != wp.static(NONE):
-                before = squares.load(kept.affine, at, kept.stride)
-                affine_t = cluster.conserve_change(rest, c, 0, before, affine_t, theta, volume)
-            if given.axes != 0:
-                along = squares.load(given.beta, at + wp.static(dim * dim) * stride, stride)
-                return centre, of.blended(affine_t, change, along)
-            beta = parameter(lists, given.beta, given.beta_stride, group, c)
-            return centre, cluster.mixed(affine_t, beta, change, lane(one) - beta)
-
-    def fits(name: str, fit: Any) -> Any:
-        """The kernel that fits the clusters, and leaves their mean displacement (0 in a derivative by a parameter) and
-        blend of rotation and fit (eq. 3.7-3.14, 3.17)."""
+            if wp.static(changing):
+                return cluster.blend_change(rest, c, 0, kept, at, affine_t, target, beta, theta, volume)
+            else:  # noqa: RET505 (a static `if` compiles one of the two)
+                return cluster.blend(
+                    rest, c, 0, kept, at, wp.static(width), affine_t, target, beta, theta, volume, what
+                )
 
         @kernel(name=name)
         def run(
@@ -324,7 +277,8 @@ def general_kernels_for(dim: int, terms: int, scalar: Any, width: int, material:
             group, c = wp.tid()
             if running[group] == 0:
                 return
-            centre, blend_t = fit(lists, rest, kept, given, u_in, group, c)
+            centre, affine_t, change_t = gathered(lists, group, c, u_in)
+            blend_t = blended(lists, rest, kept, given, group, c, affine_t, change_t)
             if given.what != wp.static(GOAL):
                 centre = vecs.rows()
             at = (group * lists.clusters + c) * lists.abreast
@@ -364,6 +318,8 @@ def general_kernels_for(dim: int, terms: int, scalar: Any, width: int, material:
         star_in: numbers,
         motion: Motion,
         pull: numbers,
+        sides: numbers,
+        held_axis: int,
         running: Ints,
         # Out:
         out: numbers,
@@ -371,8 +327,8 @@ def general_kernels_for(dim: int, terms: int, scalar: Any, width: int, material:
     ):
         """Mean goal of each particle over its clusters (eq. 3.15), less where it is; 0 if held.
 
-        pull: 1 / number of clusters, 0 for a held particle. Stepping, eq. 3.11: the new position. A particle
-        that would run away stays, and marks its candidate.
+        pull: 1 / number of clusters, 0 for a held particle; sides, held_axis: see `lattice_kernels`. Stepping,
+        eq. 3.11: the new position. A particle that would run away stays, and marks its candidate.
         """
         group, particle = wp.tid()
         if running[group] == 0:
@@ -388,6 +344,9 @@ def general_kernels_for(dim: int, terms: int, scalar: Any, width: int, material:
             )
         pulled = scale(total, lane(pull[particle]))
         if motion.stepping == 0:
+            for i in range(wp.static(dim)):
+                if i == held_axis:
+                    pulled = vecs.with_row(pulled, i, vecs.row(pulled, i) * sides[particle])
             store(out, at, lists.particle_stride, pulled, wp.static(width))
         else:
             new = add(star, motion.alpha, pulled)
@@ -403,7 +362,7 @@ def general_kernels_for(dim: int, terms: int, scalar: Any, width: int, material:
                             new[i, l] = u[i, l]
             store(out, at, lists.particle_stride, new, wp.static(width))
 
-    made = members(predict, finish, fits("fit_clusters", fit_in), fits("fit_changes", change_in), Lists, Given)
+    made = members(predict, finish, fits(False, "fit_clusters"), fits(True, "fit_changes"), Lists, Given)
     made.Motion = Motion
     if material:
         made.flow = flow_kernel_for(dim, terms, scalar, width)

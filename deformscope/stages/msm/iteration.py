@@ -6,7 +6,7 @@ Launches are recorded once and replayed: on a CPU too, where a launch from Pytho
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -59,29 +59,12 @@ class Ended:
     unaided: BoolArray
 
 
-class Graph:
-    """Launches that are recorded the first time, and replayed ever after."""
-
-    def __init__(self, launches: Callable[[], None], device: str) -> None:
-        self._launches, self._device = launches, device
-        self._graph: Any = None
-
-    def __call__(self) -> None:
-        if self._graph is None:
-            self._launches()  # loads the kernels, so that the capture records launches only
-            with wp.ScopedCapture(device=self._device) as capture:
-                self._launches()
-            self._graph = capture.graph
-        else:
-            wp.capture_launch(self._graph)
-
-
 class Iteration:
     """What both methods share: fields of the candidates, their parameters, and how sums over particles are taken."""
 
     def __init__(self, body: Body, rest: BodyRest, size: int, volume: int, *, aided: bool = False) -> None:
         self.body, self.volume = body, volume
-        self.layout = body.layout(size)
+        self.layout = body.layout(size, filled=volume != 0)
         self.operator: Any = body.operator(self.layout)
         self.functions = k.newton_functions_for(body.dim, body.scalar, self.layout.width)
         self.kind = "cpu" if self.layout.device.startswith("cpu") else "cuda"
@@ -105,13 +88,12 @@ class Iteration:
         self.beta, self.theta = self.layout.each(zero), self.layout.each(zero)
         self.parameters = Parameters(self.beta, self.theta, 0, volume)
         self._every_group = self.all_groups()
-        self.tolerance = wp.zeros(1, dtype=wp.float64, device=self.layout.device)
-        self.floor = wp.zeros(1, dtype=wp.float64, device=self.layout.device)
+        self._graphs: dict[Any, Any] = {}
 
     def put(self, u: FloatArray) -> None:
         """Starts at displacements (B or 1, K, d); what of a residual is rounding grows with them."""
         self.layout.put(u, self.u)
-        set_first(self.floor, ROUNDING[self.layout.scalar] * max(1.0, float(np.abs(u).max(initial=0.0))))
+        set_first(self.state.floor, ROUNDING[self.layout.scalar] * max(1.0, float(np.abs(u).max(initial=0.0))))
 
     def _numbers(self, struct: Any) -> Any:
         """A struct whose arrays have a number for each candidate, 0, of the type that it says."""
@@ -156,10 +138,24 @@ class Iteration:
 
     def _parameters_changed(self) -> None:
         """The recorded launches hold other arrays than those in use."""
+        self._graphs.clear()
 
-    def derive_goals(self, by: int, out: Field) -> None:
-        """Derivative of every free particle's goal by beta or theta at `u` into `out`."""
-        self.operator.residual(self.u, out, self.parameters, self._every_group, what=by)
+    def replay(self, launches: Callable[..., None], *given: Any) -> None:
+        """Launches that are recorded the first time, and replayed ever after."""
+        key = (launches, *given)
+        if key in self._graphs:
+            wp.capture_launch(self._graphs[key])
+            return
+        launches(*given)  # loads the kernels, so that the capture records launches only
+        with wp.ScopedCapture(device=self.layout.device) as capture:
+            launches(*given)
+        self._graphs[key] = capture.graph
+
+    def derive_goals(self, by: int, volume: int, out: Field) -> None:
+        """Derivative of every free particle's goal by beta or theta at `u` into `out`; volume: how it is conserved, by
+        theta also where that is 0."""
+        parameters = replace(self.parameters, volume=volume)
+        self.operator.residual(self.u, out, parameters, self._every_group, what=by)
 
     def launch(self, kernel: wp.Kernel, over: tuple[int, ...] | int, *inputs: Any) -> None:
         """A kernel of both methods, whose arguments begin with how particles lie and what is kept of candidates."""
@@ -198,9 +194,6 @@ class Newton(Iteration):
         state.u, state.direction, state.step, state.rho = self.u, self.direction, self.step, self.rho
         state.residual, state.changed, state.parts = self.residual, self.changed, self.parts(2)
         state.groups, state.most = layout.groups, 10 * len(rest.mass) * d + 100
-        state.tolerance, state.floor = self.tolerance, self.floor
-        self._relative = wp.zeros(1, dtype=wp.float64, device=layout.device)
-        state.relative = self._relative
         self._farthest = k.REACH if self.multigrid is None else max(k.REACH, STRETCH * self.multigrid.longest)
         state.farthest.fill_(self._farthest)
         if self.multigrid is not None:
@@ -210,16 +203,12 @@ class Newton(Iteration):
         self.state = state
         self._free = rest.free
         self._kept = self.operator.kept(volume)
-        self._parameters_changed()
-
-    def _parameters_changed(self) -> None:
-        device = self.layout.device
-        self._outer, self._inner = (Graph(each, device) for each in (self._launch_outer, self._launch_inner))
-        self._plain, self._at_rest = Graph(self._launch_plain, device), Graph(self._launch_at_rest, device)
-        self._aim, self._evaluate = Graph(self._launch_aim, device), Graph(self._launch_evaluate, device)
-        self._derive: dict[int, Graph] = {}
         self._stay: Any = None
         self._following: Any = None
+
+    def _parameters_changed(self) -> None:
+        super()._parameters_changed()
+        self._stay = self._following = None
 
     def set(self, beta: FloatArray, theta: FloatArray) -> None:
         super().set(beta, theta)
@@ -249,7 +238,7 @@ class Newton(Iteration):
             if self.threads:
                 done += self._stay_for(max_iterations - done)
             else:
-                self._outer()
+                self.replay(self._launch_outer)
                 done += 1
             if progress is not None:
                 progress(size - int(np.count_nonzero(state.state.numpy()[:size] == k.RUNNING)))
@@ -263,9 +252,9 @@ class Newton(Iteration):
         """Goes from rest, where some held particles have moved, to the static state of the equations linearised there;
         evaluations that it took (B,). From where all the motion is still between two layers Newton's steps are short.
         """
-        self._at_rest()
+        self.replay(self._launch_at_rest)
         self._begin(0.0, PREDICTED, outer=0)
-        self._aim()
+        self.replay(self._launch_aim)
         self._descend(most - 2)
         self.launch_blocks(self.kernels.add_step)
         return np.asarray(self.state.total.numpy()[: self.layout.candidates] + 2)
@@ -307,16 +296,14 @@ class Newton(Iteration):
         if self.multigrid is not None:
             self.multigrid.reset()
         self._begin(0.0, relative, outer=0)
-        self._aim()
+        self.replay(self._launch_aim)
         self._descend(state.most)
         size = self.layout.candidates
         return bool((state.square.numpy()[:size] <= np.maximum(state.target.numpy()[:size], 1e-300)).all())
 
-    def derive(self, by: int) -> None:
-        """Derivative of every free particle's goal by beta or theta at `u` into `residual`."""
-        if by not in self._derive:
-            self._derive[by] = Graph(lambda: self.derive_goals(by, self.residual), self.layout.device)
-        self._derive[by]()
+    def derive(self, by: int, volume: int | None = None) -> None:
+        """`derive_goals` into `residual`; volume: default that of the method."""
+        self.replay(self.derive_goals, by, self.volume if volume is None else volume, self.residual)
 
     def _launch_aim(self) -> None:
         kk, groups, threads, right = self.kernels, self.layout.groups, self.threads, self.residual
@@ -330,7 +317,7 @@ class Newton(Iteration):
 
     def evaluate(self) -> None:
         """The residual at `u`, and with it what derivatives there need."""
-        self._evaluate()
+        self.replay(self._launch_evaluate)
 
     def _launch_evaluate(self) -> None:
         self.operator.residual(self.u, self.residual, self.parameters, self._every_group, self._kept)
@@ -342,22 +329,22 @@ class Newton(Iteration):
         flags = self.state.inner_groups
         while self.threads and done < most and flags.numpy().any():
             done += self._stay_for(most - done)
-        inner, replays = self._inner, REPLAYS[self.kind]
+        inner, replays = self._launch_inner, REPLAYS[self.kind]
         if self.multigrid is not None and self.multigrid.given_up:
-            inner = self._plain
+            inner = self._launch_plain
         elif self.multigrid is not None:
             replays = 1  # a cycle takes longer than a look
         while done < most and flags.numpy().any():
             for _ in range(replays):
-                inner()
+                self.replay(inner)
                 done += 1
         return done
 
     def _begin(self, tolerance: float, relative: float, *, outer: int) -> None:
         """Every candidate runs anew: Newton's steps (`outer`), or a linear solve."""
         layout = self.layout
-        set_first(self.tolerance, tolerance)
-        set_first(self._relative, relative)
+        set_first(self.state.tolerance, tolerance)
+        set_first(self.state.relative, relative)
         count = layout.groups * layout.abreast
         reach = self._farthest if outer else np.inf
         kernels = self.operator.resident if self.threads else self.kernels
@@ -425,43 +412,37 @@ class Anderson(Iteration):
         state.stride = lanes
         history = wp.types.matrix(shape=(MEMORY, MEMORY), dtype=wp.float64)
         state.gram = wp.zeros(lanes, dtype=history, device=layout.device)
-        state.tolerance, state.floor = self.tolerance, self.floor
-        self._relative = wp.zeros(1, dtype=wp.float64, device=layout.device)
-        state.relative = self._relative
         state.groups, state.count = self.all_groups(), self.all_groups()
         self.state = state
         self._kept = self.operator.kept(volume)
         self.linear_right = layout.field(d)
-        self._parameters_changed()
-
-    def _parameters_changed(self) -> None:
-        device = self.layout.device
-        self._goals, self._linear = (Graph(each, device) for each in (self._launch_goals, self._launch_linear))
 
     def relax(
         self, start: FloatArray, tolerance: float, max_iterations: int, progress: Progress | None = None
     ) -> Ended:
         """The static states from displacements (B or 1, K, d); tolerance and result in particle spacings."""
         self.put(start)
-        set_first(self._relative, 0.0)
-        return self._iterate(self._goals, tolerance, max_iterations, progress)
+        set_first(self.state.relative, 0.0)
+        return self._iterate(self._launch_goals, tolerance, max_iterations, progress)
 
     def solve(self, relative: float, max_iterations: int) -> bool:
         """y of y = J y + right (`linear_right`) where `evaluate` was last called, into `u`; whether what is left came
         to `relative` of the right-hand side.
         """
-        set_first(self.floor, 0.0)
-        set_first(self._relative, relative)
+        set_first(self.state.floor, 0.0)
+        set_first(self.state.relative, relative)
         self.u.zero_()
-        return bool((self._iterate(self._linear, 0.0, max_iterations, None).state == k.CONVERGED).all())
+        return bool((self._iterate(self._launch_linear, 0.0, max_iterations, None).state == k.CONVERGED).all())
 
     def evaluate(self) -> None:
         """The residual at `u`, and with it what derivatives there need."""
         self.operator.residual(self.u, self.residual, self.parameters, self.all_groups(), self._kept)
 
-    def _iterate(self, graph: Graph, tolerance: float, max_iterations: int, progress: Progress | None) -> Ended:
+    def _iterate(
+        self, launches: Callable[[], None], tolerance: float, max_iterations: int, progress: Progress | None
+    ) -> Ended:
         state = self.state
-        self.tolerance.fill_(tolerance)
+        set_first(state.tolerance, tolerance)
         for name in ("known", "total", "path", "gram", "count", "du", "dr"):
             getattr(state, name).zero_()
         state.state.fill_(k.RUNNING)
@@ -475,7 +456,7 @@ class Anderson(Iteration):
         size = self.layout.candidates
         while done < max_iterations and state.groups.numpy().any():
             for _ in range(min(REPLAYS[self.kind], max_iterations - done)):
-                graph()
+                self.replay(launches)
                 done += 1
             if progress is not None and done % 16 == 0:
                 progress(size - int(np.count_nonzero(state.state.numpy()[:size] == k.RUNNING)))
@@ -500,7 +481,7 @@ class Anderson(Iteration):
 
 
 def set_first(array: Any, value: float) -> None:
-    """Sets an array of one number; on a CPU without a launch."""
+    """Sets the first entry of an array, which is all that is read of it; on a CPU without a launch."""
     if array.device.is_cpu:
         array.numpy()[0] = value
     else:

@@ -18,7 +18,6 @@ from typing import Any
 
 import warp as wp
 
-from deformscope.stages.msm.cluster_functions import cluster_functions_for
 from deformscope.stages.msm.lanes import Doubles, Ints, Sized, lanes_for, rows_for
 from deformscope.stages.msm.lattice_kernels import FAR, lattice_functions_for
 from deformscope.stages.msm.members import kernel_in, members
@@ -557,34 +556,24 @@ def newton_kernels_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
     functions = newton_functions_for(dim, scalar, width)
     Span, NewtonState, fold = functions.Span, functions.NewtonState, functions.fold
 
-    def over_blocks(function: Any, *, outer: bool = False) -> Any:
-        """The kernel of what is done to each lane's worth of the groups that run (`outer`: Newton's steps)."""
+    def kernel_of(function: Any, *, outer: bool = False, sums: bool = True, largest: int = 0) -> Any:
+        """The kernel of what is done with two sums over each group that runs (`largest`: the second is the largest), or
+        else to each lane's worth; outer: of Newton's steps."""
 
         @kernel(name=function.__name__)
         def run(span: Span, newton: NewtonState):
-            group, block = wp.tid()
+            group, item = wp.tid()
             runs = newton.inner_groups[group]
             if wp.static(outer):
                 runs = newton.outer_groups[group]
             if runs != 0:
-                function(span, newton, group, block)
-
-        return run
-
-    def over_sums(function: Any, *, outer: bool = False, largest: int = 0) -> Any:
-        """The kernel of what is done with two sums over each group; `largest`: the second is the largest."""
-
-        @kernel(name=function.__name__)
-        def run(span: Span, newton: NewtonState):
-            group, thread = wp.tid()
-            runs = newton.inner_groups[group]
-            if wp.static(outer):
-                runs = newton.outer_groups[group]
-            if runs != 0:
-                fold(span, newton.parts, 0, newton.groups, group, thread, 0)
-                fold(span, newton.parts, 1, newton.groups, group, thread, largest)
-                if thread == 0:
-                    function(span, newton, group)
+                if wp.static(sums):
+                    fold(span, newton.parts, 0, newton.groups, group, item, 0)
+                    fold(span, newton.parts, 1, newton.groups, group, item, largest)
+                    if item == 0:
+                        function(span, newton, group)
+                else:
+                    function(span, newton, group, item)
 
         return run
 
@@ -613,12 +602,13 @@ def newton_kernels_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
             functions.keep(span, newton.parts, group, item, functions.joined(square_sum))
             functions.keep(span, newton.parts, newton.groups + group, item, functions.longest_of(longest))
 
+    f = functions
     return members(
-        *(inner_products, add_step, descend, over_blocks(functions.move, outer=True)),
-        *functions.small_kernels(kernel, kernel),
-        *(over_blocks(functions.begin), over_blocks(functions.direct), over_sums(functions.judge, outer=True)),
-        *(over_sums(functions.mix_aided), over_blocks(functions.direct_aided)),
-        *(over_sums(functions.curvature), over_sums(functions.conjugate, largest=1), over_sums(functions.aim)),
+        *(inner_products, add_step, descend, kernel_of(f.move, outer=True, sums=False)),
+        *f.small_kernels(kernel, kernel),
+        *(kernel_of(each, sums=False) for each in (f.begin, f.direct, f.direct_aided)),
+        *(kernel_of(each) for each in (f.mix_aided, f.curvature, f.aim)),
+        *(kernel_of(f.judge, outer=True), kernel_of(f.conjugate, largest=1)),
     )
 
 
@@ -640,29 +630,10 @@ def resident_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> 
         for name in ("steps", "relax")
     )
     lattice = lattice_functions_for(dim, scalar, width, window)
+    Passes = lattice.Passes
     vecs = rows_for(dim, width, scalar)
-    cluster = cluster_functions_for(dim, dim, scalar, width)
     newton_f = newton_functions_for(dim, scalar, width)
     Span, NewtonState, inner_products = newton_f.Span, newton_f.NewtonState, newton_f.inner_products
-
-    @wp.struct
-    class Passes:
-        """What the passes over a lattice go by; motion: of time stepping, or none.
-
-        pair: the displacement, and the direction or the displacement one step before, as one field; pair_out: the
-        residual and the direction's change
-        """
-
-        grid: lattice.Grid
-        site: lattice.Site
-        rest: cluster.FitRest
-        kept: cluster.Kept
-        fields: lattice.Fields
-        motion: lattice.Motion
-        threads: int  # of a block
-        pair: numbers
-        pair_out: numbers
-        ran_away: Ints
 
     @wp.func_native(
         """
@@ -689,40 +660,36 @@ def resident_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> 
 
         before_offset: in u, of the displacement one time step before
         """
-        grid = passes.grid
-        fields = passes.fields
-        motion = passes.motion
-        threads = passes.threads
+        own = passes  # a copy, which nothing that is stored in a field can change
+        grid = own.grid
+        threads = own.threads
         if wp.static(window == 0):
             for item in range(thread, grid.items_plane, threads):
-                lattice.windows_fast(grid, fields, motion, u, offset, u, before_offset, group, item)
+                lattice.windows_fast(own, u, offset, u, before_offset, group, item)
             meet()
             for item in range(thread, grid.items_windows, threads):
-                lattice.windows_middle(grid, fields, group, item)
+                lattice.windows_middle(own, group, item)
         else:
             for item in range(thread, grid.items_windows, threads):
-                lattice.windows_fast(grid, fields, motion, u, offset, u, before_offset, group, item)
+                lattice.windows_fast(own, u, offset, u, before_offset, group, item)
         meet()
-        site = passes.site
-        rest = passes.rest
-        kept = passes.kept
         if changing != 0:
             for item in range(thread, grid.items_fit, threads):
-                lattice.fit_changes(grid, site, rest, kept, fields, group, item)
+                lattice.fit_changes(own, group, item)
         else:
             for item in range(thread, grid.items_fit, threads):
-                lattice.fit_clusters(grid, site, rest, kept, fields, group, item)
+                lattice.fit_clusters(own, group, item)
         meet()
         if wp.static(dim == 3):
             for item in range(thread, grid.items_slow, threads):
-                lattice.spread_slow(grid, fields, group, item)
+                lattice.spread_slow(own, group, item)
             meet()
         if wp.static(window == 0):
             for item in range(thread, grid.items_spread, threads):
-                lattice.spread_middle(grid, fields, group, item)
+                lattice.spread_middle(own, group, item)
             meet()
         for item in range(thread, grid.items_plane, threads):
-            lattice.finish(grid, fields, motion, u, offset, u, before_offset, out, passes.ran_away, group, item)
+            lattice.finish(own, u, offset, u, before_offset, out, group, item)
         meet()
 
     if on_cpu:
@@ -948,7 +915,7 @@ def resident_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> 
             search.found[2] = wp.float64(settled)
 
     small = newton_f.small_kernels(relax_kernel, steps_kernel)
-    made = members(Passes, BetaSearch, steps, relax, aim, follow, *small)
+    made = members(BetaSearch, steps, relax, aim, follow, *small)
     if on_cpu:
         made.goals = goals
     return made

@@ -32,8 +32,6 @@ SLIDE_FROM = 500_000
 RESIDENT_CELLS = 8192
 """Cells up to which one block of a GPU's threads goes through a whole body by itself."""
 
-FIELDS = ("mass", "free", "pull", "sums_fast", "sums_middle", "maps", "maps_slow", "maps_middle")
-
 
 def lattice_edges(rest: FloatArray, clusters: LatticeClusters) -> FloatArray | None:
     """(axes, d) from one cell to the next along each axis, if the rest shape (K, d) is an even lattice, else None."""
@@ -87,8 +85,8 @@ class LatticeBody(Body):
         """Flat cell of each cluster, (C,)."""
         return np.flatnonzero(self.corner.reshape(-1))
 
-    def layout(self, candidates: int) -> Layout:
-        width, abreast = widths(candidates, self.scalar, self.device, cells_in_lanes=True)
+    def layout(self, candidates: int, *, filled: bool = False) -> Layout:
+        width, abreast = widths(candidates, self.scalar, self.device, cells_in_lanes=True, filled=filled)
         cells = self.count * abreast
         line, plane = self.shape[2] * abreast, self.shape[1] * self.shape[2] * abreast
         group = -(-cells // width) * width
@@ -203,6 +201,7 @@ class _LatticeArrays:
         self.mass = upload(rest.mass[:1], scalar, device) if body.alike else at_cells(rest.mass)
         self.free, self.metric = at_cells(rest.free), at_cells(rest.metric)
         self.pull = at_cells(rest.free / rest.counts)
+        self.sides = self.free if rest.held_axis < 0 else at_cells(~rest.slipping)
 
 
 class LatticeOperator(Operator):
@@ -242,11 +241,12 @@ class LatticeOperator(Operator):
         d = body.dim
         fields = kk.Fields()
         fields.mass, fields.free, fields.pull = arrays.mass, arrays.free, arrays.pull
+        fields.sides, fields.held_axis = arrays.sides, body.rest.held_axis
         fields.sums_fast, fields.sums_middle = layout.field(2 * d), layout.field(3 * d)
         fields.maps = self.maps = layout.field(d + d * d)
         fields.maps_slow = layout.field(3 * d) if d == 3 else fields.maps
         fields.maps_middle = layout.field(2 * d)
-        self._fields = fields
+        self.fields = fields
         self.beta_stride = layout.group
         self.resident = arrays.resident
         if layout.device.startswith("cpu"):
@@ -257,38 +257,17 @@ class LatticeOperator(Operator):
     def residual(
         self, u: Field, out: Field, parameters: Parameters, running: Field, kept: object = None, what: int = GOAL
     ) -> None:
-        kept = self.unkept() if kept is None else kept
-        self._goals(u, out, self.fields(parameters, what), running, kept, changing=False)
+        self._launch_passes(self._passes(parameters, kept, what), running, u, u, out, changing=False)
 
     def change(self, direction: Field, out: Field, parameters: Parameters, running: Field, kept: object) -> None:
-        self._goals(direction, out, self.fields(parameters), running, kept, changing=True)
-
-    def _goals(self, u: Field, out: Field, fields: object, running: Field, kept: object, *, changing: bool) -> None:
-        a, layout = self.arrays, self.layout
-        if a.kernels is None:
-            inputs = [self._passes(kept, fields, self.still), running, int(changing), u, out]
-            wp.launch(a.resident.goals, layout.groups, inputs, device=layout.device)
-            return
-        self._windows(fields, self.still, running, u, u)
-        self._fit(a.kernels.fit_changes if changing else a.kernels.fit_clusters, fields, running, kept)
-        self._spread(fields, self.still, running, u, u, out, self._nothing)
+        self._launch_passes(self._passes(parameters, kept), running, direction, direction, out, changing=True)
 
     def step(
         self, u: Field, before: Field, motion: object, parameters: Parameters, running: Field, ran_away: Field
     ) -> None:
-        fields = self.fields(parameters)
-        self._windows(fields, motion, running, u, before)
-        self._fit(self.arrays.kernels.fit_clusters, fields, running, self.unkept())
-        self._spread(fields, motion, running, u, before, before, ran_away)
-
-    def fields(self, parameters: Parameters, what: int = GOAL) -> Any:
-        """What the passes work on, for these parameters."""
-        fields = self.arrays.functions.Fields()
-        for name in FIELDS:
-            setattr(fields, name, getattr(self._fields, name))
-        fields.beta, fields.theta = parameters.beta, parameters.theta
-        fields.beta_stride, fields.volume, fields.what = parameters.beta_stride, parameters.volume, what
-        return fields
+        passes = self._passes(parameters)
+        passes.motion, passes.ran_away = motion, ran_away
+        self._launch_passes(passes, running, u, before, before, changing=False)
 
     def cluster_values(self, values: FloatArray) -> Field:
         """(B, C) one value for each cluster, as the kernels read them."""
@@ -314,15 +293,15 @@ class LatticeOperator(Operator):
     ) -> None:
         """`steps` time steps in one launch, of the displacement and the one before in the halves of `pair`."""
         passes = self._stepping
-        passes.fields, passes.motion = self.fields(parameters), motion
-        passes.pair, passes.ran_away = pair, ran_away
+        self._set(passes, parameters)
+        passes.motion, passes.pair, passes.ran_away = motion, pair, ran_away
         self._stay(self.resident.steps, [passes, steps, int(swapped)])
 
     def stay_relaxing(
         self, parameters: Parameters, kept: object, newton: list[Any], pair: Field, pair_out: Field
     ) -> Any:
         """The command for evaluations of Newton's steps in one launch, up to a limit. newton, pairs: for its kernel"""
-        passes = self._passes(kept, self.fields(parameters), self.still)
+        passes = self._passes(parameters, kept)
         passes.pair, passes.pair_out = pair, pair_out
         return self._stay(self.resident.relax, [passes, *newton, 0], record_cmd=True)
 
@@ -330,9 +309,8 @@ class LatticeOperator(Operator):
         self, parameters: Parameters, kept: object, newton: list[Any], pair: Field, pair_out: Field, search: object
     ) -> Any:
         """The command for the search for the beta of least error in one launch."""
-        passes = self._passes(kept, self.fields(parameters), self.still)
+        passes, by_beta = self._passes(parameters, kept), self._passes(parameters, what=BY_BETA)
         passes.pair, passes.pair_out = pair, pair_out
-        by_beta = self._passes(self.unkept(), self.fields(parameters, BY_BETA), self.still)
         return self._stay(self.resident.follow, [passes, by_beta, *newton, search], record_cmd=True)
 
     def _stay(self, kernel: wp.Kernel, inputs: list[Any], *, record_cmd: bool = False) -> Any:
@@ -342,33 +320,38 @@ class LatticeOperator(Operator):
     @functools.cached_property
     def _stepping(self) -> Any:
         """What steps go by, kept from call to call: to fill it anew takes as long as a short call's steps."""
-        return self._passes(self.unkept(), self._fields, self.still)
+        return self._passes(None)
 
-    def _passes(self, kept: object, fields: object, motion: object) -> Any:
-        """What a kernel that stays goes by."""
-        passes = self.resident.Passes()
+    def _passes(self, parameters: Parameters | None, kept: object = None, what: int = GOAL) -> Any:
+        """What the passes go by, without motion. kept: where to leave what `change` needs (None: nowhere)"""
+        passes = self.arrays.functions.Passes()
         passes.grid, passes.site, passes.rest = self.grid, self.arrays.site, self.arrays.rest
-        passes.kept, passes.fields, passes.motion, passes.threads = kept, fields, motion, self.threads
-        passes.ran_away = self._nothing
+        passes.kept, passes.fields, passes.motion = kept or self.unkept(), self.fields, self.still
+        passes.threads, passes.ran_away = self.threads, self._nothing
+        if parameters is not None:
+            self._set(passes, parameters, what)
         return passes
 
-    def _windows(self, fields: object, motion: object, running: Field, u: Field, before: Field) -> None:
-        kk, grid = self.arrays.kernels, self.grid
-        first = grid.items_windows if self.arrays.functions.both else grid.items_plane
-        self.launch(kk.windows_fast, first, [grid, fields, motion, running, u, before])
-        if not self.arrays.functions.both:
-            self.launch(kk.windows_middle, grid.items_windows, [grid, fields, running])
+    def _set(self, passes: Any, parameters: Parameters, what: int = GOAL) -> None:
+        fields = passes.fields
+        fields.beta, fields.theta = parameters.beta, parameters.theta
+        fields.beta_stride, fields.volume, fields.what = parameters.beta_stride, parameters.volume, what
 
-    def _fit(self, kernel: wp.Kernel, fields: object, running: Field, kept: object) -> None:
-        grid = self.grid
-        self.launch(kernel, grid.items_fit, [grid, self.arrays.site, self.arrays.rest, kept, fields, running])
-
-    def _spread(
-        self, fields: object, motion: object, running: Field, u: Field, before: Field, out: Field, ran_away: Field
+    def _launch_passes(
+        self, passes: object, running: Field, u: Field, before: Field, out: Field, *, changing: bool
     ) -> None:
-        kk, grid = self.arrays.kernels, self.grid
+        """All passes over the groups that run; on a GPU one by one."""
+        kk, grid, both = self.arrays.kernels, self.grid, self.arrays.functions.both
+        if kk is None:
+            inputs = [passes, running, int(changing), u, out]
+            wp.launch(self.resident.goals, self.layout.groups, inputs, device=self.layout.device)
+            return
+        self.launch(kk.windows_fast, grid.items_windows if both else grid.items_plane, [passes, running, u, before])
+        if not both:
+            self.launch(kk.windows_middle, grid.items_windows, [passes, running])
+        self.launch(kk.fit_changes if changing else kk.fit_clusters, grid.items_fit, [passes, running])
         if self.dim == 3:
-            self.launch(kk.spread_slow, grid.items_slow, [grid, fields, running])
-        if not self.arrays.functions.both:
-            self.launch(kk.spread_middle, grid.items_spread, [grid, fields, running])
-        self.launch(kk.finish, grid.items_plane, [grid, fields, motion, running, u, before], [out, ran_away])
+            self.launch(kk.spread_slow, grid.items_slow, [passes, running])
+        if not both:
+            self.launch(kk.spread_middle, grid.items_spread, [passes, running])
+        self.launch(kk.finish, grid.items_plane, [passes, running, u, before], [out])

@@ -63,7 +63,7 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
     own_map, store_map, only_map = maps.own, maps.store, maps.choose
     product = product_for(dim, dim, dim, width, scalar)
     cluster = cluster_functions_for(dim, dim, scalar, width)
-    fit, fit_change = cluster.fit, cluster.fit_change
+    own_moments = rows_for(dim * (dim + 1) // 2, width, scalar).own
     one = scalar(1.0)
     both = 0 < window <= BOTH
     number = f"wp::{scalar.__name__}"
@@ -130,12 +130,15 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
         """What the passes read of particles, leave to each other, and know of the candidates.
 
         mass: one value if all are alike; pull: 1 / number of clusters, 0 for a held particle and for a missing one
+        sides: 0 for a particle that is held along `held_axis` alone, -1 if none is
         what: GOAL, BY_BETA or BY_THETA; beta_stride: see `body.Parameters`
         """
 
         mass: numbers
         free: numbers
         pull: numbers
+        sides: numbers
+        held_axis: int
         sums_fast: numbers
         sums_middle: numbers
         maps: numbers
@@ -146,6 +149,25 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
         beta_stride: int
         volume: int
         what: int
+
+    @wp.struct
+    class Passes:
+        """What the passes go by; motion: of time stepping, or none.
+
+        pair: the displacement, and the direction or the displacement one step before, as one field; pair_out: the
+        residual and the direction's change; threads: of a block that stays
+        """
+
+        grid: Grid
+        site: Site
+        rest: cluster.FitRest
+        kept: cluster.Kept
+        fields: Fields
+        motion: Motion
+        threads: int
+        pair: numbers
+        pair_out: numbers
+        ran_away: Ints
 
     @wp.func
     def middle(window_here: int):
@@ -264,20 +286,15 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
 
     @wp.func
     def windows_fast(
-        grid: Grid,
-        fields: Fields,
-        motion: Motion,
-        u_in: numbers,
-        offset: int,
-        before_in: numbers,
-        before_offset: int,
-        group: int,
-        item: int,
+        passes: Passes, u_in: numbers, offset: int, before_in: numbers, before_offset: int, group: int, item: int
     ):
         """Windows along the fast axis of m u, or of m x* (eq. 3.1, 3.2): sum, first moment.
 
         Narrow windows along the middle axis too: see `windows_middle`.
         """
+        grid = passes.grid
+        fields = passes.fields
+        motion = passes.motion
         if wp.static(both):
             cell, _steps, count = share_of(grid, item, grid.items_windows, grid.blocks_windows, grid.clusters_1)
             lines = cells_of(grid.window_1)
@@ -330,13 +347,14 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
         return add(u, one, scale(moves, particle_own(free, cell, grid.abreast)))
 
     @wp.func
-    def windows_middle(grid: Grid, fields: Fields, group: int, item: int):
+    def windows_middle(passes: Passes, group: int, item: int):
         """Windows along the middle axis: sum, first moment along it, and the first moment along the fast axis."""
+        grid = passes.grid
         cell, steps, count = share_of(grid, item, grid.items_windows, grid.blocks_windows, grid.clusters_1)
         at = grid.front + group * grid.group + cell
         d = wp.static(dim)
-        source = fields.sums_fast
-        target = fields.sums_middle
+        source = passes.fields.sums_fast
+        target = passes.fields.sums_middle
         slide_in(source, 0, at, grid.line, grid.window_1, steps, grid.stride, target, 0, d, count)
         slide_in(source, d, at, grid.line, grid.window_1, steps, grid.stride, target, 2 * d, -1, count)
 
@@ -363,47 +381,6 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
     )
     def stacked(a: vecs.rows, b: vecs.rows, c: vecs.rows) -> maps.rows: ...
 
-    def solved(changing: bool, name: str) -> Any:
-        """The function from the moments of a cluster to its goal map, or `changing` to its derivative along them."""
-
-        @wp.func(name=name)
-        def solve(
-            grid: Grid,
-            site: Site,
-            rest: cluster.FitRest,
-            kept: cluster.Kept,
-            fields: Fields,
-            at: int,
-            cell: int,
-            group: int,
-            total: vecs.rows,
-            moments: maps.rows,
-            count: int,
-        ):
-            """The goal map as what the particles add up: a shift, and slopes by axis."""
-            place, valid_place, differ = rest_place(grid, site, cell)
-            valid = own(site.valid, valid_place, differ)
-            step = differ * site.step
-            mean = own_mean(site.mean, place, site.stride, step)
-            moments = centred(moments, mean, total, valid)
-            affine_t = product(own_map(site.affine, place, site.stride, step), moments)
-            change_t = product(own_map(site.moment, place, site.stride, step), moments)
-            beta = parameter(grid, fields.beta, fields.beta_stride, group, cell)
-            theta = parameter(grid, fields.theta, 0, group, cell)
-            volume = fields.volume
-            if wp.static(changing):
-                blend_t = fit_change(rest, place, step, kept, at, affine_t, change_t, beta, theta, volume)
-            else:
-                blend_t = fit(rest, place, step, kept, at, count, affine_t, change_t, beta, theta, volume, fields.what)
-            slopes = product(own_map(site.edge_t, 0, 1, 0), blend_t)
-            share = own(site.share, place, step)
-            if fields.what != wp.static(GOAL):
-                share = lane()
-            store(fields.maps, at, grid.stride, shift_of(total, share, mean, slopes, valid), count)
-            store_map(fields.maps, at + wp.static(dim) * grid.stride, grid.stride, only_map(valid, slopes), count)
-
-        return solve
-
     @wp.func
     def rest_place(grid: Grid, site: Site, cell: int):
         """Where a cluster's rest data are, where its `valid` is; 1 if the lanes are clusters (each with its own)."""
@@ -420,14 +397,48 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
             return own(values, group, 0)
         return own(values, group * grid.abreast, 1)
 
-    def windows_slow(solve: Any, name: str) -> Any:
-        """The function that ends the window sums, and hands them to `solve`."""
+    def fits(changing: bool, name: str) -> Any:
+        """The function that ends the window sums, and makes of a cluster's moments its goal map, or with `changing` its
+        derivative along them."""
+
+        @wp.func(name=f"{name}_at")
+        def solve(passes: Passes, at: int, cell: int, group: int, total: vecs.rows, moments: maps.rows, count: int):
+            """The goal map as what the particles add up: a shift, and slopes by axis."""
+            grid = passes.grid
+            site = passes.site
+            rest = passes.rest
+            kept = passes.kept
+            fields = passes.fields
+            place, valid_place, differ = rest_place(grid, site, cell)
+            valid = own(site.valid, valid_place, differ)
+            step = differ * site.step
+            mean = own_mean(site.mean, place, site.stride, step)
+            moments = centred(moments, mean, total, valid)
+            affine_t = product(own_map(site.affine, place, site.stride, step), moments)
+            change_t = product(own_map(site.moment, place, site.stride, step), moments)
+            beta = parameter(grid, fields.beta, fields.beta_stride, group, cell)
+            theta = parameter(grid, fields.theta, 0, group, cell)
+            volume = fields.volume
+            if wp.static(changing):
+                t = cluster.turned_change(kept, at, change_t)
+                blend_t = cluster.blend_change(rest, place, step, kept, at, affine_t, t, beta, theta, volume)
+            else:
+                a_qq = own_moments(rest.a_qq, place, rest.stride, step)
+                t = cluster.turned(kept, at, count, a_qq, change_t)
+                blend_t = cluster.blend(
+                    rest, place, step, kept, at, count, affine_t, t, beta, theta, volume, fields.what
+                )
+            slopes = product(own_map(site.edge_t, 0, 1, 0), blend_t)
+            share = own(site.share, place, step)
+            if fields.what != wp.static(GOAL):
+                share = lane()
+            store(fields.maps, at, grid.stride, shift_of(total, share, mean, slopes, valid), count)
+            store_map(fields.maps, at + wp.static(dim) * grid.stride, grid.stride, only_map(valid, slopes), count)
 
         @wp.func(name=name)
-        def windows(
-            grid: Grid, site: Site, rest: cluster.FitRest, kept: cluster.Kept, fields: Fields, group: int, item: int
-        ):
+        def windows(passes: Passes, group: int, item: int):
             """Windows along the slow axis, and with them each cluster's map."""
+            grid = passes.grid
             segment = item / grid.blocks_clusters
             in_plane = (item - segment * grid.blocks_clusters) * wp.static(width)
             first = segment * grid.run_0
@@ -435,15 +446,13 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
             count = grid.cluster_end - in_plane
             base = grid.front + group * grid.group
             d = wp.static(dim)
-            source = fields.sums_middle
+            source = passes.fields.sums_middle
             if wp.static(dim) == 2:
                 at = base + in_plane
                 slow = load(source, at + d * grid.stride, grid.stride)
                 fast = load(source, at + 2 * d * grid.stride, grid.stride)
                 total = load(source, at, grid.stride)
-                solve(
-                    grid, site, rest, kept, fields, at, in_plane, group, total, stacked(slow, fast, fast), count
-                )  # fmt: skip
+                solve(passes, at, in_plane, group, total, stacked(slow, fast, fast), count)
             if wp.static(dim) == 3:
                 h = middle(cells_of(grid.window_0))
                 total = vecs.rows()
@@ -461,9 +470,7 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
                 for j in range(run_of(steps)):
                     place = at + j * grid.plane
                     cell = (first + j) * grid.plane + in_plane
-                    solve(
-                        grid, site, rest, kept, fields, place, cell, group, total, stacked(slow, mid, fast), count
-                    )  # fmt: skip
+                    solve(passes, place, cell, group, total, stacked(slow, mid, fast), count)
                     if j + 1 < run_of(steps):
                         over = grid.window_0 * grid.plane
                         leaves = load(source, place, grid.stride)
@@ -477,12 +484,10 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
 
         return windows
 
-    fit_clusters = windows_slow(solved(False, "fitted"), "fit_clusters")
-    fit_changes = windows_slow(solved(True, "changed"), "fit_changes")
-
     @wp.func
-    def spread_slow(grid: Grid, fields: Fields, group: int, item: int):
+    def spread_slow(passes: Passes, group: int, item: int):
         """What the clusters of a particle add up along the slow axis: the shift with its slope, the other slopes."""
+        grid = passes.grid
         segment = item / grid.blocks_clusters
         in_plane = (item - segment * grid.blocks_clusters) * wp.static(width)
         first = segment * grid.run_0
@@ -490,20 +495,21 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
         count = grid.cluster_end - in_plane
         at = grid.front + group * grid.group + first * grid.plane + in_plane
         d = wp.static(dim)
-        source = fields.maps
-        target = fields.maps_slow
+        source = passes.fields.maps
+        target = passes.fields.maps_slow
         slide_out(source, 0, d, at, grid.plane, grid.window_0, steps, grid.stride, target, 0, count)
         slide_out(source, 2 * d, -1, at, grid.plane, grid.window_0, steps, grid.stride, target, d, count)
         slide_out(source, 3 * d, -1, at, grid.plane, grid.window_0, steps, grid.stride, target, 2 * d, count)
 
     @wp.func
-    def spread_middle(grid: Grid, fields: Fields, group: int, item: int):
+    def spread_middle(passes: Passes, group: int, item: int):
         """The same along the middle axis: the shift with its slope, and the slope along the fast axis."""
+        grid = passes.grid
         cell, steps, count = share_of(grid, item, grid.items_spread, grid.blocks_spread, grid.cells_1)
         at = grid.front + group * grid.group + cell
         d = wp.static(dim)
-        source = fields.maps_slow
-        target = fields.maps_middle
+        source = passes.fields.maps_slow
+        target = passes.fields.maps_middle
         slide_out(source, 0, d, at, grid.line, grid.window_1, steps, grid.stride, target, 0, count)
         slide_out(source, 2 * d, -1, at, grid.line, grid.window_1, steps, grid.stride, target, d, count)
 
@@ -522,15 +528,12 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
 
     @wp.func
     def finish(
-        grid: Grid,
-        fields: Fields,
-        motion: Motion,
+        passes: Passes,
         u_in: numbers,
         offset: int,
         before_in: numbers,
         before_offset: int,
         out: numbers,
-        ran_away: Ints,
         group: int,
         item: int,
     ):
@@ -540,6 +543,9 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
         of `u_in` to that of the field meant, and the same in `out`; before_offset: the same of `before_in`, and of
         `out` when stepping. Narrow windows along the middle axis too: see `spread_middle`.
         """
+        grid = passes.grid
+        fields = passes.fields
+        motion = passes.motion
         cell, count = plane_share(grid, item)
         at = grid.front + group * grid.group + cell
         d = wp.static(dim)
@@ -566,6 +572,9 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
         if motion.stepping == 0:
             if fields.what == wp.static(GOAL):
                 goal = add(goal, -one, scale(u, is_free))
+            for i in range(wp.static(dim)):
+                if i == fields.held_axis:
+                    goal = with_row(goal, i, times(row(goal, i), particle_own(fields.sides, cell, grid.abreast)))
             store(out, offset + at, grid.stride, goal, count)
         else:
             star = ahead(grid, u, before_in, motion, fields.free, before_offset + at, cell)
@@ -575,13 +584,16 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
                 length2 += times(row(new, i), row(new, i))
             if below(length2, far * far) == 0:
                 first, step = group * grid.abreast, wp.min(grid.abreast - 1, 1)
-                new = hold_back(new, u, ran_away, first, step, count)
+                new = hold_back(new, u, passes.ran_away, first, step, count)
             store(out, before_offset + at, grid.stride, new, count)
 
-    found = members(Grid, Site, Fields, windows_fast, windows_middle, spread_slow, spread_middle, finish)
-    found.Motion, found.both = Motion, both
-    found.fit_clusters, found.fit_changes = fit_clusters, fit_changes
-    return found
+    return members(
+        *(Grid, Site, Fields, Passes, windows_fast, windows_middle, spread_slow, spread_middle, finish),
+        fit_clusters=fits(False, "fit_clusters"),
+        fit_changes=fits(True, "fit_changes"),
+        Motion=Motion,
+        both=both,
+    )
 
 
 @functools.cache
@@ -589,68 +601,34 @@ def lattice_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> S
     """A kernel for each pass: a GPU's threads share the items of all groups."""
     numbers = wp.array(dtype=scalar)
     kernel = kernel_in(f"lattice_{dim}d_{scalar.__name__}_{width}_{window}", scalar)
-    fitting = functools.partial(kernel, launch_bounds=(256, 2))  # else too few threads fit to hide what they wait for
     functions = lattice_functions_for(dim, scalar, width, window)
-    cluster = cluster_functions_for(dim, dim, scalar, width)
+    Passes = functions.Passes
 
     @kernel
-    def windows_fast(
-        grid: functions.Grid,
-        fields: functions.Fields,
-        motion: functions.Motion,
-        running: Ints,
-        u_in: numbers,
-        before_in: numbers,
-    ):
+    def windows_fast(passes: Passes, running: Ints, u_in: numbers, before_in: numbers):
         group, item = wp.tid()
         if running[group] != 0:
-            functions.windows_fast(grid, fields, motion, u_in, 0, before_in, 0, group, item)
+            functions.windows_fast(passes, u_in, 0, before_in, 0, group, item)
 
-    def pass_of(name: str) -> Any:
-        """The kernel of a pass over fields alone."""
+    @kernel
+    def finish(passes: Passes, running: Ints, u_in: numbers, before_in: numbers, out: numbers):
+        group, item = wp.tid()
+        if running[group] != 0:
+            functions.finish(passes, u_in, 0, before_in, 0, out, group, item)
+
+    def pass_of(name: str, **options: Any) -> Any:
+        """The kernel of a pass over fields that passes leave to each other."""
         function = getattr(functions, name)
 
-        @kernel(name=name)
-        def one_pass(grid: functions.Grid, fields: functions.Fields, running: Ints):
+        @kernel(name=name, **options)
+        def one_pass(passes: Passes, running: Ints):
             group, item = wp.tid()
             if running[group] != 0:
-                function(grid, fields, group, item)
+                function(passes, group, item)
 
         return one_pass
 
-    def fit_of(name: str) -> Any:
-        """The kernel of a fit, or of its derivative."""
-        function = getattr(functions, name)
-
-        @fitting(name=name)
-        def fits(
-            grid: functions.Grid,
-            site: functions.Site,
-            rest: cluster.FitRest,
-            kept: cluster.Kept,
-            fields: functions.Fields,
-            running: Ints,
-        ):
-            group, item = wp.tid()
-            if running[group] != 0:
-                function(grid, site, rest, kept, fields, group, item)
-
-        return fits
-
-    @kernel
-    def finish(
-        grid: functions.Grid,
-        fields: functions.Fields,
-        motion: functions.Motion,
-        running: Ints,
-        u_in: numbers,
-        before_in: numbers,
-        out: numbers,
-        ran_away: Ints,
-    ):
-        group, item = wp.tid()
-        if running[group] != 0:
-            functions.finish(grid, fields, motion, u_in, 0, before_in, 0, out, ran_away, group, item)
-
+    many: Any = {"launch_bounds": (256, 2)}  # else too few threads fit to hide what they wait for
+    fits = (pass_of(name, **many) for name in ("fit_clusters", "fit_changes"))
     passes = (pass_of(name) for name in ("windows_middle", "spread_slow", "spread_middle"))
-    return members(windows_fast, finish, *passes, fit_of("fit_clusters"), fit_of("fit_changes"))
+    return members(windows_fast, finish, *passes, *fits)

@@ -88,12 +88,15 @@ class Layout:
             array.assign(self.each(values))
 
 
-def widths(candidates: int, scalar: type[Any], device: str, *, cells_in_lanes: bool) -> tuple[int, int]:
-    """Width and candidates abreast for a device: plain numbers on a GPU, lanes on a CPU."""
+def widths(
+    candidates: int, scalar: type[Any], device: str, *, cells_in_lanes: bool, filled: bool = False
+) -> tuple[int, int]:
+    """Width and candidates abreast for a device: plain numbers on a GPU, lanes on a CPU. filled: only where candidates
+    fill the lanes: fewer take as long as many, and each as long as the slowest"""
     if not device.startswith("cpu"):
         return 1, 1
     width = LANES[scalar]
-    if candidates >= ABREAST_FROM:
+    if candidates >= (width if filled else ABREAST_FROM):
         return width, width
     return (width, 1) if cells_in_lanes else (1, 1)
 

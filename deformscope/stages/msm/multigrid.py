@@ -199,7 +199,7 @@ class _Level:
 
     def __init__(self, rest: CoarseRest, body: LatticeBody, size: int, volume: int) -> None:
         self.rest, self.body, self.volume = rest, body, volume
-        self.layout: Layout = body.layout(size)
+        self.layout: Layout = body.layout(size, filled=volume != 0)
         self.operator = body.operator(self.layout)
         self.kept = self.operator.kept(volume)
         d, layout = body.dim, self.layout
@@ -263,8 +263,11 @@ class Multigrid:
     @staticmethod
     def worth(body: Body, rest: BodyRest) -> TypeGuard[LatticeBody]:
         """Whether a body is large enough, wide enough to be coarsened until little is left, and held in every piece: a
-        piece that nothing holds stays where it is. In float64: the last digits of float32 hide what slow modes pull."""
+        piece that nothing holds stays where it is. In float64: the last digits of float32 hide what slow modes pull.
+        No particle slips: coarse ones are held along every axis."""
         if not isinstance(body, LatticeBody) or len(body.cell) <= LEAST or body.scalar is not wp.float64:
+            return False
+        if rest.held_axis >= 0:
             return False
         shape = np.array(body.shape)
         while min(shape[shape > 1], default=0) >= NARROWEST and np.prod(shape) > FEWEST:

@@ -201,10 +201,15 @@ class PokedBody:
     converged: BoolArray
 
 
-def hold(scene: PokeSetup, touched: IntArray, law: Law, precision: Precision, device: str) -> Msm:
-    """The scene's body with the fixed and the touched particles held, in this order. touched: (n,) indices"""
-    held = np.concatenate([scene.fixed, touched])
-    return Msm(scene.rest, scene.clusters, held, basis=law.basis, precision=precision, device=device)
+def hold(
+    scene: PokeSetup, touched: IntArray, law: Law, precision: Precision, device: str, *, slips: bool = False
+) -> Msm:
+    """The scene's body with the fixed and the touched particles held, in this order. touched: (n,) indices; slips: they
+    are held along the tip's direction alone, where that is an axis and the body of several clusters"""
+    axis = int(np.abs(scene.toward).argmax())
+    slipping = (touched, axis) if slips and abs(scene.toward[axis]) == 1.0 and scene.clusters.count > 1 else None
+    held, basis = np.concatenate([scene.fixed, touched]), law.basis
+    return Msm(scene.rest, scene.clusters, held, basis=basis, slipping=slipping, precision=precision, device=device)
 
 
 def settle(
@@ -217,8 +222,9 @@ def settle(
     slips: bool,
     start: FloatArray | None,
 ) -> PokedBody:
-    """The static states with the touched particles at `at` (m, d) or (B, m, d), one for each law; those that slip go on
-    until nothing pulls them sideways, at the same displacement along the tip's direction. start: (K, d) or (B, K, d)"""
+    """The static states with the touched particles at `at` (m, d) or (B, m, d), one for each law; those that slip are
+    where nothing pulls them sideways, at the same displacement along the tip's direction: `body` finds that by itself
+    where it can (`hold`), else in rounds. start: (K, d) or (B, K, d)"""
     toward = scene.toward
     beta, theta = (np.array([getattr(law, name) for law in laws]) for name in ("beta", "theta"))
     at = np.array(np.broadcast_to(at, (len(laws), *at.shape[-2:])))
@@ -228,11 +234,11 @@ def settle(
     for last in range(MOST_SLIDES):
         held = np.concatenate([fixed, at], axis=1)
         state = body.relax(held, beta, theta, volume=laws[0].volume, start=position)
-        position = state.position
+        position, at = state.position, state.position[:, touched]
         pull = body.reaction(position, beta, theta)[:, touched]
         side = (pull - (pull @ toward)[:, :, None] * toward) / body.counts[touched, None]
         off = np.abs(side).max(axis=(1, 2)) > SETTLED * depth
-        if not slips or not off.any():
+        if not slips or body.slips or not off.any():
             return PokedBody(position, pull, at, state.converged)
         if last == MOST_SLIDES - 1:
             return PokedBody(position, pull, at, state.converged & ~off)
@@ -271,7 +277,7 @@ class _TipContact:
         found = Pressed(scene.rest, scene.open[touched], depth, 0.0, False)
         for _ in range(MOST_ROUNDS):
             here = scene.open[touched]
-            body = body or hold(scene, here, self.law, self.precision, self.device)
+            body = body or hold(scene, here, self.law, self.precision, self.device, slips=self.poke.tip.slips)
             pushed = scene.rest[here] + (depth - self.gap[touched])[:, None] * scene.toward
             state = settle(
                 scene, body, [self.law], here, pushed + slide[touched], slips=self.poke.tip.slips, start=position

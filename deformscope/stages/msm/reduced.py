@@ -25,19 +25,17 @@ anew, and for eq. 3.17, which has no energy, a state that its goals pull back to
 
 from __future__ import annotations
 
-import functools
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import warp as wp
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.stages.msm import reduced_kernels as k
+from deformscope.stages.msm.cluster_functions import VOLUMES
 from deformscope.stages.msm.clusters import FLAT_MOMENT_RATIO, held_mask, single
 from deformscope.stages.msm.reference import Basis, Volume, build_rest
-
-VOLUMES: dict[Volume, int] = {"scale": k.SCALE, "project": k.PROJECT}
 
 SMALLEST_TOLERANCE = 2e-12
 """Share of a cluster's radius to which the numbers themselves determine a static state."""
@@ -194,7 +192,7 @@ class OneCluster:
         work = self._filled(size, held, beta, theta, tolerance, max_iterations, volume)
         if start is not None:
             self._begin_at(np.asarray(start, dtype=np.float64).reshape(-1, *self.rest.shape), work)
-        result = work.relax()
+        result = work.run("relax")
         state = result[:, k.STATE]
         split = k.TRANSFORM + self.dim * self.terms
         return Equilibrium(
@@ -228,7 +226,7 @@ class OneCluster:
         """
         work = self._filled(len(equilibrium.transform), held, beta, theta, 0.0, 0, volume)
         work.start[:] = equilibrium.transform.reshape(len(work.start), -1) / self.radius
-        result = work.differentiate()
+        result = work.run("differentiate")
         split = k.TRANSFORM + self.dim * self.terms
         transform = result[:, :, k.TRANSFORM : split].reshape(len(result), 2, self.dim, self.terms)
         by_beta, by_theta = (self._expanded(transform[:, n], result[:, n, split:]) for n in range(2))
@@ -281,35 +279,22 @@ class _Work:
         self.row: FloatArray = self.row_in.numpy()  # on the CPU the array itself
         split = body._k.row_width - body.dim * body.terms
         self.held, self.start = self.row[:, k.HELD : split], self.row[:, split:]
+        self._launches: dict[str, Any] = {}
 
-    def relax(self) -> FloatArray:
-        """(B, result_width) static states of the rows, as `reduced_kernels` lays them out."""
-        return self._run(*self._relax)
-
-    def differentiate(self) -> FloatArray:
-        """(B, 2, result_width) their derivatives by beta and theta, laid out alike."""
-        return self._run(*self._differentiate)
-
-    @functools.cached_property
-    def _relax(self) -> tuple[wp.Launch, wp.array[wp.float64]]:
-        return self._recorded(self.body._k.relax, self._zeros(self.size, self.body._k.result_width))
-
-    @functools.cached_property
-    def _differentiate(self) -> tuple[wp.Launch, wp.array[wp.float64]]:
-        return self._recorded(self.body._k.differentiate, self._zeros(self.size, 2, self.body._k.result_width))
-
-    def _zeros(self, *shape: int) -> Any:
-        return wp.zeros(shape, dtype=wp.float64, device=self.body.device)
-
-    def _recorded(self, kernel: wp.Kernel, out: wp.array[wp.float64]) -> tuple[wp.Launch, wp.array[wp.float64]]:
-        """A launch, which costs a fifth when it is recorded, and its result."""
-        inputs = [self.rest, self.row_in]
-        launch = wp.launch(kernel, self.size, inputs, [out], device=self.body.device, record_cmd=True)
-        return launch, out
-
-    def _run(self, launch: wp.Launch, out: wp.array[wp.float64]) -> FloatArray:
-        """(B, ...) results of a recorded launch on the rows."""
-        if self.body.device != "cpu":
+    def run(self, name: Literal["relax", "differentiate"]) -> FloatArray:
+        """Of the rows, laid out as by `reduced_kernels`: (B, result_width) static states, or (B, 2, result_width) their
+        derivatives by beta and theta."""
+        body = self.body
+        if name not in self._launches:  # recorded, it costs a fifth
+            out = self._zeros(self.size, *((2,) if name == "differentiate" else ()), body._k.result_width)
+            kernel, inputs = getattr(body._k, name), [self.rest, self.row_in]
+            launch = wp.launch(kernel, self.size, inputs, [out], device=body.device, record_cmd=True)
+            self._launches[name] = launch, out
+        launch, out = self._launches[name]
+        if body.device != "cpu":
             self.row_in.assign(self.row)
         launch.launch()
         return np.array(out.numpy())
+
+    def _zeros(self, *shape: int) -> Any:
+        return wp.zeros(shape, dtype=wp.float64, device=self.body.device)

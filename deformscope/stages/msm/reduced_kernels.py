@@ -11,6 +11,7 @@ from types import SimpleNamespace
 
 import warp as wp
 
+from deformscope.stages.msm.cluster_functions import PROJECT, SCALE
 from deformscope.stages.msm.functions import functions_for
 from deformscope.stages.msm.lanes import CPU_FLAGS, Doubles
 from deformscope.stages.msm.members import kernel_in, members
@@ -22,9 +23,6 @@ RESIDUAL, ERROR, ITERATIONS, STATE, TRANSFORM = range(5)
 """Places in a candidate's result: numbers first, then the transform [m] by rows, then the translation [m]."""
 
 NOT_CONVERGED, CONVERGED, DIVERGED = 0, 1, -1
-
-SCALE, PROJECT = 0, 1
-"""How volume is conserved: eq. 3.17, or by projection."""
 
 NEWTON_STEPS, TRIALS = 11, 3
 """At most so many steps at one theta, each tried in full, in half and in quarter."""

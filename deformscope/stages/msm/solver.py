@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import dataclasses
 import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -14,8 +13,9 @@ import warp as wp
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.errors import InputError
+from deformscope.stages.msm import multigrid
 from deformscope.stages.msm.body import Body, BodyRest, Operator, Parameters
-from deformscope.stages.msm.cluster_functions import BY_BETA, BY_THETA, NONE, PROJECT, SCALE
+from deformscope.stages.msm.cluster_functions import BY_BETA, BY_THETA, NONE, VOLUMES
 from deformscope.stages.msm.clusters import Clusters, LatticeClusters, held_mask
 from deformscope.stages.msm.general import GeneralBody
 from deformscope.stages.msm.iteration import Anderson, Ended, Newton, halves
@@ -43,10 +43,11 @@ KEPT_NUMBERS = 2_000_000
 MOVES = 200
 """Moves that held particles make at most in time stepping; of more steps, several pass at each place."""
 
+TRIED_STEPS = 3000
+"""Time steps within which a body that eq. 3.17 leaves no stable state has run away."""
+
 KEPT_CALLS = 16
 """Parameters, motions and recorded steps that a state of time stepping keeps on the device for the next call."""
-
-VOLUMES: dict[Volume, int] = {"scale": SCALE, "project": PROJECT}
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,7 +153,8 @@ class Msm:
 
     rest: (K, d) positions at rest, d = 2 or 3; clusters: which particles belong together; held: (n,) indices of the
     particles whose position is prescribed; mass: (K,), default 1 each; basis: "linear" (also rigid, with beta = 0) or
-    "quadratic"; precision: of the state; device: "cpu", "cuda:0"...
+    "quadratic"; slipping: which of the held particles are so along one axis alone, and that axis: static states of more
+    than one cluster find where they slip to; precision: of the state; device: "cpu", "cuda:0"...
 
     One candidate is one beta, one theta and one set of held positions. Whatever has a leading axis of B runs as B
     candidates; the rest is shared. Windows of an even lattice with a linear basis are summed axis by axis, at a cost
@@ -168,6 +170,7 @@ class Msm:
         *,
         mass: FloatArray | None = None,
         basis: Basis = "linear",
+        slipping: tuple[IntArray, int] | None = None,
         precision: Precision = "float64",
         device: str = "cpu",
     ) -> None:
@@ -182,7 +185,7 @@ class Msm:
         self._basis = basis
         self.mass = np.ones(len(self.rest)) if mass is None else np.asarray(mass, np.float64)
         self._clusters = clusters
-        self._hold(held)
+        self._hold(held, slipping)
         self._scratch: dict[Any, Any] = {}
         self._axes: FloatArray | None = None
         self._plastic = False
@@ -196,6 +199,13 @@ class Msm:
     def _double(self) -> Body:
         """The body in float64: for eq. 3.17, which has no energy, and whose error float32 cannot judge."""
         return self._body if self._scalar is wp.float64 else self._build(wp.float64)
+
+    @property
+    def _minimised(self) -> Body:
+        """The body for states that have an energy: a large lattice in float64, whose slow modes float32 does not tell
+        from rounding; preconditioned it takes no longer."""
+        large = isinstance(self._body, LatticeBody) and len(self.rest) > multigrid.LEAST
+        return self._double if large else self._body
 
     def variant(self, *, axes: FloatArray | None = None, plastic: bool = False) -> Msm:
         """This body, by index lists, for what `materials` adds: betas along `axes` (d, d), clusters that yield."""
@@ -218,14 +228,18 @@ class Msm:
         made._scratch, made._variants = {}, {}
         return made
 
-    def _hold(self, held: IntArray | Sequence[int]) -> None:
+    def _hold(self, held: IntArray | Sequence[int], slipping: tuple[IntArray, int] | None = None) -> None:
         self.held = np.asarray(held, dtype=np.int64).reshape(-1)
         self.free, self._held_rest = ~held_mask(len(self.rest), self.held), self.rest[self.held]
+        some, axis = (np.zeros(0, dtype=np.int64), -1) if slipping is None else slipping
+        slips = held_mask(len(self.rest), some)
+        self.free |= slips
         counts = self._clusters.cluster_counts()
         metric = counts * self.mass
         metric /= self.mass.mean()
-        metric[self.held] = 0.0
-        self._particles = BodyRest(self.rest / self.scale, self.mass, self.free, counts, metric)
+        metric[~self.free] = 0.0
+        place = self.rest / self.scale
+        self._particles = BodyRest(place, self.mass, self.free, counts, metric, slipping=slips, held_axis=axis)
 
     def _along(self, beta: AxisBeta, theta: FloatArray | float) -> Msm:
         """The variant for betas along these axes, kept for the next call. theta: (B,) or one, all 0"""
@@ -261,6 +275,11 @@ class Msm:
         return OneCluster(self.rest, self.held, mass=mass, basis=self._basis, device=self.device)
 
     @property
+    def slips(self) -> bool:
+        """Whether some particles are held along one axis alone."""
+        return self._particles.held_axis >= 0
+
+    @property
     def counts(self) -> IntArray:
         """(K,) clusters that each particle belongs to, N_i of Thesis eq. 3.15."""
         return self._particles.counts
@@ -293,7 +312,7 @@ class Msm:
     def _method(self, kind: type[Newton] | type[Anderson], size: int, volume: int) -> Any:
         """A method, with its scratch; that of the last few calls is kept."""
         key = (kind, size, volume)
-        body = self._double if kind is Anderson else self._body
+        body = self._double if kind is Anderson else self._minimised
         method = self._scratch.pop(key, None) or kind(body, self._particles, size, volume)
         if size * len(self.rest) <= KEPT_NUMBERS:
             self._scratch[key] = method
@@ -367,10 +386,46 @@ class Msm:
             note = None if progress is None else functools.partial(_offset, progress, first, size)
             ended = method.relax(u, share * self.extent / self.scale, most, note)
             parts.append(self._relaxed(method.layout.get(method.u, self.dim), ended))
-        if len(parts) == 1:
-            return parts[0]
-        fields = [f.name for f in dataclasses.fields(Relaxed)]
-        return Relaxed(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in fields})
+        found = Relaxed(*(np.concatenate([getattr(part, name) for part in parts]) for name in Relaxed.__slots__))
+        if volume == "scale" and max_iterations is None:
+            self._resume(found, held_position, beta_b, theta_b, start, share)
+        return found
+
+    def _resume(
+        self,
+        found: Relaxed,
+        held_position: FloatArray,
+        beta: FloatArray,
+        theta: FloatArray,
+        start: FloatArray | None,
+        tolerance: float,
+    ) -> None:
+        """Has candidates that neither converged nor ran away by eq. 3.17 begin anew, at the state without conservation.
+
+        From there the stable state that the pressed body comes to is near. Where that fails and time steps run away
+        from there, the candidate has diverged.
+        """
+        rows = np.flatnonzero(~(found.converged | found.diverged) & (theta > 0.0))
+        if not len(rows):
+            return
+        size, (count, dim) = len(theta), self.rest.shape
+        held = np.reshape(held_position, (-1 if len(self.held) else 1, len(self.held), dim))
+        held = np.broadcast_to(held, (size, *held.shape[1:]))[rows]
+        if start is not None:
+            start = np.broadcast_to(start, (size, count, dim))[rows]
+        beta, theta = beta[rows], theta[rows]
+        free = self.relax(held, beta, start=start, tolerance=tolerance)
+        how: Any = {"start": free.position, "tolerance": tolerance, "max_iterations": _most_iterations(count)}
+        again = self.relax(held, beta, theta, **how)
+        if not again.converged.all():
+            state = self.start(len(rows), free.position)
+            self.advance(state, held, beta, theta, steps=TRIED_STEPS)
+            again.diverged[:] |= ~again.converged & state.diverged
+        spent = found.iterations[rows] + free.iterations
+        for name in Relaxed.__slots__:
+            getattr(found, name)[rows] = getattr(again, name)
+        found.iterations[rows] += spent
+        found.smoothed[rows] += free.smoothed
 
     @staticmethod
     def _kind(theta: FloatArray, size: int, volume: Volume) -> tuple[type[Newton] | type[Anderson], int, int]:
@@ -435,11 +490,11 @@ class Msm:
         good = True
         for by in (BY_BETA, BY_THETA):
             if isinstance(method, Newton):
-                self._derive(method, by, position, beta, theta, volume)
+                method.derive(by, VOLUMES[volume] if by == BY_THETA else None)
                 good &= method.solve(LINEAR_TOLERANCE[self.precision])
                 out.append(method.layout.get(method.step, self.dim) * self.scale)
             else:
-                method.derive_goals(by, method.linear_right)
+                method.derive_goals(by, method.volume, method.linear_right)
                 good &= method.solve(LINEAR_TOLERANCE["float64"], _most_iterations(len(self.rest)))
                 out.append(method.layout.get(method.u, self.dim) * self.scale)
                 method.layout.put(self._displacements(position), method.u)
@@ -461,7 +516,9 @@ class Msm:
         (that of held particles does not count). With eq. 3.17 overlapping clusters have no symmetric equations; there
         the derivatives by beta and theta are solved for, and those by cluster are not given (nan).
         """
-        cotangent = np.asarray(cotangent, np.float64).reshape(-1, *self.rest.shape)
+        cotangent = np.array(cotangent, np.float64).reshape(-1, *self.rest.shape)
+        if self.slips:
+            cotangent[:, self._particles.slipping, self._particles.held_axis] = 0.0
         position = np.asarray(position, np.float64).reshape(-1, *self.rest.shape)
         theta_b = np.atleast_1d(np.asarray(theta, np.float64))
         if self._one is not None or (theta_b.any() and volume == "scale"):
@@ -478,27 +535,9 @@ class Msm:
         adjoint = method.layout.get(method.step, self.dim)
         method.derive(BY_BETA)
         by_cluster = method.operator.cluster_gradient(method.step) / self._particles.mass.mean()
-        self._derive(method, BY_THETA, position, beta, theta, volume)
+        method.derive(BY_THETA, VOLUMES[volume])
         by_theta = np.sum(metric * adjoint * method.layout.get(method.residual, self.dim), axis=(1, 2))
         return Gradient(by_cluster.sum(axis=1), by_theta, by_cluster, good)
-
-    def _derive(
-        self,
-        method: Newton,
-        by: int,
-        position: FloatArray,
-        beta: FloatArray | float,
-        theta: FloatArray | float,
-        volume: Volume,
-    ) -> None:
-        """Derivative of the goals at positions (B, K, d) into the method's residual; by theta also where that is 0,
-        without conservation."""
-        if by == BY_THETA and method.volume == NONE:
-            conserving = self._at(position, beta, theta, volume, method_kind=Newton, conserving=True)
-            conserving.derive(by)
-            wp.copy(method.residual, conserving.residual)
-        else:
-            method.derive(by)
 
     def _at(
         self,
@@ -506,19 +545,12 @@ class Msm:
         beta: FloatArray | float,
         theta: FloatArray | float,
         volume: Volume,
-        *,
-        conserving: bool = False,
         method_kind: type[Newton] | None = None,
     ) -> Any:
-        """The method, evaluated at positions (B, K, d).
-
-        conserving: with volume conservation though theta is 0; method_kind: which, where it only is to be evaluated
-        """
+        """The method, evaluated at positions (B, K, d). method_kind: which, where it only is to be evaluated"""
         _, beta_b, theta_b = self._candidates(position[:, self.held], beta, theta)
         size = max(len(position), len(beta_b))
         kind, size, how = self._kind(theta_b, size, volume)
-        if conserving and how == NONE:
-            kind, how = (Newton if volume == "project" else Anderson), VOLUMES[volume]
         method = self._method(method_kind or kind, size, how)
         method.set(np.broadcast_to(beta_b, (size, *beta_b.shape[1:])), np.broadcast_to(theta_b, (size,)))
         method.layout.put(self._displacements(position), method.u)
@@ -539,6 +571,8 @@ class Msm:
 
     def start(self, size: int = 1, position: FloatArray | None = None) -> Moving:
         """B bodies at rest without velocity, or at `position` (K, d) or (B, K, d)."""
+        if self.slips:
+            raise ValueError("expected no slipping particles in time stepping; got some")
         state = Moving(self._body.operator(self._body.layout(size)))
         if position is not None:
             u = self._displacements(position)
@@ -617,7 +651,7 @@ class Msm:
         if isinstance(beta, AxisBeta):
             return self._along(beta, theta).residual(position, beta.value[:, None, :])
         position = np.asarray(position, dtype=np.float64).reshape(-1, *self.rest.shape)
-        method = self._at(position, beta, theta, volume, method_kind=Newton)
+        method = self._at(position, beta, theta, volume, Newton)
         return np.asarray(method.layout.get(method.residual, self.dim) * self.scale)
 
     def reaction(self, position: FloatArray, beta: FloatArray | float, theta: FloatArray | float = 0.0) -> FloatArray:

@@ -9,8 +9,10 @@ The law of `contact` with a memory. Where every modulus of a foam relaxes alike,
 is a low-pass filter of the force with strength j_i and retardation time l_i. Forces are taken as measured and places
 are fitted, as in `contact`: the arm's scatter is what matters. Relaxation times t_i follow from those of creep.
 
-None, one and two branches are compared by their evidence and averaged. Approach speed needs no correction: the filters
-know when the force came.
+None to three branches, and spectra that reach no plateau, are compared by their evidence and averaged. A hold says what
+it saw: where it is likelier than not that a branch outlasts it, or that nothing ends, a reason names that, and what
+depends on it is a bound. The force that is kept after a time within the hold is always said. Approach speed needs no
+correction: the filters know when the force came.
 
 The ball's way back does not follow this law (Ting 1966) and is not fitted: the energy that a cycle loses is what the
 measured forces did on the way in less what they gave on the way out.
@@ -18,14 +20,16 @@ measured forces did on the way in less what they gave on the way out.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import dataclass, field
+from typing import Any, Literal
 
 import numpy as np
 
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
-from deformscope.stages.fit.relaxation import relaxing
+from deformscope.results.declared import LATER
+from deformscope.stages.fit.estimate import Doubt
+from deformscope.stages.fit.relaxation import ForceKept, kept_of, relaxing, seen_of
 from deformscope.stages.fit.weighted_draws import median_and_interval
 from deformscope.stages.poke.contact import (
     EXPONENT,
@@ -36,7 +40,7 @@ from deformscope.stages.poke.contact import (
     along_normal,
     since_contact,
 )
-from deformscope.stages.poke.creep_law import MOST_BRANCHES, CreepDraws, CreepLaw, CreepSamples
+from deformscope.stages.poke.creep_law import CreepDraws, CreepLaw, CreepSamples
 from deformscope.stages.poke.permanent_set import kept_share
 from deformscope.stages.poke.slip import SlipFit, fit_slip
 
@@ -47,6 +51,8 @@ ELASTIC_MOST = 0.03
 KEPT_LEAST = 0.06
 """Share of a dent that stays for good from which on a foam counts as plastic: below, the law's error may look so."""
 SURE = 0.95
+SEVERAL = 0.8
+"""Probability of more than one branch from which on a foam may have faster ones than the approach."""
 REFERENCE_SPEED_M_S = 0.01
 """Stiffness is converted to what an approach at this speed would have felt, so that touches compare."""
 RAMP_STEPS = 60
@@ -54,6 +60,8 @@ RAMP_STEPS = 60
 KEPT_DRAWS = 60
 """Of the laws drawn, from which what is kept, slides and changes with speed is computed: the same ones, of seed 0, for
 all three."""
+FORCE_DRAWS = 400
+"""Of the laws drawn, from which the force that is kept is computed."""
 LAYERED, LAYERED_SD = 0.05, 0.05
 """What a layer on a table adds to a ball's exponent: 0.04 to 0.07 on the slabs of `creep_law.BEND_SD`; foam itself may
 add to it."""
@@ -64,8 +72,14 @@ class CreepFit:
     """What a touch measured of a foam's creep; every interval holds 90 %.
 
     instant_n_per_mm, relaxed_n_per_mm: set force over depth, at once and when all has relaxed [N/mm]; relaxed_log_sd:
-    deviation of the log of the latter
-    share: of the modulus that relaxes, 1 - E(inf) / E0; time_s: mean relaxation time, each branch weighed by its share
+    deviation of the log of the latter; what is relaxed is None with a reason
+    share: of the modulus that relaxes, 1 - E(inf) / E0; time_s: mean relaxation time, each branch weighed by its share,
+    of what relaxes within the hold; with a reason both are lower bounds, their intervals open above. Where several
+    branches are likely, some may be faster than the approach: the interval of `instant_n_per_mm` is open above, and
+    with a reason no time is said (None)
+    reasons: "short-record": a branch may outlast the hold; "no-plateau": the foam may creep without end
+    short_record, no_plateau: probabilities of each
+    force_kept: share of the force at the end of the approach that is left, held in place, for times within the hold
     loss: energy that the cycle lost over what the way in took; None where the way out was not recorded
     held_s: how long the force was held; speed_m_s: of the approach in contact
     verdict: "slipping": the tip slid over the surface, and the rest is doubtful; "plastic": a dent stays for good;
@@ -79,19 +93,23 @@ class CreepFit:
 
     instant_n_per_mm: float
     instant_interval: tuple[float, float]
-    relaxed_n_per_mm: float
-    relaxed_interval: tuple[float, float]
-    relaxed_log_sd: float
+    relaxed_n_per_mm: float | None
+    relaxed_interval: tuple[float, float] | None
+    relaxed_log_sd: float | None
     share: float
     share_interval: tuple[float, float]
-    time_s: float
-    time_interval: tuple[float, float]
+    time_s: float | None
+    time_interval: tuple[float, float] | None
     loss: float | None
     loss_interval: tuple[float, float] | None
     held_s: float
     speed_m_s: float
     verdict: CreepBehaviour
     why: str = ""
+    reasons: tuple[Doubt, ...] = field(default=(), metadata=LATER)
+    force_kept: tuple[ForceKept, ...] = field(default=(), metadata=LATER)
+    short_record: float = field(default=0.0, metadata=LATER)
+    no_plateau: float = field(default=0.0, metadata=LATER)
     viscous: float | None = None
     plastic: float | None = None
     slipping: float | None = None
@@ -101,6 +119,36 @@ class CreepFit:
     force_ratio: float | None = None
     log_at_reference: float = 0.0
     log_at_reference_sd: float = 0.0
+
+    @property
+    def brief(self) -> str:
+        """Verdict, reasons, and what relaxes."""
+        least, most = self.share_interval
+        if self.verdict in ("elastic", "slipping"):
+            return self.verdict
+        if self.reasons:
+            return f"{self.verdict}, {self.reasons[0].code}: at least {least:.0%} relaxes"
+        return f"{self.verdict}, {self.share:.0%} relaxes ({least:.0%} to {most:.0%})"
+
+    @property
+    def text(self) -> str:
+        """What the hold said of the foam's creep."""
+        held = f"; held in place it {self.force_kept[-1]}" if self.force_kept else ""
+        loss = ("" if self.loss is None else f", a touch loses {self.loss:.0%} of its energy") + held
+        if self.verdict == "elastic":
+            return f"elastic within {self.held_s:.3g} s{loss}"
+        if self.verdict == "slipping":
+            return f"slipping: {self.why}; what it says of creep is doubtful"
+        if self.kept is not None and self.kept_interval is not None and self.verdict == "plastic":
+            loss = ", {:.0%} ({:.0%} to {:.0%}) of the dent stays".format(self.kept, *self.kept_interval) + loss
+        least, most = self.share_interval
+        if self.reasons or self.relaxed_n_per_mm is None or self.relaxed_interval is None:
+            doubts = "".join(f"; {one.code}: {one.text}" for one in self.reasons)
+            return f"{self.verdict}: at least {least:.0%} of the modulus relaxes{loss}{doubts}"
+        low, high = self.relaxed_interval
+        relaxed = f"{self.relaxed_n_per_mm:.3g} N/mm ({low:.3g} to {high:.3g}) when relaxed"
+        share = f"{self.share:.0%} ({least:.0%} to {most:.0%}) of the modulus relaxes in {self.time_s:.2g} s"
+        return f"{self.verdict}: {relaxed}, {share}{loss}"
 
 
 def fit_creep(
@@ -134,42 +182,55 @@ def fit_creep(
     samples = CreepSamples.of(time_s, z_m, force, int(np.argmax(among)), loading, held)
     exponent = (EXPONENT["sphere"] + LAYERED, LAYERED_SD) if radius_m else (EXPONENT["sphere"], EXPONENT_SD)
     law = CreepLaw(samples, exponent, set_force_n, arm, force_sd, radius_m)
-    draws = CreepDraws.together([law.posterior(branches) for branches in range(MOST_BRANCHES + 1)])
-    weight, strength = draws.weight, draws.strength.sum(axis=1)
+    draws = law.posterior()
+    held_s = float(time_s[held - 1] - time_s[loading - 1])
+    seen = seen_of(draws.strength, draws.retarded_s, draws.endless, draws.weight, held_s)
+    # without a reason, verdict and time are of what relaxes within the hold
+    weight = draws.weight
+    judged = weight * (seen.within if not seen.reasons else 1.0)
     instant = 1e-3 * set_force_n / draws.depth_m
-    relaxed = instant * np.exp(-draws.log_deeper)
-    share, creeps = strength / (1.0 + strength), strength > 0.0
-    middle = float(np.average(np.log(relaxed), weights=weight))
-    viscous = float(weight[share > ELASTIC_MOST].sum())
+    share, creeps = seen.share, draws.strength.any(axis=1)
+    viscous = float(judged[share > ELASTIC_MOST].sum() / judged.sum())
     kept = _kept(draws, time_s, z_m, force, held, arm, force_sd)
     slip = _slip(draws, z_m, force, position_m[:held], force_n[:held], normal, loading, arm, force_sd)
     plastic = None if kept is None else float((kept > KEPT_LEAST).mean())
     verdict, why = _verdict(viscous, plastic, slip)
     speed_m_s = float((z_m[loading - 1] - z_m[samples.first]) / (time_s[loading - 1] - time_s[samples.first]))
     other_speed = _at_reference(draws, speed_m_s)
+    some = draws.some(np.random.default_rng(0), FORCE_DRAWS)
+    at = slice(loading - 1, loading)
+    approach_s = float(some.dents(z_m[at], force[at], arm).mean()) / max(speed_m_s, 1e-6)
     nothing: tuple[None, None] = (None, None)
     stays, stays_interval = nothing if kept is None else median_and_interval(kept, np.ones(len(kept)))
     instant_median, instant_interval = median_and_interval(instant, weight)
-    relaxed_median, relaxed_interval = median_and_interval(relaxed, weight)
-    share_median, share_interval = median_and_interval(share, weight)
-    relaxation_s, relaxation_interval = median_and_interval(draws.mean_time_s[creeps], weight[creeps])
+    share_median, share_interval = seen.bounded(*median_and_interval(share, weight), 1.0)
+    relaxation = median_and_interval(draws.mean_time_s[creeps], judged[creeps])
+    relaxation_s: float | None
+    relaxation_interval: tuple[float, float] | None
+    relaxation_s, relaxation_interval = seen.bounded(*relaxation, float("inf"))
+    if weight[draws.branches > 1].sum() > SEVERAL:
+        instant_interval = instant_interval[0], float("inf")
+        if seen.reasons:
+            relaxation_s, relaxation_interval = None, None
     loss, loss_interval = cycle_loss(z_m, force, held, arm, force_sd, clock_sd_s / float(np.diff(time_s).mean()))
     return CreepFit(
         instant_n_per_mm=instant_median,
         instant_interval=instant_interval,
-        relaxed_n_per_mm=relaxed_median,
-        relaxed_interval=relaxed_interval,
-        relaxed_log_sd=float(np.sqrt(np.average((np.log(relaxed) - middle) ** 2, weights=weight))),
+        **_relaxed(np.log(instant) - draws.log_deeper, weight, known=not seen.reasons),
         share=share_median,
         share_interval=share_interval,
         time_s=relaxation_s,
         time_interval=relaxation_interval,
         loss=loss,
         loss_interval=loss_interval,
-        held_s=float(time_s[held - 1] - time_s[loading - 1]),
+        held_s=held_s,
         speed_m_s=speed_m_s,
         verdict=verdict,
         why=why,
+        reasons=seen.reasons,
+        force_kept=kept_of(some.strength, some.retarded_s, some.exponent, approach_s, held_s),
+        short_record=seen.short_record,
+        no_plateau=seen.no_plateau,
         viscous=viscous,
         plastic=plastic,
         slipping=slip.probability,
@@ -180,6 +241,16 @@ def fit_creep(
         log_at_reference=float(other_speed.mean()),
         log_at_reference_sd=float(other_speed.std()),
     )
+
+
+def _relaxed(log: FloatArray, weight: FloatArray, *, known: bool) -> dict[str, Any]:
+    """What is said of the relaxed stiffness, from its log (d,) [N/mm] in draws with weights (d,)."""
+    names = ("relaxed_n_per_mm", "relaxed_interval", "relaxed_log_sd")
+    if not known:
+        return dict.fromkeys(names)
+    log_sd = float(np.sqrt(np.average((log - np.average(log, weights=weight)) ** 2, weights=weight)))
+    middle, (low, high) = median_and_interval(log, weight)
+    return dict(zip(names, (float(np.exp(middle)), (float(np.exp(low)), float(np.exp(high))), log_sd), strict=True))
 
 
 def _at_reference(draws: CreepDraws, speed_m_s: float) -> FloatArray:

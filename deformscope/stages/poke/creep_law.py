@@ -1,30 +1,29 @@
 """The law by which a foam creeps under a ball, fitted to one touch: its parameters as weighted draws (`creep`).
 
-Each branch of the creep compliance is a low-pass filter of the force, with a strength j and a retardation time l; what
-the law is off by is a Gaussian process over the log of the force.
+Each branch of the creep compliance is a low-pass filter of the force (`stages.fit.creep_spectra`); what the law is off
+by is a Gaussian process over the log of the force. A force sensor that drifts moves the place in proportion to time.
+
+For every choice of nodes of the log times the likeliest parameters are found, all choices in one pass (Levenberg 1944,
+Marquardt 1963), with their evidence (Laplace); draws about them are weighed by the posterior, so that the choices, the
+numbers of branches and their times are averaged over.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
 import scipy  # its parts are imported as they are first used: who only reads results needs none
 
-from deformscope.arrays import FloatArray
+from deformscope.arrays import BoolArray, FloatArray, IntArray
+from deformscope.stages.fit.creep_spectra import LARGEST_LOG, Spectrum, spectra
 from deformscope.stages.fit.relaxation import mean_relaxation_s
-from deformscope.stages.fit.weighted_draws import draw_about, pooled
+from deformscope.stages.fit.weighted_draws import DrawnModel, draw_about_each
 from deformscope.stages.poke.contact import LOADED, ArmCompliance
 
-STRENGTH_MEDIAN, STRENGTH_SPREAD = 0.2, 0.9
-"""Log-normal prior of the strength j of one branch, in equal parts of several: relaxation of 2 to 50 %, where flexible
-foams lie [assumed]."""
-TIME_MEDIAN_S, TIME_SPREAD = 1.2, 0.9
-"""Log-normal prior of a retardation time: 0.08 to 12 s, what a touch of some seconds can be asked about."""
-MOST_BRANCHES = 2
-HOLD_SAMPLES = 120
-"""Of the hold, that are fitted: more are averaged over equal counts."""
+MOST_BRANCHES = 3
+HOLD_SAMPLES = 60
+"""Of the hold, that are fitted, evenly in the log of time: more are averaged."""
 LEAST_EXPONENT, LEAST_SHARE = 0.2, 1e-4
 BEND_SD = 0.003
 """Of q: log depth goes by log force over p plus q times its square, 0 at the set force. Finite elements of a ball of
@@ -33,10 +32,12 @@ LAW_OFF, LAW_RISE, LAW_LENGTH = 0.004, 0.4, 0.3
 """Of a log dent, what that law is off by: a Gaussian process over log force, 0 at the set force, with this deviation
 there, more below it (a power of the force) and with this length: elements that come into contact one after the other
 make waves of 0.2 to 1 % (24 slabs as above, seeds kept for choosing). Foam itself is no better."""
+DRIFT_N_PER_S = 0.001
+"""Deviation of a force sensor's drift: 0.06 N a minute [assumed]."""
 BALL_STEPS = 400
 SHAPE = 5
 """Parameters of the law without a memory."""
-LOG_TIMES, TIMES = (np.log(0.005), np.log(200.0)), 80
+LOG_TIMES, TIMES = (np.log(0.002), np.log(4000.0)), 100
 """Retardation times for which the filters are computed; between them they are interpolated."""
 
 
@@ -56,8 +57,8 @@ class CreepSamples:
     def of(
         cls, time_s: FloatArray, z_m: FloatArray, force_n: FloatArray, first: int, loading: int, held: int
     ) -> CreepSamples:
-        every = max(1, (held - loading) // HOLD_SAMPLES)
-        ends = np.unique([*range(1, loading + 1), *range(loading, held, every), held])
+        later = np.geomspace(1.0, max(held - loading, 1), HOLD_SAMPLES).round().astype(int)
+        ends = np.unique([*range(1, loading + 1), *(loading + later)])
         starts = np.append(0, ends[:-1])
         count = (ends - starts).astype(float)
         time, z, force = (np.add.reduceat(one[:held], starts) / count for one in (time_s, z_m, force_n))
@@ -66,11 +67,10 @@ class CreepSamples:
 
 @dataclass(frozen=True, slots=True)
 class CreepDraws:
-    """Weighted draws, of one number of branches or of all: log evidence; weight (d,), which adds up to 1; z0, D0 [m],
-    log of the dent when all has relaxed over D0, p, deviations of the arm's compliance, mean relaxation time [s], all
-    (d,); j_i and l_i [s] (d, MOST_BRANCHES), what is not there with a strength of 0"""
+    """Weighted draws: weight (d,), which adds up to 1; z0, D0 [m], log of the dent when all has relaxed over D0, p,
+    deviations of the arm's compliance, mean relaxation time [s], all (d,); j_i and l_i [s] (d, b), what is not there
+    with a strength of 0; branches (d,): how many there are; endless (d,): the spectrum has no end"""
 
-    log_evidence: float
     weight: FloatArray
     start_m: FloatArray
     depth_m: FloatArray
@@ -80,24 +80,14 @@ class CreepDraws:
     mean_time_s: FloatArray
     strength: FloatArray
     retarded_s: FloatArray
-
-    @classmethod
-    def together(cls, models: Sequence[CreepDraws]) -> CreepDraws:
-        """All, each model by its evidence."""
-        weight = pooled([one.log_evidence for one in models], [one.weight for one in models])
-        others = {name: np.concatenate([getattr(one, name) for one in models]) for name in cls._parameters()}
-        return cls(log_evidence=0.0, weight=weight, **others)
-
-    @classmethod
-    def _parameters(cls) -> list[str]:
-        """Names of the fields that are neither evidence nor weight."""
-        return [one.name for one in fields(cls) if one.name not in ("log_evidence", "weight")]
+    branches: IntArray
+    endless: BoolArray
 
     def some(self, random: np.random.Generator, count: int) -> CreepDraws:
         """So many draws, picked in proportion to their weight."""
         at = random.choice(len(self.weight), count, p=self.weight / self.weight.sum())
-        others = {name: getattr(self, name)[at] for name in self._parameters()}
-        return CreepDraws(log_evidence=self.log_evidence, weight=np.full(count, 1.0 / count), **others)
+        others = {one.name: getattr(self, one.name)[at] for one in fields(self)}
+        return CreepDraws(**others | {"weight": np.full(count, 1.0 / count)})
 
     def dents(self, z_m: FloatArray, force_n: FloatArray, arm: ArmCompliance) -> FloatArray:
         """(d, n) of places and forces (n,) [m]."""
@@ -106,12 +96,12 @@ class CreepDraws:
 
 
 class CreepLaw:
-    """The law over one touch; parameters (5 + 2 b,): z0 [mm], log D0 (of a ball: of the dent that a paraboloid
-    would make instead), p, the law's bend q, the arm's compliance in deviations from what it was calibrated to, then
-    log j and log l of each branch.
+    """The law over one touch; parameters (5 + k,): z0 [mm], log D0 (of a ball: of the dent that a paraboloid would make
+    instead), p, the law's bend q, the arm's compliance in deviations from what it was calibrated to, then those of the
+    spectrum.
 
     What the law is off by at one force it is off by at neighbouring ones, in the hold as on the way down: residuals
-    are whitened by the covariance of that and of the samples' own scatter.
+    are whitened by the covariance of that, of a drift, and of the samples' own scatter.
     """
 
     def __init__(
@@ -128,114 +118,137 @@ class CreepLaw:
         force = np.maximum(samples.force_n, 0.0) / set_force_n
         self._share = force[fitted]
         log_s = np.linspace(*LOG_TIMES, TIMES)
-        self._filtered = scipy.interpolate.CubicSpline(log_s, _lagging(samples.time_s, force, np.exp(log_s))[:, fitted])
+        behind = scipy.interpolate.CubicSpline(log_s, _lagging(samples.time_s, force, np.exp(log_s))[:, fitted])
+        self._filtered = lambda at, order: behind(np.clip(at, *LOG_TIMES), order)
         self._z = samples.z_m[fitted] - arm.compliance_m_per_n * samples.force_n[fitted]
         self._bent_m = arm.compliance_sd * set_force_n * self._share
-        self._exponent, prior_exponent = exponent, exponent[0]
         root = np.sqrt(samples.count[fitted])
         share = np.maximum(self._share, LOADED)
-        design = np.column_stack([np.ones_like(self._z), share ** (1.0 / prior_exponent)])
+        design = np.column_stack([np.ones_like(self._z), share ** (1.0 / exponent[0])])
         (z0, depth_m), *_ = np.linalg.lstsq(design, self._z, rcond=None)
-        self._start = np.array([1e3 * z0, np.log(max(depth_m, 1e-5)), prior_exponent, 0.0, 0.0])
-        slope_m = depth_m / prior_exponent * share ** (1.0 / prior_exponent - 1.0)
+        self._start = np.array([1e3 * z0, np.log(max(depth_m, 1e-5)), exponent[0], 0.0, 0.0])
+        self._spread = np.array([np.inf, np.inf, exponent[1], BEND_SD, 1.0])
+        slope_m = depth_m / exponent[0] * share ** (1.0 / exponent[0] - 1.0)
         sd = np.hypot(max(arm.position_sd_m, 1e-6), slope_m * force_sd_n / set_force_n) / root
+        begins_s, loaded_s, ends_s = samples.time_s[[samples.first, samples.loading - 1, -1]]
+        self._spectra = spectra(max(loaded_s - begins_s, 1e-2), max(ends_s - loaded_s, 1e-2), MOST_BRANCHES)
         self._whitens = np.diag(1.0 / np.hypot(sd, LAW_OFF * depth_m))
-        self._log_felt, self._dent_m = (one[0] for one in self._dents(self._best(MOST_BRANCHES)[None]))
+        one = self._fitted(self._spectra[1]).likeliest()
+        self._log_felt, self._dent_m = (each[0] for each in self._dents(one, self._spectra[1])[:2])
+        drift_m = DRIFT_N_PER_S * (samples.time_s[fitted] - begins_s) * slope_m / set_force_n
         self._off_m2 = self._dent_m * _off_together(self._log_felt, self._log_felt) * self._dent_m[:, None]
+        self._off_m2 += drift_m * drift_m[:, None]
         self._whitens = _whitening(sd, self._off_m2)
         # the arm may scatter more than stated
-        scatter = self._off(self._best(MOST_BRANCHES)[None])[0]
+        two = self._fitted(self._spectra[2]).likeliest()
+        scatter = self._off(two, self._spectra[2])
         self._whitens = _whitening(sd * max(1.0, float(np.sqrt(np.mean(scatter**2)))), self._off_m2)
 
-    def posterior(self, branches: int) -> CreepDraws:
-        """Weighted draws of the parameters with so many branches."""
-        best = self._best(branches)
-        random = np.random.default_rng(branches)
-        drawn, weight, log_evidence = draw_about(
-            best, self._jacobian(best), self._residuals, self._log_size(branches), random
+    def posterior(self) -> CreepDraws:
+        """Weighted draws of the parameters, of all spectra."""
+        random = np.random.default_rng(0)
+        drawn, weight = draw_about_each([self._fitted(one) for one in self._spectra], random)
+        some = [self._draws(*pair, random) for pair in zip(self._spectra, drawn, strict=True)]
+        names = [one.name for one in fields(CreepDraws) if one.name != "weight"]
+        return CreepDraws(
+            weight=weight, **{name: np.concatenate([getattr(one, name) for one in some]) for name in names}
         )
-        none = ((0, 0), (0, MOST_BRANCHES - branches))
-        strength = np.pad(np.exp(drawn[:, SHAPE : SHAPE + branches]), none)
-        retarded_s = np.pad(np.exp(drawn[:, SHAPE + branches :]), none, constant_values=1.0)
+
+    def _draws(self, spectrum: Spectrum, drawn: FloatArray, random: np.random.Generator) -> CreepDraws:
+        """Of one spectrum, from parameters (d, k)."""
+        strength, retarded_s = spectrum.filters(drawn[:, SHAPE:])
+        branches = strength.shape[1]
         log_felt = np.log1p(strength.sum(axis=1))
         log_depth = self._log_dent(drawn, np.zeros(len(drawn)))
-        log_deeper = self._log_dent(drawn, log_felt) - log_depth + self._law_off(drawn, log_felt, random)
+        log_deeper = self._log_dent(drawn, log_felt) - log_depth + self._law_off(drawn, spectrum, log_felt, random)
+        none = ((0, 0), (0, max(one.most for one in self._spectra) - branches))
         return CreepDraws(
-            log_evidence=log_evidence,
-            weight=weight,
+            weight=np.ones(len(drawn)),
             start_m=1e-3 * drawn[:, 0],
             depth_m=np.maximum(np.exp(log_depth), 1e-6),
             log_deeper=log_deeper if branches else np.zeros(len(drawn)),
             exponent=np.maximum(drawn[:, 2], LEAST_EXPONENT),
             bent=drawn[:, 4],
             mean_time_s=mean_relaxation_s(strength, retarded_s),
-            strength=strength,
-            retarded_s=retarded_s,
+            strength=np.pad(strength, none),
+            retarded_s=np.pad(retarded_s, none, constant_values=1.0),
+            branches=np.full(len(drawn), branches),
+            endless=np.full(len(drawn), spectrum.endless),
         )
 
-    def _law_off(self, parameters: FloatArray, log_felt: FloatArray, random: np.random.Generator) -> FloatArray:
+    def _law_off(
+        self, parameters: FloatArray, spectrum: Spectrum, log_felt: FloatArray, random: np.random.Generator
+    ) -> FloatArray:
         """(d,) draws of what the law is off by at a log force (d,), given what it is off by in the samples."""
         shared = (_off_together(log_felt, self._log_felt) * self._dent_m) @ self._whitens.T
-        mean = (shared * self._off(parameters)).sum(axis=1)
+        mean = (shared * self._off(parameters, spectrum)).sum(axis=1)
         variance = _off_variance(log_felt) - (shared**2).sum(axis=1)
         return np.asarray(mean + np.sqrt(np.maximum(variance, 0.0)) * random.standard_normal(len(log_felt)))
 
-    def _best(self, branches: int) -> FloatArray:
-        """(5 + 2 b,) the likeliest parameters."""
-        apart = np.linspace(-0.7, 0.7, branches) if branches > 1 else np.zeros(branches)
-        log_j = np.full(branches, np.log(STRENGTH_MEDIAN / max(branches, 1)))
-        start = np.concatenate([self._start, log_j, np.log(TIME_MEDIAN_S) + TIME_SPREAD * apart])
-        found = scipy.optimize.least_squares(
-            lambda one: self._residuals(one[None])[0], start, jac=self._jacobian, x_scale="jac"
+    def _fitted(self, spectrum: Spectrum) -> DrawnModel:
+        """One spectrum with all choices of its nodes, as it is fitted."""
+        mean, spread = spectrum.priors()
+        shape = np.broadcast_to(self._start, (len(mean), SHAPE))
+        return DrawnModel(
+            np.hstack([shape, mean]),
+            np.append(self._spread, spread),
+            spectrum.prior,
+            lambda some: self._off(some, spectrum),
+            lambda some: self._jacobian(some, spectrum),
         )
-        return np.asarray(found.x)
 
-    def _jacobian(self, parameters: FloatArray) -> FloatArray:
-        """(m, k) of the residuals, by central differences, all in one pass."""
-        step = 1e-5 * np.eye(len(parameters))
-        both = self._residuals(np.concatenate([parameters + step, parameters - step]))
-        return np.asarray((both[: len(parameters)] - both[len(parameters) :]).T / 2e-5)
-
-    def _residuals(self, parameters: FloatArray) -> FloatArray:
-        """(d, m) of parameters (d, k): samples, then what priors hold against them."""
-        branches = (parameters.shape[1] - SHAPE) // 2
-        log_j, log_l = parameters[:, SHAPE : SHAPE + branches], parameters[:, SHAPE + branches :]
-        middle, spread = self._exponent
-        priors = [
-            (parameters[:, 2:3] - middle) / spread,
-            parameters[:, 3:4] / BEND_SD,
-            parameters[:, 4:5],
-            (log_j - np.log(STRENGTH_MEDIAN / max(branches, 1))) / STRENGTH_SPREAD,
-            (log_l - np.log(TIME_MEDIAN_S)) / TIME_SPREAD,
-        ]
-        return np.concatenate([self._off(parameters), *priors], axis=1)
-
-    def _off(self, parameters: FloatArray) -> FloatArray:
+    def _off(self, parameters: FloatArray, spectrum: Spectrum) -> FloatArray:
         """(d, m) how far the samples are from the law, whitened."""
-        _, dent_m = self._dents(parameters)
+        dent_m = self._dents(parameters, spectrum)[1]
         away = self._z - 1e-3 * parameters[:, :1] - dent_m - parameters[:, 4:5] * self._bent_m
         return np.asarray(away @ self._whitens.T)
 
-    def _dents(self, parameters: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(d, m) log of the force that would make each sample's dent at once, over the set force; and that dent [m]."""
-        branches = (parameters.shape[1] - SHAPE) // 2
-        felt = np.broadcast_to(self._share, (len(parameters), len(self._share))).copy()
-        for strength, log_s in zip(
-            np.exp(parameters.T[SHAPE:][:branches]), parameters.T[SHAPE + branches :], strict=True
-        ):
-            felt += strength[:, None] * self._filtered(np.clip(log_s, *LOG_TIMES))
-        log_felt = np.log(np.maximum(felt, LEAST_SHARE))
-        return log_felt, np.exp(self._log_dent(parameters[:, None], log_felt))
+    def _jacobian(self, parameters: FloatArray, spectrum: Spectrum) -> tuple[FloatArray, FloatArray]:
+        """(d, m) of `_off`, and its derivatives (d, k, m)."""
+        log_felt, dent_m, added = self._dents(parameters, spectrum)
+        _, _, exponent, bend = (one[:, None] for one in parameters.T[: SHAPE - 1])
+        by_log = (
+            dent_m
+            if self._ball is None
+            else dent_m * np.interp(self._straight(parameters[:, None], log_felt), *self._ball_slope())
+        )
+        by_felt = by_log * (1.0 / exponent + 2.0 * bend * log_felt) / np.exp(log_felt)
+        shape = np.stack(
+            [
+                np.full_like(dent_m, 1e-3),
+                by_log,
+                -by_log * log_felt / exponent**2,
+                by_log * log_felt**2,
+                np.broadcast_to(self._bent_m, dent_m.shape),
+            ],
+            axis=1,
+        )
+        away = self._z - 1e-3 * parameters[:, :1] - dent_m - parameters[:, 4:5] * self._bent_m
+        moved = np.concatenate([-shape, -by_felt[:, None] * added], axis=1)
+        return away @ self._whitens.T, moved @ self._whitens.T
+
+    def _ball_slope(self) -> tuple[FloatArray, FloatArray]:
+        """The slopes of `_ball`, in the middle between its values."""
+        paraboloid, ball = self._ball or (np.arange(2.0), np.arange(2.0))
+        return 0.5 * (paraboloid[1:] + paraboloid[:-1]), np.diff(ball) / np.diff(paraboloid)
+
+    def _dents(self, parameters: FloatArray, spectrum: Spectrum) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """(d, m) log of the force that would make each sample's dent at once, over the set force; that dent [m]; and
+        the derivatives of that force (d, k, m)."""
+        more, by_parameter = spectrum.felt(parameters[:, SHAPE:], self._filtered)
+        log_felt = np.log(np.maximum(self._share + more, LEAST_SHARE))
+        return log_felt, np.exp(self._log_dent(parameters[:, None], log_felt)), by_parameter
+
+    def _straight(self, parameters: FloatArray, log_felt: FloatArray) -> FloatArray:
+        """(...,) as `_log_dent`, of a paraboloid."""
+        _, log_depth, exponent, bend = np.moveaxis(parameters[..., : SHAPE - 1], -1, 0)
+        log_dent = log_depth + log_felt / np.maximum(exponent, LEAST_EXPONENT) + bend * log_felt**2
+        return np.asarray(np.clip(log_dent, -LARGEST_LOG, LARGEST_LOG))
 
     def _log_dent(self, parameters: FloatArray, log_felt: FloatArray) -> FloatArray:
         """(...,) log of the dent [m] at a log force (...,) over the set force, of parameters (..., k)."""
-        _, log_depth, exponent, bend = np.moveaxis(parameters[..., : SHAPE - 1], -1, 0)
-        log_dent = log_depth + log_felt / np.maximum(exponent, LEAST_EXPONENT) + bend * log_felt**2
+        log_dent = self._straight(parameters, log_felt)
         return np.asarray(log_dent if self._ball is None else np.interp(log_dent, *self._ball))
-
-    def _log_size(self, branches: int) -> float:
-        """Logarithm of what the priors' densities are divided by, without what all numbers of branches share."""
-        return float(branches * np.log(2.0 * np.pi * STRENGTH_SPREAD * TIME_SPREAD))
 
 
 def _ball(radius_m: float) -> tuple[FloatArray, FloatArray]:

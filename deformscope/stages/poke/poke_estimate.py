@@ -46,6 +46,9 @@ FINE, THETAS = 161, 21
 """Values of -log(1 - beta) and of theta at which the posterior is taken."""
 
 THETA_STEP = 0.05
+FELT = 0.1
+"""The least beta at which what theta does is taken: it goes with beta, and near 0 no more than rounding is seen."""
+
 NUMERICS = 1e-3
 """Error that contact and lattice are solved to, as a share of the depth."""
 
@@ -246,7 +249,9 @@ class Profile:
             if taken != end and self.errors.mean(axis=1)[place] < CLEAR * self.errors.mean(axis=1).min():
                 self._take(np.linspace(taken, end, BEYOND + 1)[1:])
         self.aee = self.errors.mean(axis=1)
-        self.by_theta = [self._slope(one, law) for one in fit.posed] if fit.theta_fitted else None
+        self.felt = law.beta if fit.version == 1 else max(law.beta, min(FELT, fit.beta_range[1]))
+        slopes = fit.theta_fitted and self.felt > 0.0
+        self.by_theta = [self._slope(one, law) for one in fit.posed] if slopes else None
 
     @property
     def beta(self) -> FloatArray:
@@ -273,9 +278,10 @@ class Profile:
         self.errors = np.concatenate([self.errors, np.stack(errors, axis=1)])[order]
 
     def _slope(self, one: PosedPoke, law: Law) -> FloatArray:
-        """Change of the residual near a poke by theta, (n, 3) [m]."""
+        """Change of the residual near a poke by theta, at the beta `felt`, (n, 3) [m]."""
         step = THETA_STEP if law.theta < 0.5 else -THETA_STEP
-        one.settle([law])
+        law = dataclasses.replace(law, beta=self.felt)
+        one.settle([self.fit.best.law])
         here, there = one.residual(one.settle([law, dataclasses.replace(law, theta=law.theta + step)]))
         return np.asarray((there - here) * one.poke.depth / step)
 
@@ -296,8 +302,8 @@ class Profile:
             values += one.poke.components * patches / len(self.fit.posed)
             for row, theta in enumerate(thetas):
                 shifted = along
-                if self.by_theta is not None and law.beta > 0.0:
-                    share = (beta / law.beta)[:, None, None]  # at beta = 0 theta does nothing
+                if self.by_theta is not None:
+                    share = (beta / self.felt)[:, None, None]  # at beta = 0 theta does nothing
                     shifted = along + share * (theta - law.theta) * self.by_theta[place]
                 squares[row] += np.mean(np.sum(shifted**2, axis=2), axis=1) / one.poke.depth**2
         squares += NUMERICS**2

@@ -52,6 +52,10 @@ BETA_RANGE = (0.0, 0.99)
 FARTHEST = np.array([-np.log1p(-BETA_RANGE[1]), 1.0])
 """The largest -log(1 - beta) and theta."""
 
+NEWEST = 2
+"""How layers are fitted. 1, as recordings of before have it: rounds find where a tip's particles slip to, and theta's
+effect is taken at the best beta, however little it is there."""
+
 MOST_LAWS = 15
 """Laws that are tried for each cluster size, and one more where a step is refused."""
 SLOPE_STEP = 0.03
@@ -186,7 +190,14 @@ class PosedPoke:
     """A measured poke on its lattice: what is held where, and where the surface was seen."""
 
     def __init__(
-        self, surface: MeasuredSurface, poke: SeenPoke, spacing: float, size: int, precision: Precision, device: str
+        self,
+        surface: MeasuredSurface,
+        poke: SeenPoke,
+        spacing: float,
+        size: int,
+        precision: Precision,
+        device: str,
+        version: int,
     ):
         self.poke, self.size, self.thickness = poke, size, surface.thickness
         self.scene, layers = scene_below(surface, poke.at, poke.tip, spacing, size)
@@ -196,7 +207,8 @@ class PosedPoke:
         else:
             below = _covered(poke.touched[:, :2], upper, self.scene.spacing)
         self.touched = self.scene.open[below]
-        self.body = hold(self.scene, self.touched, Law(0.0, cluster_size=size), precision, device)
+        law = Law(0.0, cluster_size=size)
+        self.body = hold(self.scene, self.touched, law, precision, device, slips=poke.tip.slips and version > 1)
         rest = self.scene.rest[self.touched]
         self.at = rest + _between(poke.touched[:, :2], poke.touched_by, rest[:, :2])
         weights, inside = layers.interpolation(poke.points[:, :2], flat_edge(poke.at, poke.tip))
@@ -383,7 +395,7 @@ class ShapeFit:
 class PokesFit:
     """Layers fitted to pokes. spacing: of the lattice [m]; tried: every cluster size, the best first; shaped: (q,) the
     pokes whose surface beta and theta were fitted to; posed: these on the lattice of the best; beta_range: in which
-    beta was sought; theta_fitted: or kept"""
+    beta was sought; theta_fitted: or kept; version: see `NEWEST`"""
 
     surface: MeasuredSurface
     pokes: tuple[SeenPoke, ...]
@@ -393,6 +405,7 @@ class PokesFit:
     posed: tuple[PosedPoke, ...]
     beta_range: tuple[float, float]
     theta_fitted: bool
+    version: int = NEWEST
 
     @property
     def best(self) -> ShapeFit:
@@ -415,13 +428,14 @@ def fit_pokes(
     theta: float | None = None,
     precision: Precision = "float32",
     device: str = "cpu",
+    version: int = NEWEST,
     progress: Progress | None = None,
 ) -> PokesFit:
     """Fit the layers below a surface to one or several pokes of it.
 
     spacing: of the lattice [m], default `default_spacing` of the narrowest tip; cluster_sizes: tried, default 3 and 4
     and then on in the direction that is better; beta_range: (low, high) in which beta is sought; theta: kept where
-    given; progress: called with (what, done, all)
+    given; version: see `NEWEST`; progress: called with (what, done, all)
     """
     narrow = min(pokes, key=lambda poke: poke.tip.width)
     fine = default_spacing(surface, narrow.tip) if spacing is None else spacing
@@ -441,7 +455,7 @@ def fit_pokes(
         tick(0)
 
         def pose(place: int, size: int = size) -> PosedPoke:
-            made = PosedPoke(surface, pokes[place], fine, size, precision, device)
+            made = PosedPoke(surface, pokes[place], fine, size, precision, device, version)
             made.state = settled.get(place)
             return made
 
@@ -466,6 +480,7 @@ def fit_pokes(
         posed=tuple(best_posed),
         beta_range=beta_range,
         theta_fitted=theta is None,
+        version=version,
     )
 
 

@@ -1,9 +1,10 @@
 """Random partitions of a surface into regions: a prior over maps, as curves that can be moved a little.
 
-A map is made of one or two curves: a line (square to the sample or of any direction, straight, wavy or a zigzag), a
-blob (disc, ellipse, rectangle), a ring of those, or a level set of a random field, smooth or of finer shapes. One
-curve, or two that bound the same material (two patches, a strip), make two regions; two curves, the second within what
-the first leaves, make three: stripes, a T, a patch in a half, two patches.
+A map is made of curves: a line (square to the sample or of any direction, straight, wavy or a zigzag), a blob (disc,
+ellipse, rectangle), a ring of those, or a level set of a random field, smooth or of finer shapes. One curve, or two
+that bound the same material (two patches, a strip), make two regions; two curves, the second within what the first
+leaves, make three: stripes, a T, a patch in a half, two patches. Of more regions each further curve divides any of
+those before it: quadrants, too.
 
 Every curve is a family and a vector of standard normal numbers. So a small change that leaves the prior as it is costs
 a line (preconditioned Crank-Nicolson, Cotter et al. 2013, 4.2), whatever the shape.
@@ -11,7 +12,7 @@ a line (preconditioned Crank-Nicolson, Cotter et al. 2013, 4.2), whatever the sh
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from functools import lru_cache
 from typing import cast
@@ -66,8 +67,9 @@ DOUBLE_SHARE = 0.15
 class Partitions:
     """n maps of `regions` regions on a surface of `size_m`.
 
-    family: (n, 2) `Family` of the first and second curve; latent: (n, 2, LATENTS) standard normal; double: (n,) the
-    second curve counts too in a map of two regions
+    family: (n, c) `Family` of each curve, of which there are two, or one less than regions; latent: (n, c, LATENTS)
+    standard normal; double: (n,) the second curve counts too in a map of two regions; parent: (n, c) region that each
+    curve divides: what lies outside of it is the next region; family_shares: of curves in each family, before any touch
     """
 
     regions: int
@@ -75,42 +77,51 @@ class Partitions:
     family: IntArray
     latent: FloatArray
     double: BoolArray
+    parent: IntArray
+    family_shares: tuple[float, ...] = FAMILY_SHARES
 
     def __len__(self) -> int:
         return len(self.family)
 
     def take(self, index: IntArray | BoolArray) -> Partitions:
         """The maps at these indices (n,), or where a mask (B,) is true."""
-        return Partitions(self.regions, self.size_m, self.family[index], self.latent[index], self.double[index])
+        return replace(
+            self,
+            family=self.family[index],
+            latent=self.latent[index],
+            double=self.double[index],
+            parent=self.parent[index],
+        )
 
     def join(self, other: Partitions) -> Partitions:
         """These and those."""
-        return Partitions(
-            self.regions,
-            self.size_m,
-            np.concatenate([self.family, other.family]),
-            np.concatenate([self.latent, other.latent]),
-            np.concatenate([self.double, other.double]),
+        return replace(
+            self,
+            family=np.concatenate([self.family, other.family]),
+            latent=np.concatenate([self.latent, other.latent]),
+            double=np.concatenate([self.double, other.double]),
+            parent=np.concatenate([self.parent, other.parent]),
         )
 
     def instead(self, changed: BoolArray, by: Partitions) -> Partitions:
         """Maps of `by` where `changed` (n,), else these."""
-        return Partitions(
-            self.regions,
-            self.size_m,
-            np.where(changed[:, None], by.family, self.family),
-            np.where(changed[:, None, None], by.latent, self.latent),
-            np.where(changed, by.double, self.double),
+        return replace(
+            self,
+            family=np.where(changed[:, None], by.family, self.family),
+            latent=np.where(changed[:, None, None], by.latent, self.latent),
+            double=np.where(changed, by.double, self.double),
+            parent=np.where(changed[:, None], by.parent, self.parent),
         )
 
     def labels(self, xy_m: FloatArray) -> IntArray:
-        """(n, p) region 0, 1 (, 2) at places (p, 2) [m]."""
+        """(n, p) region, from 0 on, at places (p, 2) [m]."""
         first = self._inside(0, xy_m)
-        if self.regions == 2:
-            if self.double.any():
-                first[self.double] |= self.take(self.double)._inside(1, xy_m)
-            return np.where(first, 0, 1).astype(np.int8)
-        return np.where(first, 0, np.where(self._inside(1, xy_m), 1, 2)).astype(np.int8)
+        if self.regions == 2 and self.double.any():
+            first[self.double] |= self.take(self.double)._inside(1, xy_m)
+        label = np.where(first, 0, 1).astype(np.int8)
+        for curve in range(1, self.regions - 1):
+            label[(label == self.parent[:, curve, None]) & ~self._inside(curve, xy_m)] = curve + 1
+        return label
 
     def shares(self, xy_m: FloatArray, blur_m: float) -> FloatArray:
         """(n, p, regions) how much of each region a contact at places (p, 2) feels: Gaussian of `blur_m` [m].
@@ -119,13 +130,16 @@ class Partitions:
         of the distance.
         """
         first = ndtr(self._distance(0, xy_m) / blur_m)
-        if self.regions == 2:
-            if self.double.any():
-                second = ndtr(self.take(self.double)._distance(1, xy_m) / blur_m)
-                first[self.double] = 1.0 - (1.0 - first[self.double]) * (1.0 - second)
-            return np.stack([first, 1.0 - first], axis=-1)
-        second = ndtr(self._distance(1, xy_m) / blur_m)
-        return np.stack([first, (1.0 - first) * second, (1.0 - first) * (1.0 - second)], axis=-1)
+        if self.regions == 2 and self.double.any():
+            second = ndtr(self.take(self.double)._distance(1, xy_m) / blur_m)
+            first[self.double] = 1.0 - (1.0 - first[self.double]) * (1.0 - second)
+        found, every = np.empty((*first.shape, self.regions)), np.arange(len(self))
+        found[..., 0], found[..., 1] = first, 1.0 - first
+        for curve in range(1, self.regions - 1):
+            inside, parent = ndtr(self._distance(curve, xy_m) / blur_m), self.parent[:, curve]
+            whole = found[every, :, parent]
+            found[every, :, parent], found[..., curve + 1] = whole * inside, whole * (1.0 - inside)
+        return found
 
     def admissible(self) -> BoolArray:
         """(n,) maps whose every region is large enough to be one."""
@@ -155,12 +169,18 @@ class Partitions:
         return distance
 
 
-def draw(rng: np.random.Generator, regions: int, size_m: tuple[float, float], count: int) -> Partitions:
-    """`count` admissible maps from the prior."""
+def draw(
+    rng: np.random.Generator,
+    regions: int,
+    size_m: tuple[float, float],
+    count: int,
+    family_shares: tuple[float, ...] = FAMILY_SHARES,
+) -> Partitions:
+    """`count` admissible maps from the prior. family_shares: of curves in each family"""
     kept: Partitions | None = None
     while kept is None or len(kept) < count:
         wanted = count if kept is None else count - len(kept)
-        fresh = _draw(rng, regions, size_m, wanted + wanted // 2 + 8)
+        fresh = _draw(rng, regions, size_m, wanted + wanted // 2 + 8, family_shares)
         fresh = fresh.take(fresh.admissible())
         kept = fresh if kept is None else kept.join(fresh)
     return kept.take(np.arange(count))
@@ -171,33 +191,50 @@ def propose(rng: np.random.Generator, maps: Partitions) -> Partitions:
     numbers of its curves, now and then a new curve, or another family of the same numbers: a ring has its blob's
     middle and border, a zigzag its line's place and direction."""
     count = len(maps)
-    fresh = _draw(rng, maps.regions, maps.size_m, count)
+    fresh = _draw(rng, maps.regions, maps.size_m, count, maps.family_shares)
     step = np.exp(rng.uniform(np.log(0.04), np.log(1.0), count))[:, None, None]
     moved = np.sqrt(1.0 - step**2) * maps.latent + step * fresh.latent
     # one curve, or both; of maps that one curve makes, that one
     which = np.where((maps.regions == 2) & ~maps.double, 0.0, rng.random(count))
     touched = np.stack([which < 0.65, which >= 0.35], axis=1)[..., None]
+    if maps.regions > 3:  # one curve, and each other as often as not
+        curves = maps.regions - 1
+        sure = np.arange(curves) == rng.integers(curves, size=count)[:, None]
+        touched = (sure | (rng.random((count, curves)) < 0.3))[..., None]
     some = rng.random((count, 1, 1)) < 0.5  # some of its numbers, or all
     touched = touched & (~some | (rng.random(maps.latent.shape) < 0.25))
     latent = np.where(touched, moved, maps.latent)
-    chance = rng.random((count, 2))
+    chance = rng.random(maps.family.shape)
     renewed, other_kind = chance < 0.06, chance < 0.12
-    return Partitions(
-        maps.regions,
-        maps.size_m,
-        np.where(other_kind, fresh.family, maps.family),
-        np.where(renewed[:, :, None], fresh.latent, latent),
-        np.where(renewed.any(axis=1), fresh.double, maps.double),
+    return replace(
+        maps,
+        family=np.where(other_kind, fresh.family, maps.family),
+        latent=np.where(renewed[:, :, None], fresh.latent, latent),
+        double=np.where(renewed.any(axis=1), fresh.double, maps.double),
+        parent=np.where(renewed, fresh.parent, maps.parent),
     )
 
 
-def _draw(rng: np.random.Generator, regions: int, size_m: tuple[float, float], count: int) -> Partitions:
+def _draw(
+    rng: np.random.Generator,
+    regions: int,
+    size_m: tuple[float, float],
+    count: int,
+    family_shares: tuple[float, ...],
+) -> Partitions:
+    curves = max(2, regions - 1)
+    family = rng.choice(len(FAMILY_SHARES), (count, curves), p=family_shares)
+    latent, double = rng.standard_normal((count, curves, LATENTS)), rng.random(count) < DOUBLE_SHARE
+    last = np.tile(np.arange(curves), (count, 1))
+    parent = last if regions <= 3 else rng.integers(last + 1)
     return Partitions(
         regions,
         size_m,
-        rng.choice(len(FAMILY_SHARES), (count, 2), p=FAMILY_SHARES),
-        rng.standard_normal((count, 2, LATENTS)),
-        rng.random(count) < DOUBLE_SHARE,
+        family=family,
+        latent=latent,
+        double=double,
+        parent=parent,
+        family_shares=family_shares,
     )
 
 

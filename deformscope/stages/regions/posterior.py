@@ -1,12 +1,13 @@
 """Which regions of equal stiffness a surface has, from a few touches: a posterior over maps (Bayes).
 
-A map divides the surface into one, two or three regions (`partitions`), each with one level of log stiffness. A touch
-feels the regions under its contact, whose forces add, plus its errors (`touch_error`). Given a map and the scatter of
-touches the levels are integrated in closed form (what a contact feels is linear in them about where they roughly are),
-over the scatter is summed; the maps are particles that every touch reweights and, where few are left, that move under
-the prior (iterated batch importance sampling, Chopin 2002), so that their evidence comes out as well: it chooses the
-number of regions. A surface whose stiffness changes smoothly is the rival hypothesis (Gaussian processes); where it
-wins, the verdict is "gradual".
+A map divides the surface into one to five regions (`partitions`), each with one level of log stiffness. A touch feels
+the regions under its contact, whose forces add, plus its errors (`touch_error`). Given a map and the scatter of touches
+the levels are integrated in closed form (what a contact feels is linear in them about where they roughly are), over the
+scatter is summed; the maps are particles that every touch reweights and, where few are left, that move under the prior
+(iterated batch importance sampling, Chopin 2002), so that their evidence comes out as well: it chooses the number of
+regions. Four and five are followed once the most that are followed are the likeliest; until then they are taken to
+explain the touches as well as these. A surface whose stiffness changes smoothly is the rival hypothesis (Gaussian
+processes); where it wins, the verdict is "gradual".
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from threadpoolctl import threadpool_limits
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.errors import InputError
-from deformscope.stages.regions.partitions import Partitions, draw, propose
+from deformscope.stages.regions.partitions import FAMILY_SHARES, Partitions, draw, propose
 from deformscope.stages.regions.touch_error import SCATTER_SHARED, TouchErrorModel
 from deformscope.stages.regions.touches import MapGrid, StiffnessSample
 
@@ -31,7 +32,12 @@ RegionMapKind = Literal["regions", "gradual"]
 SurfaceKind = Literal["uniform", "materials", "gradual"]
 """The same with one region by a name of its own."""
 
-MOST_REGIONS = 3
+MOST_REGIONS = 5
+"""That are told apart: it means as many or more."""
+FIRST_REGIONS = 3
+"""Maps of so many regions are followed from the first touch on."""
+MORE_SHARE = 0.5
+"""Of as many maps as of these, where more are followed: for time's sake."""
 MOVES = 40
 TEMPERS = (1.0, 4.0, 16.0, 64.0, 256.0)
 """Factors on the variance of the newest touch, where it comes as a surprise."""
@@ -62,12 +68,13 @@ LEAST_WEIGHT = 1e-3
 class RegionPrior:
     """What is taken for granted.
 
-    one, two, three, gradual: prior probabilities; blur_m: deviation of the Gaussian that a contact feels; error: of a
-    touch; mixed_share: touches near a boundary are off by up to this share of all contrast; level_sd: of the regions'
-    log stiffness about what they have in common, of which `common_sd` is the deviation about the touches' mean: large,
-    so that where the touches were made says nothing of it; least_contrast: between any two of them (0.13: 14 %; a
-    sphere's 0.13 is 20 % in modulus); rigid_sd: of touches that are lower bounds; forces_add: under a contact that
-    feels two regions, else their log stiffness has a mean
+    one, two, three, four, five, gradual: prior probabilities; blur_m: deviation of the Gaussian that a contact feels;
+    error: of a touch; mixed_share: touches near a boundary are off by up to this share of all contrast; level_sd: of
+    the regions' log stiffness about what they have in common, of which `common_sd` is the deviation about the touches'
+    mean: large, so that where the touches were made says nothing of it; least_contrast: between any two of them (0.13:
+    14 %; a sphere's 0.13 is 20 % in modulus); rigid_sd: of touches that are lower bounds; forces_add: under a contact
+    that feels two regions, else their log stiffness has a mean; family_shares: of borders, in each family of curves
+    (`partitions.Family`)
 
     blur_m was fitted to finite elements of a ball of 1 cm at 3 N, 0 to 4 cm from a border: with forces that add, 0.0075
     is within 3 % of what is felt where one side is 1.8 times the other, 6 % at 3.6 times, and within a factor of 1.5
@@ -77,7 +84,9 @@ class RegionPrior:
 
     one: float = 0.47
     two: float = 0.33
-    three: float = 0.14
+    three: float = 0.10
+    four: float = 0.03
+    five: float = 0.01
     gradual: float = 0.06
     blur_m: float = 0.0075
     error: TouchErrorModel = field(default_factory=TouchErrorModel)
@@ -87,14 +96,20 @@ class RegionPrior:
     least_contrast: float = 0.13
     rigid_sd: float = 0.3
     forces_add: bool = True
+    family_shares: tuple[float, ...] = FAMILY_SHARES
 
     def __post_init__(self) -> None:
-        shares = (self.one, self.two, self.three, self.gradual)
+        shares = (*self.regions, self.gradual)
         if min(shares) < 0.0 or abs(sum(shares) - 1.0) > 1e-9:
             raise InputError("prior probabilities that add up to 1", f"{shares}")
         if min(self.blur_m, self.level_sd, self.common_sd, self.rigid_sd) <= 0.0:
             came = f"{self.blur_m}, {self.level_sd}, {self.common_sd}, {self.rigid_sd}"
             raise InputError("a blur and deviations above 0", came)
+
+    @property
+    def regions(self) -> tuple[float, ...]:
+        """Of each number of regions, from one on."""
+        return self.one, self.two, self.three, self.four, self.five
 
     @property
     def any_level_sd(self) -> float:
@@ -108,7 +123,8 @@ class RegionMap:
 
     verdict: "gradual" where a smooth field explains the touches better than regions
     region_count: k, the most probable number of regions, 0 where the verdict is "gradual"
-    probability: of 1, 2, 3 regions and "gradual"
+    at_least: there may be more regions than `region_count`, the most that are told apart
+    probability: of each number of regions and "gradual"
     labels: 0 (softest) to k - 1; -1 everywhere without regions
     label_probability: that the verdict is right, the number of regions too, and so is the cell's label
     level, level_sd: (k,) log stiffness of each region; level_interval: (k, 2) of 90 %; rigid: (k,) regions for which
@@ -134,6 +150,7 @@ class RegionMap:
     wrong_share: float
     boundary_sd_m: float
     scatter: float = np.nan
+    at_least: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -214,7 +231,10 @@ class _Particles:
 
 @dataclass(frozen=True)
 class RegionPosterior:
-    """The probability of every map after some touches; `with_touch` gives the next one. Same touches, same result."""
+    """The probability of every map after some touches; `with_touch` gives the next one. Same touches, same result.
+
+    particles: of 2, 3 and more regions; most_regions: that are told apart
+    """
 
     grid: MapGrid
     prior: RegionPrior
@@ -222,19 +242,23 @@ class RegionPosterior:
     particles: tuple[_Particles, ...]
     particle_count: int
     seed: int
+    most_regions: int = MOST_REGIONS
 
     @classmethod
     def before_touches(
-        cls, grid: MapGrid, prior: RegionPrior | None = None, *, particle_count: int = 2000, seed: int = 0
+        cls,
+        grid: MapGrid,
+        prior: RegionPrior | None = None,
+        *,
+        particle_count: int = 2000,
+        seed: int = 0,
+        most_regions: int = MOST_REGIONS,
     ) -> RegionPosterior:
         """What is known at first. particle_count: maps kept for each number of regions; four times as many at first"""
         if particle_count < 50:
             raise InputError("50 particles or more", f"{particle_count}")
-        particles = tuple(
-            _Particles(maps, np.full(len(maps), -np.log(len(maps))), np.zeros(len(maps)), 0.0)
-            for maps in (_prior_maps(seed, k, grid.size_m, 4 * particle_count) for k in range(2, MOST_REGIONS + 1))
-        )
-        return cls(grid, prior or RegionPrior(), (), particles, particle_count, seed)
+        nothing = cls(grid, prior or RegionPrior(), (), (), particle_count, seed, most_regions)
+        return replace(nothing, particles=tuple(nothing._followed(k) for k in range(2, FIRST_REGIONS + 1)))
 
     def with_touch(self, touch: StiffnessSample) -> RegionPosterior:
         """The posterior after one more touch."""
@@ -244,15 +268,53 @@ class RegionPosterior:
         with threadpool_limits(1):  # thousands of tiny matrices: threads would only wait for each other
             for one in self.particles:
                 rng = np.random.default_rng((self.seed, len(touches), one.maps.regions))
-                particles.append(_update(rng, one, readings, self.prior, self.particle_count))
-        return replace(self, touches=touches, particles=tuple(particles))
+                particles.append(_update(rng, one, readings, self.prior, self._kept_of(one.maps.regions)))
+            found = replace(self, touches=touches, particles=tuple(particles))
+            while (
+                found._most_followed < self.most_regions and found._joint_logs[:-1].argmax() + 1 == found._most_followed
+            ):
+                more = found._followed(found._most_followed + 1)
+                found = replace(found, particles=(*found.particles, more))
+        return found
+
+    @property
+    def _most_followed(self) -> int:
+        return len(self.particles) + 1
+
+    def _followed(self, regions: int) -> _Particles:
+        """Maps of so many regions after all touches."""
+        count, shares = 4 * self._kept_of(regions), self.prior.family_shares
+        maps = _prior_maps(self.seed, regions, self.grid.size_m, count, shares)
+        found = _Particles(maps, np.full(len(maps), -np.log(len(maps))), np.zeros(len(maps)), 0.0)
+        for number in range(1, len(self.touches) + 1):
+            rng = np.random.default_rng((self.seed, number, regions))
+            readings = _readings(self.touches[:number], self.prior)
+            found = _update(rng, found, readings, self.prior, self._kept_of(regions))
+        return found
+
+    def _kept_of(self, regions: int) -> int:
+        """Maps of so many regions that are kept."""
+        return self.particle_count if regions <= FIRST_REGIONS else int(MORE_SHARE * self.particle_count)
+
+    @cached_property
+    def _shares(self) -> FloatArray:
+        """Probability of 1, 2 and more regions, as many as are followed or more, and of a smooth field."""
+        logs = self._joint_logs
+        return cast(FloatArray, np.maximum(np.exp(logs - logsumexp(logs)), 1e-9))  # nothing is certain
 
     @cached_property
     def probability(self) -> dict[str, float]:
-        """Probability of "1", "2", "3" regions and of "gradual"."""
-        logs = self._joint_logs
-        shares = np.maximum(np.exp(logs - logsumexp(logs)), 1e-9)  # nothing is certain
-        return dict(zip(("1", "2", "3", "gradual"), shares.tolist(), strict=True))
+        """Probability of "1", "2" and more regions and of "gradual"."""
+        *shares, last, gradual = self._shares.tolist()
+        rest = self._prior_shares[len(shares) :]
+        shares += [last * share / sum(rest) for share in rest]
+        return {str(number): share for number, share in enumerate(shares, start=1)} | {"gradual": gradual}
+
+    @property
+    def _prior_shares(self) -> list[float]:
+        """Prior probability of each number of regions that is told apart, the last or more."""
+        every = self.prior.regions
+        return [*every[: self.most_regions - 1], sum(every[self.most_regions - 1 :])]
 
     def with_smooth_field(self, kernel: SmoothKernel, share: float) -> tuple[tuple[SmoothField, float], ...]:
         """One more smooth hypothesis, of this prior probability: its fields, and how probable each is among all."""
@@ -263,20 +325,22 @@ class RegionPosterior:
 
     @property
     def _joint_logs(self) -> FloatArray:
-        """(4,) logarithm of prior probability times evidence of 1, 2, 3 regions and a smooth field."""
+        """Logarithm of prior probability times evidence of 1, 2 and more regions, as many as are followed or more, and
+        of a smooth field."""
         evidence = [
             logsumexp(self._one_region[0]),
             *(one.log_evidence for one in self.particles),
             self._smooth_log_evidence,
         ]
-        prior = np.array([self.prior.one, self.prior.two, self.prior.three, self.prior.gradual])
+        every = self.prior.regions
+        prior = np.array([*every[: len(self.particles)], sum(every[len(self.particles) :]), self.prior.gradual])
         with np.errstate(divide="ignore"):
             return cast(FloatArray, np.log(prior) + np.array(evidence))
 
     @property
     def region_count(self) -> int:
         """The most probable number of regions, were it regions."""
-        return int(np.argmax([self.probability[str(k)] for k in range(1, MOST_REGIONS + 1)])) + 1
+        return int(np.argmax([self.probability[str(k)] for k in range(1, self.most_regions + 1)])) + 1
 
     @property
     def verdict(self) -> RegionMapKind:
@@ -297,8 +361,7 @@ class RegionPosterior:
         found: list[tuple[Partitions | None, FloatArray, FloatArray, FloatArray]] = [
             (None, level + readings.centre, cov, self.probability["1"] * share)
         ]
-        for one in self.particles:
-            share = self.probability[str(one.maps.regions)]
+        for one, share in zip(self.particles, self._shares[1:], strict=False):
             number = int(np.ceil(count * share / max(1.0 - self.probability["gradual"], 1e-12)))
             if number > 0.01 * count or one.maps.regions == self.region_count:
                 number = max(number, 20)
@@ -372,6 +435,7 @@ class RegionPosterior:
         return replace(
             found,
             region_count=k,
+            at_least=k == self.most_regions,
             labels=labels,
             label_probability=self.probability[str(k)] * right.reshape(self.grid.shape),
             level=mean_level,
@@ -437,11 +501,9 @@ class RegionPosterior:
     def scatter(self) -> float:
         """Root mean square of what the scatter of touches may be, over all maps of regions and one region."""
         readings = _readings(self.touches, self.prior)
-        probability = self.probability
         one_region = self._one_region[0]
-        shares = [probability["1"] * np.exp(one_region - logsumexp(one_region))]
-        for one in self.particles:
-            share = probability[str(one.maps.regions)]
+        shares = [self._shares[0] * np.exp(one_region - logsumexp(one_region))]
+        for one, share in zip(self.particles, self._shares[1:], strict=False):
             if share > LEAST_WEIGHT:
                 maps = one.maps.take(_systematic(np.exp(one.log_weight), SCATTER_MAPS, 0.5))
                 logs = _by_scatter(maps.shares(readings.xy_m, self.prior.blur_m), readings, self.prior)
@@ -542,8 +604,10 @@ class SmoothField:
 
 
 @lru_cache(maxsize=8)
-def _prior_maps(seed: int, regions: int, size_m: tuple[float, float], count: int) -> Partitions:
-    return draw(np.random.default_rng((seed, regions)), regions, size_m, count)
+def _prior_maps(
+    seed: int, regions: int, size_m: tuple[float, float], count: int, family_shares: tuple[float, ...]
+) -> Partitions:
+    return draw(np.random.default_rng((seed, regions)), regions, size_m, count, family_shares)
 
 
 def _readings(touches: Sequence[StiffnessSample], prior: RegionPrior) -> _Readings:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Any, Literal, get_args
+from typing import Any, Literal, TypeVar, get_args
 
 import cv2
 import numpy as np
@@ -15,6 +16,8 @@ from deformscope.arrays import BoolArray, FloatArray
 from deformscope.errors import InputError
 
 FlowMethod = Literal["dis", "farneback"]
+
+T = TypeVar("T")
 
 SMALLEST_PX = 16
 """Shortest image side that the flow is computed for [px]: two DIS patches of 8 px."""
@@ -72,16 +75,54 @@ def dense_flow(before: Image, after: Image, method: FlowMethod = "dis") -> FlowF
 
 def flow_both_ways(before: Image, after: Image, method: FlowMethod = "dis") -> tuple[FlowField, FlowField]:
     """`dense_flow` from `before` to `after` and back; at once where OpenCV is held to one thread."""
-    views = _views(before, after, method)
+    first, second = _views(before, after, method)
+    a, b = _both(lambda: _featured(first, method), lambda: _featured(second, method))
+    return _both(lambda: _flow(a, b, method), lambda: _flow(b, a, method))
+
+
+@dataclass(frozen=True, slots=True)
+class FlowStep:
+    """From one image of a sequence to the next.
+
+    forward, backward: flow there and back
+    fits: (H, W) each, how well the images correlate under each of them; empty where the method does not refine
+    """
+
+    forward: FlowField
+    backward: FlowField
+    fits: tuple[FloatArray, ...] = ()
+
+
+def flow_onward(before: Image, after: Image, method: FlowMethod = "dis", last: FlowStep | None = None) -> FlowStep:
+    """Flow both ways in a sequence, in a seventh of the time where the motion goes on as it was.
+
+    last: of the step to `before`. Its flow is refined alone, without features and DIS. Where the images then correlate
+    worse than in the last step by `FIT_DROP` anywhere, motion or light have changed: all is done as for a pair.
+    """
+    a, b = _views(before, after, method)
+    if last is not None and last.fits:
+        there, back = last.forward.flow_px, last.backward.flow_px
+        fields = _both(lambda: _refine(a, b, there, PASSES_ONWARD), lambda: _refine(b, a, back, PASSES_ONWARD))
+        fits = _fits(a, b, fields)
+        if all(float((was - fit).max()) < FIT_DROP for was, fit in zip(last.fits, fits, strict=True)):
+            return FlowStep(*fields, fits)
+    fields = flow_both_ways(before, after, method)
+    return FlowStep(*fields, _fits(a, b, fields) if method == "dis" else ())
+
+
+def _fits(a: FloatArray, b: FloatArray, fields: tuple[FlowField, FlowField]) -> tuple[FloatArray, FloatArray]:
+    """(H, W) each: how well `a` and `b` correlate under the flow from `a` to `b`, and from `b` to `a`."""
+    return _fit(a, b, fields[0].flow_px), _fit(b, a, fields[1].flow_px)
+
+
+def _both(first: Callable[[], T], second: Callable[[], T]) -> tuple[T, T]:
+    """The results of two calls, made at once where OpenCV is held to one thread."""
     if cv2.getNumThreads() > 1:
         # two calls would share OpenCV's threads, and DIS's stripes then be other ones from time to time
-        a, b = (_featured(view, method) for view in views)
-        return _flow(a, b, method), _flow(b, a, method)
+        return first(), second()
     with ThreadPoolExecutor(1) as beside:
-        other = beside.submit(_featured, views[1], method)
-        a, b = _featured(views[0], method), other.result()
-        backward = beside.submit(_flow, b, a, method)
-        return _flow(a, b, method), backward.result()
+        other = beside.submit(second)
+        return first(), other.result()
 
 
 @dataclass(frozen=True, slots=True)
@@ -203,10 +244,10 @@ def _from_features(a: _Featured, b: _Featured) -> FloatArray | None:
     return _enlarge(_blur(rough, 1.5), (height, width))
 
 
-def _fit(a8: Image, b8: Image, flow: FloatArray) -> FloatArray:
+def _fit(a: Image, b: Image, flow: FloatArray) -> FloatArray:
     """Zero-mean normalised correlation of each pixel's window with the window that the flow leads to, (H, W)."""
-    b, inside = _follow(b8.astype(np.float32), flow)
-    a, b = (x - _wide_blur(x, 8.0) for x in (np.asarray(a8, dtype=np.float32), b))
+    b, inside = _follow(b.astype(np.float32), flow)
+    a, b = (x - _wide_blur(x, 8.0) for x in (np.asarray(a, dtype=np.float32), b))
     floor = 4.0  # squared grey values: below this contrast a window says nothing
     power = (_wide_blur(a * a, 8.0) + floor) * (_wide_blur(b * b, 8.0) + floor)
     return np.asarray(_wide_blur(a * b * inside, 8.0) / np.sqrt(power))
@@ -217,6 +258,13 @@ def _fit(a8: Image, b8: Image, flow: FloatArray) -> FloatArray:
 PASSES = (8.0, 8.0, 6.0, 6.0, 6.0)
 """Standard deviation of the Gaussian window of each refinement pass [px]."""
 
+PASSES_ONWARD = PASSES[-2:]
+"""From the flow of the step before: a third pass changes no particle's error (docs/calibrating.md)."""
+
+FIT_DROP = 0.25
+"""Fall of the correlation in a window of 8 px, between two steps of a sequence, that noise does not explain: in steady
+motion .10 to .17 is the largest of an image, in a jump of 3 px 1.3."""
+
 SMOOTHING_PX = (24.0, 11.0, 5.0)
 """Standard deviations out of which the smoothing of the flow is chosen, by texture and noise [px]."""
 
@@ -224,7 +272,7 @@ PASSED = (0.15, 0.5, 1.15)
 """Noise variance after each of these smoothings, in units of that of one window of 6 px (set on known motions)."""
 
 
-def _refine(a: FloatArray, b: FloatArray, flow: FloatArray) -> FlowField:
+def _refine(a: FloatArray, b: FloatArray, flow: FloatArray, passes: Sequence[float] = PASSES) -> FlowField:
     """Windowed Lucas-Kanade steps from a flow that is right to about a pixel.
 
     Each pass warps `b` by the flow, matches its local brightness and contrast to `a`, solves the 2 x 2 normal
@@ -237,8 +285,8 @@ def _refine(a: FloatArray, b: FloatArray, flow: FloatArray) -> FlowField:
     u = _shrink(flow)
     start = u
     left = misfit = texture = rr = np.zeros_like(u[:, :, 0])
-    for index, window in enumerate(PASSES):
-        if index and window != PASSES[index - 1]:
+    for index, window in enumerate(passes):
+        if index and window != passes[index - 1]:
             start = u
         full = _enlarge(u, a.shape)
         warped, inside = _follow(fine, full, 2)

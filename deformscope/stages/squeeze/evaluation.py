@@ -20,7 +20,8 @@ from deformscope.results.declared import reported
 from deformscope.stages.squeeze import groupings
 from deformscope.stages.squeeze.classifiers import NAMES
 from deformscope.stages.squeeze.groupings import Grouping, Normality
-from deformscope.stages.squeeze.intervals import Estimated, difference, holm, over_splits, share_of
+from deformscope.stages.squeeze.intervals import Estimated, Interval, difference, holm, over_splits, share_of, wilson
+from deformscope.stages.squeeze.near_copies import near_copies, without_near_copies
 from deformscope.stages.squeeze.scores import (
     ClassificationScore,
     accuracy_of,
@@ -30,7 +31,7 @@ from deformscope.stages.squeeze.scores import (
     worth_of,
 )
 from deformscope.stages.squeeze.splits import PROTOCOLS, Protocol, Split, draw, splitting_notes
-from deformscope.stages.squeeze.table import LabelledTable, absent, refuse_duplicates
+from deformscope.stages.squeeze.table import LISTED, LabelledTable, absent, refuse_duplicates
 from deformscope.stages.squeeze.trial_run import COSTLY, Answers, Key, Method, joined_name, run_split
 
 Progress = Callable[[str, int, int], None]
@@ -101,7 +102,9 @@ class TimePoint:
 @dataclass(frozen=True, slots=True)
 class Evaluation:
     """All that was found. table: what was evaluated; protocol: the strictest one, to which comparisons, curve and steps
-    belong; skipped: what was left out, and why"""
+    belong; skipped: what was left out, and why
+    copies: rows that nearly equal one of another group; without_copies: `best` of the others alone, None = no copies or
+    too few trials without them"""
 
     table: LabelledTable
     options: EvaluationOptions
@@ -113,6 +116,8 @@ class Evaluation:
     clusters: Mapping[str, Grouping] = field(default_factory=dict)
     normality: Mapping[str, Normality] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    copies: tuple[tuple[int, ...], ...] = ()
+    without_copies: ClassificationScore | None = None
 
     def score(self, modality: str, method: Method, protocol: Protocol | None = None) -> ClassificationScore:
         """One of them. Raises KeyError where there is none."""
@@ -125,8 +130,24 @@ class Evaluation:
     @property
     def best(self) -> ClassificationScore:
         """The one that is saved: late fusion of several modalities, else the pooled classifiers of the only one."""
-        names = self.table.fused[0]
-        return self.score(joined_name(names), "late-fusion" if len(names) > 1 else "pooled")
+        return self.score(*best_key(self.table))
+
+    @property
+    def trusted(self) -> ClassificationScore:
+        """`best`, without near copies where there are some."""
+        return self.without_copies or self.best
+
+    def elsewhere(self, score: ClassificationScore) -> Interval:
+        """Of the accuracy in another container or session: where no groups are told trials may be known by theirs, and
+        all that is seen of a content beyond chance may be its containers."""
+        low, high = score.accuracy.interval
+        return (low if self.protocol == "group" else min(low, wilson(score.chance, score.worth, score.level)[0])), high
+
+
+def best_key(table: LabelledTable) -> Key:
+    """Late fusion of several modalities, else the pooled classifiers of the only one."""
+    names = table.fused[0]
+    return joined_name(names), "late-fusion" if len(names) > 1 else "pooled"
 
 
 def allowed_protocols(table: LabelledTable) -> tuple[tuple[Protocol, ...], list[str]]:
@@ -188,6 +209,8 @@ def evaluate(
         scores += [score_of(beyond, key, "transfer", [split], one, options.level, pair) for key, one in found.items()]
     steps = {} if not options.curve_splits else _time_steps(table, options, runner, strictest, drawn)
     curve = () if not options.curve_splits else _curve(table, options, runner, strictest, drawn)
+    copies = near_copies(table)
+    alone = _without_copies(table, copies, options, progress, strictest, notes) if copies else None
     progress("natural groupings", 0, 0)
     return Evaluation(
         table,
@@ -200,7 +223,34 @@ def evaluate(
         groupings.clusters(table, options.seed),
         groupings.normality(table),
         (*splitting_notes(table), *_missing_notes(table), *notes),
+        tuple(copies),
+        alone,
     )
+
+
+def _without_copies(
+    table: LabelledTable,
+    copies: list[tuple[int, ...]],
+    options: EvaluationOptions,
+    progress: Progress,
+    protocol: Protocol,
+    notes: list[str],
+) -> ClassificationScore | None:
+    """What is recommended, evaluated on one trial of each set of near copies and on all that have none."""
+    shown = "; ".join(" ~ ".join(map(table.name, rows)) for rows in copies[:LISTED])
+    more = f" and {len(copies) - LISTED} more" if len(copies) > LISTED else ""
+    where = "another trial" if table.group is None else "one of another group"
+    notes.append(f"nearly equal to {where}, nearer than chance has it: {shown}{more}")
+    try:
+        kept = without_near_copies(table, copies)
+        splits = draw(protocol, kept, options.splits, options.seed)
+        fast: tuple[Method, ...] = (*NAMES, "pooled", "late-fusion")
+        found = _Runner(kept, options, progress).run("without copies", splits, fast, by_group=protocol == "group")
+        key = best_key(kept)
+        return score_of(kept, key, protocol, splits, found[key], options.level)
+    except (InputError, KeyError):
+        notes.append("too few trials remain without near copies: how well new ones are named is not known")
+        return None
 
 
 def _check_trained(table: LabelledTable, found: Mapping[Key, Sequence[Answers]]) -> None:
@@ -336,7 +386,9 @@ def _comparisons(
     ratio = split_ratio(splits)
     accuracy = {key: np.array([accuracy_of(one, target) for one in found]) for key, found in outcomes.items()}
     recall = {key: np.array([recalls(one, target, classes) for one in found]) for key, found in outcomes.items()}
-    found = [difference(accuracy[one], accuracy[other], ratio, options.level) for one, other in pairs]
+    worth = worth_of(table, protocol, splits, next(iter(outcomes.values())))
+    each = worth * np.bincount(target, minlength=classes) / len(target)
+    found = [difference(accuracy[one], accuracy[other], ratio, options.level, worth) for one, other in pairs]
     corrected = holm([p_value for _, p_value in found])
     return [
         ModalityComparison(
@@ -345,7 +397,8 @@ def _comparisons(
             estimated,
             p_value,
             tuple(
-                over_splits(recall[pair[0]][:, c] - recall[pair[1]][:, c], ratio, options.level) for c in range(classes)
+                over_splits(recall[pair[0]][:, c] - recall[pair[1]][:, c], ratio, options.level, float(each[c]))
+                for c in range(classes)
             ),
         )
         for pair, (estimated, _), p_value in zip(pairs, found, corrected, strict=True)

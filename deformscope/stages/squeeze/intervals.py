@@ -54,13 +54,16 @@ def corrected_deviation(values: FloatArray, ratio: float) -> float:
     return float(np.sqrt((1.0 / len(values) + ratio) * np.var(values, ddof=1)))
 
 
-def over_splits(values: FloatArray, ratio: float, level: float) -> Estimated:
-    """The mean of values (J,) over splits with its corrected interval, in their unit; of shares see
-    `share_over_splits`."""
+def over_splits(values: FloatArray, ratio: float, level: float, worth: float = np.inf) -> Estimated:
+    """The mean of values (J,) over splits with its corrected interval, in their unit; of shares see `share_of`.
+
+    worth: independent trials behind them; the deviation is not below one of these: else values that are the same in
+    every split would be surer by a jump than values that nearly are
+    """
     found = values[np.isfinite(values)]
     if not found.size:
         return Estimated(float("nan"), (float("nan"), float("nan")))
-    mean, deviation = float(found.mean()), corrected_deviation(found, ratio)
+    mean, deviation = float(found.mean()), float(np.hypot(corrected_deviation(found, ratio), 1.0 / max(worth, 1.0)))
     half = float(stats.t.ppf(0.5 + level / 2, len(found) - 1)) * deviation if len(found) > 1 else np.nan
     return Estimated(mean, (mean - half, mean + half) if np.isfinite(half) else (mean, mean))
 
@@ -90,13 +93,15 @@ def trials_worth(size: IntArray, tested: float = 1.0, splits: int = 1, ratio: fl
     return total / effect * tested / (1.0 / splits + ratio)
 
 
-def difference(one: FloatArray, other: FloatArray, ratio: float, level: float) -> tuple[Estimated, float]:
+def difference(
+    one: FloatArray, other: FloatArray, ratio: float, level: float, worth: float = np.inf
+) -> tuple[Estimated, float]:
     """Mean of one - other, (J,) over the same splits, with its interval, and the two-sided p-value of the corrected
-    resampled t-test (Nadeau and Bengio 2003)."""
+    resampled t-test (Nadeau and Bengio 2003). worth: as `over_splits` takes it"""
     apart = one - other
     apart = apart[np.isfinite(apart)]
-    found = over_splits(apart, ratio, level)
-    deviation = corrected_deviation(apart, ratio)
+    found = over_splits(apart, ratio, level, worth)
+    deviation = float(np.hypot(corrected_deviation(apart, ratio), 1.0 / max(worth, 1.0)))
     if not np.isfinite(deviation) or deviation == 0.0:
         return found, 1.0 if found.value == 0.0 or not np.isfinite(deviation) else 0.0
     return found, float(2 * stats.t.sf(abs(found.value) / deviation, len(apart) - 1))

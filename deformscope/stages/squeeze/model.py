@@ -12,6 +12,7 @@ from deformscope.errors import InputError
 from deformscope.stages.squeeze.components import Scaling, fit_scaling, kept_of, loadings
 from deformscope.stages.squeeze.evaluation import Progress, held_values
 from deformscope.stages.squeeze.fusion import Expert, Pool, fit_expert, fit_pool, fuse
+from deformscope.stages.squeeze.near_copies import fingerprints
 from deformscope.stages.squeeze.table import LabelledTable, absent
 
 
@@ -45,6 +46,7 @@ class ContentModel:
     step of the squeeze, `step_s` apart; step_fusion: of these, in their order, for each step, () = they are not fused
     settings: of the features, as whoever computed them wrote them down: a squeeze must have the same
     promised: accuracy with its interval, as evaluated; provenance: versions and source
+    seen: (N,) fingerprints of the trials that it was trained on, by modality, {} = not known
     """
 
     labels: tuple[str, ...]
@@ -56,6 +58,7 @@ class ContentModel:
     settings: Mapping[str, object] = field(default_factory=dict)
     promised: Mapping[str, object] = field(default_factory=dict)
     provenance: Mapping[str, object] = field(default_factory=dict)
+    seen: Mapping[str, IntArray] = field(default_factory=dict)
 
     def predict_proba(self, features: Mapping[str, FloatArray]) -> FloatArray:
         """(n, C) posterior of (n, p) features by modality, C as in `labels`.
@@ -160,6 +163,7 @@ def fit_model(
         settings=table.settings,
         promised=promised or {},
         provenance=provenance or {},
+        seen={name: fingerprints(values) for name, values in table.modalities.items()},
     )
 
 

@@ -15,6 +15,7 @@ from deformscope.results.declared import derived, reported
 from deformscope.stages.squeeze.evaluation import held_values
 from deformscope.stages.squeeze.intervals import Estimated, Interval, share_among_new, trials_worth, wilson
 from deformscope.stages.squeeze.model import ContentModel
+from deformscope.stages.squeeze.near_copies import trained_on
 from deformscope.stages.squeeze.scores import BINS, ClassificationScore, balanced_worth, cluster_sizes, reliability_of
 from deformscope.stages.squeeze.table import LabelledTable, absent
 from deformscope.stages.squeeze.trial_run import joined_name
@@ -53,6 +54,7 @@ class ModelCheck:
     inside: of the bins of the reliability diagram that have answers, how many are inside the band, and of how many
     calibrated: share of perfectly calibrated classifiers with the same posteriors that stray as far or farther
     times: while the squeeze goes on and in the end, where table and model have steps
+    trained: of the trials, how many trained the model: these say nothing of new ones
     """
 
     labels: tuple[str, ...]
@@ -63,12 +65,18 @@ class ModelCheck:
     inside: tuple[int, int]
     calibrated: float = field(metadata=reported(key="calibrated_p"))
     times: tuple[TimeCheck, ...] = field(default=(), metadata=reported(key="at_times"))
+    trained: int = field(default=0, metadata=reported(key="trained_on"))
 
     @property
     @derived(key="promise_kept")
     def kept(self) -> bool | None:
-        """Whether the accuracy is one that is expected of so many trials, were the promise right; None without one."""
-        return None if self.expected is None else self.expected[0] <= self.score.accuracy.value <= self.expected[1]
+        """Whether the accuracy is one that is expected of so many trials, were the promise right; None without one, and
+        where trials trained the model."""
+        return (
+            None
+            if self.expected is None or self.trained
+            else self.expected[0] <= self.score.accuracy.value <= self.expected[1]
+        )
 
     @property
     def calibration_kept(self) -> bool:
@@ -111,7 +119,9 @@ def check_model(model: ContentModel, table: LabelledTable, *, level: float = 0.9
     calibrated = _calibrated(posterior, score, seed)
     last = _time_check(math.nan, score, posterior, _target(model, table, rows), seed)
     times = tuple(_times(model, table, level, seed))
-    return ModelCheck(model.labels, score, alone, promised, expected, bins, calibrated, (*times, last) if times else ())
+    shown = (*times, last) if times else ()
+    trained = int(trained_on(table, model.seen)[rows].sum())
+    return ModelCheck(model.labels, score, alone, promised, expected, bins, calibrated, shown, trained)
 
 
 def _times(model: ContentModel, table: LabelledTable, level: float, seed: int) -> Iterator[TimeCheck]:
@@ -195,7 +205,8 @@ def _score(
     error = np.abs(reliability.sure - reliability.right)[filled] @ reliability.count[filled] / len(rows)
     over = float(sure.mean() - right.mean())
     accuracy, balanced = float(right.mean()), float(recall.mean())
-    half = float(stats.norm.ppf(0.5 + level / 2) * (sure - right).std() / np.sqrt(len(rows)))
+    spread = np.hypot((sure - right).std() / np.sqrt(len(rows)), 1.0 / worth)
+    half = float(stats.norm.ppf(0.5 + level / 2) * spread)
     return ClassificationScore(
         modality=joined_name(names),
         method="late-fusion" if len(names) > 1 else "pooled",

@@ -172,7 +172,7 @@ def score_of(
         trials=trials,
         worth=worth,
         calibration_error=float(error),
-        overconfidence=over_splits(over, split_ratio(splits), level),
+        overconfidence=over_splits(over, split_ratio(splits), level, worth),
         log_loss=float(-log_truth.mean()) if len(log_truth) else float("nan"),
         reliability=reliability,
         components=float(np.mean([one.components for one in outcomes])),

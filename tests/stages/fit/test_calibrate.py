@@ -17,6 +17,7 @@ from deformscope.stages.fit.calibrate import FitOptions, Model, Observation, cal
 from deformscope.stages.fit.estimate import verdict
 from deformscope.stages.msm import clusters, reference
 from tests.cases import slow_but
+from tests.stages import reference_states
 from tests.stages.bodies import Pushed, lattice, pushed
 
 BETA_BOUNDS, THETA_BOUNDS = (0.0, 0.99), (0.0, 1.0)
@@ -32,7 +33,7 @@ def observation(body: Pushed, deformed: FloatArray, **more: object) -> Observati
 def truth(body: Pushed, size: int, beta: float) -> FloatArray:
     """Static state by the float64 reference, not by the engine that is fitted."""
     spec = reference.build_rest(body.rest, body.clusters(size), body.held)
-    state, residual = reference.relax(spec, body.held_position, beta=beta)
+    state, residual = reference_states.relax(spec, body.held_position, beta=beta)
     assert residual < 1e-8
     return state
 

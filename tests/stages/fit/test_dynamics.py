@@ -12,6 +12,7 @@ from deformscope.stages.fit.dynamics import MovingSearch, Pace, step_through
 from deformscope.stages.fit.model import Model
 from deformscope.stages.msm import clusters, reference
 from deformscope.stages.msm.solver import Msm
+from tests.stages import reference_states
 from tests.stages.bodies import Pushed, pushed
 from tests.stages.sequences import pulled
 
@@ -40,7 +41,7 @@ def test_steps_are_those_of_the_reference() -> None:
                 velocity = (x - previous) / pace.dt
                 previous, (x, _) = (
                     x,
-                    reference.step(x, velocity, spec, on_the_way, beta=beta, alpha=pace.alpha, dt=pace.dt),
+                    reference_states.step(x, velocity, spec, on_the_way, beta=beta, alpha=pace.alpha, dt=pace.dt),
                 )
                 x, previous = x.copy(), previous.copy()
             np.testing.assert_allclose(found[row, frame], x, atol=1e-12)

@@ -11,6 +11,7 @@ from deformscope.arrays import FloatArray
 from deformscope.stages.fit.calibrate import FitOptions, Model, Observation, calibrate
 from deformscope.stages.fit.force import FORCE_SHARE, Stiffness, stiffness, stiffness_posterior
 from deformscope.stages.msm import reference
+from tests.stages import reference_states
 from tests.stages.bodies import Pushed, pushed
 
 NONE, ONE = np.zeros(1), np.ones(1)
@@ -41,7 +42,7 @@ def pull(body: Pushed, deformed: FloatArray, beta: float) -> float:
 
 def static(body: Pushed, beta: float) -> FloatArray:
     spec = reference.build_rest(body.rest, body.clusters(3), body.held)
-    return reference.relax(spec, body.held_position, beta=beta)[0]
+    return reference_states.relax(spec, body.held_position, beta=beta)[0]
 
 
 def test_stated_noise_is_that_of_k() -> None:

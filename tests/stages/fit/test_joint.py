@@ -12,6 +12,7 @@ from deformscope.errors import InputError
 from deformscope.stages.fit.calibrate import Model, Observation
 from deformscope.stages.fit.joint import JointOptions, calibrate_both
 from deformscope.stages.msm import reference
+from tests.stages import reference_states
 from tests.stages.bodies import Pushed, lattice, pushed
 
 
@@ -25,7 +26,7 @@ def observation(body: Pushed, deformed: FloatArray, noise: float | None = None, 
 def truth(body: Pushed, beta: float, theta: float) -> FloatArray:
     """By the float64 reference."""
     spec = reference.build_rest(body.rest, body.clusters(3), body.held)
-    state, residual = reference.relax(spec, body.held_position, beta=beta, theta=theta, volume="project")
+    state, residual = reference_states.relax(spec, body.held_position, beta=beta, theta=theta, volume="project")
     assert residual < 1e-8
     return state
 

@@ -7,9 +7,18 @@ import pytest
 
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.errors import InputError
-from deformscope.stages.materials.cell_model import CellModel, Law, beta_cells, elastic_cells, lattice_cells
+from deformscope.stages.materials.cell_model import (
+    CellModel,
+    Law,
+    beta_cells,
+    directional_modulus,
+    elastic_cells,
+    elasticity,
+    lattice_cells,
+)
 from deformscope.stages.msm.clusters import lattice
 from deformscope.stages.msm.solver import Msm
+from studies.independent.orthotropic_elements import OrthotropicLaw
 
 
 def grid(shape: tuple[int, ...], spacing: float = 0.01) -> FloatArray:
@@ -46,6 +55,43 @@ def test_derivatives_are_those_of_differences(law: Law, shape: tuple[int, ...]) 
     change = model.state(p, other).moved.ravel() - state.moved.ravel()
     held = (ends[:, None] * rest.shape[1] + np.arange(rest.shape[1])).ravel()
     assert np.allclose(change, state.response @ (other - moved).ravel()[held], atol=1e-12)
+
+
+@pytest.mark.parametrize("shape", [(5, 4), (4, 3, 3)])
+def test_derivatives_by_what_makes_it_anisotropic_are_those_of_differences(shape: tuple[int, ...]) -> None:
+    rng = np.random.default_rng(1)
+    rest, cells, ends, moved = pulled(shape)
+    model, d = CellModel(rest, cells, ends), len(shape)
+    bent = 0.4 * rng.standard_normal(d * (d + 1) * (d * (d + 1) + 2) // 8)
+    state, step = model.state(np.zeros(len(cells)), moved, 0.3, bent), 1e-5
+    for number in (0, 1, len(bent) - 1):
+        change = step * (np.arange(len(bent)) == number)
+        ahead, behind = (
+            model.state(np.zeros(len(cells)), moved, 0.3, bent + sign * change).moved.ravel() for sign in (1.0, -1.0)
+        )
+        by_difference = (ahead - behind) / (2.0 * step)
+        assert np.abs(state.by_bent[:, number] - by_difference).max() < 1e-6 * np.abs(moved).max()
+
+
+def test_an_anisotropic_law_has_the_moduli_of_its_directions() -> None:
+    """Against compliances of an orthotropic sheet, turned by hand; nothing bent is the plain law."""
+    along = np.array([[1.0, 0.0], [0.0, 1.0], [0.6, 0.8]])
+    sheet = OrthotropicLaw(stiff=3.0, soft=1.2, nu=0.25, shear=0.7, angle=0.0)
+    found = directional_modulus(sheet.matrix(), along)
+    slant = 0.6**4 / 3.0 + 0.8**4 / 1.2 + (0.6 * 0.8) ** 2 * (1.0 / 0.7 - 2.0 * 0.25 / 3.0)
+    assert found == pytest.approx([3.0, 1.2, 1.0 / slant])
+    for d in (2, 3):
+        size = d * (d + 1) // 2
+        nothing = np.zeros(size * (size + 1) // 2)
+        assert elasticity(d, 0.3, nothing) == pytest.approx(elasticity(d, 0.3))
+        assert directional_modulus(elasticity(d, 0.3), np.eye(d)) == pytest.approx(np.ones(d))
+        bent = elasticity(d, 0.3, np.random.default_rng(d).standard_normal(len(nothing)))
+        assert np.linalg.eigvalsh(bent).min() > 0.0
+    # turned axes are the same material: eigenvalues of the law stay (Mandel's basis)
+    turned = OrthotropicLaw(stiff=3.0, soft=1.2, nu=0.25, shear=0.7, angle=0.7)
+    mandel = np.diag([1.0, 1.0, np.sqrt(2.0)])
+    values = [np.linalg.eigvalsh(mandel @ one.matrix() @ mandel) for one in (sheet, turned)]
+    assert values[0] == pytest.approx(values[1])
 
 
 @pytest.mark.parametrize("shape", [(3, 3), (3, 3, 3)])

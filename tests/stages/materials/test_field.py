@@ -24,6 +24,7 @@ from deformscope.stages.materials.field_fit import (
 )
 from deformscope.stages.materials.field_levels import border_cells, border_length, cuts, gain, neighbours, sharpened
 from studies.field_bodies import SPACING_M, elastic_pair
+from studies.independent.orthotropic_elements import OrthotropicLaw, PlateWay, isotropic, plate
 from tests.cases import slow
 
 pytest.importorskip("skfem")
@@ -64,6 +65,48 @@ def test_two_materials_their_border_and_their_ratio() -> None:
     places = estimate.as_json()["places"]
     assert isinstance(places, dict)
     assert len(places["at_m"]) == 70
+
+
+def own_plate(law: OrthotropicLaw, way: PlateWay, *, camera: bool = False, seed: int = 0) -> Observation:
+    """One material of other elements, and its noise."""
+    rng = np.random.default_rng(seed)
+    seen = plate(SMALL, law, lambda place: np.ones(len(place)), way=way, camera=camera, rng=rng)
+    everyone = np.ones(len(seen.rest), dtype=bool)
+    return Observation(seen.rest, seen.deformed, seen.held, everyone, shape=SMALL, cell=np.arange(len(seen.rest)))
+
+
+def test_one_material_that_is_stiffer_along_a_direction_is_one_material() -> None:
+    law = OrthotropicLaw(stiff=2.5, soft=1.0, nu=0.3, shear=0.6, angle=0.3)
+    estimate = found(own_plate(law, "shear"))
+    assert estimate.verdict == "anisotropic"
+    assert estimate.ratio == pytest.approx(1.0)
+    assert estimate.ratio_interval[1] < 2.5
+    assert estimate.directions is not None
+    true = law.modulus(estimate.directions.stiffest) / law.modulus(estimate.directions.softest)
+    assert estimate.directions.ratio == pytest.approx(true, rel=0.3)
+    json = estimate.as_json()
+    assert isinstance(json["directions"], dict)
+    assert json["directions"]["ratio"] == estimate.directions.ratio
+    assert dict(zip(estimate.tried, estimate.plausible, strict=True))["one material, anisotropic"]
+
+
+def test_a_camera_that_drifts_makes_no_field() -> None:
+    estimate = found(own_plate(isotropic(0.3), "shear", camera=True, seed=2))
+    assert estimate.verdict in ("uniform", "unidentified")
+    assert "smooth-error" in [one.code for one in estimate.reasons]
+    assert "identified" not in estimate.verdicts
+
+
+def test_smooth_errors_of_what_is_held_move_the_rest() -> None:
+    """Their derivatives beside differences: held particles are where they were seen, less the error."""
+    fit = FieldFit(elastic_pair((6, 5), halves), "elastic", "smooth error")
+    prior = fit.levels(np.zeros(len(fit.cells), dtype=np.int64))
+    at = prior.mean + prior.root @ np.random.default_rng(0).standard_normal(prior.root.shape[1])
+    _, _, slope = fit.state(at)
+    for number in (len(fit.cells), len(fit.cells) + 1, len(at) - 1):
+        change = 1e-5 * (np.arange(len(at)) == number)
+        ahead, behind = (fit.state(at + sign * change)[1] for sign in (1.0, -1.0))
+        assert slope[:, number] == pytest.approx((ahead - behind) / 2e-5, abs=1e-6)
 
 
 @pytest.mark.parametrize("kind", ["rigid", slow("nothing"), slow("noise")])

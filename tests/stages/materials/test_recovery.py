@@ -86,6 +86,29 @@ def test_what_is_kept_and_what_recovers_are_told_apart(
     assert found.set.value == pytest.approx(kept, abs=0.02)
 
 
+@pytest.mark.parametrize(("share", "time_s", "watch_s"), [(0.3, 20.0, 3.0), (0.3, 30.0, 5.0)])
+def test_a_recovery_that_outlasts_the_record_is_named_and_bounded(share: float, time_s: float, watch_s: float) -> None:
+    found = fitted([share], [time_s], 0.0, watch_s=watch_s)
+    assert [one.code for one in found.reasons] == ["short-record"]
+    assert found.share.value == found.share.interval[0] < share
+    assert found.share.interval[1] == 1.0
+    assert found.time_s.interval[0] < time_s
+    assert found.time_s.interval[1] == np.inf
+    for one in found.force_kept:
+        assert one.after_s <= max(watch_s, 2.0)
+        assert one.interval[0] <= one.share <= one.interval[1]
+
+
+def test_a_record_that_saw_the_end_says_how_much_force_is_kept() -> None:
+    found = fitted([0.3], [1.0], 0.0)
+    assert found.reasons == ()
+    grown = (np.arange(1000) + 0.5) / 1000.0 * 0.5  # a ramp of half a second
+    left = [float(np.mean(0.7 + 0.3 * np.exp(-(at + grown)))) for at in (0.0, 1.0)]
+    said = next(one for one in found.force_kept if one.after_s == 1.0)
+    assert said.share == pytest.approx(left[1] / left[0], abs=0.01)
+    assert said.interval[0] < left[1] / left[0] < said.interval[1]
+
+
 def test_a_short_record_leaves_open_what_is_slow_and_what_is_kept() -> None:
     found = fitted([0.2], [6.0], 0.0, watch_s=0.6)
     assert found.set.interval[0] < 0.01 < 0.05 < found.set.interval[1]

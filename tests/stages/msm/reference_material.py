@@ -15,6 +15,7 @@ from deformscope.arrays import FloatArray
 from deformscope.stages.msm import reference
 from deformscope.stages.msm.materials import LEAST_FACTOR, AxisBeta
 from deformscope.stages.msm.reference import Basis, Rest, RestCluster, Volume
+from tests.stages import reference_states
 
 Beta = float | AxisBeta
 """One for all directions, or along each axis (of one candidate)."""
@@ -71,7 +72,7 @@ def axis_goals(x: FloatArray, cluster: RestCluster, beta: AxisBeta, plastic: Flo
 
 
 def axis_energy(x: FloatArray, rest: Rest, beta: AxisBeta) -> float:
-    """1/2 sum_c { |p - A q|^2 + min_R tr((A - R) W (A - R)^T) }, in the unit of `reference.energy`."""
+    """1/2 sum_c { |p - A q|^2 + min_R tr((A - R) W (A - R)^T) }, in the unit of `reference_states.energy`."""
     total = 0.0
     for cluster in rest.clusters:
         t, a, r, w = axis_parts(x, cluster, beta)
@@ -140,7 +141,7 @@ def relax(
     """The static state (K, d) with S^p as it is."""
     x = (rest.position if start is None else start).astype(np.float64).copy()
     x[rest.held] = held_position
-    found, left = reference.fixed_point(
+    found, left = reference_states.fixed_point(
         lambda at: goals(at, rest, beta, theta, plastic=plastic, volume=volume), x, rest, tolerance
     )
     assert left <= 100.0 * tolerance, left
@@ -233,7 +234,7 @@ def step(
     dt: float = 2e-3,
     volume: Volume = "scale",
 ) -> tuple[FloatArray, FloatArray, list[FloatArray]]:
-    """One time step as `reference.step`, and S^p after it, flown by dt creep (S - I) of the goals' own fit."""
+    """One time step as `reference_states.step`, and S^p after it, flown by dt creep (S - I) of the goals' own fit."""
     x_star = x + v * dt
     x_star[rest.held] = held_position
     x_new = x_star + alpha * (goals(x_star, rest, beta, theta, plastic=plastic, volume=volume) - x_star)

@@ -15,6 +15,8 @@ from deformscope.stages.msm.anderson_kernels import anderson_kernels_for
 from deformscope.stages.msm.general_kernels import general_kernels_for
 from deformscope.stages.msm.iteration_kernels import newton_kernels_for, resident_kernels_for
 from deformscope.stages.msm.lattice_kernels import lattice_kernels_for
+from deformscope.stages.msm.members import members
+from deformscope.stages.msm.multigrid_kernels import smoother_for, transfer_kernels_for
 from deformscope.stages.msm.reduced_kernels import reduced_kernels_for
 
 ARCH = 90
@@ -41,6 +43,10 @@ def _kernels(kind: str, dim: int, terms: int, scalar: Any, window: int) -> list[
         made = newton_kernels_for(dim, scalar, GPU_WIDTH)
     elif kind == "anderson":
         made = anderson_kernels_for(dim, scalar, GPU_WIDTH)
+    elif kind == "smoother":
+        made = members(smoother_for(dim, GPU_WIDTH))
+    elif kind == "transfer":
+        made = transfer_kernels_for(dim, scalar)
     else:
         made = reduced_kernels_for(dim, terms)
     return [member for member in vars(made).values() if isinstance(member, wp.Kernel)]
@@ -60,7 +66,7 @@ def _case(kind: str, dim: int, terms: int, scalar: Any, window: int = 0, *, slow
 
 
 QUICK = ("steps",)
-"""What a quick run compiles, in space, in float32 and for the windows of most bodies."""
+"""What a quick run compiles, in space, in float32 and for the windows of most bodies; and multigrid in space."""
 
 SCALARS = (wp.float32, wp.float64)
 TERMS = {2: (2, 5), 3: (3, 9)}
@@ -75,6 +81,8 @@ CASES = [
         if kind == "lattice" or window < 9  # wide ones are for bodies too large for kernels that stay
     ),
     *(_case(kind, dim, dim, scalar) for kind in ("newton", "anderson") for dim in (2, 3) for scalar in SCALARS),
+    *(_case("smoother", dim, dim, wp.float32, slow=dim == 2) for dim in (2, 3)),
+    *(_case("transfer", dim, dim, wp.float64, slow=dim == 2) for dim in (2, 3)),
     *(
         _case(kind, dim, terms, scalar)
         for kind in ("general", "material")

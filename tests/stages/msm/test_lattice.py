@@ -21,6 +21,7 @@ from deformscope.stages.msm.lattice import LatticeBody
 from deformscope.stages.msm.reference import Rest, Volume
 from deformscope.stages.msm.solver import Msm, Precision
 from tests.cases import slow, slow_but
+from tests.stages import reference_states
 from tests.stages.bodies import SPACING_M, lattice
 
 KERNEL_TOLERANCE: dict[Precision, float] = {"float64": 1e-11, "float32": 1e-5}
@@ -285,7 +286,7 @@ def test_steps_are_the_references(device: str, precision: Precision, name: str, 
         x, v = body.rest.copy(), np.zeros_like(body.rest)
         for dt, steps in ((2e-3, 7), (1e-3, 5)):
             for _ in range(steps):
-                x, v = reference.step(
+                x, v = reference_states.step(
                     x, v, spec, moved[row], beta=float(beta[row]), theta=0.4, alpha=0.8, dt=dt, acceleration=push,
                     volume="project",
                 )  # fmt: skip

@@ -13,6 +13,7 @@ from deformscope.stages.msm.materials import AxisBeta, axis_weights
 from deformscope.stages.msm.reference import Rest
 from deformscope.stages.msm.solver import Msm, Precision
 from tests.cases import slow, slow_but
+from tests.stages import reference_states
 from tests.stages.bodies import Pushed, lattice, pushed
 from tests.stages.msm import reference_material as spec
 
@@ -60,7 +61,7 @@ def test_equal_betas_are_one_beta_in_energy_and_goals() -> None:
     x = body.rest + rng.normal(0, 0.002, body.rest.shape)
     for b in (0.0, 0.4, 0.95):
         beta = AxisBeta(np.full(3, b), _turn(rng, 3))
-        assert spec.axis_energy(x, rest, beta) == pytest.approx(reference.energy(x, rest, b), rel=1e-12)
+        assert spec.axis_energy(x, rest, beta) == pytest.approx(reference_states.energy(x, rest, b), rel=1e-12)
         np.testing.assert_allclose(spec.goals(x, rest, beta), reference.goals(x, rest, b), rtol=0.0, atol=1e-14)
 
 

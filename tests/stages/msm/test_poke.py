@@ -10,7 +10,7 @@ import pytest
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 from deformscope.stages.msm import clusters, reference
-from deformscope.stages.msm.poke import Law, Poke, PokeSetup, Tip, press
+from deformscope.stages.msm.poke import SETTLED, Law, Poke, PokeSetup, Tip, hold, press, settle
 from deformscope.stages.poke.layers import MeasuredSurface, below
 
 AT = np.array([0.06, 0.06, 0.03])
@@ -57,6 +57,42 @@ def test_particles_that_slip_are_pulled_at_by_nothing_sideways_and_lower_the_for
     assert np.abs(pull[:, :2]).max() < 0.02 * np.abs(pull[:, 2]).max()
     np.testing.assert_allclose(slips.position[slips.touched, 2], 0.027, atol=1e-12)
     assert 0.9 * sticks.reaction < slips.reaction < sticks.reaction
+
+
+@pytest.mark.parametrize("lattice", [True, False])
+def test_what_slips_is_found_at_once_where_rounds_would_end(scene: PokeSetup, lattice: bool) -> None:
+    """The same state as slides of held particles come to, one after another; by lists of the clusters' members too."""
+    if not lattice:
+        listed = clusters.Clusters(list(scene.clusters), len(scene.rest))
+        scene = dataclasses.replace(scene, clusters=listed)
+    touched = scene.open[np.abs(scene.rest[scene.open, :2] - 0.06).max(axis=1) < 0.0201]
+    pushed = scene.rest[touched] - [0.0, 0.0, 0.003]
+    laws = [LAW, Law(0.7, 0.0, 3), Law(0.2, 1.0, 3)]
+    bodies = (hold(scene, touched, LAW, "float64", "cpu", slips=slips) for slips in (True, False))
+    at_once, in_rounds = (settle(scene, body, laws, touched, pushed, slips=True, start=None) for body in bodies)
+    assert at_once.converged.all()
+    assert in_rounds.converged.all()
+    np.testing.assert_allclose(at_once.position, in_rounds.position, atol=2 * SETTLED * 0.003)
+    np.testing.assert_array_equal(at_once.hold, at_once.position[:, touched])
+    np.testing.assert_allclose(at_once.hold[..., 2], 0.027, atol=1e-15)
+    side = {name: np.abs(one.pull[..., :2]).max() for name, one in (("once", at_once), ("rounds", in_rounds))}
+    assert side["once"] < 1e-6 * np.abs(at_once.pull[..., 2]).max()
+    assert side["once"] < 0.01 * side["rounds"]
+
+
+def test_what_slips_is_not_stepped_and_has_slopes(scene: PokeSetup) -> None:
+    touched = scene.open[np.abs(scene.rest[scene.open, :2] - 0.06).max(axis=1) < 0.0101]
+    body = hold(scene, touched, LAW, "float64", "cpu", slips=True)
+    with pytest.raises(ValueError, match="slipping"):
+        body.start()
+    held = scene.rest[body.held] - np.where(np.isin(body.held, touched), 0.003, 0.0)[:, None] * [0.0, 0.0, 1.0]
+    beta = np.array([0.4 - 1e-4, 0.4, 0.4 + 1e-4])
+    position = body.relax(held, beta, 0.6, volume="project", tolerance=1e-11).position
+    cotangent = np.random.default_rng(0).normal(size=position[1].shape)
+    found = body.gradient(position[1], 0.4, 0.6, cotangent=cotangent, volume="project")
+    slope = np.sum(cotangent * (position[2] - position[0])) / 2e-4
+    assert found.converged
+    assert found.beta[0] == pytest.approx(slope, rel=1e-5)
 
 
 def test_a_force_is_reached_and_is_that_of_its_depth(scene: PokeSetup) -> None:

@@ -20,6 +20,7 @@ from deformscope.stages.msm import clusters, reference
 from deformscope.stages.msm.functions import functions_for
 from deformscope.stages.msm.lanes import module_options
 from tests.cases import slow, slow_but
+from tests.stages import reference_states
 from tests.stages.bodies import lattice
 
 PRECISIONS = ["float64", slow("float32")]
@@ -189,7 +190,7 @@ def test_reaction_is_the_gradient_of_the_energy(
     h = 1e-6
     for x in _states(body.position, rng):
         direction = rng.normal(size=x.shape)
-        after, before = (reference.energy(x + step * direction, body, 0.8, theta) for step in (h, -h))
+        after, before = (reference_states.energy(x + step * direction, body, 0.8, theta) for step in (h, -h))
         force = reference.reaction(x, body, 0.8, theta)
         size_of_slope = np.linalg.norm(force) * np.linalg.norm(direction)
         assert np.sum(force * direction) == pytest.approx((after - before) / (2 * h), abs=1e-7 * size_of_slope)
@@ -205,7 +206,7 @@ def test_reaction_is_the_gradient_for_free_form_clusters(basis: reference.Basis)
     for x in _states(rest, rng):
         direction = rng.normal(size=x.shape)
         h = 1e-6
-        after, before = (reference.energy(x + step * direction, body, 0.9, 0.7) for step in (h, -h))
+        after, before = (reference_states.energy(x + step * direction, body, 0.9, 0.7) for step in (h, -h))
         slope = np.sum(reference.reaction(x, body, 0.9, 0.7) * direction)
         assert slope == pytest.approx((after - before) / (2 * h), rel=1e-6)
 
@@ -216,10 +217,10 @@ def test_a_step_to_the_goals_never_raises_the_energy(shape: tuple[int, ...], siz
     body = _body(shape, size, basis, rng)
     for x in (*_states(body.position, rng), rng.normal(size=body.position.shape)):
         for beta, theta in ((0.99, 1.0), (0.5, 0.3)):
-            state, stored = x, reference.energy(x, body, beta, theta)
+            state, stored = x, reference_states.energy(x, body, beta, theta)
             for _ in range(4):
                 state = reference.goals(state, body, beta, theta, volume="project")
-                before, stored = stored, reference.energy(state, body, beta, theta)
+                before, stored = stored, reference_states.energy(state, body, beta, theta)
                 assert stored <= before * (1.0 + 1e-12)
 
 
@@ -273,7 +274,7 @@ def test_time_steps_take_the_mode() -> None:
     rng = np.random.default_rng(15)
     body = _body((4, 3, 3), 2, "linear", rng)
     x = _states(body.position, rng)[0]
-    after, _ = reference.step(x, np.zeros_like(x), body, x[:0], beta=0.9, theta=0.8, volume="project")
+    after, _ = reference_states.step(x, np.zeros_like(x), body, x[:0], beta=0.9, theta=0.8, volume="project")
     np.testing.assert_allclose(after, reference.goals(x, body, 0.9, 0.8, volume="project"), atol=1e-14)
 
 
@@ -289,7 +290,7 @@ def test_overlapping_clusters_pressed_flat_come_to_rest(beta: float) -> None:
     body = reference.build_rest(rest, clusters.lattice(rest, shape, np.arange(len(rest)), 3), held)
     widths = []
     for theta in (0.0, 0.5, 1.0):
-        x, residual = reference.relax(
+        x, residual = reference_states.relax(
             body, position, beta=beta, theta=theta, volume="project", tolerance=1e-10, max_iterations=500
         )
         assert residual < 1e-9

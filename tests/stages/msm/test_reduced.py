@@ -16,6 +16,7 @@ from deformscope.stages.msm.reduced import Equilibrium, OneCluster
 from deformscope.stages.msm.reference import Basis, Volume
 from deformscope.stages.msm.solver import Msm
 from tests.cases import slow, slow_but
+from tests.stages import reference_states
 from tests.stages.bodies import lattice
 
 SAME = 1e-8
@@ -103,7 +104,7 @@ def test_static_states_are_those_of_the_reference(
             for row, x in enumerate(found):
                 b, t = float(beta[row]), float(theta[row])
                 assert imbalance(one, x, mass, basis, b, t, volume) < BALANCED
-                expected, residual = reference.relax(spec, pose, beta=b, theta=t, volume=volume, start=origin)
+                expected, residual = reference_states.relax(spec, pose, beta=b, theta=t, volume=volume, start=origin)
                 assert residual < 1e-10
                 np.testing.assert_allclose(x, expected, atol=SAME * extent)
 
@@ -263,7 +264,7 @@ def test_sheets_in_space(device: str, basis: Basis) -> None:
             assert state.converged.all()
             x = one.positions(state, holding)[0]
             assert imbalance(one, x, None, basis, beta, theta, volume) < BALANCED
-            expected, residual = reference.relax(spec, position, beta=beta, theta=theta, volume=volume)
+            expected, residual = reference_states.relax(spec, position, beta=beta, theta=theta, volume=volume)
             if residual < 1e-10:
                 np.testing.assert_allclose(x, expected, atol=SAME * 0.04)
 

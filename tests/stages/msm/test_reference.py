@@ -7,6 +7,7 @@ import pytest
 
 from deformscope.arrays import FloatArray
 from deformscope.stages.msm import clusters, reference
+from tests.stages import reference_states
 from tests.stages.bodies import lattice, pushed
 
 
@@ -150,7 +151,7 @@ def test_static_state_does_not_depend_on_the_start() -> None:
     ends = []
     for _ in range(3):
         start = body.rest + rng.normal(0, 0.01, body.rest.shape)
-        state, residual = reference.relax(rest, body.held_position, beta=0.6, start=start)
+        state, residual = reference_states.relax(rest, body.held_position, beta=0.6, start=start)
         assert residual < 1e-10
         ends.append(state)
     np.testing.assert_allclose(ends[0], ends[1], atol=1e-8)
@@ -160,7 +161,7 @@ def test_static_state_does_not_depend_on_the_start() -> None:
 def test_reaction_at_the_static_state_is_zero_where_free_and_balanced_where_held() -> None:
     body = pushed((5, 6), np.random.default_rng(7))
     rest = reference.build_rest(body.rest, body.clusters(3), body.held)
-    state, _ = reference.relax(rest, body.held_position, beta=0.6)
+    state, _ = reference_states.relax(rest, body.held_position, beta=0.6)
     force = reference.reaction(state, rest, 0.6)
     free = ~clusters.held_mask(len(body.rest), body.held)
     assert np.abs(force[free]).max() < 1e-9 * np.abs(force).max() + 1e-12
@@ -174,6 +175,6 @@ def test_dt_does_not_change_the_motion() -> None:
     for dt in (2e-5, 2e-3):
         x, v = body.rest.copy(), np.zeros_like(body.rest)
         for _ in range(30):
-            x, v = reference.step(x, v, rest, body.held_position, beta=0.5, dt=dt)
+            x, v = reference_states.step(x, v, rest, body.held_position, beta=0.5, dt=dt)
         ends.append(x)
     np.testing.assert_allclose(ends[0], ends[1], atol=1e-12)

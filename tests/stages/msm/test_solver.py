@@ -14,6 +14,7 @@ from deformscope.stages.msm import clusters, reference, solver
 from deformscope.stages.msm.reference import Basis
 from deformscope.stages.msm.solver import Msm, Precision
 from tests.cases import slow_but
+from tests.stages import reference_states
 from tests.stages.bodies import lattice, pushed
 
 if TYPE_CHECKING:
@@ -76,7 +77,7 @@ def test_steps_agree_with_the_reference(device: str, precision: Precision) -> No
     x, v = body.rest.copy(), np.zeros_like(body.rest)
     gravity = np.array([-9.81, 0.0])
     for _ in range(20):
-        x, v = reference.step(x, v, spec, body.held_position, beta=0.7, alpha=0.8, dt=2e-3, acceleration=gravity)
+        x, v = reference_states.step(x, v, spec, body.held_position, beta=0.7, alpha=0.8, dt=2e-3, acceleration=gravity)
     state = engine.start()
     found = engine.step(state, body.held_position, 0.7, alpha=0.8, dt=2e-3, acceleration=[-9.81, 0.0], steps=20)
     np.testing.assert_allclose(found[0], x, atol=20 * KERNEL_TOLERANCE[precision] * engine.scale)
@@ -95,7 +96,7 @@ def test_relax_finds_the_static_state_of_the_reference(device: str, precision: P
     grouped = body.clusters(int(rng.integers(2, 6)))
     beta = [0.0, 0.3, 0.6, 0.8, 0.9, 0.95, 0.99, 0.5][case]
     spec = reference.build_rest(body.rest, grouped, body.held)
-    expected, residual = reference.relax(spec, body.held_position, beta=beta)
+    expected, residual = reference_states.relax(spec, body.held_position, beta=beta)
     assert residual < 1e-9
     engine = Msm(body.rest, grouped, body.held, precision=precision, device=device)
     state = engine.relax(body.held_position, beta)
@@ -272,7 +273,7 @@ def test_free_form_clusters_in_any_order(device: str) -> None:
     grouped = clusters.nearest(rest, 12)
     held = np.array([7, 2, 30])
     position = rest[held] + rng.normal(0, 0.01, (3, 3))
-    expected, _ = reference.relax(reference.build_rest(rest, grouped, held), position, beta=0.4)
+    expected, _ = reference_states.relax(reference.build_rest(rest, grouped, held), position, beta=0.4)
     found = Msm(rest, grouped, held, device=device).relax(position, 0.4)
     assert found.converged[0]
     np.testing.assert_allclose(found.position[0], expected, atol=1e-6)

@@ -48,7 +48,7 @@ def touch(
 
 
 @pytest.mark.parametrize(
-    ("shares", "times_s"), [((0.3,), (1.0,)), ((0.4,), (3.0,)), ((0.15, 0.15), (0.4, 4.0)), ((0.15,), (0.5,))]
+    ("shares", "times_s"), [((0.3,), (1.0,)), ((0.4,), (3.0,)), ((0.15, 0.15), (0.2, 1.5)), ((0.15,), (0.5,))]
 )
 def test_stiffness_at_once_and_relaxed_and_the_share_that_relaxes_are_found(
     shares: tuple[float, ...], times_s: tuple[float, ...]
@@ -76,14 +76,61 @@ def test_an_elastic_foam_is_called_elastic_and_has_one_stiffness() -> None:
     assert fit.loss_interval is None
 
 
-def test_a_hold_too_short_for_the_foam_widens_the_interval() -> None:
-    short, long = touch((0.4,), (2.0,), 1.0, noise_m=5e-5), touch((0.4,), (2.0,), 10.0, noise_m=5e-5)
+def kept(shares: tuple[float, ...], times_s: tuple[float, ...], after_s: float) -> float:
+    """Share of the force at the end of an even approach that is left, held in place: the integral of E as it stands."""
+    gone = (np.arange(4000) + 0.5) / 4000.0
+    growth = gone ** (EXPONENT - 1.0)
+    before = LOAD_S * (1.0 - gone[:, None])
 
-    def width(fit: CreepFit) -> float:
-        return float(np.log(fit.relaxed_interval[1] / fit.relaxed_interval[0]))
+    def force(since_s: float) -> float:
+        left = 1.0 - sum(shares) + (np.array(shares) * np.exp(-(since_s + before) / np.array(times_s))).sum(axis=1)
+        return float(growth @ left)
 
-    assert width(short) > 2.0 * width(long)
-    assert short.relaxed_interval[0] < 1e-3 * SET_N / DEPTH_M * 0.6 ** (1.0 / EXPONENT) < short.relaxed_interval[1]
+    return force(after_s) / force(0.0)
+
+
+@pytest.mark.parametrize(
+    ("shares", "times_s", "hold_s", "reason"),
+    [
+        ((0.3,), (1.0,), 8.0, ""),
+        ((0.4,), (2.0,), 1.0, "short-record"),
+        ((0.3,), (30.0,), 8.0, "short-record"),
+        # a decade apart and alike, branches look as creep without end does
+        ((0.15, 0.15), (0.4, 4.0), 8.0, "no-plateau"),
+    ],
+)
+def test_a_hold_says_only_what_it_saw_and_always_the_force_that_is_kept(
+    shares: tuple[float, ...], times_s: tuple[float, ...], hold_s: float, reason: str
+) -> None:
+    fit = touch(shares, times_s, hold_s, noise_m=5e-5)
+    assert [one.code for one in fit.reasons] == [reason] * bool(reason)
+    assert [one.after_s for one in fit.force_kept] == pytest.approx(
+        [after for after in (0.5, 1.0, 2.0, 5.0) if after < 0.95 * hold_s] + [hold_s]
+    )
+    for one in fit.force_kept:
+        assert one.share == pytest.approx(kept(shares, times_s, one.after_s), abs=0.02)
+        assert one.interval[0] < one.share < one.interval[1]
+    relaxes = sum(shares)
+    if not reason:
+        assert fit.relaxed_n_per_mm is not None
+        assert fit.share_interval[1] < 1.0
+        return
+    assert (fit.relaxed_n_per_mm, fit.relaxed_interval, fit.relaxed_log_sd) == (None, None, None)
+    assert fit.share == fit.share_interval[0] < relaxes
+    assert fit.share_interval[1] == 1.0
+    assert fit.time_interval is None or fit.time_interval[1] == np.inf
+    assert reason in fit.text
+    assert reason in fit.brief
+
+
+def test_a_law_without_an_end_is_told_from_branches() -> None:
+    """A compliance that grows with the log of time: 40 branches, evenly over it."""
+    times_s = np.geomspace(0.01, 1000.0, 40)
+    fit = touch(tuple(np.full(40, 0.5 / 40).tolist()), tuple(times_s.tolist()), 8.0, noise_m=5e-5)
+    assert [one.code for one in fit.reasons] == ["no-plateau"]
+    assert fit.no_plateau > 0.9
+    assert fit.share_interval[0] < 0.5
+    assert fit.instant_interval[1] == np.inf, "what is faster than the approach is not seen"
 
 
 def test_stiffness_felt_at_two_speeds_is_one_at_the_reference_speed() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import types
 from collections.abc import Sequence
 from typing import Any
@@ -14,11 +15,13 @@ from hypothesis import strategies as st
 from deformscope.arrays import FloatArray
 from deformscope.stages.fit.search import beta_of
 from deformscope.stages.msm.poke import Law, Tip
+from deformscope.stages.msm.solver import Precision
 from deformscope.stages.poke.layers import MeasuredSurface
 from deformscope.stages.poke.poke_estimate import Profile, conclude, neighbouring_values
 from deformscope.stages.poke.poke_fit import PokesFit, SeenPoke, ShapeFit, fit_pokes, seen_poke
 from tests.stages.pokes import SPACING, poked, surface
 
+PRECISIONS: tuple[Precision, ...] = ("float32", "float64")
 POINTS = np.column_stack([np.linspace(0.0, 0.05, 6), np.zeros(6), np.zeros(6)])
 
 
@@ -116,3 +119,17 @@ def test_beta_is_sought_in_the_range_that_is_asked_for() -> None:
     assert estimate.bounds == (0.0, 0.3)
     assert estimate.interval[1] == 0.3
     assert estimate.verdict in ("at-bound", "unidentified")
+
+
+def test_an_interval_from_beta_0_on_does_not_hang_on_rounding() -> None:
+    """At beta = 0 theta does nothing: next to it what theta does is rounding alone."""
+    seen = seen_poke(poked((0.09, 0.08), law=Law(0.0, 0.0, 3), noise=1e-4))
+    ends = []
+    for precision in PRECISIONS:
+        fit = fit_pokes(surface(), [seen], spacing=SPACING, cluster_sizes=[3], precision=precision)
+        assert fit.best.law.beta < 1e-3
+        nearer = dataclasses.replace(fit.best, law=Law(5e-7, 1.0, 3))
+        fit = dataclasses.replace(fit, tried=(nearer,))
+        ends.append(conclude(fit, level=0.9, settings={}, provenance={}).estimate.interval)
+    assert 0.01 < ends[1][1] < 0.6
+    assert ends[0] == pytest.approx(ends[1], rel=0.02, abs=1e-3)

@@ -11,6 +11,7 @@ from deformscope.errors import InputError
 from deformscope.stages.msm.poke import Law, Poke, Tip
 from deformscope.stages.poke.poke_estimate import conclude, continuum
 from deformscope.stages.poke.poke_fit import default_spacing, fit_pokes, seen_poke
+from tests.stages import reference_states
 from tests.stages.pokes import LAW, SPACING, STIFFNESS, poked, surface
 
 
@@ -36,11 +37,13 @@ def test_a_tip_that_sticks_is_seen_to_stick_and_a_tip_that_is_reported_is_believ
     assert seen_poke(reported).tip == Tip("disc", (0.025,), slips=False)
 
 
-def test_a_known_law_and_stiffness_come_back() -> None:
-    found = fit(poked((0.09, 0.08)), cluster_sizes=[3])
-    assert found.best.law.beta == pytest.approx(LAW.beta, abs=0.02)
-    assert found.best.law.theta == pytest.approx(LAW.theta, abs=0.05)
-    assert found.stiffness(found.best)[1] == pytest.approx([STIFFNESS], rel=0.01)
+@pytest.mark.parametrize(("version", "off"), [(1, 0.02), (2, 0.002)])
+def test_a_known_law_and_stiffness_come_back(version: int, off: float) -> None:
+    """The closer where no rounds find what slips: these end at a thousandth of the depth."""
+    found = fit(poked((0.09, 0.08)), cluster_sizes=[3], version=version)
+    assert found.best.law.beta == pytest.approx(LAW.beta, abs=off)
+    assert found.best.law.theta == pytest.approx(LAW.theta, abs=2.5 * off)
+    assert found.stiffness(found.best)[1] == pytest.approx([STIFFNESS], rel=0.5 * off)
     assert found.best.surface_error.max() < 0.003
     assert found.best.converged
 
@@ -133,6 +136,6 @@ def test_the_moduli_of_an_even_strain_are_those_of_the_energy() -> None:
     young, poisson = continuum(law, k, h)
     lame, mu = young * poisson / ((1 + poisson) * (1 - 2 * poisson)), 0.5 * young / (1 + poisson)
     for strain in (np.diag([1e-5, 0, 0]), np.diag([1e-5, -1e-5, 0]), np.full((3, 3), 1e-5)):
-        energy = k * reference.energy(rest @ (np.eye(3) + strain), body, law.beta, law.theta) / h**3
+        energy = k * reference_states.energy(rest @ (np.eye(3) + strain), body, law.beta, law.theta) / h**3
         expected = 0.5 * lame * np.trace(strain) ** 2 + mu * np.sum(strain**2)
         assert energy == pytest.approx(expected, rel=1e-3)

@@ -41,7 +41,7 @@ def test_the_same_seed_gives_the_same_maps() -> None:
     np.testing.assert_array_equal(first.family, again.family)
 
 
-@pytest.mark.parametrize("regions", slow_but([2], [2, 3]))
+@pytest.mark.parametrize("regions", slow_but([2, 4], [2, 3, 4, 5]))
 def test_a_contact_s_shares_are_the_map_blurred(regions: int) -> None:
     """Against a Gaussian filter of the labels; the shares take each curve as straight within the blur."""
     maps = draw(np.random.default_rng(1), regions, SIZE, 200)
@@ -65,7 +65,7 @@ def test_a_contact_s_shares_are_the_map_blurred(regions: int) -> None:
 def test_distance_is_zero_where_the_label_changes_and_has_its_length_near_by(family: Family) -> None:
     rng = np.random.default_rng(2)
     latent = rng.standard_normal((40, 2, LATENTS))
-    maps = Partitions(2, SIZE, np.full((40, 2), family), latent, np.zeros(40, dtype=bool))
+    maps = Partitions(2, SIZE, np.full((40, 2), family), latent, np.zeros(40, dtype=bool), np.tile([0, 1], (40, 1)))
     maps = maps.take(maps.admissible())
     y = np.full(2401, 0.21)
     line = np.column_stack([np.linspace(0.0, 0.6, 2401), y])
@@ -77,9 +77,10 @@ def test_distance_is_zero_where_the_label_changes_and_has_its_length_near_by(fam
     assert np.quantile(np.abs(distance[:, 1:])[at_change], 0.95) < 6e-4
 
 
-def test_moves_leave_the_prior_as_it_is() -> None:
+@pytest.mark.parametrize("regions", slow_but([2], [2, 4]))
+def test_moves_leave_the_prior_as_it_is(regions: int) -> None:
     rng = np.random.default_rng(3)
-    maps = draw(rng, 2, SIZE, 3000)
+    maps = draw(rng, regions, SIZE, 3000)
     area = (maps.labels(MapGrid(SIZE, 0.02).centres_m) == 0).mean(axis=1)
     for _ in range(12):
         proposed = propose(rng, maps)
@@ -87,7 +88,7 @@ def test_moves_leave_the_prior_as_it_is() -> None:
     moved = (maps.labels(MapGrid(SIZE, 0.02).centres_m) == 0).mean(axis=1)
 
     shares = np.bincount(maps.family[:, 0], minlength=len(Family)) / 3000
-    fresh = np.bincount(draw(rng, 2, SIZE, 6000).family[:, 0], minlength=len(Family)) / 6000
+    fresh = np.bincount(draw(rng, regions, SIZE, 6000).family[:, 0], minlength=len(Family)) / 6000
     np.testing.assert_allclose(shares, fresh, atol=0.04)
     np.testing.assert_allclose(np.quantile(moved, [0.1, 0.5, 0.9]), np.quantile(area, [0.1, 0.5, 0.9]), atol=0.05)
     assert np.mean(np.abs(moved - area) > 1e-3) > 0.7  # and they do move
@@ -99,7 +100,10 @@ def test_a_ring_has_its_blob_s_border_and_a_hole() -> None:
     latent = rng.standard_normal((40, 2, LATENTS))
     grid = MapGrid(SIZE, 0.005)
     blob, ring = (
-        Partitions(2, SIZE, np.full((40, 2), family), latent, np.zeros(40, dtype=bool)).labels(grid.centres_m) == 0
+        Partitions(
+            2, SIZE, np.full((40, 2), family), latent, np.zeros(40, dtype=bool), np.tile([0, 1], (40, 1))
+        ).labels(grid.centres_m)
+        == 0
         for family in (Family.BLOB, Family.RING)
     )
     assert (blob | ~ring).all()
@@ -117,7 +121,7 @@ def test_a_zigzag_turns_at_its_points() -> None:
     """Along its line the border runs straight, up and down, by two amplitudes within half a wave."""
     latent = np.zeros((1, 2, LATENTS))
     latent[0, 0, 1] = 1.0  # the line runs along y, through the middle
-    zigzag = Partitions(2, SIZE, np.full((1, 2), Family.ZIGZAG), latent, np.zeros(1, dtype=bool))
+    zigzag = Partitions(2, SIZE, np.full((1, 2), Family.ZIGZAG), latent, np.zeros(1, dtype=bool), np.array([[0, 1]]))
     grid = MapGrid(SIZE, 0.002)
     border = (zigzag.labels(grid.centres_m)[0].reshape(grid.shape) == 1).sum(axis=1) * grid.cell_m
     height, length = np.sqrt(np.prod(ZIGZAG_M)), np.sqrt(np.prod(ZIGZAG_LENGTH_M))

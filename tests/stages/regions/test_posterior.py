@@ -119,17 +119,58 @@ def test_least_contrast_cuts_the_prior_where_levels_are_alike() -> None:
 
 
 @pytest.mark.slow
-def test_evidence_of_the_particles_is_that_of_the_prior() -> None:
+@pytest.mark.parametrize("regions", [2, 4])
+def test_evidence_of_the_particles_is_that_of_the_prior(regions: int) -> None:
     """Sequential importance sampling with moves, against the plain mean over very many prior maps."""
     seen = halves(0.6)[:5]
     prior = RegionPrior()
     readings = posterior_module._readings(seen, prior)
-    maps = draw(np.random.default_rng(99), 2, GRID.size_m, 20_000)
+    maps = draw(np.random.default_rng(99), regions, GRID.size_m, 20_000)
     plain = posterior_module._log_likelihood(maps.shares(readings.xy_m, prior.blur_m), readings, prior)
     expected = np.log(np.mean(np.exp(plain - plain.max()))) + plain.max()
 
-    found = [posterior(seen, seed=seed, particle_count=600).particles[0].log_evidence for seed in range(2)]
+    found = [posterior(seen, seed=seed, particle_count=600)._followed(regions).log_evidence for seed in range(2)]
     assert np.mean(found) == pytest.approx(expected, abs=0.3)
+
+
+def quadrants() -> list[StiffnessSample]:
+    """Four foams that meet in the middle."""
+    rng = np.random.default_rng(2)
+    places = [(x, y) for x in (0.06, 0.22, 0.38, 0.54) for y in (0.06, 0.15, 0.25, 0.34)]
+    level = [0.7 * (x > 0.3) + 1.4 * (y > 0.2) for x, y in places]
+    values = np.array(level) + 0.03 * rng.standard_normal(len(places))
+    order = rng.permutation(len(places))
+    return [StiffnessSample(np.array(places[i]), float(values[i]), 0.03) for i in order]
+
+
+def test_four_materials_are_four_regions() -> None:
+    found = posterior(quadrants())
+    shown = found.region_map()
+    x, y = GRID.centres_m.T
+    truth = (1 * (x > 0.3) + 2 * (y > 0.2)).reshape(GRID.shape)
+    assert (shown.verdict, shown.region_count, shown.at_least) == ("regions", 4, False)
+    assert np.mean(shown.labels == truth) > 0.85
+    np.testing.assert_allclose(shown.level, [0.0, 0.7, 1.4, 2.1], atol=0.08)
+    assert found.probability["3"] < 0.05
+    # maps of more regions are of the same touches, whenever they were begun
+    later = found._followed(4)
+    assert later.log_evidence == next(one for one in found.particles if one.maps.regions == 4).log_evidence
+
+
+def test_more_regions_than_are_told_apart_are_named() -> None:
+    nothing = RegionPosterior.before_touches(GRID, particle_count=300, most_regions=3)
+    assert list(nothing.probability) == ["1", "2", "3", "gradual"]
+    shown = functools.reduce(RegionPosterior.with_touch, quadrants(), nothing).region_map()
+    assert (shown.region_count, shown.at_least) == (3, True)
+    assert set(shown.probability) == {"1", "2", "3", "gradual"}
+
+
+def test_regions_that_are_not_followed_have_their_share_of_the_most_that_are() -> None:
+    found = posterior(halves(0.9)[:6])
+    assert len(found.particles) == 2
+    prior = found.prior
+    assert found.probability["4"] / found.probability["3"] == pytest.approx(prior.four / prior.three)
+    assert sum(found.probability.values()) == pytest.approx(1.0)
 
 
 def test_two_halves_are_found_with_their_levels_and_order() -> None:
@@ -222,7 +263,8 @@ def test_before_any_touch_every_hypothesis_has_its_prior() -> None:
     prior = RegionPrior()
     reported = RegionPosterior.before_touches(GRID, prior).probability
     assert RegionPosterior.before_touches(GRID, prior, particle_count=300).region_map().region_count == 1
-    assert reported == pytest.approx({"1": prior.one, "2": prior.two, "3": prior.three, "gradual": prior.gradual})
+    regions = {str(number): share for number, share in enumerate(prior.regions, start=1)}
+    assert reported == pytest.approx(regions | {"gradual": prior.gradual})
 
 
 def test_what_makes_no_sense_is_refused() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import pairwise
 from pathlib import Path
 
 import cv2
@@ -12,7 +13,8 @@ import pytest
 import scipy.io
 
 from deformscope.errors import InputError
-from deformscope.stages.see.flow import SMALLEST_PX, dense_flow, flow_both_ways, grey
+from deformscope.stages.see import flow as flows
+from deformscope.stages.see.flow import SMALLEST_PX, FlowMethod, FlowStep, dense_flow, flow_both_ways, flow_onward, grey
 from tests.cases import slow_but
 
 Array = npt.NDArray[np.float64]
@@ -255,3 +257,65 @@ def test_both_ways_at_once_are_bit_equal_to_one_after_the_other(threads: int) ->
         cv2.setNumThreads(usual)
     for one, other in zip(both, apart, strict=True):
         np.testing.assert_array_equal(one.flow_px, other.flow_px)
+
+
+@pytest.fixture
+def whole(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """An entry for each step of a sequence that is worked out as a pair."""
+    calls: list[str] = []
+
+    def counted(before: Array, after: Array, method: FlowMethod = "dis") -> tuple[flows.FlowField, flows.FlowField]:
+        calls.append(method)
+        return flow_both_ways(before, after, method)
+
+    monkeypatch.setattr(flows, "flow_both_ways", counted)
+    return calls
+
+
+def frames_of(motions: list[Motion]) -> tuple[list[npt.NDArray[np.uint8]], list[Array]]:
+    """Images of one texture at rest and after each motion, with new noise in each; the true flow from rest to each."""
+    made = [pair(motion) for motion in motions]
+    rng = np.random.default_rng(11)
+    images = [eight_bit(after + rng.normal(0, 1.0, after.shape)) for _, after, _ in made]
+    return [eight_bit(made[0][0]), *images], [truth for _, _, truth in made]
+
+
+def test_steady_motion_is_refined_alone_and_as_exact_as_of_pairs(whole: list[str]) -> None:
+    steps = [linear(0.01 * n, 0.004 * n, 0, -0.006 * n) for n in range(1, 5)]
+    images, _ = frames_of(steps)
+    last: FlowStep | None = None
+    for n, (before, after) in enumerate(pairwise(images)):
+        last = flow_onward(before, after, "dis", last)
+        # the motion of a step, exactly: rest of the place, then on to the next image
+        y, x = np.mgrid[:SIDE, :SIDE].astype(float)
+        rest = np.stack([x, y]) if n == 0 else np.stack([x, y]) + np.stack(steps[n - 1](x, y))
+        u, v = np.zeros_like(x), np.zeros_like(y)
+        for _ in range(50):
+            back = steps[n](x + u, y + v)
+            u, v = rest[0] - x - back[0], rest[1] - y - back[1]
+        truth = np.stack([u, v], axis=-1)
+        alone = rms(dense_flow(before, after).flow_px, truth)
+        assert alone < 0.04
+        assert rms(last.forward.flow_px, truth) < 1.1 * alone + 0.002
+    assert whole == ["dis"]
+
+
+def test_a_jump_and_a_change_of_light_give_what_a_pair_gives(whole: list[str]) -> None:
+    images, _ = frames_of([shift(0.4, 0.1), shift(0.8, 0.2), shift(14.0, -6.0)])
+    images.append(np.roll(images[-1][::-1], 40, axis=1))  # what was there is gone
+    last: FlowStep | None = None
+    for before, after in pairwise(images):
+        last = flow_onward(before, after, "dis", last)
+    assert len(whole) == 3  # the first, the jump, what is new
+    assert last is not None
+    again = flow_both_ways(images[-2], images[-1])
+    np.testing.assert_array_equal(last.forward.flow_px, again[0].flow_px)
+    np.testing.assert_array_equal(last.backward.flow_px, again[1].flow_px)
+
+
+def test_farneback_takes_every_pair_anew(whole: list[str]) -> None:
+    images, _ = frames_of([shift(0.4, 0.1), shift(0.8, 0.2)])
+    last = flow_onward(images[0], images[1], "farneback")
+    step = flow_onward(images[1], images[2], "farneback", last)
+    np.testing.assert_array_equal(step.forward.flow_px, dense_flow(images[1], images[2], "farneback").flow_px)
+    assert whole == ["farneback"] * 2

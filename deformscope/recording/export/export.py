@@ -1,0 +1,240 @@
+"""Write a recording in a format of others: into a draft beside the folder, which takes its name once it is whole."""
+
+from __future__ import annotations
+
+import dataclasses
+import errno
+import json
+import os
+import re
+import shutil
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from itertools import chain, count
+from pathlib import Path
+from typing import Any, Literal
+
+from deformscope.errors import InputError
+from deformscope.recording.export.images import OURS, ExportedImages, Note, Videos, counted_images, export_images
+from deformscope.recording.export.table_files import IMAGES, TABLE_FILES, TableFile
+from deformscope.recording.provenance import exported
+from deformscope.recording.reader import Replay
+from deformscope.recording.streams import SCHEMA_VERSION, RecordedStream, RecordingTables
+from deformscope.rows import OF_DEVICES
+
+Format = Literal["csv", "parquet", "mcap", "video", "npz", "images"]
+MANIFEST = "export.json"
+_drafts = count()
+
+
+@dataclass(frozen=True, slots=True)
+class ExportedFile:
+    """A file of an export. rows: of a stream, messages of an MCAP, or images"""
+
+    entity: str
+    file: str
+    rows: int
+
+
+@dataclass(frozen=True, slots=True)
+class Exported:
+    """What was written. images: by kind, where the export is of images"""
+
+    folder: Path
+    files: list[ExportedFile]
+    images: list[ExportedImages]
+
+
+@dataclass(frozen=True, slots=True)
+class Credits:
+    """What goes along into every format. license: of the data, as an SPDX identifier; citation: how it is cited"""
+
+    license: str = ""
+    authors: tuple[str, ...] = ()
+    citation: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class ExportRequest:
+    """What of a recording goes where.
+
+    only: entities, what is below them, or devices; () = all; camera: images of this device alone
+    anonymous: without what may name a person, a machine or a path; overwrite: replace an earlier export
+    manifest: write `export.json` beside the files
+    """
+
+    to: Format
+    folder: Path
+    only: Sequence[str] = ()
+    camera: str | None = None
+    anonymous: bool = False
+    credits: Credits = field(default_factory=Credits)
+    overwrite: bool = False
+    manifest: bool = True
+
+
+def export(replay: Replay, asked: ExportRequest, note: Note) -> Exported:
+    """Write it. Raises InputError for what cannot be read or written; then the folder is as it was."""
+    tables = RecordingTables(replay, anonymous=asked.anonymous)
+    chosen = tables.select(asked.only)
+    devices = {stream.device for stream in chosen.values()} if asked.only else None
+    devices = {asked.camera} if asked.camera is not None else devices
+    counts = counted_images(replay, devices) if asked.to in ("images", "video") else {}
+    about = _about(replay, asked, tables)
+    with _draft(asked.folder, overwrite=asked.overwrite) as draft:
+        images: list[ExportedImages] = []
+        match asked.to:
+            case "images":
+                images = export_images(tables, counts, draft, note)
+                files = [ExportedFile(one.device, _inside(one.folder, draft), one.count) for one in images]
+            case "video":
+                cameras = {device for device, _ in counts}
+                chosen = {entity: one for entity, one in chosen.items() if one.device in cameras}
+                chosen = {entity: one for entity, one in chosen.items() if set(one.schema.names) & set(IMAGES)}
+                videos = Videos(draft, {one.device: one.rate_hz for one in chosen.values()})
+                files = _write_tables(tables, chosen, draft, "csv", about, note, videos)
+                files += [ExportedFile(path.stem, path.name, number) for path, number in videos.counts.items()]
+            case "mcap":
+                from deformscope.recording.export.mcap import write_mcap
+
+                path = draft / f"{replay.path.stem if not asked.anonymous else 'recording'}.mcap"
+                files = [ExportedFile(*one) for one in write_mcap(tables, chosen, path, about, note)]
+            case _:
+                files = _write_tables(tables, chosen, draft, asked.to, about, note)
+        if asked.manifest:
+            about |= {"streams": [_described(one, files) for one in chosen.values()], "files": files}
+            text = json.dumps(about, indent=2, default=dataclasses.asdict)
+            (draft / MANIFEST).write_text(f"{text}\n", encoding="utf-8")
+    images = [
+        ExportedImages(one.device, one.what, asked.folder / _inside(one.folder, draft), one.count) for one in images
+    ]
+    return Exported(asked.folder, files, images)
+
+
+def _write_tables(
+    tables: RecordingTables,
+    chosen: Mapping[str, RecordedStream],
+    draft: Path,
+    kind: str,
+    about: Mapping[str, Any],
+    note: Note,
+    videos: Videos | None = None,
+) -> list[ExportedFile]:
+    """One file a stream; with videos, the images of each batch go there too."""
+    make: Callable[[Path, Any], TableFile] = TABLE_FILES[kind]
+    made: dict[str, tuple[Path, TableFile]] = {}
+    credited = {f"deformscope.{name}": as_text(about[name]) for name in ("license", "authors", "citation")}
+    rows, names = dict.fromkeys(chosen, 0), dict[str, str]()
+    total, done = sum(stream.rows for stream in chosen.values()), 0
+    try:
+        for entity, stream in chosen.items():
+            names[entity] = file_name(entity, names.values())
+            path = draft / f"{names[entity]}.{kind}"
+            path.parent.mkdir(parents=True, exist_ok=True)
+            made[entity] = path, make(path, stream.schema.with_metadata((stream.schema.metadata or {}) | credited))
+        for stream, batch in tables.batches(chosen):
+            made[stream.entity][1].write(batch.replace_schema_metadata(None))
+            for what in IMAGES if videos is not None else ():
+                for encoded in batch.column(what).to_pylist() if what in batch.schema.names else ():
+                    if videos is not None and encoded:
+                        videos.write(stream.device, what, encoded)
+            rows[stream.entity] += batch.num_rows
+            done += batch.num_rows
+            note("rows", done, total)
+    finally:
+        for _, file in made.values():
+            file.close()
+        if videos is not None:
+            videos.close()
+    return [ExportedFile(entity, _inside(made[entity][0], draft), written) for entity, written in rows.items()]
+
+
+def file_name(entity: str, used: Collection[str] = ()) -> str:
+    """An entity as a path of its own, below folders: devices may have any name. used: paths that others have"""
+    first, _, rest = entity.partition("/")
+    parts = [first, *([rest] if first in OF_DEVICES.values() else rest.split("/") if rest else ())]
+    path = "/".join(re.sub(r"[^\w.-]", "_", part).lstrip(".") or "_" for part in parts)
+    others = (f"{path}-{number}" for number in count(2))
+    return next(name for name in chain([path], others) if name not in used)
+
+
+def _about(replay: Replay, asked: ExportRequest, tables: RecordingTables) -> dict[str, Any]:
+    """What the manifest, and the metadata of an MCAP, say of the export."""
+    application, recording = replay.identity
+    found: dict[str, Any] = {"schema_version": SCHEMA_VERSION, "format": asked.to, "recording": recording}
+    found |= {"application": application, "source": None if asked.anonymous else replay.path.name}
+    found |= {"license": asked.credits.license, "authors": list(asked.credits.authors)}
+    found |= {"citation": asked.credits.citation, "anonymous": asked.anonymous}
+    found |= {"clock": "host_ns: the host's monotonic clock", "session_starts_ns": tables.start_ns}
+    return found | {"provenance": exported(replay.properties, anonymous=asked.anonymous)}
+
+
+def _described(stream: RecordedStream, files: Sequence[ExportedFile]) -> dict[str, Any]:
+    columns = [
+        {"name": one.name, "type": str(one.type), "unit": (one.metadata or {}).get(b"unit", b"").decode()}
+        for one in stream.schema
+    ]
+    known = stream.about
+    said = {} if known is None else {"kind": known.kind, "driver": known.driver, "simulated": known.simulated}
+    device = None if known is None else {"name": stream.device, **said}
+    own = [one.file for one in files if one.entity == stream.entity]
+    return {"entity": stream.entity, "files": own, "device": device, "columns": columns}
+
+
+@contextmanager
+def _draft(folder: Path, *, overwrite: bool) -> Iterator[Path]:
+    """A folder that takes the place of FOLDER when all is written, and is gone on an error.
+
+    overwrite: what an earlier export wrote there is replaced; other files there stay
+    """
+    folder = folder.expanduser()
+    draft = folder.with_name(f".{folder.name}.{os.getpid()}-{next(_drafts)}.part")
+    try:
+        held = list(folder.iterdir()) if folder.exists() else []
+        if held and not overwrite:
+            came, hint = "one that holds files", "another one, or --overwrite"
+            raise InputError("an empty folder, or a new one", came, hint, folder)
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        draft.mkdir()
+        yield draft
+        if held:
+            _replace(folder, draft)
+        else:
+            draft.rename(folder)  # fails where another export has put its files there meanwhile
+    except OSError as error:
+        came = "one that something has just been put into" if error.errno == errno.ENOTEMPTY else _reason(error)
+        raise InputError("a folder that can be written to", came, "another one", folder) from error
+    finally:
+        shutil.rmtree(draft, ignore_errors=True)
+
+
+def _replace(folder: Path, draft: Path) -> None:
+    """Take away what an earlier export wrote, and move the draft's files there."""
+    new = [path.relative_to(draft) for path in draft.rglob("*") if path.is_file()]
+    try:
+        ours = [folder / one["file"] for one in json.loads((folder / MANIFEST).read_bytes())["files"]]
+    except (OSError, ValueError, TypeError, KeyError):
+        ours = []
+    folders = {folder, *(path for path in ours if path.is_dir()), *((folder / name).parent for name in new)}
+    images = [path for one in folders if one.is_dir() for path in one.iterdir() if OURS.fullmatch(path.name)]
+    for path in (*ours, *images):
+        if path.is_file() and path.resolve().is_relative_to(folder.resolve()):
+            path.unlink()
+    for name in new:
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (draft / name).replace(folder / name)
+
+
+def as_text(value: Any) -> str:
+    """A value as metadata of a file: words as they are, all else as JSON."""
+    return value if isinstance(value, str) else json.dumps(value)
+
+
+def _inside(path: Path, draft: Path) -> str:
+    return path.relative_to(draft).as_posix()
+
+
+def _reason(error: OSError) -> str:
+    number = re.search(r"errno (\d+)\]", str(error))  # Arrow's errors have it in words alone
+    return (os.strerror(int(number[1])) if number else error.strerror or str(error)).lower()

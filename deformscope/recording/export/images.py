@@ -1,0 +1,120 @@
+"""The images of a recording as files, byte for byte as they were recorded, and as videos."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Callable, Collection
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from deformscope.errors import InputError
+from deformscope.images import PNG_SIGNATURE, decode_image
+from deformscope.recording.export.table_files import IMAGES
+from deformscope.recording.reader import Replay
+from deformscope.recording.streams import RecordingTables
+
+OURS = re.compile(r"\d{6,}\.(png|jpg)")
+VIDEO_CODEC, VIDEO_SUFFIX = "vp09", ".mp4"
+"""Free of patents, in OpenCV's own wheel, and shown by browsers."""
+Note = Callable[[str, int, int], None]
+
+
+@dataclass(frozen=True, slots=True)
+class ExportedImages:
+    """Files of one kind. device: that took them; what: image, depth, or color (of a depth camera)"""
+
+    device: str
+    what: str
+    folder: Path
+    count: int
+
+
+def counted_images(replay: Replay, devices: Collection[str] | None) -> dict[tuple[str, str], int]:
+    """How many images there are, by device and what they are. devices: of these alone; None = of all
+
+    Raises InputError where there is none.
+    """
+    counts = {one: count for one, count in replay.image_counts.items() if devices is None or one[0] in devices}
+    if not counts:
+        known = sorted({device for device, _ in replay.image_counts})
+        came = "none" if devices is None else f"none of {', '.join(map(repr, devices))}"
+        hint = f"--camera {' or '.join(known)}" if known else ""
+        raise InputError("images in the recording", came, hint, replay.path)
+    return counts
+
+
+def export_images(
+    tables: RecordingTables, counts: dict[tuple[str, str], int], folder: Path, note: Note
+) -> list[ExportedImages]:
+    """Write them as `INDEX.jpg` and `INDEX.png`. folder: for those of one kind; several kinds get folders in it: DEVICE
+    and, for the colour images of a depth camera, DEVICE-color; note: called with what is done, and of how much."""
+    folders = {one: folder if len(counts) == 1 else folder / image_name(*one) for one in counts}
+    for path in folders.values():
+        path.mkdir(parents=True, exist_ok=True)
+    total, done = sum(count for (_, what), count in counts.items() if what != "color"), 0
+    cameras = [entity for entity, stream in tables.streams.items() if stream.device in {device for device, _ in counts}]
+    cameras = [entity for entity in cameras if set(tables.streams[entity].schema.names) & set(IMAGES)]
+    for stream, batch in tables.batches(cameras):
+        for row in batch.select([n for n in batch.schema.names if n in ("index", *IMAGES)]).to_pylist():
+            for what in IMAGES:
+                if encoded := row.get(what):
+                    suffix = "png" if encoded.startswith(PNG_SIGNATURE) else "jpg"
+                    (folders[stream.device, what] / f"{row['index']:06d}.{suffix}").write_bytes(encoded)
+            done += 1
+            note("images", done, total)
+    return [ExportedImages(*one, folders[one], count) for one, count in counts.items()]
+
+
+def image_name(device: str, what: str) -> str:
+    """Of a folder or file for images of a kind."""
+    return re.sub(r"[^\w.-]", "_", f"{device}-{what}" if what == "color" else device)
+
+
+class Videos:
+    """A video of each kind of images at their mean rate. Distances are colours from 0, violet, to the largest of the
+    first image; the recorded times of the images are in the table beside it."""
+
+    def __init__(self, folder: Path, rates_hz: dict[str, float]) -> None:
+        self._folder, self._rates_hz = folder, rates_hz
+        self._open: dict[Path, tuple[cv2.VideoWriter, tuple[int, ...], float]] = {}
+        self.counts: Counter[Path] = Counter()
+
+    def write(self, device: str, what: str, encoded: bytes) -> None:
+        """Add an image."""
+        path = self._folder / (image_name(device, what) + VIDEO_SUFFIX)
+        image: Any = decode_image(encoded, path)
+        if path not in self._open:
+            self._open[path] = (self._begin(path, device, image), image.shape[:2], float(image.max()) or 1.0)
+        writer, size, most = self._open[path]
+        if image.shape[:2] != size:
+            raise InputError(f"images of {device} of one size", f"{size} and {image.shape[:2]}", "--to images")
+        if what == "depth":
+            image = cv2.applyColorMap((255.0 * np.minimum(image / most, 1.0)).astype(np.uint8), cv2.COLORMAP_TURBO)
+        elif image.ndim == 2:
+            image = np.repeat(
+                (image >> 8 if image.dtype == np.uint16 else image).astype(np.uint8)[..., None], 3, axis=2
+            )
+        else:
+            image = image[..., ::-1]
+        writer.write(np.ascontiguousarray(image))
+        self.counts[path] += 1
+
+    def close(self) -> None:
+        """Raises InputError where a video is not whole: OpenCV does not say when a disk is full."""
+        for path, (writer, _, _) in self._open.items():
+            writer.release()
+            if cv2.VideoCapture(str(path)).get(cv2.CAP_PROP_FRAME_COUNT) < self.counts[path] - 1:
+                raise InputError("a video of all images", "one that is cut off: is the disk full?", where=path.name)
+
+    def _begin(self, path: Path, device: str, image: Any) -> cv2.VideoWriter:
+        height, width = image.shape[:2]
+        codec, rate = cv2.VideoWriter.fourcc(*VIDEO_CODEC), self._rates_hz[device] or 1.0
+        writer = cv2.VideoWriter(str(path), cv2.CAP_FFMPEG, codec, rate, (width, height))
+        if not writer.isOpened():
+            raise InputError(f"OpenCV with {VIDEO_CODEC}", "one without", "--to images", path.name)
+        return writer

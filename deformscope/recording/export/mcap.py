@@ -1,0 +1,275 @@
+"""A recording as MCAP with ROS 2 messages; nothing of ROS needs to be there.
+
+Each stream is a topic of its entity's name, whose message has every column. Beside these, what ROS tools know by
+themselves: wrenches, joint states, images, camera calibrations, points, transforms and robot descriptions, in metres,
+radians and the frames of REP 103 and 105 (`world`; cameras as `DEVICE_optical_frame`: z forward, x right, y down).
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import tomllib
+from collections import Counter
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+
+from deformscope.errors import InputError
+from deformscope.frames import ArmFrame, ColorFrame, DepthFrame, HandFrame, WrenchFrame
+from deformscope.images import PNG_SIGNATURE, decode_image
+from deformscope.recording.export.images import Note
+from deformscope.recording.export.ros_messages import PACKAGE, definition, stream_definition
+from deformscope.recording.streams import TRANSFORMS, RecordedStream, RecordingTables
+from deformscope.stages.map.exploration import SurfaceEstimate
+from deformscope.stages.map.measured import LookFrames
+
+LATCHED = (
+    "- history: 3\n  depth: 0\n  reliability: 1\n  durability: 1\n  deadline: {sec: 9223372036, nsec: 854775807}\n"
+    "  lifespan: {sec: 9223372036, nsec: 854775807}\n  liveliness: 1\n"
+    "  liveliness_lease_duration: {sec: 9223372036, nsec: 854775807}\n  avoid_ros_namespace_conventions: false\n"
+)
+"""What rosbag2 offers of a topic whose last message also those get who come late."""
+MOVABLE = ("revolute", "continuous", "prismatic")
+"""Joints of a URDF that an arm's angles turn; those of fingers follow."""
+Row = dict[str, Any]
+
+
+def write_mcap(
+    tables: RecordingTables, chosen: Mapping[str, RecordedStream], path: Path, about: Mapping[str, Any], note: Note
+) -> list[tuple[str, str, int]]:
+    """Write it; (topic, file, messages) of each topic. Raises InputError where the package is not installed."""
+    try:
+        from mcap.writer import CompressionType, Writer
+        from mcap_ros2._dynamic import serialize_dynamic
+    except ImportError:
+        missing = "pip install 'deformscope[mcap]'"
+        raise InputError("the packages mcap and mcap-ros2-support", "none", missing) from None
+    with path.open("wb") as file:
+        writer: Any = Writer(file, chunk_size=1 << 20, compression=CompressionType.ZSTD)
+        writer.start(profile="ros2", library="deformscope")
+        bag = _Bag(writer, serialize_dynamic)
+        topics = _Topics(bag, tables, chosen)
+        total, done = sum(stream.rows for stream in chosen.values()), 0
+        for stream, batch in tables.batches(chosen, gather=False):
+            for row in batch.to_pylist():
+                topics.write(stream, row)
+            done += batch.num_rows
+            note("rows", done, total)
+        topics.close()
+        writer.add_metadata("deformscope", {name: json.dumps(value) for name, value in about.items()})
+        writer.finish()
+    return [(topic, path.name, count) for topic, count in sorted(bag.counts.items())]
+
+
+class _Bag:
+    """Topics of an MCAP as they are written to. counts: messages by topic"""
+
+    def __init__(self, writer: Any, encoders: Callable[[str, str], dict[str, Callable[[Any], bytes]]]) -> None:
+        self._writer, self._encoders = writer, encoders
+        self._schemas: dict[str, tuple[int, Callable[[Any], bytes]]] = {}
+        self._channels: dict[str, tuple[int, Callable[[Any], bytes]]] = {}
+        self.counts: Counter[str] = Counter()
+
+    def add(self, topic: str, kind: str, text: str | None, message: Row, ns: int, *, latched: bool = False) -> None:
+        """Write a message. kind: PACKAGE/NAME; text: its definition, None = standard; ns: its time [ns]"""
+        if topic not in self._channels:
+            if kind not in self._schemas:
+                name, text = kind.replace("/", "/msg/"), definition(kind) if text is None else text
+                encode = self._encoders(name, text)[name]
+                self._schemas[kind] = self._writer.register_schema(name, "ros2msg", text.encode()), encode
+            schema, encode = self._schemas[kind]
+            offered = {"offered_qos_profiles": LATCHED if latched else ""}
+            self._channels[topic] = self._writer.register_channel(topic, "cdr", schema, offered), encode
+        channel, encode = self._channels[topic]
+        self._writer.add_message(channel, ns, encode(message), ns, self.counts[topic])
+        self.counts[topic] += 1
+
+
+class _Topics:
+    """What of each stream becomes which messages."""
+
+    def __init__(self, bag: _Bag, tables: RecordingTables, chosen: Mapping[str, RecordedStream]) -> None:
+        self._bag, self._start_ns = bag, tables.start_ns or 0
+        self._own: dict[str, tuple[str, str, dict[str, tuple[str, bool]]]] = {}
+        names: dict[str, str] = {}
+        for entity, stream in chosen.items():
+            text, fields = stream_definition(stream)
+            kind = stream.kinds[-1].__name__ if stream.kinds else "Transforms"
+            known = sum(name.rstrip("0123456789") == kind for name in names.values())
+            names.setdefault(text, f"{kind}{known + 1}" if known else kind)
+            self._own[entity] = f"{PACKAGE}/{names[text]}", text, fields
+        depth = [stream.device for stream in tables.streams.values() if DepthFrame in stream.kinds]
+        self._camera = depth[0] if depth else "camera"
+        self._lens = _lens(tables, self._camera)
+        self._unposted: list[tuple[int, Row]] = []
+        self._still: list[Row] = []
+        self._moving: set[str] = set()
+        self._joints: dict[str, list[str]] = {}
+        for stream in chosen.values():
+            if stream.about is not None and stream.about.urdf is not None and stream.about.urdf.is_file():
+                text = stream.about.urdf.read_text(encoding="utf-8")
+                joints = [one for one in ElementTree.fromstring(text).iter("joint") if one.get("type") in MOVABLE]
+                self._joints[stream.device] = [one.get("name", "") for one in joints]
+                if tables.anonymous:
+                    text = re.sub(r'filename="[^"]*/', 'filename="', text)
+                topic = f"{_topic(stream.device)}/robot_description"
+                self._bag.add(topic, "std_msgs/String", None, {"data": text}, self._start_ns, latched=True)
+
+    def write(self, stream: RecordedStream, row: Row) -> None:
+        """One row."""
+        ns = row.get("host_ns")
+        ns = (self._start_ns + (row["session_ns"] or 0)) if ns is None else ns
+        header = _header(ns, stream.device)
+        kind, text, fields = self._own[stream.entity]
+        message: Row = {"header": header}
+        for column, (name, optional) in fields.items():
+            value = row[column]
+            message[name] = ([] if value is None else [value]) if optional else value
+            if value is None and not optional:
+                message[name] = _NOTHING.get(str(stream.schema.field(column).type), [])
+        self._bag.add(_topic(stream.entity), kind, text, message, ns)
+        self._write_standard(stream, row, header, ns)
+
+    def close(self) -> None:
+        """Write what is left: the last transforms, and in one message those that stand still."""
+        self._post()
+        # A joint's rest pose stands still in the recording too; for ROS a frame either moves or does not.
+        if own := [one for one in self._still if one["child_frame_id"] not in self._moving]:
+            still = {"transforms": own}
+            self._bag.add("/tf_static", "tf2_msgs/TFMessage", None, still, self._start_ns, latched=True)
+
+    def _write_standard(self, stream: RecordedStream, row: Row, header: Row, ns: int) -> None:
+        topic = _topic(stream.device)
+        if stream.entity == TRANSFORMS:
+            self._add_transform(row, ns)
+        for kind in stream.kinds:
+            if kind is WrenchFrame:
+                self._write_wrenches(topic, row, header, ns)
+            elif kind is ArmFrame:
+                state = _joints(row, header, "joint", "joint_velocity", "joint_torque")
+                if len(own := self._joints.get(stream.device, [])) >= len(state["name"]):
+                    state["name"] = own[: len(state["name"])]
+                self._bag.add(f"{topic}/joint_states", "sensor_msgs/JointState", None, state, ns)
+                self._write_wrenches(topic, row, header, ns)
+            elif kind is HandFrame:
+                state = _joints(row, header, "position", "velocity", "torque")
+                self._bag.add(f"{topic}/joint_states", "sensor_msgs/JointState", None, state, ns)
+            elif kind in (ColorFrame, DepthFrame):
+                self._write_images(topic, row, _header(ns, f"{_frame(stream.device)}_optical_frame"), ns)
+            elif kind is SurfaceEstimate:
+                cloud = _cloud(row["points_m"], _header(ns, "surface"))
+                self._bag.add(f"{_topic(stream.entity)}/points", "sensor_msgs/PointCloud2", None, cloud, ns)
+
+    def _write_wrenches(self, topic: str, row: Row, header: Row, ns: int) -> None:
+        for channel in ("", *(f"{number}_" for number in range(8))):
+            if f"force_{channel}x_n" in row:
+                force = {axis: row[f"force_{channel}{axis}_n"] for axis in "xyz"}
+                torque = {axis: row.get(f"torque_{channel}{axis}_nm") for axis in "xyz"}
+                torque = {axis: math.nan if value is None else value for axis, value in torque.items()}
+                message = {"header": header, "wrench": {"force": force, "torque": torque}}
+                name = f"{topic}/wrench{channel and f'_{channel[:-1]}'}"
+                self._bag.add(name, "geometry_msgs/WrenchStamped", None, message, ns)
+
+    def _write_images(self, topic: str, row: Row, header: Row, ns: int) -> None:
+        for what in ("image", "color"):
+            if encoded := row.get(what):
+                kind = "png" if encoded.startswith(PNG_SIGNATURE) else "jpeg"
+                image = {"header": header, "format": kind, "data": encoded}
+                self._bag.add(f"{topic}/color/compressed", "sensor_msgs/CompressedImage", None, image, ns)
+        if encoded := row.get("depth"):
+            depth: Any = decode_image(encoded, topic)
+            millimetres = math.isclose(row["unit_m"], 1e-3)
+            data = depth.astype("<u2") if millimetres else (depth * row["unit_m"]).astype("<f4")
+            height, width = depth.shape
+            about = {"header": header, "height": height, "width": width}
+            shown = {"encoding": "16UC1" if millimetres else "32FC1", "is_bigendian": 0, "step": data.strides[0]}
+            image = about | shown | {"data": data.tobytes()}
+            self._bag.add(f"{topic}/depth/image", "sensor_msgs/Image", None, image, ns)
+            if self._lens is not None and topic == _topic(self._camera):
+                self._bag.add(f"{topic}/depth/camera_info", "sensor_msgs/CameraInfo", None, about | self._lens, ns)
+
+    def _add_transform(self, row: Row, ns: int) -> None:
+        parent, child = (self._frame_name(row[name]) for name in ("parent_frame", "child_frame"))
+        if parent == child:
+            return
+        place = {axis: row[f"{axis}_m"] or 0.0 for axis in "xyz"}
+        turn = {axis: row.get(f"q{axis}") or 0.0 for axis in "xyz"}
+        scalar = row.get("qw")
+        turn |= {"w": 1.0 if scalar is None else scalar}
+        transform = {"header": _header(ns, parent), "child_frame_id": child}
+        transform |= {"transform": {"translation": place, "rotation": turn}}
+        if row["session_ns"] is None:
+            self._still.append(transform)
+            return
+        if self._unposted and self._unposted[0][0] != ns:
+            self._post()
+        self._unposted.append((ns, transform))
+        self._moving.add(child)
+
+    def _post(self) -> None:
+        """Transforms of one moment are one message."""
+        if self._unposted:
+            message = {"transforms": [transform for _, transform in self._unposted]}
+            self._bag.add("/tf", "tf2_msgs/TFMessage", None, message, self._unposted[0][0])
+        self._unposted = []
+
+    def _frame_name(self, name: str) -> str:
+        if name.startswith("tf#"):
+            return "world"
+        return f"{_frame(self._camera)}_optical_frame" if name == "camera" else name
+
+
+_NOTHING: dict[str, Any] = {"double": math.nan, "float": math.nan, "string": "", "int64": 0, "bool": False}
+
+
+def _lens(tables: RecordingTables, camera: str) -> Row | None:
+    """The calibration of the depth camera; None where the recording does not say it."""
+    looks = [entity for entity, stream in tables.streams.items() if LookFrames in stream.kinds]
+    found: Row = next((batch.to_pylist()[0] for _, batch in tables.batches(looks)), {}) if looks else {}
+    if not found:
+        try:
+            found = tomllib.loads(tables.settings.get("rig", "")).get("camera", {})
+        except (tomllib.TOMLDecodeError, TypeError, AttributeError):
+            return None
+    if not found.get("focal_px") or found.get("device") not in (None, camera):
+        return None
+    (fx, fy), (cx, cy) = found["focal_px"], found["center_px"]
+    lens: Row = {"distortion_model": "plumb_bob", "d": [*map(float, found.get("distortion") or (0.0,) * 5)]}
+    lens |= {"k": [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0], "r": [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]}
+    lens |= {"p": [fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0], "binning_x": 0, "binning_y": 0}
+    return lens | {"roi": {"x_offset": 0, "y_offset": 0, "height": 0, "width": 0, "do_rectify": False}}
+
+
+def _joints(row: Row, header: Row, position: str, velocity: str, effort: str) -> Row:
+    """Angles [rad], speeds [rad/s] and torques [N m] of all joints."""
+    count = sum(re.fullmatch(rf"{position}_\d+_deg", name) is not None for name in row)
+    turned = {"position": f"{position}_{{}}_deg", "velocity": f"{velocity}_{{}}_deg_s"}
+    state = {name: [math.radians(row[of.format(at)]) for at in range(count)] for name, of in turned.items()}
+    torques = [row.get(f"{effort}_{at}_nm") for at in range(count)]
+    names = [f"{header['frame_id']}_joint_{at}" for at in range(count)]
+    return {"header": header, "name": names, "effort": [] if None in torques else torques, **state}
+
+
+def _cloud(points_m: list[float], header: Row) -> Row:
+    """(n, 3) points, one after the other, as float32."""
+    data = np.asarray(points_m, "<f4")
+    fields = [{"name": axis, "offset": 4 * at, "datatype": 7, "count": 1} for at, axis in enumerate("xyz")]
+    about = {"header": header, "height": 1, "width": len(data) // 3, "fields": fields, "is_bigendian": False}
+    return about | {"point_step": 12, "row_step": 4 * len(data), "data": data.tobytes(), "is_dense": True}
+
+
+def _header(ns: int, frame: str) -> Row:
+    return {"stamp": {"sec": ns // 10**9, "nanosec": ns % 10**9}, "frame_id": frame}
+
+
+def _topic(entity: str) -> str:
+    return "/" + re.sub(r"[^A-Za-z0-9_/]", "_", entity)
+
+
+def _frame(device: str) -> str:
+    return re.sub(r"[^A-Za-z0-9_]", "_", device)
