@@ -85,10 +85,12 @@ def fit_progress() -> Iterator[Progress]:
     """A bar on stderr that names what the work is at; where stderr is no terminal, a line now and then."""
     from rich.console import Console
     from rich.progress import Progress as Bars
+    from rich.progress import TimeElapsedColumn
 
     where = Console(stderr=True, highlight=False)
     said = time.monotonic()
-    with Bars(console=where, transient=True, disable=not where.is_terminal) as bars:
+    columns = (*Bars.get_default_columns(), TimeElapsedColumn())
+    with Bars(*columns, console=where, transient=True, disable=not where.is_terminal) as bars:
         began: dict[str, tuple[float, int]] = {}
         tasks: dict[str, TaskID] = {}
 
@@ -104,9 +106,10 @@ def fit_progress() -> Iterator[Progress]:
             bars.update(tasks[what], completed=done, total=total)
             if not where.is_terminal and time.monotonic() - said > SAY_EVERY_S:
                 said = time.monotonic()
-                (since, first), left = began[what], ""
+                since, first = began[what]
+                left = f" after {said - since:.0f} s"
                 if total and done > first:
-                    left = f", some {(said - since) / (done - first) * (total - done):.0f} s left"
+                    left += f", some {(said - since) / (done - first) * (total - done):.0f} s left"
                 where.print(f"{what}: {done} of {total or 'an unknown number'}{left}", markup=False)
 
         yield note

@@ -65,6 +65,8 @@ LAYERS: dict[str, tuple[str, ...]] = {
         *("arrays", "errors", "frames", "images", "log", "page.server", "results", "rows", "session", *STAGES),
     ),
     "files": ("arrays", "errors", "file_io", "frames", "images", "recording", *STAGES),
+    # What others recorded, as frames.
+    "imports": ("arrays", "errors", "file_io", "files", "frames", "images", "recording", "rig", "rows"),
     "experiments": (
         *("arrays", "capsule", "config", "errors", "file_io", "files", "frames", "images", "processes", "recording"),
         *("results", "rig", "robot", "rows", "session", "version", *STAGES),
@@ -100,8 +102,8 @@ LAYERS: dict[str, tuple[str, ...]] = {
     # From options to results, with devices, files or a recording, and doubles where they are asked for.
     "runs": (
         *("arrays", "config", "errors", "experiments", "file_io", "files", "frames", "images", "interruption", "lab"),
-        *("log", "page", "page.server", "pictures", "plain", "recording", "results", "rig", "robot", "rows"),
-        *("session", "terminal", "version", *STAGES),
+        *("imports", "log", "page", "page.server", "pictures", "plain", "recording", "results", "rig", "robot"),
+        *("rows", "session", "terminal", "version", *STAGES),
     ),
     # The functions behind `import deformscope`.
     "library": ("arrays", "config", "errors", "file_io", "files", "runs", "terminal", *STAGES),

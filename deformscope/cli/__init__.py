@@ -123,6 +123,7 @@ COMMANDS: dict[str, Command] = {
         "mark a recording, or an episode of it, as not to be used", "DiscardRecordingConfig", "discard"
     ),
     "export": _command("a recording in formats of others", "ExportConfig", "export"),
+    "import": _command("data of others as a recording", "ImportConfig", "import_data"),
     "double": _command("run simulated devices on real transports", "DoubleConfig", "double"),
     "bench": _command("what MSM costs on this machine", "BenchConfig", "bench"),
 }

@@ -15,7 +15,7 @@ from deformscope.errors import InputError
 from deformscope.pictures.findings import table_text
 from deformscope.recording.discards import Discard
 from deformscope.recording.facts import Facts, read_facts, run_rrd
-from deformscope.recording.ledger import check_ledger, read_counts
+from deformscope.recording.ledger import LedgerCheck, check_recording, read_counts
 from deformscope.recording.lock import is_being_written
 from deformscope.recording.losses import named, to_text
 from deformscope.recording.reader import check_magic
@@ -40,11 +40,14 @@ def run(config: VerifyConfig) -> int:
         raise InputError("a recording (.rrd)", "a folder" if path.is_dir() else "nothing there", hint, path)
     if is_being_written(path):
         raise InputError("a recording that has ended", "one that a run is writing", "again when it has ended", path)
-    differs = _differs(path)
-    if differs is None:
+    check = _check(path)
+    if check is None:
         check_magic(path)
+    differs = None if check is None else check.problems
     structure = run_rrd("verify", path)
-    if differs == [] and "footer" in structure:  # finished without one, as where the disk was short
+    if (
+        check is not None and check.ended and not differs and "footer" in structure
+    ):  # finished without one, as where the disk was short
         structure = run_rrd("verify", "--check-footers=false", path)
     facts = read_facts(path)
     outcome, recovered = facts.outcome, "recovered" in facts.outcome
@@ -56,9 +59,9 @@ def run(config: VerifyConfig) -> int:
     if facts.damage and "footer" not in structure:
         problems.append(facts.damage)
     unfinished = unfinished and not problems
-    counts = read_counts(path) if differs == [] else facts.counts  # a damaged ledger says nothing
+    counts = (read_counts(path) if differs == [] else {}) or facts.counts  # a damaged ledger says nothing
     reached = "" if facts.until_s is None else f" until {facts.until_s:.1f} s"
-    show_table(str(path), _rows(facts, differs, structure, reached, counts, unfinished=unfinished))
+    show_table(str(path), _rows(facts, check, structure, reached, counts, unfinished=unfinished))
     found: dict[str, Any] = {
         "recording": path,
         "ok": False if problems or unfinished else None if differs is None else True,
@@ -66,6 +69,9 @@ def run(config: VerifyConfig) -> int:
         "finished": not unfinished,
         "until_s": facts.until_s,
         "problems": problems,
+        "truncated": check is not None and check.truncated,
+        "committed_bytes": None if check is None else check.committed,
+        "damaged": [] if check is None else check.damaged,
         "counts": counts,
         "outcome": outcome,
         "losses": facts.losses,
@@ -98,17 +104,25 @@ def _list_stages(path: Path) -> list[RecordedStage]:
     return stages
 
 
-def _differs(path: Path) -> list[str] | None:
-    """What differs from the ledger; None = there is no ledger."""
+def _check(path: Path) -> LedgerCheck | None:
+    """The recording beside its ledger; None = there is no ledger."""
     try:
-        return check_ledger(path)
+        return check_recording(path)
     except FileNotFoundError:
         return None
 
 
+def _bytes(check: LedgerCheck) -> str:
+    if check.truncated:
+        return "TRUNCATED" + (" and DIFFERS" if check.damaged else "")
+    if check.problems:
+        return "DIFFERS"
+    return WHOLE if check.ended else f"as they were recorded up to the last commit (byte {check.committed})"
+
+
 def _rows(
     facts: Facts,
-    differs: list[str] | None,
+    check: LedgerCheck | None,
     structure: str,
     reached: str,
     counts: dict[str, int],
@@ -121,7 +135,7 @@ def _rows(
     stopped = facts.outcome.get("stopped")
     devices = {name.rsplit("/", 1)[0] for name in counts if name.endswith("/frames")} | set(facts.losses)
     return [
-        ("bytes", UNCHECKED if differs is None else "DIFFERS" if differs else WHOLE),
+        ("bytes", UNCHECKED if check is None else _bytes(check)),
         ("structure", structure or "readable to the end"),
         ("run", f"{ended}{reached}" + (f"; ended {stopped}" if stopped else "")),
         *(("discarded", str(Discard(**one))) for one in facts.discarded),

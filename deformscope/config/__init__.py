@@ -45,6 +45,7 @@ from deformscope.config.rigs import (
     DoctorConfig,
     DoubleConfig,
     ExportConfig,
+    ImportConfig,
     LiveConfig,
     RecordConfig,
     RecoverConfig,

@@ -11,7 +11,7 @@ from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
 from deformscope.config import flags
 from deformscope.config.explore import Detail
 from deformscope.config.images import ParticleFlags
-from deformscope.config.options import CommandOptions, OutputOptions, RecordedOptions
+from deformscope.config.options import CommandOptions, OutputOptions, RecordedOptions, ViewOptions
 from deformscope.errors import InputError
 
 WatchedStage = Literal["flow", "particles", "beta", "theta", "field", "surface", "tactile", "contact"]
@@ -230,6 +230,26 @@ class ExportConfig(CommandOptions):
     def folder(self) -> Path:
         """Where it goes."""
         return self.out or self.images or Path()
+
+
+@dataclass(frozen=True, slots=True)
+class ImportConfig(RecordedOptions):
+    """Make a recording of data of others: bags of ROS 1 and 2, MCAP, CSV and Parquet tables, folders of them, our own
+    exports among these. A map says what becomes of what: --inspect proposes one, in which `"?"` stands for what
+    the source does not say. Bags need `pip install 'deformscope[import]'`."""
+
+    source: Annotated[Path, Positional, arg(metavar="SOURCE"), flags.Reads()]
+    """A bag, a table, or a folder."""
+    map: Annotated[Path | None, flags.one_word("FILE.toml", Path), flags.unset, flags.Reads()] = None
+    """The map."""
+    inspect: bool = False
+    """List topics with types, rates, gaps and clocks, and a map, all of which is TOML; import nothing."""
+    output: OmitArgPrefixes[ViewOptions] = field(default_factory=ViewOptions)
+
+    def check(self) -> None:
+        if self.inspect == (self.output.record is not None):
+            came = "both" if self.inspect else "neither"
+            raise InputError("--record FILE.rrd with --map FILE.toml, or --inspect", came)
 
 
 @dataclass(frozen=True, slots=True)

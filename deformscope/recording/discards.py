@@ -11,7 +11,7 @@ from pathlib import Path
 
 from deformscope.errors import InputError
 from deformscope.frames import SessionNote
-from deformscope.recording.ledger import add_discard, check_ledger, read_discards
+from deformscope.recording.ledger import add_discard, check_recording, read_discards
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +45,8 @@ def discard(recording: Path, reason: str, episode: int, notes: Iterable[SessionN
         listed = ", ".join(f"{at} = {label}" for at, label in enumerate(labels, 1)) or "none"
         raise InputError("an episode of the recording", str(episode), f"episodes: {listed}", recording)
     try:
-        problems = check_ledger(recording)
+        check = check_recording(recording)
+        problems = check.problems or ([] if check.ended else ["one that was not finished"])
     except FileNotFoundError:
         problems = ["one without: it was not finished, or its ledger was not copied with it"]
     if problems:  # a new ledger would say that its bytes are as they were recorded

@@ -1,6 +1,10 @@
-"""The ledger beside a recording: what its bytes were when it was closed, so that no flipped bit goes unnoticed.
+"""The ledger beside a recording: what its bytes were, so that no flipped bit goes unnoticed, and where it is.
 
-A recording has no checksum of its own, and most single bit flips in one are read without complaint.
+A recording has no checksum of its own, and most single bit flips in one are read without complaint. The ledger is
+text: a line with its format, then a line a block: JSON (bytes, their SHA-256, the streams and the session time that
+they hold) and a SHA-256 of that JSON and of the line before, which chains the lines. It grows with the file: a line at
+each flush. The line `ended` has size and SHA-256 of the whole, what was recorded and what was lost; where there is
+none, the run was cut short. Lines that mark the recording as discarded may follow.
 """
 
 from __future__ import annotations
@@ -8,12 +12,19 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-FORMAT = "deformscope-ledger-1"
+from deformscope.recording.rrd_index import Portion, read_index
+
+FORMAT, OLD_FORMAT = "deformscope-ledger-2", "deformscope-ledger-1"
 BLOCK_BYTES = 1 << 20
+"""Bytes of which nothing is known are at most so many in a block."""
+SEVERAL = 4
+"""So many streams are named of a block that holds more."""
 
 
 def ledger_path(recording: Path) -> Path:
@@ -29,53 +40,154 @@ Losses = Mapping[str, Mapping[str, float]]
 """What devices lost, by device and kind (`deformscope.recording.losses`)."""
 
 
-def write_ledger(recording: Path, counts: Mapping[str, int] | None = None, losses: Losses | None = None) -> Path:
-    """Write down the size and the SHA-256 of the whole and of every MiB.
+@dataclass(frozen=True, slots=True)
+class LedgerBlock:
+    """Bytes from start to before end. streams: entities that they hold rows of, between these session times [s]"""
 
-    counts: what was recorded, by kind; losses: what was not
+    start: int
+    end: int
+    sha256: str
+    streams: tuple[str, ...] = ()
+    from_s: float | None = None
+    to_s: float | None = None
+
+    def __str__(self) -> str:
+        more = f" and {len(self.streams) - SEVERAL} more streams" if len(self.streams) > SEVERAL else ""
+        held = [", ".join(self.streams[:SEVERAL]) + more] if self.streams else []
+        if self.from_s is not None and self.to_s is not None:
+            held.append(f"{self.from_s:.3f} to {self.to_s:.3f} s")
+        return f"bytes {self.start} to {self.end}" + (f" ({', '.join(held)})" if held else "")
+
+
+@dataclass(slots=True)
+class Ledger:
+    """What a ledger says. ended: its last line; None = of a run that was cut short; problems: what is wrong with it"""
+
+    blocks: list[LedgerBlock] = field(default_factory=list)
+    ended: dict[str, Any] | None = None
+    discarded: list[dict[str, Any]] = field(default_factory=list)
+    problems: list[str] = field(default_factory=list)
+    chain: str = ""
+
+    @property
+    def committed(self) -> int:
+        """Bytes of the recording that it answers for."""
+        return max([int((self.ended or {}).get("size", 0)), *(one.end for one in self.blocks)])
+
+
+@dataclass(frozen=True, slots=True)
+class LedgerCheck:
+    """A recording beside its ledger. problems: one line each, none where every byte that the ledger answers for is as
+    it was; truncated: bytes are missing at its end; damaged: blocks that differ; ended: the run came to its end"""
+
+    problems: list[str]
+    truncated: bool
+    damaged: list[LedgerBlock]
+    ended: bool
+    committed: int
+
+
+class LedgerWriter:
+    """Makes a ledger, a block at a time. path: of the ledger; one that is there is replaced"""
+
+    def __init__(self, path: Path, recording: Path) -> None:
+        self._recording, self._at, self._chain = recording, 0, ""
+        self._whole = hashlib.sha256()
+        self._file = path.open("wb", buffering=0)  # what was written stays when the process is killed
+        self._file.write(f"{FORMAT}\n".encode())
+
+    def commit(self, end: int, streams: Sequence[str] = (), span_s: tuple[float, float] | None = None) -> None:
+        """Answer for the recording's bytes up to END, which are on the disk. Raises OSError."""
+        if end <= self._at:
+            return
+        digest = hashlib.sha256()
+        with self._recording.open("rb") as file:
+            for piece in _pieces(file.fileno(), self._at, end):
+                digest.update(piece)
+                self._whole.update(piece)
+        known: dict[str, Any] = {"bytes": [self._at, end], "sha256": digest.hexdigest()}
+        known |= {"streams": list(streams)} if streams else {}
+        known |= {"session_s": list(span_s)} if span_s is not None else {}
+        self.add(known)
+        self._at = end
+
+    def end(self, counts: Mapping[str, int], losses: Losses) -> None:
+        """Answer for the whole."""
+        told = {"size": self._at, "sha256": self._whole.hexdigest(), "counts": dict(counts), "losses": dict(losses)}
+        self.add({"ended": told})
+
+    def add(self, content: Mapping[str, Any]) -> None:
+        text, self._chain = _chained(content, self._chain)
+        self._file.write(text.encode())
+
+    def close(self) -> None:
+        """Have it on the disk, where that takes it."""
+        with self._file, suppress(OSError):
+            os.fsync(self._file.fileno())
+
+
+def write_ledger(
+    recording: Path,
+    counts: Mapping[str, int] | None = None,
+    losses: Losses | None = None,
+    *,
+    discarded: Sequence[Mapping[str, object]] = (),
+) -> Path:
+    """Answer for a finished recording: a block a portion, by its own index, or those of the ledger that grew with it.
+
+    counts: what was recorded, by kind; losses: what was not; discarded: see `add_discard`
     """
-    size, whole, blocks = _digest(recording)
-    content: dict[str, Any] = {
-        "format": FORMAT,
-        "size": size,
-        "sha256": whole,
-        "block_bytes": BLOCK_BYTES,
-        "blocks": blocks,
-        "counts": dict(counts or {}),
-        "losses": dict(losses or {}),
-    }
-    return _write(recording, content)
+    path, size = ledger_path(recording), recording.stat().st_size
+    grown = [one for one in read_ledger(recording).blocks if one.end <= size] if path.exists() else []
+    new = path.with_name(path.name + ".part")
+    writer = LedgerWriter(new, recording)
+    at = 0
+    for end, streams, span_s in _joined(read_index(recording)) or [(one.end, one.streams, _span(one)) for one in grown]:
+        writer.commit(end, streams, span_s)
+        at = end
+    for end in [*range(at + BLOCK_BYTES, size, BLOCK_BYTES), size]:
+        writer.commit(end)
+    writer.end(counts or {}, losses or {})
+    for one in discarded:
+        writer.add({"discarded": dict(one)})
+    writer.close()
+    new.replace(path)
+    return path
 
 
 def add_discard(recording: Path, entry: Mapping[str, object]) -> Path:
     """Write down that the recording, or a part of it, is not to be used; all else stays."""
-    content = json.loads(ledger_path(recording).read_text(encoding="utf-8"))
-    content.pop("ledger_sha256")
-    content["discarded"] = [*content.get("discarded", ()), dict(entry)]
-    return _write(recording, content)
+    ledger = read_ledger(recording)
+    ended = ledger.ended or {}
+    if not ledger.chain:  # of format 1
+        discarded = [*ledger.discarded, entry]
+        return write_ledger(recording, ended.get("counts"), ended.get("losses"), discarded=discarded)
+    path = ledger_path(recording)
+    with path.open("ab") as file:
+        file.write(_chained({"discarded": dict(entry)}, ledger.chain)[0].encode())
+        file.flush()
+        os.fsync(file.fileno())
+    return path
 
 
 def read_discards(recording: Path) -> list[dict[str, Any]]:
     """What `add_discard` wrote; nothing where there is no ledger, or one that cannot be read."""
     try:
-        found = json.loads(ledger_path(recording).read_text(encoding="utf-8"))["discarded"]
-    except (OSError, ValueError, KeyError, TypeError):
+        found: list[Any] = read_ledger(recording).discarded  # of whatever wrote that ledger
+        return [one for one in found if isinstance(one, dict)]
+    except OSError:
         return []
-    return [one for one in found if isinstance(one, dict)] if isinstance(found, list) else []
 
 
-def _write(recording: Path, content: dict[str, Any]) -> Path:
-    # The ledger answers for itself as well: a flip in it must not pass for one in the recording.
-    content["ledger_sha256"] = _seal(content)
-    path = ledger_path(recording)
-    new = path.with_name(path.name + ".part")
-    with new.open("w", encoding="utf-8") as file:
-        json.dump(content, file, indent=1)
-        file.write("\n")
-        file.flush()
-        os.fsync(file.fileno())
-    new.replace(path)
-    return path
+def read_counts(recording: Path) -> dict[str, int]:
+    """What the ledger says was recorded, by kind; nothing of a run that was cut short.
+
+    Raises FileNotFoundError where there is no ledger, ValueError where it is damaged.
+    """
+    ledger = read_ledger(recording)
+    if ledger.problems:
+        raise ValueError(ledger.problems[0])
+    return {str(name): int(count) for name, count in (ledger.ended or {}).get("counts", {}).items()}
 
 
 def check_ledger(recording: Path) -> list[str]:
@@ -83,46 +195,123 @@ def check_ledger(recording: Path) -> list[str]:
 
     Raises FileNotFoundError where there is no ledger: nothing can then be said.
     """
+    return check_recording(recording).problems
+
+
+def check_recording(recording: Path) -> LedgerCheck:
+    """Compare a recording with its ledger, block by block. Raises FileNotFoundError where there is no ledger."""
+    ledger = read_ledger(recording)
+    size, committed = recording.stat().st_size, ledger.committed
+    problems, damaged, whole, at = list(ledger.problems), list[LedgerBlock](), hashlib.sha256(), 0
+    with recording.open("rb") as file:
+        for block in ledger.blocks:
+            if block.end > size:
+                break
+            digest = hashlib.sha256()
+            for piece in _pieces(file.fileno(), block.start, block.end):
+                digest.update(piece)
+                whole.update(piece)
+            at = block.end
+            if digest.hexdigest() != block.sha256:
+                damaged.append(block)
+    if ledger.ended is None and not problems and read_index(recording):
+        problems.append(f"the ledger is cut off: it answers for {committed} of {size} bytes")
+    truncated = size < committed
+    if truncated:
+        lost = [one for one in ledger.blocks if one.end > size]
+        times = [one.from_s for one in lost if one.from_s is not None]
+        gone = f", from {min(times):.3f} s of {_named(lost)} on" if times else ""
+        problems.append(f"truncated: {size} bytes where {committed} were recorded{gone}")
+    elif ledger.ended is not None and size > committed:
+        problems.append(f"{size} bytes where {committed} were recorded")
+    problems += [f"{one} differ from what was recorded" for one in damaged]
+    if not problems and ledger.ended is not None and (at, whole.hexdigest()) != (size, ledger.ended["sha256"]):
+        problems.append("the recording differs from what was recorded")
+    return LedgerCheck(problems, truncated, damaged, ledger.ended is not None, min(committed, size))
+
+
+def read_ledger(recording: Path) -> Ledger:
+    """What the ledger says, and what is wrong with it. Raises FileNotFoundError where there is none."""
+    content = ledger_path(recording).read_bytes()
+    if content[:1] == b"{":
+        return _read_old(content)
+    first, *lines = content.split(b"\n")
+    if first != FORMAT.encode():
+        return Ledger(problems=[f"the ledger is not one of format {FORMAT}: it is damaged or newer"])
+    ledger, rest = Ledger(), lines.pop() if lines else b""
+    for number, line in enumerate(lines, 2):
+        before, ledger.chain = ledger.chain, line[-64:].decode(errors="replace")
+        try:
+            known = json.loads(line[:-65])
+            if line + b"\n" != _chained(known, before)[0].encode():
+                raise ValueError("not the line that was written")
+            _take(ledger, known)
+        except (ValueError, KeyError, TypeError):
+            about = f", behind {ledger.blocks[-1]}" if ledger.blocks else ""
+            ledger.problems.append(f"the ledger does not match itself: it is damaged in line {number}{about}")
+    if rest and ledger.ended is not None:
+        ledger.problems.append("the ledger is damaged at its end")
+    return ledger
+
+
+def _take(ledger: Ledger, known: Mapping[str, Any]) -> None:
+    if "ended" in known:
+        ledger.ended = known["ended"]
+    elif "discarded" in known:
+        ledger.discarded.append(known["discarded"])
+    else:
+        streams, span = tuple(known.get("streams", ())), known.get("session_s", (None, None))
+        (start, end), (from_s, to_s) = known["bytes"], span
+        ledger.blocks.append(LedgerBlock(start, end, known["sha256"], streams, from_s, to_s))
+
+
+def _read_old(content: bytes) -> Ledger:
+    """Of format 1: one JSON of a SHA-256 for each MiB, written at the end."""
     try:
-        content = json.loads(ledger_path(recording).read_text(encoding="utf-8"))
+        found = json.loads(content)
     except ValueError:
-        return ["the ledger cannot be read: it is damaged"]
-    if not isinstance(content, dict) or content.get("format") != FORMAT:
-        return [f"the ledger is not one of format {FORMAT}: it is damaged or newer"]
-    if content.pop("ledger_sha256", None) != _seal(content):
-        return ["the ledger does not match itself: it is damaged"]
-
-    size, whole, blocks = _digest(recording)
-    if size == content["size"] and whole == content["sha256"]:
-        return []
-    problems = []
-    if size != content["size"]:
-        problems.append(f"{size} bytes where {content['size']} were recorded")
-    for index, (now, then) in enumerate(zip(blocks, content["blocks"], strict=False)):
-        if now != then:
-            start = index * BLOCK_BYTES
-            problems.append(f"bytes {start} to {min(start + BLOCK_BYTES, size)} differ from what was recorded")
-    return problems or ["the recording differs from what was recorded"]
+        return Ledger(problems=["the ledger cannot be read: it is damaged"])
+    if found.get("format") != OLD_FORMAT:
+        return Ledger(problems=[f"the ledger is not one of format {FORMAT}: it is damaged or newer"])
+    discarded, seal = found.get("discarded"), found.pop("ledger_sha256", None)
+    discarded = discarded if isinstance(discarded, list) else []
+    if seal != hashlib.sha256(json.dumps(found, sort_keys=True).encode()).hexdigest():
+        return Ledger(discarded=discarded, problems=["the ledger does not match itself: it is damaged"])
+    starts = range(0, found["size"], found["block_bytes"])
+    ends = [min(start + found["block_bytes"], found["size"]) for start in starts]
+    blocks = [LedgerBlock(*one) for one in zip(starts, ends, found["blocks"], strict=True)]
+    return Ledger(blocks, found, discarded)
 
 
-def read_counts(recording: Path) -> dict[str, int]:
-    """What the ledger says was recorded, by kind; raises FileNotFoundError where there is none."""
-    content = json.loads(ledger_path(recording).read_text(encoding="utf-8"))
-    return {str(name): int(count) for name, count in content.get("counts", {}).items()}
+def _chained(content: Mapping[str, Any], before: str) -> tuple[str, str]:
+    """A line, and its link of the chain. before: the link of the line before"""
+    text = json.dumps(content, separators=(",", ":"))
+    link = hashlib.sha256(f"{before}{text}".encode()).hexdigest()
+    return f"{text} {link}\n", link
 
 
-def _digest(path: Path) -> tuple[int, str, list[str]]:
-    """Size in bytes, SHA-256 of the whole, SHA-256 of each block."""
-    whole = hashlib.sha256()
-    blocks = []
-    size = 0
-    with path.open("rb") as file:
-        while block := file.read(BLOCK_BYTES):
-            whole.update(block)
-            blocks.append(hashlib.sha256(block).hexdigest())
-            size += len(block)
-    return size, whole.hexdigest(), blocks
+def _joined(portions: Sequence[Portion]) -> list[tuple[int, tuple[str, ...], tuple[float, float] | None]]:
+    """Ends, streams and session times of blocks: of a portion each; those without a time that follow each other are
+    one."""
+    found: list[tuple[int, tuple[str, ...], tuple[float, float] | None]] = []
+    for one in portions:
+        span_s = None if one.from_s is None or one.to_s is None else (one.from_s, one.to_s)
+        if span_s is None and found and found[-1][2] is None:
+            found.pop()
+        found.append((one.end, (one.entity,) if span_s else ("descriptions",), span_s))
+    return found
 
 
-def _seal(content: Mapping[str, object]) -> str:
-    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+def _span(block: LedgerBlock) -> tuple[float, float] | None:
+    return None if block.from_s is None or block.to_s is None else (block.from_s, block.to_s)
+
+
+def _named(blocks: Sequence[LedgerBlock]) -> str:
+    names = list(dict.fromkeys(name for one in blocks for name in one.streams))
+    return ", ".join(names[:SEVERAL]) + (f" and {len(names) - SEVERAL} more streams" if len(names) > SEVERAL else "")
+
+
+def _pieces(handle: int, start: int, end: int) -> Iterator[bytes]:
+    while start < end and (piece := os.pread(handle, min(BLOCK_BYTES, end - start), start)):
+        yield piece
+        start += len(piece)

@@ -19,7 +19,7 @@ from deformscope.frames import ColorFrame, DepthFrame, InputFile, SessionNote
 from deformscope.images import decode_image
 from deformscope.recording.discards import discards_of
 from deformscope.recording.item_rows import portions, read_rows
-from deformscope.recording.ledger import check_ledger
+from deformscope.recording.ledger import check_recording
 from deformscope.recording.utf8_path import utf8_path
 from deformscope.rows import FORMAT, READABLE
 
@@ -196,11 +196,14 @@ class Replay:
 
     def _check_ledger(self) -> None:
         try:
-            problems = check_ledger(self.path)
+            check = check_recording(self.path)
         except FileNotFoundError:
             _logger.warning("%s has no ledger: whether its bytes are as they were recorded is not known", self.path)
             return
-        if problems:
+        if not check.ended and not check.problems:
+            came = f"{check.committed} bytes are as they were recorded, what came after is not checked"
+            _logger.warning("%s is of a run that was cut short: %s", self.path, came)
+        if problems := check.problems:
             more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
             raise InputError("a recording as its ledger has it", problems[0] + more, "an intact copy", self.path)
 

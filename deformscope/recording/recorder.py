@@ -80,6 +80,7 @@ class Recorder:
     out what differs between runs (start time, command line, versions, git state) and writes in larger portions
     real_time: what is recorded goes on by itself, as devices do: a disk that stays too slow for it ends the recording
     with a RecordingError. Otherwise whoever writes waits, once the disk is far behind
+    whole_or_nothing: an error leaves no unfinished file: what is recorded can be read again
 
     Nothing is encoded, and no disk waited for, in the thread that calls `write`: that is done in order in a thread
     of the recorder's own, so what is handed over must not be changed any more. What fails there is raised by the next
@@ -96,6 +97,7 @@ class Recorder:
         overwrite: bool = False,
         deterministic: bool = False,
         real_time: bool = False,
+        whole_or_nothing: bool = False,
     ) -> None:
         self._target = None if file is None else RecordingTarget(Path(file), overwrite=overwrite)
         self._viewer_kind = viewer
@@ -103,6 +105,7 @@ class Recorder:
         self._application = application
         self._deterministic = deterministic
         self._real_time = real_time
+        self._whole_or_nothing = whole_or_nothing
         self._finished: RecordingSummary | None = None
         self._stopped = ""
         # what who calls knows
@@ -365,4 +368,6 @@ class Recorder:
     def _holds_something(self) -> bool:
         """Whether an unfinished recording is worth keeping."""
         # a robot's whose checks have not passed holds nothing but that its devices were there
+        if self._whole_or_nothing:
+            return False
         return bool(self._steps or self._inputs or (self._frames and not self._application.robot_moves))

@@ -17,16 +17,19 @@ import threading
 import time
 import warnings
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
 from deformscope.errors import printable
 from deformscope.recording import lateness
 from deformscope.recording.lateness import OTHER_DISK, RecordingError, check_room, writes_are_held_up
+from deformscope.recording.ledger import LedgerWriter, ledger_path
 from deformscope.recording.utf8_path import utf8_path
 
 if TYPE_CHECKING:
     import rerun as rr
+    from rerun.chunk import Chunk
 
     from deformscope.log.merged import Merged
     from deformscope.log.rig import Batch
@@ -81,6 +84,8 @@ class RecordingFile:
             application, recording_id, self._merged_path, deterministic, footer=True
         )
         self._merged: Merged = Merged()
+        self._ledger = LedgerWriter(ledger_path(part), part)
+        self._given: dict[str, tuple[float, float]] = {}
         self._beat_at = 0.0
         self._looks = self._beats = self._unflushed = 0
         self.write_properties("session", properties)
@@ -90,6 +95,8 @@ class RecordingFile:
             self.flush()
         except RecordingError:
             self._merged_path.unlink(missing_ok=True)
+            self._ledger.close()
+            ledger_path(part).unlink(missing_ok=True)
             raise
 
     def log(self, job: Callable[[rr.RecordingStream], None]) -> None:
@@ -105,7 +112,7 @@ class RecordingFile:
         batch.send(self._stream)
         for _, part in batch.parts:
             if isinstance(part, Chunk):
-                self._unflushed += part.to_record_batch().nbytes
+                self._unflushed += self._note(part)
                 if self._merged_stream is not None:
                     self._merged_stream.send_chunks(list(self._merged.add(part)))
             elif self._merged_stream is not None:
@@ -138,6 +145,7 @@ class RecordingFile:
         """Have the disk take what was written: the room that is left is for this."""
         try:
             self._stream.flush(timeout_sec=FLUSH_TIMEOUT_S)
+            self._commit()
         except Exception as error:
             self.broken = True
             check_room(self.path)
@@ -162,6 +170,9 @@ class RecordingFile:
         whole = merged is not None and ended and not self.broken and has_footer(self._merged_path)
         if not within(self._stream.disconnect, timeout_s):
             ended, self.broken = False, not whole
+        with suppress(OSError):  # of a disk that is full or gone
+            self._commit()
+        self._ledger.close()
         if not ended:
             leave_streams_alone()
         if whole:
@@ -170,6 +181,24 @@ class RecordingFile:
         if merged is not None and not self.broken:
             _warn_that_it_stays_small("a file was not written to its end")
         return self.path
+
+    def _note(self, part: Chunk) -> int:
+        """Note of which stream and time a portion is, for the ledger; its bytes."""
+        batch = part.to_record_batch()
+        if "session" in batch.schema.names and batch.num_rows:
+            times = batch.column("session").cast("int64")
+            first_s, last_s = times[0].as_py() / 1e9, times[-1].as_py() / 1e9
+            name = part.entity_path.removeprefix("/")
+            before = self._given.get(name)
+            self._given[name] = (first_s, last_s) if before is None else (before[0], max(before[1], last_s))
+        return int(batch.nbytes)
+
+    def _commit(self) -> None:
+        """Have the ledger answer for what was flushed."""
+        spans = self._given.values()
+        span_s = (min(first for first, _ in spans), max(last for _, last in spans)) if spans else None
+        self._ledger.commit(self.path.stat().st_size, tuple(self._given), span_s)
+        self._given = {}
 
     def _log(self, job: Callable[[rr.RecordingStream], None]) -> None:
         streams = [self._stream] if self._merged_stream is None else [self._stream, self._merged_stream]

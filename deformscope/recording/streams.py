@@ -548,7 +548,7 @@ def _rows_of(values: Any, there: Any, names: Sequence[str]) -> dict[str, pa.Arra
 
 def _axes(column: str, width: int) -> list[str]:
     """Names of a vector's columns."""
-    base, unit = _split(column)
+    base, unit = split_unit(column)
     if column in XYZ and width % 3 == 0:
         parts = [(f"{at // 3}_" if width > 3 else "") + CARTESIAN[at % 3] for at in range(width)]
     elif "interval" in column and width == 2:
@@ -558,7 +558,14 @@ def _axes(column: str, width: int) -> list[str]:
     return [f"{base}_{part}{unit and f'_{unit}'}" for part in parts]
 
 
-def _split(column: str) -> tuple[str, str]:
+def columns_of(name: str, columns: Iterable[str]) -> list[str]:
+    """Those of these columns that hold a frame's field of this name: its own, or one for each of its values."""
+    base, unit = split_unit(name)
+    each = re.compile(rf"{re.escape(base)}_(\d+_)?([xyz]|\d+){unit and f'_{unit}'}")
+    return [one for one in columns if one == name or each.fullmatch(one)]
+
+
+def split_unit(column: str) -> tuple[str, str]:
     """A name, and the unit at its end or empty."""
     parts = column.split("_")
     for at in range(1, len(parts)):
@@ -569,7 +576,9 @@ def _split(column: str) -> tuple[str, str]:
 
 def _unit(name: str, declared: Mapping[str, str]) -> dict[str, str] | None:
     base = re.sub(r"_(low|high|[xyz]|\d+)(?=_|$)", "", name)
-    unit = declared.get(name) or declared.get(base) or UNITS.get(_split(name)[1]) or UNITS.get(base.split("_")[-1], "")
+    unit = (
+        declared.get(name) or declared.get(base) or UNITS.get(split_unit(name)[1]) or UNITS.get(base.split("_")[-1], "")
+    )
     return {"unit": unit} if unit else None
 
 
@@ -604,7 +613,7 @@ def _arrays_of(key: str, values: Sequence[Any], shapes: set[str]) -> dict[str, p
         return {key: pa.array(values, pa.bool_())}
     if own == {"str"}:
         return {key: pa.array(values, pa.string())}
-    if not own and _split(key)[1]:
+    if not own and split_unit(key)[1]:
         return {key: pa.array(values, pa.float64())}
     return {key: pa.array([None if value is None else json.dumps(value) for value in values], pa.string())}
 

@@ -42,6 +42,7 @@ class RecordingTarget:
     def give_up(self) -> None:
         """Nothing is recorded."""
         self.part.unlink(missing_ok=True)
+        ledger_path(self.part).unlink(missing_ok=True)
         self.release()
 
     def release(self) -> None:
@@ -52,29 +53,42 @@ class RecordingTarget:
     def publish(self, whole: Path, counts: Mapping[str, int], losses: Losses) -> Path:
         """Give the recording its name, and its ledger. whole: the file that holds it, which is gone then"""
         if self.path.exists() and not self._overwrite:
-            whole.replace(self.part)
+            self._keep(whole)
             came, hint = "one made during the run", f"the new one: {self.part}"
             raise RecordingError("no file of that name", came, hint, self.path)
         sync(whole)
         # An older recording's ledger goes first: a ledger that fits no recording must never stand beside one.
         ledger_path(self.path).unlink(missing_ok=True)
+        if whole == self.part:
+            ledger_path(self.part).replace(ledger_path(self.path))  # its blocks are taken over
         whole.replace(self.path)
-        self.part.unlink(missing_ok=True)  # last, as it is the one that is locked
         write_ledger(self.path, counts, losses)
+        ledger_path(self.part).unlink(missing_ok=True)
+        self.part.unlink(missing_ok=True)  # last, as it is the one that is locked
         sync(self.path.parent)
         return self.path
 
     def keep_unfinished(self, whole: Path, *, worth_it: bool) -> Path | None:
         """Leave what there is where it is, unless it is not worth it."""
-        whole.replace(self.part)
+        self._keep(whole)
         if not worth_it:
             self.part.unlink(missing_ok=True)
+            ledger_path(self.part).unlink(missing_ok=True)
             return None
         if is_recoverable(self.part):
             _logger.warning("what was recorded before the error is kept: deformscope recover %s", self.part)
         else:
             _logger.warning("nothing can be recovered of what was recorded before the error: %s", self.part)
         return self.part
+
+    def _keep(self, whole: Path) -> None:
+        """As the unfinished file, with a ledger of its bytes; a disk that is full may have no room for that."""
+        if whole != self.part:
+            whole.replace(self.part)
+            with suppress(OSError):
+                write_ledger(self.part)
+                return
+            ledger_path(self.part).unlink(missing_ok=True)
 
 
 def remove_strays(folder: Path) -> None:

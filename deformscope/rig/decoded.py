@@ -13,6 +13,7 @@ import numpy as np
 
 from deformscope.errors import InputError
 from deformscope.frames import Frame, HealthReport, Item, LinkChange, RawBytes, SessionNote, Stream, host_ns
+from deformscope.rig.driver_table import DRIVERS
 from deformscope.rig.measured import to_frame
 from deformscope.rig.rig_file import Rig
 from deformscope_drivers.device import RAW_DROPPED
@@ -151,15 +152,16 @@ REDECODERS: dict[str, type[Redecoder]] = {"optoforce": OptoforceAgain, "dsa": Ds
 """By the driver's name; the other drivers do not speak in bytes."""
 
 
-def compare_with_bytes(rig: Rig, streams: Sequence[Stream], items: Iterable[Item]) -> list[DeviceComparison]:
+def compare_with_bytes(rig: Rig | None, streams: Sequence[Stream], items: Iterable[Item]) -> list[DeviceComparison]:
     """Decode every device's recorded bytes again and compare with its recorded frames, to the last bit.
 
-    items: of the recording, in order of time. Raises InputError where the rig lacks a device that was recorded
+    rig: None where no driver of ours gave the frames; items: of the recording, in order of time
+    Raises InputError where the rig lacks a device that was recorded
     """
-    configs = {entry.name: entry.config for entry in rig.devices}
-    if missing := [stream.device for stream in streams if stream.device not in configs]:
+    configs = {} if rig is None else {entry.name: entry.config for entry in rig.devices}
+    if missing := [one.device for one in streams if one.driver in DRIVERS and one.device not in configs]:
         raise InputError(f"a rig with {missing[0]}, which was recorded", "one without")
-    checks = {stream.device: _Check(stream, configs[stream.device]) for stream in streams}
+    checks = {stream.device: _Check(stream, configs.get(stream.device)) for stream in streams}
     for item in items:
         if isinstance(item, HealthReport):
             for name, health in item.devices:

@@ -162,7 +162,7 @@ def _replay_rig(recording: Replay) -> ReplayResult:
     from deformscope.rig.rig_file import parse_rig
 
     settings, path = recording.settings, recording.path
-    rig = parse_rig(settings["rig"], settings.get("rig_name", "rig"))
+    rig = parse_rig(settings["rig"], settings.get("rig_name", "rig")) if settings["rig"] else None
     items = (row.item for row in read_rows(recording, ITEMS, lambda encoded, which: encoded))
     found = compare_with_bytes(rig, read_streams(path, trust=True), items)
     rows = []

@@ -9,6 +9,7 @@ import subprocess
 import threading
 from collections.abc import Iterator
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ import pytest
 from deformscope.cli import main
 from deformscope.frames import ColorFrame, InputFile
 from deformscope.recording import facts as recording_facts
-from deformscope.recording.ledger import check_ledger, ledger_path, write_ledger
+from deformscope.recording.ledger import LedgerWriter, check_ledger, ledger_path, read_ledger, write_ledger
 from deformscope.recording.reader import Replay
 from deformscope.recording.recorder import Recorder
 from deformscope_drivers.clock import Stamp
@@ -181,3 +182,38 @@ def test_bytes_that_end_the_reader_are_one_line(
     status, found, said = verified(whole, capsys)
     assert (status, found["ok"]) == (2, False)
     assert "its bytes end rerun's reader (SIGABRT)" in said.splitlines()[-1]
+
+
+def test_a_flip_is_placed_by_stream_and_seconds(whole: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    block = max((one for one in read_ledger(whole).blocks if one.to_s), key=lambda one: one.end - one.start)
+    content = bytearray(whole.read_bytes())
+    content[(block.start + block.end) // 2] ^= 1
+    whole.write_bytes(content)
+    status, found, said = verified(whole, capsys)
+    assert (status, found["truncated"]) == (2, False)
+    (damaged,) = cast("list[dict[str, object]]", found["damaged"])
+    assert damaged["streams"] == list(block.streams)
+    assert (damaged["from_s"], damaged["to_s"]) == (0.0, pytest.approx(0.1 * (FRAMES - 1)))
+    assert f"({block.streams[0]}, 0.000 to 1.100 s) differ from what was recorded" in said
+
+
+def test_truncated_is_told_from_damaged_and_from_a_run_cut_short(
+    whole: Path, killed: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    whole.write_bytes(whole.read_bytes()[:-5000])
+    status, found, said = verified(whole, capsys)
+    assert (status, found["truncated"], found["damaged"]) == (2, True, [])
+    assert "truncated: " in said
+
+    size = killed.stat().st_size
+    writer = LedgerWriter(ledger_path(killed), killed)
+    for end in (size // 2, size - 1000):
+        writer.commit(end, ("camera",), (0.0, end / size))
+    writer.close()
+    status, found, _ = verified(killed, capsys)
+    assert (status, found["truncated"], found["checked"], found["finished"]) == (2, False, True, False)
+    assert (found["committed_bytes"], found["problems"]) == (size - 1000, [])
+    killed.write_bytes(killed.read_bytes()[: size // 2 + 10])
+    status, found, said = verified(killed, capsys)
+    assert (status, found["truncated"], found["damaged"]) == (2, True, [])
+    assert "from 0.000 s of camera on" in said

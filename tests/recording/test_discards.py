@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+import shutil
 from pathlib import Path
 
 import pytest
@@ -12,8 +13,8 @@ from deformscope import open_recording
 from deformscope.cli import main
 from deformscope.frames import NoteKind, SessionNote
 from deformscope.log.rig_layout import RIG, RigLayout
-from deformscope.recording.discards import discards_of
-from deformscope.recording.ledger import check_ledger, ledger_path
+from deformscope.recording.discards import discard, discards_of
+from deformscope.recording.ledger import check_ledger, ledger_path, read_counts
 from deformscope.recording.recorder import Recorder
 
 
@@ -71,7 +72,20 @@ def test_what_cannot_be_marked_is_refused(tmp_path: Path, capsys: pytest.Capture
 @pytest.mark.parametrize("written", ["lost", None, [{"reason": "wrong foam", "by": "somebody"}, "lost"]])
 def test_a_ledger_that_says_more_or_nonsense_still_opens(tmp_path: Path, written: object) -> None:
     path = recorded(tmp_path / "r.rrd")
-    content = json.loads(ledger_path(path).read_text())
-    ledger_path(path).write_text(json.dumps(content | {"discarded": written}))
     known = ["all of it: wrong foam"] if isinstance(written, list) else []
+    ledger_path(path).write_text(json.dumps({"format": "deformscope-ledger-1", "discarded": written}))
     assert [str(one) for one in discards_of(path, [])] == known
+
+
+def test_a_recording_of_before_is_marked(tmp_path: Path) -> None:
+    """Its ledger of one JSON becomes one of lines, with the counts and the marks that it had."""
+    old = Path(__file__).parent / "old" / "format-2.rrd"
+    path = tmp_path / old.name
+    shutil.copy(old, path)
+    shutil.copy(ledger_path(old), ledger_path(path))
+    counts = read_counts(path)
+    for reason in ("it slipped", "wrong foam"):
+        discard(path, reason, 0, [])
+    assert [str(one) for one in discards_of(path, [])] == ["all of it: it slipped", "all of it: wrong foam"]
+    assert check_ledger(path) == []
+    assert read_counts(path) == counts

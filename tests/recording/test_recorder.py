@@ -251,7 +251,7 @@ def test_killed_outright(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> No
     assert status == -signal.SIGKILL
     assert not (tmp_path / "run.rrd").exists()
     replay = Replay(tmp_path / "run.part.rrd")
-    assert "no ledger" in caplog.text
+    assert "of a run that was cut short" in caplog.text  # its ledger answers for what was there at the last look
     frames = list(replay.frames())
     assert len(frames) >= 30
     for frame, original in zip(frames, synthetic.frames(len(frames)), strict=True):
@@ -319,7 +319,8 @@ def test_little_free_space_ends_the_run(tmp_path: Path, monkeypatch: pytest.Monk
     assert Replay(tmp_path / "run.part.rrd").frame_count == 1
     assert rrd("verify", tmp_path / "run.part.rrd").returncode == 0  # the room that was left was enough to end it
     assert "MiB free on the disk" in str(Replay(tmp_path / "run.part.rrd").outcome["stopped"])
-    assert [path.name for path in tmp_path.iterdir()] == ["run.part.rrd"]
+    assert check_ledger(tmp_path / "run.part.rrd") == []
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["run.part.rrd", "run.part.rrd.ledger"]
 
 
 class SlowDisk:

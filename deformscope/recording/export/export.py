@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from deformscope.errors import InputError
+from deformscope.frames import Stream
 from deformscope.recording.export.images import OURS, ExportedImages, Note, Videos, counted_images, export_images
 from deformscope.recording.export.table_files import IMAGES, TABLE_FILES, TableFile
 from deformscope.recording.provenance import exported
@@ -167,7 +168,14 @@ def _about(replay: Replay, asked: ExportRequest, tables: RecordingTables) -> dic
     found |= {"license": asked.credits.license, "authors": list(asked.credits.authors)}
     found |= {"citation": asked.credits.citation, "anonymous": asked.anonymous}
     found |= {"clock": "host_ns: the host's monotonic clock", "session_starts_ns": tables.start_ns}
+    found |= {"devices": {one.device: _device(one.about) for one in tables.streams.values() if one.about is not None}}
     return found | {"provenance": exported(replay.properties, anonymous=asked.anonymous)}
+
+
+def _device(known: Stream) -> dict[str, Any]:
+    """What is known of a device, without what names one: its serial number, firmware and files."""
+    left_out = ("device", "serial", "firmware", "urdf")
+    return {one.name: getattr(known, one.name) for one in dataclasses.fields(known) if one.name not in left_out}
 
 
 def _described(stream: RecordedStream, files: Sequence[ExportedFile]) -> dict[str, Any]:
@@ -179,7 +187,8 @@ def _described(stream: RecordedStream, files: Sequence[ExportedFile]) -> dict[st
     said = {} if known is None else {"kind": known.kind, "driver": known.driver, "simulated": known.simulated}
     device = None if known is None else {"name": stream.device, **said}
     own = [one.file for one in files if one.entity == stream.entity]
-    return {"entity": stream.entity, "files": own, "device": device, "columns": columns}
+    found = {"entity": stream.entity, "kind": stream.kinds[-1].__name__ if stream.kinds else "", "files": own}
+    return found | {"device": device, "columns": columns}
 
 
 @contextmanager

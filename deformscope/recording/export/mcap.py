@@ -7,6 +7,7 @@ radians and the frames of REP 103 and 105 (`world`; cameras as `DEVICE_optical_f
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 import re
@@ -61,7 +62,8 @@ def write_mcap(
             done += batch.num_rows
             note("rows", done, total)
         topics.close()
-        writer.add_metadata("deformscope", {name: json.dumps(value) for name, value in about.items()})
+        said = {name: json.dumps(value, default=dataclasses.asdict) for name, value in about.items()}
+        writer.add_metadata("deformscope", said)
         writer.finish()
     return [(topic, path.name, count) for topic, count in sorted(bag.counts.items())]
 

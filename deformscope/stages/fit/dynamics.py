@@ -84,7 +84,7 @@ class MovingSearch(Search):
         moved, diverged = step_through(body, held, beta, theta, self.pace, self.model.volume, progress)
         none = np.zeros(len(parameter))
         count, yes = np.zeros(len(parameter), dtype=np.int64), np.ones(len(parameter), dtype=bool)
-        return [Relaxed(moved[:, row], none, none, count, yes, diverged, count, ~yes) for row in self.rows]
+        return [Relaxed(moved[:, row], none, none, count, yes, diverged, count, ~yes, ~yes) for row in self.rows]
 
     def relax(
         self,

@@ -12,7 +12,7 @@ from deformscope.arrays import FloatArray
 from deformscope.stages.fit.estimate import Posterior
 from deformscope.stages.fit.model import Model, Observation
 from deformscope.stages.fit.residuals import Explanation
-from deformscope.stages.msm import reference
+from deformscope.stages.msm.solver import Msm
 
 FORCE_SHARE = 0.05
 """Standard deviation of a force whose noise was not stated, as a share of it."""
@@ -90,11 +90,10 @@ def stiffness(
     measured = np.array([float(seen[row].force_n or 0.0) for row in rows])
     for column, row in enumerate(rows):
         s = seen[row]
-        rest = reference.build_rest(s.rest, model.grouping(s), s.held, basis=model.basis)
+        body = Msm(s.rest, model.grouping(s), s.held, basis=model.basis, device=model.device)
         contact = s.held if s.contact is None else s.contact
-        for g, (b, th) in enumerate(zip(beta, theta, strict=True)):
-            net = reference.reaction(positions[row][g], rest, float(b), float(th))[contact].sum(axis=0)
-            simulated[g, column] = float(np.linalg.norm(net)) * float(s.metres_per_unit or 1.0)
+        net = body.reaction(positions[row], beta, theta)[:, contact].sum(axis=1)
+        simulated[:, column] = np.linalg.norm(net, axis=1) * float(s.metres_per_unit or 1.0)
     given = [seen[row].force_noise_n for row in rows]
     noise = np.array([FORCE_SHARE * f if n is None else n for n, f in zip(given, measured, strict=True)])
     missed = np.zeros(len(rows)) if misfit is None else np.array([misfit[row] ** 2 for row in rows])

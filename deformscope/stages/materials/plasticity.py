@@ -583,6 +583,7 @@ class _YieldFit:
                 diverged=~settled,
                 smoothed=zero.astype(np.int64),
                 unaided=np.zeros(len(held), dtype=bool),
+                out_of_time=np.zeros(len(held), dtype=bool),
             )
 
         response = part.response(tuple(best.at), simulated[row], relax)

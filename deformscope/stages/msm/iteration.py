@@ -5,6 +5,8 @@ Launches are recorded once and replayed: on a CPU too, where a launch from Pytho
 
 from __future__ import annotations
 
+import math
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
@@ -40,8 +42,14 @@ PREDICTED = 1e-2
 STAY = 256
 """Evaluations that a kernel that stays does before it comes back to be looked at."""
 
+TURN = 8
+"""Evaluations of a search for beta in one launch; most searches need no more."""
+
 REPLAYS = {"cpu": 1, "cuda": 8}
 """Iterations between looks at which candidates still run: on a GPU, a look waits for the device."""
+
+TELL_EVERY_S = 0.2
+"""Seconds between calls of `progress`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,6 +57,7 @@ class Ended:
     """How the candidates ended, (B,) each; norm and error in particle spacings.
 
     smoothed: evaluations in the preconditioner's finest level; unaided: went on without it
+    out_of_time: still ran when the time was over
     """
 
     state: IntArray
@@ -57,6 +66,7 @@ class Ended:
     total: IntArray
     smoothed: IntArray
     unaided: BoolArray
+    out_of_time: BoolArray
 
 
 class Iteration:
@@ -89,6 +99,23 @@ class Iteration:
         self.parameters = Parameters(self.beta, self.theta, 0, volume)
         self._every_group = self.all_groups()
         self._graphs: dict[Any, Any] = {}
+        self._watch()
+
+    def _watch(self, progress: Progress | None = None, until: float = math.inf) -> None:
+        """Whom the next solve tells how many candidates are done, and when it ends, by `time.monotonic` [s]."""
+        self._progress, self._until, self._told = progress, until, -math.inf
+
+    def _over(self) -> bool:
+        """Whether the solve's time is over; tells how far it is."""
+        now = time.monotonic()
+        if now >= self._told + TELL_EVERY_S:
+            self._told = now
+            self._tell()
+        return now >= self._until
+
+    def _tell(self) -> None:
+        if self._progress is not None:
+            self._progress(int(np.count_nonzero(self.state.state.numpy()[: self.layout.candidates] != k.RUNNING)))
 
     def put(self, u: FloatArray) -> None:
         """Starts at displacements (B or 1, K, d); what of a residual is rounding grows with them."""
@@ -106,6 +133,7 @@ class Iteration:
 
     def _ended(self, state: Any, spent: IntArray) -> Ended:
         """How they ended. spent: (B,) evaluations before the state's own"""
+        self._tell()
         size = self.layout.candidates
         smoothed, unaided = np.zeros(size, dtype=int), np.zeros(size, dtype=bool)
         if self.multigrid is not None:
@@ -117,6 +145,7 @@ class Iteration:
             total=state.total.numpy()[:size] + spent,
             smoothed=smoothed,
             unaided=unaided,
+            out_of_time=(state.state.numpy()[:size] == k.RUNNING) & (time.monotonic() >= self._until),
         )
 
     def parts(self, rows: int) -> Field:
@@ -216,13 +245,19 @@ class Newton(Iteration):
             self._parameters_changed()
 
     def relax(
-        self, start: FloatArray | None, tolerance: float, max_iterations: int, progress: Progress | None = None
+        self,
+        start: FloatArray | None,
+        tolerance: float,
+        max_iterations: int,
+        progress: Progress | None = None,
+        until: float = math.inf,
     ) -> Ended:
         """The static states; tolerance and result in particle spacings.
 
-        start: displacements (B or 1, K, d); None: from where `u` is
+        start: displacements (B or 1, K, d); None: from where `u` is; until: as for `_watch`
         """
         state = self.state
+        self._watch(progress, until)
         if start is not None:
             self.put(start)
         size = self.layout.candidates
@@ -240,9 +275,7 @@ class Newton(Iteration):
             else:
                 self.replay(self._launch_outer)
                 done += 1
-            if progress is not None:
-                progress(size - int(np.count_nonzero(state.state.numpy()[:size] == k.RUNNING)))
-            if not state.outer_groups.numpy().any():
+            if self._over() or not state.outer_groups.numpy().any():
                 break
             if not self.threads:
                 done += self._descend(max_iterations - done)
@@ -267,13 +300,15 @@ class Newton(Iteration):
             self.multigrid.linearise(rest, everything)
         self.operator.change(self.u, self.residual, self.parameters, everything, self._kept)
 
-    def follow(self, target: FloatArray, seen: BoolArray, **search: float) -> tuple[float, int, bool, bool]:
+    def follow(
+        self, target: FloatArray, seen: BoolArray, start: float, largest: float, **search: float
+    ) -> tuple[float, int, bool, bool]:
         """Beta of least mean distance of one candidate to displacements target (K, d) where seen (K,), from where `u`
-        is, in one launch; evaluations, whether it settled, and whether its state converged. search: see the kernel's"""
+        is; evaluations, whether it settled, and whether its state converged. largest: beta; search: see the kernel's"""
         layout, device = self.layout, self.layout.device
         if self._following is None:
             given = self.operator.resident.BetaSearch()
-            given.target, given.found = layout.field(self.body.dim), wp.zeros(3, dtype=wp.float64, device=device)
+            given.target, given.found = layout.field(self.body.dim), wp.zeros(8, dtype=wp.float64, device=device)
             given.seen = upload(np.zeros(layout.places), layout.scalar, device, layout.width)
             newton, pairs = [self.span, self.state], (self.pair, self.pair_out)
             self._following = given, self.operator.follow(self.parameters, self._kept, newton, *pairs, given)
@@ -282,17 +317,20 @@ class Newton(Iteration):
         places = np.zeros(layout.places + layout.width)
         places[layout.place] = seen
         given.seen.assign(places)
-        for name, value in search.items():
+        given.found.assign(np.array([start, 0.0, 0.0, 0.0, largest, 0.0, 0.0, 0.0]))
+        for name, value in {"turn": TURN, **search}.items():
             setattr(given, name, value)
         launch.set_param_by_name("search", given)
         self.step.zero_()
-        launch.launch()
-        beta, evaluations, settled = given.found.numpy()
+        while not given.found.numpy()[-1]:  # each launch ends soon, so that Ctrl-C is seen
+            launch.launch()
+        beta, evaluations, settled, *_ = given.found.numpy()
         return float(beta), int(evaluations), bool(settled), bool(self.state.state.numpy()[0] == k.CONVERGED)
 
     def solve(self, relative: float) -> bool:
         """`step` of (I - J) step = `residual` where goals were last evaluated; whether it came to `relative` of it."""
         state = self.state
+        self._watch()
         if self.multigrid is not None:
             self.multigrid.reset()
         self._begin(0.0, relative, outer=0)
@@ -327,14 +365,14 @@ class Newton(Iteration):
     def _descend(self, most: int) -> int:
         done = 0
         flags = self.state.inner_groups
-        while self.threads and done < most and flags.numpy().any():
+        while self.threads and done < most and flags.numpy().any() and not self._over():
             done += self._stay_for(most - done)
         inner, replays = self._launch_inner, REPLAYS[self.kind]
         if self.multigrid is not None and self.multigrid.given_up:
             inner = self._launch_plain
         elif self.multigrid is not None:
             replays = 1  # a cycle takes longer than a look
-        while done < most and flags.numpy().any():
+        while done < most and flags.numpy().any() and not self._over():
             for _ in range(replays):
                 self.replay(inner)
                 done += 1
@@ -418,29 +456,34 @@ class Anderson(Iteration):
         self.linear_right = layout.field(d)
 
     def relax(
-        self, start: FloatArray, tolerance: float, max_iterations: int, progress: Progress | None = None
+        self,
+        start: FloatArray,
+        tolerance: float,
+        max_iterations: int,
+        progress: Progress | None = None,
+        until: float = math.inf,
     ) -> Ended:
         """The static states from displacements (B or 1, K, d); tolerance and result in particle spacings."""
+        self._watch(progress, until)
         self.put(start)
         set_first(self.state.relative, 0.0)
-        return self._iterate(self._launch_goals, tolerance, max_iterations, progress)
+        return self._iterate(self._launch_goals, tolerance, max_iterations)
 
     def solve(self, relative: float, max_iterations: int) -> bool:
         """y of y = J y + right (`linear_right`) where `evaluate` was last called, into `u`; whether what is left came
         to `relative` of the right-hand side.
         """
+        self._watch()
         set_first(self.state.floor, 0.0)
         set_first(self.state.relative, relative)
         self.u.zero_()
-        return bool((self._iterate(self._launch_linear, 0.0, max_iterations, None).state == k.CONVERGED).all())
+        return bool((self._iterate(self._launch_linear, 0.0, max_iterations).state == k.CONVERGED).all())
 
     def evaluate(self) -> None:
         """The residual at `u`, and with it what derivatives there need."""
         self.operator.residual(self.u, self.residual, self.parameters, self.all_groups(), self._kept)
 
-    def _iterate(
-        self, launches: Callable[[], None], tolerance: float, max_iterations: int, progress: Progress | None
-    ) -> Ended:
+    def _iterate(self, launches: Callable[[], None], tolerance: float, max_iterations: int) -> Ended:
         state = self.state
         set_first(state.tolerance, tolerance)
         for name in ("known", "total", "path", "gram", "count", "du", "dr"):
@@ -458,8 +501,8 @@ class Anderson(Iteration):
             for _ in range(min(REPLAYS[self.kind], max_iterations - done)):
                 self.replay(launches)
                 done += 1
-            if progress is not None and done % 16 == 0:
-                progress(size - int(np.count_nonzero(state.state.numpy()[:size] == k.RUNNING)))
+            if self._over():
+                break
         return self._ended(state, np.zeros(size, dtype=int))
 
     def _launch_goals(self) -> None:

@@ -796,16 +796,17 @@ def resident_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> 
         """One candidate's search for the beta of least error.
 
         target: the observed displacement; seen: (places,) 1 where it is; most: evaluations; limit: iterations of a
-        state; start, largest, tolerance: of beta; spread, share: tolerance of the search's states, and of the last one;
-        relative: of their derivatives; found: beta, evaluations, and whether the last step was below the tolerance
+        state; tolerance: of beta; spread, share: tolerance of the search's states, and of the last one;
+        relative: of their derivatives; found: beta, evaluations, whether the last step was below the tolerance, and
+        where the next launch goes on: bounds of beta, beta and slope before, and whether it is done
+        turn: evaluations of a launch, after which the host can interrupt the search
         """
 
         target: numbers
         seen: numbers
         most: int
         limit: int
-        start: wp.float64
-        largest: wp.float64
+        turn: int
         tolerance: wp.float64
         spread: wp.float64
         share: wp.float64
@@ -850,18 +851,19 @@ def resident_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> 
 
     @kernel_in(f"follow_{dim}d_{scalar.__name__}_{width}_{window}", scalar, launch_bounds=THREADS[scalar])
     def follow(passes: Passes, by_beta: Passes, span: Span, newton: NewtonState, search: BetaSearch):
-        """`fit.fit_beta` from the start to the end. by_beta: passes that make the derivative of the goals."""
+        """`fit.fit_beta`, some evaluations of it. by_beta: passes that make the derivative of the goals."""
         thread = wp.tid()
         threads = passes.threads
-        low = wp.float64(0.0)
-        high = search.largest
-        beta = search.start
-        beta_before = wp.float64(0.0)
-        slope_before = wp.float64(0.0)
-        evaluations = int(0)
-        settled = int(0)
+        beta = search.found[0]
+        evaluations = int(search.found[1])
+        settled = int(search.found[2])
+        low = search.found[3]
+        high = search.found[4]
+        beta_before = search.found[5]
+        slope_before = search.found[6]
         last = int(0)
-        while last == 0:
+        end = evaluations + search.turn
+        while last == 0 and evaluations < end:
             if evaluations == search.most or settled != 0:
                 last = 1
             spread = search.spread
@@ -913,6 +915,11 @@ def resident_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> 
             search.found[0] = beta
             search.found[1] = wp.float64(evaluations)
             search.found[2] = wp.float64(settled)
+            search.found[3] = low
+            search.found[4] = high
+            search.found[5] = beta_before
+            search.found[6] = slope_before
+            search.found[7] = wp.float64(last)
 
     small = newton_f.small_kernels(relax_kernel, steps_kernel)
     made = members(BetaSearch, steps, relax, aim, follow, *small)

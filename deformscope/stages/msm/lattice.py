@@ -308,7 +308,7 @@ class LatticeOperator(Operator):
     def follow(
         self, parameters: Parameters, kept: object, newton: list[Any], pair: Field, pair_out: Field, search: object
     ) -> Any:
-        """The command for the search for the beta of least error in one launch."""
+        """The command for some evaluations of the search for the beta of least error."""
         passes, by_beta = self._passes(parameters, kept), self._passes(parameters, what=BY_BETA)
         passes.pair, passes.pair_out = pair, pair_out
         return self._stay(self.resident.follow, [passes, by_beta, *newton, search], record_cmd=True)

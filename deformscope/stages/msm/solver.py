@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import functools
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -43,6 +44,10 @@ KEPT_NUMBERS = 2_000_000
 MOVES = 200
 """Moves that held particles make at most in time stepping; of more steps, several pass at each place."""
 
+RESUMED_ITERATIONS = 32_000
+"""At least so many iterations for a second beginning: it is near the state that it comes to, but at beta .95 to .99,
+where little pulls a body back, pressed ones need up to 13 000."""
+
 TRIED_STEPS = 3000
 """Time steps within which a body that eq. 3.17 leaves no stable state has run away."""
 
@@ -61,6 +66,7 @@ class Relaxed:
     to be thrown away
     smoothed: (B,) evaluations besides, in float32, on the finest level of a large lattice's preconditioner
     unaided: (B,) the preconditioner did not help: plain conjugate gradients went on
+    out_of_time: (B,) the time limit came first: `position`, `residual` and `error` are what was reached
     """
 
     position: FloatArray
@@ -71,6 +77,7 @@ class Relaxed:
     diverged: BoolArray
     smoothed: IntArray
     unaided: BoolArray
+    out_of_time: BoolArray
 
     @property
     def settled(self) -> FloatArray:
@@ -333,6 +340,7 @@ class Msm:
         tolerance: float | None = None,
         max_iterations: int | None = None,
         progress: Callable[[int, int], None] | None = None,
+        limit_s: float = np.inf,
     ) -> Relaxed:
         """The static states; no dt, alpha or velocity enters.
 
@@ -350,8 +358,10 @@ class Msm:
         volume: "scale" (eq. 3.17) or "project" (stable): see `reference`
         start: (K, d) or (B, K, d), default rest
         tolerance: on the estimated distance from the static state, as a share of the body's extent
-        max_iterations: default 4000, or 40 a particle where that is more (long thin bodies bend slowly)
-        progress: called with (candidates done, candidates) now and then
+        max_iterations: default 4000, or 40 a particle where that is more (long thin bodies bend slowly). By default,
+        candidates that eq. 3.17 keeps from converging have a second beginning, at the state without conservation
+        progress: called with (candidates done, candidates) now and then, also within one long solve
+        limit_s: after so long, looked for every few iterations, candidates that still run end as `out_of_time`
         """
         if isinstance(beta, AxisBeta):
             found: Relaxed = self._along(beta, theta).relax(
@@ -361,8 +371,10 @@ class Msm:
                 tolerance=tolerance,
                 max_iterations=max_iterations,
                 progress=progress,
+                limit_s=limit_s,
             )
             return found
+        until = time.monotonic() + limit_s
         held_u, beta_b, theta_b = self._candidates(held_position, beta, theta)
         origin = self._displacements(start)
         size = max(len(beta_b), len(origin))
@@ -384,11 +396,11 @@ class Msm:
             method = self._method(*self._kind(theta_b[some], count, volume))
             method.set(beta_b[some], theta_b[some])
             note = None if progress is None else functools.partial(_offset, progress, first, size)
-            ended = method.relax(u, share * self.extent / self.scale, most, note)
+            ended = method.relax(u, share * self.extent / self.scale, most, note, until)
             parts.append(self._relaxed(method.layout.get(method.u, self.dim), ended))
         found = Relaxed(*(np.concatenate([getattr(part, name) for part in parts]) for name in Relaxed.__slots__))
         if volume == "scale" and max_iterations is None:
-            self._resume(found, held_position, beta_b, theta_b, start, share)
+            self._resume(found, held_position, beta_b, theta_b, start, share, progress, until)
         return found
 
     def _resume(
@@ -399,13 +411,15 @@ class Msm:
         theta: FloatArray,
         start: FloatArray | None,
         tolerance: float,
+        progress: Callable[[int, int], None] | None,
+        until: float,
     ) -> None:
         """Has candidates that neither converged nor ran away by eq. 3.17 begin anew, at the state without conservation.
 
         From there the stable state that the pressed body comes to is near. Where that fails and time steps run away
         from there, the candidate has diverged.
         """
-        rows = np.flatnonzero(~(found.converged | found.diverged) & (theta > 0.0))
+        rows = np.flatnonzero(~(found.converged | found.diverged | found.out_of_time) & (theta > 0.0))
         if not len(rows):
             return
         size, (count, dim) = len(theta), self.rest.shape
@@ -414,13 +428,22 @@ class Msm:
         if start is not None:
             start = np.broadcast_to(start, (size, count, dim))[rows]
         beta, theta = beta[rows], theta[rows]
-        free = self.relax(held, beta, start=start, tolerance=tolerance)
-        how: Any = {"start": free.position, "tolerance": tolerance, "max_iterations": _most_iterations(count)}
-        again = self.relax(held, beta, theta, **how)
-        if not again.converged.all():
+        note = None if progress is None else lambda done, _of: progress(size - len(rows) + done, size)
+        free = self.relax(held, beta, start=start, tolerance=tolerance, limit_s=until - time.monotonic())
+        again = self.relax(
+            held,
+            beta,
+            theta,
+            start=free.position,
+            tolerance=tolerance,
+            max_iterations=max(RESUMED_ITERATIONS, _most_iterations(count)),
+            progress=note,
+            limit_s=until - time.monotonic(),
+        )
+        if not (again.converged | again.out_of_time).all():
             state = self.start(len(rows), free.position)
             self.advance(state, held, beta, theta, steps=TRIED_STEPS)
-            again.diverged[:] |= ~again.converged & state.diverged
+            again.diverged[:] |= ~(again.converged | again.out_of_time) & state.diverged
         spent = found.iterations[rows] + free.iterations
         for name in Relaxed.__slots__:
             getattr(found, name)[rows] = getattr(again, name)
@@ -445,6 +468,7 @@ class Msm:
             diverged=ended.state == DIVERGED,
             smoothed=ended.smoothed,
             unaided=ended.unaided,
+            out_of_time=ended.out_of_time,
         )
 
     def _relax_one(
@@ -457,7 +481,8 @@ class Msm:
         found = one.relax(held, beta, theta, tolerance=tolerance * self.extent / one.radius, **how)
         position = one.positions(found, held)
         few = (found.residual, found.error, found.iterations, found.converged, found.diverged)
-        return Relaxed(position, *few, np.zeros_like(found.iterations), np.zeros_like(found.converged))
+        no = np.zeros_like(found.converged)
+        return Relaxed(position, *few, np.zeros_like(found.iterations), no, no.copy())
 
     def _all_held(self, held_position: FloatArray, size: int) -> Relaxed:
         """The states where every particle is prescribed. held_position: (B, h, d)"""
@@ -466,7 +491,7 @@ class Msm:
         none = np.zeros(size)
         yes = np.ones(size, dtype=bool)
         count = np.zeros(size, dtype=int)
-        return Relaxed(position, none, none.copy(), count, yes, ~yes, count.copy(), ~yes)
+        return Relaxed(position, none, none.copy(), count, yes, ~yes, count.copy(), ~yes, ~yes)
 
     # -- derivatives -----------------------------------------------------------------------------------------------
 
@@ -657,8 +682,9 @@ class Msm:
     def reaction(self, position: FloatArray, beta: FloatArray | float, theta: FloatArray | float = 0.0) -> FloatArray:
         """Force that each particle asks of what holds it, per unit of the body's stiffness k [m]: (B, K, d).
 
-        The gradient of the energy (`reference.reaction`), with volume conserved by projection since eq. 3.17 has none;
-        at a static state 0 at the free particles. position: (K, d) or (B, K, d)
+        The gradient of the energy: m_i (x_i - goal_i), summed over the particle's clusters, with volume conserved by
+        projection since eq. 3.17 has no energy; at a static state 0 at the free particles.
+        position: (K, d) or (B, K, d)
         """
         pull = self._unheld.residual(position, beta, theta, volume="project")
         return -pull * (self._particles.counts * self._particles.mass)[:, None]

@@ -37,7 +37,7 @@ def pull(body: Pushed, deformed: FloatArray, beta: float) -> float:
     """Net force by the reference, per unit of k."""
     spec = reference.build_rest(body.rest, body.clusters(3), body.held)
     contact = body.held[body.shape[1] :]
-    return float(np.linalg.norm(reference.reaction(deformed, spec, beta)[contact].sum(axis=0)))
+    return float(np.linalg.norm(reference_states.reaction(deformed, spec, beta)[contact].sum(axis=0)))
 
 
 def static(body: Pushed, beta: float) -> FloatArray:

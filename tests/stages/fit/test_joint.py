@@ -48,7 +48,7 @@ def test_noisy_data_give_sets_that_hold_both_and_a_density_of_mass_one() -> None
     exact = truth(body, 0.6, 0.3)
     contact = body.held[5:]
     spec = reference.build_rest(body.rest, body.clusters(3), body.held)
-    force = float(np.linalg.norm(reference.reaction(exact, spec, 0.6, 0.3)[contact].sum(axis=0)))
+    force = float(np.linalg.norm(reference_states.reaction(exact, spec, 0.6, 0.3)[contact].sum(axis=0)))
     seen = observation(body, exact + rng.normal(0.0, 1e-4, exact.shape), 1e-4, force_n=200.0 * force, contact=contact)
     found, _ = calibrate_both([seen], JointOptions(level=0.98))
     assert found.beta.interval[0] <= 0.6 <= found.beta.interval[1]

@@ -54,8 +54,8 @@ def effort(monkeypatch: pytest.MonkeyPatch) -> Iterator[Effort]:
     counted = Effort([])
 
     def relaxing(plain: Callable[..., Any]) -> Callable[..., Any]:
-        def relax(self: Any, start: Any, tolerance: float, most: int, progress: Any = None) -> Any:
-            ended = plain(self, start, tolerance, most, progress)
+        def relax(self: Any, start: Any, tolerance: float, most: int, *watched: Any) -> Any:
+            ended = plain(self, start, tolerance, most, *watched)
             if (ended.state == CONVERGED).all():
                 counted.shares.append((plain.__qualname__, ended.total.max() / most))
             return ended

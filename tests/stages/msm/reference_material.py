@@ -60,7 +60,7 @@ def axis_parts(
     p = (x[cluster.index] - t) / cluster.radius
     w = axis_weight(cluster, beta, plastic)
     a = np.einsum("n,ni,nj->ij", m, p, cluster.q) @ cluster.inverse
-    return t, a, reference.rotation(a @ w, float(np.trace(w))), w
+    return t, a, reference_states.rotation(a @ w, float(np.trace(w))), w
 
 
 def axis_goals(x: FloatArray, cluster: RestCluster, beta: AxisBeta, plastic: FloatArray | None = None) -> FloatArray:
@@ -117,7 +117,7 @@ def goals(
     """Mean goal of each particle over its clusters, (K, d) (eq. 3.15). Held particles: their own position."""
     body = rest if plastic is None else yielded(rest, plastic, basis)
     if not isinstance(beta, AxisBeta):
-        return reference.goals(x, body, beta, theta, volume=volume)
+        return reference_states.goals(x, body, beta, theta, volume=volume)
     total, count = np.zeros_like(x), np.zeros(len(x))
     for number, cluster in enumerate(body.clusters):
         total[cluster.index] += axis_goals(x, cluster, beta, None if plastic is None else plastic[number])

@@ -7,7 +7,7 @@ import pytest
 
 pytest.importorskip("warp")
 
-from deformscope.stages.msm import clusters
+from deformscope.stages.msm import clusters, iteration
 from deformscope.stages.msm.fit import LARGEST, _followed, fit_beta, fit_beta_theta
 from deformscope.stages.msm.iteration import Newton
 from deformscope.stages.msm.reference import Volume
@@ -54,6 +54,21 @@ def test_one_launch_finds_what_evaluations_from_python_find(device: str, size: i
     assert settled
     assert 0.0 < beta < LARGEST
     assert (found.value, found.evaluations) == (pytest.approx(beta, abs=1e-7), evaluations)
+
+
+def test_a_search_that_comes_back_after_each_evaluation_is_the_same(
+    device: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rng = np.random.default_rng(7)
+    body = pushed((6, 8), rng)
+    engine = Msm(body.rest, body.clusters(3), body.held, device=device)
+    observed = engine.relax(body.held_position, 0.6).position[0] + rng.normal(0, 0.02 * engine.scale, body.rest.shape)
+    whole = fit_beta(engine, body.held_position, observed)
+    monkeypatch.setattr(iteration, "TURN", 1)
+    in_turns = fit_beta(engine, body.held_position, observed)
+    assert whole.evaluations > 2
+    assert (in_turns.value, in_turns.evaluations) == (whole.value, whole.evaluations)
+    np.testing.assert_array_equal(in_turns.position, whole.position)
 
 
 def test_a_shape_beyond_the_model_ends_at_the_bound(device: str) -> None:

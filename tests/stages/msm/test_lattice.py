@@ -167,7 +167,7 @@ def _limit(precision: Precision, body: Body, states: FloatArray) -> float:
 def _expected(states: FloatArray, spec: Rest, beta: FloatArray, theta: FloatArray, volume: Volume) -> FloatArray:
     """goals - x by the reference."""
     rows = [
-        reference.goals(x, spec, float(b), float(th), volume=volume) - x
+        reference_states.goals(x, spec, float(b), float(th), volume=volume) - x
         for x, b, th in zip(states, beta, theta, strict=True)
     ]
     return np.stack(rows)
@@ -246,7 +246,7 @@ def test_a_beta_for_each_cluster(device: str, precision: Precision, name: str, c
     expected = np.zeros_like(states)
     for row, x in enumerate(states):
         for b, cluster in zip(beta[row], spec.clusters, strict=True):
-            expected[row, cluster.index] += reference.cluster_goals(x, cluster, float(b), 0.4, volume="project")
+            expected[row, cluster.index] += reference_states.cluster_goals(x, cluster, float(b), 0.4, volume="project")
     expected = expected / body.clusters.cluster_counts()[:, None] - states
     expected[:, body.held] = 0.0
     limit = _limit(precision, body, states)
@@ -326,7 +326,7 @@ def test_static_states_are_those_of_the_same_clusters_as_lists(device: str, name
     np.testing.assert_allclose(ends[0].position, ends[1].position, rtol=0.0, atol=1e-8 * np.ptp(body.rest))
     spec = body.spec()
     for row, x in enumerate(ends[0].position):
-        left = reference.goals(x, spec, float(beta[row]), 0.3, volume="project") - x
+        left = reference_states.goals(x, spec, float(beta[row]), 0.3, volume="project") - x
         assert np.abs(left).max() < 1e-10 * np.ptp(body.rest)
 
 
@@ -487,7 +487,7 @@ def test_uneven_and_quadratic_bodies_are_taken_as_lists_and_agree_with_the_refer
     assert isinstance(grouped, LatticeClusters)
     engine = Msm(rest, grouped, held, basis=basis, device=device)
     assert isinstance(engine._body, GeneralBody)
-    expected = reference.goals(x, reference.build_rest(rest, grouped, held, basis=basis), 0.6) - x
+    expected = reference_states.goals(x, reference.build_rest(rest, grouped, held, basis=basis), 0.6) - x
     np.testing.assert_allclose(engine.residual(x, 0.6)[0], expected, rtol=0.0, atol=1e-11 * SPACING_M)
 
 
@@ -498,7 +498,7 @@ def test_a_particle_that_no_window_keeps_makes_a_body_of_lists(device: str) -> N
     engine = Msm(rest, grouped, [0], device=device)
     assert isinstance(engine._body, GeneralBody)
     x = rest + np.random.default_rng(2).normal(0, 0.2 * SPACING_M, rest.shape)
-    expected = reference.goals(x, reference.build_rest(rest, grouped, np.array([0])), 0.6) - x
+    expected = reference_states.goals(x, reference.build_rest(rest, grouped, np.array([0])), 0.6) - x
     np.testing.assert_allclose(engine.residual(x, 0.6)[0], expected, rtol=0.0, atol=1e-11 * SPACING_M)
 
 
@@ -516,6 +516,6 @@ def test_lattices_of_other_axes_than_their_space(device: str, shape: tuple[int, 
     spec = reference.build_rest(rest, grouped, held)
     x = rest + rng.normal(0, 0.2 * SPACING_M, rest.shape)
     for theta in (0.0, 0.5):
-        expected = reference.goals(x, spec, 0.6, theta, volume="project") - x
+        expected = reference_states.goals(x, spec, 0.6, theta, volume="project") - x
         found = engine.residual(x, 0.6, theta, volume="project")[0]
         np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-11 * SPACING_M)

@@ -62,7 +62,7 @@ def test_equal_betas_are_one_beta_in_energy_and_goals() -> None:
     for b in (0.0, 0.4, 0.95):
         beta = AxisBeta(np.full(3, b), _turn(rng, 3))
         assert spec.axis_energy(x, rest, beta) == pytest.approx(reference_states.energy(x, rest, b), rel=1e-12)
-        np.testing.assert_allclose(spec.goals(x, rest, beta), reference.goals(x, rest, b), rtol=0.0, atol=1e-14)
+        np.testing.assert_allclose(spec.goals(x, rest, beta), reference_states.goals(x, rest, b), rtol=0.0, atol=1e-14)
 
 
 @pytest.mark.parametrize("dim", [2, 3])

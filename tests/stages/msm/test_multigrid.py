@@ -14,6 +14,7 @@ from deformscope.stages.msm import clusters, iteration, multigrid, reference
 from deformscope.stages.msm.multigrid import Multigrid
 from deformscope.stages.msm.solver import Msm, Precision
 from tests.cases import slow, slow_but
+from tests.stages import reference_states
 from tests.stages.bodies import lattice
 
 BODIES = {
@@ -124,7 +125,7 @@ def test_states_are_those_without_it_and_obey_the_equations(
     assert apart.max() < 2e-9 * engine.extent  # each is known to 1e-9
     rest = reference.build_rest(engine.rest, engine._clusters, engine.held)
     for x, b in zip(found.position[[0, -1]], beta[[0, -1]], strict=True):
-        left = reference.goals(x, rest, float(b), theta, volume=volume) - x
+        left = reference_states.goals(x, rest, float(b), theta, volume=volume) - x
         assert np.sqrt(np.mean(np.sum(left**2, axis=-1))) < 1e-9 * engine.extent
 
 
@@ -136,7 +137,7 @@ def test_derivatives_are_those_of_a_dense_solve(name: str, device: str) -> None:
     unknowns = np.flatnonzero(np.repeat(engine.free, engine.dim))
 
     def goals(x: FloatArray, beta: float = 0.9) -> FloatArray:
-        return reference.goals(x, rest, beta).reshape(-1)[unknowns]
+        return reference_states.goals(x, rest, beta).reshape(-1)[unknowns]
 
     h = 1e-5
     jacobian = np.empty((len(unknowns), len(unknowns)))

@@ -12,6 +12,7 @@ from deformscope.errors import InputError
 from deformscope.stages.msm import clusters, reference
 from deformscope.stages.msm.poke import SETTLED, Law, Poke, PokeSetup, Tip, hold, press, settle
 from deformscope.stages.poke.layers import MeasuredSurface, below
+from tests.stages import reference_states
 
 AT = np.array([0.06, 0.06, 0.03])
 LAW = Law(0.4, 0.6, 3)
@@ -29,7 +30,7 @@ def scene() -> PokeSetup:
 def forces(scene: PokeSetup, position: FloatArray, held: FloatArray, law: Law = LAW) -> FloatArray:
     """Reaction at every particle by the float64 reference."""
     rest = reference.build_rest(scene.rest, scene.clusters, held)
-    return reference.reaction(position, rest, law.beta, law.theta)
+    return reference_states.reaction(position, rest, law.beta, law.theta)
 
 
 def test_a_flat_tip_touches_its_footprint_and_pushes_it_down(scene: PokeSetup) -> None:

@@ -19,6 +19,7 @@ from deformscope.stages.msm import clusters, multigrid, reference
 from deformscope.stages.msm.clusters import Clusters
 from deformscope.stages.msm.reference import Rest, Volume
 from deformscope.stages.msm.solver import TOLERANCE, Msm, Precision
+from tests.stages import reference_states
 from tests.stages.bodies import SPACING_M, lattice
 
 
@@ -113,7 +114,7 @@ def _distance(x: FloatArray, spec: Rest, case: Pressed) -> float:
     rows, columns, values = [], [], []
 
     def goals(at: FloatArray, cluster: reference.RestCluster) -> FloatArray:
-        found = reference.cluster_goals(at, cluster, case.beta, case.theta, volume=case.volume)
+        found = reference_states.cluster_goals(at, cluster, case.beta, case.theta, volume=case.volume)
         return np.asarray(found / counts[cluster.index, None]).reshape(-1)
 
     for cluster in spec.clusters:
@@ -131,7 +132,7 @@ def _distance(x: FloatArray, spec: Rest, case: Pressed) -> float:
     entries = (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns)))
     slope = csc_array(identity(size, format="csc") - csc_array(entries, shape=(size, size)))
     free = np.flatnonzero(np.repeat(~clusters.held_mask(len(x), spec.held), dim))
-    left = (reference.goals(x, spec, case.beta, case.theta, volume=case.volume) - x).reshape(-1)[free]
+    left = (reference_states.goals(x, spec, case.beta, case.theta, volume=case.volume) - x).reshape(-1)[free]
     step = spsolve(slope[free][:, free], left, permc_spec="MMD_AT_PLUS_A")
     return float(np.sqrt(np.mean(np.sum(step.reshape(-1, dim) ** 2, axis=1))))
 

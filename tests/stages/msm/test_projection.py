@@ -77,7 +77,7 @@ def _hard_cases(dim: int) -> FloatArray:
 def test_nearest_matrices_by_hand() -> None:
     def nearest(*diagonal: float, span_count: int | None = None) -> FloatArray:
         b = np.diag(diagonal)
-        return reference.project_measure(b, len(b) if span_count is None else span_count)
+        return reference_states.project_measure(b, len(b) if span_count is None else span_count)
 
     np.testing.assert_allclose(nearest(1.2, 1.2, 1.2), np.eye(3), atol=1e-12)
     np.testing.assert_allclose(nearest(0.5, 0.5), np.eye(2), atol=1e-12)
@@ -97,7 +97,7 @@ def test_no_matrix_of_measure_1_is_nearer(dim: int, span_count: int) -> None:
     rng = np.random.default_rng(dim * 10 + span_count)
     kinds = ("near", "inverted", "expanded", "wide")
     for b in np.concatenate([_matrices(kind, 10, dim, span_count, rng) for kind in kinds]):
-        p = reference.project_measure(b, span_count)
+        p = reference_states.project_measure(b, span_count)
         assert _measure(p, span_count) == pytest.approx(1.0, rel=1e-8)
         others = p + 10.0 ** rng.uniform(-4.0, 1.0, (300, 1, 1)) * rng.normal(size=(300, dim, dim))
         others[:, :, span_count:] = 0.0
@@ -113,7 +113,7 @@ def test_no_matrix_of_measure_1_is_nearer(dim: int, span_count: int) -> None:
 def test_a_general_optimiser_finds_nothing_nearer(kind: str) -> None:
     rng = np.random.default_rng(3)
     for b in _matrices(kind, 3, 3, 3, rng):
-        p = reference.project_measure(b, 3)
+        p = reference_states.project_measure(b, 3)
         found = []
         for start in (np.eye(3), _proper(rng, 3), p + 0.3 * rng.normal(size=(3, 3))):
             end = minimize(
@@ -134,15 +134,15 @@ def test_the_nearest_matrix_turns_with_its_argument(dim: int, span_count: int) -
     for b in _matrices("normal", 10, dim, span_count, rng):
         left, right = _proper(rng, dim), np.eye(dim)
         right[:span_count, :span_count] = _proper(rng, span_count) if span_count > 1 else 1.0
-        turned = reference.project_measure(left @ b @ right, span_count)
-        np.testing.assert_allclose(turned, left @ reference.project_measure(b, span_count) @ right, atol=1e-8)
+        turned = reference_states.project_measure(left @ b @ right, span_count)
+        np.testing.assert_allclose(turned, left @ reference_states.project_measure(b, span_count) @ right, atol=1e-8)
 
 
 def test_hard_cases_stay_finite_and_of_measure_1() -> None:
     for dim, span_count in SPANS:
         for b in _hard_cases(dim):
             b[:, span_count:] = 0.0
-            p = reference.project_measure(b, span_count)
+            p = reference_states.project_measure(b, span_count)
             assert np.isfinite(p).all()
             s = np.linalg.svd(p[:, :span_count], compute_uv=False)
             if s[0] < 1e5:  # beyond, the rounding of the largest value is as large as the smallest one
@@ -191,7 +191,7 @@ def test_reaction_is_the_gradient_of_the_energy(
     for x in _states(body.position, rng):
         direction = rng.normal(size=x.shape)
         after, before = (reference_states.energy(x + step * direction, body, 0.8, theta) for step in (h, -h))
-        force = reference.reaction(x, body, 0.8, theta)
+        force = reference_states.reaction(x, body, 0.8, theta)
         size_of_slope = np.linalg.norm(force) * np.linalg.norm(direction)
         assert np.sum(force * direction) == pytest.approx((after - before) / (2 * h), abs=1e-7 * size_of_slope)
 
@@ -207,7 +207,7 @@ def test_reaction_is_the_gradient_for_free_form_clusters(basis: reference.Basis)
         direction = rng.normal(size=x.shape)
         h = 1e-6
         after, before = (reference_states.energy(x + step * direction, body, 0.9, 0.7) for step in (h, -h))
-        slope = np.sum(reference.reaction(x, body, 0.9, 0.7) * direction)
+        slope = np.sum(reference_states.reaction(x, body, 0.9, 0.7) * direction)
         assert slope == pytest.approx((after - before) / (2 * h), rel=1e-6)
 
 
@@ -219,7 +219,7 @@ def test_a_step_to_the_goals_never_raises_the_energy(shape: tuple[int, ...], siz
         for beta, theta in ((0.99, 1.0), (0.5, 0.3)):
             state, stored = x, reference_states.energy(x, body, beta, theta)
             for _ in range(4):
-                state = reference.goals(state, body, beta, theta, volume="project")
+                state = reference_states.goals(state, body, beta, theta, volume="project")
                 before, stored = stored, reference_states.energy(state, body, beta, theta)
                 assert stored <= before * (1.0 + 1e-12)
 
@@ -229,8 +229,8 @@ def test_without_conservation_both_modes_are_the_same() -> None:
     for shape, size, basis in BODIES:
         body = _body(shape, size, basis, rng)
         x = _states(body.position, rng)[0]
-        scaled = reference.goals(x, body, 0.7, 0.0, volume="scale")
-        np.testing.assert_array_equal(reference.goals(x, body, 0.7, 0.0, volume="project"), scaled)
+        scaled = reference_states.goals(x, body, 0.7, 0.0, volume="scale")
+        np.testing.assert_array_equal(reference_states.goals(x, body, 0.7, 0.0, volume="project"), scaled)
 
 
 @pytest.mark.parametrize("basis", ["linear", "quadratic"])
@@ -241,13 +241,13 @@ def test_full_conservation_of_one_cluster_gives_it_the_rest_volume_in_both_modes
     x = rest * [1.3, 0.8, 0.6] + rng.normal(0, 0.1, rest.shape)
     modes: tuple[reference.Volume, ...] = ("scale", "project")
     for volume in modes:
-        goal = reference.goals(x, body, 1.0, 1.0, volume=volume)
+        goal = reference_states.goals(x, body, 1.0, 1.0, volume=volume)
         (cluster,) = body.clusters
         p = (goal - goal.mean(axis=0)) / cluster.radius
         a = (p.T @ cluster.q_basis @ cluster.inverse)[:, :3]
         assert np.linalg.det(a) == pytest.approx(1.0)
     # nearer to where it is than the evenly scaled one
-    away = [np.sum((reference.goals(x, body, 1.0, 1.0, volume=volume) - x) ** 2) for volume in modes]
+    away = [np.sum((reference_states.goals(x, body, 1.0, 1.0, volume=volume) - x) ** 2) for volume in modes]
     assert away[1] < away[0]
 
 
@@ -257,8 +257,8 @@ def test_too_few_particles_for_the_quadratic_terms_leave_the_volume_free() -> No
     rest = np.array([[0.0, 0.0], [1.0, 0.3], [0.2, 1.1], [1.6, 1.9]])
     body = reference.build_rest(rest, clusters.single(4), np.array([], dtype=int), basis="quadratic")
     x = rest * 0.5 + rng.normal(0, 0.1, rest.shape)
-    plain = reference.goals(x, body, 0.9)
-    np.testing.assert_array_equal(reference.goals(x, body, 0.9, 1.0, volume="project"), plain)
+    plain = reference_states.goals(x, body, 0.9)
+    np.testing.assert_array_equal(reference_states.goals(x, body, 0.9, 1.0, volume="project"), plain)
 
 
 def test_a_cluster_of_one_particle_has_no_volume_to_keep() -> None:
@@ -267,7 +267,7 @@ def test_a_cluster_of_one_particle_has_no_volume_to_keep() -> None:
     bases: tuple[reference.Basis, ...] = ("linear", "quadratic")
     for basis in bases:
         body = reference.build_rest(rest, grouped, np.array([], dtype=int), basis=basis)
-        np.testing.assert_array_equal(reference.goals(2.0 * rest, body, 0.5, 1.0, volume="project"), 2.0 * rest)
+        np.testing.assert_array_equal(reference_states.goals(2.0 * rest, body, 0.5, 1.0, volume="project"), 2.0 * rest)
 
 
 def test_time_steps_take_the_mode() -> None:
@@ -275,7 +275,7 @@ def test_time_steps_take_the_mode() -> None:
     body = _body((4, 3, 3), 2, "linear", rng)
     x = _states(body.position, rng)[0]
     after, _ = reference_states.step(x, np.zeros_like(x), body, x[:0], beta=0.9, theta=0.8, volume="project")
-    np.testing.assert_allclose(after, reference.goals(x, body, 0.9, 0.8, volume="project"), atol=1e-14)
+    np.testing.assert_allclose(after, reference_states.goals(x, body, 0.9, 0.8, volume="project"), atol=1e-14)
 
 
 @pytest.mark.parametrize("beta", [0.9, slow(0.99)])
@@ -346,7 +346,7 @@ def test_warp_agrees_with_the_reference(device: str, precision: str, dim: int, s
     rng = np.random.default_rng(11)
     for kind in ("near", "inverted", "expanded", "wide"):
         b = _matrices(kind, 30, dim, span_count, rng)  # the reference takes a millisecond for each
-        expected = np.stack([reference.project_measure(matrix, span_count) for matrix in b])
+        expected = np.stack([reference_states.project_measure(matrix, span_count) for matrix in b])
         change, _, stretch = _project(b, np.zeros_like(b), span_count, precision, device)
         size = np.maximum(1.0, np.abs(b).max(axis=(1, 2)))
         further = np.linalg.norm(change, axis=(1, 2)) - np.linalg.norm(expected - b, axis=(1, 2))
@@ -368,7 +368,7 @@ def test_warp_stays_finite_in_hard_cases(device: str, precision: str) -> None:
         change, slope, _ = _project(b, direction, span_count, precision, device)
         assert np.isfinite(change).all()
         assert np.isfinite(slope).all()
-        expected = np.stack([reference.project_measure(matrix, span_count) for matrix in b])
+        expected = np.stack([reference_states.project_measure(matrix, span_count) for matrix in b])
         size = np.maximum(1.0, np.abs(b).max(axis=(1, 2)))
         further = np.linalg.norm(change, axis=(1, 2)) - np.linalg.norm(expected - b, axis=(1, 2))
         assert np.all(np.abs(further) < DISTANCE_TOLERANCE[precision] * size)

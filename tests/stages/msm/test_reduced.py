@@ -63,7 +63,7 @@ def imbalance(
 ) -> float:
     """Largest goal - place by the reference, over the extent."""
     spec = reference.build_rest(one.rest, clusters.single(len(one.rest)), one.held, mass, basis)
-    off = np.abs(reference.goals(x, spec, beta, theta, volume=volume) - x).max()
+    off = np.abs(reference_states.goals(x, spec, beta, theta, volume=volume) - x).max()
     return float(off / np.ptp(one.rest, axis=0).max())
 
 
@@ -193,9 +193,9 @@ def test_what_claims_to_have_converged_has(device: str, shape: tuple[int, ...], 
             spec = reference.build_rest(rest, clusters.single(len(rest)), held, basis=basis)
             near = found[row] + 1e-6 * np.random.default_rng(row).normal(size=rest.shape)
             near[held] = position
-            first = np.abs(reference.goals(near, spec, b, t) - found[row]).max()
+            first = np.abs(reference_states.goals(near, spec, b, t) - found[row]).max()
             for _ in range(20):
-                near = reference.goals(near, spec, b, t)
+                near = reference_states.goals(near, spec, b, t)
             assert np.abs(near - found[row]).max() < 1.5 * first
 
 
@@ -284,7 +284,7 @@ def test_bodies_too_small_for_their_basis(device: str, shape: tuple[int, ...], b
             x = one.positions(state, holding)[0]
             spec = reference.build_rest(rest, clusters.single(len(rest)), held, basis=basis)
             if volume == "scale" or theta == 0.0:
-                np.testing.assert_allclose(reference.goals(x, spec, beta, theta), x, atol=1e-10)
+                np.testing.assert_allclose(reference_states.goals(x, spec, beta, theta), x, atol=1e-10)
 
 
 @pytest.mark.parametrize("volume", VOLUMES)

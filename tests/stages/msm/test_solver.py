@@ -64,7 +64,7 @@ def test_goals_agree_with_the_reference(
     theta = np.array([0.0, 0.0, 0.3, 0.0, 0.5])
     found = engine.residual(states, beta, theta)
     for row, state in enumerate(states):
-        expected = reference.goals(state, spec, float(beta[row]), float(theta[row])) - state
+        expected = reference_states.goals(state, spec, float(beta[row]), float(theta[row])) - state
         worst = np.abs(found[row] - expected).max() / (engine.scale * max(1.0, np.abs(state).max() / 0.1))
         assert worst < KERNEL_TOLERANCE[precision] * (10.0 if basis == "quadratic" else 1.0), (row, worst)
         assert np.all(found[row][held] == 0.0)
@@ -239,7 +239,7 @@ def test_sheets_that_are_not_quite_flat_agree_with_the_reference(device: str, ba
     spec = reference.build_rest(rest, grouped, np.array([0]), basis=basis)
     engine = Msm(rest, grouped, np.array([0]), basis=basis, device=device)
     for state, theta in ((rest @ turn.T, 0.0), (rest @ turn.T + rng.normal(0, 2e-3, rest.shape), 0.4)):
-        expected = reference.goals(state, spec, 0.6, theta) - state
+        expected = reference_states.goals(state, spec, 0.6, theta) - state
         assert np.abs(engine.residual(state, 0.6, theta)[0] - expected).max() < 1e-8 * engine.scale
     np.testing.assert_allclose(engine.residual(rest @ turn.T, 0.6), 0.0, atol=1e-12)
 
@@ -252,7 +252,7 @@ def test_where_rotations_tie_one_of_the_best_is_taken(device: str) -> None:
     engine = Msm(rest, grouped, [], device=device)
     for squeeze in ([1.0, 0.0, 0.0], [-1.0, 1.0, 1.0], [-1.0, -1.0, -1.0], [0.0, 0.0, 0.0]):
         state = rest * squeeze
-        expected = np.sum((reference.goals(state, spec, 0.0) - state) ** 2)
+        expected = np.sum((reference_states.goals(state, spec, 0.0) - state) ** 2)
         found = np.sum(engine.residual(state, 0.0)[0] ** 2)
         assert found == pytest.approx(expected, rel=1e-9, abs=1e-18)
 
@@ -261,7 +261,7 @@ def test_a_rod_turns_without_resistance(device: str) -> None:
     rest = np.column_stack([np.arange(5) * 0.01, np.zeros(5), np.zeros(5)])
     upright = rest[:, [1, 2, 0]]
     spec = reference.build_rest(rest, clusters.single(5), np.array([], dtype=int))
-    np.testing.assert_allclose(reference.goals(upright, spec, 0.0), upright, atol=1e-12)
+    np.testing.assert_allclose(reference_states.goals(upright, spec, 0.0), upright, atol=1e-12)
     engine = Msm(rest, clusters.single(5), [], device=device)
     np.testing.assert_allclose(engine.residual(upright, 0.0), 0.0, atol=1e-9)
 
@@ -326,7 +326,7 @@ def test_degenerate_clusters_stay_finite(
     spec = reference.build_rest(rest, grouped, held, basis=case.basis)
     x = rest.copy()
     x[held] = position
-    assert np.isfinite(reference.goals(x, spec, 0.5, theta)).all()
+    assert np.isfinite(reference_states.goals(x, spec, 0.5, theta)).all()
 
 
 def test_divergence_is_reported_and_never_shown_as_a_result(device: str, effort: Effort) -> None:
@@ -365,4 +365,4 @@ def test_reaction_is_the_references_gradient_of_the_energy(device: str) -> None:
     rest = reference.build_rest(body.rest, grouped, body.held)
     for beta, theta in ((0.4, 0.0), (0.8, 0.6)):
         found = engine.reaction(position, beta, theta)[0]
-        np.testing.assert_allclose(found, reference.reaction(position, rest, beta, theta), atol=1e-12)
+        np.testing.assert_allclose(found, reference_states.reaction(position, rest, beta, theta), atol=1e-12)

@@ -11,11 +11,12 @@ import pytest
 pytest.importorskip("warp")
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
-from deformscope.stages.msm import clusters, reference
+from deformscope.stages.msm import clusters, iteration, reference
 from deformscope.stages.msm.clusters import Clusters
 from deformscope.stages.msm.reference import Rest, Volume
 from deformscope.stages.msm.solver import Msm, Precision, Relaxed
 from tests.cases import slow_but
+from tests.stages import reference_states
 from tests.stages.bodies import SPACING_M, lattice, pushed
 
 TIGHT = 1e-13
@@ -87,7 +88,7 @@ def _left(press: Press, found: Relaxed, rows: BoolArray, volume: Volume) -> Floa
     spec = press.spec
     return np.array(
         [
-            _rms((reference.goals(x, spec, float(b), float(t), volume=volume) - x)[None])[0]
+            _rms((reference_states.goals(x, spec, float(b), float(t), volume=volume) - x)[None])[0]
             for x, b, t in zip(found.position[rows], press.beta[rows], press.theta[rows], strict=True)
         ]
     )
@@ -124,6 +125,16 @@ def test_pressed_bodies_with_eq_3_17_converge_or_say_that_they_did_not(
     assert np.isfinite(found.position).all()
     assert not np.any(found.converged & found.diverged)
     assert found.converged.mean() > 0.5
+    assert _left(press, found, found.converged, "scale").max() < 1e-9 * engine.extent
+
+
+def test_second_beginnings_have_the_iterations_that_they_need(device: str) -> None:
+    """Bodies at beta .95 and .99, which come to their state slowly: each converges, or runs away and says so."""
+    press = _press(*PRESSED[3])
+    engine = Msm(press.rest, press.grouped, press.held, device=device)
+    found = engine.relax(press.held_position, press.beta, press.theta, volume="scale", start=press.start)
+    assert np.all(found.converged | found.diverged)
+    assert found.converged.sum() >= 40
     assert _left(press, found, found.converged, "scale").max() < 1e-9 * engine.extent
 
 
@@ -295,7 +306,7 @@ def test_masses_weigh_as_in_the_reference(device: str, grouping: str, volume: Vo
     np.testing.assert_allclose(states[1], states[0], rtol=0.0, atol=limit)
     np.testing.assert_allclose(states[2], states[0], rtol=0.0, atol=limit)
     spec = reference.build_rest(body.rest, grouped, body.held, mass)
-    left = reference.goals(states[0], spec, 0.7, theta, volume=volume) - states[0]
+    left = reference_states.goals(states[0], spec, 0.7, theta, volume=volume) - states[0]
     assert np.abs(left).max() < 1e-10 * engine.extent
     # the heavy particle matters: even masses give another state
     assert np.abs(states[3] - states[0]).max() > 1e-3 * engine.extent
@@ -340,6 +351,44 @@ def test_a_tolerance_that_rounding_forbids_is_no_divergence(device: str, shape: 
     found = engine.relax(body.held_position, np.linspace(0.1, 0.9, 20), tolerance=1e-17)
     assert found.residual.max() < 1e-11 * engine.extent
     assert not found.diverged.any()
+
+
+# -- time limit and progress -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("volume", "theta"), [*MODES, ("scale", 0.3)])
+@pytest.mark.parametrize("shape", [(12, 12, 12), (22, 22, 22)])
+def test_a_solve_whose_time_is_over_says_so_and_what_is_left(
+    device: str, shape: tuple[int, ...], volume: Volume, theta: float
+) -> None:
+    """Kernels that stay for some hundred evaluations, and a preconditioned lattice."""
+    body = pushed(shape, np.random.default_rng(19))
+    engine = Msm(body.rest, body.clusters(3), body.held, device=device)
+    found = engine.relax(body.held_position, 0.95, theta, volume=volume, limit_s=0.0)
+    assert found.out_of_time.all()
+    assert not found.converged.any()
+    assert not found.diverged.any()
+    left = _rms(engine.residual(found.position, 0.95, theta, volume=volume))
+    assert 1e-9 * engine.extent < left[0] < 10.0 * found.residual[0]
+    if volume == "project" or theta == 0.0:  # an accelerated step follows the last residual of the others
+        assert found.residual[0] < 10.0 * left[0]
+    assert not engine.relax(body.held_position, 0.95, theta, volume=volume, limit_s=600.0).out_of_time.any()
+
+
+@pytest.mark.parametrize(("volume", "theta"), [*MODES, ("scale", 0.3)])
+def test_one_long_solve_tells_that_it_runs(
+    device: str, monkeypatch: pytest.MonkeyPatch, volume: Volume, theta: float
+) -> None:
+    monkeypatch.setattr(iteration, "TELL_EVERY_S", 0.0)
+    body = pushed((22, 22, 22), np.random.default_rng(20))
+    engine = Msm(body.rest, body.clusters(3), body.held, device=device)
+    seen: list[tuple[int, int]] = []
+    found = engine.relax(
+        body.held_position, 0.9, theta, volume=volume, progress=lambda done, of: seen.append((done, of))
+    )
+    assert found.converged.all()
+    assert seen[-1] == (1, 1)
+    assert seen.count((0, 1)) > 3  # within its linear equations, too
 
 
 # -- warm starts -----------------------------------------------------------------------------------------------------

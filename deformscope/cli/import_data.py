@@ -1,0 +1,28 @@
+"""`deformscope import`: bags and tables of others, as a recording.
+
+deformscope import --inspect bag.mcap > map.toml
+deformscope import bag.mcap --map map.toml --record run.rrd
+"""
+
+from __future__ import annotations
+
+from deformscope.cli.common import EXIT_LOSSES, say, show, write_json
+from deformscope.config import ImportConfig
+from deformscope.recording.losses import named
+from deformscope.runs.importing import import_source, inspect_source
+
+
+def run(config: ImportConfig) -> int:
+    """Import it, or say what is in it. Returns the command's exit status."""
+    if config.inspect:
+        found = inspect_source(config)
+        if config.output.json != "-":
+            print(found.toml, end="")
+        write_json({"source": config.source, "topics": found.topics, "map": found.toml}, config.output.json)
+        return 0
+    result = import_source(config)
+    show(result)
+    write_json(result.as_json(), config.output.json)
+    if losses := result.found["losses"]:
+        say(f"deformscope: the recording is whole, with losses: {named(losses)}")
+    return EXIT_LOSSES if losses else 0

@@ -1,0 +1,1 @@
+"""Data of others as frames like any device's."""

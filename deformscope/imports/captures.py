@@ -1,0 +1,113 @@
+"""Recorded bytes of devices, decoded by their drivers' own decoders."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from deformscope.errors import InputError
+from deformscope.frames import Frame, RawBytes, Stream
+from deformscope.imports.import_map import MappedStream
+from deformscope.imports.readers import Message, Reader
+from deformscope.rig.decoded import REDECODERS
+from deformscope.rig.measured import to_frame
+from deformscope_drivers.clock import Unwrap
+from deformscope_drivers.dsa.messages import Reading as TactilePacket
+from deformscope_drivers.framing import Skipped
+from deformscope_drivers.health import Health, Link
+from deformscope_drivers.optoforce.protocol import Reading as ForcePacket
+
+FED = ("optoforce", "dsa")
+"""Drivers whose frames are decided by what the device sends."""
+PIECE_BYTES = 16
+"""No longer than the shortest reading, so that each piece of a file without times completes one at most."""
+
+
+class CaptureStream:
+    """One device's bytes. config: of its driver. Raises InputError for what the map must say"""
+
+    def __init__(self, stream: MappedStream, config: object, reader: Reader) -> None:
+        if stream.driver not in FED:
+            raise stream.missing("driver", f"one of {', '.join(FED)}", stream.driver)
+        if stream.driver == "dsa" and not stream.pads:
+            raise stream.missing("pads", "name, rows, columns, texel_m, index, finger and part of each", "")
+        self.stream, self._config = stream, config
+        self._known = Stream(stream.device, stream.kind, stream.driver, pads=stream.pads)
+        first = next((one for one in self._decoded(reader) if not isinstance(one, RawBytes)), None)
+        force: Any = getattr(first, "force_n", None)
+        if force is not None:
+            torques = len(first.counts) > force.size  # type: ignore[union-attr]
+            self._known = Stream(stream.device, stream.kind, stream.driver, channels=len(force), torques=torques)
+        self._reset()
+
+    def _reset(self) -> None:
+        self.count = self.lost = self.first_ns = self.last_ns = self._skipped = 0
+
+    def describe(self, known: Mapping[str, Any] | None) -> Stream:
+        return self._known
+
+    def health(self) -> Health:
+        span_s = (self.last_ns - self.first_ns) / 1e9
+        rate_hz = (self.count - 1) / span_s if span_s > 0 else 0.0
+        return Health(Link.CLOSED, "", self.count, skipped_bytes=self._skipped, rate_hz=rate_hz)
+
+    def frames(self, reader: Reader) -> Iterator[Frame | RawBytes]:
+        """All bytes, and the frames in them."""
+        self._reset()
+        return self._decoded(reader)
+
+    def _decoded(self, reader: Reader) -> Iterator[Frame | RawBytes]:
+        self._reset()
+        again = REDECODERS[self.stream.driver](self._config, self._known)
+        decoder = again.begin()
+        clock = _Clock(self.stream)
+        for message in _pieces(reader, self.stream):
+            sent = message.topic in self.stream.topics[1:]
+            if sent:
+                again.send(message.value)
+                yield RawBytes(clock.at(message, None), message.value, True, self.stream.device)
+                continue
+            for event in decoder.feed(message.value):
+                if isinstance(event, Skipped):
+                    self._skipped += event.count
+                    continue
+                ns = clock.at(message, event)
+                if (reading := again.measure(event, ns)) is not None:
+                    yield to_frame(self.stream.kind, reading, self.count, self.stream.device, again.device())
+                    self.first_ns = self.first_ns if self.count else ns
+                    self.last_ns, self.count = ns, self.count + 1
+            yield RawBytes(clock.at(message, None), message.value, False, self.stream.device)
+
+
+class _Clock:
+    """When pieces came: as they say, or by the controller's clock, or by the rate of readings."""
+
+    def __init__(self, stream: MappedStream) -> None:
+        self._stream, self._offset_ns = stream, round(float(stream.offset_s) * 1e9)
+        self._readings, self._now_ns, self._first_ms = 0, self._offset_ns, -1
+        self._unwrap = Unwrap(1 << 32)
+
+    def at(self, message: Message, event: object) -> int:
+        """The time of a piece [ns]. event: decoded from it, None = none"""
+        if message.log_ns:
+            if (ns := message.log_ns + self._offset_ns) < self._now_ns:
+                came = f"one {(self._now_ns - ns) / 1e9:.4g} s before the last"
+                raise InputError(f"stamps of {self._stream.device} that only rise", came, "a part of it")
+            self._now_ns = ns
+        elif isinstance(event, TactilePacket):
+            ticks = self._unwrap(event.timestamp_ms, 0)
+            self._first_ms = ticks if self._first_ms < 0 else self._first_ms
+            self._now_ns = self._offset_ns + (ticks - self._first_ms) * 10**6
+        elif isinstance(event, ForcePacket):
+            if not self._stream.rate_hz:
+                raise self._stream.missing("rate_hz", "readings a second: bytes without times do not say it", "")
+            self._now_ns = self._offset_ns + round(self._readings * 1e9 / self._stream.rate_hz)
+            self._readings += 1
+        return self._now_ns
+
+
+def _pieces(reader: Reader, stream: MappedStream) -> Iterator[Message]:
+    for message in reader.messages(stream.topics):
+        step = PIECE_BYTES if not message.log_ns else len(message.value) or 1
+        for start in range(0, len(message.value), step):
+            yield Message(message.topic, message.log_ns, message.value[start : start + step])

@@ -1,0 +1,138 @@
+"""The map of an import: which topic or table becomes which device's frames, in TOML.
+
+Read strictly, as a rig file is. What a source does not say itself (a unit, a pose, how clocks differ) is a key of the
+map; while it reads `"?"` the import is refused with its name.
+"""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Any, Final, Literal
+
+import msgspec
+
+from deformscope.errors import InputError
+from deformscope.frames import Kind, Pad
+
+ASKED: Final = "?"
+"""The value of a key that the source does not decide."""
+HOW = "deformscope import --inspect SOURCE > map.toml"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MappedStream:
+    """One device's frames.
+
+    topics: topics, tables or files that they are made of; of several, those of one time make a frame
+    columns: where each column (named as in an export) stands in the source, if not as its type has it
+    units: of the source's fields that do not say them themselves
+    time: the column of its stamps; of messages `header`, or `log` for when they were recorded; of files, a text file
+    with a stamp in each line, after the file's name or in their order; time_unit: s, ms, us or ns
+    offset_s: added to its stamps, where its clock is another one [s]
+    nan: `keep` takes forces that are no numbers, which are refused otherwise
+    unit_m: what a step of distances is [m]: of files always; of real numbers it is chosen, 1e-4 without it
+    pose: topic of the end's poses, for states of joints; parent, child: its frames where that is of transforms
+    joints: names, in their order; focal_px, center_px, size_px: of the camera that points are projected into
+    pads: of a tactile sensor; rate_hz: of rows without a time
+    driver, config: whose bytes they are, and how it is set as in a rig file; topics are then received and sent bytes
+    """
+
+    device: str
+    kind: Kind
+    topics: tuple[str, ...]
+    columns: dict[str, str] = field(default_factory=dict)
+    units: dict[str, str] = field(default_factory=dict)
+    time: str = "header"
+    time_unit: str = ""
+    offset_s: float | Literal["?"] = 0.0
+    nan: Literal["refuse", "keep"] = "refuse"
+    unit_m: float = 0.0
+    pose: str = ""
+    parent: str = ""
+    child: str = ""
+    joints: tuple[str, ...] = ()
+    focal_px: tuple[float, float] | None = None
+    center_px: tuple[float, float] | None = None
+    size_px: tuple[int, int] | None = None
+    pads: tuple[Pad, ...] = ()
+    rate_hz: float = 0.0
+    driver: str = ""
+    config: dict[str, Any] = field(default_factory=dict)
+
+    def missing(self, key: str, expected: str, came: object = ASKED) -> InputError:
+        """The error that asks for a key."""
+        return InputError(f"{key} of {self.device} in the map: {expected}", f"{came!r}" if came else "none", HOW)
+
+
+@dataclass(frozen=True, slots=True)
+class ImportMap:
+    """All of it. start_ns: the stamp at which the recording begins [ns]; None = the first; skip_rows: lines of CSV
+    tables before their header"""
+
+    streams: tuple[MappedStream, ...]
+    start_ns: int | None = None
+    skip_rows: int = 0
+
+    def to_toml(self) -> str:
+        """As a file has it, without what is as usual."""
+        usual = MappedStream(device="", kind="wrench", topics=())
+        lines = [f"start_ns = {self.start_ns}"] if self.start_ns is not None else []
+        lines += [f"skip_rows = {self.skip_rows}"] if self.skip_rows else []
+        for stream in self.streams:
+            lines += ["", "[[streams]]"]
+            for one in fields(stream):
+                value = getattr(stream, one.name)
+                if one.name in ("device", "kind", "topics") or value != getattr(usual, one.name):
+                    lines.append(f"{one.name} = {_toml(msgspec.to_builtins(value))}")
+        return "\n".join(lines).lstrip() + "\n"
+
+    def rig_text(self) -> str:
+        """The devices whose bytes are imported, as a rig file has them; empty without one."""
+        found = ""
+        for one in self.streams:
+            if one.driver:
+                lines = [f"{key} = {_toml(value)}\n" for key, value in {"driver": one.driver, **one.config}.items()]
+                found += f"[devices.{one.device}]\n{''.join(lines)}"
+        return found
+
+
+def read_map(path: Path) -> ImportMap:
+    """Raises InputError for what is no map, with the key that is wrong."""
+    try:
+        found = msgspec.convert(_strict(tomllib.loads(path.read_text(encoding="utf-8"))), ImportMap)
+    except OSError as error:
+        raise InputError("a map (TOML)", (error.strerror or str(error)).lower(), HOW, path) from error
+    except (ValueError, msgspec.ValidationError) as error:
+        raise InputError("a map (TOML)", " ".join(str(error).split()), HOW, path) from error
+    names = [stream.device for stream in found.streams]
+    if twice := sorted({name for name in names if names.count(name) > 1}):
+        raise InputError("each device once in the map", f"{twice[0]!r} twice", where=path)
+    if not names:
+        raise InputError("a map with [[streams]]", "none", HOW, path)
+    for stream in found.streams:
+        if stream.offset_s == ASKED:
+            raise stream.missing("offset_s", "seconds to add to its stamps, which are of another clock")
+    return found
+
+
+def _strict(found: dict[str, Any]) -> dict[str, Any]:
+    known = {one.name for one in fields(MappedStream)}
+    for stream in found.get("streams", []):
+        if unknown := sorted(set(stream) - known):
+            raise ValueError(f"unknown key {unknown[0]!r} in [[streams]]")
+    if unknown := sorted(set(found) - {one.name for one in fields(ImportMap)}):
+        raise ValueError(f"unknown key {unknown[0]!r}")
+    return found
+
+
+def _toml(value: Any) -> str:
+    """Numbers, words, lists and tables on one line."""
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{json.dumps(name)} = {_toml(one)}" for name, one in value.items()) + "}"
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(map(_toml, value)) + "]"
+    return json.dumps(value, ensure_ascii=False)

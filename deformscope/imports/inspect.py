@@ -1,0 +1,149 @@
+"""What a source holds, and a map to begin with."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import msgspec
+
+from deformscope.frames import Kind, Pad
+from deformscope.imports.frame_builder import CLOUDS, KINDS, STANDARD
+from deformscope.imports.import_map import ASKED, ImportMap, MappedStream
+from deformscope.imports.readers import TABLE_TYPES, Reader, Topic
+
+TIMES = ("host_ns", "time", "timestamp", "stamp", "t")
+"""Names of columns that hold times, in small letters, the likeliest first."""
+CLOCKS_APART_S = 1.0
+"""Stamps that differ so much from when they were recorded are of another clock."""
+TRANSFORMS = "tf2_msgs/msg/TFMessage"
+
+
+@dataclass(slots=True)
+class Found:
+    """A topic as it was read. messages: how many; first_ns, last_ns: when recorded; gap_ns: the longest between two
+    stamp_ns: of the first message itself, None = it has none; encoding: of images; frames: of transforms"""
+
+    topic: Topic
+    messages: int = 0
+    first_ns: int = 0
+    last_ns: int = 0
+    gap_ns: int = 0
+    stamp_ns: int | None = None
+    encoding: str = ""
+    frames: tuple[str, ...] = ()
+
+    @property
+    def rate_hz(self) -> float:
+        span_ns = self.last_ns - self.first_ns
+        return 1e9 * (self.messages - 1) / span_ns if span_ns > 0 else 0.0
+
+    @property
+    def clock_s(self) -> float | None:
+        """By how much its own stamps are behind when it was recorded [s]; None = it has none."""
+        return None if self.stamp_ns is None or not self.first_ns else (self.first_ns - self.stamp_ns) / 1e9
+
+    def to_text(self) -> str:
+        rate = f", {self.rate_hz:.4g}/s, longest gap {self.gap_ns / 1e9:.3g} s" if self.rate_hz else ""
+        clock = "" if self.clock_s is None else f", stamped {self.clock_s:.4g} s before it was recorded"
+        frames = f", frames {', '.join(self.frames)}" if self.frames else ""
+        columns = f", columns {', '.join(self.topic.units)}" if self.topic.units else ""
+        return f"{self.topic.name}: {self.topic.type}, {self.messages} messages{rate}{clock}{frames}{columns}"
+
+
+def inspect(reader: Reader) -> list[Found]:
+    """Read it once, message by message."""
+    found = {name: Found(topic) for name, topic in reader.topics().items()}
+    for message in reader.messages(list(found)):
+        one = found[message.topic]
+        ns = message.log_ns or (message.value.get("host_ns") or 0 if isinstance(message.value, Mapping) else 0)
+        if not one.messages:
+            one.first_ns = ns
+            one.encoding = str(getattr(message.value, "encoding", getattr(message.value, "format", "")))
+            stamp = getattr(getattr(message.value, "header", None), "stamp", None)
+            one.stamp_ns = None if stamp is None else int(stamp.sec) * 10**9 + int(stamp.nanosec)
+        else:
+            one.gap_ns = max(one.gap_ns, ns - one.last_ns)
+        if one.topic.type == TRANSFORMS and len(one.frames) < 50:
+            names = [(each.header.frame_id, each.child_frame_id) for each in message.value.transforms]
+            one.frames = tuple(dict.fromkeys((*one.frames, *(name for pair in names for name in pair))))
+        one.messages, one.last_ns = one.messages + 1, ns
+    return list(found.values())
+
+
+def propose(reader: Reader, found: list[Found]) -> ImportMap:
+    """A map of what is known; `?` where the source does not say."""
+    names = {kind.__name__: kind_name for kind_name, kind in KINDS.items()}
+    if own := [one for one in found if one.topic.kind in names]:
+        # CSV leaves images out.
+        own = [one for one in own if one.topic.type != "csv" or names[one.topic.kind] not in ("color", "depth")]
+        streams = [_own(one, names[one.topic.kind], found, reader.about) for one in own]
+        return ImportMap(tuple(streams), reader.about.get("session_starts_ns"))
+    clocks = [one.clock_s for one in found if one.clock_s is not None]
+    same = bool(clocks) and max(clocks) - min(clocks) < CLOCKS_APART_S
+    streams, poses = [], [one for one in found if one.topic.type.endswith(("PoseStamped", "TFMessage"))]
+    joints = [one for one in found if one.topic.type.endswith("JointState")]
+    for one in found:
+        device = one.topic.name.rsplit(".", 1)[0].strip("/").replace("/", "_")
+        if one.topic.type in TABLE_TYPES:
+            streams.append(_table(one, device))
+            continue
+        if one.topic.type in ("bytes", "candump"):
+            config = {"bus": f"socketcan:{one.topic.name.partition('/')[0]}"} if one.topic.type == "candump" else {}
+            capture = MappedStream(device=device, kind="wrench", topics=(one.topic.name,), driver=ASKED, config=config)
+            streams.append(capture)
+            continue
+        if one.topic.type == "files":
+            is_cloud = one.topic.name.endswith(CLOUDS)
+            device = one.topic.name.rpartition("/")[0].replace("/", "_") or "camera"
+            units = {"points": ASKED} if is_cloud else {}
+            kind: Kind = "color" if one.topic.name.endswith(".jpg") else "depth"
+            asked = MappedStream(device=device, kind=kind, topics=(one.topic.name,), units=units, time=ASKED)
+            streams.append(replace(asked, time_unit=ASKED))
+            continue
+        if one.topic.type not in STANDARD or (joints and one in poses):
+            continue
+        stream = MappedStream(device=device, kind=STANDARD[one.topic.type][0], topics=(one.topic.name,))
+        if one.topic.type.endswith("Image") and not ("16UC1" in one.encoding or one.encoding in ("mono16", "32FC1")):
+            stream = replace(stream, kind="color")
+        if one in joints:
+            pose = poses[0].topic.name if poses else ASKED
+            of_tf = bool(poses) and poses[0].topic.type == TRANSFORMS
+            stream = replace(stream, pose=pose, parent=ASKED if of_tf else "", child=ASKED if of_tf else "")
+        if not one.stamp_ns:
+            stream = replace(stream, time="log")
+        elif not same and one.clock_s is not None and abs(one.clock_s) > CLOCKS_APART_S:
+            stream = replace(stream, offset_s=ASKED)
+        streams.append(stream)
+    return ImportMap(tuple(streams))
+
+
+def _table(one: Found, device: str) -> MappedStream:
+    """Of a foreign table: nobody but its owner knows what its columns are."""
+    time = next((name for known in TIMES for name in one.topic.units if name.lower() == known), ASKED)
+    columns = {f"force_{axis}_n": ASKED for axis in "xyz"}
+    unit = "" if time == ASKED else one.topic.units[time] or ("ns" if time.endswith("_ns") else ASKED)
+    units = {ASKED: ASKED}
+    table = MappedStream(device=device, kind="wrench", topics=(one.topic.name,), columns=columns, units=units)
+    return replace(table, time=time, time_unit=unit)
+
+
+def _own(one: Found, kind: Any, found: list[Found], about: Mapping[str, Any]) -> MappedStream:
+    """Of an export of ours: all is known. Images of an MCAP stand in messages of their own."""
+    entity = next((each["entity"] for each in about.get("streams", []) if one.topic.name in each["files"]), None)
+    entity = entity or one.topic.name.strip("/").removesuffix(".csv").removesuffix(".parquet")
+    device = entity.partition("/")[2]
+    known = about.get("devices", {})
+    device = next((name for name in known if name == device or _plain(name) == device), device)
+    topics = [one.topic.name]
+    if kind in ("color", "depth") and one.topic.type not in TABLE_TYPES:
+        there = {each.topic.name for each in found}
+        images = (f"/{_plain(device)}/{name}" for name in ("color/compressed", "depth/image"))
+        topics += [name for name in images if name in there]
+    pads = msgspec.convert(known.get(device, {}).get("pads", ()), tuple[Pad, ...])
+    return MappedStream(device=device, kind=kind, topics=tuple(topics), pads=pads, nan="keep")
+
+
+def _plain(device: str) -> str:
+    return "".join(letter if letter.isascii() and letter.isalnum() else "_" for letter in device)

@@ -1,0 +1,270 @@
+"""What is read: bags (ROS 1, ROS 2, MCAP) and tables (CSV, Parquet), message by message, never whole."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import re
+from collections import Counter
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Protocol
+
+import pyarrow as pa
+
+from deformscope.errors import InputError
+from deformscope.files.sources import natural_key
+
+BAGS = (".bag", ".mcap", ".db3")
+TABLES = (".csv", ".parquet")
+FILES = (".png", ".tif", ".tiff", ".jpg", ".pcd", ".ply")
+CANDUMP = re.compile(r"\((\d+)\.(\d+)\)\s+(\S+)\s+([0-9A-Fa-f]+)#([0-9A-Fa-f]*)(\s+[RT])?\s*$")
+TABLE_TYPES = ("csv", "parquet")
+BATCH_ROWS = 4096
+PACKAGE = "deformscope_msgs/msg/"
+"""Of the messages of our own exports."""
+
+
+@dataclass(frozen=True, slots=True)
+class Topic:
+    """What a source has under a name. type: of its messages, `csv` or `parquet`; count: of messages, None = not known
+
+    units: of each field that it names, empty where it does not say; kind: of our own exports, the class of the rows
+    """
+
+    name: str
+    type: str
+    count: int | None = None
+    units: Mapping[str, str] = field(default_factory=dict)
+    kind: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Message:
+    """log_ns: when it was recorded [ns], 0 = not known; value: with fields as attributes, or as items of a mapping"""
+
+    topic: str
+    log_ns: int
+    value: Any
+
+    def get(self, name: str) -> Any:
+        """A field, or a.b within one. Raises KeyError where there is none."""
+        if isinstance(self.value, Mapping):
+            return self.value[name]
+        found = self.value
+        for part in name.split("."):
+            if not hasattr(found, part):
+                raise KeyError(name)
+            found = getattr(found, part)
+        return found
+
+
+class Reader(Protocol):
+    """An open source. about: what an export of ours says of itself"""
+
+    @property
+    def about(self) -> Mapping[str, Any]: ...
+
+    def topics(self) -> dict[str, Topic]: ...
+
+    def messages(self, topics: Collection[str]) -> Iterator[Message]:
+        """Those of these topics in the order in which they were recorded; those of tables one table after the other."""
+
+
+@contextlib.contextmanager
+def open_reader(path: Path, skip_rows: int = 0) -> Iterator[Reader]:
+    """Open a source. Raises InputError for what cannot be read."""
+    if not path.exists():
+        raise InputError("a bag, a table, or a folder of one of them", "nothing there", where=path)
+    is_bag = path.suffix.lower() in BAGS or (path / "metadata.yaml").is_file()
+    if is_bag:
+        with _opened_bag(path) as reader:
+            yield reader
+        return
+    if path.is_file() and path.suffix.lower() in (".bin", ".raw", ".log"):
+        yield ByteReader(path)
+        return
+    if path.is_dir() and (files := _numbered(path)) and not any(path.rglob("*.parquet")):
+        yield FileReader(path, files)
+        return
+    tables = [path] if path.is_file() else sorted(one for one in path.rglob("*") if one.suffix.lower() in TABLES)
+    if not tables or tables[0].suffix.lower() not in TABLES:
+        came = "a folder without one" if path.is_dir() else repr(path.suffix or path.name)
+        known = ", ".join((*BAGS, *TABLES))
+        raise InputError(f"a bag or tables ({known})", came, where=path)
+    yield TableReader(path, tables, skip_rows)
+
+
+@contextlib.contextmanager
+def _opened_bag(path: Path) -> Iterator[Reader]:
+    try:
+        from rosbags.highlevel import AnyReader
+        from rosbags.typesys import Stores, get_typestore
+    except ImportError:
+        missing = "pip install 'deformscope[import]'"
+        raise InputError("the package rosbags", "none", missing) from None
+    try:
+        bag = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
+        bag.open()
+    except Exception as error:  # rosbags and what it reads with have errors of many kinds
+        raise _unreadable(path, error) from error
+    try:
+        yield BagReader(path, bag)
+    finally:
+        bag.close()
+
+
+def _unreadable(path: Path, error: Exception) -> InputError:
+    came = "one that is cut off or damaged: " + (" ".join(str(error).split())[:160] or type(error).__name__)
+    return InputError("a bag that is whole", came, "mcap recover, or rosbag reindex", path)
+
+
+class BagReader:
+    """A bag, by rosbags."""
+
+    def __init__(self, path: Path, bag: Any) -> None:
+        self._path, self._bag = path, bag
+        self.about = _metadata(path) if path.suffix == ".mcap" else {}
+
+    def topics(self) -> dict[str, Topic]:
+        found: dict[str, Topic] = {}
+        for one in self._bag.connections:
+            before = found[one.topic].count if one.topic in found else 0
+            kind = one.msgtype.removeprefix(PACKAGE).rstrip("0123456789") if one.msgtype.startswith(PACKAGE) else ""
+            found[one.topic] = Topic(one.topic, one.msgtype, (before or 0) + one.msgcount, kind=kind)
+        return found
+
+    def messages(self, topics: Collection[str]) -> Iterator[Message]:
+        wanted = [one for one in self._bag.connections if one.topic in topics]
+        if not wanted:
+            return
+        try:
+            for connection, log_ns, raw in self._bag.messages(connections=wanted):
+                yield Message(connection.topic, log_ns, self._bag.deserialize(raw, connection.msgtype))
+        except InputError:
+            raise
+        except Exception as error:  # as above
+            raise _unreadable(self._path, error) from error
+
+
+def _metadata(path: Path) -> dict[str, Any]:
+    """What our own exports say of themselves; empty where the package is missing, or it says nothing."""
+    try:
+        from mcap.reader import make_reader
+    except ImportError:
+        return {}
+    with path.open("rb") as file:
+        try:
+            metadata = [one for one in make_reader(file).iter_metadata() if one.name == "deformscope"]
+        except Exception as error:
+            raise _unreadable(path, error) from error
+    return {name: json.loads(value) for name, value in metadata[0].metadata.items()} if metadata else {}
+
+
+class ByteReader:
+    """Bytes of a device: a file as they came (`.bin`, `.raw`), or frames of a CAN bus as candump logs them (`.log`)."""
+
+    about: Mapping[str, Any] = {}
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+
+    def topics(self) -> dict[str, Topic]:
+        if self._path.suffix.lower() != ".log":
+            return {self._path.name: Topic(self._path.name, "bytes")}
+        found: Counter[str] = Counter(message.topic for message in self.messages(None))
+        return {name: Topic(name, "candump", count) for name, count in found.items()}
+
+    def messages(self, topics: Collection[str] | None) -> Iterator[Message]:
+        """topics: None = all"""
+        if self._path.suffix.lower() != ".log":
+            with self._path.open("rb") as file:
+                while data := file.read(1 << 16):
+                    yield Message(self._path.name, 0, data)
+            return
+        with self._path.open(encoding="ascii", errors="replace") as lines:
+            for number, line in enumerate(lines, 1):
+                if not (found := CANDUMP.match(line)) or len(found[5]) % 2:
+                    if not line.strip():
+                        continue
+                    expected = "lines as of candump -L, (SECONDS) BUS ID#DATA"
+                    raise InputError(expected, repr(line.strip()[:60]), where=f"{self._path}:{number}")
+                topic = f"{found[3]}/{int(found[4], 16):x}"
+                if topics is None or topic in topics:
+                    ns = int(found[1]) * 10**9 + int(found[2].ljust(9, "0")[:9])
+                    yield Message(topic, ns, bytes.fromhex(found[5]))
+
+
+class FileReader:
+    """A folder of images or of points, a file a frame, by folder and ending; a topic is a pattern (`depth/*.png`)."""
+
+    about: Mapping[str, Any] = {}
+
+    def __init__(self, path: Path, files: Mapping[str, list[Path]]) -> None:
+        self.path, self._files = path, files
+
+    def topics(self) -> dict[str, Topic]:
+        return {name: Topic(name, "files", len(files)) for name, files in self._files.items()}
+
+    def messages(self, topics: Collection[str]) -> Iterator[Message]:
+        for name in topics:
+            for path in self._files[name]:
+                yield Message(name, 0, path)
+
+
+def _numbered(folder: Path) -> dict[str, list[Path]]:
+    """Files of images and points in natural order, by pattern."""
+    found: dict[str, list[Path]] = {}
+    for path in sorted(folder.rglob("*"), key=natural_key):
+        if path.suffix.lower() in FILES and path.is_file():
+            place = path.relative_to(folder).parent / f"*{path.suffix}"
+            found.setdefault(place.as_posix(), []).append(path)
+    return found
+
+
+class TableReader:
+    """Tables: one, or all below a folder, named by their places in it."""
+
+    def __init__(self, path: Path, tables: list[Path], skip_rows: int) -> None:
+        self._skip_rows = skip_rows
+        self._tables = {(one.name if one == path else one.relative_to(path).as_posix()): one for one in tables}
+        manifest = path / "export.json"
+        self.about = json.loads(manifest.read_bytes()) if manifest.is_file() else {}
+
+    def topics(self) -> dict[str, Topic]:
+        found = {}
+        for name, path in self._tables.items():
+            with self._opened(path) as (schema, count, _):
+                metadata = schema.metadata or {}
+                units = {one.name: (one.metadata or {}).get(b"unit", b"").decode() for one in schema}
+                kinds = metadata.get(b"deformscope.kinds", b"").decode().split()
+            own = next((one for one in self.about.get("streams", []) if name in one["files"]), None)
+            if own is not None:
+                units |= {one["name"]: one["unit"] for one in own["columns"] if one["name"] in units}
+                kinds = kinds or [own.get("kind", "")]
+            found[name] = Topic(name, path.suffix.lower()[1:], count, units, kinds[-1] if kinds else "")
+        return found
+
+    def messages(self, topics: Collection[str]) -> Iterator[Message]:
+        for name in topics:
+            with self._opened(self._tables[name]) as (_, _, batches):
+                for batch in batches:
+                    for row in batch.to_pylist():
+                        yield Message(name, 0, row)
+
+    @contextlib.contextmanager
+    def _opened(self, path: Path) -> Iterator[tuple[pa.Schema, int | None, Iterator[pa.RecordBatch]]]:
+        from pyarrow import csv, parquet
+
+        try:
+            if path.suffix.lower() == ".parquet":
+                with parquet.ParquetFile(path) as file:
+                    yield file.schema_arrow, file.metadata.num_rows, file.iter_batches(BATCH_ROWS)
+                return
+            read = csv.ReadOptions(skip_rows=self._skip_rows, block_size=1 << 22)
+            with csv.open_csv(path, read_options=read) as file:
+                yield file.schema, None, iter(file)
+        except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
+            came = " ".join(str(error).split())[:160]
+            raise InputError("a table that can be read", came, "skip_rows in the map", path) from error

@@ -1,0 +1,261 @@
+"""A source of others as a rig: what it holds, frame by frame, in order of time, as `session.run` takes it."""
+
+from __future__ import annotations
+
+import heapq
+import itertools
+import math
+from collections.abc import Iterator, Mapping
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from deformscope.errors import InputError
+from deformscope.file_io import read_file
+from deformscope.frames import Frame, HealthReport, Item, RawBytes, Stream, host_ns
+from deformscope.imports.captures import CaptureStream
+from deformscope.imports.frame_builder import TIME_NS, FrameBuilder, Pose, pose_of
+from deformscope.imports.import_map import ASKED, ImportMap, MappedStream
+from deformscope.imports.readers import TABLE_TYPES, FileReader, Message, Reader
+from deformscope.recording.portions import item_size
+from deformscope.recording.streams import columns_of
+from deformscope.rig.rig_file import parse_rig
+from deformscope_drivers.clock import Stamp
+from deformscope_drivers.health import Health, Link
+
+DRIVER = "imported"
+"""Of a stream that no driver gave."""
+BATCH_NS, BATCH_BYTES = 200_000_000, 16 << 20
+APART_S = 10.0
+"""A stream so far from all others in time has another clock, or the map would say so."""
+WAITING = 64
+"""Messages of a stream of several topics that wait for those of the same time."""
+
+
+class ImportSource:
+    """`with open_reader(path) as reader: source = ImportSource(reader, read_map(file))`; raises InputError for what the
+    map must say. `take` gives about a fifth of a second at a time; ended: nothing is left"""
+
+    def __init__(self, reader: Reader, asked: ImportMap) -> None:
+        self._topics = reader.topics()
+        for stream in asked.streams:
+            for name in (*stream.topics, *([stream.pose] if stream.pose else ())):
+                if name not in self._topics:
+                    known = ", ".join(self._topics) or "nothing"
+                    raise InputError(f"topics of {stream.device} out of the source's", repr(name), known)
+        text = asked.rig_text()
+        configs = {one.name: one.config for one in parse_rig(text, "the map").devices} if text else {}
+        self._made: dict[str, _Stream | CaptureStream] = {
+            one.device: CaptureStream(one, configs[one.device], reader) if one.driver else _Stream(one, reader)
+            for one in asked.streams
+        }
+        known = reader.about.get("devices", {})
+        self.streams = tuple(one.describe(known.get(name)) for name, one in self._made.items())
+        self.ended = False
+        self._frames = self._read(reader)
+        self._next = next(self._frames, None)
+        if self._next is None:
+            raise InputError("a source with frames for the map's streams", "none", "pose and joints in the map")
+        self.start_ns = host_ns(self._next) if asked.start_ns is None else asked.start_ns
+
+    def take(self, wait_s: float) -> list[Item]:
+        """The next frames. wait_s: is not waited"""
+        found: list[Item] = []
+        size = 0
+        until_ns = math.inf if self._next is None else host_ns(self._next) + BATCH_NS
+        while self._next is not None and host_ns(self._next) <= until_ns and size < BATCH_BYTES:
+            found.append(self._next)
+            size += item_size(self._next)
+            self._next = next(self._frames, None)
+        if self._next is None and not self.ended:
+            self.ended = True
+            self._check_clocks()
+        return sorted(found, key=host_ns)
+
+    def look(self) -> HealthReport:
+        """How many frames each device gave, and how many could not be made: of their messages some lacked."""
+        looks = tuple((name, one.health()) for name, one in self._made.items())
+        return HealthReport(max((one.last_ns for one in self._made.values()), default=0), looks)
+
+    def rest(self) -> list[Item]:
+        """Nothing is held back."""
+        return []
+
+    def close(self) -> None:
+        """What is read is closed by who opened it."""
+
+    def _read(self, reader: Reader) -> Iterator[Frame | RawBytes]:
+        if {one.type for one in self._topics.values()} & {*TABLE_TYPES, "files", "bytes", "candump"}:
+            yield from heapq.merge(*(one.frames(reader) for one in self._made.values()), key=host_ns)
+            return
+        by_topic: dict[str, list[_Stream]] = {}
+        streams = [one for one in self._made.values() if isinstance(one, _Stream)]
+        for one in streams:
+            for name in dict.fromkeys((*one.stream.topics, *([one.stream.pose] if one.stream.pose else ()))):
+                by_topic.setdefault(name, []).append(one)
+        posed = [one for one in streams if one.stream.child]
+        if posed and "/tf_static" in self._topics:
+            by_topic.setdefault("/tf_static", []).extend(posed)
+        for message in reader.messages(by_topic):
+            for one in by_topic[message.topic]:
+                if (frame := one.take(message)) is not None:
+                    yield frame
+
+    def _check_clocks(self) -> None:
+        if empty := [one for one in self._made.values() if not one.count]:
+            came = f"none of {empty[0].lost} messages" if empty[0].lost else "none"
+            raise InputError(f"frames of {empty[0].stream.device}", came, "its topics, pose and joints in the map")
+        spans = {name: (one.first_ns, one.last_ns) for name, one in self._made.items()}
+        for (name, (first, last)), (other, (begin, end)) in itertools.combinations(spans.items(), 2):
+            apart_s = max(begin - last, first - end) / 1e9
+            if apart_s > APART_S:
+                latest = max((name, other), key=lambda one: abs(spans[one][0] - self.start_ns))
+                came = f"stamps {apart_s:.4g} s from those of {name if latest == other else other}"
+                raise self._made[latest].stream.missing("offset_s", "how its clock differs", came)
+
+
+class _Stream:
+    """One stream of the map, as it is read."""
+
+    def __init__(self, stream: MappedStream, reader: Reader) -> None:
+        topics = reader.topics()
+        self.stream, self._builder = stream, FrameBuilder(stream, topics)
+        self._is_table = all(topics[name].type in (*TABLE_TYPES, "files") for name in stream.topics)
+        is_file = topics[stream.topics[0]].type == "files"
+        self._times = _file_times(stream, reader) if is_file and not stream.rate_hz else None
+        self._types = {name: one.type for name, one in topics.items()}
+        self.count = self.lost = self.first_ns = self.last_ns = 0
+        self._waiting: dict[int, dict[str, Message]] = {}
+        self._links: dict[str, tuple[str, Pose]] = {}
+        self._pose: Pose | None = None
+        needs_pose = stream.kind == "arm" and not self._builder.own and "position_x_m" not in self._builder.columns
+        if needs_pose and stream.pose in ("", ASKED):
+            raise stream.missing("pose", "topic of the end's pose in the base frame (PoseStamped, or transforms)")
+        if stream.pose and self._types[stream.pose].endswith("TFMessage"):
+            for key in ("parent", "child"):
+                if getattr(stream, key) in ("", ASKED):
+                    raise stream.missing(key, "a frame of the transforms: the arm's base, its end")
+        foreign = self._is_table and not is_file and not self._builder.own and not stream.rate_hz
+        if foreign and stream.time in ("header", "log", ASKED):
+            raise stream.missing("time", "the column of its times, or rate_hz", stream.time)
+
+    def describe(self, known: Mapping[str, Any] | None) -> Stream:
+        if known is not None:
+            return msgspec.convert({**known, "device": self.stream.device, "driver": DRIVER}, Stream)
+        forces = len(columns_of("force_n", self._builder.columns))
+        torques = bool(columns_of("torque_nm", self._builder.columns))
+        pads = self.stream.pads
+        return Stream(
+            self.stream.device, self.stream.kind, DRIVER, pads=pads, channels=max(forces // 3, 1), torques=torques
+        )
+
+    def health(self) -> Health:
+        span_s = (self.last_ns - self.first_ns) / 1e9
+        rate_hz = (self.count - 1) / span_s if span_s > 0 else 0.0
+        return Health(Link.CLOSED, "", self.count, lost=self.lost + len(self._waiting), rate_hz=rate_hz)
+
+    def frames(self, reader: Reader) -> Iterator[Frame]:
+        """Of tables: all rows."""
+        for message in reader.messages(self.stream.topics):
+            if (frame := self.take(message)) is not None:
+                yield frame
+
+    def take(self, message: Message) -> Frame | None:
+        """The frame that a message makes whole. Raises InputError for stamps that go back."""
+        if message.topic == "/tf_static" or message.topic == self.stream.pose:
+            self._follow(message.value)
+            if message.topic not in self.stream.topics:
+                return None
+        ns = self._when(message)
+        together = {message.topic: message}
+        if len(self.stream.topics) > 1:
+            together = self._waiting.setdefault(ns, {})
+            together[message.topic] = message
+            if len(together) < len(self.stream.topics):
+                if len(self._waiting) > WAITING:
+                    self._waiting.pop(next(iter(self._waiting)))
+                    self.lost += 1
+                return None
+            del self._waiting[ns]
+        frame = self._builder.build(together, Stamp(ns), self.count, self._pose)
+        if frame is None:
+            self.lost += 1
+            return None
+        if self.count and ns < self.last_ns:
+            came = f"one {(self.last_ns - ns) / 1e9:.4g} s before the last, in frame {frame.index}"
+            raise InputError(f"stamps of {self.stream.device} that only rise", came, 'time = "log", or a part of it')
+        self.first_ns = self.first_ns if self.count else ns
+        self.last_ns, self.count = ns, self.count + 1
+        return frame
+
+    def _when(self, message: Message) -> int:
+        """A message's stamp [ns]."""
+        stream = self.stream
+        offset_ns = round(float(stream.offset_s) * 1e9)
+        if self._is_table:
+            name = "host_ns" if self._builder.own else stream.time
+            if name in ("header", "log") and self._times is None:
+                return round(self.count * 1e9 / stream.rate_hz) + offset_ns
+            try:
+                value = message.get(name) if self._times is None else self._times[message.value]
+            except KeyError:
+                raise stream.missing("time", "the column of its times", name) from None
+            if isinstance(value, datetime):
+                return int(np.datetime64(value, "ns").astype(np.int64)) + offset_ns
+            unit = "ns" if self._builder.own else stream.time_unit
+            if unit not in TIME_NS:
+                raise stream.missing("time_unit", "one of s, ms, us, ns", unit or "")
+            if not isinstance(value, int | float) or not math.isfinite(value):
+                raise InputError(f"times of {stream.device} in {name}", repr(value), "skip_rows, or another table")
+            scaled = value * TIME_NS[unit]
+            return (scaled if isinstance(scaled, int) else round(scaled)) + offset_ns
+        if stream.time == "log":
+            return message.log_ns + offset_ns
+        try:
+            stamp = message.get("header.stamp")
+        except KeyError:
+            raise stream.missing("time", '"log": its messages have no stamps', stream.time) from None
+        ns = int(stamp.sec) * 10**9 + int(stamp.nanosec)
+        if not ns:
+            raise stream.missing("time", '"log": its stamps are 0', stream.time)
+        return ns + offset_ns
+
+    def _follow(self, value: Any) -> None:
+        """Keep the newest pose of the end."""
+        if not hasattr(value, "transforms"):
+            self._pose = pose_of(getattr(value, "pose", value))
+            return
+        for one in value.transforms:
+            self._links[one.child_frame_id.lstrip("/")] = one.header.frame_id.lstrip("/"), pose_of(one.transform)
+        at, T, parent = self.stream.child.lstrip("/"), np.eye(4), self.stream.parent.lstrip("/")
+        for _ in range(len(self._links) + 1):
+            if at == parent:
+                self._pose = T
+                return
+            if at not in self._links:
+                return
+            at, link = self._links[at]
+            T = link @ T
+
+
+def _file_times(stream: MappedStream, reader: Reader) -> dict[Path, int | float]:
+    """The stamp of each file, as the text file of the map has it."""
+    if stream.time in ("header", "log", ASKED) or not isinstance(reader, FileReader):
+        raise stream.missing("time", "a text file with a stamp in each line, or rate_hz", stream.time)
+    path, files = reader.path / stream.time, [message.value for message in reader.messages(stream.topics)]
+    text = read_file(path, f"times of {stream.device}, a text file").decode("utf-8", "replace")
+    rows = [line.replace(",", " ").split() for line in text.splitlines() if line.strip() and not line.startswith("#")]
+    try:
+        stamps = [(row[0], (int if row[-1].lstrip("-").isdigit() else float)(row[-1])) for row in rows]
+    except ValueError as error:
+        raise InputError(f"a stamp at the end of each line of {stream.time}", str(error), where=path) from error
+    named = dict(stamps) if all(len(row) > 1 for row in rows) else {}
+    if not named and len(stamps) != len(files):
+        raise InputError(f"{len(files)} stamps, one a file", str(len(stamps)), where=path)
+    if missing := [one.name for one in files if named and one.name not in named and one.stem not in named]:
+        raise InputError(f"a stamp of every file of {stream.device}", f"none of {missing[0]}", where=path)
+    each = [named[one.name if one.name in named else one.stem] for one in files] if named else [ns for _, ns in stamps]
+    return dict(zip(files, each, strict=True))

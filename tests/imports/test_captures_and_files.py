@@ -1,0 +1,220 @@
+"""Recorded bytes by the drivers' decoders, folders of images and points; and measurements of others, where they are."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from deformscope.cli import main
+from deformscope.frames import DepthFrame, RawBytes, TactileFrame, WrenchFrame
+from deformscope.imports.import_map import ImportMap, MappedStream
+from deformscope.recording.items import read_items, read_streams
+from deformscope.rows import differing
+from deformscope_drivers.optoforce import protocol
+from tests.imports.test_importing import BENCH, cloud, frames_of, inspected
+
+DATA = Path(os.environ.get("DEFORMSCOPE_DATA", Path(__file__).resolve().parents[3] / "shared" / "data"))
+TIP = 'device = "tip"\nkind = "wrench"\ndriver = "optoforce"\n'
+SENSITIVITY = "sensitivity = {counts_at_nominal = [1000.0, 1000.0, 2000.0], nominal = [10.0, 10.0, 40.0]}"
+
+
+def counts(at: int) -> tuple[int, int, int]:
+    return at, -at, 5 * at
+
+
+def readings(count: int) -> list[bytes]:
+    three = protocol.Kind.THREE_AXIS
+    return [
+        protocol.encode(protocol.Reading(three, 7 * at % 65536, protocol.Status(0), (counts(at),)))
+        for at in range(count)
+    ]
+
+
+def imported(source: Path, text: str, out: Path, status: int = 0) -> Path:
+    map_file = out.with_suffix(".toml")
+    map_file.write_text(text)
+    assert main(["import", str(source), "--map", str(map_file), "--record", str(out)]) == status
+    return out
+
+
+def refused(source: Path, text: str, out: Path, capfd: pytest.CaptureFixture[str]) -> str:
+    imported(source, text, out, status=2)
+    error = capfd.readouterr().err
+    assert len(error.strip().splitlines()) == 1
+    assert not list(out.parent.glob(f"{out.stem}*.rrd"))
+    return error
+
+
+def check_forces(path: Path, count: int, at_ns: Any) -> None:
+    frames: list[Any] = frames_of(path)["tip"]
+    assert len(frames) == count
+    for at, frame in enumerate(frames):
+        assert isinstance(frame, WrenchFrame)
+        assert (frame.stamp.host_ns, frame.stamp.device_ticks) == (at_ns(at), 7 * at % 65536)
+        assert frame.counts.tolist() == list(counts(at))
+        np.testing.assert_allclose(frame.force_n, [[at / 100, -at / 100, at / 10]], rtol=1e-12)
+
+
+def test_bytes_of_a_daq_are_decoded_and_replayed(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    source = tmp_path / "capture.bin"
+    sent = protocol.encode(protocol.ConfigReply(0)) + b"noise" + b"".join(readings(300))
+    source.write_bytes(sent)
+    text = f'[[streams]]\n{TIP}topics = ["capture.bin"]\nconfig = {{{SENSITIVITY}}}\n'
+    assert "expected rate_hz of tip in the map" in refused(source, text, tmp_path / "r.rrd", capfd)
+    path = imported(source, f"{text}rate_hz = 1000\n", tmp_path / "r.rrd", status=3)
+    assert "tip: 5 bytes skipped" in capfd.readouterr().err
+    check_forces(path, 300, lambda at: at * 10**6)
+    assert b"".join(item.data for item in read_items(path) if isinstance(item, RawBytes)) == sent
+    assert main(["replay", str(path)]) == 0
+    assert "300 frames decoded again, identical" in "".join(capfd.readouterr())
+    assert 'driver = "?"' in inspected(source)
+
+
+def test_a_candump_log_is_decoded_and_replayed(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    lines = []
+    for at, packet in enumerate(readings(200)):
+        parts = packet[:8], packet[8:]
+        stamped = ((f"1592233887.{1000 * at + place:06d}", part) for place, part in enumerate(parts))
+        lines += [f"({stamp}) can0 100#{part.hex().upper()}" for stamp, part in stamped]
+        lines.append(f"(1592233887.{1000 * at + 5:06d}) can0 7FF#00")
+    source = tmp_path / "bus.log"
+    source.write_text("\n".join(lines) + "\n")
+    assert "# can0/100: candump, 400 messages" in inspected(source)
+    config = f'config = {{bus = "socketcan:can0", {SENSITIVITY}}}\n'
+    text = f'[[streams]]\n{TIP}topics = ["can0/100"]\n{config}'
+    path = imported(source, text, tmp_path / "r.rrd")
+    check_forces(path, 200, lambda at: 1592233887 * 10**9 + at * 10**6 + 1000)
+    assert main(["replay", str(path)]) == 0
+    capfd.readouterr()
+    source.write_text("\n".join([*lines[:30], *lines[:3]]) + "\n")
+    assert "stamps of tip that only rise; got one" in refused(source, text, tmp_path / "s.rrd", capfd)
+    source.write_text("\n".join([*lines[:30], "100#00"]) + "\n")
+    assert "expected lines as of candump -L" in refused(source, text, tmp_path / "s.rrd", capfd)
+
+
+def write_depth(folder: Path, count: int = 4) -> None:
+    (folder / "depth").mkdir(parents=True)
+    for at in range(count):
+        cv2.imwrite(str(folder / "depth" / f"{at}.png"), np.full((3, 4), 500 + at, np.uint16))
+
+
+def test_a_folder_of_depth_images_with_their_times(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    source = tmp_path / "take"
+    write_depth(source, 12)
+    (source / "times.txt").write_text("# name time\n" + "".join(f"{at}.png {10 * at}\n" for at in range(12)))
+    text = inspected(source)
+    assert 'topics = ["depth/*.png"]' in text
+    assert "expected time of depth in the map" in refused(source, text, tmp_path / "r.rrd", capfd)
+    text = text.replace('time = "?"', 'time = "times.txt"')
+    assert "expected time_unit of depth in the map" in refused(source, text, tmp_path / "r.rrd", capfd)
+    text = text.replace('time_unit = "?"', 'time_unit = "ms"')
+    assert "expected unit_m of depth in the map" in refused(source, text, tmp_path / "r.rrd", capfd)
+    path = imported(source, f"{text}unit_m = 0.001\n", tmp_path / "r.rrd")
+    frames: list[Any] = frames_of(path)["depth"]
+    assert [(frame.stamp.host_ns, frame.depth[0, 0]) for frame in frames] == [
+        (at * 10**7, 500 + at) for at in range(12)
+    ]
+    (source / "times.txt").write_text("0\n10\n")
+    assert "expected 12 stamps, one a file; got 2" in refused(source, text, tmp_path / "s.rrd", capfd)
+
+
+def test_sequences_of_points_with_and_without_rows(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    o3d = pytest.importorskip("open3d")
+    source = tmp_path / "scans"
+    (source / "flat").mkdir(parents=True)
+    (source / "rows").mkdir()
+    points = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(1e3 * cloud()[:3]))
+    o3d.io.write_point_cloud(source / "flat" / "1.ply", points)
+    z = [0.5, "nan", 0.6, 0.7, 0.8, 0.9]
+    head = "VERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 3\nHEIGHT 2\n"
+    rows = "".join(f"{at % 3} {at // 3} {value}\n" for at, value in enumerate(z))
+    pcd = f"# .PCD v0.7\n{head}VIEWPOINT 0 0 0 1 0 0 0\nPOINTS 6\nDATA ascii\n{rows}"
+    (source / "rows" / "1.pcd").write_text(pcd)
+    text = inspected(source).replace('time = "?"', "rate_hz = 10").replace('time_unit = "?"\n', "")
+    assert "expected units.points of" in refused(source, text, tmp_path / "r.rrd", capfd)
+    text = text.replace('topics = ["flat/*.ply"]', 'topics = ["flat/*.ply"]\nunits = {points = "mm"}')
+    text = text.replace('topics = ["rows/*.pcd"]', 'topics = ["rows/*.pcd"]\nunits = {points = "m"}')
+    text = text.replace('units = {"points" = "?"}\n', "")
+    assert "expected focal_px of flat in the map" in refused(source, text, tmp_path / "r.rrd", capfd)
+    camera = "focal_px = [100, 100]\ncenter_px = [3, 2]\nsize_px = [6, 4]"
+    path = imported(source, text.replace('device = "flat"', f'device = "flat"\n{camera}'), tmp_path / "r.rrd")
+    own = frames_of(path)
+    flat, ordered = own["flat"][0], own["rows"][0]
+    assert isinstance(flat, DepthFrame)
+    assert isinstance(ordered, DepthFrame)
+    expected = np.zeros((4, 6))
+    expected[1, 2], expected[2, 3] = 5000, 7000
+    np.testing.assert_array_equal(flat.depth, expected)
+    np.testing.assert_array_equal(ordered.depth, [[5000, 0, 6000], [7000, 8000, 9000]])
+
+
+def data(name: str) -> Path:
+    path = DATA / name
+    if not path.exists():
+        pytest.skip(f"{path} is not there: measurements of others that are not shipped (DEFORMSCOPE_DATA)")
+    return path
+
+
+def test_the_force_log_of_others(tmp_path: Path) -> None:
+    source = data("force_logs/silicone_grip_probe.csv")
+    columns = ", ".join(f'"force_{at}_{axis}_n" = "F5-{axis.upper()}{at + 1}"' for at in range(3) for axis in "xyz")
+    units = ", ".join(f'"F5-{axis.upper()}{at + 1}" = "mN"' for at in range(3) for axis in "xyz")
+    table = f'topics = ["{source.name}"]\ncolumns = {{{columns}}}\nunits = {{{units}}}\n'
+    text = f'[[streams]]\ndevice = "f5"\nkind = "wrench"\n{table}time = "Time"\ntime_unit = "s"\n'
+    path = imported(source, text, tmp_path / "r.rrd")
+    first: Any = frames_of(path)["f5"][0]
+    np.testing.assert_allclose(first.force_n, [[0.397, 0.125, 1.129], [-0.233, 0.817, 1.275], [0.163, -0.985, -1.041]])
+
+
+def test_a_grasp_of_others(tmp_path: Path) -> None:
+    lines = data("jaco_optoforce/five_grasps.csv").read_text().splitlines()
+    source = tmp_path / "grasp.csv"
+    source.write_text("\n".join(lines[2:53]) + "\n")
+    columns = ", ".join(f'"force_{at}_{axis}_n" = "opto{at + 1}_{axis}"' for at in range(3) for axis in "xyz")
+    units = ", ".join(f'"opto{at + 1}_{axis}" = "N"' for at in range(3) for axis in "xyz")
+    table = f'topics = ["grasp.csv"]\ncolumns = {{{columns}}}\nunits = {{{units}}}\nrate_hz = 3.7577\n'
+    path = imported(source, f'[[streams]]\ndevice = "tips"\nkind = "wrench"\n{table}', tmp_path / "r.rrd")
+    frames: list[Any] = frames_of(path)["tips"]
+    assert len(frames) == 50
+    np.testing.assert_array_equal(frames[0].force_n[0], [0.021, -0.031, -0.024])
+
+
+def test_points_of_others(tmp_path: Path) -> None:
+    source = tmp_path / "scans"
+    source.mkdir()
+    (source / "1.pcd").symlink_to(data("pcl/table_scene_mug_stereo_textured.pcd"))
+    text = '[[streams]]\ndevice = "camera"\nkind = "depth"\ntopics = ["*.pcd"]\nunits = {points = "m"}\nrate_hz = 1\n'
+    frame: Any = frames_of(imported(source, text, tmp_path / "r.rrd"))["camera"][0]
+    assert frame.depth.shape == (480, 640)
+    assert 0.1 < np.mean(frame.depth > 0) < 1.0
+
+
+def test_a_capture_of_others(tmp_path: Path) -> None:
+    text = f'[[streams]]\n{TIP}topics = ["capture_10000.bin"]\nrate_hz = 1000\n'
+    path = imported(data("optoforce/capture_10000.bin"), text, tmp_path / "r.rrd")
+    assert len(frames_of(path)["tip"]) == 10_000
+    assert main(["replay", str(path)]) == 0
+
+
+def test_what_pads_sent_gives_their_frames(tmp_path: Path) -> None:
+    raw = [item for item in read_items(BENCH) if isinstance(item, RawBytes) and item.device == "pads"]
+    source = tmp_path / "pads.raw"
+    source.write_bytes(b"".join(item.data for item in raw if not item.sent))
+    (pads,) = (stream.pads for stream in read_streams(BENCH) if stream.device == "pads")
+    stream = MappedStream(device="pads", kind="tactile", topics=("pads.raw",), driver="dsa", pads=pads)
+    path = imported(source, ImportMap((stream,)).to_toml(), tmp_path / "r.rrd")
+    before: list[Any] = frames_of(BENCH)["pads"]
+    now: list[Any] = frames_of(path)["pads"]
+    assert len(now) == len(before) > 100
+    first_ms = before[0].stamp.device_ticks
+    for one, other in zip(before, now, strict=True):
+        assert isinstance(other, TactileFrame)
+        assert other.stamp.device_ticks == one.stamp.device_ticks
+        assert other.stamp.host_ns == (one.stamp.device_ticks - first_ms) * 10**6
+        assert differing(one, other, ("stamp.host_ns", "stamp.late_ns", "index")) is None
+    assert main(["replay", str(path)]) == 0
