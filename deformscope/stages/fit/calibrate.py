@@ -141,11 +141,10 @@ def calibrate(
     supported = (fit.tried.parameter >= ends[0]) & (fit.tried.parameter <= ends[1])
     converged = inferred.converged and bool(fit.tried.converged[supported].all())
     identified = identifiability(seen, comparisons, inferred)
-    ratio = residual_ratio(seen, [c.simulated for c in comparisons], inference.floor)
-    noise = ratio, inferred.noise, source
-    below = inferred.posterior.rank(value)
+    noise = residual_ratio(seen, [c.simulated for c in comparisons], inference.floor), inferred.noise, source
+    rank = inferred.posterior.rank(value) if model.version > 1 else None
     numbers = found_in_numbers(
-        model.parameter, value, ends, bounds, identified, converged=converged, noise=noise, below=below
+        model.parameter, value, ends, bounds, identified, converged=converged, noise=noise, rank=rank
     )
     shown = [*shape_doubts(seen), *(_in_residuals(judged, best, inference) if pace is None and converged else ())]
     shown += either if "two-materials" not in (one.code for one in shown) else []
@@ -270,7 +269,7 @@ def _in_residuals(search: Search, best: int, inference: Inference, rival: float 
         each = zip(search.seen, search.bodies, shapes, strict=True)
         return [search.relax(body, shape[one.held], tried, None).settled for one, body, shape in each]
 
-    bulge = bulging(search.seen, search.bodies, search.values(tried)[0])
+    bulge = bulging(search.seen, search.bodies, search.values(tried)[0], search.model.version)
     yield from swapped_axes(search.seen, simulate, bulge, search.weight, rival)
     yield from _two_betas(search, best, inference, rival)
 

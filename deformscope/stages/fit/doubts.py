@@ -78,12 +78,12 @@ def found_in_numbers(
     *,
     converged: bool,
     noise: tuple[float | None, float | None, NoiseSource] = (None, None, "residuals"),
-    below: float | None = None,
+    rank: float | None = None,
 ) -> list[Doubt]:
     """What the numbers of a fit within its bounds show.
 
     noise: size of the residuals in units of the noise that is known, if it is; the noise that they show [unit], where
-    it is known apart from a misfit; and where the known noise is from; below: mass of the posterior below the value,
+    it is known apart from a misfit; and where the known noise is from; rank: mass of the posterior below the value,
     where there is a posterior
     """
     ratio, shown, source = noise
@@ -91,7 +91,7 @@ def found_in_numbers(
     return [
         *not_converged(converged),
         *little_explained(identifiability.explained, left_is_noise=left_is_noise),
-        *value_at_end(name, value, ends, bounds, below),
+        *value_at_end(name, value, ends, bounds, rank),
         *noise_contradicted(ratio, source),
     ]
 
@@ -133,14 +133,14 @@ def little_explained(share: float, *, left_is_noise: bool = False) -> Iterator[D
 
 
 def value_at_end(
-    name: str, value: float, ends: tuple[float, float], bounds: tuple[float, float], below: float | None = None
+    name: str, value: float, ends: tuple[float, float], bounds: tuple[float, float], rank: float | None = None
 ) -> Iterator[Doubt]:
     """The value of least mean distance may be where the likelihood's interval ends, which was stretched to hold it.
 
-    below: mass of the posterior below the value: one that is not in its tails is as likely as others are
+    rank: mass of the posterior below the value: one that is not in its tails is as likely as others are
     """
     low, high = ends
-    if below is not None and TAIL < below < 1.0 - TAIL:
+    if rank is not None and TAIL < rank < 1.0 - TAIL:
         return
     slack = END * (high - low)
     if high <= low or value <= bounds[0] + slack or value >= bounds[1] - slack:
@@ -267,8 +267,13 @@ def turns(dim: int) -> list[Turn]:
     return found[1:] if dim == 2 else found  # in the plane one sign is the other one turned, and all
 
 
-def bulging(seen: Sequence[Observation], bodies: Sequence[Msm], beta: FloatArray) -> Simulate:
-    """States at betas (B,) of bodies whose clusters keep more and more of their volume, so that they bulge."""
+def bulging(seen: Sequence[Observation], bodies: Sequence[Msm], beta: FloatArray, version: int) -> Simulate | None:
+    """States at betas (B,) of bodies whose clusters keep more and more of their volume, so that they bulge.
+
+    None of version 1 (`model.NEWEST_FIT`)
+    """
+    if version == 1:
+        return None
     betas, thetas = np.tile(beta, len(BULGES)), np.repeat(BULGES, len(beta))
 
     def simulate(shapes: Sequence[FloatArray]) -> list[FloatArray]:
@@ -281,7 +286,7 @@ def bulging(seen: Sequence[Observation], bodies: Sequence[Msm], beta: FloatArray
 def swapped_axes(
     seen: Sequence[Observation],
     simulate: Simulate,
-    bulge: Simulate,
+    bulge: Simulate | None,
     weight: FloatArray | None = None,
     rival: float = np.inf,
 ) -> Iterator[Doubt]:
@@ -289,8 +294,8 @@ def swapped_axes(
     the motion beyond a rigid one, since what is turned may be less than it was.
 
     bulge: the states of `bulging`: what bulges as rubber does is no motion of another axis, so that the columns in
-    another order have to fit better than it too; weight: (n,) of each observation, default 1; rival: squared error
-    [unit^2] of another explanation, which other axes have to leave less than
+    another order have to fit better than it too, None = not tried; weight: (n,) of each observation, default 1
+    rival: squared error [unit^2] of another explanation, which other axes have to leave less than
     """
     each = np.ones(len(seen)) if weight is None else weight
 
@@ -316,10 +321,9 @@ def swapped_axes(
     def better() -> bool:
         return least < min(SWAPPED * as_is, rival) and share < SWAPPED_SHARE * as_is_share
 
-    if not better():
-        return
-    as_is, as_is_share = min((as_is, as_is_share), left(np.eye(dim), bulge))
-    least, share = min((least, share), left(matrix, bulge))
+    if bulge is not None and better():
+        as_is, as_is_share = min((as_is, as_is_share), left(np.eye(dim), bulge))
+        least, share = min((least, share), left(matrix, bulge))
     if better():
         explained = (
             f"{max(1.0 - share, 0.0):.0%} of the motion is explained, as it is {max(1.0 - as_is_share, 0.0):.0%}"

@@ -65,7 +65,10 @@ class Inference:
     def __init__(self, search: Search, seed: int) -> None:
         self.search = search
         rng = np.random.default_rng(seed)
-        self.parts = [Residuals(seen, body, rng) for seen, body in zip(search.seen, search.bodies, strict=True)]
+        self.parts = [
+            Residuals(seen, body, rng, search.model.version)
+            for seen, body in zip(search.seen, search.bodies, strict=True)
+        ]
         self.converged = True
         empty = Evidence(*3 * (np.zeros((0, 0)),))
         self._found = [empty] * len(self.parts)

@@ -144,7 +144,9 @@ class _Joint:
         self.seen, self.options, self.left_out = list(seen), options, left_out
         self.bodies = [options.model.body(one) for one in seen]
         rng = np.random.default_rng(options.seed)
-        self.parts = [Residuals(one, body, rng) for one, body in zip(self.seen, self.bodies, strict=True)]
+        self.parts = [
+            Residuals(one, body, rng, options.model.version) for one, body in zip(self.seen, self.bodies, strict=True)
+        ]
         self.converged = True
         self.tried = np.empty((0, 3))  # beta, theta, error
         self.evidence: list[tuple[FloatArray, FloatArray]] = []
@@ -274,7 +276,7 @@ class _Joint:
             each = zip(self.seen, self.bodies, shapes, strict=True)
             return [body.relax(shape[one.held], betas, thetas, volume="project").settled for one, body, shape in each]
 
-        yield from swapped_axes(self.seen, simulate, bulging(self.seen, self.bodies, tried))
+        yield from swapped_axes(self.seen, simulate, bulging(self.seen, self.bodies, tried, self.options.model.version))
         here = (beta, theta)
         grouped = [self.options.model.grouping(one) for one in self.seen]
         if any(one.count < 2 for one in grouped):

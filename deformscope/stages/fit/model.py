@@ -17,6 +17,10 @@ from deformscope.stages.msm.solver import Msm, Precision
 
 Method = Literal["sweep", "gradient"]
 
+NEWEST_FIT = 2
+"""How a fit explains errors. 1, as recordings of before have it: neither the tool as a whole nor the camera is off, a
+smooth error beside exact held positions is misfit, and `axes-swapped` knows no body that bulges."""
+
 TOUCHED_SHARE = 0.5
 """Held particles that moved more than this share of the largest motion among them are taken as touched."""
 
@@ -108,6 +112,7 @@ class Model:
     beta, theta: the value of the one that is not fitted; alpha does not change a static state and is recorded only
     volume: how theta conserves it: "scale" as eq. 3.17 does, or "project", which has an energy and stays stable in
     overlapping clusters
+    version: of how errors are explained, see `NEWEST_FIT`
     """
 
     parameter: Parameter = "beta"
@@ -119,6 +124,7 @@ class Model:
     volume: Volume = "scale"
     precision: Precision = "float64"
     device: str = "cpu"
+    version: int = NEWEST_FIT
 
     def grouping(self, seen: Observation) -> clusters.Clusters:
         """How the particles of an observation are grouped."""

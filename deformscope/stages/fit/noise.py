@@ -102,6 +102,7 @@ class Measured:
     loose: (k,) prescribed ones that may be anywhere near, None = none
     touched: (k,) prescribed ones that something moved, None where `held_rest` is
     shift: deviation of what all that is held is off by, as one [unit]
+    version: see `model.NEWEST_FIT`
     """
 
     rest: FloatArray
@@ -114,6 +115,7 @@ class Measured:
     loose: BoolArray | None = None
     touched: BoolArray | None = None
     shift: float = 0.0
+    version: int = 1
 
     def some(self, pick: IntArray) -> Measured:
         """The same of the free particles at indices (n,) alone."""
@@ -210,9 +212,8 @@ class ErrorModel:
         for held, prior in choices[stated].items():
             rows.append((held, False, 0, 1.0, 0.0, np.log(prior * PRIOR_NO_FIELD)))
             exact = self.measured.held_rest is None or self.measured.held_measured is False
-            seen_apart = (
-                self.measured.held_measured is False and not unknown
-            )  # what is exact was not seen by the camera
+            # what is exact was not seen by the camera
+            seen_apart = self.measured.held_measured is False and not unknown and self.measured.version > 1
             kinds = (False, True) if (held and not exact) or (not held and seen_apart) else (False,)
             for shared, (field, length) in product(kinds, fields):
                 most = MISFIT_MOST_UNKNOWN if unknown else SHARED_MOST if shared else MISFIT_MOST
