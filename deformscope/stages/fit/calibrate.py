@@ -18,6 +18,7 @@ from deformscope.stages.fit.at_value import at_value
 from deformscope.stages.fit.distance import distances, explained_share, nearest_error, unexplained
 from deformscope.stages.fit.doubts import (
     NOISE_NAMED,
+    bulging,
     found_in_numbers,
     implausible_lengths,
     known_of,
@@ -140,9 +141,11 @@ def calibrate(
     supported = (fit.tried.parameter >= ends[0]) & (fit.tried.parameter <= ends[1])
     converged = inferred.converged and bool(fit.tried.converged[supported].all())
     identified = identifiability(seen, comparisons, inferred)
-    ratio = residual_ratio(seen, [c.simulated for c in comparisons], inference.floor)
-    noise = ratio, inferred.noise, source
-    numbers = found_in_numbers(model.parameter, value, ends, bounds, identified, converged=converged, noise=noise)
+    noise = residual_ratio(seen, [c.simulated for c in comparisons], inference.floor), inferred.noise, source
+    rank = inferred.posterior.rank(value) if model.version > 1 else None
+    numbers = found_in_numbers(
+        model.parameter, value, ends, bounds, identified, converged=converged, noise=noise, rank=rank
+    )
     shown = [*shape_doubts(seen), *(_in_residuals(judged, best, inference) if pace is None and converged else ())]
     shown += either if "two-materials" not in (one.code for one in shown) else []
     here = [setting(seen, model, identified.misfit, inferred.noise)] if model.parameter == "theta" else []
@@ -266,7 +269,8 @@ def _in_residuals(search: Search, best: int, inference: Inference, rival: float 
         each = zip(search.seen, search.bodies, shapes, strict=True)
         return [search.relax(body, shape[one.held], tried, None).settled for one, body, shape in each]
 
-    yield from swapped_axes(search.seen, simulate, search.weight, rival)
+    bulge = bulging(search.seen, search.bodies, search.values(tried)[0], search.model.version)
+    yield from swapped_axes(search.seen, simulate, bulge, search.weight, rival)
     yield from _two_betas(search, best, inference, rival)
 
 
