@@ -121,7 +121,6 @@ def calibrate(
         used["frames_worth"] = found.worth
         used["frames_correlation"] = [found.shared.mean, found.shared.most]
         used["frame_values"] = [round(float(v), 4) for v in fit.each_best()]
-    curve = Curve(drawn, fit.error()[fit.rows_of(drawn)])
     with threadpool_limits(1):  # small matrices: more threads cost time, and change the last digits
         inference = Inference(judged, options.seed)
         inferred = inference.run(progress)
@@ -137,7 +136,6 @@ def calibrate(
     free = np.concatenate(
         [distances(c.simulated, c.observed)[s.free_observed] for c, s in zip(comparisons, seen, strict=True)]
     )
-    near = [nearest_error(c.simulated[c.seen], c.observed[c.seen]) for c in comparisons]
     supported = (fit.tried.parameter >= ends[0]) & (fit.tried.parameter <= ends[1])
     converged = inferred.converged and bool(fit.tried.converged[supported].all())
     identified = identifiability(seen, comparisons, inferred)
@@ -162,9 +160,9 @@ def calibrate(
         stiffness_verdict="unidentified" if k is None else relative_verdict(*k, of_stiffness(reasons)),
         aee=float(fit.only(np.arange(len(seen)), np.ones(len(seen))).error()[best]),
         aee_free=float(free.mean()),
-        nearest=float(np.mean(near)),
+        nearest=float(np.mean([nearest_error(c.simulated[c.seen], c.observed[c.seen]) for c in comparisons])),
         unit=seen[0].unit,
-        curve=curve,
+        curve=Curve(drawn, fit.error()[fit.rows_of(drawn)]),
         converged=converged,
         settings={**used, **(settings or {})},
         stiffness=k,

@@ -157,8 +157,8 @@ class Inference:
         parameter."""
         part = self.parts[row]
         residual = np.tensordot(mix, residual, 1)
-        onto = part.summary(residual, responses[len(responses) // 2])
-        each = [part.log_summary(residual, onto, response) for response in responses]
+        onto, amplitude = part.summary(residual, responses[len(responses) // 2])
+        each = [part.log_summary(residual, onto, amplitude, response) for response in responses]
         return np.asarray(np.sum(share * np.stack(each), axis=0))
 
     def response(self, row: int, place: int, *, exact: bool = True) -> FloatArray:

@@ -192,8 +192,9 @@ class _Joint:
                 total += logsumexp(likelihood, axis=0)
             else:
                 residual = np.tensordot(mix, residual, 1)
-                onto = part.summary(residual, responses[len(responses) // 2], SUMMARIES)
-                total += np.sum(share * np.stack([part.log_summary(residual, onto, one) for one in responses]), axis=0)
+                onto, amplitude = part.summary(residual, responses[len(responses) // 2], SUMMARIES)
+                each = [part.log_summary(residual, onto, amplitude, one) for one in responses]
+                total += np.sum(share * np.stack(each), axis=0)
         return fine[0], fine[1], total.reshape(len(fine[0]), len(fine[1]))
 
     def narrowed(

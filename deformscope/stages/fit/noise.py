@@ -356,8 +356,11 @@ class ErrorModel:
             log_det[some] += np.linalg.slogdet(normal)[1] + log_held
         return found, log_det
 
-    def projected(self, onto: FloatArray, response: FloatArray, chosen: IntArray) -> FloatArray:
-        """Covariance (h, q, q) of projections of the residuals onto (n, d, q), at noise of the scale 1."""
+    def projected(self, onto: FloatArray, response: FloatArray, chosen: IntArray, amplitude: FloatArray) -> FloatArray:
+        """Covariance (h, q, q) of projections of the residuals onto (n, d, q), at noise of the scale 1.
+
+        amplitude: (a, a) second moment of the factors of `modes`
+        """
         every = self.hypotheses
         n, d, q = onto.shape
         m = response.shape[2]
@@ -379,7 +382,7 @@ class ErrorModel:
             found[at] = np.einsum("n,ndi,ndj->ij", spread, turned, turned)
             if held and self.measured.held_rest is None:
                 found[at] += through.T @ through
-            found[at] += modes[held].T @ modes[held] * np.exp(-2.0 * self.log_scale[row])
+            found[at] += modes[held].T @ amplitude @ modes[held] * np.exp(-2.0 * self.log_scale[row])
         return found
 
     @property

@@ -178,33 +178,56 @@ class Residuals:
         )
         return self.explanation
 
-    def summary(self, residual: FloatArray, response: FloatArray, most: int = SUMMARIES) -> FloatArray:
+    def summary(
+        self, residual: FloatArray, response: FloatArray, most: int = SUMMARIES
+    ) -> tuple[FloatArray, FloatArray]:
         """What the parameter, and errors of tool and camera, do to the residuals (f, n, d), as few directions
-        (n, d, q), weighed by each particle's noise and misfit. response: of held positions (n, d, m)"""
+        (n, d, q), weighed by each particle's noise and misfit; and the second moment (a, a) of those errors' factors.
+
+        Details that the parameter does not alter tell such errors from it where there is white noise above all. Where
+        misfit and shared errors outweigh it, they tell no more than how large such errors may be.
+        response: of held positions (n, d, m)
+        """
         one = self.explanation
         variance = one.weight @ one.white**2 * self.errors.noise**2 + one.weight @ one.field**2
         weight = np.repeat(variance**-0.5, residual.shape[2])
         moved = (residual - residual.mean(axis=0)).reshape(len(residual), -1) * weight
+        others = self.errors.modes(response, held=True).reshape(len(weight), -1) * weight[:, None]
+        prior = np.eye(others.shape[1])
         size, axes = eigh(moved @ moved.T)
         size, axes = size[::-1], axes[:, ::-1]
         if size[0] <= 0.0:  # it does nothing: any direction will do
-            return np.asarray(weight.reshape(*residual.shape[1:], 1))
+            return np.asarray(weight.reshape(*residual.shape[1:], 1)), prior
         count = max(1, min(most, int(np.count_nonzero(size > SUMMARY_LEAST**2 * size[0]))))
-        onto = moved.T @ axes[:, :count] / np.sqrt(size[:count])
-        if one.weight @ one.field**2 < np.mean(one.weight @ one.white**2 * self.errors.noise**2):
-            # where misfit and shared errors outweigh white noise, details are no knowledge of the parameter
-            others = self.errors.modes(response, held=True).reshape(len(onto), -1) * weight[:, None]
-            across, spread, _ = np.linalg.svd(others - onto @ (onto.T @ others), full_matrices=False)
-            onto = np.concatenate([onto, across[:, spread > SYSTEMATIC_LEAST]], axis=1)
-        return np.asarray((onto * weight[:, None]).reshape(*residual.shape[1:], -1))
+        along = moved.T @ axes[:, :count] / np.sqrt(size[:count])
+        across, spread, _ = np.linalg.svd(others - along @ (along.T @ others), full_matrices=False)
+        across = across[:, spread > SYSTEMATIC_LEAST]
+        onto, details = (
+            (some * weight[:, None]).reshape(*residual.shape[1:], -1)
+            for some in (np.concatenate([along, across], axis=1), across)
+        )
+        noisy = one.weight @ one.field**2 < np.mean(one.weight @ one.white**2 * self.errors.noise**2)
+        if noisy or not across.size:
+            return onto, prior
+        onto = onto[..., :count]
+        best = residual[np.sum(np.tensordot(residual, onto, 2) ** 2, axis=1).argmin()]
+        each = self.errors.projected(details, response, self.kept, 0.0 * prior)
+        noise = np.tensordot(one.weight * one.white**2, each, 1) / TEMPER
+        act = across.T @ others
+        by = np.linalg.solve(noise, act)
+        left = np.linalg.inv(prior + act.T @ by)
+        mean = left @ by.T @ np.tensordot(details, best, ((0, 1), (0, 1)))
+        return onto, left + np.outer(mean, mean)
 
-    def log_summary(self, residual: FloatArray, onto: FloatArray, response: FloatArray) -> FloatArray:
-        """Log likelihood (f,) of the projections of residuals (f, n, d) onto directions (n, d, q): Student's t, as wide
+    def log_summary(
+        self, residual: FloatArray, onto: FloatArray, amplitude: FloatArray, response: FloatArray
+    ) -> FloatArray:
+        """Log likelihood (f,) of the projections of residuals (f, n, d) onto what `summary` gives: Student's t, as wide
         as the noise's scale is uncertain."""
         one = self.explanation
         z = np.tensordot(residual, onto, 2)
         freedom, q = TEMPER * residual.shape[1] * residual.shape[2], onto.shape[2]
-        covariance = self.errors.projected(onto, response, self.kept)
+        covariance = self.errors.projected(onto, response, self.kept, amplitude)
         # where there is next to no noise, errors of a tool outweigh it by more than numbers resolve
         if self.measured.version > 1:
             covariance += RESOLVED * np.trace(covariance, axis1=1, axis2=2)[:, None, None] / q * np.eye(q)
