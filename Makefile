@@ -102,7 +102,7 @@ test-realtime: setup
 
 docs: setup
 	@NO_MKDOCS_2_WARNING=1 $(PY) -m mkdocs build --quiet
-	@echo 'open build/site/index.html'
+	@echo 'read it: $(PY) -m http.server --bind 127.0.0.1 --directory build/site, at http://127.0.0.1:8000'
 
 bench: setup
 	@$(PY) -m deformscope bench
