@@ -72,6 +72,7 @@ class LiveOptions:
     focal_px, center_px, distortion, T_surface_camera: of the depth camera; size_m, thickness_m: of the surface [m]
     T_ee_tip: (4, 4) the tool's tip, whose z axis points at what it presses, to the arm's end [m]
     tip: its shape; set_force_n: at which stiffness is given; compliance_m_per_n, compliance_sd: of the arm [m/N]
+    version: of fits, see `NEWEST_FIT`
     """
 
     names: tuple[StageName, ...] = ()
@@ -95,6 +96,7 @@ class LiveOptions:
     compliance_m_per_n: float = 0.0
     compliance_sd: float = 0.0
     tip: TipKind = "sphere"
+    version: int = 1
 
 
 NEEDS: dict[StageName, tuple[Kind, ...]] = {
@@ -297,7 +299,11 @@ def _beta(stage: Stage, packed: Any) -> MomentFit:
     """Particles of the first image where they are in the newest one, and the beta or theta that this pose gives."""
     rest, now = packed
     options = stage.options
-    model = Model(parameter="theta" if stage.name == "theta" else "beta", cluster_size=options.cluster_size)
+    model = Model(
+        parameter="theta" if stage.name == "theta" else "beta",
+        cluster_size=options.cluster_size,
+        version=options.version,
+    )
     bounds = (0.0, 1.0) if stage.name == "theta" else FitOptions().bounds
     fit = FitOptions(model, bounds=bounds, candidates=CANDIDATES)
     return fit_moment(rest, now, options.particles, fit, options.longest_px)

@@ -161,8 +161,14 @@ def _live_options(flags: StageOptions, rig: Rig) -> LiveOptions:
     """How the stages run that were asked for. Raises InputError where the rig lacks what one of them needs."""
     from deformscope.experiments.calibration_inputs import particle_options
     from deformscope.experiments.device_stages import LiveOptions, for_rig
+    from deformscope.stages.fit.model import NEWEST_FIT
 
-    own = {"names": flags.names, "color": flags.camera or "", "particles": particle_options(flags)}
+    own = {
+        "names": flags.names,
+        "color": flags.camera or "",
+        "particles": particle_options(flags),
+        "version": NEWEST_FIT,
+    }
     return for_rig(LiveOptions(**flags.shared(LiveOptions) | own), rig)
 
 
