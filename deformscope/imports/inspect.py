@@ -86,7 +86,7 @@ def _encoding(value: Any) -> str:
     if isinstance(value, Path) and value.suffix.lower() not in CLOUDS:
         with contextlib.suppress(InputError):  # the import says what is wrong
             image = read_image(value)
-            return "16UC1" if (image.ndim, image.dtype) == (2, np.uint16) else "rgb8"
+            return "16UC1" if image.ndim == 2 and image.dtype == np.uint16 else "rgb8"
     return str(getattr(value, "encoding", getattr(value, "format", "")))
 
 
