@@ -157,7 +157,14 @@ def sweep_on(
                         content = Path(source).read_bytes() if options.send and about["content"] else None
                         files = str((out / FILES).resolve() / key)
                         varied = about | {"settings": dict(variation.settings)}
-                        yield SweepTask(key, str(source), variation.argument, files, content, varied)
+                        yield SweepTask(
+                            key=key,
+                            source=str(source),
+                            argument=variation.argument,
+                            files=files,
+                            content=content,
+                            about=varied,
+                        )
 
         try:
             with open_workers(options.on.executor, options.on.address, options.workers, apart=True) as workers:
@@ -293,7 +300,7 @@ def _quantities(table: pa.Table) -> list[str]:
         for field in table.schema
         if (pa.types.is_floating(field.type) or pa.types.is_integer(field.type))
         and field.name not in ("seconds", "attempts")
-        and not field.name.startswith(VARIED)
+        and not field.name.startswith((VARIED, "settings."))
         and not (field.name.endswith(ends) and field.name.rpartition("_")[0] in table.schema.names)
         and pc.count_distinct(table[field.name]).as_py() > 1
     ]
