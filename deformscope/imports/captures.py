@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+import numpy as np
+
 from deformscope.errors import InputError
 from deformscope.frames import Frame, RawBytes, Stream
 from deformscope.imports.import_map import MappedStream
-from deformscope.imports.readers import Message, Reader
+from deformscope.imports.readers import Message, Reader, Topic
 from deformscope.rig.decoded import REDECODERS
 from deformscope.rig.measured import to_frame
 from deformscope_drivers.clock import Unwrap
@@ -17,18 +19,27 @@ from deformscope_drivers.framing import Skipped
 from deformscope_drivers.health import Health, Link
 from deformscope_drivers.optoforce.protocol import Reading as ForcePacket
 
-FED = ("optoforce", "dsa")
-"""Drivers whose frames are decided by what the device sends."""
+FED = {"optoforce": "wrench", "dsa": "tactile"}
+"""Drivers whose frames are decided by what the device sends, and the frames' kind."""
 PIECE_BYTES = 16
 """No longer than the shortest reading, so that each piece of a file without times completes one at most."""
+
+
+def check_capture(stream: MappedStream, topics: Mapping[str, Topic]) -> None:
+    """Raises InputError where a stream's driver, kind and topics do not belong together."""
+    of_bytes = all(topics[name].type in ("bytes", "candump") for name in stream.topics)
+    if of_bytes and stream.driver not in FED:
+        raise stream.missing("driver", f"one of {', '.join(FED)}", stream.driver)
+    if stream.driver and not of_bytes:
+        raise stream.missing("driver", "none, its topics are not bytes of a device", stream.driver)
+    if stream.driver and stream.kind != FED[stream.driver]:
+        raise stream.missing("kind", f"{FED[stream.driver]}, as {stream.driver} gives", stream.kind)
 
 
 class CaptureStream:
     """One device's bytes. config: of its driver. Raises InputError for what the map must say"""
 
     def __init__(self, stream: MappedStream, config: object, reader: Reader) -> None:
-        if stream.driver not in FED:
-            raise stream.missing("driver", f"one of {', '.join(FED)}", stream.driver)
         if stream.driver == "dsa" and not stream.pads:
             raise stream.missing("pads", "name, rows, columns, texel_m, index, finger and part of each", "")
         self.stream, self._config = stream, config
@@ -36,8 +47,12 @@ class CaptureStream:
         first = next((one for one in self._decoded(reader) if not isinstance(one, RawBytes)), None)
         force: Any = getattr(first, "force_n", None)
         if force is not None:
+            if stream.nan == "refuse" and not np.isfinite(force).all():
+                expected = 'counts at nominal and nominal forces, as its certificate has them, or nan = "keep"'
+                raise stream.missing("config.sensitivity", expected, "")
             torques = len(first.counts) > force.size  # type: ignore[union-attr]
             self._known = Stream(stream.device, stream.kind, stream.driver, channels=len(force), torques=torques)
+        self.gap_ns = 0
         self._reset()
 
     def _reset(self) -> None:

@@ -7,7 +7,7 @@ import dataclasses
 from typing import Any, cast
 
 from deformscope.config import ImportConfig
-from deformscope.errors import InputError
+from deformscope.errors import InputError, printable
 from deformscope.experiments.live_stages import live_stages
 from deformscope.frames import HealthReport
 from deformscope.imports.import_map import read_map
@@ -21,6 +21,9 @@ from deformscope.recording.losses import losses_of
 from deformscope.runs.recordings import RecordResult
 from deformscope.runs.result import open_recorder, recording_rows
 from deformscope.session import finish, run
+
+LONG_GAP = 100
+"""Of so many usual steps a gap in a stream is told."""
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -36,7 +39,7 @@ def inspect_source(config: ImportConfig) -> Inspected:
     with open_reader(config.source) as reader:
         found = inspect(reader)
         asked = propose(reader, found)
-    lines = [f"# {one.to_text()}" for one in found]
+    lines = ["# " + "\\n".join(printable(one.to_text()).split("\n")) for one in found]
     facts = [
         {"topic": one.topic.name, "type": one.topic.type, "messages": one.messages, "rate_hz": one.rate_hz}
         | {"longest_gap_s": one.gap_ns / 1e9, "clock_s": one.clock_s, "columns": dict(one.topic.units)}
@@ -57,7 +60,7 @@ def import_source(config: ImportConfig) -> RecordResult:
         "import": {"source": config.source.name, "map": text},
     }
     with (
-        open_reader(config.source, asked.skip_rows) as reader,
+        open_reader(config.source, asked.skip_rows, [one.time for one in asked.streams]) as reader,
         contextlib.closing(ImportSource(reader, asked)) as source,
     ):
         with open_recorder(config.output, settings, RIG.variant("import"), whole_or_nothing=True) as recorder:
@@ -77,8 +80,10 @@ def _result(config: ImportConfig, source: ImportSource, last: HealthReport, summ
     devices = dict(last.devices)
     kinds = {stream.device: stream.kind for stream in source.streams}
     rows = [(name, _words(kinds[name], health.received, health.lost)) for name, health in devices.items()]
+    gaps_s = {name: gap_s for name, gap_s in source.gaps_s.items() if gap_s * devices[name].rate_hz > LONG_GAP}
+    rows += [(name, f"longest gap {gap_s:.4g} s") for name, gap_s in gaps_s.items()]
     found: dict[str, object] = {"recording": summary.path, "frames": summary.frames, "bytes": summary.bytes}
-    found |= {"source": config.source, "devices": devices, "losses": losses_of(last)}
+    found |= {"source": config.source, "devices": devices, "losses": losses_of(last), "long_gaps_s": gaps_s}
     table = Table([*rows, *recording_rows(summary)], caption=str(config.source))
     return RecordResult(cast("dict[str, Any]", plain(found)), table)
 
