@@ -16,6 +16,7 @@ import msgspec
 
 from deformscope.errors import InputError
 from deformscope.frames import Kind, Pad
+from deformscope.rig.rig_file import SECTIONS
 
 ASKED: Final = "?"
 """The value of a key that the source does not decide."""
@@ -72,11 +73,12 @@ class MappedStream(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
 
 class ImportMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """All of it. start_ns: the stamp at which the recording begins [ns]; None = the first; skip_rows: lines of CSV
-    tables before their header"""
+    tables before their header; rig: sections of a rig file, as `tool` and `camera`"""
 
     streams: tuple[MappedStream, ...]
     start_ns: Annotated[int, msgspec.Meta(ge=-MOST_NS, le=MOST_NS)] | None = None
     skip_rows: int = 0
+    rig: dict[str, dict[str, Any]] = {}
 
     def to_toml(self) -> str:
         """As a file has it, without what is as usual."""
@@ -92,19 +94,22 @@ class ImportMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         return "\n".join(lines).lstrip() + "\n"
 
     def rig_text(self) -> str:
-        """The devices whose bytes are imported, as a rig file has them; empty without one."""
-        found = ""
-        for one in self.streams:
-            if one.driver:
-                lines = [f"{key} = {_toml(value)}\n" for key, value in {"driver": one.driver, **one.config}.items()]
-                found += f"[devices.{one.device}]\n{''.join(lines)}"
-        return found
+        """The devices whose bytes are imported, and where all is, as a rig file has it; empty without either."""
+        sections = {f"devices.{one.device}": {"driver": one.driver, **one.config} for one in self.streams if one.driver}
+        return "".join(
+            f"[{name}]\n" + "".join(f"{key} = {_toml(value)}\n" for key, value in section.items())
+            for name, section in (sections | self.rig).items()
+        )
 
 
 def read_map(path: Path) -> ImportMap:
     """Raises InputError for what is no map, with the key that is wrong."""
     try:
-        found = msgspec.convert(tomllib.loads(path.read_text(encoding="utf-8")), ImportMap)
+        said = tomllib.loads(path.read_text(encoding="utf-8"))
+        if "rig" in said:
+            raise ValueError("unknown field `rig`: its sections stand by themselves")
+        rig = {name: said.pop(name) for name in SECTIONS if isinstance(said.get(name), dict)}
+        found = msgspec.convert(said | {"rig": rig}, ImportMap)
     except OSError as error:
         raise InputError("a map (TOML)", (error.strerror or str(error)).lower(), HOW, path) from error
     except (ValueError, msgspec.ValidationError) as error:
