@@ -36,7 +36,24 @@ def check_capture(stream: MappedStream, topics: Mapping[str, Topic]) -> None:
         raise stream.missing("kind", f"{FED[stream.driver]}, as {stream.driver} gives", stream.kind)
 
 
-class CaptureStream:
+class Counted:
+    """Frames of a stream as they are made. lost: messages that made none; gap_ns: the longest time between two"""
+
+    def __init__(self) -> None:
+        self.count = self.lost = self.skipped = self.first_ns = self.last_ns = self.gap_ns = 0
+
+    def add(self, ns: int) -> None:
+        """Count one more."""
+        self.first_ns, self.gap_ns = (self.first_ns, max(self.gap_ns, ns - self.last_ns)) if self.count else (ns, 0)
+        self.last_ns, self.count = ns, self.count + 1
+
+    def health(self) -> Health:
+        span_s = (self.last_ns - self.first_ns) / 1e9
+        rate_hz = (self.count - 1) / span_s if span_s > 0 else 0.0
+        return Health(Link.CLOSED, "", self.count, skipped_bytes=self.skipped, lost=self.lost, rate_hz=rate_hz)
+
+
+class CaptureStream(Counted):
     """One device's bytes. config: of its driver. Raises InputError for what the map must say"""
 
     def __init__(self, stream: MappedStream, config: object, reader: Reader) -> None:
@@ -52,27 +69,16 @@ class CaptureStream:
                 raise stream.missing("config.sensitivity", expected, "")
             torques = len(first.counts) > force.size  # type: ignore[union-attr]
             self._known = Stream(stream.device, stream.kind, stream.driver, channels=len(force), torques=torques)
-        self.gap_ns = 0
-        self._reset()
-
-    def _reset(self) -> None:
-        self.count = self.lost = self.first_ns = self.last_ns = self._skipped = 0
 
     def describe(self, known: Mapping[str, Any] | None) -> Stream:
         return self._known
 
-    def health(self) -> Health:
-        span_s = (self.last_ns - self.first_ns) / 1e9
-        rate_hz = (self.count - 1) / span_s if span_s > 0 else 0.0
-        return Health(Link.CLOSED, "", self.count, skipped_bytes=self._skipped, rate_hz=rate_hz)
-
     def frames(self, reader: Reader) -> Iterator[Frame | RawBytes]:
         """All bytes, and the frames in them."""
-        self._reset()
         return self._decoded(reader)
 
     def _decoded(self, reader: Reader) -> Iterator[Frame | RawBytes]:
-        self._reset()
+        Counted.__init__(self)
         again = REDECODERS[self.stream.driver](self._config, self._known)
         decoder = again.begin()
         clock = _Clock(self.stream)
@@ -84,13 +90,12 @@ class CaptureStream:
                 continue
             for event in decoder.feed(message.value):
                 if isinstance(event, Skipped):
-                    self._skipped += event.count
+                    self.skipped += event.count
                     continue
                 ns = clock.at(message, event)
                 if (reading := again.measure(event, ns)) is not None:
                     yield to_frame(self.stream.kind, reading, self.count, self.stream.device, again.device())
-                    self.first_ns = self.first_ns if self.count else ns
-                    self.last_ns, self.count = ns, self.count + 1
+                    self.add(ns)
             yield RawBytes(clock.at(message, None), message.value, False, self.stream.device)
 
 

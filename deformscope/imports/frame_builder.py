@@ -54,17 +54,20 @@ STANDARD: dict[str, tuple[Kind, dict[str, tuple[str, str]]]] = {
     "sensor_msgs/msg/PointCloud2": ("depth", {}),
 }
 """Kind and columns of standard messages, whose units are those of REP 103."""
-LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6}
-UNITS_OF = (
-    {"N": 1.0, "mN": 1e-3, "kN": 1e3, "gf": 9.80665e-3, "kgf": 9.80665, "lbf": 4.4482216152605},
-    {"N m": 1.0, "Nm": 1.0, "mN m": 1e-3, "N mm": 1e-3},
-    LENGTHS,
-    {"rad": 1.0, "deg": math.pi / 180},
-    {"rad/s": 1.0, "deg/s": math.pi / 180},
-    {"Pa": 1.0, "kPa": 1e3, "hPa": 1e2, "MPa": 1e6},
-    {"deg C": 1.0},
-)
-"""Units of one quantity, and how much each is."""
+SI = {
+    name: (of, factor)
+    for of, names in {
+        "N": {"N": 1.0, "mN": 1e-3, "kN": 1e3, "gf": 9.80665e-3, "kgf": 9.80665, "lbf": 4.4482216152605},
+        "N m": {"N m": 1.0, "Nm": 1.0, "mN m": 1e-3, "N mm": 1e-3},
+        "m": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6},
+        "rad": {"rad": 1.0, "deg": math.pi / 180},
+        "rad/s": {"rad/s": 1.0, "deg/s": math.pi / 180},
+        "Pa": {"Pa": 1.0, "kPa": 1e3, "hPa": 1e2, "MPa": 1e6},
+        "deg C": {"deg C": 1.0},
+    }.items()
+    for name, factor in names.items()
+}
+"""What each unit is of, and how much of it."""
 Pose = npt.NDArray[np.float64]
 """(4, 4) the end's to the base's frame [m]."""
 Row = dict[str, Any]
@@ -149,15 +152,14 @@ class FrameBuilder:
             return 1.0
         given = self.stream.units.get(field, said)
         key = f'units."{field}"'
-        of = next(one for one in UNITS_OF if wanted in one)
-        known = ", ".join(of)
+        known = ", ".join(name for name, (of, _) in SI.items() if of == SI[wanted][0])
         if not given or given == ASKED:
             raise self.stream.missing(key, f"one of {known}", given)
         if said and given != said:
             raise self.stream.missing(key, f"{said}, as the source says", given)
-        if given not in of:
+        if given not in SI or SI[given][0] != SI[wanted][0]:
             raise self.stream.missing(key, f"one of {known}", given)
-        return 1.0 if given == wanted else of[given] / of[wanted]
+        return 1.0 if given == wanted else SI[given][1] / SI[wanted][1]
 
     def build(self, messages: Mapping[str, Message], stamp: Stamp, index: int, pose: Pose | None) -> Frame | None:
         """The frame of these messages, by topic; None where they are not of it. pose: of the arm's end"""
@@ -326,11 +328,11 @@ def _of_file(stream: MappedStream, path: Path) -> Any:
         if stream.kind == "depth" and not stream.unit_m:
             raise stream.missing("unit_m", "what one step of its images is [m]: 0.001 where they are in mm", "")
         return read_image(path)
-    if (unit := stream.units.get("points", "")) not in LENGTHS:
+    if (unit := stream.units.get("points", "")) not in SI or SI[unit][0] != "m":
         raise stream.missing("units.points", "m, cm, mm or um", unit)
     import open3d as o3d
 
-    points = np.asarray(o3d.io.read_point_cloud(path, remove_nan_points=False).points) * LENGTHS[unit]
+    points = np.asarray(o3d.io.read_point_cloud(path, remove_nan_points=False).points) * SI[unit][1]
     head = path.read_bytes()[:4096].decode("latin-1")
     size = [re.search(rf"^{name} (\d+)$", head, re.MULTILINE) for name in ("HEIGHT", "WIDTH")]
     height, width = (int(one[1]) if one is not None else 1 for one in size)

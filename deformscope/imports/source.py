@@ -16,7 +16,7 @@ import numpy as np
 from deformscope.errors import InputError
 from deformscope.file_io import read_file
 from deformscope.frames import Frame, HealthReport, Item, RawBytes, Stream, host_ns
-from deformscope.imports.captures import CaptureStream, check_capture
+from deformscope.imports.captures import CaptureStream, Counted, check_capture
 from deformscope.imports.frame_builder import TIME_NS, FrameBuilder, Pose, pose_of
 from deformscope.imports.import_map import ASKED, MOST_NS, ImportMap, MappedStream
 from deformscope.imports.readers import TABLE_TYPES, FileReader, Message, Reader
@@ -24,7 +24,6 @@ from deformscope.recording.item_source import ItemSource
 from deformscope.recording.streams import columns_of
 from deformscope.rig.rig_file import parse_rig
 from deformscope_drivers.clock import Stamp
-from deformscope_drivers.health import Health, Link
 
 DRIVER = "imported"
 """Of a stream that no driver gave."""
@@ -109,7 +108,7 @@ class ImportSource(ItemSource):
                 raise self._made[latest].stream.missing("offset_s", "how its clock differs", came)
 
 
-class _Stream:
+class _Stream(Counted):
     """One stream of the map, as it is read."""
 
     def __init__(self, stream: MappedStream, reader: Reader) -> None:
@@ -120,7 +119,7 @@ class _Stream:
         is_file = topics[stream.topics[0]].type == "files"
         self._times = _file_times(stream, reader) if is_file and not stream.rate_hz else None
         self._types = {name: one.type for name, one in topics.items()}
-        self.count = self.lost = self.first_ns = self.last_ns = self.gap_ns = 0
+        super().__init__()
         self._waiting: dict[int, dict[str, Message]] = {}
         self._links: dict[str, tuple[str, Pose, float]] = {}
         self._pose: Pose | None = None
@@ -146,11 +145,6 @@ class _Stream:
             self.stream.device, self.stream.kind, DRIVER, pads=pads, channels=max(forces // 3, 1), torques=torques
         )
 
-    def health(self) -> Health:
-        span_s = (self.last_ns - self.first_ns) / 1e9
-        rate_hz = (self.count - 1) / span_s if span_s > 0 else 0.0
-        return Health(Link.CLOSED, "", self.count, lost=self.lost + len(self._waiting), rate_hz=rate_hz)
-
     def frames(self, reader: Reader) -> Iterator[Frame]:
         """Of tables and files: all rows, those of all topics in order of time."""
         rows = (
@@ -173,13 +167,14 @@ class _Stream:
         together = {message.topic: message}
         if len(self.stream.topics) > 1:
             together = self._waiting.setdefault(ns, {})
+            self.lost += not together or message.topic in together  # as long as it waits
             together[message.topic] = message
             if len(together) < len(self.stream.topics):
                 if len(self._waiting) > WAITING:
                     self._waiting.pop(next(iter(self._waiting)))
-                    self.lost += 1
                 return None
             del self._waiting[ns]
+            self.lost -= 1
         is_old = self.stream.pose_age_s * 1e9 < abs(ns - self._pose_ns) < math.inf
         frame = self._builder.build(together, Stamp(ns), self.count, None if is_old else self._pose)
         if frame is None:
@@ -188,8 +183,7 @@ class _Stream:
         if self.count and ns < self.last_ns:
             came = f"one {(self.last_ns - ns) / 1e9:.4g} s before the last, in frame {frame.index}"
             raise InputError(f"stamps of {self.stream.device} that only rise", came, 'time = "log", or a part of it')
-        self.first_ns, self.gap_ns = (self.first_ns, max(self.gap_ns, ns - self.last_ns)) if self.count else (ns, 0)
-        self.last_ns, self.count = ns, self.count + 1
+        self.add(ns)
         return frame
 
     def _when(self, message: Message, at: int = 0) -> int:

@@ -368,3 +368,18 @@ def test_poses_of_other_messages_and_what_is_none(tmp_path: Path, capfd: pytest.
 def twist(bag: Bag) -> Any:
     vector = bag.make("geometry_msgs/msg/Vector3", 0.0, 0.0, 0.0)
     return bag.make("geometry_msgs/msg/Twist", vector, vector)
+
+
+def test_pictures_of_two_folders_are_one_by_one(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    source = tmp_path / "take"
+    for name, kind, suffix in (("depth", np.uint16, "png"), ("rgb", np.uint8, "jpg")):
+        (source / name).mkdir(parents=True)
+        for at in range(70 if name == "depth" else 69):
+            shape = (8, 8) if name == "depth" else (8, 8, 3)
+            cv2.imwrite(str(source / name / f"{at}.{suffix}"), np.full(shape, 1 + at, kind))
+    text = '[[streams]]\ndevice = "cam"\nkind = "depth"\ntopics = ["depth/*.png", "rgb/*.jpg"]\nrate_hz = 10\n'
+    text += "unit_m = 0.001\n"
+    frames: list[Any] = frames_of(imported(source, text, tmp_path / "r.rrd", status=3))["cam"]
+    assert "cam: 1 readings lost" in capfd.readouterr().err  # the last has no colours
+    assert [frame.depth[0, 0] for frame in frames] == [*range(1, 70)]
+    np.testing.assert_allclose([frame.color.mean() for frame in frames], range(1, 70), atol=1.5)

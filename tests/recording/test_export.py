@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import csv
+import dataclasses
 import itertools
 import json
 import os
@@ -33,6 +34,7 @@ from deformscope.recording.recorder import Recorder
 from deformscope.recording.streams import RecordingTables
 from deformscope.results.render import to_json
 from deformscope.stages.map.exploration import MapEstimate, TouchEstimate
+from deformscope_drivers.clock import Stamp
 from tests.log import synthetic_rig as rig
 
 RECORDINGS = Path(__file__).resolve().parents[2] / "recordings"
@@ -459,6 +461,17 @@ def test_the_folder_one_is_in_and_a_link_to_an_empty_one_are_folders(
         assert sorted(path.name for path in Path(out).iterdir()) == ["export.json", "wrench"]
     assert main(["export", str(BENCH), "--to", "csv", "--out", "/"]) == 2
     assert (tmp_path / "link").is_symlink()
+
+
+def test_times_that_ros_has_not_are_one_line(tmp_path: Path) -> None:
+    pytest.importorskip("mcap_ros2")
+    path = tmp_path / "r.rrd"
+    with Recorder(path, "none", {"rig": ""}, application=RIG) as made:
+        made.start(RigLayout((rig.Stream("tip", "wrench", "optoforce"),)), 2**31 * 10**9)
+        made.write([dataclasses.replace(rig.wrench(at, "tip"), stamp=Stamp(2**31 * 10**9 + at)) for at in range(3)])
+    with pytest.raises(ds.InputError, match=r"times from 0 to 2038, as ROS has them; got 2\.147e\+09 s"):
+        exported(path, "mcap", tmp_path / "bag")
+    assert not (tmp_path / "bag").exists()
 
 
 def test_devices_of_any_name_have_topics_of_their_own(tmp_path: Path) -> None:

@@ -32,6 +32,7 @@ from deformscope.recording.ledger import (
     read_ledger,
     write_ledger,
 )
+from deformscope.recording.rrd_index import TAIL_BYTES, read_index
 
 ROOT = Path(__file__).resolve().parents[2]
 SAMPLE = ROOT / "recordings" / "rig.rrd"
@@ -123,6 +124,16 @@ def test_portions_are_those_of_the_file(sample: Path) -> None:
         block = blocks[message.start, message.end]
         assert block.streams == (message.entity,)
         assert (block.from_s, block.to_s) == pytest.approx(message.span_s, abs=1e-9)
+
+
+def test_an_index_of_any_length_or_place_is_none(tmp_path: Path) -> None:
+    whole, path = SAMPLE.read_bytes(), tmp_path / "r.rrd"
+    for place in range(16):  # of the footer: uint64 where it begins, uint64 how long it is
+        for bit in (0, 5, 7):
+            content = bytearray(whole)
+            content[place - TAIL_BYTES] ^= 1 << bit
+            path.write_bytes(content)
+            assert read_index(path) == [], (place, bit)
 
 
 @pytest.mark.parametrize("place", [0, 1000, BLOCK_BYTES - 1, BLOCK_BYTES, 2 * BLOCK_BYTES + 12344])

@@ -257,7 +257,7 @@ def _replace(folder: Path, draft: Path) -> None:
 
 def _numbered(folder: Path) -> set[Path]:
     """Images that are named as an export names them."""
-    return {path for path in folder.iterdir() if NUMBERED.fullmatch(path.name)} if folder.is_dir() else set()
+    return {path for path in folder.glob("*") if NUMBERED.fullmatch(path.name)}
 
 
 def as_text(value: Any) -> str:

@@ -291,4 +291,6 @@ def _cloud(points_m: list[float], header: Row) -> Row:
 
 
 def _header(ns: int, frame: str) -> Row:
+    if not 0 <= ns < 2**31 * 10**9:
+        raise InputError("times from 0 to 2038, as ROS has them", f"{ns / 1e9:.4g} s", "--to parquet")
     return {"stamp": {"sec": ns // 10**9, "nanosec": ns % 10**9}, "frame_id": frame}
