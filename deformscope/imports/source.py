@@ -178,11 +178,7 @@ class _Stream:
             return None
         step_s, passed_s = (ns - self.last_ns) / 1e9, (message.log_ns - self._log_ns) / 1e9
         if self.count and (step_s < 0 or (message.log_ns and step_s - passed_s > APART_S)):
-            came = (
-                f"{-step_s:.4g} s before the last"
-                if step_s < 0
-                else f"{step_s:.4g} s after one of {passed_s:.4g} s ago"
-            )
+            came = f"{-step_s:.4g} s before the last" if step_s < 0 else f"{step_s:.4g} s after {passed_s:.4g} s"
             expected = f"stamps of {self.stream.device} that only rise" + ", as time does" * (step_s > 0)
             raise InputError(expected, f"one {came}, in frame {frame.index}", 'time = "log", or a part of it')
         self._behind_ns, self._log_ns = message.log_ns - ns, message.log_ns

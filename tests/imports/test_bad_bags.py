@@ -60,7 +60,7 @@ CASES: dict[str, tuple[Callable[[Path], Path], str, str]] = {
     "ahead": (
         lambda path: write_bag(path, lambda at: steady(at) + 3600.0 * (at > 300)),
         MAP,
-        "stamps of ft that only rise, as time does; got one 3600 s on after 0.01 s, in frame 301",
+        "stamps of ft that only rise, as time does; got one 3600 s after 0.01 s, in frame 301",
     ),
     "unknown type": (lambda path: write_bag(path, steady), MAP.replace("/ft", "/thing"), "of ft in the map"),
     "nan": (lambda path: write_bag(path, steady, nan=200), MAP, "forces of ft that are numbers; got NaN in frame 200"),
