@@ -6,7 +6,7 @@ import heapq
 import itertools
 import math
 import operator
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -88,8 +88,11 @@ class ImportSource(ItemSource):
             by_topic.setdefault("/tf_static", []).extend(posed)
         for message in reader.messages(by_topic):
             for one in by_topic[message.topic]:
-                if (frame := one.take(message)) is not None:
-                    yield frame
+                if (frame := one.take(message)) is None:
+                    continue
+                if one.count == 1:
+                    self._compare_clocks([other for other in streams if other.count and one.is_off(other)])
+                yield frame
 
     def _hint(self, *empty: _Stream | CaptureStream) -> str:
         is_posed = any(one.stream.kind == "arm" for one in empty)
@@ -99,7 +102,10 @@ class ImportSource(ItemSource):
         if empty := [one for one in self._made.values() if not one.count]:
             came = f"none of {empty[0].lost} messages" if empty[0].lost else "none"
             raise InputError(f"frames of {empty[0].stream.device}", came, self._hint(empty[0]))
-        spans = {name: (one.first_ns, one.last_ns) for name, one in self._made.items()}
+        self._compare_clocks(list(self._made.values()))
+
+    def _compare_clocks(self, streams: Sequence[_Stream | CaptureStream]) -> None:
+        spans = {one.stream.device: (one.first_ns, one.last_ns) for one in streams}
         for (name, (first, last)), (other, (begin, end)) in itertools.combinations(spans.items(), 2):
             apart_s = max(begin - last, first - end) / 1e9
             if apart_s > APART_S:
@@ -120,6 +126,7 @@ class _Stream(Counted):
         self._times = _file_times(stream, reader) if is_file and not stream.rate_hz else None
         self._types = {name: one.type for name, one in topics.items()}
         super().__init__()
+        self._log_ns = self._behind_ns = 0
         self._waiting: dict[int, dict[str, Message]] = {}
         self._links: dict[str, tuple[str, Pose, float]] = {}
         self._pose: Pose | None = None
@@ -144,6 +151,10 @@ class _Stream(Counted):
         return Stream(
             self.stream.device, self.stream.kind, DRIVER, pads=pads, channels=max(forces // 3, 1), torques=torques
         )
+
+    def is_off(self, other: _Stream) -> bool:
+        """Whether its stamps differ from when they were recorded by so much more or less; itself is."""
+        return other is self or abs(self._behind_ns - other._behind_ns) > APART_S * 1e9
 
     def frames(self, reader: Reader) -> Iterator[Frame]:
         """Of tables and files: all rows, those of all topics in order of time."""
@@ -180,9 +191,12 @@ class _Stream(Counted):
         if frame is None:
             self.lost += 1
             return None
-        if self.count and ns < self.last_ns:
-            came = f"one {(self.last_ns - ns) / 1e9:.4g} s before the last, in frame {frame.index}"
-            raise InputError(f"stamps of {self.stream.device} that only rise", came, 'time = "log", or a part of it')
+        step_s, passed_s = (ns - self.last_ns) / 1e9, (message.log_ns - self._log_ns) / 1e9
+        if self.count and (step_s < 0 or (message.log_ns and step_s - passed_s > APART_S)):
+            came = f"{-step_s:.4g} s before the last" if step_s < 0 else f"{step_s:.4g} s after {passed_s:.4g} s"
+            expected = f"stamps of {self.stream.device} that only rise" + ", as time does" * (step_s > 0)
+            raise InputError(expected, f"one {came}, in frame {frame.index}", 'time = "log", or a part of it')
+        self._behind_ns, self._log_ns = message.log_ns - ns, message.log_ns
         self.add(ns)
         return frame
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -71,7 +70,7 @@ def import_source(config: ImportConfig) -> RecordResult:
     }
     with (
         open_reader(config.source, asked.skip_rows, [one.time for one in asked.streams]) as reader,
-        contextlib.closing(ImportSource(reader, asked)) as source,
+        ImportSource(reader, asked) as source,
     ):
         stages: tuple[Stage, ...] = ()
         if names := config.stages.names:
