@@ -92,6 +92,9 @@ COMMANDS: dict[str, Command] = {
     "replay": _command("the same stages on recorded inputs, compared", "ReplayConfig", "replay"),
     "verify": _command("whether a recording is whole", "VerifyConfig", "verify"),
     "report": _command("the figures of a recording, as a page", "ReportConfig", "report"),
+    "catalog": _command("the recordings of a folder: listed, filtered", "CatalogConfig", "catalog"),
+    "catalog compare": _command("how two recordings differ", "CompareConfig", "catalog", "compare"),
+    "sweep": _command("a command on every file of a folder", "SweepConfig", "sweep"),
     "export": _command("a recording in formats of others", "ExportConfig", "export"),
     "import": _command("data of others as a recording", "ImportConfig", "import_data"),
     "recover": _command("a whole recording out of one that was cut short", "RecoverConfig", "recover"),
@@ -216,11 +219,15 @@ def _ended_by_signals() -> Iterator[list[int]]:
             signal.signal(number, signal.SIG_DFL)
 
 
-def _status(dispatch: Callable[[list[str]], int], args: list[str], signals: Sequence[int]) -> int:
-    # Libraries that complain on stderr by themselves would bury the one line that says what to do.
+def quiet_libraries() -> None:
+    """Libraries that complain on stderr by themselves would bury the one line that says what to do."""
     os.environ.setdefault("OPENCV_LOG_LEVEL", "ERROR")
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
     os.environ.setdefault("RUST_LOG", "off")  # rerun reads it as it is imported; recorder and viewer report for it
+
+
+def _status(dispatch: Callable[[list[str]], int], args: list[str], signals: Sequence[int]) -> int:
+    quiet_libraries()
     try:
         status = dispatch(args)
         sys.stdout.flush()
@@ -249,7 +256,7 @@ def _dispatch(args: list[str]) -> int:
     if args[0] == "--version":
         print(f"deformscope {__version__}")
         return 0
-    name, rest = _find(args)
+    name, rest = find_command(args)
     if name not in COMMANDS:
         print(_help(name))
         return 0
@@ -267,6 +274,11 @@ def _dispatch(args: list[str]) -> int:
 def with_flags(kind: type, run: Callable[[Any], object], args: Sequence[str], prog: str) -> int:
     """Read a command's flags into its options, check its files, and run it. prog: the command as it is typed"""
     options: CommandOptions = parse(kind, args, prog)
+    return run_options(options, run)
+
+
+def run_options(options: CommandOptions, run: Callable[[Any], object]) -> int:
+    """Check the files of a command's options, and run it."""
     _check_files(options)
     from deformscope.cli.common import json_alone
 
@@ -275,7 +287,7 @@ def with_flags(kind: type, run: Callable[[Any], object], args: Sequence[str], pr
     return status if isinstance(status, int) else 0
 
 
-def _find(args: list[str]) -> tuple[str, list[str]]:
+def find_command(args: list[str]) -> tuple[str, list[str]]:
     """The command's full name, or a group's where its help is asked for, and the arguments left."""
     first, both = args[0], " ".join(args[:2])
     if both in COMMANDS:
