@@ -198,9 +198,11 @@ class FrameBuilder:
         return row
 
     def values(self, row: Mapping[str, Any], name: str, kind: Any = np.float64, size: int | None = None) -> Any:
-        """A field's values, flat; without one, `size` times no number. Raises KeyError where that is None too."""
+        """A field's values, flat, NaN for real ones that are empty; without its columns, `size` times no number. Raises
+        KeyError where that is None too."""
         columns = columns_of(name, row)
-        if not columns or all(row[one] is None for one in columns):
+        is_empty = all(row[one] is None for one in columns)
+        if not columns or (is_empty and (columns == [name] or kind is not np.float64)):
             if size is None:
                 raise KeyError(name)
             return np.full(size, np.nan if kind is np.float64 else 0, kind)
