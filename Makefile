@@ -21,7 +21,7 @@ export PYTHONUNBUFFERED := 1
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help setup system-libraries demo samples bench bench-suite test unit test-slow test-cores test-realtime lint format clean
+.PHONY: help setup system-libraries demo samples bench bench-suite test unit test-slow test-cores test-realtime docs lint format clean
 
 help:
 	@printf '%-20s%s\n' 'make demo' 'measure what is built in, and leave the recording in runs/'
@@ -32,6 +32,7 @@ help:
 	@printf '%-20s%s\n' 'make bench' 'what MSM costs on this machine, as a table (2 minutes)'
 	@printf '%-20s%s\n' 'make bench-suite' 'the same for comparing commits, with pytest-benchmark'
 	@printf '%-20s%s\n' 'make samples' 'make the small recordings in recordings/ anew'
+	@printf '%-20s%s\n' 'make docs' 'the site, in build/site'
 	@printf '%-20s%s\n' 'make lint' 'lints and types alone'
 	@printf '%-20s%s\n' 'make format' 'write the house format'
 	@printf '%-20s%s\n' 'make setup' 'the virtual environment alone (the others do this by themselves)'
@@ -98,6 +99,10 @@ test-slow: setup
 # One at a time, on a machine with nothing else to do: they watch the host's clock.
 test-realtime: setup
 	$(PYTEST) -m 'realtime and not hardware'
+
+docs: setup
+	@NO_MKDOCS_2_WARNING=1 $(PY) -m mkdocs build --quiet
+	@echo 'read it: $(PY) -m http.server --bind 127.0.0.1 --directory build/site, at http://127.0.0.1:8000'
 
 bench: setup
 	@$(PY) -m deformscope bench

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
         record,
         replay,
         squeeze,
+        sweep,
     )
     from deformscope.runs.calibration import CalibrationResult
     from deformscope.runs.classification import ClassificationResult
@@ -38,6 +39,7 @@ if TYPE_CHECKING:
     from deformscope.runs.recordings import OpenRecording, RecordResult
     from deformscope.runs.replay_result import ReplayResult
     from deformscope.runs.squeeze_result import SqueezeResult
+    from deformscope.runs.sweep import SweepResult
     from deformscope.stages.msm.solver import Msm
     from deformscope.stages.see.flow import dense_flow
     from deformscope.version import __version__
@@ -46,7 +48,7 @@ _NAMES = {
     "runs.classification": "ClassificationResult",
     "errors": "InputError",
     "library": "calibrate_beta calibrate_theta classify explore load_classifier open_dataset open_recording predict"
-    " record replay squeeze",
+    " record replay squeeze sweep",
     "runs.calibration": "CalibrationResult",
     "runs.datasets": "OpenDataset",
     "runs.exploration_result": "ExplorationResult",
@@ -54,6 +56,7 @@ _NAMES = {
     "runs.recordings": "OpenRecording RecordResult",
     "runs.replay_result": "ReplayResult",
     "runs.squeeze_result": "SqueezeResult",
+    "runs.sweep": "SweepResult",
     "stages.msm.solver": "Msm",
     "stages.see.flow": "dense_flow",
     "version": "__version__",
@@ -73,6 +76,7 @@ __all__ = [
     "RecordResult",
     "ReplayResult",
     "SqueezeResult",
+    "SweepResult",
     "__version__",
     "calibrate_beta",
     "calibrate_theta",
@@ -86,6 +90,7 @@ __all__ = [
     "record",
     "replay",
     "squeeze",
+    "sweep",
 ]
 
 

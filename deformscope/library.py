@@ -6,7 +6,7 @@ Each raises `InputError` for what cannot be used, which names parameters as Pyth
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from deformscope.runs.replay_result import ReplayResult
     from deformscope.runs.result import ViewerChoice
     from deformscope.runs.squeeze_result import SqueezeResult
+    from deformscope.runs.sweep import SweepResult
     from deformscope.stages.squeeze.model import ContentModel
 
     CalibrationSource: TypeAlias = str | Path | PairArrays | Sequence[str] | Sequence[Path] | Sequence[ImageArray]
@@ -282,6 +283,40 @@ def replay(
         if found.different is not None:
             raise found.different
     return found
+
+
+def sweep(
+    function: Callable[..., object],
+    sources: Path | str | Sequence[Path | str],
+    *,
+    out: Path | str,
+    vary: Mapping[str, Sequence[object]] | None = None,
+    executor: Literal["local", "ray"] = "local",
+    address: str | None = None,
+    workers: int | None = None,
+    send: bool = False,
+    limit_s: float | None = None,
+    progress: Progress | bool | None = None,
+    **options: Any,
+) -> SweepResult:
+    """Call a function with each file as its first argument, in many processes, and keep each result as it comes; the
+    same call again goes on where it was cut off.
+
+    function: of this library, or of another module; sources: files, or a folder with recordings, pair files and videos
+    out: a folder for tasks.jsonl, results.parquet and index.html; vary: values of options, every combination of them
+    executor, address: `ray` at a cluster's address; workers: at most; send: the file instead of its path
+    limit_s: a task that takes longer is given up; progress: as of `calibrate_beta`; options: of the function
+    Raises InputError for what cannot be used; a task that fails is a row of `table`, with the reason.
+    """
+    from deformscope.config.executor import ExecutorOptions
+    from deformscope.runs.sweep import SweepOptions, call_function, files_in, function_variations, sweep_on
+
+    out = Path(out)
+    with _python_names(), shown_progress(progress) as note:
+        how = SweepOptions(ExecutorOptions(executor, address), workers, send, limit_s)
+        files: Sequence[Path | str] = files_in(Path(sources), out) if isinstance(sources, str | Path) else list(sources)
+        variations = function_variations(function, vary or {}, options)
+        return sweep_on(call_function, files, variations, out, how, progress=note)
 
 
 def classify(

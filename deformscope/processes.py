@@ -8,9 +8,8 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor
-from concurrent.futures import wait as wait_for
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ProcessPoolExecutor
 from multiprocessing.connection import Connection, wait
 from multiprocessing.pool import ThreadPool
 from types import ModuleType
@@ -53,35 +52,6 @@ def starting() -> Iterator[None]:
                 os.environ[name] = value
 
 
-def in_processes(
-    function: Callable[[T], R], items: Sequence[T], workers: int | None = None, begin: Callable[[], None] | None = None
-) -> Iterator[tuple[int, R]]:
-    """(index, result) of each item as it is ready; `function` is one of a module. Where the caller breaks off, by a
-    Ctrl-C or an error, what is computed then is given up.
-
-    workers: processes, default the cores that this process may use; with one, all happens here
-    begin: of a module too, called first in each process
-    """
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    count = min(cores if workers is None else workers, len(items))
-    if count <= 1:
-        yield from enumerate(map(function, items))
-        return
-    ours, theirs = SPAWN.Pipe()
-    with ProcessPoolExecutor(count, SPAWN, _begin, (theirs, begin)) as pool:
-        try:
-            with starting():
-                futures = {pool.submit(function, item): index for index, item in enumerate(items)}
-            left = set(futures)
-            while left:
-                ready, left = wait_for(left, RENEW_S, FIRST_COMPLETED)
-                for future in ready:
-                    yield futures[future], future.result()
-        except BaseException:
-            ours.close()  # which ends the processes, in the middle of an item
-            raise
-
-
 def in_threads(function: Callable[[T], R], items: Iterable[T], workers: int) -> Iterator[R]:
     """Results of each item in their order, from so many threads, which keep no program alive that is interrupted."""
     with ThreadPool(workers) as pool:
@@ -94,12 +64,6 @@ def in_threads(function: Callable[[T], R], items: Iterable[T], workers: int) -> 
             except StopIteration:
                 return
             yield result
-
-
-def _begin(pipe: Connection, also: Callable[[], None] | None) -> None:
-    follow_parent(pipe)
-    if also is not None:
-        also()
 
 
 @contextlib.contextmanager

@@ -6,7 +6,9 @@ python -m studies beta --only "outliers,lost tracks" --objects 100
 Do the intervals hold where the data are not as assumed? Random bodies of known beta or theta whose observed
 positions carry errors that neighbours share over several cells, outliers, lost tracks, or a held particle that is off.
 
-Bodies, sizes of noise and truths are those of `studies.random_bodies`; a third of the bodies is in space.
+Bodies, sizes of noise and truths are those of `studies.random_bodies`; a third of the bodies is in space. Rows
+that are named "other solver" are bodies and errors of `studies.independent`: the whole tool is off, or the camera's
+scale or lens is wrong, and noise by its roughness.
 """
 
 from __future__ import annotations
@@ -27,6 +29,7 @@ from deformscope.pictures.report import Table
 from deformscope.stages.fit.calibrate import FitOptions, Model, Observation
 from deformscope.stages.fit.estimate import DoubtCode, Parameter, Verdict
 from studies.field_bodies import SPACING_M
+from studies.independent.observed import Errors, Pushed, pushed_clusters
 from studies.quantities import Quantity, Rate, Row, band, by, counts, number, rows, share, table
 from studies.random_bodies import (
     BOUNDS,
@@ -93,10 +96,33 @@ DISTURBED: dict[str, Disturbance] = {
 }
 """By name."""
 
+OTHER_SOLVER: dict[str, Errors] = {
+    "white": Errors(),
+    "white, held exact": Errors(held=False),
+    "tool off by .5 mm along the push": Errors("along", 5e-4),
+    "tool off by .5 mm any way": Errors("any", 5e-4),
+    "tool turned by .5 mm at its ends": Errors("turned", 5e-4),
+    "tool off by 1 mm along the push": Errors("along", 1e-3),
+    "scale off by 1 %": Errors(camera="scale", camera_size=0.01),
+    "scale of one axis off by 1 %": Errors(camera="scale x", camera_size=0.01),
+    "linear drift of 1 mm": Errors(camera="drift", camera_size=1e-3),
+    "lens, .5 mm": Errors(camera="lens", camera_size=5e-4),
+    "a wave of .5 mm": Errors(camera="wave", camera_size=5e-4),
+    "exponential noise over 3 cells": Errors(cells=3.0, smooth=0.5),
+    "Matern noise over 3 cells": Errors(cells=3.0, smooth=1.5),
+    "Gaussian noise over 3 cells": Errors(cells=3.0),
+    "Gaussian noise over 3 cells, held exact and told": Errors(cells=3.0, held=False, told=True),
+}
+"""Errors of bodies of another solver; by name."""
+
+OTHER = "other solver: "
+NAMES = (*DISTURBED, *(OTHER + name for name in OTHER_SOLVER))
+"""All kinds of errors."""
+
 
 @dataclass(frozen=True, slots=True)
 class DisturbedCase:
-    """One random object: its name in `DISTURBED`, which parameter is fitted, its number and the seed."""
+    """One random object: its name in `NAMES`, which parameter is fitted, its number and the seed."""
 
     name: str
     number: int
@@ -118,22 +144,42 @@ class DisturbedOutcome:
 
 def try_disturbed(case: DisturbedCase) -> DisturbedOutcome:
     """One random object through the calibration."""
+    rng = np.random.default_rng([case.seed, 16, NAMES.index(case.name), case.number])
+    if case.name.startswith(OTHER):
+        errors = OTHER_SOLVER[case.name.removeprefix(OTHER)]
+        body = pushed_clusters(rng, errors, random_dim(case.number))
+        options = FitOptions(Model(cluster_size=body.clusters), BOUNDS, candidates=CANDIDATES, level=case.level)
+        return DisturbedOutcome(fitted(case.name, body.beta, [observed(body, errors)], options)[0])
     what = DISTURBED[case.name]
-    rng = np.random.default_rng([case.seed, 16, list(DISTURBED).index(case.name), case.number])
-    body = random_body(rng, random_dim(case.number))
+    lattice = random_body(rng, random_dim(case.number))
     bounds = BOUNDS if case.parameter == "beta" else (0.0, 1.0)
     truth = float(rng.uniform(*bounds))
-    model = _model(case.parameter, body)
-    errors = _Errors(what, body, random_sigma(rng), rng)
+    model = _model(case.parameter, lattice)
+    drawn = _Errors(what, lattice, random_sigma(rng), rng)
     frames = what.frames or 1
-    seen = [errors.observe(model, truth, (frame + 1) / frames) for frame in range(frames)]
+    seen = [drawn.observe(model, truth, (frame + 1) / frames) for frame in range(frames)]
     options = FitOptions(model, bounds, candidates=CANDIDATES, level=case.level)
     outcome, found = fitted(case.name, truth, seen, options, one_motion=what.frames is not None)
-    left_out = np.zeros(len(body.rest), dtype=bool)
+    left_out = np.zeros(len(lattice.rest), dtype=bool)
     for one in found.left_out:
         left_out[np.concatenate([one.lost, one.wrong, one.held])] = True
-    counts = (int(np.count_nonzero(one)) for one in (errors.bad, left_out, errors.bad & left_out))
+    counts = (int(np.count_nonzero(one)) for one in (drawn.bad, left_out, drawn.bad & left_out))
     return DisturbedOutcome(outcome, *counts)
+
+
+def observed(body: Pushed, errors: Errors) -> Observation:
+    """What is handed to a calibration of a body of another solver; the noise is stated."""
+    count = len(body.rest)
+    return Observation(
+        body.rest,
+        body.seen,
+        body.held,
+        np.ones(count, dtype=bool),
+        noise=np.full(count, body.sigma),
+        shape=body.shape,
+        cell=np.arange(count),
+        held_measured=errors.held if errors.told else None,
+    )
 
 
 def _model(parameter: Parameter, body: RandomBody) -> Model:
@@ -198,7 +244,8 @@ def _directions(rng: np.random.Generator, count: int, d: int) -> FloatArray:
 @dataclass(frozen=True, slots=True)
 class DisturbedCoverageConfig(StudyOptions):
     """Count how often the intervals hold the truth where data are not as assumed: errors that neighbours share over 1
-    to 6 cells, with and without white noise, outliers, lost tracks, a held particle that is off, whole motions."""
+    to 6 cells, with and without white noise, outliers, lost tracks, a held particle that is off, whole motions; and, on
+    bodies of another solver, a tool or a camera that is off, and noise by its roughness."""
 
     objects: Annotated[int, flags.least(3)] = 400
     """Random objects for each kind of error, a third of them in space; each takes some .3 s of a core."""
@@ -272,7 +319,7 @@ COLUMNS = {name: name for one in QUANTITIES for name in one.columns if name != "
 
 
 def disturbed_rows(tried: Sequence[DisturbedOutcome]) -> list[Row]:
-    """All quantities, of each disturbance."""
+    """All quantities, of each kind of errors."""
     return rows(by(tried, lambda one: one.outcome.condition).values(), QUANTITIES)
 
 
@@ -301,14 +348,18 @@ def summary(
         "parameter": parameter,
         "level": options.level,
         "seed": options.output.seed,
-        "disturbances": [row | {"errors": DISTURBED[row["condition"]]} for row in lines],
+        "disturbances": [row | {"errors": _errors_of(row["condition"])} for row in lines],
         "seconds": seconds,
     }
 
 
+def _errors_of(name: str) -> Disturbance | Errors:
+    return OTHER_SOLVER[name.removeprefix(OTHER)] if name.startswith(OTHER) else DISTURBED[name]
+
+
 def trials(options: DisturbedCoverageConfig) -> list[Trials[DisturbedCase, DisturbedOutcome]]:
     """Objects of the kinds of errors that are asked for."""
-    return [Trials("random objects", try_disturbed, cases(options, names_of(options.only, tuple(DISTURBED)), "beta"))]
+    return [Trials("random objects", try_disturbed, cases(options, names_of(options.only, NAMES), "beta"))]
 
 
 def report(options: DisturbedCoverageConfig, seconds: float, tried: Sequence[DisturbedOutcome]) -> StudyReport:

@@ -2,11 +2,14 @@
 a false alarm, and on data that are wrong in a known way.
 
 Bodies, noise and fits are those of `studies.random_bodies`; finite element bodies of one material, which no beta
-is true of, are those of `studies.unseen_pokes` with an even modulus.
+is true of, are those of `studies.unseen_pokes` with an even modulus. Bodies of "other solver" are those of
+`studies.independent`: clusters, and plane stress or strain of one material whose whole faces are stretched, pressed or
+sheared by 2 to 10 %.
 """
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, get_args
@@ -16,7 +19,10 @@ import numpy as np
 from deformscope.arrays import BoolArray, FloatArray
 from deformscope.stages.fit.calibrate import FitOptions, Model, Observation, calibrate
 from deformscope.stages.fit.estimate import DoubtCode, Verdict
+from studies.beta import observed
 from studies.field_bodies import SPACING_M
+from studies.independent.observed import Errors, Motion, pushed_clusters, pushed_elements
+from studies.independent.plane_elements import Floats, stiffness
 from studies.quantities import Quantity, Rate, Row, by, rows
 from studies.random_bodies import BOUNDS, CANDIDATES, RandomBody, random_body, random_dim, random_noise, random_sigma
 from studies.unseen_pokes import FoamBody, observe_foam
@@ -33,6 +39,14 @@ Data = Literal[
     "one sign turned",
     "positions mirrored",
     "noise stated 15 times too small",
+    "other solver: clusters",
+    "other solver: whole face, nu 0",
+    "other solver: whole face, nu .3",
+    "other solver: whole face, nu .45",
+    "other solver: whole face, plane strain, nu .45",
+    "other solver: whole face, orthotropic",
+    "other solver: patch, nu .3",
+    "other solver: clusters, x and y swapped",
 ]
 EXPECTED: dict[Data, DoubtCode] = {
     "two betas, halves": "two-materials",
@@ -41,8 +55,19 @@ EXPECTED: dict[Data, DoubtCode] = {
     "one sign turned": "axes-swapped",
     "positions mirrored": "axes-swapped",
     "noise stated 15 times too small": "noise-contradicted",
+    "other solver: clusters, x and y swapped": "axes-swapped",
 }
 """What is wrong with the data, where something is; elsewhere such a reason is a false alarm."""
+
+MATERIALS: dict[Data, Floats] = {
+    "other solver: whole face, nu 0": stiffness(1.0, 0.0),
+    "other solver: whole face, nu .3": stiffness(1.0, 0.3),
+    "other solver: whole face, nu .45": stiffness(1.0, 0.45),
+    "other solver: whole face, plane strain, nu .45": stiffness(1.0, 0.45, strain=True),
+    "other solver: whole face, orthotropic": stiffness(2.5, 0.3),
+    "other solver: patch, nu .3": stiffness(1.0, 0.3),
+}
+MOTIONS: tuple[Motion, ...] = get_args(Motion)
 
 TWO: tuple[Data, ...] = ("two betas, halves", "two betas, a lump")
 
@@ -83,7 +108,19 @@ def try_doubts(case: DoubtCase) -> Doubted:
     rng = np.random.default_rng([case.seed, 55, get_args(Data).index(case.data), case.number])
     dim = random_dim(case.number)
     truths: tuple[float, ...] = ()
-    if case.data == "finite elements, one material":
+    if case.data.startswith("other solver"):
+        errors, size = Errors(), int(rng.integers(2, 5))
+        if case.data in MATERIALS:
+            motion, patch = MOTIONS[case.number % len(MOTIONS)], "patch" in case.data
+            other = pushed_elements(rng, MATERIALS[case.data], motion, errors, patch=patch)
+        else:
+            other = pushed_clusters(rng, errors, dim)
+            size, truths = other.clusters, (other.beta,)
+        if "swapped" in case.data:
+            moved = (other.seen - other.rest)[:, [1, 0, *range(2, dim)]]
+            other = dataclasses.replace(other, seen=other.rest + moved)
+        seen = observed(other, errors)
+    elif case.data == "finite elements, one material":
         foam = FoamBody(rng, dim, even=True)
         size = int(rng.integers(2, 5))
         seen = observe_foam(foam, *foam.poke(rng), rng)

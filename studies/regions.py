@@ -433,6 +433,11 @@ QUANTITIES: tuple[Quantity[Sequence[RegionOutcome]], ...] = (
     Quantity("level_width", lambda some: _or_nan(np.median, [one.width for one in some]), {"width": number(3)}),
     Quantity("number_right", lambda some: Rate.of(one.right for one in some), {"number right": share(2)}),
     Quantity("number_claimed", lambda some: float(np.mean([one.claimed for one in some])), {"claimed": number(2)}),
+    Quantity(
+        "true_number_probability",
+        lambda some: float(np.mean([one.probability[str(one.true_count or "gradual")] for one in some])),
+        {"P(true number)": number(2)},
+    ),
     # of the surface with a wrong label, where the number is right and above 1
     Quantity("wrong_share", lambda some: _or_nan(np.mean, [one.wrong for one in some]), {"wrong share": number(3)}),
     Quantity(

@@ -34,6 +34,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "plain": (),
     "processes": (),
     "version": (),
+    "executor": ("errors", "processes", "version"),
     # What is reported of a result, declared where its dataclass is.
     "results": ("plain",),
     "capsule": ("arrays",),
@@ -77,6 +78,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
             "capsule",
             "config",
             "errors",
+            "executor",
             "experiments",
             "files",
             "frames",
@@ -102,7 +104,19 @@ LAYERS: dict[str, tuple[str, ...]] = {
     # From options to results, with devices, files or a recording, and doubles where they are asked for.
     "runs": (
         *("arrays", "config", "errors", "experiments", "file_io", "files", "frames", "images", "interruption", "lab"),
-        *("imports", "log", "page", "page.server", "pictures", "plain", "recording", "results", "rig", "robot"),
+        *(
+            "executor",
+            "imports",
+            "log",
+            "page",
+            "page.server",
+            "pictures",
+            "plain",
+            "recording",
+            "results",
+            "rig",
+            "robot",
+        ),
         *("rows", "session", "terminal", "version", *STAGES),
     ),
     # The functions behind `import deformscope`.

@@ -84,7 +84,7 @@ def test_the_flags_of_a_command_in_a_page_are_known(page: Path, line: str) -> No
 
 def understood(line: str) -> tuple[str, Any]:
     """The command of a line, and its options."""
-    name, rest = cli._find(shlex.split(line.partition(" > ")[0], comments=True)[1:])
+    name, rest = cli.find_command(shlex.split(line.partition(" > ")[0], comments=True)[1:])
     return name, cli.parse(getattr(config, cli.COMMANDS[name].config), rest)
 
 

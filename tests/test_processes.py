@@ -6,13 +6,12 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 import pytest
 
-from deformscope.processes import BLAS_THREADS, SPAWN, follow_parent, in_processes, starting
+from deformscope.processes import BLAS_THREADS, SPAWN, follow_parent, starting
 from tests.patience import PATIENCE_S
 
 WITHOUT_GUARD = """
@@ -76,27 +75,6 @@ def test_a_ctrl_c_does_not_end_them_while_they_begin() -> None:
     pool.shutdown()
 
 
-def process_or_hour(item: str) -> int:
-    """The process's id, or an hour's work."""
-    if item == "an hour":
-        time.sleep(3600.0)
-    return os.getpid()
-
-
-@pytest.mark.parametrize("how", ["Ctrl-C", "no further item is wanted"])
-def test_what_is_computed_is_given_up_where_the_caller_breaks_off(how: str) -> None:
-    coming = in_processes(process_or_hour, ["the process"] * 8 + ["an hour"] * 8, workers=2)
-    seen = {next(coming)[1] for _ in range(8)}
-
-    if how == "Ctrl-C":
-        with pytest.raises(KeyboardInterrupt):
-            coming.throw(KeyboardInterrupt)  # type: ignore[attr-defined]
-    else:
-        coming.close()  # type: ignore[attr-defined]
-
-    assert not any(Path(f"/proc/{one}").exists() for one in seen)
-
-
 INTERRUPTED = """
 import threading, time
 import numpy as np
@@ -135,7 +113,7 @@ def test_a_ctrl_c_waits_for_no_split_of_a_classification(tmp_path: Path) -> None
 
 MISSED = """
 import signal, threading, time
-from deformscope.processes import in_processes, in_threads
+from deformscope.processes import in_threads
 
 def interrupt_late():
     time.sleep(2.0)
@@ -144,15 +122,14 @@ def interrupt_late():
 
 if __name__ == "__main__":
     threading.Thread(target=interrupt_late, daemon=True).start()
-    for _ in WAIT: pass
+    for _ in in_threads(time.sleep, [3600.0], 1): pass
 """
 
 
-@pytest.mark.parametrize("wait", ["in_threads(time.sleep, [3600.0], 1)", "in_processes(time.sleep, [3600.0] * 2, 2)"])
-def test_a_ctrl_c_that_does_not_end_a_wait_is_handled(wait: str, tmp_path: Path) -> None:
+def test_a_ctrl_c_that_does_not_end_a_wait_is_handled(tmp_path: Path) -> None:
     """Taken by another thread it wakes the main one as little as one that comes just before its wait begins."""
     script = tmp_path / "script.py"
-    script.write_text(MISSED.replace("WAIT", wait))
+    script.write_text(MISSED)
     paths = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
 
     ran = subprocess.run([sys.executable, script], capture_output=True, timeout=PATIENCE_S, check=False, env=paths)

@@ -53,14 +53,24 @@ def _command(summary: str, config: str, module: str, function: str = "run") -> C
 
 COMMANDS: dict[str, Command] = {
     "demo": _command("the main job on what is built in", "DemoConfig", "demo"),
+    "explore": _command("map how soft a surface is, by touching it", "ExploreConfig", "explore"),
     "calibrate beta": _command("find beta from images or pair files", "BetaConfig", "calibrate"),
     "calibrate theta": _command("find theta from images or pair files", "ThetaConfig", "calibrate"),
     "calibrate both": _command("find beta and theta together from pair files", "BothConfig", "materials", "both"),
     "calibrate axes": _command("find a beta along each axis from images or pair files", "AxesConfig", "materials"),
     "calibrate field": _command("how stiff each place is, from one deformation", "FieldConfig", "materials"),
-    "calibrate arm": _command(
-        "measure the compliance of the arm, on something rigid", "ArmConfig", "calibrate_setup", "arm"
+    "calibrate yield": _command("the strain at which a thing yields, from its motion", "YieldConfig", "materials"),
+    "calibrate viscous": _command(
+        "what relaxes, how fast, and what stays, from a push and its end", "ViscousConfig", "materials"
     ),
+    "predict": _command("poke a fitted model where it was not poked", "PredictConfig", "predict"),
+    "squeeze": _command("squeeze a container: one trial, or the name of its content", "SqueezeConfig", "squeeze"),
+    "classify": _command(
+        "what is in a container, from squeezing it: how well it is known", "ClassifyConfig", "classify"
+    ),
+    "flow": _command("dense optical flow of two images", "FlowConfig", "flow"),
+    "doctor": _command("whether a rig would work, and what to do if not", "DoctorConfig", "doctor"),
+    "devices": _command("what is plugged in, and its health", "DevicesConfig", "devices"),
     "calibrate tip": _command("find where the tip is on the arm, by tilting it", "TipConfig", "calibrate_setup"),
     "calibrate place": _command("find where the surface is, by touching its corners", "PlaceConfig", "calibrate_setup"),
     "calibrate camera": _command(
@@ -68,13 +78,34 @@ COMMANDS: dict[str, Command] = {
     ),
     "calibrate force": _command("find how the force sensor sits, by pushing the tip", "ForceConfig", "calibrate_setup"),
     "calibrate time": _command("find how clocks differ, by tapping the tip", "TimeConfig", "calibrate_setup"),
-    "calibrate yield": _command("the strain at which a thing yields, from its motion", "YieldConfig", "materials"),
-    "calibrate viscous": _command(
-        "what relaxes, how fast, and what stays, from a push and its end", "ViscousConfig", "materials"
+    "calibrate arm": _command(
+        "measure the compliance of the arm, on something rigid", "ArmConfig", "calibrate_setup", "arm"
     ),
-    "predict": _command("poke a fitted model where it was not poked", "PredictConfig", "predict"),
+    "arm where": _command("where the arm is: joints, end and tip", "WhereConfig", "arm", "where"),
+    "arm files": _command("write the files for a KUKA's controller", "FilesConfig", "arm", "files"),
+    "arm home": _command("send the arm to its home pose", "HomeConfig", "arm", "home"),
+    "arm go": _command("bring the tip over a place of the surface", "GoConfig", "arm", "go"),
+    "arm jog": _command("move the tip by keys, in small steps", "JogConfig", "arm", "jog"),
+    "record": _command("record all devices of a rig", "RecordConfig", "record", "record"),
+    "live": _command("watch all devices of a rig", "LiveConfig", "record", "live"),
+    "double": _command("run simulated devices on real transports", "DoubleConfig", "double"),
     "replay": _command("the same stages on recorded inputs, compared", "ReplayConfig", "replay"),
-    "flow": _command("dense optical flow of two images", "FlowConfig", "flow"),
+    "verify": _command("whether a recording is whole", "VerifyConfig", "verify"),
+    "report": _command("the figures of a recording, as a page", "ReportConfig", "report"),
+    "catalog": _command("the recordings of a folder: listed, filtered", "CatalogConfig", "catalog"),
+    "catalog compare": _command("how two recordings differ", "CompareConfig", "catalog", "compare"),
+    "sweep": _command("a command on every file of a folder", "SweepConfig", "sweep"),
+    "export": _command("a recording in formats of others", "ExportConfig", "export"),
+    "import": _command("data of others as a recording", "ImportConfig", "import_data"),
+    "recover": _command("a whole recording out of one that was cut short", "RecoverConfig", "recover"),
+    "discard": _command(
+        "mark a recording, or an episode of it, as not to be used", "DiscardRecordingConfig", "discard"
+    ),
+    "dataset list": _command("the trials of a data set of squeezes", "DatasetConfig", "dataset", "listing"),
+    "dataset relabel": _command("correct what its index says of trials", "RelabelConfig", "dataset", "relabel"),
+    "dataset discard": _command("leave trials out, with the reason", "DiscardConfig", "dataset", "discard"),
+    "dataset merge": _command("take over the trials of other data sets", "MergeConfig", "dataset", "merge"),
+    "dataset repair": _command("take in recordings that the index lacks", "RepairConfig", "dataset", "repair"),
     "reproduce cubes": _command(
         "theta of cubes of known Poisson's ratio (Thesis 3.A)", "CubesConfig", "reproduce_cubes"
     ),
@@ -97,37 +128,17 @@ COMMANDS: dict[str, Command] = {
     "reproduce squeezes": _command(
         "new squeezes beside what was simulated: events, poses, depth", "SqueezesConfig", "reproduce_squeezes"
     ),
-    "explore": _command("map how soft a surface is, by touching it", "ExploreConfig", "explore"),
-    "classify": _command(
-        "what is in a container, from squeezing it: how well it is known", "ClassifyConfig", "classify"
-    ),
-    "squeeze": _command("squeeze a container: one trial, or the name of its content", "SqueezeConfig", "squeeze"),
-    "dataset list": _command("the trials of a data set of squeezes", "DatasetConfig", "dataset", "listing"),
-    "dataset relabel": _command("correct what its index says of trials", "RelabelConfig", "dataset", "relabel"),
-    "dataset discard": _command("leave trials out, with the reason", "DiscardConfig", "dataset", "discard"),
-    "dataset merge": _command("take over the trials of other data sets", "MergeConfig", "dataset", "merge"),
-    "dataset repair": _command("take in recordings that the index lacks", "RepairConfig", "dataset", "repair"),
-    "arm where": _command("where the arm is: joints, end and tip", "WhereConfig", "arm", "where"),
-    "arm files": _command("write the files for a KUKA's controller", "FilesConfig", "arm", "files"),
-    "arm home": _command("send the arm to its home pose", "HomeConfig", "arm", "home"),
-    "arm go": _command("bring the tip over a place of the surface", "GoConfig", "arm", "go"),
-    "arm jog": _command("move the tip by keys, in small steps", "JogConfig", "arm", "jog"),
-    "devices": _command("what is plugged in, and its health", "DevicesConfig", "devices"),
-    "doctor": _command("whether a rig would work, and what to do if not", "DoctorConfig", "doctor"),
-    "record": _command("record all devices of a rig", "RecordConfig", "record", "record"),
-    "live": _command("watch all devices of a rig", "LiveConfig", "record", "live"),
-    "verify": _command("whether a recording is whole", "VerifyConfig", "verify"),
-    "report": _command("the figures of a recording, as a page", "ReportConfig", "report"),
-    "recover": _command("a whole recording out of one that was cut short", "RecoverConfig", "recover"),
-    "discard": _command(
-        "mark a recording, or an episode of it, as not to be used", "DiscardRecordingConfig", "discard"
-    ),
-    "export": _command("a recording in formats of others", "ExportConfig", "export"),
-    "import": _command("data of others as a recording", "ImportConfig", "import_data"),
-    "double": _command("run simulated devices on real transports", "DoubleConfig", "double"),
     "bench": _command("what MSM costs on this machine", "BenchConfig", "bench"),
 }
 """By name; a name of two words (`calibrate beta`) makes a group."""
+
+HEADINGS = {
+    "demo": "Measure",
+    "doctor": "Rig and robot",
+    "replay": "Recordings and data sets",
+    "reproduce cubes": "Studies",
+}
+"""What `deformscope --help` has above a command."""
 
 BEGIN = """\
 deformscope: how soft a thing is, and where.
@@ -208,11 +219,15 @@ def _ended_by_signals() -> Iterator[list[int]]:
             signal.signal(number, signal.SIG_DFL)
 
 
-def _status(dispatch: Callable[[list[str]], int], args: list[str], signals: Sequence[int]) -> int:
-    # Libraries that complain on stderr by themselves would bury the one line that says what to do.
+def quiet_libraries() -> None:
+    """Libraries that complain on stderr by themselves would bury the one line that says what to do."""
     os.environ.setdefault("OPENCV_LOG_LEVEL", "ERROR")
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
     os.environ.setdefault("RUST_LOG", "off")  # rerun reads it as it is imported; recorder and viewer report for it
+
+
+def _status(dispatch: Callable[[list[str]], int], args: list[str], signals: Sequence[int]) -> int:
+    quiet_libraries()
     try:
         status = dispatch(args)
         sys.stdout.flush()
@@ -241,7 +256,7 @@ def _dispatch(args: list[str]) -> int:
     if args[0] == "--version":
         print(f"deformscope {__version__}")
         return 0
-    name, rest = _find(args)
+    name, rest = find_command(args)
     if name not in COMMANDS:
         print(_help(name))
         return 0
@@ -259,6 +274,11 @@ def _dispatch(args: list[str]) -> int:
 def with_flags(kind: type, run: Callable[[Any], object], args: Sequence[str], prog: str) -> int:
     """Read a command's flags into its options, check its files, and run it. prog: the command as it is typed"""
     options: CommandOptions = parse(kind, args, prog)
+    return run_options(options, run)
+
+
+def run_options(options: CommandOptions, run: Callable[[Any], object]) -> int:
+    """Check the files of a command's options, and run it."""
     _check_files(options)
     from deformscope.cli.common import json_alone
 
@@ -267,7 +287,7 @@ def with_flags(kind: type, run: Callable[[Any], object], args: Sequence[str], pr
     return status if isinstance(status, int) else 0
 
 
-def _find(args: list[str]) -> tuple[str, list[str]]:
+def find_command(args: list[str]) -> tuple[str, list[str]]:
     """The command's full name, or a group's where its help is asked for, and the arguments left."""
     first, both = args[0], " ".join(args[:2])
     if both in COMMANDS:
@@ -303,13 +323,16 @@ def _nearest(word: str, known: Sequence[str]) -> str:
 def _help(group: str = "") -> str:
     shown = {name: command for name, command in COMMANDS.items() if not group or name.startswith(f"{group} ")}
     width = max(map(len, shown))
-    lines = [f"  {name:<{width}}  {command.summary}" for name, command in shown.items()]
+    lines = []
+    for name, command in shown.items():
+        lines += ["", f"{HEADINGS[name]}:"] if name in HEADINGS and not group else []
+        lines.append(f"  {name:<{width}}  {command.summary}")
     return "\n".join(
         [
             f"usage: deformscope {group + ' ' if group else ''}COMMAND ...",
             "",
             "How soft a thing is, and where: watch it deform, fit a shape-matching model, see every stage.",
-            "",
+            *([""] if group else []),
             *lines,
             "",
             "deformscope COMMAND --help   its flags",

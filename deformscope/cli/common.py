@@ -62,6 +62,14 @@ def quiet_warp() -> None:
         say("compiling kernels once, about 30 s: they are kept for later starts")
 
 
+def begin_worker() -> None:
+    """What a worker does before its first task: it has one thread, and says nothing."""
+    import cv2
+
+    quiet_warp()
+    cv2.setNumThreads(1)
+
+
 def show(*found: object) -> None:
     """Print results as their tables, on stdout; on stderr where `--json -` has taken stdout."""
     for one in found:

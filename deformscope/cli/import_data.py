@@ -9,7 +9,7 @@ from __future__ import annotations
 from deformscope.cli.common import EXIT_LOSSES, say, show, write_json
 from deformscope.config import ImportConfig
 from deformscope.recording.losses import named
-from deformscope.runs.importing import import_source, inspect_source
+from deformscope.runs.importing import import_source, import_take, inspect_source
 
 
 def run(config: ImportConfig) -> int:
@@ -20,9 +20,9 @@ def run(config: ImportConfig) -> int:
             print(found.toml, end="")
         write_json({"source": config.source, "topics": found.topics, "map": found.toml}, config.output.json)
         return 0
-    result = import_source(config)
+    result = import_source(config) if config.pairs is None else import_take(config, config.pairs)
     show(result)
     write_json(result.as_json(), config.output.json)
-    if losses := result.found["losses"]:
+    if losses := result.found.get("losses"):
         say(f"deformscope: the recording is whole, with losses: {named(losses)}")
     return EXIT_LOSSES if losses else 0

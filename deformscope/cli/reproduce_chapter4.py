@@ -50,8 +50,8 @@ def run(config: Chapter4Config) -> None:
     jobs = [(scene, seed) for seed in range(1 if config.quick else config.seeds) for scene in scenes]
     own = replace(OWN, beta_grid_m=config.beta_grid_m, beta_step=config.beta_step, sigma_w_m=config.sigma_w_m)
     with recorder_of(config) as recorder:
-        foams = tried(Trials("foams", partial(press_foam, own=own), hardnesses), config.workers)
-        explored = tried(Trials("exploring", partial(explore_scenario, own=own), jobs), config.workers)
+        foams = tried(Trials("foams", partial(press_foam, own=own), hardnesses), config.on, config.workers)
+        explored = tried(Trials("exploring", partial(explore_scenario, own=own), jobs), config.on, config.workers)
         recorder.write(Step((_write(foams, explored, config),)))
 
 

@@ -87,6 +87,7 @@ def _squeeze(dataset: SqueezeDataset, jobs: list[SqueezeJob], config: Containers
     writing = SqueezeDataset(dataset.folder, feature_settings(container_lab().setup))
     tried(
         Trials("squeezing", run_squeeze, left),
+        config.on,
         config.workers,
         keep=lambda new: writing.add([row for _, row in new]),
         together=KEPT_TOGETHER,

@@ -86,7 +86,7 @@ def _examine(cubes: Sequence[Cube], config: CubesConfig) -> list[CubeResult]:
     jobs = [(cube, config, one) for cube, one in zip(cubes, compared(cubes, config), strict=True)]
     # the long ones first, so that none is left alone at the end
     order = sorted(range(len(jobs)), key=lambda place: -len(cubes[place].seen.rest))
-    found = tried(Trials("cubes", _one, [jobs[place] for place in order]), config.workers)
+    found = tried(Trials("cubes", _one, [jobs[place] for place in order]), config.on, config.workers)
     return [one for _, one in sorted(zip(order, found, strict=True), key=lambda pair: pair[0])]
 
 

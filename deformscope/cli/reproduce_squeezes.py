@@ -68,7 +68,7 @@ def _squeezed(config: SqueezesConfig) -> list[Numbers]:
         dataset.add([row for _, (row, _) in new])
         known.update({str(numbers["trial"]): numbers for _, (_, numbers) in new})
 
-    tried(Trials("squeezing", squeeze_errors, left), config.workers, keep=keep, together=KEPT_TOGETHER)
+    tried(Trials("squeezing", squeeze_errors, left), config.on, config.workers, keep=keep, together=KEPT_TOGETHER)
     return [known[job.trial] for job in jobs]
 
 

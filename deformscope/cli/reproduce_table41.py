@@ -24,18 +24,19 @@ from deformscope.cli.study import Trials, tried
 from deformscope.config import Table41Config
 from deformscope.config.explore import Pace
 from deformscope.errors import InputError
+from deformscope.executor.journal import Journal
 from deformscope.lab.scenes import BUILT_IN, built_in
 from deformscope.pictures.figures import write_rows
 from deformscope.pictures.findings import Findings, dict_table
 from deformscope.pictures.report import Table
 from deformscope.reproduce.closed_form_table import run_closed_form
 from deformscope.reproduce.table41 import run_table
-from deformscope.reproduce.table41_runs import TableJob, TableRun, add_runs, read_runs
+from deformscope.reproduce.table41_runs import RUNS, TableJob, TableRun, add_runs, read_runs
 from deformscope.reproduce.table41_summary import LOOKED_AT, PASSED_IOU, compare, curves, summarise
 from deformscope.session import Step
 from deformscope.stages.map.plan import Planner
 
-RUNS = "runs.jsonl"
+RUNS_FILE = "runs.jsonl"
 
 
 def run(config: Table41Config) -> None:
@@ -69,14 +70,19 @@ def run(config: Table41Config) -> None:
 
 def _explored(jobs: Sequence[TableJob], config: Table41Config) -> list[TableRun]:
     """The run of each job; kept in the folder as they are done, and taken from there with --resume."""
-    path = config.out / RUNS
-    runs = {one.job: one for one in read_runs(path)} if config.resume and path.exists() else {}
-    known = {index: runs[job] for index, job in enumerate(jobs) if job in runs}
-    write_file(path, b"")
-    add_runs(path, known.values())
-    return tried(
-        Trials("exploring", _run, jobs), config.workers, known, lambda new: add_runs(path, [one for _, one in new])
-    )
+    path = config.out / RUNS_FILE
+    if not config.resume:
+        write_file(path, b"")
+    with Journal(path, *RUNS) as journal:
+        runs = {one.job: one for one in read_runs(journal)}
+        known = {index: runs[job] for index, job in enumerate(jobs) if job in runs}
+        return tried(
+            Trials("exploring", _run, jobs),
+            config.on,
+            config.workers,
+            known,
+            lambda new: add_runs(journal, [one for _, one in new]),
+        )
 
 
 def _run(job: TableJob) -> TableRun:

@@ -8,23 +8,36 @@ STUDY = Study(CreepOptions, trials, report)      # report(options, seconds, outc
 
 from __future__ import annotations
 
+import functools
 import json
 import time
 import typing
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, TypeVar, cast
 
 import msgspec
 import numpy as np
 
-from deformscope.cli.common import fit_progress, quiet_warp, recorder_of, show, write_file, write_json
+from deformscope.cli.common import (
+    begin_worker,
+    fit_progress,
+    quiet_warp,
+    recorder_of,
+    say,
+    show,
+    write_file,
+    write_json,
+)
+from deformscope.config.executor import ExecutorOptions
 from deformscope.config.reproduce import StudyOptions
 from deformscope.errors import InputError
+from deformscope.executor.journal import Journal
+from deformscope.executor.opened import open_workers
+from deformscope.executor.tasks import compute
 from deformscope.pictures.findings import Findings
 from deformscope.pictures.report import Figure, Table
-from deformscope.processes import in_processes
 from deformscope.session import Step
 
 CaseT = TypeVar("CaseT")
@@ -79,12 +92,14 @@ def run(study: Study, options: StudyOptions) -> None:
 
 def tried(
     trials: Trials[CaseT, OutcomeT],
+    on: ExecutorOptions,
     workers: int | None,
     known: Mapping[int, OutcomeT] | None = None,
     keep: Callable[[Sequence[tuple[CaseT, OutcomeT]]], None] | None = None,
     together: int = 1,
 ) -> list[OutcomeT]:
-    """The outcome of each case in their order, computed in several processes, each on one core, with a progress bar.
+    """The outcome of each case in their order, from so many workers of the executor, each on one core, with a progress
+    bar. A case that fails does not end the others: its error is raised once they are done.
 
     known: outcomes that are there already, by the index of their case
     keep: called with so many new ones at a time, also with what is there where the command is broken off
@@ -92,56 +107,62 @@ def tried(
     from threadpoolctl import threadpool_limits
 
     found = dict(known or {})
-    left = [index for index in range(len(trials.cases)) if index not in found]
+    left = [(index, case) for index, case in enumerate(trials.cases) if index not in found]
     waiting: list[tuple[CaseT, OutcomeT]] = []
+    failed: list[Exception] = []
+    one = functools.partial(_of_case, trials.try_one)
     try:
-        with fit_progress() as note, threadpool_limits(1):
+        with (
+            fit_progress() as note,
+            threadpool_limits(1),
+            open_workers(on.executor, on.address, workers, len(left)) as open_to,
+        ):
             note(trials.of, 0, len(left))
-            coming = in_processes(trials.try_one, [trials.cases[index] for index in left], workers, quiet_warp)
-            for count, (place, one) in enumerate(coming, start=1):
-                found[left[place]] = one
-                waiting.append((trials.cases[left[place]], one))
+            for count, outcome in enumerate(compute(open_to, one, left, begin=begin_worker), start=1):
+                note(trials.of, count, len(left))
+                if outcome.error is not None:
+                    failed.append(outcome.error)
+                    continue
+                index, case = outcome.item
+                found[index] = cast("OutcomeT", outcome.value)
+                waiting.append((case, found[index]))
                 if keep is not None and len(waiting) >= together:
                     keep(waiting)
                     waiting = []
-                note(trials.of, count, len(left))
     finally:
         if keep is not None and waiting:
             keep(waiting)
+    if failed:
+        say(f"{len(failed)} of {len(left)} {trials.of} failed; all others are done")
+        raise failed[0]
     return [found[index] for index in range(len(trials.cases))]
+
+
+def _of_case(try_one: Callable[[CaseT], OutcomeT], numbered: tuple[int, CaseT]) -> OutcomeT:
+    return try_one(numbered[1])
 
 
 # Outcomes in a file, a line each, so that none is lost where the rest is cut off --------------------------------------
 
 
 def _resumed(trials: Trials[Any, Any], options: StudyOptions) -> list[Any]:
-    path = options.resume
-    if path is None:
-        return tried(trials, options.jobs)
-    text = path.read_text(encoding="utf-8") if path.exists() else ""
-    whole = text[: text.rfind("\n") + 1]  # a last line that was cut off is left out
-    write_file(path, whole.encode())
-    kept = {}
-    for number, line in enumerate(whole.splitlines(), start=1):
+    if options.resume is None:
+        return tried(trials, options.on, options.jobs)
+    with Journal(options.resume, "a study's outcomes", "leave --resume out") as journal:
         try:
-            of, case, kind, outcome = json.loads(line)
-        except ValueError as error:
-            raise InputError("a study's outcomes", str(error), "leave --resume out", f"{path}:{number}") from error
-        kept[of, json.dumps(case)] = (kind, outcome)
-    known = {}
-    for index, case in enumerate(trials.cases):
-        if (one := kept.get((trials.of, json.dumps(_plain(case))))) is not None:
-            try:
-                known[index] = _outcome(trials.try_one, *one)
-            except msgspec.ValidationError as error:
-                raise InputError("outcomes of this version", str(error), "leave --resume out", path) from error
+            kept = {(of, json.dumps(case)): (kind, outcome) for of, case, kind, outcome in journal.lines()}
+            outcomes = {
+                index: _outcome(trials.try_one, *one)
+                for index, case in enumerate(trials.cases)
+                if (one := kept.get((trials.of, json.dumps(_plain(case))))) is not None
+            }
+        except (msgspec.ValidationError, ValueError, TypeError) as error:
+            raise InputError("outcomes of this version", str(error), "leave --resume out", options.resume) from error
 
-    def keep(new: Sequence[tuple[Any, Any]]) -> None:
-        with path.open("a", encoding="utf-8") as file:
-            for case, one in new:
-                file.write(json.dumps([trials.of, _plain(case), type(one).__name__, _plain(one)]) + "\n")
+        def keep(new: Sequence[tuple[Any, Any]]) -> None:
+            journal.add(*([trials.of, _plain(case), type(one).__name__, _plain(one)] for case, one in new))
 
-    return tried(trials, options.jobs, known, keep)
+        return tried(trials, options.on, options.jobs, outcomes, keep)
 
 
 def _plain(value: object) -> Any:

@@ -22,6 +22,7 @@ from deformscope.config.calibrate import (
     YieldConfig,
 )
 from deformscope.config.classify import ClassifyConfig
+from deformscope.config.executor import CatalogConfig, CompareConfig, SweepConfig
 from deformscope.config.explore import ExploreConfig
 from deformscope.config.flags import PokeText, parse_poke, parse_pokes
 from deformscope.config.images import FlowConfig, ImageOptions

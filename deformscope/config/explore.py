@@ -115,10 +115,11 @@ class ExploreFlags(Flags):
 class ExploreConfig(ExploreFlags, RecordedOptions):
     """Map how soft a surface is, and where: look, touch where it adds most to the map, map, again; regions in the end.
     RIG is a rig file with an arm, a force sensor and a depth camera: the arm moves, after a table of checks and a
-    question. lab:NAME is a simulated table, explored through the real drivers on byte-exact doubles."""
+    question. lab:NAME is a simulated table, explored through the real drivers on byte-exact doubles. Of a recording of
+    arm, force sensor and depth camera (.rrd), as `import` makes of a bag, the touches that it holds are mapped."""
 
     rig: flags.SceneFlag = ""
-    """A rig file (.toml), or a simulated scene; --list-scenarios names these."""
+    """A rig file (.toml), a recording (.rrd), or a simulated scene; --list-scenarios names these."""
     list_scenarios: bool = False
     """Name the simulated scenes, what their seeds draw, and what can go wrong in them; do nothing else."""
     smallest_inclusion_m: Annotated[flags.PositiveFlag, arg(name="smallest-inclusion")] = None

@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 from tyro.conf import OmitArgPrefixes, arg
 
 from deformscope.config import flags
+from deformscope.config.executor import ExecutorOptions
 from deformscope.config.explore import BetaGridFlag, BetaStepFlag, SigmaWFlag
 from deformscope.config.options import CommandOptions, OutputOptions, RecordedOptions, ViewOptions, either
 
@@ -34,6 +35,7 @@ class CubesConfig(RecordedOptions):
     """Confidence level of the intervals."""
     workers: flags.SomeFlag = None
     """Processes; default: one a core."""
+    on: OmitArgPrefixes[ExecutorOptions] = field(default_factory=ExecutorOptions)
     output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
 
     def check(self) -> None:
@@ -57,6 +59,7 @@ class StudyOptions(RecordedOptions):
     resume: Annotated[Path | None, flags.one_word("FILE", Path), flags.unset] = None
     """Keep each outcome in this file as it comes, a line of JSON each; those of the same cases that an earlier command
     of this version left there are not computed again."""
+    on: OmitArgPrefixes[ExecutorOptions] = field(default_factory=ExecutorOptions)
     output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
 
 
@@ -114,6 +117,7 @@ class Table41Config(RecordedOptions):
     """Take what an earlier command left in runs.jsonl, and go on from there; it must have been this version."""
     workers: flags.SomeFlag = None
     """Processes at once; default: the cores of this machine."""
+    on: OmitArgPrefixes[ExecutorOptions] = field(default_factory=ExecutorOptions)
     output: OmitArgPrefixes[ViewOptions] = field(default_factory=ViewOptions)
 
 
@@ -137,6 +141,7 @@ class Chapter4Config(RecordedOptions):
     """One foam and one scenario."""
     workers: flags.SomeFlag = None
     """Processes at once; default: the cores of this machine."""
+    on: OmitArgPrefixes[ExecutorOptions] = field(default_factory=ExecutorOptions)
     output: OmitArgPrefixes[ViewOptions] = field(default_factory=ViewOptions)
 
 
@@ -180,6 +185,7 @@ class ContainersConfig(RecordedOptions):
     """At most 30 splits, and neither costly classifiers nor a learning curve."""
     workers: flags.SomeFlag = None
     """Processes at once; default: the cores of this machine."""
+    on: OmitArgPrefixes[ExecutorOptions] = field(default_factory=ExecutorOptions)
     output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
 
 
@@ -197,4 +203,5 @@ class SqueezesConfig(RecordedOptions):
     """Squeezes of plastic cylinders besides."""
     workers: flags.SomeFlag = None
     """Processes at once; default: the cores of this machine."""
+    on: OmitArgPrefixes[ExecutorOptions] = field(default_factory=ExecutorOptions)
     output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)

@@ -239,7 +239,8 @@ class ExportConfig(CommandOptions):
 class ImportConfig(RecordedOptions):
     """Make a recording of data of others: bags of ROS 1 and 2, MCAP, CSV and Parquet tables, folders of them, our own
     exports among these. A map says what becomes of what: --inspect proposes one, in which `"?"` stands for what
-    the source does not say. Bags need `pip install 'deformscope[import]'`."""
+    the source does not say. Bags need `pip install 'deformscope[import]'`. --stage computes five times a second of the
+    source's time, --stage contact of every approach; `deformscope explore RUN.rrd` maps what the recording touched."""
 
     source: Annotated[Path, Positional, arg(metavar="SOURCE"), flags.Reads()]
     """A bag, a table, or a folder."""
@@ -247,12 +248,20 @@ class ImportConfig(RecordedOptions):
     """The map."""
     inspect: bool = False
     """List topics with types, rates, gaps and clocks, and a map, all of which is TOML; import nothing."""
+    pairs: Annotated[Path | None, flags.one_word("FOLDER", Path), flags.unset] = None
+    """Of a folder of meshes with forces (PokeFlex): write pair files and a motion file, into a new folder."""
+    unseen: Annotated[int, flags.least(2)] = 4
+    """With --pairs: every so many frames are kept apart, and not seen in the motion."""
+    particles: Annotated[int, flags.least(8)] = 300
+    """With --pairs: so many of the meshes' vertices at most, spread evenly."""
+    stages: OmitArgPrefixes[StageOptions] = field(default_factory=StageOptions)
     output: OmitArgPrefixes[ViewOptions] = field(default_factory=ViewOptions)
 
     def check(self) -> None:
-        if self.inspect == (self.output.record is not None):
-            came = "both" if self.inspect else "neither"
-            raise InputError("--record FILE.rrd with --map FILE.toml, or --inspect", came)
+        asked = [self.inspect, self.output.record is not None, self.pairs is not None]
+        if sum(asked) != 1:
+            came = "several" if any(asked) else "neither"
+            raise InputError("--record FILE.rrd with --map FILE.toml, --inspect, or --pairs FOLDER", came)
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,8 +6,9 @@ A stage is a pure function of the frames that its result names: the same frames 
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal, Protocol, cast
 
@@ -71,7 +72,9 @@ class LiveOptions:
     particles, cluster_size: as in `calibrate beta`; longest_px: the longer side that images are reduced to
     focal_px, center_px, distortion, T_surface_camera: of the depth camera; size_m, thickness_m: of the surface [m]
     T_ee_tip: (4, 4) the tool's tip, whose z axis points at what it presses, to the arm's end [m]
+    R_tip_force: (3, 3) forces in the sensor's axes to the tip's, over the sensor's gain; empty = the same
     tip: its shape; set_force_n: at which stiffness is given; compliance_m_per_n, compliance_sd: of the arm [m/N]
+    version: of fits, see `NEWEST_FIT`
     """
 
     names: tuple[StageName, ...] = ()
@@ -91,10 +94,12 @@ class LiveOptions:
     size_m: tuple[float, float] = (0.0, 0.0)
     thickness_m: float = 0.0
     T_ee_tip: tuple[tuple[float, ...], ...] = ()
+    R_tip_force: tuple[tuple[float, ...], ...] = ()
     set_force_n: float = 3.0
     compliance_m_per_n: float = 0.0
     compliance_sd: float = 0.0
     tip: TipKind = "sphere"
+    version: int = 1
 
 
 NEEDS: dict[StageName, tuple[Kind, ...]] = {
@@ -122,19 +127,22 @@ REFERENCE: dict[str, Literal["first", "previous"]] = {
 """Which image stages take beside the newest."""
 
 
-def for_rig(options: LiveOptions, rig: Rig) -> LiveOptions:
+def for_rig(options: LiveOptions, rig: Rig, streams: Sequence[Stream] = ()) -> LiveOptions:
     """The options with what a rig file says of devices and their places; the colour camera may be named already.
 
+    streams: of the devices, where they are not the file's
     Raises InputError where the rig lacks a device or a calibration that a stage needs.
     """
+    kinds: dict[str, Kind] = {one.device: one.kind for one in streams}
+    kinds = kinds or {entry.name: entry.driver.kind for entry in rig.devices}
     found: dict[str, Any] = {}
     for name in options.names:
         if name in SQUEEZED:
             wanted = f"a squeeze for --stage {name}: {SQUEEZED[name]}"
             raise InputError(wanted, "a rig that is watched", SQUEEZE, rig.name)
         for kind in NEEDS[name]:
-            found[kind] = _device_for(name, kind, options.color if kind == "color" else "", rig)
-    found["lossless"] = found.get("color") in rig.record.lossless
+            found[kind] = _device_for(name, kind, options.color if kind == "color" else "", rig, kinds)
+    found["lossless"] = bool(streams) or found.get("color") in rig.record.lossless
     camera, tool = rig.camera, rig.tool
     if "surface" in options.names:
         given = {"focal_px": camera.focal_px, "center_px": camera.center_px, "T_arm_camera": camera.T_arm_camera}
@@ -151,13 +159,16 @@ def for_rig(options: LiveOptions, rig: Rig) -> LiveOptions:
         along[2, 3] = tool.length_m
         found |= {"T_ee_tip": tool.T_ee_tip or tuple(map(tuple, along.tolist())), "tip": tool.tip}
         found |= {"set_force_n": rig.workspace.target_force_n}
+        if tool.R_tip_force is not None or tool.force_gain != 1.0:
+            turn = np.eye(3) if tool.R_tip_force is None else np.array(tool.R_tip_force)
+            found["R_tip_force"] = tuple(map(tuple, (turn / tool.force_gain).tolist()))
         found |= {"compliance_m_per_n": tool.compliance_m_per_n or 0.0, "compliance_sd": tool.compliance_sd}
     return dataclasses.replace(options, **found)
 
 
-def _device_for(stage: str, kind: Kind, wanted: str, rig: Rig) -> str:
+def _device_for(stage: str, kind: Kind, wanted: str, rig: Rig, kinds: Mapping[str, Kind]) -> str:
     """The device of a kind: the one that is named, else the camera of `[camera]`, else the first."""
-    names = [entry.name for entry in rig.devices if entry.driver.kind == kind]
+    names = [name for name, known in kinds.items() if known == kind]
     if wanted and wanted not in names:
         raise InputError(
             f"one of {', '.join(names) or 'no colour cameras'} after --camera", repr(wanted), where=rig.name
@@ -297,7 +308,11 @@ def _beta(stage: Stage, packed: Any) -> MomentFit:
     """Particles of the first image where they are in the newest one, and the beta or theta that this pose gives."""
     rest, now = packed
     options = stage.options
-    model = Model(parameter="theta" if stage.name == "theta" else "beta", cluster_size=options.cluster_size)
+    model = Model(
+        parameter="theta" if stage.name == "theta" else "beta",
+        cluster_size=options.cluster_size,
+        version=options.version,
+    )
     bounds = (0.0, 1.0) if stage.name == "theta" else FitOptions().bounds
     fit = FitOptions(model, bounds=bounds, candidates=CANDIDATES)
     return fit_moment(rest, now, options.particles, fit, options.longest_px)
@@ -401,11 +416,24 @@ class ApproachReadings:
 
 
 class ApproachChooser:
-    """The newest approach that has ended: contact by force, the arm's way since shortly before."""
+    """The newest approach that has ended: contact by force, the arm's way since shortly before.
 
-    def __init__(self, wrench: str, arm: str) -> None:
-        self.skipped = 0
+    contact_ns: of the newest; before_s: belongs to it before that; longest_s: how long it lasts at most; follow_s: in
+    which the force without contact is followed, None = by FOLLOW with each reading
+    """
+
+    def __init__(
+        self,
+        wrench: str,
+        arm: str,
+        *,
+        before_s: float = BEFORE_S,
+        longest_s: float = LONGEST_S,
+        follow_s: float | None = None,
+    ) -> None:
+        self.skipped = self.contact_ns = 0
         self._wrench, self._arm = wrench, arm
+        self._before_s, self._longest_s, self._follow_s, self._force_ns = before_s, longest_s, follow_s, 0
         self._recent: deque[ArmFrame | WrenchFrame] = deque()
         self._free_n: FloatArray | None = None
         self._since_ns: int | None = None
@@ -424,22 +452,24 @@ class ApproachChooser:
         elif isinstance(item, WrenchFrame) and item.device == self._wrench and np.isfinite(item.force_n[0]).all():
             self._recent.append(item)
             self._see_force(item)
-        kept_ns = (BEFORE_S + (LONGEST_S if self._since_ns is not None else 0.0)) * 1e9
+        kept_ns = (self._before_s + (self._longest_s if self._since_ns is not None else 0.0)) * 1e9
         while self._recent and self._recent[-1].stamp.host_ns - self._recent[0].stamp.host_ns > kept_ns:
             self._recent.popleft()
 
     def _see_force(self, frame: WrenchFrame) -> None:
-        force = frame.force_n[0]
+        force, ns = frame.force_n[0], frame.stamp.host_ns
         if self._free_n is None:
             self._free_n = force
+        follow = FOLLOW if self._follow_s is None else 1.0 - math.exp((self._force_ns - ns) / 1e9 / self._follow_s)
+        self._force_ns = ns
         felt = float(np.linalg.norm(force - self._free_n))
         if self._since_ns is None:
             if felt > TOUCHING_N:
-                self._since_ns = frame.stamp.host_ns
+                self._since_ns = ns
             else:
-                self._free_n = self._free_n + FOLLOW * (force - self._free_n)
-        elif felt < 0.5 * TOUCHING_N or frame.stamp.host_ns - self._since_ns > LONGEST_S * 1e9:
-            self._since_ns = None
+                self._free_n = self._free_n + follow * (force - self._free_n)
+        elif felt < 0.5 * TOUCHING_N or ns - self._since_ns > self._longest_s * 1e9:
+            self.contact_ns, self._since_ns = self._since_ns, None
             self.skipped += self._ended is not None
             self._ended = tuple(self._recent)
             self._recent.clear()
@@ -465,6 +495,8 @@ def _contact(stage: Stage, packed: Any) -> TouchEstimate:
     """How stiff the place is that an approach touched, by arm and force sensor alone."""
     options = stage.options
     arm = ArmCompliance(options.compliance_m_per_n, options.compliance_sd)
+    if options.R_tip_force:
+        packed = dataclasses.replace(packed, force_n=packed.force_n @ np.array(options.R_tip_force).T)
     return fit_contact(packed, np.array(options.T_ee_tip, dtype=np.float64), options.set_force_n, arm, options.tip)
 
 

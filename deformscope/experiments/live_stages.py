@@ -112,7 +112,7 @@ def live_stages(
 
     executors: what computes each stage, by its name: each has its own, so that none waits for another; ended: sees
     every batch with what stages note, and says when it is over; lossless: colour images are recorded as they are
-    watch: sees every result; clock: the host's [ns]
+    watch: sees every result; clock: the host's, or that of recorded items [ns]
     """
     running = [_Running(stage, executors[stage.name], lossless, clock) for stage in stages]
     given = yield Step(batch_s=SOON_S)
@@ -181,7 +181,7 @@ class _Running:
         counts.failures += isinstance(result, StageFailure)
         counts.skipped += self._skipped
         counts.left += self._skipped
-        counts.late_s.append((now_ns - newest.stamp.host_ns) / 1e9)
+        counts.late_s.append((now_ns - newest.stamp.host_ns) / 1e9 if self._clock is monotonic_ns else 0.0)
         reason = reason_of(result)
         if reason:
             same = next((known for known in counts.reasons if alike(known) == alike(reason)), reason)

@@ -73,8 +73,9 @@ def _with_frames(path: Path, results: Sequence[StageResult]) -> Iterator[tuple[S
         held[key] = item
         for one in ending.pop(key, ()):
             keys = _keys(one)
-            if missing := [key for key in keys if key not in held]:
-                raise _missing(missing[0], path)
+            if missing := [key for key in keys if key not in held]:  # of the same moment, as of another device
+                ending.setdefault(missing[0], []).append(one)
+                continue
             yield one, [held[key] for key in keys]
             needed.subtract(keys)
             for key in [key for key in keys if needed[key] == 0]:

@@ -29,7 +29,8 @@ def parse_pair(raw: bytes, where: object = "", *, noise_m: float | None = None) 
 
     Needed: `rest (K, d)`, `deformed (K, d)` in metres, d = 2 or 3, `held (n,)` indices whose deformed position is
     prescribed. Optional: `shape` (lattice, last axis fastest), `cell (K,)` flat lattice index where it has holes,
-    `observed (K,)` bool, `noise_m` (a number, or (K,)), `held_noise_m` (a number; 0 = exact), `force_n` with
+    `observed (K,)` bool, `noise_m` (a number, or (K,)), `held_noise_m` (a number; 0 = exact), `held_shift_m` (a
+    number: deviation of what all held positions are off by as one; 0 = registered exactly), `force_n` with
     `contact (m,)`, a subset of `held`, and `force_noise_n`, the standard deviation of that force;
     without `contact` it acts on the held particles that moved (`stages.model.TOUCHED_SHARE`).
     `tip` (flat, disc, sphere) with `tip_size_m`: what pressed `contact`, where particles do not show its size, and
@@ -83,6 +84,7 @@ def _observation(found: Arrays, noise_m: float | None) -> Observation:
         tip=_tip(found),
         tip_at=_tip_at(found, rest.shape[1]),
         held_measured=None if held_noise is None else held_noise > 0.0,
+        held_shift=number(found, "held_shift_m", NOT_KNOWN),
     )
 
 

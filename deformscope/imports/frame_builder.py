@@ -5,8 +5,8 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -108,6 +108,7 @@ class FrameBuilder:
     def __init__(self, stream: MappedStream, topics: Mapping[str, Topic]) -> None:
         self.stream = stream
         of = [topics[name] for name in stream.topics]
+        self.joints: tuple[str, ...] = stream.joints
         self.own = any(one.kind == KINDS[stream.kind].__name__ for one in of)
         standard: dict[str, tuple[str, str]] = {}
         units: dict[str, str] = {}
@@ -121,6 +122,7 @@ class FrameBuilder:
             for name in names or ():
                 self._check_own(name, units[name])
             return
+        self._check_columns(standard)
         self._fields = {name: (field, self._factor(name, field, unit)) for name, (field, unit) in standard.items()}
         is_table = all(one.type in TABLE_TYPES for one in of)
         for name, field in stream.columns.items():
@@ -132,6 +134,23 @@ class FrameBuilder:
     def columns(self) -> tuple[str, ...]:
         """Those that a message has, as far as that is known beforehand."""
         return tuple(self._fields or ())
+
+    def _check_columns(self, standard: Iterable[str]) -> None:
+        """Refuse columns that no frame of the kind has, and vectors that lack a part. standard: of its messages"""
+        stream, names = self.stream, {*standard, *self.stream.columns}
+        known = [one.name for one in fields(KINDS[stream.kind]) if one.name not in ("stamp", "index", "device")]
+        other = {*standard, *(f"q{axis}" for axis in "xyzw" if stream.kind == "arm")}
+        for field in known:
+            found, (base, unit) = columns_of(field, names), split_unit(field)
+            of_axes = (f"{at}_{axis}" for at in range(len(found) // 3) for axis in "xyz")
+            whole = [
+                [f"{base}_{one}{unit and f'_{unit}'}" for one in each] for each in ("xyz", range(len(found)), of_axes)
+            ]
+            if found not in ([], [field], *whole):
+                raise stream.missing(f"columns of {field}", "x, y and z, or numbers from 0 on", ", ".join(found))
+            other.update(found)
+        if unknown := [name for name in stream.columns if name not in other]:
+            raise stream.missing(f"columns.{unknown[0]}", f"of a {stream.kind} frame: {', '.join(known)}", unknown[0])
 
     def _check_own(self, name: str, unit: str) -> None:
         wanted = UNITS.get(split_unit(name)[1], "")
@@ -157,16 +176,16 @@ class FrameBuilder:
     def build(self, messages: Mapping[str, Message], stamp: Stamp, index: int, pose: Pose | None) -> Frame | None:
         """The frame of these messages, by topic; None where they are not of it. pose: of the arm's end"""
         row: Row = {}
-        for message in messages.values():
-            row |= self._row(message)
-        if self.own:
-            stamp = Stamp(stamp.host_ns, row.get("device_ticks"), row.get("late_ns"))
-            index = int(row.get("index", index))
         try:
+            for message in messages.values():
+                row |= self._row(message)
+            if self.own:
+                stamp = Stamp(stamp.host_ns, row.get("device_ticks"), row.get("late_ns"))
+                index = int(row.get("index", index))
             return _MAKE[self.stream.kind](self, row, At(stamp, index, [one.value for one in messages.values()], pose))
         except KeyError as error:
             raise self.stream.missing(f"columns.{error.args[0]}", "the source's field that holds it", "") from error
-        except (TypeError, ValueError) as error:  # as of arrays whose sizes do not fit together
+        except (ArithmeticError, IndexError, TypeError, ValueError) as error:  # as of sizes that do not fit together
             came = f"in frame {index}: {' '.join(str(error).split())[:160]}"
             raise InputError(f"a {self.stream.kind} frame of {self.stream.device}", came, "its columns") from error
 
@@ -226,11 +245,14 @@ def _tactile(self: FrameBuilder, row: Row, at: At) -> Frame | None:
 def _arm(self: FrameBuilder, row: Row, at: At) -> Frame | None:
     from deformscope_drivers.arm.kinematics import euler_xyz_from_rotation
 
-    named = [list(one.name) for one in at.values if hasattr(one, "name")]
-    if (names := self.stream.joints) and named:
-        if not set(names) <= set(named[0]):
+    if named := next((list(one.name) for one in at.values if hasattr(one, "name")), []):
+        self.joints = self.joints or tuple(named)
+        if self.stream.joints and not set(self.joints) <= set(named):
             return None  # another robot's, or another part's
-        order = [named[0].index(name) for name in names]
+        if set(self.joints) != set(named) and not self.stream.joints:
+            came = f"{', '.join(self.joints)}, then {', '.join(named)}"
+            raise self.stream.missing("joints", "names of the arm's, in their order", came)
+        order = [named.index(name) for name in self.joints]
         row = {name: np.asarray(value)[order] if np.size(value) > 1 else value for name, value in row.items()}
     row, pose = {name: value for name, value in row.items() if np.size(value)}, at.pose
     if "qw" in row:
@@ -277,15 +299,19 @@ def _depth(self: FrameBuilder, row: Row, at: At) -> Frame | None:
     color, depth = _images(self, row, at)
     if depth is None:
         raise KeyError("depth")
-    unit_m = float(row.get("unit_m") or self.stream.unit_m or (1e-3 if depth.dtype == np.uint16 else REAL_STEP_M))
-    if depth.dtype != np.uint16:
+    if depth.ndim != 2:
+        came = f"an image of shape {depth.shape}"
+        raise InputError(f"distances of {self.stream.device} of one channel", came, 'kind = "color" in the map')
+    is_real = depth.dtype.kind == "f"
+    unit_m = float(row.get("unit_m") or self.stream.unit_m or (REAL_STEP_M if is_real else 1e-3))
+    if is_real:
         counts = np.rint(np.nan_to_num(depth.astype(np.float64), nan=0.0, posinf=0.0, neginf=0.0) / unit_m)
         depth = np.where((counts > 0) & (counts < 65536), counts, 0).astype(np.uint16)
-    return DepthFrame(at.stamp, at.index, depth, unit_m, color, self.stream.device)
+    return DepthFrame(at.stamp, at.index, depth.astype(np.uint16, copy=False), unit_m, color, self.stream.device)
 
 
 def _images(self: FrameBuilder, row: Row, at: At) -> tuple[Any, Any]:
-    """A colour image and one of distances, uint16 or real numbers in metres; None where there is none."""
+    """A colour image and one of distances, counts or real numbers in metres; None where there is none."""
     stream = self.stream
     encoded = row.get("image") or row.get("color"), row.get("depth")
     color, depth = (None if one is None else decode_image(bytes(one), stream.device) for one in encoded)

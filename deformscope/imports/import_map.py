@@ -17,6 +17,7 @@ import msgspec
 
 from deformscope.errors import InputError
 from deformscope.frames import Kind, Pad
+from deformscope.rig.rig_file import SECTIONS
 
 ASKED: Final = "?"
 """The value of a key that the source does not decide."""
@@ -71,11 +72,12 @@ class MappedStream:
 @dataclass(frozen=True, slots=True)
 class ImportMap:
     """All of it. start_ns: the stamp at which the recording begins [ns]; None = the first; skip_rows: lines of CSV
-    tables before their header"""
+    tables before their header; rig: sections of a rig file, as `tool` and `camera`"""
 
     streams: tuple[MappedStream, ...]
     start_ns: int | None = None
     skip_rows: int = 0
+    rig: dict[str, dict[str, Any]] = field(default_factory=dict)
 
     def to_toml(self) -> str:
         """As a file has it, without what is as usual."""
@@ -91,13 +93,12 @@ class ImportMap:
         return "\n".join(lines).lstrip() + "\n"
 
     def rig_text(self) -> str:
-        """The devices whose bytes are imported, as a rig file has them; empty without one."""
-        found = ""
-        for one in self.streams:
-            if one.driver:
-                lines = [f"{key} = {_toml(value)}\n" for key, value in {"driver": one.driver, **one.config}.items()]
-                found += f"[devices.{one.device}]\n{''.join(lines)}"
-        return found
+        """The devices whose bytes are imported, and where all is, as a rig file has it; empty without either."""
+        sections = {f"devices.{one.device}": {"driver": one.driver, **one.config} for one in self.streams if one.driver}
+        return "".join(
+            f"[{name}]\n" + "".join(f"{key} = {_toml(value)}\n" for key, value in section.items())
+            for name, section in (sections | self.rig).items()
+        )
 
 
 def read_map(path: Path) -> ImportMap:
@@ -124,9 +125,10 @@ def _strict(found: dict[str, Any]) -> dict[str, Any]:
     for stream in found.get("streams", []):
         if unknown := sorted(set(stream) - known):
             raise ValueError(f"unknown key {unknown[0]!r} in [[streams]]")
-    if unknown := sorted(set(found) - {one.name for one in fields(ImportMap)}):
+    rig = {name: found.pop(name) for name in SECTIONS if isinstance(found.get(name), dict)}
+    if unknown := sorted(set(found) - {one.name for one in fields(ImportMap)} | found.keys() & {"rig"}):
         raise ValueError(f"unknown key {unknown[0]!r}")
-    return found
+    return found | {"rig": rig}
 
 
 def _toml(value: Any) -> str:

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import msgspec
+import numpy as np
 
+from deformscope.errors import InputError
 from deformscope.frames import Kind, Pad
+from deformscope.images import read_image
 from deformscope.imports.frame_builder import CLOUDS, KINDS, STANDARD
 from deformscope.imports.import_map import ASKED, ImportMap, MappedStream
 from deformscope.imports.readers import TABLE_TYPES, Reader, Topic
@@ -23,7 +28,8 @@ TRANSFORMS = "tf2_msgs/msg/TFMessage"
 @dataclass(slots=True)
 class Found:
     """A topic as it was read. messages: how many; first_ns, last_ns: when recorded; gap_ns: the longest between two
-    stamp_ns: of the first message itself, None = it has none; encoding: of images; frames: of transforms"""
+    stamp_ns: of the first message itself, None = it has none; encoding: of images; frames: of transforms
+    joints: names in the first message"""
 
     topic: Topic
     messages: int = 0
@@ -33,6 +39,7 @@ class Found:
     stamp_ns: int | None = None
     encoding: str = ""
     frames: tuple[str, ...] = ()
+    joints: tuple[str, ...] = ()
 
     @property
     def rate_hz(self) -> float:
@@ -48,8 +55,9 @@ class Found:
         rate = f", {self.rate_hz:.4g}/s, longest gap {self.gap_ns / 1e9:.3g} s" if self.rate_hz else ""
         clock = "" if self.clock_s is None else f", stamped {self.clock_s:.4g} s before it was recorded"
         frames = f", frames {', '.join(self.frames)}" if self.frames else ""
+        joints = f", joints {', '.join(self.joints)}" if self.joints else ""
         columns = f", columns {', '.join(self.topic.units)}" if self.topic.units else ""
-        return f"{self.topic.name}: {self.topic.type}, {self.messages} messages{rate}{clock}{frames}{columns}"
+        return f"{self.topic.name}: {self.topic.type}, {self.messages} messages{rate}{clock}{frames}{joints}{columns}"
 
 
 def inspect(reader: Reader) -> list[Found]:
@@ -60,7 +68,8 @@ def inspect(reader: Reader) -> list[Found]:
         ns = message.log_ns or (message.value.get("host_ns") or 0 if isinstance(message.value, Mapping) else 0)
         if not one.messages:
             one.first_ns = ns
-            one.encoding = str(getattr(message.value, "encoding", getattr(message.value, "format", "")))
+            one.encoding = _encoding(message.value)
+            one.joints = tuple(message.value.name) if one.topic.type.endswith("JointState") else ()
             stamp = getattr(getattr(message.value, "header", None), "stamp", None)
             one.stamp_ns = None if stamp is None else int(stamp.sec) * 10**9 + int(stamp.nanosec)
         else:
@@ -70,6 +79,15 @@ def inspect(reader: Reader) -> list[Found]:
             one.frames = tuple(dict.fromkeys((*one.frames, *(name for pair in names for name in pair))))
         one.messages, one.last_ns = one.messages + 1, ns
     return list(found.values())
+
+
+def _encoding(value: Any) -> str:
+    """Of an image: what its message says, or `16UC1` of a file of counts; empty where it is none."""
+    if isinstance(value, Path) and value.suffix.lower() not in CLOUDS:
+        with contextlib.suppress(InputError):  # the import says what is wrong
+            image = read_image(value)
+            return "16UC1" if image.ndim == 2 and image.dtype == np.uint16 else "rgb8"
+    return str(getattr(value, "encoding", getattr(value, "format", "")))
 
 
 def propose(reader: Reader, found: list[Found]) -> ImportMap:
@@ -98,7 +116,7 @@ def propose(reader: Reader, found: list[Found]) -> ImportMap:
             is_cloud = one.topic.name.endswith(CLOUDS)
             device = one.topic.name.rpartition("/")[0].replace("/", "_") or "camera"
             units = {"points": ASKED} if is_cloud else {}
-            kind: Kind = "color" if one.topic.name.endswith(".jpg") else "depth"
+            kind: Kind = "depth" if is_cloud or one.encoding == "16UC1" else "color"
             asked = MappedStream(device=device, kind=kind, topics=(one.topic.name,), units=units, time=ASKED)
             streams.append(replace(asked, time_unit=ASKED))
             continue
@@ -110,7 +128,9 @@ def propose(reader: Reader, found: list[Found]) -> ImportMap:
         if one in joints:
             pose = poses[0].topic.name if poses else ASKED
             of_tf = bool(poses) and poses[0].topic.type == TRANSFORMS
-            stream = replace(stream, pose=pose, parent=ASKED if of_tf else "", child=ASKED if of_tf else "")
+            stream = replace(
+                stream, pose=pose, parent=ASKED if of_tf else "", child=ASKED if of_tf else "", joints=one.joints
+            )
         if not one.stamp_ns:
             stream = replace(stream, time="log")
         elif not same and one.clock_s is not None and abs(one.clock_s) > CLOCKS_APART_S:

@@ -20,7 +20,7 @@ from deformscope.imports.captures import CaptureStream
 from deformscope.imports.frame_builder import TIME_NS, FrameBuilder, Pose, pose_of
 from deformscope.imports.import_map import ASKED, ImportMap, MappedStream
 from deformscope.imports.readers import TABLE_TYPES, FileReader, Message, Reader
-from deformscope.recording.portions import item_size
+from deformscope.recording.item_source import ItemSource
 from deformscope.recording.streams import columns_of
 from deformscope.rig.rig_file import parse_rig
 from deformscope_drivers.clock import Stamp
@@ -28,16 +28,15 @@ from deformscope_drivers.health import Health, Link
 
 DRIVER = "imported"
 """Of a stream that no driver gave."""
-BATCH_NS, BATCH_BYTES = 200_000_000, 16 << 20
 APART_S = 10.0
 """A stream so far from all others in time has another clock, or the map would say so."""
 WAITING = 64
 """Messages of a stream of several topics that wait for those of the same time."""
 
 
-class ImportSource:
-    """`with open_reader(path) as reader: source = ImportSource(reader, read_map(file))`; raises InputError for what the
-    map must say. `take` gives about a fifth of a second at a time; ended: nothing is left"""
+class ImportSource(ItemSource):
+    """`with open_reader(path) as reader: source = ImportSource(reader, read_map(file))`. rig: places and tool, as the
+    map has them; raises InputError for what the map must say"""
 
     def __init__(self, reader: Reader, asked: ImportMap) -> None:
         self._topics = reader.topics()
@@ -46,46 +45,29 @@ class ImportSource:
                 if name not in self._topics:
                     known = ", ".join(self._topics) or "nothing"
                     raise InputError(f"topics of {stream.device} out of the source's", repr(name), known)
-        text = asked.rig_text()
-        configs = {one.name: one.config for one in parse_rig(text, "the map").devices} if text else {}
+        self.rig = parse_rig(asked.rig_text(), "the map", others=[one.device for one in asked.streams])
+        configs = {one.name: one.config for one in self.rig.devices}
         self._made: dict[str, _Stream | CaptureStream] = {
             one.device: CaptureStream(one, configs[one.device], reader) if one.driver else _Stream(one, reader)
             for one in asked.streams
         }
         known = reader.about.get("devices", {})
-        self.streams = tuple(one.describe(known.get(name)) for name, one in self._made.items())
-        self.ended = False
-        self._frames = self._read(reader)
-        self._next = next(self._frames, None)
+        streams = tuple(one.describe(known.get(name)) for name, one in self._made.items())
+        super().__init__(self._read(reader), streams, asked.start_ns)
         if self._next is None:
             raise InputError("a source with frames for the map's streams", "none", "pose and joints in the map")
-        self.start_ns = host_ns(self._next) if asked.start_ns is None else asked.start_ns
 
     def take(self, wait_s: float) -> list[Item]:
-        """The next frames. wait_s: is not waited"""
-        found: list[Item] = []
-        size = 0
-        until_ns = math.inf if self._next is None else host_ns(self._next) + BATCH_NS
-        while self._next is not None and host_ns(self._next) <= until_ns and size < BATCH_BYTES:
-            found.append(self._next)
-            size += item_size(self._next)
-            self._next = next(self._frames, None)
-        if self._next is None and not self.ended:
-            self.ended = True
+        """The next frames. Raises InputError where it ends, and the clocks are not one."""
+        was_over, found = self.ended, super().take(wait_s)
+        if self.ended and not was_over:
             self._check_clocks()
-        return sorted(found, key=host_ns)
+        return found
 
     def look(self) -> HealthReport:
         """How many frames each device gave, and how many could not be made: of their messages some lacked."""
         looks = tuple((name, one.health()) for name, one in self._made.items())
         return HealthReport(max((one.last_ns for one in self._made.values()), default=0), looks)
-
-    def rest(self) -> list[Item]:
-        """Nothing is held back."""
-        return []
-
-    def close(self) -> None:
-        """What is read is closed by who opened it."""
 
     def _read(self, reader: Reader) -> Iterator[Frame | RawBytes]:
         if {one.type for one in self._topics.values()} & {*TABLE_TYPES, "files", "bytes", "candump"}:

@@ -32,9 +32,26 @@ def align_on_page(first: Replay, second: Replay) -> tuple[PageServer, tuple[floa
 
     Raises InputError where a recording has no contact that a force sensor or a tactile array felt.
     """
+    names = _names(first.path, second.path)
+    series, contacts_s = aligned_series(first, second, names)
+    page = PageServer(f"{names[0]} beside {names[1]}", first.path)
+    page.offer(RECORDING, aligned_rrd(series, names), "application/octet-stream")
+    begins_ns = min(int(one.since_ns[0]) for one in series)
+    ends_ns = max(int(one.since_ns[-1]) for one in series)
+    around = Chapter("around the contact", max(AROUND_NS[0], begins_ns), min(AROUND_NS[1], ends_ns))
+    page.session.show(playback=Playback(CONTACT_TIMELINE, ends_ns, STEP_NS, (around,), from_ns=begins_ns))
+    page.open()
+    print(page.where, file=sys.stderr, flush=True)
+    return page, contacts_s
+
+
+def aligned_series(
+    first: Replay, second: Replay, names: tuple[str, str] = ("first", "second")
+) -> tuple[list[AlignedSeries], tuple[float, float]]:
+    """What the devices of two recordings measured since the first contact of each, and when that was, since its start
+    [s]. Raises InputError where a recording has no contact that a force sensor or a tactile array felt."""
     from deformscope.experiments.first_contact import KINDS, first_contact_ns
 
-    names = _names(first.path, second.path)
     series: list[AlignedSeries] = []
     contacts_s = []
     for which, recording in enumerate((first, second)):
@@ -45,15 +62,7 @@ def align_on_page(first: Replay, second: Replay) -> tuple[PageServer, tuple[floa
             raise InputError("a recording with a contact, to align it by", came, where=recording.path)
         contacts_s.append(contact_ns / 1e9)
         series += _series(rows, recording, contact_ns, which, names[which])
-    page = PageServer(f"{names[0]} beside {names[1]}", first.path)
-    page.offer(RECORDING, aligned_rrd(series, names), "application/octet-stream")
-    begins_ns = min(int(one.since_ns[0]) for one in series)
-    ends_ns = max(int(one.since_ns[-1]) for one in series)
-    around = Chapter("around the contact", max(AROUND_NS[0], begins_ns), min(AROUND_NS[1], ends_ns))
-    page.session.show(playback=Playback(CONTACT_TIMELINE, ends_ns, STEP_NS, (around,), from_ns=begins_ns))
-    page.open()
-    print(page.where, file=sys.stderr, flush=True)
-    return page, (contacts_s[0], contacts_s[1])
+    return series, (contacts_s[0], contacts_s[1])
 
 
 def _names(first: Path, second: Path) -> tuple[str, str]:

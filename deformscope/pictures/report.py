@@ -42,6 +42,18 @@ class ReportVerdict:
 
 
 @dataclass(frozen=True, slots=True)
+class Link:
+    """A cell that leads to a file or a page. to: as a URL has it, relative to the page; png: shown above the text"""
+
+    text: str
+    to: str
+    png: bytes = b""
+
+    def __str__(self) -> str:
+        return self.text
+
+
+@dataclass(frozen=True, slots=True)
 class Table:
     """names: of the columns, empty = a table of names and values; rows: their cells, shown as `str` shows them."""
 
@@ -130,14 +142,22 @@ def _table(table: Table) -> str:
         head = "<thead><tr>" + "".join(f'<th scope="col">{escape(name)}</th>' for name in table.names) + "</tr></thead>"
     rows = []
     for row in table.rows:
-        cells = [escape(str(cell)) for cell in row]
+        cells = [_link(cell) if isinstance(cell, Link) else escape(str(cell)) for cell in row]
         first = f"<td>{cells[0]}</td>" if table.names else f'<th scope="row">{cells[0]}</th>'
         rows.append(f"<tr>{first}" + "".join(f"<td>{cell}</td>" for cell in cells[1:]) + "</tr>")
     return f'<div class="scroll"><table>{caption}{head}<tbody>' + "\n".join(rows) + "</tbody></table></div>"
 
 
+def _link(link: Link) -> str:
+    shown = f"{_image(link.png, link.text)}<br>" if link.png else ""
+    return f'<a href="{escape(link.to)}">{shown}{escape(link.text)}</a>'
+
+
+def _image(png: bytes, caption: str) -> str:
+    data = base64.b64encode(png).decode("ascii")
+    return f'<img src="data:image/png;base64,{data}" alt="{escape(caption)}">'
+
+
 def _figure(figure: Figure) -> str:
-    data = base64.b64encode(figure.png).decode("ascii")
-    caption = escape(figure.caption, quote=True)
-    image = f'<img src="data:image/png;base64,{data}" alt="{caption}">'
+    image = _image(figure.png, figure.caption)
     return f"<figure>{image}<figcaption>{escape(figure.caption)}</figcaption></figure>"

@@ -576,10 +576,12 @@ def _axes(column: str, width: int) -> list[str]:
 
 
 def columns_of(name: str, columns: Iterable[str]) -> list[str]:
-    """Those of these columns that hold a frame's field of this name: its own, or one for each of its values."""
+    """Those of these columns that hold a frame's field of this name, its own, or one for each of its values, in the
+    order of the values."""
     base, unit = split_unit(name)
     each = re.compile(rf"{re.escape(base)}_(\d+_)?([xyz]|\d+){unit and f'_{unit}'}")
-    return [one for one in columns if one == name or each.fullmatch(one)]
+    found = (one for one in columns if one == name or each.fullmatch(one))
+    return sorted(found, key=lambda one: [part.zfill(20) for part in one.split("_")])
 
 
 def split_unit(column: str) -> tuple[str, str]:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from pathlib import Path
 
 from deformscope.config.explore import Pace, Relief
 from deformscope.errors import InputError
+from deformscope.executor.journal import Journal
 from deformscope.plain import plain
 from deformscope.stages.map.map_score import MapScore
 from deformscope.stages.map.plan import Planner
@@ -82,29 +81,25 @@ class TableRun:
         return self.after[min(touches, last) - 1]
 
 
-# Runs in a file, a line each, so that none is lost where the rest is cut off ------------------------------------------
+# Runs in a file, a line each ------------------------------------------------------------------------------------------
+
+RUNS = "runs of this version", "leave --resume out"
+"""What a journal of runs holds, and what to try where it holds something else."""
 
 
-def add_runs(path: Path, runs: Iterable[TableRun]) -> None:
+def add_runs(journal: Journal, runs: Iterable[TableRun]) -> None:
     """Add runs to a file."""
-    with path.open("a", encoding="utf-8") as file:
-        file.writelines(json.dumps(plain(run), allow_nan=False) + "\n" for run in runs)
+    journal.add(*map(plain, runs))
 
 
-def read_runs(path: Path) -> Iterator[TableRun]:
-    """The runs in a file. Raises InputError where it holds anything else; a last line that was cut off is left out."""
-    with path.open(encoding="utf-8") as file:
-        for number, line in enumerate(file, start=1):
-            if not line.endswith("\n"):
-                return
-            try:
-                read = json.loads(line)
-                after = [
-                    MapAfter(**{**one, "xy_m": tuple(one["xy_m"]), "score": MapScore(**one["score"])})
-                    for one in read["after"]
-                ]
-                yield TableRun(**{**read, "job": TableJob(**read["job"]), "after": tuple(after)})
-            except (ValueError, TypeError, KeyError) as error:
-                raise InputError(
-                    "runs of this version", str(error), "leave --resume out", f"{path}:{number}"
-                ) from error
+def read_runs(journal: Journal) -> Iterator[TableRun]:
+    """The runs in a file. Raises InputError where it holds anything else."""
+    for read in journal.lines():
+        try:
+            after = [
+                MapAfter(**{**one, "xy_m": tuple(one["xy_m"]), "score": MapScore(**one["score"])})
+                for one in read["after"]
+            ]
+            yield TableRun(**{**read, "job": TableJob(**read["job"]), "after": tuple(after)})
+        except (ValueError, TypeError, KeyError) as error:
+            raise InputError(RUNS[0], str(error), RUNS[1], journal.path) from error

@@ -328,15 +328,16 @@ def scenario_names() -> list[str]:
     return sorted(entry.name.removesuffix(".toml") for entry in folder.iterdir() if entry.name.endswith(".toml"))
 
 
-def parse_rig(text: str, where: str, *, trusted: bool = False) -> Rig:
-    """A rig out of a file's text; where: its name, for messages; trusted: as for `load_rig`."""
+def parse_rig(text: str, where: str, *, trusted: bool = False, others: Sequence[str] = ()) -> Rig:
+    """A rig out of a file's text; where: its name, for messages; trusted: as for `load_rig`; others: devices that no
+    driver of ours gave, which it may name too"""
     try:
         content = tomllib.loads(text)
     except Exception as error:  # also RecursionError, and ValueError for numbers of thousands of digits
         raise InputError("a rig file in TOML", _line(error), "https://toml.io", where) from error
     try:
         _check_values(content)
-        return _rig(content, text, where, trusted)
+        return _rig(content, text, where, trusted, others)
     except InputError as error:
         raise InputError.about(error, where) from error
 
@@ -360,10 +361,10 @@ def _check_values(content: dict[str, Any]) -> None:
             check(value.isprintable(), f"{place} without control characters", repr(value[:PLACE_CHARACTERS]))
 
 
-def _rig(content: dict[str, Any], text: str, where: str, trusted: bool) -> Rig:
+def _rig(content: dict[str, Any], text: str, where: str, trusted: bool, others: Sequence[str]) -> Rig:
     _check_keys(content, ("devices", *SECTIONS), "the rig file")
-    devices = content.get("devices")
-    if not isinstance(devices, dict) or not devices:
+    devices = content.get("devices", {})
+    if not isinstance(devices, dict) or not (devices or others):
         raise InputError("at least one [devices.NAME] section", "none")
     read = {
         name: _read(kind, content[name], f"[{name}]")
@@ -373,10 +374,11 @@ def _rig(content: dict[str, Any], text: str, where: str, trusted: bool) -> Rig:
     late = (section.late_ns(devices)) if (section := read.get("calibrated")) else {}
     members = tuple(_device(name, given, trusted, late.get(name, 0)) for name, given in devices.items())
     rig = Rig(Path(where).stem, text, members, **read, folder=Path(where).expanduser().parent)
-    if rig.camera.device and rig.camera.device not in devices:
-        raise InputError(f"[camera] device out of {', '.join(devices)}", repr(rig.camera.device))
-    if unknown := [name for name in rig.record.lossless if name not in devices]:
-        raise InputError(f"[record] lossless out of {', '.join(devices)}", ", ".join(map(repr, unknown)))
+    names = dict.fromkeys((*devices, *others))
+    if rig.camera.device and rig.camera.device not in names:
+        raise InputError(f"[camera] device out of {', '.join(names)}", repr(rig.camera.device))
+    if unknown := [name for name in rig.record.lossless if name not in names]:
+        raise InputError(f"[record] lossless out of {', '.join(names)}", ", ".join(map(repr, unknown)))
     return rig
 
 

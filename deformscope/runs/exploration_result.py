@@ -85,7 +85,7 @@ class ExplorationResult(LibraryResult):
     seconds: computing, of the slowest touch, by the robot's clock and on this computer
     supervisor_gaps_ms: from one look of the supervisor to the next, None where the arm never could move
     arm_stands: whether it could be stopped; losses: of each device that lost something; fault: why it was stopped
-    simulated: the scene; laboratory: its settings
+    simulated: the scene; laboratory: its settings; recorded: somebody's robot touched before, and nothing was commanded
     """
 
     scenario: str = field(metadata=reported())
@@ -165,6 +165,7 @@ class ExplorationResult(LibraryResult):
     laboratory: dict[str, Any] | None = field(metadata=reported())
     estimate: MapEstimate | None = None
     simulated: bool = True
+    recorded: bool = False
 
     @property
     def found(self) -> dict[str, Any]:
@@ -255,9 +256,10 @@ class ExplorationResult(LibraryResult):
         rows += [
             ("touches", f"{len(self.touches)}, {format_travel(self.travel_m)}"),
             ("ended", format_stop(self.stop_reason)),
-            ("contact force", self.force_text),
-            ("arm", "at rest" if self.arm_stands else "COULD NOT BE STOPPED: use its emergency stop"),
+            ("contact force", f"measured {self.measured_max_force_n:.2f} N" if self.recorded else self.force_text),
         ]
+        if not self.recorded:
+            rows.append(("arm", "at rest" if self.arm_stands else "COULD NOT BE STOPPED: use its emergency stop"))
         if gaps := self.supervisor_gaps_ms:
             words = f"every {gaps['p50']:.0f} ms; 99.9 % within {gaps['p99_9']:.0f} ms, all within {gaps['max']:.0f} ms"
             rows.append(("safety checks", words))

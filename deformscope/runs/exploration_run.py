@@ -28,6 +28,8 @@ if TYPE_CHECKING:
     from deformscope.config import ExploreConfig
     from deformscope.experiments.explore import Exploration
     from deformscope.experiments.options import ExploreOptions
+    from deformscope.experiments.recorded_touches import RecordedTouches
+    from deformscope.frames import Stream
     from deformscope.interruption import Interruption
     from deformscope.lab.faults import FaultsToCome
     from deformscope.page.devices import ShownDevices
@@ -103,6 +105,8 @@ def explore_on(config: ExploreConfig, report: Callable[[ExplorationResult], None
     )
     setup, options = opening.setup, opening.options
     _check_first(config, setup)
+    if opening.recorded is not None and (config.dry_run or config.output.viewer == "page"):
+        raise InputError("a robot, for --dry-run and --viewer page", "a recording", "deformscope replay --viewer page")
     to_come = FaultsToCome(opening.faulty_lab, faults, options.seed) if faults else None
     settings = {"explore": dataclasses.asdict(options), "seed": options.seed, "simulated": setup.simulated}
     settings |= {"setup": SetupGeometry.of(setup).as_json(), **opening.settings}
@@ -113,7 +117,10 @@ def explore_on(config: ExploreConfig, report: Callable[[ExplorationResult], None
         open_recorder(config.output, settings, EXPLORATION, real_time=setup.runs_itself) as recorder,
     ):
         try:
-            _run(config, setup, options, found, recorder, asked, to_come, ending)
+            if opening.recorded is not None:
+                _run_recorded(opening.recorded, setup, options, found, recorder, ending)
+            else:
+                _run(config, setup, options, found, recorder, asked, to_come, ending)
         except BaseException as error:
             ending.error = error
         if found.stop is not None:
@@ -121,6 +128,7 @@ def explore_on(config: ExploreConfig, report: Callable[[ExplorationResult], None
         if ending.began_s > 0.0 or found.stop is not None:
             laboratory = opening.settings.get("laboratory")
             explored = _result(config, setup, options, found, recorder, ending, to_come, laboratory)
+            explored = dataclasses.replace(explored, recorded=opening.recorded is not None)
             report(explored)
             _say_on_page(recorder, explored)
         if ending.error is not None:
@@ -184,19 +192,7 @@ def _run(
 
     with open_run(setup.open_source(), recorder) as run:
         ending.start_ns = run.source.start_ns
-        truth = setup.truth is not None and setup.truth.labels is not None
-        mapped, inclusions = "energy loss" if options.feel == "loss" else "stiffness", options.goal == "inclusions"
-        layout = ExplorationLayout(
-            run.source.streams,
-            setup.size_m,
-            setup.placement.T_base_surface,
-            truth,
-            inclusions,
-            mapped,
-            full=options.detail == "full",
-            T_surface_camera=setup.camera.T_surface_camera,
-        )
-        recorder.start(layout, ending.start_ns)
+        recorder.start(_layout(setup, options, run.source.streams), ending.start_ns)
         page = run.open_page(recorder, config, steering)
         watch = run.watch(asked, page)
         with (
@@ -220,6 +216,45 @@ def _run(
     ending.losses = run.losses()
 
 
+def _run_recorded(
+    touches: RecordedTouches,
+    setup: Setup,
+    options: ExploreOptions,
+    found: Exploration,
+    recorder: Recorder,
+    ending: ExplorationEnd,
+) -> None:
+    """Explore what was touched before: nothing moves."""
+    from deformscope.experiments.explore import explore
+    from deformscope.experiments.stage_executor import stage_executor
+    from deformscope.session import run as run_session
+
+    ending.began_s, ending.largest_force_n = time.perf_counter(), touches.largest_force_n
+    with open_run(setup.open_source(), recorder) as run:
+        ending.start_ns = run.source.start_ns
+        recorder.start(_layout(setup, options, run.source.streams), ending.start_ns)
+        with stage_executor(setup, options) as (beside, stage):
+            experiment = _with_messages(explore(setup.clock, stage, found), run.line, 0)
+            run_session(run.source, experiment, run.recorded, touches, beside)
+        while items := touches.rest():
+            recorder.write(items)
+        ending.session_s = (setup.clock() - ending.start_ns) / 1e9
+    ending.losses = run.losses()
+
+
+def _layout(setup: Setup, options: ExploreOptions, streams: tuple[Stream, ...]) -> ExplorationLayout:
+    return ExplorationLayout(
+        streams,
+        setup.size_m,
+        setup.placement.T_base_surface,
+        setup.truth is not None and setup.truth.labels is not None,
+        options.goal == "inclusions",
+        "energy loss" if options.feel == "loss" else "stiffness",
+        full=options.detail == "full",
+        T_surface_camera=setup.camera.T_surface_camera,
+    )
+
+
 def _say_on_page(recorder: Recorder, explored: ExplorationResult) -> None:
     """What came of it, where there is a page, which may outlive the exploration."""
     if recorder.page is None:
@@ -234,7 +269,8 @@ def _say_on_page(recorder: Recorder, explored: ExplorationResult) -> None:
 def _with_messages(
     experiment: RigExperiment[None], show: Callable[[str], None], budget: int, page: PageSteering | None = None
 ) -> RigExperiment[None]:
-    """The same experiment; what it finds is printed, and shown on the page, as it comes. budget: touches at most"""
+    """The same experiment; what it finds is printed, and shown on the page, as it comes. budget: touches at most, 0 =
+    they were made before, wherever a plan would have them"""
     from deformscope.stages.map.exploration import TouchEstimate
 
     given: Any = None
@@ -293,7 +329,7 @@ def _remarks(result: object, made: int, budget: int, spent_s: float) -> Iterator
         TouchForecast,
     )
 
-    if isinstance(result, PlannedTouch):
+    if isinstance(result, PlannedTouch) and budget:
         if result.target_m is None or result.stop_reason:
             yield f"no further touch: {format_stop(result.stop_reason) if result.stop_reason else result.reason}"
         else:

@@ -4,14 +4,21 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-from typing import Any, cast
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
+
+import numpy as np
 
 from deformscope.config import ImportConfig
 from deformscope.errors import InputError
-from deformscope.experiments.live_stages import live_stages
+from deformscope.experiments.live_stages import StageCounts, live_stages
+from deformscope.files.motions import parse_motion
+from deformscope.files.pairs import parse_pair
 from deformscope.frames import HealthReport
 from deformscope.imports.import_map import read_map
 from deformscope.imports.inspect import inspect, propose
+from deformscope.imports.mesh_take import read_take
 from deformscope.imports.readers import open_reader
 from deformscope.imports.source import ImportSource
 from deformscope.log.rig_layout import RIG, RigLayout
@@ -20,7 +27,11 @@ from deformscope.plain import plain
 from deformscope.recording.losses import losses_of
 from deformscope.runs.recordings import RecordResult
 from deformscope.runs.result import open_recorder, recording_rows
-from deformscope.session import finish, run
+from deformscope.session import Inline, finish, run
+from deformscope.stages.msm.quiet import quiet_warp
+
+if TYPE_CHECKING:
+    from deformscope.experiments.device_stages import Stage
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -50,34 +61,72 @@ def import_source(config: ImportConfig) -> RecordResult:
     if config.map is None:
         raise InputError("--map", "none", f"deformscope import --inspect {config.source} > map.toml")
     asked = read_map(config.map)
-    text = config.map.read_text(encoding="utf-8")
     settings = {
         "rig": asked.rig_text(),
         "rig_name": config.source.name,
-        "import": {"source": config.source.name, "map": text},
+        "import": {"source": config.source.name, "map": config.map.read_text(encoding="utf-8")},
     }
     with (
         open_reader(config.source, asked.skip_rows) as reader,
         contextlib.closing(ImportSource(reader, asked)) as source,
     ):
+        stages: tuple[Stage, ...] = ()
+        if names := config.stages.names:
+            from deformscope.experiments.device_stages import stages_of
+            from deformscope.runs.rig_run import live_options
+
+            quiet_warp()
+            options = live_options(config.stages, source.rig, source.streams)
+            settings["stages"], stages = dataclasses.asdict(options), stages_of(options, source.streams)
         with open_recorder(config.output, settings, RIG.variant("import"), whole_or_nothing=True) as recorder:
             lossless = [stream.device for stream in source.streams if stream.kind in ("color", "depth")]
-            recorder.start(RigLayout(source.streams), source.start_ns, lossless)
+            shown = tuple((stage.name, stage.device) for stage in stages)
+            recorder.start(RigLayout(source.streams, shown), source.start_ns, lossless)
 
-            def is_over(items: object) -> bool:
-                return source.ended
+            def is_over(items: Sequence[object]) -> bool:
+                return source.ended and not items  # what the last items gave comes with the next step
 
-            run(source, live_stages((), {}, is_over), recorder)
+            within = {str(name): Inline() for name in names}
+            experiment = live_stages(stages, within, is_over, lossless=True, clock=lambda: source.now_ns)
+            counts = run(source, experiment, recorder)
             last = finish(source, recorder)
             recorder.stopped_because("the source is at its end")
-        return _result(config, source, last, recorder.summary())
+        return _result(config, source, last, recorder.summary(), counts)
 
 
-def _result(config: ImportConfig, source: ImportSource, last: HealthReport, summary: Any) -> RecordResult:
+def import_take(config: ImportConfig, folder: Path) -> RecordResult:
+    """Write a take's frames as pair files and a motion file into a new folder. Raises InputError for what is wrong with
+    the take; then nothing is left."""
+    take = read_take(config.source, config.particles)
+    pressed = np.flatnonzero(take.touched.any(axis=1))
+    unseen = pressed[config.unseen - 1 :: config.unseen]
+    kinds = {int(at): "unseen" if at in unseen else "pair" for at in pressed}
+    files = {f"{kind}-{take.frames[at]:05}.npz": take.pair(at) for at, kind in kinds.items()}
+    for name, raw in files.items():
+        parse_pair(raw, f"{config.source}, {name}")
+    files["motion.npz"] = take.motion(unseen)
+    parse_motion(files["motion.npz"], config.source)
+    try:
+        folder.mkdir(parents=True, exist_ok=config.output.overwrite)
+    except OSError as error:
+        raise InputError("a new folder for --pairs", (error.strerror or str(error)).lower(), where=folder) from error
+    for name, raw in files.items():
+        (folder / name).write_bytes(raw)
+    counts = [f"{len(pressed) - len(unseen)} pairs", f"{len(unseen)} unseen", f"a motion of {len(take.frames)} frames"]
+    found = {"source": config.source, "files": [str(folder / one) for one in files], "cameras": take.cameras}
+    rows = [("written", ", ".join(counts)), ("cameras", ", ".join(take.cameras) or "none"), ("folder", str(folder))]
+    return RecordResult(cast("dict[str, Any]", plain(found)), Table(rows, caption=str(config.source)))
+
+
+def _result(
+    config: ImportConfig, source: ImportSource, last: HealthReport, summary: Any, stages: Mapping[str, StageCounts]
+) -> RecordResult:
     devices = dict(last.devices)
     kinds = {stream.device: stream.kind for stream in source.streams}
     rows = [(name, _words(kinds[name], health.received, health.lost)) for name, health in devices.items()]
+    rows += [(f"stage {name}", counts.to_text()) for name, counts in stages.items()]
     found: dict[str, object] = {"recording": summary.path, "frames": summary.frames, "bytes": summary.bytes}
+    found |= {"stages": {name: counts.as_json() for name, counts in stages.items()}} if stages else {}
     found |= {"source": config.source, "devices": devices, "losses": losses_of(last)}
     table = Table([*rows, *recording_rows(summary)], caption=str(config.source))
     return RecordResult(cast("dict[str, Any]", plain(found)), table)

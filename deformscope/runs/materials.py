@@ -49,7 +49,7 @@ from deformscope.runs.calibration_report import provenance_sections, settings_se
 from deformscope.runs.material_report import material_bodies, material_figure, material_table
 from deformscope.runs.result import Note, SourceResult, log_note, open_recorder
 from deformscope.session import Step, run
-from deformscope.stages.fit.model import Model, Observation
+from deformscope.stages.fit.model import NEWEST_FIT, Model, Observation
 from deformscope.stages.fit.motion import Motion
 from deformscope.stages.fit.search import Progress
 from deformscope.stages.materials.axis_estimate import AxisEstimate
@@ -83,7 +83,7 @@ class MaterialJob:
 
     find: what of a material; noise: of a position [m of files, px of images]; particles: of images
     frame: of images, that axes or a field are fitted to; force_n: on what was moved; at, released: see
-    `UnloadingOptions`
+    `UnloadingOptions`; version: see `NEWEST_FIT`
     """
 
     find: Literal["axes", "field", "yield", "viscous"]
@@ -102,17 +102,26 @@ class MaterialJob:
     theta: float = 0.0
     at: tuple[int, int] | None = None
     released: tuple[str, ...] = ("contact",)
+    version: int = 1
 
     def yield_options(self) -> YieldOptions:
         """How yielding is fitted."""
         most = float("inf") if self.maximum is None else self.maximum
         return YieldOptions(
-            self.beta, self.creep, most, self.cluster_size, self.theta, self.level, self.seed, self.device
+            self.beta,
+            self.creep,
+            most,
+            self.cluster_size,
+            self.theta,
+            self.level,
+            self.seed,
+            self.device,
+            version=self.version,
         )
 
     def model(self) -> Model:
         """What axes are fitted with."""
-        return Model(cluster_size=self.cluster_size, device=self.device)
+        return Model(cluster_size=self.cluster_size, device=self.device, version=self.version)
 
     def directions(self, d: int) -> Any:
         """(d, d) the material's axes."""
@@ -196,6 +205,7 @@ def job_of(config: MaterialOptions) -> MaterialJob:
     given = {one.name: getattr(group, one.name) for group in groups if group for one in dataclasses.fields(group)}
     known = {one.name: given.get(one.name) for one in dataclasses.fields(MaterialJob)}
     known |= {"find": type(config).__name__.removesuffix("Config").lower(), "device": pick_device(config.fit.device)}
+    known["version"] = NEWEST_FIT
     return MaterialJob(**{name: value for name, value in known.items() if value is not None})
 
 

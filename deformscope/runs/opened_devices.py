@@ -1,16 +1,20 @@
-"""What is explored, by its name on the command line: a simulated scene, or the devices of a rig file."""
+"""What is explored, by its name on the command line: a simulated scene, the devices of a rig file, or a recording."""
 
 from __future__ import annotations
 
 import contextlib
 import dataclasses
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, cast
 
 from deformscope.errors import InputError
+from deformscope.terminal import say
 
 if TYPE_CHECKING:
     from deformscope.experiments.options import ExploreOptions
+    from deformscope.experiments.recorded_touches import RecordedTouches
+    from deformscope.frames import Stream
     from deformscope.lab.live_lab import LiveLab
     from deformscope.lab.randomized_rig import RandomizedRig
     from deformscope.lab.touch_lab import TouchLab
@@ -19,7 +23,7 @@ if TYPE_CHECKING:
     from deformscope.robot.setup import RigParts, Setup
     from deformscope.robot.squeeze_setup import SqueezeSetup
 
-LAB = "lab:"
+LAB, RECORDING = "lab:", ".rrd"
 
 
 @dataclasses.dataclass(frozen=True, slots=True, eq=False)
@@ -27,12 +31,14 @@ class Opening:
     """A setup, and what belongs to it.
 
     options: how to explore it; settings: for its recording; lab: whose faults can be asked for, None on a rig
+    recorded: that give what somebody's robot did, None = a robot is commanded
     """
 
     setup: Setup
     options: ExploreOptions
     settings: dict[str, Any]
     lab: TouchLab | None = None
+    recorded: RecordedTouches | None = None
 
     @property
     def faulty_lab(self) -> TouchLab:
@@ -54,7 +60,7 @@ def setup_of(
     removal: Removal | None = None,
     tangential: Literal["held", "free"] | None = None,
 ) -> Opening:
-    """The setup of `lab:NAME` or of a rig file, closed.
+    """The setup of `lab:NAME`, of a rig file, closed, or of a recording.
 
     set_force_n: None = as the rig file says; trusted: as for `deformscope.rig.rig_file.load_rig`; clean: the laboratory
     keeps nothing from the estimator; camera: what its camera measures by; robot: what it
@@ -100,7 +106,8 @@ def setup_of(
 
     if not Path(name).exists() and _is_scene(name):
         raise InputError("a rig file, or lab:NAME", repr(name), f"{LAB}{name}")
-    rig = load_rig(name, trusted=trusted)
+    is_recording = name.lower().endswith(RECORDING)
+    rig = recorded_rig(Path(name)) if is_recording else load_rig(name, trusted=trusted)
     options = dataclasses.replace(
         options,
         set_force_n=rig.workspace.target_force_n if set_force_n is None else set_force_n,
@@ -110,7 +117,80 @@ def setup_of(
         tangential=tangential or rig.touch.tangential,
     )
     settings = {"rig": rig.text, "rig_name": rig.name, "scene": rig.surface.scene}
+    if is_recording:
+        setup, touches = recorded_setup(Path(name), rig, options)
+        options = dataclasses.replace(options, budget=touches.count, go_on=True)
+        return Opening(setup, options, settings, recorded=touches)
     return Opening(setup_of_rig(rig, options.seed), options, settings)
+
+
+def recorded_rig(path: Path) -> Rig:
+    """Where arm, camera and surface were in a recording. Raises InputError for what is not known of it."""
+    from deformscope.recording.items import read_streams
+    from deformscope.recording.reader import Replay
+    from deformscope.rig.rig_file import parse_rig
+
+    text = Replay(path).settings.get("rig", "")
+    rig = parse_rig(text, str(path), others=[one.device for one in read_streams(path, trust=True)])
+    camera = rig.camera
+    known: list[tuple[str, object]] = [("[surface] T_arm_surface", rig.surface.T_arm_surface)]
+    known += [(f"[camera] {name}", getattr(camera, name)) for name in ("T_arm_camera", "focal_px", "center_px")]
+    if missing := [name for name, value in known if value is None]:
+        raise InputError(f"{missing[0]} of what was recorded", "none", "in the map of its import", path)
+    return rig
+
+
+def recorded_setup(path: Path, rig: Rig, options: ExploreOptions) -> tuple[Setup, RecordedTouches]:
+    """What a recording's arm did as a setup that is explored. Raises InputError where it made no touch."""
+    import numpy as np
+
+    from deformscope.experiments.measured import SetupGeometry
+    from deformscope.experiments.recorded_touches import RecordedTouches, find_touches
+    from deformscope.frames import ArmFrame, DepthFrame, WrenchFrame
+    from deformscope.recording.item_rows import read_rows
+    from deformscope.recording.item_source import ItemSource
+    from deformscope.recording.items import read_items, read_streams
+    from deformscope.recording.reader import Replay
+    from deformscope.recording.streams import RecordingTables
+    from deformscope.robot.placement import Placement
+    from deformscope.robot.setup import CameraView, Setup
+    from deformscope.runs.replay_exploration import frame_inputs
+    from deformscope_drivers.manual_arm.config import MANUAL
+
+    replay, streams = Replay(path, trust=True), read_streams(path, trust=True)
+    names = [_only_stream(streams, kind, rig.camera.device) for kind in ("arm", "wrench", "depth")]
+    T_base_surface = np.array(rig.surface.T_arm_surface, dtype=np.float64)
+    T_surface_camera = np.linalg.inv(T_base_surface) @ np.array(rig.camera.T_arm_camera)
+    camera = rig.camera
+    source = ItemSource(read_items(path, trust=True), streams, RecordingTables(replay).start_ns)
+    setup = Setup(
+        size_m=rig.surface.size_m,
+        placement=Placement(T_base_surface, rig.tool),
+        workspace=rig.workspace,
+        camera=CameraView(camera.focal_px, camera.center_px, camera.distortion, T_surface_camera, camera.doubt_m),
+        open_source=lambda: cast(Any, source),
+        names=(names[0], names[1], names[2]),
+        compliance_m_per_n=rig.tool.compliance_m_per_n or 0.0,
+        compliance_sd=rig.tool.compliance_sd,
+        simulated=bool(replay.settings.get("simulated")),
+        runs_itself=False,
+        clock=lambda: source.now_ns,
+    )
+    model = next((str(one.config.model) for one in rig.devices if one.name == names[0] and one.config.model), MANUAL)
+    kinds = (ArmFrame, WrenchFrame, DepthFrame)
+    items = (row.item for row in read_rows(replay, kinds, lambda encoded, which: encoded))
+    found = find_touches(items, setup.names, SetupGeometry.of(setup), options, model)
+    for one in found.left_out:
+        say(f"left out: {one}")
+    return setup, RecordedTouches(frame_inputs(path, [found.look, *found.touches]), source)
+
+
+def _only_stream(streams: Sequence[Stream], kind: str, camera: str) -> str:
+    """The one recorded device of a kind, of depth cameras the one that is named."""
+    found = [one.device for one in streams if one.kind == kind and (kind != "depth" or camera in ("", one.device))]
+    if len(found) != 1:
+        raise InputError(f"one {kind} device in the recording", ", ".join(found) or "none", "the map of its import")
+    return found[0]
 
 
 def setup_of_rig(rig: Rig, seed: int = 0) -> Setup:

@@ -99,7 +99,8 @@ def _fits(recording: Replay, config: ReplayConfig, progress: Progress | None) ->
 
     settings = dict(recording.settings)
     try:
-        fit = msgspec.convert(settings.pop("fit"), FitOptions)
+        given = settings.pop("fit")
+        fit = msgspec.convert(given | {"model": {"version": 1} | given["model"]}, FitOptions)
         particles = msgspec.convert(settings.pop("particles", {}), ParticleOptions)
         motion = settings.pop("motion", None)
         select = None if motion is None else msgspec.convert(motion["select"], tuple[Selectable, ...])
@@ -162,9 +163,11 @@ def _replay_rig(recording: Replay) -> ReplayResult:
     from deformscope.rig.rig_file import parse_rig
 
     settings, path = recording.settings, recording.path
-    rig = parse_rig(settings["rig"], settings.get("rig_name", "rig")) if settings["rig"] else None
+    streams = read_streams(path, trust=True)
+    others = [one.device for one in streams]
+    rig = parse_rig(settings["rig"], settings.get("rig_name", "rig"), others=others) if settings["rig"] else None
     items = (row.item for row in read_rows(recording, ITEMS, lambda encoded, which: encoded))
-    found = compare_with_bytes(rig, read_streams(path, trust=True), items)
+    found = compare_with_bytes(rig, streams, items)
     rows = []
     for one in found:
         result = f"{one.compared} of {one.frames} frames decoded again" if one.compared else f"{one.frames} frames"

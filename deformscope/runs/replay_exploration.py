@@ -179,15 +179,20 @@ def recorded_inputs(path: Path) -> list[Any]:
 
     Raises InputError where a frame that one of them names is not in the recording.
     """
-    from deformscope.experiments.measured import Looked, Touched
     from deformscope.recording.items import read_results
     from deformscope.stages.map.measured import LookFrames, SurfaceMeasurement, TouchFrames, TouchMeasurement
 
     kinds = (LookFrames, SurfaceMeasurement, TouchFrames, TouchMeasurement)
     inputs: list[Any] = [row.item for row in read_results(path, kinds, trust=True)]
     named = [one for one in inputs if isinstance(one, LookFrames | TouchFrames)]
-    if not named:
-        return inputs
+    return frame_inputs(path, named) if named else inputs
+
+
+def frame_inputs(path: Path, named: list[Any]) -> list[Any]:
+    """Looks and touches with the content of the frames that they name, which a recording holds."""
+    from deformscope.experiments.measured import Looked, Touched
+    from deformscope.stages.map.measured import LookFrames
+
     data = _frames(path, named)
     return [Looked(one, data) if isinstance(one, LookFrames) else Touched(one, data) for one in named]
 

@@ -75,7 +75,7 @@ def run_rig(config: RigRunOptions, auto: Literal["none", "native"], *, always_re
     settings = {"rig": rig.text, "rig_name": rig.name, "label": config.label, "seed": config.output.seed}
     settings["simulated"] = [entry.name for entry in rig.devices if entry.double]
     names = config.stages.names
-    options = _live_options(config.stages, rig) if names else None
+    options = live_options(config.stages, rig) if names else None
     if options is not None:
         settings["stages"] = dataclasses.asdict(options)
     recent = _recent(config.keep_last, viewer, names)
@@ -157,13 +157,22 @@ def _new_file(rig: Rig) -> Path:
     return new_recording(Path(rig.record.folder), rig.name.replace(":", "-"))
 
 
-def _live_options(flags: StageOptions, rig: Rig) -> LiveOptions:
-    """How the stages run that were asked for. Raises InputError where the rig lacks what one of them needs."""
+def live_options(flags: StageOptions, rig: Rig, streams: Sequence[Stream] = ()) -> LiveOptions:
+    """How the stages run that were asked for. Raises InputError where the rig lacks what one of them needs.
+
+    streams: of the devices, where they are not the rig's
+    """
     from deformscope.experiments.calibration_inputs import particle_options
     from deformscope.experiments.device_stages import LiveOptions, for_rig
+    from deformscope.stages.fit.model import NEWEST_FIT
 
-    own = {"names": flags.names, "color": flags.camera or "", "particles": particle_options(flags)}
-    return for_rig(LiveOptions(**flags.shared(LiveOptions) | own), rig)
+    own = {
+        "names": flags.names,
+        "color": flags.camera or "",
+        "particles": particle_options(flags),
+        "version": NEWEST_FIT,
+    }
+    return for_rig(LiveOptions(**flags.shared(LiveOptions) | own), rig, streams)
 
 
 # What stages need takes seconds to load: only where there are some.

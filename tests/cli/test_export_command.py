@@ -48,7 +48,7 @@ def test_beta_of_a_cameras_recorded_images_is_that_of_the_exported_ones(
     frames = [ColorFrame(Stamp(rig.ns(at / 30)), 7 + 2 * at, image, "front") for at, image in enumerate(images)]
     path = rig_recording(tmp_path / "r.rrd", [*frames, *(rig.depth(i, colored=True, size=(24, 32)) for i in range(3))])
     assert main(["export", str(path), "--images", str(tmp_path / "front"), "--camera", "front"]) == 0
-    names = sorted(file.name for file in (tmp_path / "front").iterdir())
+    names = sorted(file.name for file in (tmp_path / "front").iterdir() if file.suffix == ".jpg")
     assert names == ["000007.jpg", "000009.jpg", "000011.jpg"]
     for file, frame in zip(names, frames, strict=True):
         assert (tmp_path / "front" / file).read_bytes() == encode_jpeg(frame.image)
@@ -73,7 +73,7 @@ def test_every_camera_gets_a_folder_and_distances_are_16_bit(tmp_path: Path, cap
     found = json.loads(capfd.readouterr().out)
     told = [(one["device"], one["what"], one["count"]) for one in found["images"]]
     assert told == [("above all/1", "color", 3), ("above all/1", "depth", 3), ("front", "image", 2)]
-    written = {folder.name: len(list(folder.iterdir())) for folder in out.iterdir()}
+    written = {folder.name: len(list(folder.iterdir())) for folder in out.iterdir() if folder.is_dir()}
     assert written == {"above_all_1": 3, "above_all_1-color": 3, "front": 2}
     depth = cv2.imread(str(out / "above_all_1" / "000002.png"), cv2.IMREAD_UNCHANGED)
     expected = next(one for one in items if isinstance(one, DepthFrame) and one.index == 2)
@@ -91,9 +91,22 @@ def test_nothing_is_written_over(tmp_path: Path, capfd: pytest.CaptureFixture[st
     (out / "notes.txt").write_text("mine")
     assert main(["export", str(tmp_path / "r.rrd"), "--images", str(out)]) == 2
     assert "got one that holds files | try: another one, or --overwrite" in capfd.readouterr().err
-    (out / "000099.png").write_bytes(b"of an earlier export")
-    assert main(["export", str(tmp_path / "r.rrd"), "--images", str(out), "--overwrite"]) == 0
-    assert sorted(path.name for path in out.iterdir()) == ["000000.png", "000001.png", "000002.png", "notes.txt"]
+    own = ["000000.png", "000001.png", "000002.png"]
+    for name in ("000099.png", own[0]):
+        (out / name).write_bytes(b"mine")
+    asked = ["export", str(tmp_path / "r.rrd"), "--images", str(out), "--overwrite"]
+    assert main(asked) == 2
+    assert "expected a folder without other images; got 000099.png" in capfd.readouterr().err
+    assert (out / own[0]).read_bytes() == b"mine"
+    (out / "000099.png").unlink()
+    assert main(asked) == 0
+    assert {path.name for path in out.iterdir()} == {".export.json", "notes.txt", *own}
+    assert main(["export", str(tmp_path / "r.rrd"), "--to", "npz", "--out", str(out), "--overwrite"]) == 0
+    assert not {path.name for path in out.iterdir()} & {".export.json", *own}
+    (out / "000007.png").write_bytes(b"mine")  # of no export
+    assert main(["export", str(tmp_path / "r.rrd"), "--to", "csv", "--out", str(out), "--overwrite"]) == 0
+    assert (out / "000007.png").read_bytes() == b"mine"
+    assert not list(out.rglob("*.npz"))
     assert main(["export", str(tmp_path / "r.rrd"), "--images", str(tmp_path / "none"), "--camera", "x"]) == 2
     assert "expected images in the recording; got none of 'x' | try: --camera camera" in capfd.readouterr().err
     assert not (tmp_path / "none").exists()

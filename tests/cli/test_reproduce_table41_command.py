@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 
 from deformscope.cli import main
-from deformscope.reproduce.table41_runs import MapAfter, TableJob, TableRun, add_runs
+from deformscope.executor.journal import Journal
+from deformscope.reproduce.table41_runs import RUNS, MapAfter, TableJob, TableRun, add_runs
 from deformscope.stages.map.map_score import MapScore
 from deformscope.stages.map.plan import Planner
 
@@ -76,9 +77,9 @@ def test_planners_are_compared(tmp_path: Path, capsys: pytest.CaptureFixture[str
             after.append(one)
         return TableRun(TableJob("disc", seed, planner, 10, go_on=True), 2, tuple(after), 3.0, None, 1.0)
 
-    for seed in range(2):
-        add_runs(tmp_path / "runs.jsonl", [run("regions", seed, 0.2)])
-        add_runs(tmp_path / "runs.jsonl", [run("max-variance", seed, 0.1)])
+    with Journal(tmp_path / "runs.jsonl", *RUNS) as journal:
+        for seed in range(2):
+            add_runs(journal, [run("regions", seed, 0.2), run("max-variance", seed, 0.1)])
     arguments = ["--scenes", "disc", "--planners", "regions,max-variance", "--seeds", "2", "--touches", "10"]
     assert main([*ONE, *arguments, "--out", str(tmp_path), "--resume"]) == 0
 

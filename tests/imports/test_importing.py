@@ -209,7 +209,7 @@ def cloud() -> Any:
 
 ANSWERS = (
     ('parent = "?"', 'parent = "base"'),
-    ('child = "?"', 'child = "tool"\njoints = ["a", "b"]'),
+    ('child = "?"\njoints = ["b", "a"]', 'child = "tool"\njoints = ["a", "b"]'),
     (
         'topics = ["/cam/points"]',
         'topics = ["/cam/points"]\nfocal_px = [100, 100]\ncenter_px = [3, 2]\nsize_px = [6, 4]',

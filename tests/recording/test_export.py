@@ -438,7 +438,43 @@ def test_of_two_exports_at_once_one_is_there_whole(tmp_path: Path) -> None:
     with pytest.raises(ds.InputError, match="got one that something has just been put into"):
         write("late", lambda: write("early", lambda: None))
     assert [path.name for path in out.iterdir()] == ["early"]
+    (out / "early").unlink()
+    with pytest.raises(ds.InputError, match="got one that something has just been put into"):
+        write("late", lambda: write("early", lambda: None))
+    assert [path.name for path in out.iterdir()] == ["early"]
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
+
+
+def test_the_folder_one_is_in_and_a_link_to_an_empty_one_are_folders(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("here", "there"):
+        (tmp_path / name).mkdir()
+    (tmp_path / "link").symlink_to(tmp_path / "there")
+    monkeypatch.chdir(tmp_path / "here")
+    for out in (".", str(tmp_path / "link")):
+        assert main(["export", str(BENCH), "--to", "npz", "--only", "wrench/tip", "--out", out]) == 0
+        assert sorted(path.name for path in Path(out).iterdir()) == ["export.json", "wrench"]
+    assert main(["export", str(BENCH), "--to", "csv", "--out", "/"]) == 2
+    assert (tmp_path / "link").is_symlink()
+
+
+@pytest.mark.parametrize("to", ["images", "video"])
+def test_cameras_of_any_name_have_images_of_their_own_within_the_folder(to: str, tmp_path: Path) -> None:
+    cameras = ("..", "x y", "x_y", "x y-color", "color")
+    streams = tuple(rig.Stream(name, "color", "uvc") for name in cameras)
+    path = tmp_path / "r.rrd"
+    with Recorder(path, "none", {"rig": ""}, application=RIG) as made:
+        made.start(RigLayout(streams), rig.START_NS)
+        made.write([rig.color(at, name, (24, 32)) for at in range(2) for name in cameras])
+    before = {path, Path(f"{path}.ledger")}
+    out = exported(path, to, tmp_path / "deep" / "out")
+    files = [one for one in tmp_path.rglob("*") if one.suffix in (".png", ".jpg", ".mp4")]
+    assert len(files) == (10 if to == "images" else 5)
+    assert {one.relative_to(out).parts[0] for one in files} == {
+        f"{name}{'' if to == 'images' else '.mp4'}" for name in ("_", "x_y", "x_y-2", "x_y-color", "color")
+    }
+    assert set(tmp_path.iterdir()) == {*before, tmp_path / "deep"}
 
 
 LIMITED = """

@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deformscope.processes import in_processes
+from deformscope.executor.opened import open_workers
+from deformscope.executor.tasks import compute
 from deformscope.reproduce.containers import SqueezeJob, squeeze_jobs
 from deformscope.reproduce.squeeze_truth import (
     Numbers,
@@ -106,7 +107,10 @@ def test_many_are_summed_up_and_drawn(rice: Numbers) -> None:
 @pytest.mark.slow
 def test_of_a_hundred_squeezes_nearly_all_are_found_as_they_were() -> None:
     jobs = squeeze_jobs(Path("nowhere"), 80, 20, 0, 0, new=True)
-    every = [numbers for _, (_, numbers) in in_processes(squeeze_errors, jobs)]
+    with open_workers("local", None, None) as workers:
+        every = [one.value[1] for one in compute(workers, squeeze_errors, jobs) if one.value is not None]
+
+    assert len(every) == len(jobs)
 
     assert not any("stopped" in one for one in every)
     for name in ("first", "steady", "first_lost", "steady_lost"):

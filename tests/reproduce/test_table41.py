@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 
 from deformscope.errors import InputError
+from deformscope.executor.journal import Journal
 from deformscope.experiments.options import ExploreOptions
 from deformscope.lab.scenes import built_in
 from deformscope.reproduce.surface_robot import true_map
 from deformscope.reproduce.table41 import run_table
-from deformscope.reproduce.table41_runs import MapAfter, TableJob, TableRun, add_runs, read_runs
+from deformscope.reproduce.table41_runs import RUNS, MapAfter, TableJob, TableRun, add_runs, read_runs
 from deformscope.reproduce.table41_summary import compare, curves, first_passage, summarise
 from deformscope.stages.map.map_score import MapScore
 from deformscope.stages.poke.contact import layer_modulus
@@ -71,17 +72,19 @@ def test_a_row_of_the_table_and_its_file(tmp_path: Path) -> None:
     assert all(abs(one.log_stiffness - one.felt_log_stiffness) < 0.1 for one in soft)
 
     path = tmp_path / "runs.jsonl"
-    add_runs(path, [found])
-    add_runs(path, [run(0, 0.1)])
+    with Journal(path, *RUNS) as journal:
+        add_runs(journal, [found])
+        add_runs(journal, [run(0, 0.1)])
     with path.open("a") as file:
         file.write('{"job": {"scene": "di')  # cut off in the middle of a line
-    assert list(read_runs(path)) == [found, run(0, 0.1)]
+    with Journal(path, *RUNS) as journal:
+        assert list(read_runs(journal)) == [found, run(0, 0.1)]
 
 
 def test_runs_of_another_version_are_refused(tmp_path: Path) -> None:
     (tmp_path / "runs.jsonl").write_text('{"job": {}, "after": [{"score": {}}]}\n')
-    with pytest.raises(InputError, match="leave --resume out"):
-        list(read_runs(tmp_path / "runs.jsonl"))
+    with Journal(tmp_path / "runs.jsonl", *RUNS) as journal, pytest.raises(InputError, match="leave --resume out"):
+        list(read_runs(journal))
 
 
 def test_a_plan_that_says_enough_ends_the_robots_run_and_not_the_comparison() -> None:

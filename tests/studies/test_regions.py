@@ -68,12 +68,16 @@ def test_bins_hold_as_many_each_and_their_band_is_the_binomial_s() -> None:
 
 
 def test_a_row_counts_levels_where_the_number_is_right() -> None:
-    right = replace(NOTHING, levels=2, levels_covered=1, true_count=2, count=2, wrong=0.1, wrong_claimed=0.2)
-    off = replace(NOTHING, count=3, levels=0, levels_covered=0, width=np.nan)
+    several = {"1": 0.3, "2": 0.5, "3": 0.2}
+    right = replace(
+        NOTHING, levels=2, levels_covered=1, true_count=2, count=2, wrong=0.1, wrong_claimed=0.2, probability=several
+    )
+    off = replace(NOTHING, count=3, levels=0, levels_covered=0, width=np.nan, probability=several)
     (row,) = rows([[right, off]], QUANTITIES)
     assert (row["objects"], row["number_right"].hits) == (2, 1)
     assert (row["levels"].cases, row["levels"].hits) == (2, 1)
     assert (row["wrong_share"], row["wrong_share_claimed"]) == (0.1, 0.2)
+    assert row["true_number_probability"] == pytest.approx(0.4)
 
 
 def test_touches_have_the_errors_of_their_session() -> None:

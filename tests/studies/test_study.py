@@ -20,6 +20,7 @@ pytest.importorskip("tyro")
 from deformscope.arrays import FloatArray
 from deformscope.cli import with_flags
 from deformscope.cli.study import Study, StudyReport, Trials, run, tried
+from deformscope.config.executor import ExecutorOptions
 from deformscope.config.reproduce import StudyOptions
 from deformscope.errors import InputError
 from deformscope.pictures.report import Table
@@ -133,6 +134,7 @@ def test_new_outcomes_are_kept_together_and_what_is_left_too() -> None:
 
     found = tried(
         Trials("numbers", square, numbers),
+        ExecutorOptions(),
         1,
         known={1: Odd(-1)},
         keep=lambda new: kept.append([case for case, _ in new]),

@@ -9,7 +9,7 @@ import os
 import re
 import shutil
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from itertools import chain, count
 from pathlib import Path
@@ -17,15 +17,17 @@ from typing import Any, Literal
 
 from deformscope.errors import InputError
 from deformscope.frames import Stream
-from deformscope.recording.export.images import OURS, ExportedImages, Note, Videos, counted_images, export_images
+from deformscope.recording.export.images import ExportedImages, Note, Videos, counted_images, export_images
 from deformscope.recording.export.table_files import IMAGES, TABLE_FILES, TableFile
+from deformscope.recording.lock import one_at_a_time
 from deformscope.recording.provenance import exported
 from deformscope.recording.reader import Replay
 from deformscope.recording.streams import SCHEMA_VERSION, RecordedStream, RecordingTables
 from deformscope.rows import OF_DEVICES
 
 Format = Literal["csv", "parquet", "mcap", "video", "npz", "images"]
-MANIFEST = "export.json"
+MANIFESTS = "export.json", ".export.json"
+NUMBERED = re.compile(r"\d{6,}\.(png|jpg)")
 _drafts = count()
 
 
@@ -62,7 +64,7 @@ class ExportRequest:
 
     only: entities, what is below them, or devices; () = all; camera: images of this device alone
     anonymous: without what may name a person, a machine or a path; overwrite: replace an earlier export
-    manifest: write `export.json` beside the files
+    manifest: `export.json` beside the files is not hidden
     """
 
     to: Format
@@ -83,17 +85,20 @@ def export(replay: Replay, asked: ExportRequest, note: Note) -> Exported:
     devices = {asked.camera} if asked.camera is not None else devices
     counts = counted_images(replay, devices) if asked.to in ("images", "video") else {}
     about = _about(replay, asked, tables)
+    names = dict[tuple[str, str], str]()
+    for device, what in counts:
+        names[device, what] = _unused([f"{device}-{what}" if what == "color" else device], names.values())
     with _draft(asked.folder, overwrite=asked.overwrite) as draft:
         images: list[ExportedImages] = []
         match asked.to:
             case "images":
-                images = export_images(tables, counts, draft, note)
+                images = export_images(tables, counts, names, draft, note)
                 files = [ExportedFile(one.device, _inside(one.folder, draft), one.count) for one in images]
             case "video":
                 cameras = {device for device, _ in counts}
                 chosen = {entity: one for entity, one in chosen.items() if one.device in cameras}
                 chosen = {entity: one for entity, one in chosen.items() if set(one.schema.names) & set(IMAGES)}
-                videos = Videos(draft, {one.device: one.rate_hz for one in chosen.values()})
+                videos = Videos(draft, {one.device: one.rate_hz for one in chosen.values()}, names)
                 files = _write_tables(tables, chosen, draft, "csv", about, note, videos)
                 files += [ExportedFile(path.stem, path.name, number) for path, number in videos.counts.items()]
             case "mcap":
@@ -103,10 +108,9 @@ def export(replay: Replay, asked: ExportRequest, note: Note) -> Exported:
                 files = [ExportedFile(*one) for one in write_mcap(tables, chosen, path, about, note)]
             case _:
                 files = _write_tables(tables, chosen, draft, asked.to, about, note)
-        if asked.manifest:
-            about |= {"streams": [_described(one, files) for one in chosen.values()], "files": files}
-            text = json.dumps(about, indent=2, default=dataclasses.asdict)
-            (draft / MANIFEST).write_text(f"{text}\n", encoding="utf-8")
+        about |= {"streams": [_described(one, files) for one in chosen.values()], "files": files}
+        text = json.dumps(about, indent=2, default=dataclasses.asdict)
+        (draft / MANIFESTS[not asked.manifest]).write_text(f"{text}\n", encoding="utf-8")
     images = [
         ExportedImages(one.device, one.what, asked.folder / _inside(one.folder, draft), one.count) for one in images
     ]
@@ -155,6 +159,10 @@ def file_name(entity: str, used: Collection[str] = ()) -> str:
     """An entity as a path of its own, below folders: devices may have any name. used: paths that others have"""
     first, _, rest = entity.partition("/")
     parts = [first, *([rest] if first in OF_DEVICES.values() else rest.split("/") if rest else ())]
+    return _unused(parts, used)
+
+
+def _unused(parts: Sequence[str], used: Collection[str]) -> str:
     path = "/".join(re.sub(r"[^\w.-]", "_", part).lstrip(".") or "_" for part in parts)
     others = (f"{path}-{number}" for number in count(2))
     return next(name for name in chain([path], others) if name not in used)
@@ -197,18 +205,17 @@ def _draft(folder: Path, *, overwrite: bool) -> Iterator[Path]:
 
     overwrite: what an earlier export wrote there is replaced; other files there stay
     """
-    folder = folder.expanduser()
-    draft = folder.with_name(f".{folder.name}.{os.getpid()}-{next(_drafts)}.part")
+    folder = Path(os.path.realpath(folder.expanduser()))
+    is_there = folder.is_dir()  # the draft is then in it: it may be another disk
+    draft = (folder if is_there else folder.parent) / f".{folder.name}.{os.getpid()}-{next(_drafts)}.part"
     try:
-        held = list(folder.iterdir()) if folder.exists() else []
-        if held and not overwrite:
-            came, hint = "one that holds files", "another one, or --overwrite"
-            raise InputError("an empty folder, or a new one", came, hint, folder)
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        draft.mkdir()
+        _check_empty(folder, "one that holds files", allowed=overwrite)
+        draft.mkdir(parents=True)
         yield draft
-        if held:
-            _replace(folder, draft)
+        if is_there:
+            with one_at_a_time(folder):
+                _check_empty(folder, "one that something has just been put into", allowed=overwrite)
+                _replace(folder, draft)
         else:
             draft.rename(folder)  # fails where another export has put its files there meanwhile
     except OSError as error:
@@ -218,21 +225,37 @@ def _draft(folder: Path, *, overwrite: bool) -> Iterator[Path]:
         shutil.rmtree(draft, ignore_errors=True)
 
 
+def _check_empty(folder: Path, came: str, *, allowed: bool) -> None:
+    """Refuse a folder that holds something but drafts of exports. allowed: it may"""
+    if folder.exists() and any(one.suffix != ".part" for one in folder.iterdir()) and not allowed:
+        raise InputError("an empty folder, or a new one", came, "another one, or --overwrite", folder)
+
+
 def _replace(folder: Path, draft: Path) -> None:
-    """Take away what an earlier export wrote, and move the draft's files there."""
-    new = [path.relative_to(draft) for path in draft.rglob("*") if path.is_file()]
-    try:
-        ours = [folder / one["file"] for one in json.loads((folder / MANIFEST).read_bytes())["files"]]
-    except (OSError, ValueError, TypeError, KeyError):
-        ours = []
-    folders = {folder, *(path for path in ours if path.is_dir()), *((folder / name).parent for name in new)}
-    images = [path for one in folders if one.is_dir() for path in one.iterdir() if OURS.fullmatch(path.name)]
-    for path in (*ours, *images):
-        if path.is_file() and path.resolve().is_relative_to(folder.resolve()):
+    """Take away what an earlier export wrote, as its manifest says, and move the draft's files there.
+
+    Raises InputError where images that are no export's would stand among the new ones.
+    """
+    new = {folder / path.relative_to(draft) for path in draft.rglob("*") if path.is_file()}
+    old = set[Path]()
+    for manifest in (folder / name for name in MANIFESTS):
+        with suppress(OSError, ValueError, TypeError, KeyError):
+            ours = [folder / one["file"] for one in json.loads(manifest.read_bytes())["files"]]
+            old |= {manifest, *ours, *(path for one in ours for path in _numbered(one))}
+    for place in {path.parent for path in new if NUMBERED.fullmatch(path.name)}:
+        if others := sorted(_numbered(place) - old - new):
+            raise InputError("a folder without other images", others[0].name, "another one", place)
+    for path in old:
+        if path.is_file() and path.resolve().is_relative_to(folder):
             path.unlink()
-    for name in new:
-        (folder / name).parent.mkdir(parents=True, exist_ok=True)
-        (draft / name).replace(folder / name)
+    for path in new:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        (draft / path.relative_to(folder)).replace(path)
+
+
+def _numbered(folder: Path) -> set[Path]:
+    """Images that are named as an export names them."""
+    return {path for path in folder.iterdir() if NUMBERED.fullmatch(path.name)} if folder.is_dir() else set()
 
 
 def as_text(value: Any) -> str:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import re
 from collections import Counter
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,10 +17,11 @@ from deformscope.recording.export.table_files import IMAGES
 from deformscope.recording.reader import Replay
 from deformscope.recording.streams import RecordingTables
 
-OURS = re.compile(r"\d{6,}\.(png|jpg)")
 VIDEO_CODEC, VIDEO_SUFFIX = "vp09", ".mp4"
 """Free of patents, in OpenCV's own wheel, and shown by browsers."""
 Note = Callable[[str, int, int], None]
+ImageNames = Mapping[tuple[str, str], str]
+"""Of a folder or a file for images, by device and what they are."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,11 +49,11 @@ def counted_images(replay: Replay, devices: Collection[str] | None) -> dict[tupl
 
 
 def export_images(
-    tables: RecordingTables, counts: dict[tuple[str, str], int], folder: Path, note: Note
+    tables: RecordingTables, counts: dict[tuple[str, str], int], names: ImageNames, folder: Path, note: Note
 ) -> list[ExportedImages]:
-    """Write them as `INDEX.jpg` and `INDEX.png`. folder: for those of one kind; several kinds get folders in it: DEVICE
-    and, for the colour images of a depth camera, DEVICE-color; note: called with what is done, and of how much."""
-    folders = {one: folder if len(counts) == 1 else folder / image_name(*one) for one in counts}
+    """Write them as `INDEX.jpg` and `INDEX.png`. folder: for those of one kind; several kinds get folders in it, by
+    their names; note: called with what is done, and of how much."""
+    folders = {one: folder if len(counts) == 1 else folder / names[one] for one in counts}
     for path in folders.values():
         path.mkdir(parents=True, exist_ok=True)
     total, done = sum(count for (_, what), count in counts.items() if what != "color"), 0
@@ -70,23 +70,18 @@ def export_images(
     return [ExportedImages(*one, folders[one], count) for one, count in counts.items()]
 
 
-def image_name(device: str, what: str) -> str:
-    """Of a folder or file for images of a kind."""
-    return re.sub(r"[^\w.-]", "_", f"{device}-{what}" if what == "color" else device)
-
-
 class Videos:
     """A video of each kind of images at their mean rate. Distances are colours from 0, violet, to the largest of the
     first image; the recorded times of the images are in the table beside it."""
 
-    def __init__(self, folder: Path, rates_hz: dict[str, float]) -> None:
-        self._folder, self._rates_hz = folder, rates_hz
+    def __init__(self, folder: Path, rates_hz: dict[str, float], names: ImageNames) -> None:
+        self._folder, self._rates_hz, self._names = folder, rates_hz, names
         self._open: dict[Path, tuple[cv2.VideoWriter, tuple[int, ...], float]] = {}
         self.counts: Counter[Path] = Counter()
 
     def write(self, device: str, what: str, encoded: bytes) -> None:
         """Add an image."""
-        path = self._folder / (image_name(device, what) + VIDEO_SUFFIX)
+        path = self._folder / (self._names[device, what] + VIDEO_SUFFIX)
         image: Any = decode_image(encoded, path)
         if path not in self._open:
             self._open[path] = (self._begin(path, device, image), image.shape[:2], float(image.max()) or 1.0)

@@ -18,6 +18,7 @@ from deformscope.stages.fit.at_value import at_value
 from deformscope.stages.fit.distance import distances, explained_share, nearest_error, unexplained
 from deformscope.stages.fit.doubts import (
     NOISE_NAMED,
+    bulging,
     found_in_numbers,
     implausible_lengths,
     known_of,
@@ -120,7 +121,6 @@ def calibrate(
         used["frames_worth"] = found.worth
         used["frames_correlation"] = [found.shared.mean, found.shared.most]
         used["frame_values"] = [round(float(v), 4) for v in fit.each_best()]
-    curve = Curve(drawn, fit.error()[fit.rows_of(drawn)])
     with threadpool_limits(1):  # small matrices: more threads cost time, and change the last digits
         inference = Inference(judged, options.seed)
         inferred = inference.run(progress)
@@ -136,13 +136,14 @@ def calibrate(
     free = np.concatenate(
         [distances(c.simulated, c.observed)[s.free_observed] for c, s in zip(comparisons, seen, strict=True)]
     )
-    near = [nearest_error(c.simulated[c.seen], c.observed[c.seen]) for c in comparisons]
     supported = (fit.tried.parameter >= ends[0]) & (fit.tried.parameter <= ends[1])
     converged = inferred.converged and bool(fit.tried.converged[supported].all())
     identified = identifiability(seen, comparisons, inferred)
-    ratio = residual_ratio(seen, [c.simulated for c in comparisons], inference.floor)
-    noise = ratio, inferred.noise, source
-    numbers = found_in_numbers(model.parameter, value, ends, bounds, identified, converged=converged, noise=noise)
+    noise = residual_ratio(seen, [c.simulated for c in comparisons], inference.floor), inferred.noise, source
+    rank = inferred.posterior.rank(value) if model.version > 1 else None
+    numbers = found_in_numbers(
+        model.parameter, value, ends, bounds, identified, converged=converged, noise=noise, rank=rank
+    )
     shown = [*shape_doubts(seen), *(_in_residuals(judged, best, inference) if pace is None and converged else ())]
     shown += either if "two-materials" not in (one.code for one in shown) else []
     here = [setting(seen, model, identified.misfit, inferred.noise)] if model.parameter == "theta" else []
@@ -159,9 +160,9 @@ def calibrate(
         stiffness_verdict="unidentified" if k is None else relative_verdict(*k, of_stiffness(reasons)),
         aee=float(fit.only(np.arange(len(seen)), np.ones(len(seen))).error()[best]),
         aee_free=float(free.mean()),
-        nearest=float(np.mean(near)),
+        nearest=float(np.mean([nearest_error(c.simulated[c.seen], c.observed[c.seen]) for c in comparisons])),
         unit=seen[0].unit,
-        curve=curve,
+        curve=Curve(drawn, fit.error()[fit.rows_of(drawn)]),
         converged=converged,
         settings={**used, **(settings or {})},
         stiffness=k,
@@ -266,7 +267,8 @@ def _in_residuals(search: Search, best: int, inference: Inference, rival: float 
         each = zip(search.seen, search.bodies, shapes, strict=True)
         return [search.relax(body, shape[one.held], tried, None).settled for one, body, shape in each]
 
-    yield from swapped_axes(search.seen, simulate, search.weight, rival)
+    bulge = bulging(search.seen, search.bodies, search.values(tried)[0], search.model.version)
+    yield from swapped_axes(search.seen, simulate, bulge, search.weight, rival)
     yield from _two_betas(search, best, inference, rival)
 
 

@@ -31,6 +31,7 @@ from deformscope.stages.fit.estimate import (
 )
 from deformscope.stages.fit.model import Model, Observation
 from deformscope.stages.fit.plausible import LARGE_M, size_of
+from deformscope.stages.msm.solver import Msm
 
 SMALL_M = 1e-3
 """No body of particles that a camera follows is smaller [m]."""
@@ -55,8 +56,14 @@ motion beyond a rigid one that is left at most that share: what fits neither way
 seeds (`studies.seeds`): the squares of 750 bodies whose columns are right came to no less than 0.6, of 150
 whose columns are swapped 95 % came to 0.45 at most."""
 
+BULGES = (0.1, 0.2, 0.35, 0.5, 0.75, 1.0)
+"""Values of theta at which a body may bulge instead."""
+
 NEGLIGIBLE = 1e-3
 """Share of a push below which a misfit moves no theta."""
+
+TAIL = 0.005
+"""Mass of a posterior beyond a value, below which the value contradicts it."""
 
 END = 0.01
 """Of the interval's width: a value nearer to its end stands on it."""
@@ -71,18 +78,20 @@ def found_in_numbers(
     *,
     converged: bool,
     noise: tuple[float | None, float | None, NoiseSource] = (None, None, "residuals"),
+    rank: float | None = None,
 ) -> list[Doubt]:
     """What the numbers of a fit within its bounds show.
 
     noise: size of the residuals in units of the noise that is known, if it is; the noise that they show [unit], where
-    it is known apart from a misfit; and where the known noise is from
+    it is known apart from a misfit; and where the known noise is from; rank: mass of the posterior below the value,
+    where there is a posterior
     """
     ratio, shown, source = noise
     left_is_noise = shown is not None and identifiability.misfit < shown if ratio is None else ratio < LIKE_NOISE
     return [
         *not_converged(converged),
         *little_explained(identifiability.explained, left_is_noise=left_is_noise),
-        *value_at_end(name, value, ends, bounds),
+        *value_at_end(name, value, ends, bounds, rank),
         *noise_contradicted(ratio, source),
     ]
 
@@ -123,9 +132,16 @@ def little_explained(share: float, *, left_is_noise: bool = False) -> Iterator[D
         yield Doubt("little-explained", f"{words} only ({left})", "weak")
 
 
-def value_at_end(name: str, value: float, ends: tuple[float, float], bounds: tuple[float, float]) -> Iterator[Doubt]:
-    """The value of least mean distance may be where the likelihood's interval ends, which was stretched to hold it."""
+def value_at_end(
+    name: str, value: float, ends: tuple[float, float], bounds: tuple[float, float], rank: float | None = None
+) -> Iterator[Doubt]:
+    """The value of least mean distance may be where the likelihood's interval ends, which was stretched to hold it.
+
+    rank: mass of the posterior below the value: one that is not in its tails is as likely as others are
+    """
     low, high = ends
+    if rank is not None and TAIL < rank < 1.0 - TAIL:
+        return
     slack = END * (high - low)
     if high <= low or value <= bounds[0] + slack or value >= bounds[1] - slack:
         return
@@ -251,24 +267,45 @@ def turns(dim: int) -> list[Turn]:
     return found[1:] if dim == 2 else found  # in the plane one sign is the other one turned, and all
 
 
+def bulging(seen: Sequence[Observation], bodies: Sequence[Msm], beta: FloatArray, version: int) -> Simulate | None:
+    """States at betas (B,) of bodies whose clusters keep more and more of their volume, so that they bulge.
+
+    None of version 1 (`model.NEWEST_FIT`)
+    """
+    if version == 1:
+        return None
+    betas, thetas = np.tile(beta, len(BULGES)), np.repeat(BULGES, len(beta))
+
+    def simulate(shapes: Sequence[FloatArray]) -> list[FloatArray]:
+        each = zip(seen, bodies, shapes, strict=True)
+        return [body.relax(shape[one.held], betas, thetas, volume="project").settled for one, body, shape in each]
+
+    return simulate
+
+
 def swapped_axes(
-    seen: Sequence[Observation], simulate: Simulate, weight: FloatArray | None = None, rival: float = np.inf
+    seen: Sequence[Observation],
+    simulate: Simulate,
+    bulge: Simulate | None,
+    weight: FloatArray | None = None,
+    rival: float = np.inf,
 ) -> Iterator[Doubt]:
     """Whether displacements fit far better with their columns in another order, or of another sign; also as a share of
     the motion beyond a rigid one, since what is turned may be less than it was.
 
-    weight: (n,) of each observation, default 1; rival: squared error [unit^2] of another explanation, which other axes
-    have to leave less than
+    bulge: the states of `bulging`: what bulges as rubber does is no motion of another axis, so that the columns in
+    another order have to fit better than it too, None = not tried; weight: (n,) of each observation, default 1
+    rival: squared error [unit^2] of another explanation, which other axes have to leave less than
     """
     each = np.ones(len(seen)) if weight is None else weight
 
-    def left(matrix: FloatArray) -> tuple[float, float]:
+    def left(matrix: FloatArray, states_of: Simulate) -> tuple[float, float]:
         """Least squared error of the model, and its share of that of a rigid body, with the rest shapes changed by a
         matrix (d, d)."""
         by_model: FloatArray = np.zeros(1)
         by_rigid = 0.0
         shapes = [one.rest + (one.deformed - one.rest) @ matrix.T for one in seen]
-        for one, shape, states, counts in zip(seen, shapes, simulate(shapes), each, strict=True):
+        for one, shape, states, counts in zip(seen, shapes, states_of(shapes), each, strict=True):
             judged = one.free_observed
             rigid = rigid_positions(one.rest, shape, known_of(one))
             by_model = by_model + counts * np.sum((states - shape)[:, judged] ** 2, axis=(1, 2))
@@ -277,9 +314,17 @@ def swapped_axes(
         return least, least / by_rigid if by_rigid > 0.0 else np.inf
 
     dim = seen[0].rest.shape[1]
-    as_is, as_is_share = left(np.eye(dim))
-    (least, share), words = min(((left(matrix), words) for words, matrix in turns(dim)), key=lambda one: one[0])
-    if least < min(SWAPPED * as_is, rival) and share < SWAPPED_SHARE * as_is_share:
+    as_is, as_is_share = left(np.eye(dim), simulate)
+    found = [(*left(matrix, simulate), words, matrix) for words, matrix in turns(dim)]
+    least, share, words, matrix = min(found, key=lambda one: one[0])
+
+    def better() -> bool:
+        return least < min(SWAPPED * as_is, rival) and share < SWAPPED_SHARE * as_is_share
+
+    if bulge is not None and better():
+        as_is, as_is_share = min((as_is, as_is_share), left(np.eye(dim), bulge))
+        least, share = min((least, share), left(matrix, bulge))
+    if better():
         explained = (
             f"{max(1.0 - share, 0.0):.0%} of the motion is explained, as it is {max(1.0 - as_is_share, 0.0):.0%}"
         )

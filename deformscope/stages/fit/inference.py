@@ -65,7 +65,10 @@ class Inference:
     def __init__(self, search: Search, seed: int) -> None:
         self.search = search
         rng = np.random.default_rng(seed)
-        self.parts = [Residuals(seen, body, rng) for seen, body in zip(search.seen, search.bodies, strict=True)]
+        self.parts = [
+            Residuals(seen, body, rng, search.model.version)
+            for seen, body in zip(search.seen, search.bodies, strict=True)
+        ]
         self.converged = True
         empty = Evidence(*3 * (np.zeros((0, 0)),))
         self._found = [empty] * len(self.parts)
@@ -154,8 +157,8 @@ class Inference:
         parameter."""
         part = self.parts[row]
         residual = np.tensordot(mix, residual, 1)
-        onto = part.summary(residual)
-        each = [part.log_summary(residual, onto, response) for response in responses]
+        onto, amplitude = part.summary(residual, responses[len(responses) // 2])
+        each = [part.log_summary(residual, onto, amplitude, response) for response in responses]
         return np.asarray(np.sum(share * np.stack(each), axis=0))
 
     def response(self, row: int, place: int, *, exact: bool = True) -> FloatArray:

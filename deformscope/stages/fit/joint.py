@@ -20,6 +20,7 @@ from deformscope.errors import InputError
 from deformscope.stages.fit.calibrate import TURNED, check_observations, check_range, identifiability, shape_doubts
 from deformscope.stages.fit.distance import distances, nearest_error
 from deformscope.stages.fit.doubts import (
+    bulging,
     found_in_numbers,
     noise_source,
     of_stiffness,
@@ -143,7 +144,9 @@ class _Joint:
         self.seen, self.options, self.left_out = list(seen), options, left_out
         self.bodies = [options.model.body(one) for one in seen]
         rng = np.random.default_rng(options.seed)
-        self.parts = [Residuals(one, body, rng) for one, body in zip(self.seen, self.bodies, strict=True)]
+        self.parts = [
+            Residuals(one, body, rng, options.model.version) for one, body in zip(self.seen, self.bodies, strict=True)
+        ]
         self.converged = True
         self.tried = np.empty((0, 3))  # beta, theta, error
         self.evidence: list[tuple[FloatArray, FloatArray]] = []
@@ -189,8 +192,9 @@ class _Joint:
                 total += logsumexp(likelihood, axis=0)
             else:
                 residual = np.tensordot(mix, residual, 1)
-                onto = part.summary(residual, SUMMARIES)
-                total += np.sum(share * np.stack([part.log_summary(residual, onto, one) for one in responses]), axis=0)
+                onto, amplitude = part.summary(residual, responses[len(responses) // 2], SUMMARIES)
+                each = [part.log_summary(residual, onto, amplitude, one) for one in responses]
+                total += np.sum(share * np.stack(each), axis=0)
         return fine[0], fine[1], total.reshape(len(fine[0]), len(fine[1]))
 
     def narrowed(
@@ -273,7 +277,7 @@ class _Joint:
             each = zip(self.seen, self.bodies, shapes, strict=True)
             return [body.relax(shape[one.held], betas, thetas, volume="project").settled for one, body, shape in each]
 
-        yield from swapped_axes(self.seen, simulate)
+        yield from swapped_axes(self.seen, simulate, bulging(self.seen, self.bodies, tried, self.options.model.version))
         here = (beta, theta)
         grouped = [self.options.model.grouping(one) for one in self.seen]
         if any(one.count < 2 for one in grouped):

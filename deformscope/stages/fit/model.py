@@ -17,6 +17,10 @@ from deformscope.stages.msm.solver import Msm, Precision
 
 Method = Literal["sweep", "gradient"]
 
+NEWEST_FIT = 2
+"""How a fit explains errors. 1, as recordings of before have it: neither the tool as a whole nor the camera is off, a
+smooth error beside exact held positions is misfit, and `axes-swapped` knows no body that bulges."""
+
 TOUCHED_SHARE = 0.5
 """Held particles that moved more than this share of the largest motion among them are taken as touched."""
 
@@ -41,6 +45,8 @@ class Observation:
     held_measured: whether the held positions were measured, with the noise of the others, or are exact; None = unknown
     tip: what pressed the particles of `contact`, if it is known; tip_at: (d,) where its axis met the body [unit], which
     particles show no better than they stand apart, if it is known
+    held_shift: deviation of what all that is held is off by, as one [unit]: of a robot's or a fixture's registration;
+    None = some hundredths of a spacing (`systematic.TOOL_SHIFT`)
     loose: held particles whose position is no measurement but estimated, None = none
     """
 
@@ -61,6 +67,7 @@ class Observation:
     tip_at: FloatArray | None = None
     loose: IntArray | None = None
     noise_source: NoiseSource = "given"
+    held_shift: float | None = None
 
     def __post_init__(self) -> None:
         count, d = self.rest.shape
@@ -105,6 +112,7 @@ class Model:
     beta, theta: the value of the one that is not fitted; alpha does not change a static state and is recorded only
     volume: how theta conserves it: "scale" as eq. 3.17 does, or "project", which has an energy and stays stable in
     overlapping clusters
+    version: of how errors are explained, see `NEWEST_FIT`
     """
 
     parameter: Parameter = "beta"
@@ -116,6 +124,7 @@ class Model:
     volume: Volume = "scale"
     precision: Precision = "float64"
     device: str = "cpu"
+    version: int = NEWEST_FIT
 
     def grouping(self, seen: Observation) -> clusters.Clusters:
         """How the particles of an observation are grouped."""

@@ -14,6 +14,9 @@ log-normal prior about 1, or a flat one where no noise was stated.
 With G the covariance of (e, e_held), r has P G P^T, P = [I, -J]. It is never formed: that is the marginal of a flat
 e_held, so chi2 = min over y of |(r + J y, y)|^2 in G^-1, which the eigenvectors of the field make diagonal, one
 decomposition for all sizes of the field, all residuals and all coordinates.
+
+Beside them a tool or a camera may displace all positions at once (`deformscope.stages.fit.systematic`): what such
+displacements do to r is a few vectors, whose factors are integrated out.
 """
 
 from __future__ import annotations
@@ -29,6 +32,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
+from deformscope.stages.fit.systematic import camera_modes, tool_modes
 
 Roughness = Literal["exponential", "matern", "gaussian"]
 
@@ -96,6 +100,9 @@ class Measured:
     noise, held_noise: (n,), (k,) deviation of a coordinate, None if unknown; held_measured: whether the prescribed
     positions carry noise, None = not known; spacing: of the particles; floor: smallest deviation that numbers resolve
     loose: (k,) prescribed ones that may be anywhere near, None = none
+    touched: (k,) prescribed ones that something moved, None where `held_rest` is
+    shift: deviation of what all that is held is off by, as one [unit]
+    version: see `model.NEWEST_FIT`
     """
 
     rest: FloatArray
@@ -106,6 +113,9 @@ class Measured:
     spacing: float
     floor: float
     loose: BoolArray | None = None
+    touched: BoolArray | None = None
+    shift: float = 0.0
+    version: int = 1
 
     def some(self, pick: IntArray) -> Measured:
         """The same of the free particles at indices (n,) alone."""
@@ -117,7 +127,8 @@ class Measured:
 class NoiseHypotheses:
     """Explanations of residuals, (h,) each.
 
-    held: the prescribed positions carry noise; shared: they carry the smooth field too
+    held: the prescribed positions carry noise; shared: the smooth field is one of measurement, which they carry too if
+    they carry noise
     field: which of `CORRELATIONS`; length: its own [spacings]; size: its variance in units of the white noise, 0 = none
     """
 
@@ -188,6 +199,8 @@ class ErrorModel:
         self.noise, self.held_noise = noise, held_noise
         self.log_noise = float(d * np.log(noise).sum())
         self.hypotheses = self._enumerate(unknown)
+        self.log_scale: FloatArray = np.zeros(len(self.hypotheses.size))
+        """(h,) of the white noise about where the parameter fits: errors of tool and camera are no multiple of it."""
         self._bases: dict[Field, _Basis] = {}
 
     def _enumerate(self, unknown: bool) -> NoiseHypotheses:
@@ -199,7 +212,9 @@ class ErrorModel:
         for held, prior in choices[stated].items():
             rows.append((held, False, 0, 1.0, 0.0, np.log(prior * PRIOR_NO_FIELD)))
             exact = self.measured.held_rest is None or self.measured.held_measured is False
-            kinds = (False, True) if held and not exact else (False,)
+            # what is exact was not seen by the camera
+            seen_apart = self.measured.held_measured is False and not unknown and self.measured.version > 1
+            kinds = (False, True) if (held and not exact) or (not held and seen_apart) else (False,)
             for shared, (field, length) in product(kinds, fields):
                 most = MISFIT_MOST_UNKNOWN if unknown else SHARED_MOST if shared else MISFIT_MOST
                 some = [size for size in FIELD_SIZES if size <= most]
@@ -208,6 +223,24 @@ class ErrorModel:
         table = np.array(rows, dtype=np.float64)
         held_, shared_, field_, length_, size_, log_prior = table.T
         return NoiseHypotheses(held_ > 0.0, shared_ > 0.0, field_.astype(np.int64), length_, size_, log_prior)
+
+    def modes(self, response: FloatArray, *, held: bool) -> FloatArray:
+        """(n, d, q) what errors of the tool and the camera, one deviation each, do to the residuals, by a response
+        (n, d, m); held: those of the camera move the prescribed positions too."""
+        rest, at, touched = self.measured.rest, self.measured.held_rest, self.measured.touched
+        n, d = rest.shape
+        if at is None or touched is None:
+            return np.zeros((n, d, 0))
+        seen = camera_modes(np.concatenate([rest, at]))
+        if not response.shape[2]:
+            return seen[:n]
+
+        def through(moved: FloatArray) -> FloatArray:
+            return np.asarray(response @ moved.reshape(response.shape[2], -1))
+
+        by_tool = through(tool_modes(at, touched) * self.measured.shift)
+        by_camera = seen[:n] - through(seen[n:]) if held else seen[:n]
+        return np.concatenate([by_camera, by_tool], axis=-1)
 
     def _basis(self, key: Field) -> _Basis:
         if key not in self._bases:
@@ -220,7 +253,7 @@ class ErrorModel:
             free = self._basis((which, length, False, False))
             rotate = block_diag(free.rotate, np.diag(1.0 / self.held_noise))
             return _Basis(rotate, np.concatenate([free.moment, np.zeros(len(self.held_noise))]))
-        if shared and self.measured.held_rest is not None:
+        if shared and held and self.measured.held_rest is not None:
             place = np.concatenate([place, self.measured.held_rest])
             noise = np.concatenate([noise, self.held_noise])
         field = correlation(which, cdist(place, place) / (self.measured.spacing * length))
@@ -241,8 +274,13 @@ class ErrorModel:
         mix = np.eye(len(residual)) if mix is None else mix
         return self.judged(self.products(residual, response, chosen), mix)
 
-    def products(self, residual: FloatArray, response: FloatArray, chosen: IntArray | None = None) -> Products:
-        """chi2 of all sums of some residuals (r, n, d); of more than there are coordinates, `few` makes fewer."""
+    def products(
+        self, residual: FloatArray, response: FloatArray, chosen: IntArray | None = None, *, settle: bool = False
+    ) -> Products:
+        """chi2 of all sums of some residuals (r, n, d); of more than there are coordinates, `few` makes fewer.
+
+        settle: each residual is that of a value of the parameter, and `log_scale` is found by the best of them
+        """
         every = self.hypotheses
         rows = np.arange(len(every.size)) if chosen is None else chosen
         product = np.empty((len(rows), len(residual), len(residual)))
@@ -251,10 +289,20 @@ class ErrorModel:
         for at, row in enumerate(rows):
             key = (int(every.field[row]), float(every.length[row]), bool(every.held[row]), bool(every.shared[row]))
             groups.setdefault(key, []).append(at)
-        for key, places in groups.items():
-            product[places], log_det[places] = self._quadratic(residual, response, key, every.size[rows[places]])
+        r = len(residual)
         white = (residual / self.noise[:, None]).reshape(len(residual), -1)
+        modes = {held: np.moveaxis(self.modes(response, held=held), -1, 0) for held in (False, True)}
         count = residual.shape[1] * self.dim
+        for key, places in groups.items():
+            both = np.concatenate([residual, modes[key[2]]])
+            found, log_det[places] = self._quadratic(both, response, key, every.size[rows[places]])
+            if settle and not self._trusted(float(np.sum(white**2, axis=1).min()) / count):
+                least = np.maximum(np.einsum("hii->hi", found[:, :r, :r]).min(axis=1), 0.0)
+                self.log_scale[rows[places]] = 0.5 * np.log(least / count + self._least**2)
+            variance = np.exp(-2.0 * self.log_scale[rows[places]])[:, None, None]
+            inner, across = variance * found[:, r:, r:] + np.eye(len(both) - r), found[:, :r, r:]
+            product[places] = found[:, :r, :r] - across @ np.linalg.solve(inner, variance * across.transpose(0, 2, 1))
+            log_det[places] += np.linalg.slogdet(inner)[1]
         return Products(rows, product, log_det + 2.0 * self.log_noise, white @ white.T, count)
 
     def judged(self, found: Products, mix: FloatArray) -> Evidence:
@@ -264,8 +312,11 @@ class ErrorModel:
         pairs = np.where(i == j, 1.0, 2.0)[:, None] * mix.T[i] * mix.T[j]
         chi2 = np.maximum(found.product[:, i, j] @ pairs, 0.0)
         plain = float(np.min(found.white[i, j] @ pairs, initial=np.inf)) / found.count
-        trusted = self.measured.noise is not None and plain < SCALE_LEAST**2
-        return self._scaled(chi2, found.log_det[:, None], found.count, found.rows, trusted)
+        return self._scaled(chi2, found.log_det[:, None], found.count, found.rows, self._trusted(plain))
+
+    def _trusted(self, square: float) -> bool:
+        """Whether residuals of this mean square, in units of the stated noise, are no sample of it."""
+        return self.measured.noise is not None and square < SCALE_LEAST**2
 
     def _quadratic(
         self, residual: FloatArray, response: FloatArray, key: Field, sizes: FloatArray
@@ -305,12 +356,19 @@ class ErrorModel:
             log_det[some] += np.linalg.slogdet(normal)[1] + log_held
         return found, log_det
 
-    def projected(self, onto: FloatArray, response: FloatArray, chosen: IntArray) -> FloatArray:
-        """Covariance (h, q, q) of projections of the residuals onto (n, d, q), at noise of the scale 1."""
+    def projected(self, onto: FloatArray, response: FloatArray, chosen: IntArray, amplitude: FloatArray) -> FloatArray:
+        """Covariance (h, q, q) of projections of the residuals onto (n, d, q), at noise of the scale 1.
+
+        amplitude: (a, a) second moment of the factors of `modes`
+        """
         every = self.hypotheses
         n, d, q = onto.shape
         m = response.shape[2]
         through = response.reshape(n * d, m).T @ onto.reshape(n * d, q)  # of each held direction
+        modes = {
+            held: self.modes(response, held=held).reshape(n * d, -1).T @ onto.reshape(n * d, q)
+            for held in (False, True)
+        }
         found = np.empty((len(chosen), q, q))
         for at, row in enumerate(chosen):
             held = bool(every.held[row])
@@ -324,7 +382,13 @@ class ErrorModel:
             found[at] = np.einsum("n,ndi,ndj->ij", spread, turned, turned)
             if held and self.measured.held_rest is None:
                 found[at] += through.T @ through
+            found[at] += modes[held].T @ amplitude @ modes[held] * np.exp(-2.0 * self.log_scale[row])
         return found
+
+    @property
+    def _least(self) -> float:
+        """Least scale of the noise that numbers resolve."""
+        return self.measured.floor if self.measured.noise is None else 1e-9
 
     def _scaled(self, chi2: FloatArray, log_det: FloatArray, count: int, rows: IntArray, trusted: bool) -> Evidence:
         """Laplace's integral over t, the logarithm of the noise's scale; 0 where the statement is trusted.
@@ -333,8 +397,7 @@ class ErrorModel:
         from the one to the other.
         """
         log_prior = self.hypotheses.log_prior[rows][:, None]
-        floor = self.measured.floor if self.measured.noise is None else 1e-9
-        c = chi2 + count * floor**2
+        c = chi2 + count * self._least**2
         if trusted:
             t = np.zeros_like(c)
             return Evidence(log_prior - 0.5 * (log_det + c), t, t)

@@ -19,7 +19,7 @@ from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.stages.fit.estimate import Doubt
 from deformscope.stages.fit.inference import Inference
 from deformscope.stages.fit.model import Observation
-from deformscope.stages.fit.noise import CORRELATIONS, NoiseHypotheses
+from deformscope.stages.fit.noise import CORRELATIONS, ErrorModel
 from deformscope.stages.fit.residuals import Residuals
 from deformscope.stages.fit.search import Search
 
@@ -39,8 +39,9 @@ ROUNDS = 4
 SETTLED = 0.02
 """A last change of the estimated positions below this ends the rounds [spacings]."""
 
-LENGTHS, SIZES = (1.0, 3.0, 8.0), 3
-"""Of the smooth fields, those of one roughness and these lengths, and every so manieth size, stand for all."""
+FIELDS_TRIED, SIZES = (("matern", (1.0, 3.0, 8.0)), ("gaussian", (1.4, 2.8, 4.0))), 3
+"""Of the smooth fields, those of these roughnesses and lengths, and every so manieth size, stand for all; of version 1,
+the first roughness."""
 
 EFFECT = 0.02
 """Share of the (stretched) range by which the parameter is changed for a derivative."""
@@ -97,7 +98,7 @@ def _steps(
     columns = np.concatenate([effect[None], np.moveaxis(response, -1, 0)])
     size = np.maximum(np.linalg.norm(columns, axis=(1, 2)), 1e-300)
     base = np.concatenate([residual[None], columns / size[:, None, None]])
-    found = part.errors.products(base, response, _few_hypotheses(part.errors.hypotheses))
+    found = part.errors.products(base, response, _few_hypotheses(part.errors))
 
     def fitted(which: Sequence[int]) -> tuple[float, FloatArray]:
         """The log likelihood where these columns of the response are fitted, and the factor (n,) of each."""
@@ -133,11 +134,15 @@ def _steps(
     return step
 
 
-def _few_hypotheses(every: NoiseHypotheses) -> IntArray:
+def _few_hypotheses(errors: ErrorModel) -> IntArray:
     """(n,) indices of the hypotheses that stand for all."""
+    every = errors.hypotheses
     sizes = np.unique(every.size)[1::SIZES]
-    some = (every.field == CORRELATIONS.index("matern")) & np.isin(every.length, LENGTHS) & np.isin(every.size, sizes)
-    return np.flatnonzero(some | (every.size == 0.0))
+    some = [
+        (every.field == CORRELATIONS.index(rough)) & np.isin(every.length, lengths)
+        for rough, lengths in FIELDS_TRIED[: errors.measured.version]
+    ]
+    return np.flatnonzero((np.any(some, axis=0) & np.isin(every.size, sizes)) | (every.size == 0.0))
 
 
 def held_off(seen: Sequence[Observation], stated: Sequence[Observation]) -> Iterator[Doubt]:

@@ -13,6 +13,7 @@ from scipy.special import logsumexp
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.stages.fit.model import Observation
 from deformscope.stages.fit.noise import ErrorModel, Measured, NoiseHypotheses
+from deformscope.stages.fit.systematic import TOOL_SHIFT
 from deformscope.stages.msm.solver import TOLERANCE, Msm, Relaxed
 
 Relax = Callable[[FloatArray, FloatArray, float], Relaxed]
@@ -36,6 +37,12 @@ where their size is uncertain. No explanation on the list is the true one, and t
 decides between them at full power, says little of the long waves that a parameter is mistaken for (a coarsened
 posterior: Miller and Dunson 2019). Compared with 0.1 and 1 on tuning seeds, 90 bodies a kind of error: at 1 intervals
 held 0.83 to 0.84 where errors were shared over 3 and 6 cells, at 0.3 0.87 to 0.88, at 0.1 0.90."""
+
+SYSTEMATIC_LEAST = 0.1
+"""Deviations of the noise that an error of tool or camera must make along a direction, or it is left out."""
+
+RESOLVED = 1e-14
+"""Share of the mean variance of projections below which a variance is a rounding error."""
 
 SUMMARIES, SUMMARY_LEAST = 3, 0.02
 """Directions that stand for what the parameter does to the particles: as many at most, and down to this share."""
@@ -74,7 +81,7 @@ class Explanation:
 class Residuals:
     """One observation: its free particles that count, its errors, and what its held ones do."""
 
-    def __init__(self, seen: Observation, body: Msm, rng: np.random.Generator) -> None:
+    def __init__(self, seen: Observation, body: Msm, rng: np.random.Generator, version: int) -> None:
         self.seen, self.body = seen, body
         judged: IntArray = np.flatnonzero(seen.free_observed)
         if judged.size > MOST_PARTICLES:
@@ -99,6 +106,9 @@ class Residuals:
             spacing=body.scale,
             floor=floor,
             loose=None if seen.loose is None or sketched else np.isin(seen.held, seen.loose),
+            touched=None if sketched or version == 1 else np.isin(seen.held, seen.touched),
+            shift=TOOL_SHIFT * body.scale if seen.held_shift is None else seen.held_shift,
+            version=version,
         )
         self.errors = ErrorModel(self.measured)
         self.chosen: IntArray = np.arange(len(self.errors.hypotheses.size))
@@ -117,7 +127,9 @@ class Residuals:
         if self._some is not None:
             errors = ErrorModel(self.measured.some(self._some))
             residual, response = residual[:, self._some], response[self._some]
-        value = errors.evidence(residual, response).log_likelihood
+        products = errors.products(residual, response, settle=True)
+        self.errors.log_scale = errors.log_scale
+        value = errors.judged(products, np.eye(len(residual))).log_likelihood
         # a value of the parameter that fits badly asks for explanations that no good one needs
         total = logsumexp(value, axis=0)
         good = total > total.max() - DROP
@@ -166,28 +178,60 @@ class Residuals:
         )
         return self.explanation
 
-    def summary(self, residual: FloatArray, most: int = SUMMARIES) -> FloatArray:
-        """What the parameter does to the residuals (f, n, d), as few directions (n, d, q), weighed by each particle's
-        noise and misfit."""
+    def summary(
+        self, residual: FloatArray, response: FloatArray, most: int = SUMMARIES
+    ) -> tuple[FloatArray, FloatArray]:
+        """What the parameter, and errors of tool and camera, do to the residuals (f, n, d), as few directions
+        (n, d, q), weighed by each particle's noise and misfit; and the second moment (a, a) of those errors' factors.
+
+        Details that the parameter does not alter tell such errors from it where there is white noise above all. Where
+        misfit and shared errors outweigh it, they tell no more than how large such errors may be.
+        response: of held positions (n, d, m)
+        """
         one = self.explanation
         variance = one.weight @ one.white**2 * self.errors.noise**2 + one.weight @ one.field**2
         weight = np.repeat(variance**-0.5, residual.shape[2])
         moved = (residual - residual.mean(axis=0)).reshape(len(residual), -1) * weight
+        others = self.errors.modes(response, held=True).reshape(len(weight), -1) * weight[:, None]
+        prior = np.eye(others.shape[1])
         size, axes = eigh(moved @ moved.T)
         size, axes = size[::-1], axes[:, ::-1]
         if size[0] <= 0.0:  # it does nothing: any direction will do
-            return np.asarray(weight.reshape(*residual.shape[1:], 1))
+            return np.asarray(weight.reshape(*residual.shape[1:], 1)), prior
         count = max(1, min(most, int(np.count_nonzero(size > SUMMARY_LEAST**2 * size[0]))))
-        onto = (moved.T @ axes[:, :count]) / np.sqrt(size[:count]) * weight[:, None]
-        return np.asarray(onto.reshape(*residual.shape[1:], count))
+        along = moved.T @ axes[:, :count] / np.sqrt(size[:count])
+        across, spread, _ = np.linalg.svd(others - along @ (along.T @ others), full_matrices=False)
+        across = across[:, spread > SYSTEMATIC_LEAST]
+        onto, details = (
+            (some * weight[:, None]).reshape(*residual.shape[1:], -1)
+            for some in (np.concatenate([along, across], axis=1), across)
+        )
+        noisy = one.weight @ one.field**2 < np.mean(one.weight @ one.white**2 * self.errors.noise**2)
+        if noisy or not across.size:
+            return onto, prior
+        onto = onto[..., :count]
+        best = residual[np.sum(np.tensordot(residual, onto, 2) ** 2, axis=1).argmin()]
+        each = self.errors.projected(details, response, self.kept, 0.0 * prior)
+        noise = np.tensordot(one.weight * one.white**2, each, 1) / TEMPER
+        act = across.T @ others
+        by = np.linalg.solve(noise, act)
+        left = np.linalg.inv(prior + act.T @ by)
+        mean = left @ by.T @ np.tensordot(details, best, ((0, 1), (0, 1)))
+        return onto, left + np.outer(mean, mean)
 
-    def log_summary(self, residual: FloatArray, onto: FloatArray, response: FloatArray) -> FloatArray:
-        """Log likelihood (f,) of the projections of residuals (f, n, d) onto directions (n, d, q): Student's t, as wide
+    def log_summary(
+        self, residual: FloatArray, onto: FloatArray, amplitude: FloatArray, response: FloatArray
+    ) -> FloatArray:
+        """Log likelihood (f,) of the projections of residuals (f, n, d) onto what `summary` gives: Student's t, as wide
         as the noise's scale is uncertain."""
         one = self.explanation
         z = np.tensordot(residual, onto, 2)
         freedom, q = TEMPER * residual.shape[1] * residual.shape[2], onto.shape[2]
-        covariance = self.errors.projected(onto, response, self.kept) * one.white[:, None, None] ** 2
+        covariance = self.errors.projected(onto, response, self.kept, amplitude)
+        # where there is next to no noise, errors of a tool outweigh it by more than numbers resolve
+        if self.measured.version > 1:
+            covariance += RESOLVED * np.trace(covariance, axis1=1, axis2=2)[:, None, None] / q * np.eye(q)
+        covariance *= one.white[:, None, None] ** 2
         chi2 = np.einsum("fi,hij,fj->hf", z, np.linalg.inv(covariance), z)
         log_det = np.linalg.slogdet(covariance)[1][:, None]
         each = -0.5 * log_det - 0.5 * (freedom + q) * np.log1p(chi2 / freedom)

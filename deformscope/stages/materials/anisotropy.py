@@ -12,7 +12,7 @@ from deformscope.arrays import BoolArray, FloatArray
 from deformscope.errors import InputError
 from deformscope.stages.fit import least_squares
 from deformscope.stages.fit.calibrate import BETA_LIMIT, Model, Observation, explained, shape_doubts
-from deformscope.stages.fit.doubts import found_in_numbers, noise_source, ordered, residual_ratio, swapped_axes
+from deformscope.stages.fit.doubts import bulging, found_in_numbers, noise_source, ordered, residual_ratio, swapped_axes
 from deformscope.stages.fit.estimate import Doubt, Identifiability, verdict
 from deformscope.stages.fit.least_squares import Noise
 from deformscope.stages.fit.noise import independent, shared_over
@@ -240,12 +240,13 @@ class _AxisFit:
             each = zip(self.seen, self.bodies, shapes, strict=True)
             return [body.relax(shape[one.held], beta).settled for one, body, shape in each]
 
-        yield from swapped_axes(self.seen, simulate)
+        bulge = bulging(self.seen, self.bodies, -np.expm1(-tried.mean(axis=1)), self.model.version)
+        yield from swapped_axes(self.seen, simulate, bulge)
         if any(body.cluster_count < 2 for body in self.bodies):
             return
         rng, bodies, first = np.random.default_rng(0), [], 0
         for row, one in enumerate(self.seen):
-            part, body = Residuals(one, self.bodies[row], rng), self.bodies[row]
+            part, body = Residuals(one, self.bodies[row], rng, self.model.version), self.bodies[row]
             count = int(self.judged[row].sum()) * one.rest.shape[1]
             slope = best.jacobian[first : first + count].T.reshape(len(best.at), -1, one.rest.shape[1])
             first += count

@@ -20,6 +20,7 @@ from deformscope.stages.fit.calibrate import BETA_LIMIT, TURNED, Model, Observat
 from deformscope.stages.fit.distance import explained_share, unexplained
 from deformscope.stages.fit.doubts import (
     LIKE_NOISE,
+    bulging,
     little_explained,
     noise_contradicted,
     not_converged,
@@ -30,6 +31,7 @@ from deformscope.stages.fit.doubts import (
 )
 from deformscope.stages.fit.estimate import Doubt, relative_verdict
 from deformscope.stages.fit.least_squares import Minimum, Noise
+from deformscope.stages.fit.model import NEWEST_FIT
 from deformscope.stages.fit.motion import Motion
 from deformscope.stages.fit.noise import independent, shared_over
 from deformscope.stages.fit.residuals import Residuals
@@ -73,6 +75,7 @@ class YieldOptions:
 
     beta: None, to be found along with the yield strain; creep: "none" (loads act as long as it takes), "fit", or a
     rate [1/s]; maximum: bound of the plastic strain; level: of the intervals; seed: of the noise of held positions
+    version: see `NEWEST_FIT`
     """
 
     beta: float | None = None
@@ -83,6 +86,7 @@ class YieldOptions:
     level: float = 0.9
     seed: int = 0
     device: str = "cpu"
+    version: int = NEWEST_FIT
 
     def __post_init__(self) -> None:
         if self.beta is not None and not 0.0 <= self.beta <= BETA_LIMIT:
@@ -553,14 +557,17 @@ class _YieldFit:
             states = self.run(strains, betas, np.repeat(creep, count), held)[0]
             return [states[:, at] for at in rows]
 
-        yield from swapped_axes(frames, simulate)
+        bodies = [self.body.holding(one.held) for one in frames]
+        yield from swapped_axes(frames, simulate, bulging(frames, bodies, tried, self.options.version))
         if self.body.cluster_count < 2:
             return
         # at the frame with the largest motion: errors of all frames are much the same
         moved = np.where(self.judged[:, :, None], self.motion.position - self.motion.rest, 0.0)
         row = int(np.sum(moved**2, axis=(1, 2)).argmax())
         one = self.frame(row)
-        part = Residuals(one, self.body.holding(one.held), np.random.default_rng(self.options.seed))
+        part = Residuals(
+            one, self.body.holding(one.held), np.random.default_rng(self.options.seed), self.options.version
+        )
 
         def history(betas: FloatArray, held: FloatArray | None = None) -> FloatArray:
             size, every = len(betas), self.prescribed()

@@ -440,15 +440,16 @@ class Msm:
             progress=note,
             limit_s=until - time.monotonic(),
         )
-        if not (again.converged | again.out_of_time).all():
+        if not (again.converged | again.out_of_time).all() and not self.slips and time.monotonic() < until:
             state = self.start(len(rows), free.position)
             self.advance(state, held, beta, theta, steps=TRIED_STEPS)
             again.diverged[:] |= ~(again.converged | again.out_of_time) & state.diverged
-        spent = found.iterations[rows] + free.iterations
+        nearer = ~again.out_of_time | (again.error < found.error[rows])  # the first solve may have come further
+        again.iterations[:] += found.iterations[rows] + free.iterations
+        again.smoothed[:] += free.smoothed
         for name in Relaxed.__slots__:
-            getattr(found, name)[rows] = getattr(again, name)
-        found.iterations[rows] += spent
-        found.smoothed[rows] += free.smoothed
+            taken = nearer if name in ("position", "residual", "error") else np.ones(len(rows), dtype=bool)
+            getattr(found, name)[rows[taken]] = getattr(again, name)[taken]
 
     @staticmethod
     def _kind(theta: FloatArray, size: int, volume: Volume) -> tuple[type[Newton] | type[Anderson], int, int]:

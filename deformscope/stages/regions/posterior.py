@@ -5,9 +5,10 @@ the regions under its contact, whose forces add, plus its errors (`touch_error`)
 the levels are integrated in closed form (what a contact feels is linear in them about where they roughly are), over the
 scatter is summed; the maps are particles that every touch reweights and, where few are left, that move under the prior
 (iterated batch importance sampling, Chopin 2002), so that their evidence comes out as well: it chooses the number of
-regions. Four and five are followed once the most that are followed are the likeliest; until then they are taken to
-explain the touches as well as these. A surface whose stiffness changes smoothly is the rival hypothesis (Gaussian
-processes); where it wins, the verdict is "gradual".
+regions. Four are followed once three are the likeliest, five once four have some probability; until then they are taken
+to explain the touches as well as the most that are followed. Of their regions, beyond three, those count that touches
+met: a further one that is hardly felt would cost no evidence. A surface whose stiffness changes smoothly is the rival
+hypothesis (Gaussian processes); where it wins, the verdict is "gradual".
 """
 
 from __future__ import annotations
@@ -38,6 +39,10 @@ FIRST_REGIONS = 3
 """Maps of so many regions are followed from the first touch on."""
 MORE_SHARE = 0.5
 """Of as many maps as of these, where more are followed: for time's sake."""
+MORE_FROM = 0.2
+"""Probability of four from which five are followed."""
+MET = 0.5
+"""Touches that feel a region, from which on they met it."""
 MOVES = 40
 TEMPERS = (1.0, 4.0, 16.0, 64.0, 256.0)
 """Factors on the variance of the newest touch, where it comes as a surprise."""
@@ -270,9 +275,7 @@ class RegionPosterior:
                 rng = np.random.default_rng((self.seed, len(touches), one.maps.regions))
                 particles.append(_update(rng, one, readings, self.prior, self._kept_of(one.maps.regions)))
             found = replace(self, touches=touches, particles=tuple(particles))
-            while (
-                found._most_followed < self.most_regions and found._joint_logs[:-1].argmax() + 1 == found._most_followed
-            ):
+            while found._more_follow:
                 more = found._followed(found._most_followed + 1)
                 found = replace(found, particles=(*found.particles, more))
         return found
@@ -280,6 +283,13 @@ class RegionPosterior:
     @property
     def _most_followed(self) -> int:
         return len(self.particles) + 1
+
+    @property
+    def _more_follow(self) -> bool:
+        """Maps of one more region are followed."""
+        most, shares = self._most_followed, self._shares[:-1]
+        enough = shares.argmax() + 1 == most or (most > FIRST_REGIONS and shares[-1] >= MORE_FROM)
+        return bool(enough and most < self.most_regions)
 
     def _followed(self, regions: int) -> _Particles:
         """Maps of so many regions after all touches."""
@@ -291,6 +301,26 @@ class RegionPosterior:
             readings = _readings(self.touches[:number], self.prior)
             found = _update(rng, found, readings, self.prior, self._kept_of(regions))
         return found
+
+    @cached_property
+    def _counted(self) -> tuple[_Particles, ...]:
+        """Of `particles`, the maps that count: of four and more those whose every region the touches met."""
+        found = list(self.particles)
+        for at, met in self._met:
+            weight = np.where(met == found[at].maps.regions, np.exp(found[at].log_weight), 0.0)
+            if weight.any():
+                with np.errstate(divide="ignore"):
+                    found[at] = replace(found[at], log_weight=np.log(weight / weight.sum()))
+        return tuple(found)
+
+    @property
+    def _met(self) -> list[tuple[int, IntArray]]:
+        """Which of `particles` are of more than `FIRST_REGIONS`, and how many regions of each map (n,) the touches met,
+        or so many."""
+        xy_m = np.array([touch.xy_m for touch in self.touches])
+        more = list(enumerate(self.particles))[FIRST_REGIONS - 1 :]
+        felt = [(at, one.maps.shares(xy_m, self.prior.blur_m).sum(axis=1)) for at, one in more]
+        return [(at, np.maximum((shares >= MET).sum(axis=1), FIRST_REGIONS)) for at, shares in felt]
 
     def _kept_of(self, regions: int) -> int:
         """Maps of so many regions that are kept."""
@@ -326,7 +356,7 @@ class RegionPosterior:
     @property
     def _joint_logs(self) -> FloatArray:
         """Logarithm of prior probability times evidence of 1, 2 and more regions, as many as are followed or more, and
-        of a smooth field."""
+        of a smooth field. Of maps of four and more those regions count that the touches met."""
         evidence = [
             logsumexp(self._one_region[0]),
             *(one.log_evidence for one in self.particles),
@@ -335,7 +365,13 @@ class RegionPosterior:
         every = self.prior.regions
         prior = np.array([*every[: len(self.particles)], sum(every[len(self.particles) :]), self.prior.gradual])
         with np.errstate(divide="ignore"):
-            return cast(FloatArray, np.log(prior) + np.array(evidence))
+            logs = np.log(prior) + np.array(evidence)
+            for at, met in self._met:
+                some = np.bincount(met, np.exp(self.particles[at].log_weight))
+                parts = logs[at + 1] + np.log(some[FIRST_REGIONS:])
+                logs[at + 1] = -np.inf
+                logs[FIRST_REGIONS - 1 :][: len(parts)] = np.logaddexp(logs[FIRST_REGIONS - 1 :][: len(parts)], parts)
+            return cast(FloatArray, logs)
 
     @property
     def region_count(self) -> int:
@@ -361,7 +397,7 @@ class RegionPosterior:
         found: list[tuple[Partitions | None, FloatArray, FloatArray, FloatArray]] = [
             (None, level + readings.centre, cov, self.probability["1"] * share)
         ]
-        for one, share in zip(self.particles, self._shares[1:], strict=False):
+        for one, share in zip(self._counted, self._shares[1:], strict=False):
             number = int(np.ceil(count * share / max(1.0 - self.probability["gradual"], 1e-12)))
             if number > 0.01 * count or one.maps.regions == self.region_count:
                 number = max(number, 20)
@@ -503,7 +539,7 @@ class RegionPosterior:
         readings = _readings(self.touches, self.prior)
         one_region = self._one_region[0]
         shares = [self._shares[0] * np.exp(one_region - logsumexp(one_region))]
-        for one, share in zip(self.particles, self._shares[1:], strict=False):
+        for one, share in zip(self._counted, self._shares[1:], strict=False):
             if share > LEAST_WEIGHT:
                 maps = one.maps.take(_systematic(np.exp(one.log_weight), SCATTER_MAPS, 0.5))
                 logs = _by_scatter(maps.shares(readings.xy_m, self.prior.blur_m), readings, self.prior)

@@ -93,7 +93,7 @@ def test_projections_have_the_covariance_written_out() -> None:
     onto = np.random.default_rng(8).normal(0.0, 1.0, (9, 2, 3))
     every = model.hypotheses
     rows = np.random.default_rng(9).choice(len(every.size), 20, replace=False)
-    found = model.projected(onto, act, rows)
+    found = model.projected(onto, act, rows, np.zeros((0, 0)))
     for got, h in zip(found, rows, strict=True):
         s = onto.reshape(18, 3)
         expected = s.T @ written_out(model, act, h) @ s

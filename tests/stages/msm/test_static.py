@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pytest
@@ -136,6 +137,40 @@ def test_second_beginnings_have_the_iterations_that_they_need(device: str) -> No
     assert np.all(found.converged | found.diverged)
     assert found.converged.sum() >= 40
     assert _left(press, found, found.converged, "scale").max() < 1e-9 * engine.extent
+
+
+def test_bodies_that_slip_and_come_to_no_state_say_so(device: str) -> None:
+    """Time steps, which tell whether a second beginning runs away, are of bodies that do not slip alone."""
+    press = _press(*PRESSED[1])
+    pressed = press.held[
+        press.held_position.reshape(-1, *press.rest[press.held].shape)[0, :, -1] != press.rest[press.held, -1]
+    ]
+    engine = Msm(press.rest, press.grouped, press.held, device=device, slipping=(pressed, press.rest.shape[1] - 1))
+    found = engine.relax(press.held_position, press.beta, press.theta, volume="scale", start=press.start)
+    assert found.converged.any()
+    assert not found.converged.all()
+    assert np.isfinite(found.position).all()
+
+
+def test_a_second_beginning_whose_time_is_over_leaves_the_nearer_state(
+    device: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    press = _press(*PRESSED[1])
+    engine = Msm(press.rest, press.grouped, press.held, device=device)
+    first = engine.relax(
+        press.held_position, press.beta, press.theta, volume="scale", start=press.start, max_iterations=4_000
+    )
+    resumed = ~(first.converged | first.diverged) & (press.theta > 0.0)
+    assert resumed.any()
+    relax = Msm.relax
+
+    def without_time(self: Msm, *args: Any, **how: Any) -> Any:
+        return relax(self, *args, **{**how, "limit_s": 0.0})
+
+    monkeypatch.setattr(Msm, "relax", without_time)
+    found = relax(engine, press.held_position, press.beta, press.theta, volume="scale", start=press.start)
+    assert np.array_equal(found.out_of_time, resumed)
+    assert np.all(found.error[resumed] <= first.error[resumed])
 
 
 def test_pressed_bodies_that_converged_with_eq_3_17_are_as_near_as_they_say(device: str) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -155,6 +156,45 @@ def test_four_materials_are_four_regions() -> None:
     # maps of more regions are of the same touches, whenever they were begun
     later = found._followed(4)
     assert later.log_evidence == next(one for one in found.particles if one.maps.regions == 4).log_evidence
+
+
+def stripes(seed: int) -> list[StiffnessSample]:
+    """Three foams side by side."""
+    rng = np.random.default_rng(seed)
+    places = [np.array([(i % 6 + 0.5) / 6 * 0.6, ((i * 7) % 16 + 0.5) / 16 * 0.4]) for i in range(12)]
+    return [StiffnessSample(at, int(at[0] // 0.2) - 1.0 + 0.03 * rng.standard_normal(), 0.03) for at in places]
+
+
+@pytest.mark.parametrize("seed", slow_but([2001], range(2000, 2003)))
+def test_three_materials_are_no_more(seed: int) -> None:
+    """A fourth region that no touch met would cost no evidence; with it 3 had 0.52 of seed 2001."""
+    found = posterior(stripes(seed), seed=seed, particle_count=300)
+    assert found._most_followed > 3
+    assert found.probability["3"] > 0.8
+
+
+@pytest.mark.slow
+def test_maps_of_more_regions_count_where_each_is_met() -> None:
+    """Their evidence is that of very many prior maps, those that the touches do not meet every region of left out."""
+    seen, prior = quadrants()[:6], RegionPrior()
+    readings = posterior_module._readings(seen, prior)
+    maps = draw(np.random.default_rng(98), 4, GRID.size_m, 40_000)
+    shares = maps.shares(readings.xy_m, prior.blur_m)
+    plain = posterior_module._log_likelihood(shares, readings, prior)
+    met = shares.sum(axis=1).min(axis=1) >= 0.5
+    expected = np.log(np.mean(np.exp(plain - plain.max()) * met)) + plain.max()
+    every = [posterior(seen, seed=seed, particle_count=600) for seed in range(2)]
+    every = [replace(one, particles=(*one.particles[:2], one._followed(4))) for one in every]
+    found = [one._joint_logs[3] - np.log(prior.four + prior.five) for one in every]
+    assert np.mean(found) == pytest.approx(expected, abs=0.3)
+    for one in every:
+        more, joint = one._counted[2], np.array([*prior.regions[:3], prior.four + prior.five])
+        felt = more.maps.shares(readings.xy_m, prior.blur_m).sum(axis=1).min(axis=1)
+        assert np.exp(more.log_weight[felt < 0.5]).sum() == 0.0
+        assert np.exp(more.log_weight).sum() == pytest.approx(1.0)
+        # what is not counted of four is of three
+        both = joint[2:] @ np.exp([part.log_evidence for part in one.particles[1:]])
+        assert np.exp(one._joint_logs[2:4]).sum() == pytest.approx(both)
 
 
 def test_more_regions_than_are_told_apart_are_named() -> None:

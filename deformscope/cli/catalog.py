@@ -1,0 +1,37 @@
+"""`deformscope catalog`: the recordings of a folder, listed, filtered and compared.
+
+deformscope catalog runs/ --where 'stiffness < 0.5 and verdict == "regions"' --sort=-duration_s
+deformscope catalog runs/ --page
+deformscope catalog compare first.rrd second.rrd
+"""
+
+from __future__ import annotations
+
+from deformscope.cli.common import fit_progress, say, show, write_json
+from deformscope.config import CatalogConfig, CompareConfig
+
+
+def run(config: CatalogConfig) -> None:
+    """List them; the index is made or brought up to date."""
+    from deformscope.runs.catalog import catalogue, write_page
+
+    names = [name.strip() for name in config.columns.split(",") if name.strip()]
+    with fit_progress() as progress:
+        found = catalogue(config.folder, config.where, config.sort, names, workers=config.workers, progress=progress)
+        page = write_page(found, config.workers, progress) if config.page else None
+    show(found)
+    if page is not None:
+        say(f"page: {page}")
+    if config.json is not None:
+        write_json(found.as_json(), config.json)
+
+
+def compare(config: CompareConfig) -> None:
+    """Say how two recordings differ."""
+    from deformscope.runs.catalog import compare_recordings
+
+    found = compare_recordings(config.first, config.second)
+    show(found)
+    if found.unaligned:
+        say(f"not aligned by contact: {found.unaligned}")
+    write_json(found.as_json(), config.json)

@@ -1,0 +1,144 @@
+"""`deformscope sweep`: a command on every file of a folder, by many processes or on a Ray cluster, resumable.
+
+deformscope sweep pokes/ --out runs/beta -- calibrate beta
+deformscope sweep pokes/ --vary cluster-size=3,4,5 --out runs/sizes -- calibrate beta --method gradient
+deformscope sweep catalog.parquet --where 'verdict == "weak"' --out runs/again -- calibrate beta --record '{key}.rrd'
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib
+import io
+import json
+from collections.abc import Sequence
+from contextlib import redirect_stderr, redirect_stdout
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from tyro.conf import Positional
+
+from deformscope import cli, config
+from deformscope.cli.common import EXIT_LOSSES, begin_worker, fit_progress, make_folder, show, write_json
+from deformscope.config import CommandOptions, SweepConfig
+from deformscope.config.flags import Reads
+from deformscope.config.options import marks_of
+from deformscope.errors import InputError
+from deformscope.plain import plain
+from deformscope.runs.sweep import (
+    FILES,
+    SweepOptions,
+    SweepTask,
+    Variation,
+    at_hand,
+    content_of,
+    files_in,
+    in_order,
+    sweep_on,
+    vary,
+)
+
+KEY = "{key}"
+
+
+@dataclass(frozen=True, slots=True)
+class SweptCommand:
+    """A command as a worker runs it. options: its flags, read once; None where {key} stands in them
+
+    name: of the command; words: its flags, as they are typed; source: the field that takes the file
+    """
+
+    name: str
+    words: tuple[str, ...]
+    source: str
+    options: CommandOptions | None
+
+
+def run(options: SweepConfig) -> int:
+    """Compute what is not there yet, and say what became of it. Returns the exit status."""
+    sources = find_sources(options)
+    variations = [_variation(options.command, varied, sources[0]) for varied in vary(_values(options.vary))]
+    if any(one.argument.options is None for one in variations):
+        make_folder(options.out / FILES)
+    how = SweepOptions(options.on, options.workers, options.send, options.limit_s)
+    with fit_progress() as progress:
+        found = sweep_on(run_swept, sources, variations, options.out, how, begin=begin_worker, progress=progress)
+    show(found)
+    write_json(found.to_dict(), options.json)
+    return EXIT_LOSSES if found.failed else 0
+
+
+def find_sources(options: SweepConfig) -> list[Path]:
+    """The files to compute. Raises InputError where there are none."""
+    if options.source.suffix == ".parquet" or options.where:
+        from deformscope.runs.catalog import catalogued_paths
+
+        return in_order(catalogued_paths(options.source, options.where), options.match, options.source)
+    return files_in(options.source, options.out, options.match)
+
+
+def _values(varied: Sequence[str]) -> dict[str, Sequence[str]]:
+    """What is typed after --vary, by flag."""
+    found: dict[str, Sequence[str]] = {}
+    for one in varied:
+        name, _, values = one.partition("=")
+        found[name.removeprefix("--")] = values.split("|" if "|" in values else ",")
+    return found
+
+
+def _variation(typed: Sequence[str], varied: dict[str, Any], example: Path) -> Variation:
+    """The command with some values. Raises InputError for what no file could be computed with."""
+    name, words = cli.find_command(list(typed))
+    kind = getattr(config, cli.COMMANDS[name].config)
+    prog = f"deformscope {name}"
+    marks = marks_of(kind)
+    fields = [one for one, some in marks.items() if Positional in some and any(isinstance(m, Reads) for m in some)]
+    if len(fields) != 1 or name in ("sweep", "catalog"):
+        raise InputError("a command with one SOURCE that gives JSON", prog, "calibrate beta, replay, verify...")
+    words = [*words, *(word for flag, value in varied.items() for word in (f"--{flag}", value))]
+    given = {word.partition("=")[0] for word in words}
+    if "--json" in given:
+        raise InputError("a command without --json", "one with it", "leave it out: it is given")
+    words += ["--json", "-"]
+    if "viewer" in kind.__dataclass_fields__ or "output" in kind.__dataclass_fields__:
+        words += [] if "--viewer" in given else ["--viewer", "none"]
+    options: CommandOptions = cli.parse(kind, [str(example), *words], prog)
+    if written := [one for one in options.writes() if KEY not in str(one.path)]:
+        raise InputError(f"a file for each task after {written[0].flag}", str(written[0].path), f"'{KEY}.rrd'")
+    read = [one for one in options.reads() if one != str(example) and Path(one).is_file()]
+    identity = [name, plain(_with(options, fields[0], "")), *map(content_of, read)]
+    ready = None if options.writes() else options
+    settings = {flag.replace("-", "_"): _number(value) for flag, value in varied.items()}
+    return Variation(settings, SweptCommand(name, tuple(words), fields[0], ready), json.dumps(identity))
+
+
+def _number(text: str) -> object:
+    for kind in (int, float):
+        try:
+            return kind(text)
+        except ValueError:
+            continue
+    return text
+
+
+def _with(options: Any, name: str, source: str) -> Any:
+    """The options with this file in the field that takes it."""
+    before = getattr(options, name)
+    return dataclasses.replace(options, **{name: (source,) if isinstance(before, tuple) else type(before)(source)})
+
+
+def run_swept(task: SweepTask) -> Any:
+    """Run the command on its file, in a worker; its JSON."""
+    swept: SweptCommand = task.argument
+    command = cli.COMMANDS[swept.name]
+    out = io.StringIO()
+    with redirect_stdout(out), redirect_stderr(io.StringIO()), at_hand(task) as source:
+        cli.quiet_libraries()
+        if swept.options is None:
+            words = [word.replace(KEY, task.files) for word in swept.words]
+            options = cli.parse(getattr(config, command.config), [source, *words])
+        else:
+            options = _with(swept.options, swept.source, source)
+        cli.run_options(options, getattr(importlib.import_module(command.module), command.function))
+    return json.loads(out.getvalue())

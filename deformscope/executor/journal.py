@@ -1,0 +1,69 @@
+"""What became of tasks, a line of JSON each as it comes: nothing of it is lost where the rest is cut off."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import json
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from deformscope.errors import InputError
+
+PIECE = 1 << 16
+
+
+class Journal:
+    """A file that one process at a time adds lines to. A last line that was cut off is taken away.
+
+    what: its lines are; hint: what to try where they are something else
+    """
+
+    def __init__(self, path: Path, what: str, hint: str = "") -> None:
+        """Raises InputError where another process adds to it, and OSError."""
+        self.path, self._what, self._hint = path, what, hint
+        self._file = path.open("a+b", buffering=0)
+        with contextlib.suppress(OSError):  # a file system without locks is used without
+            try:
+                fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError as error:
+                self._file.close()
+                raise InputError(what, "a file that another command adds to", "wait for its end", path) from error
+        self._file.truncate(self._whole())
+
+    def _whole(self) -> int:
+        """Bytes up to the end of the last whole line."""
+        end = self._file.seek(0, os.SEEK_END)
+        while end:
+            start = max(0, end - PIECE)
+            found = os.pread(self._file.fileno(), end - start, start).rfind(b"\n")
+            if found >= 0:
+                return start + found + 1
+            end = start
+        return 0
+
+    def lines(self) -> Iterator[Any]:
+        """What the lines hold, in their order. Raises InputError for what is no JSON."""
+        with self.path.open(encoding="utf-8") as file:
+            for number, line in enumerate(file, start=1):
+                try:
+                    yield json.loads(line)
+                except ValueError as error:
+                    raise InputError(self._what, str(error), self._hint, f"{self.path}:{number}") from error
+
+    def add(self, *lines: object) -> None:
+        """Add values of what JSON has, also not finite ones; they stay when this process is killed. Raises OSError."""
+        text = "".join(json.dumps(one, separators=(",", ":")) + "\n" for one in lines).encode()
+        if os.write(self._file.fileno(), text) < len(text):  # the next one to open it takes the piece away
+            raise OSError(28, "no space left on device", str(self.path))
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._file.close()

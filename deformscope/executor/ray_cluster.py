@@ -1,0 +1,96 @@
+"""Workers on a Ray cluster that the user has started; nothing is started here."""
+
+from __future__ import annotations
+
+import logging
+import os
+import socket
+import time
+from collections.abc import Callable, Collection
+from typing import Any
+
+from deformscope.errors import InputError
+from deformscope.executor.tasks import WorkerLost
+from deformscope.processes import RENEW_S
+
+ANSWER_S = 5.0
+"""Within this a cluster's address answers."""
+COUNT_S = 5.0
+"""Nodes come and go: the cores are counted so often."""
+AHEAD = 2
+"""Tasks under way for each core, so that none waits for the next."""
+
+
+class RayWorkers:
+    """The cores of a cluster. A task takes one; those of a node that ends are tried on others."""
+
+    def __init__(self, address: str, limit: int | None = None) -> None:
+        """address: HOST:PORT of a cluster that this machine is part of, or ray://HOST:PORT of any; limit: tasks under
+        way at most. Raises InputError where nobody answers."""
+        os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
+        try:
+            import ray
+        except ImportError as error:
+            hint = "pip install 'deformscope[ray]', or --executor local"
+            raise InputError("the package ray for --executor ray", "none here", hint) from error
+        _check_answer(address)
+        try:
+            ray.init(address=address, logging_level=logging.ERROR, log_to_driver=False)
+        except Exception as error:  # of many kinds, also of another version of Ray or Python
+            raise _nobody(address, " ".join(str(error).split())[:300]) from error
+        self._ray, self._limit = ray, limit
+        self._cores, self._counted = 0, 0.0
+        self._remote: dict[Callable[..., Any], Any] = {}
+
+    @property
+    def capacity(self) -> int:
+        """Tasks under way at most, by the cores that there are now."""
+        if time.monotonic() - self._counted > COUNT_S or not self._cores:
+            self._counted = time.monotonic()
+            self._cores = int(self._ray.cluster_resources().get("CPU", 0))
+        ahead = max(AHEAD * self._cores, 1)
+        return ahead if self._limit is None else min(ahead, self._limit)
+
+    def submit(self, function: Callable[..., Any], *arguments: Any) -> Any:
+        if function not in self._remote:
+            self._remote[function] = self._ray.remote(num_cpus=1, max_retries=0)(function)
+        return self._remote[function].remote(*arguments)
+
+    def ready(self, under_way: Collection[Any]) -> list[Any]:
+        done: list[Any] = self._ray.wait(list(under_way), num_returns=1, timeout=RENEW_S)[0]
+        return done
+
+    def result(self, attempt: Any) -> Any:
+        errors = self._ray.exceptions
+        try:
+            return self._ray.get(attempt)
+        except errors.RayTaskError as error:
+            if isinstance(error.cause, ModuleNotFoundError) and str(error.cause.name).startswith("deformscope"):
+                raise InputError("deformscope on all nodes", str(error.cause), "install it there") from error
+            raise error.cause from None
+        except (errors.RaySystemError, errors.RayError) as error:
+            if "No module named 'deformscope" in str(error):
+                raise InputError("deformscope on all nodes", "a node without", "install it there") from error
+            words = str(error).strip().split(". ")[0].splitlines()[0]
+            raise WorkerLost(f"{type(error).__name__}: {words}") from error
+
+    def give_up(self, attempt: Any) -> None:
+        self._ray.cancel(attempt, force=True)
+
+    def close(self) -> None:
+        self._ray.shutdown()
+
+
+def _check_answer(address: str) -> None:
+    """Ray itself waits long for an address that does not answer."""
+    host, colon, port = address.removeprefix("ray://").rpartition(":")
+    if not colon or not port.isdecimal():
+        raise InputError("HOST:PORT or ray://HOST:PORT after --address", repr(address))
+    try:
+        socket.create_connection((host.strip("[]"), int(port)), ANSWER_S).close()
+    except (OSError, OverflowError) as error:
+        raise _nobody(address, str(getattr(error, "strerror", None) or error).lower()) from error
+
+
+def _nobody(address: str, came: str) -> InputError:
+    return InputError("a Ray cluster that answers", came, "ray start --head, and --address with what it names", address)

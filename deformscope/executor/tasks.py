@@ -1,0 +1,162 @@
+"""Tasks that workers compute: each is tried until it is done or refused, and none ends the others.
+
+A worker takes a function of a module and an item; what it computes with them hangs on nothing else. At most `capacity`
+tasks are under way, so that memory does not grow with their number.
+"""
+
+from __future__ import annotations
+
+import functools
+import time
+from collections import deque
+from collections.abc import Callable, Collection, Iterable, Iterator
+from dataclasses import dataclass
+from multiprocessing.reduction import ForkingPickler
+from typing import Any, Generic, Protocol, TypeVar
+
+from deformscope.errors import InputError, printable
+from deformscope.version import __version__
+
+T = TypeVar("T")
+R = TypeVar("R")
+
+ATTEMPTS = 3
+"""Of a task, where its worker or the system was at fault: another attempt may do."""
+
+
+class WorkerLost(Exception):
+    """The worker ended while it computed a task, or was ended."""
+
+
+class OtherVersion(InputError):
+    """A worker runs another version of deformscope: no task can be computed there."""
+
+
+AGAIN = (WorkerLost, OSError, MemoryError)
+"""After these a task is tried again; what it refuses, or fails at by itself, stays as it is."""
+
+
+@dataclass(frozen=True, slots=True)
+class TaskOutcome(Generic[T, R]):
+    """What became of a task. error: of the last attempt, None = done; reasons: why each attempt failed, in a line
+
+    seconds: that the last attempt took in its worker
+    """
+
+    item: T
+    value: R | None
+    error: Exception | None = None
+    reasons: tuple[str, ...] = ()
+    seconds: float = 0.0
+
+
+class Workers(Protocol):
+    """Where tasks are computed. What `submit` returns stands for one attempt."""
+
+    @property
+    def capacity(self) -> int:
+        """Attempts that may be under way."""
+
+    def submit(self, function: Callable[..., Any], *arguments: Any) -> Any:
+        """Begin an attempt."""
+
+    def ready(self, under_way: Collection[Any]) -> Collection[Any]:
+        """Wait a little for any of them; which ended."""
+
+    def result(self, attempt: Any) -> Any:
+        """What it returned. Raises what it raised, or WorkerLost."""
+
+    def give_up(self, attempt: Any) -> None:
+        """End it; it is then lost."""
+
+    def close(self) -> None:
+        """End the workers, whatever they compute."""
+
+
+def compute(
+    workers: Workers,
+    function: Callable[[T], R],
+    items: Iterable[T],
+    *,
+    attempts: int = ATTEMPTS,
+    limit_s: float | None = None,
+    begin: Callable[[], None] | None = None,
+) -> Iterator[TaskOutcome[T, R]]:
+    """The outcome of each item as it is ready.
+
+    items: taken as there is room for them; attempts: of each at most; limit_s: an attempt that takes longer is ended
+    begin: a function of a module too, called in each worker before its first task
+    Raises OtherVersion; what an attempt raises becomes its outcome.
+    """
+    coming, again = iter(items), deque[tuple[T, tuple[str, ...]]]()
+    under_way: dict[Any, tuple[T, tuple[str, ...], float]] = {}
+    while True:
+        while len(under_way) < workers.capacity:
+            if again:
+                item, reasons = again.popleft()
+            else:
+                try:
+                    item, reasons = next(coming), ()
+                except StopIteration:
+                    break
+            attempt = workers.submit(run_attempt, __version__, begin, function, item)
+            under_way[attempt] = item, reasons, time.monotonic()
+        if not under_way:
+            return
+        for attempt in workers.ready(under_way):
+            item, reasons, began = under_way.pop(attempt)
+            try:
+                value, seconds = workers.result(attempt)
+            except OtherVersion:
+                raise
+            except Exception as error:
+                late = limit_s is not None and isinstance(error, WorkerLost) and time.monotonic() - began > limit_s
+                reasons = (*reasons, f"it took longer than {limit_s:g} s" if late else reason_of(error))
+                if isinstance(error, AGAIN) and len(reasons) < attempts:
+                    again.append((item, reasons))
+                else:
+                    yield TaskOutcome(item, None, error, reasons)
+            else:
+                yield TaskOutcome(item, value, None, reasons, seconds)
+        if limit_s is not None:
+            for attempt, (_, _, began) in under_way.items():
+                if time.monotonic() - began > limit_s:
+                    workers.give_up(attempt)
+
+
+def run_attempt(version: str, begin: Callable[[], None] | None, function: Callable[[T], R], item: T) -> tuple[R, float]:
+    """One attempt, in a worker; also how long it took [s]. version: of who asks for it"""
+    if version != __version__:
+        raise OtherVersion(f"workers of version {version}", f"one of {__version__}", "install the same on all nodes")
+    if begin is not None:
+        _begun(begin)
+    began = time.perf_counter()
+    try:
+        value = function(item)
+    except Exception as error:
+        raise _carried(error) from error
+    return value, time.perf_counter() - began
+
+
+@functools.cache
+def _begun(begin: Callable[[], None]) -> None:
+    begin()
+
+
+def reason_of(error: BaseException) -> str:
+    """Why an attempt failed, in a line."""
+    words = " ".join(printable(str(error)).split())[:500]
+    if isinstance(error, InputError | WorkerLost):
+        return words
+    if isinstance(error, OSError) and error.strerror:
+        return f"the system refused: {error.strerror}" + ("" if error.filename is None else f" | {error.filename}")
+    return f"{type(error).__name__}: {words}" if words else type(error).__name__
+
+
+def _carried(error: Exception) -> Exception:
+    """The error, or one of its words where it cannot pass between processes."""
+    try:
+        same: Exception = ForkingPickler.loads(ForkingPickler.dumps(error))
+    except Exception:
+        return RuntimeError(reason_of(error))
+    return error if type(same) is type(error) else RuntimeError(reason_of(error))

@@ -1,0 +1,152 @@
+"""A take of somebody's poked object, as pairs and a motion: meshes frame by frame with forces (as PokeFlex has them).
+
+TAKE/robot_data.json            a list of {"frame": 1, "forces": [x, y, z(, torques)]} [N]
+TAKE/meshes/mesh-f00001.obj     one a frame, with the same vertices [mm], z up
+TAKE/CAMERA/camera_parameters.json   intrinsics and extrinsics (a Kinect's: color_intrinsics, color_extrinsics)
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from deformscope.arrays import BoolArray, FloatArray, IntArray
+from deformscope.errors import InputError
+from deformscope.file_io import read_file
+
+MESH = re.compile(r"mesh-f(\d+)\.obj$")
+MM = 1e-3
+STANDS = 0.05
+"""Share of the height, from below, whose particles stand on the table."""
+TOUCHED, PRESSED_M = 0.8, 1e-3
+"""A tool holds what moved by this share of the largest displacement, or more, where that is so large [m]."""
+
+
+@dataclass(frozen=True, slots=True)
+class MeshTake:
+    """rest: (K, 3) particles of the first frame, before any load [m]; position: (T, K, 3) in each later frame
+    frames: (T,) their numbers; force_n: (T, 3) since the first frame; cameras: intrinsics and extrinsics as the files
+    have them, by folder"""
+
+    rest: FloatArray
+    position: FloatArray
+    frames: IntArray
+    force_n: FloatArray
+    cameras: Mapping[str, Mapping[str, list[list[float]]]]
+
+    @property
+    def stands(self) -> BoolArray:
+        """(K,) on the table."""
+        z = self.rest[:, 2]
+        return np.asarray(z <= z.min() + STANDS * np.ptp(z))
+
+    @property
+    def touched(self) -> BoolArray:
+        """(T, K) held by the tool."""
+        moved = np.linalg.norm(self.position - self.rest, axis=2)
+        least = np.maximum(TOUCHED * moved.max(axis=1, keepdims=True), PRESSED_M)
+        return np.asarray((moved >= least) & ~self.stands)
+
+    def pair(self, at: int) -> bytes:
+        """A frame as a pair file."""
+        held, contact = self.stands | self.touched[at], np.flatnonzero(self.touched[at])
+        force = float(np.linalg.norm(self.force_n[at]))
+        return _npz(rest=self.rest, deformed=self.position[at], held=held, contact=contact, force_n=force)
+
+    def motion(self, unseen: IntArray) -> bytes:
+        """All frames as a motion file. unseen: indices of frames of which what is held is known alone"""
+        held, motion = self.stands | self.touched, self.position.copy()
+        motion[unseen] = np.where(held[unseen, :, None], motion[unseen], np.nan)
+        return _npz(rest=self.rest, motion=motion, held=held, frame=self.frames)
+
+
+def read_take(folder: Path, particles: int) -> MeshTake:
+    """Raises InputError for what is missing or odd. particles: at most, spread evenly over the mesh"""
+    forces = _forces(folder / "robot_data.json")
+    found = {int(name[1]): one for one in folder.glob("meshes/*.obj") if (name := MESH.match(one.name))}
+    frames = np.array(sorted(forces.keys() & found.keys()), np.int64)
+    if len(frames) < 2:
+        came = f"{len(found)} meshes, {len(forces)} forces, {len(frames)} of them of one frame"
+        raise InputError("meshes/mesh-f00001.obj and on, with a force each", came, where=folder)
+    rest = _vertices(found[frames[0]])
+    chosen = _spread(rest, particles)
+    position = np.empty((len(frames) - 1, len(chosen), 3))
+    for at, frame in enumerate(frames[1:]):
+        if len(vertices := _vertices(found[frame])) != len(rest):
+            came = f"{len(vertices)} where {found[frames[0]].name} has {len(rest)}"
+            raise InputError("meshes with the same vertices", came, "register them to one template", found[frame])
+        position[at] = vertices[chosen]
+    force_n = np.array([forces[frame] for frame in frames])
+    cameras = {one.parent.name: _camera(one) for one in sorted(folder.glob("*/camera_parameters.json"))}
+    return MeshTake(rest[chosen], position, frames[1:], force_n[1:] - force_n[0], cameras)
+
+
+def _json(path: Path) -> Any:
+    try:
+        return json.loads(read_file(path, f"{path.name} of a take"))
+    except ValueError as error:
+        raise InputError(f"{path.name} in JSON", " ".join(str(error).split()), where=path) from error
+
+
+def _forces(path: Path) -> dict[int, FloatArray]:
+    """(3,) by frame [N]."""
+    found: dict[int, FloatArray] = {}
+    try:
+        for one in _json(path):
+            force = np.array(one["forces"], np.float64)
+            if force.shape not in ((3,), (6,)) or not np.isfinite(force).all():
+                raise ValueError(f"forces {one['forces']!r} in frame {one['frame']}")
+            found[int(one["frame"])] = force[:3]
+    except (KeyError, TypeError, ValueError) as error:
+        came = f"none of {error}" if isinstance(error, KeyError) else str(error)
+        raise InputError("a list of frame and forces (three or six numbers)", came, where=path) from error
+    return found
+
+
+def _vertices(path: Path) -> FloatArray:
+    """(n, 3) [m]."""
+    rows = [line.split()[1:4] for line in read_file(path, "a mesh").splitlines() if line.startswith(b"v ")]
+    try:
+        found = np.array(rows, dtype=np.float64)
+    except ValueError:
+        found = np.zeros(0)
+    if found.ndim != 2 or found.shape[1] != 3 or not np.isfinite(found).all():
+        raise InputError("a mesh with vertices (v x y z)", "none, or no numbers", where=path)
+    return found * MM
+
+
+def _spread(points: FloatArray, count: int) -> IntArray:
+    """Indices of `count` points at most, each the farthest from those before (Gonzalez 1985)."""
+    chosen, away = [0], np.linalg.norm(points - points[0], axis=1)
+    while len(chosen) < count and away.max() > 0.0:
+        chosen.append(int(np.argmax(away)))
+        away = np.minimum(away, np.linalg.norm(points - points[chosen[-1]], axis=1))
+    return np.array(sorted(chosen), np.int64)
+
+
+def _camera(path: Path) -> dict[str, list[list[float]]]:
+    """Intrinsics (3, 3) and extrinsics (4, 4), of a Kinect those of its colour camera."""
+    given, found = _json(path), {}
+    for name, size in (("intrinsics", 3), ("extrinsics", 4)):
+        value = given.get(name, given.get(f"color_{name}")) if isinstance(given, dict) else None
+        try:
+            matrix = np.array(value, np.float64)
+        except (TypeError, ValueError):
+            matrix = np.zeros(0)
+        if matrix.shape != (size, size) or not np.isfinite(matrix).all():
+            raise InputError(f"{name} or color_{name} ({size}, {size})", str(value)[:60], where=path)
+        found[name] = matrix.tolist()
+    return found
+
+
+def _npz(**arrays: Any) -> bytes:
+    file = io.BytesIO()
+    np.savez(file, allow_pickle=False, **arrays)
+    return file.getvalue()

@@ -1,0 +1,334 @@
+"""A catalog of the recordings in a folder: a Parquet file beside them, kept true by their content."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+from urllib.parse import quote
+
+import numpy as np
+import pyarrow as pa
+
+from deformscope.errors import InputError
+from deformscope.executor.opened import open_workers
+from deformscope.executor.tasks import compute
+from deformscope.files.result_table import make_table, read_table, select_rows, write_table
+from deformscope.files.sources import RECORDING_SUFFIX, natural_key
+from deformscope.pictures.report import Link, Section, Table, html_report
+from deformscope.plain import plain
+from deformscope.recording.ledger import ledger_path
+from deformscope.results.columns import HIGH, LOW, cells_of
+from deformscope.runs.result import LibraryResult
+from deformscope.terminal import Progress
+from deformscope.version import __version__
+
+if TYPE_CHECKING:
+    from deformscope.recording.reader import Replay
+
+INDEX, PAGE, PICTURES = "catalog.parquet", "catalog.html", ".catalog"
+STATED = ("size", "mtime_ns", "ledger_ns", "by")
+"""What says that a row of the index still holds: of the file, of its ledger, and the version that read it."""
+TYPES = {
+    **{name: pa.string() for name in ("path", "status", "problem", "kind", "label", "devices", "verdict", "losses")},
+    **{name: pa.string() for name in ("notes", "discarded", "command", "version", "sha256", "recorded", "by")},
+    **{name: pa.int64() for name in ("size", "mtime_ns", "ledger_ns")},
+    "damaged": pa.bool_(),
+    "duration_s": pa.float64(),
+}
+SHOWN = ("path", "status", "kind", "recorded", "duration_s", "beta", "theta", "stiffness", "verdict", "label", "losses")
+SHOWN_MORE = ("notes", "discarded", "problem")
+PICTURE_PX, PAGE_ROWS = 320, 1000
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class CatalogResult(LibraryResult):
+    """folder: of the recordings; table: the rows asked for; names: of the columns to show; read: recordings that were
+    read now"""
+
+    folder: Path
+    table: pa.Table
+    names: tuple[str, ...]
+    read: int
+
+    def tables(self) -> tuple[Table, ...]:
+        there = [name for name in self.names if self.table[name].null_count < self.table.num_rows]
+        rows = [[_cell(row[name]) for name in there] for row in self.table.select(there).to_pylist()]
+        return (Table(rows, there, f"{self.table.num_rows} recordings"),)
+
+    def as_json(self) -> dict[str, Any]:
+        rows = [{name: value for name, value in row.items() if value is not None} for row in self.table.to_pylist()]
+        return {"folder": self.folder, "index": self.folder / INDEX, "read": self.read, "recordings": rows}
+
+
+def catalogue(
+    folder: Path,
+    where: str = "",
+    sort: str = "",
+    names: Sequence[str] = (),
+    *,
+    workers: int | None = None,
+    progress: Progress | None = None,
+) -> CatalogResult:
+    """The recordings of a folder for which a condition holds (`select_rows`); the index is made or brought up to date.
+
+    names: of columns to show. Raises InputError for what cannot be used; a damaged recording is a row that says so.
+    """
+    if not folder.is_dir():
+        raise InputError("a folder of recordings", "a file" if folder.exists() else "nothing there", where=folder)
+    table, read = _index(folder, workers, progress)
+    shown = [name for name in names if name in table.schema.names]
+    if len(shown) < len(names):
+        missing = next(name for name in names if name not in shown)
+        raise InputError("columns of the catalog", repr(missing), ", ".join(table.schema.names[:20]))
+    table = select_rows(table, where, sort)
+    known = tuple(shown or (name for name in (*SHOWN, *SHOWN_MORE) if name in table.schema.names))
+    return CatalogResult(folder, table, known, read)
+
+
+def catalogued_paths(source: Path, where: str) -> list[Path]:
+    """The recordings of a folder, or of the catalog in it, for which a condition holds."""
+    folder = source.parent if source.suffix == ".parquet" else source
+    if source.suffix == ".parquet" and source.name != INDEX:
+        raise InputError(f"a folder, or the {INDEX} in it", source.name, where=source)
+    return [folder / path for path in catalogue(folder, where).table["path"].to_pylist()]
+
+
+def _index(folder: Path, workers: int | None, progress: Progress | None) -> tuple[pa.Table, int]:
+    path = folder / INDEX
+    before = read_table(path).to_pylist() if path.exists() else []
+    by_path = {row["path"]: row for row in before}
+    found = [one for one in folder.rglob(f"*{RECORDING_SUFFIX}") if one.is_file() and not one.name.startswith(".")]
+    rows, left = dict[str, dict[str, Any]](), list[tuple[str, str]]()
+    for one in sorted(found, key=lambda one: (str(one.parent), natural_key(one))):
+        name = str(one.relative_to(folder))
+        rows[name] = known = {"path": name} | _stated(one)
+        row = by_path.get(name, {})
+        if row.get("status") not in (None, "being written") and all(row.get(key) == known[key] for key in STATED):
+            rows[name] = row
+        else:
+            left.append((str(folder), name))
+    if left:
+        with open_workers("local", None, workers, len(left), apart=True) as several:
+            for count, outcome in enumerate(compute(several, _summarised, left, attempts=1), start=1):
+                name = outcome.item[1]
+                lost = {"status": "damaged", "damaged": True, "problem": "; ".join(outcome.reasons)}
+                rows[name] |= outcome.value if outcome.value is not None else lost
+                if progress is not None:
+                    progress("reading recordings", count, len(left))
+    if not left and len(before) == len(rows):
+        return read_table(path), 0
+    table = make_table(rows.values(), TYPES)
+    try:
+        write_table(table, path)
+    except OSError as error:
+        raise InputError("a folder that the index can be written to", str(error.strerror), where=path) from error
+    return table, len(left)
+
+
+def _stated(path: Path) -> dict[str, Any]:
+    stat, ledger = path.stat(), ledger_path(path)
+    recorded = datetime.fromtimestamp(stat.st_mtime, UTC).isoformat(timespec="seconds")
+    found: dict[str, Any] = {"recorded": recorded, "size": stat.st_size, "mtime_ns": stat.st_mtime_ns}
+    return found | {"ledger_ns": ledger.stat().st_mtime_ns if ledger.exists() else -1, "by": __version__}
+
+
+def _summarised(of: tuple[str, str]) -> dict[str, Any]:
+    from deformscope.recording.summary import summarise
+
+    found = plain(summarise(Path(*of)))
+    assert isinstance(found, dict)
+    return found
+
+
+def _cell(value: object) -> str:
+    return "" if value is None else f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+# The page -------------------------------------------------------------------------------------------------------------
+
+
+def write_page(found: CatalogResult, workers: int | None = None, progress: Progress | None = None) -> Path:
+    """A page with a picture of each recording, which opens it; pictures are made once."""
+    rows = found.table.slice(0, PAGE_ROWS).to_pylist()
+    pictures = {row["path"]: found.folder / PICTURES / f"{row.get('sha256')}.png" for row in rows}
+    left = [(str(found.folder / name), str(png)) for name, png in pictures.items() if not png.exists()]
+    if left:
+        (found.folder / PICTURES).mkdir(exist_ok=True)
+        with open_workers("local", None, workers, len(left), apart=True) as several:
+            for count, _ in enumerate(compute(several, _draw, left, attempts=1), start=1):
+                if progress is not None:
+                    progress("drawing", count, len(left))
+    names = [name for name in found.names if name != "path" and any(row[name] is not None for row in rows)]
+    cells = [(_opening(row["path"], pictures[row["path"]]), *(_cell(row[name]) for name in names)) for row in rows]
+    more = f", of which the first {PAGE_ROWS} are shown" if found.table.num_rows > PAGE_ROWS else ""
+    words = f"{found.table.num_rows} recordings{more}. A picture opens its recording, where rerun opens .rrd files."
+    page = html_report(f"Recordings in {found.folder.name}", [Section("", [words, Table(cells, ("", *names))])])
+    path = found.folder / PAGE
+    path.write_text(page, encoding="utf-8")
+    return path
+
+
+def _opening(name: str, picture: Path) -> Link:
+    png = picture.read_bytes() if picture.exists() else b""
+    return Link(name, quote(name), png)
+
+
+def _draw(of: tuple[str, str]) -> None:
+    """The first figure of its report, small."""
+    import cv2
+
+    from deformscope.images import decode_image
+    from deformscope.runs.recording_report import report_recording
+
+    recording, target = of
+    figures = report_recording(Path(recording)).figures()
+    if figures:
+        image = decode_image(figures[0].png, recording)
+        height, width = image.shape[:2]
+        scale = PICTURE_PX / max(height, width)
+        small = cv2.resize(image, (round(scale * width), round(scale * height)), interpolation=cv2.INTER_AREA)
+        Path(target).write_bytes(cv2.imencode(".png", small)[1].tobytes())
+
+
+# Two recordings -------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class ComparedRecordings(LibraryResult):
+    """How the second differs from the first.
+
+    settings: those that differ, by name; results: (name, first, second, difference) as JSON has values with intervals
+    series: of what devices measured since the first contact; unaligned: why there are none, empty = there are
+    """
+
+    first: Path
+    second: Path
+    settings: Mapping[str, tuple[object, object]]
+    results: Sequence[Mapping[str, Any]]
+    series: Sequence[Mapping[str, Any]]
+    unaligned: str
+
+    def tables(self) -> tuple[Table, ...]:
+        names = ("", self.first.stem, self.second.stem)
+        settings = [(name, _cell(a), _cell(b)) for name, (a, b) in self.settings.items()]
+        results = [
+            (one["name"], *(_with_ends(one.get(which)) for which in ("first", "second", "difference")))
+            for one in self.results
+        ]
+        columns = ("since the first contact", "rms difference", "largest", "over [s]")
+        series = [
+            (one["name"], f"{one['rms']:.4g}", f"{one['largest']:.4g}", f"{one['from_s']:.2f} to {one['to_s']:.2f}")
+            for one in self.series
+        ]
+        tables = [Table(settings, names, "Settings that differ"), Table(results, (*names, "difference"), "Results")]
+        tables.append(Table(series, columns, "What devices measured, aligned by contact"))
+        return tuple(one for one in tables if one.rows)
+
+    def as_json(self) -> dict[str, Any]:
+        settings = {name: {"first": a, "second": b} for name, (a, b) in self.settings.items()}
+        found = {"first": self.first, "second": self.second, "settings": settings, "results": self.results}
+        return found | {"series": self.series, "unaligned": self.unaligned}
+
+
+def compare_recordings(first: Path, second: Path) -> ComparedRecordings:
+    """Raises InputError where one is no recording of ours, or damaged."""
+    from deformscope.recording.reader import Replay
+    from deformscope.recording.summary import SETTINGS, summarise
+
+    replays = [Replay(path) for path in (first, second)]
+    rows = [plain(summarise(path) | _touches(path)) for path in (first, second)]
+    a, b = (row for row in rows if isinstance(row, dict))
+    names = list(dict.fromkeys([*a, *b]))
+    settings = {
+        name.removeprefix(SETTINGS): (a.get(name), b.get(name))
+        for name in names
+        if (name.startswith(SETTINGS) or name in ("kind", "version", "devices")) and a.get(name) != b.get(name)
+    }
+    if replays[0].settings.get("rig") != replays[1].settings.get("rig"):
+        settings.setdefault("rig", ("its rig file", "another rig file"))
+    results = []
+    for name in names:
+        ends = name.endswith((LOW, HIGH)) and name.rpartition("_")[0] in names
+        if not (name.startswith(SETTINGS) or ends or name in NOT_RESULTS):
+            results.append(_difference(name, a, b))
+    series, unaligned = _series(*replays)
+    return ComparedRecordings(first, second, settings, results, series, unaligned)
+
+
+NOT_RESULTS = {
+    *("status", "damaged", "problem", "sha256", "kind", "recording", "command", "seed", "version", "devices"),
+    *("complete", "frames", "label", "notes", "discarded", "parameter"),
+}
+"""Of a summary."""
+
+
+def _touches(path: Path) -> dict[str, Any]:
+    """The declared quantities of each touch."""
+    from deformscope.recording.items import read_results
+    from deformscope.stages.map.exploration import TouchEstimate
+
+    found: dict[str, Any] = {}
+    for row in read_results(path, (TouchEstimate,), trust=True):
+        found |= {f"touch {row.item.number + 1}.{name}": value for name, value in cells_of(row.item).items()}
+    return found
+
+
+def _difference(name: str, a: Mapping[str, Any], b: Mapping[str, Any]) -> dict[str, Any]:
+    """Both, with their intervals, and second minus first: its interval comes from theirs as for independent estimates
+    (MOVER: G. Y. Zou and A. Donner, Statistics in Medicine 27, 2008)."""
+    found: dict[str, Any] = {"name": name, "first": _valued(name, a), "second": _valued(name, b)}
+    x, y = a.get(name), b.get(name)
+    if any(isinstance(one, bool) or not isinstance(one, int | float) for one in (x, y)):
+        return found
+    found["difference"] = {"value": y - x}  # type: ignore[operator]
+    ends = [one.get(name + end) for one in (a, b) for end in (LOW, HIGH)]
+    if all(end is not None for end in ends):
+        x_low, x_high, y_low, y_high = ends
+        below, above = math.hypot(y - y_low, x_high - x), math.hypot(y_high - y, x - x_low)  # type: ignore[operator]
+        found["difference"]["interval"] = [y - x - below, y - x + above]  # type: ignore[operator]
+    return found
+
+
+def _valued(name: str, row: Mapping[str, Any]) -> dict[str, Any]:
+    ends = [row.get(name + LOW), row.get(name + HIGH)]
+    return {"value": row.get(name)} | ({"interval": ends} if None not in ends else {})
+
+
+def _with_ends(one: Mapping[str, Any] | None) -> str:
+    if one is None:
+        return ""
+    ends = " ({:.4g} to {:.4g})".format(*one["interval"]) if "interval" in one else ""
+    return _cell(one["value"]) + ends
+
+
+def _series(first: Replay, second: Replay) -> tuple[list[dict[str, Any]], str]:
+    from deformscope.page.aligned import aligned_series
+
+    try:
+        series, _ = aligned_series(first, second, ("", ""))
+    except InputError as error:
+        return [], str(error)
+    found = []
+    for one in (one for one in series if one.which == 0):
+        other = next((each for each in series if each.which == 1 and each.name == one.name), None)
+        if other is None or other.quantity != one.quantity:
+            continue
+        (at, mine), (theirs_at, theirs) = (_once(each.since_ns, each.values) for each in (one, other))
+        both = (at >= max(0, theirs_at[0])) & (at <= theirs_at[-1])
+        if both.any():
+            at = at[both]
+            apart = np.interp(at, theirs_at, theirs) - mine[both]
+            about = {"name": f"{one.name.removeprefix(': ')}: {one.quantity}", "rms": float(np.sqrt(np.mean(apart**2)))}
+            about |= {"largest": float(np.abs(apart).max()), "from_s": float(at[0] / 1e9), "to_s": float(at[-1] / 1e9)}
+            found.append(about)
+    return found, ""
+
+
+def _once(at: Any, values: Any) -> tuple[Any, Any]:
+    """The first of the values that have the same time."""
+    times, first = np.unique(at, return_index=True)
+    return times, values[first]

@@ -1,0 +1,389 @@
+"""A sweep: one function on many files and settings, each result kept as it comes.
+
+A task is known by its content: the bytes of its file, what is computed of it with which settings, and the version. What
+was computed is not computed again, whatever the file is called then.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib
+import inspect
+import io
+import json
+import os
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
+from dataclasses import dataclass, field
+from itertools import product
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+from urllib.parse import quote
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from deformscope.config.executor import ExecutorOptions
+from deformscope.errors import InputError
+from deformscope.executor.journal import Journal
+from deformscope.executor.opened import open_workers
+from deformscope.executor.tasks import TaskOutcome, compute
+from deformscope.file_io import make_folder, resolve
+from deformscope.files.result_table import make_table, write_table
+from deformscope.files.sources import natural_key
+from deformscope.pictures.distributions import distributions_png
+from deformscope.pictures.report import Figure, Link, ReportVerdict, Section, Table, html_report
+from deformscope.plain import plain
+from deformscope.results.columns import HIGH, LOW, to_cells
+from deformscope.runs.result import LibraryResult
+from deformscope.terminal import Progress
+from deformscope.version import __version__
+
+ENDINGS = (".rrd", ".npz", ".mp4", ".avi", ".mov", ".mkv", ".webm", ".mpg", ".mpeg", ".m4v", ".wmv")
+"""Of recordings, pair files and videos."""
+JOURNAL, RESULTS, OVERVIEW, FILES = "tasks.jsonl", "results.parquet", "index.html", "files"
+TYPES = {name: pa.string() for name in ("source", "status", "reason", "key")} | {"seconds": pa.float64()}
+VARIED = "vary."
+"""Before the names of settings that were varied, in a table of results."""
+PANELS, GROUPS, LISTED = 9, 6, 500
+"""Quantities whose distribution is drawn, by so many settings; rows that the overview lists."""
+GREEN, AMBER = "#1b7f4b", "#b3541e"
+
+
+@dataclass(frozen=True, slots=True)
+class Variation:
+    """One way to compute a file. settings: what is varied, by name; argument: what the function gets beside the file
+
+    identity: all that decides the result but for the file, in words
+    """
+
+    settings: Mapping[str, object]
+    argument: Any
+    identity: str
+
+
+@dataclass(frozen=True, slots=True)
+class SweepTask:
+    """source: the file; content: of it, sent along, or None; files: where what it writes begins"""
+
+    key: str
+    source: str
+    argument: Any
+    files: str
+    content: bytes | None
+    about: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class SweepOptions:
+    """How tasks are computed; as the flags of `deformscope sweep`."""
+
+    on: ExecutorOptions = field(default_factory=ExecutorOptions)
+    workers: int | None = None
+    send: bool = False
+    limit_s: float | None = None
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class SweepResult(LibraryResult):
+    """What became of the tasks. table: a row each; computed: how many were computed now; seconds: that this took"""
+
+    folder: Path
+    table: pa.Table
+    computed: int
+    seconds: float
+
+    @property
+    def failed(self) -> list[dict[str, Any]]:
+        """Those that have no result, with the reason."""
+        rows = self.table.filter(pc.field("status") == "failed")
+        names = [name for name in rows.schema.names if name in ("source", "reason") or name.startswith(VARIED)]
+        found: list[dict[str, Any]] = rows.select(names).to_pylist()
+        return found
+
+    def tables(self) -> tuple[Table, ...]:
+        failed = self.failed
+        rows = [
+            ("done", f"{self.table.num_rows - len(failed)} of {self.table.num_rows}"),
+            ("computed now", f"{self.computed} in {self.seconds:.1f} s"),
+            ("results", str(self.folder / RESULTS)),
+            ("overview", str(self.folder / OVERVIEW)),
+        ]
+        rows += [("failed", f"{one['source']}: {one['reason']}") for one in failed[:10]]
+        rows += [("failed", f"and {len(failed) - 10} more")] * (len(failed) > 10)
+        return (Table(rows, caption="Sweep"),)
+
+    def as_json(self) -> dict[str, Any]:
+        done = self.table.num_rows - len(self.failed)
+        found = {"folder": self.folder, "tasks": self.table.num_rows, "done": done, "failed": self.failed}
+        return found | {"computed": self.computed, "seconds": self.seconds, "columns": self.table.schema.names}
+
+
+def sweep_on(
+    function: Callable[[SweepTask], Any],
+    sources: Sequence[Path | str],
+    variations: Sequence[Variation],
+    out: Path,
+    options: SweepOptions,
+    *,
+    begin: Callable[[], None] | None = None,
+    progress: Progress | None = None,
+) -> SweepResult:
+    """Compute each source in each way that was not computed before, and write what came of all.
+
+    function: of a module; gives what JSON has
+    Raises InputError where nobody computes, or the folder cannot be used; a task that fails is a row with its reason.
+    """
+    make_folder(out)
+    began, computed, skipped = time.monotonic(), 0, 0
+    plan: list[tuple[str, int, str]] = []
+    with Journal(out / JOURNAL, "the tasks of a sweep", "another folder after --out") as journal:
+        known, contents = _known(journal)
+
+        def tasks() -> Iterator[SweepTask]:
+            nonlocal skipped
+            for source in sources:
+                about = contents.of(source)
+                for number, variation in enumerate(variations):
+                    key = key_of(about["content"], variation.identity)
+                    plan.append((str(source), number, key))
+                    if key in known:
+                        skipped += 1
+                    else:
+                        known.add(key)
+                        content = Path(source).read_bytes() if options.send and about["content"] else None
+                        files = str((out / FILES).resolve() / key)
+                        varied = about | {"settings": dict(variation.settings)}
+                        yield SweepTask(key, str(source), variation.argument, files, content, varied)
+
+        try:
+            with open_workers(options.on.executor, options.on.address, options.workers, apart=True) as workers:
+                coming = compute(workers, function, tasks(), limit_s=options.limit_s, begin=begin)
+                total = len(sources) * len(variations)
+                for outcome in coming:
+                    journal.add(_line(outcome))
+                    computed += 1
+                    if progress is not None:
+                        progress("sweeping", skipped + computed, total)
+        finally:  # also what is there where it is broken off
+            found = SweepResult(out, _results(journal, plan, variations), computed, time.monotonic() - began)
+            write_table(found.table, out / RESULTS)
+            (out / OVERVIEW).write_text(_overview(found), encoding="utf-8")
+    return found
+
+
+def key_of(content: str, identity: str) -> str:
+    """The name of a task: equal where its result is."""
+    return hashlib.sha256(json.dumps([__version__, content, identity]).encode()).hexdigest()[:32]
+
+
+def content_of(path: Path | str) -> str:
+    """The SHA-256 of a file, or of all files in a folder with their names; empty where it cannot be read."""
+    path = resolve(path)
+    try:
+        if not path.is_dir():
+            with path.open("rb") as file:
+                return hashlib.file_digest(file, "sha256").hexdigest()
+        inner = [(str(one.relative_to(path)), content_of(one)) for one in sorted(path.rglob("*")) if one.is_file()]
+        return hashlib.sha256(json.dumps(inner).encode()).hexdigest()
+    except OSError:
+        return ""
+
+
+class _Contents:
+    """Of files: those whose size and time stay as they were are not read again."""
+
+    def __init__(self) -> None:
+        self._known: dict[tuple[str, int, int], str] = {}
+
+    def add(self, line: Mapping[str, Any]) -> None:
+        self._known[line["source"], line["size"], line["mtime_ns"]] = line["content"]
+
+    def of(self, source: Path | str) -> dict[str, Any]:
+        """What the journal keeps of a source."""
+        path = resolve(source)
+        size, mtime_ns = (path.stat().st_size, path.stat().st_mtime_ns) if path.is_file() else (-1, -1)
+        known = self._known.get((str(source), size, mtime_ns), "") if size >= 0 else ""
+        content = known or content_of(path) or f"unreadable: {source}"
+        return {"source": str(source), "size": size, "mtime_ns": mtime_ns, "content": content}
+
+
+def _known(journal: Journal) -> tuple[set[str], _Contents]:
+    done, contents = set[str](), _Contents()
+    for line in journal.lines():
+        try:
+            contents.add(line)
+            if "result" in line:
+                done.add(line["key"])
+        except (TypeError, KeyError) as error:
+            raise InputError(
+                "the tasks of a sweep", "another file", "another folder after --out", journal.path
+            ) from error
+    return done, contents
+
+
+def _line(outcome: TaskOutcome[SweepTask, Any]) -> dict[str, Any]:
+    task = outcome.item
+    line = {"key": task.key, **task.about, "seconds": outcome.seconds, "reasons": outcome.reasons}
+    return line if outcome.error is not None else line | {"result": outcome.value}
+
+
+def _results(journal: Journal, plan: Sequence[tuple[str, int, str]], variations: Sequence[Variation]) -> pa.Table:
+    """A row for each task of the plan of which something is known, in the plan's order."""
+    wanted, at = {key for _, _, key in plan}, dict[str, int]()
+
+    def rows() -> Iterator[dict[str, Any]]:
+        count = 0
+        for line in journal.lines():
+            if line["key"] in wanted:
+                at[line["key"]] = count  # the last line counts
+                count += 1
+                found = line.get("result", {})
+                row = {"key": line["key"], "status": "done" if "result" in line else "failed"}
+                row |= {"reason": line["reasons"][-1] if "result" not in line and line["reasons"] else None}
+                row |= {"seconds": line["seconds"], "attempts": len(line["reasons"]) + ("result" in line)}
+                row |= {VARIED + name: value for name, value in line["settings"].items()}
+                yield row | to_cells(found if isinstance(found, dict) else {"result": found})
+
+    table = make_table(rows(), TYPES)
+    there = [one for one in plan if one[2] in at]
+    table = table.take(pa.array([at[key] for _, _, key in there], pa.int64()))
+    sources = pa.array([source for source, _, _ in there], pa.string())
+    return table.set_column(table.schema.get_field_index("source"), "source", sources)
+
+
+# The overview ---------------------------------------------------------------------------------------------------------
+
+
+def _overview(found: SweepResult) -> str:
+    table, failed = found.table, found.failed
+    varied = [name for name in table.schema.names if name.startswith(VARIED)]
+    quantities = _quantities(table)
+    done = table.num_rows - len(failed)
+    headline = f"{done} of {table.num_rows} tasks are done" + (f", {len(failed)} failed" if failed else "")
+    words = (f"deformscope {__version__}; {found.computed} computed in {found.seconds:.1f} s by the last command.",)
+    sections = [Section("", [ReportVerdict(headline, words, AMBER if failed else GREEN)])]
+    drawn = _distributions(table, quantities, varied)
+    if drawn:
+        caption = "how many cases gave which value" + (", by what was varied" if varied else "")
+        sections.append(Section("Distributions", [Figure(distributions_png(drawn), caption)]))
+    if failed:
+        rows = [
+            (_source_link(one["source"], found.folder), *(one[name] for name in varied), one["reason"])
+            for one in failed[:LISTED]
+        ]
+        sections.append(Section("Failed", [Table(rows, ("source", *_short(varied), "reason"))]))
+    names = [*varied, "verdict", *quantities, *(name + end for name in quantities for end in (LOW, HIGH)), "seconds"]
+    names = [name for name in names if name in table.schema.names]
+    listed = table.filter(pc.field("status") == "done").slice(0, LISTED).to_pylist()
+    rows = [(_source_link(one["source"], found.folder), *(_cell(one[name]) for name in names)) for one in listed]
+    shown = f"The first {LISTED}; all are in {RESULTS}." if done > LISTED else f"Also in {RESULTS}."
+    sections.append(Section("Results", [shown, Table(rows, ("source", *_short(names)))]))
+    return html_report(f"Sweep: {found.folder.name}", sections)
+
+
+def _quantities(table: pa.Table) -> list[str]:
+    """Numbers that differ between the tasks; those with an interval first."""
+    ends = (LOW, HIGH)
+    names = [
+        field.name
+        for field in table.schema
+        if (pa.types.is_floating(field.type) or pa.types.is_integer(field.type))
+        and field.name not in ("seconds", "attempts")
+        and not field.name.startswith(VARIED)
+        and not (field.name.endswith(ends) and field.name.rpartition("_")[0] in table.schema.names)
+        and pc.count_distinct(table[field.name]).as_py() > 1
+    ]
+    return sorted(names, key=lambda name: name + LOW not in table.schema.names)[:PANELS]
+
+
+def _distributions(table: pa.Table, names: Sequence[str], varied: Sequence[str]) -> dict[str, dict[str, list[float]]]:
+    rows = table.select([*varied, *names]).to_pylist()
+    drawn: dict[str, dict[str, list[float]]] = {}
+    for row in rows:
+        group = ", ".join(f"{short} {row[name]}" for name, short in zip(varied, _short(varied), strict=True))
+        for name in names:
+            if row[name] is not None and np.isfinite(row[name]):
+                groups = drawn.setdefault(name, {})
+                groups.setdefault(group if group in groups or len(groups) < GROUPS else "others", []).append(row[name])
+    return drawn
+
+
+def _short(names: Iterable[str]) -> list[str]:
+    return [name.removeprefix(VARIED) for name in names]
+
+
+def _cell(value: object) -> str:
+    return "" if value is None else f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def _source_link(source: str, folder: Path) -> Link:
+    return Link(Path(source).name, quote(os.path.relpath(resolve(source), folder)))
+
+
+def files_in(folder: Path, out: Path, match: str = "") -> list[Path]:
+    """The recordings, pair files and videos in a folder and those in it, but for what lies in OUT, in natural order.
+    match: names like this alone. Raises InputError where there are none."""
+    if not folder.is_dir():
+        came = "a file" if folder.exists() else "nothing there"
+        raise InputError("a folder of recordings, pair files or videos, or a catalog.parquet", came, where=folder)
+    own = out.resolve()
+    inside = (path for path in folder.rglob("*") if path.suffix.lower() in ENDINGS and path.is_file())
+    found = [path for path in inside if not path.name.startswith(".") and own not in path.resolve().parents]
+    return in_order(found, match, folder)
+
+
+def in_order(paths: Iterable[Path], match: str, where: Path) -> list[Path]:
+    """In natural order, folder by folder. Raises InputError where there are none."""
+    found = [one for one in paths if not match or one.match(match)]
+    if not found:
+        which = f" like {match}" if match else ""
+        raise InputError(f"recordings, pair files or videos{which}", "none", where=where)
+    return sorted(found, key=lambda path: (str(path.parent), natural_key(path)))
+
+
+# Functions of a script ------------------------------------------------------------------------------------------------
+
+
+def vary(settings: Mapping[str, Sequence[object]]) -> list[dict[str, object]]:
+    """Every combination of values."""
+    return [dict(zip(settings, values, strict=True)) for values in product(*settings.values())]
+
+
+def function_variations(
+    function: Callable[..., Any], settings: Mapping[str, Sequence[object]], options: Mapping[str, object]
+) -> list[Variation]:
+    """Ways to call a function of a module, by its name. Raises InputError for one that a worker would not find."""
+    module, name = function.__module__, function.__qualname__
+    if module == "__main__" or getattr(inspect.getmodule(function), name, None) is not function:
+        raise InputError("a function of a module", f"{name} of {module}", "put it into a file that can be imported")
+    found = []
+    for varied in vary(settings):
+        given = {**options, **varied}
+        identity = json.dumps([module, name, plain(given)], sort_keys=True)
+        found.append(Variation(varied, (module, name, given), identity))
+    return found
+
+
+def call_function(task: SweepTask) -> Any:
+    """Call it with the source, in a worker; its result as JSON has it."""
+    module, name, given = task.argument
+    function = getattr(importlib.import_module(module), name)
+    with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()), at_hand(task) as source:
+        found = function(source, **given)
+    return found.to_dict() if isinstance(found, LibraryResult) else plain(found)
+
+
+@contextmanager
+def at_hand(task: SweepTask) -> Iterator[str]:
+    """The source of a task: where it is, or where it was sent to as long as this is open."""
+    if task.content is None:
+        yield task.source
+        return
+    with TemporaryDirectory(prefix="deformscope-") as folder:
+        path = Path(folder) / Path(task.source).name
+        path.write_bytes(task.content)
+        yield str(path)

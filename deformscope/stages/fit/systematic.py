@@ -1,0 +1,54 @@
+"""Errors that a tool or a camera makes of all positions at once: a few displacements, in any proportion.
+
+- Of the tool: what is held is not where it is said to be, as one. The particles that something moved, and those held
+  still, are each shifted and turned (the registration of a robot or a fixture).
+- Of the camera: all measured positions are off by a displacement that is linear in the place: a scale that is wrong
+  along some direction, or a drift. What bends, as a lens does, is left to the smooth fields of
+  `deformscope.stages.fit.noise`.
+
+Each has a Gaussian prior, so that they add a covariance of low rank to that of the noise. They are there always: what
+a tool that is off leaves in the residuals is hardly told from what another parameter leaves, so that evidence decides
+for no tool error where there is one (`python -m studies beta`, docs/validation.md).
+"""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+import numpy as np
+
+from deformscope.arrays import BoolArray, FloatArray
+
+TOOL_SHIFT = 0.04
+"""Deviation of a shift along each axis, and of what a turn does to the farthest particle [spacings]. With that of the
+camera chosen on tuning seeds (`studies.seeds`), bodies of `studies.independent`."""
+
+CAMERA_SLOPE = 0.005
+"""Deviation of each part of a linear displacement, as a share of the distance."""
+
+
+def tool_modes(held: FloatArray, touched: BoolArray) -> FloatArray:
+    """(k, d, q) shifts and turns of held particles (k, d), of which some are touched (k,), by 1 at the farthest one."""
+    d = held.shape[1]
+    found = []
+    for group in (touched, ~touched):
+        if not group.any():
+            continue
+        found += [np.outer(group, axis) for axis in np.eye(d)]
+        away = np.where(group[:, None], held - held[group].mean(axis=0), 0.0)
+        for i, j in combinations(range(d), 2):
+            turned = np.zeros_like(held)
+            turned[:, i], turned[:, j] = -away[:, j], away[:, i]
+            farthest = float(np.linalg.norm(turned, axis=1).max())
+            if farthest > 0.0:
+                found.append(turned / farthest)
+    return np.stack(found, axis=-1)
+
+
+def camera_modes(places: FloatArray) -> FloatArray:
+    """(n, d, q) displacements of particles at places (n, d) [unit], one deviation each."""
+    d = places.shape[1]
+    half = 0.5 * float(np.ptp(places, axis=0).max())
+    along = (places - 0.5 * (places.min(axis=0) + places.max(axis=0))) / half
+    each = [np.outer(along[:, i], axis) for i in range(d) for axis in np.eye(d)]
+    return np.asarray(CAMERA_SLOPE * half * np.stack(each, axis=-1))

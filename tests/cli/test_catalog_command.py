@@ -1,0 +1,177 @@
+"""`deformscope catalog` as a user calls it: every recording of a folder, the damaged ones too, read once."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pyarrow.parquet as pq
+import pytest
+
+pytest.importorskip("warp")
+pytest.importorskip("tyro")
+
+from deformscope.cli import main
+from deformscope.recording.ledger import add_discard
+from tests.test_imports import ROOT
+
+SHIPPED = ROOT / "recordings"
+OLD = ROOT / "tests" / "recording" / "old"
+
+
+def copy(recording: Path, target: Path) -> None:
+    shutil.copy(recording, target)
+    shutil.copy(f"{recording}.ledger", f"{target}.ledger")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    made = tmp_path_factory.mktemp("recordings")
+    for name in ("explore", "tension"):
+        copy(SHIPPED / f"{name}.rrd", made / f"{name}.rrd")
+    (made / "older").mkdir()
+    copy(OLD / "format-2.rrd", made / "older" / "rig.rrd")
+    copy(OLD / "format-2.rrd", made / "flipped.rrd")
+    content = bytearray((made / "flipped.rrd").read_bytes())
+    content[len(content) // 2] ^= 4
+    (made / "flipped.rrd").write_bytes(content)
+    copy(OLD / "squeeze.rrd", made / "short.rrd")
+    with (made / "short.rrd").open("r+b") as file:
+        file.truncate(300_000)
+    (made / "none.rrd").write_bytes(b"no recording")
+    return made
+
+
+def catalog(folder: Path, *flags: str) -> dict[str, Any]:
+    target = folder.parent / f"{folder.name}.json"
+    assert main(["catalog", str(folder), "--workers", "1", "--json", str(target), *flags]) == 0
+    found: dict[str, Any] = json.loads(target.read_text())
+    return found
+
+
+@pytest.fixture(scope="module")
+def listed(folder: Path) -> dict[str, dict[str, Any]]:
+    return {one["path"]: one for one in catalog(folder)["recordings"]}
+
+
+def test_all_are_listed_and_the_damaged_as_damaged(listed: dict[str, dict[str, Any]]) -> None:
+    assert {name: row["status"] for name, row in listed.items()} == {
+        "explore.rrd": "whole",
+        "tension.rrd": "whole",
+        "older/rig.rrd": "whole",
+        "flipped.rrd": "damaged",
+        "short.rrd": "damaged",
+        "none.rrd": "damaged",
+    }
+    assert "differ from what was recorded" in listed["flipped.rrd"]["problem"]
+    assert "truncated" in listed["short.rrd"]["problem"]
+    assert listed["none.rrd"]["problem"] == "expected a recording (.rrd); got a file that is none"
+
+
+def test_a_row_says_what_made_it_and_what_it_found(listed: dict[str, dict[str, Any]]) -> None:
+    tension, explored = listed["tension.rrd"], listed["explore.rrd"]
+
+    assert (tension["kind"], explored["kind"]) == ("images", "exploration")
+    assert tension["settings.stride"] == 2
+    assert tension["beta_low"] <= tension["beta"] <= tension["beta_high"]
+    assert (explored["touches"], explored["devices"], explored["verdict"]) == (2, "arm, camera, tip", "regions")
+    assert explored["stiffness_low"] < explored["stiffness"] < explored["stiffness_high"]
+    assert explored["duration_s"] == pytest.approx(12.37, abs=0.01)
+    assert explored["settings.explore.pace"] == "quick"
+    assert len(explored["sha256"]) == 64
+
+
+def test_what_holds_for_a_condition_is_listed_in_the_order_asked_for(folder: Path) -> None:
+    found = catalog(folder, "--where", "not damaged and duration_s > 1", "--sort=-duration_s")
+    assert [one["path"] for one in found["recordings"]] == ["explore.rrd", "tension.rrd"]
+    assert [one["path"] for one in catalog(folder, "--where", "stiffness < 5")["recordings"]] == ["explore.rrd"]
+
+
+def test_only_what_changed_is_read_again(folder: Path, tmp_path: Path) -> None:
+    here = tmp_path / "here"
+    shutil.copytree(folder, here)
+    assert catalog(here)["read"] in (0, 6)  # times of a copy may be others
+    assert catalog(here)["read"] == 0
+
+    add_discard(here / "tension.rrd", {"reason": "the clamp slipped", "episode": 0, "label": ""})
+    (here / "none.rrd").unlink()
+    copy(OLD / "squeeze.rrd", here / "short.rrd")
+    found = catalog(here)
+    rows = {one["path"]: one for one in found["recordings"]}
+    assert found["read"] == 2
+    assert rows["tension.rrd"]["discarded"] == "all of it: the clamp slipped"
+    assert (rows["short.rrd"]["status"], "none.rrd" in rows) == ("whole", False)
+    assert pq.read_table(here / "catalog.parquet").num_rows == 5
+
+
+def test_a_page_has_a_picture_of_each_that_opens_it(folder: Path, tmp_path: Path) -> None:
+    here = tmp_path / "here"
+    here.mkdir()
+    copy(SHIPPED / "tension.rrd", here / "tension one.rrd")
+    catalog(here, "--page")
+    page = (here / "catalog.html").read_text()
+    (picture,) = (here / ".catalog").iterdir()
+    made = picture.stat().st_mtime_ns
+
+    assert re.search(r'<a href="tension%20one\.rrd"><img src="data:image/png;base64,', page)
+    catalog(here, "--page")
+    assert picture.stat().st_mtime_ns == made
+
+
+def compared(first: Path, second: Path, tmp_path: Path) -> dict[str, Any]:
+    target = tmp_path / "compared.json"
+    assert main(["catalog", "compare", str(first), str(second), "--json", str(target)]) == 0
+    found: dict[str, Any] = json.loads(target.read_text())
+    return found
+
+
+def test_a_recording_does_not_differ_from_itself(tmp_path: Path) -> None:
+    found = compared(SHIPPED / "explore.rrd", SHIPPED / "explore.rrd", tmp_path)
+    by_name = {one["name"]: one for one in found["results"]}
+
+    assert found["settings"] == {}
+    assert {one["difference"]["value"] for one in found["results"] if "difference" in one} == {0}
+    touched = by_name["touch 2.apparent_stiffness_n_per_mm"]["difference"]
+    assert touched["interval"][0] < 0 < touched["interval"][1]
+    assert {one["name"].partition(":")[0] for one in found["series"]} == {"arm", "tip"}
+    assert all(one["rms"] == 0 and one["to_s"] > one["from_s"] >= 0 for one in found["series"])
+
+
+def test_settings_and_results_that_differ_are_named_and_what_has_no_contact_is_not_aligned(tmp_path: Path) -> None:
+    found = compared(SHIPPED / "tension.rrd", SHIPPED / "explore.rrd", tmp_path)
+
+    assert found["settings"]["stride"] == {"first": 2, "second": None}
+    assert "without a contact" in found["unaligned"]
+    assert found["series"] == []
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["nowhere"], "a folder of recordings"),
+        (["{folder}", "--where", "stiffnes < 1"], "stiffness"),
+        (["{folder}", "--where", "open('x')"], "columns compared with values"),
+        (["{folder}", "--columns", "path,no_such"], "columns of the catalog"),
+        (["compare", "{folder}/flipped.rrd", "{folder}/explore.rrd"], "as its ledger has it"),
+        (["compare", "{folder}/none.rrd", "{folder}/explore.rrd"], "a recording"),
+    ],
+)
+def test_what_cannot_be_listed_is_said_in_one_line(
+    arguments: list[str], words: str, folder: Path, listed: object, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["catalog", *(one.format(folder=folder) for one in arguments)]) == 2
+    said = capsys.readouterr().err.splitlines()
+    assert words in said[-1]
+    assert sum("error" in line for line in said) == 1
+
+
+def test_a_sweep_takes_what_a_catalog_selects(folder: Path, tmp_path: Path) -> None:
+    target = tmp_path / "found.json"
+    flags = ["--where", 'kind == "exploration"', "--out", str(tmp_path / "out"), "--json", str(target)]
+    assert main(["sweep", str(folder), *flags, "--workers", "1", "--", "verify"]) == 0
+    assert json.loads(target.read_text())["tasks"] == 1
+    (row,) = pq.read_table(tmp_path / "out" / "results.parquet").to_pylist()
+    assert (Path(row["source"]).name, row["ok"], row["checked"]) == ("explore.rrd", True, True)

@@ -1,0 +1,255 @@
+"""`deformscope sweep` as a user calls it: each file once, whatever becomes of workers and of the command."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+pytest.importorskip("warp")
+pytest.importorskip("tyro")
+
+import deformscope as ds
+from deformscope.cli import main
+from deformscope.cli.common import EXIT_LOSSES
+from deformscope.errors import InputError
+from deformscope.file_io import sample_path
+from tests.executor.test_tasks import paths_of_tests
+from tests.patience import PATIENCE_S
+
+PAIR = sample_path("pair") / "pair.npz"
+FIT = ["calibrate", "beta", "--method", "gradient"]
+
+
+@pytest.fixture(scope="module")
+def pairs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two pairs that differ, one of them twice, and a file that is none."""
+    folder = tmp_path_factory.mktemp("pairs")
+    (folder / "more").mkdir()
+    shutil.copy(PAIR, folder / "p1.npz")
+    with np.load(PAIR) as pair:
+        rest, deformed = pair["rest"], pair["deformed"]
+        arrays = {name: pair[name] for name in pair.files} | {"deformed": rest + 0.9 * (deformed - rest)}
+    np.savez(folder / "p2.npz", **arrays)
+    shutil.copy(PAIR, folder / "more" / "same.npz")
+    (folder / "p10.npz").write_text("no pair")
+    (folder / "notes.txt").write_text("no source")
+    return folder
+
+
+def sweep(folder: Path, out: Path, *flags: str, command: list[str] = FIT) -> tuple[int, dict[str, Any]]:
+    """The exit status, and the JSON."""
+    target = out.parent / "found.json"
+    status = main(["sweep", str(folder), "--out", str(out), "--json", str(target), *flags, "--", *command])
+    return status, json.loads(target.read_text())
+
+
+@pytest.fixture(scope="module")
+def swept(pairs: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, int, dict[str, Any]]:
+    out = tmp_path_factory.mktemp("swept") / "out"
+    return out, *sweep(pairs, out, "--vary", "cluster-size=2,3", "--workers", "2")
+
+
+def test_each_file_is_computed_once_in_each_way(swept: tuple[Path, int, dict[str, Any]], pairs: Path) -> None:
+    out, status, found = swept
+    rows = pq.read_table(out / "results.parquet").to_pylist()
+
+    assert status == EXIT_LOSSES
+    assert (found["tasks"], found["done"], found["computed"]) == (8, 6, 6)  # the same content is not computed twice
+    names = [Path(row["source"]).name for row in rows]
+    assert names == ["p1.npz"] * 2 + ["p2.npz"] * 2 + ["p10.npz"] * 2 + ["same.npz"] * 2
+    assert [row["vary.cluster_size"] for row in rows] == [2, 3] * 4
+    assert [row["status"] for row in rows] == ["done"] * 4 + ["failed"] * 2 + ["done"] * 2
+    assert all("expected a pair file" in one["reason"] for one in found["failed"])
+    by = {(Path(row["source"]).name, row["vary.cluster_size"]): row for row in rows}
+    assert by["same.npz", 2]["beta"] == by["p1.npz", 2]["beta"]
+    assert by["p1.npz", 2]["beta_low"] <= by["p1.npz", 2]["beta"] <= by["p1.npz", 2]["beta_high"]
+
+
+def test_numbers_are_those_of_the_command_itself(swept: tuple[Path, int, dict[str, Any]], tmp_path: Path) -> None:
+    alone = tmp_path / "alone.json"
+    assert main([*FIT, str(PAIR), "--cluster-size", "3", "--viewer", "none", "--json", str(alone)]) == 0
+    lines = [json.loads(line) for line in (swept[0] / "tasks.jsonl").read_text().splitlines()]
+    (mine,) = [one for one in lines if one["source"].endswith("p1.npz") and one["settings"] == {"cluster_size": 3}]
+
+    expected = json.loads(alone.read_text())
+    assert {name: value for name, value in mine["result"].items() if name != "seconds"} == {
+        name: value for name, value in expected.items() if name != "seconds"
+    }
+
+
+def test_the_overview_shows_distributions_failures_and_links(swept: tuple[Path, int, dict[str, Any]]) -> None:
+    page = (swept[0] / "index.html").read_text()
+
+    assert "6 of 8 tasks are done, 2 failed" in page
+    assert "data:image/png;base64," in page
+    assert "expected a pair file" in page
+    links = re.findall(r'<a href="([^"]+)"', page)
+    assert links
+    assert all((swept[0] / link).is_file() for link in links)
+
+
+def test_the_same_line_tries_again_what_failed_alone(swept: tuple[Path, int, dict[str, Any]], pairs: Path) -> None:
+    status, found = sweep(pairs, swept[0], "--vary", "cluster-size=2,3", "--workers", "1")
+
+    assert (status, found["computed"], found["done"]) == (EXIT_LOSSES, 2, 6)
+
+
+def test_other_settings_are_other_tasks_and_a_moved_file_is_none(
+    swept: tuple[Path, int, dict[str, Any]], pairs: Path, tmp_path: Path
+) -> None:
+    shutil.copytree(swept[0], tmp_path / "out")
+    shutil.copy(PAIR, tmp_path / "renamed.npz")
+    found = [
+        sweep(tmp_path, tmp_path / "out", *flags, "--match", "renamed*", "--workers", "1")[1]["computed"]
+        for flags in (["--vary", "cluster-size=2"], ["--vary", "cluster-size=2|3", "--send"], [])
+    ]
+    assert found == [0, 0, 1]
+    assert (
+        sweep(tmp_path, tmp_path / "out", "--match", "renamed*", command=[*FIT, "--level", "0.8"])[1]["computed"] == 1
+    )
+
+
+def test_files_that_are_written_have_a_name_for_each_task(tmp_path: Path) -> None:
+    shutil.copy(PAIR, tmp_path / "a.npz")
+    out = tmp_path / "out"
+    status, _ = sweep(tmp_path, out, "--send", command=[*FIT, "--save", "{key}.npz"])
+    (written,) = (out / "files").iterdir()
+
+    assert status == 0
+    assert written.stem == pq.read_table(out / "results.parquet")["key"][0].as_py()
+
+
+@pytest.mark.parametrize(
+    ("flags", "command", "words"),
+    [
+        ([], ["calibrat", "beta"], "a command out of"),
+        ([], ["calibrate", "gamma"], "after calibrate"),
+        ([], ["demo"], "a command with one SOURCE"),
+        ([], ["flow"], "a command with one SOURCE"),
+        ([], [*FIT, "--record", "all.rrd"], "a file for each task after --record"),
+        ([], [*FIT, "--json", "-"], "without --json"),
+        ([], [*FIT, "--cluster-siz", "3"], "--cluster-size"),
+        (["--vary", "cluster-size=one"], FIT, "cluster-size"),
+        (["--vary", "cluster-size"], FIT, "FLAG=VALUE"),
+        (["--match", "*.rrd"], FIT, "recordings, pair files or videos like"),
+        (["--executor", "ray"], FIT, "--address"),
+        (["--address", "127.0.0.1:1"], FIT, "--executor ray"),
+    ],
+)
+def test_what_cannot_be_swept_is_said_in_one_line(
+    flags: list[str],
+    command: list[str],
+    words: str,
+    pairs: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert main(["sweep", str(pairs), "--out", str(tmp_path / "out"), *flags, "--", *command]) == 2
+    said = capsys.readouterr().err
+    assert words in said
+    assert said.count("\n") == 1
+
+
+def test_a_second_sweep_into_the_same_folder_is_refused(pairs: Path, tmp_path: Path) -> None:
+    from deformscope.executor.journal import Journal
+
+    (tmp_path / "out").mkdir()
+    with Journal(tmp_path / "out" / "tasks.jsonl", "tasks"), pytest.raises(InputError, match="another command"):
+        ds.sweep(ds.calibrate_beta, pairs, out=tmp_path / "out")
+
+
+# Functions of a script ------------------------------------------------------------------------------------------------
+
+TRACES = "DEFORMSCOPE_TEST_TRACES"
+
+
+def spread(source: str, *, scale: float = 1.0) -> dict[str, float]:
+    """Of the numbers in a file; a line is left when it is done, and sometimes the process ends before."""
+    folder = Path(os.environ[TRACES])
+    values = np.load(source)["values"]
+    time.sleep(0.002)
+    with (folder / f"{os.getpid()}").open("a") as file:
+        file.write(f"{Path(source).name}\n")
+    return {"mean": scale * float(values.mean()), "spread": scale * float(values.std())}
+
+
+def generated(folder: Path, count: int) -> Path:
+    folder.mkdir()
+    drawn = np.random.default_rng(3)
+    for number in range(count):
+        np.savez(folder / f"{number}.npz", values=drawn.normal(size=50))
+    return folder
+
+
+SCRIPT = """
+import sys
+from pathlib import Path
+import deformscope as ds
+from tests.cli.test_sweep_command import spread
+ds.sweep(spread, Path(sys.argv[1]), out=sys.argv[2], workers=2, scale=2.0, progress=False)
+"""
+
+
+def killed_and_equal(tmp_path: Path, count: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Killed by -9 three times: each is in the journal once, and equal to what one process computes."""
+    folder, out, traces = generated(tmp_path / "in", count), tmp_path / "out", tmp_path / "traces"
+    traces.mkdir()
+    monkeypatch.setenv(TRACES, str(traces))
+    command = [sys.executable, "-c", SCRIPT, str(folder), str(out)]
+    journal = out / "tasks.jsonl"
+    for kill in range(1, 4):
+        with subprocess.Popen(command, env=paths_of_tests()) as running:
+            until = time.monotonic() + PATIENCE_S
+            while not journal.exists() or len(journal.read_bytes().splitlines()) < kill * count // 4:
+                assert running.poll() is None
+                assert time.monotonic() < until
+                time.sleep(0.005)
+            os.kill(running.pid, signal.SIGKILL)
+    before = len(journal.read_bytes().splitlines())
+    assert subprocess.run(command, env=paths_of_tests(), timeout=PATIENCE_S, check=False).returncode == 0
+
+    assert before < count
+    lines = [json.loads(line) for line in journal.read_text().splitlines()]
+    assert Counter(Counter(line["source"] for line in lines).values()) == {1: count}
+    alone = {str(path): spread(str(path), scale=2.0) for path in folder.iterdir()}
+    assert {line["source"]: line["result"] for line in lines} == alone
+    rows = pq.read_table(out / "results.parquet").to_pylist()
+    assert {row["source"]: {"mean": row["mean"], "spread": row["spread"]} for row in rows} == alone
+
+
+def test_a_sweep_that_is_killed_three_times_computes_each_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    killed_and_equal(tmp_path, 80, monkeypatch)
+
+
+@pytest.mark.slow
+def test_a_sweep_of_a_thousand_that_is_killed_three_times(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Slow: a thousand files."""
+    killed_and_equal(tmp_path, 1000, monkeypatch)
+
+
+def test_a_function_of_the_library_is_swept(pairs: Path, tmp_path: Path) -> None:
+    found = ds.sweep(
+        ds.calibrate_beta, [pairs / "p1.npz"], out=tmp_path, vary={"cluster_size": [2, 3]}, workers=1, method="gradient"
+    )
+    assert [row["vary.cluster_size"] for row in found.table.to_pylist()] == [2, 3]
+    assert found.failed == []
+    assert "2 of 2" in str(found)
+    assert found.table["beta"][1].as_py() == ds.calibrate_beta(pairs / "p1.npz", method="gradient").value
+
+
+def test_a_function_that_workers_would_not_find_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="a function of a module"):
+        ds.sweep(lambda source: 1, [PAIR], out=tmp_path)

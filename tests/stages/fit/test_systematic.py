@@ -1,0 +1,90 @@
+"""Errors of the tool and the camera: the displacements, and what they do to an interval."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+pytest.importorskip("warp")
+
+from deformscope.stages.fit.calibrate import FitOptions, Model, Observation, calibrate
+from deformscope.stages.fit.noise import ErrorModel, Measured
+from deformscope.stages.fit.systematic import camera_modes, tool_modes
+
+
+def test_a_tool_shifts_and_turns_its_particles_and_what_is_fixed() -> None:
+    held = np.array([[0.0, 0.0], [0.0, 1.0], [3.0, 0.0], [3.0, 1.0]])
+    touched = np.array([False, False, True, True])
+    modes = tool_modes(held, touched)
+    assert modes.shape == (4, 2, 6)
+    np.testing.assert_allclose(np.linalg.norm(modes, axis=1).max(axis=0), 1.0)
+    for mode in np.moveaxis(modes, -1, 0):
+        moved = (held + 1e-4 * mode)[touched]
+        assert np.linalg.norm(moved[1] - moved[0]) == pytest.approx(1.0, abs=1e-7)
+
+
+def test_a_camera_that_is_off_moves_everything_in_proportion_to_the_place() -> None:
+    places = np.random.default_rng(0).random((30, 2))
+    modes = camera_modes(places).reshape(60, -1)
+    assert modes.shape[1] == 4
+    scale = 0.01 * (places - places.mean(axis=0)).ravel()
+    shift = np.tile(np.eye(2), (30, 1))
+    left = np.linalg.lstsq(np.column_stack([modes, shift]), scale, rcond=None)[1]
+    assert left[0] < 1e-20
+
+
+def test_products_are_those_of_the_whole_covariance() -> None:
+    rng = np.random.default_rng(1)
+    rest, held = rng.random((7, 2)), rng.random((3, 2)) + np.array([2.0, 0.0])
+    touched = np.array([True, True, False])
+    measured = Measured(rest, held, np.full(7, 0.1), np.full(3, 0.2), True, 0.3, 1e-9, touched=touched, shift=0.05)
+    errors = ErrorModel(measured)
+    response = 0.3 * rng.standard_normal((7, 2, 6))
+    residual = rng.standard_normal((2, 7, 2))
+    row = np.flatnonzero(errors.hypotheses.held & (errors.hypotheses.size == 0.0))
+    found = errors.products(residual, response, row)
+    flat = response.reshape(14, 6)
+    modes = errors.modes(response, held=True).reshape(14, -1)
+    covariance = 0.01 * np.eye(14) + 0.04 * flat @ flat.T + modes @ modes.T
+    each = residual.reshape(2, 14)
+    np.testing.assert_allclose(found.product[0], each @ np.linalg.solve(covariance, each.T), rtol=1e-8)
+    # the whole log determinant, less what the stated noise has of it
+    assert found.log_det[0] == pytest.approx(np.linalg.slogdet(covariance)[1], rel=1e-8)
+
+
+def _pulled(shift_m: float, noise_m: float = 1e-4) -> Observation:
+    shape = (5, 6)
+    rest = 0.01 * np.stack(np.meshgrid(*map(np.arange, shape), indexing="ij"), axis=-1).reshape(-1, 2)
+    near, tool = np.flatnonzero(rest[:, 0] == 0.0), np.array([25, 26])
+    held = np.concatenate([near, tool])
+    place = rest[held] + np.where(np.isin(held, tool)[:, None], [0.006, 0.003], 0.0)
+    seen = Observation(rest, rest.copy(), held, np.ones(30, bool), np.full(30, 1e-4), shape=shape, cell=np.arange(30))
+    true = Model(cluster_size=3).body(seen).relax(place, 0.6).position[0]
+    true = true + noise_m * np.random.default_rng(2).standard_normal(true.shape)
+    true[tool] += [shift_m, 0.0]
+    return dataclasses.replace(seen, deformed=true)
+
+
+def test_a_tool_that_is_off_is_no_reason_to_blame_single_particles_where_registration_may_be() -> None:
+    options = FitOptions(Model(cluster_size=3), candidates=40)
+    seen = _pulled(7e-4)
+    sure, unsure = (calibrate([dataclasses.replace(seen, held_shift=shift)], options).estimate for shift in (0.0, 1e-3))
+    assert "held-off" in [one.code for one in sure.reasons]
+    assert not unsure.reasons
+    assert unsure.interval[0] <= 0.6 <= unsure.interval[1]
+
+
+def test_what_details_show_of_a_tool_that_is_right_narrows_the_interval() -> None:
+    """Nearly clean data, whose misfit outweighs noise and is a hundredth of what tool and camera may be off by, tell
+    more than data with white noise of a quarter of that."""
+    seen = _pulled(0.0)
+    true = _pulled(0.0, noise_m=0.0).deformed
+    wave = np.sin(2.0 * np.pi * seen.rest[:, ::-1] / 0.03)
+    clean = dataclasses.replace(seen, deformed=true + 5e-6 * wave, noise=np.full(30, 5e-7))
+    fits = [calibrate([one], FitOptions(Model(cluster_size=3), candidates=40)) for one in (clean, seen)]
+    assert fits[0].inferred.explanations[0].misfit() > fits[0].inferred.noise
+    ends, rough = (one.estimate.interval for one in fits)
+    assert ends[0] <= 0.6 <= ends[1]
+    assert ends[1] - ends[0] < rough[1] - rough[0]

@@ -1,0 +1,101 @@
+"""The site builds without a warning, its tutorials run as typed, and what it quotes is there."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import yaml
+
+ROOT = Path(__file__).resolve().parents[1]
+DOCS = ROOT / "docs"
+TUTORIALS = sorted((DOCS / "tutorials").glob("*.md"))
+PLAIN = [*TUTORIALS, *sorted((DOCS / "explanation").glob("*.md"))]
+PLAIN += [DOCS / f"{name}.md" for name in ("index", "glossary", "troubleshooting", "upgrading")]
+BLOCK = re.compile(r"```(\w*)( [^\n]*)?\n(.*?)```", re.DOTALL)
+MINUTES = {"first-map", "own-video", "squeeze", "simulated-rig", "first-poke"}
+LONGEST, SHARE = 25, 0.95
+"""Words of a sentence, and the share of sentences with as many at most."""
+
+
+def page_name(path: Path) -> str:
+    return str(path.relative_to(DOCS))
+
+
+def environment() -> dict[str, str]:
+    path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
+    return {
+        **os.environ,
+        "PATH": path,
+        "NO_MKDOCS_2_WARNING": "1",
+        "PYTHONPATH": f"{ROOT}{os.pathsep}{ROOT / 'drivers'}",
+    }
+
+
+def test_the_site_is_built_without_a_warning(tmp_path: Path) -> None:
+    pytest.importorskip("mkdocs", reason="the site needs pip install 'deformscope[docs]'")
+    command = [sys.executable, "-m", "mkdocs", "build", "--quiet", "--strict", "--site-dir", str(tmp_path)]
+
+    built = subprocess.run(command, cwd=ROOT, env=environment(), capture_output=True, text=True)
+
+    assert (built.returncode, built.stdout + built.stderr) == (0, "")
+    page = (tmp_path / "reference" / "rig-file.html").read_text(encoding="utf-8")
+    assert "hard_stop_n" in page
+    start = (tmp_path / "index.html").read_text(encoding="utf-8")
+    assert re.findall(r'(?:<script[^>]* src|<link[^>]* rel="stylesheet"[^>]* href)="(?:https?:)?//[^"]*', start) == []
+
+
+def test_every_page_stands_in_the_navigation() -> None:
+    named = set(
+        re.findall(r"[\w/-]+\.md", str(yaml.safe_load((ROOT / "mkdocs.yml").read_text(encoding="utf-8"))["nav"]))
+    )
+
+    assert {page_name(page) for page in DOCS.rglob("*.md")} == {
+        one for one in named if not one.startswith("reference/")
+    }
+
+
+@pytest.mark.parametrize(
+    "page",
+    [pytest.param(page, marks=[pytest.mark.slow] if page.stem in MINUTES else []) for page in TUTORIALS],
+    ids=lambda page: page.stem,
+)
+def test_a_tutorial_runs_as_typed(page: Path, tmp_path: Path) -> None:
+    run = 0
+    for kind, about, block in BLOCK.findall(page.read_text(encoding="utf-8")):
+        if kind == "toml":
+            (tmp_path / about.strip()).write_text(block, encoding="utf-8")
+        if kind == "python":
+            commands = [[sys.executable, "-c", block]]
+        else:
+            commands = [["sh", "-c", line] for line in block.splitlines()] if (kind, about) == ("sh", "") else []
+        for command in commands:
+            ended = subprocess.run(command, cwd=tmp_path, env=environment(), capture_output=True, text=True)
+            assert ended.returncode == 0, f"{command[-1]}: {ended.stderr[-2000:]}"
+            run += 1
+    assert run >= 3
+
+
+def test_messages_of_the_troubleshooting_page_are_the_programs() -> None:
+    text = (DOCS / "troubleshooting.md").read_text(encoding="utf-8")
+    code = "".join(
+        path.read_text(encoding="utf-8") for part in ("deformscope", "drivers") for path in (ROOT / part).rglob("*.py")
+    )
+    quoted = re.findall(r"^\| `(.*?)` \|", text, re.MULTILINE)
+
+    assert len(quoted) > 20
+    assert [one for one in quoted if f'"{one}' not in code] == []
+
+
+@pytest.mark.parametrize("page", PLAIN, ids=page_name)
+def test_sentences_are_short(page: Path) -> None:
+    text = BLOCK.sub("", page.read_text(encoding="utf-8"))
+    prose = [line for line in text.splitlines() if not line.startswith(("#", "|", "!"))]
+    sentences = [one for one in re.split(r"(?<=[.:?!])\s+|\n\n|\n- |\n\d\. ", "\n".join(prose)) if one.strip()]
+    long = [one for one in sentences if len(one.split()) > LONGEST]
+
+    assert len(long) <= (1 - SHARE) * len(sentences), long

@@ -1,0 +1,287 @@
+"""The reference pages of the site, from the code. mkdocs calls this module while it builds (`hooks` in mkdocs.yml).
+
+    python tools/reference_pages.py commands     # print one page
+
+Commands come from their own help, recordings from the classes that are recorded, quantities from their declaration,
+keys of a rig file from its sections, and the functions of Python from their docstrings (mkdocstrings). Files outside
+`docs/` that pages link (`../drivers/README.md`, pictures) are copied into the site.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import importlib
+import inspect
+import io
+import os
+import pkgutil
+import re
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from mkdocs.config.defaults import MkDocsConfig
+    from mkdocs.structure.files import Files
+    from mkdocs.structure.pages import Page
+
+ROOT = Path(__file__).resolve().parents[1]
+HELP_COLUMNS = "100"
+OUTSIDE = re.compile(r"\]\((?:\.\./)+((?:drivers|recordings|studies)/[\w./-]+)")
+FIELD_NAMES = re.compile(r"(?:^|; )((?:\w+, )*\w+): ", re.MULTILINE)
+
+
+def on_files(files: Files, config: MkDocsConfig) -> Files:
+    """Add the pages that are made here, and the files outside `docs/` that pages link."""
+    from mkdocs.structure.files import File
+
+    for name, make in PAGES.items():
+        files.append(File.generated(config, f"reference/{name}.md", content=make()))
+    linked = {found[1] for page in (ROOT / "docs").rglob("*.md") for found in OUTSIDE.finditer(page.read_text())}
+    for path in sorted(linked):
+        files.append(File.generated(config, f"files/{path}", abs_src_path=str(ROOT / path)))
+    return files
+
+
+def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
+    """Let links to files outside `docs/` lead to their copies."""
+    above = "../" * page.file.src_uri.count("/")
+    return OUTSIDE.sub(rf"]({above}files/\1", markdown)
+
+
+# Commands ------------------------------------------------------------------------------------------------------------
+
+
+def commands() -> str:
+    """Every command with its own help."""
+    from deformscope.cli import COMMANDS
+
+    parts = ["# Commands\n\nFrom `deformscope COMMAND --help`."]
+    for name, command in COMMANDS.items():
+        parts.append(f"## deformscope {name}\n\n{_sentence(command.summary)}\n\n{_help_of(name)}")
+    return "\n\n".join(parts) + "\n"
+
+
+def _help_of(name: str) -> str:
+    """The description, and a table of each group of flags."""
+    from deformscope.cli import main
+
+    shown = io.StringIO()  # not a terminal: without colours and frames
+    with _environment(COLUMNS=HELP_COLUMNS), contextlib.redirect_stdout(shown):
+        main([*name.split(), "--help"])
+    lines = [line.rstrip() for line in shown.getvalue().strip().splitlines()]
+    kept = "\n".join(line for line in lines if set(line.strip()) != {"-"})
+    usage, description, flags = re.split(r"\n\n+", kept, maxsplit=2)
+    parts = [f"```text\n{usage}\n```", _escaped(" ".join(description.split()))]
+    for title, lines in re.findall(r"^ (\S.*)\n((?:(?! \S).*\n?)*)", flags, re.MULTILINE):
+        about, rows = _flags_of(lines.splitlines())
+        parts += [f"**{title.capitalize()}.** {about}", _table(("flag", "meaning"), rows)]
+    return "\n\n".join(parts)
+
+
+def _flags_of(lines: list[str]) -> tuple[str, list[tuple[str, ...]]]:
+    """What stands above the flags of a group, and each flag with its help."""
+    about: list[str] = []
+    flags: list[tuple[str, list[str]]] = []
+    for line in lines:
+        if found := re.match(r"  (-.*?|[A-Z]\S*)(?:  +(.*))?$", line):
+            flags.append((found[1], [found[2] or ""]))
+        else:
+            (flags[-1][1] if flags else about).append(line.strip())
+    rows = [(f"`{flag}`", _escaped(" ".join(words).strip())) for flag, words in flags]
+    return _escaped(" ".join(about)), rows
+
+
+@contextlib.contextmanager
+def _environment(**values: str) -> Iterator[None]:
+    before = {name: os.environ.get(name) for name in values}
+    os.environ.update(values)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+
+
+# Recordings and results -----------------------------------------------------------------------------------------------
+
+
+def recordings() -> str:
+    """Entities of a recording, and the columns of each."""
+    from deformscope.rows import ENTITIES, FORMAT, OF_DEVICES, SERIES
+
+    parts = [
+        "# Entities and columns of a recording",
+        f"Format {FORMAT}. A row is one object of the class that is named; each of its fields is a component"
+        " `CLASS:FIELD`. Exports and `ds.open_recording(f).table(ENTITY)` name a column as the field.",
+    ]
+    devices = {kind: f"{entity}/DEVICE" for kind, entity in OF_DEVICES.items()}
+    for kind, entity in {**devices, **ENTITIES, **SERIES}.items():
+        meanings = _meanings(kind)
+        rows = [
+            (f"`{one.name}`", _type_name(one.type), _unit_of(one.name), meanings.get(one.name, ""))
+            for one in dataclasses.fields(kind)
+        ]
+        parts.append(f"## {entity}\n\n`{kind.__name__}`: {_summary(kind)}")
+        parts.append(_table(("column", "type", "unit", "meaning"), rows))
+    return "\n\n".join(parts) + "\n"
+
+
+def quantities_page() -> str:
+    """What results report: key in the JSON, meaning, unit."""
+    from deformscope.results.declared import quantities
+
+    parts = [
+        "# Quantities of results",
+        "Each quantity is declared once, in the class of its result; the terminal's table, the JSON, exports and pages"
+        " come from that declaration. A key `GROUP.KEY` stands in an object of the JSON.",
+    ]
+    for kind in sorted(_reporting_classes(), key=lambda one: one.__name__):
+        meanings = _meanings(kind)
+        rows = [
+            (f"`{one.key}`", one.label or meanings.get(one.name, ""), one.unit or _unit_of(one.key))
+            for one in quantities(kind)
+            if one.key is not None
+        ]
+        parts.append(f"## {kind.__name__}\n\n{_summary(kind)}")
+        parts.append(_table(("key in JSON", "meaning", "unit"), rows))
+    return "\n\n".join(parts) + "\n"
+
+
+def _reporting_classes() -> set[type]:
+    """Every dataclass of the package that declares a quantity."""
+    import deformscope
+    from deformscope.results.declared import quantities
+
+    found = set()
+    for module in pkgutil.walk_packages(deformscope.__path__, "deformscope."):
+        if module.name.endswith("__main__"):
+            continue
+        for one in vars(importlib.import_module(module.name)).values():
+            if inspect.isclass(one) and one.__module__.startswith("deformscope") and dataclasses.is_dataclass(one):
+                found |= {one} if quantities(one) else set()
+    return found
+
+
+def _unit_of(name: str) -> str:
+    """By the longest ending of the name that is a unit."""
+    from deformscope.recording.streams import UNITS
+
+    ending = max((one for one in UNITS if name.endswith(f"_{one}")), key=len, default="")
+    return UNITS.get(ending, "")
+
+
+# Rig files ------------------------------------------------------------------------------------------------------------
+
+
+def rig_file() -> str:
+    """Sections of a rig file with their keys, and the keys of each driver."""
+    from deformscope.rig.driver_table import DRIVERS
+    from deformscope.rig.rig_file import SECTIONS
+
+    parts = ["# Keys of a rig file", "A rig file is TOML. [Rigs and devices](../rigs.md) shows whole ones."]
+    for name, kind in SECTIONS.items():
+        parts.append(f"## [{name}]\n\n{_summary(kind)}\n\n{_keys(kind)}")
+    for name, driver in DRIVERS.items():
+        kind = driver.config_class()
+        parts.append(f'## [devices.NAME], driver = "{name}"\n\n{_summary(kind)}\n\n{_keys(kind)}')
+    return "\n\n".join(parts) + "\n"
+
+
+def _keys(kind: Any) -> str:
+    meanings = _meanings(kind)
+    rows = [
+        (f"`{one.name}`", _type_name(one.type), _default(one), meanings.get(one.name, ""))
+        for one in dataclasses.fields(kind)
+        if not one.name.startswith("_")
+    ]
+    return _table(("key", "type", "default", "meaning"), rows)
+
+
+def _meanings(kind: type) -> dict[str, str]:
+    """What a class says of its fields (`name, other: words`, at the start of a line or after a semicolon), and the
+    docstrings of its properties."""
+    body = (inspect.getdoc(kind) or "").partition("\n\n")[2].partition("\n\n")[0]
+    starts = list(FIELD_NAMES.finditer(body))
+    found = {
+        name: (inspect.getdoc(member) or "").partition("\n\n")[0]
+        for name, member in vars(kind).items()
+        if isinstance(member, property)
+    }
+    ends = [one.start() for one in starts[1:]] + [len(body)] * bool(starts)
+    for start, end in zip(starts, ends, strict=True):
+        words = " ".join(body[start.end() : end].split()).rstrip(";")
+        found |= {name: _escaped(words) for name in start[1].split(", ")}
+    return found
+
+
+def _default(one: dataclasses.Field[Any]) -> str:
+    if one.default is not dataclasses.MISSING:
+        return f"`{one.default!r}`"
+    return "" if one.default_factory is dataclasses.MISSING else f"`{one.default_factory()!r}`"
+
+
+# Python ---------------------------------------------------------------------------------------------------------------
+
+
+def python() -> str:
+    """The functions and results of `import deformscope as ds`."""
+    import deformscope
+
+    parts = ["# Python", "`import deformscope as ds`. [From a script](../library.md) shows them at work."]
+    for name in deformscope.__all__:
+        if not name.startswith("__"):
+            home = getattr(deformscope, name).__module__
+            parts.append(f"::: {home}.{name}")
+    return "\n\n".join(parts) + "\n"
+
+
+# Markdown -------------------------------------------------------------------------------------------------------------
+
+
+def _summary(kind: type) -> str:
+    """The first paragraph of a class's docstring."""
+    words = inspect.getdoc(kind) or ""
+    return "" if words.startswith(f"{kind.__name__}(") else _escaped(words.partition("\n\n")[0])
+
+
+def _escaped(words: str) -> str:
+    return re.sub(r"\[(?![^\]]*\]\()", r"\\[", words).replace("<", "&lt;")
+
+
+def _sentence(words: str) -> str:
+    return words[:1].upper() + words[1:] + "."
+
+
+def _type_name(kind: Any) -> str:
+    return f"`{kind}`" if isinstance(kind, str) else f"`{getattr(kind, '__name__', kind)}`"
+
+
+def _table(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
+    if not rows:
+        return ""
+    lines = [head, tuple("---" for _ in head), *rows]
+    return "\n".join("| " + " | ".join(_cell(cell) for cell in line) + " |" for line in lines)
+
+
+def _cell(text: str) -> str:
+    """A bar outside of code would part cells."""
+    return text if text.startswith("`") else text.replace("|", r"\|")
+
+
+PAGES: dict[str, Callable[[], str]] = {
+    "commands": commands,
+    "recordings": recordings,
+    "quantities": quantities_page,
+    "rig-file": rig_file,
+    "python": python,
+}
+
+if __name__ == "__main__":
+    sys.path[:0] = [str(ROOT), str(ROOT / "drivers")]
+    print(PAGES[sys.argv[1]]())
