@@ -21,9 +21,11 @@ from studies.quantities import Quantity, Rate, band, by, rows, share, table
 RELAXES = (0.1, 0.4)
 FIRST_SEED = 2000
 """Of the touches that are reported; those from 1000 on are for choosing constants."""
-FORCE_AFTER = {8.0: (0.5, 2.0, 8.0), 2.0: (0.5, 1.0, 2.0)}
+FORCE_AFTER = {30.0: (0.5, 5.0, 30.0), 8.0: (0.5, 2.0, 8.0), 2.0: (0.5, 1.0, 2.0)}
 """By the hold [s]: after which times the force that is kept is compared [s]."""
 UP = np.array([0.0, 0.0, 1.0])
+SURER = (0.7, 0.9)
+"""Probabilities of creep without end that are counted beside the one from which it is named."""
 NAMES = ("share", "mean time", "relaxed", "at once")
 
 
@@ -90,8 +92,10 @@ LAWS: dict[str, tuple[float, Callable[[np.random.Generator], FoamLaw]]] = {
     "power law since .3 to 3 s, 8 s": (8.0, lambda random: _power(random, 0.3, 3.0)),
     "fractional Zener, 8 s": (8.0, _zener),
     "stretched exponential, 8 s": (8.0, _stretched),
+    "two branches of .2 to 5 s, 30 s": (30.0, _two),
+    "logarithmic, 30 s": (30.0, _logarithmic),
 }
-"""By name: the hold [s], and how a law is drawn. The last three are none that is fitted."""
+"""By name: the hold [s], and how a law is drawn. The three before the last two are none that is fitted."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,13 +107,15 @@ class LawCase:
 @dataclass(frozen=True, slots=True)
 class LawOutcome:
     """law; reasons: codes; held: whether intervals of NAMES hold, None where nothing is claimed; kept: whether those
-    of the force that is kept do, after the times of FORCE_AFTER; share_width: over the share itself, None: a bound"""
+    of the force that is kept do, after the times of FORCE_AFTER; share_width: over the share itself, None: a bound;
+    endless: probability that it creeps without end"""
 
     law: str
     reasons: tuple[str, ...]
     held: tuple[bool | None, ...]
     kept: tuple[bool, ...]
     share_width: float | None
+    endless: float
 
 
 def try_law(case: LawCase) -> LawOutcome:
@@ -144,7 +150,7 @@ def try_law(case: LawCase) -> LawOutcome:
     )
     low, high = fit.share_interval
     width = None if fit.reasons or not law.share else (high - low) / law.share
-    return LawOutcome(case.law, tuple(one.code for one in fit.reasons), held, kept, width)
+    return LawOutcome(case.law, tuple(one.code for one in fit.reasons), held, kept, width, fit.no_plateau)
 
 
 # What is counted -----------------------------------------------------------------------------------------------------
@@ -156,6 +162,10 @@ def _held(at: int) -> Callable[[Sequence[LawOutcome]], Rate]:
 
 def _kept(at: int) -> Callable[[Sequence[LawOutcome]], Rate]:
     return lambda some: Rate.of(one.kept[at] for one in some)
+
+
+def _surer(than: float) -> Callable[[Sequence[LawOutcome]], Rate]:
+    return lambda some: Rate.of(one.endless > than for one in some)
 
 
 def _width(some: Sequence[LawOutcome]) -> float:
@@ -183,6 +193,8 @@ COUNTED: tuple[Quantity[Sequence[LawOutcome]], ...] = (
         lambda some: Rate.of(one.reasons for one in some),
         {"either (95 % band)": lambda rate: f"{share(2)(rate)} ({band(2)(rate)})"},
     ),
+    # what naming it later would spare, and lose
+    *(Quantity(f"endless_over_{100 * than:.0f}", _surer(than), {f"P(no end) > {than:g}": share(2)}) for than in SURER),
     *(Quantity(f"{name.replace(' ', '_')}_held", _held(at), {name: _of}) for at, name in enumerate(NAMES)),
     *(
         Quantity(f"force_held_{place}", _kept(at), {f"force, {place}": share(2)})

@@ -335,7 +335,7 @@ def _described(
     point = fit.fit(prior, noise, point.at)
     _, evidence = likeliest_noise(fit, prior, point, near=noise)
     judged = Folds(fit, noise, point.state.response).judge(point, fit.target, partial(smooth_mean, prior))
-    root = fit.noise_root(noise.reach, point.state.response) * noise.size
+    root = fit.noise_root(noise, point.state.response)
     left = solve_triangular(root, fit.target - point.moved, lower=True)
     label = np.full(len(fit.cells), -1) if label is None else label
     after = posterior(fit, prior, noise, point)
@@ -373,7 +373,7 @@ def _materials(fit: FieldFit, found: list[Description], edges: IntArray, count: 
 
 def _best_cuts(fit: FieldFit, noise: NoiseModel, one: Description) -> list[IntArray]:
     """Labels (C,) of the best straight cut through one of the materials across each axis."""
-    root = fit.noise_root(noise.reach, one.point.state.response) * noise.size
+    root = fit.noise_root(noise, one.point.state.response)
     y, w = (solve_triangular(root, rows, lower=True) for rows in (one.point.linear(fit.target), one.point.slope))
     gram, wanted = w.T @ w, w.T @ y
     axes = cuts(one.label, fit.place, fit.spacing)
@@ -403,7 +403,7 @@ def _bordered(fit: FieldFit, noise: NoiseModel, label: IntArray, edges: IntArray
     point = None
     for _ in range(BORDER_ROUNDS):
         point = fit.fit(fit.levels(label), noise, None if point is None else point.at)
-        root = fit.noise_root(noise.reach, point.state.response) * noise.size
+        root = fit.noise_root(noise, point.state.response)
         left = solve_triangular(root, fit.target - point.moved, lower=True)
         tried.append((float(left @ left) + BORDER * border_length(label, edges), label, point))
         y, w = (solve_triangular(root, rows, lower=True) for rows in (point.linear(fit.target), point.slope))

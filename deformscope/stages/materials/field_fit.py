@@ -4,8 +4,9 @@ Before the data, the logarithms of stiffness are a Gaussian random field of devi
 alike the body looks, or one number for each of a few materials.
 
 Errors of measurement are shared by neighbours, as optical flow's are, and held positions are measured too: their
-covariance is white noise or a random field of the reach that makes what was seen most likely (evidence), at a size that
-is found the same way. What is left out is judged beside the errors that it shares with what was not.
+covariance is white noise or a random field of the reach and the smoothness that make what was seen most likely
+(evidence), at a size that is found the same way. What is left out is judged beside the errors that it shares with what
+was not.
 """
 
 from __future__ import annotations
@@ -28,11 +29,8 @@ from deformscope.stages.materials.cell_model import CellModel, CellState, Law, l
 SPREAD = float(np.log(3.0))
 """Deviation of a place's log stiffness before the data."""
 
-NOISE_REACHES = (0.0, 0.6, 1.0, 1.4, 2.0, 3.0, 6.0)
-"""How far errors may reach [spacings], 0 = each particle by itself."""
-
-NOISE_ROUGH = 0.02
-"""Share of the variance of errors that reach far which does not."""
+NOISE_ROUGH, NOISE_SMOOTH = 0.02, 0.002
+"""Share of the variance of errors that reach far which does not, of rougher and of smoother ones."""
 
 BORDER_SPREAD = 0.35
 """Deviation of the log stiffness of a cell at a border from its material's: the border may pass through it."""
@@ -76,10 +74,29 @@ MOST_CELLS = 2500
 
 @dataclass(frozen=True, slots=True)
 class NoiseModel:
-    """Errors of measurement. reach: [spacings]; size: deviation of a coordinate [spacings]"""
+    """Errors of measurement. reach: how far neighbours share them [spacings], 0 = each particle has its own; size:
+    deviation of a coordinate [spacings]; smooth: their correlation is Gaussian, else Matern 3/2; own: share of the
+    variance that no neighbour shares"""
 
     reach: float
     size: float
+    smooth: bool = False
+    own: float = NOISE_ROUGH
+
+    def correlation(self, distance: FloatArray) -> FloatArray:
+        """(n, n) of particles at distances (n, n) [spacings]."""
+        white = np.eye(len(distance))
+        if self.reach == 0.0:
+            return white
+        shared = np.exp(-0.5 * (distance / self.reach) ** 2) if self.smooth else matern(distance / self.reach)
+        return np.asarray((1.0 - self.own) * shared + self.own * white)
+
+
+NOISES = (
+    *(NoiseModel(reach, 1.0) for reach in (0.0, 0.6, 1.0, 1.4, 2.0, 3.0, 6.0)),
+    *(NoiseModel(reach, 1.0, True, own) for own in (NOISE_ROUGH, NOISE_SMOOTH) for reach in (1.0, 1.4, 2.0, 2.8, 4.0)),
+)
+"""That are tried, of size 1: what smooths images is smoother than a Matern field."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -199,16 +216,14 @@ class FieldFit:
         """Slope of Poisson's ratio by its parameter, of (p,)."""
         return 1.0 - float(np.tanh(at[len(self.cells)] / self._half - 1.0)) ** 2
 
-    def noise_root(self, reach: float, response: FloatArray) -> FloatArray:
-        """(n, n) Cholesky factor of the covariance of errors of size 1. response: (K d, n d) of the held positions"""
+    def noise_root(self, noise: NoiseModel, response: FloatArray) -> FloatArray:
+        """(n, n) Cholesky factor of the covariance of errors. response: (K d, n d) of the held positions"""
         d = self.displacement.shape[1]
-        count = len(self._reach)
-        white = np.eye(count)
-        one = white if reach == 0.0 else (1.0 - NOISE_ROUGH) * matern(self._reach / reach) + NOISE_ROUGH * white
+        one = noise.correlation(self._reach)
         if self.seen.held_measured is False:
-            exact = np.zeros(count, dtype=bool)
+            exact = np.zeros(len(one), dtype=bool)
             exact[self.seen.held] = True
-            one = np.where(exact[:, None] | exact, 1e-9 * white, one)
+            one = np.where(exact[:, None] | exact, 1e-9 * np.eye(len(one)), one)
         free = np.unique(self.rows // d)
         whole = np.kron(one[np.ix_(free, free)], np.eye(d))
         cross = np.kron(one[np.ix_(free, self.held)], np.eye(d))
@@ -216,7 +231,7 @@ class FieldFit:
         by_held = response[self.rows]
         part = cross @ by_held.T
         total = whole - part - part.T + by_held @ own @ by_held.T
-        return np.asarray(np.linalg.cholesky(total + 1e-9 * np.eye(len(total))))
+        return np.asarray(noise.size * np.linalg.cholesky(total + 1e-9 * np.eye(len(total))))
 
     def fit(self, prior: StiffnessPrior, noise: NoiseModel, start: FloatArray | None = None) -> FieldPoint:
         """The likeliest parameters (p,) under a prior and a noise. start: (p,), from which they are sought"""
@@ -225,7 +240,7 @@ class FieldFit:
             z = np.asarray(np.linalg.lstsq(prior.root, start - prior.mean, rcond=1e-6)[0])
         at = prior.mean + prior.root @ z
         state, moved, slope = self.state(at)
-        root = self.noise_root(noise.reach, state.response) * noise.size
+        root = self.noise_root(noise, state.response)
         best, step, converged = np.inf, np.zeros_like(z), False
         for _ in range(ROUNDS):
             left = solve_triangular(root, self.target - moved, lower=True)
@@ -363,19 +378,23 @@ def _cells_of(seen: Observation) -> IntArray:
 def likeliest_noise(
     fit: FieldFit, prior: StiffnessPrior, point: FieldPoint, near: NoiseModel | None = None
 ) -> tuple[NoiseModel, float]:
-    """Reach and size of errors that make what was seen most likely, whatever the field is, and the logarithm of that
-    likelihood (evidence): with what density every number was predicted from those before it.
+    """Errors that make what was seen most likely, whatever the field is, and the logarithm of that likelihood
+    (evidence): with what density every number was predicted from those before it.
 
-    near: where the reach is looked for; None = everywhere
+    near: whose reach, and the next ones of its kind, they have; None = any
     """
-    at = 0 if near is None else NOISE_REACHES.index(near.reach)
-    reaches = NOISE_REACHES if near is None else NOISE_REACHES[max(at - 1, 0) : at + 2]
+    noises = NOISES
+    if near is not None:
+        kind = [one.reach for one in NOISES if (one.smooth, one.own) == (near.smooth, near.own)]
+        at = kind.index(near.reach)
+        low, high = kind[max(at - 1, 0)], kind[min(at + 1, len(kind) - 1)]
+        noises = tuple(one for one in NOISES if low <= one.reach <= high)
     wanted = point.linear(fit.target) - point.slope @ prior.mean
     stated = None if fit.seen.noise is None else float(np.median(fit.seen.noise)) / fit.spacing
     sizes = SIZES * fit.size
     best, found = -np.inf, NoiseModel(0.0, sizes[-1])
-    for reach in reaches:
-        root = fit.noise_root(reach, point.state.response)
+    for noise in noises:
+        root = fit.noise_root(noise, point.state.response)
         u, s, _ = np.linalg.svd(solve_triangular(root, point.slope @ prior.root, lower=True), full_matrices=False)
         y = solve_triangular(root, wanted, lower=True)
         along = u.T @ y
@@ -387,7 +406,7 @@ def likeliest_noise(
             value -= 0.5 * (np.log(sizes / stated) / STATED_SPREAD) ** 2
         at = int(value.argmax())
         if value[at] > best:
-            best, found = float(value[at]), NoiseModel(reach, float(sizes[at]))
+            best, found = float(value[at]), replace(noise, size=float(sizes[at]))
     return found, best
 
 
@@ -408,7 +427,7 @@ class Folds:
         block, fold = blocks_of(fit.seen.rest, fit.spacing, 0.0)
         particle = fit.rows // d
         self.block, fold_of = block[particle], fold[particle]
-        root = fit.noise_root(noise.reach, response) * noise.size
+        root = fit.noise_root(noise, response)
         covariance = root @ root.T
         self.parts = []
         for one in np.unique(fold_of):
@@ -446,7 +465,7 @@ def smooth_mean(prior: StiffnessPrior, y: FloatArray, w: FloatArray) -> FloatArr
 
 def posterior(fit: FieldFit, prior: StiffnessPrior, noise: NoiseModel, point: FieldPoint) -> FloatArray:
     """(p, q) root of the parameters' covariance after the data."""
-    root = fit.noise_root(noise.reach, point.state.response) * noise.size
+    root = fit.noise_root(noise, point.state.response)
     w = solve_triangular(root, point.slope @ prior.root, lower=True)
     inner = np.linalg.cholesky(w.T @ w + np.eye(w.shape[1]))
     return np.asarray(solve_triangular(inner, prior.root.T, lower=True).T)

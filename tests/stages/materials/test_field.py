@@ -149,7 +149,7 @@ def test_evidence_is_the_density_of_what_was_seen() -> None:
     prior = fit.levels((fit.place[:, 0] > 0.03).astype(np.int64), np.array([2, 3]))
     point = fit.fit(prior, NoiseModel(1.0, 0.02))
     noise, evidence = likeliest_noise(fit, prior, point)
-    root = fit.noise_root(noise.reach, point.state.response) * noise.size
+    root = fit.noise_root(noise, point.state.response)
     spread = point.slope @ prior.root
     seen = multivariate_normal(point.slope @ prior.mean, root @ root.T + spread @ spread.T)
     expected = seen.logpdf(point.linear(fit.target)) + 0.5 * len(fit.target) * np.log(2.0 * np.pi)
@@ -207,7 +207,7 @@ def test_errors_are_as_large_as_is_likeliest() -> None:
     prior = fit.levels((fit.place[:, 0] > 0.05).astype(np.int64))
     point = fit.fit(prior, NoiseModel(1.0, 0.02))
     noise, _ = likeliest_noise(fit, prior, point)
-    shared = fit.noise_root(noise.reach, point.state.response)
+    shared = fit.noise_root(dataclasses.replace(noise, size=1.0), point.state.response)
     spread = point.slope @ prior.root
 
     def unlikely(log_size: float) -> float:
@@ -215,8 +215,24 @@ def test_errors_are_as_large_as_is_likeliest() -> None:
         return -float(multivariate_normal(point.slope @ prior.mean, covariance).logpdf(point.linear(fit.target)))
 
     likeliest = minimize_scalar(unlikely, bounds=(np.log(0.001), np.log(0.1)), method="bounded")
-    assert noise.reach == 1.4
+    assert (noise.reach, noise.smooth) == (1.4, False)
     assert noise.size == pytest.approx(np.exp(likeliest.x), rel=0.03)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_errors_may_be_as_smooth_as_filtered_images(seed: int) -> None:
+    seen = elastic_pair(SMALL, halves, noise_m=0.0)
+    gap = cdist(seen.rest, seen.rest) / SPACING_M
+    root = np.linalg.cholesky(np.exp(-0.5 * (gap / 2.0) ** 2) + 0.002 * np.eye(len(gap)))
+    errors = 0.02 * SPACING_M * root @ np.random.default_rng(seed).standard_normal(seen.rest.shape)
+    fit = FieldFit(dataclasses.replace(seen, deformed=seen.deformed + errors), "elastic")
+    prior = fit.levels((fit.place[:, 0] > 0.05).astype(np.int64))
+    point = fit.fit(prior, NoiseModel(1.0, 0.02))
+    noise, _ = likeliest_noise(fit, prior, point)
+    assert (noise.reach, noise.smooth) == (2.0, True)
+    assert noise.size == pytest.approx(0.02, rel=0.4)
+    again, _ = likeliest_noise(fit, prior, point, near=NoiseModel(1.4, 0.02))
+    assert again == noise
 
 
 def test_particles_of_no_whole_cell_are_left_out() -> None:
